@@ -1,0 +1,33 @@
+"""The errors that midspan raises, one tree:
+
+    MidspanError                     anything a user can mend
+    ├── UsageError          exit 2   wrong use or wrong settings
+    ├── DataError           exit 3   unreadable or unusable data
+    └── UntrustedError      exit 4   the result could not be trusted
+
+A message says what was found, the rule with its unit, the value received and what to do.
+"""
+
+
+class MidspanError(Exception):
+    """A problem that the user can mend; `exit_code` is what the command line returns for it."""
+
+    exit_code = 1
+
+
+class UsageError(MidspanError):
+    """Wrong use or wrong settings: an unknown key, a value outside its range, a region outside the image."""
+
+    exit_code = 2
+
+
+class DataError(MidspanError):
+    """Data that cannot be read or used: a missing file, time running backwards, streams that do not overlap."""
+
+    exit_code = 3
+
+
+class UntrustedError(MidspanError):
+    """A result that could not be trusted was refused: too little motion, an ambiguity, no agreement of the sensors."""
+
+    exit_code = 4

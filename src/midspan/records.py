@@ -1,0 +1,225 @@
+"""What flows between the rooms: frozen records, SI inside, the unit in each field's name.
+
+Time is int64 nanoseconds of one declared clock (the accelerometer's, or the sensor's own before its time offset is
+applied); seconds appear only as differences. A record that holds arrays is a block: field arrays of equal length n.
+"""
+
+from dataclasses import dataclass, field
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Nanoseconds = NDArray[np.int64]
+
+NANOSECONDS = 1_000_000_000
+STANDARD_GRAVITY_M_S2 = 9.80665
+
+
+def seconds(time_ns: Nanoseconds, origin_ns: int) -> Floats:
+    """Time stamps (n,) as seconds after `origin_ns`."""
+    return (np.asarray(time_ns, dtype=np.int64) - np.int64(origin_ns)).astype(np.float64) / NANOSECONDS
+
+
+def nanoseconds(time_s: Floats, origin_ns: int = 0) -> Nanoseconds:
+    """Seconds (n,) after `origin_ns` as time stamps."""
+    return np.int64(origin_ns) + np.rint(np.asarray(time_s, dtype=np.float64) * NANOSECONDS).astype(np.int64)
+
+
+class Source(IntEnum):
+    """Which sensor fixes a row of the result; `prediction` is the accelerometer alone."""
+
+    PREDICTION = 0
+    CAMERA = 1
+    INFRARED = 2
+    RADAR = 3
+    DISPLACEMENT = 4
+
+    @property
+    def word(self) -> str:
+        """The lower-case word of the result files."""
+        return self.name.lower()
+
+
+class Status(IntEnum):
+    """What a row of the result rests on."""
+
+    TRACKING = 0
+    COASTING = 1
+    LOST = 2
+
+    @property
+    def word(self) -> str:
+        """The lower-case word of the result files."""
+        return self.name.lower()
+
+
+@dataclass(frozen=True, slots=True)
+class Region:
+    """Region of interest: left column x, top row y, width and height, in whole pixels."""
+
+    x: int
+    y: int
+    width: int
+    height: int
+
+    def inside(self, columns: int, rows: int) -> bool:
+        """Whether the region lies wholly in an image of `columns` by `rows` pixels."""
+        return (
+            self.width > 0
+            and self.height > 0
+            and self.x >= 0
+            and self.y >= 0
+            and self.x + self.width <= columns
+            and self.y + self.height <= rows
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class TimeSeries:
+    """A channel as it was read: `time_ns` (n,) and `value` (n,) in SI (m/s² or m), NaN where the file had no number.
+
+    `notes` says in plain sentences what the reader found and assumed (delimiter, unit, epoch …).
+    """
+
+    time_ns: Nanoseconds
+    value: Floats
+    name: str = ""
+    unit: str = ""
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Acceleration:
+    """A block of acceleration: `time_ns` (n,) strictly increasing, `value_m_s2` (n,) finite.
+
+    `noise_density` (n,) is the two-sided power spectral density of its white noise in (m/s²)²/Hz for the interval that
+    ends at the sample; it is raised where samples were missing and had to be bridged.
+    """
+
+    time_ns: Nanoseconds
+    value_m_s2: Floats
+    noise_density: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class Displacement:
+    """A block of displacement measurements: `time_ns` (n,), `value_m` (n,), `variance_m2` (n,), one source."""
+
+    time_ns: Nanoseconds
+    value_m: Floats
+    variance_m2: Floats
+    source: Source
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """One image: `pixels` (rows, columns) of luma or temperature, any integer or float type; `index` in its source."""
+
+    time_ns: int
+    pixels: NDArray[np.generic]
+    index: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Prediction:
+    """Where the target should be in the next frame, in pixels relative to the reference frame, with its standard deviation."""
+
+    x_px: float
+    y_px: float
+    std_x_px: float
+    std_y_px: float
+
+
+@dataclass(frozen=True, slots=True)
+class PixelTranslation:
+    """Translation of the target since the reference frame: x to the right, y down, in pixels, with variances.
+
+    `quality` runs from 0 to 1 (for template matching the correlation coefficient). With status LOST the values are NaN.
+    """
+
+    time_ns: int
+    x_px: float
+    y_px: float
+    variance_x_px2: float
+    variance_y_px2: float
+    quality: float
+    status: Status
+
+
+@dataclass(frozen=True, slots=True)
+class PixelTrack:
+    """A block of pixel translations, one row a frame: arrays (n,); `status` holds `Status` codes."""
+
+    time_ns: Nanoseconds
+    x_px: Floats
+    y_px: Floats
+    variance_x_px2: Floats
+    variance_y_px2: Floats
+    quality: Floats
+    status: NDArray[np.uint8]
+
+    @classmethod
+    def stack(cls, rows: list[PixelTranslation]) -> "PixelTrack":
+        """The block of single translations in their order."""
+        return cls(
+            time_ns=np.array([r.time_ns for r in rows], dtype=np.int64),
+            x_px=np.array([r.x_px for r in rows], dtype=np.float64),
+            y_px=np.array([r.y_px for r in rows], dtype=np.float64),
+            variance_x_px2=np.array([r.variance_x_px2 for r in rows], dtype=np.float64),
+            variance_y_px2=np.array([r.variance_y_px2 for r in rows], dtype=np.float64),
+            quality=np.array([r.quality for r in rows], dtype=np.float64),
+            status=np.array([r.status for r in rows], dtype=np.uint8),
+        )
+
+    def along(self, direction: str) -> tuple[Floats, Floats]:
+        """Translation and its variance (n,) along the image axis "x" or "y"."""
+        if direction == "x":
+            return self.x_px, self.variance_x_px2
+        return self.y_px, self.variance_y_px2
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """A block of results, one row an accelerometer sample: arrays (n,); `source` and `status` hold their codes."""
+
+    time_ns: Nanoseconds
+    displacement_m: Floats
+    variance_m2: Floats
+    velocity_m_s: Floats
+    source: NDArray[np.uint8]
+    status: NDArray[np.uint8]
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """Something worth telling: when, of what kind, in one sentence."""
+
+    time_ns: int
+    kind: str
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class ScaleFactor:
+    """Displacement per pixel of translation of the target, signed, in m/px, with its variance in (m/px)²."""
+
+    value_m_per_px: float
+    variance: float
+
+
+@dataclass(frozen=True, slots=True)
+class TimeOffset:
+    """Seconds to add to a sensor's clock to get the accelerometer's clock, with its variance in s²."""
+
+    value_s: float
+    variance: float
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseLevel:
+    """White noise: standard deviation per sample in the unit of the channel, and whether it was given or learnt."""
+
+    std: float
+    learnt: bool = field(default=True)

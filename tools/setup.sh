@@ -1,0 +1,28 @@
+#!/bin/sh
+# Makes the virtual environment $VENV with midspan and its tools at the pinned versions.
+# Needs python3 (3.11 or newer); fetches Debian's venv package itself where it is missing.
+set -eu
+python=${PYTHON:-python3}
+venv=${VENV:-.venv}
+
+fail() { echo "setup: $1" >&2; exit 1; }
+
+as_root() {
+    if [ "$(id -u)" = 0 ]; then "$@"
+    elif command -v sudo >/dev/null 2>&1; then sudo "$@"
+    else fail "'$*' needs root; run it yourself, then call make again."
+    fi
+}
+
+command -v "$python" >/dev/null 2>&1 || fail "'$python' was not found; install Python 3.11 or newer."
+"$python" -c 'import sys; sys.exit(sys.version_info < (3, 11))' ||
+    fail "Python 3.11 or newer is needed; '$python' is $("$python" -V 2>&1). Call make PYTHON=/path/to/python3.11."
+
+if ! "$python" -c 'import ensurepip, venv' >/dev/null 2>&1; then
+    command -v apt-get >/dev/null 2>&1 || fail "Python's venv module is missing; install it (python3-venv)."
+    as_root apt-get update
+    as_root env DEBIAN_FRONTEND=noninteractive apt-get install -y --no-install-recommends python3-venv
+fi
+
+[ -x "$venv/bin/python" ] || "$python" -m venv "$venv"
+"$venv/bin/python" -m pip install --quiet --disable-pip-version-check --constraint constraints.txt -e '.[dev]'
