@@ -1,1 +1,57 @@
+"""midspan: displacement of structures in millimetres, from an accelerometer and a camera, with an honest error band.
 
+    recording = midspan.open_recording("footbridge/")
+    calibration = midspan.calibrate(recording)
+    result = midspan.estimate(recording, calibration=calibration, method="smoother")
+    result.save("result.parquet")
+
+Names are looked up when first used, so that importing midspan is quick.
+"""
+
+import importlib
+from typing import Any
+
+from midspan._version import __version__
+
+_PLACES = {
+    "Acceleration": "records",
+    "Calibration": "recording.calibration",
+    "DataError": "errors",
+    "Displacement": "records",
+    "Estimate": "records",
+    "Frame": "records",
+    "GateSettings": "fusion.gate",
+    "KalmanFilter": "fusion.kalman",
+    "KalmanSettings": "fusion.kalman",
+    "MidspanError": "errors",
+    "Pair": "calibration.fit",
+    "Prediction": "records",
+    "Recording": "recording.recording",
+    "Region": "records",
+    "Result": "recording.result",
+    "UntrustedError": "errors",
+    "UsageError": "errors",
+    "calibrate": "recording.calibrate",
+    "calibrate_noise": "calibration.noise",
+    "calibrate_scale": "calibration.scale",
+    "choose_region": "vision.roi",
+    "estimate": "recording.estimate",
+    "load_calibration": "recording.calibration",
+    "open_recording": "recording.recording",
+    "open_tracker": "vision.tracker",
+    "smooth": "fusion.smoother",
+}
+
+__all__ = ["__version__", *sorted(_PLACES)]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _PLACES:
+        raise AttributeError(f"module 'midspan' has no attribute {name!r}")
+    value = getattr(importlib.import_module(f"midspan.{_PLACES[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return __all__

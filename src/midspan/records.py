@@ -4,8 +4,10 @@ Time is int64 nanoseconds of one declared clock (the accelerometer's, or the sen
 applied); seconds appear only as differences. A record that holds arrays is a block: field arrays of equal length n.
 """
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields
 from enum import IntEnum
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +27,19 @@ def seconds(time_ns: Nanoseconds, origin_ns: int) -> Floats:
 def nanoseconds(time_s: Floats, origin_ns: int = 0) -> Nanoseconds:
     """Seconds (n,) after `origin_ns` as time stamps."""
     return np.int64(origin_ns) + np.rint(np.asarray(time_s, dtype=np.float64) * NANOSECONDS).astype(np.int64)
+
+
+def joined(blocks: "Sequence[Block]") -> "Block":
+    """One block out of blocks of the same kind whose fields are all arrays, in their order; also from a single one."""
+    if len(blocks) == 1:
+        return blocks[0]
+    names = [item.name for item in fields(blocks[0])]
+    return type(blocks[0])(*(np.concatenate([getattr(block, name) for block in blocks]) for name in names))
+
+
+def part(block: "Block", which: slice | NDArray[np.generic]) -> "Block":
+    """The rows `which` (a slice, mask or index array) of a block whose fields are all arrays."""
+    return type(block)(*(getattr(block, item.name)[which] for item in fields(block)))
 
 
 class Source(IntEnum):
@@ -105,12 +120,15 @@ class Acceleration:
 
 @dataclass(frozen=True, slots=True)
 class Displacement:
-    """A block of displacement measurements: `time_ns` (n,), `value_m` (n,), `variance_m2` (n,), one source."""
+    """A block of displacement measurements, each with its variance and the code of its `Source`: arrays (n,).
+
+    A value or variance that is not finite marks a measurement that must not be used.
+    """
 
     time_ns: Nanoseconds
     value_m: Floats
     variance_m2: Floats
-    source: Source
+    source: NDArray[np.uint8]
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,6 +208,19 @@ class Estimate:
     velocity_m_s: Floats
     source: NDArray[np.uint8]
     status: NDArray[np.uint8]
+
+
+@dataclass(frozen=True, slots=True)
+class Innovation:
+    """A block of measured minus predicted displacement with its predicted variance and the gate's verdict: arrays (n,)."""
+
+    time_ns: Nanoseconds
+    value_m: Floats
+    variance_m2: Floats
+    verdict: NDArray[np.int8]
+
+
+Block = TypeVar("Block", Acceleration, Displacement, Estimate, Innovation, PixelTrack)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,1 @@
+"""Calibration: scale factor, time offset and noise levels, each with its standard deviation."""

@@ -1,0 +1,57 @@
+"""Noise levels learnt from the innovations of a displacement sensor and the accelerometer, and their clock offset."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from midspan.calibration.fit import Fit, Pair, best_corner
+from midspan.calibration.time_offset import mark_outliers, search_offset, without_lonely_outliers
+from midspan.records import TimeOffset
+
+# A clock offset is only applied when it is this certain and the likelihood gains this much over none.
+CERTAIN_S = 0.02
+LEAST_GAIN = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseCalibration:
+    """variance_factor: learnt variance per unit of the variance given with each measurement; input_noise_density: of the
+
+    acceleration, (m/s²)²/Hz; offset: of the sensor's clock (zero with infinite variance when the motion does not tell);
+    scale: the sensor's apparent scale against the accelerometer (1 when both are right) with its standard deviation.
+    """
+
+    variance_factor: float
+    input_noise_density: float
+    offset: TimeOffset
+    scale: float
+    scale_std: float
+
+
+def calibrate_noise(pair: Pair, max_offset_s: float) -> NoiseCalibration:
+    """Learn the noise levels of a displacement sensor of known unit, and its clock offset where the motion tells it.
+
+    pair: displacement in m (ratio 1) with relative variances, and the acceleration. max_offset_s: 0 leaves the clocks be.
+    """
+    pair = without_lonely_outliers(replace(pair, ratio=1.0))
+    still = best_corner(pair, 0.0)
+    pair = mark_outliers(pair, still)
+    still = best_corner(pair, 0.0)
+    fit, offset = still, TimeOffset(0.0, np.inf)
+    if max_offset_s > 0:
+        search = search_offset(pair, max_offset_s)
+        gain = search.fit.likelihood - best_corner(search.pair, 0.0).likelihood
+        if search.offset.variance < CERTAIN_S**2:
+            offset = TimeOffset(0.0, search.offset.variance)
+            if gain > LEAST_GAIN and abs(search.fit.offset_s) < 0.99 * max_offset_s:
+                fit, offset = search.fit, search.offset
+    scale, scale_std = _apparent_scale(fit)
+    return NoiseCalibration(fit.noise, fit.input_density, offset, scale, scale_std)
+
+
+def _apparent_scale(fit: Fit) -> tuple[float, float]:
+    """Displacement measured per displacement of the accelerometer, with its standard deviation."""
+    w = fit.whitened
+    power = float(np.sum(w.response**2 / w.variance))
+    cross = float(np.sum(w.response * w.translation / w.variance))
+    return cross / max(power, 1e-300), float(np.sqrt(fit.noise / max(power, 1e-300)))

@@ -1,0 +1,138 @@
+"""The scale factor of a camera and its clock offset from the first minute of camera and accelerometer, or a refusal."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from midspan.calibration.fit import Fit, Pair
+from midspan.calibration.time_offset import OffsetSearch, search_offset
+from midspan.errors import UntrustedError
+from midspan.records import Floats, NoiseLevel, ScaleFactor
+
+# The largest relative standard deviation of a scale factor that is still given out, and the one that brings a warning.
+REFUSED_ABOVE = 0.05
+WARNED_ABOVE = 0.01
+# Gain of the logarithmic likelihood that the acceleration must bring. Scanning some hundred offsets lets pure noise gain
+# about ln(200) + 3; ten more is one chance in twenty thousand.
+LEAST_GAIN = 20.0
+# The runner-up must be less likely by this much, and its residual power larger by this share (a model never fits to the
+# last digit, and with a very quiet camera the likelihood alone would be over-confident).
+AMBIGUOUS_BELOW = 8.0
+AMBIGUOUS_SHARE = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class ScaleCalibration:
+    """Scale factor, clock offset and noise of one camera.
+
+    noise: standard deviation of the translation, px; variance_factor: learnt variance over the tracker's own variance;
+    input_noise_density: of the acceleration, (m/s²)²/Hz; motion_m: rms of the response to the acceleration in the fit's
+    band; search: what was tried, for the report; warnings: sentences.
+    """
+
+    scale: ScaleFactor
+    search: OffsetSearch
+    noise: NoiseLevel
+    variance_factor: float
+    input_noise_density: float
+    warnings: tuple[str, ...]
+
+
+def calibrate_scale(pair: Pair, max_offset_s: float) -> ScaleCalibration:
+    """Estimate scale factor (signed), time offset and noise levels by maximum likelihood.
+
+    pair: translation in px with the tracker's variances, and the acceleration, of about one minute.
+    max_offset_s: largest clock offset searched for, s. Raises UntrustedError with the reason when there is too little
+    motion, when two offsets fit alike, or when the sensors do not agree.
+    """
+    usable = int(np.count_nonzero(np.isfinite(pair.rows[:, 2])))
+    if usable < 20:
+        raise UntrustedError(
+            f"Only {usable} usable frames lie in the calibration window; at least 20 are needed. "
+            "Widen calibration.window_s or check the region of interest."
+        )
+    search = search_offset(pair, max_offset_s)
+    fit = search.fit
+    relative = float(np.sqrt(fit.ratio_variance)) / max(abs(fit.ratio), 1e-300)
+    _refuse_no_motion(pair, fit, relative)
+    _refuse_disagreement(search.pair, fit)
+    _refuse_ambiguity(search, max_offset_s)
+    value = 1.0 / fit.ratio
+    typical = float(np.median(pair.rows[np.isfinite(pair.rows[:, 2]), 2]))
+    return ScaleCalibration(
+        scale=ScaleFactor(value, (relative * value) ** 2),
+        search=search,
+        noise=NoiseLevel(float(np.sqrt(fit.noise * typical))),
+        variance_factor=fit.noise,
+        input_noise_density=fit.input_density,
+        warnings=tuple(_warnings(search, relative)),
+    )
+
+
+def _refuse_no_motion(pair: Pair, fit: Fit, relative: float) -> None:
+    if fit.likelihood - fit.without >= LEAST_GAIN and relative <= REFUSED_ABOVE:
+        return
+    seen = float(np.std(pair.rows[np.isfinite(pair.rows[:, 2]), 1]))
+    noise = float(np.sqrt(fit.noise * np.median(pair.rows[np.isfinite(pair.rows[:, 2]), 2])))
+    shaken = float(np.std(pair.samples[:, 1]))
+    figures = (
+        f"(image motion {seen:.3g} px rms with noise {noise:.2g} px; acceleration {1e3 * shaken:.3g} mm/s² rms; "
+        f"best scale factor {1e3 / fit.ratio:.4g} mm/px ± {100 * relative:.2g} %)"
+    )
+    if seen > 5.0 * noise and fit.likelihood - fit.without < LEAST_GAIN:
+        raise UntrustedError(
+            f"No agreement between image and accelerometer {figures}: the image moves, but not with the acceleration. "
+            "Check camera.direction, that the region shows something fixed, that both files are of the same event, and "
+            "raise calibration.max_offset_s if the clocks may differ by more."
+        )
+    raise UntrustedError(
+        f"Too little motion to calibrate the scale factor {figures}: at most ± {100 * REFUSED_ABOVE:g} % is given out. "
+        "Choose a calibration.window_s with traffic or shaking, or pass a calibration made at a livelier time with -c."
+    )
+
+
+def _refuse_disagreement(pair: Pair, fit: Fit) -> None:
+    rate = (len(pair.samples) - 1) / float(pair.samples[-1, 0] - pair.samples[0, 0])
+    implied, measured = float(np.sqrt(fit.input_density * rate)), float(np.std(pair.samples[:, 1]))
+    if implied > measured:
+        raise UntrustedError(
+            f"No agreement between image and accelerometer: their difference would need accelerometer noise of "
+            f"{1e3 * implied:.3g} mm/s² per sample where the whole signal has {1e3 * measured:.3g} mm/s². Check "
+            "camera.direction, the region of interest and accelerometer.unit."
+        )
+
+
+def _refuse_ambiguity(search: OffsetSearch, max_offset_s: float) -> None:
+    other, fit = search.runner_up, search.fit
+    if other is None:
+        return
+    lead = fit.likelihood - other.likelihood
+    share = other.noise / fit.noise * np.exp(_entropy(other.whitened.variance) - _entropy(fit.whitened.variance)) - 1.0
+    if lead < AMBIGUOUS_BELOW or share < AMBIGUOUS_SHARE:
+        raise UntrustedError(
+            f"The clock offset is ambiguous: {fit.offset_s:+.4f} s (scale factor {1e3 / fit.ratio:.4g} mm/px) and "
+            f"{other.offset_s:+.4f} s ({1e3 / other.ratio:.4g} mm/px) fit almost alike within ±{max_offset_s:g} s, as "
+            "they do when the motion is nearly a single tone. Set a smaller calibration.max_offset_s that excludes one "
+            "of them, or calibrate on a time with changing motion."
+        )
+
+
+def _entropy(variance: Floats) -> float:
+    """Mean logarithm of the innovations' variances, so that residual powers at two offsets compare."""
+    return float(np.mean(np.log(variance)))
+
+
+def _warnings(search: OffsetSearch, relative: float) -> list[str]:
+    found = []
+    if relative > WARNED_ABOVE:
+        found.append(
+            f"The scale factor is known to ± {100 * relative:.1f} % only (one standard deviation); more motion in "
+            "the calibration window would sharpen it."
+        )
+    std = float(np.sqrt(search.offset.variance))
+    if std > 2e-3:
+        found.append(f"The clock offset is known to ± {1e3 * std:.1f} ms only (one standard deviation).")
+    left_out = int(np.count_nonzero(~np.isfinite(search.pair.rows[:, 2])))
+    if left_out > 0.05 * len(search.pair.rows):
+        found.append(f"{left_out} of {len(search.pair.rows)} frames were left out of the calibration as outliers.")
+    return found

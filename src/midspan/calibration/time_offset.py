@@ -1,0 +1,131 @@
+"""The clock offset between a displacement-like sensor and the accelerometer, by maximum likelihood.
+
+The likelihood is evaluated with the accelerometer's full-rate response at the exact instants of the other sensor, so an
+aliased camera needs no special care. It has many maxima when the motion is nearly a single tone; all of them are refined
+and compared, and the runner-up is reported so that an ambiguity can be refused.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from midspan.calibration.fit import Fit, Pair, corner_range, evaluate, refine
+from midspan.records import Floats, TimeOffset
+
+COARSE_CORNERS = 4
+CANDIDATES = 6
+# An innovation this many robust standard deviations out is left out of the fit; the rest is fitted again.
+OUTLIER_LIMIT = 5.0
+# Above this rate the coarse search runs on averages of neighbouring samples; the refinement always on all samples.
+COARSE_RATE_HZ = 250.0
+
+
+@dataclass(frozen=True, slots=True)
+class OffsetSearch:
+    """The best fit, its offset with variance, the runner-up (None without a second maximum) and the scanned curve.
+
+    offsets_s (k,), likelihood (k,): the coarse curve for the report; pair: with outliers marked unusable.
+    """
+
+    fit: Fit
+    offset: TimeOffset
+    runner_up: Fit | None
+    offsets_s: Floats
+    likelihood: Floats
+    pair: Pair
+
+
+def search_offset(pair: Pair, max_offset_s: float) -> OffsetSearch:
+    """Find the time offset within ±`max_offset_s` that makes translation and acceleration agree best."""
+    pair = without_lonely_outliers(pair)
+    offsets, curve, corners = scan(pair, max_offset_s)
+    step = float(offsets[1] - offsets[0]) if len(offsets) > 1 else 0.0
+    fits = _refined(pair, offsets, curve, corners)
+    best = max(fits, key=lambda fit: fit.likelihood)
+    cleaned = mark_outliers(pair, best)
+    if cleaned is not pair:
+        pair = cleaned
+        fits = [refine(pair, fit, step) for fit in fits]
+        best = max(fits, key=lambda fit: fit.likelihood)
+    others = [fit for fit in fits if abs(fit.offset_s - best.offset_s) > 2.0 * step]
+    runner_up = max(others, key=lambda fit: fit.likelihood, default=None)
+    variance, drag = curvature(pair, best)
+    best = replace(best, ratio_variance=best.ratio_variance + drag * drag * variance)
+    return OffsetSearch(best, TimeOffset(best.offset_s, variance), runner_up, offsets, curve, pair)
+
+
+def scan(pair: Pair, max_offset_s: float) -> tuple[Floats, Floats, Floats]:
+    """Offsets tried (k,), the likelihood at the best of a few noise ratios (k,), and that corner frequency (k,)."""
+    coarse = replace(pair, samples=thinned(pair.samples, COARSE_RATE_HZ))
+    rate = (len(coarse.samples) - 1) / float(coarse.samples[-1, 0] - coarse.samples[0, 0])
+    count = 2 * int(np.ceil(max_offset_s * min(rate, 200.0))) + 1
+    offsets = np.linspace(-max_offset_s, max_offset_s, max(count, 3))
+    low, high = corner_range(pair)
+    corners = np.geomspace(max(3.0 * low, 0.3), high / 1.5, COARSE_CORNERS)
+    table = np.array([[evaluate(coarse, t, w).likelihood for w in corners] for t in offsets])
+    return offsets, table.max(axis=1), corners[table.argmax(axis=1)]
+
+
+def _refined(pair: Pair, offsets: Floats, curve: Floats, corners: Floats) -> list[Fit]:
+    """The highest maxima of the scanned curve, each refined."""
+    padded = np.concatenate(([-np.inf], curve, [-np.inf]))
+    peaks = np.flatnonzero((padded[1:-1] >= padded[:-2]) & (padded[1:-1] > padded[2:]))
+    step = float(offsets[1] - offsets[0])
+    best = peaks[np.argsort(curve[peaks])[::-1][:CANDIDATES]]
+    return [refine(pair, evaluate(pair, offsets[i], corners[i]), step) for i in best]
+
+
+def curvature(pair: Pair, fit: Fit) -> tuple[float, float]:
+    """Variance of the time offset (s²) from the curvature of the likelihood, and d(ratio)/d(offset) there."""
+    step = 1e-4
+    while True:
+        before, after = (evaluate(pair, fit.offset_s + sign * step, fit.corner) for sign in (-1.0, 1.0))
+        middle = evaluate(pair, fit.offset_s, fit.corner)
+        drop = middle.likelihood - 0.5 * (before.likelihood + after.likelihood)
+        # A drop of about one is far above rounding and still near the summit.
+        if drop > 0.5 or step > 0.05:
+            break
+        step *= 2.0
+    variance = step * step / (2.0 * drop) if drop > 0 else np.inf
+    return float(variance), float((after.ratio - before.ratio) / (2.0 * step))
+
+
+def mark_outliers(pair: Pair, fit: Fit) -> Pair:
+    """The pair with measurements far outside the fit marked unusable; the same object when there are none."""
+    residual = fit.residual
+    spread = 1.4826 * float(np.median(np.abs(residual - np.median(residual))))
+    bad = np.abs(residual) > OUTLIER_LIMIT * max(spread, 1e-12)
+    if not bad.any() or spread == 0.0:
+        return pair
+    rows = pair.rows.copy()
+    rows[fit.whitened.index[bad].astype(np.int64), 2] = np.inf
+    return replace(pair, rows=rows)
+
+
+def without_lonely_outliers(pair: Pair) -> Pair:
+    """Mark single measurements that leave both neighbours by far more than these usually differ (a mistracked frame)."""
+    value, usable = pair.rows[:, 1], np.isfinite(pair.rows[:, 2])
+    index = np.flatnonzero(usable)
+    if len(index) < 8:
+        return pair
+    jump = value[index[1:-1]] - 0.5 * (value[index[:-2]] + value[index[2:]])
+    spread = 1.4826 * float(np.median(np.abs(jump)))
+    bad = index[1:-1][np.abs(jump) > 12.0 * max(spread, 1e-12)]
+    if not len(bad) or len(bad) > 0.1 * len(index):
+        return pair
+    rows = pair.rows.copy()
+    rows[bad, 2] = np.inf
+    return replace(pair, rows=rows)
+
+
+def thinned(samples: Floats, rate_hz: float) -> Floats:
+    """Averages of neighbouring samples (n/k, 3) so that their rate stays near `rate_hz`."""
+    rate = (len(samples) - 1) / float(samples[-1, 0] - samples[0, 0])
+    group = int(rate // rate_hz)
+    if group < 2:
+        return samples
+    count = len(samples) // group
+    means: Floats = samples[: count * group].reshape(count, group, 3).mean(axis=1)
+    return means
+
+

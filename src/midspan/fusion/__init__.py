@@ -1,0 +1,1 @@
+"""Fusion of acceleration and displacement: state-space model, Kalman filter and smoother."""

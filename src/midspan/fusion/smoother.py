@@ -1,0 +1,162 @@
+"""`smoother`: the Kalman filter followed by a backward pass over the whole record (offline default).
+
+The backward pass is the modified Bryson-Frazier form of the Rauch-Tung-Striebel smoother: it carries the adjoint of the
+state and its information matrix back in time and needs no inverse of a covariance. Memory stays bounded: the forward pass
+keeps a state vector only at every block's start, and the backward pass runs each block forward again.
+
+Reference: G. J. Bierman, Fixed interval smoothing with discrete measurements, Int. J. Control 18 (1973) 65-75.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numba import njit
+
+from midspan.fusion.gate import REJECTED
+from midspan.fusion.kalman import (
+    BLOCK,
+    KalmanSettings,
+    estimate_rows,
+    innovation_rows,
+    measurement_rows,
+    reacquired_events,
+    sample_rows,
+)
+from midspan.fusion.recursion import (
+    GAIN_B,
+    GAIN_V,
+    GAIN_X,
+    INNOVATION,
+    INNOVATION_VARIANCE,
+    INTERVAL,
+    NODE_COLUMNS,
+    RECORD_COLUMNS,
+    THETA,
+    UNUSED,
+    VELOCITY,
+    VERDICT,
+    filter_block,
+)
+from midspan.fusion.state_space import P00, P01, P02, P11, P12, TIME, X
+from midspan.records import Acceleration, Displacement, Estimate, Event, Floats, Innovation, joined, part
+
+# The adjoint vector: gradient l and information matrix L of the state given everything later.
+ADJOINT_SIZE = 9
+SMOOTHED_X, SMOOTHED_VELOCITY, SMOOTHED_VARIANCE = range(3)
+SMOOTHED_COLUMNS = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Smoothed:
+    """What the smoother returns: the estimate, the innovations of its forward pass, and events."""
+
+    estimate: Estimate
+    innovation: Innovation
+    events: tuple[Event, ...]
+
+
+def smooth(acceleration: Acceleration, displacement: Displacement, settings: KalmanSettings | None = None) -> Smoothed:
+    """Smooth a whole record.
+
+    acceleration: block of n samples; displacement: block of m measurements on the same clock, in time order, outside ones
+    ignored. The estimate has one row a sample; its standard deviation is that of the smoother.
+    """
+    settings = settings or KalmanSettings()
+    origin_ns = int(acceleration.time_ns[0])
+    rows = measurement_rows(displacement, origin_ns)
+    blocks = [part(acceleration, slice(i, i + BLOCK)) for i in range(0, len(acceleration.time_ns), BLOCK)]
+    state = settings.state_before(sample_rows(part(acceleration, slice(2)), origin_ns))
+    checkpoints, outcomes, used = [], [], [0]
+    for block in blocks:
+        checkpoints.append(state.copy())
+        _, outcome = _forward(sample_rows(block, origin_ns), rows[used[-1] :], state, settings)
+        outcomes.append(outcome)
+        used.append(used[-1] + len(outcome))
+    adjoint = np.zeros(ADJOINT_SIZE)
+    estimates = []
+    for i in reversed(range(len(blocks))):
+        samples = sample_rows(blocks[i], origin_ns)
+        nodes, _ = _forward(samples, rows[used[i] : used[i + 1]], checkpoints[i].copy(), settings)
+        smoothed = np.empty((len(samples), SMOOTHED_COLUMNS))
+        smooth_block(samples[:, 0], float(checkpoints[i][TIME]), nodes, outcomes[i], adjoint, smoothed)
+        estimates.append(_estimate(blocks[i], nodes, smoothed, settings))
+    outcome = np.concatenate(outcomes)
+    met = outcome[:, VERDICT] != UNUSED
+    innovation = innovation_rows(rows[: used[-1]][met], outcome[met], origin_ns)
+    return Smoothed(joined(estimates[::-1]), innovation, tuple(reacquired_events(innovation)))
+
+
+def _forward(samples: Floats, rows: Floats, state: Floats, settings: KalmanSettings) -> tuple[Floats, Floats]:
+    """Nodes (n, 13) of a block and the outcome (m, 8) of the measurements that fall into it; moves `state` on."""
+    nodes, outcome = np.empty((len(samples), NODE_COLUMNS)), np.zeros((len(rows), RECORD_COLUMNS))
+    used = filter_block(samples, rows, state, settings.bias_walk, settings.limits, nodes, outcome)
+    return nodes, outcome[:used]
+
+
+def _estimate(block: Acceleration, nodes: Floats, smoothed: Floats, settings: KalmanSettings) -> Estimate:
+    forward = estimate_rows(block.time_ns, nodes, settings)
+    return replace(
+        forward,
+        displacement_m=smoothed[:, SMOOTHED_X].copy(),
+        variance_m2=smoothed[:, SMOOTHED_VARIANCE].copy(),
+        velocity_m_s=smoothed[:, SMOOTHED_VELOCITY].copy(),
+    )
+
+
+@njit(cache=True, inline="always")
+def _back_through_time(adjoint: Floats, dt: float) -> None:
+    """Adjoint and information `dt` earlier: Phi' l and Phi' L Phi with the transition Phi of the model."""
+    l0, l1, l2, i00, i01, i02, i11, i12, i22 = adjoint
+    half = 0.5 * dt * dt
+    adjoint[1] = l1 + dt * l0
+    adjoint[2] = l2 - half * l0 - dt * l1
+    m01, m11, m21 = i01 + dt * i00, i11 + dt * i01, i12 + dt * i02
+    m02, m12, m22 = i02 - half * i00 - dt * i01, i12 - half * i01 - dt * i11, i22 - half * i02 - dt * i12
+    adjoint[4] = m01
+    adjoint[5] = m02
+    adjoint[6] = m11 + dt * m01
+    adjoint[7] = m12 + dt * m02
+    adjoint[8] = m22 - half * m02 - dt * m12
+
+
+@njit(cache=True, inline="always")
+def _back_through_measurement(adjoint: Floats, row: Floats) -> None:
+    """Adjoint and information before an accepted measurement: (I − K H)' l − H' e/S and (I − K H)' L (I − K H) + H'H/S."""
+    l0, l1, l2, i00, i01, i02, i11, i12, i22 = adjoint
+    k0, k1, k2 = 1.0 - row[GAIN_X], row[GAIN_V], row[GAIN_B]
+    variance = row[INNOVATION_VARIANCE]
+    adjoint[0] = k0 * l0 - k1 * l1 - k2 * l2 - row[INNOVATION] / variance
+    m0, m1, m2 = k0 * i00 - k1 * i01 - k2 * i02, k0 * i01 - k1 * i11 - k2 * i12, k0 * i02 - k1 * i12 - k2 * i22
+    adjoint[3] = k0 * m0 - k1 * m1 - k2 * m2 + 1.0 / variance
+    adjoint[4] = m1
+    adjoint[5] = m2
+
+
+@njit(cache=True)
+def smooth_block(time_s, start_s, nodes, outcome, adjoint, smoothed):  # type: ignore[no-untyped-def]
+    """Run the backward pass over one block; `adjoint` (9,) is changed in place and carries over to the block before.
+
+    time_s (n,): the samples; start_s: the time of the block's first state; nodes (n, 13), outcome (m, 8): what the forward
+    recursion left; smoothed (n, 3) takes displacement, velocity and the displacement's variance.
+    """
+    j = len(outcome) - 1
+    for k in range(len(time_s) - 1, -1, -1):
+        node = nodes[k]
+        l0, l1, l2, i00, i01, i02, i11, i12, i22 = adjoint
+        p0, p1, p2 = node[P00], node[P01], node[P02]
+        smoothed[k, SMOOTHED_X] = node[X] - (p0 * l0 + p1 * l1 + p2 * l2)
+        smoothed[k, SMOOTHED_VELOCITY] = node[VELOCITY] - (p1 * l0 + node[P11] * l1 + node[P12] * l2)
+        known = p0 * (i00 * p0 + 2.0 * i01 * p1 + 2.0 * i02 * p2) + p1 * (i11 * p1 + 2.0 * i12 * p2) + i22 * p2 * p2
+        smoothed[k, SMOOTHED_VARIANCE] = max(p0 - known, 1e-12 * p0)
+        before = time_s[k - 1] if k > 0 else start_s
+        at, dt = time_s[k], time_s[k] - before
+        while j >= 0 and (outcome[j, VERDICT] == UNUSED or outcome[j, INTERVAL] == k):
+            row = outcome[j]
+            j -= 1
+            if row[VERDICT] == UNUSED or row[VERDICT] == REJECTED:
+                continue
+            instant = before + row[THETA] * dt
+            _back_through_time(adjoint, at - instant)
+            _back_through_measurement(adjoint, row)
+            at = instant
+        _back_through_time(adjoint, at - before)

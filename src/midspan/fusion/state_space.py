@@ -1,0 +1,89 @@
+"""The state-space model shared by filter, smoother and calibration, as compiled scalar algebra.
+
+State: displacement x (m), velocity v (m/s), accelerometer bias b (m/s²). The measured acceleration is the input:
+
+    x' = v,   v' = a_measured − b − w,   b' = w_b
+
+with white noise w of density S_a ((m/s²)²/Hz) and a slow random walk w_b of the bias. Between two samples the input enters
+by the Numerov (Fox-Goodwin, Newmark beta = 1/12) rule: fourth order in x, no phase error, amplitude error 0.07 % at a tenth
+of the sampling rate where the zero-order hold of the usual multi-rate filter errs by 31 % (delay of half a sample).
+A displacement at any instant inside an interval is met exactly: the input's response is a cubic in the fraction theta.
+
+A state vector holds state, covariance and time, so that a kernel stops and goes on anywhere. The covariance is kept as six
+numbers; small matrices would cost fifteen times as much.
+"""
+
+import numpy as np
+from numba import njit
+
+from midspan.records import Floats
+
+X, V, B, P00, P01, P02, P11, P12, P22, TIME, INPUT = range(11)
+LAST_ACCEPTED, FIRST_REJECTED, REJECTIONS, SOURCE = range(11, 15)
+STATE_SIZE = 15
+
+# The response of the interval's input up to the instant already reached, see `input_response`.
+Response = tuple[float, float]
+
+
+def initial_state(time_s: float, mean: tuple[float, float, float], variance: tuple[float, float, float]) -> Floats:
+    """A state vector at `time_s` with independent displacement, velocity and bias of given mean and variance (SI)."""
+    state = np.zeros(STATE_SIZE)
+    state[[X, V, B]] = mean
+    state[[P00, P11, P22]] = variance
+    state[TIME] = time_s
+    state[LAST_ACCEPTED] = -np.inf
+    return state
+
+
+@njit(cache=True, inline="always")
+def input_response(theta: float, dt: float, a0: float, a1: float) -> Response:
+    """Displacement and velocity that the input alone adds from the start of an interval to its fraction `theta`.
+
+    Acceleration runs linearly from a0 to a1; the velocity state of the Numerov rule is the true velocity plus
+    dt²/12 · a', which is why a0 and a1 enter the displacement also in a term linear in theta.
+    """
+    rest = 1.0 - theta
+    from_a0 = 5.0 / 12.0 * theta + (rest * rest * rest - rest) / 6.0
+    from_a1 = theta / 12.0 + (theta * theta * theta - theta) / 6.0
+    return dt * dt * (from_a0 * a0 + from_a1 * a1), dt * theta * (a0 + 0.5 * theta * (a1 - a0))
+
+
+@njit(cache=True, inline="always")
+def advance_mean(s: Floats, dt: float, before: Response, after: Response) -> None:
+    """Move x, v, b by `dt` within an interval, from where the input's response is `before` to where it is `after`."""
+    v, b = s[V], s[B]
+    s[X] += dt * v - 0.5 * dt * dt * b + (after[0] - before[0] - dt * before[1])
+    s[V] = v - dt * b + (after[1] - before[1])
+
+
+@njit(cache=True, inline="always")
+def advance_covariance(s: Floats, dt: float, density: float, bias_walk: float) -> None:
+    """Phi P Phi' + Q over `dt` seconds for acceleration noise of `density` and a bias walk of density `bias_walk`."""
+    p01, p02, p11, p12, p22 = s[P01], s[P02], s[P11], s[P12], s[P22]
+    half = 0.5 * dt * dt
+    m00 = s[P00] + dt * p01 - half * p02
+    m01 = p01 + dt * p11 - half * p12
+    m02 = p02 + dt * p12 - half * p22
+    m11 = p11 - dt * p12
+    m12 = p12 - dt * p22
+    s[P00] = m00 + dt * m01 - half * m02 + density * dt * dt * dt / 3.0
+    s[P01] = m01 - dt * m02 + density * half
+    s[P02] = m02
+    s[P11] = m11 - dt * m12 + density * dt
+    s[P12] = m12
+    s[P22] = p22 + bias_walk * dt
+
+
+@njit(cache=True, inline="always")
+def update_covariance(s: Floats, k: tuple[float, float, float], variance: float) -> None:
+    """(I − K H) P (I − K H)' + K R K' (Joseph form) for a displacement measured with `variance` R and gain K."""
+    k0, k1, k2 = k
+    p00, p01, p02 = s[P00], s[P01], s[P02]
+    rest, total = 1.0 - k0, p00 + variance
+    s[P00] = rest * rest * p00 + k0 * k0 * variance
+    s[P01] = rest * (p01 - k1 * p00) + k0 * k1 * variance
+    s[P02] = rest * (p02 - k2 * p00) + k0 * k2 * variance
+    s[P11] += k1 * k1 * total - 2.0 * k1 * p01
+    s[P12] += k1 * k2 * total - k1 * p02 - k2 * p01
+    s[P22] += k2 * k2 * total - 2.0 * k2 * p02

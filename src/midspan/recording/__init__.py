@@ -1,0 +1,1 @@
+"""A recording: its files opened, its parts prepared, run through calibration and fusion to a result."""

@@ -1,0 +1,96 @@
+"""From a channel as it was read to acceleration that a filter can use: missing samples bridged, marked and told."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from midspan.errors import DataError
+from midspan.records import Acceleration, Event, Floats, Nanoseconds, TimeSeries, part
+from midspan.signals.health import Mask, bridged, clipped, clock, dominant_frequency, frozen, runs
+
+# Share of samples that may be missing, frozen or clipped before the channel is refused.
+MOST_MISSING = 0.2
+MOST_CLIPPED = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class PreparedAcceleration:
+    """Acceleration with its missing samples bridged.
+
+    time_ns, value_m_s2 (n,); bridging_density (n,): extra noise density in (m/s²)²/Hz of the interval that ends at each
+    sample, above zero where something had to be bridged; missing (n,): samples that carry no measurement.
+    """
+
+    time_ns: Nanoseconds
+    value_m_s2: Floats
+    bridging_density: Floats
+    missing: Mask
+    rate_hz: float
+    events: tuple[Event, ...]
+    warnings: tuple[str, ...]
+
+    def with_noise(self, density: float) -> Acceleration:
+        """The acceleration for the filter, with white noise of `density` (m/s²)²/Hz besides what bridging adds."""
+        return Acceleration(self.time_ns, self.value_m_s2, density + self.bridging_density)
+
+    def rows(self, origin_ns: int, which: slice) -> Floats:
+        """Rows (n, 3) for calibration: time (s), acceleration without its mean, relative noise density."""
+        block = part(Acceleration(self.time_ns, self.value_m_s2, self.bridging_density), which)
+        relative = np.where(block.noise_density > 0, 1e6, 1.0)
+        time_s = (block.time_ns - origin_ns) / 1e9
+        return np.column_stack((time_s, block.value_m_s2 - np.mean(block.value_m_s2), relative))
+
+
+def prepare_acceleration(series: TimeSeries, where: str) -> PreparedAcceleration:
+    """Check and bridge a channel; `where` names file and channel in messages.
+
+    Raises DataError when the channel is frozen, clipped or empty beyond what can be bridged.
+    """
+    absent = ~np.isfinite(series.value)
+    usual = clock(series.time_ns)
+    still = frozen(series.value, usual.rate_hz)
+    held = clipped(series.value) & ~still
+    _refuse(where, still & ~absent, "frozen", (MOST_MISSING, "stands at one value"))
+    _refuse(where, held, "clipped", (MOST_CLIPPED, "is held at the end of its range"))
+    missing = absent | still | held
+    _refuse(where, missing, "missing", (MOST_MISSING, "is not a number, frozen or clipped"))
+    value = bridged(series.value, missing)
+    density = _bridging_density(value, missing, usual.rate_hz, usual.gaps)
+    warnings = [
+        f"{where}: {np.count_nonzero(mask)} samples ({100 * np.mean(mask):.2g} %) {what}; they were bridged and marked."
+        for mask, what in ((absent, "are not numbers"), (still, "are frozen"), (held, "are clipped"))
+        if mask.any()
+    ]
+    if len(usual.gaps):
+        longest = float(np.max(usual.gap_s))
+        warnings.append(f"{where}: {len(usual.gaps)} gaps in time, the longest {longest:.3g} s; bridged and marked.")
+    events = [Event(int(series.time_ns[a]), "bridged", f"{where}: {b - a} samples bridged.") for a, b in runs(missing)]
+    events += [
+        Event(int(series.time_ns[i]), "gap", f"{where}: no samples for {s:.3g} s.")
+        for i, s in zip(usual.gaps, usual.gap_s, strict=True)
+    ]
+    return PreparedAcceleration(
+        series.time_ns, value, density, missing, usual.rate_hz, tuple(events), tuple(warnings)
+    )
+
+
+def _refuse(where: str, mask: Mask, kind: str, rule: tuple[float, str]) -> None:
+    share = float(np.mean(mask))
+    if share > rule[0]:
+        raise DataError(
+            f"{where}: {100 * share:.1f} % of the samples are {kind} (the channel {rule[1]}); at most "
+            f"{100 * rule[0]:g} % can be bridged. Check the sensor, its range and its cable, or choose another channel."
+        )
+
+
+def _bridging_density(value: Floats, missing: Mask, rate_hz: float, gaps: Nanoseconds) -> Floats:
+    """Noise density (n,) that stands for the motion that was not seen: its variance spread over its bandwidth."""
+    density = np.zeros(len(value))
+    if not missing.any() and not len(gaps):
+        return density
+    seen = value[~missing]
+    unknown = float(np.var(seen)) / max(dominant_frequency(seen, rate_hz), 0.2)
+    density[missing] = unknown
+    density[1:][missing[:-1]] = unknown
+    density[gaps + 1] = unknown
+    return density

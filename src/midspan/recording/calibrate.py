@@ -1,0 +1,222 @@
+"""`calibrate`: from an opened recording to scale factor, clock offset and noise levels."""
+
+
+import numpy as np
+
+from midspan.calibration.fit import Pair
+from midspan.calibration.noise import NoiseCalibration, calibrate_noise
+from midspan.calibration.scale import ScaleCalibration, calibrate_scale
+from midspan.errors import DataError, UsageError
+from midspan.recording.calibration import Calibration, CameraCalibration, DisplacementCalibration
+from midspan.recording.progress import Progress, silent
+from midspan.recording.recording import Recording
+from midspan.recording.span import inside, require_overlap
+from midspan.recording.tracking import CameraTracking, TrackingSettings
+from midspan.records import NANOSECONDS, Floats, Nanoseconds, Region
+
+DEFAULT_WINDOW_S = 60.0
+# Noise levels of a displacement sensor are learnt from this much at most, in one piece, for speed.
+NOISE_WINDOW_S = 1800.0
+LEAST_MEASUREMENTS = 20
+
+
+def calibrate(recording: Recording, progress: Progress = silent) -> Calibration:
+    """Learn scale factor, clock offset and noise levels of a recording.
+
+    The camera is calibrated against the accelerometer in calibration.window_s (the first minute when left out); a
+    [displacement] sensor's noise and clock offset are learnt beside it. Raises UntrustedError (with the reason) when the
+    result could not be trusted, DataError for unusable streams.
+    """
+    calibration, tracking = calibrate_and_track(recording, progress)
+    if tracking is not None:
+        tracking.close()
+    return calibration
+
+
+def calibrate_and_track(
+    recording: Recording, progress: Progress = silent
+) -> tuple[Calibration, CameraTracking | None]:
+    """The calibration, and the camera's tracking as far as it had to go, to be continued."""
+    prepared, settings = recording.prepared, recording.settings
+    camera_part: CameraCalibration | None = None
+    displacement_part: DisplacementCalibration | None = None
+    tracking: CameraTracking | None = None
+    warnings = list(prepared.warnings)
+    densities: list[float] = []
+    diagnostics: ScaleCalibration | NoiseCalibration | None = None
+    if settings.camera is not None:
+        tracking = open_tracking(recording, None, progress)
+        found = _calibrate_camera(recording, tracking)
+        camera_part, diagnostics = _camera_part(recording, tracking, found), found
+        warnings += [*_codec_warnings(recording), *found.warnings]
+        densities.append(found.input_noise_density)
+    if settings.displacement is not None:
+        learnt = _calibrate_displacement(recording)
+        displacement_part = _displacement_part(recording, learnt)
+        warnings += _displacement_warnings(learnt)
+        densities.append(learnt.input_noise_density)
+        diagnostics = diagnostics or learnt
+    density, noise_std = _acceleration_noise(recording, densities, warnings)
+    window = _window(recording)
+    calibration = Calibration(
+        noise_density=density,
+        noise_std_m_s2=noise_std,
+        bias_m_s2=float(np.mean(prepared.value_m_s2[window])),
+        camera=camera_part,
+        displacement=displacement_part,
+        warnings=tuple(warnings),
+        diagnostics=diagnostics,
+    )
+    return calibration, tracking
+
+
+def open_tracking(recording: Recording, calibration: Calibration | None, progress: Progress) -> CameraTracking:
+    """The camera's tracking from the first frame used; with a calibration its region and tracker are taken over."""
+    camera = recording.settings.camera
+    if camera is None:
+        raise DataError(f"{recording.file}: has no [camera] section.")
+    times = recording.frames.times_ns()
+    if not len(times):
+        raise DataError(f"{camera.file}: holds no frames.")
+    acceleration_ns = recording.prepared.time_ns
+    require_overlap(acceleration_ns, times, "camera")
+    region = Region(*camera.roi) if camera.roi else None
+    if region is None and calibration is not None and calibration.camera is not None:
+        region = calibration.camera.region
+    margin = round(recording.settings.calibration.max_offset_s * NANOSECONDS)
+    used = frames_used(times, acceleration_ns, margin)
+    settings = TrackingSettings(camera.tracker, camera.direction, region, used.start, used.stop)
+    return CameraTracking(recording.frames, settings, progress)
+
+
+def frames_used(times_ns: Nanoseconds, acceleration_ns: Nanoseconds, margin_ns: int) -> slice:
+    """Frames from the first one used: the file's first where the streams start together, else the first that overlaps."""
+    overlapping = inside(times_ns, int(acceleration_ns[0]), int(acceleration_ns[-1]) + margin_ns)
+    if times_ns[0] >= acceleration_ns[0] - margin_ns:
+        return slice(0, overlapping.stop)
+    return overlapping
+
+
+def _codec_warnings(recording: Recording) -> list[str]:
+    info = recording.frames.info
+    if info.lossless is not False:
+        return []
+    return [
+        f"camera: the video is compressed ({info.codec}). Compression freezes parts of the picture: motion of a few hundredths "
+        "of a pixel can be lost and the scale factor can be off by 1 % or more. Record raw or lossless where you can."
+    ]
+
+
+def _window(recording: Recording) -> slice:
+    """The samples of the calibration window."""
+    time_ns = recording.prepared.time_ns
+    wanted = recording.settings.calibration.window_s
+    if wanted is None:
+        start = int(time_ns[0])
+        if recording.has("camera"):
+            start = max(start, int(recording.frames.times_ns()[0]))
+        return inside(time_ns, start, start + round(DEFAULT_WINDOW_S * NANOSECONDS))
+    window = inside(time_ns, round(wanted[0] * NANOSECONDS), round(wanted[1] * NANOSECONDS))
+    if window.stop - window.start < LEAST_MEASUREMENTS:
+        raise UsageError(
+            f"{recording.file}: calibration.window_s = {list(wanted)}: must overlap the accelerometer, which runs from "
+            f"{time_ns[0] / NANOSECONDS:.3f} to {time_ns[-1] / NANOSECONDS:.3f} s."
+        )
+    return window
+
+
+def _calibrate_camera(recording: Recording, tracking: CameraTracking) -> ScaleCalibration:
+    prepared, settings = recording.prepared, recording.settings
+    window = _window(recording)
+    first, last = int(prepared.time_ns[window.start]), int(prepared.time_ns[window.stop - 1])
+    track = tracking.until(last)
+    value, variance = track.along(tracking.settings.direction)
+    # Frames close to the window's ends could fall outside it at the largest clock offset and would change the sum.
+    margin = round(settings.calibration.max_offset_s * NANOSECONDS)
+    inner = inside(track.time_ns, first + margin, last - margin)
+    rows = _measured_rows(track.time_ns[inner], value[inner], variance[inner], first)
+    return calibrate_scale(Pair(prepared.rows(first, window), rows), settings.calibration.max_offset_s)
+
+
+def _measured_rows(time_ns: Nanoseconds, value: Floats, variance: Floats, origin_ns: int) -> Floats:
+    """Rows (m, 3) for calibration: time (s), value counted from its first, variance (infinite where unusable)."""
+    usable = np.isfinite(value) & np.isfinite(variance)
+    if not usable.any():
+        return np.empty((0, 3))
+    filled = np.where(usable, value - value[np.argmax(usable)], 0.0)
+    return np.column_stack(((time_ns - origin_ns) / NANOSECONDS, filled, np.where(usable, variance, np.inf)))
+
+
+def _camera_part(recording: Recording, tracking: CameraTracking, found: ScaleCalibration) -> CameraCalibration:
+    return CameraCalibration(
+        scale=found.scale,
+        offset=found.search.offset,
+        region=tracking.tracker.region,
+        direction=tracking.settings.direction,
+        tracker=tracking.settings.tracker,
+        noise_std_px=found.noise.std,
+        variance_factor=found.variance_factor,
+    )
+
+
+def _calibrate_displacement(recording: Recording) -> NoiseCalibration:
+    prepared, series = recording.prepared, recording.displacement
+    require_overlap(prepared.time_ns, series.time_ns, "displacement")
+    used = inside(series.time_ns, int(prepared.time_ns[0]), int(prepared.time_ns[-1]))
+    first = int(series.time_ns[used.start])
+    last = min(int(series.time_ns[used.stop - 1]), first + round(NOISE_WINDOW_S * NANOSECONDS))
+    used = inside(series.time_ns, first, last)
+    if used.stop - used.start < LEAST_MEASUREMENTS:
+        raise DataError(
+            f"displacement: {used.stop - used.start} measurements overlap the accelerometer; at least "
+            f"{LEAST_MEASUREMENTS} are needed to learn its noise."
+        )
+    window = inside(prepared.time_ns, first - NANOSECONDS, last + NANOSECONDS)
+    max_offset = min(recording.settings.calibration.max_offset_s, 0.1 * (last - first) / NANOSECONDS)
+    rows = _measured_rows(series.time_ns[used], series.value[used], np.ones(used.stop - used.start), first)
+    return calibrate_noise(Pair(prepared.rows(first, window), rows, 1.0), max_offset)
+
+
+def _displacement_part(recording: Recording, learnt: NoiseCalibration) -> DisplacementCalibration:
+    given = recording.settings.displacement.noise_std if recording.settings.displacement else None
+    std = float(np.sqrt(learnt.variance_factor))
+    if given is not None:
+        std = given * unit_in_metres(recording)
+    return DisplacementCalibration(std, learnt.offset)
+
+
+def unit_in_metres(recording: Recording) -> float:
+    """Metres in one unit of the [displacement] channel."""
+    from midspan.sources.accelerometer.units import si_factor
+
+    section = recording.settings.displacement
+    unit = (section.unit if section else None) or recording.displacement.unit
+    return si_factor(unit, "displacement", None)
+
+
+def _displacement_warnings(learnt: NoiseCalibration) -> list[str]:
+    off = abs(learnt.scale - 1.0)
+    if off > 0.1 and off > 5.0 * learnt.scale_std:
+        return [
+            f"displacement: follows the accelerometer with a factor of {learnt.scale:.3g} ± {learnt.scale_std:.2g} where 1 "
+            "is expected; check displacement.unit, its sign and accelerometer.unit."
+        ]
+    return []
+
+
+def _acceleration_noise(recording: Recording, densities: list[float], warnings: list[str]) -> tuple[float, float]:
+    """Noise density and noise per sample of the acceleration: as given, else as learnt (the larger of two)."""
+    rate = recording.prepared.rate_hz
+    learnt = max(densities)
+    given = recording.settings.accelerometer.noise_std
+    if given is None:
+        return learnt, float(np.sqrt(learnt * rate))
+    if learnt * rate > (2.0 * given) ** 2:
+        warnings.append(
+            f"accelerometer.noise_std = {given:g} m/s² is given, but the two sensors differ as if it were "
+            f"{np.sqrt(learnt * rate):.2g} m/s²; the larger one is used. Check the region, the mounting and the axes."
+        )
+        return learnt, float(np.sqrt(learnt * rate))
+    return given * given / rate, given
+
+

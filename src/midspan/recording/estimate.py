@@ -1,0 +1,266 @@
+"""`estimate`: the main job, from an opened recording to displacement at the accelerometer's rate with its error band."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from midspan.checks import option
+from midspan.engine.monitor import Monitor
+from midspan.errors import DataError, UsageError
+from midspan.fusion.kalman import KalmanFilter, KalmanSettings
+from midspan.fusion.methods import METHODS
+from midspan.fusion.smoother import Smoothed, smooth
+from midspan.recording.calibrate import calibrate_and_track, open_tracking
+from midspan.recording.calibration import Calibration, CameraCalibration
+from midspan.recording.progress import Progress, silent
+from midspan.recording.recording import Recording
+from midspan.recording.result import Result
+from midspan.recording.span import inside, require_overlap
+from midspan.recording.tracking import CameraTracking
+from midspan.records import (
+    NANOSECONDS,
+    Acceleration,
+    Displacement,
+    Estimate,
+    Event,
+    Floats,
+    Innovation,
+    PixelTrack,
+    Source,
+    Status,
+    joined,
+    part,
+)
+
+# Rows are `coasting` when the last accepted measurement is older than this many of the sensor's usual intervals.
+COASTING_INTERVALS = 2.5
+# The zero of `kalman` comes from this much of the record, smoothed: it belongs to its start-up, not to its causal output.
+ZERO_S = 60.0
+
+
+def estimate(
+    recording: Recording,
+    calibration: Calibration | None = None,
+    *,
+    method: str | None = None,
+    progress: Progress = silent,
+) -> Result:
+    """Estimate the displacement of a recording.
+
+    calibration: left out, it is made first (and then the camera is tracked once for both). method: "smoother" or "kalman",
+    over the recording's own. Returns one row for each accelerometer sample in the streams' common span.
+    Raises UntrustedError when calibration is refused, DataError for unusable streams.
+    """
+    method = option("method", method or recording.settings.fusion.method, METHODS)
+    tracking: CameraTracking | None = None
+    if calibration is None:
+        calibration, tracking = calibrate_and_track(recording, progress)
+    _require(recording, calibration)
+    inputs = _inputs(recording, calibration, tracking, progress)
+    progress(0, 1, "fusing")
+    fused = _fuse(inputs, method)
+    rows = _with_calibration_error(inputs, method, fused.estimate)
+    result = _cut(recording, inputs, rows)
+    progress(1, 1, "fusing")
+    return Result(
+        estimate=result,
+        calibration=calibration,
+        settings=recording.settings,
+        method=method,
+        innovation=fused.innovation,
+        events=tuple(sorted((*recording.prepared.events, *fused.events), key=lambda event: event.time_ns)),
+        warnings=_warnings(calibration, fused, result),
+        track=inputs.track,
+        tracking=inputs.tracking,
+        recording=recording,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Inputs:
+    """What is fused: acceleration, displacement measurements of all sensors, the filter's settings, the camera's track."""
+
+    acceleration: Acceleration
+    displacement: Displacement
+    kalman: KalmanSettings
+    camera: CameraCalibration | None
+    track: PixelTrack | None
+    tracking: CameraTracking | None
+
+
+def _require(recording: Recording, calibration: Calibration) -> None:
+    if recording.has("camera") and calibration.camera is None:
+        raise UsageError(
+            "The calibration has no camera part, but the recording has a camera. Run `midspan calibrate` on a recording "
+            "of this camera."
+        )
+    camera = recording.settings.camera
+    if camera and calibration.camera and camera.direction != calibration.camera.direction:
+        raise UsageError(
+            f"{recording.file}: camera.direction = {camera.direction!r}: the calibration was made for "
+            f"{calibration.camera.direction!r}. Calibrate again."
+        )
+
+
+def _inputs(
+    recording: Recording, calibration: Calibration, tracking: CameraTracking | None, progress: Progress
+) -> Inputs:
+    prepared = recording.prepared
+    acceleration = prepared.with_noise(calibration.noise_density)
+    kalman = KalmanSettings(bias=calibration.bias_m_s2, bias_std=_bias_std(calibration, prepared.value_m_s2))
+    track = None
+    blocks = []
+    if calibration.camera is not None and recording.has("camera"):
+        tracking = tracking or open_tracking(recording, calibration, progress)
+        track = _track_all(tracking, Monitor(tracking.tracker, calibration.camera.mapping(), KalmanFilter(kalman)), acceleration)
+        blocks.append(calibration.camera.mapping().displacement(track))
+    if recording.has("displacement"):
+        blocks.append(_displacement(recording, calibration))
+    measured = _merged(blocks, acceleration, kalman)
+    acceleration = _from_first_measurement(acceleration, measured, calibration.noise_density)
+    interval = float(np.median(np.diff(blocks[0].time_ns))) / NANOSECONDS
+    kalman = replace(kalman, coasting_s=max(COASTING_INTERVALS * interval, 0.05), lost_s=max(10.0, 10.0 * interval))
+    return Inputs(acceleration, measured, kalman, calibration.camera if track is not None else None, track, tracking)
+
+
+def _bias_std(calibration: Calibration, value: Floats) -> float:
+    """First uncertainty of the bias: a mean over motion is off by some of the motion."""
+    return float(0.3 * np.std(value) + 10.0 * calibration.noise_std_m_s2 + 1e-4)
+
+
+def _track_all(tracking: CameraTracking, monitor: Monitor, acceleration: Acceleration) -> PixelTrack:
+    """Track the frames that are left with the filter's predictions; returns the whole track."""
+    offset = monitor.scale.time_offset_ns
+    if tracking.rows:
+        monitor.push(monitor.scale.displacement(tracking.track))
+    pushed = 0
+    while len(tracking.rows) < len(tracking.time_ns):
+        frame = tracking.take()
+        if frame is None:
+            break
+        due = int(np.searchsorted(acceleration.time_ns, frame.time_ns + offset, side="right"))
+        monitor.push(part(acceleration, slice(pushed, due)))
+        pushed = max(pushed, due)
+        (translation,) = monitor.push(frame)
+        tracking.rows.append(translation)  # type: ignore[arg-type]
+    tracking.close()
+    return tracking.track
+
+
+def _displacement(recording: Recording, calibration: Calibration) -> Displacement:
+    """The [displacement] channel as measurements on the accelerometer's clock."""
+    series, learnt = recording.displacement, calibration.displacement
+    require_overlap(recording.prepared.time_ns, series.time_ns, "displacement")
+    if learnt is None:
+        raise UsageError("The calibration has no displacement part, but the recording has [displacement]. Calibrate again.")
+    count = len(series.time_ns)
+    return Displacement(
+        time_ns=series.time_ns + round(1e9 * learnt.offset.value_s),
+        value_m=series.value,
+        variance_m2=np.full(count, learnt.noise_std_m**2),
+        source=np.full(count, Source.DISPLACEMENT, dtype=np.uint8),
+    )
+
+
+def _merged(blocks: list[Displacement], acceleration: Acceleration, kalman: KalmanSettings) -> Displacement:
+    """All measurements in time order; a second sensor is brought to the zero of the first."""
+    first = blocks[0]
+    for other in blocks[1:]:
+        smoothed = smooth(acceleration, first, kalman).estimate
+        span = inside(other.time_ns, int(first.time_ns[0]), int(first.time_ns[-1]))
+        level = np.interp(other.time_ns[span], smoothed.time_ns, smoothed.displacement_m)
+        shift = float(np.nanmedian(other.value_m[span] - level)) if span.stop > span.start else 0.0
+        both = joined([first, replace(other, value_m=other.value_m - shift)])
+        first = part(both, np.argsort(both.time_ns, kind="stable"))
+    if not np.isfinite(first.value_m).any():
+        raise DataError("No frame could be tracked and no displacement is left; check camera.roi and the video.")
+    return first
+
+
+def _from_first_measurement(acceleration: Acceleration, measured: Displacement, density: float) -> Acceleration:
+    """Put a sample before the first measurement where that comes first: the zero belongs to it."""
+    first, start = int(measured.time_ns[0]), int(acceleration.time_ns[0])
+    if first >= start or start - first > 2 * NANOSECONDS:
+        return acceleration
+    value = float(np.mean(acceleration.value_m_s2[:100]))
+    unknown = float(np.var(acceleration.value_m_s2))
+    before = Acceleration(np.array([first - 1]), np.array([value]), np.array([density]))
+    widened = acceleration.noise_density.copy()
+    widened[0] += unknown
+    return joined([before, replace(acceleration, noise_density=widened)])
+
+
+def _fuse(inputs: Inputs, method: str) -> Smoothed:
+    """Run the method; the displacement counts from the first frame where a camera gives the zero."""
+    if method == "smoother":
+        smoothed = smooth(inputs.acceleration, inputs.displacement, inputs.kalman)
+        return replace(smoothed, estimate=_zeroed(inputs, smoothed.estimate, smoothed.estimate))
+    stream = KalmanFilter(inputs.kalman)
+    stream.push(inputs.displacement)
+    outputs = stream.push(inputs.acceleration)
+    (rows,) = [item for item in outputs if isinstance(item, Estimate)]
+    innovations = [item for item in outputs if isinstance(item, Innovation)]
+    events = tuple(item for item in outputs if isinstance(item, Event))
+    start = int(inputs.acceleration.time_ns[0])
+    window = inside(inputs.acceleration.time_ns, start, start + round(ZERO_S * NANOSECONDS))
+    beginning = smooth(part(inputs.acceleration, window), inputs.displacement, inputs.kalman).estimate
+    return Smoothed(_zeroed(inputs, rows, beginning), joined(innovations), events)
+
+
+def _zeroed(inputs: Inputs, rows: Estimate, beginning: Estimate) -> Estimate:
+    """Rows counted from the displacement at the first frame, as the smoothed `beginning` knows it."""
+    if inputs.camera is None:
+        return rows
+    first = int(inputs.displacement.time_ns[np.argmax(inputs.displacement.source == Source.CAMERA)])
+    k = int(np.clip(np.searchsorted(beginning.time_ns, first), 0, len(beginning.time_ns) - 1))
+    ahead = (first - int(beginning.time_ns[k])) / NANOSECONDS
+    zero = beginning.displacement_m[k] + ahead * beginning.velocity_m_s[k]
+    return replace(
+        rows, displacement_m=rows.displacement_m - zero, variance_m2=rows.variance_m2 + beginning.variance_m2[k]
+    )
+
+
+def _with_calibration_error(inputs: Inputs, method: str, rows: Estimate) -> Estimate:
+    """Variance widened by what the scale factor's and the clock offset's own uncertainty do to the result.
+
+    The effect of each is found by fusing once more with the value moved by one standard deviation.
+    """
+    if inputs.camera is None:
+        return rows
+    variance = rows.variance_m2.copy()
+    camera, measured = inputs.camera, inputs.displacement
+    own = measured.source == Source.CAMERA
+    relative = np.sqrt(camera.scale.variance) / abs(camera.scale.value_m_per_px)
+    late = round(1e9 * np.sqrt(camera.offset.variance)) if np.isfinite(camera.offset.variance) else 0
+    moved = []
+    if relative > 0:
+        moved.append(replace(measured, value_m=np.where(own, (1.0 + relative) * measured.value_m, measured.value_m)))
+    if late > 0 and own.all():
+        moved.append(replace(measured, time_ns=measured.time_ns + late))
+    for block in moved:
+        other = _fuse(replace(inputs, displacement=block), method).estimate
+        variance += (other.displacement_m - rows.displacement_m) ** 2
+    return replace(rows, variance_m2=variance)
+
+
+def _cut(recording: Recording, inputs: Inputs, rows: Estimate) -> Estimate:
+    """The rows at the accelerometer's samples in the common span, those without a sample's own value marked coasting."""
+    usable = np.flatnonzero(np.isfinite(inputs.displacement.value_m))
+    first, last = (int(inputs.displacement.time_ns[i]) for i in (usable[0], usable[-1]))
+    own = inside(rows.time_ns, int(recording.prepared.time_ns[0]), int(recording.prepared.time_ns[-1]))
+    rows = part(rows, own)
+    missing = recording.prepared.missing
+    status = np.where(missing & (rows.status == Status.TRACKING), np.uint8(Status.COASTING), rows.status)
+    return part(replace(rows, status=status), inside(rows.time_ns, first, last))
+
+
+def _warnings(calibration: Calibration, fused: Smoothed, rows: Estimate) -> tuple[str, ...]:
+    found = list(calibration.warnings)
+    rejected = float(np.mean(fused.innovation.verdict == 1)) if len(fused.innovation.verdict) else 0.0
+    if rejected > 0.02:
+        found.append(f"{100 * rejected:.1f} % of the measurements were rejected as outliers.")
+    for status in (Status.COASTING, Status.LOST):
+        share = float(np.mean(rows.status == status))
+        if share > 0.0:
+            found.append(f"{100 * share:.2g} % of the rows are {status.word}: no measurement supports them.")
+    return tuple(found)

@@ -1,0 +1,100 @@
+"""A recording: its settings and its files, opened when they are first needed."""
+
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from midspan.errors import DataError
+from midspan.recording.acceleration import PreparedAcceleration, prepare_acceleration
+from midspan.records import TimeSeries
+from midspan.settings import ChannelSettings, RecordingSettings, load_settings, settings_file
+from midspan.sources.accelerometer.select import SeriesRequest, read_series
+from midspan.sources.camera.formats import open_frames
+from midspan.sources.camera.frames import FrameRequest, FrameSource
+
+
+class Recording:
+    """A folder with `recording.toml` and the files it names; see `open_recording`."""
+
+    def __init__(self, file: Path, settings: RecordingSettings) -> None:
+        self.file, self.settings = file, settings
+
+    def __repr__(self) -> str:
+        sensors = [name for name in ("accelerometer", "camera", "displacement", "reference") if self.has(name)]
+        return f"Recording({str(self.file)!r}, {self.name!r}: {', '.join(sensors)})"
+
+    @property
+    def folder(self) -> Path:
+        """The folder that paths in the settings are relative to."""
+        return self.file.parent
+
+    @property
+    def name(self) -> str:
+        """The recording's name, or its folder's."""
+        return self.settings.name or self.folder.resolve().name
+
+    def has(self, section: str) -> bool:
+        """Whether the settings have a section of this name."""
+        return getattr(self.settings, section) is not None
+
+    def path(self, name: str, key: str) -> Path:
+        """The file that a setting names; DataError where it is missing. Globs and folders are left to the reader."""
+        path = self.folder / name
+        if not path.exists() and not any(sign in name for sign in "*?["):
+            raise DataError(
+                f"{self.file}: {key} = {name!r}: no such file in {self.folder}. Paths are relative to {self.file.name}."
+            )
+        return path
+
+    @cached_property
+    def acceleration(self) -> TimeSeries:
+        """The accelerometer's channel, m/s², on its own clock."""
+        return self._series("accelerometer", "acceleration")
+
+    @cached_property
+    def prepared(self) -> PreparedAcceleration:
+        """The acceleration with missing samples bridged and marked."""
+        return prepare_acceleration(self.acceleration, f"accelerometer ({self.settings.accelerometer.file})")
+
+    @cached_property
+    def displacement(self) -> TimeSeries:
+        """The channel of [displacement], m, on its own clock."""
+        return self._series("displacement", "displacement")
+
+    @cached_property
+    def reference(self) -> TimeSeries:
+        """The channel of [reference], m, on the accelerometer's clock."""
+        return self._series("reference", "displacement")
+
+    @cached_property
+    def frames(self) -> FrameSource:
+        """The camera's frames."""
+        camera = self.settings.camera
+        if camera is None:
+            raise DataError(f"{self.file}: has no [camera] section.")
+        times = None if camera.times is None else self.path(camera.times, "camera.times")
+        request = FrameRequest(times=times, rate_hz=camera.rate_hz, start_s=camera.start_s, every=camera.every)
+        return open_frames(self.path(camera.file, "camera.file"), request)
+
+    def _series(self, section: str, quantity: str) -> TimeSeries:
+        channel: ChannelSettings = getattr(self.settings, section)
+        sensitivity = getattr(channel, "sensitivity", 0.0) or None
+        request = SeriesRequest(
+            quantity=quantity,
+            time=channel.time,
+            value=channel.value,
+            unit=channel.unit,
+            sensitivity=sensitivity,
+            rate_hz=channel.rate_hz,
+            start_s=channel.start_s,
+        )
+        return read_series(self.path(channel.file, f"{section}.file"), request)
+
+
+def open_recording(path: str | Path, **overrides: dict[str, Any]) -> Recording:
+    """Open a recording: a folder that holds `recording.toml`, or that file.
+
+    overrides: settings that win over the file, a dictionary a section, for example `camera={"roi": (10, 20, 64, 64)}`.
+    Nothing but the settings is read yet. Raises UsageError for wrong settings, DataError where there is no recording.
+    """
+    return Recording(settings_file(path), load_settings(path, overrides))

@@ -1,0 +1,160 @@
+"""The result of an estimate: rows, figures, and ways to look at them and keep them."""
+
+import html
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from midspan._version import __version__
+from midspan.recording.calibration import Calibration
+from midspan.recording.tracking import CameraTracking
+from midspan.records import Estimate, Event, Floats, Innovation, PixelTrack, Source, Status, seconds
+from midspan.settings import RecordingSettings
+from midspan.sinks.table import ResultTable
+from midspan.sinks.write import check_target, write_result
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.axes import Axes
+
+    from midspan.recording.recording import Recording
+
+# Points drawn by `plot`; more are thinned to the extremes of each stretch.
+MOST_POINTS = 20_000
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """Displacement at the accelerometer's rate with its error band, and everything it rests on.
+
+    estimate: the rows in SI; calibration, settings, method: how they came about; innovation: measured minus predicted
+    displacement; events, warnings: what is worth telling; track, tracking: the camera's, None without one.
+    """
+
+    estimate: Estimate
+    calibration: Calibration
+    settings: RecordingSettings
+    method: str
+    innovation: Innovation
+    events: tuple[Event, ...]
+    warnings: tuple[str, ...]
+    track: PixelTrack | None = field(default=None, repr=False)
+    tracking: CameraTracking | None = field(default=None, repr=False)
+    recording: "Recording | None" = field(default=None, repr=False)
+
+    @property
+    def time_s(self) -> Floats:
+        """Time of each row on the accelerometer's clock, s."""
+        return seconds(self.estimate.time_ns, 0)
+
+    @property
+    def displacement_mm(self) -> Floats:
+        """Displacement of each row, mm."""
+        return 1e3 * self.estimate.displacement_m
+
+    @property
+    def displacement_std_mm(self) -> Floats:
+        """Standard deviation of each row's displacement, mm."""
+        return 1e3 * np.sqrt(self.estimate.variance_m2)
+
+    @property
+    def velocity_mm_s(self) -> Floats:
+        """Velocity of each row, mm/s."""
+        return 1e3 * self.estimate.velocity_m_s
+
+    def table(self) -> ResultTable:
+        """The columns of the result files with their metadata."""
+        columns: dict[str, Any] = {
+            "time_s": self.time_s,
+            "displacement_mm": self.displacement_mm,
+            "displacement_std_mm": self.displacement_std_mm,
+            "velocity_mm_s": self.velocity_mm_s,
+            "source": self.estimate.source,
+            "status": self.estimate.status,
+        }
+        return ResultTable(columns=columns, time_ns=self.estimate.time_ns, metadata=self.metadata())
+
+    def metadata(self) -> dict[str, Any]:
+        """Settings, calibration, version, events and warnings, as plain values."""
+        return {
+            "midspan": __version__,
+            "method": self.method,
+            "settings": self.settings.model_dump(mode="json", exclude_none=True),
+            "calibration": self.calibration.to_dict(),
+            "warnings": list(self.warnings),
+            "events": [
+                {"time_s": event.time_ns / 1e9, "kind": event.kind, "text": event.text} for event in self.events
+            ],
+        }
+
+    def figures(self) -> dict[str, Any]:
+        """The figures a person asks for first: span, peaks, typical standard deviation, shares of each status."""
+        d, rows = self.displacement_mm, self.estimate
+        return {
+            "rows": len(d),
+            "start_s": float(self.time_s[0]),
+            "end_s": float(self.time_s[-1]),
+            "largest_mm": float(d.max()),
+            "smallest_mm": float(d.min()),
+            "rms_mm": float(np.sqrt(np.mean((d - d.mean()) ** 2))),
+            "median_std_mm": float(np.median(self.displacement_std_mm)),
+            "status": {s.word: float(np.mean(rows.status == s)) for s in Status},
+        }
+
+    def to_pandas(self) -> "pd.DataFrame":
+        """The rows as a data frame indexed by time_s, with words for source and status."""
+        import pandas as pd
+
+        rows = self.estimate
+        return pd.DataFrame(
+            {
+                "displacement_mm": self.displacement_mm,
+                "displacement_std_mm": self.displacement_std_mm,
+                "velocity_mm_s": self.velocity_mm_s,
+                "source": pd.Categorical.from_codes(rows.source, [s.word for s in Source]),  # type: ignore[arg-type]
+                "status": pd.Categorical.from_codes(rows.status, [s.word for s in Status]),  # type: ignore[arg-type]
+            },
+            index=pd.Index(self.time_s, name="time_s"),
+        )
+
+    def save(self, path: str | Path) -> Path:
+        """Write the result; the suffix chooses the format (.csv, .parquet, .h5, .mat, .mseed, .uff)."""
+        check_target(Path(path))
+        write_result(Path(path), self.table())
+        return Path(path)
+
+    def plot(self, axes: "Axes | None" = None) -> "Axes":
+        """Draw the time history with its ±1.96 standard deviations into `axes` (made when left out); returns them."""
+        if axes is None:
+            from matplotlib.figure import Figure
+
+            figure = Figure(figsize=(9, 3), layout="constrained")
+            axes = figure.subplots()
+        step = max(1, len(self.time_s) // MOST_POINTS)
+        t, d, s = self.time_s[::step], self.displacement_mm[::step], self.displacement_std_mm[::step]
+        axes.fill_between(t, d - 1.96 * s, d + 1.96 * s, alpha=0.3, linewidth=0, label="±1.96 σ")
+        axes.plot(t, d, linewidth=0.9, label="displacement")
+        axes.set_xlabel("time (s)")
+        axes.set_ylabel("displacement (mm)")
+        axes.legend(loc="upper right", frameon=False)
+        axes.grid(alpha=0.3)
+        return axes
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: the picture and the first figures."""
+        import base64
+        import io
+
+        axes = self.plot()
+        picture = io.BytesIO()
+        axes.figure.savefig(picture, format="png", dpi=96)  # type: ignore[union-attr]
+        f = self.figures()
+        text = (
+            f"{f['rows']} rows, {f['start_s']:.2f} … {f['end_s']:.2f} s, {f['smallest_mm']:.3f} … {f['largest_mm']:.3f} mm, "
+            f"standard deviation {f['median_std_mm']:.4f} mm ({self.method})"
+        )
+        notes = "".join(f"<li>{html.escape(line)}</li>" for line in self.warnings)
+        data = base64.b64encode(picture.getvalue()).decode()
+        return f'<p>{html.escape(text)}</p><img src="data:image/png;base64,{data}"/><ul>{notes}</ul>'

@@ -1,0 +1,40 @@
+"""Where two streams overlap in time."""
+
+from datetime import UTC, datetime
+
+import numpy as np
+
+from midspan.errors import DataError
+from midspan.records import NANOSECONDS, Nanoseconds
+
+LEAST_OVERLAP_S = 1.0
+# Stamps above this are taken for epoch times when they are shown (1980).
+EPOCH_FROM_NS = 315_532_800 * NANOSECONDS
+
+
+def shown(time_ns: int) -> str:
+    """A time stamp for a person: seconds, or date and time where it is an epoch."""
+    if time_ns >= EPOCH_FROM_NS:
+        return datetime.fromtimestamp(time_ns / NANOSECONDS, UTC).isoformat(timespec="milliseconds")
+    return f"{time_ns / NANOSECONDS:.3f} s"
+
+
+def require_overlap(acceleration_ns: Nanoseconds, other_ns: Nanoseconds, section: str) -> None:
+    """DataError unless the two streams share at least a second; `section` is the other stream's in the settings."""
+    first = max(int(acceleration_ns[0]), int(other_ns[0]))
+    last = min(int(acceleration_ns[-1]), int(other_ns[-1]))
+    if last - first >= LEAST_OVERLAP_S * NANOSECONDS:
+        return
+    raise DataError(
+        f"accelerometer and {section} do not overlap in time: the accelerometer runs from {shown(int(acceleration_ns[0]))} "
+        f"to {shown(int(acceleration_ns[-1]))}, {section} from {shown(int(other_ns[0]))} to {shown(int(other_ns[-1]))}; "
+        f"at least {LEAST_OVERLAP_S:g} s must be shared. Bring the clocks together with {section}.start_s or "
+        "accelerometer.start_s."
+    )
+
+
+def inside(time_ns: Nanoseconds, first_ns: int, last_ns: int) -> slice:
+    """The slice of increasing stamps (n,) that lie from `first_ns` to `last_ns`, both included."""
+    return slice(
+        int(np.searchsorted(time_ns, first_ns, side="left")), int(np.searchsorted(time_ns, last_ns, side="right"))
+    )

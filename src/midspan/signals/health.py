@@ -1,0 +1,88 @@
+"""What is wrong with a channel: gaps, missing values, frozen stretches, clipping, jitter of its clock."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from midspan.records import NANOSECONDS, Floats, Nanoseconds
+
+Mask = NDArray[np.bool_]
+
+# A step in time is a gap when it is longer than this many usual steps.
+GAP_STEPS = 1.5
+# Equal values count as frozen when they last this long and this many samples; quantisation alone repeats fewer.
+FROZEN_S = 1.0
+FROZEN_SAMPLES = 50
+# A level counts as clipped when the largest (or smallest) value is held by runs of at least this many samples.
+CLIPPED_RUN = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Clock:
+    """rate_hz: of the usual step; jitter_s: rms of the steps about it, gaps left out; gaps: index before each, (g,)."""
+
+    rate_hz: float
+    jitter_s: float
+    gaps: NDArray[np.int64]
+    gap_s: Floats
+
+
+def clock(time_ns: Nanoseconds) -> Clock:
+    """Rate, jitter and gaps of increasing time stamps (n,), n at least 2."""
+    steps = np.diff(time_ns).astype(np.float64) / NANOSECONDS
+    usual = float(np.median(steps))
+    is_gap = steps > GAP_STEPS * usual
+    regular = steps[~is_gap]
+    mean = float(np.mean(regular)) if len(regular) else usual
+    jitter = float(np.std(regular)) if len(regular) else 0.0
+    return Clock(1.0 / mean, jitter, np.flatnonzero(is_gap), steps[is_gap])
+
+
+def runs(mask: Mask) -> NDArray[np.int64]:
+    """Start and end (exclusive) of each run of True, (r, 2)."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False])).astype(np.int8)))
+    return edges.reshape(-1, 2)
+
+
+def frozen(value: Floats, rate_hz: float) -> Mask:
+    """Samples (n,) that belong to a stretch of exactly equal values of at least a second; a constant channel is all."""
+    mask = np.zeros(len(value), dtype=bool)
+    if len(value) < 2:
+        return mask
+    least = max(FROZEN_SAMPLES, round(FROZEN_S * rate_hz))
+    for start, end in runs(np.concatenate(([False], np.diff(value) == 0.0))):
+        if end - start + 1 >= least:
+            mask[start - 1 : end] = True
+    return mask
+
+
+def clipped(value: Floats) -> Mask:
+    """Samples (n,) held at the channel's largest or smallest value in runs of at least three, as clipping does."""
+    mask = np.zeros(len(value), dtype=bool)
+    finite = value[np.isfinite(value)]
+    if not len(finite):
+        return mask
+    for level in (finite.max(), finite.min()):
+        for start, end in runs(value == level):
+            if end - start >= CLIPPED_RUN:
+                mask[start:end] = True
+    return mask
+
+
+def bridged(value: Floats, missing: Mask) -> Floats:
+    """`value` (n,) with the missing samples on straight lines between their neighbours (held at the ends)."""
+    if not missing.any():
+        return value
+    index = np.arange(len(value))
+    known = ~missing
+    filled = value.copy()
+    filled[missing] = np.interp(index[missing], index[known], value[known])
+    return filled
+
+
+def dominant_frequency(value: Floats, rate_hz: float) -> float:
+    """Frequency (Hz) of the zero crossings of `value` about its mean: where most of an acceleration's power lies."""
+    centred = value - np.mean(value)
+    crossings = np.count_nonzero(np.diff(np.signbit(centred)))
+    return 0.5 * crossings * rate_hz / max(len(value), 1)

@@ -1,0 +1,271 @@
+"""The recordings that `midspan simulate` can write, each with its truth: a table of names and how one is written."""
+
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from midspan.checks import option
+from midspan.records import Floats, Region
+from midspan.simulate.beam import paper_beam_motion
+from midspan.simulate.camera import Camera, Light, Pixels, cramer_rao_std_px
+from midspan.simulate.disturbances import Car, Disturbance, Foliage
+from midspan.simulate.files import MARK, check_free, exact_in_video, whole_folder, write_table, write_video
+from midspan.simulate.motion import Motion, Rest, Sum, Window, random_motion
+from midspan.simulate.sensors import AccelerometerModel, DisplacementSensorModel
+from midspan.simulate.stage import CameraSetup, GnssSetup, Scenario, Stage, stage, within
+from midspan.simulate.stage import pixel_bound as _pixel_bound
+
+Progress = Callable[[int, int], None]
+
+
+def _pedestrians(rng: np.random.Generator) -> Motion:
+    """A footbridge under walkers: modes at 1.9 and 4.6 Hz that come and go, a slow sag; at rest for 1.5 s."""
+    parts = (
+        random_motion((1.80, 2.00), 1.1e-3, rng=rng, lines=20),
+        random_motion((4.45, 4.75), 0.25e-3, rng=rng, lines=30),
+        random_motion((0.06, 0.14), 0.8e-3, rng=rng, lines=12),
+    )
+    return Window(Sum(parts), start_s=1.5, ramp_s=2.0)
+
+
+def _wind(rng: np.random.Generator) -> Motion:
+    """A tall building in wind: sway at 0.3 Hz, a second mode at 1.1 Hz, a slow lean; at rest for 1 s."""
+    parts = (
+        random_motion((0.27, 0.33), 12e-3, rng=rng, lines=12),
+        random_motion((1.05, 1.15), 3e-3, rng=rng, lines=16),
+        random_motion((0.04, 0.10), 4e-3, rng=rng, lines=10),
+    )
+    return Window(Sum(parts), start_s=1.0, ramp_s=2.5)
+
+
+def _fast_modes(rng: np.random.Generator) -> Motion:
+    """Modes at 2.2 and 5.1 Hz, far above what 3 frames a second can follow, on a slow sag of 0.1 Hz."""
+    parts = (
+        random_motion((2.10, 2.30), 1.5e-3, rng=rng, lines=20),
+        random_motion((5.00, 5.20), 0.5e-3, rng=rng, lines=20),
+        random_motion((0.06, 0.14), 1.5e-3, rng=rng, lines=14),
+    )
+    return Window(Sum(parts), start_s=1.5, ramp_s=2.0)
+
+
+def _long_span(rng: np.random.Generator) -> Motion:
+    """A long span under traffic and wind: some centimetres below 0.2 Hz and a mode at 0.8 Hz."""
+    parts = (
+        random_motion((0.03, 0.20), 14e-3, rng=rng, lines=40),
+        random_motion((0.75, 0.85), 5e-3, rng=rng, lines=30),
+    )
+    return Window(Sum(parts), start_s=2.0, ramp_s=4.0)
+
+
+def _street(rng: np.random.Generator) -> tuple[Disturbance, ...]:
+    """A road with cars along the bottom and leaves in the upper left corner."""
+    return (Car(top_px=196), Foliage(Region(0, 0, 110, 90), std_dn=18.0, rng=rng))
+
+
+_GOOD_ACCELEROMETER = AccelerometerModel(rate_hz=100.0, noise_std_m_s2=2.5e-3, bias_m_s2=0.05)
+
+SCENARIOS: dict[str, Scenario] = {
+    "footbridge": Scenario(
+        line="footbridge under walkers, camera at 10 Hz, unknown clock offset; the demonstration",
+        title="simulated footbridge, quarter span",
+        duration_s=60.0,
+        motion=_pedestrians,
+        accelerometer=_GOOD_ACCELEROMETER,
+        camera=CameraSetup(),
+    ),
+    "beam": Scenario(
+        line="the 40 m beam of the two-stage FIR paper under its force, camera at 10 Hz (0.3 and 2 Hz are aliases)",
+        title="simulated simply supported beam, mid-span",
+        duration_s=100.0,
+        motion=lambda rng: paper_beam_motion(int(rng.integers(2**31))),
+        accelerometer=AccelerometerModel(rate_hz=100.0, bias_m_s2=0.02),
+        camera=CameraSetup(time_offset_s=0.083),
+        snr_db=40.0,
+    ),
+    "building": Scenario(
+        line="tall building swaying sideways before a facade, camera at 30 Hz of which every third frame is used",
+        title="simulated building, roof, sideways",
+        duration_s=60.0,
+        motion=_wind,
+        accelerometer=AccelerometerModel(rate_hz=100.0, noise_std_m_s2=1.5e-3, bias_m_s2=-0.03),
+        camera=CameraSetup(
+            rate_hz=30.0,
+            start_s=0.3,
+            time_offset_s=-0.212,
+            scale_mm_per_px=-6.0,
+            direction="x",
+            texture="facade",
+            size_px=(192, 256),
+            camera=Camera(exposure_s=0.006),
+            every=3,
+        ),
+    ),
+    "slow-camera": Scenario(
+        line="camera at 3 Hz, modes at 2.2 and 5.1 Hz above its Nyquist frequency",
+        title="simulated girder, slow camera",
+        duration_s=90.0,
+        motion=_fast_modes,
+        accelerometer=_GOOD_ACCELEROMETER,
+        camera=CameraSetup(rate_hz=3.0, time_offset_s=0.061, texture="blocks"),
+    ),
+    "street": Scenario(
+        line="footbridge with passing cars, leaves in the wind and the sun going in: the region must be chosen well",
+        title="simulated footbridge over a street",
+        duration_s=60.0,
+        motion=_pedestrians,
+        accelerometer=_GOOD_ACCELEROMETER,
+        camera=CameraSetup(time_offset_s=-0.09, start_s=0.2, light=Light(25.0, gain=0.75), disturbances=_street),
+    ),
+    "gaps": Scenario(
+        line="footbridge with an unreadable and a missing stretch of acceleration, lost frames and 3 s of darkness",
+        title="simulated footbridge with gaps",
+        duration_s=60.0,
+        motion=_pedestrians,
+        accelerometer=_GOOD_ACCELEROMETER,
+        camera=CameraSetup(dropped=((16.0, 17.5), (50.0, 50.3)), black=((30.0, 33.0),)),
+        absent=((41.0, 42.2),),
+        unread=((24.0, 24.25),),
+    ),
+    "no-excitation": Scenario(
+        line="nothing moves: calibration must be refused",
+        title="simulated structure at rest",
+        duration_s=30.0,
+        motion=lambda rng: Rest(),
+        accelerometer=_GOOD_ACCELEROMETER,
+        camera=CameraSetup(),
+    ),
+    "gnss": Scenario(
+        line="long span with GNSS heights at 1 Hz instead of a camera, noise 2 mm, with gaps",
+        title="simulated long span with GNSS",
+        duration_s=180.0,
+        motion=_long_span,
+        accelerometer=AccelerometerModel(rate_hz=50.0, noise_std_m_s2=3e-3, bias_m_s2=0.04),
+        gnss=GnssSetup(
+            DisplacementSensorModel(rate_hz=1.0, noise_std_m=2e-3), absent=((70.0, 82.0),), unread=((120.0, 124.0),)
+        ),
+    ),
+}
+
+NAMES: dict[str, str] = {name: scenario.line for name, scenario in SCENARIOS.items()}
+
+
+def write(name: str, folder: str | Path, *, seed: int = 0, progress: Progress | None = None) -> Path:
+    """Write the recording of scenario `name`, one of NAMES, into `folder`, and return the folder.
+
+    It holds recording.toml, accel.csv, camera.mkv or gnss.csv, truth.csv (accelerometer's clock; zero at the first
+    frame) and known.json (what an estimate should find). The same `seed` gives the same files. `progress` is called
+    with frames done and frames in all. Raises UsageError for an unknown name, or a folder with other content.
+    """
+    option("scenario", name, SCENARIOS)
+    target = Path(folder).resolve()
+    check_free(target)
+    staged = stage(SCENARIOS[name], seed)
+    with whole_folder(target) as partial:
+        _write_acceleration(partial, staged)
+        known = {
+            "written_by": "midspan simulate",
+            "scenario": name,
+            "seed": seed,
+            "accelerometer": _known_noise(staged),
+        }
+        if staged.scenario.camera is not None:
+            known["camera"] = _write_camera(
+                partial, staged, staged.scenario.camera, progress or (lambda done, total: None)
+            )
+        if staged.scenario.gnss is not None:
+            known["displacement"] = _write_gnss(partial, staged, staged.scenario.gnss)
+        _write_truth(partial, staged)
+        _write_settings(partial, staged)
+        (partial / MARK).write_text(json.dumps(known, indent=2) + "\n", encoding="utf-8")
+    return target
+
+
+def pixel_bound(name: str, region: Region | None = None, *, seed: int = 0) -> tuple[float, float]:
+    """Cramér-Rao bound (x, y) in px of one frame of scenario `name`, in `region` or the whole picture."""
+    option("scenario", name, SCENARIOS)
+    return _pixel_bound(SCENARIOS[name], region, seed=seed)
+
+
+def _known_noise(staged: Stage) -> dict[str, float]:
+    return {
+        "noise_std_m_s2": staged.accelerometer.noise_std_m_s2,
+        "bias_m_s2": staged.accelerometer.bias_m_s2,
+    }
+
+
+def _write_acceleration(folder: Path, staged: Stage) -> None:
+    series = staged.acceleration()
+    columns = {"time_s": series.time_ns / 1e9, "accel": series.value}
+    write_table(folder / "accel.csv", columns, decimals={"time_s": 6, "accel": 7})
+
+
+def _write_truth(folder: Path, staged: Stage) -> None:
+    time, displacement, velocity = staged.truth_mm().T
+    columns = {"time_s": time, "displacement_mm": displacement, "velocity_mm_s": velocity}
+    decimals = {"time_s": 6, "displacement_mm": 7, "velocity_mm_s": 6}
+    write_table(folder / "truth.csv", columns, decimals=decimals)
+
+
+def _write_gnss(folder: Path, staged: Stage, setup: GnssSetup) -> dict[str, float]:
+    series = staged.displacement(setup)
+    columns = {"time_s": series.time_ns / 1e9, "height": 1e3 * series.value}
+    write_table(folder / "gnss.csv", columns, decimals={"time_s": 6, "height": 4})
+    return {"noise_std_mm": 1e3 * setup.sensor.noise_std_m, "time_offset_s": setup.sensor.time_offset_s}
+
+
+def _write_camera(folder: Path, staged: Stage, setup: CameraSetup, progress: Progress) -> dict[str, Any]:
+    stamps = staged.frame_stamps_s(setup)
+    view = staged.view(setup)
+    true_times = stamps + setup.time_offset_s
+    frames = darkened(view.film(staged.motion, true_times, rng=staged.rng_sensor), within(true_times, setup.black))
+    write_video(
+        folder / "camera.mkv",
+        frames,
+        stamps_s=stamps,
+        rate_hz=setup.rate_hz,
+        done=lambda count: progress(count, len(stamps)),
+    )
+    if not exact_in_video(stamps):
+        write_table(folder / "camera_times.csv", {"time_s": stamps}, decimals={"time_s": 9})
+    x_px, y_px = cramer_rao_std_px(view.scene, view.camera)
+    return {
+        "scale_mm_per_px": setup.scale_mm_per_px,
+        "time_offset_s": setup.time_offset_s,
+        "cramer_rao_std_px": {"x": x_px, "y": y_px},
+        "cramer_rao_region": [0, 0, view.scene.columns, view.scene.rows],
+    }
+
+
+def darkened(frames: Iterator[Pixels], dark: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> Iterator[Pixels]:
+    """The frames in their order, those marked in `dark` (n,) all black."""
+    for pixels, black in zip(frames, dark, strict=True):
+        yield np.zeros_like(pixels) if black else pixels
+
+
+def _write_settings(folder: Path, staged: Stage) -> None:
+    import tomli_w
+
+    scenario = staged.scenario
+    accelerometer = {"file": "accel.csv", "time": "time_s", "value": "accel", "unit": "m/s^2"}
+    settings: dict[str, Any] = {"name": scenario.title, "accelerometer": accelerometer}
+    if scenario.camera is not None:
+        settings["camera"] = _camera_settings(scenario.camera, staged.frame_stamps_s(scenario.camera))
+    if scenario.gnss is not None:
+        settings["displacement"] = {"file": "gnss.csv", "time": "time_s", "value": "height", "unit": "mm"}
+    settings["reference"] = {"file": "truth.csv", "time": "time_s", "value": "displacement_mm", "unit": "mm"}
+    (folder / "recording.toml").write_text(tomli_w.dumps(settings), encoding="utf-8")
+
+
+def _camera_settings(setup: CameraSetup, stamps_s: Floats) -> dict[str, Any]:
+    settings: dict[str, Any] = {"file": "camera.mkv"}
+    if not exact_in_video(stamps_s):
+        settings["times"] = "camera_times.csv"
+    settings |= {"rate_hz": setup.rate_hz, "direction": setup.direction, "exposure_s": setup.camera.exposure_s}
+    if setup.every > 1:
+        settings["every"] = setup.every
+    if setup.camera.readout_s > 0:
+        settings["readout_s"] = setup.camera.readout_s
+    return settings

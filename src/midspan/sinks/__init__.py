@@ -1,0 +1,1 @@
+"""Writers of result tables: one a format, chosen by the suffix."""

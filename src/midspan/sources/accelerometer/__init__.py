@@ -1,0 +1,1 @@
+"""Channels of logger files: one reader a format, chosen by the suffix."""

@@ -1,0 +1,69 @@
+"""What a reader hands over: the channels of one file, with unit and clock where the file tells them."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Values = NDArray[np.float64] | NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class Channel:
+    """One channel of a file: `values` (n,) in `unit` (None: the file does not say).
+
+    `values` are float64, or int64 where every digit counts: time stamps, with unit "ns" for nanoseconds since 1970.
+    The channel's own clock is `time_ns` (n,), or `rate_hz` in samples per second with `start_ns`; None where unknown.
+    """
+
+    name: str
+    values: Values
+    unit: str | None = None
+    rate_hz: float | None = None
+    start_ns: int | None = None
+    time_ns: NDArray[np.int64] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ChannelSet:
+    """All channels of one file, and in plain sentences what the reader found and assumed."""
+
+    channels: tuple[Channel, ...]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The channels' names in the order of the file."""
+        return tuple(channel.name for channel in self.channels)
+
+
+def columns(name: str, values: NDArray[Any]) -> list[tuple[str, NDArray[np.generic]]]:
+    """Name and values (n,) of each column of an array: `name` for one, `name_1` … `name_k` for (n, k).
+
+    Fields of a structured array become `name.field` (`field` where `name` is empty). Arrays of more axes give nothing.
+    """
+    if values.dtype.names:
+        prefix = f"{name}." if name else ""
+        return [pair for f in values.dtype.names for pair in columns(f"{prefix}{f}", values[f])]
+    if values.ndim == 1:
+        return [(name or "column_1", values)]
+    if values.ndim == 2 and values.shape[1] == 1:
+        return [(name or "column_1", values[:, 0])]
+    if values.ndim == 2:
+        return [(f"{name or 'column'}_{k + 1}", values[:, k]) for k in range(values.shape[1])]
+    return []
+
+
+def numbers(values: NDArray[np.generic]) -> Values | None:
+    """Values (n,) as float64, or int64 where they may be time stamps; None for what is not a real number.
+
+    Whole numbers from 1e9 on can be epoch stamps whose last digits float64 would lose.
+    """
+    if values.dtype.kind == "M":
+        return values.astype("datetime64[ns]").astype(np.int64)
+    if values.dtype.kind in "iu" and values.size and int(np.abs(values[-1]).astype(np.uint64)) >= 1_000_000_000:
+        return values.astype(np.int64)
+    if values.dtype.kind in "iufb":
+        return np.ascontiguousarray(values, dtype=np.float64)
+    return None

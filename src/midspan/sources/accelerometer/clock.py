@@ -1,0 +1,144 @@
+"""Time columns to int64 nanoseconds: seconds, epoch numbers of any magnitude, ISO 8601 and other written dates."""
+
+import re
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from midspan.errors import DataError
+from midspan.records import NANOSECONDS, Nanoseconds
+from midspan.sources.accelerometer.channel import Values
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+NOT_A_TIME = np.iinfo(np.int64).min
+
+# Nanoseconds in one unit of a time column.
+TIME_UNITS = {
+    "s": NANOSECONDS,
+    "sec": NANOSECONDS,
+    "secs": NANOSECONDS,
+    "second": NANOSECONDS,
+    "seconds": NANOSECONDS,
+    "sekunden": NANOSECONDS,
+    "ms": 1_000_000,
+    "msec": 1_000_000,
+    "millisecond": 1_000_000,
+    "milliseconds": 1_000_000,
+    "us": 1_000,
+    "µs": 1_000,
+    "μs": 1_000,
+    "usec": 1_000,
+    "microsecond": 1_000,
+    "microseconds": 1_000,
+    "ns": 1,
+    "nsec": 1,
+    "nanosecond": 1,
+    "nanoseconds": 1,
+    "min": 60 * NANOSECONDS,
+    "minutes": 60 * NANOSECONDS,
+    "h": 3600 * NANOSECONDS,
+    "hours": 3600 * NANOSECONDS,
+}
+
+# From this magnitude on a number without a unit is an epoch in ms, µs, ns: the year 5138 in s is 1e11.
+_EPOCH_MAGNITUDES = ((1e17, 1, "ns"), (1e14, 1_000, "µs"), (1e11, 1_000_000, "ms"))
+
+_DATE = r"\d{4}-?\d{2}-?\d{2}|\d{1,4}[./]\d{1,2}[./]\d{2,4}"
+_CLOCK = r"\d{1,2}:\d{2}(?::\d{2}(?:[.,]\d+)?)?(?:\s?(?:Z|[+-]\d{2}:?\d{2}))?"
+_DATE_PATTERN = re.compile(rf"^(?:{_DATE})$")
+_CLOCK_PATTERN = re.compile(rf"^{_CLOCK}$")
+_STAMP_PATTERN = re.compile(rf"^(?:{_DATE})(?:T|\s+)(?:{_CLOCK}|\d{{6}}(?:[.,]\d+)?Z?)$")
+_ZONE_PATTERN = re.compile(r"(?:Z|[+-]\d{2}:?\d{2})$")
+
+
+def is_date(text: str) -> bool:
+    """Whether a field is a calendar date that no number could be, such as 2024-05-01 or 01.05.2024."""
+    return bool(_DATE_PATTERN.match(text)) and not text.isdigit()
+
+
+def is_clock(text: str) -> bool:
+    """Whether a field is a time of day such as 12:30:00.25."""
+    return bool(_CLOCK_PATTERN.match(text))
+
+
+def is_time_text(text: str) -> bool:
+    """Whether a field is a written time: a date, a time of day or both."""
+    return is_date(text) or is_clock(text) or bool(_STAMP_PATTERN.match(text))
+
+
+def numbers_to_ns(values: Values, unit: str | None) -> tuple[Nanoseconds, str]:
+    """Time stamps (n,) of a numeric time column, and a note on how it was understood.
+
+    `unit` is one of `TIME_UNITS`; without it (or with "s" and numbers far too large for seconds) the magnitude decides
+    between seconds (relative or since 1970) and ms, µs or ns since 1970. NaN becomes `NOT_A_TIME`.
+    """
+    known = TIME_UNITS.get((unit or "").lower())
+    largest = float(np.nanmax(np.abs(values))) if values.size and not np.all(np.isnan(values)) else 0.0
+    factor, note = known or NANOSECONDS, f"time in {unit}" if known else "time taken as seconds"
+    if known is None or known == NANOSECONDS:
+        for magnitude, per_unit, word in _EPOCH_MAGNITUDES:
+            if largest >= magnitude:
+                factor, note = per_unit, f"time taken as {word} since 1970 by its magnitude"
+                break
+    if largest * factor > 9.2e18:
+        raise DataError(
+            f"Time of {largest:g} {unit or 's'} lies beyond the year 2262. Correct the time column or its unit."
+        )
+    return _scaled(values, factor), note
+
+
+def _scaled(values: Values, factor: int) -> Nanoseconds:
+    if values.dtype == np.int64:
+        whole = values.astype(np.int64)
+        return np.asarray(np.where(whole == NOT_A_TIME, NOT_A_TIME, whole * np.int64(factor)), dtype=np.int64)
+    # Whole and fractional part apart: an epoch in seconds times 1e9 would not fit the 53 bits of a float.
+    lost = np.isnan(values)
+    whole = np.floor(np.where(lost, 0.0, values))
+    fraction = np.where(lost, 0.0, values) - whole
+    time_ns = whole.astype(np.int64) * np.int64(factor) + np.rint(fraction * factor).astype(np.int64)
+    time_ns[lost] = NOT_A_TIME
+    return time_ns
+
+
+def texts_to_ns(texts: "Sequence[str | None] | pd.Series[Any]") -> tuple[Nanoseconds, tuple[str, ...]] | None:
+    """Time stamps (n,) of written times and notes; None if the column holds no written times.
+
+    Understood are ISO 8601 with or without a zone (without: UTC), dates with dots (day first) or slashes with the year
+    first, and a bare time of day (since midnight). What cannot be read becomes `NOT_A_TIME`.
+    """
+    import pandas as pd
+
+    series = pd.Series(texts, dtype="str").str.strip()
+    filled = series[series.notna() & (series != "")]
+    if filled.empty or not is_time_text(str(filled.iloc[0])):
+        return None
+    if series.str.contains(",", regex=False).any():
+        series = series.str.replace(",", ".", regex=False)
+    first = str(filled.iloc[0])
+    if is_clock(first):
+        elapsed = pd.to_timedelta(series, errors="coerce")
+        return _stamps(elapsed.dt.as_unit("ns")), ("time of day taken as seconds since midnight",)
+    notes = () if _ZONE_PATTERN.search(first.split("T")[-1]) else ("time without zone taken as UTC",)
+    moments = pd.to_datetime(_iso_order(series), format="ISO8601", utc=True, errors="coerce")
+    return _stamps(moments.dt.as_unit("ns")), notes
+
+
+def _stamps(series: "pd.Series[Any]") -> Nanoseconds:
+    return np.asarray(series.astype("int64").to_numpy(), dtype=np.int64)
+
+
+def _iso_order(series: "pd.Series[Any]") -> "pd.Series[Any]":
+    """Dates such as 1.5.2024 and 2024/05/01 rewritten in ISO order; others unchanged."""
+    first = str(series.dropna().iloc[0])
+    if re.match(r"^\d{1,2}\.\d{1,2}\.\d{4}", first):
+        parts = series.str.extract(r"^(\d{1,2})\.(\d{1,2})\.(\d{4})(.*)$")
+        day, month = parts[0].str.zfill(2), parts[1].str.zfill(2)
+        return parts[2] + "-" + month + "-" + day + parts[3].str.replace(r"^\s+", "T", regex=True)
+    if re.match(r"^\d{4}/\d{1,2}/\d{1,2}", first):
+        parts = series.str.extract(r"^(\d{4})/(\d{1,2})/(\d{1,2})(.*)$")
+        month, day = parts[1].str.zfill(2), parts[2].str.zfill(2)
+        return parts[0] + "-" + month + "-" + day + parts[3].str.replace(r"^\s+", "T", regex=True)
+    return series.str.replace(r"\s+", " ", regex=True)

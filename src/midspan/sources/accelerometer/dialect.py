@@ -1,0 +1,306 @@
+"""How a text file of columns is written: encoding, delimiter, decimal sign, preamble, names and units."""
+
+import csv
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+from midspan.errors import DataError
+from midspan.sources.accelerometer.clock import TIME_UNITS, is_clock, is_date, is_time_text
+from midspan.sources.accelerometer.units import ACCELERATION_UNITS, LENGTH_UNITS, VOLTAGE_UNITS
+
+SAMPLE_BYTES = 1 << 18
+SAMPLE_LINES = 400
+BLANKS = r"\s+"
+COMMENT_SIGNS = ("#", "%", "!", "//")
+
+_CANDIDATES: tuple[tuple[str, str], ...] = (
+    (";", ","),
+    (";", "."),
+    ("\t", ","),
+    ("\t", "."),
+    ("|", "."),
+    ("|", ","),
+    (",", "."),
+    (BLANKS, "."),
+)
+_CANDIDATES += ((BLANKS, ","), (",", ","))
+_NUMBER = {
+    sign: re.compile(rf"^[+-]?(?:\d+(?:{re.escape(sign)}\d*)?|{re.escape(sign)}\d+)(?:[eEdD][+-]?\d+)?$")
+    for sign in ".,"
+}
+_MISSING = frozenset(
+    {"", "nan", "na", "n/a", "null", "none", "-", "--", "---", "inf", "-inf", "+inf", "#n/a", "1.#qnan"}
+)
+_KNOWN_UNITS = frozenset(
+    {u.lower() for u in ACCELERATION_UNITS + LENGTH_UNITS + VOLTAGE_UNITS}
+    | set(TIME_UNITS)
+    | {"m/s²", "mm/s²", "cm/s²", "m/s/s", "cm/s/s", "cm/sec/sec", "m/s", "mm/s", "cm/s", "hz", "°c", "degc", "c", "-"}
+    | {
+        "deg",
+        "°",
+        "rad",
+        "rad/s",
+        "deg/s",
+        "°/s",
+        "%",
+        "counts",
+        "count",
+        "um/m",
+        "µm/m",
+        "n",
+        "kn",
+        "kg",
+        "utc",
+        "bar",
+        "pa",
+    }
+)
+_BRACKETS = re.compile(r"^(?P<name>.*?)\s*[\[(](?P<unit>[^\[\]()]*)[\])]\s*$")
+_SUFFIX_UNITS = {
+    "m_s2": "m/s^2",
+    "ms2": "m/s^2",
+    "mm_s2": "mm/s^2",
+    "cm_s2": "cm/s^2",
+    "m_s": "m/s",
+    "mm_s": "mm/s",
+    "cm_s": "cm/s",
+    "mm": "mm",
+    "cm": "cm",
+    "um": "um",
+    "m": "m",
+    "g": "g",
+    "mg": "mg",
+    "gal": "gal",
+    "v": "V",
+    "mv": "mV",
+    "s": "s",
+    "ms": "ms",
+    "us": "us",
+    "ns": "ns",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Dialect:
+    """A text file's way of writing columns; `first_row` counts lines from 0, `units` has None where nothing is said.
+
+    With `joined` the columns at that index and the next hold date and time of day of one time stamp.
+    """
+
+    encoding: str
+    delimiter: str
+    decimal: str
+    comment: str | None
+    first_row: int
+    names: tuple[str, ...]
+    units: tuple[str | None, ...]
+    width: int
+    joined: int | None
+    notes: tuple[str, ...]
+
+
+def find_dialect(path: Path) -> Dialect:
+    """The dialect of a text file from its first 400 lines; DataError if no columns of numbers are found."""
+    with path.open("rb") as file:
+        head = file.read(SAMPLE_BYTES)
+    encoding = _encoding(head)
+    lines = re.split(r"\r\n|\n|\r", head.decode(encoding, errors="replace"))
+    if len(head) == SAMPLE_BYTES:
+        lines = lines[:-1]
+    return _dialect(path, encoding, lines[:SAMPLE_LINES])
+
+
+def _encoding(head: bytes) -> str:
+    if head.startswith(b"\xef\xbb\xbf"):
+        return "utf-8-sig"
+    if head.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return "utf-16"
+    if head[1:200:2].count(0) > len(head[1:200:2]) // 2:
+        return "utf-16-le"
+    if head[0:200:2].count(0) > len(head[0:200:2]) // 2:
+        return "utf-16-be"
+    try:
+        # The cut may fall inside a character: its up to three bytes do not count.
+        head[: max(len(head) - 3, 0)].decode("utf-8")
+    except UnicodeDecodeError:
+        return "latin-1"
+    return "utf-8"
+
+
+@dataclass(frozen=True, slots=True)
+class _Guess:
+    delimiter: str
+    decimal: str
+    first: int
+    rows: int
+    width: int
+    numeric: tuple[int, ...]
+
+
+def _dialect(path: Path, encoding: str, lines: list[str]) -> Dialect:
+    guesses = [guess for sign in _CANDIDATES if (guess := _try(lines, *sign)) is not None]
+    if not guesses:
+        raise DataError(
+            f"{path} holds no columns of numbers in its first {len(lines)} lines. "
+            "Expected are text columns with comma, semicolon, tab, blanks or | between them."
+        )
+    most = max(guess.rows for guess in guesses)
+    best = max((g for g in guesses if g.rows >= 0.9 * most), key=lambda g: (g.width, len(g.numeric), g.rows))
+    best = _single_decimal_comma(lines, best, guesses)
+    row = split(lines[best.first], best.delimiter)
+    joined = next((k for k in range(len(row) - 1) if is_date(row[k]) and is_clock(row[k + 1])), None)
+    names, units, notes = _headings(lines, best, joined)
+    comment = next((sign for sign in ("#", "%") if any(line.startswith(sign) for line in lines)), None)
+    return Dialect(encoding, best.delimiter, best.decimal, comment, best.first, names, units, best.width, joined, notes)
+
+
+def _single_decimal_comma(lines: list[str], best: _Guess, guesses: list[_Guess]) -> _Guess:
+    """`0,01` is one number, not two, where the heading has one word or the second part a leading zero throughout."""
+    if best.delimiter != "," or best.width != 2 or best.decimal != ".":
+        return best
+    one = next((g for g in guesses if g.width == 1 and g.decimal == ","), None)
+    if one is None:
+        return best
+    heading = lines[best.first - 1] if best.first else ""
+    rows = [split(line, ",") for line in lines[best.first : best.first + 50] if line.strip()]
+    padded = all(len(r) == 2 and r[1].isdigit() for r in rows) and any(len(r[1]) > 1 and r[1][0] == "0" for r in rows)
+    return one if padded or (heading.strip() and "," not in heading) else best
+
+
+def split(line: str, delimiter: str) -> list[str]:
+    """The fields of a line without the blanks around them; quotation marks keep a delimiter inside a field."""
+    if delimiter == BLANKS:
+        return line.split()
+    if '"' in line:
+        return [field.strip() for field in next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))]
+    return [field.strip() for field in line.split(delimiter)]
+
+
+def _try(lines: list[str], delimiter: str, decimal: str) -> _Guess | None:
+    """The rows that a delimiter and decimal sign make of the lines; None where they make no columns of numbers."""
+    table = [[] if _is_comment(line) else split(line, delimiter) for line in lines]
+    table = [row[:-1] if len(row) > 1 and row[-1] == "" else row for row in table]
+    widths = [len(row) for row in table if any(_is_value(field, decimal) for field in row)]
+    if not widths:
+        return None
+    width = max(set(widths), key=lambda w: (widths.count(w), w))
+    numeric = tuple(k for k in range(width) if _is_numeric(table, k, width, decimal))
+    rows = [_fits(row, width, numeric, decimal) for row in table]
+    if not numeric or not any(rows):
+        return None
+    first = next((i for i in range(len(rows)) if rows[i] and _continues(table, i, width, numeric, decimal)), None)
+    return None if first is None else _Guess(delimiter, decimal, first, sum(rows[first:]), width, numeric)
+
+
+def _is_comment(line: str) -> bool:
+    return line.lstrip().startswith(COMMENT_SIGNS)
+
+
+def _is_value(field: str, decimal: str) -> bool:
+    return bool(_NUMBER[decimal].match(field)) or is_time_text(field)
+
+
+def _is_numeric(table: list[list[str]], column: int, width: int, decimal: str) -> bool:
+    fields = [row[column] for row in table if len(row) == width]
+    values = sum(_is_value(field, decimal) for field in fields)
+    words = sum(field.lower() not in _MISSING for field in fields) - values
+    return values > words
+
+
+def _fits(row: list[str], width: int, numeric: tuple[int, ...], decimal: str) -> bool:
+    if len(row) != width:
+        return False
+    values = [_is_value(row[k], decimal) for k in numeric]
+    return any(values) and all(v or row[k].lower() in _MISSING for v, k in zip(values, numeric, strict=True))
+
+
+def _continues(table: list[list[str]], row: int, width: int, numeric: tuple[int, ...], decimal: str) -> bool:
+    """Whether the next line with fields is a row of numbers too, or there is none: a lone fit may be preamble."""
+    following = next((fields for fields in table[row + 1 :] if any(fields)), None)
+    return following is None or (len(following) == width and any(_is_value(following[k], decimal) for k in numeric))
+
+
+def _headings(
+    lines: list[str], guess: _Guess, joined: int | None
+) -> tuple[tuple[str, ...], tuple[str | None, ...], tuple[str, ...]]:
+    """Names and units of the columns from the lines above the first row, and notes on where they stood."""
+    above = [i for i in range(guess.first - 1, -1, -1) if lines[i].strip()][:2]
+    rows = [_heading_fields(lines[i], guess) for i in above]
+    wanted = {guess.width} | ({guess.width - 1} if joined is not None else set())
+    notes = [_delimiter_note(guess)]
+    units: list[str | None] = [None] * guess.width
+    if len(rows) == 2 and len(rows[1]) in wanted and len(rows[0]) == len(rows[1]) and _is_unit_row(rows[0]):
+        units = [_unit_text(field) for field in rows[0]]
+        notes.append(f"units in line {above[0] + 1}")
+        above, rows = above[1:], rows[1:]
+    if rows and len(rows[0]) in wanted and _is_name_row(rows[0], guess.decimal):
+        names = rows[0]
+        notes.append(f"header in line {above[0] + 1}")
+    else:
+        names = [f"column_{k + 1}" for k in range(guess.width)]
+        notes.append("no header: columns are named column_1, column_2 …")
+    if len(names) == guess.width - 1 and joined is not None:
+        names = [*names[: joined + 1], f"{names[joined]} of day", *names[joined + 1 :]]
+        units = [*units[: joined + 1], None, *units[joined + 1 :]]
+    named = [named_unit(name) for name in names]
+    found = tuple(row or bracket for row, (_, bracket) in zip(units[: len(named)], named, strict=True))
+    return _distinct([name for name, _ in named]), found, tuple(notes)
+
+
+def _delimiter_note(guess: _Guess) -> str:
+    words = {"\t": "tab", BLANKS: "blanks"}
+    delimiter = words.get(guess.delimiter, f"'{guess.delimiter}'")
+    return f"delimiter {delimiter}, decimal {'comma' if guess.decimal == ',' else 'point'}"
+
+
+def _heading_fields(line: str, guess: _Guess) -> list[str]:
+    text = line.strip().lstrip("#%!/").strip() if _is_comment(line) else line
+    fields = split(text, guess.delimiter)
+    if guess.delimiter == BLANKS and len(fields) != guess.width:
+        # Blanks before a unit belong to the name: "time [s]  accel [m/s^2]".
+        fields = re.sub(r"\s+(?=[\[(])", "", text).split()
+    return fields[:-1] if len(fields) == guess.width + 1 and fields[-1] == "" else fields
+
+
+def _is_unit_row(fields: list[str]) -> bool:
+    texts = [(_unit_text(field) or "").lower() for field in fields]
+    return any(texts) and all(text in _KNOWN_UNITS for text in texts if text)
+
+
+def _is_name_row(fields: list[str], decimal: str) -> bool:
+    return any(fields) and not any(_is_value(field, decimal) for field in fields)
+
+
+def _unit_text(field: str) -> str | None:
+    return field.strip().strip("[]()").strip() or None
+
+
+def named_unit(heading: str) -> tuple[str, str | None]:
+    """Name and unit of a heading: `accel [m/s^2]`, `Acc (g)` and `displacement_mm` tell their unit; else None.
+
+    A name with its unit behind an underscore is kept whole; brackets are cut off.
+    """
+    match = _BRACKETS.match(heading.strip())
+    if match and match["name"]:
+        return match["name"].strip(), match["unit"].strip() or None
+    parts = heading.strip().lower().split("_")
+    for count in (2, 1):
+        suffix = "_".join(parts[-count:])
+        if len(parts) > count and suffix in _SUFFIX_UNITS:
+            return heading.strip(), _SUFFIX_UNITS[suffix]
+    return heading.strip(), None
+
+
+def _distinct(names: list[str]) -> tuple[str, ...]:
+    """The names with empty ones numbered and repeated ones told apart by `_2`, `_3` …"""
+    found: list[str] = []
+    for k, name in enumerate(names):
+        wanted = name or f"column_{k + 1}"
+        repeated = wanted
+        count = 2
+        while repeated in found:
+            repeated = f"{wanted}_{count}"
+            count += 1
+        found.append(repeated)
+    return tuple(found)

@@ -1,0 +1,283 @@
+"""One channel of a logger file as a time series: choice of the columns, time to nanoseconds, values to SI."""
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from midspan.checks import nearest, option
+from midspan.errors import DataError, UsageError
+from midspan.records import Floats, Nanoseconds, TimeSeries
+from midspan.sources.accelerometer.channel import Channel, ChannelSet
+from midspan.sources.accelerometer.clock import NOT_A_TIME, TIME_UNITS, numbers_to_ns
+from midspan.sources.accelerometer.dialect import named_unit
+from midspan.sources.accelerometer.formats import list_channels
+from midspan.sources.accelerometer.units import SI_UNITS, measures, si_factor
+
+_TIME_NAMES: tuple[str, ...] = (
+    "time",
+    "time_s",
+    "t",
+    "timestamp",
+    "time_stamp",
+    "zeit",
+    "datetime",
+    "date_time",
+    "date",
+    "epoch",
+)
+_TIME_NAMES += (
+    "x_value",
+    "utc",
+    "time_ns",
+    "time_us",
+    "time_ms",
+    "t_s",
+    "seconds",
+    "sec",
+    "elapsed",
+    "temps",
+    "tiempo",
+)
+_VALUE_NAMES = {
+    "acceleration": re.compile(r"acc|beschl|(^|[_./ ])a([xyz]|_|$)", re.IGNORECASE),
+    "displacement": re.compile(r"disp|defl|height|hoehe|höhe|level|verschieb|durchbieg|lvdt|laser|pos", re.IGNORECASE),
+}
+_NOT_VALUES = re.compile(r"(^|[_ ])(std|sigma|err|error|var|variance)([_ ]|$)", re.IGNORECASE)
+_COLUMN = re.compile(r"^(?P<name>.+)\[(?::\s*,)?\s*(?P<index>\d+)\s*\]$")
+# A file's own rate and the one given may differ by this much before it is told.
+_RATE_TOLERANCE = 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class SeriesRequest:
+    """What to take from a file: the channel of `time` and of `value` (None: found by name, unit or being the only one).
+
+    `quantity` is "acceleration" or "displacement". `unit` wins over the file's. `sensitivity` in V per SI unit with a
+    voltage. `rate_hz` and `start_s` (s) make the time where no time channel is named; `start_s` shifts a clock that
+    comes with the file's own rate.
+    """
+
+    quantity: str
+    time: str | None = None
+    value: str | None = None
+    unit: str | None = None
+    sensitivity: float | None = None
+    rate_hz: float | None = None
+    start_s: float = 0.0
+
+
+def read_series(path: Path, request: SeriesRequest) -> TimeSeries:
+    """The requested channel of `path`: time in ns, strictly increasing, values in m/s² or m, else NaN.
+
+    Raises UsageError for an unknown column or unit or when a choice cannot be made, DataError for a file that cannot be
+    read, time that runs backwards, repeats or is missing, and fewer than two numbers.
+    """
+    option("quantity", request.quantity, SI_UNITS)
+    if request.rate_hz is not None and not (np.isfinite(request.rate_hz) and request.rate_hz > 0):
+        raise UsageError(f"rate_hz must be above zero (Hz); received {request.rate_hz!r}. Correct it or leave it out.")
+    found = list_channels(path)
+    notes = list(found.notes)
+    clock = _named_time(path, found, request)
+    channel = _value_channel(path, found, request, clock)
+    clock = clock or _guessed_time(found, request, channel)
+    time_ns = _times(path, channel, clock, request, notes)
+    unit, factor = _unit(path, channel, request, notes)
+    value = _si(channel, factor, notes)
+    time_ns, value = _without_repeated_rows(time_ns, value, notes)
+    _check(path, channel.name, time_ns, value)
+    return TimeSeries(time_ns, value, channel.name, unit, tuple(notes))
+
+
+def find_channel(path: Path, found: ChannelSet, wanted: str, key: str) -> Channel:
+    """The channel called `wanted`: its name, the last part of its path if unique, or `name[k]` from 0.
+
+    Raises UsageError that names the nearest and lists what is there; `key` is the setting's name in the message.
+    """
+    bare = named_unit(wanted)[0]
+    matches = [c for c in found.channels if c.name == wanted] or [c for c in found.channels if c.name == bare]
+    matches = matches or [c for c in found.channels if re.split(r"[/.]", c.name)[-1] == wanted]
+    matches = matches or [c for c in found.channels if c.name.lower() == bare.lower()]
+    if not matches and (column := _COLUMN.match(wanted)):
+        numbered = f"{column['name'].strip()}_{int(column['index']) + 1}"
+        matches = [c for c in found.channels if numbered in (c.name, re.split(r"[/.]", c.name)[-1])]
+    if len(matches) == 1:
+        return matches[0]
+    names = found.names
+    problem = f"stands for {len(matches)} channels" if matches else "is not in the file"
+    hint = nearest(wanted, names)
+    raise UsageError(f"{path}: {key} = {wanted!r} {problem}. {hint} It holds {_listing(names)}.".replace("  ", " "))
+
+
+def _listing(names: tuple[str, ...]) -> str:
+    shown = ", ".join(repr(name) for name in names[:12])
+    return f"{shown} and {len(names) - 12} more" if len(names) > 12 else shown
+
+
+def _named_time(path: Path, found: ChannelSet, request: SeriesRequest) -> Channel | None:
+    if request.time is None:
+        return None
+    own_clock = any(c.time_ns is not None or c.rate_hz is not None for c in found.channels)
+    if own_clock and request.time not in found.names and request.time.lower() in _TIME_NAMES:
+        return None
+    return find_channel(path, found, request.time, "time")
+
+
+def _is_time_name(name: str) -> bool:
+    last = re.split(r"[/.]", name.lower())[-1].strip()
+    return last in _TIME_NAMES or last.startswith(("time", "zeit")) or "timestamp" in last
+
+
+def _is_clock(channel: Channel) -> bool:
+    return channel.unit == "ns" or _is_time_name(channel.name)
+
+
+def _value_channel(path: Path, found: ChannelSet, request: SeriesRequest, clock: Channel | None) -> Channel:
+    if request.value is not None:
+        return find_channel(path, found, request.value, "value")
+    left = [c for c in found.channels if c is not clock and not _is_clock(c) and not _NOT_VALUES.search(c.name)]
+    if len(left) == 2 and clock is None and request.rate_hz is None and _rising(left[0]):
+        left = left[1:]
+    by_unit = [c for c in left if measures(c.unit, request.quantity)]
+    by_name = [c for c in left if _VALUE_NAMES[request.quantity].search(c.name)]
+    both = [c for c in by_unit if c in by_name]
+    for choice in (left, by_unit, by_name, both):
+        if len(choice) == 1:
+            return choice[0]
+    raise UsageError(
+        f"{path}: value must name the channel of {request.quantity}; it was left out and {len(left)} could be meant. "
+        f"Give value as one of {_listing(found.names)}."
+    )
+
+
+def _rising(channel: Channel) -> bool:
+    values = channel.values
+    return values.size > 1 and bool(np.all(values[1:] > values[:-1]))
+
+
+def _guessed_time(found: ChannelSet, request: SeriesRequest, value: Channel) -> Channel | None:
+    """A channel of times by its name, else a first channel that rises throughout; none where a rate is given."""
+    if request.rate_hz is not None or value.time_ns is not None:
+        return None
+    same = [c for c in found.channels if c is not value and c.values.size == value.values.size]
+    named = [c for c in same if _is_clock(c)]
+    if named:
+        return named[0]
+    if value.rate_hz is not None or not same or same[0] is not found.channels[0]:
+        return None
+    return same[0] if _rising(same[0]) else None
+
+
+def _times(
+    path: Path, channel: Channel, clock: Channel | None, request: SeriesRequest, notes: list[str]
+) -> Nanoseconds:
+    count = channel.values.size
+    if clock is not None:
+        return _clock_times(path, channel, clock, notes)
+    if channel.time_ns is not None:
+        _tell_rates(channel, request, notes)
+        return channel.time_ns + np.int64(round(request.start_s * 1e9))
+    if channel.rate_hz is not None and (channel.start_ns is not None or request.rate_hz is None):
+        _tell_rates(channel, request, notes)
+        notes.append(f"time from the file's rate of {channel.rate_hz:.9g} Hz")
+        return _regular(count, channel.rate_hz, (channel.start_ns or 0) + round(request.start_s * 1e9))
+    if request.rate_hz is None:
+        raise UsageError(f"{path}: {channel.name!r} has no time. Give rate_hz (Hz), or time with a channel of times.")
+    notes.append(f"time from rate_hz = {request.rate_hz:.9g} Hz and start_s = {request.start_s:g} s")
+    return _regular(count, request.rate_hz, round(request.start_s * 1e9))
+
+
+def _clock_times(path: Path, channel: Channel, clock: Channel, notes: list[str]) -> Nanoseconds:
+    if clock.values.size != channel.values.size:
+        raise DataError(
+            f"{path}: time {clock.name!r} and value {channel.name!r} must be of equal length; received "
+            f"{clock.values.size} and {channel.values.size}. Name channels that belong together."
+        )
+    unit = clock.unit or named_unit(clock.name)[1]
+    if unit is not None and unit.lower() not in TIME_UNITS:
+        raise UsageError(
+            f"{path}: time must be in a unit of time; {clock.name!r} is in {unit!r}. Name the channel of times as time."
+        )
+    try:
+        time_ns, said = numbers_to_ns(clock.values, unit)
+    except DataError as error:
+        raise DataError(f"{path}: {clock.name!r}: {error}") from error
+    notes.append(f"{said} (channel {clock.name})")
+    return time_ns
+
+
+def _tell_rates(channel: Channel, request: SeriesRequest, notes: list[str]) -> None:
+    if request.rate_hz is None or channel.rate_hz is None:
+        return
+    if abs(request.rate_hz / channel.rate_hz - 1.0) > _RATE_TOLERANCE:
+        notes.append(f"rate_hz = {request.rate_hz:g} Hz not used: the file's own time says {channel.rate_hz:.6g} Hz")
+
+
+def _regular(count: int, rate_hz: float, start_ns: int) -> Nanoseconds:
+    steps = np.rint(np.arange(count) * (1e9 / rate_hz)).astype(np.int64)
+    return np.asarray(np.int64(start_ns) + steps, dtype=np.int64)
+
+
+def _unit(path: Path, channel: Channel, request: SeriesRequest, notes: list[str]) -> tuple[str, float]:
+    unit = request.unit or channel.unit
+    if not unit:
+        raise UsageError(
+            f"{path}: the unit of {channel.name!r} is not in the file. "
+            f"Give unit, such as {SI_UNITS[request.quantity]!r}."
+        )
+    if request.unit and channel.unit and request.unit != channel.unit:
+        notes.append(f"unit {request.unit} as given; the file says {channel.unit}")
+    elif not request.unit:
+        notes.append(f"unit {unit} from the file")
+    try:
+        return unit, si_factor(unit, request.quantity, request.sensitivity)
+    except UsageError as error:
+        raise UsageError(f"{path}, {channel.name!r}: {error}") from error
+
+
+def _si(channel: Channel, factor: float, notes: list[str]) -> Floats:
+    value = channel.values.astype(np.float64) * factor
+    infinite = np.isinf(value)
+    if infinite.any():
+        value[infinite] = np.nan
+        notes.append(f"{int(infinite.sum())} infinite values of {channel.name} count as missing")
+    return value
+
+
+def _without_repeated_rows(time_ns: Nanoseconds, value: Floats, notes: list[str]) -> tuple[Nanoseconds, Floats]:
+    """A row that says the same as the one before it, time and value, was written twice and is dropped."""
+    same_value = (value[1:] == value[:-1]) | (np.isnan(value[1:]) & np.isnan(value[:-1]))
+    twice = (time_ns[1:] == time_ns[:-1]) & same_value & (time_ns[1:] != NOT_A_TIME)
+    if not twice.any():
+        return time_ns, value
+    keep = np.concatenate([[True], ~twice])
+    notes.append(f"{int(twice.sum())} rows written twice dropped")
+    return time_ns[keep], value[keep]
+
+
+def _check(path: Path, name: str, time_ns: Nanoseconds, value: Floats) -> None:
+    missing = np.flatnonzero(time_ns == NOT_A_TIME)
+    if missing.size:
+        raise DataError(
+            f"{path}: {missing.size} of {time_ns.size} time stamps are missing or no time, the first in row "
+            f"{missing[0] + 1} of the data. Correct or remove these rows, or give rate_hz instead of time."
+        )
+    if np.count_nonzero(~np.isnan(value)) < 2:
+        raise DataError(
+            f"{path}: {name!r} must have two numbers or more; received {np.count_nonzero(~np.isnan(value))} in "
+            f"{value.size} rows. Choose another channel as value."
+        )
+    wrong = np.flatnonzero(time_ns[1:] <= time_ns[:-1])
+    if wrong.size:
+        row = int(wrong[0]) + 1
+        raise DataError(
+            f"{path}: time must increase from row to row; row {row + 1} of the data has {_stamp(time_ns[row])} after "
+            f"{_stamp(time_ns[row - 1])} ({wrong.size} such rows). Sort or correct the rows, or give rate_hz instead."
+        )
+
+
+def _stamp(time_ns: np.int64) -> str:
+    """Nanoseconds as seconds with all digits that are not zero, computed in whole numbers."""
+    whole, fraction = divmod(abs(int(time_ns)), 1_000_000_000)
+    return f"{'-' if time_ns < 0 else ''}{whole}.{fraction:09d}".rstrip("0").rstrip(".") + " s"

@@ -1,0 +1,118 @@
+"""Units of channels: text to the factor that brings values to SI."""
+
+import re
+from functools import cache
+from typing import TYPE_CHECKING
+
+from midspan.checks import nearest
+from midspan.errors import UsageError
+
+if TYPE_CHECKING:
+    import pint
+
+# What the field writes, to what the unit library understands. "g" is standard gravity here, never gram.
+_SPELLINGS = {
+    "g": "standard_gravity",
+    "gn": "standard_gravity",
+    "g_n": "standard_gravity",
+    "g0": "standard_gravity",
+    "mg": "millistandard_gravity",
+    "milli-g": "millistandard_gravity",
+    "ug": "microstandard_gravity",
+    "µg": "microstandard_gravity",
+    "gal": "galileo",
+    "gals": "galileo",
+    "mgal": "milligalileo",
+    '"': "inch",
+    "'": "foot",
+    "mil": "thou",
+    "mils": "thou",
+}
+
+ACCELERATION_UNITS = ("m/s^2", "m/s2", "m/s**2", "mm/s^2", "cm/s^2", "ft/s^2", "in/s^2", "g", "mg", "gal", "mgal")
+LENGTH_UNITS = ("m", "mm", "cm", "um", "µm", "nm", "km", "in", "ft", "mil")
+VOLTAGE_UNITS = ("V", "mV", "uV", "µV", "kV")
+
+_QUANTITIES = {
+    "acceleration": ("m/s^2", "[length] / [time] ** 2", ACCELERATION_UNITS),
+    "displacement": ("m", "[length]", LENGTH_UNITS),
+    "voltage": ("V", "[mass] * [length] ** 2 / [current] / [time] ** 3", VOLTAGE_UNITS),
+}
+SI_UNITS = {quantity: row[0] for quantity, row in _QUANTITIES.items()}
+
+
+@cache
+def _registry() -> "pint.UnitRegistry[float]":
+    import pint
+
+    return pint.UnitRegistry()
+
+
+def _spelt(unit: str) -> str:
+    """The unit as the library spells it: `m/s²`, `m/s2`, `ms-2`, `cm/sec/sec`, `m.s^-2` all mean what they say."""
+    text = unit.strip().strip("[]()").strip()
+    text = text.replace("⁻²", "^-2").replace("²", "^2").replace("·", "*").replace("μ", "µ").replace("−", "-")
+    if text.lower() in _SPELLINGS:
+        return _SPELLINGS[text.lower()]
+    text = re.sub(r"\bsec\b", "s", re.sub(r"\bsec(?=\d)", "s", text), flags=re.IGNORECASE)
+    text = re.sub(r"^([a-zµ]*m|ft|in)[ .*]?s(\^|\*\*)?-2$", r"\1/s^2", text)
+    return re.sub(r"(?<=/)\(?s(?:\^|\*\*)?2\)?$", "s**2", text).replace("^", "**")
+
+
+@cache
+def factor_to_si(unit: str, quantity: str) -> float | None:
+    """The factor from `unit` to SI if it measures `quantity` ("acceleration", "displacement", "voltage"), else None.
+
+    Raises UsageError for a unit that is not known at all.
+    """
+    si, dimension, _ = _QUANTITIES[quantity]
+    try:
+        amount = _registry().Quantity(1.0, _spelt(unit))
+        return float(amount.to(si.replace("^", "**")).magnitude) if amount.check(dimension) else None
+    except Exception as error:  # its parser lets tokenizer and syntax errors of many kinds through
+        raise _unknown(unit, quantity) from error
+
+
+def _unknown(unit: str, quantity: str) -> UsageError:
+    known = _QUANTITIES[quantity][2] + (VOLTAGE_UNITS[:2] if quantity == "acceleration" else ())
+    hint = nearest(unit.strip().lower(), known)
+    listing = f"Known are {', '.join(known)}."
+    return UsageError(
+        f"unit must be known and measure {quantity}; received {unit!r}. {hint} {listing}".replace("  ", " ")
+    )
+
+
+def measures(unit: str | None, quantity: str) -> bool:
+    """Whether `unit` is known and measures `quantity`; never raises."""
+    if not unit:
+        return False
+    try:
+        return factor_to_si(unit, quantity) is not None
+    except UsageError:
+        return False
+
+
+def si_factor(unit: str, quantity: str, sensitivity: float | None) -> float:
+    """The factor from the file's numbers to m/s² or m.
+
+    `unit` measures `quantity`, or is a voltage with `sensitivity` in V per SI unit of the quantity (above zero).
+    Raises UsageError for an unknown unit, one of another dimension, or a voltage without its sensitivity.
+    """
+    direct = factor_to_si(unit, quantity)
+    si = _QUANTITIES[quantity][0]
+    if direct is not None:
+        if sensitivity:
+            raise UsageError(
+                f"sensitivity (V per {si}) goes with unit = 'V'; received {sensitivity:g} with unit {unit!r}. "
+                "Remove the sensitivity or set the unit to 'V'."
+            )
+        return direct
+    volts = factor_to_si(unit, "voltage")
+    if volts is None:
+        raise UsageError(
+            f"unit must measure {quantity}, such as {', '.join(_QUANTITIES[quantity][2][:4])}; received {unit!r}. "
+            f"Choose a channel that measures {quantity}."
+        )
+    if not sensitivity:
+        raise UsageError(f"unit {unit!r} needs sensitivity in V per {si}; received none. Give sensitivity.")
+    return volts / sensitivity

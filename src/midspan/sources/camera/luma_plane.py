@@ -1,0 +1,54 @@
+"""The luma of a decoded picture, taken from its plane without any conversion of colours."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from midspan.sources.camera.frames import luma
+
+
+def depth_of(pixel_format: str | None) -> int:
+    """Bits of the luma (or of a colour) in a pixel format such as yuv420p10le; 8 where it is not known."""
+    import av
+
+    if not pixel_format:
+        return 8
+    try:
+        return int(av.VideoFormat(pixel_format).components[0].bits)
+    except (ValueError, IndexError):
+        return 8
+
+
+def luma_of(picture: Any) -> NDArray[np.generic]:
+    """Luma (rows, columns) of a decoded picture: uint8, or uint16 for more than 8 bits.
+
+    Planar YUV and grey give their first plane as it is; packed YUV is taken apart; RGB is weighted as in BT.601.
+    """
+    shape = picture.format
+    name = str(shape.name)
+    bits = int(shape.components[0].bits)
+    if name.startswith(("yuv", "gray", "nv", "p010", "p012", "p016", "y8")) and not name.startswith(
+        ("yuyv", "yuva444p1")
+    ):
+        plane = _plane(picture, 1 if bits <= 8 else 2, ">" if name.endswith("be") else "<")
+        # p010 and its like keep the value in the upper bits.
+        shift = 16 - bits if name.startswith(("p010", "p012")) else 0
+        return np.ascontiguousarray(plane >> shift if shift else plane)
+    if name in ("yuyv422", "uyvy422", "yvyu422"):
+        packed = _plane(picture, 1, "<", samples=2 * picture.width)
+        return np.ascontiguousarray(packed[:, 1::2] if name == "uyvy422" else packed[:, ::2])
+    if shape.is_rgb or name == "pal8":
+        colours = picture.to_ndarray(format="rgb24" if bits <= 8 else "rgb48le")
+        return luma(colours, reversed_colours=False)
+    return np.ascontiguousarray(picture.to_ndarray(format="gray" if bits <= 8 else "gray16le"))
+
+
+def _plane(picture: Any, width_bytes: int, order: str, samples: int | None = None) -> NDArray[Any]:
+    """The first plane (rows, samples) without the padding at the end of its lines, in the machine's byte order."""
+    plane = picture.planes[0]
+    rows, columns = int(picture.height), int(samples or picture.width)
+    kind = np.dtype(f"{order}u{width_bytes}")
+    raw = np.frombuffer(plane, dtype=np.uint8)[: rows * plane.line_size].reshape(rows, plane.line_size)
+    pixels = raw[:, : columns * width_bytes].copy().view(kind)
+    return pixels.astype(kind.newbyteorder("="), copy=False)

@@ -1,0 +1,222 @@
+"""A template with all that is computed from it once, and the spline peak of its ZNCC in a patch."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from midspan.errors import DataError, UsageError
+from midspan.records import Floats, Region
+from midspan.vision.peak import centred, climb, scores, spline_products, variances
+from midspan.vision.region import SMALLEST_SIDE_PX
+from midspan.vision.search import Patch, coarse_factor
+from midspan.vision.spline import REACH, Floats32, coefficients, combine, translated, weights
+from midspan.vision.texture import (
+    check_texture,
+    full_scale,
+    lowpass_taps,
+    noise_gains,
+    noise_std,
+    values,
+)
+from midspan.vision.zncc import smooth
+
+INSET_PX = 8  # the template's spline needs this much image around the window
+CONTEXT_PX = 20  # the spline is fitted with this much around it, so that the mirror at its edge is not felt
+ENERGY_TERMS = 11  # polynomial terms an axis for the energy of the shifted template over ±1 px
+
+
+@dataclass(frozen=True, slots=True)
+class Matching:
+    """How to match: Gaussian smoothing (px), and below which share of the possible correlation a peak is refused."""
+
+    smoothing_px: float
+    min_correlation: float
+
+
+@dataclass(frozen=True, slots=True)
+class Template:
+    """The reference window and all that is computed from it once.
+
+    window: the part of the region that is matched. taps: (2 m + 1,) of the low-pass. pixels: (h, w) filtered and with
+    zero mean. grid: (h + 6, w + 6) spline coefficients. norm: (p, p) polynomial of ln √(energy) by the shift.
+    gradient: (2, h, w). fisher and coloured: (2, 2) and noise: (4,), see `midspan.vision.peak.variances`.
+    offset: subtracted from all frames. factor: of decimation.
+    """
+
+    window: Region
+    taps: Floats32
+    pixels: Floats32
+    grid: Floats32
+    norm: Floats
+    gradient: Floats32
+    fisher: Floats
+    coloured: Floats
+    noise: Floats
+    offset: float
+    factor: int
+    expected_correlation: float
+    threshold: float
+
+
+@dataclass(frozen=True, slots=True)
+class Fix:
+    """A peak: translation (px), its variances (px²) and the correlation."""
+
+    x_px: float
+    y_px: float
+    variance_x_px2: float
+    variance_y_px2: float
+    quality: float
+
+
+def make_template(image: NDArray[np.generic], region: Region, matching: Matching) -> Template:
+    """Prepare the template of `region` in the reference `image`; UsageError when it has no texture to follow."""
+    window = _window(region, image.shape[1], image.shape[0])
+    raw, x0, y0, offset = _surroundings(image, region, window)
+    sigma = noise_std(raw.astype(np.float64))
+    check_texture(raw, sigma, full_scale(image), str(region))
+    taps = lowpass_taps(matching.smoothing_px).astype(np.float32)
+    grid = _grid(raw, taps, window, (x0, y0))
+    pixels, gradient = _pixels_and_gradient(grid)
+    gains = noise_gains(matching.smoothing_px)
+    fisher = _outer(gradient)
+    expected, threshold = _correlations(pixels, fisher, sigma**2 * gains[0], matching.min_correlation)
+    margin = 2 * (len(taps) // 2)
+    return Template(
+        window=window,
+        taps=taps,
+        pixels=pixels,
+        grid=grid,
+        norm=_log_norm(grid),
+        gradient=gradient,
+        fisher=fisher,
+        coloured=_outer(np.stack([smooth(np.pad(g, margin), taps) for g in gradient])),
+        noise=np.array([pixels.size, gains[0], pixels.size * gains[1], pixels.size * gains[2]]),
+        offset=offset,
+        factor=coarse_factor(pixels),
+        expected_correlation=expected,
+        threshold=threshold,
+    )
+
+
+def _window(region: Region, columns: int, rows: int) -> Region:
+    """The region without what lies too near to the image's border for the spline."""
+    x0, y0 = max(region.x, INSET_PX), max(region.y, INSET_PX)
+    x1 = min(region.x + region.width, columns - INSET_PX)
+    y1 = min(region.y + region.height, rows - INSET_PX)
+    if min(x1 - x0, y1 - y0) < SMALLEST_SIDE_PX:
+        raise UsageError(
+            f"camera.roi must keep at least {SMALLEST_SIDE_PX} px of width and height {INSET_PX} px away from the "
+            f"border of the image ({columns}x{rows} px); received {region}. Move it inwards or make it larger."
+        )
+    return Region(x0, y0, x1 - x0, y1 - y0)
+
+
+def _surroundings(image: NDArray[np.generic], region: Region, window: Region) -> tuple[Floats32, int, int, float]:
+    """The image around the window less its mean, the column and row of its first pixel, and that mean."""
+    x0, y0 = max(window.x - CONTEXT_PX, 0), max(window.y - CONTEXT_PX, 0)
+    cut = image[y0 : window.y + window.height + CONTEXT_PX, x0 : window.x + window.width + CONTEXT_PX]
+    wide = np.asarray(cut, dtype=np.float64)
+    offset = float(np.mean(wide[np.isfinite(wide)])) if np.isfinite(wide).any() else 0.0
+    raw = values(cut, offset)
+    if raw is None:
+        raise DataError(
+            f"camera.roi must lie where at least 98 % of the pixels have a value; received {region}. "
+            "Choose another place."
+        )
+    return raw, x0, y0, offset
+
+
+def _grid(raw: Floats32, taps: Floats32, window: Region, origin: tuple[int, int]) -> Floats32:
+    """Spline coefficients of the smoothed image over the window and 3 px around it."""
+    margin = len(taps) // 2
+    spline = coefficients(smooth(raw, taps).astype(np.float64))
+    top, left = window.y - origin[1] - margin - REACH, window.x - origin[0] - margin - REACH
+    part = spline[top : top + window.height + 2 * REACH, left : left + window.width + 2 * REACH]
+    return np.ascontiguousarray(part, dtype=np.float32)
+
+
+def _pixels_and_gradient(grid: Floats32) -> tuple[Floats32, Floats32]:
+    """The template (h, w) with zero mean and its gradient (2, h, w) without mean and without the template in it.
+
+    Level and gain of the frame are free, so that only this part of the gradient tells anything about the shift.
+    """
+    value, slope = weights(0.0, 0), weights(0.0, 1)
+    pixels = combine(grid, value, value).astype(np.float64)
+    pixels -= pixels.mean()
+    gradients = []
+    for wy, wx in ((value, slope), (slope, value)):
+        g = combine(grid, wy, wx).astype(np.float64)
+        g -= g.mean()
+        gradients.append(g - pixels * (np.vdot(pixels, g) / max(float(np.vdot(pixels, pixels)), 1e-300)))
+    return np.ascontiguousarray(pixels, dtype=np.float32), np.stack(gradients).astype(np.float32)
+
+
+def _outer(gradient: Floats32) -> Floats:
+    """Sum of g gᵀ (2, 2) over the window."""
+    flat = gradient.reshape(2, -1).astype(np.float64)
+    return np.asarray(flat @ flat.T, dtype=np.float64)
+
+
+def _correlations(pixels: Floats32, fisher: Floats, noise_variance: float, share: float) -> tuple[float, float]:
+    """The correlation that noise in frame and template allows, and the smallest that is accepted.
+
+    A peak must also stand above what unrelated texture reaches by chance: 4.5 standard deviations with as many
+    independent pixels as the texture has correlation areas.
+    """
+    variance = max(float(np.var(pixels)), 1e-300)
+    expected = min(max(1.0 - noise_variance / variance, 0.3), 1.0)
+    slopes = math.sqrt(float(fisher[0, 0] * fisher[1, 1])) / pixels.size
+    independent = max(pixels.size * min(slopes / variance, 1.0), 1.0)
+    chance = min(4.5 / math.sqrt(independent), 0.6)
+    return expected, max(share * expected, chance)
+
+
+def _log_norm(grid: Floats32) -> Floats:
+    """Polynomial (p, p; powers of y by powers of x) of ln √(energy of the template shifted by -1 … 1 px)."""
+    nodes = np.cos(np.pi * (np.arange(ENERGY_TERMS) + 0.5) / ENERGY_TERMS)
+    table = np.empty((ENERGY_TERMS, ENERGY_TERMS))
+    for j, y in enumerate(nodes):
+        for i, x in enumerate(nodes):
+            moved = translated(grid, x, y).astype(np.float64)
+            table[j, i] = 0.5 * math.log(max(float(np.var(moved)) * moved.size, 1e-300))
+    inverse = np.linalg.inv(np.vander(nodes, increasing=True))
+    return np.ascontiguousarray(inverse @ table @ inverse.T)
+
+
+def locate(patch: Patch, template: Template, place: tuple[int, int], bias_floor_px: float) -> Fix | None:
+    """The spline peak of ZNCC next to the whole-pixel position `place` (x, y) in `patch`; None without a peak."""
+    x, y = place
+    rows, columns = template.pixels.shape
+    for _ in range(3):
+        top, left = y - patch.y, x - patch.x
+        if top < 0 or left < 0 or top + rows > patch.pixels.shape[0] or left + columns > patch.pixels.shape[1]:
+            return None
+        window = centred(patch.pixels, top, left, rows, columns)
+        dx, dy, found = climb(spline_products(window, template.grid), template.norm)
+        if not found:
+            return None
+        if max(abs(dx), abs(dy)) <= 0.75:
+            return _fix(window, template, (x, y), np.array([dx, dy]), bias_floor_px)
+        x, y = x + round(dx), y + round(dy)
+    return None
+
+
+def _fix(
+    window: Floats32, template: Template, place: tuple[int, int], peak: Floats, bias_floor_px: float
+) -> Fix | None:
+    """Translation, variances and correlation at the sub-pixel `peak` (2,) beside the whole-pixel `place`."""
+    quality, gain, blocks = scores(window, template.grid, template.gradient, peak)
+    if gain <= 0.0:
+        return None
+    var_x, var_y = variances(blocks, template.fisher, template.coloured, template.noise)
+    floor = bias_floor_px**2
+    return Fix(
+        x_px=place[0] - template.window.x + float(peak[0]),
+        y_px=place[1] - template.window.y + float(peak[1]),
+        variance_x_px2=var_x + floor,
+        variance_y_px2=var_y + floor,
+        quality=min(float(quality), 1.0),
+    )

@@ -1,0 +1,34 @@
+"""Arithmetic of regions of interest: check, clamp, shift."""
+
+from midspan.errors import UsageError
+from midspan.records import Region
+
+SMALLEST_SIDE_PX = 12  # a window below this has too few pixels for a sub-pixel peak
+
+
+def check_region(region: Region, columns: int, rows: int) -> Region:
+    """Return `region` if it lies inside an image of `columns` by `rows` px and is not too small; else UsageError."""
+    received = f"received x={region.x}, y={region.y}, width={region.width}, height={region.height}"
+    if not region.inside(columns, rows):
+        raise UsageError(
+            f"camera.roi must lie inside the image ({columns}x{rows} px); {received}. Correct roi, or leave it out to "
+            "have it chosen."
+        )
+    if min(region.width, region.height) < SMALLEST_SIDE_PX:
+        raise UsageError(
+            f"camera.roi must be at least {SMALLEST_SIDE_PX} px wide and high; {received}. Give a larger region."
+        )
+    return region
+
+
+def clamp(region: Region, columns: int, rows: int) -> Region:
+    """The region of the same size, or the image's where that is smaller, moved the least to lie inside the image."""
+    width, height = min(region.width, columns), min(region.height, rows)
+    x = min(max(region.x, 0), columns - width)
+    y = min(max(region.y, 0), rows - height)
+    return Region(x, y, width, height)
+
+
+def shift(region: Region, dx: float, dy: float) -> Region:
+    """The region moved by (dx, dy) px, rounded to whole pixels (paper 004, equation 28)."""
+    return Region(region.x + round(dx), region.y + round(dy), region.width, region.height)

@@ -1,0 +1,173 @@
+"""Regions of interest: the choice of a target that can be tracked well and does not move by itself.
+
+The camera moves with the structure, so that all fixed targets move alike in its image (more or less of it with their
+distance); foliage, water, vehicles and people do not. Where to look is decided by the predicted standard deviation of
+a shift, from the structure tensor and the noise; which of the best places to take by tracking them all for a while.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from midspan.checks import option, refuse
+from midspan.errors import DataError, UsageError
+from midspan.records import Floats, Frame, Region, Status
+from midspan.vision.candidates import Candidate, rank_candidates, repeats, track_candidates
+from midspan.vision.region import check_region, clamp, shift
+from midspan.vision.region_score import Grid, score_grid
+
+__all__ = ["RegionChoice", "RoiSettings", "check_region", "choose_region", "clamp", "shift"]
+
+SMALLEST_CHOICE_PX = 24
+WORST_STD_PX = 0.25  # a place that predicts more than this for a single frame is not worth tracking
+
+
+@dataclass(frozen=True, slots=True)
+class RoiSettings:
+    """Settings of the choice of a region.
+
+    direction: image axis of the measured motion, "x" or "y"; its standard deviation counts more.
+    size_px: side of the region, 24 px or more; left out: 128 px in images of 640 px and more, 64 px down to 160 px,
+    else 40 % of the image.
+    margin_px: distance from the border that leaves room for the motion, 0 px or more; left out: 10 % of the side of the
+    image, at least 16 px.
+    candidates: how many places are tracked to see which are fixed, 1 to 30; more is safer and slower.
+    """
+
+    direction: str = "y"
+    size_px: int | None = None
+    margin_px: int | None = None
+    candidates: int = 8
+
+    def __post_init__(self) -> None:
+        option("direction", self.direction, ("x", "y"))
+        if self.size_px is not None and self.size_px < SMALLEST_CHOICE_PX:
+            raise refuse("size_px", f"{SMALLEST_CHOICE_PX} px or more", self.size_px)
+        if self.margin_px is not None and self.margin_px < 0:
+            raise refuse("margin_px", "0 px or more", self.margin_px)
+        if not 1 <= self.candidates <= 30:
+            raise refuse("candidates", "from 1 to 30", self.candidates)
+
+
+@dataclass(frozen=True, slots=True)
+class RegionChoice:
+    """The chosen region, why, and the map for the report.
+
+    score_px: (grid rows, grid columns) predicted standard deviation (px) of a region centred there, NaN where it was
+    ruled out; score_x and score_y: the centres' columns and rows (px). candidates: all that were tracked, best first.
+    """
+
+    region: Region
+    reasons: tuple[str, ...]
+    score_px: Floats
+    score_x: NDArray[np.int64]
+    score_y: NDArray[np.int64]
+    candidates: tuple[Candidate, ...]
+
+
+def choose_region(frames: Sequence[Frame], settings: RoiSettings | None = None) -> RegionChoice:
+    """Choose the region of interest in the first of `frames` (10 to 30, spaced over the first seconds, in time order).
+
+    With a single frame texture alone decides. Raises DataError when no place can be tracked, UsageError when the
+    size does not fit the image.
+    """
+    settings = settings or RoiSettings()
+    image = _first_image(frames)
+    rows, columns = image.shape
+    size = _size(settings, columns, rows)
+    grid = score_grid(image, size, _margins(settings, size, columns, rows), settings.direction)
+    places = _best_places(grid, size, settings.candidates * 3)
+    usable, repeating = _without_repeats(image, places, settings.candidates)
+    ranked = rank_candidates(track_candidates(frames, usable))
+    fixed = [c for c in ranked if c.fixed]
+    if not fixed:
+        raise DataError(_nothing(len(places), len(usable), size))
+    return RegionChoice(
+        region=fixed[0].region,
+        reasons=_reasons(grid, fixed[0], ranked, repeating),
+        score_px=grid.std_px,
+        score_x=grid.centre_x,
+        score_y=grid.centre_y,
+        candidates=tuple(ranked),
+    )
+
+
+def _first_image(frames: Sequence[Frame]) -> NDArray[np.generic]:
+    if not frames:
+        raise refuse("frames", "at least one frame", 0)
+    shapes = {f.pixels.shape for f in frames}
+    if len(shapes) > 1 or len(frames[0].pixels.shape) != 2:
+        raise DataError(f"All frames must be image planes of one size (rows, columns); received {sorted(shapes)}.")
+    return frames[0].pixels
+
+
+def _size(settings: RoiSettings, columns: int, rows: int) -> int:
+    side = min(columns, rows)
+    size = settings.size_px
+    if size is None:
+        size = 128 if side >= 640 else (64 if side >= 160 else max(SMALLEST_CHOICE_PX, side * 2 // 5))
+    if size > side:
+        raise UsageError(
+            f"The region's side must fit into the image ({columns}x{rows} px); received {size} px. "
+            "Give a smaller size or roi."
+        )
+    return size
+
+
+def _margins(settings: RoiSettings, size: int, columns: int, rows: int) -> tuple[int, int]:
+    """Columns and rows kept free at the border, less where the image is too small for them."""
+    wanted = [max(16, n // 10) if settings.margin_px is None else settings.margin_px for n in (columns, rows)]
+    return min(wanted[0], (columns - size) // 2), min(wanted[1], (rows - size) // 2)
+
+
+def _best_places(grid: Grid, size: int, count: int) -> list[tuple[Region, float]]:
+    """Up to `count` regions that do not overlap, with their predicted standard deviation (px), best first."""
+    left = np.where(np.isfinite(grid.std_px), grid.std_px, np.inf)
+    places: list[tuple[Region, float]] = []
+    while len(places) < count and left.size and left.min() <= WORST_STD_PX:
+        j, i = divmod(int(left.argmin()), left.shape[1])
+        x, y = int(grid.centre_x[i]), int(grid.centre_y[j])
+        places.append((Region(x - size // 2, y - size // 2, size, size), float(left[j, i])))
+        near = (np.abs(grid.centre_y - y) < size)[:, None] & (np.abs(grid.centre_x - x) < size)[None, :]
+        left[near] = np.inf
+    return places
+
+
+def _without_repeats(
+    image: NDArray[np.generic], places: list[tuple[Region, float]], count: int
+) -> tuple[list[tuple[Region, float]], int]:
+    """The first `count` places whose texture does not repeat, and how many were passed over."""
+    usable: list[tuple[Region, float]] = []
+    repeating = 0
+    for region, std_px in places:
+        if len(usable) == count:
+            break
+        if repeats(image, region):
+            repeating += 1
+        else:
+            usable.append((region, std_px))
+    return usable, repeating
+
+
+def _nothing(places: int, usable: int, size: int) -> str:
+    remedy = "Give camera.roi by hand, or improve focus, light or contrast"
+    if places == 0:
+        return f"No place of {size}x{size} px holds enough texture, in focus and neither black nor saturated. {remedy}."
+    if usable == 0:
+        return f"All {places} textured places of {size}x{size} px repeat within the search range. {remedy}."
+    return f"None of {usable} textured places could be followed through the first frames. {remedy}."
+
+
+def _reasons(grid: Grid, best: Candidate, ranked: list[Candidate], repeating: int) -> tuple[str, ...]:
+    tracked = sum(c.status_share(Status.TRACKING) for c in ranked) / len(ranked)
+    reasons = [
+        f"Predicted standard deviation {best.predicted_std_px:.4f} px a frame at an image noise of {grid.noise:.2g}.",
+        f"{len(ranked)} places were tracked ({100 * tracked:.0f} % of their frames found); "
+        f"{sum(c.fixed for c in ranked)} move alike. The chosen one differs from them by {best.disagreement_px:.3f} px "
+        f"(rms), correlation {best.quality:.3f}.",
+    ]
+    if repeating:
+        reasons.append(f"{repeating} textured places were passed over because their pattern repeats nearby.")
+    return tuple(reasons)

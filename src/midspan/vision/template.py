@@ -1,0 +1,202 @@
+"""Template tracker: zero-mean normalised cross-correlation with a spline peak (paper 003, section 3, equation 2).
+
+Frame and template are filtered alike by a low-pass that keeps noise and aliasing near the Nyquist frequency from
+pulling the peak to whole or half pixels. The whole-pixel peak is found on the ZNCC of every position in the search
+window. Around it the template's quintic spline is moved over the frame's window: the numerator of ZNCC is then itself
+a quintic spline of the shift, the template's energy a known function of it, and Newton's method climbs the surface.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from midspan.checks import refuse
+from midspan.errors import DataError
+from midspan.records import Frame, PixelTranslation, Prediction, Region, Status
+from midspan.vision.matching import Fix, Matching, locate, make_template
+from midspan.vision.region import clamp, shift
+from midspan.vision.search import Span, best_position, coarse_positions, coarse_span, fine_patch
+
+DIRECT_RADIUS_PX = 8  # up to here every position is tried, beyond it the search is decimated first
+LONGEST_DISTANCE_PX = 1_000_000
+CLEARLY_BETTER = 0.02  # difference of correlation
+
+
+@dataclass(frozen=True, slots=True)
+class TemplateSettings:
+    """Settings of the template tracker.
+
+    smoothing_px: Gaussian smoothing of frame and template on top of the low-pass at the Nyquist frequency, 0 to 3 px;
+    more suits aliased texture, less keeps fine texture.
+    search_px: how far from its last place the target is looked for without a prediction, 3 px or more.
+    min_correlation: share of the correlation that noise allows below which the target counts as lost, 0 to 1.
+    bias_floor_px: standard deviation added for what the interpolation gets wrong, 0 px or more.
+    """
+
+    smoothing_px: float = 0.0
+    search_px: float = 48.0
+    min_correlation: float = 0.6
+    bias_floor_px: float = 0.0005
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.smoothing_px <= 3.0:
+            raise refuse("smoothing_px", "from 0 to 3 px", self.smoothing_px)
+        if not 3.0 <= self.search_px <= LONGEST_DISTANCE_PX:
+            raise refuse("search_px", "3 px or more", self.search_px)
+        if not 0.0 < self.min_correlation < 1.0:
+            raise refuse("min_correlation", "above 0 and below 1", self.min_correlation)
+        if not 0.0 <= self.bias_floor_px < math.inf:
+            raise refuse("bias_floor_px", "0 px or more", self.bias_floor_px)
+
+
+@dataclass(frozen=True, slots=True)
+class TemplateState:
+    """What the template tracker remembers: last translation (px), its time, speed (px/s), lost frames, correlation."""
+
+    x_px: float = 0.0
+    y_px: float = 0.0
+    time_ns: int | None = None
+    speed_x_px_s: float = 0.0
+    speed_y_px_s: float = 0.0
+    lost_frames: int = 0
+    correlation: float = 1.0
+
+
+class TemplateTracker:
+    """Follows a template through frames; see `midspan.vision.tracker.Tracker` for its interface."""
+
+    def __init__(self, reference: Frame, region: Region, settings: TemplateSettings) -> None:
+        self.settings = settings
+        self._reference = reference
+        self._region = region
+        self._template = make_template(
+            reference.pixels, region, Matching(settings.smoothing_px, settings.min_correlation)
+        )
+        self._state = TemplateState(correlation=self._template.expected_correlation)
+
+    @property
+    def reference(self) -> Frame:
+        """The frame that the translation counts from."""
+        return self._reference
+
+    @property
+    def region(self) -> Region:
+        """The target's region in the reference frame."""
+        return self._region
+
+    @property
+    def region_now(self) -> Region:
+        """Where the target was last seen, inside the image."""
+        rows, columns = self._reference.pixels.shape
+        return clamp(shift(self._region, self._state.x_px, self._state.y_px), columns, rows)
+
+    @property
+    def state(self) -> TemplateState:
+        """Everything that changes from frame to frame."""
+        return self._state
+
+    def restore(self, state: TemplateState) -> None:
+        """Continue from a `state` taken earlier."""
+        self._state = state
+
+    def push(self, frame: Frame, prediction: Prediction | None = None) -> PixelTranslation:
+        """Measure the translation (px) of the target in `frame`; LOST with NaN where it cannot be found."""
+        if frame.pixels.shape != self._reference.pixels.shape:
+            now, then = ("x".join(str(n) for n in p.shape[::-1]) for p in (frame.pixels, self._reference.pixels))
+            raise DataError(
+                f"All frames must have the size of the first ({then} px); frame {frame.index} has {now} px. "
+                "Split the recording where the camera's format changed."
+            )
+        fix = self._find(frame, prediction)
+        self._state = _after(self._state, frame.time_ns, fix)
+        if fix is None:
+            nan = math.nan
+            return PixelTranslation(frame.time_ns, nan, nan, nan, nan, 0.0, Status.LOST)
+        return PixelTranslation(
+            frame.time_ns, fix.x_px, fix.y_px, fix.variance_x_px2, fix.variance_y_px2, fix.quality, Status.TRACKING
+        )
+
+    def _find(self, frame: Frame, prediction: Prediction | None) -> Fix | None:
+        """Look near the expected place, then farther away, and take the best acceptable peak."""
+        place, radius = self._expected(frame.time_ns, prediction)
+        image, near = frame.pixels, None
+        if max(radius) <= DIRECT_RADIUS_PX:
+            near = self._near(image, place, radius)
+            if near is not None and (prediction is not None or self._as_good_as_before(near)):
+                return near
+        reach = max(self.settings.search_px, *radius) if self._state.lost_frames == 0 else LONGEST_DISTANCE_PX
+        return self._far(image, place, reach, near)
+
+    def _expected(self, time_ns: int, prediction: Prediction | None) -> tuple[tuple[int, int], tuple[int, int]]:
+        """Whole-pixel position of the window and the search radii: prediction ± (3 sigma + 2 px), at least 3 px."""
+        state, window = self._state, self._template.window
+        if prediction is not None and math.isfinite(prediction.x_px + prediction.y_px):
+            x, y = prediction.x_px, prediction.y_px
+            sigmas = (prediction.std_x_px, prediction.std_y_px)
+            radii = [math.ceil(3.0 * s) + 2 if s < LONGEST_DISTANCE_PX else LONGEST_DISTANCE_PX for s in sigmas]
+        else:
+            elapsed_s = 0.0 if state.time_ns is None else (time_ns - state.time_ns) * 1e-9
+            x, y = state.x_px + state.speed_x_px_s * elapsed_s, state.y_px + state.speed_y_px_s * elapsed_s
+            radii = [0, 0]
+        limit = LONGEST_DISTANCE_PX
+        x, y = min(max(x, -limit), limit), min(max(y, -limit), limit)
+        return (window.x + round(x), window.y + round(y)), (max(radii[0], 3), max(radii[1], 3))
+
+    def _as_good_as_before(self, fix: Fix) -> bool:
+        return 1.0 - fix.quality <= 3.0 * (1.0 - self._state.correlation) + 0.01
+
+    def _span(self) -> Span:
+        """All positions where the window and the margin for smoothing lie inside the image."""
+        rows, columns = self._reference.pixels.shape
+        window, margin = self._template.window, len(self._template.taps) // 2
+        return Span(margin, columns - window.width - margin, margin, rows - window.height - margin)
+
+    def _near(self, image: NDArray[np.generic], place: tuple[int, int], radius: tuple[int, int]) -> Fix | None:
+        """The best peak within `radius` of `place`; a peak on the rim moves the search there, four times at most."""
+        template, whole = self._template, self._span()
+        x, y = place
+        for _ in range(5):
+            span = whole.around(x, y, *radius)
+            if span.empty:
+                return None
+            patch = fine_patch(image, span, template.pixels.shape, taps=self._template.taps, offset=template.offset)
+            if patch is None:
+                return None
+            x, y, _ = best_position(patch, template.pixels)
+            rim_x = x in (span.x0, span.x1) and whole.x0 < x < whole.x1
+            rim_y = y in (span.y0, span.y1) and whole.y0 < y < whole.y1
+            if not (rim_x or rim_y):
+                fix = locate(patch, template, (x, y), self.settings.bias_floor_px)
+                return fix if fix is not None and fix.quality >= template.threshold else None
+        return None
+
+    def _far(self, image: NDArray[np.generic], place: tuple[int, int], reach: float, near: Fix | None) -> Fix | None:
+        """The best of `near` and of the peaks of a decimated search up to `reach` px away."""
+        template = self._template
+        span = self._span().around(*place, math.ceil(reach), math.ceil(reach))
+        if span.empty:
+            return near
+        span = coarse_span(span, *place, template.pixels.size, template.factor)
+        step = template.factor // 2 + 2
+        found = [near] if near is not None else []
+        for position in coarse_positions(image, template.pixels, span, factor=template.factor, offset=template.offset):
+            fix = self._near(image, position, (step, step))
+            if fix is not None:
+                found.append(fix)
+        best = max(found, key=lambda f: f.quality, default=None)
+        # Repeating texture gives nearly equal peaks: the one at the expected place is kept unless another is better.
+        return near if near is not None and best is not None and best.quality - near.quality < CLEARLY_BETTER else best
+
+
+def _after(state: TemplateState, time_ns: int, fix: Fix | None) -> TemplateState:
+    """The state after a frame: the speed is only kept between two frames that were both tracked."""
+    if fix is None:
+        return replace(state, speed_x_px_s=0.0, speed_y_px_s=0.0, lost_frames=state.lost_frames + 1)
+    vx, vy = 0.0, 0.0
+    if state.time_ns is not None and state.lost_frames == 0 and time_ns > state.time_ns:
+        elapsed_s = (time_ns - state.time_ns) * 1e-9
+        vx, vy = (fix.x_px - state.x_px) / elapsed_s, (fix.y_px - state.y_px) / elapsed_s
+    correlation = 0.9 * state.correlation + 0.1 * fix.quality
+    return TemplateState(fix.x_px, fix.y_px, time_ns, vx, vy, 0, correlation)

@@ -1,0 +1,104 @@
+"""The interface that all trackers share, and the table of their names."""
+
+import importlib
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from midspan.checks import option, refuse
+from midspan.errors import DataError
+from midspan.records import Frame, PixelTranslation, Prediction, Region
+from midspan.vision.region import check_region
+
+
+class Tracker(Protocol):
+    """Follows one target through frames; the translation counts from the reference frame.
+
+    A checkpoint needs `reference`, `region`, the settings and `state`: a tracker built anew from the first three gives
+    the same values as the old one after `restore(state)`.
+    """
+
+    @property
+    def reference(self) -> Frame:
+        """The frame that the translation counts from."""
+        ...
+
+    @property
+    def region(self) -> Region:
+        """The target's region in the reference frame."""
+        ...
+
+    @property
+    def region_now(self) -> Region:
+        """Where the target was last seen or, when it is lost, is looked for; always inside the image."""
+        ...
+
+    @property
+    def state(self) -> Any:
+        """Everything that changes from frame to frame, as a frozen record."""
+        ...
+
+    def restore(self, state: Any) -> None:
+        """Continue from a `state` taken earlier."""
+        ...
+
+    def push(self, frame: Frame, prediction: Prediction | None = None) -> PixelTranslation:
+        """Measure the translation (px; x right, y down) in `frame`, looked for around `prediction` where there is one.
+
+        Frames come in the order of their times. A target that cannot be found gives status LOST and NaN.
+        Raises DataError when the frame's size is not the reference's.
+        """
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class TrackerEntry:
+    """One row of the table: the module, its tracker and settings classes, and when to use it."""
+
+    module: str
+    tracker: str
+    settings: str
+    use: str
+
+
+TRACKERS: dict[str, TrackerEntry] = {
+    "template": TrackerEntry(
+        module="midspan.vision.template",
+        tracker="TemplateTracker",
+        settings="TemplateSettings",
+        use="a textured target that keeps its appearance: correlation with the first frame, quick and exact",
+    ),
+}
+
+DEFAULT_TRACKER = "template"
+
+
+def tracker_settings(name: str, **values: Any) -> Any:
+    """The settings record of the tracker `name` with `values` in place of its defaults; UsageError if unknown."""
+    entry = TRACKERS[option("tracker", name, TRACKERS)]
+    made = getattr(importlib.import_module(entry.module), entry.settings)
+    for key in values:
+        option(f"setting of the tracker {name!r}", key, made.__dataclass_fields__)
+    return made(**values)
+
+
+def open_tracker(name: str, reference: Frame, region: Region, settings: Any = None) -> Tracker:
+    """A tracker for the target in `region` (px) of the frame `reference`.
+
+    `name` is a key of TRACKERS; `settings` is that tracker's settings record, its defaults when left out.
+    Raises UsageError for an unknown name, a region outside the image or without texture; DataError for a frame that is
+    not one image plane.
+    """
+    entry = TRACKERS[option("tracker", name, TRACKERS)]
+    if reference.pixels.ndim != 2:
+        raise DataError(
+            f"A frame must be one image plane (rows, columns); received an array of shape {reference.pixels.shape}. "
+            "Give the luma plane."
+        )
+    rows, columns = reference.pixels.shape
+    check_region(region, columns, rows)
+    module = importlib.import_module(entry.module)
+    known = getattr(module, entry.settings)
+    if settings is not None and not isinstance(settings, known):
+        raise refuse("settings", f"a {entry.settings} for the tracker {name!r}", type(settings).__name__)
+    tracker: Tracker = getattr(module, entry.tracker)(reference, region, settings or known())
+    return tracker
