@@ -142,7 +142,7 @@ class Frame:
 
 @dataclass(frozen=True, slots=True)
 class Prediction:
-    """Where the target should be in the next frame, in pixels relative to the reference frame, with its standard deviation."""
+    """Where the target should be in the next frame: pixels since the reference frame, with standard deviations."""
 
     x_px: float
     y_px: float
@@ -212,7 +212,7 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True)
 class Innovation:
-    """A block of measured minus predicted displacement with its predicted variance and the gate's verdict: arrays (n,)."""
+    """Measured minus predicted displacement, its predicted variance and the gate's verdict: arrays (n,)."""
 
     time_ns: Nanoseconds
     value_m: Floats

@@ -45,7 +45,8 @@ class ChannelSettings(_Section):
     rate_hz: PositiveNumber | None = Field(None, description="samples a second, where there is no time column")
     start_s: FiniteNumber = Field(0.0, description="time of the first sample, where there is no time column, s")
     noise_std: PositiveNumber | None = Field(
-        None, description="noise of one sample, in m/s² (accelerometer) or in `unit`; left out: learnt; higher trusts less"
+        None,
+        description="noise of one sample, in m/s² (accelerometer) or in `unit`; left out: learnt; higher trusts less",
     )
 
 
@@ -93,7 +94,9 @@ class CalibrationSettings(_Section):
     band_hz: tuple[NonNegativeNumber, PositiveNumber] | None = Field(
         None, description="band in which the figures of the report are taken, Hz; left out: from the rates"
     )
-    max_offset_s: Annotated[float, Field(ge=0, le=3600)] = Field(0.5, description="largest clock offset searched for, s")
+    max_offset_s: Annotated[float, Field(ge=0, le=3600)] = Field(
+        0.5, description="largest clock offset searched for, s"
+    )
 
     @model_validator(mode="after")
     def _in_order(self) -> "CalibrationSettings":
@@ -118,8 +121,8 @@ class RecordingSettings(_Section):
     accelerometer: AccelerometerSettings
     camera: CameraSettings | None = None
     displacement: DisplacementSettings | None = None
-    calibration: CalibrationSettings = CalibrationSettings()
-    fusion: FusionSettings = FusionSettings()
+    calibration: CalibrationSettings = Field(default_factory=lambda: CalibrationSettings.model_validate({}))
+    fusion: FusionSettings = Field(default_factory=lambda: FusionSettings.model_validate({}))
     reference: ReferenceSettings | None = None
 
     @model_validator(mode="after")
@@ -175,7 +178,9 @@ def _explain(item: Any) -> str:
     if kind == "extra_forbidden":
         known = _keys_at(place[:-1])
         what = "section" if isinstance(value, dict) else "key"
-        return f"{key}: is not a known {what}. {nearest(place[-1], known)} Known: {', '.join(known)}.".replace("  ", " ")
+        return f"{key}: is not a known {what}. {nearest(place[-1], known)} Known: {', '.join(known)}.".replace(
+            "  ", " "
+        )
     if kind == "missing":
         return f"{key}: is missing. Add it; `midspan formats` and the guide show an example."
     text = str(item["msg"]).removeprefix("Value error, ").replace("Input should", "must")

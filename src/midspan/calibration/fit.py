@@ -15,9 +15,10 @@ from midspan.records import Floats
 
 @dataclass(frozen=True, slots=True)
 class Pair:
-    """What is compared. samples (n, 3): time (s), acceleration (m/s²), relative noise density; rows (m, 3): time on the
+    """What is compared: translation (px, or m) and acceleration.
 
-    sensor's own clock (s), translation (px or m), relative variance (infinite: not used).
+    samples (n, 3): time (s), acceleration (m/s²), relative noise density; rows (m, 3): time on the sensor's own clock
+    (s), translation, relative variance (infinite: not used).
     ratio: the translation per metre of displacement where it is known (1 for a displacement sensor), else None.
     """
 
@@ -36,8 +37,8 @@ class Fit:
     """One evaluation of the likelihood.
 
     ratio: translation per metre of displacement (the inverse scale factor), with its variance at this offset;
-    noise: variance of the translation per unit of relative variance; input_density: noise density of the acceleration in
-    (m/s²)²/Hz; information: squared ratio over its variance, the number of standard deviations squared;
+    noise: variance of the translation per unit of relative variance; input_density: noise density of the acceleration
+    in (m/s²)²/Hz; information: squared ratio over its variance, the number of standard deviations squared;
     likelihood: logarithm, without constants; without: the same with the acceleration ignored.
     """
 
@@ -92,7 +93,7 @@ def evaluate(pair: Pair, offset_s: float, corner: float) -> Fit:
 
 
 def corner_range(pair: Pair) -> tuple[float, float]:
-    """Lowest and highest corner frequency (rad/s) worth trying: a tenth of a radian a second to the frame rate's Nyquist."""
+    """Lowest and highest corner frequency (rad/s) worth trying: up to the frame rate's Nyquist frequency."""
     return 0.1, max(np.pi * pair.rate_hz, 1.0)
 
 
@@ -105,7 +106,12 @@ def best_corner(pair: Pair, offset_s: float, corner: float | None = None) -> Fit
     def cost(value: Floats) -> float:
         return -evaluate(pair, offset_s, float(np.exp(np.clip(value[0], low, high)))).likelihood
 
-    found = minimize(cost, [first], method="Nelder-Mead", options={"xatol": 0.02, "fatol": 0.02, "initial_simplex": [[first], [first + 0.3]]})
+    found = minimize(
+        cost,
+        [first],
+        method="Nelder-Mead",
+        options={"xatol": 0.02, "fatol": 0.02, "initial_simplex": [[first], [first + 0.3]]},
+    )
     return evaluate(pair, offset_s, float(np.exp(np.clip(found.x[0], low, high))))
 
 

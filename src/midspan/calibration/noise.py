@@ -15,8 +15,9 @@ LEAST_GAIN = 10.0
 
 @dataclass(frozen=True, slots=True)
 class NoiseCalibration:
-    """variance_factor: learnt variance per unit of the variance given with each measurement; input_noise_density: of the
+    """Noise levels and clock offset of a displacement sensor.
 
+    variance_factor: learnt variance per unit of the variance given with each measurement; input_noise_density: of the
     acceleration, (m/s²)²/Hz; offset: of the sensor's clock (zero with infinite variance when the motion does not tell);
     scale: the sensor's apparent scale against the accelerometer (1 when both are right) with its standard deviation.
     """
@@ -29,9 +30,10 @@ class NoiseCalibration:
 
 
 def calibrate_noise(pair: Pair, max_offset_s: float) -> NoiseCalibration:
-    """Learn the noise levels of a displacement sensor of known unit, and its clock offset where the motion tells it.
+    """Learn noise levels of a displacement sensor of known unit, and its clock offset where the motion tells it.
 
-    pair: displacement in m (ratio 1) with relative variances, and the acceleration. max_offset_s: 0 leaves the clocks be.
+    pair: displacement in m (ratio 1) with relative variances, and the acceleration. max_offset_s: 0 leaves the clocks
+    be.
     """
     pair = without_lonely_outliers(replace(pair, ratio=1.0))
     still = best_corner(pair, 0.0)

@@ -1,4 +1,4 @@
-"""The scale factor of a camera and its clock offset from the first minute of camera and accelerometer, or a refusal."""
+"""The scale factor and clock offset of a camera from a minute beside an accelerometer, or a refusal."""
 
 from dataclasses import dataclass
 
@@ -12,8 +12,8 @@ from midspan.records import Floats, NoiseLevel, ScaleFactor
 # The largest relative standard deviation of a scale factor that is still given out, and the one that brings a warning.
 REFUSED_ABOVE = 0.05
 WARNED_ABOVE = 0.01
-# Gain of the logarithmic likelihood that the acceleration must bring. Scanning some hundred offsets lets pure noise gain
-# about ln(200) + 3; ten more is one chance in twenty thousand.
+# Gain of the logarithmic likelihood that the acceleration must bring. Scanning some hundred offsets lets pure noise
+# gain about ln(200) + 3; ten more is one chance in twenty thousand.
 LEAST_GAIN = 20.0
 # The runner-up must be less likely by this much, and its residual power larger by this share (a model never fits to the
 # last digit, and with a very quiet camera the likelihood alone would be over-confident).

@@ -1,8 +1,8 @@
 """The clock offset between a displacement-like sensor and the accelerometer, by maximum likelihood.
 
 The likelihood is evaluated with the accelerometer's full-rate response at the exact instants of the other sensor, so an
-aliased camera needs no special care. It has many maxima when the motion is nearly a single tone; all of them are refined
-and compared, and the runner-up is reported so that an ambiguity can be refused.
+aliased camera needs no special care. It has many maxima when the motion is nearly a single tone; all of them are
+refined and compared, and the runner-up is reported so that an ambiguity can be refused.
 """
 
 from dataclasses import dataclass, replace
@@ -103,7 +103,7 @@ def mark_outliers(pair: Pair, fit: Fit) -> Pair:
 
 
 def without_lonely_outliers(pair: Pair) -> Pair:
-    """Mark single measurements that leave both neighbours by far more than these usually differ (a mistracked frame)."""
+    """Mark single measurements that leave both neighbours far more than is usual (a mistracked frame)."""
     value, usable = pair.rows[:, 1], np.isfinite(pair.rows[:, 2])
     index = np.flatnonzero(usable)
     if len(index) < 8:
@@ -127,5 +127,3 @@ def thinned(samples: Floats, rate_hz: float) -> Floats:
     count = len(samples) // group
     means: Floats = samples[: count * group].reshape(count, group, 3).mean(axis=1)
     return means
-
-

@@ -1,13 +1,13 @@
 """Innovations of a measured translation and of the acceleration's response, through one and the same filter.
 
-The translation p of the image (px) follows the displacement divided by the scale factor. In the filter's state-space model,
-written in pixels, the translation is driven by s · acceleration with s the inverse scale factor, so the innovations of the
-whole are linear in s:
+The translation p of the image (px) follows the displacement divided by the scale factor. In the filter's state-space
+model, written in pixels, the translation is driven by s · acceleration with s the inverse scale factor, so the
+innovations of the whole are linear in s:
 
     e_k(s) = e_k[p, no input] − s · e_k[0, acceleration as input]
 
-Both parts share the gains. Scale factor and noise variance therefore follow in closed form for any time offset and any ratio
-of the noise levels, whatever the frame rate: nothing is resampled, an aliased camera is treated exactly.
+Both parts share the gains. Scale factor and noise variance therefore follow in closed form for any time offset and any
+ratio of the noise levels, whatever the frame rate: nothing is resampled, an aliased camera is treated exactly.
 """
 
 from dataclasses import dataclass
@@ -44,8 +44,8 @@ BIAS_WALK_RATIO = 0.003
 class Whitened:
     """Innovations of the translation and of the response to the acceleration, (k,), after the settling ones.
 
-    variance: of the innovation, in units of the noise variance of the translation; input_part: its share that comes from
-    accelerometer noise; index: which measurement each belongs to.
+    variance: of the innovation, in units of the noise variance of the translation; input_part: its share that comes
+    from accelerometer noise; index: which measurement each belongs to.
     """
 
     translation: Floats

@@ -33,7 +33,7 @@ class CameraScale:
     source: Source = Source.CAMERA
 
     def displacement(self, track: PixelTrack) -> Displacement:
-        """The displacement that a track of pixels stands for, on the accelerometer's clock; lost frames are not finite."""
+        """The displacement that a track stands for, on the accelerometer's clock; lost frames are not finite."""
         value, variance = track.along(self.direction)
         return Displacement(
             time_ns=track.time_ns + self.time_offset_ns,
@@ -75,5 +75,3 @@ class Monitor:
         if self.scale.direction == "y":
             return Prediction(self._across_px, along, ACROSS_STD_PX, std)
         return Prediction(along, self._across_px, std, ACROSS_STD_PX)
-
-

@@ -1,8 +1,8 @@
 """Which displacement measurements are believed.
 
-A measurement whose innovation is beyond `limit` predicted standard deviations is rejected. A target that has really moved
-would then be rejected for ever, so after `reacquire_s` of nothing but rejections the filter gives its position up and takes
-the new one; this is declared in the result, never silent.
+A measurement whose innovation is beyond `limit` predicted standard deviations is rejected. A target that has really
+moved would then be rejected for ever, so after `reacquire_s` of nothing but rejections the filter gives its position up
+and takes the new one; this is declared in the result, never silent.
 """
 
 from dataclasses import dataclass

@@ -56,7 +56,8 @@ class KalmanSettings:
     the bias wander by about 0.8 mm/s² in a minute and costs below 1 % where it is constant.
     displacement_std, velocity_std, bias_std: uncertainty before the first measurement, m, m/s, m/s².
     bias: expected bias before the first measurement, m/s² (the mean of the first samples is good).
-    coasting_s: age of the last accepted measurement beyond which a row is `coasting`; lost_s: beyond which it is `lost`.
+    coasting_s: age of the last accepted measurement beyond which a row is `coasting`; lost_s: beyond which it is
+    `lost`.
     """
 
     bias_walk: float = 1e-8
@@ -122,7 +123,7 @@ class KalmanFilter:
         return [joined(estimates), *met, *reacquired_events(innovation)]
 
     def predict(self, time_ns: int) -> tuple[float, float]:
-        """Displacement (m) and its variance (m²) at `time_ns`, with the last acceleration held; the state stays as it is."""
+        """Displacement (m) and variance (m²) at `time_ns`, the last acceleration held; the state stays as it is."""
         if self.state is None:
             return 0.0, np.inf
         ahead = self.state.copy()
@@ -172,7 +173,7 @@ def measurement_rows(displacement: Displacement, origin_ns: int) -> Floats:
 
 
 def estimate_rows(time_ns: Nanoseconds, nodes: Floats, settings: KalmanSettings) -> Estimate:
-    """The result of a block from its nodes (n, 13): a row is `coasting` or `lost` by the age of its last measurement."""
+    """The result of a block from its nodes: a row is `coasting` or `lost` by the age of its last measurement."""
     age_s = nodes[:, TIME_OF_NODE] - nodes[:, ACCEPTED_AT]
     status = np.where(age_s <= settings.coasting_s, np.uint8(Status.TRACKING), np.uint8(Status.COASTING))
     status = np.where(age_s <= settings.lost_s, status, np.uint8(Status.LOST))
@@ -204,8 +205,8 @@ def reacquired_events(innovation: Innovation) -> list[Event]:
         Event(
             int(innovation.time_ns[i]),
             "reacquired",
-            f"The measured displacement had left the prediction by {1e3 * innovation.value_m[i]:.2f} mm for so long that "
-            "its new level was taken over; check whether the target or the sensor has moved.",
+            f"The measured displacement had left the prediction by {1e3 * innovation.value_m[i]:.2f} mm for so long "
+            "that its new level was taken over; check whether the target or the sensor has moved.",
         )
         for i in jumps
     ]

@@ -65,9 +65,10 @@ def meet_measurement(s, row, measured, limits):  # type: ignore[no-untyped-def]
 def filter_block(samples, measurements, s, bias_walk, limits, nodes, record):  # type: ignore[no-untyped-def]
     """Run the filter over one block; the state vector `s` is changed in place and carries over to the next block.
 
-    samples: (n, 3) time in s, acceleration, its noise density, all after the state's time. measurements: (m, 4) time in s,
-    displacement, variance (infinite: ignored) and source, in time order; those after the last sample are left.
-    nodes (n, 13) and record (m, 8) take what the module's column names say. Returns how many measurements were consumed.
+    samples: (n, 3) time in s, acceleration, its noise density, all after the state's time. measurements: (m, 4) time in
+    s, displacement, variance (infinite: ignored) and source, in time order; those after the last sample are left.
+    nodes (n, 13) and record (m, 8) take what the module's column names say. Returns how many measurements were
+    consumed.
     """
     j = 0
     for k in range(len(samples)):

@@ -1,8 +1,8 @@
 """`smoother`: the Kalman filter followed by a backward pass over the whole record (offline default).
 
 The backward pass is the modified Bryson-Frazier form of the Rauch-Tung-Striebel smoother: it carries the adjoint of the
-state and its information matrix back in time and needs no inverse of a covariance. Memory stays bounded: the forward pass
-keeps a state vector only at every block's start, and the backward pass runs each block forward again.
+state and its information matrix back in time and needs no inverse of a covariance. Memory stays bounded: the forward
+pass keeps a state vector only at every block's start, and the backward pass runs each block forward again.
 
 Reference: G. J. Bierman, Fixed interval smoothing with discrete measurements, Int. J. Control 18 (1973) 65-75.
 """
@@ -58,8 +58,8 @@ class Smoothed:
 def smooth(acceleration: Acceleration, displacement: Displacement, settings: KalmanSettings | None = None) -> Smoothed:
     """Smooth a whole record.
 
-    acceleration: block of n samples; displacement: block of m measurements on the same clock, in time order, outside ones
-    ignored. The estimate has one row a sample; its standard deviation is that of the smoother.
+    acceleration: block of n samples; displacement: block of m measurements on the same clock, in time order, outside
+    ones ignored. The estimate has one row a sample; its standard deviation is that of the smoother.
     """
     settings = settings or KalmanSettings()
     origin_ns = int(acceleration.time_ns[0])
@@ -110,7 +110,7 @@ def _back_through_time(adjoint: Floats, dt: float) -> None:
     half = 0.5 * dt * dt
     adjoint[1] = l1 + dt * l0
     adjoint[2] = l2 - half * l0 - dt * l1
-    m01, m11, m21 = i01 + dt * i00, i11 + dt * i01, i12 + dt * i02
+    m01, m11 = i01 + dt * i00, i11 + dt * i01
     m02, m12, m22 = i02 - half * i00 - dt * i01, i12 - half * i01 - dt * i11, i22 - half * i02 - dt * i12
     adjoint[4] = m01
     adjoint[5] = m02
@@ -121,7 +121,7 @@ def _back_through_time(adjoint: Floats, dt: float) -> None:
 
 @njit(cache=True, inline="always")
 def _back_through_measurement(adjoint: Floats, row: Floats) -> None:
-    """Adjoint and information before an accepted measurement: (I − K H)' l − H' e/S and (I − K H)' L (I − K H) + H'H/S."""
+    """Before an accepted measurement: (I − K H)' l − H' e/S and (I − K H)' L (I − K H) + H'H/S."""
     l0, l1, l2, i00, i01, i02, i11, i12, i22 = adjoint
     k0, k1, k2 = 1.0 - row[GAIN_X], row[GAIN_V], row[GAIN_B]
     variance = row[INNOVATION_VARIANCE]
@@ -136,8 +136,8 @@ def _back_through_measurement(adjoint: Floats, row: Floats) -> None:
 def smooth_block(time_s, start_s, nodes, outcome, adjoint, smoothed):  # type: ignore[no-untyped-def]
     """Run the backward pass over one block; `adjoint` (9,) is changed in place and carries over to the block before.
 
-    time_s (n,): the samples; start_s: the time of the block's first state; nodes (n, 13), outcome (m, 8): what the forward
-    recursion left; smoothed (n, 3) takes displacement, velocity and the displacement's variance.
+    time_s (n,): the samples; start_s: the time of the block's first state; nodes (n, 13), outcome (m, 8): what the
+    forward recursion left; smoothed (n, 3) takes displacement, velocity and the displacement's variance.
     """
     j = len(outcome) - 1
     for k in range(len(time_s) - 1, -1, -1):

@@ -4,13 +4,14 @@ State: displacement x (m), velocity v (m/s), accelerometer bias b (m/s²). The m
 
     x' = v,   v' = a_measured − b − w,   b' = w_b
 
-with white noise w of density S_a ((m/s²)²/Hz) and a slow random walk w_b of the bias. Between two samples the input enters
-by the Numerov (Fox-Goodwin, Newmark beta = 1/12) rule: fourth order in x, no phase error, amplitude error 0.07 % at a tenth
-of the sampling rate where the zero-order hold of the usual multi-rate filter errs by 31 % (delay of half a sample).
-A displacement at any instant inside an interval is met exactly: the input's response is a cubic in the fraction theta.
+with white noise w of density S_a ((m/s²)²/Hz) and a slow random walk w_b of the bias. Between two samples the input
+enters by the Numerov (Fox-Goodwin, Newmark beta = 1/12) rule: fourth order in x, no phase error, amplitude error 0.07 %
+at a tenth of the sampling rate where the zero-order hold of the usual multi-rate filter errs by 31 % (delay of half a
+sample). A displacement at any instant inside an interval is met exactly: the input's response is a cubic in the
+fraction theta.
 
-A state vector holds state, covariance and time, so that a kernel stops and goes on anywhere. The covariance is kept as six
-numbers; small matrices would cost fifteen times as much.
+A state vector holds state, covariance and time, so that a kernel stops and goes on anywhere. The covariance is kept as
+six numbers; small matrices would cost fifteen times as much.
 """
 
 import numpy as np

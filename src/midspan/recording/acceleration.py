@@ -69,9 +69,7 @@ def prepare_acceleration(series: TimeSeries, where: str) -> PreparedAcceleration
         Event(int(series.time_ns[i]), "gap", f"{where}: no samples for {s:.3g} s.")
         for i, s in zip(usual.gaps, usual.gap_s, strict=True)
     ]
-    return PreparedAcceleration(
-        series.time_ns, value, density, missing, usual.rate_hz, tuple(events), tuple(warnings)
-    )
+    return PreparedAcceleration(series.time_ns, value, density, missing, usual.rate_hz, tuple(events), tuple(warnings))
 
 
 def _refuse(where: str, mask: Mask, kind: str, rule: tuple[float, str]) -> None:

@@ -1,6 +1,5 @@
 """`calibrate`: from an opened recording to scale factor, clock offset and noise levels."""
 
-
 import numpy as np
 
 from midspan.calibration.fit import Pair
@@ -24,7 +23,7 @@ def calibrate(recording: Recording, progress: Progress = silent) -> Calibration:
     """Learn scale factor, clock offset and noise levels of a recording.
 
     The camera is calibrated against the accelerometer in calibration.window_s (the first minute when left out); a
-    [displacement] sensor's noise and clock offset are learnt beside it. Raises UntrustedError (with the reason) when the
+    [displacement] sensor's noise and clock offset are learnt beside it. Raises UntrustedError, with the reason, when the
     result could not be trusted, DataError for unusable streams.
     """
     calibration, tracking = calibrate_and_track(recording, progress)
@@ -33,9 +32,7 @@ def calibrate(recording: Recording, progress: Progress = silent) -> Calibration:
     return calibration
 
 
-def calibrate_and_track(
-    recording: Recording, progress: Progress = silent
-) -> tuple[Calibration, CameraTracking | None]:
+def calibrate_and_track(recording: Recording, progress: Progress = silent) -> tuple[Calibration, CameraTracking | None]:
     """The calibration, and the camera's tracking as far as it had to go, to be continued."""
     prepared, settings = recording.prepared, recording.settings
     camera_part: CameraCalibration | None = None
@@ -90,7 +87,7 @@ def open_tracking(recording: Recording, calibration: Calibration | None, progres
 
 
 def frames_used(times_ns: Nanoseconds, acceleration_ns: Nanoseconds, margin_ns: int) -> slice:
-    """Frames from the first one used: the file's first where the streams start together, else the first that overlaps."""
+    """Frames from the first one used: the file's first where the streams start together, else the first in both."""
     overlapping = inside(times_ns, int(acceleration_ns[0]), int(acceleration_ns[-1]) + margin_ns)
     if times_ns[0] >= acceleration_ns[0] - margin_ns:
         return slice(0, overlapping.stop)
@@ -102,8 +99,8 @@ def _codec_warnings(recording: Recording) -> list[str]:
     if info.lossless is not False:
         return []
     return [
-        f"camera: the video is compressed ({info.codec}). Compression freezes parts of the picture: motion of a few hundredths "
-        "of a pixel can be lost and the scale factor can be off by 1 % or more. Record raw or lossless where you can."
+        f"camera: the video is compressed ({info.codec}). Compression freezes parts of the picture: motion of "
+        "a few hundredths of a pixel can be lost and the scale factor can be off by 1 % or more. Record raw or lossless where you can."
     ]
 
 
@@ -198,8 +195,8 @@ def _displacement_warnings(learnt: NoiseCalibration) -> list[str]:
     off = abs(learnt.scale - 1.0)
     if off > 0.1 and off > 5.0 * learnt.scale_std:
         return [
-            f"displacement: follows the accelerometer with a factor of {learnt.scale:.3g} ± {learnt.scale_std:.2g} where 1 "
-            "is expected; check displacement.unit, its sign and accelerometer.unit."
+            f"displacement: follows the accelerometer with a factor of {learnt.scale:.3g} ± {learnt.scale_std:.2g} "
+            "where 1 is expected; check displacement.unit, its sign and accelerometer.unit."
         ]
     return []
 
@@ -218,5 +215,3 @@ def _acceleration_noise(recording: Recording, densities: list[float], warnings: 
         )
         return learnt, float(np.sqrt(learnt * rate))
     return given * given / rate, given
-
-

@@ -20,7 +20,10 @@ CALIBRATION_FILE = "calibration.json"
 
 @dataclass(frozen=True, slots=True)
 class CameraCalibration:
-    """Scale factor, clock offset, region, axis and noise of the camera; variance_factor: learnt over the tracker's own."""
+    """Scale factor, clock offset, region, axis and noise of the camera.
+
+    variance_factor: the learnt variance over the tracker's own.
+    """
 
     scale: ScaleFactor
     offset: TimeOffset
@@ -52,8 +55,8 @@ class DisplacementCalibration:
 class Calibration:
     """Everything `calibrate` learns about a recording's sensors.
 
-    noise_density: of the acceleration, (m/s²)²/Hz; noise_std_m_s2: the same per sample; bias_m_s2: its mean in the window.
-    diagnostics: what the estimates rest on, for the report; not stored in the file.
+    noise_density: of the acceleration, (m/s²)²/Hz; noise_std_m_s2: the same per sample; bias_m_s2: its mean in the
+    window. diagnostics: what the estimates rest on, for the report; not stored in the file.
     """
 
     noise_density: float

@@ -1,4 +1,4 @@
-"""`estimate`: the main job, from an opened recording to displacement at the accelerometer's rate with its error band."""
+"""`estimate`: the main job, from a recording to displacement at the accelerometer's rate with its error band."""
 
 from dataclasses import dataclass, replace
 
@@ -34,7 +34,8 @@ from midspan.records import (
 
 # Rows are `coasting` when the last accepted measurement is older than this many of the sensor's usual intervals.
 COASTING_INTERVALS = 2.5
-# The zero of `kalman` comes from this much of the record, smoothed: it belongs to its start-up, not to its causal output.
+# The zero of `kalman` comes from this much of the record, smoothed: it belongs to its start-up, not to its causal
+# output.
 ZERO_S = 60.0
 
 
@@ -47,8 +48,8 @@ def estimate(
 ) -> Result:
     """Estimate the displacement of a recording.
 
-    calibration: left out, it is made first (and then the camera is tracked once for both). method: "smoother" or "kalman",
-    over the recording's own. Returns one row for each accelerometer sample in the streams' common span.
+    calibration: left out, it is made first (and then the camera is tracked once for both). method: "smoother" or
+    "kalman", over the recording's own. Returns one row for each accelerometer sample in the streams' common span.
     Raises UntrustedError when calibration is refused, DataError for unusable streams.
     """
     method = option("method", method or recording.settings.fusion.method, METHODS)
@@ -78,7 +79,7 @@ def estimate(
 
 @dataclass(frozen=True, slots=True)
 class Inputs:
-    """What is fused: acceleration, displacement measurements of all sensors, the filter's settings, the camera's track."""
+    """What is fused: acceleration, displacement of all sensors, the filter's settings, the camera's track."""
 
     acceleration: Acceleration
     displacement: Displacement
@@ -91,8 +92,8 @@ class Inputs:
 def _require(recording: Recording, calibration: Calibration) -> None:
     if recording.has("camera") and calibration.camera is None:
         raise UsageError(
-            "The calibration has no camera part, but the recording has a camera. Run `midspan calibrate` on a recording "
-            "of this camera."
+            "The calibration has no camera part, but the recording has a camera. Run `midspan calibrate` on a "
+            "recording of this camera."
         )
     camera = recording.settings.camera
     if camera and calibration.camera and camera.direction != calibration.camera.direction:
@@ -112,7 +113,9 @@ def _inputs(
     blocks = []
     if calibration.camera is not None and recording.has("camera"):
         tracking = tracking or open_tracking(recording, calibration, progress)
-        track = _track_all(tracking, Monitor(tracking.tracker, calibration.camera.mapping(), KalmanFilter(kalman)), acceleration)
+        track = _track_all(
+            tracking, Monitor(tracking.tracker, calibration.camera.mapping(), KalmanFilter(kalman)), acceleration
+        )
         blocks.append(calibration.camera.mapping().displacement(track))
     if recording.has("displacement"):
         blocks.append(_displacement(recording, calibration))
@@ -152,7 +155,9 @@ def _displacement(recording: Recording, calibration: Calibration) -> Displacemen
     series, learnt = recording.displacement, calibration.displacement
     require_overlap(recording.prepared.time_ns, series.time_ns, "displacement")
     if learnt is None:
-        raise UsageError("The calibration has no displacement part, but the recording has [displacement]. Calibrate again.")
+        raise UsageError(
+            "The calibration has no displacement part, but the recording has [displacement]. Calibrate again."
+        )
     count = len(series.time_ns)
     return Displacement(
         time_ns=series.time_ns + round(1e9 * learnt.offset.value_s),
@@ -244,7 +249,7 @@ def _with_calibration_error(inputs: Inputs, method: str, rows: Estimate) -> Esti
 
 
 def _cut(recording: Recording, inputs: Inputs, rows: Estimate) -> Estimate:
-    """The rows at the accelerometer's samples in the common span, those without a sample's own value marked coasting."""
+    """The rows in the common span; those whose sample had to be bridged are marked coasting."""
     usable = np.flatnonzero(np.isfinite(inputs.displacement.value_m))
     first, last = (int(inputs.displacement.time_ns[i]) for i in (usable[0], usable[-1]))
     own = inside(rows.time_ns, int(recording.prepared.time_ns[0]), int(recording.prepared.time_ns[-1]))

@@ -113,8 +113,8 @@ class Result:
                 "displacement_mm": self.displacement_mm,
                 "displacement_std_mm": self.displacement_std_mm,
                 "velocity_mm_s": self.velocity_mm_s,
-                "source": pd.Categorical.from_codes(rows.source, [s.word for s in Source]),  # type: ignore[arg-type]
-                "status": pd.Categorical.from_codes(rows.status, [s.word for s in Status]),  # type: ignore[arg-type]
+                "source": pd.Categorical.from_codes(rows.source, pd.Index([s.word for s in Source])),
+                "status": pd.Categorical.from_codes(rows.status, pd.Index([s.word for s in Status])),
             },
             index=pd.Index(self.time_s, name="time_s"),
         )
@@ -152,8 +152,8 @@ class Result:
         axes.figure.savefig(picture, format="png", dpi=96)  # type: ignore[union-attr]
         f = self.figures()
         text = (
-            f"{f['rows']} rows, {f['start_s']:.2f} … {f['end_s']:.2f} s, {f['smallest_mm']:.3f} … {f['largest_mm']:.3f} mm, "
-            f"standard deviation {f['median_std_mm']:.4f} mm ({self.method})"
+            f"{f['rows']} rows, {f['start_s']:.2f} … {f['end_s']:.2f} s, "
+            f"{f['smallest_mm']:.3f} … {f['largest_mm']:.3f} mm, standard deviation {f['median_std_mm']:.4f} mm ({self.method})"
         )
         notes = "".join(f"<li>{html.escape(line)}</li>" for line in self.warnings)
         data = base64.b64encode(picture.getvalue()).decode()

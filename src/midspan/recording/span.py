@@ -26,9 +26,9 @@ def require_overlap(acceleration_ns: Nanoseconds, other_ns: Nanoseconds, section
     if last - first >= LEAST_OVERLAP_S * NANOSECONDS:
         return
     raise DataError(
-        f"accelerometer and {section} do not overlap in time: the accelerometer runs from {shown(int(acceleration_ns[0]))} "
-        f"to {shown(int(acceleration_ns[-1]))}, {section} from {shown(int(other_ns[0]))} to {shown(int(other_ns[-1]))}; "
-        f"at least {LEAST_OVERLAP_S:g} s must be shared. Bring the clocks together with {section}.start_s or "
+        f"accelerometer and {section} do not overlap in time: the accelerometer runs from "
+        f"{shown(int(acceleration_ns[0]))} to {shown(int(acceleration_ns[-1]))}, {section} from "
+        f"{shown(int(other_ns[0]))} to {shown(int(other_ns[-1]))}; at least {LEAST_OVERLAP_S:g} s must be shared. Bring the clocks together with {section}.start_s or "
         "accelerometer.start_s."
     )
 

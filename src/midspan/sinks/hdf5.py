@@ -8,7 +8,7 @@ from midspan.sinks.table import UNITS, WORDS, ResultTable, codes, is_text, metad
 
 
 def write(path: Path, table: ResultTable) -> None:
-    """Datasets named like the columns with attribute `unit`; words as fixed-length text; JSON in attribute `midspan`."""
+    """Datasets named like the columns with their `unit`; words as fixed-length text; JSON in attribute `midspan`."""
     import h5py
 
     with h5py.File(path, "w") as file:

@@ -1,7 +1,7 @@
 """Which of several places in the image belong to the fixed surroundings: they are tracked and compared."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,7 @@ ALIKE_PX = 0.1  # fixed targets agree to this, or to a tenth of the motion or fi
 GAIN_RANGE = (0.2, 5.0)  # ratio of the motions in the image of near and far fixed targets
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Candidate:
     """A place that was tracked: its track (px, from the first frame) and how it agrees with the others.
 
@@ -87,25 +87,43 @@ def track_candidates(frames: Sequence[Frame], places: Sequence[tuple[Region, flo
 
 
 def rank_candidates(candidates: Sequence[Candidate]) -> list[Candidate]:
-    """Compare every track with the median of all; those that agree come first, by predicted standard deviation."""
-    if not candidates:
-        return []
-    tracks = np.stack([np.stack([c.track.x_px, c.track.y_px]) for c in candidates])
-    good = [c.status_share(Status.TRACKING) >= ENOUGH_TRACKED for c in candidates]
-    if not any(good):
-        return [_judged(c, np.inf, False) for c in candidates]
-    common = _nanmedian(tracks[np.array(good)])
-    motion = float(np.sqrt(np.nanmean(common**2)))
+    """Find the motion that most places share; those that follow it come first, by predicted standard deviation."""
+    good = [c for c in candidates if c.status_share(Status.TRACKING) >= ENOUGH_TRACKED]
+    lost = [replace(c, disagreement_px=np.inf, fixed=False) for c in candidates if c not in good]
+    if not good:
+        return lost
+    tracks = [_path(c) for c in good]
+    crowds = [[j for j, t in enumerate(tracks) if disagreement(t, path) <= _limit(path, good[j])] for path in tracks]
+    crowd = max(crowds, key=lambda members: _weight([good[j].region for j in members]))
+    common = _nanmedian(np.stack([tracks[j] for j in crowd]))
     judged = []
-    for candidate, track, enough in zip(candidates, tracks, good, strict=True):
+    for candidate, track in zip(good, tracks, strict=True):
         gap = disagreement(track, common)
-        limit = max(ALIKE_PX, 0.1 * motion, 5.0 * candidate.predicted_std_px)
-        judged.append(_judged(candidate, gap, bool(enough and gap <= limit)))
-    return sorted(judged, key=lambda c: (not c.fixed, c.predicted_std_px / max(c.quality, 0.1) ** 2))
+        judged.append(replace(candidate, disagreement_px=gap, fixed=gap <= _limit(common, candidate)))
+    return sorted(judged, key=lambda c: (not c.fixed, c.predicted_std_px / max(c.quality, 0.1) ** 2)) + lost
 
 
-def _judged(candidate: Candidate, gap_px: float, fixed: bool) -> Candidate:
-    return Candidate(candidate.region, candidate.predicted_std_px, candidate.track, candidate.quality, gap_px, fixed)
+def _path(candidate: Candidate) -> Floats:
+    """The track as (2, n) px."""
+    return np.stack([candidate.track.x_px, candidate.track.y_px])
+
+
+def _limit(common: Floats, candidate: Candidate) -> float:
+    """The disagreement (px) up to which a place counts as fixed."""
+    motion = float(np.sqrt(np.nanmean(common**2))) if np.isfinite(common).any() else 0.0
+    return max(ALIKE_PX, 0.1 * motion, 5.0 * candidate.predicted_std_px)
+
+
+def _weight(regions: Sequence[Region]) -> float:
+    """How much a group of places that move alike counts: by its number, and by its spread over the image.
+
+    The surroundings are everywhere; a vehicle or a tree with as many places on it is compact.
+    """
+    if not regions:
+        return 0.0
+    centres = np.array([(r.x, r.y) for r in regions], dtype=np.float64)
+    spread = float(np.sqrt(np.sum(np.var(centres, axis=0)))) / max(regions[0].width, regions[0].height)
+    return len(regions) * (1.0 + spread)
 
 
 def _nanmedian(tracks: NDArray[np.float64]) -> Floats:
@@ -118,7 +136,7 @@ def _nanmedian(tracks: NDArray[np.float64]) -> Floats:
 
 def disagreement(track: Floats, common: Floats) -> float:
     """Rms difference (px) of `track` (2, n) from `common` (2, n) times the gain that its distance may give it."""
-    seen = np.isfinite(track).all(axis=0)
+    seen = np.isfinite(track).all(axis=0) & np.isfinite(common).all(axis=0)
     a, b = track[:, seen], common[:, seen]
     energy = float(np.vdot(b, b))
     gain = float(np.vdot(a, b)) / energy if energy > 0.0 else 1.0

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from midspan.errors import DataError, UsageError
 from midspan.records import Floats, Region
-from midspan.vision.peak import centred, climb, scores, spline_products, variances
+from midspan.vision.peak import block_sums, centred, climb, scores, spline_products, variances
 from midspan.vision.region import SMALLEST_SIDE_PX
 from midspan.vision.search import Patch, coarse_factor
 from midspan.vision.spline import REACH, Floats32, coefficients, combine, translated, weights
@@ -41,7 +41,7 @@ class Template:
 
     window: the part of the region that is matched. taps: (2 m + 1,) of the low-pass. pixels: (h, w) filtered and with
     zero mean. grid: (h + 6, w + 6) spline coefficients. norm: (p, p) polynomial of ln √(energy) by the shift.
-    gradient: (2, h, w). fisher and coloured: (2, 2) and noise: (4,), see `midspan.vision.peak.variances`.
+    basis: (3, h, w) template and gradients. moments, information, noise: see `midspan.vision.peak.variances`.
     offset: subtracted from all frames. factor: of decimation.
     """
 
@@ -50,9 +50,9 @@ class Template:
     pixels: Floats32
     grid: Floats32
     norm: Floats
-    gradient: Floats32
-    fisher: Floats
-    coloured: Floats
+    basis: Floats32
+    moments: Floats
+    information: Floats
     noise: Floats
     offset: float
     factor: int
@@ -79,7 +79,8 @@ def make_template(image: NDArray[np.generic], region: Region, matching: Matching
     check_texture(raw, sigma, full_scale(image), str(region))
     taps = lowpass_taps(matching.smoothing_px).astype(np.float32)
     grid = _grid(raw, taps, window, (x0, y0))
-    pixels, gradient = _pixels_and_gradient(grid)
+    basis = _basis(grid)
+    pixels, gradient = np.ascontiguousarray(basis[0]), _informative(basis)
     gains = noise_gains(matching.smoothing_px)
     fisher = _outer(gradient)
     expected, threshold = _correlations(pixels, fisher, sigma**2 * gains[0], matching.min_correlation)
@@ -90,9 +91,9 @@ def make_template(image: NDArray[np.generic], region: Region, matching: Matching
         pixels=pixels,
         grid=grid,
         norm=_log_norm(grid),
-        gradient=gradient,
-        fisher=fisher,
-        coloured=_outer(np.stack([smooth(np.pad(g, margin), taps) for g in gradient])),
+        basis=basis,
+        moments=_moments(basis),
+        information=np.stack([fisher, _outer(np.stack([smooth(np.pad(g, margin), taps) for g in gradient]))]),
         noise=np.array([pixels.size, gains[0], pixels.size * gains[1], pixels.size * gains[2]]),
         offset=offset,
         factor=coarse_factor(pixels),
@@ -138,20 +139,32 @@ def _grid(raw: Floats32, taps: Floats32, window: Region, origin: tuple[int, int]
     return np.ascontiguousarray(part, dtype=np.float32)
 
 
-def _pixels_and_gradient(grid: Floats32) -> tuple[Floats32, Floats32]:
-    """The template (h, w) with zero mean and its gradient (2, h, w) without mean and without the template in it.
-
-    Level and gain of the frame are free, so that only this part of the gradient tells anything about the shift.
-    """
+def _basis(grid: Floats32) -> Floats32:
+    """The template (h, w) with zero mean and its gradients along x and y: (3, h, w)."""
     value, slope = weights(0.0, 0), weights(0.0, 1)
     pixels = combine(grid, value, value).astype(np.float64)
-    pixels -= pixels.mean()
-    gradients = []
-    for wy, wx in ((value, slope), (slope, value)):
-        g = combine(grid, wy, wx).astype(np.float64)
+    gradients = [combine(grid, value, slope), combine(grid, slope, value)]
+    return np.stack([pixels - pixels.mean(), *gradients]).astype(np.float32)
+
+
+def _informative(basis: Floats32) -> Floats32:
+    """The gradients (2, h, w) without mean and without the template in them.
+
+    Level and gain of the frame are free, so that only this part of the gradients tells anything about the shift.
+    """
+    pixels = basis[0].astype(np.float64)
+    out = []
+    for plane in basis[1:]:
+        g = plane.astype(np.float64)
         g -= g.mean()
-        gradients.append(g - pixels * (np.vdot(pixels, g) / max(float(np.vdot(pixels, pixels)), 1e-300)))
-    return np.ascontiguousarray(pixels, dtype=np.float32), np.stack(gradients).astype(np.float32)
+        out.append(g - pixels * (np.vdot(pixels, g) / max(float(np.vdot(pixels, pixels)), 1e-300)))
+    return np.stack(out).astype(np.float32)
+
+
+def _moments(basis: Floats32) -> Floats:
+    """Products of 1, template and gradients over each block: (16, 4, 4)."""
+    columns = [block_sums(np.ascontiguousarray(plane), basis)[:, :4] for plane in (np.ones_like(basis[0]), *basis)]
+    return np.ascontiguousarray(np.stack(columns, axis=2))
 
 
 def _outer(gradient: Floats32) -> Floats:
@@ -208,10 +221,10 @@ def _fix(
     window: Floats32, template: Template, place: tuple[int, int], peak: Floats, bias_floor_px: float
 ) -> Fix | None:
     """Translation, variances and correlation at the sub-pixel `peak` (2,) beside the whole-pixel `place`."""
-    quality, gain, blocks = scores(window, template.grid, template.gradient, peak)
+    quality, gain, sums = scores(window, template.grid, template.basis, peak)
     if gain <= 0.0:
         return None
-    var_x, var_y = variances(blocks, template.fisher, template.coloured, template.noise)
+    var_x, var_y = variances(sums, template.moments, template.information, template.noise)
     floor = bias_floor_px**2
     return Fix(
         x_px=place[0] - template.window.x + float(peak[0]),

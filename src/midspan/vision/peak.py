@@ -134,36 +134,45 @@ def _remove_template(window: Floats32, moved: Floats32) -> tuple[float, float]:
 
 
 @njit(cache=True, fastmath=True)
-def _block_sum(residual: Floats32, gradient: Floats32, rows: tuple[int, int], columns: tuple[int, int]) -> Floats:
-    """Sums over a block of residual × gradient x, residual × gradient y and residual²."""
-    x, y, square = 0.0, 0.0, 0.0
+def _block_sum(residual: Floats32, basis: Floats32, rows: tuple[int, int], columns: tuple[int, int]) -> Floats:
+    """Sums (5,) over a block of the residual, of residual × each plane of `basis` (3, h, w), and of residual²."""
+    level, template, x, y, square = 0.0, 0.0, 0.0, 0.0, 0.0
     for r in range(rows[0], rows[1]):
         for c in range(columns[0], columns[1]):
-            x += residual[r, c] * gradient[0, r, c]
-            y += residual[r, c] * gradient[1, r, c]
-            square += residual[r, c] * residual[r, c]
-    return np.array([x, y, square])
+            value = residual[r, c]
+            level += value
+            template += value * basis[0, r, c]
+            x += value * basis[1, r, c]
+            y += value * basis[2, r, c]
+            square += value * value
+    return np.array([level, template, x, y, square])
 
 
 @njit(cache=True)
-def scores(window: Floats32, grid: Floats32, gradient: Floats32, shift: Floats) -> tuple[float, float, Floats]:
-    """What is left of the frame's window when the shifted template is taken out.
-
-    `window` (h, w) without its mean (overwritten by the residual), `grid` the template's spline coefficients,
-    `gradient` (2, h, w) along x and y, `shift` (2,) the peak x, y in px. Returns ZNCC, gain and, for 4 by 4 blocks,
-    the sums (16, 3) of residual × gradient x, residual × gradient y and residual², in the template's unit.
-    """
-    blocks = np.zeros((BLOCKS * BLOCKS, 3))
-    quality, gain = _remove_template(window, translated(grid, shift[0], shift[1]))
-    if gain == 0.0:
-        return quality, gain, blocks
-    h, w = window.shape
+def block_sums(residual: Floats32, basis: Floats32) -> Floats:
+    """Sums (16, 5) of `_block_sum` over 4 by 4 blocks of the window."""
+    out = np.empty((BLOCKS * BLOCKS, 5))
+    h, w = residual.shape
     for b in range(BLOCKS):
         for a in range(BLOCKS):
             rows = (b * h // BLOCKS, (b + 1) * h // BLOCKS)
             columns = (a * w // BLOCKS, (a + 1) * w // BLOCKS)
-            blocks[b * BLOCKS + a] = _block_sum(window, gradient, rows, columns)
-    return quality, gain, blocks
+            out[b * BLOCKS + a] = _block_sum(residual, basis, rows, columns)
+    return out
+
+
+@njit(cache=True)
+def scores(window: Floats32, grid: Floats32, basis: Floats32, shift: Floats) -> tuple[float, float, Floats]:
+    """What is left of the frame's window when the shifted template is taken out.
+
+    `window` (h, w) without its mean (overwritten by the residual), `grid` the template's spline coefficients, `basis`
+    (3, h, w) the template and its gradients x and y, `shift` (2,) the peak x, y in px. Returns ZNCC, gain and the
+    residual's `block_sums` (16, 5), in the template's unit.
+    """
+    quality, gain = _remove_template(window, translated(grid, shift[0], shift[1]))
+    if gain == 0.0:
+        return quality, gain, np.zeros((BLOCKS * BLOCKS, 5))
+    return quality, gain, block_sums(window, basis)
 
 
 @njit(cache=True)
@@ -181,32 +190,63 @@ def _without_noise(observed: Floats, noise: float) -> Floats:
     ratio_x = max(1.0 - noise / observed[0, 0], 0.1)
     ratio_y = max(1.0 - noise / observed[1, 1], 0.1)
     cross = observed[0, 1] * min(ratio_x, ratio_y)
-    return np.array([[observed[0, 0] * ratio_x, cross], [cross, observed[1, 1] * ratio_y]])
+    out = np.empty((2, 2))
+    out[0, 0], out[0, 1] = observed[0, 0] * ratio_x, cross
+    out[1, 0], out[1, 1] = cross, observed[1, 1] * ratio_y
+    return out
 
 
 @njit(cache=True)
-def variances(blocks: Floats, fisher: Floats, coloured: Floats, noise: Floats) -> tuple[float, float]:
+def _solve(matrix: Floats, right: Floats) -> Floats:
+    """Solve a positive definite system by elimination; `matrix` and `right` are overwritten."""
+    n = right.shape[0]
+    for k in range(n):
+        pivot = matrix[k, k] if matrix[k, k] > 0.0 else 1e-300
+        for i in range(k + 1, n):
+            ratio = matrix[i, k] / pivot
+            right[i] -= ratio * right[k]
+            for j in range(k, n):
+                matrix[i, j] -= ratio * matrix[k, j]
+    for k in range(n - 1, -1, -1):
+        for j in range(k + 1, n):
+            right[k] -= matrix[k, j] * right[j]
+        right[k] /= matrix[k, k] if matrix[k, k] > 0.0 else 1e-300
+    return right
+
+
+@njit(cache=True)
+def jackknife(sums: Floats, moments: Floats) -> tuple[float, float]:
+    """Variances x and y (px²) from how the shift changes when one block after the other is left out.
+
+    `sums` (16, 5) from `scores`, `moments` (16, 4, 4) each block's products of 1, template, gradients x and y. Level
+    and gain are fitted anew each time.
+    """
+    count = moments.shape[0]
+    matrix, right = np.zeros((4, 4)), np.zeros(4)
+    for b in range(count):
+        matrix += moments[b]
+        right += sums[b, :4]
+    x, y = np.empty(count), np.empty(count)
+    for b in range(count):
+        fit = _solve(matrix - moments[b], right - sums[b, :4])
+        x[b], y[b] = fit[2], fit[3]
+    return (count - 1) * x.var(), (count - 1) * y.var()
+
+
+@njit(cache=True)
+def variances(sums: Floats, moments: Floats, information: Floats, noise: Floats) -> tuple[float, float]:
     """Variances x and y (px²) of the peak by linear theory.
 
-    `blocks` (16, 3) from `scores`; `fisher` (2, 2) sum of g gᵀ over the smoothed template; `coloured` (2, 2) the same
-    of the gradients smoothed once more; `noise` (4,): pixels in the window, and what white noise of variance 1 in the
-    raw image adds to a smoothed pixel's variance, to `fisher` and to `coloured`. The residual holds the noise of frame
-    and template alike, so both are counted. Where the residual is correlated over the blocks (an object in front,
-    a shadow, rotation), the blocks' scatter replaces the white-noise theory.
+    `sums` (16, 5) from `scores`, `moments` (16, 4, 4) see `jackknife`. `information` (2, 2, 2): the sum of g gᵀ over
+    the filtered template, and the same of the gradients filtered once more. `noise` (4,): pixels in the window, and
+    what white noise of variance 1 in the raw image adds to a filtered pixel's variance and to both of `information`.
+    The residual holds the noise of frame and template alike, so both are counted. Where the residual is correlated
+    (an object in front, a shadow, rotation), the jackknife over blocks replaces the white-noise theory.
     """
-    white = blocks[:, 2].sum() / (noise[0] - 4.0) / noise[1]
-    bread = _inverse(_without_noise(fisher, 0.5 * white * noise[2]))
-    meat = white * _without_noise(coloured, 0.5 * white * noise[3])
+    white = sums[:, 4].sum() / (noise[0] - 4.0) / noise[1]
+    bread = _inverse(_without_noise(information[0], 0.5 * white * noise[2]))
+    meat = white * _without_noise(information[1], 0.5 * white * noise[3])
     model = bread @ meat @ bread
-    count = blocks.shape[0]
-    score = np.empty((count, 2))
-    for axis in range(2):  # at the peak the sums add to nothing but what the template's noise has in common everywhere
-        score[:, axis] = blocks[:, axis] - blocks[:, axis].mean()
-    scatter = bread @ (score.T @ score * (count / (count - 3.0))) @ bread
-    x, y = model[0, 0], model[1, 1]
-    # Under white noise the scatter of 13 free blocks exceeds three times its mean about once in 10 000 frames.
-    if scatter[0, 0] > 3.0 * x:
-        x = scatter[0, 0]
-    if scatter[1, 1] > 3.0 * y:
-        y = scatter[1, 1]
-    return x, y
+    x, y = jackknife(sums, moments)
+    # Under white noise the scatter of 16 blocks exceeds three times its mean about once in 10 000 frames.
+    return (x if x > 3.0 * model[0, 0] else model[0, 0]), (y if y > 3.0 * model[1, 1] else model[1, 1])

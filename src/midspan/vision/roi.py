@@ -39,7 +39,7 @@ class RoiSettings:
     direction: str = "y"
     size_px: int | None = None
     margin_px: int | None = None
-    candidates: int = 8
+    candidates: int = 10
 
     def __post_init__(self) -> None:
         option("direction", self.direction, ("x", "y"))
@@ -80,13 +80,13 @@ def choose_region(frames: Sequence[Frame], settings: RoiSettings | None = None) 
     grid = score_grid(image, size, _margins(settings, size, columns, rows), settings.direction)
     places = _best_places(grid, size, settings.candidates * 3)
     usable, repeating = _without_repeats(image, places, settings.candidates)
-    ranked = rank_candidates(track_candidates(frames, usable))
+    ranked = rank_candidates(track_candidates(frames, usable or places[: settings.candidates]))
     fixed = [c for c in ranked if c.fixed]
     if not fixed:
-        raise DataError(_nothing(len(places), len(usable), size))
+        raise DataError(_nothing(len(places), size))
     return RegionChoice(
         region=fixed[0].region,
-        reasons=_reasons(grid, fixed[0], ranked, repeating),
+        reasons=(*_reasons(grid, fixed[0], ranked), *_repeats_reason(repeating, len(usable))),
         score_px=grid.std_px,
         score_x=grid.centre_x,
         score_y=grid.centre_y,
@@ -123,16 +123,39 @@ def _margins(settings: RoiSettings, size: int, columns: int, rows: int) -> tuple
 
 
 def _best_places(grid: Grid, size: int, count: int) -> list[tuple[Region, float]]:
-    """Up to `count` regions that do not overlap, with their predicted standard deviation (px), best first."""
+    """Up to `count` regions with their predicted standard deviation (px), best first.
+
+    First those two sides apart, so that one vehicle or tree does not fill the list; then the others that do not
+    overlap.
+    """
     left = np.where(np.isfinite(grid.std_px), grid.std_px, np.inf)
-    places: list[tuple[Region, float]] = []
+    places = _separate(left.copy(), grid, [], count, 2 * size)
+    places = _separate(left, grid, places, count, size)
+    half = size // 2
+    return [
+        (Region(int(grid.centre_x[i]) - half, int(grid.centre_y[j]) - half, size, size), float(grid.std_px[j, i]))
+        for j, i in places
+    ]
+
+
+def _separate(
+    left: Floats, grid: Grid, taken: list[tuple[int, int]], count: int, distance: int
+) -> list[tuple[int, int]]:
+    """Add the best grid points (row, column) that keep `distance` px from those taken; `left` is overwritten."""
+    places = list(taken)
+    for j, i in places:
+        left[_near(grid, j, i, distance)] = np.inf
     while len(places) < count and left.size and left.min() <= WORST_STD_PX:
         j, i = divmod(int(left.argmin()), left.shape[1])
-        x, y = int(grid.centre_x[i]), int(grid.centre_y[j])
-        places.append((Region(x - size // 2, y - size // 2, size, size), float(left[j, i])))
-        near = (np.abs(grid.centre_y - y) < size)[:, None] & (np.abs(grid.centre_x - x) < size)[None, :]
-        left[near] = np.inf
+        places.append((j, i))
+        left[_near(grid, j, i, distance)] = np.inf
     return places
+
+
+def _near(grid: Grid, j: int, i: int, distance: int) -> NDArray[np.bool_]:
+    rows = np.abs(grid.centre_y - grid.centre_y[j]) < distance
+    columns = np.abs(grid.centre_x - grid.centre_x[i]) < distance
+    return np.asarray(rows[:, None] & columns[None, :])
 
 
 def _without_repeats(
@@ -151,23 +174,29 @@ def _without_repeats(
     return usable, repeating
 
 
-def _nothing(places: int, usable: int, size: int) -> str:
+def _nothing(places: int, size: int) -> str:
     remedy = "Give camera.roi by hand, or improve focus, light or contrast"
     if places == 0:
         return f"No place of {size}x{size} px holds enough texture, in focus and neither black nor saturated. {remedy}."
+    return f"None of {places} textured places could be followed through the first frames. {remedy}."
+
+
+def _repeats_reason(repeating: int, usable: int) -> tuple[str, ...]:
+    if repeating == 0:
+        return ()
     if usable == 0:
-        return f"All {places} textured places of {size}x{size} px repeat within the search range. {remedy}."
-    return f"None of {usable} textured places could be followed through the first frames. {remedy}."
+        return (
+            "All textured places repeat nearby: one copy may be taken for another when the target moves by more than "
+            "half the pattern between frames. Check the region.",
+        )
+    return (f"{repeating} textured places were passed over because their pattern repeats nearby.",)
 
 
-def _reasons(grid: Grid, best: Candidate, ranked: list[Candidate], repeating: int) -> tuple[str, ...]:
+def _reasons(grid: Grid, best: Candidate, ranked: list[Candidate]) -> tuple[str, ...]:
     tracked = sum(c.status_share(Status.TRACKING) for c in ranked) / len(ranked)
-    reasons = [
+    alike = sum(c.fixed for c in ranked)
+    return (
         f"Predicted standard deviation {best.predicted_std_px:.4f} px a frame at an image noise of {grid.noise:.2g}.",
-        f"{len(ranked)} places were tracked ({100 * tracked:.0f} % of their frames found); "
-        f"{sum(c.fixed for c in ranked)} move alike. The chosen one differs from them by {best.disagreement_px:.3f} px "
-        f"(rms), correlation {best.quality:.3f}.",
-    ]
-    if repeating:
-        reasons.append(f"{repeating} textured places were passed over because their pattern repeats nearby.")
-    return tuple(reasons)
+        f"{len(ranked)} places were tracked ({100 * tracked:.0f} % of their frames found); {alike} move alike. "
+        f"The chosen one differs from them by {best.disagreement_px:.3f} px (rms), correlation {best.quality:.3f}.",
+    )

@@ -111,13 +111,15 @@ def texts_to_ns(texts: "Sequence[str | None] | pd.Series[Any]") -> tuple[Nanosec
     """
     import pandas as pd
 
-    series = pd.Series(texts, dtype="str").str.strip()
-    filled = series[series.notna() & (series != "")]
-    if filled.empty or not is_time_text(str(filled.iloc[0])):
+    series = pd.Series(texts, dtype="str")
+    start = series.iloc[:1000].dropna().str.strip()
+    start = start[start != ""]
+    if start.empty or not is_time_text(str(start.iloc[0])):
         return None
+    series = series.str.strip()
     if series.str.contains(",", regex=False).any():
         series = series.str.replace(",", ".", regex=False)
-    first = str(filled.iloc[0])
+    first = str(start.iloc[0])
     if is_clock(first):
         elapsed = pd.to_timedelta(series, errors="coerce")
         return _stamps(elapsed.dt.as_unit("ns")), ("time of day taken as seconds since midnight",)

@@ -12,19 +12,11 @@ from midspan.sources.accelerometer.units import ACCELERATION_UNITS, LENGTH_UNITS
 SAMPLE_BYTES = 1 << 18
 SAMPLE_LINES = 400
 BLANKS = r"\s+"
+# A run of fewer rows above a line of words is preamble.
+_FEW_ROWS = 3
 COMMENT_SIGNS = ("#", "%", "!", "//")
 
-_CANDIDATES: tuple[tuple[str, str], ...] = (
-    (";", ","),
-    (";", "."),
-    ("\t", ","),
-    ("\t", "."),
-    ("|", "."),
-    ("|", ","),
-    (",", "."),
-    (BLANKS, "."),
-)
-_CANDIDATES += ((BLANKS, ","), (",", ","))
+_CANDIDATES = tuple((delimiter, decimal) for decimal in ".," for delimiter in (";", "\t", "|", ",", BLANKS))
 _NUMBER = {
     sign: re.compile(rf"^[+-]?(?:\d+(?:{re.escape(sign)}\d*)?|{re.escape(sign)}\d+)(?:[eEdD][+-]?\d+)?$")
     for sign in ".,"
@@ -85,7 +77,8 @@ _SUFFIX_UNITS = {
 class Dialect:
     """A text file's way of writing columns; `first_row` counts lines from 0, `units` has None where nothing is said.
 
-    With `joined` the columns at that index and the next hold date and time of day of one time stamp.
+    `words` are the columns without numbers. With `joined` the columns at that index and the next hold
+    date and time of day of one time stamp.
     """
 
     encoding: str
@@ -95,7 +88,7 @@ class Dialect:
     first_row: int
     names: tuple[str, ...]
     units: tuple[str | None, ...]
-    width: int
+    words: tuple[int, ...]
     joined: int | None
     notes: tuple[str, ...]
 
@@ -133,9 +126,9 @@ class _Guess:
     delimiter: str
     decimal: str
     first: int
-    rows: int
+    score: int
     width: int
-    numeric: tuple[int, ...]
+    words: tuple[int, ...]
 
 
 def _dialect(path: Path, encoding: str, lines: list[str]) -> Dialect:
@@ -145,14 +138,13 @@ def _dialect(path: Path, encoding: str, lines: list[str]) -> Dialect:
             f"{path} holds no columns of numbers in its first {len(lines)} lines. "
             "Expected are text columns with comma, semicolon, tab, blanks or | between them."
         )
-    most = max(guess.rows for guess in guesses)
-    best = max((g for g in guesses if g.rows >= 0.9 * most), key=lambda g: (g.width, len(g.numeric), g.rows))
+    best = max(guesses, key=lambda guess: guess.score)
     best = _single_decimal_comma(lines, best, guesses)
     row = split(lines[best.first], best.delimiter)
     joined = next((k for k in range(len(row) - 1) if is_date(row[k]) and is_clock(row[k + 1])), None)
     names, units, notes = _headings(lines, best, joined)
     comment = next((sign for sign in ("#", "%") if any(line.startswith(sign) for line in lines)), None)
-    return Dialect(encoding, best.delimiter, best.decimal, comment, best.first, names, units, best.width, joined, notes)
+    return Dialect(encoding, best.delimiter, best.decimal, comment, best.first, names, units, best.words, joined, notes)
 
 
 def _single_decimal_comma(lines: list[str], best: _Guess, guesses: list[_Guess]) -> _Guess:
@@ -180,17 +172,39 @@ def split(line: str, delimiter: str) -> list[str]:
 def _try(lines: list[str], delimiter: str, decimal: str) -> _Guess | None:
     """The rows that a delimiter and decimal sign make of the lines; None where they make no columns of numbers."""
     table = [[] if _is_comment(line) else split(line, delimiter) for line in lines]
-    table = [row[:-1] if len(row) > 1 and row[-1] == "" else row for row in table]
-    widths = [len(row) for row in table if any(_is_value(field, decimal) for field in row)]
-    if not widths:
+    values = [[_is_value(field, decimal) for field in row] for row in table]
+    filled = [k for k, row in enumerate(values) if any(row)]
+    if not filled:
         return None
+    if all(len(table[k]) > 1 and table[k][-1] == "" for k in filled):
+        table = [row[:-1] if row and row[-1] == "" else row for row in table]
+    widths = [len(table[k]) for k in filled]
     width = max(set(widths), key=lambda w: (widths.count(w), w))
-    numeric = tuple(k for k in range(width) if _is_numeric(table, k, width, decimal))
-    rows = [_fits(row, width, numeric, decimal) for row in table]
-    if not numeric or not any(rows):
+    rows = _longest_run(table, values, width)
+    more = [_more_values([table[k] for k in rows], column, decimal) for column in range(width)]
+    numeric = tuple(column for column in range(width) if more[column] > 0)
+    rows = [k for k in rows if numeric and values[k][numeric[0]]]
+    if not rows:
         return None
-    first = next((i for i in range(len(rows)) if rows[i] and _continues(table, i, width, numeric, decimal)), None)
-    return None if first is None else _Guess(delimiter, decimal, first, sum(rows[first:]), width, numeric)
+    words = tuple(column for column in range(width) if more[column] < 0)
+    score = sum(_score(table[k], values[k]) for k in range(len(lines)) if len(table[k]) == width)
+    return _Guess(delimiter, decimal, rows[0], score, width, words) if score > 0 else None
+
+
+def _longest_run(table: list[list[str]], values: list[list[bool]], width: int) -> list[int]:
+    """The lines with numbers between two headings: those of the longest such run.
+
+    A line without any number parts two runs if it has a word for every column; a lone `ERROR` among numbers does not.
+    """
+    runs: list[list[int]] = [[]]
+    for k, row in enumerate(table):
+        if len(row) == width and any(values[k]):
+            runs[-1].append(k)
+        elif any(row) and not any(values[k]):
+            heading = len(row) == width > 1 and all(field.lower() not in _MISSING for field in row)
+            if heading or len(runs[-1]) < _FEW_ROWS:
+                runs.append([])
+    return max(reversed(runs), key=len)
 
 
 def _is_comment(line: str) -> bool:
@@ -201,24 +215,16 @@ def _is_value(field: str, decimal: str) -> bool:
     return bool(_NUMBER[decimal].match(field)) or is_time_text(field)
 
 
-def _is_numeric(table: list[list[str]], column: int, width: int, decimal: str) -> bool:
-    fields = [row[column] for row in table if len(row) == width]
-    values = sum(_is_value(field, decimal) for field in fields)
-    words = sum(field.lower() not in _MISSING for field in fields) - values
-    return values > words
+def _more_values(rows: list[list[str]], column: int, decimal: str) -> int:
+    """By how many the numbers and times of a column exceed its words."""
+    values = sum(_is_value(row[column], decimal) for row in rows)
+    return 2 * values - sum(row[column].lower() not in _MISSING for row in rows)
 
 
-def _fits(row: list[str], width: int, numeric: tuple[int, ...], decimal: str) -> bool:
-    if len(row) != width:
-        return False
-    values = [_is_value(row[k], decimal) for k in numeric]
-    return any(values) and all(v or row[k].lower() in _MISSING for v, k in zip(values, numeric, strict=True))
-
-
-def _continues(table: list[list[str]], row: int, width: int, numeric: tuple[int, ...], decimal: str) -> bool:
-    """Whether the next line with fields is a row of numbers too, or there is none: a lone fit may be preamble."""
-    following = next((fields for fields in table[row + 1 :] if any(fields)), None)
-    return following is None or (len(following) == width and any(_is_value(following[k], decimal) for k in numeric))
+def _score(row: list[str], values: list[bool]) -> int:
+    """Numbers less fields that have digits and yet are none: a wrong delimiter leaves such pieces."""
+    pieces = (not value and any(c.isdigit() for c in field) for field, value in zip(row, values, strict=False))
+    return sum(values) - sum(pieces)
 
 
 def _headings(
@@ -273,7 +279,8 @@ def _is_name_row(fields: list[str], decimal: str) -> bool:
 
 
 def _unit_text(field: str) -> str | None:
-    return field.strip().strip("[]()").strip() or None
+    text = field.strip().strip("[]()").strip()
+    return None if text in ("", "-", "--") else text
 
 
 def named_unit(heading: str) -> tuple[str, str | None]:

@@ -10,7 +10,7 @@ from midspan.checks import nearest, option
 from midspan.errors import DataError, UsageError
 from midspan.records import Floats, Nanoseconds, TimeSeries
 from midspan.sources.accelerometer.channel import Channel, ChannelSet
-from midspan.sources.accelerometer.clock import NOT_A_TIME, TIME_UNITS, numbers_to_ns
+from midspan.sources.accelerometer.clock import NOT_A_TIME, numbers_to_ns
 from midspan.sources.accelerometer.dialect import named_unit
 from midspan.sources.accelerometer.formats import list_channels
 from midspan.sources.accelerometer.units import SI_UNITS, measures, si_factor
@@ -137,7 +137,8 @@ def _value_channel(path: Path, found: ChannelSet, request: SeriesRequest, clock:
     if request.value is not None:
         return find_channel(path, found, request.value, "value")
     left = [c for c in found.channels if c is not clock and not _is_clock(c) and not _NOT_VALUES.search(c.name)]
-    if len(left) == 2 and clock is None and request.rate_hz is None and _rising(left[0]):
+    untimed = clock is None and request.rate_hz is None and not any(_is_clock(c) for c in found.channels)
+    if len(left) == 2 and untimed and _rising(left[0]):
         left = left[1:]
     by_unit = [c for c in left if measures(c.unit, request.quantity)]
     by_name = [c for c in left if _VALUE_NAMES[request.quantity].search(c.name)]
@@ -195,7 +196,7 @@ def _clock_times(path: Path, channel: Channel, clock: Channel, notes: list[str])
             f"{clock.values.size} and {channel.values.size}. Name channels that belong together."
         )
     unit = clock.unit or named_unit(clock.name)[1]
-    if unit is not None and unit.lower() not in TIME_UNITS:
+    if unit is not None and any(measures(unit, quantity) for quantity in SI_UNITS):
         raise UsageError(
             f"{path}: time must be in a unit of time; {clock.name!r} is in {unit!r}. Name the channel of times as time."
         )

@@ -18,7 +18,7 @@ def read(path: Path) -> ChannelSet:
 
     channels: list[Channel] = []
     notes: list[str] = []
-    with TdmsFile.open(path) as file:
+    with path.open("rb") as opened, TdmsFile.open(opened) as file:
         for group in file.groups():
             for item in group.channels():
                 values = numbers(np.asarray(item[:]))

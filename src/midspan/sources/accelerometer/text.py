@@ -26,14 +26,12 @@ def read(path: Path) -> ChannelSet:
     frame, notes = _parse(path, dialect)
     found = [f"encoding {dialect.encoding}", *dialect.notes, *notes]
     channels: list[Channel] = []
-    skip = None
-    for k in range(len(dialect.names)):
-        if k == skip:
+    for k in _numeric_columns(dialect):
+        if dialect.joined is not None and k == dialect.joined + 1:
             continue
-        column = frame.iloc[:, k]
+        column = frame[k]
         if k == dialect.joined:
-            column = column.astype("str").str.cat(frame.iloc[:, k + 1].astype("str"), sep="T")
-            skip = k + 1
+            column = column.astype("str").str.cat(frame[k + 1].astype("str"), sep="T")
         exact = _exact_epoch(path, dialect, k) if _is_fractional_epoch(column, dialect.units[k]) else None
         if exact is not None:
             channels.append(Channel(dialect.names[k], exact, "ns"))
@@ -42,6 +40,10 @@ def read(path: Path) -> ChannelSet:
         found += [note for note in said if note not in found]
         channels += [channel] if channel else []
     return ChannelSet(tuple(channels), tuple(found))
+
+
+def _numeric_columns(dialect: Dialect) -> list[int]:
+    return [k for k in range(len(dialect.names)) if k not in dialect.words]
 
 
 def _joined_name(dialect: Dialect, column: int) -> str:
@@ -63,17 +65,16 @@ def _parse(path: Path, dialect: Dialect, only: int | None = None) -> tuple["pd.D
                 sep=dialect.delimiter,
                 decimal=dialect.decimal,
                 header=None,
-                names=list(range(dialect.width)),
-                usecols=list(range(dialect.width)) if only is None else [only],
-                dtype=None if only is None else str,
+                names=list(range(len(dialect.names))),
+                usecols=_numeric_columns(dialect) if only is None else [only],
+                dtype=None if only is None else "string[pyarrow]",
                 index_col=False,
                 skiprows=dialect.first_row,
                 comment=dialect.comment,
                 encoding=dialect.encoding,
                 encoding_errors="replace",
                 skipinitialspace=dialect.delimiter != BLANKS,
-                float_precision="high",
-                low_memory=False,
+                low_memory=only is not None,
                 on_bad_lines="warn",
             )
         except (pd.errors.ParserError, pd.errors.EmptyDataError, ValueError) as error:
@@ -97,7 +98,10 @@ def _exact_epoch(path: Path, dialect: Dialect, column: int) -> NDArray[np.int64]
     if dialect.decimal == ",":
         texts = texts.str.replace(",", ".", regex=False)
     try:
-        decimals = pa.array(texts, type=pa.string()).cast(pa.decimal128(28, 9))
+        # pandas keeps text in one piece or in several, depending on the file's size.
+        given = pa.array(texts, type=pa.string())
+        whole = given.combine_chunks() if isinstance(given, pa.ChunkedArray) else given
+        decimals = whole.cast(pa.decimal128(28, 9))
     except pa.ArrowInvalid:
         return None
     if decimals.null_count:

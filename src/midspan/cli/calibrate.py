@@ -1,0 +1,58 @@
+"""`midspan calibrate RECORDING`."""
+
+import math
+
+import click
+
+from midspan.cli.console import Console, common_options
+
+
+@click.command("calibrate")
+@click.argument("recording", type=click.Path())
+@click.option("-o", "--output", type=click.Path(), help="File to write; left out: calibration.json in the recording.")
+@click.option("--tracker", help="Tracker, over the recording's own; see `midspan methods`.")
+@common_options
+def command(recording: str, output: str | None, tracker: str | None, quiet: bool, as_json: bool) -> None:
+    """Find scale factor, clock offset and noise levels, and write them to calibration.json."""
+    from midspan.recording.calibrate import calibrate
+    from midspan.recording.recording import open_recording
+
+    console = Console(quiet, as_json)
+    opened = open_recording(recording, **({"camera": {"tracker": tracker}} if tracker else {}))
+    calibration = calibrate(opened, console.progress)
+    console.done()
+    file = calibration.save(output or opened.folder)
+    describe(console, calibration.to_dict())
+    console.warn(calibration.warnings)
+    console.say(f"written to {file}")
+    console.document({**calibration.to_dict(), "file": str(file)})
+
+
+def describe(console: Console, tree: dict) -> None:  # type: ignore[type-arg]
+    """Print a calibration's values with their standard deviations."""
+    rows = []
+    camera, displacement, acceleration = tree.get("camera"), tree.get("displacement"), tree["accelerometer"]
+    if camera:
+        scale, std = camera["scale_mm_per_px"], camera["scale_std_mm_per_px"]
+        rows += [
+            ("scale factor", f"{scale:.5g} ± {std:.2g} mm/px ({100 * std / abs(scale):.2g} %)"),
+            ("camera clock offset", _offset(camera)),
+            ("camera noise", f"{camera['noise_std_px']:.2g} px per frame"),
+            ("region of interest", ", ".join(str(number) for number in camera["roi"]) + " (x, y, width, height in px)"),
+        ]
+    if displacement:
+        rows += [
+            ("displacement noise", f"{displacement['noise_std_mm']:.3g} mm per measurement"),
+            ("displacement clock offset", _offset(displacement)),
+        ]
+    rows += [
+        ("accelerometer noise", f"{1e3 * acceleration['noise_std_m_s2']:.3g} mm/s² per sample"),
+        ("accelerometer bias", f"{1e3 * acceleration['bias_m_s2']:.3g} mm/s²"),
+    ]
+    console.table(rows)
+
+
+def _offset(tree: dict) -> str:  # type: ignore[type-arg]
+    std = tree["time_offset_std_s"]
+    known = "not determined by the motion" if std is None or not math.isfinite(std) else f"± {1e3 * std:.2g} ms"
+    return f"{1e3 * tree['time_offset_s']:+.2f} ms {known}"

@@ -1,0 +1,1 @@
+"""`midspan compare RESULT REFERENCE`."""

@@ -1,0 +1,100 @@
+"""What all commands share: --quiet and --json, what is printed where, and progress bars."""
+
+import json
+import math
+import sys
+from collections.abc import Callable, Iterable
+from typing import Any, TypeVar
+
+import click
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+# A bar appears once the work has lasted this long.
+BAR_AFTER_S = 2.0
+
+
+def common_options(function: Command) -> Command:
+    """Add --quiet and --json to a command; they arrive as `quiet` and `as_json`."""
+    function = click.option("--json", "as_json", is_flag=True, help="One JSON document on standard output.")(function)
+    return click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors (and JSON).")(function)
+
+
+class Console:
+    """Where a command's words go: text to standard output, warnings and progress to standard error."""
+
+    def __init__(self, quiet: bool, as_json: bool) -> None:
+        self.quiet, self.as_json = quiet, as_json
+        self._bar: Any = None
+        self._what = ""
+
+    def say(self, text: str = "") -> None:
+        """Print a line for a person."""
+        if not (self.quiet or self.as_json):
+            click.echo(text)
+
+    def table(self, rows: Iterable[tuple[str, str]], indent: int = 2) -> None:
+        """Print names and values in two columns."""
+        rows = list(rows)
+        width = max((len(name) for name, _ in rows), default=0)
+        for name, value in rows:
+            self.say(f"{' ' * indent}{name:<{width}}  {value}".rstrip())
+
+    def warn(self, lines: Iterable[str]) -> None:
+        """Print warnings on standard error."""
+        if not self.quiet:
+            for line in lines:
+                click.echo(f"warning: {line}", err=True)
+
+    def document(self, tree: dict[str, Any]) -> None:
+        """Print the JSON document where it was asked for; numbers that are not finite become null."""
+        if self.as_json:
+            click.echo(json.dumps(_finite(tree), indent=2, ensure_ascii=False))
+
+    def progress(self, done: int, total: int, what: str) -> None:
+        """Show how far the work is, on a terminal and when it lasts."""
+        if self.quiet or not sys.stderr.isatty():
+            return
+        from tqdm import tqdm
+
+        if what != self._what:
+            self.done()
+            self._what = what
+            self._bar = tqdm(total=total, desc=what, delay=BAR_AFTER_S, leave=False, file=sys.stderr, unit="")
+        self._bar.total = total
+        self._bar.update(done - self._bar.n)
+        if done >= total:
+            self.done()
+
+    def done(self) -> None:
+        """Take the bar away."""
+        if self._bar is not None:
+            self._bar.close()
+        self._bar, self._what = None, ""
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {str(key): _finite(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(item) for item in value]
+    if hasattr(value, "item") and not isinstance(value, (str, bytes)):
+        return _finite(value.item()) if getattr(value, "ndim", 0) == 0 else _finite(value.tolist())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+class RegionType(click.ParamType):  # type: ignore[type-arg]
+    """A region of interest written X,Y,W,H."""
+
+    name = "X,Y,W,H"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Four whole numbers, or a usage error."""
+        if isinstance(value, tuple):
+            return value
+        parts = [part.strip() for part in str(value).split(",")]
+        if len(parts) == 4 and all(part.isdigit() for part in parts) and int(parts[2]) > 0 and int(parts[3]) > 0:
+            return tuple(int(part) for part in parts)
+        return self.fail(f"must be four whole numbers X,Y,W,H in px, W and H above 0; received {value!r}.", param, ctx)

@@ -1,0 +1,101 @@
+"""`midspan inspect RECORDING`."""
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from midspan.cli.console import Console, common_options
+
+
+@click.command("inspect")
+@click.argument("recording", type=click.Path())
+@click.option("--all-frames", is_flag=True, help="Look at every frame, not only the first 600.")
+@common_options
+def command(recording: str, all_frames: bool, quiet: bool, as_json: bool) -> None:
+    """What is in a recording (or in a single file): streams, rates, gaps, clipping, frozen frames, overlap, units."""
+    from midspan.recording.inspect import inspect_file, inspect_recording
+    from midspan.recording.recording import open_recording
+
+    console = Console(quiet, as_json)
+    path = Path(recording)
+    if path.is_file() and path.suffix.lower() != ".toml":
+        tree = inspect_file(path, console.progress)
+        console.done()
+        _show_file(console, tree)
+        console.document(tree)
+        return
+    tree = inspect_recording(open_recording(path), all_frames, console.progress)
+    console.done()
+    console.say(f"{tree['name']} ({tree['recording']})")
+    for section in ("accelerometer", "camera", "displacement", "reference"):
+        if section in tree:
+            _show_stream(console, section, tree[section])
+    _show_overlap(console, tree["overlap"])
+    console.document(tree)
+    _fail_if_unreadable(tree)
+
+
+def _show_stream(console: Console, section: str, branch: dict[str, Any]) -> None:
+    console.say(f"\n{section}: {branch['file']}")
+    if "error" in branch:
+        console.say(f"  cannot be used: {branch['error']}")
+        return
+    rate = f"{branch['rate_hz']:.6g} Hz, jitter {branch['jitter_ms']:.3g} ms rms"
+    gaps = branch["gaps"]
+    longest = max((gap["length_s"] for gap in gaps), default=0.0)
+    rows = [
+        ("time", f"{branch['start']}, {branch['duration_s']:.3f} s long, {rate}"),
+        ("gaps", f"{len(gaps)}, the longest {longest:.3g} s" if gaps else "none"),
+    ]
+    if "samples" in branch:
+        unit = branch["value_unit"]
+        rows += [
+            ("channel", f"{branch['channel']} in {branch['unit']}, {branch['samples']} samples"),
+            ("values", f"{branch['smallest']:.4g} … {branch['largest']:.4g} {unit}, mean {branch['mean']:.4g}, "
+                       f"rms about it {branch['std']:.4g}"),
+            ("missing, frozen, clipped", f"{branch['missing_samples']}, {branch['frozen_samples']}, "
+                                         f"{branch['clipped_samples']} samples"),
+        ]  # fmt: skip
+    else:
+        lossless = {True: "lossless", False: "lossy", None: "lossless or not is unknown"}[branch["lossless"]]
+        rows += [
+            ("picture", f"{branch['width']} × {branch['height']} px, {branch['bit_depth']} bit, "
+                        f"{branch['codec']}, {lossless}"),
+            ("frames", f"{branch['frames_used']} used of {branch['frames_in_file'] or 'an unknown number'}"),
+            ("frozen, dark, saturated", f"{branch['frozen_frames']}, {branch['dark_frames']}, "
+                                        f"{branch['saturated_frames']} of the {branch['frames_looked_at']} looked at"),
+        ]  # fmt: skip
+    rows += [("found", note) for note in branch["notes"]]
+    console.table(rows)
+
+
+def _show_overlap(console: Console, overlap: dict[str, Any]) -> None:
+    if not overlap:
+        return
+    names = " and ".join(overlap["streams"])
+    if overlap["overlapping"]:
+        console.say(f"\noverlap of {names}: {overlap['duration_s']:.3f} s from {overlap['start']}")
+    else:
+        console.say(f"\n{names} do not overlap in time; bring the clocks together with start_s.")
+
+
+def _show_file(console: Console, tree: dict[str, Any]) -> None:
+    if "frames" in tree:
+        _show_stream(console, "frames", {"file": tree["file"], **tree["frames"]})
+        return
+    console.say(tree["file"])
+    for channel in tree["channels"]:
+        low, high = channel["smallest"], channel["largest"]
+        values = "no numbers" if low is None else f"{low:.6g} … {high:.6g}"
+        rate = f", {channel['rate_hz']:.6g} Hz" if channel["rate_hz"] else ""
+        console.say(
+            f"  {channel['name']}: {channel['samples']} samples, {values} {channel['unit'] or '(no unit)'}{rate}"
+        )
+    console.table(("found", note) for note in tree["notes"])
+
+
+def _fail_if_unreadable(tree: dict[str, Any]) -> None:
+    for branch in tree.values():
+        if isinstance(branch, dict) and "error" in branch:
+            raise click.exceptions.Exit(branch["exit_code"])

@@ -1,0 +1,28 @@
+"""`midspan methods`."""
+
+import click
+
+from midspan.cli.console import Console, common_options
+
+
+@click.command("methods")
+@common_options
+def command(quiet: bool, as_json: bool) -> None:
+    """Trackers and fusion methods, and when to use each."""
+    from midspan.fusion.methods import DEFAULT_METHOD, METHODS
+    from midspan.vision.tracker import DEFAULT_TRACKER, TRACKERS
+
+    console = Console(quiet, as_json)
+    trackers = {name: entry.use for name, entry in TRACKERS.items()}
+    for title, table, default in (("trackers", trackers, DEFAULT_TRACKER), ("fusion methods", METHODS, DEFAULT_METHOD)):
+        console.say(f"{title} (default: {default}):")
+        console.table(table.items())
+        console.say()
+    console.document(
+        {
+            "trackers": trackers,
+            "default_tracker": DEFAULT_TRACKER,
+            "methods": METHODS,
+            "default_method": DEFAULT_METHOD,
+        }
+    )

@@ -1,0 +1,30 @@
+"""`midspan simulate SCENARIO -o DIR`."""
+
+import click
+
+from midspan.cli.console import Console, common_options
+
+
+@click.command("simulate")
+@click.argument("scenario", required=False)
+@click.option("-o", "--output", type=click.Path(), help="Folder to write; it must not exist with other content.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Same seed, same recording.")
+@click.option("--list", "listed", is_flag=True, help="Name the scenarios.")
+@common_options
+def command(scenario: str | None, output: str | None, seed: int, listed: bool, quiet: bool, as_json: bool) -> None:
+    """Write a recording folder with its truth (truth.csv)."""
+    from midspan.checks import option
+    from midspan.simulate.scenarios import NAMES, write
+
+    console = Console(quiet, as_json)
+    if listed:
+        console.table(NAMES.items(), indent=0)
+        console.document(dict(NAMES))
+        return
+    if scenario is None or output is None:
+        raise click.UsageError("give a SCENARIO and -o DIR; --list names the scenarios.")
+    option("SCENARIO", scenario, NAMES)
+    folder = write(scenario, output, seed=seed, progress=lambda done, total: console.progress(done, total, "rendering"))
+    console.done()
+    console.say(f"{folder}: {NAMES[scenario]}")
+    console.document({"folder": str(folder), "scenario": scenario, "seed": seed})

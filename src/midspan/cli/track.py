@@ -1,0 +1,72 @@
+"""`midspan track SOURCE`."""
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from midspan.cli.console import Console, RegionType, common_options
+
+
+@click.command("track")
+@click.argument("source", type=click.Path())
+@click.option("--roi", type=RegionType(), help="Region of interest in px; left out: the recording's, else chosen.")
+@click.option("--tracker", help="See `midspan methods`.")
+@click.option("--every", type=click.IntRange(min=1), help="Use every n-th frame.")
+@click.option("--rate-hz", type=float, help="Frames a second, where the source has no time stamps.")
+@click.option("--start-s", type=float, default=0.0, help="Time of the first frame, s.")
+@click.option("-o", "--output", required=True, type=click.Path(), help="File to write (.csv .parquet .h5 .mat).")
+@common_options
+def command(source: str, output: str, quiet: bool, as_json: bool, **options: Any) -> None:
+    """Translation of a target in pixels (x right, y down) for each frame: camera alone, no accelerometer needed.
+
+    SOURCE is a recording, a video, a folder or glob of images, or an .npy/.npz stack.
+    """
+    import numpy as np
+
+    from midspan.checks import option, positive
+    from midspan.recording.track import TrackRequest, track
+    from midspan.records import Region, Status
+    from midspan.sinks.write import check_target, write_result
+    from midspan.vision.tracker import TRACKERS
+
+    console = Console(quiet, as_json)
+    check_target(Path(output))
+    if options["tracker"] is not None:
+        option("--tracker", options["tracker"], TRACKERS)
+    if options["rate_hz"] is not None:
+        positive("--rate-hz", options["rate_hz"], "Hz")
+    request = TrackRequest(
+        region=Region(*options["roi"]) if options["roi"] else None,
+        tracker=options["tracker"],
+        every=options["every"],
+        rate_hz=options["rate_hz"],
+        start_s=options["start_s"],
+    )
+    tracked = track(source, request, console.progress)
+    console.done()
+    write_result(Path(output), tracked.table())
+    rows, region = tracked.track, tracked.region
+    lost = int(np.count_nonzero(rows.status == Status.LOST))
+    figures = {
+        "frames": len(rows.time_ns),
+        "lost": lost,
+        "roi": [region.x, region.y, region.width, region.height],
+        "range_x_px": _range(rows.x_px),
+        "range_y_px": _range(rows.y_px),
+        "median_std_x_px": float(np.nanmedian(np.sqrt(rows.variance_x_px2))) if lost < len(rows.time_ns) else None,
+        "median_std_y_px": float(np.nanmedian(np.sqrt(rows.variance_y_px2))) if lost < len(rows.time_ns) else None,
+        "written": output,
+        "warnings": list(tracked.warnings),
+    }
+    console.table((name.replace("_", " "), str(value)) for name, value in figures.items() if name != "warnings")
+    console.warn(tracked.warnings)
+    console.document(figures)
+
+
+def _range(values: Any) -> list[float] | None:
+    import numpy as np
+
+    return (
+        [round(float(np.nanmin(values)), 4), round(float(np.nanmax(values)), 4)] if np.isfinite(values).any() else None
+    )

@@ -1,0 +1,161 @@
+"""`inspect`: what is in a recording, stream by stream, without changing or judging anything."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from midspan.errors import MidspanError
+from midspan.recording.progress import Progress, silent
+from midspan.recording.recording import Recording
+from midspan.recording.span import shown
+from midspan.records import NANOSECONDS, Nanoseconds, TimeSeries
+from midspan.signals.health import clipped, clock, frozen
+from midspan.sources.accelerometer.formats import list_channels
+from midspan.sources.camera.formats import open_frames
+from midspan.sources.camera.frames import FrameRequest, FrameSource
+
+# Frames looked at for frozen, black or saturated pictures unless all are asked for.
+LOOKED_AT = 600
+
+Tree = dict[str, Any]
+
+
+def inspect_recording(recording: Recording, every_frame: bool = False, progress: Progress = silent) -> Tree:
+    """What is in a recording: a tree of plain values, one branch a stream.
+
+    A stream that cannot be read has a branch with `error`. every_frame: look at all frames for frozen ones, not only at
+    the first 600.
+    """
+    tree: Tree = {"recording": str(recording.file), "name": recording.name}
+    spans: dict[str, tuple[int, int]] = {}
+    readers: dict[str, Callable[[], tuple[Tree, Nanoseconds]]] = {
+        "accelerometer": lambda: _series(recording.acceleration, "m/s^2"),
+        "camera": lambda: _frames(recording.frames, every_frame, progress),
+        "displacement": lambda: _series(recording.displacement, "m"),
+        "reference": lambda: _series(recording.reference, "m"),
+    }
+    for section, read in readers.items():
+        if not recording.has(section):
+            continue
+        file = getattr(recording.settings, section).file
+        try:
+            branch, time_ns = read()
+            tree[section] = {"file": file, **branch}
+            spans[section] = (int(time_ns[0]), int(time_ns[-1]))
+        except MidspanError as error:
+            tree[section] = {"file": file, "error": str(error), "exit_code": error.exit_code}
+    tree["overlap"] = _overlap({name: span for name, span in spans.items() if name != "reference"})
+    return tree
+
+
+def inspect_file(path: Path, progress: Progress = silent) -> Tree:
+    """What is in a single file: its channels with their units and rates, or its frames."""
+    try:
+        found = list_channels(path)
+    except MidspanError as first:
+        try:
+            branch, _ = _frames(open_frames(path, FrameRequest()), False, progress)
+        except MidspanError:
+            raise first from None
+        return {"file": str(path), "frames": branch}
+    return {
+        "file": str(path),
+        "notes": list(found.notes),
+        "channels": [
+            {
+                "name": channel.name,
+                "unit": channel.unit,
+                "rate_hz": channel.rate_hz,
+                "samples": len(channel.values),
+                "smallest": float(np.nanmin(channel.values)) if np.isfinite(channel.values).any() else None,
+                "largest": float(np.nanmax(channel.values)) if np.isfinite(channel.values).any() else None,
+            }
+            for channel in found.channels
+        ],
+    }
+
+
+def _clock(time_ns: Nanoseconds) -> Tree:
+    found = clock(time_ns)
+    return {
+        "start": shown(int(time_ns[0])),
+        "start_s": time_ns[0] / NANOSECONDS,
+        "duration_s": (time_ns[-1] - time_ns[0]) / NANOSECONDS,
+        "rate_hz": found.rate_hz,
+        "jitter_ms": 1e3 * found.jitter_s,
+        "gaps": [
+            {"at_s": time_ns[i] / NANOSECONDS, "length_s": float(length)}
+            for i, length in zip(found.gaps, found.gap_s, strict=True)
+        ],
+    }
+
+
+def _series(series: TimeSeries, unit: str) -> tuple[Tree, Nanoseconds]:
+    value = series.value
+    finite = value[np.isfinite(value)]
+    rate = clock(series.time_ns).rate_hz
+    branch = {
+        "channel": series.name,
+        "unit": series.unit,
+        "samples": len(value),
+        **_clock(series.time_ns),
+        "mean": float(finite.mean()),
+        "std": float(finite.std()),
+        "smallest": float(finite.min()),
+        "largest": float(finite.max()),
+        "value_unit": unit,
+        "missing_samples": int(len(value) - len(finite)),
+        "frozen_samples": int(np.count_nonzero(frozen(value, rate))),
+        "clipped_samples": int(np.count_nonzero(clipped(value))),
+        "notes": list(series.notes),
+    }
+    return branch, series.time_ns
+
+
+def _frames(source: FrameSource, every_frame: bool, progress: Progress) -> tuple[Tree, Nanoseconds]:
+    times = source.times_ns()
+    count = len(times) if every_frame else min(len(times), LOOKED_AT)
+    seen, same, dark, bright = 0, 0, 0, 0
+    before = None
+    top = float(2 ** min(source.info.bit_depth, 16) - 1)
+    for frame in source.frames(0, count):
+        progress(seen, count, "looking at frames")
+        picture = np.asarray(frame.pixels, dtype=frame.pixels.dtype.type)
+        same += before is not None and np.array_equal(before, picture)
+        level = float(np.mean(picture))
+        dark += level < 0.02 * top
+        bright += float(np.mean(picture >= top)) > 0.2
+        before, seen = picture, seen + 1
+    progress(1, 1, "looking at frames")
+    info = source.info
+    branch = {
+        "width": info.width,
+        "height": info.height,
+        "bit_depth": info.bit_depth,
+        "codec": info.codec,
+        "lossless": info.lossless,
+        "frames_used": len(times),
+        "frames_in_file": info.frame_count,
+        **_clock(times),
+        "frames_looked_at": seen,
+        "frozen_frames": int(same),
+        "dark_frames": int(dark),
+        "saturated_frames": int(bright),
+        "notes": list(info.notes),
+    }
+    return branch, times
+
+
+def _overlap(spans: dict[str, tuple[int, int]]) -> Tree:
+    if len(spans) < 2:
+        return {}
+    first = max(span[0] for span in spans.values())
+    last = min(span[1] for span in spans.values())
+    return {
+        "start": shown(first),
+        "duration_s": max(0.0, (last - first) / NANOSECONDS),
+        "streams": list(spans),
+        "overlapping": last > first,
+    }

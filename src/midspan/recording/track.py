@@ -1,0 +1,132 @@
+"""`track`: the camera alone, translation in pixels for each frame, no accelerometer needed."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from midspan._version import __version__
+from midspan.errors import UsageError
+from midspan.recording.progress import Progress, silent
+from midspan.recording.recording import open_recording
+from midspan.recording.tracking import CameraTracking, TrackingSettings
+from midspan.records import PixelTrack, Region, Status, seconds
+from midspan.settings import RECORDING_FILE
+from midspan.sinks.table import ResultTable
+from midspan.sources.camera.formats import open_frames
+from midspan.sources.camera.frames import FrameRequest, FrameSource
+from midspan.vision.tracker import DEFAULT_TRACKER
+
+# Images without any time get one second a frame, so that time_s counts them.
+COUNTING_RATE_HZ = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class TrackRequest:
+    """What to track. region: chosen when None; tracker: the recording's or the default when None; every: n-th frame.
+
+    rate_hz, start_s: frame times where the source has none.
+    """
+
+    region: Region | None = None
+    tracker: str | None = None
+    every: int | None = None
+    rate_hz: float | None = None
+    start_s: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Tracked:
+    """The track (one row a frame), the region it followed, and what is worth telling."""
+
+    track: PixelTrack
+    region: Region
+    tracker: str
+    warnings: tuple[str, ...]
+    tracking: CameraTracking = field(repr=False)
+
+    def table(self) -> ResultTable:
+        """The columns of a track file."""
+        track = self.track
+        columns: dict[str, Any] = {
+            "time_s": seconds(track.time_ns, 0),
+            "x_px": track.x_px,
+            "y_px": track.y_px,
+            "std_x_px": np.sqrt(track.variance_x_px2),
+            "std_y_px": np.sqrt(track.variance_y_px2),
+            "status": track.status,
+        }
+        region = [self.region.x, self.region.y, self.region.width, self.region.height]
+        metadata = {
+            "midspan": __version__,
+            "tracker": self.tracker,
+            "roi": region,
+            "warnings": list(self.warnings),
+        }
+        return ResultTable(columns=columns, time_ns=track.time_ns, metadata=metadata)
+
+
+def track(source: str | Path, request: TrackRequest | None = None, progress: Progress = silent) -> Tracked:
+    """Track a target through a recording's camera, a video, a folder or glob of images, or a stack.
+
+    Raises UsageError for a region outside the image, DataError for a source that cannot be read.
+    """
+    request = request or TrackRequest()
+    path = Path(source)
+    if path.name == RECORDING_FILE or (path / RECORDING_FILE).is_file():
+        frames, settings, warnings = _of_recording(path, request)
+    else:
+        frames, warnings = _of_file(path, request)
+        settings = TrackingSettings(request.tracker or DEFAULT_TRACKER, region=request.region)
+    tracking = CameraTracking(frames, settings, progress)
+    rows = _all_rows(tracking)
+    progress(1, 1, "tracking")
+    lost = int(np.count_nonzero(rows.status == Status.LOST))
+    if lost:
+        warnings.append(f"The target was lost in {lost} of {len(rows.time_ns)} frames; their values are empty.")
+    return Tracked(rows, tracking.tracker.region, settings.tracker, tuple(warnings), tracking)
+
+
+def _all_rows(tracking: CameraTracking) -> PixelTrack:
+    while (frame := tracking.take()) is not None:
+        tracking.rows.append(tracking.tracker.push(frame))
+    tracking.close()
+    return tracking.track
+
+
+def _of_recording(path: Path, request: TrackRequest) -> tuple[FrameSource, TrackingSettings, list[str]]:
+    changed: dict[str, Any] = {}
+    if request.every is not None:
+        changed["every"] = request.every
+    if request.tracker is not None:
+        changed["tracker"] = request.tracker
+    recording = open_recording(path, camera=changed)
+    camera = recording.settings.camera
+    if camera is None:
+        raise UsageError(f"{recording.file}: has no [camera] section, so there is nothing to track.")
+    region = request.region or (Region(*camera.roi) if camera.roi else None)
+    return recording.frames, TrackingSettings(camera.tracker, camera.direction, region), []
+
+
+def _of_file(path: Path, request: TrackRequest) -> tuple[FrameSource, list[str]]:
+    def opened(rate_hz: float | None) -> FrameSource:
+        wanted = FrameRequest(rate_hz=rate_hz, start_s=request.start_s, every=request.every or 1)
+        return open_frames(path, wanted)
+
+    return _with_times(opened, request.rate_hz)
+
+
+def _with_times(opened: Callable[[float | None], FrameSource], rate_hz: float | None) -> tuple[FrameSource, list[str]]:
+    """The source with its own times, or counting frames where it has none."""
+    try:
+        source = opened(rate_hz)
+        source.times_ns()
+        return source, []
+    except UsageError:
+        if rate_hz is not None:
+            raise
+    source = opened(COUNTING_RATE_HZ)
+    source.times_ns()
+    return source, ["The frames have no time stamps: time_s counts the frames. Give --rate-hz for seconds."]
