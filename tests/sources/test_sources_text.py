@@ -186,7 +186,7 @@ BAD = [
     ("t,a\n0,nan\n1,nan\n2,nan\n", {"value": "a"}, DataError, ["two numbers or more", "0 in 3 rows"]),
     ("t,accel\n0,1\n1,2\n", {"value": "acel"}, UsageError, ["value = 'acel'", "'accel'", "'t'"]),
     ("t,a\n0,1\n1,2\n", {"time": "tme"}, UsageError, ["time = 'tme'", "It holds 't', 'a'"]),
-    ("t,a,b\n0,1,2\n1,2,3\n", {}, UsageError, ["value must name", "'a'", "'b'"]),
+    ("t,p,q\n0,1,2\n1,2,3\n", {}, UsageError, ["value must name", "'p'", "'q'"]),
     ("a\n3\n2\n", {}, UsageError, ["has no time", "rate_hz"]),
     ("t,a\n0,1\n1,2\n", {"unit": None}, UsageError, ["unit of 'a' is not in the file", "m/s^2"]),
     ("t,a\n0,1\n1,2\n", {"unit": "m/ss2"}, UsageError, ["'m/ss2'", "Did you mean 'm/s2'"]),

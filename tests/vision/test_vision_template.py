@@ -116,6 +116,7 @@ def test_all_types_of_pixels_give_the_same_translation(scene, make_frame, dtype)
         ((30.4, -25.2), Prediction(20.0, -15.0, 6.0, 6.0)),
         ((-55.3, 50.7), Prediction(-40.0, 40.0, 10.0, 10.0)),
         ((-55.3, 50.7), Prediction(-40.0, 40.0, np.inf, np.inf)),
+        ((10.2, 9.7), Prediction(-12.0, -14.0, 0.5, 0.5)),  # sure of itself and wrong
         ((1.6, 1.6), Prediction(-2.0, 4.0, 0.1, 0.1)),  # the peak lies on the rim of the window: it is moved
     ],
 )

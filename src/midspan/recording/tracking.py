@@ -1,13 +1,13 @@
 """Tracking a recording's camera: the reference frame, the region, and the frames in their order."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from midspan.errors import DataError
 from midspan.recording.progress import Progress, silent
-from midspan.records import NANOSECONDS, Frame, Nanoseconds, PixelTrack, PixelTranslation, Region
+from midspan.records import NANOSECONDS, Floats, Frame, Nanoseconds, PixelTrack, PixelTranslation, Region
 from midspan.sources.camera.frames import FrameSource
 from midspan.vision.region import check_region
 from midspan.vision.roi import RegionChoice, RoiSettings, choose_region
@@ -16,6 +16,8 @@ from midspan.vision.tracker import open_tracker
 # The automatic region looks at this many frames, spread over this many seconds from the first frame used.
 CHOICE_FRAMES = 16
 CHOICE_S = 8.0
+# A variance below this share of the usual one is the mark of a frame that matches itself, not of a quiet one.
+SUSPICIOUS_SHARE = 0.25
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +54,7 @@ class CameraTracking:
     @property
     def track(self) -> PixelTrack:
         """The rows tracked so far as one block."""
-        return PixelTrack.stack(self.rows)
+        return with_fair_variance(PixelTrack.stack(self.rows))
 
     def until(self, time_ns: int) -> PixelTrack:
         """Track, without a prediction, all frames up to `time_ns` on the camera's clock; returns all rows so far."""
@@ -100,3 +102,18 @@ class CameraTracking:
                 frames.append(frame)
         self.choice = choose_region(frames, RoiSettings(direction=self.settings.direction))
         return self.choice.region
+
+
+def with_fair_variance(track: PixelTrack) -> PixelTrack:
+    """The track with the usual variance where a frame matched the reference without noise.
+
+    The reference frame (and any frame equal to it) matches itself perfectly and would seem to be known exactly; but its
+    noise is the noise of the template, and the zero of the displacement is no better known than that.
+    """
+
+    def fair(variance: Floats) -> Floats:
+        known = variance[np.isfinite(variance)]
+        usual = float(np.median(known)) if len(known) else 0.0
+        return np.where(variance < SUSPICIOUS_SHARE * usual, usual, variance)
+
+    return replace(track, variance_x_px2=fair(track.variance_x_px2), variance_y_px2=fair(track.variance_y_px2))

@@ -1,4 +1,7 @@
-"""Universal file format: one dataset 58 a column, binary with 64-bit floats."""
+"""Universal file format: one dataset 58 a column, binary with 64-bit floats (58b).
+
+Source: SDRC I-DEAS universal file datasets, dataset 58, and the University of Cincinnati's binary 58b.
+"""
 
 from pathlib import Path
 
@@ -8,58 +11,53 @@ from midspan.errors import UsageError
 from midspan.records import Floats
 from midspan.sinks.table import UNITS, ResultTable, codes, is_text
 
+# Codes of the ordinate's kind; 1 is general.
 _DATA_TYPE = {"time_s": 17, "displacement_mm": 8, "displacement_std_mm": 8, "velocity_mm_s": 11}
-_TIME_RESPONSE = 1
-_GENERAL = 1
+_GENERAL, _TIME = 1, 17
+_HEADER_LINES = 11
 
 
 def write(path: Path, table: ResultTable) -> None:
     """Every column as a time response named by its first line, its unit (mm, not m) in the ordinate's label.
 
     The abscissa is even, from the first time stamp at the median interval; the exact times are the function `time_s`.
-    Words become codes. Binary (58b), since the text form has twelve digits only. Raises UsageError below two rows.
+    Words become codes. Binary, since the text form has twelve digits only. Raises UsageError below two rows.
     """
-    import pyuff
-
     if table.time_ns.size < 2:
         raise UsageError(f"A universal file needs two rows or more; received {table.time_ns.size}. Choose .csv.")
     step_s = float(np.median(np.diff(table.time_ns))) * 1e-9
-    first_s = float(table.time_ns[0]) * 1e-9
-    abscissa = np.asarray(first_s + np.arange(table.time_ns.size) * step_s, dtype=np.float64)
-    path.unlink(missing_ok=True)
-    file = pyuff.UFF(str(path))
-    for number, (name, values) in enumerate(table.columns.items(), start=1):
-        coded = codes(name, values)
-        if coded is None and is_text(values):
-            continue
-        numbers = np.array(values if coded is None else coded, dtype=np.float64)
-        file.write_sets(_dataset(number, name, abscissa, step_s, numbers), "add")
-    if not path.is_file():
-        raise UsageError(f"A universal file needs columns of numbers; received {', '.join(table.columns)}.")
+    start_s = float(table.time_ns[0]) * 1e-9
+    with path.open("wb") as file:
+        for number, (name, values) in enumerate(table.columns.items(), start=1):
+            coded = codes(name, values)
+            if coded is None and is_text(values):
+                continue
+            numbers = np.array(values if coded is None else coded, dtype=np.float64)
+            file.write(_header(number, name, numbers, (start_s, step_s)))
+            file.write(numbers.astype("<f8").tobytes())
+            file.write(b"    -1\n")
 
 
-def _dataset(number: int, name: str, abscissa: Floats, step_s: float, values: Floats) -> dict[str, object]:
+def _header(number: int, name: str, values: Floats, abscissa: tuple[float, float]) -> bytes:
+    """The lines in front of the values; `abscissa` is start and step in s, of which six digits fit."""
     kind = _DATA_TYPE.get(name, _GENERAL)
-    return {
-        "type": 58,
-        "binary": 1,
-        "func_type": _TIME_RESPONSE,
-        "func_id": number,
-        "rsp_node": number,
-        "rsp_dir": 0,
-        "ref_node": 0,
-        "ref_dir": 0,
-        "data": values,
-        "x": abscissa,
-        "id1": name,
-        "abscissa_spacing": 1,
-        "abscissa_inc": step_s,
-        "abscissa_spec_data_type": 17,
-        "abscissa_axis_lab": "time",
-        "abscissa_axis_units_lab": "s",
-        "ordinate_spec_data_type": kind,
-        "ordinate_axis_lab": name[:20],
-        "ordinate_axis_units_lab": UNITS.get(name, "NONE"),
-        "orddenom_spec_data_type": 0,
-        "z_axis_spec_data_type": 0,
-    }
+    lines = [
+        "    -1",
+        # Little endian (1), IEEE 754 (2).
+        f"    58b{1:6d}{2:6d}{_HEADER_LINES:12d}{8 * values.size:12d}{0:6d}{0:6d}{0:12d}{0:12d}",
+        f"{name:<80}",
+        *[f"{'NONE':<80}"] * 4,
+        # Time response (1), its number; the response point is numbered likewise, there is no reference point.
+        f"{1:5d}{number:10d}{0:5d}{0:10d} {'NONE':10s}{number:10d}{0:4d} {'NONE':10s}{0:10d}{0:4d}",
+        # Real double precision (4), even spacing (1).
+        f"{4:10d}{values.size:10d}{1:10d}{abscissa[0]:13.5e}{abscissa[1]:13.5e}{0.0:13.5e}",
+        _axis(_TIME, "time", "s"),
+        _axis(kind, name[:20], UNITS.get(name, "NONE")),
+        _axis(0, "NONE", "NONE"),
+        _axis(0, "NONE", "NONE"),
+    ]
+    return ("\n".join(lines) + "\n").encode()
+
+
+def _axis(kind: int, label: str, unit: str) -> str:
+    return f"{kind:10d}{0:5d}{0:5d}{0:5d} {label:<20s} {unit:<20s}"

@@ -23,7 +23,7 @@ _FORMATS = (
     _Format("HDF5", (".h5", ".hdf5"), "h5py", "hdf5"),
     _Format("MATLAB 5", (".mat",), "scipy", "matlab"),
     _Format("miniSEED 3", (".mseed",), "pymseed", "miniseed"),
-    _Format("Universal file, dataset 58", (".uff",), "pyuff", "uff"),
+    _Format("Universal file, dataset 58", (".uff",), "midspan", "uff"),
 )
 
 FORMATS = tuple((row.name, row.suffixes, row.writer) for row in _FORMATS)

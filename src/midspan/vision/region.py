@@ -30,5 +30,5 @@ def clamp(region: Region, columns: int, rows: int) -> Region:
 
 
 def shift(region: Region, dx: float, dy: float) -> Region:
-    """The region moved by (dx, dy) px, rounded to whole pixels (paper 004, equation 28)."""
+    """The region moved by (dx, dy) px, rounded to whole pixels (equation 28 of doi 10.1111/mice.12767)."""
     return Region(region.x + round(dx), region.y + round(dy), region.width, region.height)

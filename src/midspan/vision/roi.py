@@ -30,7 +30,7 @@ class RoiSettings:
 
     direction: image axis of the measured motion, "x" or "y"; its standard deviation counts more.
     size_px: side of the region, 24 px or more; left out: 128 px in images of 640 px and more, 64 px down to 160 px,
-    else 40 % of the image.
+    else 60 % of the image.
     margin_px: distance from the border that leaves room for the motion, 0 px or more; left out: 10 % of the side of the
     image, at least 16 px.
     candidates: how many places are tracked to see which are fixed, 1 to 30; more is safer and slower.
@@ -107,7 +107,7 @@ def _size(settings: RoiSettings, columns: int, rows: int) -> int:
     side = min(columns, rows)
     size = settings.size_px
     if size is None:
-        size = 128 if side >= 640 else (64 if side >= 160 else max(SMALLEST_CHOICE_PX, side * 2 // 5))
+        size = 128 if side >= 640 else (64 if side >= 160 else max(SMALLEST_CHOICE_PX, side * 3 // 5))
     if size > side:
         raise UsageError(
             f"The region's side must fit into the image ({columns}x{rows} px); received {size} px. "

@@ -1,4 +1,7 @@
-"""Template tracker: zero-mean normalised cross-correlation with a spline peak (paper 003, section 3, equation 2).
+"""Template tracker: zero-mean normalised cross-correlation with a spline peak.
+
+After Ma, Liu, Choi and Sohn, "High-sampled structural displacement estimation through the FIR filter-based two-stage
+fusion of high-sampled acceleration and temporally aliased low-sampled displacement measurements", equation 2.
 
 Frame and template are filtered alike by a low-pass that keeps noise and aliasing near the Nyquist frequency from
 pulling the peak to whole or half pixels. The whole-pixel peak is found on the ZNCC of every position in the search
@@ -124,7 +127,7 @@ class TemplateTracker:
         image, near = frame.pixels, None
         if max(radius) <= DIRECT_RADIUS_PX:
             near = self._near(image, place, radius)
-            if near is not None and (prediction is not None or self._as_good_as_before(near)):
+            if near is not None and self._as_good_as_before(near):
                 return near
         reach = max(self.settings.search_px, *radius) if self._state.lost_frames == 0 else LONGEST_DISTANCE_PX
         return self._far(image, place, reach, near)

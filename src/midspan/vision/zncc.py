@@ -1,4 +1,4 @@
-"""Zero-mean normalised cross-correlation (ZNCC) of a template with every window of a patch; paper 003, equation 2."""
+"""Zero-mean normalised cross-correlation (ZNCC) of a template with every window of a patch."""
 
 import numpy as np
 from numba import njit

@@ -20,7 +20,7 @@ def read(path: Path) -> ChannelSet:
     import h5py
 
     with h5py.File(path, "r") as file:
-        return channels_of(_leaves(file, "", dict(file.attrs), transposed=False))
+        return channels_of(_leaves(file, "", (dict(file.attrs),), transposed=False))
 
 
 def read_matlab(path: Path) -> ChannelSet:
@@ -28,11 +28,11 @@ def read_matlab(path: Path) -> ChannelSet:
     import h5py
 
     with h5py.File(path, "r") as file:
-        leaves = _leaves(file, "", {}, transposed=True)
+        leaves = _leaves(file, "", (), transposed=True)
         return channels_of([Leaf(leaf.name.replace("/", "."), leaf.values, leaf.attributes) for leaf in leaves])
 
 
-def _leaves(group: Any, prefix: str, inherited: dict[str, Any], transposed: bool) -> list[Leaf]:
+def _leaves(group: Any, prefix: str, inherited: tuple[dict[str, Any], ...], transposed: bool) -> list[Leaf]:
     import h5py
 
     leaves: list[Leaf] = []
@@ -40,7 +40,7 @@ def _leaves(group: Any, prefix: str, inherited: dict[str, Any], transposed: bool
         item = group.get(name)
         if item is None or name.startswith("#"):
             continue
-        attributes = {**inherited, **dict(item.attrs)}
+        attributes = (dict(item.attrs), *inherited)
         if isinstance(item, h5py.Group):
             leaves += _leaves(item, f"{prefix}{name}/", attributes, transposed)
         elif isinstance(item, h5py.Dataset) and item.shape is not None and item.ndim <= 2 and item.size <= _MOST_VALUES:
@@ -48,14 +48,14 @@ def _leaves(group: Any, prefix: str, inherited: dict[str, Any], transposed: bool
     return leaves
 
 
-def _dataset(name: str, item: Any, attributes: dict[str, Any], transposed: bool) -> list[Leaf]:
+def _dataset(name: str, item: Any, attributes: tuple[dict[str, Any], ...], transposed: bool) -> list[Leaf]:
     import h5py
 
     if h5py.check_ref_dtype(item.dtype) is not None:
         return []
     values = np.asarray(item[()])
     if transposed:
-        if attributes.get("MATLAB_class") == b"char":
+        if attributes[0].get("MATLAB_class") == b"char":
             return _matlab_text(name, values)
         values = _upright(values.T)
     return [Leaf(name, values, attributes)]

@@ -1,7 +1,7 @@
 """Named arrays of a file that keeps them in a tree (HDF5, MATLAB, npz): to channels with unit and rate."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -27,11 +27,11 @@ _UNITS = ("unit", "units")
 
 @dataclass(frozen=True, slots=True)
 class Leaf:
-    """An array of the tree under its full path, with its attributes (those of the groups above it included)."""
+    """An array of the tree under its full path, with its attributes, then those of the groups around it."""
 
     name: str
     values: NDArray[np.generic]
-    attributes: dict[str, Any] = field(default_factory=dict)
+    attributes: tuple[dict[str, Any], ...] = ()
 
 
 def channels_of(leaves: Sequence[Leaf]) -> ChannelSet:
@@ -54,8 +54,8 @@ def channels_of(leaves: Sequence[Leaf]) -> ChannelSet:
 
 
 def _channels(leaf: Leaf, file_rate: float | None) -> tuple[list[Channel], list[str]]:
-    own_unit = next((_text(leaf.attributes[key]) for key in _UNITS if key in leaf.attributes), None)
-    rate_hz = _rate(leaf.attributes) or file_rate
+    own_unit = next((_text(level[key]) for level in leaf.attributes for key in _UNITS if key in level), None)
+    rate_hz = next((rate for level in leaf.attributes if (rate := _rate(level))), file_rate)
     pairs = columns(leaf.name, leaf.values)
     if not pairs:
         return [], [f"{leaf.name} left out: {leaf.values.ndim} axes"]

@@ -1,0 +1,87 @@
+"""Results and references from files, and their comparison."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from midspan.errors import DataError, UsageError
+from midspan.evaluate.metrics import MAX_LAG_S, Comparison, compare
+from midspan.records import Floats, TimeSeries
+from midspan.settings import RECORDING_FILE
+from midspan.sources.accelerometer.channel import Channel
+from midspan.sources.accelerometer.formats import list_channels
+from midspan.sources.accelerometer.select import SeriesRequest, read_series
+from midspan.sources.accelerometer.units import measures, si_factor
+
+VALUE, STD = "displacement_mm", "displacement_std_mm"
+# Taken where neither the file nor the user names a unit: what midspan itself writes.
+USUAL_UNIT = "mm"
+
+
+@dataclass(frozen=True, slots=True)
+class StoredResult:
+    """A displacement read from a file: `series` in m and its standard deviation (n,) in m, None where it has none."""
+
+    series: TimeSeries
+    std_m: Floats | None
+
+
+def read_result(path: str | Path, unit: str | None = None) -> StoredResult:
+    """Read a result file (.csv, .parquet, .h5, .mat, .mseed, .uff), or any other file of times and displacement.
+
+    unit: of the displacement, over what the file says; left out: the file's own, else mm (told in `series.notes`).
+    Raises UsageError where no channel of displacement can be chosen, DataError for a file that cannot be read.
+    """
+    path = Path(path)
+    found = list_channels(path)
+    own = VALUE if VALUE in found.names else None
+    assumed = unit is None and own is None and not any(measures(c.unit, "displacement") for c in found.channels)
+    series = read_series(path, SeriesRequest("displacement", value=own, unit=USUAL_UNIT if assumed else unit))
+    if assumed:
+        note = f"{path.name}: no unit in the file; {USUAL_UNIT} assumed."
+        series = replace(series, notes=(*series.notes, note))
+    return StoredResult(series, _std(found.channels, series, unit) if own else None)
+
+
+def _std(channels: tuple[Channel, ...], series: TimeSeries, unit: str | None) -> Floats | None:
+    for channel in channels:
+        if channel.name == STD and len(channel.values) == len(series.value):
+            return channel.values.astype(np.float64) * si_factor(
+                unit or channel.unit or USUAL_UNIT, "displacement", None
+            )
+    return None
+
+
+def read_reference(path: str | Path, unit: str | None = None) -> TimeSeries:
+    """Read a reference, m: a file of times and displacement, or a recording (folder or its file) with [reference].
+
+    unit: of a file's displacement, as for `read_result`; a recording names its own. Raises DataError for a recording
+    without [reference].
+    """
+    path = Path(path)
+    if not (path.is_dir() or path.name == RECORDING_FILE or path.suffix == ".toml"):
+        return read_result(path, unit).series
+    from midspan.recording.recording import open_recording
+
+    recording = open_recording(path)
+    if not recording.has("reference"):
+        raise DataError(f"{recording.file}: has no [reference]. Add one, or name the reference's file itself.")
+    if unit is not None:
+        raise UsageError(f"unit = {unit!r} goes with a file; {recording.file} names its own as reference.unit.")
+    return recording.reference
+
+
+def compare_files(
+    result: str | Path, reference: str | Path, *, unit: str | None = None, max_lag_s: float = MAX_LAG_S
+) -> Comparison:
+    """Compare the displacement of a result file with a reference's.
+
+    result: any file of `read_result`; reference: a file, or a recording with [reference]; unit: of the displacement of
+    files that do not say it; max_lag_s: largest lag looked for, s. Raises as `read_result` and `compare` do.
+    """
+    stored = read_result(result)
+    wanted = read_reference(reference, unit)
+    found = compare(stored.series, wanted, std_m=stored.std_m, max_lag_s=max_lag_s)
+    assumed = [line for line in (*stored.series.notes, *wanted.notes) if line.endswith("assumed.")]
+    return replace(found, notes=(*assumed, *found.notes))
