@@ -92,7 +92,8 @@ class CalibrationSettings(_Section):
         None, description="start and end of the part used, s on the accelerometer's clock; left out: the first minute"
     )
     band_hz: tuple[NonNegativeNumber, PositiveNumber] | None = Field(
-        None, description="band in which the figures of the report are taken, Hz; left out: from the rates"
+        None,
+        description="band of acceleration compared with the camera, Hz; left out: all that rates and noise allow",
     )
     max_offset_s: Annotated[float, Field(ge=0, le=3600)] = Field(
         0.5, description="largest clock offset searched for, s"

@@ -88,7 +88,9 @@ def test_pickled_arrays_are_refused(tmp_path: Path) -> None:
 
 def test_matlab_5_variables_structures_and_matrices_are_channels(tmp_path: Path) -> None:
     path = tmp_path / "log.mat"
-    savemat(path, {"t": TIME_S, "rec": {"acc": VALUES, "fs": 128.0, "info": "bridge"}, "xyz": np.outer(VALUES, [1, 2, 3])})
+    savemat(
+        path, {"t": TIME_S, "rec": {"acc": VALUES, "fs": 128.0, "info": "bridge"}, "xyz": np.outer(VALUES, [1, 2, 3])}
+    )
     found = list_channels(path)
     assert set(found.names) == {"t", "rec.acc", "xyz_1", "xyz_2", "xyz_3"}
     for value in ("rec.acc", "acc", "xyz_1", "xyz[0]", "xyz[:,0]"):
@@ -274,11 +276,11 @@ def test_csmip_v2_gives_three_blocks_a_channel_even_where_numbers_touch(tmp_path
         text += "    1  100    1    3    3  200\n  .0101833  .6400000 75.000000\n"
         for kind, unit, scale in (("accel", "cm/sec2", 1), ("veloc", "cm/sec", 0.5), ("displ", "cm", 0.1)):
             text += f"{20:6d} points of {kind} data equally spaced at  .005 sec, in {unit}. (8f10.6)    \n"
-            text += fixed_width(np.round(number * scale * values, 6), 10, 6, 8) + "\n"
+            text += fixed_width(np.round(scale / number * values, 6), 10, 6, 8) + "\n"
         text += f"/&  ---------- End of data for channel  {number} ----------\n"
     path.write_text(text)
     series = read_series(path, request(value="channel_2_acceleration"))
-    np.testing.assert_allclose(series.value, 2 * values / 100, rtol=1e-14, atol=1e-12)
+    np.testing.assert_allclose(series.value, np.round(values / 2, 6) / 100, rtol=1e-14, atol=1e-12)
     np.testing.assert_array_equal(series.time_ns, np.arange(20) * 5_000_000)
     displacement = read_series(path, SeriesRequest("displacement", value="channel_1_displacement"))
     np.testing.assert_allclose(displacement.value, np.round(0.1 * values, 6) / 100, rtol=1e-14, atol=1e-12)
@@ -297,10 +299,11 @@ def test_cosmos_v2_takes_its_step_from_the_real_header(tmp_path: Path) -> None:
     path = tmp_path / "station.v2c"
     reals = np.full(100, -999.0)
     reals[33] = 0.005
-    text = "Corrected acceleration    (Format v01.20 with 13 text lines)\nSta Chan   1:270 deg (Rcrdr Chan  1) Location:10\n"
+    text = "Corrected acceleration    (Format v01.20 with 13 text lines)\n"
+    text += "Sta Chan   1:270 deg (Rcrdr Chan  1) Location:10\n"
     text += "Rcrd start time:12/20/2021, 20:13:55.850 UTC (Q= ) RcrdId:(see comment)\n"
     text += " 100 Real-header values follow on  17 lines, Format= (6F13.6)\n" + fixed_width(reals, 13, 6, 6) + "\n"
-    text += "   2 Comment line(s) follow, each starting with a \"|\":\n| Sensor: X\n|<PROCESS>by hand\n"
+    text += '   2 Comment line(s) follow, each starting with a "|":\n| Sensor: X\n|<PROCESS>by hand\n'
     text += "  20 acceleration pts, approx    0 secs, units=cm/s^2 (4),Format=(10F8.5)\n"
     text += fixed_width(np.round(VALUES[:20], 5), 8, 5, 10) + "\nEnd-of-data for Chan  1 acceleration\n"
     path.write_text(text)
@@ -311,7 +314,9 @@ def test_cosmos_v2_takes_its_step_from_the_real_header(tmp_path: Path) -> None:
 
 def test_a_v2_file_that_was_cut_off_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "cut.v2"
-    path.write_text("  7500 points of accel data equally spaced at  .010 sec, in cm/sec2. (8f10.6)\n  -.001239  -.001228\n")
+    path.write_text(
+        "  7500 points of accel data equally spaced at  .010 sec, in cm/sec2. (8f10.6)\n  -.001239  -.001228\n"
+    )
     with pytest.raises(DataError, match="7500 values are announced, 2 are there"):
         list_channels(path)
 

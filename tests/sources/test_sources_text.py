@@ -113,9 +113,7 @@ def test_any_dialect_gives_the_same_series(tmp_path: Path, dialect: dict[str, ob
         ("timestamp acc\n2024-05-01 12:00:00.25 1.5\n2024-05-01 12:00:00.26 2.5\n", [0.25, 0.26], [1.5, 2.5]),
     ],
 )
-def test_files_of_loggers_are_understood(
-    tmp_path: Path, text: str, times_s: list[float], values: list[float]
-) -> None:
+def test_files_of_loggers_are_understood(tmp_path: Path, text: str, times_s: list[float], values: list[float]) -> None:
     series = read_text(tmp_path, text)
     day_ns = 86_400 * 10**9
     relative = series.time_ns % 60_000_000_000 if series.time_ns[0] > day_ns else series.time_ns
@@ -214,8 +212,10 @@ def test_a_bad_file_or_setting_is_refused_with_its_remedy(
         ("missing.csv", None, DataError, ["does not exist", "path"]),
         ("empty.csv", b"", DataError, ["empty (0 bytes)"]),
         ("table.xyz", b"1", UsageError, ["'.xyz'", ".csv", ".mseed"]),
-        *[(f"broken{s}", b"\x00\x01nonsense" * 9, DataError, ["cannot be read", "whole"]) for s in
-          (".parquet", ".npy", ".npz", ".mat", ".h5", ".tdms", ".mseed")],
+        *[
+            (f"broken{s}", b"\x00\x01nonsense" * 9, DataError, ["cannot be read", "whole"])
+            for s in (".parquet", ".npy", ".npz", ".mat", ".h5", ".tdms", ".mseed")
+        ],
         ("broken.lvm", b"nonsense", DataError, ["cannot be read", "whole"]),
         ("broken.uff", b"nonsense", DataError, ["broken.uff"]),
         ("broken.v2", b"nonsense\n", DataError, ["no block of volume-2 values", "CSMIP"]),

@@ -20,11 +20,13 @@ class Pair:
     samples (n, 3): time (s), acceleration (m/s²), relative noise density; rows (m, 3): time on the sensor's own clock
     (s), translation, relative variance (infinite: not used).
     ratio: the translation per metre of displacement where it is known (1 for a displacement sensor), else None.
+    exposure_s: time over which each translation is averaged.
     """
 
     samples: Floats
     rows: Floats
     ratio: float | None = None
+    exposure_s: float = 0.0
 
     @property
     def rate_hz(self) -> float:
@@ -67,7 +69,7 @@ def evaluate(pair: Pair, offset_s: float, corner: float) -> Fit:
     rows = pair.rows.copy()
     rows[:, 0] += offset_s
     density = corner**4 / pair.rate_hz
-    w = whiten(pair.samples, rows, density)
+    w = whiten(pair.samples, rows, density, pair.exposure_s)
     n = max(len(w.variance), 1)
     power = float(np.sum(w.response**2 / w.variance))
     cross = float(np.sum(w.response * w.translation / w.variance))

@@ -56,11 +56,14 @@ class Whitened:
 
 
 @njit(cache=True, inline="always")
-def _meet(state, driven, noise, p, variance):  # type: ignore[no-untyped-def]
-    """Innovations of both means at one measurement `p`, and the update of means and covariances by it."""
+def _meet(state, driven, noise, p, variance, blur):  # type: ignore[no-untyped-def]
+    """Innovations of both means at one measurement `p`, and the update of means and covariances by it.
+
+    blur: what the exposure's averaging adds to the response to the acceleration.
+    """
     total = state[P00] + variance
     gain = (state[P00] / total, state[P01] / total, state[P02] / total)
-    first, second = p - state[X], -driven[X]
+    first, second = p - state[X], -(driven[X] + blur)
     input_part = noise[P00]
     for mean, innovation in ((state, first), (driven, second)):
         mean[X] += gain[0] * innovation
@@ -72,7 +75,7 @@ def _meet(state, driven, noise, p, variance):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _whiten(samples, rows, density, states, out):  # type: ignore[no-untyped-def]
+def _whiten(samples, rows, density, blur, states, out):  # type: ignore[no-untyped-def]
     state, driven, noise = states
     walk = density * BIAS_WALK_RATIO
     j = 0
@@ -99,8 +102,9 @@ def _whiten(samples, rows, density, states, out):  # type: ignore[no-untyped-def
             reached, response = until, ahead
             if not due:
                 break
+            now = a0 + (until - t0) / dt * (a1 - a0)
             out[count, 0], out[count, 1], out[count, 2], out[count, 3] = _meet(
-                state, driven, noise, rows[j, 1], rows[j, 2]
+                state, driven, noise, rows[j, 1], rows[j, 2], blur * now
             )
             out[count, 4] = j
             count += 1
@@ -109,18 +113,19 @@ def _whiten(samples, rows, density, states, out):  # type: ignore[no-untyped-def
     return count
 
 
-def whiten(samples: Floats, rows: Floats, density: float) -> Whitened:
+def whiten(samples: Floats, rows: Floats, density: float, exposure_s: float = 0.0) -> Whitened:
     """Run both signals through the filter.
 
     samples (n, 3): time (s), acceleration (m/s²), relative noise density (1 where nothing was missing).
     rows (m, 3): time on the accelerometer's clock (s), translation (px), relative variance (infinite: not used).
     density: noise density of the acceleration times s², in (px/s²)²/Hz, per unit of relative variance.
+    exposure_s: the translation is the mean over this time, which adds exposure²/24 of the acceleration to it.
     """
     start = samples[0, 0] - (samples[1, 0] - samples[0, 0])
     states = tuple(initial_state(start, (0.0, 0.0, 0.0), DIFFUSE) for _ in range(3))
     states[1][INPUT] = samples[0, 1]
     states[2][P00:TIME] = 0.0
     out = np.empty((len(rows), 5))
-    count = _whiten(samples, rows, density, states, out)
+    count = _whiten(samples, rows, density, exposure_s * exposure_s / 24.0, states, out)
     kept = out[SETTLING:count]
     return Whitened(kept[:, 0], kept[:, 1], kept[:, 2], kept[:, 3], kept[:, 4])

@@ -27,13 +27,18 @@ def command(recording: str, all_frames: bool, quiet: bool, as_json: bool) -> Non
         return
     tree = inspect_recording(open_recording(path), all_frames, console.progress)
     console.done()
+    show(console, tree)
+    console.document(tree)
+    _fail_if_unreadable(tree)
+
+
+def show(console: Console, tree: dict[str, Any]) -> None:
+    """Print what `inspect_recording` found."""
     console.say(f"{tree['name']} ({tree['recording']})")
     for section in ("accelerometer", "camera", "displacement", "reference"):
         if section in tree:
             _show_stream(console, section, tree[section])
     _show_overlap(console, tree["overlap"])
-    console.document(tree)
-    _fail_if_unreadable(tree)
 
 
 def _show_stream(console: Console, section: str, branch: dict[str, Any]) -> None:

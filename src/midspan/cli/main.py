@@ -65,7 +65,7 @@ def main(arguments: list[str] | None = None) -> None:
 def run(arguments: list[str]) -> int:
     """Run the command line; every foreseeable error is one message and an exit code, never a traceback."""
     try:
-        commands.main(args=arguments, prog_name="midspan", standalone_mode=False)
+        left = commands.main(args=arguments, prog_name="midspan", standalone_mode=False)
     except click.exceptions.NoArgsIsHelpError as error:
         error.show()
         return 2
@@ -82,7 +82,13 @@ def run(arguments: list[str]) -> int:
         return 0
     except MemoryError:
         return _tell(arguments, "not enough memory for this. Use a shorter recording.", 3, None)
-    return 0
+    except Exception as error:
+        if os.environ.get("MIDSPAN_TRACEBACK"):
+            raise
+        what = f"{type(error).__name__}: {error}"
+        text = f"internal error ({what}). This is a defect of midspan; MIDSPAN_TRACEBACK=1 shows where it happened."
+        return _tell(arguments, text, 1, None)
+    return left if isinstance(left, int) else 0
 
 
 def _tell(arguments: list[str], message: str, code: int, error: click.ClickException | None) -> int:
@@ -90,7 +96,7 @@ def _tell(arguments: list[str], message: str, code: int, error: click.ClickExcep
         import json
 
         click.echo(json.dumps({"error": message, "exit_code": code}))
-    usage = isinstance(error, click.UsageError) and error.ctx is not None
-    hint = f"\nSee `{error.ctx.command_path} --help`." if usage and error and error.ctx else ""  # type: ignore[attr-defined]
+    context = error.ctx if isinstance(error, click.UsageError) else None
+    hint = f"\nSee `{context.command_path} --help`." if context else ""
     click.echo(f"midspan: {message}{hint}", err=True)
     return code

@@ -17,7 +17,7 @@ from midspan.checks import option, positive
 from midspan.fusion.kalman import KalmanFilter, KalmanSettings
 from midspan.fusion.methods import METHODS
 from midspan.fusion.smoother import smooth
-from midspan.records import NANOSECONDS, Acceleration, Displacement, Estimate, Floats, Nanoseconds, Source
+from midspan.records import Acceleration, Displacement, Estimate, Floats, Nanoseconds, Source, nanoseconds
 
 # The bound's stretch is left to settle by this many periods of the corner before it is called stationary.
 SETTLING_CORNERS = 30.0
@@ -78,7 +78,7 @@ def still(noise: KnownNoise, length_s: float) -> tuple[Acceleration, Displacemen
 
 
 def _grid(length_s: float, rate_hz: float) -> Nanoseconds:
-    return np.rint(np.arange(int(length_s * rate_hz) + 1) * (NANOSECONDS / rate_hz)).astype(np.int64)
+    return nanoseconds(np.arange(int(length_s * rate_hz) + 1) / rate_hz)
 
 
 def variance_rows(

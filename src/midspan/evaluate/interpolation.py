@@ -1,6 +1,7 @@
 """A reference evaluated at other instants, only where it is dense enough to say something there."""
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -16,9 +17,9 @@ LARGEST_GAP_STEPS = 3.0
 class Piecewise:
     """A series as cubic splines, one for each stretch without a gap.
 
-    Not-a-knot cubics: their error is 5/384 · h⁴ · |x''''|, which for a sine of frequency f sampled at rate r is
-    (2π f/r)⁴/384 of its amplitude in mid-interval times 5 at most; Akima's local cubics would cost two orders of accuracy
-    at the crests. A spline across a gap would ring into its neighbours, so each stretch has its own.
+    Not-a-knot splines: their error is at most 5/384 · h⁴ · max|x''''|, for a sine of frequency f sampled at rate r thus
+    5/384 · (2π f/r)⁴ of its amplitude; Akima's and other local cubics are of lower order at the crests. A spline across
+    a gap would ring into its neighbours, so each stretch has its own.
     origin_ns: what its seconds count from; start_s, end_s (k,): the stretches; step_s: the usual interval.
     """
 
@@ -62,7 +63,7 @@ def piecewise(series: TimeSeries) -> Piecewise:
         start_s=time_s[edges[:-1]],
         end_s=time_s[edges[1:] - 1],
         step_s=step_ns / NANOSECONDS,
-        splines=tuple(_spline(time_s[i:j], value[i:j]) for i, j in zip(edges[:-1], edges[1:], strict=True)),
+        splines=tuple(_spline(time_s[i:j], value[i:j]) for i, j in pairwise(edges)),
     )
 
 

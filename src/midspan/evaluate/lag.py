@@ -1,5 +1,7 @@
 """By how much one series comes later than another, finer than a sample."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from midspan.evaluate.interpolation import Piecewise
@@ -48,18 +50,19 @@ def find_lag(time_s: Floats, value: Floats, reference: Piecewise, max_lag_s: flo
     return _best(lags, np.array([score(lag) for lag in lags]), score)
 
 
-def _best(lags: Floats, scores: Floats, score: "object") -> float | None:
+def _best(lags: Floats, scores: Floats, score: Callable[[float], float]) -> float | None:
     """The refined lag of the highest maximum inside, None without one."""
     from scipy.optimize import minimize_scalar
 
     peaks = np.flatnonzero((scores[1:-1] >= scores[:-2]) & (scores[1:-1] > scores[2:])) + 1
     peaks = peaks[np.argsort(scores[peaks])[::-1][:CANDIDATES]]
-    if not len(peaks) or max(scores[0], scores[-1]) > scores[peaks[0]]:
+    if not len(peaks) or max(scores[0], scores[-1]) > scores[peaks[0]] + ALIKE:
         return None
     found = []
     for i in peaks:
         bracket = (float(lags[i - 1]), float(lags[i + 1]))
-        refined = minimize_scalar(lambda lag: -score(lag), bounds=bracket, method="bounded", options={"xatol": 1e-7})  # type: ignore[operator]
+        options = {"xatol": 1e-7}
+        refined = minimize_scalar(lambda lag: -score(lag), bounds=bracket, method="bounded", options=options)
         found.append((float(refined.x), -float(refined.fun)))
     best = max(value for _, value in found)
     return min((lag for lag, value in found if value > best - ALIKE), key=abs)

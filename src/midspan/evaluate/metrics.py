@@ -113,8 +113,8 @@ def _notes(estimate: TimeSeries, splines: Piecewise, error: Floats) -> tuple[str
     step = step_of(estimate.time_ns)
     if splines.step_s > 2.0 * step:
         found.append(
-            f"The reference has {1 / splines.step_s:.4g} values a second, the result {1 / step:.4g}: between its values "
-            "it is interpolated, which misses motion faster than about a quarter of its rate."
+            f"The reference has {1 / splines.step_s:.4g} values a second, the result {1 / step:.4g}: between its "
+            "values it is interpolated, which misses motion faster than about a quarter of its rate."
         )
     if len(splines.splines) > 1:
         found.append(f"The reference has {len(splines.splines) - 1} gaps; nothing is compared inside them.")
@@ -126,15 +126,17 @@ def _notes(estimate: TimeSeries, splines: Piecewise, error: Floats) -> tuple[str
 def _no_common_span(estimate: TimeSeries, reference: TimeSeries) -> DataError:
     spans = [f"{shown(int(s.time_ns[0]))} to {shown(int(s.time_ns[-1]))}" for s in (estimate, reference)]
     return DataError(
-        f"Result and reference have no instants in common: the result runs from {spans[0]}, the reference from {spans[1]}. "
-        "Both must be on the accelerometer's clock; check that they belong to one recording and the unit of the times."
+        f"Result and reference have no instants in common: the result runs from {spans[0]}, the reference from "
+        f"{spans[1]}. Both must be on the accelerometer's clock; check that they belong to one recording "
+        "and the unit of the times."
     )
 
 
 def coverage(error: Floats, std: Floats, level: float = 0.95) -> float:
-    """Share of the errors (n,) that lie within the band of probability `level` (0 to 1) of their standard deviation (n,).
+    """Share of the errors (n,) within the band of probability `level` (0 to 1) of their standard deviation (n,).
 
-    For an honest normal band it is `level`. Values that are not finite are left out. Raises UsageError outside the range.
+    For an honest normal band it is `level`. Values that are not finite are left out; NaN where none is left. Raises
+    UsageError for a level outside its range.
     """
     from scipy.special import ndtri
 

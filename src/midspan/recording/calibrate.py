@@ -23,8 +23,8 @@ def calibrate(recording: Recording, progress: Progress = silent) -> Calibration:
     """Learn scale factor, clock offset and noise levels of a recording.
 
     The camera is calibrated against the accelerometer in calibration.window_s (the first minute when left out); a
-    [displacement] sensor's noise and clock offset are learnt beside it. Raises UntrustedError, with the reason, when the
-    result could not be trusted, DataError for unusable streams.
+    [displacement] sensor's noise and clock offset are learnt beside it. Raises UntrustedError, with the reason, when
+    the result could not be trusted, DataError for unusable streams.
     """
     calibration, tracking = calibrate_and_track(recording, progress)
     if tracking is not None:
@@ -82,7 +82,7 @@ def open_tracking(recording: Recording, calibration: Calibration | None, progres
         region = calibration.camera.region
     margin = round(recording.settings.calibration.max_offset_s * NANOSECONDS)
     used = frames_used(times, acceleration_ns, margin)
-    settings = TrackingSettings(camera.tracker, camera.direction, region, used.start, used.stop)
+    settings = TrackingSettings(camera.tracker, camera.direction, region, used.start, used.stop, camera.readout_s)
     return CameraTracking(recording.frames, settings, progress)
 
 
@@ -100,7 +100,8 @@ def _codec_warnings(recording: Recording) -> list[str]:
         return []
     return [
         f"camera: the video is compressed ({info.codec}). Compression freezes parts of the picture: motion of "
-        "a few hundredths of a pixel can be lost and the scale factor can be off by 1 % or more. Record raw or lossless where you can."
+        "a few hundredths of a pixel can be lost and the scale factor can be off by 1 % or more. "
+        "Record raw or lossless where you can."
     ]
 
 
@@ -132,7 +133,27 @@ def _calibrate_camera(recording: Recording, tracking: CameraTracking) -> ScaleCa
     margin = round(settings.calibration.max_offset_s * NANOSECONDS)
     inner = inside(track.time_ns, first + margin, last - margin)
     rows = _measured_rows(track.time_ns[inner], value[inner], variance[inner], first)
-    return calibrate_scale(Pair(prepared.rows(first, window), rows), settings.calibration.max_offset_s)
+    samples = in_band(prepared.rows(first, window), settings.calibration.band_hz)
+    exposure_s = settings.camera.exposure_s or 0.0 if settings.camera else 0.0
+    return calibrate_scale(Pair(samples, rows, exposure_s=exposure_s), settings.calibration.max_offset_s)
+
+
+def in_band(samples: Floats, band_hz: tuple[float, float] | None) -> Floats:
+    """Samples (n, 3) with the acceleration limited to a band (zero phase); motion outside it then counts as noise."""
+    if band_hz is None:
+        return samples
+    from scipy.signal import butter, sosfiltfilt
+
+    rate = (len(samples) - 1) / float(samples[-1, 0] - samples[0, 0])
+    low, high = band_hz[0], min(band_hz[1], 0.49 * rate)
+    if low >= high:
+        raise UsageError(
+            f"calibration.band_hz = {list(band_hz)}: must lie below half the accelerometer's rate of {rate:.4g} Hz."
+        )
+    kind, edges = ("bandpass", [low, high]) if low > 0 else ("lowpass", [high])
+    limited = samples.copy()
+    limited[:, 1] = sosfiltfilt(butter(4, edges, kind, fs=rate, output="sos"), samples[:, 1])
+    return limited
 
 
 def _measured_rows(time_ns: Nanoseconds, value: Floats, variance: Floats, origin_ns: int) -> Floats:

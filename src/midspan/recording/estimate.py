@@ -44,16 +44,18 @@ def estimate(
     calibration: Calibration | None = None,
     *,
     method: str | None = None,
+    tracking: CameraTracking | None = None,
     progress: Progress = silent,
 ) -> Result:
     """Estimate the displacement of a recording.
 
-    calibration: left out, it is made first (and then the camera is tracked once for both). method: "smoother" or
+    calibration: left out, it is made first (and then the camera is tracked once for both). tracking: what
+    `calibrate_and_track` left, to go on with. method: "smoother" or
     "kalman", over the recording's own. Returns one row for each accelerometer sample in the streams' common span.
     Raises UntrustedError when calibration is refused, DataError for unusable streams.
     """
+    # The method is checked first: tracking may take long.
     method = option("method", method or recording.settings.fusion.method, METHODS)
-    tracking: CameraTracking | None = None
     if calibration is None:
         calibration, tracking = calibrate_and_track(recording, progress)
     _require(recording, calibration)
@@ -116,7 +118,7 @@ def _inputs(
         track = _track_all(
             tracking, Monitor(tracking.tracker, calibration.camera.mapping(), KalmanFilter(kalman)), acceleration
         )
-        blocks.append(calibration.camera.mapping().displacement(track))
+        blocks.append(_exposed(recording, calibration.camera.mapping().displacement(track), acceleration))
     if recording.has("displacement"):
         blocks.append(_displacement(recording, calibration))
     measured = _merged(blocks, acceleration, kalman)
@@ -148,6 +150,16 @@ def _track_all(tracking: CameraTracking, monitor: Monitor, acceleration: Acceler
         tracking.rows.append(translation)  # type: ignore[arg-type]
     tracking.close()
     return tracking.track
+
+
+def _exposed(recording: Recording, measured: Displacement, acceleration: Acceleration) -> Displacement:
+    """The camera's displacement without what averaging over the exposure added: exposure²/24 of the acceleration."""
+    camera = recording.settings.camera
+    if camera is None or not camera.exposure_s:
+        return measured
+    value = acceleration.value_m_s2 - np.mean(acceleration.value_m_s2)
+    added = camera.exposure_s**2 / 24.0 * np.interp(measured.time_ns, acceleration.time_ns, value)
+    return replace(measured, value_m=measured.value_m - added)
 
 
 def _displacement(recording: Recording, calibration: Calibration) -> Displacement:

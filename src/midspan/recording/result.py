@@ -153,7 +153,8 @@ class Result:
         f = self.figures()
         text = (
             f"{f['rows']} rows, {f['start_s']:.2f} … {f['end_s']:.2f} s, "
-            f"{f['smallest_mm']:.3f} … {f['largest_mm']:.3f} mm, standard deviation {f['median_std_mm']:.4f} mm ({self.method})"
+            f"{f['smallest_mm']:.3f} … {f['largest_mm']:.3f} mm, "
+            f"standard deviation {f['median_std_mm']:.4f} mm ({self.method})"
         )
         notes = "".join(f"<li>{html.escape(line)}</li>" for line in self.warnings)
         data = base64.b64encode(picture.getvalue()).decode()

@@ -28,8 +28,8 @@ def require_overlap(acceleration_ns: Nanoseconds, other_ns: Nanoseconds, section
     raise DataError(
         f"accelerometer and {section} do not overlap in time: the accelerometer runs from "
         f"{shown(int(acceleration_ns[0]))} to {shown(int(acceleration_ns[-1]))}, {section} from "
-        f"{shown(int(other_ns[0]))} to {shown(int(other_ns[-1]))}; at least {LEAST_OVERLAP_S:g} s must be shared. Bring the clocks together with {section}.start_s or "
-        "accelerometer.start_s."
+        f"{shown(int(other_ns[0]))} to {shown(int(other_ns[-1]))}; at least {LEAST_OVERLAP_S:g} s must "
+        f"be shared. Bring the clocks together with {section}.start_s or accelerometer.start_s."
     )
 
 

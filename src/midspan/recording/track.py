@@ -107,7 +107,7 @@ def _of_recording(path: Path, request: TrackRequest) -> tuple[FrameSource, Track
     if camera is None:
         raise UsageError(f"{recording.file}: has no [camera] section, so there is nothing to track.")
     region = request.region or (Region(*camera.roi) if camera.roi else None)
-    return recording.frames, TrackingSettings(camera.tracker, camera.direction, region), []
+    return recording.frames, TrackingSettings(camera.tracker, camera.direction, region, readout_s=camera.readout_s), []
 
 
 def _of_file(path: Path, request: TrackRequest) -> tuple[FrameSource, list[str]]:

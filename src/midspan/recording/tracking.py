@@ -24,7 +24,8 @@ SUSPICIOUS_SHARE = 0.25
 class TrackingSettings:
     """What to track: the tracker's name, the measured image axis, the region (None: chosen) and the frames used.
 
-    first: index of the reference frame; last: index after the last frame used.
+    first: index of the reference frame; last: index after the last frame used. readout_s: rolling shutter, s from the
+    first row (which the stamps belong to) to the last: the track's times are those of the target's middle row.
     """
 
     tracker: str
@@ -32,6 +33,7 @@ class TrackingSettings:
     region: Region | None = None
     first: int = 0
     last: int | None = None
+    readout_s: float = 0.0
 
 
 class CameraTracking:
@@ -54,7 +56,11 @@ class CameraTracking:
     @property
     def track(self) -> PixelTrack:
         """The rows tracked so far as one block."""
-        return with_fair_variance(PixelTrack.stack(self.rows))
+        track = with_fair_variance(PixelTrack.stack(self.rows))
+        region, height = self.tracker.region, max(self.source.info.height - 1, 1)
+        row = region.y + 0.5 * (region.height - 1) + np.nan_to_num(track.y_px)
+        late_ns = np.rint(self.settings.readout_s * NANOSECONDS * row / height).astype(np.int64)
+        return replace(track, time_ns=track.time_ns + late_ns)
 
     def until(self, time_ns: int) -> PixelTrack:
         """Track, without a prediction, all frames up to `time_ns` on the camera's clock; returns all rows so far."""

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -80,12 +81,9 @@ class ImageFrames(FrameSource):
         start, pages = self._block
         if not start <= number < start + len(pages):
             start = number
-            ok, found = cv2.imreadmulti(
-                str(self._files[0]),
-                start=start,
-                count=min(_PAGES_AT_ONCE, self._pages - start),
-                flags=cv2.IMREAD_UNCHANGED,
-            )
+            count = min(_PAGES_AT_ONCE, self._pages - start)
+            with _quiet():
+                ok, found = cv2.imreadmulti(str(self._files[0]), start=start, count=count, flags=cv2.IMREAD_UNCHANGED)
             if not ok or not found:
                 raise DataError(f"{self._files[0]}: page {number + 1} cannot be read. Check that the file is whole.")
             pages = [np.asarray(page) for page in found]
@@ -116,7 +114,21 @@ def _page_count(file: Path) -> int:
 
     if file.suffix.lower() not in (".tif", ".tiff"):
         return 1
-    return max(int(cv2.imcount(str(file), cv2.IMREAD_UNCHANGED)), 1)
+    with _quiet():
+        return max(int(cv2.imcount(str(file), cv2.IMREAD_UNCHANGED)), 1)
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """OpenCV prints a line for every unknown TIFF tag of a camera maker; errors come back as results anyway."""
+    import cv2
+
+    level = cv2.utils.logging.getLogLevel()
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    try:
+        yield
+    finally:
+        cv2.utils.logging.setLogLevel(level)
 
 
 def _read(file: Path) -> NDArray[np.generic]:
@@ -124,7 +136,8 @@ def _read(file: Path) -> NDArray[np.generic]:
 
     # Through memory: OpenCV's own opening of files fails on some letters in names.
     data = np.fromfile(file, dtype=np.uint8)
-    image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
+    with _quiet():
+        image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
     if image is None:
         raise DataError(f"{file} cannot be read as an image. Check that the file is whole, or remove it.")
     return np.asarray(image)

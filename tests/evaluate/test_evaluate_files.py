@@ -1,0 +1,98 @@
+"""Results and references through files."""
+
+import numpy as np
+import pytest
+
+from midspan.errors import DataError, UsageError
+from midspan.evaluate.result_file import compare_files, read_reference, read_result
+from midspan.records import Source, Status, nanoseconds
+from midspan.sinks.table import ResultTable
+from midspan.sinks.write import write_result
+
+SUFFIXES = [".csv", ".parquet", ".h5", ".mat", ".mseed", ".uff"]
+TIME_NS = nanoseconds(1.25 + np.arange(1500) / 100.0)
+TIME_S = TIME_NS / 1e9
+
+
+def motion_mm(t):
+    return 2.0 * np.sin(2 * np.pi * 0.7 * t) + 0.5 * np.cos(2 * np.pi * 3.1 * t)
+
+
+def write(path):
+    count = len(TIME_NS)
+    columns = {
+        "time_s": TIME_S,
+        "displacement_mm": motion_mm(TIME_S) + 0.1,
+        "displacement_std_mm": np.full(count, 0.2),
+        "velocity_mm_s": np.zeros(count),
+        "source": np.full(count, Source.CAMERA, dtype=np.uint8),
+        "status": np.full(count, Status.TRACKING, dtype=np.uint8),
+    }
+    write_result(path, ResultTable(columns=columns, time_ns=TIME_NS, metadata={}))
+    return path
+
+
+@pytest.fixture(name="reference")
+def reference_file(tmp_path):
+    t = np.arange(2000) / 100.0
+    path = tmp_path / "laser.csv"
+    np.savetxt(path, np.column_stack((t, motion_mm(t))), delimiter=",", header="time_s,displacement_mm", comments="")
+    return path
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_every_format_of_a_result_comes_back_with_its_band_and_exact_times(suffix, tmp_path):
+    stored = read_result(write(tmp_path / f"result{suffix}"))
+    np.testing.assert_array_equal(stored.series.time_ns, TIME_NS)
+    # CSV keeps nine decimals of a millimetre, 1e-12 m.
+    np.testing.assert_allclose(stored.series.value, 1e-3 * (motion_mm(TIME_S) + 0.1), atol=1e-12)
+    np.testing.assert_allclose(stored.std_m, 2e-4, atol=1e-12)
+
+
+def test_two_files_compare(tmp_path, reference):
+    found = compare_files(write(tmp_path / "result.csv"), reference)
+    # At the same instants the spline returns the samples, written with 18 digits.
+    assert found.bias_mm == pytest.approx(0.1, abs=1e-8)
+    assert found.rmse_without_bias_mm == pytest.approx(0.0, abs=1e-8)
+    assert found.coverage_95 == 1.0
+    assert found.count == 1500
+    assert set(found.to_dict()) >= {"rmse_mm", "bias_mm", "largest_error_mm", "correlation", "lag_s"}
+    assert "error_mm" not in found.to_dict()
+
+
+def test_the_reference_may_be_a_recording(tmp_path, reference):
+    folder = tmp_path
+    (folder / "recording.toml").write_text(
+        '[accelerometer]\nfile = "a.csv"\n[displacement]\nfile = "d.csv"\n'
+        f'[reference]\nfile = "{reference.name}"\ntime = "time_s"\nvalue = "displacement_mm"\nunit = "mm"\n'
+    )
+    found = compare_files(write(tmp_path / "result.h5"), folder)
+    assert found.bias_mm == pytest.approx(0.1, abs=1e-8)
+    with pytest.raises(UsageError, match=r"reference\.unit"):
+        read_reference(folder, "cm")
+
+
+def test_a_recording_without_reference_is_refused(tmp_path):
+    (tmp_path / "recording.toml").write_text('[accelerometer]\nfile = "a.csv"\n[displacement]\nfile = "d.csv"\n')
+    with pytest.raises(DataError, match=r"no \[reference\]"):
+        read_reference(tmp_path)
+
+
+def test_a_unit_wins_and_its_absence_is_told(tmp_path, reference):
+    t = np.arange(2000) / 100.0
+    bare = tmp_path / "bare.csv"
+    np.savetxt(bare, np.column_stack((t, motion_mm(t) / 10.0)), delimiter=",", header="time_s,level", comments="")
+    result = write(tmp_path / "result.csv")
+    assert compare_files(result, bare, unit="cm").bias_mm == pytest.approx(0.1, abs=1e-8)
+    assumed = compare_files(result, bare)
+    assert assumed.notes == ("bare.csv: no unit in the file; mm assumed.",)
+    assert assumed.reference_peak_to_peak_mm == pytest.approx(assumed.peak_to_peak_mm / 10.0, rel=1e-9)
+
+
+def test_missing_files_and_files_without_displacement_are_refused(tmp_path, reference):
+    with pytest.raises(DataError, match=r"nothing\.csv"):
+        read_result(tmp_path / "nothing.csv")
+    pixels = tmp_path / "track.csv"
+    pixels.write_text("time_s,x_px,y_px\n0,1,2\n1,2,3\n2,3,5\n")
+    with pytest.raises(UsageError, match="value must name the channel of displacement"):
+        compare_files(pixels, reference)
