@@ -142,6 +142,29 @@ def test_stamps_rounded_to_milliseconds_are_put_back_on_the_exact_grid(tmp_path:
     assert any("rounded to 0.001 s" in note for note in source.info.notes)
 
 
+def test_a_transport_stream_starts_at_zero(tmp_path: Path) -> None:
+    write_video(tmp_path / "a.ts", noise(5, 32, 32), "mpeg2video", "yuv420p", rate=25)
+    source = open_frames(tmp_path / "a.ts", FrameRequest(start_s=3.0))
+    np.testing.assert_array_equal(source.times_ns(), 3 * 10**9 + np.arange(5) * 40_000_000)
+
+
+@pytest.mark.parametrize(("codec", "pixel_format"), [("rawvideo", "rgb24"), ("utvideo", "gbrp"), ("huffyuv", "rgb24")])
+def test_colour_video_becomes_luma(tmp_path: Path, codec: str, pixel_format: str) -> None:
+    path = tmp_path / "a.mov" if codec == "rawvideo" else tmp_path / "a.avi"
+    colours = RNG.integers(0, 256, (3, 36, 50, 3)).astype(np.uint8)
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream(codec, rate=10)
+        stream.width, stream.height, stream.pix_fmt = 50, 36, pixel_format
+        for k, image in enumerate(colours):
+            picture = av.VideoFrame.from_ndarray(image, format="rgb24").reformat(format=pixel_format)
+            picture.pts = k
+            container.mux(stream.encode(picture))
+        container.mux(stream.encode(None))
+    found = [frame.pixels.astype(float) for frame in open_frames(path, FrameRequest()).frames()]
+    # Rounding of the weighted sum to whole grey values.
+    np.testing.assert_allclose(found, colours @ np.array([0.299, 0.587, 0.114]), atol=0.51)
+
+
 def test_a_file_of_times_comes_before_the_containers_stamps(tmp_path: Path) -> None:
     write_video(tmp_path / "a.mkv", noise(6))
     times_s = np.array([0.05, 0.15, 0.27, 0.35, 0.45, 0.55])

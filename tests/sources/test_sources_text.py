@@ -170,6 +170,18 @@ def test_rows_written_twice_are_dropped(tmp_path: Path) -> None:
     assert any("1 rows written twice" in note for note in series.notes)
 
 
+def test_headings_that_differ_in_their_brackets_stay_apart(tmp_path: Path) -> None:
+    text = "t,Acc (left),Acc (right),a [g],a [m/s^2]\n0,1,2,3,4\n1,2,3,4,5\n"
+    for value, first in (("Acc (left)", 1), ("Acc (right)", 2), ("a [g]", 3), ("a [m/s^2]", 4)):
+        assert read_text(tmp_path, text, value=value).value[0] == first
+    with pytest.raises(UsageError, match="value = 'a' is not in the file"):
+        read_text(tmp_path, text, value="a")
+    for value in ("acc", "acc [g]", "ACC"):
+        assert read_text(tmp_path, "t,acc [g]\n0,1\n1,2\n", value=value).value[1] == 2
+    with pytest.raises(UsageError, match="not in the file"):
+        read_text(tmp_path, "t,acc [g]\n0,1\n1,2\n", value="acc [mg]")
+
+
 def test_a_latin_degree_sign_does_not_disturb(tmp_path: Path) -> None:
     series = read_text(tmp_path, "t;a;Temperatur [°C]\n0;1;20\n1;2;21\n", "latin-1", value="a")
     np.testing.assert_array_equal(series.value, [1, 2])

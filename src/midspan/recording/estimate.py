@@ -10,6 +10,7 @@ from midspan.errors import DataError, UsageError
 from midspan.fusion.kalman import KalmanFilter, KalmanSettings
 from midspan.fusion.methods import METHODS
 from midspan.fusion.smoother import Smoothed, smooth
+from midspan.recording.acceleration import PreparedAcceleration
 from midspan.recording.calibrate import calibrate_and_track, open_tracking
 from midspan.recording.calibration import Calibration, CameraCalibration
 from midspan.recording.progress import Progress, silent
@@ -31,6 +32,7 @@ from midspan.records import (
     joined,
     part,
 )
+from midspan.signals.health import dominant_frequency
 
 # Rows are `coasting` when the last accepted measurement is older than this many of the sensor's usual intervals.
 COASTING_INTERVALS = 2.5
@@ -124,13 +126,28 @@ def _inputs(
     measured = _merged(blocks, acceleration, kalman)
     acceleration = _from_first_measurement(acceleration, measured, calibration.noise_density)
     interval = float(np.median(np.diff(blocks[0].time_ns))) / NANOSECONDS
-    kalman = replace(kalman, coasting_s=max(COASTING_INTERVALS * interval, 0.05), lost_s=max(10.0, 10.0 * interval))
+    kalman = replace(
+        kalman,
+        coasting_s=max(COASTING_INTERVALS * interval, 0.05),
+        lost_s=max(10.0, 10.0 * interval),
+        velocity_std=_velocity_std(prepared, measured),
+    )
     return Inputs(acceleration, measured, kalman, calibration.camera if track is not None else None, track, tracking)
 
 
 def _bias_std(calibration: Calibration, value: Floats) -> float:
     """First uncertainty of the bias: a mean over motion is off by some of the motion."""
     return float(0.3 * np.std(value) + 10.0 * calibration.noise_std_m_s2 + 1e-4)
+
+
+def _velocity_std(prepared: PreparedAcceleration, measured: Displacement) -> float:
+    """First uncertainty of the velocity: three times the larger of what either sensor says of its size."""
+    usable = np.isfinite(measured.value_m)
+    steps = np.diff(measured.value_m[usable]) / np.maximum(np.diff(measured.time_ns[usable]) / NANOSECONDS, 1e-3)
+    slow = float(np.sqrt(np.mean(steps**2))) if len(steps) else 1.0
+    value = prepared.value_m_s2
+    fast = float(np.std(value)) / (2.0 * np.pi * max(dominant_frequency(value, prepared.rate_hz), 0.2))
+    return 3.0 * max(slow, fast)
 
 
 def _track_all(tracking: CameraTracking, monitor: Monitor, acceleration: Acceleration) -> PixelTrack:

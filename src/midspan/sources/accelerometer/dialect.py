@@ -251,7 +251,9 @@ def _headings(
         units = [*units[: joined + 1], None, *units[joined + 1 :]]
     named = [named_unit(name) for name in names]
     found = tuple(row or bracket for row, (_, bracket) in zip(units[: len(named)], named, strict=True))
-    return _distinct([name for name, _ in named]), found, tuple(notes)
+    bare = [name for name, _ in named]
+    # Two columns that differ in the unit alone keep their whole heading.
+    return _distinct([b if bare.count(b) == 1 else n for b, n in zip(bare, names, strict=True)]), found, tuple(notes)
 
 
 def _delimiter_note(guess: _Guess) -> str:
@@ -286,11 +288,11 @@ def _unit_text(field: str) -> str | None:
 def named_unit(heading: str) -> tuple[str, str | None]:
     """Name and unit of a heading: `accel [m/s^2]`, `Acc (g)` and `displacement_mm` tell their unit; else None.
 
-    A name with its unit behind an underscore is kept whole; brackets are cut off.
+    A name with its unit behind an underscore is kept whole; brackets are cut off if a known unit is in them.
     """
     match = _BRACKETS.match(heading.strip())
-    if match and match["name"]:
-        return match["name"].strip(), match["unit"].strip() or None
+    if match and match["name"] and match["unit"].strip().lower() in _KNOWN_UNITS:
+        return match["name"].strip(), _unit_text(match["unit"])
     parts = heading.strip().lower().split("_")
     for count in (2, 1):
         suffix = "_".join(parts[-count:])

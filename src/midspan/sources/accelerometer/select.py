@@ -95,10 +95,11 @@ def find_channel(path: Path, found: ChannelSet, wanted: str, key: str) -> Channe
 
     Raises UsageError that names the nearest and lists what is there; `key` is the setting's name in the message.
     """
-    bare = named_unit(wanted)[0]
-    matches = [c for c in found.channels if c.name == wanted] or [c for c in found.channels if c.name == bare]
+    bare, unit = named_unit(wanted)
+    matches = [c for c in found.channels if c.name == wanted]
+    matches = matches or [c for c in found.channels if c.name == bare and unit in (None, c.unit)]
     matches = matches or [c for c in found.channels if re.split(r"[/.]", c.name)[-1] == wanted]
-    matches = matches or [c for c in found.channels if c.name.lower() == bare.lower()]
+    matches = matches or [c for c in found.channels if c.name.lower() == bare.lower() and unit in (None, c.unit)]
     if not matches and (column := _COLUMN.match(wanted)):
         numbered = f"{column['name'].strip()}_{int(column['index']) + 1}"
         matches = [c for c in found.channels if numbered in (c.name, re.split(r"[/.]", c.name)[-1])]

@@ -73,8 +73,9 @@ def _channels(leaf: Leaf, file_rate: float | None) -> tuple[list[Channel], list[
 
 def _channel(name: str, values: NDArray[np.generic], unit: str | None) -> tuple[Channel | None, list[str]]:
     if values.dtype.kind in "SUO":
-        texts = [_text(value) for value in values]
-        moments = texts_to_ns(texts) if texts else None
+        if texts_to_ns([_text(value) for value in values[:100]]) is None:
+            return None, []
+        moments = texts_to_ns([_text(value) for value in values])
         return (Channel(name, moments[0], "ns"), list(moments[1])) if moments else (None, [])
     found = numbers(values)
     if found is None:

@@ -15,7 +15,10 @@ def depth_of(pixel_format: str | None) -> int:
     if not pixel_format:
         return 8
     try:
-        return int(av.VideoFormat(pixel_format).components[0].bits)
+        shape = av.VideoFormat(pixel_format)
+        bits = int(shape.components[0].bits)
+        # Deep colours are brought to 16 bits before they are weighted.
+        return 16 if shape.is_rgb and bits > 8 else bits
     except (ValueError, IndexError):
         return 8
 

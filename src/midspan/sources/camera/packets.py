@@ -18,7 +18,8 @@ _FREE_RUNNING = ("mpegts", "mpeg")
 class Packets:
     """`count` frames; `ticks` (count,) their stamps in order of presentation in units of `time_base` s, or None.
 
-    `keys` are the numbers of key frames in that order, `rates` the frame rates in Hz that the container states.
+    `keys` are the numbers of key frames in that order, `rates` the frame rates in Hz that the container states;
+    `free_running` says that the container's clock starts anywhere.
     """
 
     count: int
@@ -26,6 +27,7 @@ class Packets:
     keys: tuple[int, ...]
     time_base: Fraction
     rates: tuple[Fraction, ...]
+    free_running: bool
 
     def key_before(self, number: int) -> int | None:
         """The number of the last key frame at or before frame `number`; None where there is none."""
@@ -41,12 +43,13 @@ def scan(path: Path, container: Any) -> Packets:
         raise DataError(f"{path} holds no frames. Check that the file is whole.")
     rates = tuple(dict.fromkeys(r for r in (stream.average_rate, stream.base_rate, stream.guessed_rate) if r))
     base = Fraction(stream.time_base or 1)
+    free = any(name in _FREE_RUNNING for name in str(container.format.name).split(","))
     known = [stamp for stamp in stamps if stamp is not None]
     ticks = np.sort(np.array(known, dtype=np.int64))
     if len(known) < len(stamps) or ticks.size < 1 or np.any(ticks[1:] <= ticks[:-1]):
-        return Packets(len(stamps), None, (), base, rates)
+        return Packets(len(stamps), None, (), base, rates, free)
     order = np.sort(np.searchsorted(ticks, np.array([stamps[k] for k in keys], dtype=np.int64)))
-    return Packets(len(stamps), ticks, tuple(order.tolist()), base, rates)
+    return Packets(len(stamps), ticks, tuple(order.tolist()), base, rates, free)
 
 
 def _walk(container: Any, stream: Any) -> tuple[list[int | None], list[int]]:

@@ -88,6 +88,11 @@ class VideoFrames(FrameSource):
             return rate_times(self._path, self._request, packets.count)
         time_ns, note = _container_times(ticks, packets)
         self._notes += [note] if note else []
+        if packets.free_running and time_ns[0] != 0:
+            self._notes.append(
+                f"the stream's clock starts at {time_ns[0] * 1e-9:.3f} s; its first frame counts as zero"
+            )
+            time_ns = time_ns - time_ns[0]
         self._tell_rate(time_ns)
         return time_ns + np.int64(round(self._request.start_s * 1e9))
 

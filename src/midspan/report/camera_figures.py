@@ -1,0 +1,190 @@
+"""The figures of camera and calibration: frame and region, choice of the region, tracking, scale factor, clock offset."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from midspan.calibration.scale import ScaleCalibration
+from midspan.records import PixelTrack, Region, Status
+from midspan.report.drawing import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    SKY,
+    VERMILLION,
+    Picture,
+    draw_line,
+    draw_points,
+    picture,
+    sheet,
+)
+from midspan.report.material import Material
+from midspan.report.thinning import envelope
+from midspan.vision.roi import RegionChoice
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+# The longer side of the picture that is kept of a frame, px.
+LARGEST_FRAME_PX = 960
+MOST_PATH_POINTS = 3000
+
+
+def frame(material: Material) -> Picture:
+    """The reference frame with the region, the region itself, and the path of the target in it."""
+    tracking, track = material.result.tracking, material.result.track
+    assert tracking is not None
+    assert track is not None
+    pixels, region = tracking.reference.pixels, tracking.tracker.region
+    figure = sheet(3.5)
+    whole, close, path = figure.subplots(1, 3, width_ratios=(1.5, 1, 1))
+    _image(whole, pixels)
+    _box(whole, region, color=VERMILLION, linewidth=1.6)
+    whole.set_title(f"first frame, {pixels.shape[1]} × {pixels.shape[0]} px", fontsize=9)
+    _image(close, pixels)
+    close.set_xlim(region.x - 0.5, region.x + region.width - 0.5)
+    close.set_ylim(region.y + region.height - 0.5, region.y - 0.5)
+    close.set_title(f"region, {region.width} × {region.height} px", fontsize=9)
+    _path(path, track)
+    return picture(figure, dots=True)
+
+
+def _image(axes: "Axes", pixels: Any) -> None:
+    """An image in its own pixel coordinates, thinned to what the page can show."""
+    rows, columns = pixels.shape
+    step = max(1, -(-max(rows, columns) // LARGEST_FRAME_PX))
+    thinned = np.asarray(pixels[::step, ::step], dtype=np.float64)
+    low, high = np.nanpercentile(thinned, (0.5, 99.5))
+    extent = (-0.5, columns - 0.5, rows - 0.5, -0.5)
+    axes.imshow(thinned, cmap="gray", vmin=low, vmax=max(high, low + 1e-9), extent=extent, interpolation="nearest")
+    axes.grid(False)
+    axes.set_xlabel("x (px)")
+    axes.set_ylabel("y (px)")
+
+
+def _box(axes: "Axes", region: Region, **options: Any) -> None:
+    from matplotlib.patches import Rectangle
+
+    corner = (region.x - 0.5, region.y - 0.5)
+    axes.add_patch(Rectangle(corner, region.width, region.height, fill=False, **options))
+
+
+def _path(axes: "Axes", track: PixelTrack) -> None:
+    """Translation of the target in the image, its start marked."""
+    known = np.flatnonzero(np.isfinite(track.x_px) & np.isfinite(track.y_px))
+    known = known[:: max(1, len(known) // MOST_PATH_POINTS)]
+    axes.plot(track.x_px[known], track.y_px[known], color=BLUE, linewidth=0.4, alpha=0.7)
+    axes.plot(0.0, 0.0, marker="o", color=VERMILLION, markersize=4)
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.invert_yaxis()
+    axes.set_xlabel("x (px)")
+    axes.set_ylabel("y (px, down)")
+    axes.set_title("path of the target", fontsize=9)
+
+
+def choice(found: RegionChoice, pixels: Any) -> Picture:
+    """What the choice of the region looked at: predicted standard deviation, and the places that were tracked."""
+    figure = sheet(4.0)
+    axes = figure.subplots()
+    _image(axes, pixels)
+    score = np.where(np.isfinite(found.score_px) & (found.score_px > 0), found.score_px, np.nan)
+    if score.shape[0] > 1 and score.shape[1] > 1 and np.isfinite(score).any():
+        logarithm = np.log10(score)
+        x0, x1 = _edges(found.score_x)
+        y0, y1 = _edges(found.score_y)
+        options = {"extent": (x0, x1, y1, y0), "interpolation": "nearest", "zorder": 1.5}
+        shown = axes.imshow(logarithm, cmap="viridis_r", alpha=0.45, **options)
+        bar = figure.colorbar(shown, ax=axes, shrink=0.85)
+        bar.set_label("log₁₀ of the predicted σ (px)")
+        bar.solids.set_alpha(1.0)
+    for number, candidate in enumerate(found.candidates, start=1):
+        colour, line = (SKY, "-") if candidate.fixed else (ORANGE, "--")
+        _box(axes, candidate.region, color=colour, linewidth=1.0, linestyle=line, zorder=2)
+        spot = (candidate.region.x + 3, candidate.region.y + 3)
+        axes.text(*spot, str(number), color="white", fontsize=7, va="top", zorder=3, clip_on=True)
+    _box(axes, found.region, color=VERMILLION, linewidth=2.0, zorder=2.5)
+    axes.set_xlim(-0.5, pixels.shape[1] - 0.5)
+    axes.set_ylim(pixels.shape[0] - 0.5, -0.5)
+    return picture(figure, dots=True)
+
+
+def _edges(centres: Any) -> tuple[float, float]:
+    half = 0.5 * float(centres[1] - centres[0])
+    return float(centres[0]) - half, float(centres[-1]) + half
+
+
+def tracker(material: Material) -> Picture:
+    """The tracker's quality and standard deviation frame by frame, lost frames marked."""
+    track, camera = material.result.track, material.result.calibration.camera
+    assert track is not None
+    assert camera is not None
+    t = material.clock.at(track.time_ns + round(1e9 * camera.offset.value_s))
+    _, variance = track.along(camera.direction)
+    std = np.sqrt(camera.variance_factor * variance)
+    figure = sheet(3.2)
+    upper, lower = figure.subplots(2, 1, sharex=True)
+    for axes, value, label in ((upper, track.quality, "quality"), (lower, std, f"σ along {camera.direction} (px)")):
+        known = np.isfinite(value)
+        if known.any():
+            draw_line(axes, envelope(t[known], value[known], value[known]), BLUE, label, linewidth=0.8)
+        axes.set_ylabel(label)
+        axes.margins(x=0.005)
+    lost = track.status == Status.LOST
+    if lost.any():
+        bottom = np.full(int(np.count_nonzero(lost)), 0.03)
+        options = {"marker": "|", "markersize": 8, "color": VERMILLION, "label": f"{len(bottom)} frames lost"}
+        draw_points(upper, t[lost], bottom, transform=upper.get_xaxis_transform(), **options)
+        upper.legend(handles=upper.lines[-1:], loc="lower left", bbox_to_anchor=(0.0, 1.0), borderaxespad=0.2)
+    lower.set_xlabel(material.clock.label)
+    figure.align_ylabels()
+    return picture(figure)
+
+
+def scale(found: ScaleCalibration) -> Picture:
+    """The regression behind the scale factor, and the likelihood over the clock offset."""
+    figure = sheet(3.6)
+    left, right = figure.subplots(1, 2)
+    _regression(left, found)
+    _likelihood(right, found)
+    return picture(figure)
+
+
+def _regression(axes: "Axes", found: ScaleCalibration) -> None:
+    fit = found.search.fit
+    w = fit.whitened
+    # Innovations just after a pause are uncertain and would only blow up the axes.
+    usual = w.variance < 4.0 * np.median(w.variance)
+    x, y = 1e3 * w.response[usual], w.translation[usual]
+    draw_points(axes, x, y, marker=".", markersize=3.0, color=GREY, label=f"{len(x)} frames")
+    reach = np.array([-1.0, 1.0]) * float(np.max(np.abs(x)))
+    slope, std = fit.ratio / 1e3, float(np.sqrt(fit.ratio_variance)) / 1e3
+    axes.plot(reach, slope * reach, color=BLUE, linewidth=1.2, label=f"slope {slope:.4g} ± {std:.2g} px/mm")
+    wide = 1.96 * std * np.abs(reach)
+    axes.fill_between(reach, slope * reach - wide, slope * reach + wide, color=SKY, alpha=0.5, linewidth=0)
+    axes.set_xlabel("acceleration's response, whitened (mm)")
+    axes.set_ylabel("translation in the image, whitened (px)")
+    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, borderaxespad=0.2)
+
+
+def _likelihood(axes: "Axes", found: ScaleCalibration) -> None:
+    search = found.search
+    top = max(float(search.likelihood.max()), search.fit.likelihood)
+    axes.plot(search.offsets_s, search.likelihood - top, color=BLUE, label="scanned")
+    axes.axvline(search.fit.offset_s, color=GREEN, linewidth=1.2, linestyle="--", label=f"{search.fit.offset_s:+.4f} s")
+    if search.runner_up is not None:
+        x, y = search.runner_up.offset_s, search.runner_up.likelihood - top
+        axes.plot(
+            x, y, marker="v", linestyle="none", color=ORANGE, markeredgecolor=BLACK, label=f"runner-up {x:+.4f} s"
+        )
+    axes.set_xlabel("clock offset of the camera (s)")
+    axes.set_ylabel("log-likelihood below the best")
+    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, borderaxespad=0.2)
+
+
+def explained(found: ScaleCalibration) -> float:
+    """Share (0 to 1) of the whitened translation's power that the acceleration explains."""
+    fit = found.search.fit
+    whole = np.sum(fit.whitened.translation**2 / fit.whitened.variance)
+    return float(1.0 - fit.noise * np.sum(fit.residual**2) / whole)

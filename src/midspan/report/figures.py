@@ -1,0 +1,210 @@
+"""The figures of the displacement: time history, error, zoom, spectra, innovations. Each one: Material → Picture."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from midspan.evaluate.metrics import normalised_innovation
+from midspan.fusion.gate import REJECTED
+from midspan.records import Floats, Nanoseconds, Status, seconds
+from midspan.report.drawing import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    SKY,
+    VERMILLION,
+    Picture,
+    draw_line,
+    draw_points,
+    picture,
+    sheet,
+)
+from midspan.report.material import Material, Measured
+from midspan.report.thinning import envelope, logarithmic_means, spans
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+BAND = 1.96
+ZOOM_S = 8.0
+SEGMENTS = 8
+LARGEST_SEGMENT = 2**16
+
+
+def history(material: Material) -> Picture:
+    """The whole displacement with its band, the reference, and where no measurement supports it."""
+    figure = sheet(3.2)
+    axes = figure.subplots()
+    d, s = material.result.displacement_mm, material.result.displacement_std_mm
+    band = envelope(material.t, d - BAND * s, d + BAND * s)
+    axes.fill_between(band.t, band.low, band.high, color=SKY, alpha=0.45, linewidth=0, label="±1.96 σ")
+    draw_line(axes, envelope(material.t, d, d), BLUE, "displacement")
+    _reference(axes, material, slice(None))
+    _shade(axes, material)
+    _finish(axes, material, "displacement (mm)")
+    return picture(figure)
+
+
+def error(material: Material) -> Picture:
+    """Displacement minus reference with the band that the result claims."""
+    found = material.comparison
+    assert found is not None
+    figure = sheet(2.3)
+    axes = figure.subplots()
+    s = material.result.displacement_std_mm
+    band = envelope(material.t, -BAND * s, BAND * s)
+    axes.fill_between(band.t, band.low, band.high, color=SKY, alpha=0.45, linewidth=0, label="±1.96 σ claimed")
+    drawn = envelope(material.clock.at(found.time_ns), found.error_mm, found.error_mm)
+    draw_line(axes, drawn, VERMILLION, "result − reference", linewidth=0.8)
+    axes.axhline(found.bias_mm, color=BLACK, linewidth=0.8, linestyle="--", label=f"mean {found.bias_mm:.3g} mm")
+    _shade(axes, material)
+    _finish(axes, material, "error (mm)")
+    return picture(figure)
+
+
+def _reference(axes: "Axes", material: Material, which: slice) -> None:
+    reference = material.reference
+    if reference is None:
+        return
+    t, value = material.clock.at(reference.time_ns[which]), reference.value[which] + material.reference_moved_mm
+    draw_line(axes, envelope(t, value, value), VERMILLION, "reference", linewidth=0.9, linestyle=(0, (4, 2)))
+
+
+def _shade(axes: "Axes", material: Material) -> None:
+    """Coasting and lost stretches as coloured grounds over the whole height."""
+    status = material.result.estimate.status
+    for code, colour in ((Status.COASTING, ORANGE), (Status.LOST, VERMILLION)):
+        found = spans(material.t, status == code)
+        if found:
+            ground = axes.get_xaxis_transform()
+            label = code.word
+            axes.broken_barh(found, (0, 1), transform=ground, color=colour, alpha=0.28, linewidth=0.4, label=label)
+
+
+def _finish(axes: "Axes", material: Material, label: str) -> None:
+    axes.set_xlabel(material.clock.label)
+    axes.set_ylabel(label)
+    axes.margins(x=0.005)
+    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=5, borderaxespad=0.2)
+
+
+def liveliest(material: Material) -> slice:
+    """The rows of the stretch of about eight seconds with the largest rms velocity."""
+    rows = material.result.estimate
+    slowest = min((m.rate_hz for m in material.measured), default=10.0)
+    length_s = min(max(ZOOM_S, 12.0 / slowest), 40.0)
+    step_s = float(np.median(np.diff(rows.time_ns))) / 1e9
+    count = min(max(int(length_s / step_s), 2), len(rows.time_ns))
+    power = np.concatenate(([0.0], np.cumsum(rows.velocity_m_s**2)))
+    start = int(np.argmax(power[count:] - power[:-count]))
+    return slice(start, start + count)
+
+
+def zoom(material: Material) -> Picture:
+    """The liveliest seconds with the band and what the sensors measured."""
+    which = liveliest(material)
+    rows = material.result.estimate
+    first, last = int(rows.time_ns[which.start]), int(rows.time_ns[which.stop - 1])
+    figure = sheet(3.4)
+    axes = figure.subplots()
+    t, d = material.t[which], material.result.displacement_mm[which]
+    s = material.result.displacement_std_mm[which]
+    band = envelope(t, d - BAND * s, d + BAND * s, 3000)
+    axes.fill_between(band.t, band.low, band.high, color=SKY, alpha=0.55, linewidth=0, label="±1.96 σ")
+    draw_line(axes, envelope(t, d, d, 3000), BLUE, "displacement", linewidth=1.2)
+    if material.reference is not None:
+        cut = _between(material.reference.time_ns, first, last)
+        _reference(axes, material, cut)
+    for measured, colour in zip(material.measured, (BLACK, GREEN), strict=False):
+        _measurements(axes, material, measured, (first, last, colour))
+    _shade(axes, material)
+    axes.set_xlim(t[0], t[-1])
+    _finish(axes, material, "displacement (mm)")
+    return picture(figure)
+
+
+def _measurements(axes: "Axes", material: Material, measured: Measured, drawn: tuple[int, int, str]) -> None:
+    first, last, colour = drawn
+    cut = _between(measured.time_ns, first, last)
+    t = material.clock.at(measured.time_ns[cut])
+    options = {"color": colour, "elinewidth": 0.7, "markersize": 3.0, "label": f"{measured.name} ±1.96 σ"}
+    axes.errorbar(t, measured.value_mm[cut], BAND * measured.std_mm[cut], fmt="o", **options)
+
+
+def _between(time_ns: Nanoseconds, first_ns: int, last_ns: int) -> slice:
+    return slice(int(np.searchsorted(time_ns, first_ns)), int(np.searchsorted(time_ns, last_ns, side="right")))
+
+
+def spectra(material: Material) -> Picture:
+    """Power spectral densities of result, reference and the sensors alone."""
+    figure = sheet(3.6)
+    axes = figure.subplots()
+    result = material.result
+    for measured, colour in zip(material.measured, (GREY, GREEN), strict=False):
+        found = density(measured.time_ns, measured.value_mm)
+        if found is not None:
+            axes.loglog(*found, color=colour, label=f"{measured.name} alone, to {0.5 * measured.rate_hz:.3g} Hz")
+    found = density(result.estimate.time_ns, result.displacement_mm)
+    if found is not None:
+        axes.loglog(*found, color=BLUE, linewidth=1.2, label="displacement")
+    if material.reference is not None:
+        found = density(material.reference.time_ns, material.reference.value)
+        if found is not None:
+            axes.loglog(*found, color=VERMILLION, linestyle=(0, (4, 2)), label="reference")
+    axes.set_xlabel("frequency (Hz)")
+    axes.set_ylabel("power spectral density (mm²/Hz)")
+    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4, borderaxespad=0.2)
+    return picture(figure)
+
+
+def density(time_ns: Nanoseconds, value: Floats) -> tuple[Floats, Floats] | None:
+    """One-sided spectral density (mm²/Hz) at frequencies (Hz) by Welch's method; None below 64 values.
+
+    Hann windows of an eighth of the record, half overlapping; irregular stamps are brought to an even grid before.
+    """
+    from scipy.signal import welch
+
+    known = np.isfinite(value)
+    if np.count_nonzero(known) < 64:
+        return None
+    t, value = seconds(time_ns[known], int(time_ns[0])), value[known]
+    step = float(np.median(np.diff(t)))
+    even = np.arange(t[0], t[-1], step)
+    if len(even) < 64:
+        return None
+    segment = min(max(len(even) // SEGMENTS * 2, 64), LARGEST_SEGMENT, len(even))
+    frequency, power = welch(np.interp(even, t, value), 1.0 / step, nperseg=segment, detrend="linear")
+    return logarithmic_means(frequency[1:], np.maximum(power[1:], 1e-300))
+
+
+def innovations(material: Material) -> Picture:
+    """Measured minus predicted displacement over time, and its distribution in units of what was expected."""
+    figure = sheet(3.0)
+    left, right = figure.subplots(1, 2, width_ratios=(2.6, 1))
+    found = material.result.innovation
+    t, value, std = material.clock.at(found.time_ns), 1e3 * found.value_m, 1e3 * np.sqrt(found.variance_m2)
+    drawn = envelope(t, std, std)
+    left.plot(drawn.t, 2 * drawn.high, color=BLUE, linewidth=0.9, label="±2 σ expected")
+    left.plot(drawn.t, -2 * drawn.high, color=BLUE, linewidth=0.9)
+    rejected = found.verdict == REJECTED
+    draw_points(left, t[~rejected], value[~rejected], marker=".", markersize=2.2, color=BLACK, label="innovation")
+    limit = 1.25 * max(float(np.quantile(2.0 * std, 0.98)), float(np.quantile(np.abs(value[~rejected]), 0.995)), 1e-9)
+    if rejected.any():
+        shown = np.clip(value[rejected], -0.97 * limit, 0.97 * limit)
+        draw_points(left, t[rejected], shown, marker="x", markersize=5, color=VERMILLION, label="rejected")
+    left.set_ylim(-limit, limit)
+    _finish(left, material, "measured − predicted (mm)")
+    _distribution(right, normalised_innovation(found))
+    return picture(figure)
+
+
+def _distribution(axes: "Axes", normalised: Floats) -> None:
+    grid = np.linspace(-5.0, 5.0, 201)
+    shown = np.clip(normalised, -5.0, 5.0)
+    axes.hist(shown, bins=np.linspace(-5, 5, 41), density=True, color=SKY, label="found")
+    axes.plot(grid, np.exp(-0.5 * grid**2) / np.sqrt(2 * np.pi), color=BLACK, label="expected")
+    axes.set_xlabel("innovation / σ")
+    axes.set_ylabel("probability density")
+    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, borderaxespad=0.2)

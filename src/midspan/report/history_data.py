@@ -1,0 +1,54 @@
+"""The numbers behind the time history that can be zoomed: float32 columns in base64."""
+
+import base64
+import json
+
+import numpy as np
+
+from midspan.records import Floats
+from midspan.report.figures import BAND
+from midspan.report.material import Material
+from midspan.report.thinning import starts
+
+# Rows that are kept; longer records keep the extremes of this many stretches.
+MOST_ROWS = 20_000
+
+
+def history_attributes(material: Material) -> dict[str, str]:
+    """Attributes of the figure: `data-history`, the columns one after another, and `data-layout`, what they are."""
+    d, s = material.result.displacement_mm, material.result.displacement_std_mm
+    t = material.t
+    at = starts(len(t), MOST_ROWS // 2)
+    columns = {
+        "t": t[at] - t[0],
+        "low": np.fmin.reduceat(d, at),
+        "high": np.fmax.reduceat(d, at),
+        "band_low": np.fmin.reduceat(d - BAND * s, at),
+        "band_high": np.fmax.reduceat(d + BAND * s, at),
+    }
+    reference = _reference(material, t[at])
+    if reference is not None:
+        columns["reference_low"], columns["reference_high"] = reference
+    data = np.concatenate(list(columns.values())).astype("<f4").tobytes()
+    layout = {"rows": len(at), "names": list(columns), "first": float(t[0]), "label": material.clock.label}
+    return {"data-history": base64.b64encode(data).decode(), "data-layout": json.dumps(layout)}
+
+
+def _reference(material: Material, starts_s: Floats) -> tuple[Floats, Floats] | None:
+    """Lowest and highest value of the reference in each stretch that begins at `starts_s`; NaN where it has none."""
+    reference = material.reference
+    if reference is None:
+        return None
+    value = reference.value + material.reference_moved_mm
+    stretch = np.searchsorted(starts_s, material.clock.at(reference.time_ns), side="right") - 1
+    known = np.isfinite(value) & (stretch >= 0)
+    low, high = np.full(len(starts_s), np.inf), np.full(len(starts_s), -np.inf)
+    np.fmin.at(low, stretch[known], value[known])
+    np.fmax.at(high, stretch[known], value[known])
+    empty = ~np.isfinite(low)
+    low[empty] = high[empty] = np.nan
+    # A slower reference has nothing in most stretches; straight lines join what it has.
+    if np.mean(empty) > 0.3 and not empty.all():
+        middle = np.interp(starts_s, starts_s[~empty], 0.5 * (low + high)[~empty])
+        return middle, middle
+    return low, high

@@ -1,0 +1,79 @@
+"""`write_report`: one HTML file about a result."""
+
+import os
+import tempfile
+from datetime import UTC, datetime
+from pathlib import Path
+
+from midspan._version import __version__
+from midspan.errors import UsageError
+from midspan.recording.result import Result
+from midspan.recording.span import shown
+from midspan.records import TimeSeries
+from midspan.report import page, sections
+from midspan.report.drawing import style
+from midspan.report.material import Material, gather
+
+
+def write_report(result: Result, path: str | Path, reference: TimeSeries | None = None) -> Path:
+    """Write the report of a result as one self-contained HTML file; returns its path.
+
+    path: the file, whole or not at all; reference: displacement in m on the accelerometer's clock, compared and drawn.
+    Needs no network to be read. Raises UsageError where the file cannot be written.
+    """
+    path = Path(path)
+    if not path.absolute().parent.is_dir():
+        raise UsageError(
+            f"{path} cannot be written: the folder {path.parent} does not exist. Make it or choose another."
+        )
+    with style():
+        text = report_html(result, reference)
+    _replace(path, text)
+    return path
+
+
+def report_html(result: Result, reference: TimeSeries | None = None) -> str:
+    """The page's text."""
+    material = gather(result, reference)
+    body = [
+        page.heading(material.name, _lines(material)),
+        sections.summary(material),
+        sections.warnings(material),
+        sections.displacement(material),
+        sections.spectra(material),
+        sections.calibration(material),
+        sections.innovations(material),
+        sections.camera(material),
+        sections.numbers(material),
+        sections.footer(material),
+    ]
+    return page.document(f"{material.name} – midspan report", [piece for piece in body if piece])
+
+
+def _lines(material: Material) -> list[str]:
+    result = material.result
+    rows = result.estimate.time_ns
+    sensors = " and ".join(["accelerometer", *(m.name for m in material.measured)])
+    where = "" if result.recording is None else f" · {result.recording.file}"
+    return [
+        f"Displacement from {sensors} · method {result.method}{where}",
+        f"From {shown(int(rows[0]))} to {shown(int(rows[-1]))} on the accelerometer's clock",
+        f"Written {datetime.now(UTC):%Y-%m-%d %H:%M} UTC by midspan {__version__}",
+    ]
+
+
+def _replace(path: Path, text: str) -> None:
+    """Put the text in place whole or not at all."""
+    try:
+        handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=".partial", dir=path.absolute().parent)
+    except OSError as error:
+        raise UsageError(f"{path} cannot be written ({error.strerror}). Choose another place.") from None
+    partial = Path(name)
+    try:
+        os.close(handle)
+        partial.write_text(text, encoding="utf-8")
+        os.replace(partial, path)
+    except OSError as error:
+        raise UsageError(f"{path} cannot be written ({error.strerror}). Choose another place.") from None
+    finally:
+        partial.unlink(missing_ok=True)

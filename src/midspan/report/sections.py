@@ -1,0 +1,167 @@
+"""The sections of the page in their order; each one: Material → HTML."""
+
+import json
+
+from midspan._version import __version__
+from midspan.calibration.scale import ScaleCalibration
+from midspan.records import NANOSECONDS
+from midspan.report import camera_figures, figures, page, tables
+from midspan.report.history_data import history_attributes
+from midspan.report.material import Material
+from midspan.sinks.table import ResultTable, metadata_json
+
+
+def summary(material: Material) -> str:
+    """The cards."""
+    return page.cards(tables.summary(material))
+
+
+def warnings(material: Material) -> str:
+    """Warnings and events, the first ones where there are many."""
+    found = list(material.result.warnings)
+    if material.problem is not None:
+        found.append(f"The reference could not be used. {material.problem}")
+    if material.comparison is not None:
+        found += [f"Reference: {note}" for note in material.comparison.notes]
+    pieces = [page.bullets(found, "warnings") if found else page.paragraph("No warnings.")]
+    count = len(material.result.events)
+    if count:
+        pieces.append(page.table(tables.events(material), (material.clock.label, "event", "what happened")))
+    if count > tables.MOST_EVENTS:
+        pieces.append(page.paragraph(f"The first {tables.MOST_EVENTS} of {count} events are shown.", "note"))
+    return page.section("warnings", "Warnings and events", *pieces)
+
+
+def displacement(material: Material) -> str:
+    """Time history, error against the reference, zoom."""
+    caption = (
+        "The blue line is the estimate, the light area its band of ±1.96 standard deviations: 95 % of the truth should "
+        "lie inside. Orange ground: coasting, the accelerometer alone carries on; red ground: lost for long."
+    )
+    if material.reference is not None:
+        caption += " Dashed: the reference." + _moved(material)
+    whole = page.figure(figures.history(material), "Displacement", caption, history_attributes(material))
+    pieces = [whole]
+    if material.comparison is not None:
+        caption = (
+            "What is left after the reference is taken away. An honest band holds 95 % of it; a mean away from zero is a "
+            "difference of the two zeros or a drift; error that looks like the motion is a wrong scale or clock."
+        )
+        pieces.append(page.figure(figures.error(material), "Error against the reference", caption))
+    caption = (
+        "The stretch with the largest velocity. Points are the sensors' own measurements with their ±1.96 standard "
+        "deviations, moved to the result's zero: most bars should touch the line."
+    )
+    pieces.append(page.figure(figures.zoom(material), "The liveliest seconds", caption))
+    return page.section("displacement", "Displacement", *pieces)
+
+
+def _moved(material: Material) -> str:
+    if material.reference_moved_mm == 0.0:
+        return ""
+    return f" It is drawn moved by {material.reference_moved_mm:+.4g} mm, the mean difference of the two zeros."
+
+
+def spectra(material: Material) -> str:
+    """Power spectra."""
+    caption = (
+        "Welch's power spectral density, on logarithmic axes. Modes are peaks; the flat floor of a sensor alone is its "
+        "noise, which fusion lowers; a sensor alone ends at half its rate, with faster motion folded back."
+    )
+    return page.section("spectra", "Spectra", page.figure(figures.spectra(material), "Spectra", caption))
+
+
+def calibration(material: Material) -> str:
+    """What was learnt about the sensors, and what it rests on."""
+    found = material.result.calibration
+    pieces = [page.table(tables.calibration(material))]
+    if isinstance(found.diagnostics, ScaleCalibration):
+        share = camera_figures.explained(found.diagnostics)
+        caption = (
+            "Left: translation in the image against the motion that the acceleration predicts, both passed through the "
+            "same filter, one point a frame. The slope is the inverse of the scale factor; a thin straight cloud is a "
+            f"good calibration (here the acceleration explains {tables.percent(share)} of the variance). Right: how much "
+            "less likely other clock offsets are; one clear summit is needed, the runner-up is the next best."
+        )
+        pieces.append(page.figure(camera_figures.scale(found.diagnostics), "Scale factor and clock offset", caption))
+    elif found.camera is not None:
+        text = "The calibration came from a file, which holds its values but not what they rest on: no figures here."
+        pieces.append(page.paragraph(text, "note"))
+    else:
+        text = "The unit of the displacement sensor is known, so that only noise levels and clock offset were learnt."
+        pieces.append(page.paragraph(text, "note"))
+    if found.warnings:
+        pieces.append(page.bullets(found.warnings, "warnings"))
+    return page.section("calibration", "Calibration", *pieces)
+
+
+def innovations(material: Material) -> str:
+    """Measured minus predicted."""
+    if not len(material.result.innovation.time_ns):
+        return ""
+    caption = (
+        "Each measurement minus what the filter expected just before it. About 95 % should lie between the lines, "
+        "without a pattern; the histogram should follow the normal curve. Wider: noise is underestimated or the target "
+        "moves by itself; crosses were rejected as outliers (drawn at the border where they lie beyond)."
+    )
+    drawn = page.figure(figures.innovations(material), "Innovations", caption)
+    return page.section("innovations", "Innovations", drawn)
+
+
+def camera(material: Material) -> str:
+    """Frame, region, path, choice and quality of the tracking; empty without a camera."""
+    result = material.result
+    if result.track is None or result.calibration.camera is None:
+        return ""
+    pieces = []
+    if result.tracking is not None:
+        caption = (
+            "The first frame used with the region of interest, the region enlarged, and the target's translation in the "
+            "image since then (dot: start). The path should be long in the measured direction "
+            f"({result.calibration.camera.direction}) and short across it."
+        )
+        pieces.append(page.figure(camera_figures.frame(material), "Region of interest", caption))
+        pieces.append(_choice(material))
+    caption = (
+        "Quality from 0 to 1 and standard deviation of each frame's translation. Drops tell of fog, glare, something in "
+        "front of the target, or a blurred picture; their measurements count for less."
+    )
+    pieces.append(page.figure(camera_figures.tracker(material), "Tracking", caption))
+    return page.section("camera", "Camera", *pieces)
+
+
+def _choice(material: Material) -> str:
+    tracking = material.result.tracking
+    if tracking is None or tracking.choice is None:
+        return page.paragraph("The region was given, by the settings or by the calibration.", "note")
+    caption = (
+        "The colour is the standard deviation with which a region centred there could be tracked (darker is better, bare "
+        "places were ruled out). Numbered boxes were tracked for some seconds: solid ones move alike and count as fixed, "
+        "dashed ones do not; the red one was taken."
+    )
+    drawn = camera_figures.choice(tracking.choice, tracking.reference.pixels)
+    return page.figure(drawn, "Choice of the region", caption) + page.bullets(tracking.choice.reasons, "plain")
+
+
+def numbers(material: Material) -> str:
+    """Figures, comparison and settings as tables."""
+    pieces = [page.table(tables.figures(material))]
+    if material.comparison is not None:
+        pieces += ["<h3>Against the reference</h3>", page.table(tables.comparison(material.comparison))]
+    pieces += ["<h3>Settings</h3>", page.table(tables.settings(material))]
+    return page.section("numbers", "Figures and settings", *pieces)
+
+
+def footer(material: Material) -> str:
+    """How to cite, and everything that is needed to repeat the run."""
+    metadata = material.result.metadata()
+    text = metadata_json(ResultTable(columns={}, time_ns=material.result.estimate.time_ns[:0], metadata=metadata), 2)
+    first = int(material.result.estimate.time_ns[0]) / NANOSECONDS
+    lines = (
+        f"To cite: “displacement estimated with midspan {__version__}, method {material.result.method}, calibration of "
+        f"{material.result.calibration.created}”, together with the settings above, which make the result repeatable.",
+        f"Lengths in mm, times in s from {first:.3f} s of the accelerometer's clock on, frequencies in Hz.",
+    )
+    return page.folded(
+        "Settings, calibration and events as JSON", json.dumps(json.loads(text), indent=2)
+    ) + page.footer(lines)

@@ -1,0 +1,166 @@
+"""The report's numbers as rows of text: cards, figures, calibration, settings, events."""
+
+import math
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+
+from midspan.evaluate.metrics import Comparison, normalised_innovation
+from midspan.fusion.gate import REJECTED
+from midspan.recording.calibration import CameraCalibration, DisplacementCalibration
+from midspan.records import NANOSECONDS, TimeOffset
+from midspan.report.material import Material
+
+MOST_EVENTS = 50
+Row = tuple[str, str]
+Card = tuple[str, str, str]
+
+
+def summary(material: Material) -> list[Card]:
+    """The cards on top: label, value, a smaller line."""
+    f = material.result.figures()
+    length_s = f["end_s"] - f["start_s"]
+    status = f["status"]
+    shares = (f"{percent(status['coasting'])} coasting", f"{percent(status['lost'])} lost")
+    found = [
+        ("Largest displacement", f"{f['largest_mm']:+.4g} mm", "along the accelerometer's axis"),
+        ("Smallest displacement", f"{f['smallest_mm']:+.4g} mm", "counted from the first measurement's zero"),
+        ("Motion", f"{f['rms_mm']:.4g} mm rms", f"{f['largest_mm'] - f['smallest_mm']:.4g} mm peak to peak"),
+        ("Typical band (95 %)", f"± {1.96 * f['median_std_mm']:.3g} mm", f"σ = {f['median_std_mm']:.3g} mm, median"),
+        ("Span", duration(length_s), f"{f['rows']:,} rows at {rate_hz(material):.5g} Hz".replace(",", " ")),
+        ("Tracking", percent(status["tracking"]), ", ".join(shares)),
+    ]
+    if material.comparison is not None:
+        against = material.comparison
+        relative = against.normalised_rmse_percent
+        more = "" if relative is None else f"{relative:.2g} % of its peak to peak"
+        found.append(("RMSE against reference", f"{against.rmse_mm:.3g} mm", more))
+        if against.coverage_95 is not None:
+            found.append(("Errors inside the band", percent(against.coverage_95), "95 % is honest"))
+    return found
+
+
+def rate_hz(material: Material) -> float:
+    """Usual rate of the rows, Hz."""
+    return NANOSECONDS / float(np.median(np.diff(material.result.estimate.time_ns)))
+
+
+def percent(share: float) -> str:
+    """A share as a percentage that never rounds to 0 or 100 what is not."""
+    value = 100.0 * share
+    if 0.0 < value < 0.1:
+        return "< 0.1 %"
+    return "> 99.9 %" if 99.9 < value < 100.0 else f"{value:.3g} %"
+
+
+def duration(length_s: float) -> str:
+    """A length of time for a person."""
+    if length_s < 600:
+        return f"{length_s:.2f} s"
+    hours, rest = divmod(round(length_s), 3600)
+    return f"{hours} h {rest // 60:02d} min {rest % 60:02d} s"
+
+
+def figures(material: Material) -> list[Row]:
+    """The figures of the result."""
+    f = material.result.figures()
+    rows = [
+        ("method", material.result.method),
+        ("rows", str(f["rows"])),
+        ("start, end", f"{f['start_s']:.6f} s, {f['end_s']:.6f} s on the accelerometer's clock"),
+        ("largest, smallest", f"{f['largest_mm']:.6g} mm, {f['smallest_mm']:.6g} mm"),
+        ("rms about the mean", f"{f['rms_mm']:.6g} mm"),
+        ("standard deviation, median", f"{f['median_std_mm']:.4g} mm"),
+        ("standard deviation, largest", f"{float(np.max(material.result.displacement_std_mm)):.4g} mm"),
+        *((f"status {word}", percent(share)) for word, share in f["status"].items()),
+    ]
+    innovation = material.result.innovation
+    if len(innovation.verdict):
+        normalised = normalised_innovation(innovation)
+        rows.append(("measurements used", f"{len(normalised)} of {len(innovation.verdict)}"))
+        rows.append(("rejected as outliers", str(int(np.count_nonzero(innovation.verdict == REJECTED)))))
+        if len(normalised):
+            rows.append(
+                ("mean squared innovation / σ²", f"{float(np.mean(normalised**2)):.3g} (1 when noise is right)")
+            )
+    return rows
+
+
+def comparison(found: Comparison) -> list[Row]:
+    """The figures against the reference."""
+    lag = "not to be told" if found.lag_s is None else f"{1e3 * found.lag_s:+.3f} ms (+: the result is later)"
+    rows = [
+        ("compared", f"{found.count} rows from {found.start_s:.3f} to {found.end_s:.3f} s"),
+        ("RMSE", f"{found.rmse_mm:.5g} mm"),
+        ("RMSE without the bias", f"{found.rmse_without_bias_mm:.5g} mm"),
+        ("bias (result − reference)", f"{found.bias_mm:+.5g} mm"),
+        ("largest error", f"{found.largest_error_mm:.5g} mm at {found.largest_error_at_s:.3f} s"),
+        ("correlation", "not defined" if found.correlation is None else f"{found.correlation:.6f}"),
+        ("lag", lag),
+        ("peak to peak", f"{found.peak_to_peak_mm:.5g} mm; reference {found.reference_peak_to_peak_mm:.5g} mm"),
+    ]
+    if found.coverage_95 is not None:
+        rows.append(("errors within ±1.96 σ", f"{percent(found.coverage_95)} (95 % is honest)"))
+    return rows
+
+
+def calibration(material: Material) -> list[Row]:
+    """The calibration's values with their standard deviations."""
+    found = material.result.calibration
+    rows: list[Row] = []
+    if found.camera is not None:
+        rows += _camera(found.camera)
+    if found.displacement is not None:
+        rows += _displacement(found.displacement)
+    rows += [
+        ("accelerometer: noise", f"{1e3 * found.noise_std_m_s2:.4g} mm/s² per sample"),
+        ("accelerometer: bias in the window", f"{1e3 * found.bias_m_s2:.4g} mm/s²"),
+        ("made", f"{found.created} by midspan {found.version}"),
+    ]
+    return rows
+
+
+def _camera(camera: CameraCalibration) -> list[Row]:
+    value, std = 1e3 * camera.scale.value_m_per_px, 1e3 * math.sqrt(camera.scale.variance)
+    region = camera.region
+    return [
+        ("camera: scale factor", f"{value:.6g} ± {std:.2g} mm/px ({100 * std / abs(value):.2g} %)"),
+        ("camera: clock offset", _offset(camera.offset)),
+        ("camera: noise", f"{camera.noise_std_px:.3g} px a frame, {abs(value) * camera.noise_std_px:.3g} mm"),
+        ("camera: learnt variance over the tracker's own", f"{camera.variance_factor:.3g}"),
+        ("camera: region", f"x {region.x}, y {region.y}, {region.width} × {region.height} px"),
+        ("camera: direction, tracker", f"{camera.direction}, {camera.tracker}"),
+    ]
+
+
+def _displacement(sensor: DisplacementCalibration) -> list[Row]:
+    return [
+        ("displacement: noise", f"{1e3 * sensor.noise_std_m:.4g} mm a measurement"),
+        ("displacement: clock offset", _offset(sensor.offset)),
+    ]
+
+
+def _offset(offset: TimeOffset) -> str:
+    if not math.isfinite(offset.variance):
+        return f"{1e3 * offset.value_s:+.3f} ms, not determined by the motion"
+    return f"{1e3 * offset.value_s:+.3f} ± {1e3 * math.sqrt(offset.variance):.2g} ms"
+
+
+def settings(material: Material) -> list[Row]:
+    """The settings used, flat, in the words of recording.toml."""
+    return list(_flat(material.result.settings.model_dump(mode="json", exclude_none=True)))
+
+
+def _flat(tree: dict[str, Any], prefix: str = "") -> Iterable[Row]:
+    for key, value in tree.items():
+        if isinstance(value, dict):
+            yield from _flat(value, f"{prefix}{key}.")
+        else:
+            yield prefix + key, ", ".join(str(x) for x in value) if isinstance(value, list) else str(value)
+
+
+def events(material: Material) -> list[tuple[str, ...]]:
+    """The first events: time, kind, text."""
+    found = material.result.events[:MOST_EVENTS]
+    return [(f"{material.clock.at(np.array([e.time_ns]))[0]:.3f}", e.kind, e.text) for e in found]
