@@ -89,7 +89,7 @@ def test_nothing_is_compared_across_a_gap_of_the_reference():
     found = compare(series(wrong_inside), broken)
     assert found.count == np.count_nonzero(kept)
     assert found.rmse_mm == pytest.approx(0.0, abs=1e-9)
-    assert any("1 gaps" in note for note in found.notes)
+    assert any("1 gap;" in note for note in found.notes)
 
 
 def test_missing_values_count_on_neither_side():

@@ -4,6 +4,7 @@ import numpy as np
 from scipy.linalg import block_diag, expm
 
 from midspan.fusion.kalman import KalmanFilter, KalmanSettings
+from midspan.fusion.state_space import TIME
 from midspan.records import Acceleration, Displacement, Estimate, nanoseconds
 
 # x' = v, v' = −b (the input is kept apart), b' = 0; noise enters v and b.
@@ -68,9 +69,9 @@ def chain(acceleration, displacement, settings):
     first = acceleration.time_ns[0]
     t = (acceleration.time_ns - first) / 1e9
     td = (displacement.time_ns - first) / 1e9
-    edges, a = np.concatenate(([t[0] - (t[1] - t[0])], t)), np.concatenate(
-        ([acceleration.value_m_s2[0]], acceleration.value_m_s2)
-    )
+    samples = np.column_stack((t, acceleration.value_m_s2, acceleration.noise_density))
+    edges = np.concatenate(([settings.state_before(samples)[TIME]], t))
+    a = np.concatenate((acceleration.value_m_s2[:1], acceleration.value_m_s2))
     usable = np.flatnonzero(np.isfinite(displacement.variance_m2) & np.isfinite(displacement.value_m))
     events = [(td[i], 0, i) for i in usable] + [(t[k], 1, k) for k in range(len(t))]
     events = sorted(e for e in events if edges[0] <= e[0] <= t[-1])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from fusion_oracles import acceleration_block, displacement_block, filtered
 
-from midspan.fusion.gate import ACCEPTED, REACQUIRED, REJECTED, judge
+from midspan.fusion.gate import ACCEPTED, REACQUIRED, REJECTED
 from midspan.fusion.smoother import smooth
 from midspan.records import Event, Innovation, Source, Status
 
@@ -159,17 +159,31 @@ def test_before_the_first_measurement_a_row_is_lost():
     assert np.all(estimate.variance_m2[MET[50] > TIME] > 0.5)
 
 
-@pytest.mark.parametrize(
-    ("innovation", "rejected_for_s", "rejections", "verdict"),
-    [
-        (3.99, 0.0, 0, ACCEPTED),
-        (-3.99, 9.0, 90, ACCEPTED),
-        (4.01, 0.0, 0, REJECTED),
-        (-4.01, 4.99, 90, REJECTED),
-        (4.01, 5.0, 90, REACQUIRED),
-        (4.01, 5.0, 3, REJECTED),  # a slow sensor is given five tries whatever the time
-        (4.01, 50.0, 4, REACQUIRED),
-    ],
-)
-def test_the_gates_verdict_follows_its_two_limits(innovation, rejected_for_s, rejections, verdict):
-    assert judge(innovation * 2.0, 4.0, rejected_for_s, rejections, (4.0, 5.0)) == verdict
+def at_rest(stamps, values):
+    """Verdicts for measurements of a still target, and the number of predicted standard deviations of each."""
+    time = np.arange(int(max(stamps) * 20) + 2) / 20.0
+    acceleration = acceleration_block(time, np.zeros(len(time)), 1e-8)
+    _, outputs = filtered(acceleration, displacement_block(stamps, values, 1e-8))
+    (innovation,) = [item for item in outputs if isinstance(item, Innovation)]
+    return innovation.verdict, innovation.value_m / np.sqrt(innovation.variance_m2)
+
+
+@pytest.mark.parametrize(("deviations", "verdict"), [(3.98, ACCEPTED), (-3.98, ACCEPTED), (4.02, REJECTED), (-4.02, REJECTED)])
+def test_the_gate_stands_at_four_predicted_deviations(deviations, verdict):
+    stamps = np.arange(200) / 10.0
+    # First a run with a mark of one deviation tells how wide the band is; the variance does not depend on the value.
+    _, unit = at_rest(stamps, np.where(stamps == stamps[-1], 1e-4, 0.0))
+    verdicts, normalised = at_rest(stamps, np.where(stamps == stamps[-1], 1e-4 * deviations / unit[-1], 0.0))
+    assert normalised[-1] == pytest.approx(deviations, rel=1e-6)
+    assert verdicts[-1] == verdict
+
+
+@pytest.mark.parametrize(("interval_s", "until_s"), [(0.1, 5.0), (0.5, 5.0), (2.0, 8.0)])
+def test_reacquisition_waits_five_seconds_and_at_least_five_measurements(interval_s, until_s):
+    stamps = np.arange(0, 90, interval_s)
+    first = np.searchsorted(stamps, 60.0)
+    verdicts, _ = at_rest(stamps, np.where(stamps >= stamps[first], 1.0, 0.0))
+    taken = np.flatnonzero(verdicts == REACQUIRED)
+    assert stamps[taken[0]] - stamps[first] == pytest.approx(until_s, abs=1e-9)
+    assert np.all(verdicts[first : taken[0]] == REJECTED)
+    assert len(taken) == 1

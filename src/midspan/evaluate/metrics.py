@@ -117,7 +117,8 @@ def _notes(estimate: TimeSeries, splines: Piecewise, error: Floats) -> tuple[str
             "values it is interpolated, which misses motion faster than about a quarter of its rate."
         )
     if len(splines.splines) > 1:
-        found.append(f"The reference has {len(splines.splines) - 1} gaps; nothing is compared inside them.")
+        count = len(splines.splines) - 1
+        found.append(f"The reference has {count} {'gap' if count == 1 else 'gaps'}; nothing is compared there.")
     if len(error) < 0.5 * len(estimate.value):
         found.append(f"Only {100 * len(error) / len(estimate.value):.3g} % of the result lie where the reference does.")
     return tuple(found)

@@ -1,4 +1,4 @@
-"""The figures of camera and calibration: frame and region, choice of the region, tracking, scale factor, clock offset."""
+"""The figures of camera and calibration: frame and region, its choice, tracking, scale factor, clock offset."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -85,29 +85,36 @@ def _path(axes: "Axes", track: PixelTrack) -> None:
 
 
 def choice(found: RegionChoice, pixels: Any) -> Picture:
-    """What the choice of the region looked at: predicted standard deviation, and the places that were tracked."""
-    figure = sheet(4.0)
-    axes = figure.subplots()
-    _image(axes, pixels)
-    score = np.where(np.isfinite(found.score_px) & (found.score_px > 0), found.score_px, np.nan)
-    if score.shape[0] > 1 and score.shape[1] > 1 and np.isfinite(score).any():
-        logarithm = np.log10(score)
-        x0, x1 = _edges(found.score_x)
-        y0, y1 = _edges(found.score_y)
-        options = {"extent": (x0, x1, y1, y0), "interpolation": "nearest", "zorder": 1.5}
-        shown = axes.imshow(logarithm, cmap="viridis_r", alpha=0.45, **options)
-        bar = figure.colorbar(shown, ax=axes, shrink=0.85)
-        bar.set_label("log₁₀ of the predicted σ (px)")
-        bar.solids.set_alpha(1.0)
+    """What the choice of the region looked at: the places that were tracked, and the predicted standard deviation."""
+    figure = sheet(3.7)
+    places, scores = figure.subplots(1, 2)
+    _image(places, pixels)
     for number, candidate in enumerate(found.candidates, start=1):
         colour, line = (SKY, "-") if candidate.fixed else (ORANGE, "--")
-        _box(axes, candidate.region, color=colour, linewidth=1.0, linestyle=line, zorder=2)
-        spot = (candidate.region.x + 3, candidate.region.y + 3)
-        axes.text(*spot, str(number), color="white", fontsize=7, va="top", zorder=3, clip_on=True)
-    _box(axes, found.region, color=VERMILLION, linewidth=2.0, zorder=2.5)
-    axes.set_xlim(-0.5, pixels.shape[1] - 0.5)
-    axes.set_ylim(pixels.shape[0] - 0.5, -0.5)
+        _box(places, candidate.region, color=colour, linewidth=1.0, linestyle=line, zorder=2)
+        spot = (candidate.region.x + 0.06 * candidate.region.width, candidate.region.y + 0.06 * candidate.region.height)
+        ground = {"facecolor": BLACK, "edgecolor": "none", "alpha": 0.6, "pad": 1.5}
+        places.text(*spot, str(number), color="white", fontsize=7, va="top", zorder=3, clip_on=True, bbox=ground)
+    _scores(scores, found)
+    for axes in (places, scores):
+        _box(axes, found.region, color=VERMILLION, linewidth=2.0, zorder=2.5)
+        axes.set_aspect("equal")
+        axes.set_xlim(-0.5, pixels.shape[1] - 0.5)
+        axes.set_ylim(pixels.shape[0] - 0.5, -0.5)
     return picture(figure, dots=True)
+
+
+def _scores(axes: "Axes", found: RegionChoice) -> None:
+    """The map of the predicted standard deviation, coloured up to five times its best value."""
+    score = np.where(np.isfinite(found.score_px) & (found.score_px > 0), found.score_px, np.nan)
+    axes.set_facecolor("#eeeeee")
+    axes.grid(False)
+    axes.set_xlabel("x (px)")
+    if min(score.shape) > 1 and np.isfinite(score).any():
+        (x0, x1), (y0, y1) = _edges(found.score_x), _edges(found.score_y)
+        top = min(float(np.nanmax(score)), 5.0 * float(np.nanmin(score)))
+        shown = axes.imshow(score, cmap="viridis", vmax=top, extent=(x0, x1, y1, y0), interpolation="nearest")
+        axes.figure.colorbar(shown, ax=axes, shrink=0.8, label="predicted σ (px)")
 
 
 def _edges(centres: Any) -> tuple[float, float]:
@@ -170,16 +177,17 @@ def _regression(axes: "Axes", found: ScaleCalibration) -> None:
 
 def _likelihood(axes: "Axes", found: ScaleCalibration) -> None:
     search = found.search
-    top = max(float(search.likelihood.max()), search.fit.likelihood)
-    axes.plot(search.offsets_s, search.likelihood - top, color=BLUE, label="scanned")
+    curve = search.likelihood - search.likelihood.max()
+    axes.plot(search.offsets_s, curve, color=BLUE, label="scanned")
     axes.axvline(search.fit.offset_s, color=GREEN, linewidth=1.2, linestyle="--", label=f"{search.fit.offset_s:+.4f} s")
     if search.runner_up is not None:
-        x, y = search.runner_up.offset_s, search.runner_up.likelihood - top
-        axes.plot(
-            x, y, marker="v", linestyle="none", color=ORANGE, markeredgecolor=BLACK, label=f"runner-up {x:+.4f} s"
-        )
+        # Refined values do not lie on the scanned curve; the mark does, and the legend says how far behind it is.
+        x, lead = search.runner_up.offset_s, search.fit.likelihood - search.runner_up.likelihood
+        label = f"runner-up {x:+.4f} s, {lead:.3g} behind"
+        options = {"marker": "v", "linestyle": "none", "color": ORANGE, "markeredgecolor": BLACK}
+        axes.plot(x, np.interp(x, search.offsets_s, curve), label=label, **options)
     axes.set_xlabel("clock offset of the camera (s)")
-    axes.set_ylabel("log-likelihood below the best")
+    axes.set_ylabel("log-likelihood below the best scanned")
     axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, borderaxespad=0.2)
 
 

@@ -20,7 +20,7 @@ SKY, ORANGE, PURPLE, GREY, BLACK = "#56B4E9", "#E69F00", "#CC79A7", "#7A7A7A", "
 WIDTH_IN = 9.6
 # A drawing in lines that grows beyond this is kept in dots instead.
 LARGEST_SVG = 400_000
-_STYLE = {
+_STYLE: dict[Any, Any] = {
     "font.size": 9,
     "font.family": ["DejaVu Sans"],
     "axes.edgecolor": "#888888",

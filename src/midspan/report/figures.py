@@ -1,11 +1,12 @@
 """The figures of the displacement: time history, error, zoom, spectra, innovations. Each one: Material → Picture."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from midspan.evaluate.metrics import normalised_innovation
 from midspan.fusion.gate import REJECTED
+from midspan.recording.span import inside
 from midspan.records import Floats, Nanoseconds, Status, seconds
 from midspan.report.drawing import (
     BLACK,
@@ -41,7 +42,7 @@ def history(material: Material) -> Picture:
     band = envelope(material.t, d - BAND * s, d + BAND * s)
     axes.fill_between(band.t, band.low, band.high, color=SKY, alpha=0.45, linewidth=0, label="±1.96 σ")
     draw_line(axes, envelope(material.t, d, d), BLUE, "displacement")
-    _reference(axes, material, slice(None))
+    _reference(axes, material)
     _shade(axes, material)
     _finish(axes, material, "displacement (mm)")
     return picture(figure)
@@ -64,12 +65,11 @@ def error(material: Material) -> Picture:
     return picture(figure)
 
 
-def _reference(axes: "Axes", material: Material, which: slice) -> None:
-    reference = material.reference
-    if reference is None:
-        return
-    t, value = material.clock.at(reference.time_ns[which]), reference.value[which] + material.reference_moved_mm
-    draw_line(axes, envelope(t, value, value), VERMILLION, "reference", linewidth=0.9, linestyle=(0, (4, 2)))
+def _reference(axes: "Axes", material: Material) -> None:
+    found = _reference_within(material, slice(0, len(material.t)))
+    if found is not None:
+        drawn = envelope(found[0], found[1], found[1])
+        draw_line(axes, drawn, VERMILLION, "reference", linewidth=0.9, linestyle=(0, (4, 2)))
 
 
 def _shade(axes: "Axes", material: Material) -> None:
@@ -103,38 +103,58 @@ def liveliest(material: Material) -> slice:
 
 
 def zoom(material: Material) -> Picture:
-    """The liveliest seconds with the band and what the sensors measured."""
+    """The liveliest seconds with what the sensors measured; below, everything with the displacement taken away."""
     which = liveliest(material)
-    rows = material.result.estimate
-    first, last = int(rows.time_ns[which.start]), int(rows.time_ns[which.stop - 1])
-    figure = sheet(3.4)
-    axes = figure.subplots()
+    figure = sheet(4.4)
+    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(1.7, 1))
     t, d = material.t[which], material.result.displacement_mm[which]
     s = material.result.displacement_std_mm[which]
-    band = envelope(t, d - BAND * s, d + BAND * s, 3000)
-    axes.fill_between(band.t, band.low, band.high, color=SKY, alpha=0.55, linewidth=0, label="±1.96 σ")
-    draw_line(axes, envelope(t, d, d, 3000), BLUE, "displacement", linewidth=1.2)
-    if material.reference is not None:
-        cut = _between(material.reference.time_ns, first, last)
-        _reference(axes, material, cut)
+    for axes, middle in ((upper, d), (lower, np.zeros_like(d))):
+        band = envelope(t, middle - BAND * s, middle + BAND * s, 3000)
+        axes.fill_between(band.t, band.low, band.high, color=SKY, alpha=0.55, linewidth=0, label="±1.96 σ")
+        draw_line(axes, envelope(t, middle, middle, 3000), BLUE, "displacement", linewidth=1.2)
+        _shade(axes, material)
+    reference = _reference_within(material, which)
+    if reference is not None:
+        for axes, value in ((upper, reference[1]), (lower, reference[1] - np.interp(reference[0], t, d))):
+            axes.plot(reference[0], value, color=VERMILLION, linestyle=(0, (4, 2)), label="reference")
     for measured, colour in zip(material.measured, (BLACK, GREEN), strict=False):
-        _measurements(axes, material, measured, (first, last, colour))
-    _shade(axes, material)
-    axes.set_xlim(t[0], t[-1])
-    _finish(axes, material, "displacement (mm)")
+        _measurements((upper, lower), material, measured, (which, colour))
+    upper.set_xlim(t[0], t[-1])
+    _finish(upper, material, "displacement (mm)")
+    upper.set_xlabel("")
+    lower.set_xlabel(material.clock.label)
+    lower.set_ylabel("minus\ndisplacement (mm)")
+    figure.align_ylabels()
     return picture(figure)
 
 
-def _measurements(axes: "Axes", material: Material, measured: Measured, drawn: tuple[int, int, str]) -> None:
-    first, last, colour = drawn
-    cut = _between(measured.time_ns, first, last)
-    t = material.clock.at(measured.time_ns[cut])
-    options = {"color": colour, "elinewidth": 0.7, "markersize": 3.0, "label": f"{measured.name} ±1.96 σ"}
-    axes.errorbar(t, measured.value_mm[cut], BAND * measured.std_mm[cut], fmt="o", **options)
+def _reference_within(material: Material, which: slice) -> tuple[Floats, Floats] | None:
+    """Times and values (mm) of the reference, as it is drawn, within rows `which`; None where it has none there."""
+    if material.reference is None:
+        return None
+    cut = _between(material.reference.time_ns, material, which)
+    if cut.stop <= cut.start:
+        return None
+    value = material.reference.value[cut] + material.reference_moved_mm
+    return material.clock.at(material.reference.time_ns[cut]), value
 
 
-def _between(time_ns: Nanoseconds, first_ns: int, last_ns: int) -> slice:
-    return slice(int(np.searchsorted(time_ns, first_ns)), int(np.searchsorted(time_ns, last_ns, side="right")))
+def _measurements(both: "tuple[Axes, Axes]", material: Material, measured: Measured, drawn: tuple[slice, str]) -> None:
+    which, colour = drawn
+    cut = _between(measured.time_ns, material, which)
+    t, value = material.clock.at(measured.time_ns[cut]), measured.value_mm[cut]
+    fused = np.interp(t, material.t[which], material.result.displacement_mm[which])
+    options: dict[str, Any] = {"color": colour, "elinewidth": 0.7, "markersize": 3.0}
+    for axes, shown in zip(both, (value, value - fused), strict=True):
+        label = f"{measured.name} ±1.96 σ"
+        axes.errorbar(t, shown, BAND * measured.std_mm[cut], fmt="o", label=label, **options)
+
+
+def _between(time_ns: Nanoseconds, material: Material, which: slice) -> slice:
+    """The stamps (n,) that lie within rows `which` of the result."""
+    rows = material.result.estimate.time_ns
+    return inside(time_ns, int(rows[which.start]), int(rows[which.stop - 1]))
 
 
 def spectra(material: Material) -> Picture:
@@ -149,6 +169,8 @@ def spectra(material: Material) -> Picture:
     found = density(result.estimate.time_ns, result.displacement_mm)
     if found is not None:
         axes.loglog(*found, color=BLUE, linewidth=1.2, label="displacement")
+        # A simulated truth has no noise floor and would squeeze everything else.
+        axes.set_ylim(bottom=1e-2 * float(found[1].min()))
     if material.reference is not None:
         found = density(material.reference.time_ns, material.reference.value)
         if found is not None:
@@ -203,7 +225,7 @@ def innovations(material: Material) -> Picture:
 def _distribution(axes: "Axes", normalised: Floats) -> None:
     grid = np.linspace(-5.0, 5.0, 201)
     shown = np.clip(normalised, -5.0, 5.0)
-    axes.hist(shown, bins=np.linspace(-5, 5, 41), density=True, color=SKY, label="found")
+    axes.hist(shown, bins=np.linspace(-5, 5, 41).tolist(), density=True, color=SKY, label="found")
     axes.plot(grid, np.exp(-0.5 * grid**2) / np.sqrt(2 * np.pi), color=BLACK, label="expected")
     axes.set_xlabel("innovation / σ")
     axes.set_ylabel("probability density")

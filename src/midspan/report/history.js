@@ -3,7 +3,7 @@
 (() => {
   const figure = document.querySelector("figure[data-history]");
   if (!figure || !window.atob || !window.PointerEvent) return;
-  const { rows, names, first, label } = JSON.parse(figure.dataset.layout);
+  const { rows, names, first, label, grounds } = JSON.parse(figure.dataset.layout);
   const bytes = Uint8Array.from(atob(figure.dataset.history), (c) => c.charCodeAt(0));
   const all = new Float32Array(bytes.buffer);
   const column = Object.fromEntries(names.map((name, i) => [name, all.subarray(i * rows, (i + 1) * rows)]));
@@ -51,6 +51,10 @@
     pen.beginPath();
     pen.rect(margin.left, margin.top, width - margin.left - margin.right, height - margin.top - margin.bottom);
     pen.clip();
+    for (const [start, length, colour] of grounds) {
+      pen.fillStyle = colour;
+      pen.fillRect(x(start), margin.top, Math.max(x(start + length) - x(start), 1), height - margin.top - margin.bottom);
+    }
     area(a, b, x, y, "band_low", "band_high", "rgba(86,180,233,0.45)");
     if (column.reference_low) line(a, b, x, y, "reference_low", "reference_high", "#D55E00", [5, 3]);
     line(a, b, x, y, "low", "high", "#0072B2", []);

@@ -5,10 +5,10 @@ import json
 
 import numpy as np
 
-from midspan.records import Floats
+from midspan.records import Floats, Status
 from midspan.report.figures import BAND
 from midspan.report.material import Material
-from midspan.report.thinning import starts
+from midspan.report.thinning import spans, starts
 
 # Rows that are kept; longer records keep the extremes of this many stretches.
 MOST_ROWS = 20_000
@@ -30,8 +30,25 @@ def history_attributes(material: Material) -> dict[str, str]:
     if reference is not None:
         columns["reference_low"], columns["reference_high"] = reference
     data = np.concatenate(list(columns.values())).astype("<f4").tobytes()
-    layout = {"rows": len(at), "names": list(columns), "first": float(t[0]), "label": material.clock.label}
+    layout = {
+        "rows": len(at),
+        "names": list(columns),
+        "first": float(t[0]),
+        "label": material.clock.label,
+        "grounds": _grounds(material),
+    }
     return {"data-history": base64.b64encode(data).decode(), "data-layout": json.dumps(layout)}
+
+
+def _grounds(material: Material) -> list[list[float | str]]:
+    """Start (s after the first row), length (s) and colour of the stretches that no measurement supports."""
+    status, first = material.result.estimate.status, float(material.t[0])
+    colours = ((Status.COASTING, "rgba(230,159,0,0.28)"), (Status.LOST, "rgba(213,94,0,0.28)"))
+    return [
+        [round(start - first, 4), round(length, 4), colour]
+        for code, colour in colours
+        for start, length in spans(material.t, status == code)
+    ]
 
 
 def _reference(material: Material, starts_s: Floats) -> tuple[Floats, Floats] | None:

@@ -44,13 +44,14 @@ def displacement(material: Material) -> str:
     pieces = [whole]
     if material.comparison is not None:
         caption = (
-            "What is left after the reference is taken away. An honest band holds 95 % of it; a mean away from zero is a "
-            "difference of the two zeros or a drift; error that looks like the motion is a wrong scale or clock."
+            "What is left after the reference is taken away. An honest band holds 95 % of it; a mean away from zero is "
+            "a difference of the two zeros or a drift; error that looks like the motion is a wrong scale or clock."
         )
         pieces.append(page.figure(figures.error(material), "Error against the reference", caption))
     caption = (
         "The stretch with the largest velocity. Points are the sensors' own measurements with their ±1.96 standard "
-        "deviations, moved to the result's zero: most bars should touch the line."
+        "deviations, moved to the result's zero: most bars should touch the line. Below, the same minus the "
+        "displacement, so that the band can be seen."
     )
     pieces.append(page.figure(figures.zoom(material), "The liveliest seconds", caption))
     return page.section("displacement", "Displacement", *pieces)
@@ -80,8 +81,8 @@ def calibration(material: Material) -> str:
         caption = (
             "Left: translation in the image against the motion that the acceleration predicts, both passed through the "
             "same filter, one point a frame. The slope is the inverse of the scale factor; a thin straight cloud is a "
-            f"good calibration (here the acceleration explains {tables.percent(share)} of the variance). Right: how much "
-            "less likely other clock offsets are; one clear summit is needed, the runner-up is the next best."
+            f"good calibration (here the acceleration explains {tables.percent(share)} of the variance). Right: how "
+            "much less likely other clock offsets are; one clear summit is needed, the runner-up is the next best."
         )
         pieces.append(page.figure(camera_figures.scale(found.diagnostics), "Scale factor and clock offset", caption))
     elif found.camera is not None:
@@ -116,15 +117,15 @@ def camera(material: Material) -> str:
     pieces = []
     if result.tracking is not None:
         caption = (
-            "The first frame used with the region of interest, the region enlarged, and the target's translation in the "
-            "image since then (dot: start). The path should be long in the measured direction "
+            "The first frame used with the region of interest, the region enlarged, and the target's translation in "
+            "the image since then (dot: start). The path should be long in the measured direction "
             f"({result.calibration.camera.direction}) and short across it."
         )
         pieces.append(page.figure(camera_figures.frame(material), "Region of interest", caption))
         pieces.append(_choice(material))
     caption = (
-        "Quality from 0 to 1 and standard deviation of each frame's translation. Drops tell of fog, glare, something in "
-        "front of the target, or a blurred picture; their measurements count for less."
+        "Quality from 0 to 1 and standard deviation of each frame's translation. Drops tell of fog, glare, something "
+        "in front of the target, or a blurred picture; their measurements count for less."
     )
     pieces.append(page.figure(camera_figures.tracker(material), "Tracking", caption))
     return page.section("camera", "Camera", *pieces)
@@ -135,9 +136,9 @@ def _choice(material: Material) -> str:
     if tracking is None or tracking.choice is None:
         return page.paragraph("The region was given, by the settings or by the calibration.", "note")
     caption = (
-        "The colour is the standard deviation with which a region centred there could be tracked (darker is better, bare "
-        "places were ruled out). Numbered boxes were tracked for some seconds: solid ones move alike and count as fixed, "
-        "dashed ones do not; the red one was taken."
+        "Left: numbered boxes were tracked for some seconds; solid ones move alike and count as fixed, dashed ones do "
+        "not; the red one was taken. Right: the standard deviation with which a region centred there could be tracked; "
+        "darker is better, grey was ruled out."
     )
     drawn = camera_figures.choice(tracking.choice, tracking.reference.pixels)
     return page.figure(drawn, "Choice of the region", caption) + page.bullets(tracking.choice.reasons, "plain")

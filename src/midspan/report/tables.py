@@ -25,7 +25,7 @@ def summary(material: Material) -> list[Card]:
     shares = (f"{percent(status['coasting'])} coasting", f"{percent(status['lost'])} lost")
     found = [
         ("Largest displacement", f"{f['largest_mm']:+.4g} mm", "along the accelerometer's axis"),
-        ("Smallest displacement", f"{f['smallest_mm']:+.4g} mm", "counted from the first measurement's zero"),
+        ("Smallest displacement", f"{f['smallest_mm']:+.4g} mm", "same axis"),
         ("Motion", f"{f['rms_mm']:.4g} mm rms", f"{f['largest_mm'] - f['smallest_mm']:.4g} mm peak to peak"),
         ("Typical band (95 %)", f"± {1.96 * f['median_std_mm']:.3g} mm", f"σ = {f['median_std_mm']:.3g} mm, median"),
         ("Span", duration(length_s), f"{f['rows']:,} rows at {rate_hz(material):.5g} Hz".replace(",", " ")),
@@ -37,7 +37,7 @@ def summary(material: Material) -> list[Card]:
         more = "" if relative is None else f"{relative:.2g} % of its peak to peak"
         found.append(("RMSE against reference", f"{against.rmse_mm:.3g} mm", more))
         if against.coverage_95 is not None:
-            found.append(("Errors inside the band", percent(against.coverage_95), "95 % is honest"))
+            found.append(("Errors inside the band", percent(against.coverage_95), "95 % is expected"))
     return found
 
 

@@ -31,7 +31,7 @@ class Envelope:
 
 
 def starts(count: int, stretches: int) -> NDArray[np.int64]:
-    """First index of each of at most `stretches` nearly equal stretches of `count` rows; one a row where they suffice."""
+    """First index of each of at most `stretches` nearly equal stretches of `count` rows; every row where few."""
     if count <= 2 * stretches:
         return np.arange(count)
     return np.unique(np.linspace(0, count, stretches, endpoint=False).astype(np.int64))
