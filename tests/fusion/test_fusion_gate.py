@@ -78,8 +78,8 @@ def test_a_target_stuck_for_four_seconds_is_ridden_through(method):
     assert not events
     assert np.all(innovation.verdict[stuck] == REJECTED)
     inside = (TIME > 30.0) & (TIME < 34.0)
-    # Four seconds of accelerometer alone: the drift stays a fraction of the 8 mm, and within the band.
-    assert np.max(np.abs(error(estimate)[inside])) < 2e-3
+    # Four seconds of accelerometer alone drift: half of it would be a target that is believed again too early.
+    assert np.max(np.abs(error(estimate)[inside])) < 4e-3
     assert np.all(np.abs(error(estimate)[inside]) < 3.5 * np.sqrt(estimate.variance_m2[inside]))
     assert np.all(estimate.status[(TIME > 31.0) & (TIME < 34.0)] == Status.COASTING)
     assert rms(error(estimate)[TIME > 36.0][:-300]) < 1.5e-4

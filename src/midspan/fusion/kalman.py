@@ -45,6 +45,8 @@ from midspan.records import (
 )
 
 BLOCK = 32768
+# The state starts this long before the first sample; the same however the record is cut.
+START_S = 0.01
 Output = Estimate | Innovation | Event
 
 
@@ -75,10 +77,9 @@ class KalmanSettings:
         return self.gate.limit, self.gate.reacquire_s
 
     def state_before(self, samples: Floats) -> Floats:
-        """The state vector one interval before the first of `samples` (n, 3)."""
-        interval = samples[1, 0] - samples[0, 0] if len(samples) > 1 else 0.01
+        """The state vector shortly before the first of `samples` (n, 3)."""
         variance = (self.displacement_std**2, self.velocity_std**2, self.bias_std**2)
-        state = initial_state(samples[0, 0] - interval, (0.0, 0.0, self.bias), variance)
+        state = initial_state(samples[0, 0] - START_S, (0.0, 0.0, self.bias), variance)
         state[INPUT] = samples[0, 1]
         return state
 

@@ -3,14 +3,16 @@
 import numpy as np
 from numba import njit
 
-from midspan.fusion.gate import REACQUIRED, REJECTED, judge
+from midspan.fusion.gate import REACQUIRED, REJECTED, agrees, judge
 from midspan.fusion.state_space import (
+    AGREEMENTS,
     FIRST_REJECTED,
     INPUT,
     LAST_ACCEPTED,
     P00,
     P01,
     P02,
+    P11,
     P22,
     REJECTIONS,
     SOURCE,
@@ -41,22 +43,26 @@ def meet_measurement(s, row, measured, limits):  # type: ignore[no-untyped-def]
     innovation, total = value - s[X], s[P00] + variance
     rejections = s[REJECTIONS]
     rejected_for = time - s[FIRST_REJECTED] if rejections > 0 else 0.0
-    verdict = judge(innovation, total, rejected_for, rejections, limits)
+    verdict = judge(innovation, total, (rejected_for, rejections, s[AGREEMENTS]), limits)
     if verdict == REJECTED:
         s[FIRST_REJECTED] = time - rejected_for
         s[REJECTIONS] = rejections + 1
+        s[AGREEMENTS] = s[AGREEMENTS] + 1.0 if agrees(innovation, total, limits) else 0.0
         row[GAIN_X] = row[GAIN_V] = row[GAIN_B] = 0.0
     else:
         if verdict == REACQUIRED:
-            # The old position is given up: its uncertainty becomes the size of the jump.
+            # The old position is given up: its uncertainty becomes the size of the jump. Whether the target jumped or
+            # the prediction ran away is not known, so velocity and bias may be wrong by what would explain it too.
             s[P00] += innovation * innovation
+            s[P11] += (innovation / max(rejected_for, 1e-3)) ** 2
+            s[P22] += (innovation / max(rejected_for, 1e-3) ** 2) ** 2
             total = s[P00] + variance
         gain = (s[P00] / total, s[P01] / total, s[P02] / total)
         s[X] += gain[0] * innovation
         s[V] += gain[1] * innovation
         s[B] += gain[2] * innovation
         update_covariance(s, gain, variance)
-        s[REJECTIONS], s[LAST_ACCEPTED], s[SOURCE] = 0.0, time, source
+        s[REJECTIONS], s[AGREEMENTS], s[LAST_ACCEPTED], s[SOURCE] = 0.0, 0.0, time, source
         row[GAIN_X], row[GAIN_V], row[GAIN_B] = gain
     row[INNOVATION], row[INNOVATION_VARIANCE], row[VERDICT] = innovation, total, verdict
 

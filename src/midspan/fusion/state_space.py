@@ -20,8 +20,8 @@ from numba import njit
 from midspan.records import Floats
 
 X, V, B, P00, P01, P02, P11, P12, P22, TIME, INPUT = range(11)
-LAST_ACCEPTED, FIRST_REJECTED, REJECTIONS, SOURCE = range(11, 15)
-STATE_SIZE = 15
+LAST_ACCEPTED, FIRST_REJECTED, REJECTIONS, SOURCE, AGREEMENTS = range(11, 16)
+STATE_SIZE = 16
 
 # The response of the interval's input up to the instant already reached, see `input_response`.
 Response = tuple[float, float]
