@@ -7,7 +7,7 @@ import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from midspan.checks import nearest
 from midspan.errors import DataError, UsageError
@@ -16,10 +16,32 @@ from midspan.vision.tracker import DEFAULT_TRACKER, TRACKERS
 
 RECORDING_FILE = "recording.toml"
 
-PositiveNumber = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NonNegativeNumber = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-FiniteNumber = Annotated[float, Field(allow_inf_nan=False)]
+
+def _no_truth(value: object) -> object:
+    """TOML's true and false are no numbers and no texts."""
+    if isinstance(value, bool):
+        raise ValueError("must not be true or false")
+    return value
+
+
+NoTruth = BeforeValidator(_no_truth)
+
+PositiveNumber = Annotated[float, NoTruth, Field(gt=0, allow_inf_nan=False)]
+NonNegativeNumber = Annotated[float, NoTruth, Field(ge=0, allow_inf_nan=False)]
+FiniteNumber = Annotated[float, NoTruth, Field(allow_inf_nan=False)]
 Name = Annotated[str, Field(min_length=1)]
+
+
+def _region_is_positive(value: tuple[int, int, int, int] | None) -> tuple[int, int, int, int] | None:
+    if value is not None and (min(value[:2]) < 0 or min(value[2:]) < 1):
+        raise ValueError("must be x, y >= 0 and width, height >= 1, in px")
+    return value
+
+
+def _second_is_larger(value: tuple[float, float] | None) -> tuple[float, float] | None:
+    if value is not None and value[1] <= value[0]:
+        raise ValueError("must be two numbers, the second larger")
+    return value
 
 
 def _known(table: dict[str, Any], kind: str) -> AfterValidator:
@@ -71,41 +93,29 @@ class CameraSettings(_Section):
     times: Name | None = Field(None, description="file with a column time_s, one row a frame")
     rate_hz: PositiveNumber | None = Field(None, description="frames a second, where the file has no time stamps")
     start_s: FiniteNumber = Field(0.0, description="time of the first frame, s")
-    every: Annotated[int, Field(ge=1)] = Field(1, description="use every n-th frame; higher is faster")
-    roi: tuple[int, int, int, int] | None = Field(None, description="x, y, width, height, px; left out: chosen")
+    every: Annotated[int, NoTruth, Field(ge=1)] = Field(1, description="use every n-th frame; higher is faster")
+    roi: Annotated[tuple[int, int, int, int] | None, AfterValidator(_region_is_positive)] = Field(
+        None, description="x, y, width, height, px; left out: chosen"
+    )
     direction: Literal["x", "y"] = Field("y", description="image axis of the measured motion: x right, y down")
     exposure_s: NonNegativeNumber | None = Field(None, description="exposure time, s; its averaging is corrected")
     readout_s: NonNegativeNumber = Field(0.0, description="rolling shutter: seconds from first to last row")
     tracker: Annotated[str, _known(TRACKERS, "tracker")] = Field(DEFAULT_TRACKER, description="how the target is found")
 
-    @model_validator(mode="after")
-    def _region_is_positive(self) -> "CameraSettings":
-        if self.roi is not None and (min(self.roi[:2]) < 0 or min(self.roi[2:]) < 1):
-            raise ValueError(f"roi: must be x, y >= 0 and width, height >= 1, in px; received {list(self.roi)}")
-        return self
-
 
 class CalibrationSettings(_Section):
     """How scale factor and clock offset are found."""
 
-    window_s: tuple[FiniteNumber, FiniteNumber] | None = Field(
+    window_s: Annotated[tuple[FiniteNumber, FiniteNumber] | None, AfterValidator(_second_is_larger)] = Field(
         None, description="start and end of the part used, s on the accelerometer's clock; left out: the first minute"
     )
-    band_hz: tuple[NonNegativeNumber, PositiveNumber] | None = Field(
+    band_hz: Annotated[tuple[NonNegativeNumber, PositiveNumber] | None, AfterValidator(_second_is_larger)] = Field(
         None,
         description="band of acceleration compared with the camera, Hz; left out: all that rates and noise allow",
     )
     max_offset_s: Annotated[float, Field(ge=0, le=3600)] = Field(
         0.5, description="largest clock offset searched for, s"
     )
-
-    @model_validator(mode="after")
-    def _in_order(self) -> "CalibrationSettings":
-        for name in ("window_s", "band_hz"):
-            pair = getattr(self, name)
-            if pair is not None and pair[1] <= pair[0]:
-                raise ValueError(f"{name}: must be two numbers, the second larger; received {list(pair)}")
-        return self
 
 
 class FusionSettings(_Section):
@@ -171,23 +181,44 @@ def validate(tree: dict[str, Any], where: str) -> RecordingSettings:
         raise UsageError("\n".join(f"{where}: {line}" for line in lines)) from None
 
 
+# Sections of a recording.toml that other versions of midspan read.
+OTHER_SECTIONS = ("infrared", "radar")
+
+
 def _explain(item: Any) -> str:
     """One sentence for one of pydantic's errors."""
-    place = [str(part) for part in item["loc"]]
-    key = ".".join(place) or "the file"
-    kind, value = item["type"], item["input"]
+    place, kind, value = list(item["loc"]), item["type"], item["input"]
+    if place and isinstance(place[-1], int) and kind in ("missing", "int_type", "float_type"):
+        place = place[:-1]
+    key = ".".join(str(part) for part in place) or "settings"
     if kind == "extra_forbidden":
-        known = _keys_at(place[:-1])
-        what = "section" if isinstance(value, dict) else "key"
-        return f"{key}: is not a known {what}. {nearest(place[-1], known)} Known: {', '.join(known)}.".replace(
-            "  ", " "
-        )
+        return _unknown(key, [str(part) for part in place], value)
+    if kind == "too_long" or (kind == "missing" and isinstance(item["loc"][-1], int)):
+        return f"{key}: must have {4 if key.endswith('roi') else 2} numbers; received {list(value)}."
     if kind == "missing":
-        return f"{key}: is missing. Add it; `midspan formats` and the guide show an example."
-    text = str(item["msg"]).removeprefix("Value error, ").replace("Input should", "must")
-    if kind == "value_error":
-        return f"{key}: {text}" if not place else f"{key} = {value!r}: {text}".rstrip()
-    return f"{key} = {value!r}: {text}."
+        return f"{key}: is missing. Add it; `midspan check-config` shows what a file says."
+    if kind.startswith(("model_type", "model_attributes", "dict_type")):
+        return f"{key}: must be one section, [{key}]; received {value!r}."
+    if kind == "string_too_short":
+        return f"{key} = {value!r}: must not be empty; leave the key out instead."
+    text = str(item["msg"]).removeprefix("Value error, ")
+    text = text.replace("Input should", "must").replace("String should", "must")
+    return f"{key}: {text}." if key == "settings" else f"{key} = {_plain(value)}: {text}.".replace("..", ".")
+
+
+def _plain(value: Any) -> str:
+    return repr(list(value)) if isinstance(value, tuple) else repr(value)
+
+
+def _unknown(key: str, place: list[str], value: Any) -> str:
+    if len(place) == 1 and place[0] in OTHER_SECTIONS:
+        return f"{key}: this version of midspan does not read [{key}]. Take the section out."
+    known = _keys_at(place[:-1])
+    if len(place) == 1:
+        known = [name for name in known if name != "name"] if isinstance(value, dict) else ["name"]
+    what = "section" if isinstance(value, dict) else "key"
+    hint = nearest(place[-1], known)
+    return f"{key}: is not a known {what}. {hint + ' ' if hint else ''}Known: {', '.join(known)}."
 
 
 def _keys_at(place: list[str]) -> list[str]:

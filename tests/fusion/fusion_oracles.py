@@ -136,6 +136,4 @@ def riccati_bound(acceleration_std, rate_hz, displacement_std, every):
         gain = filtered_p[k] @ transition.T @ np.linalg.inv(predicted_p[k + 1])
         smoothed_p.append(filtered_p[k] + gain @ (smoothed_p[-1] - predicted_p[k + 1]) @ gain.T)
     middle = slice(50 * every, 70 * every)
-    return tuple(
-        float(np.sqrt(np.mean([p[0, 0] for p in rows[middle]]))) for rows in (filtered_p, smoothed_p[::-1])
-    )
+    return tuple(float(np.sqrt(np.mean([p[0, 0] for p in rows[middle]]))) for rows in (filtered_p, smoothed_p[::-1]))

@@ -66,7 +66,9 @@ def known_blocks(case):
 
 
 def estimated(method, acceleration, displacement):
-    return filtered(acceleration, displacement)[0] if method == "kalman" else smooth(acceleration, displacement).estimate
+    return (
+        filtered(acceleration, displacement)[0] if method == "kalman" else smooth(acceleration, displacement).estimate
+    )
 
 
 def errors(estimate, case):
@@ -151,10 +153,9 @@ def test_stamps_are_met_where_they_are_not_on_the_nearest_sample():
     acceleration = -(omega**2) * 3e-3 * np.sin(omega * time) + rng.normal(0, 2e-3, len(time))
     value = 3e-3 * np.sin(omega * met) + rng.normal(0, 1e-4, len(met))
     truth = 3e-3 * np.sin(omega * time)
-    exact, rounded = (
-        rms((smooth(acceleration_block(time, acceleration, 4e-8), displacement_block(stamps, value, 1e-8))).estimate.displacement_m[500:-500] - truth[500:-500])
-        for stamps in (met, np.round(met, 2))
-    )
+    block = acceleration_block(time, acceleration, 4e-8)
+    found = [smooth(block, displacement_block(stamps, value, 1e-8)).estimate for stamps in (met, np.round(met, 2))]
+    exact, rounded = (rms(estimate.displacement_m[500:-500] - truth[500:-500]) for estimate in found)
     assert exact < 0.035e-3
     assert rounded > 5 * exact
 
@@ -166,5 +167,3 @@ def test_riccati_bound_agrees_with_the_filters_own_variance():
         variance = estimated(method, *known_blocks(case)).variance_m2[2000:8000]
         # The filter also estimates the bias, which the bound takes for known: at most 1 % more.
         assert 1.0 - 1e-6 <= np.sqrt(np.mean(variance)) / expected < 1.01
-
-

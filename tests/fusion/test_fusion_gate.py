@@ -86,17 +86,20 @@ def test_a_target_stuck_for_four_seconds_is_ridden_through(method):
 
 
 @BOTH
-def test_a_permanent_jump_is_taken_over_after_the_declared_time_and_told(method):
-    acceleration, value, variance = record()
-    value[MET > 30.0] += 8e-3
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_a_permanent_jump_is_taken_over_after_the_declared_time_and_told(method, seed):
+    # Five seconds of drift have a deviation of 2.6 mm here: only a jump well beyond can be told from drift for sure.
+    acceleration, value, variance = record(seed)
+    value[MET > 30.0] += 15e-3
     estimate, innovation, events = run(method, acceleration, value, variance)
     (event,) = events
     assert event.kind == "reacquired"
     assert 5.0 <= event.time_ns / 1e9 - 30.0 <= 7.0
-    assert "8." in event.text or "7." in event.text
-    assert np.count_nonzero(innovation.verdict == REACQUIRED) == 1
-    later = TIME > 38.0
-    assert rms((error(estimate) - 8e-3)[later][:-300]) < 1.5e-4
+    taken = np.flatnonzero(innovation.verdict == REACQUIRED)
+    assert len(taken) == 1
+    assert f"{1e3 * innovation.value_m[taken[0]]:.2f} mm" in event.text
+    assert rms((error(estimate) - 15e-3)[TIME > 38.0][:-300]) < 1.5e-4
+    assert rms(error(estimate)[(TIME > 5.0) & (TIME < 30.0)]) < 1e-4
 
 
 @BOTH
@@ -168,7 +171,9 @@ def at_rest(stamps, values):
     return innovation.verdict, innovation.value_m / np.sqrt(innovation.variance_m2)
 
 
-@pytest.mark.parametrize(("deviations", "verdict"), [(3.98, ACCEPTED), (-3.98, ACCEPTED), (4.02, REJECTED), (-4.02, REJECTED)])
+@pytest.mark.parametrize(
+    ("deviations", "verdict"), [(3.98, ACCEPTED), (-3.98, ACCEPTED), (4.02, REJECTED), (-4.02, REJECTED)]
+)
 def test_the_gate_stands_at_four_predicted_deviations(deviations, verdict):
     stamps = np.arange(200) / 10.0
     # First a run with a mark of one deviation tells how wide the band is; the variance does not depend on the value.

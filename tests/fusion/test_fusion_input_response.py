@@ -1,4 +1,6 @@
-"""The Numerov input: amplitude and phase of integrated sines, exactness inside an interval, composition of sub-steps."""
+"""The Numerov input: amplitude and phase of integrated sines, exactness inside an interval, sub-steps."""
+
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -58,7 +60,7 @@ def test_a_parabola_of_acceleration_is_integrated_exactly_on_the_grid():
     acceleration, truth = 3.0 + 2.0 * time - 5.0 * time**2, 1.5 * time**2 + time**3 / 3.0 - 5.0 * time**4 / 12.0
     state = initial_state(0.0, (0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
     moved = [0.0]
-    for a0, a1 in zip(acceleration[:-1], acceleration[1:], strict=True):
+    for a0, a1 in pairwise(acceleration):
         advance_mean(state, 0.2, (0.0, 0.0), input_response(1.0, 0.2, a0, a1))
         moved.append(state[X])
     np.testing.assert_allclose(np.diff(moved, 2), np.diff(truth, 2), rtol=1e-12)

@@ -147,7 +147,8 @@ def test_small_blocks_of_the_backward_pass_equal_one_large_block(monkeypatch):
 
 
 def test_steady_variance_is_the_closed_form_and_the_smoother_has_half_the_deviation():
-    # Much faster sampling than the corner (2 rad/s against 314 rad/s), where the continuous formula holds to a per cent.
+    # Much faster sampling than the corner (2 rad/s against 314 rad/s), where the continuous formula holds to a per
+    # cent.
     noise = KnownNoise(0.02, 100.0, 3.5e-3, 50.0)
     time = np.arange(6000) / 100.0
     acceleration = acceleration_block(time, np.zeros(6000), noise.acceleration_density)

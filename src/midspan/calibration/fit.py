@@ -4,13 +4,16 @@ Scale factor and noise variance are solved in closed form inside (see `whitening
 response to the acceleration, not the other way round, keeps pixel noise from shrinking the scale factor.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import minimize
 
 from midspan.calibration.whitening import Whitened, whiten
 from midspan.records import Floats
+
+# Ratio, time offset and the ratio of the noise levels are fitted beside the noise itself.
+FITTED = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,12 +24,15 @@ class Pair:
     (s), translation, relative variance (infinite: not used).
     ratio: the translation per metre of displacement where it is known (1 for a displacement sensor), else None.
     exposure_s: time over which each translation is averaged.
+    outside: samples (n, 3) with the part of the acceleration that must not decide the ratio (motion outside a band); it
+    gets a factor of its own. None: all of the acceleration decides.
     """
 
     samples: Floats
     rows: Floats
     ratio: float | None = None
     exposure_s: float = 0.0
+    outside: Floats | None = None
 
     @property
     def rate_hz(self) -> float:
@@ -71,12 +77,14 @@ def evaluate(pair: Pair, offset_s: float, corner: float) -> Fit:
     density = corner**4 / pair.rate_hz
     w = whiten(pair.samples, rows, density, pair.exposure_s)
     n = max(len(w.variance), 1)
+    if pair.outside is not None:
+        w = _without(w, whiten(pair.outside, rows, density, pair.exposure_s))
     power = float(np.sum(w.response**2 / w.variance))
     cross = float(np.sum(w.response * w.translation / w.variance))
     total = float(np.sum(w.translation**2 / w.variance))
     ratio = pair.ratio if pair.ratio is not None else cross / max(power, 1e-300)
     left = max(total - 2.0 * ratio * cross + ratio * ratio * power, 1e-300)
-    noise = left / n
+    noise = left / max(n - FITTED, 1)
     entropy = 0.5 * float(np.sum(np.log(w.variance)))
     if pair.ratio is None:
         # Accelerometer noise in the response shrinks the regression; its expected share is known and taken back.
@@ -88,10 +96,20 @@ def evaluate(pair: Pair, offset_s: float, corner: float) -> Fit:
         ratio_variance=noise / max(power, 1e-300),
         noise=noise,
         input_density=density * noise / max(ratio * ratio, 1e-300),
-        likelihood=-0.5 * n * np.log(noise) - entropy,
+        likelihood=-0.5 * n * np.log(left / n) - entropy,
         without=-0.5 * n * np.log(max(total, 1e-300) / n) - entropy,
         whitened=w,
     )
+
+
+def _without(inside: Whitened, outside: Whitened) -> Whitened:
+    """The innovations with the share of `outside`'s response taken out of translation and response alike."""
+    power = max(float(np.sum(outside.response**2 / inside.variance)), 1e-300)
+
+    def rest(values: Floats) -> Floats:
+        return values - float(np.sum(values * outside.response / inside.variance)) / power * outside.response
+
+    return replace(inside, translation=rest(inside.translation), response=rest(inside.response))
 
 
 def corner_range(pair: Pair) -> tuple[float, float]:

@@ -9,6 +9,9 @@ from midspan.calibration.time_offset import OffsetSearch, search_offset
 from midspan.errors import UntrustedError
 from midspan.records import Floats, NoiseLevel, ScaleFactor
 
+LEAST_FRAMES = 20
+# Image motion above this many standard deviations of a frame's noise is motion.
+CLEARLY_MOVING = 8.0
 # The largest relative standard deviation of a scale factor that is still given out, and the one that brings a warning.
 REFUSED_ABOVE = 0.05
 WARNED_ABOVE = 0.01
@@ -46,10 +49,11 @@ def calibrate_scale(pair: Pair, max_offset_s: float) -> ScaleCalibration:
     motion, when two offsets fit alike, or when the sensors do not agree.
     """
     usable = int(np.count_nonzero(np.isfinite(pair.rows[:, 2])))
-    if usable < 20:
+    if usable < LEAST_FRAMES:
         raise UntrustedError(
-            f"Only {usable} usable frames lie in the calibration window; at least 20 are needed. "
-            "Widen calibration.window_s or check the region of interest."
+            f"Only {usable} usable frames lie in the calibration window (frames within calibration.max_offset_s = "
+            f"{max_offset_s:g} s of its ends are left out); at least {LEAST_FRAMES} are needed. Widen "
+            "calibration.window_s, lower calibration.max_offset_s, or check camera.roi if the target was lost."
         )
     search = search_offset(pair, max_offset_s)
     fit = search.fit
@@ -65,29 +69,33 @@ def calibrate_scale(pair: Pair, max_offset_s: float) -> ScaleCalibration:
         noise=NoiseLevel(float(np.sqrt(fit.noise * typical))),
         variance_factor=fit.noise,
         input_noise_density=fit.input_density,
-        warnings=tuple(_warnings(search, relative)),
+        warnings=tuple(_warnings(search, relative, usable)),
     )
 
 
 def _refuse_no_motion(pair: Pair, fit: Fit, relative: float) -> None:
-    if fit.likelihood - fit.without >= LEAST_GAIN and relative <= REFUSED_ABOVE:
+    gain = fit.likelihood - fit.without
+    if gain >= LEAST_GAIN and relative <= REFUSED_ABOVE:
         return
-    seen = float(np.std(pair.rows[np.isfinite(pair.rows[:, 2]), 1]))
-    noise = float(np.sqrt(fit.noise * np.median(pair.rows[np.isfinite(pair.rows[:, 2]), 2])))
-    shaken = float(np.std(pair.samples[:, 1]))
-    figures = (
-        f"(image motion {seen:.3g} px rms with noise {noise:.2g} px; acceleration {1e3 * shaken:.3g} mm/s² rms; "
-        f"best scale factor {1e3 / fit.ratio:.4g} mm/px ± {100 * relative:.2g} %)"
+    rows = pair.rows[np.isfinite(pair.rows[:, 2])]
+    seen, noise, shaken = (
+        float(np.std(rows[:, 1])),
+        float(np.sqrt(np.median(rows[:, 2]))),
+        float(np.std(pair.samples[:, 1])),
     )
-    if seen > 5.0 * noise and fit.likelihood - fit.without < LEAST_GAIN:
+    figures = f"(image motion {seen:.3g} px rms with noise {noise:.2g} px, acceleration {1e3 * shaken:.3g} mm/s² rms)"
+    if seen > CLEARLY_MOVING * noise and gain < LEAST_GAIN:
         raise UntrustedError(
             f"No agreement between image and accelerometer {figures}: the image moves, but not with the acceleration. "
-            "Check camera.direction, that the region shows something fixed, that both files are of the same event, and "
-            "raise calibration.max_offset_s if the clocks may differ by more."
+            "Check camera.direction, that the region shows something fixed and that both files are of the same event; "
+            "where the clocks may differ by more, raise calibration.max_offset_s or set camera.start_s."
         )
     raise UntrustedError(
-        f"Too little motion to calibrate the scale factor {figures}: at most ± {100 * REFUSED_ABOVE:g} % is given out. "
-        "Choose a calibration.window_s with traffic or shaking, or pass a calibration made at a livelier time with -c."
+        f"Too little motion to calibrate the scale factor {figures}: it would be {1e3 / fit.ratio:.4g} mm/px "
+        f"± {100 * relative:.2g} %, and at most ± {100 * REFUSED_ABOVE:g} % is given out. Choose a "
+        "calibration.window_s with "
+        "traffic or shaking, or pass a calibration made at a livelier time with -c. If the structure did move, check "
+        "camera.direction, camera.roi and calibration.max_offset_s."
     )
 
 
@@ -122,7 +130,7 @@ def _entropy(variance: Floats) -> float:
     return float(np.mean(np.log(variance)))
 
 
-def _warnings(search: OffsetSearch, relative: float) -> list[str]:
+def _warnings(search: OffsetSearch, relative: float, usable: int) -> list[str]:
     found = []
     if relative > WARNED_ABOVE:
         found.append(
@@ -132,7 +140,7 @@ def _warnings(search: OffsetSearch, relative: float) -> list[str]:
     std = float(np.sqrt(search.offset.variance))
     if std > 2e-3:
         found.append(f"The clock offset is known to ± {1e3 * std:.1f} ms only (one standard deviation).")
-    left_out = int(np.count_nonzero(~np.isfinite(search.pair.rows[:, 2])))
-    if left_out > 0.05 * len(search.pair.rows):
-        found.append(f"{left_out} of {len(search.pair.rows)} frames were left out of the calibration as outliers.")
+    left_out = usable - int(np.count_nonzero(np.isfinite(search.pair.rows[:, 2])))
+    if left_out > 0.05 * usable:
+        found.append(f"{left_out} of {usable} frames were left out of the calibration as outliers.")
     return found

@@ -16,6 +16,8 @@ COARSE_CORNERS = 4
 CANDIDATES = 6
 # An innovation this many robust standard deviations out is left out of the fit; the rest is fitted again.
 OUTLIER_LIMIT = 5.0
+# More lonely outliers than this share are no accident of single measurements.
+MOST_LONELY = 0.3
 # Above this rate the coarse search runs on averages of neighbouring samples; the refinement always on all samples.
 COARSE_RATE_HZ = 250.0
 
@@ -56,7 +58,8 @@ def search_offset(pair: Pair, max_offset_s: float) -> OffsetSearch:
 
 def scan(pair: Pair, max_offset_s: float) -> tuple[Floats, Floats, Floats]:
     """Offsets tried (k,), the likelihood at the best of a few noise ratios (k,), and that corner frequency (k,)."""
-    coarse = replace(pair, samples=thinned(pair.samples, COARSE_RATE_HZ))
+    outside = None if pair.outside is None else thinned(pair.outside, COARSE_RATE_HZ)
+    coarse = replace(pair, samples=thinned(pair.samples, COARSE_RATE_HZ), outside=outside)
     rate = (len(coarse.samples) - 1) / float(coarse.samples[-1, 0] - coarse.samples[0, 0])
     count = 2 * int(np.ceil(max_offset_s * min(rate, 200.0))) + 1
     offsets = np.linspace(-max_offset_s, max_offset_s, max(count, 3))
@@ -111,7 +114,7 @@ def without_lonely_outliers(pair: Pair) -> Pair:
     jump = value[index[1:-1]] - 0.5 * (value[index[:-2]] + value[index[2:]])
     spread = 1.4826 * float(np.median(np.abs(jump)))
     bad = index[1:-1][np.abs(jump) > 12.0 * max(spread, 1e-12)]
-    if not len(bad) or len(bad) > 0.1 * len(index):
+    if not len(bad) or len(bad) > MOST_LONELY * len(index):
         return pair
     rows = pair.rows.copy()
     rows[bad, 2] = np.inf

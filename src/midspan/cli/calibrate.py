@@ -14,14 +14,16 @@ from midspan.cli.console import Console, common_options
 @common_options
 def command(recording: str, output: str | None, tracker: str | None, quiet: bool, as_json: bool) -> None:
     """Find scale factor, clock offset and noise levels, and write them to calibration.json."""
+    from midspan.cli.estimate import open_with
+    from midspan.cli.targets import protect
     from midspan.recording.calibrate import calibrate
-    from midspan.recording.recording import open_recording
 
     console = Console(quiet, as_json)
-    opened = open_recording(recording, **({"camera": {"tracker": tracker}} if tracker else {}))
+    opened = open_with(recording, tracker)
+    target = protect(opened, output or opened.folder, result=False)
     calibration = calibrate(opened, console.progress)
     console.done()
-    file = calibration.save(output or opened.folder)
+    file = calibration.save(target)
     describe(console, calibration.to_dict())
     console.warn(calibration.warnings)
     console.say(f"written to {file}")

@@ -43,7 +43,7 @@ def command(output: str, seed: int, quiet: bool, as_json: bool) -> None:
     console.say("\n4. estimate")
     result = run_estimate(recording, calibration, tracking=tracking, progress=console.progress)
     result.save(folder / "result.csv")
-    estimate.write_report_of(result, folder / "report.html", console)
+    estimate.write_report(result, folder / "report.html", recording.reference, console)
     estimate.show(Console(quiet or as_json, False), result, [str(folder / "result.csv"), str(folder / "report.html")])
     console.say("\n5. compare with the truth")
     figures = compare_files(folder / "result.csv", place / "truth.csv").to_dict()

@@ -1,11 +1,16 @@
 """`midspan estimate RECORDING`."""
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from midspan.cli.console import Console, common_options
+
+if TYPE_CHECKING:
+    from midspan.recording.recording import Recording
+    from midspan.recording.result import Result
+    from midspan.records import TimeSeries
 
 
 @click.command("estimate")
@@ -21,54 +26,57 @@ from midspan.cli.console import Console, common_options
 @common_options
 def command(recording: str, quiet: bool, as_json: bool, **options: Any) -> None:
     """Estimate displacement in mm at the accelerometer's rate, with its standard deviation."""
+    from midspan.cli.targets import protect, report_path
     from midspan.recording.calibration import load_calibration
     from midspan.recording.estimate import estimate
-    from midspan.recording.recording import open_recording
     from midspan.sinks.write import check_target
 
     console = Console(quiet, as_json)
-    overrides: dict[str, dict[str, Any]] = {}
-    if options["tracker"]:
-        overrides["camera"] = {"tracker": options["tracker"]}
-    if options["method"]:
-        overrides["fusion"] = {"method": options["method"]}
-    opened = open_recording(recording, **overrides)
-    output = Path(options["output"] or opened.folder / "result.csv")
+    opened = open_with(recording, options["tracker"], options["method"])
+    output = protect(opened, options["output"] or opened.folder / "result.csv")
     check_target(output)
-    check_report(options["report"])
+    report = report_path(options["report"])
+    reference = opened.reference if report and opened.has("reference") else None
     calibration = load_calibration(options["calibration_file"]) if options["calibration_file"] else None
     result = estimate(opened, calibration, progress=console.progress)
     console.done()
-    result.save(output)
     written = [str(output)]
-    if options["report"]:
-        write_report_of(result, Path(options["report"]), console)
-        written.append(options["report"])
+    if report is not None:
+        # The report comes first: should it fail, no result stands under its final name.
+        write_report(result, report, reference, console)
+        written.append(str(report))
+    result.save(output)
     show(console, result, written)
 
 
-def check_report(path: str | None) -> None:
-    """Refuse a report that could not be written, before the work."""
-    if path is None:
-        return
-    if Path(path).suffix.lower() not in (".html", ".htm"):
-        raise click.UsageError(f"--report {path}: must end in .html.")
-    if not Path(path).absolute().parent.is_dir():
-        raise click.UsageError(f"--report {path}: the folder {Path(path).parent} does not exist; make it first.")
+def open_with(recording: str, tracker: str | None, method: str | None = None) -> "Recording":
+    """Open a recording with the tracker and method of the command line, which win over its own."""
+    from midspan.checks import option
+    from midspan.fusion.methods import METHODS
+    from midspan.recording.recording import open_recording
+    from midspan.vision.tracker import TRACKERS
+
+    overrides: dict[str, dict[str, Any]] = {}
+    if tracker is not None:
+        overrides["camera"] = {"tracker": option("--tracker", tracker, TRACKERS)}
+    if method is not None:
+        overrides["fusion"] = {"method": option("--method", method, METHODS)}
+    opened = open_recording(recording, **overrides)
+    if tracker is not None and not opened.has("camera"):
+        raise click.UsageError(f"--tracker {tracker}: {opened.file} has no [camera] to track.")
+    return opened
 
 
-def write_report_of(result: Any, path: Path, console: Console) -> None:
-    """The HTML report, with the recording's reference where it has one."""
-    from midspan.report.report import write_report
+def write_report(result: "Result", path: Path, reference: "TimeSeries | None", console: Console) -> None:
+    """The HTML report."""
+    from midspan.report.report import write_report as write
 
     console.progress(0, 1, "writing the report")
-    recording = result.recording
-    reference = recording.reference if recording is not None and recording.has("reference") else None
-    write_report(result, path, reference)
+    write(result, path, reference)
     console.done()
 
 
-def show(console: Console, result: Any, written: list[str]) -> None:
+def show(console: Console, result: "Result", written: list[str]) -> None:
     """Print the first figures of a result and where it went."""
     f = result.figures()
     share = ", ".join(f"{100 * part:.3g} % {word}" for word, part in f["status"].items() if part > 0)

@@ -25,13 +25,24 @@ def command(source: str, output: str, quiet: bool, as_json: bool, **options: Any
     import numpy as np
 
     from midspan.checks import option, positive
+    from midspan.cli.targets import protect, protect_side_file
+    from midspan.recording.recording import open_recording
     from midspan.recording.track import TrackRequest, track
     from midspan.records import Region, Status
+    from midspan.settings import RECORDING_FILE
     from midspan.sinks.write import check_target, write_result
     from midspan.vision.tracker import TRACKERS
 
     console = Console(quiet, as_json)
     check_target(Path(output))
+    if Path(output).suffix.lower() in (".mseed", ".uff"):
+        raise click.UsageError(f"-o {output}: a track is written as .csv, .parquet, .h5 or .mat.")
+    if Path(source).name == RECORDING_FILE or (Path(source) / RECORDING_FILE).is_file():
+        protect(open_recording(source), output)
+        if options["rate_hz"] is not None or options["start_s"]:
+            raise click.UsageError("--rate-hz and --start-s: a recording says these itself, in [camera].")
+    else:
+        protect_side_file(Path(output))
     if options["tracker"] is not None:
         option("--tracker", options["tracker"], TRACKERS)
     if options["rate_hz"] is not None:

@@ -6,7 +6,7 @@ import numpy as np
 
 from midspan.errors import DataError
 from midspan.records import Acceleration, Event, Floats, Nanoseconds, TimeSeries, part
-from midspan.signals.health import Mask, bridged, clipped, clock, dominant_frequency, frozen, runs
+from midspan.signals.health import Clock, Mask, bridged, clipped, clock, dominant_frequency, frozen, runs
 
 # Share of samples that may be missing, frozen or clipped before the channel is refused.
 MOST_MISSING = 0.2
@@ -36,7 +36,8 @@ class PreparedAcceleration:
     def rows(self, origin_ns: int, which: slice) -> Floats:
         """Rows (n, 3) for calibration: time (s), acceleration without its mean, relative noise density."""
         block = part(Acceleration(self.time_ns, self.value_m_s2, self.bridging_density), which)
-        relative = np.where(block.noise_density > 0, 1e6, 1.0)
+        usual = float(np.var(block.value_m_s2)) / self.rate_hz * 1e-4
+        relative = 1.0 + block.noise_density / max(usual, 1e-12)
         time_s = (block.time_ns - origin_ns) / 1e9
         return np.column_stack((time_s, block.value_m_s2 - np.mean(block.value_m_s2), relative))
 
@@ -55,7 +56,7 @@ def prepare_acceleration(series: TimeSeries, where: str) -> PreparedAcceleration
     missing = absent | still | held
     _refuse(where, missing, "missing", (MOST_MISSING, "is not a number, frozen or clipped"))
     value = bridged(series.value, missing)
-    density = _bridging_density(value, missing, usual.rate_hz, usual.gaps)
+    density = _bridging_density(value, missing, usual)
     warnings = [
         f"{where}: {np.count_nonzero(mask)} samples ({100 * np.mean(mask):.2g} %) {what}; they were bridged and marked."
         for mask, what in ((absent, "are not numbers"), (still, "are frozen"), (held, "are clipped"))
@@ -63,7 +64,7 @@ def prepare_acceleration(series: TimeSeries, where: str) -> PreparedAcceleration
     ]
     if len(usual.gaps):
         longest = float(np.max(usual.gap_s))
-        warnings.append(f"{where}: {len(usual.gaps)} gaps in time, the longest {longest:.3g} s; bridged and marked.")
+        warnings.append(f"{where}: gaps in time: {len(usual.gaps)}, the longest {longest:.3g} s; bridged and marked.")
     events = [Event(int(series.time_ns[a]), "bridged", f"{where}: {b - a} samples bridged.") for a, b in runs(missing)]
     events += [
         Event(int(series.time_ns[i]), "gap", f"{where}: no samples for {s:.3g} s.")
@@ -81,14 +82,21 @@ def _refuse(where: str, mask: Mask, kind: str, rule: tuple[float, str]) -> None:
         )
 
 
-def _bridging_density(value: Floats, missing: Mask, rate_hz: float, gaps: Nanoseconds) -> Floats:
+def _bridging_density(value: Floats, missing: Mask, gaps: Clock) -> Floats:
     """Noise density (n,) that stands for the motion that was not seen: its variance spread over its bandwidth."""
     density = np.zeros(len(value))
-    if not missing.any() and not len(gaps):
+    if not missing.any() and not len(gaps.gaps):
         return density
-    seen = value[~missing]
-    unknown = float(np.var(seen)) / max(dominant_frequency(seen, rate_hz), 0.2)
-    density[missing] = unknown
-    density[1:][missing[:-1]] = unknown
-    density[gaps + 1] = unknown
+    seen, rate_hz = value[~missing], gaps.rate_hz
+    frequency = max(dominant_frequency(seen, rate_hz), 0.2)
+    unknown = float(np.var(seen)) / frequency
+
+    def unseen(length_s: float) -> float:
+        """The share of the motion that a straight line over `length_s` misses: (2 pi f T)²/8 of its amplitude."""
+        return unknown * min(1.0, ((2.0 * np.pi * frequency * length_s) ** 2 / 8.0) ** 2)
+
+    for start, end in runs(missing):
+        density[start : end + 1] = unseen((end - start + 1) / rate_hz)
+    for index, length_s in zip(gaps.gaps, gaps.gap_s, strict=True):
+        density[index + 1] = max(density[index + 1], unseen(float(length_s)))
     return density

@@ -5,13 +5,13 @@ import numpy as np
 from midspan.calibration.fit import Pair
 from midspan.calibration.noise import NoiseCalibration, calibrate_noise
 from midspan.calibration.scale import ScaleCalibration, calibrate_scale
-from midspan.errors import DataError, UsageError
+from midspan.errors import DataError, UntrustedError, UsageError
 from midspan.recording.calibration import Calibration, CameraCalibration, DisplacementCalibration
 from midspan.recording.progress import Progress, silent
 from midspan.recording.recording import Recording
 from midspan.recording.span import inside, require_overlap
 from midspan.recording.tracking import CameraTracking, TrackingSettings
-from midspan.records import NANOSECONDS, Floats, Nanoseconds, Region
+from midspan.records import NANOSECONDS, Floats, Nanoseconds, Region, TimeSeries
 
 DEFAULT_WINDOW_S = 60.0
 # Noise levels of a displacement sensor are learnt from this much at most, in one piece, for speed.
@@ -133,15 +133,15 @@ def _calibrate_camera(recording: Recording, tracking: CameraTracking) -> ScaleCa
     margin = round(settings.calibration.max_offset_s * NANOSECONDS)
     inner = inside(track.time_ns, first + margin, last - margin)
     rows = _measured_rows(track.time_ns[inner], value[inner], variance[inner], first)
-    samples = in_band(prepared.rows(first, window), settings.calibration.band_hz)
+    samples, outside = in_band(prepared.rows(first, window), settings.calibration.band_hz)
     exposure_s = settings.camera.exposure_s or 0.0 if settings.camera else 0.0
-    return calibrate_scale(Pair(samples, rows, exposure_s=exposure_s), settings.calibration.max_offset_s)
+    return calibrate_scale(Pair(samples, rows, None, exposure_s, outside), settings.calibration.max_offset_s)
 
 
-def in_band(samples: Floats, band_hz: tuple[float, float] | None) -> Floats:
-    """Samples (n, 3) with the acceleration limited to a band (zero phase); motion outside it then counts as noise."""
+def in_band(samples: Floats, band_hz: tuple[float, float] | None) -> tuple[Floats, Floats | None]:
+    """Samples (n, 3) with the acceleration of a band (zero phase), and those with the rest of it; None for no band."""
     if band_hz is None:
-        return samples
+        return samples, None
     from scipy.signal import butter, sosfiltfilt
 
     rate = (len(samples) - 1) / float(samples[-1, 0] - samples[0, 0])
@@ -151,9 +151,10 @@ def in_band(samples: Floats, band_hz: tuple[float, float] | None) -> Floats:
             f"calibration.band_hz = {list(band_hz)}: must lie below half the accelerometer's rate of {rate:.4g} Hz."
         )
     kind, edges = ("bandpass", [low, high]) if low > 0 else ("lowpass", [high])
-    limited = samples.copy()
-    limited[:, 1] = sosfiltfilt(butter(4, edges, kind, fs=rate, output="sos"), samples[:, 1])
-    return limited
+    inside, outside = samples.copy(), samples.copy()
+    inside[:, 1] = sosfiltfilt(butter(4, edges, kind, fs=rate, output="sos"), samples[:, 1])
+    outside[:, 1] -= inside[:, 1]
+    return inside, outside
 
 
 def _measured_rows(time_ns: Nanoseconds, value: Floats, variance: Floats, origin_ns: int) -> Floats:
@@ -183,16 +184,30 @@ def _calibrate_displacement(recording: Recording) -> NoiseCalibration:
     used = inside(series.time_ns, int(prepared.time_ns[0]), int(prepared.time_ns[-1]))
     first = int(series.time_ns[used.start])
     last = min(int(series.time_ns[used.stop - 1]), first + round(NOISE_WINDOW_S * NANOSECONDS))
-    used = inside(series.time_ns, first, last)
-    if used.stop - used.start < LEAST_MEASUREMENTS:
-        raise DataError(
-            f"displacement: {used.stop - used.start} measurements overlap the accelerometer; at least "
-            f"{LEAST_MEASUREMENTS} are needed to learn its noise."
-        )
-    window = inside(prepared.time_ns, first - NANOSECONDS, last + NANOSECONDS)
     max_offset = min(recording.settings.calibration.max_offset_s, 0.1 * (last - first) / NANOSECONDS)
+    margin = round(max_offset * NANOSECONDS)
+    used = inside(series.time_ns, first + margin, last - margin)
+    _refuse_poor_displacement(series, used)
+    window = inside(prepared.time_ns, first - NANOSECONDS, last + NANOSECONDS)
     rows = _measured_rows(series.time_ns[used], series.value[used], np.ones(used.stop - used.start), first)
     return calibrate_noise(Pair(prepared.rows(first, window), rows, 1.0), max_offset)
+
+
+def _refuse_poor_displacement(series: TimeSeries, used: slice) -> None:
+    value = series.value[used]
+    known = value[np.isfinite(value)]
+    if len(known) < LEAST_MEASUREMENTS:
+        raise DataError(
+            f"displacement: {len(known)} measurements overlap the accelerometer; at least {LEAST_MEASUREMENTS} "
+            "are needed "
+            "to learn its noise. Check its time column, gaps and unit."
+        )
+    if np.ptp(known) == 0.0:
+        raise DataError(
+            f"displacement ({series.name}): stands at one value, {1e3 * known[0]:g} mm, all the time. Check the "
+            "sensor, or "
+            "choose another column with displacement.value."
+        )
 
 
 def _displacement_part(recording: Recording, learnt: NoiseCalibration) -> DisplacementCalibration:
@@ -213,13 +228,16 @@ def unit_in_metres(recording: Recording) -> float:
 
 
 def _displacement_warnings(learnt: NoiseCalibration) -> list[str]:
+    """A doubt about the displacement's unit or sign in words; UntrustedError where it is beyond doubt."""
     off = abs(learnt.scale - 1.0)
-    if off > 0.1 and off > 5.0 * learnt.scale_std:
-        return [
-            f"displacement: follows the accelerometer with a factor of {learnt.scale:.3g} ± {learnt.scale_std:.2g} "
-            "where 1 is expected; check displacement.unit, its sign and accelerometer.unit."
-        ]
-    return []
+    text = (
+        f"displacement: follows the accelerometer with a factor of {learnt.scale:.3g} ± {learnt.scale_std:.2g} "
+        "where 1 is "
+        "expected. Check displacement.unit, its sign, accelerometer.unit and that both sensors measure the same axis."
+    )
+    if off > max(0.5, 5.0 * learnt.scale_std):
+        raise UntrustedError(text)
+    return [text] if off > max(0.1, 5.0 * learnt.scale_std) else []
 
 
 def _acceleration_noise(recording: Recording, densities: list[float], warnings: list[str]) -> tuple[float, float]:

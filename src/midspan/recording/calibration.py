@@ -126,57 +126,107 @@ def _finite_or_none(value: float) -> float | None:
 
 
 def load_calibration(path: str | Path) -> Calibration:
-    """Read a `calibration.json` (or the folder that holds it); DataError where it is missing or damaged."""
+    """Read a `calibration.json` (or the folder that holds it).
+
+    Raises DataError naming file and key where it is missing, damaged or holds a value that cannot be.
+    """
     path = Path(path)
     path = path / CALIBRATION_FILE if path.is_dir() else path
     try:
         tree = json.loads(path.read_text(encoding="utf-8"))
-        return calibration_from_dict(tree)
     except OSError as error:
         raise DataError(f"{path}: cannot be read ({error.strerror}). `midspan calibrate` writes one.") from None
-    except (json.JSONDecodeError, KeyError, TypeError, ValueError, UnicodeDecodeError) as error:
-        raise DataError(
-            f"{path}: is not a calibration of midspan ({type(error).__name__}: {error}). Run `midspan calibrate` again."
-        ) from None
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise DataError(f"{path}: is not JSON ({error}). Run `midspan calibrate` again.") from None
+    try:
+        return calibration_from_dict(tree)
+    except _WrongValueError as error:
+        raise DataError(f"{path}: {error}. Run `midspan calibrate` again.") from None
+
+
+class _WrongValueError(ValueError):
+    """A key of a calibration that is missing or holds what it cannot."""
 
 
 def calibration_from_dict(tree: dict[str, Any]) -> Calibration:
     """The calibration that `Calibration.to_dict` describes; keys that only inform may be missing."""
-    accelerometer = tree["accelerometer"]
-    std = float(accelerometer["noise_std_m_s2"])
-    camera, displacement = tree.get("camera"), tree.get("displacement")
+    accelerometer = _section(tree, "accelerometer")
+    if accelerometer is None:
+        raise _WrongValueError("accelerometer is missing")
+    std = _number(accelerometer, "accelerometer.noise_std_m_s2", positive=True)
+    density = _number(accelerometer, "accelerometer.noise_density_m2_s4_hz", default=std * std / 100.0, positive=True)
+    camera, displacement = _section(tree, "camera"), _section(tree, "displacement")
+    warnings = tree.get("warnings", [])
     return Calibration(
-        noise_density=float(accelerometer.get("noise_density_m2_s4_hz", std * std / 100.0)),
+        noise_density=density,
         noise_std_m_s2=std,
-        bias_m_s2=float(accelerometer.get("bias_m_s2", 0.0)),
+        bias_m_s2=_number(accelerometer, "accelerometer.bias_m_s2", default=0.0),
         camera=_camera_of(camera) if camera else None,
         displacement=_displacement_of(displacement) if displacement else None,
-        warnings=tuple(tree.get("warnings", ())),
+        warnings=tuple(str(line) for line in warnings) if isinstance(warnings, list) else (),
         created=str(tree.get("created", "")),
         version=str(tree.get("version", "")),
     )
 
 
+def _section(tree: Any, name: str) -> dict[str, Any] | None:
+    section = tree.get(name) if isinstance(tree, dict) else None
+    if section is not None and not isinstance(section, dict):
+        raise _WrongValueError(f"{name} must be an object with keys; received {section!r}")
+    return section
+
+
+def _number(section: dict[str, Any], key: str, default: float | None = None, positive: bool = False) -> float:
+    value = section.get(key.rpartition(".")[2], default)
+    if value is None:
+        raise _WrongValueError(f"{key} is missing")
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise _WrongValueError(f"{key} must be a finite number; received {value!r}")
+    if positive and value <= 0:
+        raise _WrongValueError(f"{key} must be above 0; received {value!r}")
+    return float(value)
+
+
+def _std(section: dict[str, Any], key: str, default: float | None = None) -> float:
+    value = _number(section, key, default)
+    if value < 0:
+        raise _WrongValueError(f"{key} must be 0 or more; received {value!r}")
+    return value
+
+
 def _camera_of(tree: dict[str, Any]) -> CameraCalibration:
-    x, y, width, height = (int(number) for number in tree["roi"])
-    scale = float(tree["scale_mm_per_px"]) / 1e3
-    if not math.isfinite(scale) or scale == 0.0:
-        raise ValueError("camera.scale_mm_per_px must be a finite number other than 0")
+    scale = _number(tree, "camera.scale_mm_per_px") / 1e3
+    if scale == 0.0:
+        raise _WrongValueError("camera.scale_mm_per_px must not be 0")
+    direction = tree.get("direction", "y")
+    if direction not in ("x", "y"):
+        raise _WrongValueError(f'camera.direction must be "x" or "y"; received {direction!r}')
     return CameraCalibration(
-        scale=ScaleFactor(scale, (float(tree.get("scale_std_mm_per_px", 0.0)) / 1e3) ** 2),
-        offset=_offset_of(tree),
-        region=Region(x, y, width, height),
-        direction=str(tree.get("direction", "y")),
+        scale=ScaleFactor(scale, (_std(tree, "camera.scale_std_mm_per_px", 0.0) / 1e3) ** 2),
+        offset=_offset_of(tree, "camera"),
+        region=_region_of(tree),
+        direction=direction,
         tracker=str(tree.get("tracker", "template")),
-        noise_std_px=float(tree.get("noise_std_px", 0.02)),
-        variance_factor=float(tree.get("variance_factor", 1.0)),
+        noise_std_px=_number(tree, "camera.noise_std_px", 0.02, positive=True),
+        variance_factor=_number(tree, "camera.variance_factor", 1.0, positive=True),
     )
 
 
+def _region_of(tree: dict[str, Any]) -> Region:
+    roi = tree.get("roi")
+    if not (
+        isinstance(roi, list) and len(roi) == 4 and all(type(n) is int and n >= 0 for n in roi) and min(roi[2:]) > 0
+    ):
+        raise _WrongValueError(f"camera.roi must be four whole numbers x, y, width, height in px; received {roi!r}")
+    return Region(*roi)
+
+
 def _displacement_of(tree: dict[str, Any]) -> DisplacementCalibration:
-    return DisplacementCalibration(float(tree["noise_std_mm"]) / 1e3, _offset_of(tree))
+    std = _number(tree, "displacement.noise_std_mm", positive=True)
+    return DisplacementCalibration(std / 1e3, _offset_of(tree, "displacement"))
 
 
-def _offset_of(tree: dict[str, Any]) -> TimeOffset:
-    std = tree.get("time_offset_std_s")
-    return TimeOffset(float(tree.get("time_offset_s", 0.0)), math.inf if std is None else float(std) ** 2)
+def _offset_of(tree: dict[str, Any], section: str) -> TimeOffset:
+    unknown = tree.get("time_offset_std_s", 0.0) is None
+    std = math.inf if unknown else _std(tree, f"{section}.time_offset_std_s", 0.0)
+    return TimeOffset(_number(tree, f"{section}.time_offset_s"), std**2)

@@ -6,7 +6,8 @@ import numpy as np
 
 from midspan.checks import option
 from midspan.engine.monitor import Monitor
-from midspan.errors import DataError, UsageError
+from midspan.errors import DataError, UntrustedError, UsageError
+from midspan.fusion.gate import REJECTED
 from midspan.fusion.kalman import KalmanFilter, KalmanSettings
 from midspan.fusion.methods import METHODS
 from midspan.fusion.smoother import Smoothed, smooth
@@ -14,9 +15,9 @@ from midspan.recording.acceleration import PreparedAcceleration
 from midspan.recording.calibrate import calibrate_and_track, open_tracking
 from midspan.recording.calibration import Calibration, CameraCalibration
 from midspan.recording.progress import Progress, silent
-from midspan.recording.recording import Recording
+from midspan.recording.recording import Recording, naming
 from midspan.recording.result import Result
-from midspan.recording.span import inside, require_overlap
+from midspan.recording.span import inside, require_overlap, shown
 from midspan.recording.tracking import CameraTracking
 from midspan.records import (
     NANOSECONDS,
@@ -27,6 +28,7 @@ from midspan.records import (
     Floats,
     Innovation,
     PixelTrack,
+    PixelTranslation,
     Source,
     Status,
     joined,
@@ -36,6 +38,8 @@ from midspan.signals.health import dominant_frequency
 
 # Rows are `coasting` when the last accepted measurement is older than this many of the sensor's usual intervals.
 COASTING_INTERVALS = 2.5
+# Where more than half of the measurements contradict the prediction, the prediction or the calibration is wrong.
+MOST_REJECTED = 0.5
 # The zero of `kalman` comes from this much of the record, smoothed: it belongs to its start-up, not to its causal
 # output.
 ZERO_S = 60.0
@@ -60,10 +64,18 @@ def estimate(
     method = option("method", method or recording.settings.fusion.method, METHODS)
     if calibration is None:
         calibration, tracking = calibrate_and_track(recording, progress)
+    with naming(recording):
+        return _estimate(recording, calibration, method, tracking, progress)
+
+
+def _estimate(
+    recording: Recording, calibration: Calibration, method: str, tracking: CameraTracking | None, progress: Progress
+) -> Result:
     _require(recording, calibration)
     inputs = _inputs(recording, calibration, tracking, progress)
     progress(0, 1, "fusing")
     fused = _fuse(inputs, method)
+    _refuse_rejections(fused.innovation)
     rows = _with_calibration_error(inputs, method, fused.estimate)
     result = _cut(recording, inputs, rows)
     progress(1, 1, "fusing")
@@ -74,7 +86,7 @@ def estimate(
         method=method,
         innovation=fused.innovation,
         events=tuple(sorted((*recording.prepared.events, *fused.events), key=lambda event: event.time_ns)),
-        warnings=_warnings(calibration, fused, result),
+        warnings=_warnings(calibration, inputs, fused, result),
         track=inputs.track,
         tracking=inputs.tracking,
         recording=recording,
@@ -83,7 +95,10 @@ def estimate(
 
 @dataclass(frozen=True, slots=True)
 class Inputs:
-    """What is fused: acceleration, displacement of all sensors, the filter's settings, the camera's track."""
+    """What is fused: acceleration, displacement of all sensors, the filter's settings, the camera's track.
+
+    level_m: taken off the displacement before fusing, so that a height of 123 m does not start the filter 123 m away.
+    """
 
     acceleration: Acceleration
     displacement: Displacement
@@ -91,6 +106,7 @@ class Inputs:
     camera: CameraCalibration | None
     track: PixelTrack | None
     tracking: CameraTracking | None
+    level_m: float = 0.0
 
 
 def _require(recording: Recording, calibration: Calibration) -> None:
@@ -123,6 +139,8 @@ def _inputs(
         blocks.append(_exposed(recording, calibration.camera.mapping().displacement(track), acceleration))
     if recording.has("displacement"):
         blocks.append(_displacement(recording, calibration))
+    level = 0.0 if track is not None else float(blocks[0].value_m[np.argmax(np.isfinite(blocks[0].value_m))])
+    blocks[0] = replace(blocks[0], value_m=blocks[0].value_m - level)
     measured = _merged(blocks, acceleration, kalman)
     acceleration = _from_first_measurement(acceleration, measured, calibration.noise_density)
     interval = float(np.median(np.diff(blocks[0].time_ns))) / NANOSECONDS
@@ -132,7 +150,8 @@ def _inputs(
         lost_s=max(10.0, 10.0 * interval),
         velocity_std=_velocity_std(prepared, measured),
     )
-    return Inputs(acceleration, measured, kalman, calibration.camera if track is not None else None, track, tracking)
+    camera = calibration.camera if track is not None else None
+    return Inputs(acceleration, measured, kalman, camera, track, tracking, level)
 
 
 def _bias_std(calibration: Calibration, value: Floats) -> float:
@@ -153,10 +172,10 @@ def _velocity_std(prepared: PreparedAcceleration, measured: Displacement) -> flo
 def _track_all(tracking: CameraTracking, monitor: Monitor, acceleration: Acceleration) -> PixelTrack:
     """Track the frames that are left with the filter's predictions; returns the whole track."""
     offset = monitor.scale.time_offset_ns
-    if tracking.rows:
+    if tracking.done:
         monitor.push(monitor.scale.displacement(tracking.track))
     pushed = 0
-    while len(tracking.rows) < len(tracking.time_ns):
+    while tracking.done < len(tracking.time_ns):
         frame = tracking.take()
         if frame is None:
             break
@@ -164,7 +183,8 @@ def _track_all(tracking: CameraTracking, monitor: Monitor, acceleration: Acceler
         monitor.push(part(acceleration, slice(pushed, due)))
         pushed = max(pushed, due)
         (translation,) = monitor.push(frame)
-        tracking.rows.append(translation)  # type: ignore[arg-type]
+        assert isinstance(translation, PixelTranslation)
+        tracking.add(frame, translation)
     tracking.close()
     return tracking.track
 
@@ -244,7 +264,7 @@ def _fuse(inputs: Inputs, method: str) -> Smoothed:
 def _zeroed(inputs: Inputs, rows: Estimate, beginning: Estimate) -> Estimate:
     """Rows counted from the displacement at the first frame, as the smoothed `beginning` knows it."""
     if inputs.camera is None:
-        return rows
+        return replace(rows, displacement_m=rows.displacement_m + inputs.level_m)
     first = int(inputs.displacement.time_ns[np.argmax(inputs.displacement.source == Source.CAMERA)])
     k = int(np.clip(np.searchsorted(beginning.time_ns, first), 0, len(beginning.time_ns) - 1))
     ahead = (first - int(beginning.time_ns[k])) / NANOSECONDS
@@ -285,11 +305,47 @@ def _cut(recording: Recording, inputs: Inputs, rows: Estimate) -> Estimate:
     rows = part(rows, own)
     missing = recording.prepared.missing
     status = np.where(missing & (rows.status == Status.TRACKING), np.uint8(Status.COASTING), rows.status)
-    return part(replace(rows, status=status), inside(rows.time_ns, first, last))
+    span = inside(rows.time_ns, first, last)
+    if span.stop - span.start < 2:
+        raise DataError(
+            f"The streams do not overlap with the calibrated clock offset: measurements run from {shown(first)} to "
+            f"{shown(last)} on the accelerometer's clock, which runs from {shown(int(rows.time_ns[0]))} to "
+            f"{shown(int(rows.time_ns[-1]))}. Check the calibration's time_offset_s and the start_s of both."
+        )
+    return part(replace(rows, status=status), span)
 
 
-def _warnings(calibration: Calibration, fused: Smoothed, rows: Estimate) -> tuple[str, ...]:
+def _lost_end(inputs: Inputs, rows: Estimate) -> list[str]:
+    """A sentence when the measurements stop long before both streams do."""
+    end = min(int(inputs.displacement.time_ns[-1]), int(inputs.acceleration.time_ns[-1]))
+    missed = (end - int(rows.time_ns[-1])) / NANOSECONDS
+    if missed <= max(1.0, inputs.kalman.coasting_s):
+        return []
+    return [
+        f"The target was lost from {shown(int(rows.time_ns[-1]))} to the end; the result stops there, "
+        f"{missed:.1f} s early."
+    ]
+
+
+def _refuse_rejections(innovation: Innovation) -> None:
+    """UntrustedError when most measurements contradict the prediction."""
+    share = float(np.mean(innovation.verdict == REJECTED)) if len(innovation.verdict) else 0.0
+    if share > MOST_REJECTED:
+        raise UntrustedError(
+            f"{100 * share:.0f} % of the measurements contradict the acceleration; at most "
+            f"{100 * MOST_REJECTED:g} % may. "
+            "Scale factor, clock offset or direction belong to another recording, or the sensors do not measure "
+            "the same "
+            "motion. Calibrate this recording, and look at its camera.roi."
+        )
+
+
+def _warnings(calibration: Calibration, inputs: Inputs, fused: Smoothed, rows: Estimate) -> tuple[str, ...]:
     found = list(calibration.warnings)
+    if inputs.tracking is not None:
+        found += inputs.tracking.warnings()
+    found += [event.text for event in fused.events]
+    found += _lost_end(inputs, rows)
     rejected = float(np.mean(fused.innovation.verdict == 1)) if len(fused.innovation.verdict) else 0.0
     if rejected > 0.02:
         found.append(f"{100 * rejected:.1f} % of the measurements were rejected as outliers.")

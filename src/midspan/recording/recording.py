@@ -1,16 +1,30 @@
 """A recording: its settings and its files, opened when they are first needed."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from midspan.errors import DataError
+from midspan.errors import DataError, MidspanError
 from midspan.recording.acceleration import PreparedAcceleration, prepare_acceleration
 from midspan.records import TimeSeries
 from midspan.settings import ChannelSettings, RecordingSettings, load_settings, settings_file
 from midspan.sources.accelerometer.select import SeriesRequest, read_series
 from midspan.sources.camera.formats import open_frames
 from midspan.sources.camera.frames import FrameRequest, FrameSource
+
+
+@contextmanager
+def naming(recording: "Recording") -> Iterator[None]:
+    """Put the recording's file before the message of any error raised inside that does not name it already."""
+    try:
+        yield
+    except MidspanError as error:
+        text = str(error)
+        if str(recording.file) in text:
+            raise
+        raise type(error)(f"{recording.file}: {text}") from None
 
 
 class Recording:
@@ -42,7 +56,8 @@ class Recording:
         path = self.folder / name
         if not path.exists() and not any(sign in name for sign in "*?["):
             raise DataError(
-                f"{self.file}: {key} = {name!r}: no such file in {self.folder}. Paths are relative to {self.file.name}."
+                f"{self.file}: {key} = {name!r}: no such file in the folder {str(self.folder)!r}. Paths are "
+                f"relative to {self.file.name}."
             )
         return path
 
@@ -75,6 +90,13 @@ class Recording:
         times = None if camera.times is None else self.path(camera.times, "camera.times")
         request = FrameRequest(times=times, rate_hz=camera.rate_hz, start_s=camera.start_s, every=camera.every)
         return open_frames(self.path(camera.file, "camera.file"), request)
+
+    @property
+    def own_files(self) -> set[Path]:
+        """The files that make up the recording, resolved: results must not be written over them."""
+        parts = (getattr(self.settings, name) for name in ("accelerometer", "camera", "displacement", "reference"))
+        names = [name for part in parts if part for name in (part.file, getattr(part, "times", None)) if name]
+        return {self.file.resolve(), *((self.folder / name).resolve() for name in names)}
 
     def _series(self, section: str, quantity: str) -> TimeSeries:
         channel: ChannelSettings = getattr(self.settings, section)

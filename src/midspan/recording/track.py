@@ -83,6 +83,7 @@ def track(source: str | Path, request: TrackRequest | None = None, progress: Pro
     tracking = CameraTracking(frames, settings, progress)
     rows = _all_rows(tracking)
     progress(1, 1, "tracking")
+    warnings += tracking.warnings()
     lost = int(np.count_nonzero(rows.status == Status.LOST))
     if lost:
         warnings.append(f"The target was lost in {lost} of {len(rows.time_ns)} frames; their values are empty.")
@@ -91,7 +92,7 @@ def track(source: str | Path, request: TrackRequest | None = None, progress: Pro
 
 def _all_rows(tracking: CameraTracking) -> PixelTrack:
     while (frame := tracking.take()) is not None:
-        tracking.rows.append(tracking.tracker.push(frame))
+        tracking.add(frame, tracking.tracker.push(frame))
     tracking.close()
     return tracking.track
 

@@ -183,12 +183,12 @@ def _likelihood(axes: "Axes", found: ScaleCalibration) -> None:
     if search.runner_up is not None:
         # Refined values do not lie on the scanned curve; the mark does, and the legend says how far behind it is.
         x, lead = search.runner_up.offset_s, search.fit.likelihood - search.runner_up.likelihood
-        label = f"runner-up {x:+.4f} s, {lead:.3g} behind"
-        options = {"marker": "v", "linestyle": "none", "color": ORANGE, "markeredgecolor": BLACK}
+        label = f"runner-up {x:+.4f} s, {lead:.0f} behind"
+        options: dict[str, Any] = {"marker": "v", "linestyle": "none", "color": ORANGE, "markeredgecolor": BLACK}
         axes.plot(x, np.interp(x, search.offsets_s, curve), label=label, **options)
     axes.set_xlabel("clock offset of the camera (s)")
     axes.set_ylabel("log-likelihood below the best scanned")
-    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, borderaxespad=0.2)
+    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, borderaxespad=0.2)
 
 
 def explained(found: ScaleCalibration) -> float:

@@ -41,8 +41,8 @@ def history(material: Material) -> Picture:
     d, s = material.result.displacement_mm, material.result.displacement_std_mm
     band = envelope(material.t, d - BAND * s, d + BAND * s)
     axes.fill_between(band.t, band.low, band.high, color=SKY, alpha=0.45, linewidth=0, label="±1.96 σ")
-    draw_line(axes, envelope(material.t, d, d), BLUE, "displacement")
     _reference(axes, material)
+    draw_line(axes, envelope(material.t, d, d), BLUE, "displacement")
     _shade(axes, material)
     _finish(axes, material, "displacement (mm)")
     return picture(figure)
@@ -61,6 +61,9 @@ def error(material: Material) -> Picture:
     draw_line(axes, drawn, VERMILLION, "result − reference", linewidth=0.8)
     axes.axhline(found.bias_mm, color=BLACK, linewidth=0.8, linestyle="--", label=f"mean {found.bias_mm:.3g} mm")
     _shade(axes, material)
+    # A band that grows beyond all in a gap must not hide the error itself.
+    limit = 1.15 * max(float(np.max(np.abs(found.error_mm))), float(np.quantile(BAND * s, 0.97)), 1e-9)
+    axes.set_ylim(-limit, limit)
     _finish(axes, material, "error (mm)")
     return picture(figure)
 
@@ -69,7 +72,7 @@ def _reference(axes: "Axes", material: Material) -> None:
     found = _reference_within(material, slice(0, len(material.t)))
     if found is not None:
         drawn = envelope(found[0], found[1], found[1])
-        draw_line(axes, drawn, VERMILLION, "reference", linewidth=0.9, linestyle=(0, (4, 2)))
+        draw_line(axes, drawn, VERMILLION, "reference", linewidth=1.7, alpha=0.8)
 
 
 def _shade(axes: "Axes", material: Material) -> None:
@@ -87,7 +90,7 @@ def _finish(axes: "Axes", material: Material, label: str) -> None:
     axes.set_xlabel(material.clock.label)
     axes.set_ylabel(label)
     axes.margins(x=0.005)
-    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=5, borderaxespad=0.2)
+    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=6, borderaxespad=0.2)
 
 
 def liveliest(material: Material) -> slice:
@@ -120,6 +123,7 @@ def zoom(material: Material) -> Picture:
             axes.plot(reference[0], value, color=VERMILLION, linestyle=(0, (4, 2)), label="reference")
     for measured, colour in zip(material.measured, (BLACK, GREEN), strict=False):
         _measurements((upper, lower), material, measured, (which, colour))
+    lower.set_ylim(*_limits(lower, BAND * s))
     upper.set_xlim(t[0], t[-1])
     _finish(upper, material, "displacement (mm)")
     upper.set_xlabel("")
@@ -127,6 +131,15 @@ def zoom(material: Material) -> Picture:
     lower.set_ylabel("minus\ndisplacement (mm)")
     figure.align_ylabels()
     return picture(figure)
+
+
+def _limits(axes: "Axes", half_band: Floats) -> tuple[float, float]:
+    """Limits that show nearly all of the band and all lines but a few points, so that one gap hides nothing else."""
+    values = [np.abs(np.asarray(line.get_ydata(), dtype=np.float64)) for line in axes.lines]
+    known = [value[np.isfinite(value)] for value in values]
+    reach = [float(np.quantile(value, 0.98)) for value in known if len(value)]
+    limit = 1.5 * max(*reach, float(np.quantile(half_band, 0.9)), 1e-9)
+    return -limit, limit
 
 
 def _reference_within(material: Material, which: slice) -> tuple[Floats, Floats] | None:
@@ -170,7 +183,7 @@ def spectra(material: Material) -> Picture:
     if found is not None:
         axes.loglog(*found, color=BLUE, linewidth=1.2, label="displacement")
         # A simulated truth has no noise floor and would squeeze everything else.
-        axes.set_ylim(bottom=1e-2 * float(found[1].min()))
+        axes.set_ylim(bottom=max(1e-2 * float(found[1].min()), 1e-16 * float(found[1].max()), 1e-30))
     if material.reference is not None:
         found = density(material.reference.time_ns, material.reference.value)
         if found is not None:
@@ -211,11 +224,13 @@ def innovations(material: Material) -> Picture:
     left.plot(drawn.t, 2 * drawn.high, color=BLUE, linewidth=0.9, label="±2 σ expected")
     left.plot(drawn.t, -2 * drawn.high, color=BLUE, linewidth=0.9)
     rejected = found.verdict == REJECTED
+    usual = 1.25 * max(2.0 * float(np.median(2.0 * std)), 1e-9)
+    reach = 1.05 * float(np.quantile(np.abs(value[~rejected]), 0.95)) if not rejected.all() else 0.0
+    limit = max(usual, reach)
+    value = np.clip(value, -0.97 * limit, 0.97 * limit)
     draw_points(left, t[~rejected], value[~rejected], marker=".", markersize=2.2, color=BLACK, label="innovation")
-    limit = 1.25 * max(float(np.quantile(2.0 * std, 0.98)), float(np.quantile(np.abs(value[~rejected]), 0.995)), 1e-9)
     if rejected.any():
-        shown = np.clip(value[rejected], -0.97 * limit, 0.97 * limit)
-        draw_points(left, t[rejected], shown, marker="x", markersize=5, color=VERMILLION, label="rejected")
+        draw_points(left, t[rejected], value[rejected], marker="x", markersize=5, color=VERMILLION, label="rejected")
     left.set_ylim(-limit, limit)
     _finish(left, material, "measured − predicted (mm)")
     _distribution(right, normalised_innovation(found))
@@ -224,8 +239,9 @@ def innovations(material: Material) -> Picture:
 
 def _distribution(axes: "Axes", normalised: Floats) -> None:
     grid = np.linspace(-5.0, 5.0, 201)
-    shown = np.clip(normalised, -5.0, 5.0)
-    axes.hist(shown, bins=np.linspace(-5, 5, 41).tolist(), density=True, color=SKY, label="found")
+    if len(normalised):
+        shown = np.clip(normalised, -5.0, 5.0)
+        axes.hist(shown, bins=np.linspace(-5, 5, 41).tolist(), density=True, color=SKY, label="found")
     axes.plot(grid, np.exp(-0.5 * grid**2) / np.sqrt(2 * np.pi), color=BLACK, label="expected")
     axes.set_xlabel("innovation / σ")
     axes.set_ylabel("probability density")

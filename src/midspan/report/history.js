@@ -3,7 +3,7 @@
 (() => {
   const figure = document.querySelector("figure[data-history]");
   if (!figure || !window.atob || !window.PointerEvent) return;
-  const { rows, names, first, label, grounds } = JSON.parse(figure.dataset.layout);
+  const { rows, names, first, label, grounds, pause } = JSON.parse(figure.dataset.layout);
   const bytes = Uint8Array.from(atob(figure.dataset.history), (c) => c.charCodeAt(0));
   const all = new Float32Array(bytes.buffer);
   const column = Object.fromEntries(names.map((name, i) => [name, all.subarray(i * rows, (i + 1) * rows)]));
@@ -78,10 +78,15 @@
   }
   function stroke(x0, y0, x1, y1) { pen.beginPath(); pen.moveTo(x0, y0); pen.lineTo(x1, y1); pen.stroke(); }
   function area(a, b, x, y, lower, upper, colour) {
-    pen.beginPath();
-    for (let i = a; i < b; i++) pen.lineTo(x(t[i]), y(column[upper][i]));
-    for (let i = b - 1; i >= a; i--) pen.lineTo(x(t[i]), y(column[lower][i]));
-    pen.fillStyle = colour; pen.fill();
+    pen.fillStyle = colour;
+    for (let start = a, i = a + 1; i <= b; i++) {
+      if (i < b && t[i] - t[i - 1] <= pause) continue;
+      pen.beginPath();
+      for (let k = start; k < i; k++) pen.lineTo(x(t[k]), y(column[upper][k]));
+      for (let k = i - 1; k >= start; k--) pen.lineTo(x(t[k]), y(column[lower][k]));
+      pen.fill();
+      start = i;
+    }
   }
   function line(a, b, x, y, lower, upper, colour, dash) {
     pen.beginPath();
@@ -89,6 +94,7 @@
     for (let i = a; i < b; i++) {
       const bottom = column[lower][i], top = column[upper][i];
       if (!(bottom === bottom)) { down = false; continue; }
+      if (i > 0 && t[i] - t[i - 1] > pause) down = false;
       if (down) pen.lineTo(x(t[i]), y(bottom)); else pen.moveTo(x(t[i]), y(bottom));
       if (top !== bottom) pen.lineTo(x(t[i]), y(top));
       down = true;

@@ -8,7 +8,7 @@ import numpy as np
 from midspan.records import Floats, Status
 from midspan.report.figures import BAND
 from midspan.report.material import Material
-from midspan.report.thinning import spans, starts
+from midspan.report.thinning import PAUSE_STEPS, spans, starts
 
 # Rows that are kept; longer records keep the extremes of this many stretches.
 MOST_ROWS = 20_000
@@ -30,7 +30,9 @@ def history_attributes(material: Material) -> dict[str, str]:
     if reference is not None:
         columns["reference_low"], columns["reference_high"] = reference
     data = np.concatenate(list(columns.values())).astype("<f4").tobytes()
+    pause = PAUSE_STEPS * float(np.median(np.diff(t[at]))) if len(at) > 2 else 0.0
     layout = {
+        "pause": pause,
         "rows": len(at),
         "names": list(columns),
         "first": float(t[0]),
@@ -57,8 +59,10 @@ def _reference(material: Material, starts_s: Floats) -> tuple[Floats, Floats] | 
     if reference is None:
         return None
     value = reference.value + material.reference_moved_mm
-    stretch = np.searchsorted(starts_s, material.clock.at(reference.time_ns), side="right") - 1
-    known = np.isfinite(value) & (stretch >= 0)
+    t = material.clock.at(reference.time_ns)
+    stretch = np.searchsorted(starts_s, t, side="right") - 1
+    # What lies in a pause of the result belongs to no stretch.
+    known = np.isfinite(value) & (stretch >= 0) & (t - starts_s[stretch] < 2.0 * np.median(np.diff(starts_s)))
     low, high = np.full(len(starts_s), np.inf), np.full(len(starts_s), -np.inf)
     np.fmin.at(low, stretch[known], value[known])
     np.fmax.at(high, stretch[known], value[known])

@@ -62,12 +62,13 @@ def cards(rows: Iterable[tuple[str, str, str]]) -> str:
 
 
 def table(rows: Iterable[tuple[str, ...]], header: tuple[str, ...] = ()) -> str:
-    """A table whose first column names the row."""
+    """A table whose first column names the row; with a header it may be long and scrolls on the screen."""
     top = f"<thead><tr>{''.join(f'<th>{escape(x)}</th>' for x in header)}</tr></thead>" if header else ""
     lines = [
         f"<tr><th>{escape(row[0])}</th>{''.join(f'<td>{escape(value)}</td>' for value in row[1:])}</tr>" for row in rows
     ]
-    return f"<table>{top}<tbody>{''.join(lines)}</tbody></table>"
+    body = f"<table>{top}<tbody>{''.join(lines)}</tbody></table>"
+    return f"<div class=listed>{body}</div>" if header else body
 
 
 def figure(drawn: Picture, title: str, caption: str, attributes: Mapping[str, str] | None = None) -> str:

@@ -39,7 +39,7 @@ def displacement(material: Material) -> str:
         "lie inside. Orange ground: coasting, the accelerometer alone carries on; red ground: lost for long."
     )
     if material.reference is not None:
-        caption += " Dashed: the reference." + _moved(material)
+        caption += " Red, dashed where it can be zoomed: the reference." + _moved(material)
     whole = page.figure(figures.history(material), "Displacement", caption, history_attributes(material))
     pieces = [whole]
     if material.comparison is not None:
@@ -103,7 +103,8 @@ def innovations(material: Material) -> str:
     caption = (
         "Each measurement minus what the filter expected just before it. About 95 % should lie between the lines, "
         "without a pattern; the histogram should follow the normal curve. Wider: noise is underestimated or the target "
-        "moves by itself; crosses were rejected as outliers (drawn at the border where they lie beyond)."
+        "moves by itself. Crosses were rejected as outliers; what lies beyond is drawn at the border. After a gap more "
+        "is expected and allowed."
     )
     drawn = page.figure(figures.innovations(material), "Innovations", caption)
     return page.section("innovations", "Innovations", drawn)
@@ -138,7 +139,7 @@ def _choice(material: Material) -> str:
     caption = (
         "Left: numbered boxes were tracked for some seconds; solid ones move alike and count as fixed, dashed ones do "
         "not; the red one was taken. Right: the standard deviation with which a region centred there could be tracked; "
-        "darker is better, grey was ruled out."
+        "darker is better, grey was ruled out or lies too near the border."
     )
     drawn = camera_figures.choice(tracking.choice, tracking.reference.pixels)
     return page.figure(drawn, "Choice of the region", caption) + page.bullets(tracking.choice.reasons, "plain")

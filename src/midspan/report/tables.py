@@ -50,8 +50,8 @@ def percent(share: float) -> str:
     """A share as a percentage that never rounds to 0 or 100 what is not."""
     value = 100.0 * share
     if 0.0 < value < 0.1:
-        return "< 0.1 %"
-    return "> 99.9 %" if 99.9 < value < 100.0 else f"{value:.3g} %"
+        return "<\u00a00.1\u00a0%"
+    return ">\u00a099.9\u00a0%" if 99.9 < value < 100.0 else f"{value:.3g}\u00a0%"
 
 
 def duration(length_s: float) -> str:

@@ -31,6 +31,9 @@ _LOSSY = {
     "theora",
 }
 _RATE_TOLERANCE = 0.01
+# A video that holds this share, and at least this long, less than its header declares broke off while it was copied.
+MOST_LOST = 0.03
+LEAST_MISSING_S = 1.0
 
 
 class VideoFrames(FrameSource):
@@ -73,10 +76,25 @@ class VideoFrames(FrameSource):
         if self._packets is None:
             with _opened(self._path) as container:
                 self._packets = scan(self._path, container)
-            if self._declared and self._packets.count < self._declared:
-                lost = self._declared - self._packets.count
-                self._notes.append(f"the file ends early: {lost} of {self._declared} frames are not in it")
+                declared_s = container.duration * 1e-6 if container.duration else 0.0
+            self._refuse_truncated(self._packets, declared_s)
         return self._packets
+
+    def _refuse_truncated(self, packets: Packets, declared_s: float) -> None:
+        """DataError when the file holds clearly less than its header declares: a copy that broke off."""
+        lost = self._declared - packets.count if self._declared else 0
+        held_s = declared_s
+        if packets.ticks is not None:
+            held_s = float(_container_times(packets.ticks, packets)[0][-1]) * 1e-9
+        missing_s = declared_s - held_s
+        if lost > MOST_LOST * max(self._declared or 1, 1) or missing_s > max(MOST_LOST * declared_s, LEAST_MISSING_S):
+            what = f"{lost} of {self._declared} frames" if lost > 0 else f"{missing_s:.1f} of {declared_s:.1f} s"
+            raise DataError(
+                f"{self._path}: the video is truncated: {what} that its header declares are not in it. Copy it "
+                "again; to use what is there, rewrite it first (ffmpeg -i IN -c copy OUT)."
+            )
+        if lost > 0:
+            self._notes.append(f"the file ends early: {lost} of {self._declared} frames are not in it")
 
     def _all_times(self) -> Nanoseconds:
         packets = self._scanned()

@@ -1,0 +1,75 @@
+"""Fixtures of all tests: simulated recordings, rendered once a session, and the folder of real data."""
+
+import os
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from midspan.simulate import scenarios
+from midspan.simulate.sensors import AccelerometerModel
+from midspan.simulate.stage import CameraSetup, Scenario
+
+FOOTBRIDGE = Scenario(
+    line="a small footbridge for tests",
+    title="small footbridge",
+    duration_s=25.0,
+    motion=scenarios._pedestrians,
+    accelerometer=AccelerometerModel(rate_hz=100.0, noise_std_m_s2=2.5e-3, bias_m_s2=0.05),
+    # Small pictures are rendered and tracked in a fraction of a second.
+    camera=CameraSetup(size_px=(96, 96)),
+)
+
+
+@pytest.fixture(scope="session")
+def data_folder() -> Path:
+    """The folder of real data beside the checkout, or MIDSPAN_DATA."""
+    beside = Path(__file__).resolve().parents[2] / "shared" / "data"
+    folder = Path(os.environ.get("MIDSPAN_DATA", beside))
+    if not folder.is_dir():
+        pytest.skip(f"real data are absent: {folder} is no folder; MIDSPAN_DATA names another")
+    return folder
+
+
+@pytest.fixture(scope="session")
+def simulated(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
+    """A function that renders a variation of FOOTBRIDGE, once for each; the folder it gives is not to be changed.
+
+    Keywords of `Scenario` change it; `camera` is a dictionary of `CameraSetup`'s keywords.
+    """
+    known: dict[str, Path] = {}
+
+    def render(name: str, *, seed: int = 0, camera: dict[str, Any] | None = None, **changes: Any) -> Path:
+        if name not in known:
+            folder = tmp_path_factory.mktemp("simulated") / name
+            scenario = replace(FOOTBRIDGE, camera=replace(FOOTBRIDGE.camera, **(camera or {})), **changes)
+            with pytest.MonkeyPatch.context() as patch:
+                patch.setitem(scenarios.SCENARIOS, name, scenario)
+                scenarios.write(name, folder, seed=seed)
+            known[name] = folder
+        return known[name]
+
+    return render
+
+
+@pytest.fixture(scope="session")
+def footbridge(simulated: Callable[..., Path]) -> Path:
+    """25 s of a footbridge before a camera; not to be changed, see `footbridge_copy`."""
+    return simulated("footbridge")
+
+
+@pytest.fixture
+def footbridge_copy(footbridge: Path, tmp_path: Path) -> Path:
+    """A copy of `footbridge` that may be changed; blanks and umlauts in its path are part of every test."""
+    folder = tmp_path / "Brücke 7 süd"
+    shutil.copytree(footbridge, folder)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def gnss(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The scenario `gnss`: an accelerometer and heights at 1 Hz, no camera; not to be changed."""
+    return scenarios.write("gnss", tmp_path_factory.mktemp("simulated") / "gnss")

@@ -1,0 +1,117 @@
+"""Recordings with a displacement sensor in the camera's place: GNSS heights at 1 Hz."""
+
+import shutil
+
+import numpy as np
+import pytest
+from recording_edits import error_mm, read_columns, set_keys
+
+import midspan
+from midspan.errors import DataError, MidspanError, UntrustedError
+from midspan.records import Status
+
+NOISE_MM = 2.0
+
+
+@pytest.fixture
+def gnss_copy(gnss, tmp_path):
+    folder = tmp_path / "gnss"
+    shutil.copytree(gnss, folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def result(gnss):
+    return midspan.estimate(midspan.open_recording(gnss))
+
+
+def heights(folder):
+    return read_columns(folder / "gnss.csv").T
+
+
+def write_heights(folder, time, value):
+    table = np.column_stack((time, value))
+    np.savetxt(folder / "gnss.csv", table, delimiter=",", header="time_s,height", comments="", fmt="%.6f")
+
+
+def tracking_error(folder, found):
+    known = found.estimate.status == Status.TRACKING
+    return error_mm(folder, found.time_s, found.displacement_mm)[known]
+
+
+def test_fusion_is_much_better_than_the_sensor_alone_and_its_band_is_honest(gnss, result):
+    error = error_mm(gnss, result.time_s, result.displacement_mm)
+    # 2 mm of noise at 1 Hz and motion of 5 mm at 0.8 Hz, which 1 Hz cannot show at all.
+    assert np.std(tracking_error(gnss, result)) < 0.5 * NOISE_MM
+    assert abs(np.mean(error)) < 0.5 * NOISE_MM
+    assert 0.88 < np.mean(np.abs(error) < 1.96 * result.displacement_std_mm) <= 1.0
+    assert 1e3 * result.calibration.displacement.noise_std_m == pytest.approx(NOISE_MM, rel=0.25)
+
+
+def test_rows_without_heights_are_coasting_then_lost_and_say_prediction(result):
+    table = result.to_pandas()
+    # Heights are missing from 70 to 82 s and from 120 to 124 s.
+    gap = table.loc[73.5:80.0]
+    assert set(gap["status"].unique()) <= {"coasting", "lost"}
+    assert set(gap["source"].unique()) == {"prediction"}
+    assert set(table.loc[10.0:60.0, "status"].unique()) == {"tracking"}
+    assert gap["displacement_std_mm"].max() > 2 * table.loc[10.0:60.0, "displacement_std_mm"].median()
+
+
+def test_a_large_height_changes_the_level_and_nothing_else(gnss_copy, result):
+    time, value = heights(gnss_copy)
+    write_heights(gnss_copy, time, value + 123_456.0)
+    found = midspan.estimate(midspan.open_recording(gnss_copy))
+    # With [displacement] alone the zero is that file's own. 123 m in double precision is exact to 2e-8 mm.
+    np.testing.assert_allclose(found.displacement_mm - 123_456.0, result.displacement_mm, atol=1e-3)
+    np.testing.assert_array_equal(found.estimate.status, result.estimate.status)
+
+
+@pytest.mark.parametrize(("count", "size"), [(5, 100.0), (10, 1e6), (18, 50.0)])
+def test_outliers_do_little(count, size, gnss_copy):
+    time, value = heights(gnss_copy)
+    rng = np.random.default_rng(3)
+    hit = rng.choice(np.arange(5, len(value) - 5), count, replace=False)
+    value[hit] += size * rng.choice([-1.0, 1.0], count)
+    write_heights(gnss_copy, time, value)
+    found = midspan.estimate(midspan.open_recording(gnss_copy))
+    # A tenth of the measurements less may cost some 5 %; outliers that got through would cost several millimetres.
+    assert np.std(tracking_error(gnss_copy, found)) < 0.75 * NOISE_MM
+    assert 1e3 * found.calibration.displacement.noise_std_m == pytest.approx(NOISE_MM, rel=0.4)
+
+
+def test_the_clock_offset_of_the_sensor_is_found(gnss_copy):
+    time, value = heights(gnss_copy)
+    write_heights(gnss_copy, time - 0.2, value)
+    offset = midspan.calibrate(midspan.open_recording(gnss_copy)).displacement.offset
+    # Heights of 2 mm noise know the time of 5 mm at 0.8 Hz to 2/(5·2π·0.8·√90) = 8 ms.
+    assert offset.value_s == pytest.approx(0.2, abs=0.03)
+    assert np.sqrt(offset.variance) < 0.03
+
+
+def test_the_noise_of_the_sensor_may_be_given_in_its_own_unit(gnss_copy):
+    time, value = heights(gnss_copy)
+    write_heights(gnss_copy, time, 1e-3 * value)
+    set_keys(gnss_copy, "displacement", unit="m", noise_std=0.002)
+    calibration = midspan.calibrate(midspan.open_recording(gnss_copy))
+    assert calibration.displacement.noise_std_m == pytest.approx(2e-3)
+
+
+@pytest.mark.parametrize("wrong", ["other sign", "other unit", "standing still"])
+def test_heights_that_contradict_the_accelerometer_are_refused(wrong, gnss_copy):
+    time, value = heights(gnss_copy)
+    if wrong == "other unit":
+        set_keys(gnss_copy, "displacement", unit="m")
+    else:
+        write_heights(gnss_copy, time, -value if wrong == "other sign" else np.full_like(value, 12.0))
+    with pytest.raises((UntrustedError, DataError)) as caught:
+        midspan.estimate(midspan.open_recording(gnss_copy))
+    assert "displacement" in str(caught.value)
+
+
+def test_too_few_numbers_are_refused_however_many_rows_there_are(gnss_copy):
+    time, value = heights(gnss_copy)
+    value[10:] = np.nan
+    write_heights(gnss_copy, time, value)
+    with pytest.raises(MidspanError, match="at least 20"):
+        midspan.estimate(midspan.open_recording(gnss_copy))

@@ -1,0 +1,68 @@
+"""The rules of style that a machine can check."""
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+
+import midspan
+
+SOURCE = Path(midspan.__file__).parent
+FILES = sorted(SOURCE.rglob("*.py"))
+ROOMS = sorted(file for file in FILES if file.name == "__init__.py" and file.parent != SOURCE)
+UNFINISHED = re.compile(r"\b(TODO|FIXME|XXX|HACK|WIP)\b")
+NAMES_WITHOUT_A_ROLE = {"utils", "util", "helpers", "helper", "common", "core", "misc", "tools"}
+
+
+def functions(file):
+    """Name and number of lines of each function of a file, its decorators left out."""
+    tree = ast.parse(file.read_text(encoding="utf-8"))
+    kinds = (ast.FunctionDef, ast.AsyncFunctionDef)
+    return [
+        (f"{file.relative_to(SOURCE)}:{node.name}", node.end_lineno - node.lineno + 1)
+        for node in ast.walk(tree)
+        if isinstance(node, kinds)
+    ]
+
+
+LENGTHS = dict(item for file in FILES for item in functions(file))
+
+
+def test_no_function_is_longer_than_sixty_lines():
+    assert {name: length for name, length in LENGTHS.items() if length > 60} == {}
+
+
+def test_nearly_all_functions_have_at_most_thirty_lines():
+    longer = {name: length for name, length in LENGTHS.items() if length > 30}
+    assert len(longer) <= 0.05 * len(LENGTHS), longer
+
+
+def test_most_files_have_at_most_four_hundred_lines():
+    longer = [file.name for file in FILES if len(file.read_text(encoding="utf-8").splitlines()) > 400]
+    assert len(longer) <= 0.15 * len(FILES), longer
+
+
+@pytest.mark.parametrize("file", ROOMS, ids=lambda file: str(file.parent.relative_to(SOURCE)))
+def test_the_init_of_a_room_is_one_line_of_docstring(file):
+    text = file.read_text(encoding="utf-8").strip()
+    assert len(text.splitlines()) == 1
+    assert ast.get_docstring(ast.parse(text))
+
+
+@pytest.mark.parametrize("file", FILES, ids=lambda file: str(file.relative_to(SOURCE)))
+def test_every_file_says_what_it_is_and_nothing_is_left_unfinished(file):
+    text = file.read_text(encoding="utf-8")
+    assert UNFINISHED.search(text) is None
+    if file.name != "_version.py":
+        assert ast.get_docstring(ast.parse(text))
+
+
+def test_every_room_and_file_is_named_after_its_role():
+    names = {part for file in FILES for part in file.relative_to(SOURCE).with_suffix("").parts}
+    assert names & NAMES_WITHOUT_A_ROLE == set()
+
+
+def test_every_folder_of_the_package_is_a_package():
+    folders = {file.parent for file in FILES}
+    assert [folder for folder in folders if not (folder / "__init__.py").is_file()] == []

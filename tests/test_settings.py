@@ -1,0 +1,198 @@
+"""recording.toml: every key of the public face is taken, everything else is refused with a message that helps."""
+
+import pytest
+
+from midspan.errors import DataError, UsageError
+from midspan.settings import load_settings, settings_file, validate
+
+ACCELEROMETER = {"file": "accel.csv", "time": "time_s", "value": "accel", "unit": "m/s^2"}
+CAMERA = {"file": "camera.mkv"}
+
+# The keys as users have them in their files, section by section, with a value for each.
+KEYS = {
+    "accelerometer": {
+        "file": "accel.csv",
+        "time": "time_s",
+        "value": "accel",
+        "unit": "V",
+        "sensitivity": 0.051,
+        "rate_hz": 100.0,
+        "start_s": 0.5,
+        "noise_std": 0.005,
+    },
+    "camera": {
+        "file": "camera.mkv",
+        "times": "camera_times.csv",
+        "rate_hz": 29.97,
+        "start_s": 1_700_000_000.25,
+        "every": 3,
+        "roi": [820, 340, 128, 128],
+        "direction": "x",
+        "exposure_s": 0.008,
+        "readout_s": 0.01,
+        "tracker": "template",
+    },
+    "displacement": {"file": "gnss.csv", "time": "time_s", "value": "height", "unit": "mm", "noise_std": 1.5},
+    "calibration": {"window_s": [0.0, 50.0], "band_hz": [0.3, 3.0], "max_offset_s": 0.5},
+    "fusion": {"method": "smoother", "lag_s": 0.5},
+    "reference": {"file": "laser.csv", "time": "time_s", "value": "displacement_mm", "unit": "mm"},
+}
+
+
+def tree_with(**sections):
+    return {"accelerometer": ACCELEROMETER, "camera": CAMERA} | sections
+
+
+def message_of(tree):
+    with pytest.raises(UsageError) as caught:
+        validate(tree, "site/recording.toml")
+    return str(caught.value)
+
+
+def test_all_keys_together_are_accepted_and_kept():
+    settings = validate({"name": "footbridge, quarter span", **KEYS}, "recording.toml")
+    assert settings.name == "footbridge, quarter span"
+    for section, keys in KEYS.items():
+        for key, value in keys.items():
+            kept = getattr(getattr(settings, section), key)
+            assert kept == (tuple(value) if isinstance(value, list) else value), f"{section}.{key}"
+
+
+def test_what_is_left_out_has_the_documented_default():
+    settings = validate(tree_with(), "recording.toml")
+    assert (settings.camera.every, settings.camera.direction, settings.camera.readout_s) == (1, "y", 0.0)
+    assert settings.camera.roi is None
+    assert settings.calibration.max_offset_s == 0.5
+    assert settings.calibration.window_s is None
+    assert (settings.fusion.method, settings.fusion.lag_s) == ("smoother", 0.5)
+
+
+def test_a_displacement_sensor_needs_no_camera():
+    settings = validate({"accelerometer": ACCELEROMETER, "displacement": KEYS["displacement"]}, "recording.toml")
+    assert settings.camera is None
+
+
+@pytest.mark.parametrize(
+    ("tree", "words"),
+    [
+        (tree_with(camera=CAMERA | {"rio": [0, 0, 9, 9]}), ["camera.rio", "'roi'"]),
+        (tree_with(accelerometer=ACCELEROMETER | {"senstivity": 1.0}), ["accelerometer.senstivity", "'sensitivity'"]),
+        (tree_with(calibration={"window": [0, 1]}), ["calibration.window", "'window_s'"]),
+        (tree_with(fusion={"metod": "kalman"}), ["fusion.metod", "'method'"]),
+        (tree_with(calibraton={"max_offset_s": 1.0}), ["calibraton", "section", "'calibration'"]),
+        (tree_with(nmae="x"), ["nmae", "'name'"]),
+    ],
+)
+def test_an_unknown_key_or_section_names_the_nearest_known_one(tree, words):
+    message = message_of(tree)
+    for word in ["site/recording.toml", *words]:
+        assert word in message
+
+
+@pytest.mark.parametrize(
+    ("section", "key", "value"),
+    [
+        ("camera", "rate_hz", "ten"),
+        ("camera", "rate_hz", 0),
+        ("camera", "rate_hz", float("nan")),
+        ("camera", "start_s", float("inf")),
+        ("camera", "every", 0),
+        ("camera", "every", 2.5),
+        ("camera", "roi", [1, 2, 3]),
+        ("camera", "roi", [1, 2, 30, 30, 5]),
+        ("camera", "roi", [1.5, 2, 30, 30]),
+        ("camera", "roi", [-1, 2, 30, 30]),
+        ("camera", "roi", [1, 2, 0, 30]),
+        ("camera", "direction", "z"),
+        ("camera", "exposure_s", -0.001),
+        ("camera", "readout_s", -0.001),
+        ("camera", "tracker", "nonsense"),
+        ("accelerometer", "sensitivity", -1.0),
+        ("accelerometer", "noise_std", -0.1),
+        ("accelerometer", "noise_std", 0.0),
+        ("accelerometer", "file", ""),
+        ("calibration", "window_s", [20.0, 10.0]),
+        ("calibration", "window_s", [20.0]),
+        ("calibration", "band_hz", [3.0, 1.0]),
+        ("calibration", "band_hz", [-1.0, 1.0]),
+        ("calibration", "max_offset_s", -0.5),
+        ("fusion", "method", "smother"),
+        ("fusion", "lag_s", 0.0),
+    ],
+)
+def test_a_value_outside_its_rule_is_refused_with_file_key_and_value(section, key, value):
+    base = {"accelerometer": ACCELEROMETER, "camera": CAMERA}.get(section, {})
+    message = message_of(tree_with(**{section: base | {key: value}}))
+    assert "site/recording.toml" in message
+    assert f"{section}.{key}" in message
+    # The value received, or the part of it that breaks the rule.
+    parts = value if isinstance(value, list) else [value]
+    assert any(repr(part) in message or f"{part}" in message for part in parts if part != "")
+
+
+@pytest.mark.parametrize(
+    ("section", "key", "value"),
+    [
+        ("accelerometer", "noise_std", True),
+        ("camera", "every", True),
+        ("camera", "rate_hz", "10"),
+        ("camera", "every", "3"),
+        ("camera", "file", 3),
+    ],
+)
+def test_a_value_of_another_type_is_refused_not_converted(section, key, value):
+    base = {"accelerometer": ACCELEROMETER, "camera": CAMERA}[section]
+    assert f"{section}.{key}" in message_of(tree_with(**{section: base | {key: value}}))
+
+
+def test_whole_numbers_are_taken_where_a_number_is_asked_for():
+    settings = validate(tree_with(camera=CAMERA | {"rate_hz": 30}, calibration={"window_s": [0, 50]}), "recording.toml")
+    assert settings.camera.rate_hz == 30.0
+    assert settings.calibration.window_s == (0.0, 50.0)
+
+
+def test_no_message_shows_the_words_of_the_validation_library():
+    trees = [
+        tree_with(camera=3),
+        tree_with(camera=[{"file": "x"}]),
+        tree_with(accelerometer=ACCELEROMETER | {"unit": ""}),
+        tree_with(calibration={"window_s": [20, 10]}),
+        tree_with(camera=CAMERA | {"roi": [1, 2]}),
+        {},
+    ]
+    for tree in trees:
+        message = message_of(tree)
+        for word in ("Settings", "dictionary", "instance", "Value error", "Input", "pydantic", "String should"):
+            assert word not in message, message
+
+
+def test_several_mistakes_are_told_at_once():
+    message = message_of(tree_with(camera=CAMERA | {"every": 0, "direction": "z"}, fusion={"method": "x"}))
+    assert "camera.every" in message
+    assert "camera.direction" in message
+    assert "fusion.method" in message
+
+
+def test_a_recording_is_a_folder_or_its_file(tmp_path):
+    file = tmp_path / "recording.toml"
+    file.write_text('[accelerometer]\nfile = "a.csv"\n[camera]\nfile = "c.mkv"\n', encoding="utf-8")
+    assert settings_file(tmp_path) == settings_file(file) == file
+    assert load_settings(tmp_path) == load_settings(file)
+    with pytest.raises(DataError, match="nowhere"):
+        settings_file(tmp_path / "nowhere")
+
+
+def test_overrides_win_over_the_file(tmp_path):
+    text = '[accelerometer]\nfile = "a.csv"\n[camera]\nfile = "c.mkv"\nevery = 2\n[fusion]\nmethod = "smoother"\n'
+    (tmp_path / "recording.toml").write_text(text, encoding="utf-8")
+    settings = load_settings(tmp_path, {"camera": {"every": 5}, "fusion": {"method": "kalman"}})
+    assert settings.camera.every == 5
+    assert settings.fusion.method == "kalman"
+    assert settings.camera.file == "c.mkv"
+
+
+@pytest.mark.parametrize("content", [b"[accelerometer\n", b"unit = m/s^2\n", b'name = "\xe4"\n'])
+def test_a_file_that_is_no_toml_is_named(content, tmp_path):
+    (tmp_path / "recording.toml").write_bytes(content)
+    with pytest.raises(UsageError, match=r"recording\.toml"):
+        load_settings(tmp_path)
