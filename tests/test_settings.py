@@ -127,7 +127,7 @@ def test_a_value_outside_its_rule_is_refused_with_file_key_and_value(section, ke
     assert f"{section}.{key}" in message
     # The value received, or the part of it that breaks the rule.
     parts = value if isinstance(value, list) else [value]
-    assert any(repr(part) in message or f"{part}" in message for part in parts if part != "")
+    assert any(repr(part) in message for part in parts)
 
 
 @pytest.mark.parametrize(

@@ -18,10 +18,15 @@ WARNED_ABOVE = 0.01
 # Gain of the logarithmic likelihood that the acceleration must bring. Scanning some hundred offsets lets pure noise
 # gain about ln(200) + 3; ten more is one chance in twenty thousand.
 LEAST_GAIN = 20.0
+# The difference between image and acceleration that is refused: so many times a frame's noise and this share of the
+# motion.
+UNEXPLAINED_NOISE = 5.0
+UNEXPLAINED_SHARE = 0.2
 # The runner-up must be less likely by this much, and its residual power larger by this share (a model never fits to the
 # last digit, and with a very quiet camera the likelihood alone would be over-confident).
 AMBIGUOUS_BELOW = 8.0
 AMBIGUOUS_SHARE = 0.05
+AMBIGUOUS_DRAWS = 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,6 +107,15 @@ def _refuse_no_motion(pair: Pair, fit: Fit, relative: float) -> None:
 def _refuse_disagreement(pair: Pair, fit: Fit) -> None:
     rate = (len(pair.samples) - 1) / float(pair.samples[-1, 0] - pair.samples[0, 0])
     implied, measured = float(np.sqrt(fit.input_density * rate)), float(np.std(pair.samples[:, 1]))
+    rows = pair.rows[np.isfinite(pair.rows[:, 2])]
+    usual, moved = float(np.sqrt(np.median(rows[:, 2]))), float(np.std(rows[:, 1]))
+    left = float(np.sqrt(fit.noise)) * usual
+    if left > max(UNEXPLAINED_NOISE * usual, UNEXPLAINED_SHARE * moved):
+        raise UntrustedError(
+            f"No agreement between image and accelerometer: {left:.2g} px of the image's {moved:.2g} px rms stay "
+            f"unexplained, where a frame's own noise is {usual:.2g} px. Where the clocks may differ by more, raise "
+            "calibration.max_offset_s or set camera.start_s; else check camera.direction and camera.roi."
+        )
     if implied > measured:
         raise UntrustedError(
             f"No agreement between image and accelerometer: their difference would need accelerometer noise of "
@@ -116,7 +130,8 @@ def _refuse_ambiguity(search: OffsetSearch, max_offset_s: float) -> None:
         return
     lead = fit.likelihood - other.likelihood
     share = other.noise / fit.noise * np.exp(_entropy(other.whitened.variance) - _entropy(fit.whitened.variance)) - 1.0
-    if lead < AMBIGUOUS_BELOW or share < AMBIGUOUS_SHARE:
+    # Alternatives of a single tone differ by what the noise looks like at shifted instants, which grows with sqrt(n).
+    if lead < max(AMBIGUOUS_BELOW, AMBIGUOUS_DRAWS * np.sqrt(len(fit.whitened.variance))) or share < AMBIGUOUS_SHARE:
         raise UntrustedError(
             f"The clock offset is ambiguous: {fit.offset_s:+.4f} s (scale factor {1e3 / fit.ratio:.4g} mm/px) and "
             f"{other.offset_s:+.4f} s ({1e3 / other.ratio:.4g} mm/px) fit almost alike within ±{max_offset_s:g} s, as "

@@ -8,6 +8,8 @@ refined and compared, and the runner-up is reported so that an ambiguity can be 
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
 
 from midspan.calibration.fit import Fit, Pair, corner_range, evaluate, refine
 from midspan.records import Floats, TimeOffset
@@ -16,8 +18,10 @@ COARSE_CORNERS = 4
 CANDIDATES = 6
 # An innovation this many robust standard deviations out is left out of the fit; the rest is fitted again.
 OUTLIER_LIMIT = 5.0
-# More lonely outliers than this share are no accident of single measurements.
-MOST_LONELY = 0.3
+# A measurement is lonely when it leaves its neighbours by this many times their own range.
+LONELY_LIMIT = 2.0
+# Rounds of marking outliers and fitting again, at most.
+MARKING_ROUNDS = 12
 # Above this rate the coarse search runs on averages of neighbouring samples; the refinement always on all samples.
 COARSE_RATE_HZ = 250.0
 
@@ -44,11 +48,16 @@ def search_offset(pair: Pair, max_offset_s: float) -> OffsetSearch:
     step = float(offsets[1] - offsets[0]) if len(offsets) > 1 else 0.0
     fits = _refined(pair, offsets, curve, corners)
     best = max(fits, key=lambda fit: fit.likelihood)
-    cleaned = mark_outliers(pair, best)
+    cleaned = _cleaned(pair, best, step)
     if cleaned is not pair:
+        # What the outliers have hidden shows now: the search starts again without them.
         pair = cleaned
-        fits = [refine(pair, fit, step) for fit in fits]
+        offsets, curve, corners = scan(pair, max_offset_s)
+        fits = _refined(pair, offsets, curve, corners)
         best = max(fits, key=lambda fit: fit.likelihood)
+        cleaned = _cleaned(pair, best, step)
+        fits = [refine(cleaned, fit, step) for fit in fits] if cleaned is not pair else fits
+        pair, best = cleaned, max(fits, key=lambda fit: fit.likelihood)
     others = [fit for fit in fits if abs(fit.offset_s - best.offset_s) > 2.0 * step]
     runner_up = max(others, key=lambda fit: fit.likelihood, default=None)
     variance, drag = curvature(pair, best)
@@ -78,6 +87,17 @@ def _refined(pair: Pair, offsets: Floats, curve: Floats, corners: Floats) -> lis
     return [refine(pair, evaluate(pair, offsets[i], corners[i]), step) for i in best]
 
 
+def _cleaned(pair: Pair, fit: Fit, bound_s: float) -> Pair:
+    """The pair without outliers; each round takes out the largest, which had hidden the smaller ones."""
+    for _ in range(MARKING_ROUNDS):
+        cleaned = mark_outliers(pair, fit)
+        if cleaned is pair:
+            break
+        pair = cleaned
+        fit = refine(pair, fit, bound_s)
+    return pair
+
+
 def curvature(pair: Pair, fit: Fit) -> tuple[float, float]:
     """Variance of the time offset (s²) from the curvature of the likelihood, and d(ratio)/d(offset) there."""
     step = 1e-4
@@ -94,10 +114,15 @@ def curvature(pair: Pair, fit: Fit) -> tuple[float, float]:
 
 
 def mark_outliers(pair: Pair, fit: Fit) -> Pair:
-    """The pair with measurements far outside the fit marked unusable; the same object when there are none."""
+    """The pair with measurements far outside the fit marked unusable; the same object when there are none.
+
+    A wrong measurement kicks the filter, and the next innovations with it: only the largest of neighbours is marked.
+    """
     residual = fit.residual
     spread = 1.4826 * float(np.median(np.abs(residual - np.median(residual))))
-    bad = np.abs(residual) > OUTLIER_LIMIT * max(spread, 1e-12)
+    size = np.abs(residual)
+    largest = sliding_window_view(np.pad(size, 2), 5).max(axis=1) if len(size) else size
+    bad = (size > OUTLIER_LIMIT * max(spread, 1e-12)) & (size == largest)
     if not bad.any() or spread == 0.0:
         return pair
     rows = pair.rows.copy()
@@ -106,19 +131,32 @@ def mark_outliers(pair: Pair, fit: Fit) -> Pair:
 
 
 def without_lonely_outliers(pair: Pair) -> Pair:
-    """Mark single measurements that leave both neighbours far more than is usual (a mistracked frame)."""
-    value, usable = pair.rows[:, 1], np.isfinite(pair.rows[:, 2])
-    index = np.flatnonzero(usable)
-    if len(index) < 8:
-        return pair
-    jump = value[index[1:-1]] - 0.5 * (value[index[:-2]] + value[index[2:]])
-    spread = 1.4826 * float(np.median(np.abs(jump)))
-    bad = index[1:-1][np.abs(jump) > 12.0 * max(spread, 1e-12)]
-    if not len(bad) or len(bad) > MOST_LONELY * len(index):
-        return pair
+    """Mark single measurements that leave their three neighbours on each side far more than these differ.
+
+    What the neighbours do is the measure, not the whole record: a passing vehicle in a quiet minute is no outlier.
+    """
     rows = pair.rows.copy()
-    rows[bad, 2] = np.inf
+    for _ in range(MARKING_ROUNDS):
+        bad = _lonely(rows)
+        rows[bad, 2] = np.inf
+        if not len(bad):
+            break
     return replace(pair, rows=rows)
+
+
+def _lonely(rows: Floats) -> NDArray[np.int64]:
+    index = np.flatnonzero(np.isfinite(rows[:, 2]))
+    if len(index) < 8:
+        return np.empty(0, dtype=np.int64)
+    place, value = np.arange(len(index)), rows[index, 1]
+    # At both ends the neighbours are the six nearest: the filter starts from the first ones, they must be right.
+    first = np.clip(place - 3, 0, len(index) - 7)
+    near = first[:, None] + np.arange(7)
+    around = np.sort(value[near[near != place[:, None]].reshape(-1, 6)], axis=1)
+    # One more outlier among the six neighbours does no harm.
+    low, high = around[:, 1], around[:, -2]
+    excess = np.maximum(value - high, low - value)
+    return index[excess > LONELY_LIMIT * np.maximum(high - low, np.median(high - low))]
 
 
 def thinned(samples: Floats, rate_hz: float) -> Floats:

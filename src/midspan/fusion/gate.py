@@ -42,7 +42,8 @@ def judge(innovation: float, variance: float, run: tuple[float, float, float], l
         waiting = rejections + 1 < LEAST_REJECTIONS or rejected_for_s < limits[1]
         return ACCEPTED if inside else REJECTED if waiting else REACQUIRED
     if rejected_for_s >= limits[1]:
-        return ACCEPTED if inside else REACQUIRED
+        # Also when it lies inside: after so long the band is wide enough for a target that has moved.
+        return REACQUIRED
     confirmed = agreements + 1 >= CONFIRMATIONS and agrees(innovation, variance, limits)
     return ACCEPTED if confirmed else REJECTED
 

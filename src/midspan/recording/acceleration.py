@@ -8,6 +8,10 @@ from midspan.errors import DataError
 from midspan.records import Acceleration, Event, Floats, Nanoseconds, TimeSeries, part
 from midspan.signals.health import Clock, Mask, bridged, clipped, clock, dominant_frequency, frozen, runs
 
+# Steps up to this many usual ones are jitter or a single lost sample, which the filter takes as they are.
+GAP_STEPS = 2.5
+# Above this share of the rate the motion is so fast that integration errs by 1 % and more.
+FASTEST_SHARE = 0.15
 # Share of samples that may be missing, frozen or clipped before the channel is refused.
 MOST_MISSING = 0.2
 MOST_CLIPPED = 0.05
@@ -48,7 +52,7 @@ def prepare_acceleration(series: TimeSeries, where: str) -> PreparedAcceleration
     Raises DataError when the channel is frozen, clipped or empty beyond what can be bridged.
     """
     absent = ~np.isfinite(series.value)
-    usual = clock(series.time_ns)
+    usual = clock(series.time_ns, GAP_STEPS)
     still = frozen(series.value, usual.rate_hz)
     held = clipped(series.value) & ~still
     _refuse(where, still & ~absent, "frozen", (MOST_MISSING, "stands at one value"))
@@ -65,6 +69,13 @@ def prepare_acceleration(series: TimeSeries, where: str) -> PreparedAcceleration
     if len(usual.gaps):
         longest = float(np.max(usual.gap_s))
         warnings.append(f"{where}: gaps in time: {len(usual.gaps)}, the longest {longest:.3g} s; bridged and marked.")
+    fastest = dominant_frequency(value, usual.rate_hz)
+    if fastest > FASTEST_SHARE * usual.rate_hz:
+        warnings.append(
+            f"{where}: most of the acceleration lies near {fastest:.3g} Hz, too close to the rate of "
+            f"{usual.rate_hz:.4g} Hz: "
+            "integration then errs by more than 1 %. Record at ten times the highest frequency or more."
+        )
     events = [Event(int(series.time_ns[a]), "bridged", f"{where}: {b - a} samples bridged.") for a, b in runs(missing)]
     events += [
         Event(int(series.time_ns[i]), "gap", f"{where}: no samples for {s:.3g} s.")

@@ -8,7 +8,7 @@ from midspan.calibration.scale import ScaleCalibration, calibrate_scale
 from midspan.errors import DataError, UntrustedError, UsageError
 from midspan.recording.calibration import Calibration, CameraCalibration, DisplacementCalibration
 from midspan.recording.progress import Progress, silent
-from midspan.recording.recording import Recording
+from midspan.recording.recording import Recording, naming
 from midspan.recording.span import inside, require_overlap
 from midspan.recording.tracking import CameraTracking, TrackingSettings
 from midspan.records import NANOSECONDS, Floats, Nanoseconds, Region, TimeSeries
@@ -34,6 +34,11 @@ def calibrate(recording: Recording, progress: Progress = silent) -> Calibration:
 
 def calibrate_and_track(recording: Recording, progress: Progress = silent) -> tuple[Calibration, CameraTracking | None]:
     """The calibration, and the camera's tracking as far as it had to go, to be continued."""
+    with naming(recording):
+        return _calibrate_and_track(recording, progress)
+
+
+def _calibrate_and_track(recording: Recording, progress: Progress) -> tuple[Calibration, CameraTracking | None]:
     prepared, settings = recording.prepared, recording.settings
     camera_part: CameraCalibration | None = None
     displacement_part: DisplacementCalibration | None = None

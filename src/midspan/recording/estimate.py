@@ -266,7 +266,7 @@ def _zeroed(inputs: Inputs, rows: Estimate, beginning: Estimate) -> Estimate:
     if inputs.camera is None:
         return replace(rows, displacement_m=rows.displacement_m + inputs.level_m)
     first = int(inputs.displacement.time_ns[np.argmax(inputs.displacement.source == Source.CAMERA)])
-    k = int(np.clip(np.searchsorted(beginning.time_ns, first), 0, len(beginning.time_ns) - 1))
+    k = int(np.argmin(np.abs(beginning.time_ns - first)))
     ahead = (first - int(beginning.time_ns[k])) / NANOSECONDS
     zero = beginning.displacement_m[k] + ahead * beginning.velocity_m_s[k]
     return replace(

@@ -14,6 +14,9 @@ GAP_STEPS = 1.5
 # Equal values count as frozen when they last this long and this many samples; quantisation alone repeats fewer.
 FROZEN_S = 1.0
 FROZEN_SAMPLES = 50
+# A structure at rest before or after the motion may give exactly equal values too: then at the channel's mean, within
+# this share of its standard deviation.
+REST_SHARE = 0.05
 # A level counts as clipped when the largest (or smallest) value is held by runs of at least this many samples.
 CLIPPED_RUN = 3
 
@@ -28,11 +31,12 @@ class Clock:
     gap_s: Floats
 
 
-def clock(time_ns: Nanoseconds) -> Clock:
-    """Rate, jitter and gaps of increasing time stamps (n,), n at least 2."""
+def clock(time_ns: Nanoseconds, gap_steps: float = GAP_STEPS) -> Clock:
+    """Rate, jitter and gaps of increasing time stamps (n,), n at least 2; a gap is longer than `gap_steps` "
+    "usual steps."""
     steps = np.diff(time_ns).astype(np.float64) / NANOSECONDS
     usual = float(np.median(steps))
-    is_gap = steps > GAP_STEPS * usual
+    is_gap = steps > gap_steps * usual
     regular = steps[~is_gap]
     mean = float(np.mean(regular)) if len(regular) else usual
     jitter = float(np.std(regular)) if len(regular) else 0.0
@@ -46,13 +50,20 @@ def runs(mask: Mask) -> NDArray[np.int64]:
 
 
 def frozen(value: Floats, rate_hz: float) -> Mask:
-    """Samples (n,) that belong to a stretch of exactly equal values of at least a second; a constant channel is all."""
+    """Samples (n,) that belong to a stretch of exactly equal values of at least a second; a constant channel is all.
+
+    A stretch at the channel's mean at either end of the record is rest, not frozen.
+    """
     mask = np.zeros(len(value), dtype=bool)
-    if len(value) < 2:
+    known = value[np.isfinite(value)]
+    if len(value) < 2 or not len(known):
         return mask
+    rest, spread = float(np.mean(known)), float(np.std(known))
     least = max(FROZEN_SAMPLES, round(FROZEN_S * rate_hz))
     for start, end in runs(np.concatenate(([False], np.diff(value) == 0.0))):
-        if end - start + 1 >= least:
+        at_edge = start == 1 or end == len(value)
+        resting = at_edge and abs(value[start] - rest) < REST_SHARE * spread
+        if end - start + 1 >= least and not resting:
             mask[start - 1 : end] = True
     return mask
 

@@ -1,0 +1,155 @@
+"""What README and docs say is there: snippets run, keys and commands are complete, links lead somewhere."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pydantic import BaseModel
+
+import midspan
+from midspan.cli.main import COMMANDS
+from midspan.fusion.methods import METHODS
+from midspan.records import Status
+from midspan.settings import RecordingSettings, validate
+from midspan.sinks.write import FORMATS as WRITTEN
+from midspan.sources.accelerometer.formats import FORMATS as CHANNELS
+from midspan.vision.tracker import TRACKERS
+
+ROOT = Path(__file__).parents[1]
+PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").rglob("*.md"))]
+TEXTS = {page: page.read_text(encoding="utf-8") for page in PAGES}
+REFERENCE = TEXTS[ROOT / "docs" / "recording.md"]
+ALL = "\n".join(TEXTS.values())
+
+SNIPPET = re.compile(r"<!-- runnable( continued)? -->\n```python\n(.*?)```", re.DOTALL)
+TOML = re.compile(r"```toml\n(.*?)```", re.DOTALL)
+LINK = re.compile(r"\]\(([^)\s]+)\)")
+
+
+def snippets():
+    found = []
+    for page, text in TEXTS.items():
+        before = ""
+        for k, (continued, code) in enumerate(SNIPPET.findall(text)):
+            before = before + "\n" + code if continued else code
+            found.append(pytest.param(before, id=f"{page.stem}-{k + 1}"))
+    return found
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A folder with a recording `footbridge/`: 20 s of a small textured wall at 10 Hz beside an accelerometer."""
+    from midspan.simulate.camera import Camera
+    from midspan.simulate.motion import Sines
+    from midspan.simulate.texture import textured_scene
+
+    root = tmp_path_factory.mktemp("docs")
+    place = root / "footbridge"
+    place.mkdir()
+    motion = Sines(np.array([1e-3, 0.6e-3, 0.4e-3]), np.array([1.3, 2.1, 3.4]), phase_rad=np.array([0.0, 1.0, 2.0]))
+    rng = np.random.default_rng(0)
+    time_s, frame_s = np.arange(0, 20, 0.01), np.arange(0, 19.8, 0.1)
+    accel = motion.acceleration(time_s) + rng.normal(0, 2.5e-3, time_s.size)
+    np.savetxt(place / "accel.csv", np.column_stack((time_s, accel)), delimiter=",", header="time_s,accel", comments="")
+    scene, camera = textured_scene("natural", (120, 160), rng=rng), Camera()
+    shift = motion.displacement(frame_s) / -1.5e-3
+    np.savez(
+        place / "camera.npz",
+        frames=np.array([camera.expose(scene.render(0.0, float(y)), rng=rng) for y in shift]),
+        time_s=frame_s,
+    )
+    (place / "recording.toml").write_text(
+        '[accelerometer]\nfile = "accel.csv"\nunit = "m/s^2"\n\n[camera]\nfile = "camera.npz"\n', encoding="utf-8"
+    )
+    return root
+
+
+@pytest.mark.parametrize("code", snippets())
+def test_every_runnable_snippet_runs(code, folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    exec(compile(code, "snippet", "exec"), {"__name__": "snippet"})
+
+
+def test_every_python_block_is_marked_runnable():
+    for page, text in TEXTS.items():
+        assert text.count("```python") == len(SNIPPET.findall(text)), page
+
+
+def sections(model=RecordingSettings, prefix=""):
+    for name, field in model.model_fields.items():
+        options = (field.annotation, *getattr(field.annotation, "__args__", ()))
+        inner = next((o for o in options if isinstance(o, type) and issubclass(o, BaseModel)), None)
+        if inner is None:
+            yield prefix, name
+        else:
+            yield from sections(inner, name)
+
+
+@pytest.mark.parametrize(("section", "key"), list(sections()))
+def test_every_key_of_the_settings_is_in_the_reference(section, key):
+    if section:
+        assert f"## [{section}]" in REFERENCE
+    # [displacement] and [reference] name the keys that they share with another section in a sentence.
+    shared = section in ("displacement", "reference")
+    text = REFERENCE if shared or not section else REFERENCE.split(f"## [{section}]")[1].split("\n## ")[0]
+    assert f"| `{key}` |" in text
+
+
+def test_every_example_of_a_recording_is_valid():
+    import tomllib
+
+    whole = {"accelerometer": {"file": "a.csv"}, "camera": {"file": "c.mkv"}}
+    blocks = [(page, code) for page, text in TEXTS.items() for code in TOML.findall(text)]
+    assert len(blocks) >= 4
+    for page, code in blocks:
+        validate({**whole, **tomllib.loads(code)}, str(page))
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_is_described(command):
+    assert f"midspan {command}" in ALL
+    assert f"`midspan {command}" in REFERENCE
+
+
+def test_no_command_is_described_that_does_not_exist():
+    named = set(re.findall(r"(?:^|`|\$ )midspan ([a-z][a-z-]+)", ALL, flags=re.MULTILINE))
+    assert named <= set(COMMANDS)
+
+
+@pytest.mark.parametrize(
+    "word", [*METHODS, *TRACKERS, *(s.word for s in Status), "camera", "displacement", "prediction"]
+)
+def test_every_name_of_a_method_tracker_status_and_source_is_in_the_reference(word):
+    assert word in REFERENCE
+
+
+@pytest.mark.parametrize("suffix", sorted({s for row in (*CHANNELS, *WRITTEN) for s in row[1]}))
+def test_every_suffix_is_in_the_list_of_formats(suffix):
+    assert suffix in TEXTS[ROOT / "docs" / "formats.md"]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_relative_links_lead_somewhere(page):
+    for link in LINK.findall(TEXTS[page]):
+        if not link.startswith(("http://", "https://", "#")):
+            assert (page.parent / link.split("#")[0]).exists(), link
+
+
+def test_equations_name_files_and_functions_that_exist():
+    for cell in re.findall(r"`([a-z_]+/[a-z_]+\.py)(?:: ([^`]+))?`", TEXTS[ROOT / "docs" / "equations.md"]):
+        source = ROOT / "src" / "midspan" / cell[0]
+        assert source.exists(), cell[0]
+        text = source.read_text(encoding="utf-8")
+        for name in filter(None, cell[1].split(", ")):
+            last = name.split(".")[-1]
+            assert re.search(rf"^\s*(def|class) {last}\b", text, flags=re.MULTILINE), f"{cell[0]}: {name}"
+
+
+def test_the_picture_of_the_readme_is_small():
+    # 150 kB: a page that loads at once also on a slow line.
+    assert (ROOT / "docs" / "images" / "result.png").stat().st_size < 150_000
+
+
+def test_the_changelog_has_an_entry_for_this_version():
+    assert f"## [{midspan.__version__}]" in TEXTS[ROOT / "CHANGELOG.md"]
