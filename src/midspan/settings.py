@@ -17,18 +17,18 @@ from midspan.vision.tracker import DEFAULT_TRACKER, TRACKERS
 RECORDING_FILE = "recording.toml"
 
 
-def _no_truth(value: object) -> object:
-    """TOML's true and false are no numbers and no texts."""
-    if isinstance(value, bool):
-        raise ValueError("must not be true or false")
+def _number(value: object) -> object:
+    """A number of TOML: neither a text nor true or false is one."""
+    if isinstance(value, bool | str):
+        raise ValueError("must be a number")
     return value
 
 
-NoTruth = BeforeValidator(_no_truth)
+IsNumber = BeforeValidator(_number)
 
-PositiveNumber = Annotated[float, NoTruth, Field(gt=0, allow_inf_nan=False)]
-NonNegativeNumber = Annotated[float, NoTruth, Field(ge=0, allow_inf_nan=False)]
-FiniteNumber = Annotated[float, NoTruth, Field(allow_inf_nan=False)]
+PositiveNumber = Annotated[float, IsNumber, Field(gt=0, allow_inf_nan=False)]
+NonNegativeNumber = Annotated[float, IsNumber, Field(ge=0, allow_inf_nan=False)]
+FiniteNumber = Annotated[float, IsNumber, Field(allow_inf_nan=False)]
 Name = Annotated[str, Field(min_length=1)]
 
 
@@ -93,7 +93,7 @@ class CameraSettings(_Section):
     times: Name | None = Field(None, description="file with a column time_s, one row a frame")
     rate_hz: PositiveNumber | None = Field(None, description="frames a second, where the file has no time stamps")
     start_s: FiniteNumber = Field(0.0, description="time of the first frame, s")
-    every: Annotated[int, NoTruth, Field(ge=1)] = Field(1, description="use every n-th frame; higher is faster")
+    every: Annotated[int, IsNumber, Field(ge=1)] = Field(1, description="use every n-th frame; higher is faster")
     roi: Annotated[tuple[int, int, int, int] | None, AfterValidator(_region_is_positive)] = Field(
         None, description="x, y, width, height, px; left out: chosen"
     )

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from recording_edits import acceleration, append, frames, replace_text, set_keys, write_acceleration, write_stack
 
 from midspan.cli.main import run
+from recording_edits import acceleration, append, frames, replace_text, set_keys, write_acceleration, write_stack
 
 Change = Callable[[Path], None]
 

@@ -7,9 +7,9 @@ import sys
 
 import numpy as np
 import pytest
-from recording_edits import append, error_mm, read_columns, set_keys
 
 from midspan.cli.main import COMMANDS, run
+from recording_edits import append, error_mm, read_columns, set_keys
 
 FORMATS = [".csv", ".parquet", ".h5", ".mat", ".mseed", ".uff"]
 RESULT_COLUMNS = "time_s,displacement_mm,displacement_std_mm,velocity_mm_s,source,status"
@@ -281,3 +281,21 @@ def test_a_signal_to_stop_leaves_nothing_half_written(footbridge, tmp_path, monk
     assert run(["estimate", str(footbridge), "-o", str(tmp_path / "result.csv")]) == 130
     assert os.listdir(tmp_path) == []
     assert "interrupted" in capsys.readouterr().err
+
+
+def test_demo_makes_a_recording_and_comes_close_to_the_bound(tmp_path, capsys):
+    folder = tmp_path / "demo"
+    assert run(["demo", "-o", str(folder), "--json"]) == 0
+    figures = one_document(capsys.readouterr().out)
+    # At most 1.3 times the least error that the simulated sensors' noise allows.
+    assert figures["ratio_to_bound"] < 1.3
+    assert figures["correlation"] > 0.9999
+    assert {"recording", "report.html", "result.csv", "result.json"} <= {path.name for path in folder.iterdir()}
+    assert (folder / "recording" / "calibration.json").is_file()
+
+
+def test_a_calibration_of_another_sensor_is_refused_by_name(gnss, done, tmp_path, capsys):
+    arguments = ["estimate", str(gnss), "-c", str(done / "calibration.json"), "-o", str(tmp_path / "r.csv")]
+    assert run(arguments) == 2
+    assert "displacement" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []

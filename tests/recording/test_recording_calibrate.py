@@ -1,19 +1,26 @@
 """Calibration of recordings: what is found, what is refused, and its file."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
-from recording_edits import acceleration, frames, read_columns, set_keys, write_acceleration, write_stack
 
 import midspan
 from midspan.errors import DataError, UntrustedError, UsageError
 from midspan.recording.calibration import calibration_from_dict
+from midspan.simulate.camera import Camera
 from midspan.simulate.motion import Rest, Sines
+from recording_edits import acceleration, frames, read_columns, set_keys, write_acceleration, write_stack
 
 
 def sine(frequency_hz, amplitude_m):
     return lambda rng: Sines(np.array([amplitude_m]), np.array([frequency_hz]))
+
+
+def scale_error(camera):
+    """Relative standard deviation of a scale factor."""
+    return np.sqrt(camera.scale.variance) / abs(camera.scale.value_m_per_px)
 
 
 @pytest.fixture(scope="module")
@@ -137,10 +144,12 @@ def test_the_other_image_axis_is_refused(footbridge_copy):
         midspan.calibrate(midspan.open_recording(footbridge_copy))
 
 
-@pytest.mark.parametrize(("frequency", "amplitude", "most"), [(2.0, 1e-3, 0.5), (2.0, 1e-3, 0.2), (3.1, 0.5e-3, 0.5)])
-def test_a_single_tone_is_refused_where_half_a_period_more_fits_as_well(frequency, amplitude, most, simulated, tmp_path):
-    import shutil
-
+@pytest.mark.parametrize(
+    ("frequency", "amplitude", "most"), [(2.0, 1e-3, 0.5), (2.0, 1e-3, 0.3), (2.0, 1e-3, 0.2), (3.1, 0.5e-3, 0.5)]
+)
+def test_a_single_tone_is_refused_where_half_a_period_more_fits_as_well(
+    frequency, amplitude, most, simulated, tmp_path
+):
     tone = sine(frequency, amplitude)
     folder = tmp_path / "tone"
     shutil.copytree(simulated(f"tone{frequency}", motion=tone), folder)
@@ -151,8 +160,6 @@ def test_a_single_tone_is_refused_where_half_a_period_more_fits_as_well(frequenc
 
 
 def test_a_single_tone_is_calibrated_where_only_one_offset_is_possible(simulated, tmp_path):
-    import shutil
-
     folder = tmp_path / "slow tone"
     shutil.copytree(simulated("tone0.5", motion=sine(0.5, 5e-3)), folder)
     set_keys(folder, "calibration", max_offset_s=0.4)
@@ -173,6 +180,14 @@ def test_an_offset_of_seconds_is_found_when_it_may_be_that_large(footbridge_copy
     set_keys(footbridge_copy, "calibration", max_offset_s=3.0)
     camera = midspan.calibrate(midspan.open_recording(footbridge_copy)).camera
     assert camera.offset.value_s == pytest.approx(0.137 - 2.0, abs=1e-3)
+
+
+@pytest.mark.parametrize("readout", [0.015, 0.03])
+def test_a_rolling_shutter_that_is_told_does_not_bend_the_scale(readout, simulated):
+    folder = simulated(f"readout{readout}", camera={"camera": Camera(readout_s=readout)})
+    camera = midspan.calibrate(midspan.open_recording(folder)).camera
+    # The region's rows are exposed over 18 ms of 30 ms: left alone, this average shrinks 1.9 Hz by 0.2 %, 4.6 Hz by 1 %.
+    assert camera.scale.value_m_per_px == pytest.approx(-1.5e-3, rel=max(1e-3, 4 * scale_error(camera)))
 
 
 def test_acceleration_of_another_event_is_refused(footbridge_copy, simulated):

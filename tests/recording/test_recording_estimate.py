@@ -5,6 +5,14 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+
+import midspan
+from midspan.evaluate.metrics import compare
+from midspan.recording.track import TrackRequest, track
+from midspan.records import Source, Status, TimeSeries, nanoseconds
+from midspan.simulate.camera import Camera
+from midspan.simulate.motion import Sum, random_motion
+from midspan.simulate.sensors import AccelerometerModel
 from recording_edits import (
     acceleration,
     append,
@@ -15,13 +23,6 @@ from recording_edits import (
     write_acceleration,
     write_stack,
 )
-
-import midspan
-from midspan.evaluate.metrics import compare
-from midspan.recording.track import TrackRequest, track
-from midspan.records import Source, Status, TimeSeries, nanoseconds
-from midspan.simulate.motion import Sum, random_motion
-from midspan.simulate.sensors import AccelerometerModel
 
 TRUE_SCALE, TRUE_OFFSET = 1.5, 0.137
 # One frame of these cameras is good for 0.0035-0.0045 px, which is 0.006 mm; the zero of the displacement rests on the
@@ -301,8 +302,6 @@ def test_camera_and_displacement_sensor_together_share_the_cameras_zero(footbrid
 
 
 def test_an_exposure_that_is_told_does_not_shrink_the_scale(simulated):
-    from midspan.simulate.camera import Camera
-
     folder = simulated("exposure", camera={"camera": Camera(exposure_s=0.05)})
     found = midspan.estimate(midspan.open_recording(folder))
     # Averaging over 50 ms shrinks 4.6 Hz by 8.6 % and 1.9 Hz by 1.5 %.

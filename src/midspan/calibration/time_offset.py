@@ -11,7 +11,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from midspan.calibration.fit import Fit, Pair, corner_range, evaluate, refine
+from midspan.calibration.fit import Fit, Pair, best_corner, corner_range, evaluate, refine
 from midspan.records import Floats, TimeOffset
 
 COARSE_CORNERS = 4
@@ -44,16 +44,16 @@ class OffsetSearch:
 def search_offset(pair: Pair, max_offset_s: float) -> OffsetSearch:
     """Find the time offset within ±`max_offset_s` that makes translation and acceleration agree best."""
     pair = without_lonely_outliers(pair)
-    offsets, curve, corners = scan(pair, max_offset_s)
+    offsets, curve = scan(pair, max_offset_s)
     step = float(offsets[1] - offsets[0]) if len(offsets) > 1 else 0.0
-    fits = _refined(pair, offsets, curve, corners)
+    fits = _refined(pair, offsets, curve)
     best = max(fits, key=lambda fit: fit.likelihood)
     cleaned = _cleaned(pair, best, step)
     if cleaned is not pair:
         # What the outliers have hidden shows now: the search starts again without them.
         pair = cleaned
-        offsets, curve, corners = scan(pair, max_offset_s)
-        fits = _refined(pair, offsets, curve, corners)
+        offsets, curve = scan(pair, max_offset_s)
+        fits = _refined(pair, offsets, curve)
         best = max(fits, key=lambda fit: fit.likelihood)
         cleaned = _cleaned(pair, best, step)
         fits = [refine(cleaned, fit, step) for fit in fits] if cleaned is not pair else fits
@@ -65,8 +65,8 @@ def search_offset(pair: Pair, max_offset_s: float) -> OffsetSearch:
     return OffsetSearch(best, TimeOffset(best.offset_s, variance), runner_up, offsets, curve, pair)
 
 
-def scan(pair: Pair, max_offset_s: float) -> tuple[Floats, Floats, Floats]:
-    """Offsets tried (k,), the likelihood at the best of a few noise ratios (k,), and that corner frequency (k,)."""
+def scan(pair: Pair, max_offset_s: float) -> tuple[Floats, Floats]:
+    """Offsets tried (k,), and the likelihood at the best of a few noise ratios (k,)."""
     outside = None if pair.outside is None else thinned(pair.outside, COARSE_RATE_HZ)
     coarse = replace(pair, samples=thinned(pair.samples, COARSE_RATE_HZ), outside=outside)
     rate = (len(coarse.samples) - 1) / float(coarse.samples[-1, 0] - coarse.samples[0, 0])
@@ -75,16 +75,20 @@ def scan(pair: Pair, max_offset_s: float) -> tuple[Floats, Floats, Floats]:
     low, high = corner_range(pair)
     corners = np.geomspace(max(3.0 * low, 0.3), high / 1.5, COARSE_CORNERS)
     table = np.array([[evaluate(coarse, t, w).likelihood for w in corners] for t in offsets])
-    return offsets, table.max(axis=1), corners[table.argmax(axis=1)]
+    return offsets, table.max(axis=1)
 
 
-def _refined(pair: Pair, offsets: Floats, curve: Floats, corners: Floats) -> list[Fit]:
-    """The highest maxima of the scanned curve, each refined."""
+def _refined(pair: Pair, offsets: Floats, curve: Floats) -> list[Fit]:
+    """The highest maxima of the scanned curve, each refined.
+
+    Half a step off, a misfit looks like accelerometer noise; so the noise ratio is sought anew at the refined offset.
+    """
     padded = np.concatenate(([-np.inf], curve, [-np.inf]))
     peaks = np.flatnonzero((padded[1:-1] >= padded[:-2]) & (padded[1:-1] > padded[2:]))
     step = float(offsets[1] - offsets[0])
     best = peaks[np.argsort(curve[peaks])[::-1][:CANDIDATES]]
-    return [refine(pair, evaluate(pair, offsets[i], corners[i]), step) for i in best]
+    near = [refine(pair, best_corner(pair, float(offsets[i])), step) for i in best]
+    return [refine(pair, best_corner(pair, fit.offset_s), step) for fit in near]
 
 
 def _cleaned(pair: Pair, fit: Fit, bound_s: float) -> Pair:
@@ -156,7 +160,8 @@ def _lonely(rows: Floats) -> NDArray[np.int64]:
     # One more outlier among the six neighbours does no harm.
     low, high = around[:, 1], around[:, -2]
     excess = np.maximum(value - high, low - value)
-    return index[excess > LONELY_LIMIT * np.maximum(high - low, np.median(high - low))]
+    lonely: NDArray[np.int64] = index[excess > LONELY_LIMIT * np.maximum(high - low, np.median(high - low))]
+    return lonely
 
 
 def thinned(samples: Floats, rate_hz: float) -> Floats:

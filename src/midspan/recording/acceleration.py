@@ -5,13 +5,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from midspan.errors import DataError
-from midspan.records import Acceleration, Event, Floats, Nanoseconds, TimeSeries, part
+from midspan.recording.span import inside
+from midspan.records import NANOSECONDS, Acceleration, Event, Floats, Nanoseconds, TimeSeries, part, seconds
 from midspan.signals.health import Clock, Mask, bridged, clipped, clock, dominant_frequency, frozen, runs
 
 # Steps up to this many usual ones are jitter or a single lost sample, which the filter takes as they are.
 GAP_STEPS = 2.5
+# A gap is long when its density is above this share of that of a wholly unknown motion.
+LONG_SHARE = 0.1
 # Above this share of the rate the motion is so fast that integration errs by 1 % and more.
 FASTEST_SHARE = 0.15
+# Motion is not taken to be slower than this when something has to be bridged.
+LOWEST_HZ = 0.2
 # Share of samples that may be missing, frozen or clipped before the channel is refused.
 MOST_MISSING = 0.2
 MOST_CLIPPED = 0.05
@@ -34,16 +39,36 @@ class PreparedAcceleration:
     warnings: tuple[str, ...]
 
     def with_noise(self, density: float) -> Acceleration:
-        """The acceleration for the filter, with white noise of `density` (m/s²)²/Hz besides what bridging adds."""
-        return Acceleration(self.time_ns, self.value_m_s2, density + self.bridging_density)
+        """The acceleration for the filter, with white noise of `density` (m/s²)²/Hz besides what bridging adds.
+
+        A long gap in time gets a sample of the mean acceleration shortly after its start and before its end: a straight
+        line between the values on both sides would move the structure by metres. These samples are no rows of a result.
+        """
+        gaps = clock(self.time_ns, GAP_STEPS).gaps
+        most = float(np.max(self.bridging_density, initial=0.0))
+        long = gaps[self.bridging_density[gaps + 1] > LONG_SHARE * most]
+        if not len(long):
+            return Acceleration(self.time_ns, self.value_m_s2, density + self.bridging_density)
+        step = round(NANOSECONDS / self.rate_hz)
+        time_ns = np.concatenate((self.time_ns[long] + step, self.time_ns[long + 1] - step))
+        value = np.full(len(time_ns), np.mean(self.value_m_s2))
+        extra = np.tile(self.bridging_density[long + 1], 2)
+        order = np.argsort(np.concatenate((self.time_ns, time_ns)), kind="stable")
+        return Acceleration(
+            np.concatenate((self.time_ns, time_ns))[order],
+            np.concatenate((self.value_m_s2, value))[order],
+            density + np.concatenate((self.bridging_density, extra))[order],
+        )
 
     def rows(self, origin_ns: int, which: slice) -> Floats:
         """Rows (n, 3) for calibration: time (s), acceleration without its mean, relative noise density."""
-        block = part(Acceleration(self.time_ns, self.value_m_s2, self.bridging_density), which)
-        usual = float(np.var(block.value_m_s2)) / self.rate_hz * 1e-4
-        relative = 1.0 + block.noise_density / max(usual, 1e-12)
-        time_s = (block.time_ns - origin_ns) / 1e9
-        return np.column_stack((time_s, block.value_m_s2 - np.mean(block.value_m_s2), relative))
+        usual = 1e-4 * float(np.var(self.value_m_s2[which])) / self.rate_hz
+        block = self.with_noise(max(usual, 1e-12))
+        block = part(block, inside(block.time_ns, int(self.time_ns[which.start]), int(self.time_ns[which.stop - 1])))
+        relative = block.noise_density / max(usual, 1e-12)
+        return np.column_stack(
+            (seconds(block.time_ns, origin_ns), block.value_m_s2 - np.mean(block.value_m_s2), relative)
+        )
 
 
 def prepare_acceleration(series: TimeSeries, where: str) -> PreparedAcceleration:
@@ -59,7 +84,7 @@ def prepare_acceleration(series: TimeSeries, where: str) -> PreparedAcceleration
     _refuse(where, held, "clipped", (MOST_CLIPPED, "is held at the end of its range"))
     missing = absent | still | held
     _refuse(where, missing, "missing", (MOST_MISSING, "is not a number, frozen or clipped"))
-    value = bridged(series.value, missing)
+    value = towards_mean(bridged(series.value, missing), missing, usual.rate_hz)
     density = _bridging_density(value, missing, usual)
     warnings = [
         f"{where}: {np.count_nonzero(mask)} samples ({100 * np.mean(mask):.2g} %) {what}; they were bridged and marked."
@@ -93,18 +118,35 @@ def _refuse(where: str, mask: Mask, kind: str, rule: tuple[float, str]) -> None:
         )
 
 
+def missed_share(length_s: float, frequency_hz: float) -> float:
+    """Share of a motion's amplitude that a straight line over `length_s` misses, (2 pi f T)²/8, at most 1."""
+    return min(1.0, (2.0 * np.pi * frequency_hz * length_s) ** 2 / 8.0)
+
+
+def towards_mean(value: Floats, missing: Mask, rate_hz: float) -> Floats:
+    """`value` (n,) with long bridged stretches drawn from their straight line to the mean of what was seen."""
+    if not missing.any():
+        return value
+    seen = value[~missing]
+    mean, frequency = float(np.mean(seen)), max(dominant_frequency(seen, rate_hz), LOWEST_HZ)
+    drawn = value.copy()
+    for start, end in runs(missing):
+        share = missed_share((end - start + 1) / rate_hz, frequency)
+        drawn[start:end] += share * (mean - drawn[start:end])
+    return drawn
+
+
 def _bridging_density(value: Floats, missing: Mask, gaps: Clock) -> Floats:
     """Noise density (n,) that stands for the motion that was not seen: its variance spread over its bandwidth."""
     density = np.zeros(len(value))
     if not missing.any() and not len(gaps.gaps):
         return density
     seen, rate_hz = value[~missing], gaps.rate_hz
-    frequency = max(dominant_frequency(seen, rate_hz), 0.2)
+    frequency = max(dominant_frequency(seen, rate_hz), LOWEST_HZ)
     unknown = float(np.var(seen)) / frequency
 
     def unseen(length_s: float) -> float:
-        """The share of the motion that a straight line over `length_s` misses: (2 pi f T)²/8 of its amplitude."""
-        return unknown * min(1.0, ((2.0 * np.pi * frequency * length_s) ** 2 / 8.0) ** 2)
+        return unknown * missed_share(length_s, frequency) ** 2
 
     for start, end in runs(missing):
         density[start : end + 1] = unseen((end - start + 1) / rate_hz)

@@ -155,7 +155,7 @@ def in_band(samples: Floats, band_hz: tuple[float, float] | None) -> tuple[Float
         raise UsageError(
             f"calibration.band_hz = {list(band_hz)}: must lie below half the accelerometer's rate of {rate:.4g} Hz."
         )
-    kind, edges = ("bandpass", [low, high]) if low > 0 else ("lowpass", [high])
+    kind, edges = ("bandpass", [low, high]) if low > 0 else ("lowpass", high)
     inside, outside = samples.copy(), samples.copy()
     inside[:, 1] = sosfiltfilt(butter(4, edges, kind, fs=rate, output="sos"), samples[:, 1])
     outside[:, 1] -= inside[:, 1]

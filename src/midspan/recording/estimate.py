@@ -301,8 +301,11 @@ def _cut(recording: Recording, inputs: Inputs, rows: Estimate) -> Estimate:
     """The rows in the common span; those whose sample had to be bridged are marked coasting."""
     usable = np.flatnonzero(np.isfinite(inputs.displacement.value_m))
     first, last = (int(inputs.displacement.time_ns[i]) for i in (usable[0], usable[-1]))
-    own = inside(rows.time_ns, int(recording.prepared.time_ns[0]), int(recording.prepared.time_ns[-1]))
-    rows = part(rows, own)
+    # Samples that were put in before the start or into gaps are no rows of the result.
+    sampled = recording.prepared.time_ns
+    if len(rows.time_ns) > len(sampled):
+        place = np.minimum(np.searchsorted(sampled, rows.time_ns), len(sampled) - 1)
+        rows = part(rows, sampled[place] == rows.time_ns)
     missing = recording.prepared.missing
     status = np.where(missing & (rows.status == Status.TRACKING), np.uint8(Status.COASTING), rows.status)
     span = inside(rows.time_ns, first, last)

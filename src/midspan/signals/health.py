@@ -19,6 +19,9 @@ FROZEN_SAMPLES = 50
 REST_SHARE = 0.05
 # A level counts as clipped when the largest (or smallest) value is held by runs of at least this many samples.
 CLIPPED_RUN = 3
+# A crest of a coarsely quantised signal also holds its largest value; its slopes carry it at most this many steps
+# beyond.
+CREST_STEPS = 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,11 +77,22 @@ def clipped(value: Floats) -> Mask:
     finite = value[np.isfinite(value)]
     if not len(finite):
         return mask
+    resolution = 0.0
     for level in (finite.max(), finite.min()):
         for start, end in runs(value == level):
-            if end - start >= CLIPPED_RUN:
-                mask[start:end] = True
+            if end - start < CLIPPED_RUN:
+                continue
+            resolution = resolution or float(np.min(np.diff(np.unique(finite)), initial=np.inf))
+            mask[start:end] = _overshoot(value, start, end) > CREST_STEPS * resolution
     return mask
+
+
+def _overshoot(value: Floats, start: int, end: int) -> float:
+    """How far the slopes on both sides of a run would carry the signal beyond it, were it not held."""
+    before = abs(value[start - 1] - value[start - 2]) if start >= 2 else np.inf
+    after = abs(value[end + 1] - value[end]) if end + 1 < len(value) else np.inf
+    slope = before + after if np.isfinite(before + after) else 2.0 * min(before, after)
+    return float(0.25 * (end - start + 1) * 0.5 * slope)
 
 
 def bridged(value: Floats, missing: Mask) -> Floats:
