@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from midspan.calibration.fit import Fit, Pair, best_corner
-from midspan.calibration.time_offset import mark_outliers, search_offset, without_lonely_outliers
+from midspan.calibration.time_offset import MARKING_ROUNDS, mark_outliers, search_offset, without_lonely_outliers
 from midspan.records import TimeOffset
 
 # A clock offset is only applied when it is this certain and the likelihood gains this much over none.
@@ -36,9 +36,7 @@ def calibrate_noise(pair: Pair, max_offset_s: float) -> NoiseCalibration:
     be.
     """
     pair = without_lonely_outliers(replace(pair, ratio=1.0))
-    still = best_corner(pair, 0.0)
-    pair = mark_outliers(pair, still)
-    still = best_corner(pair, 0.0)
+    pair, still = _without_outliers(pair)
     fit, offset = still, TimeOffset(0.0, np.inf)
     if max_offset_s > 0:
         search = search_offset(pair, max_offset_s)
@@ -49,6 +47,17 @@ def calibrate_noise(pair: Pair, max_offset_s: float) -> NoiseCalibration:
                 fit, offset = search.fit, search.offset
     scale, scale_std = _apparent_scale(fit)
     return NoiseCalibration(fit.noise, fit.input_density, offset, scale, scale_std)
+
+
+def _without_outliers(pair: Pair) -> tuple[Pair, Fit]:
+    """The pair without outliers and its fit at no offset; each round takes out the largest, which hid the smaller."""
+    fit = best_corner(pair, 0.0)
+    for _ in range(MARKING_ROUNDS):
+        cleaned = mark_outliers(pair, fit)
+        if cleaned is pair:
+            break
+        pair, fit = cleaned, best_corner(cleaned, 0.0, fit.corner)
+    return pair, best_corner(pair, 0.0)
 
 
 def _apparent_scale(fit: Fit) -> tuple[float, float]:

@@ -139,13 +139,18 @@ def without_lonely_outliers(pair: Pair) -> Pair:
 
     What the neighbours do is the measure, not the whole record: a passing vehicle in a quiet minute is no outlier.
     """
-    rows = pair.rows.copy()
+    return replace(pair, rows=without_lonely(pair.rows))
+
+
+def without_lonely(rows: Floats) -> Floats:
+    """Rows (m, 3) of time, value and variance with the lonely outliers' variance made infinite."""
+    rows = rows.copy()
     for _ in range(MARKING_ROUNDS):
         bad = _lonely(rows)
         rows[bad, 2] = np.inf
         if not len(bad):
             break
-    return replace(pair, rows=rows)
+    return rows
 
 
 def _lonely(rows: Floats) -> NDArray[np.int64]:

@@ -76,10 +76,6 @@ def run(arguments: list[str]) -> int:
     except (KeyboardInterrupt, click.Abort):
         click.echo("midspan: interrupted; nothing half-written was left.", err=True)
         return 130
-    except BrokenPipeError:
-        # The reader of our output has gone (`midspan … | head`): no message, and none at interpreter shutdown either.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
     except MemoryError:
         return _tell(arguments, "not enough memory for this. Use a shorter recording.", 3, None)
     except Exception as error:

@@ -139,8 +139,11 @@ def _calibrate_camera(recording: Recording, tracking: CameraTracking) -> ScaleCa
     inner = inside(track.time_ns, first + margin, last - margin)
     rows = _measured_rows(track.time_ns[inner], value[inner], variance[inner], first)
     samples, outside = in_band(prepared.rows(first, window), settings.calibration.band_hz)
-    exposure_s = settings.camera.exposure_s or 0.0 if settings.camera else 0.0
-    return calibrate_scale(Pair(samples, rows, None, exposure_s, outside), settings.calibration.max_offset_s)
+    blur_s = tracking.blur_s(settings.camera.exposure_s if settings.camera else None)
+    try:
+        return calibrate_scale(Pair(samples, rows, None, blur_s, outside), settings.calibration.max_offset_s)
+    except UntrustedError as error:
+        raise UntrustedError(" ".join((str(error), *tracking.warnings()))) from None
 
 
 def in_band(samples: Floats, band_hz: tuple[float, float] | None) -> tuple[Floats, Floats | None]:

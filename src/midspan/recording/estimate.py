@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from midspan.calibration.time_offset import without_lonely
 from midspan.checks import option
 from midspan.engine.monitor import Monitor
 from midspan.errors import DataError, UntrustedError, UsageError
@@ -33,6 +34,7 @@ from midspan.records import (
     Status,
     joined,
     part,
+    seconds,
 )
 from midspan.signals.health import dominant_frequency
 
@@ -136,7 +138,8 @@ def _inputs(
         track = _track_all(
             tracking, Monitor(tracking.tracker, calibration.camera.mapping(), KalmanFilter(kalman)), acceleration
         )
-        blocks.append(_exposed(recording, calibration.camera.mapping().displacement(track), acceleration))
+        blur_s = tracking.blur_s(recording.settings.camera.exposure_s if recording.settings.camera else None)
+        blocks.append(_unblurred(calibration.camera.mapping().displacement(track), blur_s, acceleration))
     if recording.has("displacement"):
         blocks.append(_displacement(recording, calibration))
     level = 0.0 if track is not None else float(blocks[0].value_m[np.argmax(np.isfinite(blocks[0].value_m))])
@@ -189,13 +192,12 @@ def _track_all(tracking: CameraTracking, monitor: Monitor, acceleration: Acceler
     return tracking.track
 
 
-def _exposed(recording: Recording, measured: Displacement, acceleration: Acceleration) -> Displacement:
-    """The camera's displacement without what averaging over the exposure added: exposure²/24 of the acceleration."""
-    camera = recording.settings.camera
-    if camera is None or not camera.exposure_s:
+def _unblurred(measured: Displacement, blur_s: float, acceleration: Acceleration) -> Displacement:
+    """The camera's displacement without what averaging over `blur_s` added: blur²/24 of the acceleration."""
+    if blur_s == 0.0:
         return measured
     value = acceleration.value_m_s2 - np.mean(acceleration.value_m_s2)
-    added = camera.exposure_s**2 / 24.0 * np.interp(measured.time_ns, acceleration.time_ns, value)
+    added = blur_s**2 / 24.0 * np.interp(measured.time_ns, acceleration.time_ns, value)
     return replace(measured, value_m=measured.value_m - added)
 
 
@@ -247,7 +249,7 @@ def _from_first_measurement(acceleration: Acceleration, measured: Displacement, 
 def _fuse(inputs: Inputs, method: str) -> Smoothed:
     """Run the method; the displacement counts from the first frame where a camera gives the zero."""
     if method == "smoother":
-        smoothed = smooth(inputs.acceleration, inputs.displacement, inputs.kalman)
+        smoothed = smooth(inputs.acceleration, _without_lonely(inputs.displacement), inputs.kalman)
         return replace(smoothed, estimate=_zeroed(inputs, smoothed.estimate, smoothed.estimate))
     stream = KalmanFilter(inputs.kalman)
     stream.push(inputs.displacement)
@@ -259,6 +261,15 @@ def _fuse(inputs: Inputs, method: str) -> Smoothed:
     window = inside(inputs.acceleration.time_ns, start, start + round(ZERO_S * NANOSECONDS))
     beginning = smooth(part(inputs.acceleration, window), inputs.displacement, inputs.kalman).estimate
     return Smoothed(_zeroed(inputs, rows, beginning), joined(innovations), events)
+
+
+def _without_lonely(measured: Displacement) -> Displacement:
+    """Measurements that leave their neighbours on both sides taken out, as only a look at both sides can."""
+    usable = np.isfinite(measured.value_m) & np.isfinite(measured.variance_m2)
+    rows = np.column_stack(
+        (seconds(measured.time_ns, 0), measured.value_m, np.where(usable, measured.variance_m2, np.inf))
+    )
+    return replace(measured, variance_m2=without_lonely(rows)[:, 2])
 
 
 def _zeroed(inputs: Inputs, rows: Estimate, beginning: Estimate) -> Estimate:

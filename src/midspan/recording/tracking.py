@@ -19,7 +19,7 @@ CHOICE_S = 8.0
 # A variance below this share of the usual one is the mark of a frame that matches itself, not of a quiet one.
 SUSPICIOUS_SHARE = 0.25
 # Noise of the template over the noise of a frame, as standard deviations.
-TEMPLATE_NOISE = 1.3
+TEMPLATE_NOISE = 1.15
 # This many equal pictures in a row are a frozen camera (or a codec that skipped them), not a structure at rest.
 FROZEN_FRAMES = 3
 # A frame whose mean is below this share of full scale is dark; at most this many are skipped at the start.
@@ -88,6 +88,14 @@ class CameraTracking:
         for start, end in runs(np.array(self._repeats, dtype=bool)):
             mask[start:end] = end - start + 1 >= FROZEN_FRAMES
         return mask
+
+    def blur_s(self, exposure_s: float | None) -> float:
+        """The time a measured translation is averaged over: the exposure, and the read-out of the region's rows.
+
+        Both are box averages; their widths add as squares.
+        """
+        rows = self.settings.readout_s * self.tracker.region.height / max(self.source.info.height, 1)
+        return float(np.hypot(exposure_s or 0.0, rows))
 
     def until(self, time_ns: int) -> PixelTrack:
         """Track, without a prediction, all frames up to `time_ns` on the camera's clock; returns all rows so far."""

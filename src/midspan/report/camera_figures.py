@@ -21,7 +21,7 @@ from midspan.report.drawing import (
     sheet,
 )
 from midspan.report.material import Material
-from midspan.report.thinning import envelope
+from midspan.signals.thinning import envelope
 from midspan.vision.roi import RegionChoice
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from midspan.records import Floats
-from midspan.report.thinning import Envelope
+from midspan.signals.thinning import Envelope
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

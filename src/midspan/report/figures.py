@@ -23,7 +23,7 @@ from midspan.report.drawing import (
     sheet,
 )
 from midspan.report.material import Material, Measured
-from midspan.report.thinning import envelope, logarithmic_means, spans
+from midspan.signals.thinning import envelope, logarithmic_means, spans
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

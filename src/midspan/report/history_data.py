@@ -8,7 +8,7 @@ import numpy as np
 from midspan.records import Floats, Status
 from midspan.report.figures import BAND
 from midspan.report.material import Material
-from midspan.report.thinning import PAUSE_STEPS, spans, starts
+from midspan.signals.thinning import PAUSE_STEPS, spans, starts
 
 # Rows that are kept; longer records keep the extremes of this many stretches.
 MOST_ROWS = 20_000

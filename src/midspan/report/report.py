@@ -1,18 +1,16 @@
 """`write_report`: one HTML file about a result."""
 
-import os
-import tempfile
 from datetime import UTC, datetime
 from pathlib import Path
 
 from midspan._version import __version__
-from midspan.errors import UsageError
 from midspan.recording.result import Result
 from midspan.recording.span import shown
 from midspan.records import TimeSeries
 from midspan.report import page, sections
 from midspan.report.drawing import style
 from midspan.report.material import Material, gather
+from midspan.sinks.replace import replacing
 
 
 def write_report(result: Result, path: str | Path, reference: TimeSeries | None = None) -> Path:
@@ -22,13 +20,10 @@ def write_report(result: Result, path: str | Path, reference: TimeSeries | None 
     Needs no network to be read. Raises UsageError where the file cannot be written.
     """
     path = Path(path)
-    if not path.absolute().parent.is_dir():
-        raise UsageError(
-            f"{path} cannot be written: the folder {path.parent} does not exist. Make it or choose another."
-        )
     with style():
         text = report_html(result, reference)
-    _replace(path, text)
+    with replacing(path) as (partial,):
+        partial.write_text(text, encoding="utf-8")
     return path
 
 
@@ -60,20 +55,3 @@ def _lines(material: Material) -> list[str]:
         f"From {shown(int(rows[0]))} to {shown(int(rows[-1]))} on the accelerometer's clock",
         f"Written {datetime.now(UTC):%Y-%m-%d %H:%M} UTC by midspan {__version__}",
     ]
-
-
-def _replace(path: Path, text: str) -> None:
-    """Put the text in place whole or not at all."""
-    try:
-        handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=".partial", dir=path.absolute().parent)
-    except OSError as error:
-        raise UsageError(f"{path} cannot be written ({error.strerror}). Choose another place.") from None
-    partial = Path(name)
-    try:
-        os.close(handle)
-        partial.write_text(text, encoding="utf-8")
-        os.replace(partial, path)
-    except OSError as error:
-        raise UsageError(f"{path} cannot be written ({error.strerror}). Choose another place.") from None
-    finally:
-        partial.unlink(missing_ok=True)

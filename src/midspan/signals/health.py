@@ -35,8 +35,10 @@ class Clock:
 
 
 def clock(time_ns: Nanoseconds, gap_steps: float = GAP_STEPS) -> Clock:
-    """Rate, jitter and gaps of increasing time stamps (n,), n at least 2; a gap is longer than `gap_steps` "
-    "usual steps."""
+    """Rate, jitter and gaps of increasing time stamps (n,), n at least 2.
+
+    gap_steps: a step longer than this many usual ones is a gap.
+    """
     steps = np.diff(time_ns).astype(np.float64) / NANOSECONDS
     usual = float(np.median(steps))
     is_gap = steps > gap_steps * usual

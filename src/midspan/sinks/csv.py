@@ -11,6 +11,8 @@ from midspan.sinks.table import ResultTable, codes, is_text, metadata_json
 _ROWS_AT_ONCE = 200_000
 # Decimals of the numbers: a picometre for mm, far below any sensor; without them 17 digits would be written.
 _DECIMALS = 9
+# Arrow writes decimal numbers below a microsecond with an exponent.
+_SMALL_NS = 1000
 
 
 def write(path: Path, table: ResultTable) -> None:
@@ -39,7 +41,8 @@ def _column(name: str, values: Any, coded: Any, rows: slice, table: ResultTable)
     import pyarrow as pa
 
     if name == "time_s":
-        return _decimal_seconds(table.time_ns[rows])
+        stamps = table.time_ns[rows]
+        return _small_seconds(stamps) if np.any(np.abs(stamps) < _SMALL_NS) else _decimal_seconds(stamps)
     if coded is not None:
         return word_column(name, coded[rows]).dictionary_decode()
     if is_text(values):
@@ -49,6 +52,13 @@ def _column(name: str, values: Any, coded: Any, rows: slice, table: ResultTable)
         return pa.array(part)
     # Adding zero turns the -0.0 that rounding leaves into 0.0.
     return pa.array(np.round(part.astype(np.float64), _DECIMALS) + 0.0, from_pandas=True)
+
+
+def _small_seconds(time_ns: Any) -> Any:
+    """The same as text, for stamps that Arrow would write with an exponent (0E-9)."""
+    import pyarrow as pa
+
+    return pa.array([f"{'-' if t < 0 else ''}{abs(t) // 10**9}.{abs(t) % 10**9:09d}" for t in time_ns.tolist()])
 
 
 def _decimal_seconds(time_ns: Any) -> Any:

@@ -9,6 +9,7 @@ import numpy as np
 
 from midspan.errors import DataError
 from midspan.records import Frame, Nanoseconds
+from midspan.signals.health import clock
 from midspan.sources.camera.frames import FrameInfo, FrameRequest, FrameSource
 from midspan.sources.camera.luma_plane import depth_of, luma_of
 from midspan.sources.camera.packets import Packets, scan
@@ -118,7 +119,7 @@ class VideoFrames(FrameSource):
         given = self._request.rate_hz
         if given is None or time_ns.size < 2:
             return
-        own_hz = 1e9 * (time_ns.size - 1) / float(time_ns[-1] - time_ns[0])
+        own_hz = clock(time_ns).rate_hz
         if abs(given / own_hz - 1.0) > _RATE_TOLERANCE:
             self._notes.append(f"rate_hz = {given:g} Hz not used: the container's time stamps say {own_hz:.6g} Hz")
 

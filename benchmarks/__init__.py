@@ -1,0 +1,1 @@
+"""Benchmarks: one file a hot path or a promise; `python -m benchmarks [NAME …]` prints goal and measured."""
