@@ -26,6 +26,7 @@ from midspan.fusion.state_space import (
     X,
     advance_covariance,
     advance_mean,
+    begin_interval,
     initial_state,
     input_response,
     update_covariance,
@@ -86,6 +87,7 @@ def _whiten(samples, rows, density, blur, states, out):  # type: ignore[no-untyp
         t0, a0 = driven[TIME], driven[INPUT]
         t1, a1 = samples[k, 0], samples[k, 1]
         dt = t1 - t0
+        lead = begin_interval(driven, dt, a0, a1)
         reached, response = t0, (0.0, 0.0)
         while True:
             due = j < len(rows) and rows[j, 0] <= t1
@@ -93,7 +95,7 @@ def _whiten(samples, rows, density, blur, states, out):  # type: ignore[no-untyp
                 j += 1
                 continue
             until = rows[j, 0] if due else t1
-            ahead = input_response((until - t0) / dt, dt, a0, a1)
+            ahead = input_response((until - t0) / dt, dt, a0, a1, lead)
             step = until - reached
             advance_mean(state, step, (0.0, 0.0), (0.0, 0.0))
             advance_mean(driven, step, response, ahead)

@@ -20,8 +20,11 @@ from midspan.fusion.recursion import (
 )
 from midspan.fusion.state_space import (
     INPUT,
+    LEAD,
     P00,
+    SLOPE,
     TIME,
+    V,
     X,
     advance_covariance,
     advance_mean,
@@ -129,7 +132,8 @@ class KalmanFilter:
             return 0.0, np.inf
         ahead = self.state.copy()
         dt = max(0.0, float(seconds(np.array([time_ns]), self._origin_ns)[0]) - ahead[TIME])
-        advance_mean(ahead, dt, (0.0, 0.0), input_response(1.0, dt, ahead[INPUT], ahead[INPUT]))
+        ahead[V] -= ahead[LEAD] * ahead[SLOPE]
+        advance_mean(ahead, dt, (0.0, 0.0), input_response(1.0, dt, ahead[INPUT], ahead[INPUT], 0.0))
         advance_covariance(ahead, dt, 0.0, 0.0)
         return float(ahead[X]), float(ahead[P00])
 

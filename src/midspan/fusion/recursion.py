@@ -15,6 +15,7 @@ from midspan.fusion.state_space import (
     P11,
     P22,
     REJECTIONS,
+    SLOPE,
     SOURCE,
     TIME,
     B,
@@ -22,6 +23,7 @@ from midspan.fusion.state_space import (
     X,
     advance_covariance,
     advance_mean,
+    begin_interval,
     input_response,
     update_covariance,
 )
@@ -81,6 +83,7 @@ def filter_block(samples, measurements, s, bias_walk, limits, nodes, record):  #
         t0, a0 = s[TIME], s[INPUT]
         t1, a1, density = samples[k, 0], samples[k, 1], samples[k, 2]
         dt = t1 - t0
+        lead = begin_interval(s, dt, a0, a1)
         reached, response = t0, (0.0, 0.0)
         while j < len(measurements) and measurements[j, 0] <= t1:
             row, time = record[j], measurements[j, 0]
@@ -89,20 +92,20 @@ def filter_block(samples, measurements, s, bias_walk, limits, nodes, record):  #
                 j += 1
                 continue
             theta = (time - t0) / dt
-            ahead = input_response(theta, dt, a0, a1)
+            ahead = input_response(theta, dt, a0, a1, lead)
             advance_mean(s, time - reached, response, ahead)
             advance_covariance(s, time - reached, density, bias_walk)
             reached, response = time, ahead
             row[INTERVAL], row[THETA] = k, theta
             meet_measurement(s, row, (time, measurements[j, 1], measurements[j, 2], measurements[j, 3]), limits)
             j += 1
-        advance_mean(s, t1 - reached, response, input_response(1.0, dt, a0, a1))
+        advance_mean(s, t1 - reached, response, input_response(1.0, dt, a0, a1, lead))
         advance_covariance(s, t1 - reached, density, bias_walk)
         s[TIME], s[INPUT] = t1, a1
         node = nodes[k]
         for i in range(P22 + 1):
             node[i] = s[i]
-        # The Numerov velocity state leads the true velocity by dt²/12 times the slope of the acceleration.
-        node[VELOCITY] = s[V] - dt / 12.0 * (a1 - a0)
+        # The Numerov velocity state leads the true velocity by a multiple of the slope of the acceleration.
+        node[VELOCITY] = s[V] - lead * s[SLOPE]
         node[TIME_OF_NODE], node[ACCEPTED_AT], node[ACCEPTED_SOURCE] = t1, s[LAST_ACCEPTED], s[SOURCE]
     return j

@@ -21,7 +21,11 @@ from midspan.records import Floats
 
 X, V, B, P00, P01, P02, P11, P12, P22, TIME, INPUT = range(11)
 LAST_ACCEPTED, FIRST_REJECTED, REJECTIONS, SOURCE, AGREEMENTS = range(11, 16)
-STATE_SIZE = 16
+STEP, LEAD, SLOPE = range(16, 19)
+STATE_SIZE = 19
+
+# An interval this many times as long as the one before is a gap: its slope says nothing about the motion inside.
+GAP_STEPS = 2.0
 
 # The response of the interval's input up to the instant already reached, see `input_response`.
 Response = tuple[float, float]
@@ -34,20 +38,34 @@ def initial_state(time_s: float, mean: tuple[float, float, float], variance: tup
     state[[P00, P11, P22]] = variance
     state[TIME] = time_s
     state[LAST_ACCEPTED] = -np.inf
+    state[STEP] = np.inf
     return state
 
 
 @njit(cache=True, inline="always")
-def input_response(theta: float, dt: float, a0: float, a1: float) -> Response:
+def begin_interval(s: Floats, dt: float, a0: float, a1: float) -> float:
+    """Bring the velocity state to the interval of length `dt` that begins; returns the lead for its input response.
+
+    The velocity state of the Numerov rule is the true velocity plus lead · a' with the lead dt²/12. Where the length of
+    the intervals changes, so does the lead, and the state is moved by the difference; in a gap there is none.
+    """
+    slope = (a1 - a0) / dt
+    lead = dt * dt / 12.0 if dt <= GAP_STEPS * s[STEP] else 0.0
+    if lead != s[LEAD]:
+        s[V] += (lead - s[LEAD]) * 0.5 * (s[SLOPE] + slope)
+    s[STEP], s[LEAD], s[SLOPE] = min(dt, GAP_STEPS * s[STEP]), lead, slope
+    return lead
+
+
+@njit(cache=True, inline="always")
+def input_response(theta: float, dt: float, a0: float, a1: float, lead: float) -> Response:
     """Displacement and velocity that the input alone adds from the start of an interval to its fraction `theta`.
 
-    Acceleration runs linearly from a0 to a1; the velocity state of the Numerov rule is the true velocity plus
-    dt²/12 · a', which is why a0 and a1 enter the displacement also in a term linear in theta.
+    Acceleration runs linearly from a0 to a1; what the velocity state is ahead of the true velocity (`lead` times the
+    slope, see `begin_interval`) is taken off again.
     """
-    rest = 1.0 - theta
-    from_a0 = 5.0 / 12.0 * theta + (rest * rest * rest - rest) / 6.0
-    from_a1 = theta / 12.0 + (theta * theta * theta - theta) / 6.0
-    return dt * dt * (from_a0 * a0 + from_a1 * a1), dt * theta * (a0 + 0.5 * theta * (a1 - a0))
+    t, slope = theta * dt, (a1 - a0) / dt
+    return t * (t * (0.5 * a0 + slope * t / 6.0) - lead * slope), t * (a0 + 0.5 * slope * t)
 
 
 @njit(cache=True, inline="always")
