@@ -1,8 +1,6 @@
 """`midspan demo`: the whole chain on a recording that it makes itself."""
 
-import json
 from pathlib import Path
-from typing import Any
 
 import click
 
@@ -20,6 +18,7 @@ def command(output: str, seed: int, quiet: bool, as_json: bool) -> None:
     from midspan.cli import compare, estimate, inspect
     from midspan.cli.calibrate import describe
     from midspan.evaluate.result_file import compare_files
+    from midspan.evaluate.simulated import least_error_mm
     from midspan.recording.calibrate import calibrate_and_track
     from midspan.recording.estimate import estimate as run_estimate
     from midspan.recording.inspect import inspect_recording
@@ -48,28 +47,8 @@ def command(output: str, seed: int, quiet: bool, as_json: bool) -> None:
     console.say("\n5. compare with the truth")
     figures = compare_files(folder / "result.csv", place / "truth.csv").to_dict()
     compare.show(console, figures)
-    bound = bound_mm(place, recording, result, seed)
+    bound = least_error_mm(result)
     ratio = figures["rmse_mm"] / bound
     console.say(f"\nError {figures['rmse_mm']:.4f} mm rms: {ratio:.2f} times the least that the sensors' noise allows")
     console.say(f"({bound:.4f} mm). Look at {folder / 'report.html'}.")
     console.document({**figures, "bound_mm": bound, "ratio_to_bound": ratio, "folder": str(folder)})
-
-
-def bound_mm(place: Path, recording: Any, result: Any, seed: int) -> float:
-    """The least rms error (mm) for the noise that was put in: Cramér-Rao bound of the region, known sensors."""
-    import numpy as np
-
-    from midspan.evaluate.bound import zeroed_bound
-    from midspan.records import Acceleration, Displacement, Source
-    from midspan.simulate.scenarios import pixel_bound
-
-    known = json.loads((place / "known.json").read_text(encoding="utf-8"))
-    _, pixel_std = pixel_bound(SCENARIO, result.calibration.camera.region, seed=seed)
-    std_m = pixel_std * abs(known["camera"]["scale_mm_per_px"]) / 1e3
-    camera_ns = result.track.time_ns + round(1e9 * known["camera"]["time_offset_s"])
-    prepared = recording.prepared
-    density = known["accelerometer"]["noise_std_m_s2"] ** 2 / prepared.rate_hz
-    n, m = len(prepared.time_ns), len(camera_ns)
-    acceleration = Acceleration(prepared.time_ns, np.zeros(n), np.full(n, density))
-    source = np.full(m, Source.CAMERA, dtype=np.uint8)
-    return 1e3 * zeroed_bound(acceleration, Displacement(camera_ns, np.zeros(m), np.full(m, std_m**2), source))

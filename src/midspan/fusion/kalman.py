@@ -29,7 +29,6 @@ from midspan.fusion.state_space import (
     advance_covariance,
     advance_mean,
     initial_state,
-    input_response,
 )
 from midspan.records import (
     Acceleration,
@@ -133,7 +132,8 @@ class KalmanFilter:
         ahead = self.state.copy()
         dt = max(0.0, float(seconds(np.array([time_ns]), self._origin_ns)[0]) - ahead[TIME])
         ahead[V] -= ahead[LEAD] * ahead[SLOPE]
-        advance_mean(ahead, dt, (0.0, 0.0), input_response(1.0, dt, ahead[INPUT], ahead[INPUT], 0.0))
+        held = ahead[INPUT]
+        advance_mean(ahead, dt, (0.0, 0.0), (0.5 * held * dt * dt, held * dt))
         advance_covariance(ahead, dt, 0.0, 0.0)
         return float(ahead[X]), float(ahead[P00])
 
