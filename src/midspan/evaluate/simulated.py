@@ -17,7 +17,7 @@ KNOWN_FILE = "known.json"
 def least_error_mm(result: Result) -> float:
     """The least rms error (mm) of a camera's result from a simulated recording, its zero at the first frame included.
 
-    From the Cramér-Rao bound of the region in use, the accelerometer's known noise and the true stamps. Raises UsageError
+    From the Cramér-Rao bound of the region, the accelerometer's known noise and the true stamps. Raises UsageError
     where the recording is not simulated or has no camera.
     """
     recording, camera = result.recording, result.calibration.camera
