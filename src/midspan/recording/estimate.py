@@ -8,7 +8,7 @@ from midspan.calibration.time_offset import without_lonely
 from midspan.checks import option
 from midspan.engine.monitor import Monitor
 from midspan.errors import DataError, UntrustedError, UsageError
-from midspan.fusion.gate import REJECTED
+from midspan.fusion.gate import ACCEPTED, REJECTED
 from midspan.fusion.kalman import KalmanFilter, KalmanSettings
 from midspan.fusion.methods import METHODS
 from midspan.fusion.smoother import Smoothed, smooth
@@ -42,6 +42,8 @@ from midspan.signals.health import dominant_frequency
 COASTING_INTERVALS = 2.5
 # Where more than half of the measurements contradict the prediction, the prediction or the calibration is wrong.
 MOST_REJECTED = 0.5
+# A prediction is sharp when its variance with the measurement's is below this many of the measurement's own.
+SHARP_VARIANCES = 25.0
 # The zero of `kalman` comes from this much of the record, smoothed: it belongs to its start-up, not to its causal
 # output.
 ZERO_S = 60.0
@@ -249,7 +251,7 @@ def _from_first_measurement(acceleration: Acceleration, measured: Displacement, 
 def _fuse(inputs: Inputs, method: str) -> Smoothed:
     """Run the method; the displacement counts from the first frame where a camera gives the zero."""
     if method == "smoother":
-        smoothed = smooth(inputs.acceleration, _without_lonely(inputs.displacement), inputs.kalman)
+        smoothed = _smooth_twice(inputs)
         return replace(smoothed, estimate=_zeroed(inputs, smoothed.estimate, smoothed.estimate))
     stream = KalmanFilter(inputs.kalman)
     stream.push(inputs.displacement)
@@ -263,13 +265,28 @@ def _fuse(inputs: Inputs, method: str) -> Smoothed:
     return Smoothed(_zeroed(inputs, rows, beginning), joined(innovations), events)
 
 
-def _without_lonely(measured: Displacement) -> Displacement:
-    """Measurements that leave their neighbours on both sides taken out, as only a look at both sides can."""
+def _smooth_twice(inputs: Inputs) -> Smoothed:
+    """The smoother, run again without lonely outliers where any got into the first run's wide predictions.
+
+    After a gap the prediction is so wide that an outlier passes the gate and leads the filter away. A measurement that
+    leaves its neighbours on both sides is only kept where a sharp prediction agrees with it.
+    """
+    measured = inputs.displacement
+    first = smooth(inputs.acceleration, measured, inputs.kalman)
     usable = np.isfinite(measured.value_m) & np.isfinite(measured.variance_m2)
-    rows = np.column_stack(
-        (seconds(measured.time_ns, 0), measured.value_m, np.where(usable, measured.variance_m2, np.inf))
-    )
-    return replace(measured, variance_m2=without_lonely(rows)[:, 2])
+    variance = np.where(usable, measured.variance_m2, np.inf)
+    rows = np.column_stack((seconds(measured.time_ns, 0), measured.value_m, variance))
+    lonely = np.isinf(without_lonely(rows)[:, 2]) & usable
+    if not lonely.any() or not len(first.innovation.time_ns):
+        return first
+    found = first.innovation
+    place = np.minimum(np.searchsorted(found.time_ns, measured.time_ns - 1), len(found.time_ns) - 1)
+    sharp = found.variance_m2[place] < SHARP_VARIANCES * variance
+    doubted = lonely & ~(sharp & (found.verdict[place] == ACCEPTED))
+    if not doubted.any():
+        return first
+    cleaned = replace(measured, variance_m2=np.where(doubted, np.inf, variance))
+    return smooth(inputs.acceleration, cleaned, inputs.kalman)
 
 
 def _zeroed(inputs: Inputs, rows: Estimate, beginning: Estimate) -> Estimate:
