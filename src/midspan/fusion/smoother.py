@@ -7,7 +7,7 @@ pass keeps a state vector only at every block's start, and the backward pass run
 Reference: G. J. Bierman, Fixed interval smoothing with discrete measurements, Int. J. Control 18 (1973) 65-75.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
@@ -38,7 +38,7 @@ from midspan.fusion.recursion import (
     filter_block,
 )
 from midspan.fusion.state_space import P00, P01, P02, P11, P12, TIME, X
-from midspan.records import Acceleration, Displacement, Estimate, Event, Floats, Innovation, joined, part
+from midspan.records import Acceleration, Displacement, Estimate, Event, Floats, Innovation, Nanoseconds, part
 
 # The adjoint vector: gradient l and information matrix L of the state given everything later.
 ADJOINT_SIZE = 9
@@ -69,38 +69,48 @@ def smooth(acceleration: Acceleration, displacement: Displacement, settings: Kal
     checkpoints, outcomes, used = [], [], [0]
     for block in blocks:
         checkpoints.append(state.copy())
-        _, outcome = _forward(sample_rows(block, origin_ns), rows[used[-1] :], state, settings)
+        samples = sample_rows(block, origin_ns)
+        due = int(np.searchsorted(rows[:, 0], samples[-1, 0], side="right"))
+        _, outcome = _forward(samples, rows[used[-1] : due], state, settings)
         outcomes.append(outcome)
-        used.append(used[-1] + len(outcome))
+        used.append(due)
+    estimate = empty_estimate(acceleration.time_ns)
     adjoint = np.zeros(ADJOINT_SIZE)
-    estimates = []
     for i in reversed(range(len(blocks))):
         samples = sample_rows(blocks[i], origin_ns)
         nodes, _ = _forward(samples, rows[used[i] : used[i + 1]], checkpoints[i].copy(), settings)
         smoothed = np.empty((len(samples), SMOOTHED_COLUMNS))
         smooth_block(samples[:, 0], float(checkpoints[i][TIME]), nodes, outcomes[i], adjoint, smoothed)
-        estimates.append(_estimate(blocks[i], nodes, smoothed, settings))
+        _fill(part(estimate, slice(i * BLOCK, (i + 1) * BLOCK)), nodes, smoothed, settings)
     outcome = np.concatenate(outcomes)
     met = outcome[:, VERDICT] != UNUSED
     innovation = innovation_rows(rows[: used[-1]][met], outcome[met], origin_ns)
-    return Smoothed(joined(estimates[::-1]), innovation, tuple(reacquired_events(innovation)))
+    return Smoothed(estimate, innovation, tuple(reacquired_events(innovation)))
 
 
 def _forward(samples: Floats, rows: Floats, state: Floats, settings: KalmanSettings) -> tuple[Floats, Floats]:
-    """Nodes (n, 13) of a block and the outcome (m, 8) of the measurements that fall into it; moves `state` on."""
+    """Nodes (n, 14) of a block and the outcome (m, 8) of its measurements; moves `state` on."""
     nodes, outcome = np.empty((len(samples), NODE_COLUMNS)), np.zeros((len(rows), RECORD_COLUMNS))
     used = filter_block(samples, rows, state, settings.bias_walk, settings.limits, nodes, outcome)
-    return nodes, outcome[:used]
+    outcome[used:, VERDICT] = UNUSED
+    return nodes, outcome
 
 
-def _estimate(block: Acceleration, nodes: Floats, smoothed: Floats, settings: KalmanSettings) -> Estimate:
-    forward = estimate_rows(block.time_ns, nodes, settings)
-    return replace(
-        forward,
-        displacement_m=smoothed[:, SMOOTHED_X].copy(),
-        variance_m2=smoothed[:, SMOOTHED_VARIANCE].copy(),
-        velocity_m_s=smoothed[:, SMOOTHED_VELOCITY].copy(),
-    )
+def empty_estimate(time_ns: Nanoseconds) -> Estimate:
+    """An estimate of n rows to be filled; a day of rows must not exist twice."""
+    n = len(time_ns)
+    values = (np.empty(n) for _ in range(3))
+    return Estimate(time_ns, *values, np.empty(n, dtype=np.uint8), np.empty(n, dtype=np.uint8))
+
+
+def _fill(rows: Estimate, nodes: Floats, smoothed: Floats, settings: KalmanSettings) -> None:
+    """Write a block's result into `rows`, views of the whole."""
+    forward = estimate_rows(rows.time_ns, nodes, settings)
+    rows.displacement_m[:] = smoothed[:, SMOOTHED_X]
+    rows.variance_m2[:] = smoothed[:, SMOOTHED_VARIANCE]
+    rows.velocity_m_s[:] = smoothed[:, SMOOTHED_VELOCITY]
+    rows.source[:] = forward.source
+    rows.status[:] = forward.status
 
 
 @njit(cache=True, inline="always")

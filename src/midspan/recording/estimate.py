@@ -44,6 +44,7 @@ COASTING_INTERVALS = 2.5
 MOST_REJECTED = 0.5
 # A prediction is sharp when its variance with the measurement's is below this many of the measurement's own.
 SHARP_VARIANCES = 25.0
+NEIGHBOURS = 8
 # The zero of `kalman` comes from this much of the record, smoothed: it belongs to its start-up, not to its causal
 # output.
 ZERO_S = 60.0
@@ -275,18 +276,21 @@ def _smooth_twice(inputs: Inputs) -> Smoothed:
     first = smooth(inputs.acceleration, measured, inputs.kalman)
     usable = np.isfinite(measured.value_m) & np.isfinite(measured.variance_m2)
     variance = np.where(usable, measured.variance_m2, np.inf)
-    rows = np.column_stack((seconds(measured.time_ns, 0), measured.value_m, variance))
-    lonely = np.isinf(without_lonely(rows)[:, 2]) & usable
-    if not lonely.any() or not len(first.innovation.time_ns):
-        return first
     found = first.innovation
+    if not len(found.time_ns):
+        return first
     place = np.minimum(np.searchsorted(found.time_ns, measured.time_ns - 1), len(found.time_ns) - 1)
     sharp = found.variance_m2[place] < SHARP_VARIANCES * variance
-    doubted = lonely & ~(sharp & (found.verdict[place] == ACCEPTED))
-    if not doubted.any():
+    doubted = np.flatnonzero(usable & ~(sharp & (found.verdict[place] == ACCEPTED)))
+    # Only the doubted ones and the neighbours they are judged by are looked at: a day has a million measurements.
+    near = np.unique(np.clip(doubted[:, None] + np.arange(-NEIGHBOURS, NEIGHBOURS + 1), 0, len(variance) - 1))
+    rows = np.column_stack((seconds(measured.time_ns[near], 0), measured.value_m[near], variance[near]))
+    lonely = np.intersect1d(near[np.isinf(without_lonely(rows)[:, 2])], doubted)
+    if not len(lonely):
         return first
-    cleaned = replace(measured, variance_m2=np.where(doubted, np.inf, variance))
-    return smooth(inputs.acceleration, cleaned, inputs.kalman)
+    del first
+    variance[lonely] = np.inf
+    return smooth(inputs.acceleration, replace(measured, variance_m2=variance), inputs.kalman)
 
 
 def _zeroed(inputs: Inputs, rows: Estimate, beginning: Estimate) -> Estimate:
