@@ -21,3 +21,12 @@ def goal(what: str, measured: float, limit: float, *, unit: str = "", at_least: 
     sign = ">=" if at_least else "<="
     print(f"{'ok    ' if met else 'MISSED'}  {what}: {measured:.4g} {unit} (goal {sign} {limit:g} {unit})".rstrip())
     return met
+
+
+# Source for a child process: its own peak memory in MB. The kernel's ru_maxrss would count what the parent held when it
+# forked; VmHWM begins anew with the child's program.
+PEAK = """
+def peak_mb():
+    with open("/proc/self/status") as status:
+        return next(int(line.split()[1]) / 1024 for line in status if line.startswith("VmHWM"))
+"""

@@ -7,11 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.table import goal
+from benchmarks.table import PEAK, goal
 
 FRAMES, SHAPE = 10_000, (240, 320)
-CHILD = """
-import resource, sys, time
+CHILD = (
+    PEAK
+    + """
+import sys, time
 start = time.perf_counter()
 from midspan.cli.main import main
 sys.argv = ["midspan", "track", sys.argv[1], "--quiet", "-o", sys.argv[2]]
@@ -20,8 +22,9 @@ try:
     main()
 except SystemExit as end:
     code = end.code or 0
-print(code, time.perf_counter() - start, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+print(code, time.perf_counter() - start, peak_mb())
 """
+)
 
 
 def frames():

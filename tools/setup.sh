@@ -25,4 +25,5 @@ if ! "$python" -c 'import ensurepip, venv' >/dev/null 2>&1; then
 fi
 
 [ -x "$venv/bin/python" ] || "$python" -m venv "$venv"
-"$venv/bin/python" -m pip install --quiet --disable-pip-version-check --constraint constraints.txt -e '.[dev]'
+# Also the build of midspan itself takes its tools at the pinned versions.
+PIP_CONSTRAINT="$(pwd)/constraints.txt" "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --constraint constraints.txt -e '.[dev]'

@@ -16,7 +16,6 @@ Floats = NDArray[np.float64]
 Nanoseconds = NDArray[np.int64]
 
 NANOSECONDS = 1_000_000_000
-STANDARD_GRAVITY_M_S2 = 9.80665
 
 
 def seconds(time_ns: Nanoseconds, origin_ns: int) -> Floats:

@@ -9,12 +9,14 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
-from midspan.checks import nearest
+from midspan.checks import nearest, option
 from midspan.errors import DataError, UsageError
 from midspan.fusion.methods import METHODS
 from midspan.vision.tracker import DEFAULT_TRACKER, TRACKERS
 
 RECORDING_FILE = "recording.toml"
+# Sections that every recording has, written or not.
+OPTIONAL_SECTIONS = ("calibration", "fusion")
 
 
 def _number(value: object) -> object:
@@ -113,7 +115,7 @@ class CalibrationSettings(_Section):
         None,
         description="band of acceleration compared with the camera, Hz; left out: all that rates and noise allow",
     )
-    max_offset_s: Annotated[float, Field(ge=0, le=3600)] = Field(
+    max_offset_s: Annotated[float, IsNumber, Field(ge=0, le=3600)] = Field(
         0.5, description="largest clock offset searched for, s"
     )
 
@@ -122,7 +124,7 @@ class FusionSettings(_Section):
     """How acceleration and displacement become one."""
 
     method: Annotated[str, _known(METHODS, "method")] = Field("smoother", description="see `midspan methods`")
-    lag_s: PositiveNumber = Field(0.5, description="delay of the method `lag`, s")
+    lag_s: PositiveNumber = Field(0.5, description="delay of the method `lag`, s; no method of this version uses it")
 
 
 class RecordingSettings(_Section):
@@ -167,8 +169,10 @@ def load_settings(path: str | Path, overrides: dict[str, dict[str, Any]] | None 
     except OSError as error:
         raise DataError(f"{file}: cannot be read ({error.strerror}).") from None
     for section, keys in (overrides or {}).items():
-        if section in tree or section in ("fusion", "calibration"):
-            tree[section] = {**tree.get(section, {}), **keys}
+        option("section", section, RecordingSettings.model_fields)
+        given = tree.get(section, {})
+        if isinstance(given, dict) and (section in tree or section in OPTIONAL_SECTIONS):
+            tree[section] = {**given, **keys}
     return validate(tree, str(file))
 
 

@@ -1,6 +1,6 @@
 """The scale factor and clock offset of a camera from a minute beside an accelerometer, or a refusal."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -60,34 +60,32 @@ def calibrate_scale(pair: Pair, max_offset_s: float) -> ScaleCalibration:
             f"{max_offset_s:g} s of its ends are left out); at least {LEAST_FRAMES} are needed. Widen "
             "calibration.window_s, lower calibration.max_offset_s, or check camera.roi if the target was lost."
         )
+    typical = float(np.median(pair.rows[np.isfinite(pair.rows[:, 2]), 2]))
+    # Relative variances near 1 keep the corner frequency what its name says, and the diffuse start above all noise.
+    pair = replace(pair, rows=pair.rows / np.array([1.0, 1.0, typical]))
     search = search_offset(pair, max_offset_s)
     fit = search.fit
     relative = float(np.sqrt(fit.ratio_variance)) / max(abs(fit.ratio), 1e-300)
-    _refuse_no_motion(pair, fit, relative)
-    _refuse_disagreement(search.pair, fit)
+    _refuse_no_motion(pair, fit, relative, float(np.sqrt(typical)))
+    _refuse_disagreement(search.pair, fit, float(np.sqrt(typical)))
     _refuse_ambiguity(search, max_offset_s)
     value = 1.0 / fit.ratio
-    typical = float(np.median(pair.rows[np.isfinite(pair.rows[:, 2]), 2]))
     return ScaleCalibration(
         scale=ScaleFactor(value, (relative * value) ** 2),
         search=search,
-        noise=NoiseLevel(float(np.sqrt(fit.noise * typical))),
-        variance_factor=fit.noise,
+        noise=NoiseLevel(float(np.sqrt(fit.noise))),
+        variance_factor=fit.noise / typical,
         input_noise_density=fit.input_density,
         warnings=tuple(_warnings(search, relative, usable)),
     )
 
 
-def _refuse_no_motion(pair: Pair, fit: Fit, relative: float) -> None:
+def _refuse_no_motion(pair: Pair, fit: Fit, relative: float, noise: float) -> None:
     gain = fit.likelihood - fit.without
     if gain >= LEAST_GAIN and relative <= REFUSED_ABOVE:
         return
     rows = pair.rows[np.isfinite(pair.rows[:, 2])]
-    seen, noise, shaken = (
-        float(np.std(rows[:, 1])),
-        float(np.sqrt(np.median(rows[:, 2]))),
-        float(np.std(pair.samples[:, 1])),
-    )
+    seen, shaken = float(np.std(rows[:, 1])), float(np.std(pair.samples[:, 1]))
     figures = f"(image motion {seen:.3g} px rms with noise {noise:.2g} px, acceleration {1e3 * shaken:.3g} mm/s² rms)"
     if seen > CLEARLY_MOVING * noise and gain < LEAST_GAIN:
         raise UntrustedError(
@@ -104,12 +102,11 @@ def _refuse_no_motion(pair: Pair, fit: Fit, relative: float) -> None:
     )
 
 
-def _refuse_disagreement(pair: Pair, fit: Fit) -> None:
+def _refuse_disagreement(pair: Pair, fit: Fit, usual: float) -> None:
     rate = (len(pair.samples) - 1) / float(pair.samples[-1, 0] - pair.samples[0, 0])
     implied, measured = float(np.sqrt(fit.input_density * rate)), float(np.std(pair.samples[:, 1]))
     rows = pair.rows[np.isfinite(pair.rows[:, 2])]
-    usual, moved = float(np.sqrt(np.median(rows[:, 2]))), float(np.std(rows[:, 1]))
-    left = float(np.sqrt(fit.noise)) * usual
+    moved, left = float(np.std(rows[:, 1])), float(np.sqrt(fit.noise))
     if left > max(UNEXPLAINED_NOISE * usual, UNEXPLAINED_SHARE * moved):
         raise UntrustedError(
             f"No agreement between image and accelerometer: {left:.2g} px of the image's {moved:.2g} px rms stay "

@@ -113,7 +113,6 @@ class KalmanFilter:
             return []
         if self.state is None:
             self._origin_ns = int(record.time_ns[0])
-        if self.state is None:
             self.state = self.settings.state_before(sample_rows(part(record, slice(2)), self._origin_ns))
         estimates: list[Estimate] = []
         told: list[Innovation] = []

@@ -99,8 +99,14 @@ def _forward(samples: Floats, rows: Floats, state: Floats, settings: KalmanSetti
 def empty_estimate(time_ns: Nanoseconds) -> Estimate:
     """An estimate of n rows to be filled; a day of rows must not exist twice."""
     n = len(time_ns)
-    values = (np.empty(n) for _ in range(3))
-    return Estimate(time_ns, *values, np.empty(n, dtype=np.uint8), np.empty(n, dtype=np.uint8))
+    return Estimate(
+        time_ns=time_ns,
+        displacement_m=np.empty(n),
+        variance_m2=np.empty(n),
+        velocity_m_s=np.empty(n),
+        source=np.empty(n, dtype=np.uint8),
+        status=np.empty(n, dtype=np.uint8),
+    )
 
 
 def _fill(rows: Estimate, nodes: Floats, smoothed: Floats, settings: KalmanSettings) -> None:

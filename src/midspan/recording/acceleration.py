@@ -14,7 +14,7 @@ GAP_STEPS = 2.5
 # A gap is long when its density is above this share of that of a wholly unknown motion.
 LONG_SHARE = 0.1
 # Above this share of the rate the motion is so fast that integration errs by 1 % and more.
-FASTEST_SHARE = 0.15
+FASTEST_SHARE = 0.2
 # Motion is not taken to be slower than this when something has to be bridged.
 LOWEST_HZ = 0.2
 # Share of samples that may be missing, frozen or clipped before the channel is refused.
@@ -123,6 +123,11 @@ def missed_share(length_s: float, frequency_hz: float) -> float:
     return min(1.0, (2.0 * np.pi * frequency_hz * length_s) ** 2 / 8.0)
 
 
+def unknown_density(value: Floats, rate_hz: float) -> float:
+    """Noise density, (m/s²)²/Hz, for a motion like `value` (n,) that was not seen: its variance over its bandwidth."""
+    return float(np.var(value)) / max(dominant_frequency(value, rate_hz), LOWEST_HZ)
+
+
 def towards_mean(value: Floats, missing: Mask, rate_hz: float) -> Floats:
     """`value` (n,) with long bridged stretches drawn from their straight line to the mean of what was seen."""
     if not missing.any():
@@ -143,7 +148,7 @@ def _bridging_density(value: Floats, missing: Mask, gaps: Clock) -> Floats:
         return density
     seen, rate_hz = value[~missing], gaps.rate_hz
     frequency = max(dominant_frequency(seen, rate_hz), LOWEST_HZ)
-    unknown = float(np.var(seen)) / frequency
+    unknown = unknown_density(seen, rate_hz)
 
     def unseen(length_s: float) -> float:
         return unknown * missed_share(length_s, frequency) ** 2

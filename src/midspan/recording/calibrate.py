@@ -58,11 +58,9 @@ def _calibrate_and_track(recording: Recording, progress: Progress) -> tuple[Cali
         warnings += _displacement_warnings(learnt)
         densities.append(learnt.input_noise_density)
         diagnostics = diagnostics or learnt
-    density, noise_std = _acceleration_noise(recording, densities, warnings)
     window = _window(recording)
     calibration = Calibration(
-        noise_density=density,
-        noise_std_m_s2=noise_std,
+        noise_std_m_s2=_acceleration_noise(recording, densities, warnings),
         bias_m_s2=float(np.mean(prepared.value_m_s2[window])),
         camera=camera_part,
         displacement=displacement_part,
@@ -248,17 +246,16 @@ def _displacement_warnings(learnt: NoiseCalibration) -> list[str]:
     return [text] if off > max(0.1, 5.0 * learnt.scale_std) else []
 
 
-def _acceleration_noise(recording: Recording, densities: list[float], warnings: list[str]) -> tuple[float, float]:
-    """Noise density and noise per sample of the acceleration: as given, else as learnt (the larger of two)."""
-    rate = recording.prepared.rate_hz
-    learnt = max(densities)
+def _acceleration_noise(recording: Recording, densities: list[float], warnings: list[str]) -> float:
+    """Noise per sample of the acceleration: as given, else as learnt (the larger of two)."""
+    learnt = float(np.sqrt(max(densities) * recording.prepared.rate_hz))
     given = recording.settings.accelerometer.noise_std
     if given is None:
-        return learnt, float(np.sqrt(learnt * rate))
-    if learnt * rate > (2.0 * given) ** 2:
+        return learnt
+    if learnt > 2.0 * given:
         warnings.append(
             f"accelerometer.noise_std = {given:g} m/s² is given, but the two sensors differ as if it were "
-            f"{np.sqrt(learnt * rate):.2g} m/s²; the larger one is used. Check the region, the mounting and the axes."
+            f"{learnt:.2g} m/s²; the larger one is used. Check the region, the mounting and the axes."
         )
-        return learnt, float(np.sqrt(learnt * rate))
-    return given * given / rate, given
+        return learnt
+    return given

@@ -2,7 +2,6 @@
 
 import json
 import math
-import os
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -12,8 +11,9 @@ from midspan._version import __version__
 from midspan.calibration.noise import NoiseCalibration
 from midspan.calibration.scale import ScaleCalibration
 from midspan.engine.monitor import CameraScale
-from midspan.errors import DataError, UsageError
+from midspan.errors import DataError
 from midspan.records import Region, ScaleFactor, TimeOffset
+from midspan.sinks.replace import replacing
 
 CALIBRATION_FILE = "calibration.json"
 
@@ -55,11 +55,10 @@ class DisplacementCalibration:
 class Calibration:
     """Everything `calibrate` learns about a recording's sensors.
 
-    noise_density: of the acceleration, (m/s²)²/Hz; noise_std_m_s2: the same per sample; bias_m_s2: its mean in the
-    window. diagnostics: what the estimates rest on, for the report; not stored in the file.
+    noise_std_m_s2: white noise of the acceleration per sample; bias_m_s2: its mean in the window. diagnostics: what the
+    estimates rest on, for the report; not stored in the file.
     """
 
-    noise_density: float
     noise_std_m_s2: float
     bias_m_s2: float
     camera: CameraCalibration | None = None
@@ -69,6 +68,10 @@ class Calibration:
     version: str = __version__
     diagnostics: "ScaleCalibration | NoiseCalibration | None" = field(default=None, compare=False, repr=False)
 
+    def noise_density(self, rate_hz: float) -> float:
+        """Two-sided density of the acceleration's noise, (m/s²)²/Hz, at the accelerometer's rate."""
+        return self.noise_std_m_s2**2 / rate_hz
+
     def to_dict(self) -> dict[str, Any]:
         """The contents of `calibration.json`: mm, px, s and m/s²."""
         tree: dict[str, Any] = {
@@ -77,7 +80,6 @@ class Calibration:
             "warnings": list(self.warnings),
             "accelerometer": {
                 "noise_std_m_s2": self.noise_std_m_s2,
-                "noise_density_m2_s4_hz": self.noise_density,
                 "bias_m_s2": self.bias_m_s2,
             },
         }
@@ -96,13 +98,8 @@ class Calibration:
         """Write `calibration.json`; a folder gets a file of that name."""
         path = Path(path)
         path = path / CALIBRATION_FILE if path.is_dir() else path
-        partial = path.with_name(f".{path.name}.partial")
-        try:
+        with replacing(path) as (partial,):
             partial.write_text(json.dumps(self.to_dict(), indent=2) + "\n", encoding="utf-8")
-            os.replace(partial, path)
-        except OSError as error:
-            partial.unlink(missing_ok=True)
-            raise UsageError(f"{path}: cannot be written ({error.strerror}). Choose another place with -o.") from None
         return path
 
 
@@ -153,13 +150,10 @@ def calibration_from_dict(tree: dict[str, Any]) -> Calibration:
     accelerometer = _section(tree, "accelerometer")
     if accelerometer is None:
         raise _WrongValueError("accelerometer is missing")
-    std = _number(accelerometer, "accelerometer.noise_std_m_s2", positive=True)
-    density = _number(accelerometer, "accelerometer.noise_density_m2_s4_hz", default=std * std / 100.0, positive=True)
     camera, displacement = _section(tree, "camera"), _section(tree, "displacement")
     warnings = tree.get("warnings", [])
     return Calibration(
-        noise_density=density,
-        noise_std_m_s2=std,
+        noise_std_m_s2=_number(accelerometer, "accelerometer.noise_std_m_s2", positive=True),
         bias_m_s2=_number(accelerometer, "accelerometer.bias_m_s2", default=0.0),
         camera=_camera_of(camera) if camera else None,
         displacement=_displacement_of(displacement) if displacement else None,

@@ -10,6 +10,7 @@ from midspan.errors import MidspanError
 from midspan.recording.progress import Progress, silent
 from midspan.recording.recording import Recording
 from midspan.recording.span import shown
+from midspan.recording.tracking import is_dark
 from midspan.records import NANOSECONDS, Nanoseconds, TimeSeries
 from midspan.signals.health import clipped, clock, frozen
 from midspan.sources.accelerometer.formats import list_channels
@@ -124,8 +125,7 @@ def _frames(source: FrameSource, every_frame: bool, progress: Progress) -> tuple
         progress(seen, count, "looking at frames")
         picture = np.asarray(frame.pixels, dtype=frame.pixels.dtype.type)
         same += before is not None and np.array_equal(before, picture)
-        level = float(np.mean(picture))
-        dark += level < 0.02 * top
+        dark += is_dark(picture)
         bright += float(np.mean(picture >= top)) > 0.2
         before, seen = picture, seen + 1
     progress(1, 1, "looking at frames")

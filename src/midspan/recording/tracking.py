@@ -1,8 +1,10 @@
 """Tracking a recording's camera: the reference frame, the region, and the frames in their order."""
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from midspan.errors import DataError
 from midspan.recording.progress import Progress, silent
@@ -159,12 +161,22 @@ class CameraTracking:
 
 def dark_start(source: FrameSource, first: int) -> int:
     """How many frames from `first` on are dark; 0 when none of the first `MOST_DARK` is lit."""
-    limit = DARK_SHARE * float(2 ** min(source.info.bit_depth, 16) - 1)
     for index, frame in enumerate(source.frames(first, first + MOST_DARK)):
-        pixels = np.asarray(frame.pixels)
-        if pixels.dtype.kind == "f" or float(np.mean(pixels)) > limit:
+        if not is_dark(np.asarray(frame.pixels)):
             return index
     return 0
+
+
+def is_dark(pixels: NDArray[Any]) -> bool:
+    """Whether an integer frame (rows, columns) is black: neither its mean nor its brightest pixels leave the bottom.
+
+    Cameras put 10 or 12 bits into files of 16, so full scale is not known; a dark frame also has no contrast.
+    """
+    if pixels.dtype.kind == "f":
+        return False
+    mean, bright = float(np.mean(pixels)), float(np.percentile(pixels[::4, ::4], 99))
+    scale = 255.0 if pixels.dtype.itemsize == 1 else 1023.0
+    return mean < DARK_SHARE * scale and bright < 2.0 * DARK_SHARE * scale
 
 
 def lost_where(track: PixelTrack, mask: Mask) -> PixelTrack:

@@ -65,10 +65,11 @@ def frozen(value: Floats, rate_hz: float) -> Mask:
         return mask
     rest, spread = float(np.mean(known)), float(np.std(known))
     least = max(FROZEN_SAMPLES, round(FROZEN_S * rate_hz))
-    for start, end in runs(np.concatenate(([False], np.diff(value) == 0.0))):
+    stretches = runs(np.concatenate(([False], np.diff(value) == 0.0)))
+    for start, end in stretches[stretches[:, 1] - stretches[:, 0] + 1 >= least]:
         at_edge = start == 1 or end == len(value)
         resting = at_edge and abs(value[start] - rest) < REST_SHARE * spread
-        if end - start + 1 >= least and not resting:
+        if not resting:
             mask[start - 1 : end] = True
     return mask
 

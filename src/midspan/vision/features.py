@@ -1,0 +1,343 @@
+"""Feature tracker: the mean translation of matched features, mismatches rejected.
+
+Ma, Choi and Sohn, "Real-time structural displacement estimation by fusing asynchronous acceleration and computer
+vision measurements", 2022, doi 10.1111/mice.12767: the region follows the prediction in whole pixels (equations 27 and
+28), features of both regions are matched, rejection I and II (15 to 17 and 29) keep the good ones, their mean counts
+(30). The technique "existing" is what that paper compares with: Yu and Zhang, 2019, with a fixed region.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from midspan.checks import option, refuse
+from midspan.errors import DataError, UsageError
+from midspan.records import Floats, Frame, PixelTranslation, Prediction, Region, Status
+from midspan.vision.keypoints import DETECTORS, Detector, Keypoints, mutual_matches, ratio_matches
+from midspan.vision.region import clamp, shift
+from midspan.vision.rejection import (
+    consensus,
+    near_median,
+    rejection_one,
+    rejection_two,
+    repeated_rejection_one,
+    within_largest,
+)
+from midspan.vision.search import Span, coarse_factor, coarse_positions, coarse_span
+from midspan.vision.spline import Floats32
+from midspan.vision.surf import SurfSettings
+from midspan.vision.texture import check_texture, full_scale, noise_std, values
+
+TECHNIQUES = {
+    "proposed": "region shifted by the prediction, rejection I and II",
+    "existing": "fixed region, pre-purification, ratio test and RANSAC",
+}
+MARGIN_PX = 12  # image around the region that the features at its edge are described by
+LEAST_MATCHES = 3
+LEAST_FEATURES = 6
+LARGEST_SPREAD_PX = 2.0  # good matches of a rigid target that rolls less than 1 degree agree within this
+AGREEMENT_PX = 1.0
+WIDE_SHARE = 0.25  # a prediction no better than this share of the region's side needs a search
+LONGEST_DISTANCE_PX = 1_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class FeatureSettings:
+    """Settings of the feature tracker.
+
+    technique: one of TECHNIQUES. detector: one of DETECTORS. literal: exactly the published steps; else rejection II
+    comes before I, I is paired anew while few matches pass, and what is far from the median translation is left out.
+    max_features: the strongest so many in the region, 10 to 5000; more is slower and a little quieter.
+    threshold, octaves, upright: of SURF, see `midspan.vision.surf.SurfSettings`.
+    epsilon_px: discretisation error of a coordinate in rejection I and II, above 0 to 5 px; more rejects less.
+    search_px: how far the target is looked for when it is not near its last place and there is no prediction.
+    seed: of the random pairing in rejection I; one seed gives the same result in every run.
+    max_displacement_px, ratio, ransac_px: largest translation known beforehand, ratio of the nearest to the second
+    nearest descriptor, tolerance of RANSAC; only with the technique "existing".
+    variance_floor_px: standard deviation added for what the scatter of the matches does not show, 0 px or more.
+    """
+
+    technique: str = "proposed"
+    detector: str = "surf"
+    literal: bool = False
+    max_features: int = 300
+    threshold: float = 0.002
+    octaves: int = 3
+    upright: bool = True
+    epsilon_px: float = 0.5
+    search_px: float = 48.0
+    seed: int = 0
+    max_displacement_px: float = 32.0
+    ratio: float = 0.65
+    ransac_px: float = 5.0
+    variance_floor_px: float = 0.001
+
+    def __post_init__(self) -> None:
+        option("technique", self.technique, TECHNIQUES)
+        option("detector", self.detector, DETECTORS)
+        for name, low, high, rule in _RANGES:
+            if not low <= getattr(self, name) <= high:
+                raise refuse(name, rule, getattr(self, name))
+
+
+_RANGES = (
+    ("max_features", 10, 5000, "from 10 to 5000"),
+    ("threshold", 0.0, 1.0, "from 0 to 1"),
+    ("octaves", 1, 4, "from 1 to 4"),
+    ("epsilon_px", 1e-3, 5.0, "from 0.001 to 5 px"),
+    ("search_px", 3.0, LONGEST_DISTANCE_PX, "3 px or more"),
+    ("seed", 0, 2**63, "0 or more"),
+    ("max_displacement_px", 1e-3, LONGEST_DISTANCE_PX, "above 0 px"),
+    ("ratio", 1e-3, 1.0, "above 0, up to 1"),
+    ("ransac_px", 1e-3, 100.0, "above 0, up to 100 px"),
+    ("variance_floor_px", 0.0, 10.0, "from 0 to 10 px"),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class FeatureState:
+    """What the feature tracker remembers: last translation (px), its time, speed (px/s) and lost frames since."""
+
+    x_px: float = 0.0
+    y_px: float = 0.0
+    time_ns: int | None = None
+    speed_x_px_s: float = 0.0
+    speed_y_px_s: float = 0.0
+    lost_frames: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Matched:
+    """What the good matches of a frame say: mean translation and its variance (2,) in px and px², counts."""
+
+    translation: Floats
+    variance: Floats
+    good: int
+    all: int
+
+
+class FeatureTracker:
+    """Follows a target by its features; see `midspan.vision.tracker.Tracker` for its interface."""
+
+    def __init__(self, reference: Frame, region: Region, settings: FeatureSettings) -> None:
+        self.settings = settings
+        self._reference = reference
+        self._region = region
+        raw, self._offset = _target(reference.pixels, region)
+        self._template = np.asarray(raw - raw.mean(), dtype=np.float32)
+        self._factor = coarse_factor(self._template)
+        self._detector = _detector(reference.pixels, region, settings, self._offset)
+        self._features = self._reference_features()
+        self._state = FeatureState()
+
+    @property
+    def reference(self) -> Frame:
+        """The frame that the translation counts from."""
+        return self._reference
+
+    @property
+    def region(self) -> Region:
+        """The target's region in the reference frame."""
+        return self._region
+
+    @property
+    def region_now(self) -> Region:
+        """Where the target was last seen, inside the image; the region itself with the technique "existing"."""
+        if self.settings.technique == "existing":
+            return self._region
+        rows, columns = self._reference.pixels.shape
+        return clamp(shift(self._region, self._state.x_px, self._state.y_px), columns, rows)
+
+    @property
+    def state(self) -> FeatureState:
+        """Everything that changes from frame to frame."""
+        return self._state
+
+    @property
+    def features(self) -> Keypoints:
+        """The features of the region in the reference frame."""
+        return self._features
+
+    def restore(self, state: FeatureState) -> None:
+        """Continue from a `state` taken earlier."""
+        self._state = state
+
+    def push(self, frame: Frame, prediction: Prediction | None = None) -> PixelTranslation:
+        """Measure the translation (px) of the target in `frame`; LOST with NaN when fewer than three matches agree."""
+        if frame.pixels.shape != self._reference.pixels.shape:
+            now, then = ("x".join(str(n) for n in p.shape[::-1]) for p in (frame.pixels, self._reference.pixels))
+            raise DataError(
+                f"All frames must have the size of the first ({then} px); frame {frame.index} has {now} px. "
+                "Split the recording where the camera's format changed."
+            )
+        if prediction is not None and not math.isfinite(prediction.x_px + prediction.y_px):
+            prediction = None
+        found = self._find(frame, prediction)
+        self._state = _after(self._state, frame.time_ns, found)
+        if found is None:
+            nan = math.nan
+            return PixelTranslation(frame.time_ns, nan, nan, nan, nan, 0.0, Status.LOST)
+        (x, y), (var_x, var_y) = found.translation.tolist(), found.variance.tolist()
+        return PixelTranslation(frame.time_ns, x, y, var_x, var_y, found.good / found.all, Status.TRACKING)
+
+    def _find(self, frame: Frame, prediction: Prediction | None) -> Matched | None:
+        """Match where the target is expected; without success and a sharp prediction, where the picture looks alike."""
+        if self.settings.technique == "existing":
+            return self._match(frame, self._region, None)
+        expected = shift(self._region, *self._expected(frame.time_ns, prediction))
+        found = self._match(frame, expected, prediction)
+        if found is not None:
+            return found
+        reach = self._reach(prediction)
+        if reach == 0.0:
+            return None
+        places = [self._match(frame, place, prediction) for place in self._alike(frame.pixels, expected, reach)]
+        return max((p for p in places if p is not None), key=lambda p: p.good, default=None)
+
+    def _expected(self, time_ns: int, prediction: Prediction | None) -> tuple[float, float]:
+        """Translation (px) to shift the region by: predicted (equation 27), else as far as before at the last speed."""
+        state, limit = self._state, LONGEST_DISTANCE_PX
+        if prediction is not None:
+            x, y = prediction.x_px, prediction.y_px
+        else:
+            elapsed_s = 0.0 if state.time_ns is None else (time_ns - state.time_ns) * 1e-9
+            x, y = state.x_px + state.speed_x_px_s * elapsed_s, state.y_px + state.speed_y_px_s * elapsed_s
+        return min(max(x, -limit), limit), min(max(y, -limit), limit)
+
+    def _reach(self, prediction: Prediction | None) -> float:
+        """How far (px) from the expected place to search; 0 when the prediction is sharp."""
+        if prediction is None:
+            return self.settings.search_px if self._state.lost_frames == 0 else LONGEST_DISTANCE_PX
+        reach = 3.0 * max(prediction.std_x_px, prediction.std_y_px)
+        wide = WIDE_SHARE * min(self._region.width, self._region.height)
+        return min(reach, LONGEST_DISTANCE_PX) if reach > wide else 0.0
+
+    def _alike(self, image: NDArray[np.generic], expected: Region, reach: float) -> list[Region]:
+        """Up to three regions within `reach` px of the expected one whose decimated picture correlates best."""
+        rows, columns = image.shape
+        width, height = expected.width, expected.height
+        place = (expected.x, expected.y)
+        span = Span(0, columns - width, 0, rows - height).around(*place, math.ceil(reach), math.ceil(reach))
+        if span.empty:
+            return []
+        span = coarse_span(span, *place, self._template.size, self._factor)
+        found = coarse_positions(image, self._template, span, factor=self._factor, offset=self._offset)
+        return [Region(x, y, width, height) for x, y in found]
+
+    def _reference_features(self) -> Keypoints:
+        """The strongest features inside the region; UsageError when there are too few to match."""
+        region = self._region
+        found = self._detect(self._reference.pixels, region)
+        low, high = np.array([region.x, region.y]), np.array([region.x + region.width, region.y + region.height])
+        inside = found.part(np.flatnonzero(np.all((found.xy >= low) & (found.xy < high), axis=1)))
+        if len(inside) < LEAST_FEATURES:
+            raise UsageError(
+                f"camera.roi must hold at least {LEAST_FEATURES} features of the detector "
+                f"{self.settings.detector!r}; {region} has {len(inside)}. Choose a larger or richer place, or the "
+                "tracker 'template'."
+            )
+        return inside.part(np.arange(min(len(inside), self.settings.max_features)))
+
+    def _detect(self, image: NDArray[np.generic], region: Region) -> Keypoints:
+        """Features of the region and its margin, as far as they lie inside the image."""
+        rows, columns = image.shape
+        left, top = max(region.x - MARGIN_PX, 0), max(region.y - MARGIN_PX, 0)
+        right = min(region.x + region.width + MARGIN_PX, columns)
+        bottom = min(region.y + region.height + MARGIN_PX, rows)
+        # A cut this small has no room for three matches.
+        pixels = values(image[top:bottom, left:right], self._offset) if min(right - left, bottom - top) >= 12 else None
+        if pixels is None:
+            return Keypoints(np.empty((0, 2)), np.empty((0, 1), dtype=np.float32), np.empty(0, dtype=np.int8))
+        share = pixels.size / (region.width * region.height)
+        return self._detector.detect(pixels, (left, top), math.ceil(self.settings.max_features * max(share, 1.0)))
+
+    def _match(self, frame: Frame, region: Region, prediction: Prediction | None) -> Matched | None:
+        """The good matches between the reference and `region` of the frame; None when they are too few or disagree."""
+        settings, first, now = self.settings, self._features, self._detect(frame.pixels, region)
+        existing = settings.technique == "existing"
+        matches = ratio_matches(first, now, settings.ratio) if existing else mutual_matches(first, now)
+        if len(matches) < LEAST_MATCHES:
+            return None
+        then, here = first.xy[matches[:, 0]], now.xy[matches[:, 1]]
+        if existing:
+            good = earlier_rules(here - then, settings)
+        else:
+            rng = np.random.default_rng((settings.seed, frame.time_ns % 2**63))
+            good = good_matches(then, here, settings, prediction=prediction, rng=rng)
+        return average((here - then)[good], len(matches), settings)
+
+
+def good_matches(
+    first: Floats,
+    now: Floats,
+    settings: FeatureSettings,
+    *,
+    prediction: Prediction | None,
+    rng: np.random.Generator,
+) -> NDArray[np.int64]:
+    """Indices of the matches (n, 2), px, that rejection I and, with a prediction, II keep; see `literal`."""
+    kept, epsilon = np.arange(len(first)), settings.epsilon_px
+    if settings.literal:
+        kept = kept[rejection_one(first, now, epsilon, rng=rng)]
+        return kept if prediction is None else kept[rejection_two((now - first)[kept], prediction, epsilon)]
+    if prediction is not None:
+        kept = kept[rejection_two(now - first, prediction, epsilon)]
+    kept = kept[repeated_rejection_one(first[kept], now[kept], epsilon, rng=rng)]
+    return kept[near_median((now - first)[kept], AGREEMENT_PX)]
+
+
+def earlier_rules(translation: Floats, settings: FeatureSettings) -> NDArray[np.int64]:
+    """Indices of the matches with translations (n, 2), px, that pre-purification and RANSAC keep."""
+    kept = np.flatnonzero(within_largest(translation, settings.max_displacement_px))
+    return kept[consensus(translation[kept], settings.ransac_px)]
+
+
+def average(good: Floats, matches: int, settings: FeatureSettings) -> Matched | None:
+    """Mean (equation 30) of the good translations (n, 2), px, out of so many matches, with the variance of the mean.
+
+    None when fewer than three are good or, unless `literal`, when they scatter more than a rigid target's can.
+    """
+    count = len(good)
+    if count < LEAST_MATCHES:
+        return None
+    scatter = np.sum((good - good.mean(axis=0)) ** 2, axis=0)
+    spread = float(np.sqrt(np.max(scatter) / (count - 1)))
+    if settings.technique == "proposed" and not settings.literal and spread > LARGEST_SPREAD_PX:
+        return None
+    # Few matches tell their own scatter badly; Student's variance allows for it.
+    variance = scatter / (count * max(count - 3, 1)) + settings.variance_floor_px**2
+    return Matched(good.mean(axis=0), variance, count, matches)
+
+
+def _target(image: NDArray[np.generic], region: Region) -> tuple[Floats32, float]:
+    """The region's pixels less their mean, and that mean; UsageError when there is no texture to follow."""
+    part = np.asarray(image[region.y : region.y + region.height, region.x : region.x + region.width], dtype=np.float64)
+    offset = float(np.mean(part[np.isfinite(part)])) if np.isfinite(part).any() else 0.0
+    raw = values(part, offset)
+    if raw is None:
+        raise DataError(f"camera.roi: {region} holds pixels without a value in the first frame. Choose another region.")
+    check_texture(raw, noise_std(raw.astype(np.float64)), full_scale(image), str(region))
+    return raw, offset
+
+
+def _detector(image: NDArray[np.generic], region: Region, settings: FeatureSettings, offset: float) -> Detector:
+    """The detector, its grey scale that of 8 bit images, else twice the region's range in the reference frame."""
+    surf = SurfSettings(settings.octaves, settings.threshold, settings.max_features, settings.upright)
+    if image.dtype == np.uint8:
+        return Detector(settings.detector, surf, level=-offset)
+    part = np.asarray(image[region.y : region.y + region.height, region.x : region.x + region.width], dtype=np.float64)
+    low, high = float(np.nanmin(part)) - offset, float(np.nanmax(part)) - offset
+    return Detector(settings.detector, surf, level=low - 0.5 * (high - low), span=2.0 * (high - low))
+
+
+def _after(state: FeatureState, time_ns: int, found: Matched | None) -> FeatureState:
+    """The state after a frame: the speed is only kept between two frames that were both tracked."""
+    if found is None:
+        return replace(state, speed_x_px_s=0.0, speed_y_px_s=0.0, lost_frames=state.lost_frames + 1)
+    x, y = found.translation.tolist()
+    if state.time_ns is None or state.lost_frames > 0 or time_ns <= state.time_ns:
+        return FeatureState(x, y, time_ns)
+    elapsed_s = (time_ns - state.time_ns) * 1e-9
+    return FeatureState(x, y, time_ns, (x - state.x_px) / elapsed_s, (y - state.y_px) / elapsed_s)

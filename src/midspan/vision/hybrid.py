@@ -1,0 +1,367 @@
+"""Trackers by local phase: `PhaseTracker`, and `HybridTracker`, which finds the place first where phase could wrap.
+
+After the paper on hybrid phase and feature matching, equations 4 and 14 to 19. The prediction rounded to whole pixels
+moves the region; the mean phase of the active pixels measures what is left. Before anything has been learnt, active
+pixels are those of large amplitude and the gain comes from the slope of the reference's own phase.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from midspan.checks import option, refuse
+from midspan.errors import DataError, UsageError
+from midspan.records import NANOSECONDS, Floats, Frame, PixelTranslation, Prediction, Region, Status
+from midspan.signals.health import Mask
+from midspan.vision.phase_flow import gradient_form, phase_change, phase_slopes
+from midspan.vision.phase_model import (
+    INSET_PX,
+    Learning,
+    PhaseFix,
+    PhaseModel,
+    first_model,
+    learnt_model,
+    measure,
+    reference_field,
+    region_patch,
+)
+from midspan.vision.region import SMALLEST_SIDE_PX, clamp, shift
+from midspan.vision.spline import Floats32
+from midspan.vision.steerable import AXES, MARGIN_PX, quadrature, responses
+from midspan.vision.texture import values
+
+MOST_LEARNT_FRAMES = 240
+FARTHEST_RESIDUAL_PX = 0.6  # a residual above this moves the region once more: half a pixel, and some play
+UNPREDICTED_STD_PX = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class PhaseSettings:
+    """Settings of the phase and hybrid trackers.
+
+    form: "gain" (mean phase times the phase scale factor) or "gradient" (the conventional mean of phase by slope).
+    active_pixels: "correlation" (learnt, maximum R²) or "amplitude" (the conventional threshold). least_information:
+    share of the information that active pixels must keep, 0 to 1. weighted: whether pixels count by the square of
+    their amplitude in the mean, or equally as in the paper. matcher: the tracker that finds the target's whole-pixel
+    place. spacing: of the filters' taps in widths of their Gaussian, 0.3 (long waves) to 1 (short).
+    min_coherence: agreement of the phases below which the target counts as lost, 0 to 1. bias_floor_px: standard
+    deviation added for what the linear gain gets wrong, 0 px or more.
+    """
+
+    form: str = "gain"
+    active_pixels: str = "correlation"
+    least_information: float = 0.5
+    weighted: bool = True
+    matcher: str = "template"
+    spacing: float = 0.67
+    min_coherence: float = 0.5
+    bias_floor_px: float = 0.001
+
+    def __post_init__(self) -> None:
+        option("form", self.form, ("gain", "gradient"))
+        option("active_pixels", self.active_pixels, ("correlation", "amplitude"))
+        if self.matcher in ("phase", "hybrid"):
+            raise refuse("matcher", "a tracker that works without phase, such as template", self.matcher)
+        if not 0.0 <= self.least_information <= 1.0:
+            raise refuse("least_information", "from 0 to 1", self.least_information)
+        if not 0.3 <= self.spacing <= 1.0:
+            raise refuse("spacing", "from 0.3 to 1", self.spacing)
+        if not 0.0 < self.min_coherence < 1.0:
+            raise refuse("min_coherence", "above 0 and below 1", self.min_coherence)
+        if not 0.0 <= self.bias_floor_px < math.inf:
+            raise refuse("bias_floor_px", "0 px or more", self.bias_floor_px)
+
+
+@dataclass(frozen=True, slots=True)
+class PhaseState:
+    """What a phase tracker remembers: last translation (px), its time, speed (px/s), lost frames, how often the place
+    was looked for by matching, the matcher's state and what was learnt.
+    """
+
+    x_px: float = 0.0
+    y_px: float = 0.0
+    time_ns: int | None = None
+    speed_x_px_s: float = 0.0
+    speed_y_px_s: float = 0.0
+    lost_frames: int = 0
+    matched_frames: int = 0
+    matcher: Any = None
+    model: PhaseModel | None = field(default=None, compare=False)
+
+
+class PhaseTracker:
+    """Local phase about the predicted or the last place; see `midspan.vision.tracker.Tracker` for its interface.
+
+    Motion between frames, or the prediction's error, must stay well below π times the gain: about 2 px. Only a target
+    that was lost is looked for by matching.
+    """
+
+    def __init__(self, reference: Frame, region: Region, settings: PhaseSettings) -> None:
+        self.settings = settings
+        self._reference, self._region = reference, region
+        rows, columns = reference.pixels.shape
+        self._window = _window(region, columns, rows)
+        self._matcher = self._open_matcher()
+        part = region_patch(self._window, 0, 0, INSET_PX)
+        cut = np.asarray(reference.pixels[part], dtype=np.float64)
+        self._offset = float(np.mean(cut[np.isfinite(cut)])) if np.isfinite(cut).any() else 0.0
+        patch = values(reference.pixels[part], self._offset)
+        if patch is None:
+            raise DataError(
+                f"camera.roi must lie where at least 98 % of the pixels have a value; received {region}. "
+                "Choose another place."
+            )
+        self._fields = tuple(reference_field(patch, axis, settings.spacing) for axis in AXES)
+        self._first = first_model(self._fields, weighted=settings.weighted)
+        self._state = PhaseState(matcher=self._matcher.state)
+
+    @property
+    def reference(self) -> Frame:
+        """The frame that the translation counts from."""
+        return self._reference
+
+    @property
+    def region(self) -> Region:
+        """The target's region in the reference frame."""
+        return self._region
+
+    @property
+    def region_now(self) -> Region:
+        """Where the target was last seen, inside the image."""
+        rows, columns = self._reference.pixels.shape
+        return clamp(shift(self._region, self._state.x_px, self._state.y_px), columns, rows)
+
+    @property
+    def state(self) -> PhaseState:
+        """Everything that changes from frame to frame, and what was learnt."""
+        return self._state
+
+    def restore(self, state: PhaseState) -> None:
+        """Continue from a `state` taken earlier."""
+        self._state = state
+        self._matcher.restore(state.matcher)
+
+    @property
+    def model(self) -> PhaseModel:
+        """Active pixels and slopes in use: learnt, or from the reference alone."""
+        return self._state.model or self._first
+
+    @property
+    def phase_gain_px_per_rad(self) -> tuple[float, float]:
+        """Translation by mean phase along x and y, px/rad, signed; times the scale factor: the phase scale factor."""
+        return self.model.gains_px_per_rad
+
+    def active_pixels(self, axis: str) -> Mask:
+        """Active pixels along `axis` "x" or "y": (rows, columns) of `measured_region`."""
+        return self.model.mask(axis, (self._window.height, self._window.width))
+
+    @property
+    def measured_region(self) -> Region:
+        """The part of the region whose phase is used: all but what lies too near to the image's border."""
+        return self._window
+
+    def push(self, frame: Frame, prediction: Prediction | None = None) -> PixelTranslation:
+        """Measure the translation (px) of the target in `frame`; LOST with NaN where it cannot be found."""
+        self._check_size(frame)
+        fix = self._find(frame, prediction)
+        if fix is None:
+            nan = math.nan
+            self._state = replace(
+                self._state, speed_x_px_s=0.0, speed_y_px_s=0.0, lost_frames=self._state.lost_frames + 1
+            )
+            return PixelTranslation(frame.time_ns, nan, nan, nan, nan, 0.0, Status.LOST)
+        x, y = (float(v) for v in fix.shift_px)
+        self._state = _after(self._state, frame.time_ns, x, y)
+        var_x, var_y = (float(v) + self.settings.bias_floor_px**2 for v in fix.variance_px2)
+        return PixelTranslation(frame.time_ns, x, y, var_x, var_y, fix.coherence, Status.TRACKING)
+
+    def learn(
+        self, frames: Sequence[Frame], translation_px: Floats | None = None, *, direction: str = "y"
+    ) -> PhaseModel:
+        """Choose active pixels and learn the gains from frames in which the target moves.
+
+        `translation_px` (n,) px along the image axis `direction`, from any zero and without drift (say from the
+        accelerometer); without it, and for the other axis, the matcher's own translations. An axis that hardly moves
+        keeps what is known from the reference. Returns the model now in use. Raises DataError with too few frames.
+        """
+        option("direction", direction, AXES)
+        if translation_px is not None and len(translation_px) != len(frames):
+            raise refuse("translation_px", f"one value for each of the {len(frames)} frames", len(translation_px))
+        step = max(1, math.ceil(len(frames) / MOST_LEARNT_FRAMES))
+        given = None if translation_px is None else np.asarray(translation_px, dtype=np.float64)[::step]
+        learning = self._observe(frames[::step], given, AXES.index(direction))
+        if self.settings.active_pixels == "correlation":
+            model = learnt_model(
+                self._fields,
+                self._first,
+                learning,
+                weighted=self.settings.weighted,
+                least_information=self.settings.least_information,
+            )
+            self._state = replace(self._state, model=model)
+        return self.model
+
+    def _observe(self, frames: Sequence[Frame], given: Floats | None, axis: int) -> Learning:
+        """Phases of all pixels and the residual motion, with the region moved by the matcher's whole pixels."""
+        matcher = self._open_matcher()
+        every = np.arange(self._window.width * self._window.height)
+        phases: tuple[list[Floats32], list[Floats32]] = ([], [])
+        residual = []
+        for k, frame in enumerate(frames):
+            self._check_size(frame)
+            found = matcher.push(frame)
+            if found.status is not Status.TRACKING or (given is not None and not math.isfinite(given[k])):
+                continue
+            place = (round(found.x_px), round(found.y_px))
+            now = self._responses(frame.pixels, place)
+            if now is None:
+                continue
+            moved = [found.x_px, found.y_px]
+            if given is not None:
+                moved[axis] = float(given[k])
+            residual.append([moved[0] - place[0], moved[1] - place[1]])
+            for kept, n, f in zip(phases, now, self._fields, strict=True):
+                kept.append(phase_change(n, f.response.ravel(), every))
+        if len(residual) < 5:
+            raise DataError(f"Learning needs at least 5 frames that show the target; received {len(residual)}.")
+        return Learning((np.stack(phases[0]), np.stack(phases[1])), np.array(residual))
+
+    def _find(self, frame: Frame, prediction: Prediction | None) -> PhaseFix | None:
+        """Phase about the expected place; a target that was lost before is looked for first."""
+        place, _ = self._expected(prediction)
+        if self._state.lost_frames > 0:
+            return self._matched(frame, prediction)
+        return self._by_phase(frame, place)
+
+    def _expected(self, prediction: Prediction | None) -> tuple[tuple[int, int], float]:
+        """Whole-pixel place by equation 14, or the last one, and the standard deviation of that, px.
+
+        Of the two axes the better predicted one counts: it is the one that the structure moves along; a miss along the
+        other shows in the coherence.
+        """
+        if prediction is not None and math.isfinite(prediction.x_px + prediction.y_px):
+            std = min(prediction.std_x_px, prediction.std_y_px)
+            return (round(prediction.x_px), round(prediction.y_px)), std
+        return (round(self._state.x_px), round(self._state.y_px)), math.inf
+
+    def _matched(self, frame: Frame, prediction: Prediction | None) -> PhaseFix | None:
+        """Equations 18 and 19: the matcher finds the whole-pixel place, phase measures the rest."""
+        if prediction is None and self._state.lost_frames == 0:
+            prediction = self._extrapolated(frame.time_ns)
+        found = self._matcher.push(frame, prediction)
+        self._state = replace(self._state, matcher=self._matcher.state, matched_frames=self._state.matched_frames + 1)
+        if found.status is not Status.TRACKING:
+            return None
+        return self._by_phase(frame, (round(found.x_px), round(found.y_px)))
+
+    def _extrapolated(self, time_ns: int) -> Prediction:
+        state = self._state
+        elapsed_s = 0.0 if state.time_ns is None else (time_ns - state.time_ns) / NANOSECONDS
+        std = UNPREDICTED_STD_PX
+        return Prediction(
+            state.x_px + state.speed_x_px_s * elapsed_s, state.y_px + state.speed_y_px_s * elapsed_s, std, std
+        )
+
+    def _by_phase(self, frame: Frame, place: tuple[int, int]) -> PhaseFix | None:
+        """Equation 17 about the whole-pixel `place`, which is moved once more while the residual exceeds half a pixel.
+
+        The linear gain holds for small residuals only.
+        """
+        x, y = place
+        for _ in range(4):
+            now = self._responses(frame.pixels, (x, y))
+            fix = None if now is None else measure(self.model, now)
+            if now is None or fix is None or not np.all(np.isfinite(fix.shift_px)):
+                return None
+            if float(np.max(np.abs(fix.shift_px))) <= FARTHEST_RESIDUAL_PX:
+                if fix.coherence < self.settings.min_coherence:
+                    return None
+                if self.settings.form == "gradient":
+                    fix = replace(fix, shift_px=self._gradient_form(frame.pixels, (x, y)))
+                return replace(fix, shift_px=fix.shift_px + np.array([x, y]))
+            x, y = x + round(float(fix.shift_px[0])), y + round(float(fix.shift_px[1]))
+        return None
+
+    def _responses(
+        self, pixels: NDArray[np.generic], place: tuple[int, int]
+    ) -> tuple[tuple[Floats32, Floats32], tuple[Floats32, Floats32]] | None:
+        """Responses along x and y of the region moved by `place`; None outside the image or without values."""
+        patch = self._patch(pixels, place, MARGIN_PX)
+        if patch is None:
+            return None
+        return responses(patch, "x", self.settings.spacing), responses(patch, "y", self.settings.spacing)
+
+    def _patch(self, pixels: NDArray[np.generic], place: tuple[int, int], margin: int) -> Floats32 | None:
+        rows, columns = region_patch(self._window, *place, margin)
+        if rows.start < 0 or columns.start < 0 or rows.stop > pixels.shape[0] or columns.stop > pixels.shape[1]:
+            return None
+        return values(pixels[rows, columns], self._offset)
+
+    def _gradient_form(self, pixels: NDArray[np.generic], place: tuple[int, int]) -> Floats:
+        """Equation 3 along both axes, px."""
+        patch = self._patch(pixels, place, INSET_PX)
+        if patch is None:
+            return np.full(2, np.nan)
+        out = []
+        for k, axis in enumerate(self.model.axes):
+            now = quadrature(patch, AXES[k], self.settings.spacing)
+            slope = phase_slopes(now)[k].ravel()[axis.index]
+            inner = np.ascontiguousarray(now[1:-1, 1:-1])
+            change = phase_change((inner.real.copy(), inner.imag.copy()), axis.reference, axis.index)
+            out.append(gradient_form(change, slope))
+        return np.array(out)
+
+    def _open_matcher(self) -> Any:
+        from midspan.vision.tracker import open_tracker
+
+        return open_tracker(self.settings.matcher, self._reference, self._region)
+
+    def _check_size(self, frame: Frame) -> None:
+        if frame.pixels.shape != self._reference.pixels.shape:
+            now, then = ("x".join(str(n) for n in p.shape[::-1]) for p in (frame.pixels, self._reference.pixels))
+            raise DataError(
+                f"All frames must have the size of the first ({then} px); frame {frame.index} has {now} px. "
+                "Split the recording where the camera's format changed."
+            )
+
+
+class HybridTracker(PhaseTracker):
+    """Phase where it cannot wrap, else matching first and then phase (equations 14 to 19)."""
+
+    def could_wrap(self, prediction: Prediction | None) -> bool:
+        """Whether the 99.7 % bound of the residual motion reaches π times the gain (equation 16)."""
+        _, std = self._expected(prediction)
+        return not 3.0 * std + 0.5 < math.pi * min(abs(gain) for gain in self.phase_gain_px_per_rad)
+
+    def _find(self, frame: Frame, prediction: Prediction | None) -> PhaseFix | None:
+        if self._state.lost_frames == 0 and not self.could_wrap(prediction):
+            place, _ = self._expected(prediction)
+            fix = self._by_phase(frame, place)
+            if fix is not None:
+                return fix
+        return self._matched(frame, prediction)
+
+
+def _window(region: Region, columns: int, rows: int) -> Region:
+    """The region without what lies too near to the image's border for the filters."""
+    x0, y0 = max(region.x, INSET_PX), max(region.y, INSET_PX)
+    x1, y1 = min(region.x + region.width, columns - INSET_PX), min(region.y + region.height, rows - INSET_PX)
+    if min(x1 - x0, y1 - y0) < SMALLEST_SIDE_PX:
+        raise UsageError(
+            f"camera.roi must keep at least {SMALLEST_SIDE_PX} px of width and height {INSET_PX} px away from the "
+            f"border of the image ({columns}x{rows} px); received {region}. Move it inwards or make it larger."
+        )
+    return Region(x0, y0, x1 - x0, y1 - y0)
+
+
+def _after(state: PhaseState, time_ns: int, x: float, y: float) -> PhaseState:
+    """The state after a frame: the speed is only kept between two frames that were both tracked."""
+    vx, vy = 0.0, 0.0
+    if state.time_ns is not None and state.lost_frames == 0 and time_ns > state.time_ns:
+        elapsed_s = (time_ns - state.time_ns) / NANOSECONDS
+        vx, vy = (x - state.x_px) / elapsed_s, (y - state.y_px) / elapsed_s
+    return replace(state, x_px=x, y_px=y, time_ns=time_ns, speed_x_px_s=vx, speed_y_px_s=vy, lost_frames=0)

@@ -1,0 +1,57 @@
+"""Phase-based optical flow: local phase, its change since the reference, its slope, and translation in gradient form.
+
+Equations 1 to 4 of the paper on hybrid phase and feature matching; the gradient form is that of Chen and others.
+"""
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from midspan.records import Floats
+from midspan.vision.spline import Floats32
+from midspan.vision.steerable import Complex64
+
+SMALLEST_SLOPE = 0.1  # rad/px: below it the gradient form would divide by next to nothing
+
+
+@njit(cache=True)
+def _angles(now_even: Floats32, now_odd: Floats32, reference: Complex64, index: NDArray[np.int64]) -> Floats32:
+    even, odd = now_even.ravel(), now_odd.ravel()
+    out = np.empty(index.shape[0], dtype=np.float32)
+    for k in range(index.shape[0]):
+        a, b = even[index[k]], odd[index[k]]
+        c, d = reference[k].real, reference[k].imag
+        out[k] = np.arctan2(b * c - a * d, a * c + b * d)
+    return out
+
+
+def phase_change(now: tuple[Floats32, Floats32], reference: Complex64, index: NDArray[np.int64]) -> Floats32:
+    """Phase of the responses `now` (even, odd: rows, columns) less the reference's at the pixels `index` (k,): (k,) rad.
+
+    `reference` (k,) are the reference's responses there. The angle of the complex product lies in -π … π by itself;
+    a difference of two angles would not.
+    """
+    return _angles(now[0], now[1], reference, index)
+
+
+def phase_slopes(field: Complex64) -> tuple[Floats, Floats]:
+    """Slope of the local phase along x and y, rad/px, of responses (rows + 2, columns + 2): two arrays (rows, columns).
+
+    The mean of the steps to the neighbours on either side, each unwrapped by itself: good up to half a cycle a px.
+    """
+    across = np.angle(field[1:-1, 1:] * np.conj(field[1:-1, :-1]))
+    down = np.angle(field[1:, 1:-1] * np.conj(field[:-1, 1:-1]))
+    x, y = 0.5 * (across[:, 1:] + across[:, :-1]), 0.5 * (down[1:] + down[:-1])
+    return x.astype(np.float64), y.astype(np.float64)
+
+
+def gradient_form(change: Floats32, slope: Floats) -> float:
+    """Translation in px as the mean of -change / slope over the pixels (k,): equation 3 without its scale factor.
+
+    `change` in rad, `slope` of the current frame's phase along the axis in rad/px; pixels with next to no slope are
+    left out. NaN without any.
+    """
+    steep = np.abs(slope) >= SMALLEST_SLOPE
+    if not steep.any():
+        return float("nan")
+    return float(np.mean(-change[steep].astype(np.float64) / slope[steep]))
