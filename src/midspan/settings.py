@@ -83,6 +83,10 @@ class AccelerometerSettings(ChannelSettings):
 class DisplacementSettings(ChannelSettings):
     """Any other displacement: GNSS, total station, LVDT, level."""
 
+    estimate_offset: bool = Field(
+        False, strict=True, description="learn and apply the clock offset to the accelerometer; false: one clock"
+    )
+
 
 class ReferenceSettings(ChannelSettings):
     """A reference that only report and compare look at."""

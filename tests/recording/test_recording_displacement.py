@@ -98,6 +98,7 @@ def test_an_outlier_that_ends_a_gap_is_declared_and_recovered_from(gnss_copy):
 def test_the_clock_offset_of_the_sensor_is_found(gnss_copy):
     time, value = heights(gnss_copy)
     write_heights(gnss_copy, time - 0.2, value)
+    set_keys(gnss_copy, "displacement", estimate_offset=True)
     offset = midspan.calibrate(midspan.open_recording(gnss_copy)).displacement.offset
     # Heights of 2 mm noise know the time of 5 mm at 0.8 Hz to 2/(5·2π·0.8·√90) = 8 ms.
     assert offset.value_s == pytest.approx(0.2, abs=0.03)

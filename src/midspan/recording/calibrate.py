@@ -1,5 +1,7 @@
 """`calibrate`: from an opened recording to scale factor, clock offset and noise levels."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from midspan.calibration.fit import Pair
@@ -11,7 +13,7 @@ from midspan.recording.progress import Progress, silent
 from midspan.recording.recording import Recording, naming
 from midspan.recording.span import inside, require_overlap
 from midspan.recording.tracking import CameraTracking, TrackingSettings
-from midspan.records import NANOSECONDS, Floats, Nanoseconds, Region, TimeSeries
+from midspan.records import NANOSECONDS, Floats, Nanoseconds, Region, TimeOffset, TimeSeries
 
 DEFAULT_WINDOW_S = 60.0
 # Noise levels of a displacement sensor are learnt from this much at most, in one piece, for speed.
@@ -196,7 +198,14 @@ def _calibrate_displacement(recording: Recording) -> NoiseCalibration:
     _refuse_poor_displacement(series, used)
     window = inside(prepared.time_ns, first - NANOSECONDS, last + NANOSECONDS)
     rows = _measured_rows(series.time_ns[used], series.value[used], np.ones(used.stop - used.start), first)
-    return calibrate_noise(Pair(prepared.rows(first, window), rows, 1.0), max_offset)
+    pair = Pair(prepared.rows(first, window), rows, 1.0)
+    searched = calibrate_noise(pair, max_offset)
+    section = recording.settings.displacement
+    if section is not None and section.estimate_offset:
+        return searched
+    # One clock is taken for granted; an offset that shows all the same is told and put into the error band.
+    off = searched.offset.value_s
+    return replace(calibrate_noise(pair, 0.0), offset=TimeOffset(0.0, off * off))
 
 
 def _refuse_poor_displacement(series: TimeSeries, used: slice) -> None:
@@ -235,6 +244,13 @@ def unit_in_metres(recording: Recording) -> float:
 
 def _displacement_warnings(learnt: NoiseCalibration) -> list[str]:
     """A doubt about the displacement's unit or sign in words; UntrustedError where it is beyond doubt."""
+    found = []
+    if learnt.offset.value_s == 0.0 and 0.0 < learnt.offset.variance < np.inf:
+        found.append(
+            "displacement: its clock seems to differ from the accelerometer's by "
+            f"{1e3 * np.sqrt(learnt.offset.variance):.3g} "
+            "ms. Set displacement.estimate_offset = true to have the offset learnt and applied."
+        )
     off = abs(learnt.scale - 1.0)
     text = (
         f"displacement: follows the accelerometer with a factor of {learnt.scale:.3g} ± {learnt.scale_std:.2g} "
@@ -243,7 +259,7 @@ def _displacement_warnings(learnt: NoiseCalibration) -> list[str]:
     )
     if off > max(0.5, 5.0 * learnt.scale_std):
         raise UntrustedError(text)
-    return [text] if off > max(0.1, 5.0 * learnt.scale_std) else []
+    return [*found, text] if off > max(0.1, 5.0 * learnt.scale_std) else found
 
 
 def _acceleration_noise(recording: Recording, densities: list[float], warnings: list[str]) -> float:

@@ -34,7 +34,7 @@ def by_amplitude(amplitude: NDArray[np.floating]) -> Mask:
     return np.asarray(amplitude > AMPLITUDE_SHARE * float(flat.mean()), dtype=bool)
 
 
-def slope_and_r_squared(phase: Floats, translation: Floats) -> tuple[Floats, Floats]:
+def slope_and_r_squared(phase: Floats | Floats32, translation: Floats) -> tuple[Floats, Floats]:
     """Regression of `phase` (n,) or (n, k), rad, on `translation` (n,), px: slopes in rad/px and R².
 
     Phase on translation and not the other way round: the noise is in the phase.
@@ -48,16 +48,22 @@ def slope_and_r_squared(phase: Floats, translation: Floats) -> tuple[Floats, Flo
 
 
 def by_correlation(
-    phase: Floats32, translation: Floats, weight: Floats | None = None, *, least_information: float = 0.5
+    phase: Floats32,
+    translation: Floats,
+    *,
+    weight: Floats | None = None,
+    information: Floats | None = None,
+    least_information: float = 0.5,
 ) -> Selection:
     """Pixels by the threshold of |correlation| with the largest R² among those that keep enough information.
 
     `phase` (n, k) rad of k pixels in n frames, `translation` (n,) px of the residual motion, `weight` (k,) of the
-    pixels in the mean (equal without). A pixel's information is slope² over the variance about its regression line;
-    `least_information` is the share of the sum that must be kept, 0 (the paper's rule) to 1.
+    pixels in the mean (equal without), `information` (k,) of each pixel in any unit (without: slope² over the variance
+    about its own regression line). `least_information` is the share of its sum to be kept, 0 (the paper's rule) to 1.
     """
-    slope, r_squared = slope_and_r_squared(phase, translation)
-    information = r_squared / np.maximum(1.0 - r_squared, 1e-9)
+    r_squared = slope_and_r_squared(phase, translation)[1]
+    if information is None:
+        information = r_squared / np.maximum(1.0 - r_squared, 1e-9)
     order = np.argsort(-r_squared, kind="stable")
     shares = np.cumsum(information[order]) / max(float(information.sum()), 1e-300)
     counts = np.unique(np.linspace(1, len(order), THRESHOLDS).astype(np.int64))

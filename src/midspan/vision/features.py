@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from midspan.checks import option, refuse
 from midspan.errors import DataError, UsageError
 from midspan.records import Floats, Frame, PixelTranslation, Prediction, Region, Status
-from midspan.vision.keypoints import DETECTORS, Detector, Keypoints, mutual_matches, ratio_matches
+from midspan.vision.keypoints import DETECTORS, GRID_STD_PX, Detector, Keypoints, mutual_matches, ratio_matches
 from midspan.vision.region import clamp, shift
 from midspan.vision.rejection import (
     consensus,
@@ -56,7 +56,7 @@ class FeatureSettings:
     seed: of the random pairing in rejection I; one seed gives the same result in every run.
     max_displacement_px, ratio, ransac_px: largest translation known beforehand, ratio of the nearest to the second
     nearest descriptor, tolerance of RANSAC; only with the technique "existing".
-    variance_floor_px: standard deviation added for what the scatter of the matches does not show, 0 px or more.
+    bias_floor_px: standard deviation added for what the scatter of the matches does not show, 0 px or more.
     """
 
     technique: str = "proposed"
@@ -72,7 +72,7 @@ class FeatureSettings:
     max_displacement_px: float = 32.0
     ratio: float = 0.65
     ransac_px: float = 5.0
-    variance_floor_px: float = 0.001
+    bias_floor_px: float = 0.001
 
     def __post_init__(self) -> None:
         option("technique", self.technique, TECHNIQUES)
@@ -92,7 +92,7 @@ _RANGES = (
     ("max_displacement_px", 1e-3, LONGEST_DISTANCE_PX, "above 0 px"),
     ("ratio", 1e-3, 1.0, "above 0, up to 1"),
     ("ransac_px", 1e-3, 100.0, "above 0, up to 100 px"),
-    ("variance_floor_px", 0.0, 10.0, "from 0 to 10 px"),
+    ("bias_floor_px", 0.0, 10.0, "from 0 to 10 px"),
 )
 
 
@@ -307,7 +307,8 @@ def average(good: Floats, matches: int, settings: FeatureSettings) -> Matched | 
     if settings.technique == "proposed" and not settings.literal and spread > LARGEST_SPREAD_PX:
         return None
     # Few matches tell their own scatter badly; Student's variance allows for it.
-    variance = scatter / (count * max(count - 3, 1)) + settings.variance_floor_px**2
+    floor = settings.bias_floor_px**2 + GRID_STD_PX.get(settings.detector, 0.0) ** 2
+    variance = scatter / (count * max(count - 3, 1)) + floor
     return Matched(good.mean(axis=0), variance, count, matches)
 
 
@@ -324,10 +325,14 @@ def _target(image: NDArray[np.generic], region: Region) -> tuple[Floats32, float
 
 def _detector(image: NDArray[np.generic], region: Region, settings: FeatureSettings, offset: float) -> Detector:
     """The detector, its grey scale that of 8 bit images, else twice the region's range in the reference frame."""
-    surf = SurfSettings(settings.octaves, settings.threshold, settings.max_features, settings.upright)
+    part = np.asarray(image[region.y : region.y + region.height, region.x : region.x + region.width], dtype=np.float64)
+    # An occluder or a shadow raises the contrast of a frame, but must not raise the threshold for what is left.
+    contrast = float(np.nanvar(part))
+    surf = SurfSettings(
+        settings.octaves, settings.threshold, settings.max_features, upright=settings.upright, contrast=contrast
+    )
     if image.dtype == np.uint8:
         return Detector(settings.detector, surf, level=-offset)
-    part = np.asarray(image[region.y : region.y + region.height, region.x : region.x + region.width], dtype=np.float64)
     low, high = float(np.nanmin(part)) - offset, float(np.nanmax(part)) - offset
     return Detector(settings.detector, surf, level=low - 0.5 * (high - low), span=2.0 * (high - low))
 

@@ -59,7 +59,7 @@ class PhaseSettings:
     matcher: str = "template"
     spacing: float = 0.67
     min_coherence: float = 0.5
-    bias_floor_px: float = 0.001
+    bias_floor_px: float = 0.0005
 
     def __post_init__(self) -> None:
         option("form", self.form, ("gain", "gradient"))

@@ -118,8 +118,11 @@ def build(
                     k[n] *= weight[r, c]
                     out[n, r, c] = k[n]
                 for n in range(3):
-                    for m in range(3):
+                    for m in range(n + 1):
                         covariance[b, n, m] += k[n] * k[m] / weight[r, c]
+        for n in range(3):
+            for m in range(n):
+                covariance[b, m, n] = covariance[b, n, m]
     return covariance
 
 

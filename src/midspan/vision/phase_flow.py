@@ -26,7 +26,7 @@ def _angles(now_even: Floats32, now_odd: Floats32, reference: Complex64, index: 
 
 
 def phase_change(now: tuple[Floats32, Floats32], reference: Complex64, index: NDArray[np.int64]) -> Floats32:
-    """Phase of the responses `now` (even, odd: rows, columns) less the reference's at the pixels `index` (k,): (k,) rad.
+    """Phase of the responses `now` (even, odd: rows, columns) less the reference's at the pixels `index`: (k,) rad.
 
     `reference` (k,) are the reference's responses there. The angle of the complex product lies in -π … π by itself;
     a difference of two angles would not.
@@ -43,6 +43,18 @@ def phase_slopes(field: Complex64) -> tuple[Floats, Floats]:
     down = np.angle(field[1:, 1:-1] * np.conj(field[:-1, 1:-1]))
     x, y = 0.5 * (across[:, 1:] + across[:, :-1]), 0.5 * (down[1:] + down[:-1])
     return x.astype(np.float64), y.astype(np.float64)
+
+
+def phase_curvatures(field: Complex64) -> tuple[Floats, Floats, Floats]:
+    """Second derivatives xx, yy, xy of the local phase, rad/px², of responses (rows + 2, columns + 2): (rows, columns).
+
+    Differences of neighbours as complex products, as in `phase_slopes`.
+    """
+    middle = field[1:-1, 1:-1]
+    x = np.angle(field[1:-1, 2:] * np.conj(middle) * field[1:-1, :-2] * np.conj(middle))
+    y = np.angle(field[2:, 1:-1] * np.conj(middle) * field[:-2, 1:-1] * np.conj(middle))
+    xy = 0.25 * np.angle(field[2:, 2:] * np.conj(field[2:, :-2]) * np.conj(field[:-2, 2:]) * field[:-2, :-2])
+    return x.astype(np.float64), y.astype(np.float64), xy.astype(np.float64)
 
 
 def gradient_form(change: Floats32, slope: Floats) -> float:

@@ -11,14 +11,19 @@ from numpy.typing import NDArray
 from midspan.records import Floats, Region
 from midspan.signals.health import Mask
 from midspan.vision.active_pixels import by_amplitude, by_correlation
-from midspan.vision.phase_flow import phase_change, phase_slopes
+from midspan.vision.phase_flow import phase_change, phase_curvatures, phase_slopes
 from midspan.vision.spline import Floats32
 from midspan.vision.steerable import AXES, MARGIN_PX, Complex64, noise_power, quadrature, spread_back
+from midspan.vision.texture import noise_std
 
 BLOCKS = 4  # the residual is watched in 4 by 4 blocks
 INSET_PX = MARGIN_PX + 1  # the reference needs a pixel more than the filter, for the slope of the phase
+LEAST_POWER = 16.0  # of a pixel's response over the noise's in the even or odd response
+LEAST_CLEAR = 0.3  # share of all power that such pixels must hold
 LEAST_MOTION_PX = 0.05  # rms of residual motion from which a slope can be learnt
 LEAST_R_SQUARED = 0.5
+MEDIAN_OF_SQUARE = 0.4549  # of a normal variable of variance 1
+SMALLEST_DETERMINANT = 1e-3  # (rad/px)², of the mean phases' slopes
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +31,8 @@ class PhaseAxis:
     """The active pixels (k,) of the filter along one axis.
 
     index: their places in the flattened region. reference: complex responses. weight: in the mean, sum 1. slope (k, 2):
-    phase by translation x and y, rad/px. unit: variance of the phase for image noise of variance 1; sensitivity: the
+    phase by translation x and y, rad/px. curve (k, 3): by half the squares of x and y and by their product, rad/px².
+    unit: variance of the phase for image noise of variance 1; sensitivity: the
     same of the mean phase, with the noise's correlation between pixels. block: 0 … 15, the part of the region.
     """
 
@@ -34,6 +40,7 @@ class PhaseAxis:
     reference: Complex64
     weight: Floats
     slope: Floats
+    curve: Floats
     unit: Floats
     block: NDArray[np.int64]
     sensitivity: float
@@ -76,12 +83,25 @@ class PhaseModel:
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """Reference of one axis over the whole region: responses (rows, columns) and phase slopes (rows, columns, 2)."""
+    """Reference of one axis over the whole region.
+
+    Its responses (rows, columns), and how their phases follow the translation: slopes (rows · columns, 2) and
+    curvatures (rows · columns, 3) as in `PhaseAxis`.
+    """
 
     response: Complex64
     slope: Floats
+    curve: Floats
     axis: str
     spacing: float
+    noise_dn: float
+
+    @property
+    def clear(self) -> Mask:
+        """Pixels (rows · columns,) whose amplitude stands above the noise; all of them where too few would be left."""
+        power = self.amplitude.ravel() ** 2
+        above = power > LEAST_POWER * self.noise_dn**2 * sum(noise_power(self.spacing)) / 2.0
+        return above if power[above].sum() >= LEAST_CLEAR * power.sum() else np.ones(len(power), dtype=bool)
 
     @property
     def amplitude(self) -> Floats:
@@ -103,27 +123,29 @@ class Field:
         kernel[index] = reference * (weight / power)
         spread = spread_back(kernel.reshape(rows, columns), self.axis, self.spacing)
         block = (index // columns * BLOCKS // rows) * BLOCKS + index % columns * BLOCKS // columns
-        return PhaseAxis(index, reference, weight, slope, unit, block, float(np.sum(spread**2)))
+        return PhaseAxis(index, reference, weight, slope, self.curve[index], unit, block, float(np.sum(spread**2)))
 
 
 def reference_field(patch: Floats32, axis: str, spacing: float) -> Field:
     """Responses and phase slopes of a reference `patch` with `INSET_PX` more than the region on every side."""
     wide = quadrature(patch, axis, spacing)
-    x, y = phase_slopes(wide)
-    inner = np.ascontiguousarray(wide[1:-1, 1:-1])
-    return Field(inner, -np.stack([x, y], axis=-1), axis, spacing)
+    slope = -np.stack([plane.ravel() for plane in phase_slopes(wide)], axis=1)
+    curve = np.stack([plane.ravel() for plane in phase_curvatures(wide)], axis=1)
+    noise = noise_std(patch.astype(np.float64))
+    return Field(np.ascontiguousarray(wide[1:-1, 1:-1]), slope, curve, axis, spacing, noise)
 
 
 def first_model(fields: Sequence[Field], *, weighted: bool) -> PhaseModel:
     """Active pixels by amplitude and the gain from the reference's own phase slopes: what is known before learning."""
-    return PhaseModel(*(_by_amplitude(field, weighted) for field in fields))
+    x, y = (_by_amplitude(field, weighted) for field in fields)
+    return PhaseModel(x, y)
 
 
 def _by_amplitude(field: Field, weighted: bool) -> PhaseAxis:
-    active = by_amplitude(field.amplitude).ravel()
+    active = by_amplitude(field.amplitude).ravel() & field.clear
     amplitude = field.amplitude.ravel()[active]
     weight = amplitude**2 if weighted else np.ones(len(amplitude))
-    return field.chosen(active, weight, field.slope.reshape(-1, 2)[active])
+    return field.chosen(active, weight, field.slope[active])
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,9 +176,9 @@ def _learnt_axis(
     if len(residual) < 5 or moved[k] < LEAST_MOTION_PX:
         return known, math.nan
     other = 1 - k
-    phase = learning.phase[k]
-    phase = phase - phase.mean(axis=0)
-    slopes = field.slope.reshape(-1, 2).copy()
+    phase = learning.phase[k] - (squares(learning.residual_px) @ field.curve.T).astype(np.float32)
+    phase -= phase.mean(axis=0)
+    slopes = field.slope.copy()
     # Motion across the axis also turns phases: its part is taken out, learnt where there was enough of it.
     used = [k, other] if moved[other] >= LEAST_MOTION_PX else [k]
     if len(used) == 1:
@@ -166,37 +188,71 @@ def _learnt_axis(
     if len(used) == 2:
         phase = phase - np.outer(residual[:, other], slopes[:, other]).astype(np.float32)
     weighted, share = rule
-    weight = field.amplitude.ravel() ** 2 if weighted else np.ones(phase.shape[1])
-    selection = by_correlation(phase, residual[:, k], weight, least_information=share)
+    power = field.amplitude.ravel() ** 2
+    weight = power if weighted else np.ones(len(power))
+    # The information that a pixel of this amplitude and slope has about the translation under white noise.
+    information = power * slopes[:, k] ** 2
+    selection = by_correlation(phase, residual[:, k], weight=weight, information=information, least_information=share)
     active = selection.active
     if not math.isfinite(selection.gain_px_per_rad) or selection.r_squared < LEAST_R_SQUARED:
         return known, selection.r_squared
     return field.chosen(active, weight[active], slopes[active]), selection.r_squared
 
 
+def squares(shift: Floats) -> Floats:
+    """Half the squares of x and y and their product, (…, 3), of translations (…, 2)."""
+    x, y = shift[..., 0], shift[..., 1]
+    return np.stack([0.5 * x * x, 0.5 * y * y, x * y], axis=-1)
+
+
 @njit(cache=True)
-def _sums(now: tuple[Floats32, Floats32], phase: Floats32, model: tuple[Floats, ...], extra: Floats) -> Floats:
-    """Sums over active pixels; see `residual_sums`."""
-    index, reference, weight, slope_x, slope_y, unit, block = model
-    even, odd = now[0].ravel(), now[1].ravel()
-    out = np.zeros(36)
-    for k in range(index.shape[0]):
-        expected = slope_x[k] * extra[0] + slope_y[k] * extra[1]
-        error = phase[k] - expected
+def _errors(phase: Floats32, slope: Floats, curve: Floats, shift: Floats) -> Floats32:
+    """Phase (k,) less what the translation `shift` (2,) px explains, wrapped into -π … π."""
+    out = np.empty(phase.shape[0], dtype=np.float32)
+    x, y = shift[0], shift[1]
+    for k in range(phase.shape[0]):
+        bend = curve[k, 0] * (0.5 * x * x) + curve[k, 1] * (0.5 * y * y) + curve[k, 2] * (x * y)
+        error = phase[k] - (slope[k, 0] * x + slope[k, 1] * y + bend)
         if error > np.pi:
             error -= 2.0 * np.pi
         elif error < -np.pi:
             error += 2.0 * np.pi
-        b = block[k]
-        out[b] += weight[k] * error
-        out[16 + b] += weight[k]
-        out[32] += error * error / unit[k]
-        a = np.hypot(even[index[k]], odd[index[k]])
-        r = np.abs(reference[k])
-        out[33] += a * r * np.cos(error)
-        out[34] += a * a
-        out[35] += r * r
+        out[k] = error
     return out
+
+
+@njit(cache=True)
+def _mean(values: Floats32, weight: Floats) -> float:
+    total = 0.0
+    for k in range(values.shape[0]):
+        total += weight[k] * values[k]
+    return total
+
+
+@njit(cache=True)
+def _block_sums(error: Floats32, weight: Floats, block: NDArray[np.int64]) -> Floats:
+    """Sums (2, 16) over the blocks of weight · error and of the weights."""
+    out = np.zeros((2, BLOCKS * BLOCKS))
+    for k in range(error.shape[0]):
+        out[0, block[k]] += weight[k] * error[k]
+        out[1, block[k]] += weight[k]
+    return out
+
+
+@njit(cache=True, fastmath=True)
+def _coherence(
+    now: tuple[Floats32, Floats32], error: Floats32, reference: Complex64, index: NDArray[np.int64]
+) -> float:
+    """Correlation of the responses once the translation is taken out: 1 for a perfect match."""
+    even, odd = now[0].ravel(), now[1].ravel()
+    both, own, other = 0.0, 0.0, 0.0
+    for k in range(index.shape[0]):
+        a = even[index[k]] ** 2 + odd[index[k]] ** 2
+        r = reference[k].real ** 2 + reference[k].imag ** 2
+        both += np.sqrt(a * r) * np.cos(error[k])
+        own += a
+        other += r
+    return float(both / np.sqrt(max(own * other, 1e-300)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -211,41 +267,38 @@ class PhaseFix:
 def measure(model: PhaseModel, now: Sequence[tuple[Floats32, Floats32]]) -> PhaseFix | None:
     """Translation from the mean phases of both axes; None when their slopes do not tell x from y.
 
-    `now` are the responses (even, odd) of the frame's region along x and y.
+    `now` are the responses (even, odd) of the frame's region along x and y. The mean is taken about what the last
+    estimate expects, so that single pixels near ±π do not wrap.
     """
-    phases = [phase_change(n, axis.reference, axis.index) for n, axis in zip(now, model.axes, strict=True)]
     slopes = np.stack([axis.mean_slope for axis in model.axes])
-    # Mean of the phases about what the last estimate expects, so that single pixels near ±π do not wrap.
-    determinant = float(np.linalg.det(slopes))
-    if not abs(determinant) > 1e-3:
+    if not abs(float(np.linalg.det(slopes))) > SMALLEST_DETERMINANT:
         return None
     inverse = np.linalg.inv(slopes)
-    shift, sums = np.zeros(2), []
+    pairs = list(zip(now, model.axes, strict=True))
+    phases = [phase_change(n, axis.reference, axis.index) for n, axis in pairs]
+    shift, errors = np.zeros(2), phases
     for _ in range(2):
-        sums = [_of_axis(n, p, axis, shift) for n, p, axis in zip(now, phases, model.axes, strict=True)]
-        shift = shift + inverse @ np.array([float(s[:16].sum()) for s in sums])
-    sums = [_of_axis(n, p, axis, shift) for n, p, axis in zip(now, phases, model.axes, strict=True)]
-    variance = np.array([_variance(s, axis) for s, axis in zip(sums, model.axes, strict=True)])
-    coherences = [float(s[33]) / max(math.sqrt(float(s[34] * s[35])), 1e-300) for s in sums]
-    return PhaseFix(shift, (inverse**2) @ variance, min(coherences))
+        shift = shift + inverse @ np.array([_mean(e, a.weight) for e, a in zip(errors, model.axes, strict=True)])
+        errors = [_errors(p, a.slope, a.curve, shift) for p, a in zip(phases, model.axes, strict=True)]
+    shift = shift + inverse @ np.array([_mean(e, a.weight) for e, a in zip(errors, model.axes, strict=True)])
+    variance = np.array([_variance(e, a) for e, a in zip(errors, model.axes, strict=True)])
+    coherence = min(_coherence(n, e, a.reference, a.index) for (n, a), e in zip(pairs, errors, strict=True))
+    return PhaseFix(shift, np.asarray((inverse**2) @ variance), coherence)
 
 
-def _of_axis(now: tuple[Floats32, Floats32], phase: Floats32, axis: PhaseAxis, shift: Floats) -> Floats:
-    slope = axis.slope
-    arrays = (axis.index, axis.reference, axis.weight, slope[:, 0], slope[:, 1], axis.unit, axis.block)
-    return np.asarray(_sums(now, phase, arrays, shift))
+def _variance(error: Floats32, axis: PhaseAxis) -> float:
+    """Variance (rad²) of the mean phase: from the pixels' scatter, or from the blocks' where that is much larger.
 
-
-def _variance(sums: Floats, axis: PhaseAxis) -> float:
-    """Variance (rad²) of the mean phase: from the pixels' scatter, or from the blocks' where that is much larger."""
-    white = float(sums[32]) / max(len(axis.index) - 2, 1) * axis.sensitivity
-    share = sums[16:32]
+    The scatter is a median: the phase of few pixels is far from linear in the translation, which is no noise.
+    """
+    white = float(np.median(error**2 / axis.unit)) / MEDIAN_OF_SQUARE * axis.sensitivity
+    sums, share = _block_sums(error, axis.weight, axis.block)
     used = share > 0.0
     count = int(np.count_nonzero(used))
     if count < 4:
         return white
     # Leaving one block out changes the weighted mean by this much.
-    without = (sums[:16].sum() - sums[:16][used]) / np.maximum(1.0 - share[used], 1e-9)
+    without = (sums.sum() - sums[used]) / np.maximum(1.0 - share[used], 1e-9)
     blocks = (count - 1) * float(np.var(without))
     return blocks if blocks > 3.0 * white else white
 

@@ -19,6 +19,7 @@ LAYERS = 4  # filters in an octave; a blob is found in one of the two in the mid
 SCALE_OF_SIZE = 1.2 / 9.0
 CROSS_WEIGHT = 0.81  # balances the box form of the mixed derivative, 0.9 squared
 VALUES = 64
+SECTORS = 72  # directions that the responses are sorted into
 LARGEST_STEP = 1.0  # a quadratic's peak farther from the largest sample than this is not trusted, in samples
 _HALFWAY = np.array([3.0, -25.0, 150.0, 150.0, -25.0, 3.0], dtype=np.float32) / np.float32(256.0)
 
@@ -27,15 +28,16 @@ _HALFWAY = np.array([3.0, -25.0, 150.0, 150.0, -25.0, 3.0], dtype=np.float32) / 
 class SurfSettings:
     """Which blobs are kept.
 
-    octaves: doublings of the filters' size, 1 to 4. threshold: least determinant, in the image's variance; lower gives
-    more and weaker blobs. most: the strongest so many are kept. upright: without orientation, for a camera that rolls
-    less than some 15 degrees; quicker and more distinctive.
+    octaves: doublings of the filters' size, 1 to 4. threshold: least determinant, in the image's variance or in
+    `contrast` where that is less; lower gives more and weaker blobs. most: the strongest so many are kept. upright:
+    without orientation, for a camera that rolls less than some 15 degrees; quicker and more distinctive.
     """
 
     octaves: int = 3
     threshold: float = 0.002
     most: int = 400
     upright: bool = True
+    contrast: float = math.inf
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,7 +190,10 @@ def _peaks(stack: Floats32, trace: Floats32, sizes: NDArray[np.int64], step: int
         rim = (sizes[k + 1] // 2 + step - 1) // step + 1
         for r in range(rim, stack.shape[1] - rim):
             for c in range(rim, stack.shape[2] - rim):
-                if stack[k, r, c] <= threshold or not _is_peak(stack, k, r, c):
+                value = stack[k, r, c]
+                if value <= threshold or value < stack[k, r, c + 1] or value < stack[k, r, c - 1]:
+                    continue  # most samples end here
+                if not _is_peak(stack, k, r, c):
                     continue
                 offset = _refine(stack, k, r, c)
                 if np.isnan(offset[0]) or n == found.shape[0]:
@@ -196,7 +201,7 @@ def _peaks(stack: Floats32, trace: Floats32, sizes: NDArray[np.int64], step: int
                 found[n, 0] = (c + offset[2]) * step
                 found[n, 1] = (r + offset[1]) * step
                 found[n, 2] = sizes[k] + offset[0] * (sizes[k + 1] - sizes[k])
-                found[n, 3] = stack[k, r, c]
+                found[n, 3] = value
                 found[n, 4] = 1.0 if trace[k, r, c] >= 0.0 else -1.0
                 n += 1
     return found[:n]
@@ -204,13 +209,13 @@ def _peaks(stack: Floats32, trace: Floats32, sizes: NDArray[np.int64], step: int
 
 def filter_sizes(octave: int) -> NDArray[np.int64]:
     """Box sizes (4,) in px of the octave 0, 1, …: 9, 15, 21, 27; 15, 27, 39, 51; 27, 51, 75, 99; …"""
-    return 3 * (2 ** (octave + 1) * np.arange(1, LAYERS + 1, dtype=np.int64) + 1)
+    return np.asarray(3 * (2 ** (octave + 1) * np.arange(1, LAYERS + 1) + 1), dtype=np.int64)
 
 
 def find_blobs(integral: Floats, settings: SurfSettings, variance: float) -> Floats:
     """Blobs (n, 5) strongest first: x, y (px), filter size (px), determinant, sign of the trace.
 
-    `integral` (rows + 1, columns + 1) from `integral_image`; `variance` of the image scales the threshold.
+    `integral` (rows + 1, columns + 1) from `integral_image`; `variance` scales the threshold.
     """
     found = []
     for octave in range(settings.octaves):
@@ -227,46 +232,42 @@ def find_blobs(integral: Floats, settings: SurfSettings, variance: float) -> Flo
 
 
 @njit(cache=True)
-def _box(integral: Floats, top: int, left: int, bottom: int, right: int) -> float:
-    """Sum of image[top:bottom, left:right], what lies outside the image left out."""
-    rows, columns = integral.shape[0] - 1, integral.shape[1] - 1
-    top, bottom = min(max(top, 0), rows), min(max(bottom, 0), rows)
-    left, right = min(max(left, 0), columns), min(max(right, 0), columns)
-    return float(integral[bottom, right] - integral[top, right] - integral[bottom, left] + integral[top, left])
-
-
-@njit(cache=True)
 def haar(integral: Floats, x: float, y: float, reach: int) -> tuple[float, float]:
-    """Haar wavelets along x and y, 2 · `reach` px wide, about the pixel nearest to (x, y): right minus left, …"""
+    """Haar wavelets along x and y about the pixel nearest to (x, y): right less left half, lower less upper half.
+
+    Each is a square of 2 `reach` px; what lies outside the image is left out.
+    """
+    rows, columns = integral.shape[0] - 1, integral.shape[1] - 1
     c, r = round(x), round(y)
-    right = _box(integral, r - reach, c, r + reach, c + reach)
-    left = _box(integral, r - reach, c - reach, r + reach, c)
-    lower = _box(integral, r, c - reach, r + reach, c + reach)
-    upper = _box(integral, r - reach, c - reach, r, c + reach)
-    return right - left, lower - upper
+    left, right = min(max(c - reach, 0), columns), min(max(c + reach, 0), columns)
+    top, bottom = min(max(r - reach, 0), rows), min(max(r + reach, 0), rows)
+    c, r = min(max(c, 0), columns), min(max(r, 0), rows)
+    top_left, top_right = integral[top, left], integral[top, right]
+    bottom_left, bottom_right = integral[bottom, left], integral[bottom, right]
+    across = bottom_right - top_right + bottom_left - top_left - 2.0 * (integral[bottom, c] - integral[top, c])
+    down = bottom_right - bottom_left + top_right - top_left - 2.0 * (integral[r, right] - integral[r, left])
+    return across, down
 
 
 @njit(cache=True)
 def orientation(integral: Floats, x: float, y: float, scale: float) -> float:
     """Direction (radian, x towards y) of the largest sum of Haar responses in a sector of 60 degrees, within 6 s."""
-    reach = max(int(round(2.0 * scale)), 1)
-    dx, dy, angle = np.zeros(113), np.zeros(113), np.full(113, 9.0)
-    n = 0
+    reach = max(round(2.0 * scale), 1)
+    sums = np.zeros((SECTORS, 2))
     for i in range(-5, 6):
         for j in range(-5, 6):
-            if i * i + j * j < 36 and n < 113:
+            if i * i + j * j < 36:
                 weight = np.exp(-(i * i + j * j) / 12.5)
-                hx, hy = haar(integral, x + j * scale, y + i * scale, reach)
-                dx[n], dy[n] = weight * hx, weight * hy
-                angle[n] = np.arctan2(hy, hx)
-                n += 1
+                dx, dy = haar(integral, x + j * scale, y + i * scale, reach)
+                sector = int((np.arctan2(dy, dx) + np.pi) * (SECTORS / (2.0 * np.pi))) % SECTORS
+                sums[sector, 0] += weight * dx
+                sums[sector, 1] += weight * dy
     best, direction = -1.0, 0.0
-    for start in np.arange(-np.pi, np.pi, 0.15):
+    for start in range(SECTORS):
         sx, sy = 0.0, 0.0
-        for k in range(n):
-            if (angle[k] - start) % (2 * np.pi) < np.pi / 3:
-                sx += dx[k]
-                sy += dy[k]
+        for k in range(start, start + SECTORS // 6):
+            sx += sums[k % SECTORS, 0]
+            sy += sums[k % SECTORS, 1]
         if sx * sx + sy * sy > best:
             best = sx * sx + sy * sy
             direction = np.arctan2(sy, sx)
@@ -277,7 +278,7 @@ def orientation(integral: Floats, x: float, y: float, scale: float) -> float:
 def _describe(integral: Floats, blob: Floats, upright: bool, out: Floats32) -> None:
     """Sums of dx, dy, |dx|, |dy| over 4 by 4 fields of 5 by 5 Haar responses, in the blob's frame, unit length."""
     scale = blob[2] * SCALE_OF_SIZE
-    reach = max(int(round(scale)), 1)
+    reach = max(round(scale), 1)
     angle = 0.0 if upright else orientation(integral, blob[0], blob[1], scale)
     cos, sin = math.cos(angle), math.sin(angle)
     for i in range(20):
@@ -312,7 +313,7 @@ def describe(integral: Floats, blobs: Floats, upright: bool) -> Floats32:
 def detect_surf(image: Floats32, settings: SurfSettings) -> Blobs:
     """The blobs of `image` (rows, columns), float32 and roughly free of its mean, with their descriptors."""
     integral = integral_image(image)
-    blobs = find_blobs(integral, settings, float(np.var(image)))
+    blobs = find_blobs(integral, settings, min(float(np.var(image)), settings.contrast))
     return Blobs(
         x=blobs[:, 0],
         y=blobs[:, 1],
