@@ -220,7 +220,7 @@ def long_result(count, events=0):
     sensor = TimeSeries(time_ns[met], value[met] + noise)
     recording = SimpleNamespace(name="long", file="long/recording.toml", displacement=sensor, has=lambda name: True)
     told = tuple(Event(int(time_ns[i]), "gap", f"event number {i}.") for i in range(events))
-    calibration = Calibration(1e-8, 1e-3, 0.0, displacement=DisplacementCalibration(1e-5, TimeOffset(0.0, np.inf)))
+    calibration = Calibration(1e-3, 0.0, displacement=DisplacementCalibration(1e-5, TimeOffset(0.0, np.inf)))
     return Result(block, calibration, settings, "smoother", innovation, told, (), recording=recording)
 
 
