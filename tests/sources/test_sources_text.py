@@ -243,3 +243,22 @@ def test_a_file_that_cannot_be_read_is_named(
         list_channels(path)
     for word in [*words, name]:
         assert word in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected", "words"),
+    [
+        ("25/04/2024", "2024-04-25", "day first"),
+        ("04/25/2024", "2024-04-25", "month first"),
+        ("05/04/2024", "2024-04-05", "could be the month"),
+    ],
+)
+def test_dates_with_slashes_are_read_and_the_order_is_told(
+    tmp_path: Path, text: str, expected: str, words: str
+) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("time,acc (g)\n" + "".join(f"{text} 09:30:0{i}.500,{i}\n" for i in range(5)), encoding="utf-8")
+    series = read_series(path, SeriesRequest("acceleration"))
+    first = np.datetime64(f"{expected}T09:30:00.500", "ns").astype(np.int64)
+    np.testing.assert_array_equal(series.time_ns, first + np.arange(5) * 1_000_000_000)
+    assert any(words in note for note in series.notes)

@@ -92,12 +92,16 @@ def _show_file(console: Console, tree: dict[str, Any]) -> None:
     console.say(tree["file"])
     for channel in tree["channels"]:
         low, high = channel["smallest"], channel["largest"]
-        values = "no numbers" if low is None else f"{low:.6g} … {high:.6g}"
+        values = "no numbers" if low is None else f"{_short(low)} … {_short(high)}"
         rate = f", {channel['rate_hz']:.6g} Hz" if channel["rate_hz"] else ""
         console.say(
             f"  {channel['name']}: {channel['samples']} samples, {values} {channel['unit'] or '(no unit)'}{rate}"
         )
     console.table(("found", note) for note in tree["notes"])
+
+
+def _short(value: float | str) -> str:
+    return value if isinstance(value, str) else f"{value:.6g}"
 
 
 def _fail_if_unreadable(tree: dict[str, Any]) -> None:

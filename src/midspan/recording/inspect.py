@@ -13,6 +13,8 @@ from midspan.recording.span import shown
 from midspan.recording.tracking import is_dark
 from midspan.records import NANOSECONDS, Nanoseconds, TimeSeries
 from midspan.signals.health import clipped, clock, frozen
+from midspan.sources.accelerometer.channel import Channel
+from midspan.sources.accelerometer.clock import NOT_A_TIME
 from midspan.sources.accelerometer.formats import list_channels
 from midspan.sources.camera.formats import open_frames
 from midspan.sources.camera.frames import FrameRequest, FrameSource
@@ -21,6 +23,7 @@ from midspan.sources.camera.frames import FrameRequest, FrameSource
 LOOKED_AT = 600
 
 Tree = dict[str, Any]
+NOTHING: Tree = {"smallest": None, "largest": None}
 
 
 def inspect_recording(recording: Recording, every_frame: bool = False, progress: Progress = silent) -> Tree:
@@ -70,12 +73,20 @@ def inspect_file(path: Path, progress: Progress = silent) -> Tree:
                 "unit": channel.unit,
                 "rate_hz": channel.rate_hz,
                 "samples": len(channel.values),
-                "smallest": float(np.nanmin(channel.values)) if np.isfinite(channel.values).any() else None,
-                "largest": float(np.nanmax(channel.values)) if np.isfinite(channel.values).any() else None,
+                **_range(channel),
             }
             for channel in found.channels
         ],
     }
+
+
+def _range(channel: Channel) -> Tree:
+    """Smallest and largest value; a clock's as dates, None where there is no number."""
+    known = channel.values[np.isfinite(channel.values)]
+    if channel.unit == "ns":
+        known = known[known != NOT_A_TIME]
+        return {"smallest": shown(int(known.min())), "largest": shown(int(known.max()))} if len(known) else NOTHING
+    return {"smallest": float(known.min()), "largest": float(known.max())} if len(known) else NOTHING
 
 
 def _clock(time_ns: Nanoseconds) -> Tree:

@@ -106,8 +106,9 @@ def _scaled(values: Values, factor: int) -> Nanoseconds:
 def texts_to_ns(texts: "Sequence[str | None] | pd.Series[Any]") -> tuple[Nanoseconds, tuple[str, ...]] | None:
     """Time stamps (n,) of written times and notes; None if the column holds no written times.
 
-    Understood are ISO 8601 with or without a zone (without: UTC), dates with dots (day first) or slashes with the year
-    first, and a bare time of day (since midnight). What cannot be read becomes `NOT_A_TIME`.
+    Understood are ISO 8601 with or without a zone (without: UTC), dates with dots (day first) or slashes (the year
+    first, or the day, or the month where the numbers tell), and a bare time of day (since midnight). What cannot be
+    read becomes `NOT_A_TIME`.
     """
     import pandas as pd
 
@@ -123,13 +124,28 @@ def texts_to_ns(texts: "Sequence[str | None] | pd.Series[Any]") -> tuple[Nanosec
     if is_clock(first):
         elapsed = pd.to_timedelta(series, errors="coerce")
         return _stamps(elapsed.dt.as_unit("ns")), ("time of day taken as seconds since midnight",)
-    notes = () if _ZONE_PATTERN.search(first.split("T")[-1]) else ("time without zone taken as UTC",)
+    notes: tuple[str, ...] = () if _ZONE_PATTERN.search(first.split("T")[-1]) else ("time without zone taken as UTC",)
+    series, order = _slashes_in_order(series)
+    notes += order
     moments = pd.to_datetime(_iso_order(series), format="ISO8601", utc=True, errors="coerce")
     return _stamps(moments.dt.as_unit("ns")), notes
 
 
 def _stamps(series: "pd.Series[Any]") -> Nanoseconds:
     return np.asarray(series.astype("int64").to_numpy(), dtype=np.int64)
+
+
+def _slashes_in_order(series: "pd.Series[Any]") -> tuple["pd.Series[Any]", tuple[str, ...]]:
+    """Dates such as 05/04/2024 rewritten with dots, day first; a note where day and month could not be told apart."""
+    if not re.match(r"^\d{1,2}/\d{1,2}/\d{4}", str(series.dropna().iloc[0])):
+        return series, ()
+    parts = series.str.extract(r"^(\d{1,2})/(\d{1,2})/(\d{4})(.*)$")
+    first, second = (parts[i].dropna().astype(int).max() for i in (0, 1))
+    month_first = second > 12 >= first
+    day, month = (parts[1], parts[0]) if month_first else (parts[0], parts[1])
+    told = "month" if month_first else "day"
+    doubt = "" if max(first, second) > 12 else "; it could be the month: write 2024-04-05 to be sure"
+    return day + "." + month + "." + parts[2] + parts[3], (f"dates taken with the {told} first{doubt}",)
 
 
 def _iso_order(series: "pd.Series[Any]") -> "pd.Series[Any]":
