@@ -59,30 +59,79 @@ def _normal(found: Floats, information: Floats, centres: Floats, weight: Floats)
 
 
 @njit(cache=True)
-def fuse(found: Floats, information: Floats, centres: Floats) -> tuple[Floats, Floats, Floats, float]:
+def gains(found: Floats, information: Floats) -> Floats:
+    """Gain (blocks,) of every block, drawn to the median of all as far as its own is uncertain; NaN without one.
+
+    `found` (blocks,) gains, `information` (blocks,) their inverse variances up to a factor.
+    """
+    out = np.full(found.shape[0], np.nan)
+    usable = np.isfinite(found) & (information > 0)
+    if not usable.any():
+        return out
+    own = found[usable]
+    inverse = information[usable]
+    middle = np.median(own)
+    square = (own - middle) ** 2
+    # The scatter of equal gains gives the noise (0.455 is the median of a normal variable's square); what is more
+    # than that is their own difference.
+    noise = np.median(square * inverse) / 0.455
+    variance = noise / inverse
+    spread = max(np.median(square) / 0.455 - np.median(variance), 0.0)
+    # A block's own gain also counts as far as it lies outside the noise: covered blocks must not be averaged away.
+    alone = np.maximum(1.0 - 4.0 * variance / np.maximum(square, 1e-300), 0.0)
+    trust = np.maximum(spread / np.maximum(spread + variance, 1e-300), alone)
+    out[usable] = middle + trust * (own - middle)
+    return out
+
+
+@njit(cache=True)
+def _seed(found: Floats, information: Floats, centres: Floats, begin: Floats, square: float) -> Floats:
+    """The pose, turned and enlarged as `begin`, that most of the blocks agree with, among those of the blocks."""
+    best, most = begin.copy(), -1.0
+    for b in range(found.shape[0]):
+        if information[b, 0, 0] <= 0.0:
+            continue
+        pose = begin.copy()
+        pose[0] = found[b, 0] + begin[2] * centres[b, 1] - begin[3] * centres[b, 0]
+        pose[1] = found[b, 1] - begin[2] * centres[b, 0] - begin[3] * centres[b, 1]
+        distance = _distances(found, information, centres, pose)
+        # A block's own error doubles the squared distances from it.
+        votes = (np.maximum(1.0 - distance / (2.0 * CUT**2 * square), 0.0) ** 2 * (information[:, 0, 0] > 0)).sum()
+        if votes > most:
+            best, most = pose, votes
+    return best
+
+
+@njit(cache=True)
+def fuse(
+    found: Floats, information: Floats, centres: Floats, begin: Floats, usual: float
+) -> tuple[Floats, Floats, Floats, float]:
     """Pose (4,): x, y in px, roll in rad, zoom; its covariance (4, 4); the blocks' weights; the noise scale.
 
     `found` (blocks, 2) translations in px; `information` (blocks, 2, 2) their inverse covariances for noise of scale
-    1, zero where a block does not count; `centres` (blocks, 2) from the window's middle, px. Tukey's biweight from a
-    median start, its scale from the median distance of the blocks: up to four blocks in ten may say anything. Roll and
-    zoom are drawn to zero as far as they may be noise, so that they cost nothing where there are none.
+    1, zero where a block does not count; `centres` (blocks, 2) from the window's middle, px; `begin` (4,) the pose
+    before; `usual` the noise scale to be expected, 0 where it is not known. Tukey's biweight from the pose that most
+    blocks vote for; its scale is from the median distance of the blocks, at most twice the usual one, so that more
+    than half of them may say anything. Roll and zoom are drawn to zero as far as they may be noise.
     """
-    use = information[:, 0, 0] + information[:, 1, 1]
-    pose = np.zeros(4)
-    pose[0] = _median(found[:, 0], np.where(use > 0, np.sqrt(information[:, 0, 0]), 0.0))
-    pose[1] = _median(found[:, 1], np.where(use > 0, np.sqrt(information[:, 1, 1]), 0.0))
-    counted = np.where(use > 0, 1.0, 0.0)
-    covariance = np.full((4, 4), np.inf)
+    counted = np.where(information[:, 0, 0] + information[:, 1, 1] > 0, 1.0, 0.0)
+    pose, covariance = begin.copy(), np.full((4, 4), np.inf)
     weight, scale = counted.copy(), 1.0
     if counted.sum() < 4:
-        return pose, covariance, np.zeros(len(use)), np.inf
+        return pose, covariance, np.zeros(len(counted)), np.inf
+    most = 4.0 * usual * usual if usual > 0.0 else np.inf
+    seed = np.array([_median(found[:, 0], counted), _median(found[:, 1], counted), begin[2], begin[3]])
+    square = max(_median(_distances(found, information, centres, seed), counted) / 1.386, 1e-12)
+    pose = _seed(found, information, centres, begin, min(square, most))
     for step in range(_PASSES):
         distance = _distances(found, information, centres, pose)
-        square = max(_median(distance, counted) / 1.386, 1e-12)
+        square = min(max(_median(distance, counted) / 1.386, 1e-12), most)
         before = pose.copy()
         weight = counted * np.maximum(1.0 - distance / (CUT**2 * square), 0.0) ** 2
-        matrix, right = _normal(found, information, centres, weight)
         total = weight.sum()
+        if total < 2.5:
+            return pose, covariance, weight, np.inf
+        matrix, right = _normal(found, information, centres, weight)
         scale = np.sqrt(SQUARE_FACTOR * (weight * distance).sum() / max(2.0 * total - 4.0, 1.0))
         for k in range(4):
             matrix[k, k] = matrix[k, k] * (1.0 + 1e-9) + 1e-12

@@ -37,6 +37,7 @@ from midspan.vision.texture import values
 MOST_LEARNT_FRAMES = 240
 FARTHEST_RESIDUAL_PX = 0.6  # a residual above this moves the region once more: half a pixel, and some play
 UNPREDICTED_STD_PX = 1.0
+CHANCE_COHERENCE = 0.25  # unrelated texture reaches about 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +49,8 @@ class PhaseSettings:
     share of the information that active pixels must keep, 0 to 1. weighted: whether pixels count by the square of
     their amplitude in the mean, or equally as in the paper. matcher: the tracker that finds the target's whole-pixel
     place. spacing: of the filters' taps in widths of their Gaussian, 0.3 (long waves) to 1 (short).
-    min_coherence: agreement of the phases below which the target counts as lost, 0 to 1. bias_floor_px: standard
+    min_coherence: share of the agreement of phases that noise allows below which the target counts as lost, 0 to 1.
+    bias_floor_px: standard
     deviation added for what the linear gain gets wrong, 0 px or more.
     """
 
@@ -116,6 +118,8 @@ class PhaseTracker:
                 "Choose another place."
             )
         self._fields = tuple(reference_field(patch, axis, settings.spacing) for axis in AXES)
+        noise = max(f.noise_share for f in self._fields)
+        self._least_coherence = max(settings.min_coherence * (1.0 - noise), CHANCE_COHERENCE)
         self._first = first_model(self._fields, weighted=settings.weighted)
         self._state = PhaseState(matcher=self._matcher.state)
 
@@ -278,7 +282,7 @@ class PhaseTracker:
             if now is None or fix is None or not np.all(np.isfinite(fix.shift_px)):
                 return None
             if float(np.max(np.abs(fix.shift_px))) <= FARTHEST_RESIDUAL_PX:
-                if fix.coherence < self.settings.min_coherence:
+                if fix.coherence < self._least_coherence:
                     return None
                 if self.settings.form == "gradient":
                     fix = replace(fix, shift_px=self._gradient_form(frame.pixels, (x, y)))

@@ -46,30 +46,20 @@ def _invert(matrix: Floats) -> bool:
     return True
 
 
-@njit(cache=True, fastmath=True)
-def _normal(model: Floats32, instrument: Floats32, weight: Floats32, box: tuple[int, int, int, int]) -> Floats:
-    """Zᵀ W A (6, 6) over a block: columns -∂x, -∂y, template, 1, ramp across, ramp down."""
+@njit(cache=True)
+def _columns(planes: Floats32, box: tuple[int, int, int, int]) -> Floats:
+    """The regressors (6, pixels) of a block: -∂x, -∂y, template, 1, ramp across, ramp down."""
     top, bottom, left, right = box
-    out = np.zeros((_UNKNOWNS, _UNKNOWNS))
-    a, z = np.empty(_UNKNOWNS), np.empty(_UNKNOWNS)
+    out = np.empty((_UNKNOWNS, (bottom - top) * (right - left)))
+    n = 0
     for r in range(top, bottom):
         for c in range(left, right):
-            _columns(model, r, c, box, a)
-            _columns(instrument, r, c, box, z)
-            for j in range(_UNKNOWNS):
-                zw = z[j] * weight[r, c]
-                for i in range(_UNKNOWNS):
-                    out[j, i] += zw * a[i]
+            out[0, n], out[1, n], out[2, n] = -planes[1, r, c], -planes[2, r, c], planes[0, r, c]
+            out[3, n] = 1.0
+            out[4, n] = (2 * c - left - right + 1) / (right - left)
+            out[5, n] = (2 * r - top - bottom + 1) / (bottom - top)
+            n += 1
     return out
-
-
-@njit(cache=True, inline="always")
-def _columns(planes: Floats32, r: int, c: int, box: tuple[int, int, int, int], out: Floats) -> None:
-    """The six regressors at a pixel."""
-    out[0], out[1], out[2] = -planes[1, r, c], -planes[2, r, c], planes[0, r, c]
-    out[3] = 1.0
-    out[4] = (2 * c - box[2] - box[3] + 1) / (box[3] - box[2])
-    out[5] = (2 * r - box[0] - box[1] + 1) / (box[1] - box[0])
 
 
 @njit(cache=True)
@@ -98,31 +88,22 @@ def build(
     down, across = edges
     count = (len(down) - 1) * (len(across) - 1)
     covariance = np.full((count, 3, 3), np.inf)
-    z = np.empty(_UNKNOWNS)
     for b in range(count):
         j, i = divmod(b, len(across) - 1)
         box = (down[j], down[j + 1], across[i], across[i + 1])
-        inverse = _normal(model, instrument, weight, box)
+        rows, columns = box[1] - box[0], box[3] - box[2]
+        part = weight[box[0] : box[1], box[2] : box[3]].copy().reshape(rows * columns).astype(np.float64)
+        weighted = _columns(instrument, box) * part
+        inverse = weighted @ _columns(model, box).T
         if not _invert(inverse):
             out[:, box[0] : box[1], box[2] : box[3]] = np.float32(0.0)
             continue
-        covariance[b] = 0.0
-        k = np.empty(3)
-        for r in range(box[0], box[1]):
-            for c in range(box[2], box[3]):
-                _columns(instrument, r, c, box, z)
-                for n in range(3):
-                    k[n] = 0.0
-                    for m in range(_UNKNOWNS):
-                        k[n] += inverse[n, m] * z[m]
-                    k[n] *= weight[r, c]
-                    out[n, r, c] = k[n]
-                for n in range(3):
-                    for m in range(n + 1):
-                        covariance[b, n, m] += k[n] * k[m] / weight[r, c]
+        kernels = np.ascontiguousarray(inverse[:3]) @ weighted
+        covariance[b] = (kernels / part) @ kernels.T
         for n in range(3):
-            for m in range(n):
-                covariance[b, m, n] = covariance[b, n, m]
+            for r in range(rows):
+                for c in range(columns):
+                    out[n, box[0] + r, box[2] + c] = kernels[n, r * columns + c]
     return covariance
 
 

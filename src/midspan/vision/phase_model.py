@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from midspan.records import Floats, Region
 from midspan.signals.health import Mask
-from midspan.vision.active_pixels import by_amplitude, by_correlation
+from midspan.vision.active_pixels import by_amplitude, by_correlation, slope_and_r_squared
 from midspan.vision.phase_flow import phase_change, phase_curvatures, phase_slopes
 from midspan.vision.spline import Floats32
 from midspan.vision.steerable import AXES, MARGIN_PX, Complex64, noise_power, quadrature, spread_back
@@ -18,11 +18,19 @@ from midspan.vision.texture import noise_std
 
 BLOCKS = 4  # the residual is watched in 4 by 4 blocks
 INSET_PX = MARGIN_PX + 1  # the reference needs a pixel more than the filter, for the slope of the phase
-LEAST_POWER = 16.0  # of a pixel's response over the noise's in the even or odd response
-LEAST_CLEAR = 0.3  # share of all power that such pixels must hold
+# The gain from the reference alone is off by what aliasing and noise in the reference do to the slope of its phase.
+FIRST_GAIN_ERROR = 0.003
+GAIN_ERROR_OF_NOISE = 0.35
+SPLIT_FRAMES = 20
 LEAST_MOTION_PX = 0.05  # rms of residual motion from which a slope can be learnt
 LEAST_R_SQUARED = 0.5
 MEDIAN_OF_SQUARE = 0.4549  # of a normal variable of variance 1
+ROUNDS = 3
+CHECKS = 3
+MOST_SIGMA = 4.0
+MOST_BEND_RAD = 0.3
+LEAST_AGREEING = 0.4
+NEARLY_ALL = 0.99
 SMALLEST_DETERMINANT = 1e-3  # (rad/px)², of the mean phases' slopes
 
 
@@ -34,6 +42,7 @@ class PhaseAxis:
     phase by translation x and y, rad/px. curve (k, 3): by half the squares of x and y and by their product, rad/px².
     unit: variance of the phase for image noise of variance 1; sensitivity: the
     same of the mean phase, with the noise's correlation between pixels. block: 0 … 15, the part of the region.
+    gain_error: standard deviation of the gain over the gain.
     """
 
     index: NDArray[np.int64]
@@ -44,6 +53,7 @@ class PhaseAxis:
     unit: Floats
     block: NDArray[np.int64]
     sensitivity: float
+    gain_error: float
 
     @property
     def mean_slope(self) -> Floats:
@@ -97,18 +107,17 @@ class Field:
     noise_dn: float
 
     @property
-    def clear(self) -> Mask:
-        """Pixels (rows · columns,) whose amplitude stands above the noise; all of them where too few would be left."""
-        power = self.amplitude.ravel() ** 2
-        above = power > LEAST_POWER * self.noise_dn**2 * sum(noise_power(self.spacing)) / 2.0
-        return above if power[above].sum() >= LEAST_CLEAR * power.sum() else np.ones(len(power), dtype=bool)
+    def noise_share(self) -> float:
+        """Share of the responses' power that is noise, 0 to 1."""
+        noise = self.noise_dn**2 * sum(noise_power(self.spacing))
+        return min(noise / max(float(np.mean(self.amplitude**2)), 1e-300), 1.0)
 
     @property
     def amplitude(self) -> Floats:
         """Local amplitude (rows, columns)."""
         return np.abs(self.response).astype(np.float64)
 
-    def chosen(self, active: Mask, weight: Floats, slope: Floats) -> PhaseAxis:
+    def chosen(self, active: Mask, weight: Floats, slope: Floats, gain_error: float) -> PhaseAxis:
         """The model with the pixels `active` (rows · columns,), their weights (k,) and slopes (k, 2)."""
         rows, columns = self.response.shape
         index = np.flatnonzero(active)
@@ -123,7 +132,9 @@ class Field:
         kernel[index] = reference * (weight / power)
         spread = spread_back(kernel.reshape(rows, columns), self.axis, self.spacing)
         block = (index // columns * BLOCKS // rows) * BLOCKS + index % columns * BLOCKS // columns
-        return PhaseAxis(index, reference, weight, slope, self.curve[index], unit, block, float(np.sum(spread**2)))
+        return PhaseAxis(
+            index, reference, weight, slope, self.curve[index], unit, block, float(np.sum(spread**2)), gain_error
+        )
 
 
 def reference_field(patch: Floats32, axis: str, spacing: float) -> Field:
@@ -142,10 +153,11 @@ def first_model(fields: Sequence[Field], *, weighted: bool) -> PhaseModel:
 
 
 def _by_amplitude(field: Field, weighted: bool) -> PhaseAxis:
-    active = by_amplitude(field.amplitude).ravel() & field.clear
+    active = by_amplitude(field.amplitude).ravel()
     amplitude = field.amplitude.ravel()[active]
     weight = amplitude**2 if weighted else np.ones(len(amplitude))
-    return field.chosen(active, weight, field.slope[active])
+    gain_error = FIRST_GAIN_ERROR + GAIN_ERROR_OF_NOISE * field.noise_share
+    return field.chosen(active, weight, field.slope[active], gain_error)
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,32 +183,46 @@ def learnt_model(
 def _learnt_axis(
     field: Field, known: PhaseAxis, learning: Learning, k: int, rule: tuple[bool, float]
 ) -> tuple[PhaseAxis, float]:
+    """The axis `k` as its phases followed the residual motion, and the R² of that."""
     residual = learning.residual_px - learning.residual_px.mean(axis=0)
     moved = np.sqrt(np.mean(residual**2, axis=0))
     if len(residual) < 5 or moved[k] < LEAST_MOTION_PX:
         return known, math.nan
-    other = 1 - k
     phase = learning.phase[k] - (squares(learning.residual_px) @ field.curve.T).astype(np.float32)
     phase -= phase.mean(axis=0)
-    slopes = field.slope.copy()
-    # Motion across the axis also turns phases: its part is taken out, learnt where there was enough of it.
-    used = [k, other] if moved[other] >= LEAST_MOTION_PX else [k]
-    if len(used) == 1:
-        phase = phase - np.outer(residual[:, other], slopes[:, other]).astype(np.float32)
-    fit = np.linalg.lstsq(residual[:, used], phase.astype(np.float64), rcond=None)[0]
-    slopes[:, used] = fit.T
-    if len(used) == 2:
-        phase = phase - np.outer(residual[:, other], slopes[:, other]).astype(np.float32)
-    weighted, share = rule
+    slopes = _learnt_slopes(field, phase, residual, [j for j in (k, 1 - k) if moved[j] >= LEAST_MOTION_PX])
+    along = phase - np.outer(residual[:, 1 - k], slopes[:, 1 - k]).astype(np.float32)
     power = field.amplitude.ravel() ** 2
+    weighted, share = rule
     weight = power if weighted else np.ones(len(power))
-    # The information that a pixel of this amplitude and slope has about the translation under white noise.
-    information = power * slopes[:, k] ** 2
-    selection = by_correlation(phase, residual[:, k], weight=weight, information=information, least_information=share)
+    # Pixels are chosen in one half of the frames and their slopes taken from the other: the same noise would do both,
+    # and the chosen ones would be those whose slopes it has raised.
+    choosing, measuring = (np.s_[0::2], np.s_[1::2]) if len(residual) >= SPLIT_FRAMES else (np.s_[:], np.s_[:])
+    selection = by_correlation(
+        along[choosing],
+        residual[choosing, k],
+        weight=weight,
+        # The information that a pixel of this amplitude and slope has about the translation under white noise.
+        information=power * slopes[:, k] ** 2,
+        least_information=share,
+    )
     active = selection.active
     if not math.isfinite(selection.gain_px_per_rad) or selection.r_squared < LEAST_R_SQUARED:
         return known, selection.r_squared
-    return field.chosen(active, weight[active], slopes[active]), selection.r_squared
+    slopes[:, k] = slope_and_r_squared(along[measuring], residual[measuring, k])[0]
+    mean = along[:, active] @ (weight[active] / weight[active].sum())
+    r_squared = float(slope_and_r_squared(mean, residual[:, k])[1])
+    gain_error = math.sqrt((1.0 - r_squared) / r_squared / (0.5 * len(residual)))
+    return field.chosen(active, weight[active], slopes[active], gain_error), r_squared
+
+
+def _learnt_slopes(field: Field, phase: Floats32, residual: Floats, used: list[int]) -> Floats:
+    """Slopes (pixels, 2) by regression on the axes `used`; along the other the reference's own."""
+    slopes = field.slope.copy()
+    rest = [j for j in (0, 1) if j not in used]
+    left = phase - (residual[:, rest] @ slopes[:, rest].T).astype(np.float32)
+    slopes[:, used] = np.linalg.lstsq(residual[:, used], left.astype(np.float64), rcond=None)[0].T
+    return slopes
 
 
 def squares(shift: Floats) -> Floats:
@@ -267,23 +293,62 @@ class PhaseFix:
 def measure(model: PhaseModel, now: Sequence[tuple[Floats32, Floats32]]) -> PhaseFix | None:
     """Translation from the mean phases of both axes; None when their slopes do not tell x from y.
 
-    `now` are the responses (even, odd) of the frame's region along x and y. The mean is taken about what the last
-    estimate expects, so that single pixels near ±π do not wrap.
+    `now` are the responses (even, odd) of the frame's region along x and y. Active pixels whose phase contradicts the
+    others (something stands before them) do not count in this frame, unless they are the majority.
     """
-    slopes = np.stack([axis.mean_slope for axis in model.axes])
+    phases = [phase_change(n, axis.reference, axis.index) for n, axis in zip(now, model.axes, strict=True)]
+    found = _solve(model.axes, phases, np.zeros(2))
+    if found is None:
+        return None
+    shift, errors = found
+    axes = model.axes
+    for _ in range(CHECKS):
+        agreeing = [_agreeing(axis, error) for axis, error in zip(model.axes, errors, strict=True)]
+        if all(a is b for a, b in zip(agreeing, axes, strict=True)):
+            break
+        axes = (agreeing[0], agreeing[1])
+        found = _solve(axes, phases, shift)
+        if found is None:
+            return None
+        shift, errors = found
+    inverse = np.linalg.inv(np.stack([axis.mean_slope for axis in axes]))
+    variance = np.array([_variance(e, a) for e, a in zip(errors, axes, strict=True)])
+    rows = zip(now, errors, model.axes, strict=True)
+    coherence = min(_coherence(n, e, a.reference, a.index) for n, e, a in rows)
+    gain_errors = np.array([axis.gain_error for axis in model.axes])
+    return PhaseFix(shift, np.asarray((inverse**2) @ variance) + (gain_errors * shift) ** 2, coherence)
+
+
+def _solve(
+    axes: tuple[PhaseAxis, PhaseAxis], phases: Sequence[Floats32], start: Floats
+) -> tuple[Floats, list[Floats32]] | None:
+    """Translation (2,) px from the mean phases, and what it leaves of each pixel's phase.
+
+    The mean is taken about what the last estimate expects, so that single pixels near ±π do not wrap.
+    """
+    slopes = np.stack([axis.mean_slope for axis in axes])
     if not abs(float(np.linalg.det(slopes))) > SMALLEST_DETERMINANT:
         return None
     inverse = np.linalg.inv(slopes)
-    pairs = list(zip(now, model.axes, strict=True))
-    phases = [phase_change(n, axis.reference, axis.index) for n, axis in pairs]
-    shift, errors = np.zeros(2), phases
-    for _ in range(2):
-        shift = shift + inverse @ np.array([_mean(e, a.weight) for e, a in zip(errors, model.axes, strict=True)])
-        errors = [_errors(p, a.slope, a.curve, shift) for p, a in zip(phases, model.axes, strict=True)]
-    shift = shift + inverse @ np.array([_mean(e, a.weight) for e, a in zip(errors, model.axes, strict=True)])
-    variance = np.array([_variance(e, a) for e, a in zip(errors, model.axes, strict=True)])
-    coherence = min(_coherence(n, e, a.reference, a.index) for (n, a), e in zip(pairs, errors, strict=True))
-    return PhaseFix(shift, np.asarray((inverse**2) @ variance), coherence)
+    shift = start
+    for _ in range(ROUNDS):
+        errors = [_errors(p, a.slope, a.curve, shift) for p, a in zip(phases, axes, strict=True)]
+        shift = shift + inverse @ np.array([_mean(e, a.weight) for e, a in zip(errors, axes, strict=True)])
+    return shift, [_errors(p, a.slope, a.curve, shift) for p, a in zip(phases, axes, strict=True)]
+
+
+def _agreeing(axis: PhaseAxis, error: Floats32) -> PhaseAxis:
+    """The axis without the pixels whose phase is off by more than noise and the linear gain explain.
+
+    The same axis when next to none are, or when most of the weight would go.
+    """
+    square = error**2
+    noise = float(np.median(square / axis.unit)) / MEDIAN_OF_SQUARE
+    weight = np.where(square <= MOST_SIGMA**2 * noise * axis.unit + MOST_BEND_RAD**2, axis.weight, 0.0)
+    share = float(weight.sum())
+    if not LEAST_AGREEING <= share < NEARLY_ALL:
+        return axis
+    return replace(axis, weight=weight / share, sensitivity=axis.sensitivity / share)
 
 
 def _variance(error: Floats32, axis: PhaseAxis) -> float:

@@ -16,22 +16,26 @@ from midspan.checks import refuse
 from midspan.errors import DataError
 from midspan.records import Floats, Frame, PixelTranslation, Prediction, Region, Status
 from midspan.vision.average import Average, registered, start
-from midspan.vision.blocks import fuse
-from midspan.vision.kernels import PHASES, build, phase_shift, places, project, quantised
-from midspan.vision.matching import CONTEXT_PX, Matching, make_template
+from midspan.vision.bank import COARSE, FINE, Bank, Plane, first_plane
+from midspan.vision.blocks import fuse, gains
+from midspan.vision.kernels import PHASES, places
+from midspan.vision.matching import Matching, make_template
 from midspan.vision.region import clamp, shift
-from midspan.vision.spline import REACH, Floats32, coefficients, combine, weights
 from midspan.vision.template import TemplateSettings, TemplateState, TemplateTracker
-from midspan.vision.texture import lowpass_taps, noise_gains, noise_std, values
+from midspan.vision.texture import values
 
-BLOCKS = 8  # along each axis, fewer where they would be smaller than
-SMALLEST_BLOCK_PX = 10
 MOST_PASSES = 8
 LINEAR_PX = 0.5 / PHASES + 0.01  # a block this near to its kernels' phase needs no other
 SEED_CORRELATION = 0.4  # with four tenths of the target covered the correlation falls to about a half
 SINGLE_SMOOTHING_PX, LEARNT_SMOOTHING_PX = 0.7, 0.3
 PAD_PX = 8  # around the window in an average: what low-pass and spline reach for
 LEARN_SHARE = 0.8  # of the target's information must agree in a frame that is learnt from
+UNDISTURBED_SHARE = 0.8
+DISTURBED = 1.35  # times the usual noise: 30 degrees of freedom exceed it about once in 500 frames
+CLEARLY_LESS = 0.8
+SUSPICIOUS = 4.0  # times the usual noise
+SEED_PX = 1.5  # farther than this from where the template was found, blocks have locked on something else
+OWN_WEIGHT = 1.0  # of a frame's own noise against the usual one
 LARGEST_ROLL_RAD, LARGEST_ZOOM = 0.1, 0.1
 GAINS = (0.1, 10.0)
 
@@ -69,8 +73,8 @@ class RegistrationSettings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RegistrationState:
-    """What the tracker remembers: last translation (px), roll (rad), zoom, time, speed (px/s), lost frames, and the
-    average of the frames learnt so far.
+    """What the tracker remembers: last translation (px), roll (rad), zoom, time, speed (px/s), lost frames, the
+    usual noise of an undisturbed frame, and the average of the frames learnt so far.
     """
 
     x_px: float = 0.0
@@ -81,152 +85,43 @@ class RegistrationState:
     speed_x_px_s: float = 0.0
     speed_y_px_s: float = 0.0
     lost_frames: int = 0
+    usual_noise: float = 0.0
     average: Average | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Pose:
     """What one frame gives: x, y (px), roll (rad), zoom and their covariance (4, 4); share of the information used;
-    noise against the expected one.
+    noise of a pixel as the blocks' scatter shows it.
     """
 
     value: Floats
     covariance: Floats
     share: float
-    scale: float
-    gain: float
+    noise: float
 
+    def averaged(self, usual: float) -> "Pose":
+        """With the noise averaged with the `usual` noise of earlier frames, that few blocks show only roughly."""
+        if usual <= 0.0:
+            return self
+        square = (OWN_WEIGHT * self.noise**2 + usual**2) / (OWN_WEIGHT + 1.0)
+        return replace(self, covariance=self.covariance * (square / max(self.noise, 1e-300) ** 2))
 
-_AT_REST = Pose(np.zeros(4), np.zeros((4, 4)), 1.0, 1.0, 1.0)
+    def since(self, zero: "Pose") -> "Pose":
+        """This pose counted from `zero`, whose uncertainty is added."""
+        return replace(self, value=self.value - zero.value, covariance=self.covariance + zero.covariance)
 
 
 @dataclass(frozen=True, slots=True)
-class Plane:
-    """What kernels are made from: `pixels` (rows, columns) around the window, which begins at `top`, `left` in it;
-    `weight` (h, w) of the window's pixels; standard deviation of its noise.
-    """
+class Learnt:
+    """What comes of a complete average: kernels in few and in many blocks, and where the reference lies in each."""
 
-    pixels: Floats
-    top: int
-    left: int
-    weight: Floats32
-    noise_std: float
+    average: Average
+    banks: tuple[Bank, Bank]
+    zeros: tuple[Pose, Pose]
 
 
-class Bank:
-    """The kernels of a template for all phases, each made when it is first needed."""
-
-    def __init__(self, plane: Plane, window: Region, smoothing_px: float) -> None:
-        self.window = window
-        self._grids = (_grid(plane, window, 0.0), _grid(plane, window, smoothing_px))
-        self._weight = plane.weight
-        self.edges = (_edges(window.height), _edges(window.width))
-        down, across = (0.5 * (e[1:] + e[:-1]) for e in self.edges)
-        x, y = np.meshgrid(across - 0.5 * window.width, down - 0.5 * window.height)
-        self.centres = np.column_stack([x.ravel(), y.ravel()])
-        self.kernels = np.empty((PHASES**2, 3, window.height, window.width), dtype=np.float32)
-        self._made = np.zeros(PHASES**2, dtype=bool)
-        covariance = self._build(PHASES // 2 * (PHASES + 1))
-        noise = plane.noise_std**2 * noise_gains(smoothing_px)[1] * 2.0
-        share = np.clip(1.0 - noise / np.maximum(_gradient_squares(self._grids[1], self.edges), 1e-30), 0.0, 1.0)
-        self.information = _information(covariance, share)
-        spread = np.where(np.isfinite(covariance[:, 2, 2]), covariance[:, 2, 2], np.inf)
-        self.gain_information = np.where(self.information[:, 0, 0] > 0, 1.0 / np.maximum(spread, 1e-300), 0.0)
-
-    def measure(self, image: NDArray[np.generic], offset: float, place: Floats) -> tuple[Floats, Floats]:
-        """Products (blocks, 5) of the frame with the kernels nearest to the blocks' `place` (blocks, 2), and the
-        translations (blocks, 2) that these kernels stand for.
-        """
-        whole, phase = quantised(place)
-        for p in np.unique(phase):
-            if not self._made[p]:
-                self._build(int(p))
-        at = (whole[:, 1] + self.window.y, whole[:, 0] + self.window.x, phase)
-        return project(image, offset, self.kernels, self.edges, at), np.floor(place * PHASES + 0.5) / PHASES
-
-    def _build(self, phase: int) -> Floats:
-        self._made[phase] = True
-        return build(self._grids, self._weight, self.edges, phase_shift(phase), self.kernels[phase])
-
-
-def _edges(size: int) -> NDArray[np.int64]:
-    count = min(BLOCKS, max(size // SMALLEST_BLOCK_PX, 2))
-    return np.array([k * size // count for k in range(count + 1)], dtype=np.int64)
-
-
-def _first_plane(image: NDArray[np.generic], window: Region, offset: float) -> Plane:
-    """The reference image around the window, less `offset`; its values are known to be usable."""
-    y0, x0 = max(window.y - CONTEXT_PX, 0), max(window.x - CONTEXT_PX, 0)
-    raw = values(image[y0 : window.y + window.height + CONTEXT_PX, x0 : window.x + window.width + CONTEXT_PX], offset)
-    assert raw is not None
-    weight = np.ones((window.height, window.width), dtype=np.float32)
-    return Plane(raw.astype(np.float64), window.y - y0, window.x - x0, weight, _block_noise(raw))
-
-
-def _grid(plane: Plane, window: Region, smoothing_px: float) -> Floats32:
-    """Spline coefficients over the window and 3 px around it, of the low-passed image where `smoothing_px` is not 0."""
-    from scipy.ndimage import convolve1d
-
-    pixels = plane.pixels
-    if smoothing_px > 0.0:
-        taps = lowpass_taps(smoothing_px)
-        pixels = convolve1d(convolve1d(pixels, taps, axis=0, mode="mirror"), taps, axis=1, mode="mirror")
-    top, left = plane.top - REACH, plane.left - REACH
-    part = coefficients(pixels)[top : top + window.height + 2 * REACH, left : left + window.width + 2 * REACH]
-    return np.ascontiguousarray(part, dtype=np.float32)
-
-
-def _block_noise(raw: Floats32) -> float:
-    """Noise of the image: the lower fifth of that of its parts, because fine texture counts as noise."""
-    side = 16
-    parts = [
-        noise_std(raw[y : y + side, x : x + side].astype(np.float64))
-        for y in range(0, raw.shape[0] - side + 1, side)
-        for x in range(0, raw.shape[1] - side + 1, side)
-    ]
-    return float(np.quantile(parts, 0.2))
-
-
-def _gradient_squares(grid: Floats32, edges: tuple[NDArray[np.int64], NDArray[np.int64]]) -> Floats:
-    """Mean of the squared gradient (blocks,), its level taken out."""
-    value, slope = weights(0.0, 0), weights(0.0, 1)
-    gx, gy = combine(grid, value, slope).astype(np.float64), combine(grid, slope, value).astype(np.float64)
-    down, across = edges
-    return np.array(
-        [
-            gx[r0:r1, c0:c1].var() + gy[r0:r1, c0:c1].var()
-            for r0, r1 in zip(down[:-1], down[1:], strict=True)
-            for c0, c1 in zip(across[:-1], across[1:], strict=True)
-        ]
-    )
-
-
-def _information(covariance: Floats, share: Floats) -> Floats:
-    """Inverse covariance (blocks, 2, 2) of x and y for noise of variance 1; 0 for blocks without texture."""
-    out = np.zeros((len(covariance), 2, 2))
-    for b, c in enumerate(covariance):
-        if np.isfinite(c).all() and share[b] > 0.3:
-            out[b] = np.linalg.inv(c[:2, :2]) * share[b]
-    return out
-
-
-def gains(found: Floats, information: Floats) -> Floats:
-    """Gain (blocks,) of every block, drawn to the median of all as far as its own is uncertain.
-
-    `found` (blocks,) gains, `information` (blocks,) their inverse variances up to a factor.
-    """
-    usable = np.isfinite(found) & (information > 0)
-    if not usable.any():
-        return np.full(len(found), np.nan)
-    middle = float(np.median(found[usable]))
-    square = (found[usable] - middle) ** 2
-    # The scatter of equal gains gives the noise; what is more than twice that is their own difference.
-    noise = float(np.median(square * information[usable])) / 0.455
-    own = float(np.median(square)) / 0.455
-    spread = max(own - noise * float(np.median(1.0 / information[usable])), 0.0)
-    variance = noise / np.where(usable, information, 1.0)
-    trust = spread / np.maximum(spread + variance, 1e-300)
-    return np.where(usable, middle + trust * (found - middle), np.nan)
+_AT_REST = Pose(np.zeros(4), np.zeros((4, 4)), 1.0, 0.0)
 
 
 class RegistrationTracker:
@@ -239,9 +134,9 @@ class RegistrationTracker:
         )
         template = make_template(reference.pixels, region, Matching(0.0, SEED_CORRELATION))
         self._window, self._offset = template.window, template.offset
-        self._plane = _first_plane(reference.pixels, template.window, template.offset)
-        self._first = Bank(self._plane, template.window, self._smoothing(SINGLE_SMOOTHING_PX))
-        self._learnt: tuple[Average, Bank, Pose] | None = None
+        self._plane = first_plane(reference.pixels, template.window, template.offset)
+        self._first = self._banks(self._plane, SINGLE_SMOOTHING_PX)
+        self._learnt: Learnt | None = None
         self._state = RegistrationState(average=start(self._inner(self._plane)))
 
     @property
@@ -259,6 +154,11 @@ class RegistrationTracker:
         """Where the target was last seen, inside the image."""
         rows, columns = self.reference.pixels.shape
         return clamp(shift(self.region, self._state.x_px, self._state.y_px), columns, rows)
+
+    @property
+    def banks(self) -> tuple[Bank, Bank]:
+        """The kernels in use: in few large blocks and in many small ones."""
+        return self._first if self._learnt is None else self._learnt.banks
 
     @property
     def state(self) -> RegistrationState:
@@ -283,15 +183,18 @@ class RegistrationTracker:
         if pose is None:
             nan = math.nan
             return PixelTranslation(frame.time_ns, nan, nan, nan, nan, 0.0, Status.LOST)
-        zero = self._learnt[2] if self._learnt is not None else _AT_REST
-        x, y = (float(pose.value[k] - zero.value[k]) for k in range(2))
-        floor = self.settings.bias_floor_px**2
-        var_x, var_y = (float(pose.covariance[k, k] + zero.covariance[k, k]) + floor for k in range(2))
+        x, y = (float(v) for v in pose.value[:2])
+        var_x, var_y = (float(pose.covariance[k, k]) + self.settings.bias_floor_px**2 for k in range(2))
         self._learn(frame, pose)
         return PixelTranslation(frame.time_ns, x, y, var_x, var_y, pose.share, Status.TRACKING)
 
     def _smoothing(self, usual_px: float) -> float:
         return usual_px if self.settings.smoothing_px is None else self.settings.smoothing_px
+
+    def _banks(self, plane: Plane, smoothing_px: float) -> tuple[Bank, Bank]:
+        """Kernels in few large blocks, the most exact, and in many small ones, the most robust."""
+        smoothing_px = self._smoothing(smoothing_px)
+        return Bank(plane, self._window, smoothing_px, COARSE), Bank(plane, self._window, smoothing_px, FINE)
 
     def _inner(self, plane: Plane) -> Floats:
         """The window of the plane with the margin of an average."""
@@ -304,7 +207,12 @@ class RegistrationTracker:
         average, window = self._state.average, self._window
         if average is None or average.count >= self.settings.learn_frames or pose.share < LEARN_SHARE:
             return
-        box = (window.y - PAD_PX, window.y + window.height + PAD_PX, window.x - PAD_PX, window.x + window.width + PAD_PX)
+        box = (
+            window.y - PAD_PX,
+            window.y + window.height + PAD_PX,
+            window.x - PAD_PX,
+            window.x + window.width + PAD_PX,
+        )
         moved = registered(frame.pixels, box, (float(pose.value[0]), float(pose.value[1])), self._offset)
         if moved is not None:
             self._state = replace(self._state, average=average.plus(moved))
@@ -316,35 +224,55 @@ class RegistrationTracker:
         if average is None or average.count < max(self.settings.learn_frames, 2):
             self._learnt = None
             return
-        if self._learnt is not None and self._learnt[0] is average:
+        if self._learnt is not None and self._learnt.average is average:
             return
         weight = average.weight()[PAD_PX:-PAD_PX, PAD_PX:-PAD_PX]
         noise = self._plane.noise_std / math.sqrt(average.count)
         plane = Plane(average.mean, PAD_PX, PAD_PX, np.ascontiguousarray(weight), noise)
-        bank = Bank(plane, self._window, self._smoothing(LEARNT_SMOOTHING_PX))
+        banks = self._banks(plane, LEARNT_SMOOTHING_PX)
         image, offset = self._usable(self.reference.pixels)
-        zero = None if image is None else self._climb(bank, image, offset, np.zeros(4))
-        self._learnt = None if zero is None else (average, bank, zero)
+        assert image is not None
+        zeros = [self._climb(bank, image, offset, np.zeros(4)) for bank in banks]
+        if zeros[0] is not None and zeros[1] is not None:
+            self._learnt = Learnt(average, banks, (zeros[0], zeros[1]))
+
+    def _look(self, image: NDArray[np.generic], offset: float, begin: Floats) -> Pose | None:
+        """The pose since the reference frame, from large blocks or, where they disagree, from small ones."""
+        banks = self.banks
+        zeros = (_AT_REST, _AT_REST) if self._learnt is None else self._learnt.zeros
+        usual = self._state.usual_noise
+        few = self._climb(banks[0], image, offset, begin)
+        if few is not None and few.share > UNDISTURBED_SHARE and few.noise < DISTURBED * usual:
+            return few.averaged(usual).since(zeros[0])
+        many = self._climb(banks[1], image, offset, begin)
+        if many is None or few is None:
+            return many.since(zeros[1]) if many is not None else few and few.since(zeros[0])
+        spread = [float(p.covariance[0, 0] + p.covariance[1, 1]) for p in (few, many)]
+        return many.since(zeros[1]) if spread[1] < CLEARLY_LESS * spread[0] else few.since(zeros[0])
 
     def _find(self, frame: Frame, prediction: Prediction | None) -> Pose | None:
         """Climb from the expected place; where that does not lead to the target, from where the template is found."""
         image, offset = self._usable(frame.pixels)
         if image is None:
             return None
-        bank = self._learnt[1] if self._learnt is not None else self._first
-        start = np.array([*self._expected(frame.time_ns, prediction), self._state.roll_rad, self._state.zoom])
-        pose = self._climb(bank, image, offset, start) if self._state.lost_frames == 0 else None
-        if pose is not None and pose.share > 0.8:
+        begin = np.array([*self._expected(frame.time_ns, prediction), self._state.roll_rad, self._state.zoom])
+        pose = self._look(image, offset, begin) if self._state.lost_frames == 0 else None
+        if pose is not None and self._trusted(pose):
             return pose
         state = self._state
-        self._seed.restore(
-            TemplateState(state.x_px, state.y_px, state.time_ns, lost_frames=state.lost_frames)
-        )
+        self._seed.restore(TemplateState(state.x_px, state.y_px, state.time_ns, lost_frames=state.lost_frames))
         found = self._seed.push(frame, prediction)
         if found.status is Status.LOST:
-            return pose
-        other = self._climb(bank, image, offset, np.array([found.x_px, found.y_px, start[2], start[3]]))
-        return max((p for p in (pose, other) if p is not None), key=lambda p: p.share, default=None)
+            return None
+        other = self._look(image, offset, np.array([found.x_px, found.y_px, begin[2], begin[3]]))
+        if other is None or math.hypot(other.value[0] - found.x_px, other.value[1] - found.y_px) > SEED_PX:
+            return None
+        return pose if pose is not None and pose.noise < other.noise else other
+
+    def _trusted(self, pose: Pose) -> bool:
+        """Whether the blocks agree as well as noise lets them: at a wrong place they do not."""
+        # Frame and template both have noise.
+        return pose.noise < SUSPICIOUS * max(self._state.usual_noise, math.sqrt(2.0) * self._plane.noise_std)
 
     def _usable(self, pixels: NDArray[np.generic]) -> tuple[NDArray[np.generic] | None, float]:
         if pixels.dtype == np.uint8:
@@ -364,25 +292,30 @@ class RegistrationTracker:
         """Linear steps from `start` (4,) until every block lies at its kernels' phase."""
         pose = start
         result = None
-        for _ in range(MOST_PASSES):
+        for turn in range(MOST_PASSES):
+            # Far from the kernels' phase the steps are not linear: only then may the blocks differ by more than noise.
+            usual = self._state.usual_noise if turn > 1 else 0.0
             place = places(pose, bank.centres)
             sums, at = bank.measure(image, offset, place)
             gain = gains(sums[:, 2], bank.gain_information)
             usable = np.isfinite(sums[:, 0]) & (gain > GAINS[0]) & (gain < GAINS[1])
             step = sums[:, :2] / np.where(usable, gain, 1.0)[:, None]
             information = np.where(usable[:, None, None], bank.information, 0.0)
-            value, covariance, weight, scale = fuse(np.where(usable[:, None], at + step, 0.0), information, bank.centres)
+            found = np.where(usable[:, None], at + step, 0.0)
+            value, covariance, weight, scale = fuse(found, information, bank.centres, pose, usual)
             if not np.isfinite(scale) or abs(value[2]) > LARGEST_ROLL_RAD or abs(value[3]) > LARGEST_ZOOM:
                 return None
             total = bank.information[:, 0, 0] + bank.information[:, 1, 1]
             share = float(np.sum(weight * total) / np.sum(total))
-            result = Pose(value, covariance, share, float(scale), float(np.nanmedian(gain)))
-            pose = value
-            if np.abs(places(pose, bank.centres) - at).max() < LINEAR_PX:
+            pose, place = value, places(value, bank.centres)
+            result = Pose(value, covariance, share, float(scale))
+            off = float(np.abs(place - at).max())
+            if off < LINEAR_PX and (turn > 1 or share > UNDISTURBED_SHARE):
                 break
         else:
-            return None
-        return result if result.share >= self.settings.min_share else None
+            if off > 2.0 * LINEAR_PX:
+                return None
+        return result if result is not None and result.share >= self.settings.min_share else None
 
 
 def _after(state: RegistrationState, time_ns: int, pose: Pose | None) -> RegistrationState:
@@ -394,4 +327,7 @@ def _after(state: RegistrationState, time_ns: int, pose: Pose | None) -> Registr
     if state.time_ns is not None and state.lost_frames == 0 and time_ns > state.time_ns:
         elapsed_s = (time_ns - state.time_ns) * 1e-9
         vx, vy = (x - state.x_px) / elapsed_s, (y - state.y_px) / elapsed_s
-    return RegistrationState(x, y, roll, zoom, time_ns, vx, vy, 0, state.average)
+    usual = state.usual_noise
+    # Noise below the usual counts quickly, noise above it slowly: a long disturbance does not become the usual.
+    usual = pose.noise if usual == 0.0 else usual + (0.1 if pose.noise < 1.2 * usual else 0.005) * (pose.noise - usual)
+    return RegistrationState(x, y, roll, zoom, time_ns, vx, vy, 0, usual, state.average)

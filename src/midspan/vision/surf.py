@@ -275,7 +275,7 @@ def orientation(integral: Floats, x: float, y: float, scale: float) -> float:
 
 
 @njit(cache=True)
-def _describe(integral: Floats, blob: Floats, upright: bool, out: Floats32) -> None:
+def _describe(integral: Floats, blob: Floats, upright: bool, window: Floats, out: Floats32) -> None:
     """Sums of dx, dy, |dx|, |dy| over 4 by 4 fields of 5 by 5 Haar responses, in the blob's frame, unit length."""
     scale = blob[2] * SCALE_OF_SIZE
     reach = max(round(scale), 1)
@@ -287,7 +287,7 @@ def _describe(integral: Floats, blob: Floats, upright: bool, out: Floats32) -> N
             u = j - 9.5
             x, y = blob[0] + scale * (cos * u - sin * v), blob[1] + scale * (sin * u + cos * v)
             hx, hy = haar(integral, x, y, reach)
-            weight = math.exp(-(u * u + v * v) / (2.0 * 3.3 * 3.3))
+            weight = window[i] * window[j]
             du, dv = weight * (cos * hx + sin * hy), weight * (cos * hy - sin * hx)
             place = 4 * (4 * (i // 5) + j // 5)
             out[place] += du
@@ -305,14 +305,16 @@ def _describe(integral: Floats, blob: Floats, upright: bool, out: Floats32) -> N
 def describe(integral: Floats, blobs: Floats, upright: bool) -> Floats32:
     """Descriptors (n, 64) of unit length of the blobs (n, 5) found by `find_blobs`."""
     out = np.zeros((blobs.shape[0], VALUES), dtype=np.float32)
+    window = np.exp(-((np.arange(20) - 9.5) ** 2) / (2.0 * 3.3 * 3.3))
     for k in range(blobs.shape[0]):
-        _describe(integral, blobs[k], upright, out[k])
+        _describe(integral, blobs[k], upright, window, out[k])
     return out
 
 
 def detect_surf(image: Floats32, settings: SurfSettings) -> Blobs:
-    """The blobs of `image` (rows, columns), float32 and roughly free of its mean, with their descriptors."""
-    integral = integral_image(image)
+    """The blobs of `image` (rows, columns), float32, with their descriptors."""
+    # What lies outside the image counts as its mean, so that the level does not enter the descriptors at its edge.
+    integral = integral_image(image - image.mean(dtype=np.float64).astype(np.float32))
     blobs = find_blobs(integral, settings, min(float(np.var(image)), settings.contrast))
     return Blobs(
         x=blobs[:, 0],

@@ -67,6 +67,12 @@ TRACKERS: dict[str, TrackerEntry] = {
         settings="TemplateSettings",
         use="a textured target that keeps its appearance: correlation with the first frame, quick and exact",
     ),
+    "features": TrackerEntry(
+        module="midspan.vision.features",
+        tracker="FeatureTracker",
+        settings="FeatureSettings",
+        use="a target that is partly hidden or in uneven light: matched features, mismatches rejected; slower, coarser",
+    ),
 }
 
 DEFAULT_TRACKER = "template"
