@@ -71,7 +71,9 @@ def scatter(scene: Scene, region: Region) -> tuple[dict[str, float], float]:
         for name, values in rows.items():
             errors[name].append(np.array(values))
     true = float(np.sqrt(np.mean(np.square(errors["registration"]))))
-    spread = {name: float(np.sqrt(np.nanmean([np.nanvar(e, axis=0, ddof=1) for e in es]))) for name, es in errors.items()}
+    spread = {
+        name: float(np.sqrt(np.nanmean([np.nanvar(e, axis=0, ddof=1) for e in es]))) for name, es in errors.items()
+    }
     return spread, float(np.sqrt(np.mean(variance))) / true
 
 
@@ -112,7 +114,11 @@ def speeds(scene: Scene) -> None:
         goal(f"kernel with {count} blocks", kernel, 30_000, unit="regions/s", at_least=True)
     ours = rate(lambda: tracker.push(Frame(2, image), NEAR), 300)
     peer = rate(lambda: parabola(reference, image, region), 50)
-    rows += [["push", ours], ["matchTemplate", peer], ["scikit-image", rate(lambda: upsampled(reference, image, region), 20)]]
+    rows += [
+        ["push", ours],
+        ["matchTemplate", peer],
+        ["scikit-image", rate(lambda: upsampled(reference, image, region), 20)],
+    ]
     show(["128 px, one thread", "regions/s"], rows)
     goal("push against matchTemplate and parabola", ours / peer, 5.0, unit="times", at_least=True)
 

@@ -51,12 +51,12 @@ class Bank:
         self.gain_information = np.where(self.information[:, 0, 0] > 0, 1.0 / np.maximum(spread, 1e-300), 0.0)
 
     def measure(self, image: NDArray[np.generic], offset: float, place: Floats) -> tuple[Floats, Floats]:
-        """Products (blocks, 5) of the frame with the kernels nearest to the blocks' `place` (blocks, 2), and the
+        """Products (blocks, 3) of the frame with the kernels nearest to the blocks' `place` (blocks, 2), and the
         translations (blocks, 2) that these kernels stand for.
         """
         whole, phase = quantised(place)
-        for p in np.unique(phase):
-            if not self._made[p]:
+        if not self._made[phase].all():
+            for p in np.unique(phase[~self._made[phase]]):
                 self._build(int(p))
         at = (whole[:, 1] + self.window.y, whole[:, 0] + self.window.x, phase)
         return project(image, offset, self.kernels, self.edges, at), np.floor(place * PHASES + 0.5) / PHASES

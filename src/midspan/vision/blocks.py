@@ -135,13 +135,14 @@ def fuse(
         scale = np.sqrt(SQUARE_FACTOR * (weight * distance).sum() / max(2.0 * total - 4.0, 1.0))
         for k in range(4):
             matrix[k, k] = matrix[k, k] * (1.0 + 1e-9) + 1e-12
-        covariance = np.linalg.inv(matrix) * (VARIANCE_FACTOR * scale**2)
-        pose = np.linalg.solve(matrix, right)
+        inverse = np.linalg.inv(matrix)
+        pose = inverse @ right
         for k in range(2, 4):
-            spread = max(pose[k] ** 2 - covariance[k, k], 1e-3 * covariance[k, k]) + 1e-300
-            matrix[k, k] += max(scale, 1e-9) ** 2 / spread
-        covariance = np.linalg.inv(matrix) * (VARIANCE_FACTOR * scale**2)
-        pose = np.linalg.solve(matrix, right)
+            own = VARIANCE_FACTOR * scale**2 * inverse[k, k]
+            matrix[k, k] += max(scale, 1e-9) ** 2 / (max(pose[k] ** 2 - own, 1e-3 * own) + 1e-300)
+        inverse = np.linalg.inv(matrix)
+        covariance = inverse * (VARIANCE_FACTOR * scale**2)
+        pose = inverse @ right
         if step > 2 and np.abs(pose[:2] - before[:2]).max() < 1e-6:
             break
     return pose, covariance, weight, scale

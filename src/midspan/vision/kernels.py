@@ -147,7 +147,7 @@ def project(
     edges: tuple[Integers, Integers],
     at: tuple[Integers, Integers, Integers],
 ) -> Floats:
-    """Products of every block with its kernels: (blocks, 5) for a dx, a dy, a, and the sums of pixels and squares.
+    """Products of every block with its kernels: (blocks, 3) for a dx, a dy and a.
 
     `image` (rows, columns), of which `offset` is subtracted; `bank` (phases, 3, h, w); `edges` of the blocks in the
     window; `at`: for every block the row and column of the image where the window would begin for it, and its phase.
@@ -155,9 +155,9 @@ def project(
     """
     down, across = edges
     top, left, phase = at
-    out = np.zeros((top.shape[0], 5))
+    out = np.zeros((top.shape[0], 3))
     level = np.float32(offset)
-    acc = np.empty((5, bank.shape[3]), dtype=np.float32)
+    acc = np.empty((3, bank.shape[3]), dtype=np.float32)
     for b in range(top.shape[0]):
         j, i = divmod(b, len(across) - 1)
         r0, r1, c0, c1 = down[j], down[j + 1], across[i], across[i + 1]
@@ -176,9 +176,7 @@ def project(
                 acc[0, c] += k0[c] * value
                 acc[1, c] += k1[c] * value
                 acc[2, c] += k2[c] * value
-                acc[3, c] += value
-                acc[4, c] += value * value
-        for n in range(5):
+        for n in range(3):
             total = 0.0
             for c in range(width):
                 total += acc[n, c]
