@@ -73,7 +73,7 @@ def test_one_disturbance_leaves_five_thousandths_of_a_pixel(scenes, name, what):
         image = DISTURBED[what](scene.render(x, y)).astype(np.float32)
         found = tracker.push(picture(k + 2, image), NEAR)
         assert found.status is Status.TRACKING
-        # Turning is about the region's middle in the image, so that the translation itself hardly turns: 0.05 px × 0.5°.
+        # Turning is about the region's middle in the image: the translation itself turns by 0.05 px × 0.5°.
         errors.append((found.x_px - x, found.y_px - y))
     assert np.sqrt(np.mean(np.square(errors), axis=0)).max() < 0.005
 

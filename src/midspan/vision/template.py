@@ -24,6 +24,7 @@ from midspan.vision.search import Span, best_position, coarse_positions, coarse_
 
 DIRECT_RADIUS_PX = 8  # up to here every position is tried, beyond it the search is decimated first
 LONGEST_DISTANCE_PX = 1_000_000
+PATIENCE_FRAMES = 5  # lost frames after which a sharp prediction is no longer believed
 CLEARLY_BETTER = 0.02  # difference of correlation
 
 
@@ -127,10 +128,19 @@ class TemplateTracker:
         image, near = frame.pixels, None
         if max(radius) <= DIRECT_RADIUS_PX:
             near = self._near(image, place, radius)
-            if near is not None and self._as_good_as_before(near):
+            if near is not None and (prediction is not None or self._as_good_as_before(near)):
                 return near
-        reach = max(self.settings.search_px, *radius) if self._state.lost_frames == 0 else LONGEST_DISTANCE_PX
-        return self._far(image, place, reach, near)
+        return self._far(image, place, self._reach(radius, prediction is not None), near)
+
+    def _reach(self, radius: tuple[int, int], predicted: bool) -> float:
+        """How far (px) the target is looked for when it is not near its expected place.
+
+        A sharp prediction is believed for a few frames: behind an occluder a repeating pattern fits elsewhere too.
+        """
+        lost = self._state.lost_frames
+        if predicted and max(radius) <= DIRECT_RADIUS_PX and lost < PATIENCE_FRAMES:
+            return 2.0 * DIRECT_RADIUS_PX
+        return max(self.settings.search_px, *radius) if lost == 0 else LONGEST_DISTANCE_PX
 
     def _expected(self, time_ns: int, prediction: Prediction | None) -> tuple[tuple[int, int], tuple[int, int]]:
         """Whole-pixel position of the window and the search radii: prediction ± (3 sigma + 2 px), at least 3 px."""

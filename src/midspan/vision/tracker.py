@@ -73,6 +73,24 @@ TRACKERS: dict[str, TrackerEntry] = {
         settings="FeatureSettings",
         use="a target that is partly hidden or in uneven light: matched features, mismatches rejected; slower, coarser",
     ),
+    "registration": TrackerEntry(
+        module="midspan.vision.registration",
+        tracker="RegistrationTracker",
+        settings="RegistrationSettings",
+        use="the most exact: near the physical limit; shadows, objects in front, roll and zoom do not move the result",
+    ),
+    "phase": TrackerEntry(
+        module="midspan.vision.hybrid",
+        tracker="PhaseTracker",
+        settings="PhaseSettings",
+        use="small motion, or a good prediction: the local phase alone, without a search",
+    ),
+    "hybrid": TrackerEntry(
+        module="midspan.vision.hybrid",
+        tracker="HybridTracker",
+        settings="PhaseSettings",
+        use="changing light and things in front of the target: local phase, after a search where it could wrap",
+    ),
 }
 
 DEFAULT_TRACKER = "template"
