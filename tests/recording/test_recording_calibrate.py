@@ -226,3 +226,18 @@ def test_a_simulated_recording_knows_what_calibration_should_find(footbridge):
     assert known["camera"]["scale_mm_per_px"] == -1.5
     assert known["camera"]["time_offset_s"] == 0.137
     assert read_columns(footbridge / "truth.csv").shape[1] == 3
+
+
+@pytest.mark.parametrize("tracker", ["phase", "hybrid"])
+def test_phase_trackers_give_a_phase_scale_factor(tracker, footbridge_copy, calibration, tmp_path):
+    found = midspan.calibrate(midspan.open_recording(footbridge_copy, camera={"tracker": tracker}))
+    # The gain is negative: a target that moves along the axis meets an earlier phase of the fixed filter.
+    assert found.camera.phase_scale_m_per_rad * found.camera.scale.value_m_per_px < 0
+    found.save(tmp_path)
+    stored = json.loads((tmp_path / "calibration.json").read_text(encoding="utf-8"))["camera"]
+    assert stored["phase_scale_mm_per_rad"] == pytest.approx(1e3 * found.camera.phase_scale_m_per_rad)
+    again = midspan.load_calibration(tmp_path).camera
+    assert again.phase_scale_m_per_rad == pytest.approx(found.camera.phase_scale_m_per_rad)
+    assert calibration.camera.phase_scale_m_per_rad is None
+    # Phase and correlation see the same motion; without learning the gain is good to some per cent.
+    assert found.camera.scale.value_m_per_px == pytest.approx(calibration.camera.scale.value_m_per_px, rel=0.05)

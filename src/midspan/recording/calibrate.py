@@ -14,6 +14,7 @@ from midspan.recording.recording import Recording, naming
 from midspan.recording.span import inside, require_overlap
 from midspan.recording.tracking import CameraTracking, TrackingSettings
 from midspan.records import NANOSECONDS, Floats, Nanoseconds, Region, TimeOffset, TimeSeries
+from midspan.vision.tracker import PhaseGain
 
 DEFAULT_WINDOW_S = 60.0
 # Noise levels of a displacement sensor are learnt from this much at most, in one piece, for speed.
@@ -175,6 +176,8 @@ def _measured_rows(time_ns: Nanoseconds, value: Floats, variance: Floats, origin
 
 
 def _camera_part(recording: Recording, tracking: CameraTracking, found: ScaleCalibration) -> CameraCalibration:
+    gains = tracking.tracker.phase_gain_px_per_rad if isinstance(tracking.tracker, PhaseGain) else None
+    axis = "xy".index(tracking.settings.direction)
     return CameraCalibration(
         scale=found.scale,
         offset=found.search.offset,
@@ -183,6 +186,7 @@ def _camera_part(recording: Recording, tracking: CameraTracking, found: ScaleCal
         tracker=tracking.settings.tracker,
         noise_std_px=found.noise.std,
         variance_factor=found.variance_factor,
+        phase_scale_m_per_rad=None if gains is None else found.scale.value_m_per_px * gains[axis],
     )
 
 

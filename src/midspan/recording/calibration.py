@@ -22,7 +22,8 @@ CALIBRATION_FILE = "calibration.json"
 class CameraCalibration:
     """Scale factor, clock offset, region, axis and noise of the camera.
 
-    variance_factor: the learnt variance over the tracker's own.
+    variance_factor: the learnt variance over the tracker's own. phase_scale_m_per_rad: displacement per radian of the
+    active pixels' mean phase, with the trackers that use it.
     """
 
     scale: ScaleFactor
@@ -32,6 +33,7 @@ class CameraCalibration:
     tracker: str
     noise_std_px: float
     variance_factor: float
+    phase_scale_m_per_rad: float | None = None
 
     def mapping(self) -> CameraScale:
         """What turns this camera's pixels into metres."""
@@ -105,7 +107,9 @@ class Calibration:
 
 def _camera_dict(camera: CameraCalibration) -> dict[str, Any]:
     region = camera.region
+    phase = camera.phase_scale_m_per_rad
     return {
+        **({} if phase is None else {"phase_scale_mm_per_rad": 1e3 * phase}),
         "scale_mm_per_px": 1e3 * camera.scale.value_m_per_px,
         "scale_std_mm_per_px": 1e3 * math.sqrt(camera.scale.variance),
         "time_offset_s": camera.offset.value_s,
@@ -203,6 +207,9 @@ def _camera_of(tree: dict[str, Any]) -> CameraCalibration:
         tracker=str(tree.get("tracker", "template")),
         noise_std_px=_number(tree, "camera.noise_std_px", 0.02, positive=True),
         variance_factor=_number(tree, "camera.variance_factor", 1.0, positive=True),
+        phase_scale_m_per_rad=(
+            _number(tree, "camera.phase_scale_mm_per_rad") / 1e3 if "phase_scale_mm_per_rad" in tree else None
+        ),
     )
 
 

@@ -2,7 +2,7 @@
 
 import importlib
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 from midspan.checks import option, refuse
 from midspan.errors import DataError
@@ -47,6 +47,16 @@ class Tracker(Protocol):
         Frames come in the order of their times. A target that cannot be found gives status LOST and NaN.
         Raises DataError when the frame's size is not the reference's.
         """
+        ...
+
+
+@runtime_checkable
+class PhaseGain(Protocol):
+    """What trackers that measure phase have besides."""
+
+    @property
+    def phase_gain_px_per_rad(self) -> tuple[float, float]:
+        """Translation by mean phase along x and y, px/rad, signed."""
         ...
 
 
