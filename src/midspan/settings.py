@@ -211,7 +211,11 @@ def _explain(item: Any) -> str:
         return f"{key} = {value!r}: must not be empty; leave the key out instead."
     text = str(item["msg"]).removeprefix("Value error, ")
     text = text.replace("Input should", "must").replace("String should", "must")
-    return f"{key}: {text}." if key == "settings" else f"{key} = {_plain(value)}: {text}.".replace("..", ".")
+    return (
+        f"{key}: {text}."
+        if key == "settings"
+        else f"{key} = {_plain(value)}: {text}.".replace("..", ".").replace("?.", "?")
+    )
 
 
 def _plain(value: Any) -> str:

@@ -22,6 +22,10 @@ LEAST_GAIN = 20.0
 # motion.
 UNEXPLAINED_NOISE = 5.0
 UNEXPLAINED_SHARE = 0.2
+# Accelerometer noise that the difference would need, refused above this share of the signal when it is also so many
+# times the noise that the signal itself shows (a noisy accelerometer beside a slow motion is no disagreement).
+IMPLIED_SHARE = 0.3
+IMPLIED_NOISE = 4.0
 # The runner-up must be less likely by this much, and its residual power larger by this share (a model never fits to the
 # last digit, and with a very quiet camera the likelihood alone would be over-confident).
 AMBIGUOUS_BELOW = 8.0
@@ -113,12 +117,23 @@ def _refuse_disagreement(pair: Pair, fit: Fit, usual: float) -> None:
             f"unexplained, where a frame's own noise is {usual:.2g} px. Where the clocks may differ by more, raise "
             "calibration.max_offset_s or set camera.start_s; else check camera.direction and camera.roi."
         )
-    if implied > measured:
+    own = white_noise(pair.samples[:, 1])
+    if implied > measured or (implied > IMPLIED_SHARE * measured and implied > IMPLIED_NOISE * own):
         raise UntrustedError(
             f"No agreement between image and accelerometer: their difference would need accelerometer noise of "
-            f"{1e3 * implied:.3g} mm/s² per sample where the whole signal has {1e3 * measured:.3g} mm/s². Check "
-            "camera.direction, the region of interest and accelerometer.unit."
+            f"{1e3 * implied:.3g} mm/s² per sample where the signal has {1e3 * measured:.3g} mm/s² rms and noise "
+            "of about "
+            f"{1e3 * own:.2g} mm/s². Check that both files are of the same event, camera.direction, camera.roi and "
+            "accelerometer.unit; where the clocks may differ by more, raise calibration.max_offset_s or set "
+            "camera.start_s."
         )
+
+
+def white_noise(value: Floats) -> float:
+    """White noise per sample of a signal (n,) far slower than its rate: from third differences, which sum 20 "
+    "variances."""
+    third = np.diff(value, 3)
+    return float(1.4826 * np.median(np.abs(third)) / np.sqrt(20.0)) if len(third) else 0.0
 
 
 def _refuse_ambiguity(search: OffsetSearch, max_offset_s: float) -> None:

@@ -107,4 +107,5 @@ def _short(value: float | str) -> str:
 def _fail_if_unreadable(tree: dict[str, Any]) -> None:
     for branch in tree.values():
         if isinstance(branch, dict) and "error" in branch:
+            click.echo(f"midspan: {branch['error']}", err=True)
             raise click.exceptions.Exit(branch["exit_code"])

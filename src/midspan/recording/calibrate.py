@@ -14,12 +14,16 @@ from midspan.recording.recording import Recording, naming
 from midspan.recording.span import inside, require_overlap
 from midspan.recording.tracking import CameraTracking, TrackingSettings
 from midspan.records import NANOSECONDS, Floats, Nanoseconds, Region, TimeOffset, TimeSeries
+from midspan.signals.health import dominant_frequency
 from midspan.vision.tracker import PhaseGain
 
 DEFAULT_WINDOW_S = 60.0
 # Noise levels of a displacement sensor are learnt from this much at most, in one piece, for speed.
 NOISE_WINDOW_S = 1800.0
 LEAST_MEASUREMENTS = 20
+# A clock offset that was not asked for is refused when it moves the displacement by more than this many times its
+# noise.
+MOST_LATE = 2.0
 
 
 def calibrate(recording: Recording, progress: Progress = silent) -> Calibration:
@@ -209,7 +213,18 @@ def _calibrate_displacement(recording: Recording) -> NoiseCalibration:
         return searched
     # One clock is taken for granted; an offset that shows all the same is told and put into the error band.
     off = searched.offset.value_s
-    return replace(calibrate_noise(pair, 0.0), offset=TimeOffset(0.0, off * off))
+    still = calibrate_noise(pair, 0.0)
+    value = pair.samples[:, 1]
+    shaken = float(np.std(value)) / (2.0 * np.pi * max(dominant_frequency(value, prepared.rate_hz), 0.2))
+    speed = max(shaken, float(np.sqrt(np.mean((np.diff(rows[:, 1]) / np.diff(rows[:, 0])) ** 2))))
+    if abs(off) * speed > MOST_LATE * np.sqrt(searched.variance_factor):
+        raise UntrustedError(
+            f"displacement: its clock differs from the accelerometer's by {off:+.4f} s, which moves it by "
+            f"{1e3 * abs(off) * speed:.3g} mm rms. Set displacement.estimate_offset = true to have the offset "
+            "learnt and "
+            "applied, or correct its time column."
+        )
+    return replace(still, offset=TimeOffset(0.0, off * off), scale=searched.scale, scale_std=searched.scale_std)
 
 
 def _refuse_poor_displacement(series: TimeSeries, used: slice) -> None:

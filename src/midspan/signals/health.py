@@ -60,18 +60,26 @@ def frozen(value: Floats, rate_hz: float) -> Mask:
     A stretch at the channel's mean at either end of the record is rest, not frozen.
     """
     mask = np.zeros(len(value), dtype=bool)
-    known = value[np.isfinite(value)]
-    if len(value) < 2 or not len(known):
+    if len(value) < 2:
         return mask
-    rest, spread = float(np.mean(known)), float(np.std(known))
     least = max(FROZEN_SAMPLES, round(FROZEN_S * rate_hz))
     stretches = runs(np.concatenate(([False], np.diff(value) == 0.0)))
     for start, end in stretches[stretches[:, 1] - stretches[:, 0] + 1 >= least]:
         at_edge = start == 1 or end == len(value)
-        resting = at_edge and abs(value[start] - rest) < REST_SHARE * spread
-        if not resting:
+        if not (at_edge and _is_rest(value, start - 1, end)):
             mask[start - 1 : end] = True
     return mask
+
+
+def _is_rest(value: Floats, start: int, end: int) -> bool:
+    """Whether a held stretch lies at the mean of all other samples and is reached gently, as a structure's rest is."""
+    others = np.concatenate((value[:start], value[end:]))
+    others = others[np.isfinite(others)]
+    if not len(others):
+        return False
+    small = REST_SHARE * float(np.std(others))
+    beside = np.concatenate((value[max(start - 5, 0) : start + 1], value[end - 1 : end + 5]))
+    return bool(abs(value[start] - np.mean(others)) < small and np.nanmax(np.abs(np.diff(beside))) < small)
 
 
 def clipped(value: Floats) -> Mask:
