@@ -24,6 +24,8 @@ LEAST_MEASUREMENTS = 20
 # A clock offset that was not asked for is refused when it moves the displacement by more than this many times its
 # noise.
 MOST_LATE = 2.0
+# A given noise of a displacement sensor is taken unless the sensors differ as if it were so many times larger.
+MOST_OPTIMISTIC = 1.5
 
 
 def calibrate(recording: Recording, progress: Progress = silent) -> Calibration:
@@ -248,7 +250,9 @@ def _displacement_part(recording: Recording, learnt: NoiseCalibration) -> Displa
     given = recording.settings.displacement.noise_std if recording.settings.displacement else None
     std = float(np.sqrt(learnt.variance_factor))
     if given is not None:
-        std = given * unit_in_metres(recording)
+        own = given * unit_in_metres(recording)
+        # A given noise far below what the sensors differ by would only make the gate reject right measurements.
+        std = own if std < MOST_OPTIMISTIC * own else std
     return DisplacementCalibration(std, learnt.offset)
 
 
