@@ -16,7 +16,7 @@ from midspan.checks import option, refuse
 from midspan.errors import DataError, UsageError
 from midspan.records import Floats, Frame, PixelTranslation, Prediction, Region, Status
 from midspan.vision.keypoints import DETECTORS, GRID_STD_PX, Detector, Keypoints, mutual_matches, ratio_matches
-from midspan.vision.region import clamp, shift
+from midspan.vision.region import check_size, clamp, shift
 from midspan.vision.rejection import (
     consensus,
     near_median,
@@ -166,12 +166,7 @@ class FeatureTracker:
 
     def push(self, frame: Frame, prediction: Prediction | None = None) -> PixelTranslation:
         """Measure the translation (px) of the target in `frame`; LOST with NaN when fewer than three matches agree."""
-        if frame.pixels.shape != self._reference.pixels.shape:
-            now, then = ("x".join(str(n) for n in p.shape[::-1]) for p in (frame.pixels, self._reference.pixels))
-            raise DataError(
-                f"All frames must have the size of the first ({then} px); frame {frame.index} has {now} px. "
-                "Split the recording where the camera's format changed."
-            )
+        check_size(frame, self._reference)
         if prediction is not None and not math.isfinite(prediction.x_px + prediction.y_px):
             prediction = None
         found = self._find(frame, prediction)

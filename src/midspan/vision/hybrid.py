@@ -29,7 +29,7 @@ from midspan.vision.phase_model import (
     reference_field,
     region_patch,
 )
-from midspan.vision.region import SMALLEST_SIDE_PX, clamp, shift
+from midspan.vision.region import SMALLEST_SIDE_PX, check_size, clamp, shift
 from midspan.vision.spline import Floats32
 from midspan.vision.steerable import AXES, MARGIN_PX, quadrature, responses
 from midspan.vision.texture import values
@@ -325,12 +325,7 @@ class PhaseTracker:
         return open_tracker(self.settings.matcher, self._reference, self._region)
 
     def _check_size(self, frame: Frame) -> None:
-        if frame.pixels.shape != self._reference.pixels.shape:
-            now, then = ("x".join(str(n) for n in p.shape[::-1]) for p in (frame.pixels, self._reference.pixels))
-            raise DataError(
-                f"All frames must have the size of the first ({then} px); frame {frame.index} has {now} px. "
-                "Split the recording where the camera's format changed."
-            )
+        check_size(frame, self._reference)
 
 
 class HybridTracker(PhaseTracker):

@@ -1,7 +1,7 @@
 """Arithmetic of regions of interest: check, clamp, shift."""
 
-from midspan.errors import UsageError
-from midspan.records import Region
+from midspan.errors import DataError, UsageError
+from midspan.records import Frame, Region
 
 SMALLEST_SIDE_PX = 12  # a window below this has too few pixels for a sub-pixel peak
 
@@ -32,3 +32,14 @@ def clamp(region: Region, columns: int, rows: int) -> Region:
 def shift(region: Region, dx: float, dy: float) -> Region:
     """The region moved by (dx, dy) px, rounded to whole pixels (equation 28 of doi 10.1111/mice.12767)."""
     return Region(region.x + round(dx), region.y + round(dy), region.width, region.height)
+
+
+def check_size(frame: Frame, reference: Frame) -> None:
+    """DataError naming both sizes (px) unless `frame` has the size of the reference frame."""
+    if frame.pixels.shape == reference.pixels.shape:
+        return
+    now, then = ("x".join(str(n) for n in picture.pixels.shape[::-1]) for picture in (frame, reference))
+    raise DataError(
+        f"All frames must have the size of the first ({then} px); frame {frame.index} has {now} px. "
+        "Split the recording where the camera's format changed."
+    )

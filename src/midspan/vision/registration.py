@@ -13,14 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from midspan.checks import refuse
-from midspan.errors import DataError
 from midspan.records import Floats, Frame, PixelTranslation, Prediction, Region, Status
 from midspan.vision.average import Average, registered, start
 from midspan.vision.bank import COARSE, FINE, Bank, Plane, first_plane
 from midspan.vision.blocks import fuse, gains
 from midspan.vision.kernels import PHASES, places
 from midspan.vision.matching import Matching, make_template
-from midspan.vision.region import clamp, shift
+from midspan.vision.region import check_size, clamp, shift
 from midspan.vision.template import TemplateSettings, TemplateState, TemplateTracker
 from midspan.vision.texture import values
 
@@ -172,12 +171,7 @@ class RegistrationTracker:
 
     def push(self, frame: Frame, prediction: Prediction | None = None) -> PixelTranslation:
         """Measure the translation (px) of the target in `frame`; LOST with NaN where it cannot be found."""
-        if frame.pixels.shape != self.reference.pixels.shape:
-            now, then = ("x".join(str(n) for n in p.shape[::-1]) for p in (frame.pixels, self.reference.pixels))
-            raise DataError(
-                f"All frames must have the size of the first ({then} px); frame {frame.index} has {now} px. "
-                "Split the recording where the camera's format changed."
-            )
+        check_size(frame, self.reference)
         pose = self._find(frame, prediction)
         self._state = _after(self._state, frame.time_ns, pose)
         if pose is None:

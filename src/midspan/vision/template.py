@@ -16,10 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from midspan.checks import refuse
-from midspan.errors import DataError
 from midspan.records import Frame, PixelTranslation, Prediction, Region, Status
 from midspan.vision.matching import Fix, Matching, locate, make_template
-from midspan.vision.region import clamp, shift
+from midspan.vision.region import check_size, clamp, shift
 from midspan.vision.search import Span, best_position, coarse_positions, coarse_span, fine_patch
 
 DIRECT_RADIUS_PX = 8  # up to here every position is tried, beyond it the search is decimated first
@@ -107,12 +106,7 @@ class TemplateTracker:
 
     def push(self, frame: Frame, prediction: Prediction | None = None) -> PixelTranslation:
         """Measure the translation (px) of the target in `frame`; LOST with NaN where it cannot be found."""
-        if frame.pixels.shape != self._reference.pixels.shape:
-            now, then = ("x".join(str(n) for n in p.shape[::-1]) for p in (frame.pixels, self._reference.pixels))
-            raise DataError(
-                f"All frames must have the size of the first ({then} px); frame {frame.index} has {now} px. "
-                "Split the recording where the camera's format changed."
-            )
+        check_size(frame, self._reference)
         fix = self._find(frame, prediction)
         self._state = _after(self._state, frame.time_ns, fix)
         if fix is None:
