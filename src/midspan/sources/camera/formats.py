@@ -24,17 +24,20 @@ _VIDEO: tuple[str, ...] = (
 _VIDEO += (".3gp", ".mjpeg", ".mjpg", ".ogv", ".y4m", ".h264", ".h265", ".hevc", ".gif", ".nut")
 _IMAGES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp", ".pgm", ".pnm")
 _STACKS = (".npy", ".npz")
+_PHOTRON = (".cih", ".mraw")
 
 FORMATS = (
     ("video", _VIDEO, "PyAV (FFmpeg)"),
     ("folder or glob of images, multi-page TIFF", _IMAGES, "OpenCV"),
     ("stack (frames, rows, columns)", _STACKS, "numpy"),
+    ("Photron high-speed recording", _PHOTRON, "midspan"),
 )
 """Rows of (name, suffixes, what it is read with)."""
 
 
 def open_frames(path: Path, request: FrameRequest) -> FrameSource:
-    """The frames at `path`: a folder or a glob of images, a multi-page TIFF, an npy or npz stack, else a video.
+    """The frames at `path`: a folder or a glob of images, a multi-page TIFF, an npy or npz stack, a Photron
+    recording, else a video.
 
     Raises UsageError for settings out of range, DataError for a missing or unreadable source.
     """
@@ -50,6 +53,10 @@ def open_frames(path: Path, request: FrameRequest) -> FrameSource:
         from midspan.sources.camera.stack import StackFrames
 
         return StackFrames(path, request)
+    if path.suffix.lower() in _PHOTRON:
+        from midspan.sources.camera.photron import PhotronFrames
+
+        return PhotronFrames(path, request)
     from midspan.sources.camera.video import VideoFrames
 
     try:
@@ -57,7 +64,7 @@ def open_frames(path: Path, request: FrameRequest) -> FrameSource:
     except DataError as error:
         if path.suffix.lower() in _VIDEO:
             raise
-        known = ", ".join(_VIDEO[:8] + _IMAGES + _STACKS)
+        known = ", ".join(_VIDEO[:8] + _IMAGES + _STACKS + _PHOTRON)
         raise UsageError(
             f"{path} is no video, image or stack that can be read; known suffixes are {known} …"
         ) from error
