@@ -7,7 +7,7 @@ vision measurements", 2022, doi 10.1111/mice.12767: the region follows the predi
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,7 @@ from midspan.vision.rejection import (
 from midspan.vision.search import Span, coarse_factor, coarse_positions, coarse_span
 from midspan.vision.spline import Floats32
 from midspan.vision.surf import SurfSettings
+from midspan.vision.target import LONGEST_DISTANCE_PX, Motion, TargetTracker, lost
 from midspan.vision.texture import check_texture, full_scale, noise_std, values
 
 TECHNIQUES = {
@@ -40,7 +41,6 @@ LEAST_FEATURES = 6
 LARGEST_SPREAD_PX = 2.0  # good matches of a rigid target that rolls less than 1 degree agree within this
 AGREEMENT_PX = 1.0
 WIDE_SHARE = 0.25  # a prediction no better than this share of the region's side needs a search
-LONGEST_DISTANCE_PX = 1_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,18 +97,6 @@ _RANGES = (
 
 
 @dataclass(frozen=True, slots=True)
-class FeatureState:
-    """What the feature tracker remembers: last translation (px), its time, speed (px/s) and lost frames since."""
-
-    x_px: float = 0.0
-    y_px: float = 0.0
-    time_ns: int | None = None
-    speed_x_px_s: float = 0.0
-    speed_y_px_s: float = 0.0
-    lost_frames: int = 0
-
-
-@dataclass(frozen=True, slots=True)
 class Matched:
     """What the good matches of a frame say: mean translation and its variance (2,) in px and px², counts."""
 
@@ -118,29 +106,20 @@ class Matched:
     all: int
 
 
-class FeatureTracker:
+class FeatureTracker(TargetTracker):
     """Follows a target by its features; see `midspan.vision.tracker.Tracker` for its interface."""
+
+    _state: Motion
 
     def __init__(self, reference: Frame, region: Region, settings: FeatureSettings) -> None:
         self.settings = settings
-        self._reference = reference
-        self._region = region
+        super().__init__(reference, region)
         raw, self._offset = _target(reference.pixels, region)
         self._template = np.asarray(raw - raw.mean(), dtype=np.float32)
         self._factor = coarse_factor(self._template)
         self._detector = _detector(reference.pixels, region, settings, self._offset)
         self._features = self._reference_features()
-        self._state = FeatureState()
-
-    @property
-    def reference(self) -> Frame:
-        """The frame that the translation counts from."""
-        return self._reference
-
-    @property
-    def region(self) -> Region:
-        """The target's region in the reference frame."""
-        return self._region
+        self._state = Motion()
 
     @property
     def region_now(self) -> Region:
@@ -151,7 +130,7 @@ class FeatureTracker:
         return clamp(shift(self._region, self._state.x_px, self._state.y_px), columns, rows)
 
     @property
-    def state(self) -> FeatureState:
+    def state(self) -> Motion:
         """Everything that changes from frame to frame."""
         return self._state
 
@@ -160,7 +139,7 @@ class FeatureTracker:
         """The features of the region in the reference frame."""
         return self._features
 
-    def restore(self, state: FeatureState) -> None:
+    def restore(self, state: Motion) -> None:
         """Continue from a `state` taken earlier."""
         self._state = state
 
@@ -170,18 +149,18 @@ class FeatureTracker:
         if prediction is not None and not math.isfinite(prediction.x_px + prediction.y_px):
             prediction = None
         found = self._find(frame, prediction)
-        self._state = _after(self._state, frame.time_ns, found)
         if found is None:
-            nan = math.nan
-            return PixelTranslation(frame.time_ns, nan, nan, nan, nan, 0.0, Status.LOST)
+            self._state = self._state.missed()
+            return lost(frame.time_ns)
         (x, y), (var_x, var_y) = found.translation.tolist(), found.variance.tolist()
+        self._state = self._state.seen(frame.time_ns, (x, y))
         return PixelTranslation(frame.time_ns, x, y, var_x, var_y, found.good / found.all, Status.TRACKING)
 
     def _find(self, frame: Frame, prediction: Prediction | None) -> Matched | None:
         """Match where the target is expected; without success and a sharp prediction, where the picture looks alike."""
         if self.settings.technique == "existing":
             return self._match(frame, self._region, None)
-        expected = shift(self._region, *self._expected(frame.time_ns, prediction))
+        expected = shift(self._region, *self._state.expected(frame.time_ns, prediction))
         found = self._match(frame, expected, prediction)
         if found is not None:
             return found
@@ -190,16 +169,6 @@ class FeatureTracker:
             return None
         places = [self._match(frame, place, prediction) for place in self._alike(frame.pixels, expected, reach)]
         return max((p for p in places if p is not None), key=lambda p: p.good, default=None)
-
-    def _expected(self, time_ns: int, prediction: Prediction | None) -> tuple[float, float]:
-        """Translation (px) to shift the region by: predicted (equation 27), else as far as before at the last speed."""
-        state, limit = self._state, LONGEST_DISTANCE_PX
-        if prediction is not None:
-            x, y = prediction.x_px, prediction.y_px
-        else:
-            elapsed_s = 0.0 if state.time_ns is None else (time_ns - state.time_ns) * 1e-9
-            x, y = state.x_px + state.speed_x_px_s * elapsed_s, state.y_px + state.speed_y_px_s * elapsed_s
-        return min(max(x, -limit), limit), min(max(y, -limit), limit)
 
     def _reach(self, prediction: Prediction | None) -> float:
         """How far (px) from the expected place to search; 0 when the prediction is sharp."""
@@ -330,14 +299,3 @@ def _detector(image: NDArray[np.generic], region: Region, settings: FeatureSetti
         return Detector(settings.detector, surf, level=-offset)
     low, high = float(np.nanmin(part)) - offset, float(np.nanmax(part)) - offset
     return Detector(settings.detector, surf, level=low - 0.5 * (high - low), span=2.0 * (high - low))
-
-
-def _after(state: FeatureState, time_ns: int, found: Matched | None) -> FeatureState:
-    """The state after a frame: the speed is only kept between two frames that were both tracked."""
-    if found is None:
-        return replace(state, speed_x_px_s=0.0, speed_y_px_s=0.0, lost_frames=state.lost_frames + 1)
-    x, y = found.translation.tolist()
-    if state.time_ns is None or state.lost_frames > 0 or time_ns <= state.time_ns:
-        return FeatureState(x, y, time_ns)
-    elapsed_s = (time_ns - state.time_ns) * 1e-9
-    return FeatureState(x, y, time_ns, (x - state.x_px) / elapsed_s, (y - state.y_px) / elapsed_s)

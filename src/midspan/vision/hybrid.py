@@ -15,11 +15,12 @@ from numpy.typing import NDArray
 
 from midspan.checks import option, refuse
 from midspan.errors import DataError, UsageError
-from midspan.records import NANOSECONDS, Floats, Frame, PixelTranslation, Prediction, Region, Status
+from midspan.records import Floats, Frame, PixelTranslation, Prediction, Region, Status
 from midspan.signals.health import Mask
 from midspan.vision.phase_flow import gradient_form, phase_change, phase_slopes
 from midspan.vision.phase_model import (
     INSET_PX,
+    SPLIT_FRAMES,
     Learning,
     PhaseFix,
     PhaseModel,
@@ -29,12 +30,14 @@ from midspan.vision.phase_model import (
     reference_field,
     region_patch,
 )
-from midspan.vision.region import SMALLEST_SIDE_PX, check_size, clamp, shift
+from midspan.vision.region import SMALLEST_SIDE_PX, check_size
 from midspan.vision.spline import Floats32
 from midspan.vision.steerable import AXES, MARGIN_PX, quadrature, responses
+from midspan.vision.target import Motion, TargetTracker, lost
 from midspan.vision.texture import values
 
 MOST_LEARNT_FRAMES = 240
+MOST_LEARNT_VALUES = 30_000_000  # phases of all pixels in all frames: 120 MB
 FARTHEST_RESIDUAL_PX = 0.6  # a residual above this moves the region once more: half a pixel, and some play
 UNPREDICTED_STD_PX = 1.0
 CHANCE_COHERENCE = 0.25  # unrelated texture reaches about 0.1
@@ -79,32 +82,28 @@ class PhaseSettings:
 
 
 @dataclass(frozen=True, slots=True)
-class PhaseState:
-    """What a phase tracker remembers: last translation (px), its time, speed (px/s), lost frames, how often the place
-    was looked for by matching, the matcher's state and what was learnt.
+class PhaseState(Motion):
+    """What a phase tracker remembers besides: how often the place was looked for by matching, the matcher's state and
+    what was learnt.
     """
 
-    x_px: float = 0.0
-    y_px: float = 0.0
-    time_ns: int | None = None
-    speed_x_px_s: float = 0.0
-    speed_y_px_s: float = 0.0
-    lost_frames: int = 0
     matched_frames: int = 0
     matcher: Any = None
     model: PhaseModel | None = field(default=None, compare=False)
 
 
-class PhaseTracker:
+class PhaseTracker(TargetTracker):
     """Local phase about the predicted or the last place; see `midspan.vision.tracker.Tracker` for its interface.
 
     Motion between frames, or the prediction's error, must stay well below π times the gain: about 2 px. Only a target
     that was lost is looked for by matching.
     """
 
+    _state: PhaseState
+
     def __init__(self, reference: Frame, region: Region, settings: PhaseSettings) -> None:
+        super().__init__(reference, region)
         self.settings = settings
-        self._reference, self._region = reference, region
         rows, columns = reference.pixels.shape
         self._window = _window(region, columns, rows)
         self._matcher = self._open_matcher()
@@ -122,22 +121,6 @@ class PhaseTracker:
         self._least_coherence = max(settings.min_coherence * (1.0 - noise), CHANCE_COHERENCE)
         self._first = first_model(self._fields, weighted=settings.weighted)
         self._state = PhaseState(matcher=self._matcher.state)
-
-    @property
-    def reference(self) -> Frame:
-        """The frame that the translation counts from."""
-        return self._reference
-
-    @property
-    def region(self) -> Region:
-        """The target's region in the reference frame."""
-        return self._region
-
-    @property
-    def region_now(self) -> Region:
-        """Where the target was last seen, inside the image."""
-        rows, columns = self._reference.pixels.shape
-        return clamp(shift(self._region, self._state.x_px, self._state.y_px), columns, rows)
 
     @property
     def state(self) -> PhaseState:
@@ -173,15 +156,18 @@ class PhaseTracker:
         self._check_size(frame)
         fix = self._find(frame, prediction)
         if fix is None:
-            nan = math.nan
-            self._state = replace(
-                self._state, speed_x_px_s=0.0, speed_y_px_s=0.0, lost_frames=self._state.lost_frames + 1
-            )
-            return PixelTranslation(frame.time_ns, nan, nan, nan, nan, 0.0, Status.LOST)
+            self._state = self._state.missed()
+            return lost(frame.time_ns)
         x, y = (float(v) for v in fix.shift_px)
-        self._state = _after(self._state, frame.time_ns, x, y)
+        self._state = self._state.seen(frame.time_ns, (x, y))
         var_x, var_y = (float(v) + self.settings.bias_floor_px**2 for v in fix.variance_px2)
         return PixelTranslation(frame.time_ns, x, y, var_x, var_y, fix.coherence, Status.TRACKING)
+
+    @property
+    def frames_to_learn(self) -> int:
+        """How many frames are worth learning from: 240, fewer for large regions."""
+        values_of_frame = 2 * self._window.width * self._window.height
+        return min(MOST_LEARNT_FRAMES, max(MOST_LEARNT_VALUES // values_of_frame, SPLIT_FRAMES))
 
     def learn(
         self, frames: Sequence[Frame], translation_px: Floats | None = None, *, direction: str = "y"
@@ -195,7 +181,7 @@ class PhaseTracker:
         option("direction", direction, AXES)
         if translation_px is not None and len(translation_px) != len(frames):
             raise refuse("translation_px", f"one value for each of the {len(frames)} frames", len(translation_px))
-        step = max(1, math.ceil(len(frames) / MOST_LEARNT_FRAMES))
+        step = max(1, math.ceil(len(frames) / self.frames_to_learn))
         given = None if translation_px is None else np.asarray(translation_px, dtype=np.float64)[::step]
         learning = self._observe(frames[::step], given, AXES.index(direction))
         if self.settings.active_pixels == "correlation":
@@ -263,12 +249,8 @@ class PhaseTracker:
         return self._by_phase(frame, (round(found.x_px), round(found.y_px)))
 
     def _extrapolated(self, time_ns: int) -> Prediction:
-        state = self._state
-        elapsed_s = 0.0 if state.time_ns is None else (time_ns - state.time_ns) / NANOSECONDS
-        std = UNPREDICTED_STD_PX
-        return Prediction(
-            state.x_px + state.speed_x_px_s * elapsed_s, state.y_px + state.speed_y_px_s * elapsed_s, std, std
-        )
+        x, y = self._state.expected(time_ns, None)
+        return Prediction(x, y, UNPREDICTED_STD_PX, UNPREDICTED_STD_PX)
 
     def _by_phase(self, frame: Frame, place: tuple[int, int]) -> PhaseFix | None:
         """Equation 17 about the whole-pixel `place`, which is moved once more while the residual exceeds half a pixel.
@@ -355,12 +337,3 @@ def _window(region: Region, columns: int, rows: int) -> Region:
             f"border of the image ({columns}x{rows} px); received {region}. Move it inwards or make it larger."
         )
     return Region(x0, y0, x1 - x0, y1 - y0)
-
-
-def _after(state: PhaseState, time_ns: int, x: float, y: float) -> PhaseState:
-    """The state after a frame: the speed is only kept between two frames that were both tracked."""
-    vx, vy = 0.0, 0.0
-    if state.time_ns is not None and state.lost_frames == 0 and time_ns > state.time_ns:
-        elapsed_s = (time_ns - state.time_ns) / NANOSECONDS
-        vx, vy = (x - state.x_px) / elapsed_s, (y - state.y_px) / elapsed_s
-    return replace(state, x_px=x, y_px=y, time_ns=time_ns, speed_x_px_s=vx, speed_y_px_s=vy, lost_frames=0)

@@ -10,7 +10,7 @@ a quintic spline of the shift, the template's energy a known function of it, and
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 from midspan.checks import refuse
 from midspan.records import Frame, PixelTranslation, Prediction, Region, Status
 from midspan.vision.matching import Fix, Matching, locate, make_template
-from midspan.vision.region import check_size, clamp, shift
+from midspan.vision.region import check_size
 from midspan.vision.search import Span, best_position, coarse_positions, coarse_span, fine_patch
+from midspan.vision.target import LONGEST_DISTANCE_PX, Motion, TargetTracker, lost
 
 DIRECT_RADIUS_PX = 8  # up to here every position is tried, beyond it the search is decimated first
-LONGEST_DISTANCE_PX = 1_000_000
 PATIENCE_FRAMES = 5  # lost frames after which a sharp prediction is no longer believed
 CLEARLY_BETTER = 0.02  # difference of correlation
 
@@ -55,45 +55,24 @@ class TemplateSettings:
 
 
 @dataclass(frozen=True, slots=True)
-class TemplateState:
-    """What the template tracker remembers: last translation (px), its time, speed (px/s), lost frames, correlation."""
+class TemplateState(Motion):
+    """What the template tracker remembers besides: the usual correlation."""
 
-    x_px: float = 0.0
-    y_px: float = 0.0
-    time_ns: int | None = None
-    speed_x_px_s: float = 0.0
-    speed_y_px_s: float = 0.0
-    lost_frames: int = 0
     correlation: float = 1.0
 
 
-class TemplateTracker:
+class TemplateTracker(TargetTracker):
     """Follows a template through frames; see `midspan.vision.tracker.Tracker` for its interface."""
+
+    _state: TemplateState
 
     def __init__(self, reference: Frame, region: Region, settings: TemplateSettings) -> None:
         self.settings = settings
-        self._reference = reference
-        self._region = region
+        super().__init__(reference, region)
         self._template = make_template(
             reference.pixels, region, Matching(settings.smoothing_px, settings.min_correlation)
         )
         self._state = TemplateState(correlation=self._template.expected_correlation)
-
-    @property
-    def reference(self) -> Frame:
-        """The frame that the translation counts from."""
-        return self._reference
-
-    @property
-    def region(self) -> Region:
-        """The target's region in the reference frame."""
-        return self._region
-
-    @property
-    def region_now(self) -> Region:
-        """Where the target was last seen, inside the image."""
-        rows, columns = self._reference.pixels.shape
-        return clamp(shift(self._region, self._state.x_px, self._state.y_px), columns, rows)
 
     @property
     def state(self) -> TemplateState:
@@ -108,10 +87,11 @@ class TemplateTracker:
         """Measure the translation (px) of the target in `frame`; LOST with NaN where it cannot be found."""
         check_size(frame, self._reference)
         fix = self._find(frame, prediction)
-        self._state = _after(self._state, frame.time_ns, fix)
         if fix is None:
-            nan = math.nan
-            return PixelTranslation(frame.time_ns, nan, nan, nan, nan, 0.0, Status.LOST)
+            self._state = self._state.missed()
+            return lost(frame.time_ns)
+        correlation = 0.9 * self._state.correlation + 0.1 * fix.quality
+        self._state = self._state.seen(frame.time_ns, (fix.x_px, fix.y_px), correlation=correlation)
         return PixelTranslation(
             frame.time_ns, fix.x_px, fix.y_px, fix.variance_x_px2, fix.variance_y_px2, fix.quality, Status.TRACKING
         )
@@ -131,24 +111,19 @@ class TemplateTracker:
 
         A sharp prediction is believed for a few frames: behind an occluder a repeating pattern fits elsewhere too.
         """
-        lost = self._state.lost_frames
-        if predicted and max(radius) <= DIRECT_RADIUS_PX and lost < PATIENCE_FRAMES:
+        missed = self._state.lost_frames
+        if predicted and max(radius) <= DIRECT_RADIUS_PX and missed < PATIENCE_FRAMES:
             return 2.0 * DIRECT_RADIUS_PX
-        return max(self.settings.search_px, *radius) if lost == 0 else LONGEST_DISTANCE_PX
+        return max(self.settings.search_px, *radius) if missed == 0 else LONGEST_DISTANCE_PX
 
     def _expected(self, time_ns: int, prediction: Prediction | None) -> tuple[tuple[int, int], tuple[int, int]]:
         """Whole-pixel position of the window and the search radii: prediction ± (3 sigma + 2 px), at least 3 px."""
-        state, window = self._state, self._template.window
+        window = self._template.window
+        radii = [0, 0]
         if prediction is not None and math.isfinite(prediction.x_px + prediction.y_px):
-            x, y = prediction.x_px, prediction.y_px
             sigmas = (prediction.std_x_px, prediction.std_y_px)
             radii = [math.ceil(3.0 * s) + 2 if s < LONGEST_DISTANCE_PX else LONGEST_DISTANCE_PX for s in sigmas]
-        else:
-            elapsed_s = 0.0 if state.time_ns is None else (time_ns - state.time_ns) * 1e-9
-            x, y = state.x_px + state.speed_x_px_s * elapsed_s, state.y_px + state.speed_y_px_s * elapsed_s
-            radii = [0, 0]
-        limit = LONGEST_DISTANCE_PX
-        x, y = min(max(x, -limit), limit), min(max(y, -limit), limit)
+        x, y = self._state.expected(time_ns, prediction)
         return (window.x + round(x), window.y + round(y)), (max(radii[0], 3), max(radii[1], 3))
 
     def _as_good_as_before(self, fix: Fix) -> bool:
@@ -195,15 +170,3 @@ class TemplateTracker:
         best = max(found, key=lambda f: f.quality, default=None)
         # Repeating texture gives nearly equal peaks: the one at the expected place is kept unless another is better.
         return near if near is not None and best is not None and best.quality - near.quality < CLEARLY_BETTER else best
-
-
-def _after(state: TemplateState, time_ns: int, fix: Fix | None) -> TemplateState:
-    """The state after a frame: the speed is only kept between two frames that were both tracked."""
-    if fix is None:
-        return replace(state, speed_x_px_s=0.0, speed_y_px_s=0.0, lost_frames=state.lost_frames + 1)
-    vx, vy = 0.0, 0.0
-    if state.time_ns is not None and state.lost_frames == 0 and time_ns > state.time_ns:
-        elapsed_s = (time_ns - state.time_ns) * 1e-9
-        vx, vy = (fix.x_px - state.x_px) / elapsed_s, (fix.y_px - state.y_px) / elapsed_s
-    correlation = 0.9 * state.correlation + 0.1 * fix.quality
-    return TemplateState(fix.x_px, fix.y_px, time_ns, vx, vy, 0, correlation)

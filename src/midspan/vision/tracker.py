@@ -1,6 +1,7 @@
 """The interface that all trackers share, and the table of their names."""
 
 import importlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
@@ -57,6 +58,20 @@ class PhaseGain(Protocol):
     @property
     def phase_gain_px_per_rad(self) -> tuple[float, float]:
         """Translation by mean phase along x and y, px/rad, signed."""
+        ...
+
+
+@runtime_checkable
+class Learner(Protocol):
+    """What trackers have besides that know their target better from frames in which it moves."""
+
+    @property
+    def frames_to_learn(self) -> int:
+        """How many frames are worth learning from."""
+        ...
+
+    def learn(self, frames: Sequence[Frame]) -> Any:
+        """Learn from frames, in the order of their times, that begin with the reference frame; the zero stays there."""
         ...
 
 

@@ -1,0 +1,85 @@
+"""What all trackers share: the target in the reference frame, and the memory of its motion."""
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any, Self
+
+from midspan.records import NANOSECONDS, Frame, PixelTranslation, Prediction, Region, Status
+from midspan.vision.region import clamp, shift
+
+LONGEST_DISTANCE_PX = 1_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """Last translation (px), its time, the speed (px/s), and how many frames the target has been lost since."""
+
+    x_px: float = 0.0
+    y_px: float = 0.0
+    time_ns: int | None = None
+    speed_x_px_s: float = 0.0
+    speed_y_px_s: float = 0.0
+    lost_frames: int = 0
+
+    def expected(self, time_ns: int, prediction: Prediction | None) -> tuple[float, float]:
+        """Translation (px) to look at first: the predicted one, else as far as before at the last speed."""
+        if prediction is not None and math.isfinite(prediction.x_px + prediction.y_px):
+            x, y = prediction.x_px, prediction.y_px
+        else:
+            elapsed_s = 0.0 if self.time_ns is None else (time_ns - self.time_ns) / NANOSECONDS
+            x, y = self.x_px + self.speed_x_px_s * elapsed_s, self.y_px + self.speed_y_px_s * elapsed_s
+        limit = LONGEST_DISTANCE_PX
+        return min(max(x, -limit), limit), min(max(y, -limit), limit)
+
+    def seen(self, time_ns: int, translation: tuple[float, float], **more: Any) -> Self:
+        """After a frame that shows the target; the speed is only known between two frames that both do."""
+        x, y = translation
+        speed = (0.0, 0.0)
+        if self.time_ns is not None and self.lost_frames == 0 and time_ns > self.time_ns:
+            elapsed_s = (time_ns - self.time_ns) / NANOSECONDS
+            speed = ((x - self.x_px) / elapsed_s, (y - self.y_px) / elapsed_s)
+        return replace(
+            self,
+            x_px=x,
+            y_px=y,
+            time_ns=time_ns,
+            speed_x_px_s=speed[0],
+            speed_y_px_s=speed[1],
+            lost_frames=0,
+            **more,
+        )
+
+    def missed(self) -> Self:
+        """After a frame that does not show the target."""
+        return replace(self, speed_x_px_s=0.0, speed_y_px_s=0.0, lost_frames=self.lost_frames + 1)
+
+
+class TargetTracker:
+    """The part of `midspan.vision.tracker.Tracker` that is the same for all: where the target was and is."""
+
+    _state: Any
+
+    def __init__(self, reference: Frame, region: Region) -> None:
+        self._reference, self._region = reference, region
+
+    @property
+    def reference(self) -> Frame:
+        """The frame that the translation counts from."""
+        return self._reference
+
+    @property
+    def region(self) -> Region:
+        """The target's region in the reference frame."""
+        return self._region
+
+    @property
+    def region_now(self) -> Region:
+        """Where the target was last seen, inside the image."""
+        rows, columns = self._reference.pixels.shape
+        return clamp(shift(self._region, self._state.x_px, self._state.y_px), columns, rows)
+
+
+def lost(time_ns: int) -> PixelTranslation:
+    """What a frame gives that does not show the target: NaN, LOST."""
+    nan = math.nan
+    return PixelTranslation(time_ns, nan, nan, nan, nan, 0.0, Status.LOST)
