@@ -198,6 +198,53 @@ class PixelTrack:
 
 
 @dataclass(frozen=True, slots=True)
+class ChirpFrame:
+    """One frame of a chirp radar: `samples` (chirps, receivers, samples) complex64, ADC counts; `index` in its source.
+
+    `valid` (chirps, receivers) is False where a lost packet has left a hole.
+    """
+
+    time_ns: int
+    samples: NDArray[np.complex64]
+    valid: NDArray[np.bool_]
+    index: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class RangeFrames:
+    """A block of frames resolved in range: `phasors` (n, channels, bins) complex64 whose phase grows with the range.
+
+    `valid` (n, channels) is False where data are missing; such phasors must not be used.
+    """
+
+    time_ns: Nanoseconds
+    phasors: NDArray[np.complex64]
+    valid: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class PhaseChange:
+    """A block of unwrapped phase of one radar target since the first frame used: arrays (n,), growing with the range.
+
+    A phase that is not finite marks a frame that must not be used; `status` holds `Status` codes.
+    """
+
+    time_ns: Nanoseconds
+    phase_rad: Floats
+    variance_rad2: Floats
+    status: NDArray[np.uint8]
+
+
+@dataclass(frozen=True, slots=True)
+class Range:
+    """A block of ranges to one radar target from the beat frequency, unambiguous but coarse: arrays (n,)."""
+
+    time_ns: Nanoseconds
+    value_m: Floats
+    variance_m2: Floats
+
+
+@dataclass(frozen=True, slots=True)
 class Estimate:
     """A block of results, one row an accelerometer sample: arrays (n,); `source` and `status` hold their codes."""
 

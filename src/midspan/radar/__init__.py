@@ -1,0 +1,1 @@
+"""Radar: from raw chirps to range profiles, targets, unwrapped phase and blockage, all on arrays."""

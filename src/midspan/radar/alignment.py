@@ -1,0 +1,194 @@
+"""How the accelerometer's motion shows in the wrapped phase: ratio and clock offset, without unwrapping anything.
+
+The second difference of the phase over a lag holds no displacement and no velocity, only the acceleration of that
+time. Over one frame it hardly ever wraps; each longer lag sharpens the ratio so much that the next one can be met too.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from midspan.checks import positive
+from midspan.radar.unwrap import wrapped
+from midspan.records import Floats
+
+# A correlation of the first search is believed from this many standard deviations on; some hundred offsets are tried.
+LEAST_SIGNIFICANCE = 6.0
+# The longest lag, s: beyond it the drift of the accelerometer and the wrapping of what it does not explain take over.
+LONGEST_LAG_S = 0.25
+# Of the ratio that is known beforehand, the share by which the found one may differ.
+PRIOR_SHARE = 0.6
+# Lags of the first search, frames, and the fewest second differences that it needs.
+SEARCHED_LAGS, LEAST_FRAMES = (1, 4, 16), 20
+_STEPS, _RATIOS = 6, 25
+
+
+@dataclass(frozen=True, slots=True)
+class Alignment:
+    """ratio: range change per displacement (the inverse conversion factor, signed), with its standard deviation.
+
+    offset_s: to be added to the radar's clock to get the accelerometer's, with its standard deviation, s.
+    """
+
+    ratio: float
+    ratio_std: float
+    offset_s: float
+    offset_std_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Integrals:
+    """Acceleration without its mean as a spline, with its first and second integral."""
+
+    acceleration: object
+    velocity: object
+    place: object
+    span: tuple[float, float]
+
+    @classmethod
+    def of(cls, samples: Floats) -> "Integrals":
+        """From samples (m, 2) of time (s) and acceleration (m/s²)."""
+        from scipy.interpolate import CubicSpline
+
+        spline = CubicSpline(samples[:, 0], samples[:, 1] - np.mean(samples[:, 1]))
+        return cls(spline, spline.antiderivative(1), spline.antiderivative(2), (samples[0, 0], samples[-1, 0]))
+
+    def second_difference(self, time_s: Floats, lag_s: float, order: int = 0) -> Floats:
+        """Displacement before, minus twice now, plus after, at times (n,); its derivative in time with `order` 1."""
+        f = (self.place, self.velocity)[order]
+        low, high = self.span
+
+        def at(t: Floats) -> Floats:
+            return np.asarray(f(np.clip(t, low, high)))  # type: ignore[operator]
+
+        return at(time_s - lag_s) - 2.0 * at(time_s) + at(time_s + lag_s)
+
+
+def align(
+    frame_s: Floats,
+    phase_rad: Floats,
+    *,
+    samples: Floats,
+    phase_per_m: float,
+    max_offset_s: float = 0.15,
+    prior: float | None = None,
+) -> Alignment | None:
+    """Ratio and clock offset between the wrapped phase and an accelerometer, or None where the motion does not tell.
+
+    frame_s (n,): evenly spaced instants of the frames on the radar's clock, s; phase_rad (n,): wrapped, NaN where there
+    is none; samples (m, 2): time on the accelerometer's clock (s) and acceleration (m/s²); phase_per_m: rad per m of
+    range; max_offset_s: largest clock offset searched for; prior: the ratio where it is roughly known, with its sign;
+    without it the range must not accelerate by more than a quarter of a wavelength a frame² (9.5 m/s² at 100 Hz).
+    """
+    positive("phase_per_m", phase_per_m, "rad/m")
+    integrals = Integrals.of(np.asarray(samples, dtype=np.float64))
+    time, phase = np.asarray(frame_s, dtype=np.float64), np.asarray(phase_rad, dtype=np.float64)
+    period = float(np.median(np.diff(time)))
+    found = _search(time, phase, integrals, (phase_per_m, period, max_offset_s), prior)
+    if found is None and prior is not None:
+        found = _search_strong(time, phase, integrals, (phase_per_m, period, max_offset_s), prior)
+    if found is None:
+        return None
+    alignment, lag = found
+    while lag * period <= LONGEST_LAG_S:
+        sharper = _sharpened(time, phase, integrals, (phase_per_m, period, lag), alignment)
+        if sharper is None or abs(sharper.offset_s) > max_offset_s + period:
+            break
+        alignment, lag = sharper, 2 * lag
+    return alignment
+
+
+def _differences(phase: Floats, lag: int) -> tuple[Floats, NDArray[np.int64]]:
+    """Wrapped second differences of the phase over `lag` frames, and the frames (k,) that they belong to."""
+    second = wrapped(phase[2 * lag :] - 2.0 * phase[lag:-lag] + phase[: -2 * lag])
+    known = np.flatnonzero(np.isfinite(second))
+    return second[known], known + lag
+
+
+def _search(
+    time: Floats, phase: Floats, integrals: Integrals, known: tuple[float, float, float], prior: float | None
+) -> tuple[Alignment, int] | None:
+    """The most significant correlation over clock offsets and a few lags (short: strong motion, long: weak)."""
+    found, sharpest = None, LEAST_SIGNIFICANCE
+    for lag in SEARCHED_LAGS:
+        if lag * known[1] > LONGEST_LAG_S or len(phase) <= 4 * lag:
+            break
+        second, frame = _differences(phase, lag)
+        if len(second) < LEAST_FRAMES:
+            continue
+        for offset in _offsets(known[1], known[2]):
+            response = integrals.second_difference(time[frame] + offset, lag * known[1])
+            ratio, std = _regressed(second / known[0], response)
+            # Neighbouring second differences share their noise; lags apart they do not.
+            std *= np.sqrt(max(1.0, lag / 2.0))
+            fits = prior is None or abs(ratio - prior) <= PRIOR_SHARE * abs(prior) + 3.0 * std
+            if fits and abs(ratio) > sharpest * std:
+                found, sharpest = (Alignment(ratio, std, float(offset), known[1]), lag), abs(ratio) / std
+    return found
+
+
+def _search_strong(
+    time: Floats, phase: Floats, integrals: Integrals, known: tuple[float, float, float], prior: float
+) -> tuple[Alignment, int] | None:
+    """The same for a motion so strong that the second differences themselves wrap: the phasors that are left align.
+
+    At 77 GHz and 100 Hz that is beyond 9.5 m/s²; the ratio must be known to `PRIOR_SHARE`.
+    """
+    second, frame = _differences(phase, 1)
+    if len(second) < LEAST_FRAMES:
+        return None
+    turns = np.exp(1j * second)
+    found, best = None, float(np.abs(turns.mean())) + LEAST_SIGNIFICANCE / np.sqrt(2.0 * len(second))
+    for offset in _offsets(known[1], known[2]):
+        response = known[0] * integrals.second_difference(time[frame] + offset, known[1])
+        for ratio in prior * np.linspace(1.0 - PRIOR_SHARE, 1.0 + PRIOR_SHARE, _RATIOS):
+            together = float(np.abs(np.mean(turns * np.exp(-1j * ratio * response))))
+            if together > best:
+                found, best = (Alignment(float(ratio), abs(prior) / _RATIOS, float(offset), known[1]), 1), together
+    return found
+
+
+def _offsets(period_s: float, most_s: float) -> Floats:
+    """Clock offsets that are tried, half a frame apart."""
+    return np.linspace(-most_s, most_s, 2 * max(int(np.ceil(2.0 * most_s / period_s)), 1) + 1)
+
+
+def _regressed(value: Floats, response: Floats) -> tuple[float, float]:
+    """Slope of `value` (n,) on `response` (n,), both about their means, and its standard deviation."""
+    x, y = response - response.mean(), value - value.mean()
+    power = float(x @ x)
+    if power == 0.0:
+        return 0.0, np.inf
+    slope = float(x @ y) / power
+    rest = y - slope * x
+    return slope, float(np.sqrt(rest @ rest / len(rest) / power))
+
+
+def _sharpened(
+    time: Floats, phase: Floats, integrals: Integrals, known: tuple[float, float, int], start: Alignment
+) -> Alignment | None:
+    """Gauss-Newton on ratio, offset and a constant, the residual wrapped; None where it does not settle."""
+    unit, period, lag = known
+    if len(phase) <= 4 * lag:
+        return None
+    second, frame = _differences(phase, lag)
+    value = np.array([start.ratio, start.offset_s, 0.0])
+    for _ in range(_STEPS):
+        at = time[frame] + value[1]
+        response = integrals.second_difference(at, lag * period)
+        slope = integrals.second_difference(at, lag * period, 1)
+        columns = unit * np.column_stack((response, value[0] * slope, np.ones(len(at))))
+        rest = wrapped(second - columns[:, [0, 2]] @ value[[0, 2]])
+        normal = columns.T @ columns
+        try:
+            change = np.linalg.solve(normal, columns.T @ rest)
+        except np.linalg.LinAlgError:
+            return None
+        value = value + change
+    spread = float(np.sqrt(np.mean(rest**2)))
+    std = spread * np.sqrt(np.abs(np.diag(np.linalg.inv(normal))))
+    if spread > 1.5 or not np.all(np.isfinite(value)):  # 1.81 is the spread of angles that are all alike
+        return None
+    std = std * np.sqrt(max(1.0, lag / 2.0))
+    return Alignment(float(value[0]), float(std[0]), float(value[1]), float(std[1]))

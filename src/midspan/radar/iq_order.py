@@ -1,0 +1,107 @@
+"""In which order I and Q lie in a capture, judged from the samples themselves.
+
+A complex receiver that suppresses its image band has targets at positive beat frequencies only. Swapping I and Q turns
+them to negative ones; pairing the wrong words makes ghosts. But positive frequencies beyond half of the sampling rate
+are negative ones too: targets in the farther half of the range look like nearer ones with I and Q swapped.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from midspan.radar.layout import ORDERS, Layout, Words, unpack
+from midspan.records import Floats
+
+# The sign shows when one half holds this many dB more energy than the other. It is proven when the eighths at both ends
+# agree: attached parts and leakage lie in the nearest one, and hardly a receiver passes beat frequencies of the last.
+LEAST_DB = 6.0
+# Pairing is believed when it packs the energy this many times more densely than the other one.
+LEAST_DENSITY = 1.3
+_PAIRINGS = (("IIQQ", "QQII"), ("IQIQ", "QIQI"))
+
+
+@dataclass(frozen=True, slots=True)
+class OrderEvidence:
+    """Of each order: energy of the nearer over the farther half of the range, and of the nearest over the farthest
+    eighth, dB; and how densely the energy lies, 0 … 1.
+    """
+
+    halves_db: dict[str, float]
+    eighths_db: dict[str, float]
+    density: dict[str, float]
+
+    def paired(self) -> tuple[str, str] | None:
+        """The two orders of the pairing that shows, or None where neither does."""
+        first, second = (max(self.density[order] for order in pair) for pair in _PAIRINGS)
+        if first > LEAST_DENSITY * second:
+            return _PAIRINGS[0]
+        return _PAIRINGS[1] if second > LEAST_DENSITY * first else None
+
+    def proves(self, order: str) -> bool:
+        """Whether energy lies clearly in the nearer half, and in the nearest eighth too."""
+        return self.halves_db[order] >= LEAST_DB and self.eighths_db[order] >= LEAST_DB
+
+    def told(self) -> str:
+        """The figures, for messages."""
+        return ", ".join(f"{order} {value:+.1f} dB" for order, value in self.halves_db.items())
+
+
+@dataclass(frozen=True, slots=True)
+class OrderDecision:
+    """The order taken, whether the data decide it, and a sentence about it."""
+
+    order: str
+    certain: bool
+    text: str
+
+
+def swapped(order: str) -> str:
+    """The order with I and Q exchanged."""
+    return {"IIQQ": "QQII", "QQII": "IIQQ", "IQIQ": "QIQI", "QIQI": "IQIQ"}[order]
+
+
+def weigh_orders(words: Words, layout: Layout) -> OrderEvidence:
+    """What whole frames of words (frames · words a frame,) say for each order; complex samples only."""
+    orders = ORDERS if layout.lanes == 2 else ("IIQQ", "QQII")
+    power = {order: _power(words, Layout(layout.profile, order, layout.lanes)) for order in orders}
+    half, eighth = layout.profile.samples // 2, layout.profile.samples // 8
+    return OrderEvidence(
+        halves_db={order: _ratio_db(p[1:half], p[half + 1 :]) for order, p in power.items()},
+        eighths_db={order: _ratio_db(p[1 : eighth + 1], p[-eighth:]) for order, p in power.items()},
+        density={order: float(power[order] @ power[order]) if order in power else 0.0 for order in ORDERS},
+    )
+
+
+def decide_order(evidence: OrderEvidence, claimed: str, *, said: bool) -> OrderDecision:
+    """The order of the words: `claimed` by the settings (said) or by the capture software's habit, unless the data
+    show another pairing of the words, or prove the other sign where the settings say nothing.
+    """
+    pair = evidence.paired()
+    order = claimed if pair is None or claimed in pair else next(o for o in pair if o[0] == claimed[0])
+    figures = f"energy of the nearer over the farther half of the range: {evidence.told()}"
+    if evidence.halves_db[order] >= LEAST_DB:
+        return OrderDecision(order, True, f"I/Q order {order}, as the sign of the beat energy has it ({figures})")
+    source = "the settings" if said else "the capture software's default"
+    if not said and evidence.proves(swapped(order)):
+        other = swapped(order)
+        text = f"I/Q order {other} by the sign of the beat energy, against {source} {order} ({figures})."
+        return OrderDecision(other, False, f"{text} If it is wrong, set radar.iq_order = {order!r}.")
+    text = (
+        f"The sign of the beat energy cannot decide the I/Q order ({figures}): either all strong targets lie beyond "
+        f"half of the range, or I and Q are swapped. Taken is {order} of {source}."
+    )
+    return OrderDecision(order, False, f"{text} If it is wrong, set radar.iq_order = {swapped(order)!r}.")
+
+
+def _power(words: Words, layout: Layout) -> Floats:
+    """Mean power (samples,) of the windowed chirps without their mean, as shares of all; the zero bin is left out."""
+    cube = unpack(words, layout).astype(np.complex128)
+    cube -= cube.mean(axis=-1, keepdims=True)
+    spectrum = np.fft.fft(cube * np.hanning(cube.shape[-1]), axis=-1)
+    power = np.mean(np.abs(spectrum) ** 2, axis=tuple(range(cube.ndim - 1)))
+    power[0] = 0.0
+    return np.asarray(power / max(float(power.sum()), 1e-300))
+
+
+def _ratio_db(near: Floats, far: Floats) -> float:
+    return float(10.0 * np.log10(max(float(near.sum()), 1e-30) / max(float(far.sum()), 1e-30)))

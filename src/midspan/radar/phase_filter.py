@@ -1,0 +1,357 @@
+"""Unwrapping inside a filter: the wrapped phase corrects a prediction from the accelerometer.
+
+State: range change u (m), its rate v (m/s) and the bias b (m/s²) of the acceleration in the line of sight. Only the
+innovation is wrapped, so no speed is too high while the prediction is within a quarter of a wavelength. The prediction
+averages over many frames, so it stays right at signal-to-noise ratios and through fades where the last two phases alone
+lead astray.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from midspan.checks import positive, same_length
+from midspan.radar.alignment import Alignment, align
+from midspan.radar.unwrap import TURN, inertial_steps
+from midspan.records import Floats, Status
+
+U, V, B, P00, P01, P02, P11, P12, P22, MISFIT, SEEN, BLIND, ENERGY_A, ENERGY_D, MIXED = range(15)
+LAST, BEFORE, AGE, LAST_A, ORIGIN, WATCHED = range(15, 21)
+STATE_SIZE = 21
+
+# The phase of a target whose noise reaches this (rad) says nothing about its cycle.
+BLIND_RAD = 0.77
+# Innovations beyond so many standard deviations get a larger variance instead of a full say.
+HUBER = 2.5
+# The noise of the acceleration is raised and lowered until innovations are as large as predicted: the logarithm of its
+# factor follows their squares over so many frames, each counted at most so often, from the start up to a limit; and not
+# above what leaves the prediction this narrow (cycles).
+MISFIT_FRAMES, MOST_MISFIT, MOST_INFLATED = 40.0, 9.0, 16.0
+# At low signal-to-noise ratio the phase's errors have longer tails than the variance says.
+FAIR_MISFIT = 1.5
+WIDEST_CYCLES = 0.12
+# Memory of the watch on the accelerometer, frames.
+WATCH_FRAMES = 100.0
+# The accelerometer counts as dead when it explains less than this share of the phase's second differences, while these
+# are this many times what noise makes.
+DEAD_SHARE, DEAD_EXCESS = 0.1, 3.0
+# Errors of the alignment that are allowed for where it has been found, at least.
+LEAST_SCALE_ERROR, LEAST_TIME_ERROR_S = 0.002, 1e-4
+# Frames that tell the speed at the start, and how well they do, m/s.
+START_FRAMES, START_SPEED_STD_M_S = 32, 0.01
+# The shortest record whose trend tells a drift from a swing, s.
+LEAST_TREND_S = 8.0
+# A prediction whose standard deviation exceeds this share of a cycle cannot name the cycle any more.
+UNSURE_CYCLES = 0.2
+
+
+@dataclass(frozen=True, slots=True)
+class PhaseFilterSettings:
+    """How far the accelerometer is believed.
+
+    noise_density: of the acceleration in the line of sight, (m/s²)²/Hz; higher trusts the radar more.
+    scale_error, time_error_s: relative error of the conversion factor and error of the time offset that the filter
+    allows for; higher follows a wrongly calibrated accelerometer, lower rides longer through fades.
+    start_inflation: natural logarithm of the factor on all of these at the first frame, learnt from then on; 0 where
+    the alignment is known, more where it is not.
+    bias_walk: growth of the bias' variance, (m/s²)² a second; start_bias_m_s2: its standard deviation at the first
+    frame; start_speed_m_s, start_speed_std_m_s: speed of the range there, and how well it is known.
+    """
+
+    noise_density: float = 1e-6
+    scale_error: float = 0.02
+    time_error_s: float = 1e-3
+    bias_walk: float = 1e-8
+    start_inflation: float = 4.6
+    start_bias_m_s2: float = 0.05
+    start_speed_m_s: float = 0.0
+    start_speed_std_m_s: float = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class Unwrapped:
+    """Unwrapped phase (n,) in rad since the first frame used, its variance, the filter's range change and its variance.
+
+    phase_rad is NaN where the frame was not used; filtered_m (n,) goes on by the accelerometer. `status` holds `Status`
+    codes; `restarts` are the frames from which on the cycle is a guess, because the prediction had become too wide;
+    `surprise` is the mean of log variance + squared innovation over variance: the smaller, the better predicted.
+    """
+
+    phase_rad: Floats
+    variance_rad2: Floats
+    filtered_m: Floats
+    filtered_variance_m2: Floats
+    status: NDArray[np.uint8]
+    restarts: tuple[int, ...]
+    surprise: float = np.nan
+
+
+@njit(cache=True)
+def _wrap(angle):  # type: ignore[no-untyped-def]
+    return angle - 2.0 * np.pi * np.round(angle / (2.0 * np.pi))
+
+
+@njit(cache=True)
+def _watch(s, wrapped_phase, unit, step, dt, variance):  # type: ignore[no-untyped-def]
+    """Energy of the accelerometer, of the phase's second difference and their product; returns the acceleration missed.
+
+    The result is the variance (m/s²)² of the true acceleration where the accelerometer turns out to be dead, else zero.
+    """
+    if s[AGE] >= 2.0:
+        step = 0.5 * (step + s[LAST_A])
+        s[WATCHED] += 1.0
+        # Wrapped about what the accelerometer says, so that a strong motion does not look like another one.
+        expected = unit * dt * dt * step
+        second = (_wrap(wrapped_phase - 2.0 * s[LAST] + s[BEFORE] - expected) + expected) / (unit * dt * dt)
+        keep = 1.0 - 1.0 / min(WATCH_FRAMES, s[WATCHED])
+        floor = 6.0 * variance / (unit * dt * dt) ** 2
+        s[ENERGY_A] = keep * s[ENERGY_A] + (1.0 - keep) * step * step
+        s[ENERGY_D] = keep * s[ENERGY_D] + (1.0 - keep) * (second * second - floor)
+        s[MIXED] = keep * s[MIXED] + (1.0 - keep) * second * step
+        if s[WATCHED] > 10.0 and s[ENERGY_D] > DEAD_EXCESS * floor:
+            share = s[MIXED] * s[MIXED] / max(s[ENERGY_A] * s[ENERGY_D], 1e-300)
+            if share < DEAD_SHARE or s[MIXED] < 0.0:
+                return s[ENERGY_D]
+    return 0.0
+
+
+@njit(cache=True)
+def _advance(s, dt, steps, noise, dead):  # type: ignore[no-untyped-def]
+    """Predict over `dt`: noise = (density, bias walk, variance of the acceleration's error over the step)."""
+    dv, du = (0.0, 0.0) if dead > 0.0 else (steps[0], steps[1])
+    bias = 0.0 if dead > 0.0 else s[B]
+    half = 0.5 * dt * dt
+    s[U] += dt * s[V] + du - half * bias
+    s[V] += dv - dt * bias
+    p01, p02, p11, p12, p22 = s[P01], s[P02], s[P11], s[P12], s[P22]
+    m00 = s[P00] + dt * p01 - half * p02
+    m01 = p01 + dt * p11 - half * p12
+    m02 = p02 + dt * p12 - half * p22
+    m11, m12 = p11 - dt * p12, p12 - dt * p22
+    held = noise[2] + dead
+    s[P00] = m00 + dt * m01 - half * m02 + noise[0] * dt * dt * dt / 3.0 + held * half * half
+    s[P01] = m01 - dt * m02 + noise[0] * half + held * half * dt
+    s[P02] = m02
+    s[P11] = m11 - dt * m12 + noise[0] * dt + held * dt * dt
+    s[P12] = m12
+    s[P22] = p22 + noise[1] * dt
+
+
+@njit(cache=True)
+def _meet(s, innovation, variance):  # type: ignore[no-untyped-def]
+    """Correct the state by an innovation (m) of given variance, far ones with a larger one; returns the misfit."""
+    total = s[P00] + variance
+    misfit = innovation * innovation / total
+    if misfit > HUBER * HUBER:
+        variance += abs(innovation) / HUBER * np.sqrt(total) - total
+        total = s[P00] + variance
+    k0, k1, k2 = s[P00] / total, s[P01] / total, s[P02] / total
+    s[U] += k0 * innovation
+    s[V] += k1 * innovation
+    s[B] += k2 * innovation
+    p00, p01, p02 = s[P00], s[P01], s[P02]
+    rest = 1.0 - k0
+    s[P00] = rest * rest * p00 + k0 * k0 * variance
+    s[P01] = rest * (p01 - k1 * p00) + k0 * k1 * variance
+    s[P02] = rest * (p02 - k2 * p00) + k0 * k2 * variance
+    s[P11] += k1 * k1 * total - 2.0 * k1 * p01
+    s[P12] += k1 * k2 * total - k1 * p02 - k2 * p01
+    s[P22] += k2 * k2 * total - 2.0 * k2 * p02
+    return misfit
+
+
+@njit(cache=True)
+def _begin(s, phase, variance, unit, usable):  # type: ignore[no-untyped-def]
+    """The first usable frame is the zero of the range change."""
+    if usable:
+        s[SEEN], s[ORIGIN], s[LAST], s[BEFORE], s[AGE] = 1.0, phase, phase, phase, 1.0
+        s[P00] = variance / (unit * unit)
+
+
+@njit(cache=True)
+def _run(s, rows, steps, unit, limits, out):  # type: ignore[no-untyped-def]
+    """rows: time step, phase, variance; out: phase, filtered, its variance, 1 used (2: cycle lost), surprise."""
+    density, scale, delay, walk = limits
+    for k in range(len(rows)):
+        dt, phase, variance = rows[k]
+        usable = np.isfinite(phase) and variance < BLIND_RAD * BLIND_RAD
+        out[k, 0], out[k, 3], out[k, 4] = np.nan, 0.0, np.nan
+        if s[SEEN] == 0.0:
+            _begin(s, phase, variance, unit, usable)
+            if usable:
+                out[k, 0], out[k, 3] = phase, 1.0
+            out[k, 1], out[k, 2] = 0.0, s[P00]
+            continue
+        missed = (scale * steps[k, 2]) ** 2 + (delay * steps[k, 3]) ** 2
+        inflated = np.exp(s[MISFIT]) if usable else 1.0
+        dead = _watch(s, phase, unit, steps[k, 2] - s[B], dt, variance) if usable else 0.0
+        _advance(s, dt, steps[k], (density * inflated, walk, missed * inflated), dead)
+        s[LAST_A] = steps[k, 2] - s[B]
+        if usable:
+            predicted = unit * s[U] + s[ORIGIN]
+            difference = _wrap(phase - predicted)
+            # The first frames, whose speed is not known yet, are no return from an outage.
+            lost = s[WATCHED] > 3.0 and np.sqrt(s[P00]) > UNSURE_CYCLES * 2.0 * np.pi / unit
+            spread = s[P00] + variance / (unit * unit)
+            misfit = _meet(s, difference / unit, variance / (unit * unit))
+            if misfit < 1.0 or np.sqrt(s[P00]) < WIDEST_CYCLES * 2.0 * np.pi / unit:
+                rise = (min(misfit, MOST_MISFIT) - FAIR_MISFIT) / MISFIT_FRAMES
+                s[MISFIT] = min(max(s[MISFIT] + rise, 0.0), MOST_INFLATED)
+            out[k, 4] = np.log(spread) + misfit
+            s[BEFORE], s[LAST], s[AGE] = s[LAST], phase, s[AGE] + 1.0
+            out[k, 0], out[k, 3] = predicted + difference, 2.0 if lost else 1.0
+        else:
+            s[AGE] = 0.0
+        out[k, 1], out[k, 2] = s[U], s[P00]
+
+
+# The radar alone: the range changes at a speed that wanders slowly, or fast.
+WITHOUT_ACCELEROMETER = (
+    PhaseFilterSettings(noise_density=1e-2, start_inflation=0.0),
+    PhaseFilterSettings(noise_density=1.0, start_inflation=0.0),
+)
+
+
+class PhaseFilter:
+    """The filter over blocks of frames; any cutting into blocks gives the same output.
+
+    phase_per_m: rad per m of range. settings: how far the accelerometer is believed.
+    """
+
+    def __init__(self, phase_per_m: float, settings: PhaseFilterSettings | None = None) -> None:
+        self._unit = positive("phase_per_m", phase_per_m, "rad/m")
+        self._settings = settings or PhaseFilterSettings()
+        self._state = np.zeros(STATE_SIZE)
+        self._state[V] = self._settings.start_speed_m_s
+        self._state[[P11, P22]] = self._settings.start_speed_std_m_s**2, self._settings.start_bias_m_s2**2
+        self._state[MISFIT] = self._settings.start_inflation
+        self._time_s: float | None = None
+
+    def push(self, frame_s: Floats, phase_rad: Floats, variance_rad2: Floats, steps: Floats) -> Unwrapped:
+        """Unwrap the phases (n,) of frames at `frame_s` (n,), s, on the accelerometer's clock.
+
+        phase_rad: wrapped, NaN where there is none; variance_rad2: of each, half the inverse signal-to-noise ratio;
+        steps (n, 4): of `inertial_steps` in the line of sight, the first row being the step to the first of these.
+        """
+        time = np.asarray(frame_s, dtype=np.float64)
+        phase, variance = np.asarray(phase_rad, dtype=np.float64), np.asarray(variance_rad2, dtype=np.float64)
+        same_length(frame_s=time, phase_rad=phase, variance_rad2=variance, steps=steps)
+        before = time[:1] if self._time_s is None else np.array([self._time_s])
+        rows = np.column_stack((np.diff(time, prepend=before), phase, variance))
+        out = np.empty((len(time), 5))
+        s = self._settings
+        limits = (s.noise_density, s.scale_error, s.time_error_s, s.bias_walk)
+        _run(self._state, rows, np.ascontiguousarray(steps), self._unit, limits, out)
+        self._time_s = float(time[-1]) if len(time) else self._time_s
+        return self._told(out, variance)
+
+    def _told(self, out: Floats, variance: Floats) -> Unwrapped:
+        lost = np.sqrt(out[:, 2]) > UNSURE_CYCLES * TURN / self._unit
+        status = np.where(out[:, 3] > 0, Status.TRACKING, np.where(lost, Status.LOST, Status.COASTING))
+        used = out[:, 3] > 0
+        return Unwrapped(
+            phase_rad=out[:, 0] - self._state[ORIGIN],
+            variance_rad2=np.where(used, variance, np.inf),
+            filtered_m=out[:, 1],
+            filtered_variance_m2=out[:, 2],
+            status=status.astype(np.uint8),
+            restarts=tuple(int(k) for k in np.flatnonzero(out[:, 3] == 2.0)),
+            surprise=float(np.nanmean(out[:, 4])) if np.isfinite(out[:, 4]).any() else np.nan,
+        )
+
+
+def unwrap_filtered(
+    frame_s: Floats,
+    phase_rad: Floats,
+    *,
+    variance_rad2: Floats,
+    steps: Floats,
+    phase_per_m: float,
+    settings: PhaseFilterSettings | None = None,
+) -> Unwrapped:
+    """Unwrap a whole record (n,) with a `PhaseFilter`; the arguments are those of its `push`."""
+    return PhaseFilter(phase_per_m, settings).push(frame_s, phase_rad, variance_rad2, steps)
+
+
+def unwrap_aligned(
+    frame_s: Floats,
+    phase_rad: Floats,
+    *,
+    variance_rad2: Floats,
+    samples: Floats,
+    phase_per_m: float,
+    ratio: float,
+    max_offset_s: float = 0.15,
+) -> tuple[Unwrapped, Alignment | None]:
+    """Unwrap a record (n,) of evenly spaced frames after aligning the accelerometer with the phase itself.
+
+    samples (m, 2): time on the accelerometer's clock (s) and acceleration (m/s²); ratio: range change per displacement
+    as far as it is known, signed (the inverse conversion factor). A factor that is 60 % wrong or a clock that is
+    `max_offset_s` off does no harm where there is motion enough to tell; the alignment is None where there is not.
+    """
+    usable = np.asarray(variance_rad2) < BLIND_RAD**2
+    phase = np.where(usable, phase_rad, np.nan)
+    found = align(frame_s, phase, samples=samples, phase_per_m=phase_per_m, max_offset_s=max_offset_s, prior=ratio)
+    offset, ratio = (found.offset_s, found.ratio) if found is not None else (0.0, ratio)
+    level = float(np.mean(samples[:, 1]))
+    steps = inertial_steps(frame_s, np.column_stack((samples[:, 0] - offset, ratio * (samples[:, 1] - level))))
+    speed = _first_speed(np.asarray(frame_s, dtype=np.float64), phase, steps, phase_per_m)
+    runs = [
+        unwrap_filtered(
+            frame_s, phase, variance_rad2=variance_rad2, steps=share * steps, phase_per_m=phase_per_m, settings=settings
+        )
+        for share, settings in ((1.0, _settings(found, speed)), *((0.0, alone) for alone in WITHOUT_ACCELEROMETER))
+    ]
+    # An accelerometer that is dead, or of another event, predicts worse than none.
+    best = min(runs, key=lambda run: np.inf if np.isnan(run.surprise) else run.surprise)
+    return _without_drift(best, np.asarray(frame_s, dtype=np.float64), phase_per_m), found
+
+
+def _without_drift(run: Unwrapped, frame_s: Floats, unit: float) -> Unwrapped:
+    """The run less a whole number of cycles a frame, where its trend is nearest to one.
+
+    Wrapped phases and accelerations are the same for a range that changes by a cycle more in every frame. A record that
+    begins in the middle of a swing can settle there; but no structure drifts so far.
+    """
+    known = np.flatnonzero(np.isfinite(run.phase_rad))
+    if len(known) < 2 or frame_s[known[-1]] - frame_s[known[0]] < LEAST_TREND_S:
+        return run
+    turns = run.phase_rad[known] / TURN
+    cycles = np.rint(np.polyfit(known - known[0], turns, 1)[0])
+    extra = cycles * (np.arange(len(run.phase_rad)) - known[0])
+    return replace(run, phase_rad=run.phase_rad - TURN * extra, filtered_m=run.filtered_m - TURN * extra / unit)
+
+
+def _first_speed(frame_s: Floats, phase: Floats, steps: Floats, unit: float) -> float:
+    """Speed of the range at the first usable frame, m/s: the one that turns the first frames' phasors alike.
+
+    What the accelerometer says of them is taken off first. Speeds a cycle a frame apart look the same; the smallest is
+    meant (see `_without_drift`).
+    """
+    known = np.flatnonzero(np.isfinite(phase))[:START_FRAMES]
+    if len(known) < START_FRAMES:
+        return 0.0
+    first, last = known[0], known[-1] + 1
+    gained = np.concatenate(([0.0], np.cumsum(steps[first + 1 : last, 0])))
+    dt = np.diff(frame_s[first:last])
+    moved = np.concatenate(([0.0], np.cumsum(gained[:-1] * dt + steps[first + 1 : last, 1])))
+    phasors = np.exp(1j * (phase[known] - unit * moved[known - first]))
+    limit = np.pi / (unit * float(np.median(dt)))
+    speeds = np.linspace(-limit, limit, 8 * START_FRAMES, endpoint=False)
+    turns = np.exp(-1j * unit * np.multiply.outer(speeds, frame_s[known] - frame_s[first]))
+    return float(speeds[np.argmax(np.abs(turns @ phasors))])
+
+
+def _settings(found: Alignment | None, speed_m_s: float) -> PhaseFilterSettings:
+    """What the filter allows for: the alignment's own errors where it is known."""
+    if found is None:
+        return PhaseFilterSettings()
+    return PhaseFilterSettings(
+        start_speed_m_s=speed_m_s,
+        start_speed_std_m_s=START_SPEED_STD_M_S,
+        scale_error=max(3.0 * found.ratio_std / abs(found.ratio), LEAST_SCALE_ERROR),
+        time_error_s=max(3.0 * found.offset_std_s, LEAST_TIME_ERROR_S),
+        start_inflation=0.0,
+    )

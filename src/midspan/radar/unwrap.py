@@ -1,0 +1,83 @@
+"""Unwrapping of the radar's phase: from one frame to the next, and with the accelerometer's help."""
+
+import numpy as np
+from numba import njit
+
+from midspan.checks import finite, increasing, same_length
+from midspan.records import Floats
+
+TURN = 2.0 * np.pi
+
+
+def wrapped(angle: Floats) -> Floats:
+    """Angles (…,) in rad brought into -π … π."""
+    return np.asarray(np.remainder(np.asarray(angle) + np.pi, TURN) - np.pi)
+
+
+def unwrap_plain(phase_rad: Floats) -> Floats:
+    """Phase (n,) in rad without jumps of half a turn or more from frame to frame.
+
+    Right while the range changes by less than a quarter of a wavelength a frame (97 mm/s at 77 GHz and 100 Hz); NaN
+    marks missing frames, over which the last phase is held.
+    """
+    phase = np.asarray(phase_rad, dtype=np.float64)
+    out = np.full(len(phase), np.nan)
+    known = np.flatnonzero(np.isfinite(phase))
+    out[known] = np.unwrap(phase[known])
+    return out
+
+
+@njit(cache=True)
+def _aided(phase, step_m, unit, out):  # type: ignore[no-untyped-def]
+    """Equations 12 to 15 of Ma et al.: each phase takes the cycle nearest to the one predicted from two before it."""
+    for k in range(min(2, len(phase))):
+        turns = np.round((out[k - 1] - phase[k]) / (2.0 * np.pi)) if k else 0.0
+        out[k] = phase[k] + 2.0 * np.pi * turns
+    for k in range(2, len(phase)):
+        predicted = 2.0 * out[k - 1] - out[k - 2] + unit * step_m[k - 1]
+        if not np.isfinite(phase[k]):
+            out[k] = predicted
+            continue
+        out[k] = phase[k] + 2.0 * np.pi * np.round((predicted - phase[k]) / (2.0 * np.pi))
+
+
+def unwrap_aided(phase_rad: Floats, acceleration_m_s2: Floats, *, period_s: float, phase_per_m: float) -> Floats:
+    """Unwrapped phase (n,) in rad, predicted from the last two phases and the acceleration.
+
+    phase_rad: (n,), NaN where a frame is missing; acceleration_m_s2: (n,) in the line of sight at the frames'
+    instants (structural acceleration divided by the conversion factor); period_s: from frame to frame;
+    phase_per_m: rad per m of range. The first two frames must not wrap.
+
+    The prediction carries √6 of the phase's noise, so it needs about 12 dB, and it does not recover from a wrong cycle.
+    Ma et al., "Structural displacement estimation using accelerometer and FMCW millimeter wave radar", equations 12-15.
+    """
+    phase = np.asarray(phase_rad, dtype=np.float64)
+    acceleration = finite("acceleration_m_s2", acceleration_m_s2)
+    same_length(phase_rad=phase, acceleration_m_s2=acceleration)
+    out = np.empty_like(phase)
+    _aided(phase, acceleration * period_s**2, phase_per_m, out)
+    return out
+
+
+def inertial_steps(frame_s: Floats, samples: Floats) -> Floats:
+    """What the acceleration alone does between frames: (n, 4), row k from frame k-1 to k, row 0 zero.
+
+    frame_s (n,): instants of the frames, s; samples (m, 2): time in s and acceleration in m/s², evenly or not.
+    Columns: change of velocity (m/s), change of displacement less velocity times time (m), mean acceleration (m/s²) and
+    its mean rate of change (m/s³). Acceleration runs as a cubic spline; outside the samples it is zero.
+    """
+    from scipy.interpolate import CubicSpline
+
+    frames = np.asarray(increasing("frame_s", frame_s), dtype=np.float64)
+    level = float(np.mean(samples[:, 1]))
+    # The level is taken out and put back in closed form: its double integral would grow without bound.
+    spline = CubicSpline(samples[:, 0], samples[:, 1] - level)
+    inside = np.clip(frames, samples[0, 0], samples[-1, 0])
+    velocity, place = spline.antiderivative(1)(inside), spline.antiderivative(2)(inside)
+    dt, within = np.diff(frames), np.diff(inside)
+    out = np.zeros((len(frames), 4))
+    out[1:, 0] = np.diff(velocity) + level * within
+    out[1:, 1] = np.diff(place) - velocity[:-1] * within + 0.5 * level * within**2
+    out[1:, 2] = out[1:, 0] / dt
+    out[1:, 3] = np.diff(spline(inside)) / dt
+    return out

@@ -1,0 +1,1 @@
+"""Radar data: raw captures, slow-time files, Acconeer recordings and a live capture card."""

@@ -1,0 +1,155 @@
+"""The bytes of a raw capture in their order: one file, several that were split, or packets with their headers kept."""
+
+import re
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from midspan.errors import DataError
+
+Bytes = NDArray[np.uint8]
+
+PACKET_BYTES = 1456
+# Headers that some captures keep: number and count of bytes before, with the packet's length between them or without.
+_HEADS = {14: (4, 8), 10: (None, 4)}
+_SPLIT = re.compile(r"^(.*_)0(\.bin)$", re.IGNORECASE)
+# What marks a chirp's own header in the stream.
+_CHIRP_HEADS = (bytes.fromhex("dc0ada0c"), bytes.fromhex("dc0adc0a"), bytes.fromhex("0cda0adc"))
+
+
+class CaptureBytes(Protocol):
+    """Random access to the payload; `size` in bytes."""
+
+    size: int
+    notes: tuple[str, ...]
+
+    def read(self, start: int, count: int) -> tuple[Bytes, Bytes | None]:
+        """`count` bytes from `start`, and which of them were never received (1), or None where that is not known."""
+
+
+def open_bytes(path: Path) -> CaptureBytes:
+    """The payload of a capture, whatever it is packed in. Raises DataError for what cannot be read."""
+    files = split_files(path)
+    maps = [_mapped(file) for file in files]
+    head = bytes(maps[0][:8])
+    if head[:4] in _CHIRP_HEADS:
+        raise DataError(
+            f"{path} has a header before each chirp (it begins with {head.hex()}), which cannot be read. Capture with "
+            "lvdsStreamCfg enableHeader = 0."
+        )
+    kept = next((size for size in _HEADS if _has_heads(maps[0], size)), None)
+    if kept is None:
+        return _Plain(files, maps)
+    return _Packets(files, maps, kept)
+
+
+def split_files(path: Path) -> list[Path]:
+    """The files of a capture: `x_Raw_0.bin` is followed by `x_Raw_1.bin` …, as long as they exist."""
+    if not path.is_file():
+        raise DataError(f"{path}: not found. Correct radar.file; it is relative to recording.toml.")
+    found = _SPLIT.match(path.name)
+    files = [path]
+    if found:
+        while (following := path.with_name(f"{found.group(1)}{len(files)}{found.group(2)}")).is_file():
+            files.append(following)
+    return files
+
+
+def _mapped(file: Path) -> Bytes:
+    if file.stat().st_size == 0:
+        raise DataError(f"{file} is empty (0 bytes). Check the capture.")
+    return np.memmap(file, dtype=np.uint8, mode="r")
+
+
+def _number(data: Bytes, start: int, count: int) -> int:
+    return int.from_bytes(bytes(data[start : start + count]), "little")
+
+
+def _has_heads(data: Bytes, size: int) -> bool:
+    """Whether a header of `size` bytes stands at the start and again one packet on, with the next number."""
+    length = PACKET_BYTES
+    if size == 14:
+        length = _number(data, 4, 4)
+        if not 1 <= length <= PACKET_BYTES:
+            return False
+    step = size + length
+    if len(data) < 2 * step:
+        return False
+    first, second = _number(data, 0, 4), _number(data, step, 4)
+    place = size - 6
+    return first == 1 and 1 < second < 1000 and _number(data, step + place, 6) == (second - first) * length
+
+
+class _Plain:
+    """Payload alone, in one or several files."""
+
+    def __init__(self, files: list[Path], maps: list[Bytes]) -> None:
+        self._files = files
+        self._ends = np.cumsum([len(data) for data in maps])
+        self.size = int(self._ends[-1])
+        self.notes: tuple[str, ...] = ()
+        if len(files) > 1:
+            self.notes = (f"{len(files)} files are read as one: {files[0].name} … {files[-1].name}",)
+
+    def read(self, start: int, count: int) -> tuple[Bytes, Bytes | None]:
+        """Bytes across the files' borders; what was lost is zeros, which only their run betrays."""
+        parts = []
+        at = int(np.searchsorted(self._ends, start, side="right"))
+        while count > 0 and at < len(self._files):
+            first = start - (int(self._ends[at - 1]) if at else 0)
+            # Read, not mapped: page faults cost several times what the arithmetic does.
+            part = np.fromfile(
+                self._files[at], dtype=np.uint8, count=min(count, int(self._ends[at]) - start), offset=first
+            )
+            parts.append(part)
+            start, count, at = start + len(part), count - len(part), at + 1
+        whole = parts[0] if len(parts) == 1 else np.concatenate(parts) if parts else np.empty(0, dtype=np.uint8)
+        return np.asarray(whole), None
+
+
+class _Packets:
+    """Packets with their headers: put in order by the count of bytes, holes filled with zeros and known."""
+
+    def __init__(self, files: list[Path], maps: list[Bytes], head: int) -> None:
+        data = maps[0] if len(maps) == 1 else np.concatenate(maps)
+        self._length = _number(data, 4, 4) if head == 14 else PACKET_BYTES
+        step = head + self._length
+        self._data, self._head = data, head
+        whole = len(data) // step
+        rows = np.asarray(data[: whole * step]).reshape(whole, step)
+        weights = 256 ** np.arange(6, dtype=np.int64)
+        counts = rows[:, head - 6 : head].astype(np.int64) @ weights
+        starts = np.arange(whole, dtype=np.int64) * step + head
+        rest = len(data) - whole * step - head
+        if rest > 0:
+            counts = np.append(counts, _number(data, whole * step + head - 6, 6))
+            starts = np.append(starts, whole * step + head)
+        lengths = np.full(len(starts), self._length, dtype=np.int64)
+        if rest > 0:
+            lengths[-1] = rest
+        order = np.argsort(counts, kind="stable")
+        self._counts, self._starts, self._lengths = counts[order], starts[order], lengths[order]
+        self.size = int((self._counts + self._lengths).max())
+        received = int(np.sum(lengths[np.unique(counts, return_index=True)[1]]))
+        late = int(np.count_nonzero(np.diff(counts) < 0))
+        self.notes: tuple[str, ...] = (
+            f"{files[0].name} keeps packet headers of {head} bytes, which are taken out; {self.size - received} of "
+            f"{self.size} bytes were never received, {late} packets came late",
+        )
+
+    def read(self, start: int, count: int) -> tuple[Bytes, Bytes | None]:
+        """Bytes by their count in the headers."""
+        count = max(min(count, self.size - start), 0)
+        out, missing = np.zeros(count, dtype=np.uint8), np.ones(count, dtype=np.uint8)
+        first = int(np.searchsorted(self._counts, start - PACKET_BYTES, side="left"))
+        for k in range(first, len(self._counts)):
+            at = int(self._counts[k]) - start
+            if at >= count:
+                break
+            low, high = max(at, 0), min(at + int(self._lengths[k]), count)
+            if low < high:
+                source = int(self._starts[k]) + low - at
+                out[low:high], missing[low:high] = self._data[source : source + high - low], 0
+        return out, missing

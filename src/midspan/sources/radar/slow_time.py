@@ -1,0 +1,166 @@
+"""Slow-time I/Q: one phasor a frame for each channel and range bin, as long monitoring stores it (HDF5, NPY)."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from midspan.errors import DataError
+from midspan.radar.chirp import SPEED_OF_LIGHT_M_S
+from midspan.records import Floats, Nanoseconds, RangeFrames, nanoseconds
+from midspan.sources.radar.radar_source import RadarInfo, RadarRequest, RadarSource, at_bins
+from midspan.sources.radar.ti_config import TiSettings, read_settings
+
+FRAMES_AT_A_TIME = 4096
+_NAMES = ("iq", "slow_time", "frame", "z")
+
+
+class SlowTimeFile(RadarSource):
+    """Phasors (frames), (frames, channels) or (frames, channels, bins): complex, or a last axis of I and Q.
+
+    An HDF5 file holds them as `iq` (complex, or the fields real and imag) or as `i` and `q`; beside them, as datasets
+    or attributes, `carrier_hz` or `wavelength_m`, `rate_hz` or `time_s`, and where known `range_m` of each bin. What is
+    not in the file comes from radar.config. Growing phase is growing range; NaN marks missing frames.
+    """
+
+    def __init__(self, path: Path, request: RadarRequest) -> None:
+        if not path.is_file():
+            raise DataError(f"{path}: not found. Correct radar.file; it is relative to recording.toml.")
+        self._path, self._request = path, request
+        settings = read_settings(request.config) if request.config else None
+        self._read, shape, beside = _opened_npy(path) if path.suffix.lower() == ".npy" else _opened_hdf5(path)
+        self._shape = _three_axes(path, shape)
+        self._carrier_hz = _carrier(path, beside, settings)
+        self._times_s = self._stamps(beside, settings)
+        self._range_m = np.atleast_1d(np.asarray(beside.get("range_m", np.nan), dtype=np.float64))
+
+    @property
+    def info(self) -> RadarInfo:
+        """Size, carrier and rate."""
+        count, channels, bins = self._shape
+        step = float(np.median(np.diff(self._times_s))) if count > 1 else np.nan
+        known = len(self._range_m) == bins
+        return RadarInfo(
+            kind="slow-time I/Q",
+            carrier_hz=self._carrier_hz,
+            frame_rate_hz=1.0 / step,
+            frame_count=count,
+            channels=channels,
+            range_m=self._range_m if known else np.full(bins, np.nan),
+        )
+
+    def times_ns(self) -> Nanoseconds:
+        """From `time_s` of the file, else evenly spaced; `start_s` is added."""
+        return nanoseconds(self._times_s + self._request.start_s)
+
+    def profiles(self, start: int = 0, stop: int | None = None) -> Iterator[RangeFrames]:
+        """All bins that are stored."""
+        times = self.times_ns()
+        begin, end, _ = slice(start, stop).indices(self._shape[0])
+        for first in range(begin, end, FRAMES_AT_A_TIME):
+            last = min(first + FRAMES_AT_A_TIME, end)
+            z = np.asarray(self._read(first, last), dtype=np.complex64).reshape(last - first, *self._shape[1:])
+            yield RangeFrames(times[first:last], z, np.asarray(np.isfinite(z).all(axis=2)))
+
+    def slow_time(self, bins: Floats, start: int = 0, stop: int | None = None) -> Iterator[RangeFrames]:
+        """The bins that are asked for, out of those stored."""
+        for block in self.profiles(start, stop):
+            yield RangeFrames(block.time_ns, at_bins(block.phasors, bins), block.valid)
+
+    def _stamps(self, beside: dict[str, Any], settings: TiSettings | None) -> Floats:
+        count = self._shape[0]
+        if "time_s" in beside:
+            times = np.asarray(beside["time_s"], dtype=np.float64)
+            if times.shape != (count,) or not np.all(np.diff(times) > 0):
+                raise DataError(
+                    f"{self._path}: time_s must hold {count} increasing times (s), one a frame; received shape "
+                    f"{times.shape}. Correct it."
+                )
+            return times
+        rate = float(beside["rate_hz"]) if "rate_hz" in beside else 0.0
+        if not rate and settings is not None:
+            rate = settings.profile.frame_rate_hz
+        if not (np.isfinite(rate) and rate > 0):
+            raise DataError(
+                f"{self._path} says nothing of its rate. Store rate_hz or time_s in it, or give radar.config."
+            )
+        return np.arange(count) / rate
+
+
+def _carrier(path: Path, beside: dict[str, Any], settings: TiSettings | None) -> float:
+    """Frequency that the phase moves with, Hz."""
+    value = 0.0
+    if "carrier_hz" in beside:
+        value = float(beside["carrier_hz"])
+    elif "wavelength_m" in beside:
+        value = SPEED_OF_LIGHT_M_S / float(beside["wavelength_m"])
+    elif settings is not None:
+        value = settings.profile.carrier_hz
+    if not (np.isfinite(value) and value > 1e9):
+        raise DataError(
+            f"{path} says nothing of the carrier frequency (above 1e9 Hz), so its phase has no scale. Store carrier_hz "
+            "or wavelength_m in it, or give radar.config."
+        )
+    return value
+
+
+def _three_axes(path: Path, shape: tuple[int, ...]) -> tuple[int, int, int]:
+    if not 1 <= len(shape) <= 3 or 0 in shape:
+        raise DataError(
+            f"{path} must hold I/Q of shape (frames), (frames, channels) or (frames, channels, bins); received {shape}."
+        )
+    return (shape[0], 1, 1) if len(shape) == 1 else (shape[0], shape[1], 1) if len(shape) == 2 else tuple(shape)  # type: ignore[return-value]
+
+
+def _paired(array: Any) -> NDArray[np.complex64]:
+    """Complex numbers of complex ones, of the fields real and imag, or of a last axis of I and Q."""
+    if array.dtype.names:
+        names = array.dtype.names
+        return np.asarray(array[names[0]].astype(np.float32) + 1j * array[names[1]].astype(np.float32))
+    if array.dtype.kind == "c":
+        return np.asarray(array, dtype=np.complex64)
+    return np.asarray(array[..., 0].astype(np.float32) + 1j * array[..., 1].astype(np.float32))
+
+
+def _pair_shape(path: Path, dtype: Any, shape: tuple[int, ...]) -> tuple[int, ...]:
+    if dtype.kind == "c" or (dtype.names and len(dtype.names) == 2):
+        return shape
+    if dtype.kind in "if" and len(shape) >= 2 and shape[-1] == 2:
+        return shape[:-1]
+    raise DataError(
+        f"{path} must hold complex I/Q, or real numbers with a last axis of I and Q; received {dtype} of shape {shape}."
+    )
+
+
+def _opened_npy(path: Path) -> tuple[Any, tuple[int, ...], dict[str, Any]]:
+    try:
+        array = np.load(path, mmap_mode="r", allow_pickle=False)
+    except (ValueError, OSError, EOFError) as error:
+        raise DataError(f"{path} cannot be read as a NumPy array: {error}. Check that the file is whole.") from error
+    return lambda first, last: _paired(np.asarray(array[first:last])), _pair_shape(path, array.dtype, array.shape), {}
+
+
+def _opened_hdf5(path: Path) -> tuple[Any, tuple[int, ...], dict[str, Any]]:
+    import h5py
+
+    try:
+        file = h5py.File(path, "r")
+    except OSError as error:
+        raise DataError(f"{path} cannot be read as HDF5: {error}. Check that the file is whole.") from error
+    beside = {key: file.attrs[key] for key in file.attrs}
+    beside |= {
+        key: file[key][()] for key in ("time_s", "range_m", "carrier_hz", "wavelength_m", "rate_hz") if key in file
+    }
+    name = next((name for name in _NAMES if name in file), None)
+    if name is not None:
+        data = file[name]
+        beside = {key: data.attrs[key] for key in data.attrs} | beside
+        return lambda first, last: _paired(data[first:last]), _pair_shape(path, data.dtype, data.shape), beside
+    if "i" in file and "q" in file:
+        i, q = file["i"], file["q"]
+        if i.shape != q.shape:
+            raise DataError(f"{path}: i and q must have the same shape; received {i.shape} and {q.shape}.")
+        return lambda first, last: i[first:last] + 1j * q[first:last], i.shape, beside
+    raise DataError(f"{path} must hold a dataset iq, or i and q; it holds {', '.join(file) or 'nothing'}.")

@@ -1,0 +1,269 @@
+"""Settings of TI's mmWave radars: the demo firmware's command file (.cfg) and mmWave Studio's JSON."""
+
+import json
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from midspan.errors import DataError, UsageError
+from midspan.radar.chirp import ChirpProfile
+
+# Lanes of the capture's interface by family of device: on four lanes the receivers are interleaved sample by sample.
+_LANES = {"12": 4, "14": 4, "16": 2, "18": 2, "64": 2, "68": 2}
+_DEVICE = re.compile(r"\b[xai]wr[-_ ]?(\d{2})(\d{2}|xx)", re.IGNORECASE)
+_BITS = {0: 12, 1: 14, 2: 16}
+_STUDIO_DEFAULT, _DEMO_DEFAULT = "IIQQ", "QQII"
+
+
+@dataclass(frozen=True, slots=True)
+class TiSettings:
+    """What a settings file says.
+
+    frames: that were to be recorded, 0 where it is without end; lanes 2 or 4; order: of I and Q as far as the file
+    says it (its first letter; the pairing is the capture software's usual one), else the software's default with
+    `order_said` False; header: whether each chirp is led by one; device: as named, or empty.
+    """
+
+    profile: ChirpProfile
+    frames: int
+    lanes: int
+    order: str
+    order_said: bool
+    header: bool
+    device: str
+    notes: tuple[str, ...] = ()
+
+
+def read_settings(path: Path) -> TiSettings:
+    """The settings in a `.cfg` or `.json` file.
+
+    Raises UsageError for another suffix, DataError for what is missing, contradictory or of an unknown device.
+    """
+    if not path.is_file():
+        raise DataError(f"{path}: not found. Correct radar.config; it is relative to recording.toml.")
+    if path.suffix.lower() == ".cfg":
+        return _demo(path, path.read_text(encoding="utf-8", errors="replace"))
+    if path.suffix.lower() == ".json":
+        return _studio(path)
+    raise UsageError(
+        f"radar.config must be a .cfg of the mmWave demo or a .json of mmWave Studio; received {path.name}."
+    )
+
+
+def _lanes(path: Path, text: str, interleaved: bool) -> tuple[int, str]:
+    """Lanes and the device's name, found in a text; DataError for a device that is not known."""
+    found = _DEVICE.search(text)
+    if found is None:
+        return (4 if interleaved else 2), ""
+    if found.group(1) not in _LANES:
+        known = ", ".join(f"xWR{family}xx" for family in _LANES)
+        raise DataError(
+            f"{path} is for {found.group(0)}, whose byte layout is not known; known are {known}. Store the slow-time "
+            "I/Q of the target as .h5 or .npy instead."
+        )
+    return _LANES[found.group(1)], found.group(0)
+
+
+class _Lines:
+    """The commands of a .cfg by name, each with its numbers; errors name file, line and command."""
+
+    def __init__(self, path: Path, text: str) -> None:
+        self._path = path
+        self._found: dict[str, list[list[float]]] = {}
+        for number, line in enumerate(text.splitlines(), start=1):
+            words = line.split("%")[0].split()
+            if words:
+                self._found.setdefault(words[0], []).append(self._numbers(number, words))
+
+    def _numbers(self, number: int, words: list[str]) -> list[float]:
+        try:
+            return [float(word) for word in words[1:]]
+        except ValueError:
+            if words[0] in ("profileCfg", "chirpCfg", "frameCfg", "channelCfg", "adcCfg", "adcbufCfg"):
+                raise DataError(
+                    f"{self._path}, line {number}: {words[0]} takes numbers; received {words[1:]}."
+                ) from None
+            return []
+
+    def all(self, name: str) -> list[list[float]]:
+        return self._found.get(name, [])
+
+    def one(self, name: str, least: int) -> list[float]:
+        rows = self.all(name)
+        if not rows:
+            raise DataError(f"{self._path}: the command {name} is missing; without it the frames have no size.")
+        if len(rows[-1]) < least:
+            raise DataError(f"{self._path}: {name} must have {least} numbers or more; received {len(rows[-1])}.")
+        return rows[-1]
+
+
+def _demo(path: Path, text: str) -> TiSettings:
+    lines = _Lines(path, text)
+    if lines.all("advFrameCfg") or lines.all("subFrameCfg"):
+        raise DataError(f"{path} uses advanced frames, whose chirps differ; only frameCfg can be read.")
+    frame, receivers = lines.one("frameCfg", 5), bin(int(lines.one("channelCfg", 2)[0])).count("1")
+    adc = lines.all("adcCfg")[-1] if lines.all("adcCfg") else [2.0, 1.0]
+    # Older firmware has no sub-frame index in front.
+    buffer = lines.all("adcbufCfg")[-1][-4:] if lines.all("adcbufCfg") else []
+    chirps = [(int(row[0]), int(row[1]), int(row[2]), int(row[7]), row[3:7]) for row in lines.all("chirpCfg")]
+    used, transmitters = _chirps(path, chirps, (int(frame[0]), int(frame[1])), int(frame[2]))
+    rows = [row for row in lines.all("profileCfg") if row and int(row[0]) == used]
+    if not rows or len(rows[-1]) < 11:
+        raise DataError(f"{path}: profileCfg {used}, which the frame uses, is missing or has fewer than 11 numbers.")
+    row = rows[-1]
+    lanes, device = _lanes(path, text, interleaved=len(buffer) == 4 and buffer[2] == 0 and receivers == 4)
+    stream = lines.all("lvdsStreamCfg")
+    return TiSettings(
+        profile=_profile(
+            path,
+            (row[1], row[2], row[3], row[4], row[7], row[9], row[10], frame[4]),
+            (receivers, int(adc[0]), int(adc[1]) if len(adc) > 1 else 1),
+            transmitters,
+        ),
+        frames=int(frame[3]),
+        lanes=lanes,
+        order="IIQQ" if len(buffer) == 4 and buffer[1] == 0 else _DEMO_DEFAULT,
+        order_said=len(buffer) == 4,
+        header=bool(stream and len(stream[-1]) > 1 and stream[-1][1] == 1),
+        device=device,
+        notes=() if device else (f"{path.name} names no device; two lanes are assumed.",) if lanes == 2 else (),
+    )
+
+
+def _chirps(
+    path: Path, chirps: Sequence[tuple[int, int, int, int, Sequence[float]]], span: tuple[int, int], loops: int
+) -> tuple[int, tuple[int, ...]]:
+    """The profile that the frame's chirps share, and the transmitters of each chirp of a frame."""
+    order: list[int] = []
+    used: set[int] = set()
+    for index in range(span[0], span[1] + 1):
+        row = next((c for c in chirps if c[0] <= index <= c[1]), None)
+        if row is None:
+            raise DataError(f"{path}: the frame uses chirps {span[0]} to {span[1]}, but chirp {index} is not defined.")
+        if any(row[4]):
+            raise DataError(
+                f"{path}: chirp {index} varies its profile by {list(row[4])}; only equal chirps can be read."
+            )
+        used.add(row[2])
+        order.append(row[3])
+    if len(used) != 1:
+        raise DataError(
+            f"{path}: the frame's chirps use profiles {sorted(used)}; only frames of one profile can be read."
+        )
+    if loops < 1:
+        raise DataError(f"{path}: frameCfg has {loops} loops; one or more are needed.")
+    return used.pop(), tuple(order) * loops
+
+
+def _profile(
+    path: Path, values: tuple[float, ...], channels: tuple[int, int, int], transmitters: tuple[int, ...]
+) -> ChirpProfile:
+    """The profile from GHz, µs (idle, ADC start, ramp end), MHz/µs, samples, ksps and the frame period in ms."""
+    start, idle, adc_start, ramp_end, slope, samples, rate, period = values
+    receivers, bits, form = channels
+    if bits not in _BITS or form not in (0, 1, 2, 3):
+        raise DataError(
+            f"{path}: ADC bits must have the code 0, 1 or 2 and the format 0 to 3; received {bits}, {form}."
+        )
+    try:
+        return ChirpProfile(
+            start_frequency_hz=1e9 * start,
+            slope_hz_s=1e12 * slope,
+            sample_rate_hz=1e3 * rate,
+            samples=int(samples),
+            frame_period_s=1e-3 * period,
+            adc_start_s=1e-6 * adc_start,
+            receivers=receivers,
+            transmitters=transmitters,
+            chirp_period_s=1e-6 * (idle + ramp_end),
+            bits=_BITS[bits],
+            complex_samples=form != 0,
+        )
+    except UsageError as error:
+        raise DataError(f"{path}: {error}") from error
+
+
+def _studio(path: Path) -> TiSettings:
+    try:
+        whole = json.loads(path.read_text(encoding="utf-8-sig"))
+    except ValueError as error:
+        raise DataError(f"{path} is no JSON: {error}. Save the settings again.") from error
+    device = _texts(whole, ("mmWaveDevice", "partName", "deviceName"))
+    if isinstance(whole, dict) and "configUsed" in whole:
+        # The setup file names the settings that were in use.
+        inner = read_settings(path.with_name(Path(str(whole["configUsed"])).name))
+        lanes, name = _lanes(path, device, interleaved=inner.lanes == 4)
+        return _with_device(inner, lanes, name) if name else inner
+    try:
+        return _studio_settings(path, whole["mmWaveDevices"][0], device)
+    except (KeyError, IndexError, TypeError, ValueError) as error:
+        raise DataError(
+            f"{path} lacks settings of mmWave Studio ({type(error).__name__}: {error}). Save it with File > Export."
+        ) from error
+
+
+def _with_device(settings: TiSettings, lanes: int, device: str) -> TiSettings:
+    from dataclasses import replace
+
+    return replace(settings, lanes=lanes, device=device)
+
+
+def _studio_settings(path: Path, device: dict[str, Any], name: str) -> TiSettings:
+    radio, capture = device["rfConfig"], device.get("rawDataCaptureConfig", {})
+    form = capture.get("rlDevDataFmtCfg_t", {})
+    adc, frame = radio["rlAdcOutCfg_t"]["fmt"], radio["rlFrameCfg_t"]
+    rows = [item["rlChirpCfg_t"] for item in radio["rlChirps"]]
+    variations = ("startFreqVar_MHz", "freqSlopeVar_KHz_usec", "idleTimeVar_usec", "adcStartTimeVar_usec")
+    chirps = [
+        (
+            int(row["chirpStartIdx"]),
+            int(row["chirpEndIdx"]),
+            int(row["profileId"]),
+            _whole(row["txEnable"]),
+            [float(row.get(key, 0.0)) for key in variations],
+        )
+        for row in rows
+    ]
+    span = (int(frame["chirpStartIdx"]), int(frame["chirpEndIdx"]))
+    used, transmitters = _chirps(path, chirps, span, int(frame["numLoops"]))
+    profiles = [item["rlProfileCfg_t"] for item in radio["rlProfiles"]]
+    row = next(item for item in profiles if int(item["profileId"]) == used)
+    keys = [
+        *("startFreqConst_GHz", "idleTimeConst_usec", "adcStartTimeConst_usec", "rampEndTime_usec"),
+        *("freqSlopeConst_MHz_usec", "numAdcSamples", "digOutSampleRate"),
+    ]
+    receivers = bin(_whole(radio["rlChanCfg_t"]["rxChannelEn"])).count("1")
+    lanes, found = _lanes(path, name, interleaved=int(form.get("chInterleave", 1)) == 0 and receivers == 4)
+    swap = form.get("iqSwapSel")
+    return TiSettings(
+        profile=_profile(
+            path,
+            (*(float(row[key]) for key in keys), float(frame["framePeriodicity_msec"])),
+            (receivers, int(adc["b2AdcBits"]), int(adc["b2AdcOutFmt"])),
+            transmitters,
+        ),
+        frames=int(frame.get("numFrames", 0)),
+        lanes=lanes,
+        order=_STUDIO_DEFAULT if not swap else "QQII",
+        order_said=swap is not None,
+        header=False,
+        device=found,
+        notes=() if found else (f"{path.name} names no device; {lanes} lanes are assumed.",),
+    )
+
+
+def _whole(value: Any) -> int:
+    """A whole number, also written in hexadecimal."""
+    return int(value, 0) if isinstance(value, str) else int(value)
+
+
+def _texts(value: Any, keys: tuple[str, ...]) -> str:
+    """All texts under the keys, anywhere in a tree."""
+    if isinstance(value, dict):
+        own = [str(item) for key, item in value.items() if key in keys and isinstance(item, str)]
+        return " ".join([*own, *(_texts(item, keys) for item in value.values())])
+    if isinstance(value, list):
+        return " ".join(_texts(item, keys) for item in value)
+    return ""
