@@ -6,8 +6,7 @@ import numpy as np
 
 from midspan.calibration.fit import Pair
 from midspan.calibration.noise import NoiseCalibration, calibrate_noise
-from midspan.fusion.kalman import KalmanFilter
-from midspan.fusion.smoother import smooth
+from midspan.fusion.runners import MethodSettings, run_method
 from midspan.records import Acceleration, Displacement, Estimate, Floats, Source, TimeSeries, nanoseconds
 from midspan.simulate.beam import paper_beam_motion
 from midspan.simulate.sensors import AccelerometerModel, DisplacementSensorModel, noise_std_for, simulate_pair
@@ -73,13 +72,10 @@ def learnt(acceleration: TimeSeries, displacement: TimeSeries, max_offset_s: flo
     return calibrate_noise(Pair(samples, rows[inner], 1.0), max_offset_s)
 
 
-def fused(acceleration: Acceleration, displacement: Displacement, method: str) -> Estimate:
-    """The estimate of `smoother` or `kalman`."""
-    if method == "smoother":
-        return smooth(acceleration, displacement).estimate
-    stream = KalmanFilter()
-    stream.push(displacement)
-    return next(item for item in stream.push(acceleration) if isinstance(item, Estimate))
+def fused(acceleration: Acceleration, displacement: Displacement, method: str, lag_s: float = 0.5) -> Estimate:
+    """The estimate of a method of `midspan methods`; with " --literal" behind its name as printed."""
+    name, _, literal = method.partition(" --")
+    return run_method(name, acceleration, displacement, MethodSettings(literal=bool(literal), lag_s=lag_s)).estimate
 
 
 def even(rate_hz: float, length_s: float) -> "np.ndarray[tuple[int], np.dtype[np.int64]]":

@@ -83,7 +83,7 @@ def sections(model=RecordingSettings, prefix=""):
         if inner is None:
             yield prefix, name
         else:
-            yield from sections(inner, name)
+            yield from sections(inner, f"{prefix}.{name}" if prefix else name)
 
 
 @pytest.mark.parametrize(("section", "key"), list(sections()))

@@ -196,3 +196,82 @@ def test_a_file_that_is_no_toml_is_named(content, tmp_path):
     (tmp_path / "recording.toml").write_bytes(content)
     with pytest.raises(UsageError, match=r"recording\.toml"):
         load_settings(tmp_path)
+
+
+def test_both_axes_are_accepted_with_one_or_two_columns_and_the_main_axis_is_the_first_fused_one():
+    both = {"file": "camera.mkv", "direction": "xy"}
+    columns = {"file": "accel.csv", "value_x": "ax", "value_y": "ay"}
+    assert validate({"accelerometer": columns, "camera": both}, "r").axes == ("y", "x")
+    assert validate({"accelerometer": {"file": "a.csv", "value_x": "ax"}, "camera": both}, "r").axes == ("x", "y")
+    assert validate({"accelerometer": {"file": "a.csv", "value_y": "ay"}, "camera": both}, "r").axes == ("y", "x")
+    assert validate(tree_with(), "r").axes == ("y",)
+
+
+def test_columns_of_axes_and_direction_must_fit_each_other():
+    both = {"file": "camera.mkv", "direction": "xy"}
+    assert "accelerometer.value_x" in message_of(tree_with(camera=both))
+    named = {"file": "accel.csv", "value_x": "ax"}
+    assert 'camera.direction = "xy"' in message_of({"accelerometer": named, "camera": CAMERA})
+    assert 'camera.direction = "xy"' in message_of({"accelerometer": named, "displacement": {"file": "gnss.csv"}})
+    assert "not both" in message_of({"accelerometer": {**named, "value": "az"}, "camera": both})
+
+
+def test_several_targets_are_accepted_and_numbered_where_they_have_no_name():
+    camera = {"file": "c.mkv", "target": [{"roi": [0, 0, 64, 64], "name": "sign"}, {"roi": [80, 0, 64, 64]}]}
+    assert validate(tree_with(camera=camera), "r").camera.target_names == ("sign", "2")
+
+
+@pytest.mark.parametrize(
+    ("keys", "words"),
+    [
+        ({"roi": [0, 0, 64, 64], "target": [{"roi": [0, 0, 64, 64]}]}, ("roi", "[[camera.target]]", "not both")),
+        ({"roi": [0, 0, 64, 64], "automatic_targets": 2}, ("automatic_targets",)),
+        ({"automatic_targets": 7}, ("camera.automatic_targets", "7")),
+        ({"target": [{"roi": [0, 0, 64, 64]}, {"roi": [0, 0, 64, 64]}]}, ("its own roi",)),
+        (
+            {"target": [{"roi": [0, 0, 9, 9], "name": "a"}, {"roi": [1, 0, 9, 9], "name": "a"}]},
+            ("its own name", "a, a"),
+        ),
+        ({"target": [{"name": "a"}]}, ("camera.target[1].roi", "missing")),
+        ({"target": [{"roi": [0, 0, 64]}]}, ("camera.target[1].roi", "4 numbers")),
+        ({"target": [{"roi": [0, 0, 64, 64], "nam": "a"}]}, ("camera.target[1].nam", "'name'")),
+        ({"target": [{"roi": [0, 0, 64, 64], "name": "a b"}]}, ("camera.target[1].name", "'a b'", "letters")),
+        ({"target": {"roi": [0, 0, 64, 64]}}, ("camera.target", "[[camera.target]]")),
+    ],
+)
+def test_wrong_targets_are_refused_by_their_number(keys, words):
+    text = message_of(tree_with(camera={**CAMERA, **keys}))
+    for word in words:
+        assert word in text
+
+
+def test_settings_of_the_tracker_are_checked_by_its_own_rules():
+    camera = {**CAMERA, "tracker": "features", "tracker_settings": {"technique": "existing", "ratio": 0.7}}
+    tree = {"accelerometer": ACCELEROMETER, "camera": camera}
+    assert validate(tree, "file").camera.tracker_settings == {"technique": "existing", "ratio": 0.7}
+
+
+@pytest.mark.parametrize(
+    ("keys", "words"),
+    [
+        ({"rato": 0.7}, "Did you mean 'ratio'"),
+        ({"ratio": "0.7"}, "a number"),
+        ({"ratio": 7}, "above 0, up to 1"),
+        ({"upright": 1}, "true or false"),
+        ({"max_features": 30.5}, "a whole number"),
+        ({"technique": "new"}, "proposed"),
+    ],
+)
+def test_wrong_settings_of_the_tracker_are_refused(keys, words):
+    tree = {"accelerometer": ACCELEROMETER, "camera": {**CAMERA, "tracker": "features", "tracker_settings": keys}}
+    with pytest.raises(UsageError, match=words):
+        validate(tree, "file")
+
+
+def test_another_tracker_on_the_command_line_leaves_the_settings_of_the_files_tracker(tmp_path):
+    (tmp_path / "recording.toml").write_text(
+        '[accelerometer]\nfile = "a.csv"\n[camera]\nfile = "c.mkv"\ntracker = "features"\n'
+        'tracker_settings = { technique = "existing" }\n'
+    )
+    assert load_settings(tmp_path, {"camera": {"tracker": "features"}}).camera.tracker_settings
+    assert not load_settings(tmp_path, {"camera": {"tracker": "template"}}).camera.tracker_settings

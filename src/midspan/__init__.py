@@ -36,7 +36,7 @@ _PLACES = {
     "calibrate_scale": "calibration.scale",
     "choose_region": "vision.roi",
     "estimate": "recording.estimate",
-    "load_calibration": "recording.calibration",
+    "load_calibration": "recording.calibration_file",
     "open_recording": "recording.recording",
     "open_tracker": "vision.tracker",
     "smooth": "fusion.smoother",

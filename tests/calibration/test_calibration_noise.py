@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from calibration_cases import OFFSET, broadband, observed, spoilt, tones
 
-from midspan.calibration.noise import calibrate_noise
+from midspan.calibration.fit import Pair
+from midspan.calibration.noise import calibrate_noise, learn_motion
 from midspan.calibration.whitening import whiten
 from midspan.fusion.kalman import KalmanSettings
 from midspan.fusion.smoother import smooth
@@ -87,3 +88,21 @@ def test_whitened_innovations_are_those_of_the_filter():
     # The two differ in the start, forgotten after ten seconds.
     np.testing.assert_allclose(ours, innovation.value_m[3:][later], atol=1e-3 * np.std(ours))
     np.testing.assert_allclose(noise * w.variance[later], innovation.variance_m2[3:][later], rtol=1e-3)
+
+
+@pytest.mark.parametrize(("density", "noise_m"), [(1e-4, 1e-5), (1e-4, 1e-3), (1e-7, 1e-5)])
+def test_the_strength_of_a_motion_without_an_accelerometer_is_learnt_from_its_displacement(density, noise_m):
+    found = []
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        # White acceleration in steps of 1 ms, integrated twice: exactly the model, but for its step.
+        shaken = np.sqrt(density * 1000.0) * rng.standard_normal(60_000)
+        moved = np.cumsum(np.cumsum(shaken)) * 1e-6
+        frame = np.arange(50, 60_000, 100)
+        value = moved[frame] + noise_m * rng.standard_normal(len(frame))
+        rows = np.column_stack((frame / 1000.0, value - value[0], np.full(len(frame), noise_m**2)))
+        time = np.arange(0.0, 60.0, 0.01)
+        samples = np.column_stack((time, np.zeros(len(time)), np.ones(len(time))))
+        found.append(learn_motion(Pair(samples, rows, 1.0)))
+    # 600 frames tell a variance to 6 % at best; where the noise hides the fast part, fewer count. The mean of six.
+    assert np.exp(np.mean(np.log(found))) == pytest.approx(density, rel=0.25)

@@ -8,6 +8,7 @@ import sys
 import numpy as np
 import pytest
 
+from lens_cases import write_pictures
 from midspan.cli.main import COMMANDS, run
 from recording_edits import append, error_mm, read_columns, set_keys
 
@@ -27,11 +28,12 @@ def one_document(text):
 
 @pytest.fixture(scope="module")
 def done(footbridge, tmp_path_factory):
-    """A folder with a result in CSV, its track and the calibration of `footbridge`."""
+    """A folder with a result in CSV, its track and the calibration of `footbridge`, and pictures of a checkerboard."""
     folder = tmp_path_factory.mktemp("done")
     assert run(["calibrate", str(footbridge), "-o", str(folder / "calibration.json"), "--quiet"]) == 0
     assert run(["estimate", str(footbridge), "-o", str(folder / "result.csv"), "--quiet"]) == 0
     assert run(["track", str(footbridge), "-o", str(folder / "track.csv"), "--quiet"]) == 0
+    write_pictures(folder / "boards", 8, 2)
     return folder
 
 
@@ -43,6 +45,7 @@ def calls(footbridge, done, target):
         "calibrate": ["calibrate", f"{footbridge}", "-o", f"{target}/calibration.json"],
         "estimate": ["estimate", f"{footbridge}", "-o", f"{target}/result.csv"],
         "track": ["track", f"{footbridge}", "-o", f"{target}/track.csv"],
+        "lens": ["lens", f"{done}/boards", "-o", f"{target}/lens.json"],
         "compare": ["compare", f"{done}/result.csv", f"{footbridge}/truth.csv"],
         "formats": ["formats"],
         "methods": ["methods"],
@@ -88,7 +91,9 @@ def test_an_unknown_option_is_wrong_use_in_words_and_in_json(name, capsys):
     assert "--nonsense" in said.err
 
 
-@pytest.mark.parametrize("name", ["inspect", "calibrate", "estimate", "track", "compare", "check-config", "simulate"])
+@pytest.mark.parametrize(
+    "name", ["inspect", "calibrate", "estimate", "track", "lens", "compare", "check-config", "simulate"]
+)
 def test_a_missing_argument_is_wrong_use(name, capsys):
     assert run([name]) == 2
     assert name in capsys.readouterr().err

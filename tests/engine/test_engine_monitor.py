@@ -1,11 +1,11 @@
 """The loop of filter and tracker: predictions in pixels with the right sign and axis, measurements back in metres."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
 
-from midspan.engine.monitor import LEAST_STD_PX, CameraScale, Monitor
+from midspan.engine.monitor import LEAST_STD_PX, AxisLoop, CameraScale, Monitor
 from midspan.fusion.kalman import KalmanFilter
 from midspan.records import (
     Acceleration,
@@ -17,6 +17,7 @@ from midspan.records import (
     Prediction,
     Source,
     Status,
+    joined,
     part,
 )
 
@@ -59,7 +60,7 @@ def run(scale, lost=(), rate_hz=10.0):
     """Push both streams in time order; returns tracker, frames' times on the accelerometer's clock, outputs, "
     "monitor."""
     tracker = KnowingTracker(scale, lost)
-    monitor = Monitor(tracker, scale, KalmanFilter())
+    monitor = Monitor([tracker], [AxisLoop([scale], KalmanFilter())])
     samples, outputs, pushed = acceleration(), [], 0
     times = (np.arange(1, 280) / rate_hz * 1e9).astype(np.int64)
     for index, time_ns in enumerate(times):
@@ -143,3 +144,79 @@ def test_a_track_becomes_a_displacement_with_the_scales_sign_clock_and_variance(
     assert block.value_m.tolist() == pytest.approx([3e-3])
     assert block.variance_m2.tolist() == pytest.approx([4e-6 * 3.0 * 0.25])
     assert block.source.tolist() == [Source.INFRARED]
+
+
+@dataclass
+class PlaneTracker:
+    """Gives true translations along both axes; from `jump_at` on it is `jump_px` off along y."""
+
+    scales: dict[str, CameraScale]
+    zero_px: float = 0.0
+    jump_at: int = 10**9
+    jump_px: float = 0.0
+    predictions: list[Prediction | None] = field(default_factory=list)
+
+    def push(self, frame, prediction=None):
+        self.predictions.append(prediction)
+        time_s = (frame.time_ns + OFFSET_NS) / 1e9
+        x = sideways(time_s) / self.scales["x"].scale_m_per_px
+        y = displacement(time_s) / self.scales["y"].scale_m_per_px + self.zero_px
+        y += self.jump_px * (frame.index >= self.jump_at)
+        return PixelTranslation(frame.time_ns, x, y, 1e-4, 1e-4, 1.0, Status.TRACKING)
+
+
+def sideways(time_s):
+    return 3e-3 * np.sin(2 * np.pi * 0.7 * time_s + 1.0)
+
+
+def scales_of(per_px):
+    return {axis: CameraScale(per_px, axis, OFFSET_NS) for axis in "xy"}
+
+
+def run_plane(trackers, axes):
+    """Push frames at 10 Hz and each axis's acceleration; returns the estimate along y."""
+    loops = [AxisLoop([tracker.scales[axis] for tracker in trackers], KalmanFilter()) for axis in axes]
+    monitor = Monitor(trackers, loops)
+    down = acceleration()
+    across = replace(down, value_m_s2=-((2 * np.pi * 0.7) ** 2) * sideways(down.time_ns / 1e9) + 0.02)
+    samples = {"y": down, "x": across}
+    found, pushed = [], 0
+    for index in range(1, 280):
+        time_ns = index * 100_000_000
+        due = int(np.searchsorted(down.time_ns, time_ns + OFFSET_NS, side="right"))
+        for number, axis in enumerate(axes):
+            out = monitor.push(part(samples[axis], slice(pushed, due)), number)
+            found += [item for item in out if isinstance(item, Estimate)] if axis == "y" else []
+        pushed = due
+        assert len(monitor.push(Frame(time_ns, np.zeros((2, 2), np.uint8), index))) == len(trackers)
+    return monitor, joined(found)
+
+
+def test_with_two_axes_the_target_is_where_it_was_predicted_on_both():
+    tracker = PlaneTracker(scales_of(-2e-3))
+    run_plane([tracker], "yx")
+    times = (np.arange(101, 280) * 1e8 + OFFSET_NS) / 1e9
+    settled = tracker.predictions[100:]
+    np.testing.assert_allclose([p.y_px for p in settled], displacement(times) / -2e-3, atol=0.02)
+    np.testing.assert_allclose([p.x_px for p in settled], sideways(times) / -2e-3, atol=0.02)
+    assert all(p.std_x_px == LEAST_STD_PX for p in settled)
+
+
+def test_targets_at_other_distances_are_predicted_by_their_own_scale_and_zero():
+    trackers = [PlaneTracker(scales_of(-2e-3)), PlaneTracker(scales_of(-1e-3), zero_px=0.8)]
+    monitor, _ = run_plane(trackers, "y")
+    times = (np.arange(201, 280) * 1e8 + OFFSET_NS) / 1e9
+    predicted = np.array([p.y_px for p in trackers[1].predictions[200:]])
+    np.testing.assert_allclose(predicted, displacement(times) / -1e-3 + 0.8, atol=0.08)
+    # Both zeros together are moved by what lies between: 0.8 px of 1 mm each.
+    assert monitor.axes[0].zeros_m[1] - monitor.axes[0].zeros_m[0] == pytest.approx(-0.8e-3, abs=0.02e-3)
+
+
+def test_a_target_that_jumps_away_makes_no_step_and_its_prediction_stays():
+    trackers = [PlaneTracker(scales_of(-2e-3), jump_at=150, jump_px=3.0), PlaneTracker(scales_of(-2e-3))]
+    _, found = run_plane(trackers, "y")
+    time = found.time_ns / 1e9
+    after = (time > 15.5) & (time < 27.5)
+    # 3 px are 6 mm; the mean of both would be off by 3 mm. What is left is the held acceleration between frames.
+    assert np.max(np.abs(found.displacement_m - displacement(time))[after]) < 0.1e-3
+    assert trackers[0].predictions[-1].y_px == pytest.approx(trackers[1].predictions[-1].y_px, abs=0.1)

@@ -28,7 +28,7 @@ def filtered(acceleration, displacement, settings=None):
     """The causal estimate of a whole record and everything else the filter gave."""
     stream = KalmanFilter(settings or KalmanSettings())
     stream.push(displacement)
-    outputs = stream.push(acceleration)
+    outputs = [*stream.push(acceleration), *stream.finish()]
     (estimate,) = [item for item in outputs if isinstance(item, Estimate)]
     return estimate, outputs
 

@@ -65,7 +65,8 @@ def test_one_measurement_in_ten_an_outlier_costs_at_most_a_tenth(method):
         dirty.append(error(estimate)[500:-500])
         rejected = innovation.verdict == REJECTED
         assert not np.any(bad[50:] & ~rejected[50:])
-        assert not events
+        # While it settles the gate is wide; an outlier that gets in then is told where it is given up again.
+        assert all(event.time_ns < 2e9 for event in events)
     assert rms(dirty) <= 1.10 * rms(clean)
 
 
@@ -75,7 +76,10 @@ def test_a_target_stuck_for_four_seconds_is_ridden_through(method):
     stuck = (MET > 30.0) & (MET < 34.0)
     value[stuck] += 8e-3
     estimate, innovation, events = run(method, acceleration, value, variance)
-    assert not events
+    (event,) = events
+    assert event.kind == "rejected"
+    assert event.time_ns == innovation.time_ns[np.argmax(stuck)]
+    assert f"from {MET[stuck][0]:.3f} to" in event.text
     assert np.all(innovation.verdict[stuck] == REJECTED)
     inside = (TIME > 30.0) & (TIME < 34.0)
     # Four seconds of accelerometer alone drift: half of it would be a target that is believed again too early.

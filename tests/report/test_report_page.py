@@ -14,7 +14,8 @@ import pytest
 from scipy.ndimage import fourier_shift, gaussian_filter
 
 from midspan.errors import UsageError
-from midspan.recording.calibration import Calibration, DisplacementCalibration, load_calibration
+from midspan.recording.calibration import Calibration, DisplacementCalibration
+from midspan.recording.calibration_file import load_calibration
 from midspan.recording.estimate import estimate
 from midspan.recording.recording import open_recording
 from midspan.recording.result import Result

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 
 from midspan.errors import DataError, UsageError
 from midspan.records import Region
-from midspan.vision.roi import RoiSettings, check_region, choose_region, clamp, shift
+from midspan.vision.roi import RoiSettings, check_region, choose_region, clamp, further_places, shift
 
 COLUMNS, ROWS = 480, 360
 FIXED = Region(60, 100, 100, 100)
@@ -101,7 +101,9 @@ def test_frames_must_be_there_and_of_one_size(make_frame):
         choose_region([make_frame(np.zeros((50, 60))), make_frame(np.zeros((60, 50)))])
 
 
-@pytest.mark.parametrize("wrong", [{"direction": "z"}, {"size_px": 10}, {"margin_px": -1}, {"candidates": 0}])
+@pytest.mark.parametrize(
+    "wrong", [{"direction": "z"}, {"size_px": 10}, {"margin_px": -1}, {"candidates": 0}, {"regions": 11}]
+)
 def test_settings_outside_their_range_are_refused(wrong):
     with pytest.raises(UsageError, match=next(iter(wrong))):
         RoiSettings(**wrong)
@@ -144,3 +146,27 @@ def test_a_shifted_region_keeps_its_size_and_is_off_by_half_a_pixel_at_most(regi
     assert (moved.width, moved.height) == (region.width, region.height)
     assert abs(moved.x - region.x - dx) <= 0.5
     assert abs(moved.y - region.y - dy) <= 0.5
+
+
+def test_further_places_leave_the_kept_alone_and_the_avoided_nearly(street):
+    choice = choose_region(street)
+    kept, avoided = choice.region, next(c.region for c in choice.candidates if not c.fixed)
+    places = further_places(choice, [kept], [avoided], 5)
+    assert places
+    assert [std for _, std in places] == sorted(std for _, std in places)
+    for region, std_px in places:
+        assert std_px > 0
+        assert max(abs(region.x - kept.x), abs(region.y - kept.y)) >= kept.width
+        assert max(abs(region.x - avoided.x), abs(region.y - avoided.y)) >= avoided.width // 2
+
+
+def test_several_regions_lie_apart_and_the_first_is_the_best(make_scene, make_frame, camera):
+    scene, rng = make_scene(11, highest=0.2), np.random.default_rng(11)
+    frames = [make_frame(camera(scene.image(320, 240, 0.0, np.sin(k)), rng, 3.0), k) for k in range(8)]
+    one, three = (choose_region(frames, RoiSettings(regions=n)) for n in (1, 3))
+    assert one.regions == three.regions[:1] == (three.region,)
+    assert len(three.regions) == 3
+    for k, region in enumerate(three.regions):
+        for other in three.regions[:k]:
+            assert max(abs(region.x - other.x), abs(region.y - other.y)) >= region.width
+    assert [c.verdict for c in three.candidates[:3]] == ["taken"] * 3

@@ -3,14 +3,18 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
-from midspan.calibration.fit import Fit, Pair, best_corner
+from midspan.calibration.fit import Fit, Pair, best_corner, corner_range
 from midspan.calibration.time_offset import MARKING_ROUNDS, mark_outliers, search_offset, without_lonely_outliers
+from midspan.calibration.whitening import whiten
 from midspan.records import TimeOffset
 
 # A clock offset is only applied when it is this certain and the likelihood gains this much over none.
 CERTAIN_S = 0.02
 LEAST_GAIN = 10.0
+# A quiet camera sees a motion so well that the two noise levels meet this far above its Nyquist frequency.
+FASTEST = 100.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,3 +70,30 @@ def _apparent_scale(fit: Fit) -> tuple[float, float]:
     power = float(np.sum(w.response**2 / w.variance))
     cross = float(np.sum(w.response * w.translation / w.variance))
     return cross / max(power, 1e-300), float(np.sqrt(fit.noise / max(power, 1e-300)))
+
+
+def learn_motion(pair: Pair) -> float:
+    """How strongly a motion without an accelerometer is shaken: density of a white acceleration, (m/s²)²/Hz.
+
+    pair: displacement in m with variances that are right, and samples of zero acceleration: the motion itself is the
+    noise of the model. By maximum likelihood of the innovations; the noise is not fitted beside it, which would take a
+    motion faster than the frames follow for noise.
+    """
+    pair = without_lonely_outliers(pair)
+    typical = float(np.median(pair.rows[np.isfinite(pair.rows[:, 2]), 2]))
+    rows = pair.rows / np.array([1.0, 1.0, typical])
+    low, high = corner_range(pair)
+
+    def density(corner: float) -> float:
+        return float(np.exp(4.0 * corner)) / pair.rate_hz
+
+    def cost(corner: float) -> float:
+        w = whiten(pair.samples, rows, density(corner), pair.exposure_s)
+        return float(np.sum(np.log(w.variance) + w.translation**2 / (typical * w.variance)))
+
+    bounds = (np.log(low), np.log(FASTEST * high))
+    grid = np.linspace(*bounds, 25)
+    best = grid[int(np.argmin([cost(corner) for corner in grid]))]
+    step = grid[1] - grid[0]
+    found = minimize_scalar(cost, bounds=(best - step, best + step), method="bounded")
+    return typical * density(float(found.x))

@@ -41,6 +41,8 @@ def describe(console: Console, tree: dict) -> None:  # type: ignore[type-arg]
             ("camera clock offset", _offset(camera)),
             ("camera noise", f"{camera['noise_std_px']:.2g} px per frame"),
             ("region of interest", ", ".join(str(number) for number in camera["roi"]) + " (x, y, width, height in px)"),
+            *_targets(camera),
+            *_axes(camera),
         ]
     if displacement:
         rows += [
@@ -52,6 +54,26 @@ def describe(console: Console, tree: dict) -> None:  # type: ignore[type-arg]
         ("accelerometer bias", f"{1e3 * acceleration['bias_m_s2']:.3g} mm/s²"),
     ]
     console.table(rows)
+
+
+def _targets(camera: dict) -> list[tuple[str, str]]:  # type: ignore[type-arg]
+    """One row for each of several targets."""
+    rows = []
+    for target in camera["targets"] if len(camera["targets"]) > 1 else []:
+        scale = target["scale_mm_per_px"]
+        value = "no scale factor" if scale is None else f"{scale:.5g} ± {target['scale_std_mm_per_px']:.2g} mm/px"
+        rows.append((f"target {target['name']}", value if target["used"] else f"{value}, left out"))
+    return rows
+
+
+def _axes(camera: dict) -> list[tuple[str, str]]:  # type: ignore[type-arg]
+    """One row for the second image axis, where there is one."""
+    rows = []
+    for axis, part in camera.get("axes", {}).items():
+        if axis != camera["axis"]:
+            how = "with its own acceleration" if part["fused"] else "tracked only"
+            rows.append((f"scale factor along {axis}", f"{part['scale_mm_per_px']:.5g} mm/px, {how}"))
+    return rows
 
 
 def _offset(tree: dict) -> str:  # type: ignore[type-arg]

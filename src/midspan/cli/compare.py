@@ -11,8 +11,10 @@ from midspan.cli.console import Console, common_options
 @click.argument("result", type=click.Path())
 @click.argument("reference", type=click.Path())
 @click.option("--unit", help="Unit of the reference's values where its file does not say, for example mm.")
+@click.option("--axis", type=click.Choice(["x", "y"]), help="Image axis of a result that has both; left out: its main "
+              "columns.")  # fmt: skip
 @common_options
-def command(result: str, reference: str, unit: str | None, quiet: bool, as_json: bool) -> None:
+def command(result: str, reference: str, quiet: bool, as_json: bool, **options: str | None) -> None:
     """Compare a result with a reference over their common time span.
 
     REFERENCE is a file with time and displacement, or a recording with a [reference] section. Both must be on the
@@ -21,7 +23,7 @@ def command(result: str, reference: str, unit: str | None, quiet: bool, as_json:
     from midspan.evaluate.result_file import compare_files
 
     console = Console(quiet, as_json)
-    figures = compare_files(result, reference, unit=unit).to_dict()
+    figures = compare_files(result, reference, unit=options["unit"], axis=options["axis"]).to_dict()
     show(console, figures)
     console.document(figures)
 

@@ -21,18 +21,19 @@ if TYPE_CHECKING:
 @click.option("-o", "--output", type=click.Path(), help="Result file (.csv .parquet .h5 .mat .mseed .uff); "
               "left out: result.csv in the recording.")  # fmt: skip
 @click.option("--method", help="Fusion method, over the recording's own; see `midspan methods`.")
+@click.option("--literal", is_flag=True, help="A paper's method exactly as printed, without guard.")
 @click.option("--tracker", help="Tracker, over the recording's own.")
 @click.option("--report", type=click.Path(), help="Write a self-contained HTML report.")
 @common_options
 def command(recording: str, quiet: bool, as_json: bool, **options: Any) -> None:
     """Estimate displacement in mm at the accelerometer's rate, with its standard deviation."""
     from midspan.cli.targets import protect, report_path
-    from midspan.recording.calibration import load_calibration
+    from midspan.recording.calibration_file import load_calibration
     from midspan.recording.estimate import estimate
     from midspan.sinks.write import check_target
 
     console = Console(quiet, as_json)
-    opened = open_with(recording, options["tracker"], options["method"])
+    opened = open_with(recording, options["tracker"], options["method"], options["literal"])
     output = protect(opened, options["output"] or opened.folder / "result.csv")
     check_target(output)
     report = report_path(options["report"])
@@ -49,7 +50,7 @@ def command(recording: str, quiet: bool, as_json: bool, **options: Any) -> None:
     show(console, result, written)
 
 
-def open_with(recording: str, tracker: str | None, method: str | None = None) -> "Recording":
+def open_with(recording: str, tracker: str | None, method: str | None = None, literal: bool = False) -> "Recording":
     """Open a recording with the tracker and method of the command line, which win over its own."""
     from midspan.checks import option
     from midspan.fusion.methods import METHODS
@@ -61,6 +62,8 @@ def open_with(recording: str, tracker: str | None, method: str | None = None) ->
         overrides["camera"] = {"tracker": option("--tracker", tracker, TRACKERS)}
     if method is not None:
         overrides["fusion"] = {"method": option("--method", method, METHODS)}
+    if literal:
+        overrides["fusion"] = overrides.get("fusion", {}) | {"literal": True}
     opened = open_recording(recording, **overrides)
     if tracker is not None and not opened.has("camera"):
         raise click.UsageError(f"--tracker {tracker}: {opened.file} has no [camera] to track.")
@@ -76,6 +79,18 @@ def write_report(result: "Result", path: Path, reference: "TimeSeries | None", c
     console.done()
 
 
+def _second(result: "Result") -> list[tuple[str, str]]:
+    """The same two rows along the second image axis, where there is one."""
+    if result.across is None:
+        return []
+    f, axis = result.figures(), result.across.axis
+    span = f"{f[f'smallest_{axis}_mm']:.4g} … {f[f'largest_{axis}_mm']:.4g} mm, {f[f'rms_{axis}_mm']:.4g} mm rms"
+    return [
+        (f"displacement along {axis}", span),
+        (f"standard deviation along {axis}", f"{f[f'median_std_{axis}_mm']:.3g} mm (median)"),
+    ]
+
+
 def show(console: Console, result: "Result", written: list[str]) -> None:
     """Print the first figures of a result and where it went."""
     f = result.figures()
@@ -85,6 +100,7 @@ def show(console: Console, result: "Result", written: list[str]) -> None:
             ("rows", f"{f['rows']} from {f['start_s']:.3f} to {f['end_s']:.3f} s ({result.method})"),
             ("displacement", f"{f['smallest_mm']:.4g} … {f['largest_mm']:.4g} mm, {f['rms_mm']:.4g} mm rms"),
             ("standard deviation", f"{f['median_std_mm']:.3g} mm (median)"),
+            *_second(result),
             ("status", share),
             ("written", ", ".join(written)),
         ]

@@ -35,7 +35,7 @@ def command(recording: str, all_frames: bool, quiet: bool, as_json: bool) -> Non
 def show(console: Console, tree: dict[str, Any]) -> None:
     """Print what `inspect_recording` found."""
     console.say(f"{tree['name']} ({tree['recording']})")
-    for section in ("accelerometer", "camera", "displacement", "reference"):
+    for section in ("accelerometer", "accelerometer_x", "accelerometer_y", "camera", "displacement", "reference"):
         if section in tree:
             _show_stream(console, section, tree[section])
     _show_overlap(console, tree["overlap"])

@@ -16,6 +16,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "calibrate": ("calibrate", "Scale factor, clock offset and noise, written to calibration.json."),
     "estimate": ("estimate", "The main job: displacement in mm at the accelerometer's rate."),
     "track": ("track", "Camera alone: translation of a target in pixels, frame by frame."),
+    "lens": ("lens", "A camera's lens from pictures of a checkerboard, for [camera.lens]."),
     "compare": ("compare", "A result against a reference: RMSE, bias, correlation, lag."),
     "formats": ("formats", "What can be read and written."),
     "methods": ("methods", "Trackers and fusion methods, and when to use each."),

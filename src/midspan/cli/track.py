@@ -1,11 +1,14 @@
 """`midspan track SOURCE`."""
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from midspan.cli.console import Console, RegionType, common_options
+
+if TYPE_CHECKING:
+    from midspan.recording.track import Tracked
 
 
 @click.command("track")
@@ -63,6 +66,7 @@ def command(source: str, output: str, quiet: bool, as_json: bool, **options: Any
         "frames": len(rows.time_ns),
         "lost": lost,
         "roi": [region.x, region.y, region.width, region.height],
+        **_others(tracked),
         "range_x_px": _range(rows.x_px),
         "range_y_px": _range(rows.y_px),
         "median_std_x_px": float(np.nanmedian(np.sqrt(rows.variance_x_px2))) if lost < len(rows.time_ns) else None,
@@ -73,6 +77,15 @@ def command(source: str, output: str, quiet: bool, as_json: bool, **options: Any
     console.table((name.replace("_", " "), str(value)) for name, value in figures.items() if name != "warnings")
     console.warn(tracked.warnings)
     console.document(figures)
+
+
+def _others(tracked: "Tracked") -> dict[str, Any]:
+    """Regions by name, where there are several targets."""
+    targets = tracked.tracking.targets
+    if len(targets) == 1:
+        return {}
+    regions = {t.name: [t.region.x, t.region.y, t.region.width, t.region.height] for t in targets}
+    return {"targets": regions}
 
 
 def _range(values: Any) -> list[float] | None:

@@ -14,13 +14,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from midspan.checks import option, positive
-from midspan.fusion.kalman import KalmanFilter, KalmanSettings
-from midspan.fusion.methods import METHODS
-from midspan.fusion.smoother import smooth
-from midspan.records import Acceleration, Displacement, Estimate, Floats, Nanoseconds, Source, nanoseconds
+from midspan.fusion.kalman import KalmanSettings
+from midspan.fusion.runners import MethodSettings, run_method
+from midspan.records import Acceleration, Displacement, Floats, Nanoseconds, Source, nanoseconds
 
 # The bound's stretch is left to settle by this many periods of the corner before it is called stationary.
 SETTLING_CORNERS = 30.0
+# Methods that are optimal for known noise, so that the recursion of their covariance is the bound.
+CLOSED, OPTIMAL = ("smoother", "kalman"), ("smoother", "kalman", "lag")
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,15 +55,19 @@ class KnownNoise:
 
 def closed_bound(noise: KnownNoise, method: str = "smoother") -> float:
     """Least standard deviation (m) of `method` ("smoother" or "kalman") in closed form; bias known, no gaps."""
-    option("method", method, METHODS)
+    option("method", method, CLOSED)
     factor = np.sqrt(2.0) if method == "kalman" else 1.0 / (2.0 * np.sqrt(2.0))
     return float(np.sqrt(factor * noise.displacement_density * noise.corner_rad_s))
 
 
-def exact_bound(noise: KnownNoise, method: str = "smoother") -> float:
-    """Least standard deviation (m) in the middle of a long record, from the covariance recursion; bias known."""
+def exact_bound(noise: KnownNoise, method: str = "smoother", *, lag_s: float = 0.5) -> float:
+    """Least standard deviation (m) in the middle of a long record, from the covariance recursion; bias known.
+
+    method: "smoother", "kalman" or "lag", the last with `lag_s` seconds.
+    """
     length_s = max(2.0 * SETTLING_CORNERS / noise.corner_rad_s, 60.0 / noise.displacement_rate_hz)
-    variance = variance_rows(*still(noise, length_s), method, KalmanSettings(bias_walk=0.0, bias_std=1e-12))
+    settings = KalmanSettings(bias_walk=0.0, bias_std=1e-12)
+    variance = variance_rows(*still(noise, length_s), method, settings, lag_s=lag_s)
     n = len(variance)
     return float(np.sqrt(np.mean(variance[2 * n // 5 : 3 * n // 5])))
 
@@ -82,23 +87,24 @@ def _grid(length_s: float, rate_hz: float) -> Nanoseconds:
 
 
 def variance_rows(
-    acceleration: Acceleration, displacement: Displacement, method: str, settings: KalmanSettings | None = None
+    acceleration: Acceleration,
+    displacement: Displacement,
+    method: str,
+    settings: KalmanSettings | None = None,
+    *,
+    lag_s: float = 0.5,
 ) -> Floats:
     """Least variance (n,) in m² at each of the n samples, for the stamps, densities and variances of these blocks.
 
     The values do not matter: the recursion is run on zeros, so that nothing is rejected. A measurement whose value or
     variance is not finite stays unused. settings: what is known of bias and start; left out: the filter's own.
     """
-    option("method", method, METHODS)
+    option("method", method, OPTIMAL)
     usable = np.isfinite(displacement.value_m)
     zero = replace(displacement, value_m=np.where(usable, 0.0, np.nan))
     quiet = replace(acceleration, value_m_s2=np.zeros(len(acceleration.time_ns)))
     settings = replace(settings or KalmanSettings(), bias=0.0)
-    if method == "smoother":
-        return smooth(quiet, zero, settings).estimate.variance_m2
-    stream = KalmanFilter(settings)
-    stream.push(zero)
-    return next(item for item in stream.push(quiet) if isinstance(item, Estimate)).variance_m2
+    return run_method(method, quiet, zero, MethodSettings(kalman=settings, lag_s=lag_s)).estimate.variance_m2
 
 
 def zeroed_bound(

@@ -1,10 +1,12 @@
 """Results and references from files, and their comparison."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from midspan.checks import option
 from midspan.errors import DataError, UsageError
 from midspan.evaluate.metrics import MAX_LAG_S, Comparison, compare
 from midspan.records import Floats, TimeSeries
@@ -14,7 +16,7 @@ from midspan.sources.accelerometer.formats import list_channels
 from midspan.sources.accelerometer.select import SeriesRequest, read_series
 from midspan.sources.accelerometer.units import measures, si_factor
 
-VALUE, STD = "displacement_mm", "displacement_std_mm"
+VALUE = "displacement_mm"
 # Taken where neither the file nor the user names a unit: what midspan itself writes.
 USUAL_UNIT = "mm"
 
@@ -27,33 +29,54 @@ class StoredResult:
     std_m: Floats | None
 
 
-def read_result(path: str | Path, unit: str | None = None) -> StoredResult:
+def read_result(path: str | Path, unit: str | None = None, axis: str | None = None) -> StoredResult:
     """Read a result file (.csv, .parquet, .h5, .mat, .mseed, .uff), or any other file of times and displacement.
 
     unit: of the displacement, over what the file says; left out: the file's own, else mm (told in `series.notes`).
-    Raises UsageError where no channel of displacement can be chosen, DataError for a file that cannot be read.
+    axis: image axis "x" or "y" of a result that has both; left out: the main columns, or the only ones. Raises
+    UsageError where no channel of displacement can be chosen, DataError for a file that cannot be read.
     """
     path = Path(path)
     found = list_channels(path)
-    own = VALUE if VALUE in found.names else None
+    own = column_of(found.names, axis)
     assumed = unit is None and own is None and not any(measures(c.unit, "displacement") for c in found.channels)
     series = read_series(path, SeriesRequest("displacement", value=own, unit=USUAL_UNIT if assumed else unit))
     if assumed:
         note = f"{path.name}: no unit in the file; {USUAL_UNIT} assumed."
         series = replace(series, notes=(*series.notes, note))
-    return StoredResult(series, _std(found.channels, series, unit) if own else None)
+    std = None if own is None else own.replace("displacement_", "displacement_std_")
+    return StoredResult(series, _std(found.channels, std, series, unit) if std else None)
 
 
-def _std(channels: tuple[Channel, ...], series: TimeSeries, unit: str | None) -> Floats | None:
+def column_of(names: Sequence[str], axis: str | None) -> str | None:
+    """The column of displacement along an image axis in a file with these columns; None where it is no result's file.
+
+    The axis without a column of its own is that of the main columns.
+    """
+    main = VALUE if VALUE in names else None
+    if axis is None or main is None:
+        return main
+    own = f"displacement_{option('axis', axis, ('x', 'y'))}_mm"
+    return own if own in names else main
+
+
+def _of_both(path: Path, axis: str | None) -> str | None:
+    """The axis, if the result has both; UsageError where it has one only."""
+    if axis is None or any(f"displacement_{name}_mm" in list_channels(path).names for name in "xy"):
+        return axis
+    raise UsageError(f"axis = {axis!r}: {path.name} has one axis only. Leave the axis out.")
+
+
+def _std(channels: tuple[Channel, ...], name: str, series: TimeSeries, unit: str | None) -> Floats | None:
     for channel in channels:
-        if channel.name == STD and len(channel.values) == len(series.value):
+        if channel.name == name and len(channel.values) == len(series.value):
             return channel.values.astype(np.float64) * si_factor(
                 unit or channel.unit or USUAL_UNIT, "displacement", None
             )
     return None
 
 
-def read_reference(path: str | Path, unit: str | None = None) -> TimeSeries:
+def read_reference(path: str | Path, unit: str | None = None, axis: str | None = None) -> TimeSeries:
     """Read a reference, m: a file of times and displacement, or a recording (folder or its file) with [reference].
 
     unit: of a file's displacement, as for `read_result`; a recording names its own. Raises DataError for a recording
@@ -61,7 +84,7 @@ def read_reference(path: str | Path, unit: str | None = None) -> TimeSeries:
     """
     path = Path(path)
     if not (path.is_dir() or path.name == RECORDING_FILE or path.suffix == ".toml"):
-        return read_result(path, unit).series
+        return read_result(path, unit, axis).series
     from midspan.recording.recording import open_recording
 
     recording = open_recording(path)
@@ -69,19 +92,33 @@ def read_reference(path: str | Path, unit: str | None = None) -> TimeSeries:
         raise DataError(f"{recording.file}: has no [reference]. Add one, or name the reference's file itself.")
     if unit is not None:
         raise UsageError(f"unit = {unit!r} goes with a file; {recording.file} names its own as reference.unit.")
-    return recording.reference
+    if axis is None or recording.across is None or axis != recording.across.axis:
+        return recording.reference
+    across = recording.reference_across
+    if across is None:
+        raise DataError(
+            f"{recording.file}: the file of [reference] has no column displacement_{axis}_mm for the axis {axis!r}. "
+            "Name the reference's file itself."
+        )
+    return across
 
 
 def compare_files(
-    result: str | Path, reference: str | Path, *, unit: str | None = None, max_lag_s: float = MAX_LAG_S
+    result: str | Path,
+    reference: str | Path,
+    *,
+    unit: str | None = None,
+    axis: str | None = None,
+    max_lag_s: float = MAX_LAG_S,
 ) -> Comparison:
     """Compare the displacement of a result file with a reference's.
 
     result: any file of `read_result`; reference: a file, or a recording with [reference]; unit: of the displacement of
-    files that do not say it; max_lag_s: largest lag looked for, s. Raises as `read_result` and `compare` do.
+    files that do not say it; axis: "x" or "y", of a result with both; max_lag_s: largest lag looked for, s. Raises as
+    `read_result` and `compare` do.
     """
-    stored = read_result(result)
-    wanted = read_reference(reference, unit)
+    stored = read_result(result, axis=_of_both(Path(result), axis))
+    wanted = read_reference(reference, unit, axis)
     found = compare(stored.series, wanted, std_m=stored.std_m, max_lag_s=max_lag_s)
     assumed = [line for line in (*stored.series.notes, *wanted.notes) if line.endswith("assumed.")]
     return replace(found, notes=(*assumed, *found.notes))

@@ -3,6 +3,11 @@
 A measurement whose innovation is beyond `limit` predicted standard deviations is rejected. A target that has really
 moved would then be rejected for ever, so after `reacquire_s` of nothing but rejections the filter gives its position up
 and takes the new one; this is declared in the result, never silent.
+
+Three things keep wrong noise levels from shutting the truth out. Five rejections in a row already count as the filter's
+own error until it has settled, and later where all five lie within three times the limit: what is taken over then is so
+small a step. And where the accepted innovations and those near to the gate step more from one to the next than
+predicted, the gate widens with them.
 """
 
 from dataclasses import dataclass
@@ -29,23 +34,62 @@ LEAST_REJECTIONS = 5
 CONFIRMATIONS = 3
 
 
+# Five rejections within this many limits are an error of the filter rather than of the measurements.
+NEAR = 3.0
+# Fewer accepted measurements than this are no state worth defending.
+SETTLED = 20
+# The median step of the innovations is followed by this factor a measurement (it scatters by a quarter then), and
+# widens the gate from one and a half times the predicted one on, to a little over three times its limit.
+ROUGHER, LEAST_ROUGHNESS, WIDENS_FROM, MOST_ROUGHNESS = 1.1, 0.5, 1.5, 5.0
+NORMAL_MEDIAN = 0.6744897501960817
+
+
 @njit(cache=True, inline="always")
-def judge(innovation: float, variance: float, run: tuple[float, float, float], limits: tuple[float, float]) -> int:
+def rougher(roughness: float, step: float, variance: float) -> float:
+    """The innovations' median step over the predicted one, after a `step` of predicted `variance`.
+
+    Only accepted and near measurements count (see `is_near`), so that neither an outlier nor a stuck target opens the
+    gate; drift is no step.
+    """
+    if step * step > NORMAL_MEDIAN * NORMAL_MEDIAN * roughness * roughness * variance:
+        return min(roughness * ROUGHER, MOST_ROUGHNESS)
+    return max(roughness / ROUGHER, LEAST_ROUGHNESS)
+
+
+@njit(cache=True, inline="always")
+def limits_now(limits: tuple[float, float], accepted: float, roughness: float) -> tuple[float, float]:
+    """The gate's numbers for a filter that has accepted so many measurements and whose innovations are so rough."""
+    widened = limits[0] * max(1.0, roughness / WIDENS_FROM)
+    return widened, limits[1] if accepted >= SETTLED else 0.0
+
+
+@njit(cache=True, inline="always")
+def judge(
+    innovation: float, variance: float, run: tuple[float, float, float, float, float], limits: tuple[float, float]
+) -> int:
     """ACCEPTED, REJECTED or REACQUIRED for an innovation of predicted `variance`.
 
-    run: seconds since the first of the rejections in a row, their number, and how many of the last ones would agree
-    (see `agrees`); limits = (limit, reacquire_s).
+    run: seconds since the first of the rejections in a row, their number, how many of the last ones would agree (see
+    `agrees`), the square of the farthest in predicted variances, and how many of the last ones with this one were near
+    (see `is_near`); limits = (limit, reacquire_s).
     """
-    rejected_for_s, rejections, agreements = run
-    inside = innovation * innovation <= limits[0] * limits[0] * variance
+    rejected_for_s, rejections, agreements, farthest, near_ones = run
+    ratio, limit = innovation * innovation / variance, limits[0] * limits[0]
     if rejections < LEAST_REJECTIONS:
-        waiting = rejections + 1 < LEAST_REJECTIONS or rejected_for_s < limits[1]
-        return ACCEPTED if inside else REJECTED if waiting else REACQUIRED
-    if rejected_for_s >= limits[1]:
+        near = max(ratio, farthest) <= NEAR * NEAR * limit
+        waiting = rejections + 1 < LEAST_REJECTIONS or (rejected_for_s < limits[1] and not near)
+        return ACCEPTED if ratio <= limit else REJECTED if waiting else REACQUIRED
+    if rejected_for_s >= limits[1] or near_ones >= LEAST_REJECTIONS:
         # Also when it lies inside: after so long the band is wide enough for a target that has moved.
         return REACQUIRED
     confirmed = agreements + 1 >= CONFIRMATIONS and agrees(innovation, variance, limits)
     return ACCEPTED if confirmed else REJECTED
+
+
+@njit(cache=True, inline="always")
+def is_near(innovation: float, variance_at_first: float, limits: tuple[float, float]) -> bool:
+    """Whether a rejection lies within three limits of what was predicted when the run of rejections began."""
+    return innovation * innovation <= NEAR * NEAR * limits[0] * limits[0] * variance_at_first
 
 
 @njit(cache=True, inline="always")

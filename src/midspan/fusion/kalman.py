@@ -4,7 +4,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from midspan.fusion.gate import REACQUIRED, GateSettings
+from midspan.fusion.events import GateEvents
+from midspan.fusion.gate import GateSettings
 from midspan.fusion.recursion import (
     ACCEPTED_AT,
     ACCEPTED_SOURCE,
@@ -30,6 +31,7 @@ from midspan.fusion.state_space import (
     advance_mean,
     initial_state,
 )
+from midspan.fusion.waiting import Waiting
 from midspan.records import (
     Acceleration,
     Displacement,
@@ -97,7 +99,8 @@ class KalmanFilter:
         self.settings = settings or KalmanSettings()
         self.state: Floats | None = None
         self._origin_ns = 0
-        self._waiting: list[Displacement] = []
+        self._waiting = Waiting()
+        self._events = GateEvents()
 
     def push(self, record: Acceleration | Displacement) -> list[Output]:
         """Take one block; returns for acceleration its Estimate, and Innovation and Event blocks where there are any.
@@ -106,8 +109,7 @@ class KalmanFilter:
         already pushed is ignored.
         """
         if isinstance(record, Displacement):
-            if len(record.time_ns):
-                self._waiting.append(record)
+            self._waiting.push(record)
             return []
         if not len(record.time_ns):
             return []
@@ -122,7 +124,11 @@ class KalmanFilter:
             told.append(innovation)
         innovation = joined(told)
         met = [innovation] if len(innovation.time_ns) else []
-        return [joined(estimates), *met, *reacquired_events(innovation)]
+        return [joined(estimates), *met, *self._events.push(innovation)]
+
+    def finish(self) -> list[Output]:
+        """What is left to tell at the end of the record: a run of rejections that it cut off."""
+        return list(self._events.finish())
 
     def predict(self, time_ns: int) -> tuple[float, float]:
         """Displacement (m) and variance (m²) at `time_ns`, the last acceleration held; the state stays as it is."""
@@ -138,29 +144,24 @@ class KalmanFilter:
 
     def _run(self, block: Acceleration, state: Floats) -> tuple[Estimate, Innovation]:
         samples = sample_rows(block, self._origin_ns)
-        rows = self._take_waiting(int(block.time_ns[-1]))
+        rows = due_rows(self._waiting, int(block.time_ns[-1]), self._origin_ns)
         nodes, outcome = np.empty((len(samples), NODE_COLUMNS)), np.zeros((len(rows), RECORD_COLUMNS))
         filter_block(samples, rows, state, self.settings.bias_walk, self.settings.limits, nodes, outcome)
         met = outcome[:, VERDICT] != UNUSED
         innovation = innovation_rows(rows[met], outcome[met], self._origin_ns)
         return estimate_rows(block.time_ns, nodes, self.settings), innovation
 
-    def _take_waiting(self, until_ns: int) -> Floats:
-        """Rows (m, 4) of the waiting measurements up to `until_ns`; the later ones go on waiting."""
-        if not self._waiting:
-            return np.empty((0, 4))
-        waiting = joined(self._waiting)
-        if len(self._waiting) > 1:
-            waiting = part(waiting, np.argsort(waiting.time_ns, kind="stable"))
-        due = int(np.searchsorted(waiting.time_ns, until_ns, side="right"))
-        self._waiting = [part(waiting, slice(due, None))] if due < len(waiting.time_ns) else []
-        return measurement_rows(part(waiting, slice(due)), self._origin_ns)
-
 
 def sample_rows(acceleration: Acceleration, origin_ns: int) -> Floats:
     """Rows (n, 3) of time in s, acceleration and noise density as the recursion takes them."""
     time_s = seconds(acceleration.time_ns, origin_ns)
     return np.column_stack((time_s, acceleration.value_m_s2, acceleration.noise_density))
+
+
+def due_rows(waiting: Waiting, until_ns: int, origin_ns: int) -> Floats:
+    """Rows (m, 4) as of `measurement_rows` of the waiting measurements up to `until_ns`."""
+    due = waiting.take(until_ns)
+    return np.empty((0, 4)) if due is None else measurement_rows(due, origin_ns)
 
 
 def measurement_rows(displacement: Displacement, origin_ns: int) -> Floats:
@@ -200,17 +201,3 @@ def innovation_rows(rows: Floats, outcome: Floats, origin_ns: int) -> Innovation
         variance_m2=outcome[:, INNOVATION_VARIANCE].copy(),
         verdict=outcome[:, VERDICT].astype(np.int8),
     )
-
-
-def reacquired_events(innovation: Innovation) -> list[Event]:
-    """An event for each jump of the target that the gate accepted after its declared time."""
-    jumps = np.flatnonzero(innovation.verdict == REACQUIRED)
-    return [
-        Event(
-            int(innovation.time_ns[i]),
-            "reacquired",
-            f"The measured displacement had left the prediction by {1e3 * innovation.value_m[i]:.2f} mm for so long "
-            "that its new level was taken over; check whether the target or the sensor has moved.",
-        )
-        for i in jumps
-    ]

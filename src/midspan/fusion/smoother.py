@@ -7,19 +7,21 @@ pass keeps a state vector only at every block's start, and the backward pass run
 Reference: G. J. Bierman, Fixed interval smoothing with discrete measurements, Int. J. Control 18 (1973) 65-75.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
 
+from midspan.fusion.events import gate_events
 from midspan.fusion.gate import REJECTED
 from midspan.fusion.kalman import (
     BLOCK,
     KalmanSettings,
+    Output,
     estimate_rows,
     innovation_rows,
     measurement_rows,
-    reacquired_events,
     sample_rows,
 )
 from midspan.fusion.recursion import (
@@ -38,7 +40,7 @@ from midspan.fusion.recursion import (
     filter_block,
 )
 from midspan.fusion.state_space import P00, P01, P02, P11, P12, TIME, X
-from midspan.records import Acceleration, Displacement, Estimate, Event, Floats, Innovation, Nanoseconds, part
+from midspan.records import Acceleration, Displacement, Estimate, Event, Floats, Innovation, Nanoseconds, joined, part
 
 # The adjoint vector: gradient l and information matrix L of the state given everything later.
 ADJOINT_SIZE = 9
@@ -48,11 +50,26 @@ SMOOTHED_COLUMNS = 3
 
 @dataclass(frozen=True, slots=True)
 class Smoothed:
-    """What the smoother returns: the estimate, the innovations of its forward pass, and events."""
+    """What a method returns for a whole record: the estimate, the innovations of its forward pass, and events.
+
+    variance_m2 (m,): what each innovation's measurement was taken to vary by, where the method learns it by itself.
+    """
 
     estimate: Estimate
     innovation: Innovation
     events: tuple[Event, ...]
+    variance_m2: Floats | None = None
+
+
+def collected(outputs: Sequence[Output]) -> Smoothed:
+    """All that a stream gave for a whole record, up to and with its `finish`."""
+    nothing = Innovation(np.empty(0, dtype=np.int64), np.empty(0), np.empty(0), np.empty(0, dtype=np.int8))
+    innovations = [item for item in outputs if isinstance(item, Innovation)]
+    return Smoothed(
+        joined([item for item in outputs if isinstance(item, Estimate)]),
+        joined(innovations) if innovations else nothing,
+        tuple(item for item in outputs if isinstance(item, Event)),
+    )
 
 
 def smooth(acceleration: Acceleration, displacement: Displacement, settings: KalmanSettings | None = None) -> Smoothed:
@@ -85,7 +102,7 @@ def smooth(acceleration: Acceleration, displacement: Displacement, settings: Kal
     outcome = np.concatenate(outcomes)
     met = outcome[:, VERDICT] != UNUSED
     innovation = innovation_rows(rows[: used[-1]][met], outcome[met], origin_ns)
-    return Smoothed(estimate, innovation, tuple(reacquired_events(innovation)))
+    return Smoothed(estimate, innovation, tuple(gate_events(innovation)))
 
 
 def _forward(samples: Floats, rows: Floats, state: Floats, settings: KalmanSettings) -> tuple[Floats, Floats]:
@@ -120,7 +137,7 @@ def _fill(rows: Estimate, nodes: Floats, smoothed: Floats, settings: KalmanSetti
 
 
 @njit(cache=True, inline="always")
-def _back_through_time(adjoint: Floats, dt: float) -> None:
+def back_through_time(adjoint: Floats, dt: float) -> None:
     """Adjoint and information `dt` earlier: Phi' l and Phi' L Phi with the transition Phi of the model."""
     l0, l1, l2, i00, i01, i02, i11, i12, i22 = adjoint
     half = 0.5 * dt * dt
@@ -136,7 +153,7 @@ def _back_through_time(adjoint: Floats, dt: float) -> None:
 
 
 @njit(cache=True, inline="always")
-def _back_through_measurement(adjoint: Floats, row: Floats) -> None:
+def back_through_measurement(adjoint: Floats, row: Floats) -> None:
     """Before an accepted measurement: (I − K H)' l − H' e/S and (I − K H)' L (I − K H) + H'H/S."""
     l0, l1, l2, i00, i01, i02, i11, i12, i22 = adjoint
     k0, k1, k2 = 1.0 - row[GAIN_X], row[GAIN_V], row[GAIN_B]
@@ -172,7 +189,7 @@ def smooth_block(time_s, start_s, nodes, outcome, adjoint, smoothed):  # type: i
             if row[VERDICT] == UNUSED or row[VERDICT] == REJECTED:
                 continue
             instant = before + row[THETA] * dt
-            _back_through_time(adjoint, at - instant)
-            _back_through_measurement(adjoint, row)
+            back_through_time(adjoint, at - instant)
+            back_through_measurement(adjoint, row)
             at = instant
-        _back_through_time(adjoint, at - before)
+        back_through_time(adjoint, at - before)

@@ -22,8 +22,14 @@ from midspan.records import Floats
 X, V, B, P00, P01, P02, P11, P12, P22, TIME, INPUT = range(11)
 LAST_ACCEPTED, FIRST_REJECTED, REJECTIONS, SOURCE, AGREEMENTS = range(11, 16)
 STEP, LEAD, SLOPE = range(16, 19)
-STATE_SIZE = 19
+# What the gate remembers: how many measurements were accepted, the last innovation and its predicted variance, how
+# large the steps between innovations are for what is predicted, and of the rejections in a row the farthest (squared,
+# in predicted variances), the variance predicted for the first, and how many of the last ones were near.
+ACCEPTED_COUNT, LAST_INNOVATION, LAST_TOTAL, ROUGHNESS, FARTHEST, FIRST_TOTAL, NEAR_ONES = range(19, 26)
+STATE_SIZE = 26
 
+# The gate starts twice as wide, for noise levels that are wrong, and narrows within a dozen measurements.
+FIRST_ROUGHNESS = 3.0
 # An interval this many times as long as the one before is a gap: its slope says nothing about the motion inside.
 GAP_STEPS = 2.0
 
@@ -39,6 +45,7 @@ def initial_state(time_s: float, mean: tuple[float, float, float], variance: tup
     state[TIME] = time_s
     state[LAST_ACCEPTED] = -np.inf
     state[STEP] = np.inf
+    state[LAST_INNOVATION], state[ROUGHNESS] = np.nan, FIRST_ROUGHNESS
     return state
 
 

@@ -109,6 +109,14 @@ def prepare_acceleration(series: TimeSeries, where: str) -> PreparedAcceleration
     return PreparedAcceleration(series.time_ns, value, density, missing, usual.rate_hz, tuple(events), tuple(warnings))
 
 
+def still(like: PreparedAcceleration) -> PreparedAcceleration:
+    """No acceleration at all at the instants of another channel, for an axis without a sensor."""
+    n = len(like.time_ns)
+    return PreparedAcceleration(
+        like.time_ns, np.zeros(n), np.zeros(n), np.zeros(n, dtype=bool), like.rate_hz, events=(), warnings=()
+    )
+
+
 def _refuse(where: str, mask: Mask, kind: str, rule: tuple[float, str]) -> None:
     share = float(np.mean(mask))
     if share > rule[0]:

@@ -6,21 +6,30 @@ import numpy as np
 
 from midspan.calibration.fit import Pair
 from midspan.calibration.noise import NoiseCalibration, calibrate_noise
-from midspan.calibration.scale import ScaleCalibration, calibrate_scale
+from midspan.calibration.scale import ScaleCalibration
 from midspan.errors import DataError, UntrustedError, UsageError
+from midspan.recording.calibrate_camera import (
+    LEAST_MEASUREMENTS,
+    CameraFit,
+    calibrate_camera,
+    calibration_window,
+    judged_by,
+    measured_rows,
+    window_ends,
+)
 from midspan.recording.calibration import Calibration, CameraCalibration, DisplacementCalibration
+from midspan.recording.lens import check_same_lens, lens_of
 from midspan.recording.progress import Progress, silent
 from midspan.recording.recording import Recording, naming
 from midspan.recording.span import inside, require_overlap
-from midspan.recording.tracking import CameraTracking, TrackingSettings
-from midspan.records import NANOSECONDS, Floats, Nanoseconds, Region, TimeOffset, TimeSeries
+from midspan.recording.tracking import CameraTracking, Target, TrackingSettings
+from midspan.records import NANOSECONDS, Nanoseconds, Region, TimeOffset, TimeSeries
+from midspan.settings import CameraSettings
 from midspan.signals.health import dominant_frequency
-from midspan.vision.tracker import PhaseGain
+from midspan.vision.tracker import tracker_settings
 
-DEFAULT_WINDOW_S = 60.0
 # Noise levels of a displacement sensor are learnt from this much at most, in one piece, for speed.
 NOISE_WINDOW_S = 1800.0
-LEAST_MEASUREMENTS = 20
 # A clock offset that was not asked for is refused when it moves the displacement by more than this many times its
 # noise.
 MOST_LATE = 2.0
@@ -49,7 +58,7 @@ def calibrate_and_track(recording: Recording, progress: Progress = silent) -> tu
 
 def _calibrate_and_track(recording: Recording, progress: Progress) -> tuple[Calibration, CameraTracking | None]:
     prepared, settings = recording.prepared, recording.settings
-    camera_part: CameraCalibration | None = None
+    parts: tuple[CameraFit, ...] = ()
     displacement_part: DisplacementCalibration | None = None
     tracking: CameraTracking | None = None
     warnings = list(prepared.warnings)
@@ -57,30 +66,55 @@ def _calibrate_and_track(recording: Recording, progress: Progress) -> tuple[Cali
     diagnostics: ScaleCalibration | NoiseCalibration | None = None
     if settings.camera is not None:
         tracking = open_tracking(recording, None, progress)
-        found = _calibrate_camera(recording, tracking)
-        camera_part, diagnostics = _camera_part(recording, tracking, found), found
-        warnings += [*_codec_warnings(recording), *found.warnings]
-        densities.append(found.input_noise_density)
+        parts = calibrate_camera(recording, tracking)
+        diagnostics = parts[0].diagnostics
+        warnings += [*_codec_warnings(recording), *(line for part in parts for line in part.warnings)]
+        densities.append(parts[0].input_density)
     if settings.displacement is not None:
         learnt = _calibrate_displacement(recording)
         displacement_part = _displacement_part(recording, learnt)
         warnings += _displacement_warnings(learnt)
         densities.append(learnt.input_noise_density)
         diagnostics = diagnostics or learnt
-    window = _window(recording)
+    window = calibration_window(recording)
+    across = _across(recording, parts[1], warnings) if len(parts) > 1 else None
     calibration = Calibration(
         noise_std_m_s2=_acceleration_noise(recording, densities, warnings),
         bias_m_s2=float(np.mean(prepared.value_m_s2[window])),
-        camera=camera_part,
+        camera=parts[0].calibration if parts else None,
         displacement=displacement_part,
         warnings=tuple(warnings),
+        across=across,
         diagnostics=diagnostics,
     )
     return calibration, tracking
 
 
+def _across(recording: Recording, part: CameraFit, warnings: list[str]) -> Calibration:
+    """The calibration along the second image axis; without an accelerometer there, the motion itself is its noise."""
+    view = recording.across
+    assert view is not None
+    if not part.calibration.fused:
+        return Calibration(
+            noise_std_m_s2=float(np.sqrt(part.input_density * recording.prepared.rate_hz)),
+            bias_m_s2=0.0,
+            camera=part.calibration,
+        )
+    warnings += view.prepared.warnings
+    return Calibration(
+        noise_std_m_s2=_acceleration_noise(view, [part.input_density], warnings),
+        bias_m_s2=float(np.mean(view.prepared.value_m_s2[calibration_window(view)])),
+        camera=part.calibration,
+        diagnostics=part.diagnostics,
+    )
+
+
 def open_tracking(recording: Recording, calibration: Calibration | None, progress: Progress) -> CameraTracking:
-    """The camera's tracking from the first frame used; with a calibration its region and tracker are taken over."""
+    """The camera's tracking from the first frame used; with a calibration its targets are taken over.
+
+    Where no target is given, the accelerometer helps to choose. Raises UsageError for a target that the calibration
+    does not know.
+    """
     camera = recording.settings.camera
     if camera is None:
         raise DataError(f"{recording.file}: has no [camera] section.")
@@ -89,13 +123,50 @@ def open_tracking(recording: Recording, calibration: Calibration | None, progres
         raise DataError(f"{camera.file}: holds no frames.")
     acceleration_ns = recording.prepared.time_ns
     require_overlap(acceleration_ns, times, "camera")
-    region = Region(*camera.roi) if camera.roi else None
-    if region is None and calibration is not None and calibration.camera is not None:
-        region = calibration.camera.region
     margin = round(recording.settings.calibration.max_offset_s * NANOSECONDS)
     used = frames_used(times, acceleration_ns, margin)
-    settings = TrackingSettings(camera.tracker, camera.direction, region, used.start, used.stop, camera.readout_s)
-    return CameraTracking(recording.frames, settings, progress)
+    known = None if calibration is None else calibration.camera
+    settings = TrackingSettings(
+        tracker=camera.tracker,
+        direction=recording.axis,
+        targets=calibrated_targets(given_targets(camera), known),
+        automatic_targets=camera.automatic_targets,
+        first=used.start,
+        last=used.stop,
+        readout_s=camera.readout_s,
+        trial_from_ns=window_ends(recording)[0],
+        tracker_settings=tracker_settings(camera.tracker, **camera.tracker_settings),
+        lens=lens_of(recording),
+    )
+    if known is not None:
+        check_same_lens(settings.lens, known.lens)
+    return CameraTracking(recording.frames, settings, progress, lambda track: judged_by(recording, track))
+
+
+def given_targets(camera: CameraSettings) -> tuple[Target, ...]:
+    """The targets that a recording names; none where they are to be chosen."""
+    if camera.roi is not None:
+        return (Target(Region(*camera.roi)),)
+    return tuple(Target(Region(*t.roi), name) for t, name in zip(camera.target, camera.target_names, strict=True))
+
+
+def calibrated_targets(given: tuple[Target, ...], known: CameraCalibration | None) -> tuple[Target, ...]:
+    """The targets to track beside a calibration: its own in use, or those of them that the recording names."""
+    if known is None:
+        return given
+    if not given:
+        return tuple(Target(target.region, target.name) for target in known.used)
+    if len(given) == 1 and len(known.targets) <= 1:
+        # One target's scale factor is taken for the same target that moved a little in the picture.
+        return given
+    regions = {target.region: target for target in known.targets}
+    missing = [target.name for target in given if target.region not in regions]
+    if missing or len(given) < len(known.used):
+        raise UsageError(
+            f"camera.target: the calibration was made for {len(known.targets)} targets, and not for the same: "
+            f"{'not ' + ', '.join(missing) if missing else 'some are missing in the recording'}. Calibrate again."
+        )
+    return tuple(Target(target.region, target.name) for target in known.used)
 
 
 def frames_used(times_ns: Nanoseconds, acceleration_ns: Nanoseconds, margin_ns: int) -> slice:
@@ -117,85 +188,6 @@ def _codec_warnings(recording: Recording) -> list[str]:
     ]
 
 
-def _window(recording: Recording) -> slice:
-    """The samples of the calibration window."""
-    time_ns = recording.prepared.time_ns
-    wanted = recording.settings.calibration.window_s
-    if wanted is None:
-        start = int(time_ns[0])
-        if recording.has("camera"):
-            start = max(start, int(recording.frames.times_ns()[0]))
-        return inside(time_ns, start, start + round(DEFAULT_WINDOW_S * NANOSECONDS))
-    window = inside(time_ns, round(wanted[0] * NANOSECONDS), round(wanted[1] * NANOSECONDS))
-    if window.stop - window.start < LEAST_MEASUREMENTS:
-        raise UsageError(
-            f"{recording.file}: calibration.window_s = {list(wanted)}: must overlap the accelerometer, which runs from "
-            f"{time_ns[0] / NANOSECONDS:.3f} to {time_ns[-1] / NANOSECONDS:.3f} s."
-        )
-    return window
-
-
-def _calibrate_camera(recording: Recording, tracking: CameraTracking) -> ScaleCalibration:
-    prepared, settings = recording.prepared, recording.settings
-    window = _window(recording)
-    first, last = int(prepared.time_ns[window.start]), int(prepared.time_ns[window.stop - 1])
-    track = tracking.until(last)
-    value, variance = track.along(tracking.settings.direction)
-    # Frames close to the window's ends could fall outside it at the largest clock offset and would change the sum.
-    margin = round(settings.calibration.max_offset_s * NANOSECONDS)
-    inner = inside(track.time_ns, first + margin, last - margin)
-    rows = _measured_rows(track.time_ns[inner], value[inner], variance[inner], first)
-    samples, outside = in_band(prepared.rows(first, window), settings.calibration.band_hz)
-    blur_s = tracking.blur_s(settings.camera.exposure_s if settings.camera else None)
-    try:
-        return calibrate_scale(Pair(samples, rows, None, blur_s, outside), settings.calibration.max_offset_s)
-    except UntrustedError as error:
-        raise UntrustedError(" ".join((str(error), *tracking.warnings()))) from None
-
-
-def in_band(samples: Floats, band_hz: tuple[float, float] | None) -> tuple[Floats, Floats | None]:
-    """Samples (n, 3) with the acceleration of a band (zero phase), and those with the rest of it; None for no band."""
-    if band_hz is None:
-        return samples, None
-    from scipy.signal import butter, sosfiltfilt
-
-    rate = (len(samples) - 1) / float(samples[-1, 0] - samples[0, 0])
-    low, high = band_hz[0], min(band_hz[1], 0.49 * rate)
-    if low >= high:
-        raise UsageError(
-            f"calibration.band_hz = {list(band_hz)}: must lie below half the accelerometer's rate of {rate:.4g} Hz."
-        )
-    kind, edges = ("bandpass", [low, high]) if low > 0 else ("lowpass", high)
-    inside, outside = samples.copy(), samples.copy()
-    inside[:, 1] = sosfiltfilt(butter(4, edges, kind, fs=rate, output="sos"), samples[:, 1])
-    outside[:, 1] -= inside[:, 1]
-    return inside, outside
-
-
-def _measured_rows(time_ns: Nanoseconds, value: Floats, variance: Floats, origin_ns: int) -> Floats:
-    """Rows (m, 3) for calibration: time (s), value counted from its first, variance (infinite where unusable)."""
-    usable = np.isfinite(value) & np.isfinite(variance)
-    if not usable.any():
-        return np.empty((0, 3))
-    filled = np.where(usable, value - value[np.argmax(usable)], 0.0)
-    return np.column_stack(((time_ns - origin_ns) / NANOSECONDS, filled, np.where(usable, variance, np.inf)))
-
-
-def _camera_part(recording: Recording, tracking: CameraTracking, found: ScaleCalibration) -> CameraCalibration:
-    gains = tracking.tracker.phase_gain_px_per_rad if isinstance(tracking.tracker, PhaseGain) else None
-    axis = "xy".index(tracking.settings.direction)
-    return CameraCalibration(
-        scale=found.scale,
-        offset=found.search.offset,
-        region=tracking.tracker.region,
-        direction=tracking.settings.direction,
-        tracker=tracking.settings.tracker,
-        noise_std_px=found.noise.std,
-        variance_factor=found.variance_factor,
-        phase_scale_m_per_rad=None if gains is None else found.scale.value_m_per_px * gains[axis],
-    )
-
-
 def _calibrate_displacement(recording: Recording) -> NoiseCalibration:
     prepared, series = recording.prepared, recording.displacement
     require_overlap(prepared.time_ns, series.time_ns, "displacement")
@@ -207,7 +199,7 @@ def _calibrate_displacement(recording: Recording) -> NoiseCalibration:
     used = inside(series.time_ns, first + margin, last - margin)
     _refuse_poor_displacement(series, used)
     window = inside(prepared.time_ns, first - NANOSECONDS, last + NANOSECONDS)
-    rows = _measured_rows(series.time_ns[used], series.value[used], np.ones(used.stop - used.start), first)
+    rows = measured_rows(series.time_ns[used], series.value[used], np.ones(used.stop - used.start), first)
     pair = Pair(prepared.rows(first, window), rows, 1.0)
     searched = calibrate_noise(pair, max_offset)
     section = recording.settings.displacement

@@ -11,19 +11,37 @@ from midspan._version import __version__
 from midspan.calibration.noise import NoiseCalibration
 from midspan.calibration.scale import ScaleCalibration
 from midspan.engine.monitor import CameraScale
-from midspan.errors import DataError
 from midspan.records import Region, ScaleFactor, TimeOffset
 from midspan.sinks.replace import replacing
+from midspan.vision.lens import Lens
 
 CALIBRATION_FILE = "calibration.json"
 
 
 @dataclass(frozen=True, slots=True)
+class TargetCalibration:
+    """What was learnt of one of several targets; scale None where it was refused.
+
+    used: whether the result rests on it; reason: why not. variance_factor: the learnt variance over the tracker's own.
+    """
+
+    region: Region
+    name: str
+    scale: ScaleFactor | None
+    noise_std_px: float = math.nan
+    variance_factor: float = math.nan
+    used: bool = True
+    reason: str = ""
+
+
+@dataclass(frozen=True, slots=True)
 class CameraCalibration:
-    """Scale factor, clock offset, region, axis and noise of the camera.
+    """Scale factor, clock offset, region, axis and noise of the camera; with several targets those of the best one.
 
     variance_factor: the learnt variance over the tracker's own. phase_scale_m_per_rad: displacement per radian of the
-    active pixels' mean phase, with the trackers that use it.
+    active pixels' mean phase, with the trackers that use it. targets: all of them. fused: whether this axis has an
+    accelerometer; without one the scale factor is the other axis's. relative_scale_std: of all targets together.
+    lens: what the pixels were corrected by; the scale factor holds for that lens only.
     """
 
     scale: ScaleFactor
@@ -34,14 +52,41 @@ class CameraCalibration:
     noise_std_px: float
     variance_factor: float
     phase_scale_m_per_rad: float | None = None
+    targets: tuple[TargetCalibration, ...] = ()
+    fused: bool = True
+    relative_scale_std: float | None = None
+    lens: Lens | None = None
+
+    @property
+    def used(self) -> tuple[TargetCalibration, ...]:
+        """The targets that the result rests on."""
+        found = tuple(target for target in self.targets if target.used)
+        return found or (TargetCalibration(self.region, "1", self.scale, self.noise_std_px, self.variance_factor),)
+
+    @property
+    def relative_std(self) -> float:
+        """Relative standard deviation of the scale factor of all targets together."""
+        if self.relative_scale_std is not None:
+            return self.relative_scale_std
+        return math.sqrt(self.scale.variance) / abs(self.scale.value_m_per_px)
+
+    def mappings(self) -> tuple[CameraScale, ...]:
+        """What turns the pixels of each used target into metres."""
+        return tuple(self._mapping(target) for target in self.used)
 
     def mapping(self) -> CameraScale:
-        """What turns this camera's pixels into metres."""
+        """What turns the best target's pixels into metres."""
+        return self._mapping(TargetCalibration(self.region, "", self.scale, self.noise_std_px, self.variance_factor))
+
+    def _mapping(self, target: TargetCalibration) -> CameraScale:
+        assert target.scale is not None
+        value = target.scale.value_m_per_px
         return CameraScale(
-            scale_m_per_px=self.scale.value_m_per_px,
+            scale_m_per_px=value,
             direction=self.direction,
             time_offset_ns=round(1e9 * self.offset.value_s),
-            variance_factor=self.variance_factor,
+            variance_factor=target.variance_factor,
+            relative_std=math.sqrt(target.scale.variance) / abs(value),
         )
 
 
@@ -57,8 +102,9 @@ class DisplacementCalibration:
 class Calibration:
     """Everything `calibrate` learns about a recording's sensors.
 
-    noise_std_m_s2: white noise of the acceleration per sample; bias_m_s2: its mean in the window. diagnostics: what the
-    estimates rest on, for the report; not stored in the file.
+    noise_std_m_s2: white noise of the acceleration per sample; bias_m_s2: its mean in the window. across: the same
+    along the second image axis, with camera.direction = "xy"; where that has no accelerometer, the noise is the
+    motion's own acceleration. diagnostics: what the estimates rest on, for the report; not stored in the file.
     """
 
     noise_std_m_s2: float
@@ -66,9 +112,17 @@ class Calibration:
     camera: CameraCalibration | None = None
     displacement: DisplacementCalibration | None = None
     warnings: tuple[str, ...] = ()
+    across: "Calibration | None" = None
     created: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds"))
     version: str = __version__
     diagnostics: "ScaleCalibration | NoiseCalibration | None" = field(default=None, compare=False, repr=False)
+
+    @property
+    def direction(self) -> str:
+        """The camera's direction, "x", "y" or "xy"; empty without one."""
+        if self.camera is None:
+            return ""
+        return self.camera.direction if self.across is None else "xy"
 
     def noise_density(self, rate_hz: float) -> float:
         """Two-sided density of the acceleration's noise, (m/s²)²/Hz, at the accelerometer's rate."""
@@ -87,6 +141,9 @@ class Calibration:
         }
         if self.camera:
             tree["camera"] = _camera_dict(self.camera)
+            if self.across is not None and self.across.camera is not None:
+                both = {part.camera.direction: _axis_dict(part) for part in (self, self.across) if part.camera}
+                tree["camera"] |= {"direction": "xy", "axis": self.camera.direction, "axes": both}
         if self.displacement:
             offset = self.displacement.offset
             tree["displacement"] = {
@@ -107,11 +164,8 @@ class Calibration:
 
 def _camera_dict(camera: CameraCalibration) -> dict[str, Any]:
     region = camera.region
-    phase = camera.phase_scale_m_per_rad
     return {
-        **({} if phase is None else {"phase_scale_mm_per_rad": 1e3 * phase}),
-        "scale_mm_per_px": 1e3 * camera.scale.value_m_per_px,
-        "scale_std_mm_per_px": 1e3 * math.sqrt(camera.scale.variance),
+        **_scale_dict(camera),
         "time_offset_s": camera.offset.value_s,
         "time_offset_std_s": _finite_or_none(math.sqrt(camera.offset.variance)),
         "roi": [region.x, region.y, region.width, region.height],
@@ -119,115 +173,49 @@ def _camera_dict(camera: CameraCalibration) -> dict[str, Any]:
         "tracker": camera.tracker,
         "noise_std_px": camera.noise_std_px,
         "variance_factor": camera.variance_factor,
+        "targets": [_target_dict(target) for target in camera.targets],
+        **({} if camera.lens is None else {"lens": camera.lens.to_dict()}),
+    }
+
+
+def _scale_dict(camera: CameraCalibration) -> dict[str, Any]:
+    phase, relative = camera.phase_scale_m_per_rad, camera.relative_scale_std
+    return {
+        **({} if phase is None else {"phase_scale_mm_per_rad": 1e3 * phase}),
+        "scale_mm_per_px": 1e3 * camera.scale.value_m_per_px,
+        "scale_std_mm_per_px": 1e3 * math.sqrt(camera.scale.variance),
+        **({} if relative is None else {"relative_scale_std": relative}),
+    }
+
+
+def _target_dict(target: TargetCalibration) -> dict[str, Any]:
+    region, scale = target.region, target.scale
+    return {
+        "name": target.name,
+        "roi": [region.x, region.y, region.width, region.height],
+        "scale_mm_per_px": None if scale is None else 1e3 * scale.value_m_per_px,
+        "scale_std_mm_per_px": None if scale is None else 1e3 * math.sqrt(scale.variance),
+        "noise_std_px": _finite_or_none(target.noise_std_px),
+        "variance_factor": _finite_or_none(target.variance_factor),
+        "used": target.used,
+        "reason": target.reason,
+    }
+
+
+def _axis_dict(part: Calibration) -> dict[str, Any]:
+    """What belongs to one image axis where both are measured."""
+    camera = part.camera
+    assert camera is not None
+    return {
+        "fused": camera.fused,
+        **_scale_dict(camera),
+        "noise_std_px": camera.noise_std_px,
+        "variance_factor": camera.variance_factor,
+        "accelerometer_noise_std_m_s2": part.noise_std_m_s2,
+        "accelerometer_bias_m_s2": part.bias_m_s2,
+        "targets": [_target_dict(target) for target in camera.targets],
     }
 
 
 def _finite_or_none(value: float) -> float | None:
     return value if math.isfinite(value) else None
-
-
-def load_calibration(path: str | Path) -> Calibration:
-    """Read a `calibration.json` (or the folder that holds it).
-
-    Raises DataError naming file and key where it is missing, damaged or holds a value that cannot be.
-    """
-    path = Path(path)
-    path = path / CALIBRATION_FILE if path.is_dir() else path
-    try:
-        tree = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise DataError(f"{path}: cannot be read ({error.strerror}). `midspan calibrate` writes one.") from None
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise DataError(f"{path}: is not JSON ({error}). Run `midspan calibrate` again.") from None
-    try:
-        return calibration_from_dict(tree)
-    except _WrongValueError as error:
-        raise DataError(f"{path}: {error}. Run `midspan calibrate` again.") from None
-
-
-class _WrongValueError(ValueError):
-    """A key of a calibration that is missing or holds what it cannot."""
-
-
-def calibration_from_dict(tree: dict[str, Any]) -> Calibration:
-    """The calibration that `Calibration.to_dict` describes; keys that only inform may be missing."""
-    accelerometer = _section(tree, "accelerometer")
-    if accelerometer is None:
-        raise _WrongValueError("accelerometer is missing")
-    camera, displacement = _section(tree, "camera"), _section(tree, "displacement")
-    warnings = tree.get("warnings", [])
-    return Calibration(
-        noise_std_m_s2=_number(accelerometer, "accelerometer.noise_std_m_s2", positive=True),
-        bias_m_s2=_number(accelerometer, "accelerometer.bias_m_s2", default=0.0),
-        camera=_camera_of(camera) if camera else None,
-        displacement=_displacement_of(displacement) if displacement else None,
-        warnings=tuple(str(line) for line in warnings) if isinstance(warnings, list) else (),
-        created=str(tree.get("created", "")),
-        version=str(tree.get("version", "")),
-    )
-
-
-def _section(tree: Any, name: str) -> dict[str, Any] | None:
-    section = tree.get(name) if isinstance(tree, dict) else None
-    if section is not None and not isinstance(section, dict):
-        raise _WrongValueError(f"{name} must be an object with keys; received {section!r}")
-    return section
-
-
-def _number(section: dict[str, Any], key: str, default: float | None = None, positive: bool = False) -> float:
-    value = section.get(key.rpartition(".")[2], default)
-    if value is None:
-        raise _WrongValueError(f"{key} is missing")
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise _WrongValueError(f"{key} must be a finite number; received {value!r}")
-    if positive and value <= 0:
-        raise _WrongValueError(f"{key} must be above 0; received {value!r}")
-    return float(value)
-
-
-def _std(section: dict[str, Any], key: str, default: float | None = None) -> float:
-    value = _number(section, key, default)
-    if value < 0:
-        raise _WrongValueError(f"{key} must be 0 or more; received {value!r}")
-    return value
-
-
-def _camera_of(tree: dict[str, Any]) -> CameraCalibration:
-    scale = _number(tree, "camera.scale_mm_per_px") / 1e3
-    if scale == 0.0:
-        raise _WrongValueError("camera.scale_mm_per_px must not be 0")
-    direction = tree.get("direction", "y")
-    if direction not in ("x", "y"):
-        raise _WrongValueError(f'camera.direction must be "x" or "y"; received {direction!r}')
-    return CameraCalibration(
-        scale=ScaleFactor(scale, (_std(tree, "camera.scale_std_mm_per_px", 0.0) / 1e3) ** 2),
-        offset=_offset_of(tree, "camera"),
-        region=_region_of(tree),
-        direction=direction,
-        tracker=str(tree.get("tracker", "template")),
-        noise_std_px=_number(tree, "camera.noise_std_px", 0.02, positive=True),
-        variance_factor=_number(tree, "camera.variance_factor", 1.0, positive=True),
-        phase_scale_m_per_rad=(
-            _number(tree, "camera.phase_scale_mm_per_rad") / 1e3 if "phase_scale_mm_per_rad" in tree else None
-        ),
-    )
-
-
-def _region_of(tree: dict[str, Any]) -> Region:
-    roi = tree.get("roi")
-    if not (
-        isinstance(roi, list) and len(roi) == 4 and all(type(n) is int and n >= 0 for n in roi) and min(roi[2:]) > 0
-    ):
-        raise _WrongValueError(f"camera.roi must be four whole numbers x, y, width, height in px; received {roi!r}")
-    return Region(*roi)
-
-
-def _displacement_of(tree: dict[str, Any]) -> DisplacementCalibration:
-    std = _number(tree, "displacement.noise_std_mm", positive=True)
-    return DisplacementCalibration(std / 1e3, _offset_of(tree, "displacement"))
-
-
-def _offset_of(tree: dict[str, Any], section: str) -> TimeOffset:
-    unknown = tree.get("time_offset_std_s", 0.0) is None
-    std = math.inf if unknown else _std(tree, f"{section}.time_offset_std_s", 0.0)
-    return TimeOffset(_number(tree, f"{section}.time_offset_s"), std**2)

@@ -7,7 +7,8 @@ import numpy as np
 from midspan.checks import option
 from midspan.errors import DataError, UntrustedError, UsageError
 from midspan.fusion.gate import REJECTED
-from midspan.fusion.methods import METHODS
+from midspan.fusion.methods import LITERAL, METHODS, no_literal_form
+from midspan.fusion.runners import MethodSettings
 from midspan.fusion.smoother import Smoothed
 from midspan.recording.calibrate import calibrate_and_track
 from midspan.recording.calibration import Calibration
@@ -16,14 +17,19 @@ from midspan.recording.inputs import Gathered, gather
 from midspan.recording.progress import Progress, silent
 from midspan.recording.recording import Recording, naming
 from midspan.recording.result import Result
+from midspan.recording.second_axis import SecondAxis, second_axis
 from midspan.recording.span import inside, shown
 from midspan.recording.tracking import CameraTracking
-from midspan.records import NANOSECONDS, Estimate, Innovation, Status, part
+from midspan.records import NANOSECONDS, Estimate, Event, Innovation, Status, part
 
 # Where more than half of the measurements contradict the prediction, the prediction or the calibration is wrong.
 MOST_REJECTED = 0.5
 # Rejections above this share are worth telling.
 NOTABLE_REJECTED = 0.02
+# Learnt noise of a method run as printed, over the calibrated one, beyond which it is called a run-away.
+RUN_AWAY = 10.0
+# Events of one kind that are told in the warnings.
+MOST_TOLD = 3
 
 
 def estimate(
@@ -36,13 +42,15 @@ def estimate(
 ) -> Result:
     """Estimate the displacement of a recording.
 
-    calibration: left out, it is made first (and then the camera is tracked once for both). method: "smoother" or
-    "kalman", over the recording's own. tracking: what `calibrate_and_track` left, to go on with. Returns one row for
+    calibration: left out, it is made first (and then the camera is tracked once for both). method: a name of `midspan
+    methods`, over the recording's own. tracking: what `calibrate_and_track` left, to go on with. Returns one row for
     each accelerometer sample in the streams' common span.
     Raises UntrustedError when calibration is refused, DataError for unusable streams.
     """
     # The method is checked first: tracking may take long.
     method = option("method", method or recording.settings.fusion.method, METHODS)
+    if recording.settings.fusion.literal and method not in LITERAL:
+        raise UsageError(f"{recording.file}: fusion: {no_literal_form(method)}.")
     if calibration is None:
         calibration, tracking = calibrate_and_track(recording, progress)
     with naming(recording):
@@ -55,9 +63,10 @@ def _estimate(
     _require(recording, calibration)
     gathered = gather(recording, calibration, tracking, progress)
     progress(0, 1, "fusing")
-    fused = fuse(gathered.inputs, method)
+    fused = fuse(gathered.inputs, method, _method_settings(recording))
     _refuse_rejections(fused.innovation)
     result = _cut(recording, gathered.inputs, fused.estimate)
+    across = _across(recording, calibration, gathered, (result, method))
     progress(1, 1, "fusing")
     return Result(
         estimate=result,
@@ -66,11 +75,64 @@ def _estimate(
         method=method,
         innovation=fused.innovation,
         events=tuple(sorted((*recording.prepared.events, *fused.events), key=lambda event: event.time_ns)),
-        warnings=_warnings(calibration, gathered, fused, result),
+        warnings=(*_warnings(calibration, gathered, fused, result), *_literal_warnings(recording, gathered, fused)),
         track=gathered.track,
         tracking=gathered.tracking,
         recording=recording,
+        across=across,
     )
+
+
+def _across(
+    recording: Recording, calibration: Calibration, gathered: Gathered, main: tuple[Estimate, str]
+) -> SecondAxis | None:
+    """The second image axis at the rows of the first; None without one."""
+    view, (rows, method) = recording.across, main
+    if view is None or gathered.across is None or calibration.across is None:
+        return None
+    found = second_axis(gathered.across, calibration.across, rows.time_ns, method, _method_settings(recording))
+    _refuse_rejections(found.innovation)
+    missing = view.prepared.time_ns[view.prepared.missing]
+    bridged = np.isin(rows.time_ns, missing) & (found.estimate.status == Status.TRACKING)
+    status = np.where(bridged, np.uint8(Status.COASTING), found.estimate.status)
+    return replace(found, estimate=replace(found.estimate, status=status))
+
+
+def _method_settings(recording: Recording) -> MethodSettings:
+    """What [fusion] says of single methods."""
+    fusion = recording.settings.fusion
+    return MethodSettings(lag_s=fusion.lag_s, literal=fusion.literal, forgetting=fusion.forgetting)
+
+
+def _literal_warnings(recording: Recording, gathered: Gathered, fused: Smoothed) -> list[str]:
+    """What to know of the adaptive filter as printed; the FIR methods need no such word."""
+    if not recording.settings.fusion.literal or fused.variance_m2 is None or not len(fused.variance_m2):
+        return []
+    found = [
+        "fusion.literal: the filter was run exactly as printed, without bias, gate and limits. Its own covariance does "
+        "not hold its error; the band was widened by what the innovations show."
+    ]
+    declared = float(np.median(gathered.inputs.displacement.variance_m2))
+    grown = float(np.sqrt(np.max(fused.variance_m2) / declared))
+    if grown > RUN_AWAY:
+        found.append(
+            f"fusion.literal: the learnt noise grew to {grown:.3g} times the calibrated one: it runs away, most often "
+            "under a bias of the accelerometer. Leave fusion.literal out."
+        )
+    share = float(np.mean(fused.variance_m2 < 0.0))
+    if share > 0.0:
+        found.append(f"fusion.literal: equation 20 gave a negative variance in {100 * share:.2g} % of the frames.")
+    return found
+
+
+def _told(events: tuple[Event, ...]) -> list[str]:
+    """The texts of the events; of a kind that comes often only how often."""
+    found = []
+    for kind in dict.fromkeys(event.kind for event in events):
+        texts = [event.text for event in events if event.kind == kind]
+        rest = [f"{len(texts) - MOST_TOLD} more such stretches stand in the events."] if len(texts) > MOST_TOLD else []
+        found += [*texts[:MOST_TOLD], *rest]
+    return found
 
 
 def _require(recording: Recording, calibration: Calibration) -> None:
@@ -80,9 +142,14 @@ def _require(recording: Recording, calibration: Calibration) -> None:
             "recording of this camera."
         )
     camera = recording.settings.camera
-    if camera and calibration.camera and camera.direction != calibration.camera.direction:
+    if camera and calibration.camera and camera.direction != calibration.direction:
         raise UsageError(
             f"{recording.file}: camera.direction = {camera.direction!r}: the calibration was made for "
+            f"{calibration.direction!r}. Calibrate again."
+        )
+    if camera and calibration.camera and recording.axis != calibration.camera.direction:
+        raise UsageError(
+            f"{recording.file}: the main axis is {recording.axis!r}: the calibration's is "
             f"{calibration.camera.direction!r}. Calibrate again."
         )
 
@@ -142,7 +209,7 @@ def _warnings(calibration: Calibration, gathered: Gathered, fused: Smoothed, row
     found = [*calibration.warnings, *gathered.warnings]
     if gathered.tracking is not None:
         found += gathered.tracking.warnings()
-    found += [event.text for event in fused.events]
+    found += _told(fused.events)
     found += _lost_end(gathered.inputs, rows)
     rejected = rejected_share(fused.innovation)
     if rejected > NOTABLE_REJECTED:

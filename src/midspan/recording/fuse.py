@@ -6,16 +6,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from midspan.calibration.time_offset import without_lonely
+from midspan.errors import UntrustedError
 from midspan.fusion.gate import ACCEPTED, REACQUIRED, REJECTED, GateSettings
-from midspan.fusion.kalman import KalmanFilter, KalmanSettings
+from midspan.fusion.kalman import KalmanSettings
+from midspan.fusion.noise_profile import LEAST, noise_factors
+from midspan.fusion.runners import RUNNERS, MethodSettings, Runner, run_method
 from midspan.fusion.smoother import Smoothed, smooth
-from midspan.recording.span import inside
+from midspan.recording.span import inside, shown
 from midspan.records import (
     NANOSECONDS,
     Acceleration,
     Displacement,
     Estimate,
-    Event,
     Floats,
     Innovation,
     Source,
@@ -60,25 +62,38 @@ class FusionInputs:
     errors: tuple[SensorError, ...] = ()
 
 
-def fuse(inputs: FusionInputs, method: str) -> Smoothed:
-    """Run `method` ("smoother" or "kalman"); rows count from the zero, their variance holds all that is uncertain."""
-    fused = _smooth_twice(inputs) if method == "smoother" else _filter(inputs)
-    zero = _at_zero(inputs, fused.estimate if method == "smoother" else _beginning(inputs))
+def fuse(inputs: FusionInputs, method: str, settings: MethodSettings | None = None) -> Smoothed:
+    """Run a method of `midspan methods`; rows count from the zero, their variance holds all that is uncertain.
+
+    settings: the keys of [fusion] that single methods use; its filter settings are those of `inputs`. Raises
+    UntrustedError where the method ran away.
+    """
+    settings = replace(settings or MethodSettings(), kalman=inputs.kalman)
+    runner = RUNNERS[method]
+    fused = _smooth_again(inputs) if method == "smoother" else _run(inputs, method, settings)
+    _refuse_runaway(fused, method)
+    zero = _at_zero(inputs, fused.estimate if runner.both_ways else _beginning(inputs))
     rows = fused.estimate
     variance = rows.variance_m2 + zero[1]
     for error_m in _measurement_errors(inputs, rows):
-        variance = variance + _response(inputs, method, error_m, fused.innovation) ** 2
+        variance = variance + _response(inputs, runner, settings, error_m, fused) ** 2
     displacement_m = rows.displacement_m + (inputs.level_m if inputs.zero_ns is None else -zero[0])
     return replace(fused, estimate=replace(rows, displacement_m=displacement_m, variance_m2=variance))
 
 
-def _filter(inputs: FusionInputs) -> Smoothed:
-    stream = KalmanFilter(inputs.kalman)
-    stream.push(inputs.displacement)
-    outputs = stream.push(inputs.acceleration)
-    (rows,) = [item for item in outputs if isinstance(item, Estimate)]
-    innovations = [item for item in outputs if isinstance(item, Innovation)]
-    return Smoothed(rows, joined(innovations), tuple(item for item in outputs if isinstance(item, Event)))
+def _run(inputs: FusionInputs, method: str, settings: MethodSettings) -> Smoothed:
+    return run_method(method, inputs.acceleration, inputs.displacement, settings)
+
+
+def _refuse_runaway(fused: Smoothed, method: str) -> None:
+    rows = fused.estimate
+    if np.all(np.isfinite(rows.displacement_m)) and np.all(np.isfinite(rows.variance_m2)):
+        return
+    raise UntrustedError(
+        f"{method} ran away: its rows must be finite numbers, and from "
+        f"{shown(int(rows.time_ns[np.argmin(np.isfinite(rows.displacement_m) & np.isfinite(rows.variance_m2))]))} on "
+        "they are not. Leave fusion.literal out, or choose another fusion.method."
+    )
 
 
 def _beginning(inputs: FusionInputs) -> Estimate:
@@ -98,22 +113,37 @@ def _at_zero(inputs: FusionInputs, rows: Estimate) -> tuple[float, float]:
     return float(rows.displacement_m[k] + ahead * rows.velocity_m_s[k]), float(rows.variance_m2[k])
 
 
-def _smooth_twice(inputs: FusionInputs) -> Smoothed:
-    """The smoother, run again without lonely outliers where any got into the first run's wide predictions.
+def _smooth_again(inputs: FusionInputs) -> Smoothed:
+    """The smoother, run again where the first run found lonely outliers or noise that is other than declared.
 
     After a gap the prediction is so wide that an outlier passes the gate and leads the filter away. A measurement that
     leaves its neighbours on both sides is only kept where a sharp prediction agrees with it.
     """
     first = smooth(inputs.acceleration, inputs.displacement, inputs.kalman)
     lonely = _lonely(inputs.displacement, first.innovation)
-    if not lonely.any():
+    learnt = _learnt_variance(inputs.displacement, first.innovation)
+    if not lonely.any() and learnt is None:
         return first
-    variance = np.where(lonely, np.inf, inputs.displacement.variance_m2)
+    declared = inputs.displacement.variance_m2 if learnt is None else learnt
+    variance = np.where(lonely, np.inf, declared)
     second = smooth(inputs.acceleration, replace(inputs.displacement, variance_m2=variance), inputs.kalman)
     # They count as rejected measurements, with the first run's innovations.
     left_out = part(first.innovation, np.isin(first.innovation.time_ns, inputs.displacement.time_ns[lonely]))
     both = joined([second.innovation, replace(left_out, verdict=np.full_like(left_out.verdict, REJECTED))])
-    return replace(second, innovation=part(both, np.argsort(both.time_ns, kind="stable")))
+    both = part(both, np.argsort(both.time_ns, kind="stable"))
+    return replace(second, innovation=both, variance_m2=declared[_places(inputs.displacement, both)])
+
+
+def _learnt_variance(measured: Displacement, found: Innovation) -> Floats | None:
+    """Variance (m,) of each measurement where the noise is clearly other than declared; None where it nowhere is."""
+    met = _places(measured, found)
+    declared = measured.variance_m2[met]
+    variance = measured.variance_m2.copy()
+    for source in np.unique(measured.source[met]):
+        own = measured.source[met] == source
+        # The prediction's own variance follows the noise that is told, so the whole innovation scales with it.
+        variance[met[own]] = noise_factors(part(found, own)) ** 2 * declared[own]
+    return None if np.array_equal(variance[met], declared) else variance
 
 
 def _lonely(measured: Displacement, found: Innovation) -> Mask:
@@ -157,21 +187,30 @@ def _measurement_errors(inputs: FusionInputs, rows: Estimate) -> list[Floats]:
     return found
 
 
-def _response(inputs: FusionInputs, method: str, error_m: Floats, found: Innovation) -> Floats:
+def _response(
+    inputs: FusionInputs, runner: Runner, settings: MethodSettings, error_m: Floats, fused: Smoothed
+) -> Floats:
     """What an error (m,) of the measurements that were used does to each row, relative to the zero: linear."""
-    used = np.zeros(len(error_m), dtype=bool)
-    used[_places(inputs.displacement, found)] = (found.verdict == ACCEPTED) | (found.verdict == REACQUIRED)
+    found, declared = fused.innovation, inputs.displacement.variance_m2
+    if not len(found.time_ns):
+        # Methods without a gate use every measurement.
+        return _alone(inputs, runner, settings, (error_m, declared))
+    met = _places(inputs.displacement, found)
+    used = (found.verdict == ACCEPTED) | (found.verdict == REACQUIRED)
+    taken = declared[met] if fused.variance_m2 is None else np.maximum(fused.variance_m2, LEAST**2 * declared[met])
+    variance = np.full(len(error_m), np.inf)
+    variance[met[used]] = taken[used]
+    return _alone(inputs, runner, settings, (error_m, variance))
+
+
+def _alone(inputs: FusionInputs, runner: Runner, settings: MethodSettings, measured: tuple[Floats, Floats]) -> Floats:
+    """The method's rows, relative to the zero, for measurements (value, variance) alone, without acceleration."""
+    error_m, variance = measured
     alone = replace(
         inputs,
         acceleration=replace(inputs.acceleration, value_m_s2=np.zeros(len(inputs.acceleration.time_ns))),
-        displacement=replace(
-            inputs.displacement,
-            value_m=error_m,
-            variance_m2=np.where(used, inputs.displacement.variance_m2, np.inf),
-        ),
+        displacement=replace(inputs.displacement, value_m=error_m, variance_m2=variance),
         kalman=replace(inputs.kalman, bias=0.0, gate=NO_GATE),
     )
-    if method == "smoother":
-        rows = smooth(alone.acceleration, alone.displacement, alone.kalman).estimate
-        return rows.displacement_m - _at_zero(alone, rows)[0]
-    return _filter(alone).estimate.displacement_m - _at_zero(alone, _beginning(alone))[0]
+    rows = _run(alone, runner.response, replace(settings, kalman=alone.kalman)).estimate
+    return rows.displacement_m - _at_zero(alone, rows if runner.both_ways else _beginning(alone))[0]

@@ -1,28 +1,32 @@
 """From an opened, calibrated recording to what is fused: tracking to its end, displacement in metres, first guesses."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from midspan.engine.monitor import Monitor
+from midspan.engine.monitor import AxisLoop, Monitor
 from midspan.errors import DataError, UsageError
 from midspan.fusion.kalman import KalmanFilter, KalmanSettings
 from midspan.fusion.smoother import smooth
-from midspan.recording.acceleration import PreparedAcceleration, unknown_density
+from midspan.recording.acceleration import PreparedAcceleration, still, unknown_density
 from midspan.recording.calibrate import open_tracking
-from midspan.recording.calibration import Calibration
+from midspan.recording.calibrate_camera import window_ends
+from midspan.recording.calibration import Calibration, CameraCalibration
 from midspan.recording.fuse import FusionInputs, SensorError
 from midspan.recording.progress import Progress
 from midspan.recording.recording import Recording
+from midspan.recording.running_clock import on_one_clock
 from midspan.recording.span import inside, require_overlap
+from midspan.recording.targets import Together, camera_blocks, filter_settings, together
 from midspan.recording.tracking import CameraTracking
 from midspan.records import (
     NANOSECONDS,
     Acceleration,
     Displacement,
-    Floats,
     PixelTrack,
     PixelTranslation,
+    Region,
     Source,
     TimeOffset,
     joined,
@@ -30,53 +34,139 @@ from midspan.records import (
 )
 from midspan.signals.health import dominant_frequency
 
+# A target left out of more than this share of its frames is worth telling.
+NOTABLE_DROPPED = 0.1
 # Rows are `coasting` when the last accepted measurement is older than this many of the sensor's usual intervals.
 COASTING_INTERVALS = 2.5
 
 
 @dataclass(frozen=True, slots=True)
 class Gathered:
-    """The inputs of the fusion, the camera's track and tracking (None without one), and warnings."""
+    """The inputs of the fusion, the camera's best track and its tracking (None without one), and warnings.
+
+    across: the inputs along the second image axis; together: how the targets agreed along the main one.
+    """
 
     inputs: FusionInputs
     track: PixelTrack | None
     tracking: CameraTracking | None
     warnings: tuple[str, ...]
+    across: FusionInputs | None = None
+    together: Together | None = None
 
 
 def gather(
     recording: Recording, calibration: Calibration, tracking: CameraTracking | None, progress: Progress
 ) -> Gathered:
-    """Track what is left of the camera's frames with the filter's predictions, and bring all sensors together."""
-    prepared = recording.prepared
-    density = calibration.noise_density(prepared.rate_hz)
-    acceleration = prepared.with_noise(density)
-    kalman = KalmanSettings(bias=calibration.bias_m_s2, bias_std=_bias_std(calibration, prepared.value_m_s2))
-    blocks, errors, track = [], [], None
+    """Track what is left of the camera's frames with the filters' predictions, and bring all sensors together."""
+    sides = [side_of(recording, calibration)]
+    if recording.across is not None and calibration.across is not None:
+        sides.append(side_of(recording.across, calibration.across))
     if calibration.camera is not None and recording.has("camera"):
-        camera, mapping = calibration.camera, calibration.camera.mapping()
         tracking = tracking or open_tracking(recording, calibration, progress)
-        track = track_all(tracking, Monitor(tracking.tracker, mapping, KalmanFilter(kalman)), acceleration)
-        blur_s = tracking.blur_s(recording.settings.camera.exposure_s if recording.settings.camera else None)
-        blocks.append(_unblurred(mapping.displacement(track), blur_s, acceleration))
-        relative = float(np.sqrt(camera.scale.variance)) / abs(camera.scale.value_m_per_px)
-        errors.append(SensorError(Source.CAMERA, relative, _clock_std(camera.offset)))
+        track_all(tracking, _monitor(tracking, sides), [side.acceleration for side in sides])
+    inputs, together, warnings = _inputs(sides[0], tracking)
+    across = None
+    if len(sides) > 1:
+        across, _, more = _inputs(sides[1], tracking)
+        warnings += more
+    place = 0
+    if tracking is not None and calibration.camera is not None:
+        place = [target.region for target in tracking.targets].index(best_region(tracking, calibration.camera))
+    track = None if tracking is None else tracking.targets[place].track
+    return Gathered(inputs, track, tracking, tuple(warnings), across, together)
+
+
+@dataclass(frozen=True, slots=True)
+class Side:
+    """One image axis of a recording, or all of one without a camera: its acceleration and the filter's settings."""
+
+    recording: Recording
+    calibration: Calibration
+    prepared: PreparedAcceleration
+    acceleration: Acceleration
+    kalman: KalmanSettings
+
+
+def side_of(recording: Recording, calibration: Calibration) -> Side:
+    """A recording's axis with its calibration; without an accelerometer there its acceleration is zero."""
+    fused = calibration.camera is None or calibration.camera.fused
+    prepared = recording.prepared if fused else still(recording.prepared)
+    density = calibration.noise_density(prepared.rate_hz)
+    kalman = filter_settings(prepared, density, calibration.bias_m_s2)
+    return Side(recording, calibration, prepared, prepared.with_noise(density), kalman)
+
+
+def best_region(tracking: CameraTracking, camera: CameraCalibration) -> Region:
+    """The region of the best target, as it is tracked: one alone may have been moved a little by the recording."""
+    regions = [target.region for target in tracking.targets]
+    return camera.region if camera.region in regions else regions[0]
+
+
+def _monitor(tracking: CameraTracking, sides: Sequence[Side]) -> Monitor:
+    """The loop of trackers and filters, which have been told what was tracked so far."""
+    loops = []
+    for side in sides:
+        assert side.calibration.camera is not None
+        loop = AxisLoop(side.calibration.camera.mappings(), KalmanFilter(side.kalman))
+        if tracking.done:
+            found = _camera(side, tracking)
+            loop.start(found.measured, found.zeros_m)
+        loops.append(loop)
+    return Monitor(tracking.targets, loops)
+
+
+def _camera(side: Side, tracking: CameraTracking) -> Together:
+    """The camera's displacement along one axis, out of what was tracked so far."""
+    camera = side.calibration.camera
+    assert camera is not None
+    blocks = camera_blocks(tracking.targets, camera, side.recording.exposure_s, side.acceleration)
+    return together(blocks, camera.mappings(), side.acceleration, side.kalman, window_ends(side.recording))
+
+
+def _inputs(side: Side, tracking: CameraTracking | None) -> tuple[FusionInputs, Together | None, list[str]]:
+    """What is fused along one axis, how the targets agreed, and warnings."""
+    recording, calibration, blocks, errors = side.recording, side.calibration, [], []
+    found, told = None, []
+    if calibration.camera is not None and tracking is not None:
+        found = _camera(side, tracking)
+        told = _drops(found, tracking, calibration.camera.direction)
+        running = on_one_clock(found.measured, side.acceleration, side.kalman, "camera")
+        told += running.warnings
+        blocks.append(running.measured)
+        clock_std = _clock_std(calibration.camera.offset) if running.std_s is None else running.std_s
+        errors.append(SensorError(Source.CAMERA, calibration.camera.relative_std, clock_std))
     if recording.has("displacement"):
         blocks.append(_displacement(recording, calibration))
         offset = calibration.displacement.offset if calibration.displacement else TimeOffset(0.0, 0.0)
         errors.append(SensorError(Source.DISPLACEMENT, 0.0, _clock_std(offset)))
-    level = 0.0 if track is not None else float(blocks[0].value_m[np.argmax(np.isfinite(blocks[0].value_m))])
+    level = 0.0 if found is not None else float(blocks[0].value_m[np.argmax(np.isfinite(blocks[0].value_m))])
     blocks[0] = replace(blocks[0], value_m=blocks[0].value_m - level)
-    measured, warnings = _merged(blocks, acceleration, kalman)
+    measured, warnings = _merged(blocks, side.acceleration, side.kalman)
+    velocity_std = _velocity_std(side.prepared, measured)
     inputs = FusionInputs(
-        acceleration=_from_first_measurement(acceleration, measured, prepared.rate_hz),
+        acceleration=from_first_measurement(side.acceleration, measured, side.prepared.rate_hz),
         displacement=measured,
-        kalman=_with_ages(replace(kalman, velocity_std=_velocity_std(prepared, measured)), blocks[0]),
-        zero_ns=None if track is None else int(blocks[0].time_ns[0]),
+        kalman=_with_ages(replace(side.kalman, velocity_std=velocity_std), blocks[0]),
+        zero_ns=None if found is None else int(blocks[0].time_ns[0]),
         level_m=level,
         errors=tuple(errors),
     )
-    return Gathered(inputs, track, tracking, tuple(warnings))
+    return inputs, found, [*warnings, *told]
+
+
+def _drops(found: Together, tracking: CameraTracking, direction: str) -> list[str]:
+    """A sentence for each target that was left out of many frames in which it was seen."""
+    told = []
+    for target, used in zip(tracking.targets, found.used, strict=True):
+        seen = np.isfinite(target.track.along(direction)[0])
+        share = float(np.mean(~used[seen])) if seen.any() else 0.0
+        if share > NOTABLE_DROPPED:
+            told.append(
+                f"Target {target.name}: {100 * share:.2g} % of its frames disagree with the other targets along "
+                f"{direction} and were left out; look at its region."
+            )
+    return told
 
 
 def _clock_std(offset: TimeOffset) -> float:
@@ -89,48 +179,35 @@ def _with_ages(kalman: KalmanSettings, measured: Displacement) -> KalmanSettings
     return replace(kalman, coasting_s=max(COASTING_INTERVALS * interval, 0.05), lost_s=max(10.0, 10.0 * interval))
 
 
-def _bias_std(calibration: Calibration, value: Floats) -> float:
-    """First uncertainty of the bias: a mean over motion is off by some of the motion."""
-    return float(0.3 * np.std(value) + 10.0 * calibration.noise_std_m_s2 + 1e-4)
-
-
 def _velocity_std(prepared: PreparedAcceleration, measured: Displacement) -> float:
     """First uncertainty of the velocity: three times the larger of what either sensor says of its size."""
     usable = np.isfinite(measured.value_m)
     steps = np.diff(measured.value_m[usable]) / np.maximum(np.diff(measured.time_ns[usable]) / NANOSECONDS, 1e-3)
     slow = float(np.sqrt(np.mean(steps**2))) if len(steps) else 1.0
     value = prepared.value_m_s2
-    fast = float(np.std(value)) / (2.0 * np.pi * max(dominant_frequency(value, prepared.rate_hz), 0.2))
+    fast = (
+        0.0
+        if not value.any()
+        else float(np.std(value)) / (2.0 * np.pi * max(dominant_frequency(value, prepared.rate_hz), 0.2))
+    )
     return 3.0 * max(slow, fast)
 
 
-def track_all(tracking: CameraTracking, monitor: Monitor, acceleration: Acceleration) -> PixelTrack:
-    """Track the frames that are left with the filter's predictions; returns the whole track."""
-    offset = monitor.scale.time_offset_ns
-    if tracking.done:
-        monitor.push(monitor.scale.displacement(tracking.track))
-    pushed = 0
+def track_all(tracking: CameraTracking, monitor: Monitor, accelerations: Sequence[Acceleration]) -> None:
+    """Track the frames that are left with the filters' predictions; accelerations: one an axis, of the same stamps."""
+    offset = monitor.axes[0].scales[0].time_offset_ns
+    pushed = [0] * len(accelerations)
     while tracking.done < len(tracking.time_ns):
         frame = tracking.take()
         if frame is None:
             break
-        due = int(np.searchsorted(acceleration.time_ns, frame.time_ns + offset, side="right"))
-        monitor.push(part(acceleration, slice(pushed, due)))
-        pushed = max(pushed, due)
-        (translation,) = monitor.push(frame)
-        assert isinstance(translation, PixelTranslation)
-        tracking.add(frame, translation)
+        for axis, acceleration in enumerate(accelerations):
+            due = int(np.searchsorted(acceleration.time_ns, frame.time_ns + offset, side="right"))
+            monitor.push(part(acceleration, slice(pushed[axis], due)), axis)
+            pushed[axis] = max(pushed[axis], due)
+        translations = [item for item in monitor.push(frame) if isinstance(item, PixelTranslation)]
+        tracking.add(frame, translations)
     tracking.close()
-    return tracking.track
-
-
-def _unblurred(measured: Displacement, blur_s: float, acceleration: Acceleration) -> Displacement:
-    """The camera's displacement without what averaging over `blur_s` added: blur²/24 of the acceleration."""
-    if blur_s == 0.0:
-        return measured
-    value = acceleration.value_m_s2 - np.mean(acceleration.value_m_s2)
-    added = blur_s**2 / 24.0 * np.interp(measured.time_ns, acceleration.time_ns, value)
-    return replace(measured, value_m=measured.value_m - added)
 
 
 def _displacement(recording: Recording, calibration: Calibration) -> Displacement:
@@ -169,13 +246,15 @@ def _merged(
     return first, warnings
 
 
-def _from_first_measurement(acceleration: Acceleration, measured: Displacement, rate_hz: float) -> Acceleration:
+def from_first_measurement(acceleration: Acceleration, measured: Displacement, rate_hz: float) -> Acceleration:
     """Put a sample before the first measurement where that comes first: the zero belongs to it."""
     first, start = int(measured.time_ns[0]), int(acceleration.time_ns[0])
     if first >= start or start - first > 2 * NANOSECONDS:
         return acceleration
     value = float(np.mean(acceleration.value_m_s2[:100]))
-    before = Acceleration(np.array([first - 1]), np.array([value]), acceleration.noise_density[:1])
+    # A whole sample's interval at least: over nanoseconds the step to the first sample would be an endless slope.
+    begin = min(first - 1, start - round(NANOSECONDS / rate_hz))
+    before = Acceleration(np.array([begin]), np.array([value]), acceleration.noise_density[:1])
     widened = acceleration.noise_density.copy()
     widened[0] += unknown_density(acceleration.value_m_s2, rate_hz)
     return joined([before, replace(acceleration, noise_density=widened)])

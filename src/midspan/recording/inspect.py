@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from midspan.errors import MidspanError
+from midspan.errors import DataError, MidspanError, UsageError
 from midspan.recording.progress import Progress, silent
 from midspan.recording.recording import Recording
 from midspan.recording.span import shown
@@ -40,10 +40,15 @@ def inspect_recording(recording: Recording, every_frame: bool = False, progress:
         "displacement": lambda: _series(recording.displacement, "m"),
         "reference": lambda: _series(recording.reference, "m"),
     }
+    across = recording.across
+    if across is not None and across.fused:
+        # The column along the second image axis.
+        readers[f"accelerometer_{across.axis}"] = lambda: _series(across.acceleration, "m/s^2")
     for section, read in readers.items():
-        if not recording.has(section):
+        stream = section.split("_")[0]
+        if not recording.has(stream):
             continue
-        file = getattr(recording.settings, section).file
+        file = getattr(recording.settings, stream).file
         try:
             branch, time_ns = read()
             tree[section] = {"file": file, **branch}
@@ -61,8 +66,9 @@ def inspect_file(path: Path, progress: Progress = silent) -> Tree:
     except MidspanError as first:
         try:
             branch, _ = _frames(open_frames(path, FrameRequest()), False, progress)
-        except MidspanError:
-            raise first from None
+        except MidspanError as second:
+            # No table by its name, and a video that cannot be used: what is wrong with the video counts.
+            raise (second if isinstance(first, UsageError) and isinstance(second, DataError) else first) from None
         return {"file": str(path), "frames": branch}
     return {
         "file": str(path),

@@ -1,7 +1,7 @@
 """The result of an estimate: rows, figures, and ways to look at them and keep them."""
 
 import html
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -9,6 +9,7 @@ import numpy as np
 
 from midspan._version import __version__
 from midspan.recording.calibration import Calibration
+from midspan.recording.second_axis import SecondAxis
 from midspan.recording.tracking import CameraTracking
 from midspan.records import Estimate, Event, Floats, Innovation, PixelTrack, Source, Status, seconds
 from midspan.settings import RecordingSettings
@@ -31,7 +32,8 @@ class Result:
     """Displacement at the accelerometer's rate with its error band, and everything it rests on.
 
     estimate: the rows in SI; calibration, settings, method: how they came about; innovation: measured minus predicted
-    displacement; events, warnings: what is worth telling; track, tracking: the camera's, None without one.
+    displacement; events, warnings: what is worth telling; track, tracking: the camera's, None without one (of several
+    targets the best one's track); across: the second image axis, with camera.direction = "xy".
     """
 
     estimate: Estimate
@@ -44,6 +46,26 @@ class Result:
     track: PixelTrack | None = field(default=None, repr=False)
     tracking: CameraTracking | None = field(default=None, repr=False)
     recording: "Recording | None" = field(default=None, repr=False)
+    across: SecondAxis | None = field(default=None, repr=False)
+
+    @property
+    def axis(self) -> str:
+        """The image axis "x" or "y" that the main columns belong to; empty without a camera."""
+        return self.calibration.camera.direction if self.calibration.camera else ""
+
+    @property
+    def second(self) -> "Result | None":
+        """The second image axis as a result of its own; None without one."""
+        if self.across is None or self.calibration.across is None:
+            return None
+        return replace(
+            self,
+            estimate=self.across.estimate,
+            calibration=self.calibration.across,
+            method=self.across.method,
+            innovation=self.across.innovation,
+            across=None,
+        )
 
     @property
     def time_s(self) -> Floats:
@@ -75,19 +97,48 @@ class Result:
             "source": self.estimate.source,
             "status": self.estimate.status,
         }
+        if self.across is not None:
+            columns |= self._second_columns(self.across)
         return ResultTable(columns=columns, time_ns=self.estimate.time_ns, metadata=self.metadata())
+
+    @staticmethod
+    def _second_columns(across: SecondAxis) -> dict[str, Any]:
+        """The columns of the second axis, named by it."""
+        return {
+            f"displacement_{across.axis}_mm": across.displacement_mm,
+            f"displacement_std_{across.axis}_mm": across.displacement_std_mm,
+            f"velocity_{across.axis}_mm_s": across.velocity_mm_s,
+            f"status_{across.axis}": across.estimate.status,
+        }
 
     def metadata(self) -> dict[str, Any]:
         """Settings, calibration, version, events and warnings, as plain values."""
         return {
             "midspan": __version__,
             "method": self.method,
+            **self._axes(),
             "settings": self.settings.model_dump(mode="json", exclude_none=True),
             "calibration": self.calibration.to_dict(),
             "warnings": list(self.warnings),
             "events": [
                 {"time_s": event.time_ns / 1e9, "kind": event.kind, "text": event.text} for event in self.events
             ],
+        }
+
+    def _axes(self) -> dict[str, Any]:
+        """Which columns belong to which image axis, and how each came about; nothing where there is one axis only."""
+        if self.across is None:
+            return {}
+        second = self.across
+        return {
+            "axes": {
+                self.axis: {"column": "displacement_mm", "fused": True, "method": self.method},
+                second.axis: {
+                    "column": f"displacement_{second.axis}_mm",
+                    "fused": second.fused,
+                    "method": second.method,
+                },
+            }
         }
 
     def figures(self) -> dict[str, Any]:
@@ -102,23 +153,31 @@ class Result:
             "rms_mm": float(np.sqrt(np.mean((d - d.mean()) ** 2))),
             "median_std_mm": float(np.median(self.displacement_std_mm)),
             "status": {s.word: float(np.mean(rows.status == s)) for s in Status},
+            **self._second_figures(),
+        }
+
+    def _second_figures(self) -> dict[str, Any]:
+        """Peaks and typical standard deviation along the second axis."""
+        if self.across is None:
+            return {}
+        d, axis = self.across.displacement_mm, self.across.axis
+        return {
+            f"largest_{axis}_mm": float(d.max()),
+            f"smallest_{axis}_mm": float(d.min()),
+            f"rms_{axis}_mm": float(np.sqrt(np.mean((d - d.mean()) ** 2))),
+            f"median_std_{axis}_mm": float(np.median(self.across.displacement_std_mm)),
         }
 
     def to_pandas(self) -> "pd.DataFrame":
         """The rows as a data frame indexed by time_s, with words for source and status."""
         import pandas as pd
 
-        rows = self.estimate
-        return pd.DataFrame(
-            {
-                "displacement_mm": self.displacement_mm,
-                "displacement_std_mm": self.displacement_std_mm,
-                "velocity_mm_s": self.velocity_mm_s,
-                "source": pd.Categorical.from_codes(rows.source, pd.Index([s.word for s in Source])),
-                "status": pd.Categorical.from_codes(rows.status, pd.Index([s.word for s in Status])),
-            },
-            index=pd.Index(self.time_s, name="time_s"),
-        )
+        words = {"source": [s.word for s in Source], "status": [s.word for s in Status]}
+        columns: dict[str, Any] = dict(self.table().columns)
+        for name, values in columns.items():
+            known = words.get(name.split("_")[0])
+            columns[name] = values if known is None else pd.Categorical.from_codes(values, pd.Index(known))
+        return pd.DataFrame(columns, index=pd.Index(columns.pop("time_s"), name="time_s"))
 
     def save(self, path: str | Path) -> Path:
         """Write the result; the suffix chooses the format (.csv, .parquet, .h5, .mat, .mseed, .uff)."""
@@ -133,15 +192,24 @@ class Result:
 
             figure = Figure(figsize=(9, 3), layout="constrained")
             axes = figure.subplots()
-        time_s, value, half = self.time_s, self.displacement_mm, 1.96 * self.displacement_std_mm
-        band = envelope(time_s, value - half, value + half, MOST_STRETCHES)
-        axes.fill_between(band.t, band.low, band.high, alpha=0.3, linewidth=0, label="±1.96 σ")
-        axes.plot(*envelope(time_s, value, value, MOST_STRETCHES).line(), linewidth=0.9, label="displacement")
+        if self.across is None:
+            self._draw(axes, (self.displacement_mm, self.displacement_std_mm), "displacement")
+        else:
+            self._draw(axes, (self.displacement_mm, self.displacement_std_mm), f"displacement along {self.axis}")
+            second = (self.across.displacement_mm, self.across.displacement_std_mm)
+            self._draw(axes, second, f"displacement along {self.across.axis}")
         axes.set_xlabel("time (s)")
         axes.set_ylabel("displacement (mm)")
         axes.legend(loc="upper right", frameon=False)
         axes.grid(alpha=0.3)
         return axes
+
+    def _draw(self, axes: "Axes", rows_mm: tuple[Floats, Floats], label: str) -> None:
+        """One displacement with its band."""
+        time_s, value, half = self.time_s, rows_mm[0], 1.96 * rows_mm[1]
+        band = envelope(time_s, value - half, value + half, MOST_STRETCHES)
+        axes.fill_between(band.t, band.low, band.high, alpha=0.3, linewidth=0, label="±1.96 σ")
+        axes.plot(*envelope(time_s, value, value, MOST_STRETCHES).line(), linewidth=0.9, label=label)
 
     def _repr_html_(self) -> str:
         """What a notebook shows: the picture and the first figures."""

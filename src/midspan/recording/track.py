@@ -9,15 +9,17 @@ import numpy as np
 
 from midspan._version import __version__
 from midspan.errors import UsageError
+from midspan.recording.calibrate import given_targets
+from midspan.recording.lens import lens_of
 from midspan.recording.progress import Progress, silent
 from midspan.recording.recording import open_recording
-from midspan.recording.tracking import CameraTracking, TrackingSettings
+from midspan.recording.tracking import CameraTracking, Target, TrackingSettings
 from midspan.records import PixelTrack, Region, Status, seconds
 from midspan.settings import RECORDING_FILE
 from midspan.sinks.table import ResultTable
 from midspan.sources.camera.formats import open_frames
 from midspan.sources.camera.frames import FrameRequest, FrameSource
-from midspan.vision.tracker import DEFAULT_TRACKER
+from midspan.vision.tracker import DEFAULT_TRACKER, tracker_settings
 
 # Images without any time get one second a frame, so that time_s counts them.
 COUNTING_RATE_HZ = 1.0
@@ -39,7 +41,7 @@ class TrackRequest:
 
 @dataclass(frozen=True, slots=True)
 class Tracked:
-    """The track (one row a frame), the region it followed, and what is worth telling."""
+    """The first target's track (one row a frame), its region, and what is worth telling; `tracking` has the others."""
 
     track: PixelTrack
     region: Region
@@ -49,23 +51,33 @@ class Tracked:
 
     def table(self) -> ResultTable:
         """The columns of a track file."""
-        track = self.track
-        columns: dict[str, Any] = {
-            "time_s": seconds(track.time_ns, 0),
-            "x_px": track.x_px,
-            "y_px": track.y_px,
-            "std_x_px": np.sqrt(track.variance_x_px2),
-            "std_y_px": np.sqrt(track.variance_y_px2),
-            "status": track.status,
-        }
-        region = [self.region.x, self.region.y, self.region.width, self.region.height]
+        columns: dict[str, Any] = {"time_s": seconds(self.track.time_ns, 0)}
+        for number, target in enumerate(self.tracking.targets):
+            # The first target has the plain names; the others' end with their own.
+            columns |= _columns(target.track, "" if number == 0 else f"_{target.name}")
         metadata = {
             "midspan": __version__,
             "tracker": self.tracker,
-            "roi": region,
+            "roi": _listed(self.region),
+            "targets": [{"name": t.name, "roi": _listed(t.region)} for t in self.tracking.targets],
             "warnings": list(self.warnings),
         }
+        track = self.track
         return ResultTable(columns=columns, time_ns=track.time_ns, metadata=metadata)
+
+
+def _columns(track: PixelTrack, end: str) -> dict[str, Any]:
+    return {
+        f"x_px{end}": track.x_px,
+        f"y_px{end}": track.y_px,
+        f"std_x_px{end}": np.sqrt(track.variance_x_px2),
+        f"std_y_px{end}": np.sqrt(track.variance_y_px2),
+        f"status{end}": track.status,
+    }
+
+
+def _listed(region: Region) -> list[int]:
+    return [region.x, region.y, region.width, region.height]
 
 
 def track(source: str | Path, request: TrackRequest | None = None, progress: Progress = silent) -> Tracked:
@@ -79,22 +91,25 @@ def track(source: str | Path, request: TrackRequest | None = None, progress: Pro
         frames, settings, warnings = _of_recording(path, request)
     else:
         frames, warnings = _of_file(path, request)
-        settings = TrackingSettings(request.tracker or DEFAULT_TRACKER, region=request.region)
+        given = (Target(request.region),) if request.region else ()
+        settings = TrackingSettings(request.tracker or DEFAULT_TRACKER, targets=given)
     tracking = CameraTracking(frames, settings, progress)
     rows = _all_rows(tracking)
     progress(1, 1, "tracking")
     warnings += tracking.warnings()
-    lost = int(np.count_nonzero(rows.status == Status.LOST))
-    if lost:
-        warnings.append(f"The target was lost in {lost} of {len(rows.time_ns)} frames; their values are empty.")
-    return Tracked(rows, tracking.tracker.region, settings.tracker, tuple(warnings), tracking)
+    for target, found in zip(tracking.targets, rows, strict=True):
+        lost = int(np.count_nonzero(found.status == Status.LOST))
+        if lost:
+            which = "The target" if len(rows) == 1 else f"Target {target.name}"
+            warnings.append(f"{which} was lost in {lost} of {len(found.time_ns)} frames; their values are empty.")
+    return Tracked(rows[0], tracking.targets[0].region, settings.tracker, tuple(warnings), tracking)
 
 
-def _all_rows(tracking: CameraTracking) -> PixelTrack:
+def _all_rows(tracking: CameraTracking) -> tuple[PixelTrack, ...]:
     while (frame := tracking.take()) is not None:
-        tracking.add(frame, tracking.tracker.push(frame))
+        tracking.add(frame, [target.push(frame) for target in tracking.targets])
     tracking.close()
-    return tracking.track
+    return tracking.tracks
 
 
 def _of_recording(path: Path, request: TrackRequest) -> tuple[FrameSource, TrackingSettings, list[str]]:
@@ -107,8 +122,16 @@ def _of_recording(path: Path, request: TrackRequest) -> tuple[FrameSource, Track
     camera = recording.settings.camera
     if camera is None:
         raise UsageError(f"{recording.file}: has no [camera] section, so there is nothing to track.")
-    region = request.region or (Region(*camera.roi) if camera.roi else None)
-    return recording.frames, TrackingSettings(camera.tracker, camera.direction, region, readout_s=camera.readout_s), []
+    settings = TrackingSettings(
+        tracker=camera.tracker,
+        direction=recording.axis,
+        targets=(Target(request.region),) if request.region else given_targets(camera),
+        automatic_targets=camera.automatic_targets,
+        readout_s=camera.readout_s,
+        tracker_settings=tracker_settings(camera.tracker, **camera.tracker_settings),
+        lens=lens_of(recording),
+    )
+    return recording.frames, settings, []
 
 
 def _of_file(path: Path, request: TrackRequest) -> tuple[FrameSource, list[str]]:

@@ -1,6 +1,10 @@
-"""Tracking a recording's camera: the reference frame, the region, and the frames in their order."""
+"""Tracking a recording's camera: the reference frame, the targets, and the frames in their order."""
 
+from collections import deque
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -8,16 +12,28 @@ from numpy.typing import NDArray
 
 from midspan.errors import DataError
 from midspan.recording.progress import Progress, silent
-from midspan.records import NANOSECONDS, Floats, Frame, Nanoseconds, PixelTrack, PixelTranslation, Region, Status
+from midspan.recording.region_choice import ChoiceRequest, Judge, choose_targets
+from midspan.records import (
+    NANOSECONDS,
+    Floats,
+    Frame,
+    Nanoseconds,
+    PixelTrack,
+    PixelTranslation,
+    Prediction,
+    Region,
+    ScaleFactor,
+    Status,
+)
 from midspan.signals.health import Mask, runs
 from midspan.sources.camera.frames import FrameSource
+from midspan.vision.lens import Lens, as_shown, bare, lens_warnings, through
+from midspan.vision.picture_quality import PictureWatch
+from midspan.vision.picture_warnings import picture_warnings
 from midspan.vision.region import check_region
-from midspan.vision.roi import RegionChoice, RoiSettings, choose_region
-from midspan.vision.tracker import open_tracker
+from midspan.vision.roi import RegionChoice
+from midspan.vision.tracker import Learner, Tracker, open_tracker
 
-# The automatic region looks at this many frames, spread over this many seconds from the first frame used.
-CHOICE_FRAMES = 16
-CHOICE_S = 8.0
 # A variance below this share of the usual one is the mark of a frame that matches itself, not of a quiet one.
 SUSPICIOUS_SHARE = 0.25
 # Noise of the template over the noise of a frame, as standard deviations.
@@ -27,61 +43,83 @@ FROZEN_FRAMES = 3
 # A frame whose mean is below this share of full scale is dark; at most this many are skipped at the start.
 DARK_SHARE = 0.02
 MOST_DARK = 1000
+# Frames that trackers learn from are kept until they are tracked; so much memory at most.
+MOST_AHEAD_BYTES = 200_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """A target to be tracked: its region in the reference frame and what it is called."""
+
+    region: Region
+    name: str = "1"
 
 
 @dataclass(frozen=True, slots=True)
 class TrackingSettings:
-    """What to track: the tracker's name, the measured image axis, the region (None: chosen) and the frames used.
+    """What to track: the tracker's name, the measured image axis, the targets (none: chosen) and the frames used.
 
+    automatic_targets: how many are chosen; trial_from_ns: where the calibration begins, on the camera's clock.
     first: index of the reference frame; last: index after the last frame used. readout_s: rolling shutter, s from the
     first row (which the stamps belong to) to the last: the track's times are those of the target's middle row.
+    tracker_settings: the tracker's settings record, None for its defaults. lens: its distortion is taken out of the
+    translations (None: is not).
     """
 
     tracker: str
     direction: str = "y"
-    region: Region | None = None
+    targets: tuple[Target, ...] = ()
+    automatic_targets: int = 1
     first: int = 0
     last: int | None = None
     readout_s: float = 0.0
+    trial_from_ns: int | None = None
+    tracker_settings: Any = None
+    lens: Lens | None = None
 
 
-class CameraTracking:
-    """Frames from the first one used, tracked one after another; the rows tracked so far are in `track`.
+class TargetTracking:
+    """One target: its tracker, and the rows found so far, one a frame."""
 
-    Dark frames before the first lit one are skipped (`skipped` tells how many): nothing could be found in them.
-    """
-
-    def __init__(self, source: FrameSource, settings: TrackingSettings, progress: Progress = silent) -> None:
-        self.source, self.progress = source, progress
-        self.skipped = dark_start(source, settings.first)
-        self.settings = settings = replace(settings, first=settings.first + self.skipped)
-        self.time_ns: Nanoseconds = source.times_ns()[settings.first : settings.last]
-        if len(self.time_ns) < 2:
-            raise DataError(f"camera: has {len(self.time_ns)} usable frames; at least 2 are needed.")
-        self.choice: RegionChoice | None = None
-        region = settings.region or self._choose()
-        self._frames = iter(source.frames(settings.first, settings.last))
-        self.reference = self._next_frame()
-        check_region(region, self.reference.pixels.shape[1], self.reference.pixels.shape[0])
-        self.tracker = open_tracker(settings.tracker, self.reference, region)
-        self._pending: Frame | None = self.reference
+    def __init__(self, tracker: Tracker, name: str, readout_s: float) -> None:
+        self.tracker, self.name, self._readout_s = tracker, name, readout_s
         self._rows: list[PixelTranslation] = []
         self._repeats: list[bool] = []
         self._seen = np.empty((0, 0))
+        self._watch = PictureWatch(tracker.reference, tracker.region)
 
     @property
-    def done(self) -> int:
-        """How many frames have been tracked."""
-        return len(self._rows)
+    def region(self) -> Region:
+        """The target's region in the reference frame."""
+        return self.tracker.region
+
+    def push(self, frame: Frame, prediction: Prediction | None = None) -> PixelTranslation:
+        """Find the target in `frame`; the translation is dated by the row that the target's middle was read out at."""
+        found = self.tracker.push(frame, prediction)
+        down_px = as_shown(self.tracker, found).y_px
+        row = self.region.y + 0.5 * (self.region.height - 1) + (down_px if np.isfinite(down_px) else 0.0)
+        last_row = max(frame.pixels.shape[0] - 1, 1)
+        late_ns = round(self._readout_s * NANOSECONDS * row / last_row)
+        return replace(found, time_ns=frame.time_ns + late_ns)
+
+    def add(self, frame: Frame, translation: PixelTranslation) -> None:
+        """Keep what was found in `frame`: the one place where a frame's picture and its translation meet."""
+        region = self.region
+        seen = np.asarray(frame.pixels[region.y : region.y + region.height, region.x : region.x + region.width])
+        self._repeats.append(bool(np.array_equal(seen, self._seen)))
+        self._seen = seen.copy()
+        self._rows.append(translation)
+        self._watch.push(frame, as_shown(self.tracker, translation))
 
     @property
     def track(self) -> PixelTrack:
-        """The rows tracked so far as one block; frames of a frozen picture are lost."""
-        track = with_fair_variance(lost_where(PixelTrack.stack(self._rows), self.frozen))
-        region, height = self.tracker.region, max(self.source.info.height - 1, 1)
-        row = region.y + 0.5 * (region.height - 1) + np.nan_to_num(track.y_px)
-        late_ns = np.rint(self.settings.readout_s * NANOSECONDS * row / height).astype(np.int64)
-        return replace(track, time_ns=track.time_ns + late_ns)
+        """The rows so far as one block, finished: frames of a frozen picture are lost, the variances fair."""
+        return self._watch.widened(self._narrow)
+
+    @property
+    def _narrow(self) -> PixelTrack:
+        """The rows with the variances that the tracker believes in."""
+        return with_fair_variance(lost_where(PixelTrack.stack(self._rows), self.frozen))
 
     @property
     def frozen(self) -> Mask:
@@ -96,37 +134,85 @@ class CameraTracking:
 
         Both are box averages; their widths add as squares.
         """
-        rows = self.settings.readout_s * self.tracker.region.height / max(self.source.info.height, 1)
+        rows = self._readout_s * self.region.height / max(self.tracker.reference.pixels.shape[0], 1)
         return float(np.hypot(exposure_s or 0.0, rows))
 
-    def until(self, time_ns: int) -> PixelTrack:
+    def with_codec_error(self, scale: ScaleFactor, direction: str) -> ScaleFactor:
+        """A scale factor learnt along an image axis from the frames so far, with what compression may do to it."""
+        relative = self._watch.relative_scale_std(self._narrow.along(direction)[0])
+        return replace(scale, variance=scale.variance + (relative * scale.value_m_per_px) ** 2)
+
+    def warnings(self, direction: str) -> list[str]:
+        """What of the frames tracked so far is worth telling, measured along the image axis "x" or "y"."""
+        frozen = int(np.count_nonzero(self.frozen))
+        told = [f"camera: {frozen} frames only repeat the picture before them (frozen); they were not used."]
+        seen = picture_warnings(self._watch, self._narrow, direction) if self._rows else []
+        return (told if frozen else []) + seen
+
+
+class CameraTracking:
+    """Frames from the first one used, every target tracked through one after another; `targets` hold the rows.
+
+    Dark frames before the first lit one are skipped (`skipped` tells how many): nothing could be found in them.
+    judge: what decides between places by more than the picture; left out, the picture alone decides.
+    """
+
+    def __init__(
+        self,
+        source: FrameSource,
+        settings: TrackingSettings,
+        progress: Progress = silent,
+        judge: Judge | None = None,
+    ) -> None:
+        self.source, self.progress = source, progress
+        self.skipped, self._frames = lit_frames(source, settings)
+        self.settings = settings = replace(settings, first=settings.first + self.skipped)
+        self.time_ns: Nanoseconds = source.times_ns()[settings.first : settings.last]
+        if len(self.time_ns) < 2:
+            raise DataError(f"camera: has {len(self.time_ns)} usable frames; at least 2 are needed.")
+        self.choice: RegionChoice | None = None
+        targets = settings.targets or self._choose(judge)
+        self.reference = self._next_frame()
+        rows, columns = self.reference.pixels.shape
+        for target in targets:
+            check_region(target.region, columns, rows)
+        self.targets = tuple(self._opened(target) for target in targets)
+        self._ahead = deque([self.reference])
+        self._teach()
+        self.done = 0
+
+    @property
+    def tracks(self) -> tuple[PixelTrack, ...]:
+        """The rows tracked so far, one block a target."""
+        return tuple(target.track for target in self.targets)
+
+    def leave_out(self, places: Sequence[int]) -> None:
+        """Track the targets of these numbers (from 0) no further."""
+        self.targets = tuple(target for k, target in enumerate(self.targets) if k not in places)
+
+    def until(self, time_ns: int) -> tuple[PixelTrack, ...]:
         """Track, without a prediction, all frames up to `time_ns` on the camera's clock; returns all rows so far."""
         while self.done < len(self.time_ns) and self.time_ns[self.done] <= time_ns:
             frame = self.take()
             if frame is None:
                 break
-            self.add(frame, self.tracker.push(frame))
-        return self.track
+            self.add(frame, [target.push(frame) for target in self.targets])
+        return self.tracks
 
     def take(self) -> Frame | None:
         """The next frame that has not been tracked, None at the end."""
         self.progress(self.done, len(self.time_ns), "tracking")
-        frame, self._pending = self._pending, None
-        if frame is not None:
-            return frame
-        return next(self._frames, None)
+        return self._ahead.popleft() if self._ahead else next(self._frames, None)
 
-    def add(self, frame: Frame, translation: PixelTranslation) -> None:
-        """Keep what the tracker found in `frame`."""
-        region = self.tracker.region
-        seen = np.asarray(frame.pixels[region.y : region.y + region.height, region.x : region.x + region.width])
-        self._repeats.append(bool(np.array_equal(seen, self._seen)))
-        self._seen = seen.copy()
-        self._rows.append(translation)
+    def add(self, frame: Frame, translations: Sequence[PixelTranslation]) -> None:
+        """Keep what was found in `frame`, one translation a target."""
+        self.done += 1
+        for target, translation in zip(self.targets, translations, strict=True):
+            target.add(frame, translation)
 
     def close(self) -> None:
         """Let the file go."""
-        self._frames.close()  # type: ignore[attr-defined]
+        self._frames.close()
 
     def warnings(self) -> list[str]:
         """What of the frames tracked so far is worth telling."""
@@ -135,10 +221,35 @@ class CameraTracking:
             found.append(
                 f"camera: the first {self.skipped} frames are dark and were skipped; the zero is at the first lit one."
             )
-        frozen = int(np.count_nonzero(self.frozen))
-        if frozen:
-            found.append(f"camera: {frozen} frames only repeat the picture before them (frozen); they were not used.")
+        for target in self.targets:
+            own = target.warnings(self.settings.direction)
+            if self.settings.lens is not None:
+                own += lens_warnings(target.region, self.settings.lens)
+            found += own if len(self.targets) == 1 else [f"target {target.name}: {line}" for line in own]
         return found
+
+    def _opened(self, target: Target) -> TargetTracking:
+        tracker = through(
+            open_tracker(self.settings.tracker, self.reference, target.region, self.settings.tracker_settings),
+            self.settings.lens,
+        )
+        return TargetTracking(tracker, target.name, self.settings.readout_s)
+
+    def _teach(self) -> None:
+        """Show the first frames to the trackers that learn from them; they are kept to be tracked afterwards."""
+        learners = [tracker for target in self.targets if isinstance(tracker := bare(target.tracker), Learner)]
+        wanted = max((learner.frames_to_learn for learner in learners), default=0)
+        wanted = min(wanted, MOST_AHEAD_BYTES // self.reference.pixels.nbytes)
+        while len(self._ahead) < wanted:
+            self.progress(len(self._ahead), wanted, "learning the target")
+            frame = next(self._frames, None)
+            if frame is None:
+                break
+            self._ahead.append(frame)
+        for learner in learners:
+            # Frames that do not show the target teach nothing; the tracker then stays with its reference.
+            with suppress(DataError):
+                learner.learn(list(self._ahead))
 
     def _next_frame(self) -> Frame:
         frame = next(self._frames, None)
@@ -146,25 +257,30 @@ class CameraTracking:
             raise DataError("camera: no frame can be decoded. Play the video to check it, or copy it again.")
         return frame
 
-    def _choose(self) -> Region:
-        until = self.time_ns[0] + int(CHOICE_S * NANOSECONDS)
-        count = max(int(np.searchsorted(self.time_ns, until, side="right")), min(len(self.time_ns), CHOICE_FRAMES))
-        wanted = set(np.unique(np.linspace(0, count - 1, CHOICE_FRAMES).astype(int)).tolist())
-        frames = []
-        for index, frame in enumerate(self.source.frames(self.settings.first, self.settings.first + count)):
-            self.progress(index, count, "choosing the region")
-            if index in wanted:
-                frames.append(frame)
-        self.choice = choose_region(frames, RoiSettings(direction=self.settings.direction))
-        return self.choice.region
+    def _choose(self, judge: Judge | None) -> tuple[Target, ...]:
+        settings = self.settings
+        request = ChoiceRequest(settings.direction, settings.automatic_targets, settings.first, settings.trial_from_ns)
+        self.choice = choose_targets(self.source, self.time_ns, request, self.progress, judge)
+        return tuple(Target(region, str(k)) for k, region in enumerate(self.choice.regions, start=1))
 
 
-def dark_start(source: FrameSource, first: int) -> int:
-    """How many frames from `first` on are dark; 0 when none of the first `MOST_DARK` is lit."""
-    for index, frame in enumerate(source.frames(first, first + MOST_DARK)):
+def lit_frames(source: FrameSource, settings: TrackingSettings) -> tuple[int, Generator[Frame]]:
+    """How many frames from the first used on are dark, and the frames after them.
+
+    When none of the first `MOST_DARK` is lit, none is skipped.
+    """
+    frames = source.frames(settings.first, settings.last)
+    for skipped, frame in enumerate(islice(frames, MOST_DARK)):
         if not is_dark(np.asarray(frame.pixels)):
-            return index
-    return 0
+            return skipped, _chained(frame, frames)
+    return 0, _chained(None, source.frames(settings.first, settings.last))
+
+
+def _chained(first: Frame | None, rest: Iterator[Frame]) -> Generator[Frame]:
+    """A frame and those after it."""
+    if first is not None:
+        yield first
+    yield from rest
 
 
 def is_dark(pixels: NDArray[Any]) -> bool:

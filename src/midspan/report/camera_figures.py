@@ -37,11 +37,22 @@ def frame(material: Material) -> Picture:
     tracking, track = material.result.tracking, material.result.track
     assert tracking is not None
     assert track is not None
-    pixels, region = tracking.reference.pixels, tracking.tracker.region
+    pixels = tracking.reference.pixels
+    camera = material.result.calibration.camera
+    regions = {target.name: target.region for target in tracking.targets}
+    region = camera.region if camera is not None and camera.region in regions.values() else tracking.targets[0].region
     figure = sheet(3.5)
     whole, close, path = figure.subplots(1, 3, width_ratios=(1.5, 1, 1))
     _image(whole, pixels)
-    _box(whole, region, color=VERMILLION, linewidth=1.6)
+    for name, place in regions.items():
+        _box(whole, place, color=VERMILLION, linewidth=1.6)
+        if len(regions) > 1:
+            _label(whole, place, name)
+    if camera is not None:
+        for target in camera.targets:
+            if not target.used:
+                _box(whole, target.region, color=ORANGE, linewidth=1.2, linestyle="--")
+                _label(whole, target.region, target.name)
     whole.set_title(f"first frame, {pixels.shape[1]} × {pixels.shape[0]} px", fontsize=9)
     _image(close, pixels)
     close.set_xlim(region.x - 0.5, region.x + region.width - 0.5)
@@ -71,6 +82,13 @@ def _box(axes: "Axes", region: Region, **options: Any) -> None:
     axes.add_patch(Rectangle(corner, region.width, region.height, fill=False, **options))
 
 
+def _label(axes: "Axes", region: Region, text: str) -> None:
+    """A word in the upper left corner of a region."""
+    spot = (region.x + 0.06 * region.width, region.y + 0.06 * region.height)
+    ground = {"facecolor": BLACK, "edgecolor": "none", "alpha": 0.6, "pad": 1.5}
+    axes.text(*spot, text, color="white", fontsize=7, va="top", zorder=3, clip_on=True, bbox=ground)
+
+
 def _path(axes: "Axes", track: PixelTrack) -> None:
     """Translation of the target in the image, its start marked."""
     known = np.flatnonzero(np.isfinite(track.x_px) & np.isfinite(track.y_px))
@@ -89,15 +107,17 @@ def choice(found: RegionChoice, pixels: Any) -> Picture:
     figure = sheet(3.7)
     places, scores = figure.subplots(1, 2)
     _image(places, pixels)
+    # Where the accelerometer was heard it decides, else what most of the picture does.
+    heard = any(np.isfinite(candidate.displacement_std_m) for candidate in found.candidates)
     for number, candidate in enumerate(found.candidates, start=1):
-        colour, line = (SKY, "-") if candidate.fixed else (ORANGE, "--")
+        fits = candidate.fixed if not heard else bool(np.isfinite(candidate.displacement_std_m))
+        colour, line = (SKY, "-") if fits else (ORANGE, "--")
         _box(places, candidate.region, color=colour, linewidth=1.0, linestyle=line, zorder=2)
-        spot = (candidate.region.x + 0.06 * candidate.region.width, candidate.region.y + 0.06 * candidate.region.height)
-        ground = {"facecolor": BLACK, "edgecolor": "none", "alpha": 0.6, "pad": 1.5}
-        places.text(*spot, str(number), color="white", fontsize=7, va="top", zorder=3, clip_on=True, bbox=ground)
+        _label(places, candidate.region, str(number))
     _scores(scores, found)
     for axes in (places, scores):
-        _box(axes, found.region, color=VERMILLION, linewidth=2.0, zorder=2.5)
+        for region in found.regions:
+            _box(axes, region, color=VERMILLION, linewidth=2.0, zorder=2.5)
         axes.set_aspect("equal")
         axes.set_xlim(-0.5, pixels.shape[1] - 0.5)
         axes.set_ylim(pixels.shape[0] - 0.5, -0.5)

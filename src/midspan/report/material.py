@@ -51,7 +51,7 @@ class Material:
     """A result with its reference and what follows from both.
 
     reference: cut to the result's span, mm; comparison: None without one; problem: why it could not be compared.
-    reference_moved_mm: what was added to the drawn reference.
+    reference_moved_mm: what was added to the drawn reference. second: the same along the second image axis.
     """
 
     result: Result
@@ -61,6 +61,7 @@ class Material:
     comparison: Comparison | None = None
     reference_moved_mm: float = 0.0
     problem: str | None = None
+    second: "Material | None" = None
 
     @property
     def t(self) -> Floats:
@@ -76,7 +77,12 @@ class Material:
 
 def gather(result: Result, reference: TimeSeries | None) -> Material:
     """The material of a result and a reference (m, on the accelerometer's clock); None: without one."""
-    material = Material(result, clock_of(int(result.estimate.time_ns[0])), tuple(_measured(result)))
+    second = None
+    if result.second is not None:
+        known = None if reference is None or result.recording is None else result.recording.reference_across
+        second = gather(result.second, known)
+    measured = tuple(_measured(result))
+    material = Material(result, clock_of(int(result.estimate.time_ns[0])), measured, second=second)
     if reference is None:
         return material
     own = TimeSeries(result.estimate.time_ns, result.estimate.displacement_m)
@@ -106,6 +112,7 @@ def _measured(result: Result) -> list[Measured]:
         std = np.sqrt(block.variance_m2)
         found.append(_aligned(result, Measured("camera", block.time_ns, 1e3 * block.value_m, 1e3 * std)))
     learnt = result.calibration.displacement
+    # A second axis has none of its own.
     if learnt is not None and result.recording is not None and result.recording.has("displacement"):
         series = result.recording.displacement
         time_ns = series.time_ns + round(1e9 * learnt.offset.value_s)

@@ -35,6 +35,7 @@ def report_html(result: Result, reference: TimeSeries | None = None) -> str:
         sections.summary(material),
         sections.warnings(material),
         sections.displacement(material),
+        sections.second_axis(material),
         sections.spectra(material),
         sections.calibration(material),
         sections.innovations(material),

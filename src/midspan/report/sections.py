@@ -5,10 +5,12 @@ import json
 from midspan._version import __version__
 from midspan.calibration.scale import ScaleCalibration
 from midspan.records import NANOSECONDS
-from midspan.report import camera_figures, figures, page, tables
+from midspan.report import camera_figures, figures, page, phase_figures, tables
 from midspan.report.history_data import history_attributes
 from midspan.report.material import Material
 from midspan.sinks.table import ResultTable, metadata_json
+from midspan.vision.hybrid import PhaseTracker
+from midspan.vision.lens import bare
 
 
 def summary(material: Material) -> str:
@@ -61,6 +63,34 @@ def _moved(material: Material) -> str:
     if material.reference_moved_mm == 0.0:
         return ""
     return f" It is drawn moved by {material.reference_moved_mm:+.4g} mm, the mean difference of the two zeros."
+
+
+def second_axis(material: Material) -> str:
+    """Time history, error and liveliest seconds along the second image axis; empty without one."""
+    second = material.second
+    if second is None:
+        return ""
+    axis, camera = second.result.axis, second.result.calibration.camera
+    assert camera is not None
+    how = (
+        "It has its own column of acceleration and was fused in the same way."
+        if camera.fused
+        else "It has no accelerometer: the camera alone was smoothed, so the band opens between frames. Positive is "
+        f"where the structure moves {'to the right' if axis == 'x' else 'down'} in the image."
+    )
+    pieces = [
+        page.paragraph(f"The axis {axis} of the image; all else on this page is along {material.result.axis}. {how}")
+    ]
+    caption = "The blue line is the estimate, the light area its band of ±1.96 standard deviations."
+    pieces.append(page.figure(figures.history(second), f"Displacement along {axis}", caption))
+    if second.comparison is not None:
+        caption = "What is left after the reference along this axis is taken away."
+        pieces.append(page.figure(figures.error(second), f"Error along {axis}", caption))
+        pieces.append(page.table(tables.comparison(second.comparison)))
+    caption = "The stretch with the largest velocity along this axis, with the camera's own measurements."
+    pieces.append(page.figure(figures.zoom(second), f"The liveliest seconds along {axis}", caption))
+    pieces.append(page.table(tables.calibration(second)))
+    return page.section("second-axis", f"Displacement along {axis}", *pieces)
 
 
 def spectra(material: Material) -> str:
@@ -123,7 +153,9 @@ def camera(material: Material) -> str:
             f"({result.calibration.camera.direction}) and short across it."
         )
         pieces.append(page.figure(camera_figures.frame(material), "Region of interest", caption))
+        pieces.append(_targets(material))
         pieces.append(_choice(material))
+        pieces.append(_active_pixels(material))
     caption = (
         "Quality from 0 to 1 and standard deviation of each frame's translation. Drops tell of fog, glare, something "
         "in front of the target, or a blurred picture; their measurements count for less."
@@ -132,17 +164,42 @@ def camera(material: Material) -> str:
     return page.section("camera", "Camera", *pieces)
 
 
+def _targets(material: Material) -> str:
+    """What became of each of several targets; empty for one."""
+    camera = material.result.calibration.camera
+    if camera is None or len(camera.targets) < 2:
+        return ""
+    return "<h3>Targets</h3>" + page.table(tables.targets(camera), tables.TARGETS_HEADER)
+
+
+def _active_pixels(material: Material) -> str:
+    """Which pixels the phase was taken from; empty with other trackers."""
+    tracking = material.result.tracking
+    tracker = None if tracking is None else bare(tracking.targets[0].tracker)
+    if not isinstance(tracker, PhaseTracker):
+        return ""
+    caption = "The pixels whose phase tells the translation along x (left) and y (right), tinted over the region."
+    return page.figure(phase_figures.active_pixels(tracker), "Active pixels", caption)
+
+
 def _choice(material: Material) -> str:
     tracking = material.result.tracking
     if tracking is None or tracking.choice is None:
         return page.paragraph("The region was given, by the settings or by the calibration.", "note")
     caption = (
-        "Left: numbered boxes were tracked for some seconds; solid ones move alike and count as fixed, dashed ones do "
-        "not; the red one was taken. Right: the standard deviation with which a region centred there could be tracked; "
-        "darker is better, grey was ruled out or lies too near the border."
+        "Left: numbered boxes were tracked for some seconds. Solid ones fit the accelerometer or, where it could not "
+        "tell, move like most of the picture; dashed ones do not; red ones were taken. Right: the standard deviation "
+        "with which a region centred there could be tracked; darker is better, grey was ruled out or lies too near "
+        "the border."
     )
     drawn = camera_figures.choice(tracking.choice, tracking.reference.pixels)
-    return page.figure(drawn, "Choice of the region", caption) + page.bullets(tracking.choice.reasons, "plain")
+    return "".join(
+        [
+            page.figure(drawn, "Choice of the region", caption),
+            page.table(tables.candidates(tracking.choice), tables.CANDIDATES_HEADER),
+            page.bullets(tracking.choice.reasons, "plain"),
+        ]
+    )
 
 
 def numbers(material: Material) -> str:

@@ -9,8 +9,9 @@ import numpy as np
 from midspan.evaluate.metrics import Comparison, normalised_innovation
 from midspan.fusion.gate import REJECTED
 from midspan.recording.calibration import CameraCalibration, DisplacementCalibration
-from midspan.records import NANOSECONDS, TimeOffset
+from midspan.records import NANOSECONDS, Region, TimeOffset
 from midspan.report.material import Material
+from midspan.vision.roi import RegionChoice
 
 MOST_EVENTS = 50
 Row = tuple[str, str]
@@ -132,6 +133,45 @@ def _camera(camera: CameraCalibration) -> list[Row]:
         ("camera: region", f"x {region.x}, y {region.y}, {region.width} × {region.height} px"),
         ("camera: direction, tracker", f"{camera.direction}, {camera.tracker}"),
     ]
+
+
+TARGETS_HEADER = ("target", "region (px)", "scale factor (mm/px)", "noise (px)", "noise (mm)", "used")
+
+
+def targets(camera: CameraCalibration) -> list[tuple[str, ...]]:
+    """One row a target: where, scale factor, noise, and whether the result rests on it."""
+    rows: list[tuple[str, ...]] = []
+    for target in camera.targets:
+        scale = "refused"
+        noise = ("", "")
+        if target.scale is not None:
+            value = 1e3 * target.scale.value_m_per_px
+            scale = f"{value:.5g} ± {1e3 * math.sqrt(target.scale.variance):.2g}"
+            noise = (f"{target.noise_std_px:.2g}", f"{abs(value) * target.noise_std_px:.2g}")
+        used = "yes" if target.used else f"no: {target.reason}"
+        rows.append((target.name, _place(target.region), scale, *noise, used))
+    return rows
+
+
+CANDIDATES_HEADER = ("place", "region (px)", "predicted σ (px)", "beside the others (px)", "verdict")
+
+
+def candidates(choice: RegionChoice) -> list[tuple[str, ...]]:
+    """One row a place that was tried: where, how sharp, how it moves, and why it was taken or not."""
+    return [
+        (
+            str(number),
+            _place(found.region),
+            f"{found.predicted_std_px:.2g}",
+            f"{found.disagreement_px:.2g}" if math.isfinite(found.disagreement_px) else "",
+            found.verdict,
+        )
+        for number, found in enumerate(choice.candidates, start=1)
+    ]
+
+
+def _place(region: Region) -> str:
+    return f"{region.x}, {region.y}, {region.width} × {region.height}"
 
 
 def _displacement(sensor: DisplacementCalibration) -> list[Row]:

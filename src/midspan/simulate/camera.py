@@ -10,6 +10,7 @@ from midspan.checks import option, refuse
 from midspan.records import Floats, Region
 from midspan.simulate.disturbances import Disturbance
 from midspan.simulate.motion import Motion
+from midspan.simulate.panel import Panel
 from midspan.simulate.scene import Image, Scene
 
 WHITE_DN = 255.0
@@ -83,7 +84,10 @@ class Light:
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """A camera that looks at a scene: displacement = scale_m_per_px × translation along `direction` ("x" or "y")."""
+    """A camera that looks at a scene: displacement = scale_m_per_px × translation along `direction` ("x" or "y").
+
+    panels: parts of the picture at other distances; across: the motion along the other axis, at the same scale.
+    """
 
     scene: Scene
     scale_m_per_px: float
@@ -91,13 +95,19 @@ class View:
     camera: Camera = field(default_factory=Camera)
     light: Light | None = None
     disturbances: tuple[Disturbance, ...] = ()
+    panels: tuple[Panel, ...] = ()
+    across: Motion | None = None
 
     def mean_image(self, motion: Motion, stamp_s: float) -> Image:
         """The noise-free picture (rows, columns) in DN stamped `stamp_s` (true time) while the structure moves."""
         option("direction", self.direction, ("x", "y"))
         moments = self.camera.moments(stamp_s, self.scene.rows)
         along = motion.displacement(moments) / self.scale_m_per_px
-        image = self.scene.render(along, 0.0) if self.direction == "x" else self.scene.render(0.0, along)
+        other = np.zeros_like(along) if self.across is None else self.across.displacement(moments) / self.scale_m_per_px
+        moved = (along, other) if self.direction == "x" else (other, along)
+        image = self.scene.render(*moved)
+        for panel in self.panels:
+            panel.paint(image, moved, moments)
         for disturbance in self.disturbances:
             disturbance.disturb(image, stamp_s)
         return image if self.light is None else self.light.change(image, stamp_s)

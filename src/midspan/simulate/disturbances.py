@@ -41,6 +41,28 @@ class Car:
         rows += ((tone - rows) * cover).astype(np.float32)
 
 
+class Water:
+    """Ripples in `region`: waves of `std_dn` and some pixels' length that run over it in all directions."""
+
+    __slots__ = ("amplitude_dn", "angle", "region", "speed_rad_s")
+
+    def __init__(self, region: Region, *, std_dn: float, rng: np.random.Generator, count: int = 12) -> None:
+        self.region = region
+        length_px, heading = rng.uniform(3.0, 14.0, count), rng.uniform(0, 2 * np.pi, count)
+        y, x = np.mgrid[0 : region.height, 0 : region.width]
+        across = x[None] * np.cos(heading)[:, None, None] + y[None] * np.sin(heading)[:, None, None]
+        self.angle = 2 * np.pi * (across / length_px[:, None, None] + rng.uniform(0, 1, count)[:, None, None])
+        # Waves on deep water: short ones are slower, the frequency falls with the root of the length.
+        self.speed_rad_s: Floats = 2 * np.pi * 3.0 / np.sqrt(length_px)
+        self.amplitude_dn = std_dn * np.sqrt(2 / count)
+
+    def disturb(self, image: Image, time_s: float) -> None:
+        """Paint the water of the moment, which hides what is behind it."""
+        r = self.region
+        waves = self.amplitude_dn * np.sin(self.angle - (self.speed_rad_s * time_s)[:, None, None]).sum(axis=0)
+        image[r.y : r.y + r.height, r.x : r.x + r.width] = (110.0 + waves).astype(np.float32)
+
+
 class Foliage:
     """Leaves in the wind: smooth patterns of `std_dn` in `region` that swing at 0.4 to 3 Hz, each on its own."""
 

@@ -11,12 +11,14 @@ from midspan.checks import option
 from midspan.records import Floats, Region
 from midspan.simulate.beam import paper_beam_motion
 from midspan.simulate.camera import Camera, Light, Pixels, cramer_rao_std_px
-from midspan.simulate.disturbances import Car, Disturbance, Foliage
+from midspan.simulate.disturbances import Car, Disturbance, Foliage, Water
 from midspan.simulate.files import MARK, check_free, exact_in_video, whole_folder, write_table, write_video
 from midspan.simulate.motion import Motion, Rest, Sum, Window, random_motion
+from midspan.simulate.panel import Panel
 from midspan.simulate.sensors import AccelerometerModel, DisplacementSensorModel
 from midspan.simulate.stage import CameraSetup, GnssSetup, Scenario, Stage, stage, within
 from midspan.simulate.stage import pixel_bound as _pixel_bound
+from midspan.simulate.texture import textured_scene
 
 Progress = Callable[[int, int], None]
 
@@ -63,6 +65,40 @@ def _long_span(rng: np.random.Generator) -> Motion:
 def _street(rng: np.random.Generator) -> tuple[Disturbance, ...]:
     """A road with cars along the bottom and leaves in the upper left corner."""
     return (Car(top_px=196), Foliage(Region(0, 0, 110, 90), std_dn=18.0, rng=rng))
+
+
+def _sideways(rng: np.random.Generator) -> Motion:
+    """The same footbridge sideways: modes at 0.95 and 2.8 Hz, a slow lean; at rest for 1.5 s."""
+    parts = (
+        random_motion((0.90, 1.00), 1.4e-3, rng=rng, lines=20),
+        random_motion((2.70, 2.90), 0.4e-3, rng=rng, lines=24),
+        random_motion((0.06, 0.14), 0.5e-3, rng=rng, lines=12),
+    )
+    return Window(Sum(parts), start_s=1.5, ramp_s=2.0)
+
+
+def _decoys(rng: np.random.Generator) -> tuple[Disturbance, ...]:
+    """Most of the picture moves by itself and has more contrast than the wall behind it."""
+    rng_leaves, rng_water = rng.spawn(2)
+    return (
+        Foliage(Region(0, 0, 200, 120), std_dn=22.0, rng=rng_leaves),
+        Water(Region(0, 130, 140, 66), std_dn=25.0, rng=rng_water),
+        Car(top_px=200, height_px=34, width_px=90, period_s=7.0),
+    )
+
+
+def _signs(rng: np.random.Generator) -> tuple[Panel, ...]:
+    """A sign at half the distance, one at two thirds, and one that swings on its chain at 0.7 Hz."""
+    near, middle, swinging, swing = rng.spawn(4)
+    return (
+        Panel(Region(16, 20, 88, 88), textured_scene("blocks", (88, 88), rng=near), 2.0),
+        Panel(Region(216, 20, 88, 88), textured_scene("natural", (88, 88), rng=middle), 1.5),
+        Panel(
+            Region(116, 130, 88, 88),
+            textured_scene("natural", (88, 88), rng=swinging),
+            own_px=random_motion((0.5, 0.9), 0.8, rng=swing, lines=16),
+        ),
+    )
 
 
 _GOOD_ACCELEROMETER = AccelerometerModel(rate_hz=100.0, noise_std_m_s2=2.5e-3, bias_m_s2=0.05)
@@ -118,6 +154,40 @@ SCENARIOS: dict[str, Scenario] = {
         motion=_pedestrians,
         accelerometer=_GOOD_ACCELEROMETER,
         camera=CameraSetup(time_offset_s=-0.09, start_s=0.2, light=Light(25.0, gain=0.75), disturbances=_street),
+    ),
+    "decoys": Scenario(
+        line="leaves, water and cars fill most of the picture with more contrast than the wall to be looked at",
+        title="simulated footbridge over a river",
+        duration_s=60.0,
+        motion=_pedestrians,
+        accelerometer=_GOOD_ACCELEROMETER,
+        camera=CameraSetup(time_offset_s=0.072, disturbances=_decoys),
+    ),
+    "several-targets": Scenario(
+        line="two signs nearer than the wall, one of them at half the distance, and one that swings by itself",
+        title="simulated footbridge, several targets",
+        duration_s=60.0,
+        motion=_pedestrians,
+        accelerometer=_GOOD_ACCELEROMETER,
+        camera=CameraSetup(
+            time_offset_s=0.114,
+            panels=_signs,
+            targets=(
+                ("near", Region(32, 36, 56, 56)),
+                ("middle", Region(232, 36, 56, 56)),
+                ("swinging", Region(132, 146, 56, 56)),
+                ("wall", Region(236, 150, 56, 56)),
+            ),
+        ),
+    ),
+    "two-axes": Scenario(
+        line="footbridge that moves down and sideways, accelerometer with two axes; truth for both",
+        title="simulated footbridge, two axes",
+        duration_s=60.0,
+        motion=_pedestrians,
+        across=_sideways,
+        accelerometer=_GOOD_ACCELEROMETER,
+        camera=CameraSetup(time_offset_s=0.091),
     ),
     "gaps": Scenario(
         line="footbridge with an unreadable and a missing stretch of acceleration, lost frames and 3 s of darkness",
@@ -199,13 +269,26 @@ def _known_noise(staged: Stage) -> dict[str, float]:
 def _write_acceleration(folder: Path, staged: Stage) -> None:
     series = staged.acceleration()
     columns = {"time_s": series.time_ns / 1e9, "accel": series.value}
-    write_table(folder / "accel.csv", columns, decimals={"time_s": 6, "accel": 7})
+    if staged.across is not None and staged.scenario.camera is not None:
+        main = staged.scenario.camera.direction
+        columns[f"accel_{main}"] = columns.pop("accel")
+        columns[f"accel_{_other(main)}"] = staged.acceleration_across().value
+    write_table(folder / "accel.csv", columns, decimals=dict.fromkeys(columns, 7) | {"time_s": 6})
+
+
+def _other(axis: str) -> str:
+    return "x" if axis == "y" else "y"
 
 
 def _write_truth(folder: Path, staged: Stage) -> None:
     time, displacement, velocity = staged.truth_mm().T
     columns = {"time_s": time, "displacement_mm": displacement, "velocity_mm_s": velocity}
     decimals = {"time_s": 6, "displacement_mm": 7, "velocity_mm_s": 6}
+    if staged.across is not None and staged.scenario.camera is not None:
+        axis = _other(staged.scenario.camera.direction)
+        names = (f"displacement_{axis}_mm", f"velocity_{axis}_mm_s")
+        columns |= dict(zip(names, staged.truth_mm(staged.across).T[1:], strict=True))
+        decimals |= {names[0]: 7, names[1]: 6}
     write_table(folder / "truth.csv", columns, decimals=decimals)
 
 
@@ -253,6 +336,10 @@ def _write_settings(folder: Path, staged: Stage) -> None:
     settings: dict[str, Any] = {"name": scenario.title, "accelerometer": accelerometer}
     if scenario.camera is not None:
         settings["camera"] = _camera_settings(scenario.camera, staged.frame_stamps_s(scenario.camera))
+        if staged.across is not None:
+            accelerometer.pop("value")
+            settings["accelerometer"] = {**accelerometer, "value_x": "accel_x", "value_y": "accel_y"}
+            settings["camera"]["direction"] = "xy"
     if scenario.gnss is not None:
         settings["displacement"] = {"file": "gnss.csv", "time": "time_s", "value": "height", "unit": "mm"}
     settings["reference"] = {"file": "truth.csv", "time": "time_s", "value": "displacement_mm", "unit": "mm"}
@@ -268,4 +355,6 @@ def _camera_settings(setup: CameraSetup, stamps_s: Floats) -> dict[str, Any]:
         settings["every"] = setup.every
     if setup.camera.readout_s > 0:
         settings["readout_s"] = setup.camera.readout_s
+    if setup.targets:
+        settings["target"] = [{"name": name, "roi": [r.x, r.y, r.width, r.height]} for name, r in setup.targets]
     return settings

@@ -9,6 +9,7 @@ from midspan.records import Floats, Region, TimeSeries
 from midspan.simulate.camera import Camera, Light, View, cramer_rao_std_px
 from midspan.simulate.disturbances import Disturbance
 from midspan.simulate.motion import Motion
+from midspan.simulate.panel import Panel
 from midspan.simulate.sensors import AccelerometerModel, DisplacementSensorModel, noise_std_for
 from midspan.simulate.texture import textured_scene
 
@@ -20,7 +21,8 @@ class CameraSetup:
     """A camera of a scenario; spans are in s of true time.
 
     `start_s` is the time of the first frame on the camera's clock; true time = that clock + `time_offset_s`.
-    Frames in `dropped` are absent from the file, those in `black` are dark.
+    Frames in `dropped` are absent from the file, those in `black` are dark. `panels` are parts at other distances;
+    `targets` (name, region) are written as [[camera.target]].
     """
 
     rate_hz: float = 10.0
@@ -36,6 +38,8 @@ class CameraSetup:
     disturbances: Callable[[np.random.Generator], tuple[Disturbance, ...]] | None = None
     dropped: tuple[Span, ...] = ()
     black: tuple[Span, ...] = ()
+    panels: Callable[[np.random.Generator], tuple[Panel, ...]] | None = None
+    targets: tuple[tuple[str, Region], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +56,8 @@ class Scenario:
     """A recording to be simulated: `line` says what it shows; `motion` draws the motion from a generator.
 
     With `snr_db` the accelerometer's noise is set from the motion. Accelerometer rows in `absent` are missing, values
-    in `unread` are left empty; spans are in s of true time.
+    in `unread` are left empty; spans are in s of true time. `across` draws the motion along the other image axis, which
+    has a column of acceleration of its own.
     """
 
     line: str
@@ -65,6 +70,7 @@ class Scenario:
     snr_db: float | None = None
     absent: tuple[Span, ...] = ()
     unread: tuple[Span, ...] = ()
+    across: Callable[[np.random.Generator], Motion] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,10 +83,18 @@ class Stage:
     rng_accelerometer: np.random.Generator
     rng_scene: np.random.Generator
     rng_sensor: np.random.Generator
+    rng_across: np.random.Generator
+    across: Motion | None = None
 
     def acceleration(self) -> TimeSeries:
         """Acceleration in m/s² as stored, with its gaps; NaN where no number is written."""
         whole = self.accelerometer.measure(self.motion, (0.0, self.scenario.duration_s), rng=self.rng_accelerometer)
+        return with_gaps(whole, absent=self.scenario.absent, unread=self.scenario.unread)
+
+    def acceleration_across(self) -> TimeSeries:
+        """Acceleration along the other image axis, m/s², at the same instants; its scenario draws a motion for it."""
+        assert self.across is not None
+        whole = self.accelerometer.measure(self.across, (0.0, self.scenario.duration_s), rng=self.rng_across)
         return with_gaps(whole, absent=self.scenario.absent, unread=self.scenario.unread)
 
     def frame_stamps_s(self, setup: CameraSetup) -> Floats:
@@ -92,7 +106,7 @@ class Stage:
 
     def view(self, setup: CameraSetup) -> View:
         """The camera looking at its scene."""
-        rng_texture, rng_disturbances = self.rng_scene.spawn(2)
+        rng_texture, rng_disturbances, rng_panels = self.rng_scene.spawn(3)
         scene = textured_scene(setup.texture, setup.size_px, rng=rng_texture)
         return View(
             scene,
@@ -101,6 +115,8 @@ class Stage:
             setup.camera,
             setup.light,
             setup.disturbances(rng_disturbances) if setup.disturbances else (),
+            setup.panels(rng_panels) if setup.panels else (),
+            self.across,
         )
 
     def displacement(self, setup: GnssSetup) -> TimeSeries:
@@ -108,32 +124,38 @@ class Stage:
         whole = setup.sensor.measure(self.motion, (0.0, self.scenario.duration_s), rng=self.rng_sensor)
         return with_gaps(whole, absent=setup.absent, unread=setup.unread)
 
-    def zero_m(self) -> float:
+    def zero_m(self, motion: Motion | None = None) -> float:
         """The true displacement in m at the zero of the results: the first frame, else the sensor's own zero."""
         setup = self.scenario.camera
         if setup is None:
             return 0.0
         first = self.frame_stamps_s(setup)[:1] + setup.time_offset_s
-        return float(self.motion.displacement(first)[0])
+        return float((motion or self.motion).displacement(first)[0])
 
-    def truth_mm(self) -> Floats:
-        """Rows (n, 3) of time in s, displacement in mm from the zero, velocity in mm/s, at every sampling instant."""
+    def truth_mm(self, motion: Motion | None = None) -> Floats:
+        """Rows (n, 3) of time in s, displacement in mm from the zero, velocity in mm/s, at every sampling instant.
+
+        motion: another one than the main, that across.
+        """
+        motion = motion or self.motion
         rate = self.accelerometer.rate_hz
         time = np.arange(round(self.scenario.duration_s * rate)) / rate
-        moved = self.motion.displacement(time) - self.zero_m()
-        return np.stack([time, 1e3 * moved, 1e3 * self.motion.velocity(time)], axis=1)
+        moved = motion.displacement(time) - self.zero_m(motion)
+        return np.stack([time, 1e3 * moved, 1e3 * motion.velocity(time)], axis=1)
 
 
 def stage(scenario: Scenario, seed: int) -> Stage:
     """The scenario with everything random drawn from `seed`; the same seed gives the same recording."""
-    rng_motion, *others = np.random.default_rng(seed).spawn(4)
+    rng_motion, rng_accelerometer, rng_scene, rng_sensor, rng_other = np.random.default_rng(seed).spawn(5)
+    rng_across, rng_motion_across = rng_other.spawn(2)
     motion = scenario.motion(rng_motion)
     accelerometer = scenario.accelerometer
     if scenario.snr_db is not None:
         time = np.arange(round(scenario.duration_s * accelerometer.rate_hz)) / accelerometer.rate_hz
         noise = noise_std_for(motion.acceleration(time), scenario.snr_db)
         accelerometer = replace(accelerometer, noise_std_m_s2=noise)
-    return Stage(scenario, motion, accelerometer, *others)
+    across = None if scenario.across is None else scenario.across(rng_motion_across)
+    return Stage(scenario, motion, accelerometer, rng_accelerometer, rng_scene, rng_sensor, rng_across, across)
 
 
 def pixel_bound(scenario: Scenario, region: Region | None = None, *, seed: int = 0) -> tuple[float, float]:

@@ -5,14 +5,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from midspan.sinks.table import WORDS, Column, codes, is_text
+from midspan.sinks.table import Column, codes, is_text, words_of
 
 
 def word_column(name: str, coded: NDArray[np.uint8]) -> Any:
     """Codes (n,) of `source` or `status` as a dictionary array of their words."""
     import pyarrow as pa
 
-    return pa.DictionaryArray.from_arrays(pa.array(coded.astype(np.int8)), pa.array(list(WORDS[name])))
+    return pa.DictionaryArray.from_arrays(pa.array(coded.astype(np.int8)), pa.array(list(words_of(name) or ())))
 
 
 def arrow_column(name: str, values: Column) -> Any:

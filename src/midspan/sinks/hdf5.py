@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from midspan.sinks.table import UNITS, WORDS, ResultTable, codes, is_text, metadata_json
+from midspan.sinks.table import ResultTable, codes, is_text, metadata_json, unit_of, words_of
 
 
 def write(path: Path, table: ResultTable) -> None:
@@ -17,12 +17,13 @@ def write(path: Path, table: ResultTable) -> None:
             coded = codes(name, values)
             if coded is not None:
                 # Text of fixed length: a hundred times quicker than HDF5's text of free length, and as readable.
-                array = np.array(WORDS[name], dtype=np.bytes_)[coded]
+                array = np.array(words_of(name), dtype=np.bytes_)[coded]
             elif is_text(values):
                 array = np.char.encode(np.asarray(values).astype(str), "utf-8")
             else:
                 array = np.asarray(values)
             options = {"compression": "gzip", "compression_opts": 1, "shuffle": True} if array.size else {}
             dataset = file.create_dataset(name, data=array, **options)
-            if name in UNITS:
-                dataset.attrs["unit"] = UNITS[name]
+            unit = unit_of(name)
+            if unit is not None:
+                dataset.attrs["unit"] = unit

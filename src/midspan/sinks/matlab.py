@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from midspan.sinks.table import WORDS, ResultTable, codes, is_text, metadata_json
+from midspan.sinks.table import ResultTable, codes, is_text, metadata_json, words_of
 
 
 def write(path: Path, table: ResultTable) -> None:
@@ -16,7 +16,7 @@ def write(path: Path, table: ResultTable) -> None:
     for name, values in table.columns.items():
         coded = codes(name, values)
         if coded is not None:
-            variables[name] = np.array(WORDS[name])[coded]
+            variables[name] = np.array(words_of(name))[coded]
         elif is_text(values):
             variables[name] = np.asarray(values).astype(str)
         else:

@@ -12,12 +12,23 @@ from midspan.sinks.table import ResultTable
 
 # Channel codes on station MIDSP of the experimental network XX.
 _CHANNELS = {"displacement_mm": "DSP", "displacement_std_mm": "STD", "velocity_mm_s": "VEL"}
+# Along a second image axis: its letter in the last place.
+_CHANNELS |= {
+    name: code
+    for axis in "xy"
+    for name, code in (
+        (f"displacement_{axis}_mm", f"DS{axis.upper()}"),
+        (f"displacement_std_{axis}_mm", f"ST{axis.upper()}"),
+        (f"velocity_{axis}_mm_s", f"VE{axis.upper()}"),
+    )
+}
 _SOURCE = "FDSN:XX_MIDSP__{0}_{1}_{2}"
 
 
 def write(path: Path, table: ResultTable) -> None:
-    """Channels DSP (mm), STD (mm) and VEL (mm/s); regular at the median interval, a new segment after each gap.
+    """Channels DSP (mm), STD (mm) and VEL (mm/s), of a second axis DSX or DSY and so on, at the median interval.
 
+    A new segment begins after each gap.
     Version 3 because its start times are exact to the ns and its rate has 64 bits. Source, status and metadata have no
     place in the format. Raises UsageError for a table without displacement or with fewer than two rows.
     """

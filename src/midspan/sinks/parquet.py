@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from midspan.sinks.arrow import arrow_column
-from midspan.sinks.table import UNITS, ResultTable, metadata_json
+from midspan.sinks.table import ResultTable, metadata_json, unit_of
 
 
 def write(path: Path, table: ResultTable) -> None:
@@ -13,7 +13,7 @@ def write(path: Path, table: ResultTable) -> None:
 
     arrays = {name: arrow_column(name, values) for name, values in table.columns.items()}
     fields = [
-        pa.field(name, array.type, metadata={b"unit": UNITS[name].encode()} if name in UNITS else None)
+        pa.field(name, array.type, metadata={b"unit": unit.encode()} if (unit := unit_of(name)) else None)
         for name, array in arrays.items()
     ]
     schema = pa.schema(fields, metadata={b"midspan": metadata_json(table).encode()})

@@ -1,6 +1,7 @@
 """A table of results as the writers take it: columns, exact time stamps and metadata."""
 
 import json
+import re
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -27,6 +28,20 @@ UNITS = {
 }
 
 
+# An image axis in the middle of a column's name, or the name of a target at its end.
+_AXIS, _TARGET = re.compile(r"_[xy](?=_mm)"), re.compile(r"^((?:std_)?[xy]_px)_.+$")
+
+
+def unit_of(name: str) -> str | None:
+    """The unit of a column, that of a second axis or target included; None where it has none."""
+    return UNITS.get(_TARGET.sub(r"\1", _AXIS.sub("", name)))
+
+
+def words_of(name: str) -> tuple[str, ...] | None:
+    """The words of a column that holds codes, in the order of their codes; None for any other column."""
+    return WORDS["status"] if name.startswith("status_") else WORDS.get(name)
+
+
 @dataclass(frozen=True, slots=True)
 class ResultTable:
     """`columns` name → values (n,) in the order they are written, the first one `time_s` (float64, s).
@@ -50,9 +65,9 @@ def codes(name: str, values: Column) -> NDArray[np.uint8] | None:
 
     Raises UsageError for a word or code that is not known.
     """
-    if name not in WORDS:
+    words = words_of(name)
+    if words is None:
         return None
-    words = WORDS[name]
     array = np.asarray(values)
     if array.dtype.kind in "iu":
         if array.size and (array.min() < 0 or array.max() >= len(words)):

@@ -9,11 +9,11 @@ import numpy as np
 
 from midspan.errors import UsageError
 from midspan.records import Floats
-from midspan.sinks.table import UNITS, ResultTable, codes, is_text
+from midspan.sinks.table import ResultTable, codes, is_text, unit_of
 
 # Codes of the ordinate's kind; 1 is general.
-_DATA_TYPE = {"time_s": 17, "displacement_mm": 8, "displacement_std_mm": 8, "velocity_mm_s": 11}
 _GENERAL, _TIME = 1, 17
+_BY_UNIT = {"s": _TIME, "mm": 8, "mm/s": 11}
 _HEADER_LINES = 11
 
 
@@ -40,7 +40,7 @@ def write(path: Path, table: ResultTable) -> None:
 
 def _header(number: int, name: str, values: Floats, abscissa: tuple[float, float]) -> bytes:
     """The lines in front of the values; `abscissa` is start and step in s, of which six digits fit."""
-    kind = _DATA_TYPE.get(name, _GENERAL)
+    kind = _BY_UNIT.get(unit_of(name) or "", _GENERAL)
     lines = [
         "    -1",
         # Little endian (1), IEEE 754 (2).
@@ -52,7 +52,7 @@ def _header(number: int, name: str, values: Floats, abscissa: tuple[float, float
         # Real double precision (4), even spacing (1).
         f"{4:10d}{values.size:10d}{1:10d}{abscissa[0]:13.5e}{abscissa[1]:13.5e}{0.0:13.5e}",
         _axis(_TIME, "time", "s"),
-        _axis(kind, name[:20], UNITS.get(name, "NONE")),
+        _axis(kind, name[:20], unit_of(name) or "NONE"),
         _axis(0, "NONE", "NONE"),
         _axis(0, "NONE", "NONE"),
     ]

@@ -24,7 +24,9 @@ GAIN_RANGE = (0.2, 5.0)  # ratio of the motions in the image of near and far fix
 class Candidate:
     """A place that was tracked: its track (px, from the first frame) and how it agrees with the others.
 
-    quality: median correlation. disagreement_px: rms difference from the common motion. fixed: whether it may be used.
+    quality: median correlation. disagreement_px: rms difference from the common motion. fixed: whether it moves with
+    most of the others. verdict: why it was taken or not, in words. displacement_std_m: noise of one frame's
+    displacement where an accelerometer told the scale factor, NaN elsewhere.
     """
 
     region: Region
@@ -33,6 +35,8 @@ class Candidate:
     quality: float
     disagreement_px: float = np.nan
     fixed: bool = False
+    verdict: str = ""
+    displacement_std_m: float = np.nan
 
     def status_share(self, status: Status) -> float:
         """Share of the frames with this status."""

@@ -6,7 +6,7 @@ a shift, from the structure tensor and the noise; which of the best places to ta
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,12 +34,14 @@ class RoiSettings:
     margin_px: distance from the border that leaves room for the motion, 0 px or more; left out: 10 % of the side of the
     image, at least 16 px.
     candidates: how many places are tracked to see which are fixed, 1 to 30; more is safer and slower.
+    regions: how many regions are chosen, up to `candidates`; they do not overlap.
     """
 
     direction: str = "y"
     size_px: int | None = None
     margin_px: int | None = None
     candidates: int = 10
+    regions: int = 1
 
     def __post_init__(self) -> None:
         option("direction", self.direction, ("x", "y"))
@@ -49,22 +51,29 @@ class RoiSettings:
             raise refuse("margin_px", "0 px or more", self.margin_px)
         if not 1 <= self.candidates <= 30:
             raise refuse("candidates", "from 1 to 30", self.candidates)
+        if not 1 <= self.regions <= self.candidates:
+            raise refuse("regions", "from 1 to the number of candidates", self.regions)
 
 
 @dataclass(frozen=True, slots=True)
 class RegionChoice:
-    """The chosen region, why, and the map for the report.
+    """The chosen regions, best first, why, and the map for the report.
 
     score_px: (grid rows, grid columns) predicted standard deviation (px) of a region centred there, NaN where it was
     ruled out; score_x and score_y: the centres' columns and rows (px). candidates: all that were tracked, best first.
     """
 
-    region: Region
+    regions: tuple[Region, ...]
     reasons: tuple[str, ...]
     score_px: Floats
     score_x: NDArray[np.int64]
     score_y: NDArray[np.int64]
     candidates: tuple[Candidate, ...]
+
+    @property
+    def region(self) -> Region:
+        """The best region."""
+        return self.regions[0]
 
 
 def choose_region(frames: Sequence[Frame], settings: RoiSettings | None = None) -> RegionChoice:
@@ -85,13 +94,27 @@ def choose_region(frames: Sequence[Frame], settings: RoiSettings | None = None) 
     if not fixed:
         raise DataError(_nothing(len(places), size))
     return RegionChoice(
-        region=fixed[0].region,
+        regions=tuple(c.region for c in fixed[: settings.regions]),
         reasons=(*_reasons(grid, fixed[0], ranked), *_repeats_reason(repeating, len(usable))),
         score_px=grid.std_px,
         score_x=grid.centre_x,
         score_y=grid.centre_y,
-        candidates=tuple(ranked),
+        candidates=tuple(_told(ranked, settings.regions)),
     )
+
+
+def _told(ranked: list[Candidate], count: int) -> list[Candidate]:
+    """The candidates with a word on why each of them was taken or not; the first `count` fixed ones were."""
+    told = []
+    for place, candidate in enumerate(ranked):
+        if candidate.fixed:
+            verdict = "taken" if place < count else "fixed, but less sharp"
+        elif np.isfinite(candidate.disagreement_px):
+            verdict = f"moves by itself: {candidate.disagreement_px:.2g} px rms beside the others"
+        else:
+            verdict = "could not be followed"
+        told.append(replace(candidate, verdict=verdict))
+    return told
 
 
 def _first_image(frames: Sequence[Frame]) -> NDArray[np.generic]:
@@ -131,6 +154,28 @@ def _best_places(grid: Grid, size: int, count: int) -> list[tuple[Region, float]
     left = np.where(np.isfinite(grid.std_px), grid.std_px, np.inf)
     places = _separate(left.copy(), grid, [], count, 2 * size)
     places = _separate(left, grid, places, count, size)
+    return _regions(places, grid, size)
+
+
+def further_places(
+    choice: RegionChoice, kept: Sequence[Region], avoided: Sequence[Region], count: int
+) -> list[tuple[Region, float]]:
+    """Up to `count` more places of a choice with their predicted standard deviation (px), best first.
+
+    They do not overlap those `kept`, and overlap those `avoided` by less than half.
+    """
+    size = choice.region.width
+    grid = Grid(choice.score_px, choice.score_x, choice.score_y, 0.0)
+    left = np.where(np.isfinite(grid.std_px), grid.std_px, np.inf)
+    for region, distance in (*((r, size) for r in kept), *((r, size // 2) for r in avoided)):
+        rows = np.abs(grid.centre_y - (region.y + size // 2)) < distance
+        columns = np.abs(grid.centre_x - (region.x + size // 2)) < distance
+        left[rows[:, None] & columns[None, :]] = np.inf
+    return _regions(_separate(left, grid, [], count, size), grid, size)
+
+
+def _regions(places: list[tuple[int, int]], grid: Grid, size: int) -> list[tuple[Region, float]]:
+    """Grid points (row, column) as regions with their predicted standard deviation (px)."""
     half = size // 2
     return [
         (Region(int(grid.centre_x[i]) - half, int(grid.centre_y[j]) - half, size, size), float(grid.std_px[j, i]))

@@ -125,9 +125,23 @@ def tracker_settings(name: str, **values: Any) -> Any:
     """The settings record of the tracker `name` with `values` in place of its defaults; UsageError if unknown."""
     entry = TRACKERS[option("tracker", name, TRACKERS)]
     made = getattr(importlib.import_module(entry.module), entry.settings)
-    for key in values:
+    for key, value in values.items():
         option(f"setting of the tracker {name!r}", key, made.__dataclass_fields__)
+        _check_kind(key, value, made.__dataclass_fields__[key].default)
     return made(**values)
+
+
+def _check_kind(key: str, value: Any, default: Any) -> None:
+    """UsageError unless the value is of the default's kind: a number, a word, or true or false."""
+    kinds: tuple[tuple[Any, Any, str], ...] = (
+        (bool, bool, "true or false"),
+        (str, str, "a text"),
+        (int, int, "a whole number"),
+        ((float, type(None)), (int, float), "a number"),
+    )
+    kind, allowed, words = next(row for row in kinds if isinstance(default, row[0]))
+    if not isinstance(value, allowed) or (isinstance(value, bool) and kind is not bool):
+        raise refuse(key, words, value)
 
 
 def open_tracker(name: str, reference: Frame, region: Region, settings: Any = None) -> Tracker:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from midspan.errors import DataError
 from midspan.records import Frame, Nanoseconds
@@ -47,6 +48,7 @@ class VideoFrames(FrameSource):
         self._times: Nanoseconds | None = None
         self._notes: list[str] = []
         self._lost = 0
+        self._kind: tuple[tuple[int, ...], np.dtype[Any]] | None = None
         with _opened(path) as container:
             stream = container.streams.video[0]
             self._size = (int(stream.codec_context.width), int(stream.codec_context.height))
@@ -139,12 +141,24 @@ class VideoFrames(FrameSource):
                     break
                 if number >= first and number % every == 0:
                     decoded += 1
-                    yield Frame(int(times[number // every]), luma_of(picture), number // every)
+                    yield Frame(int(times[number // every]), self._checked(luma_of(picture), number), number // every)
         self._lost = max(self._lost, len(wanted) - decoded)
         if not decoded:
             raise DataError(
                 f"{self._path}: none of its {packets.count} frames can be decoded. Give an undamaged video."
             )
+
+    def _checked(self, pixels: NDArray[np.generic], number: int) -> NDArray[np.generic]:
+        """The pixels of a picture that has the size and depth of the first one decoded, else DataError."""
+        kind = (pixels.shape, pixels.dtype)
+        self._kind = self._kind or kind
+        if kind != self._kind:
+            now, first = (f"{shape[1]}x{shape[0]} px of {dtype}" for shape, dtype in (kind, self._kind))
+            raise DataError(
+                f"{self._path}: all frames must have the size of the first ({first}); frame {number} has {now}. Split "
+                "the recording where the camera's format changed."
+            )
+        return pixels
 
 
 def _opened(path: Path) -> Any:

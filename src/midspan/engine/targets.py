@@ -1,0 +1,102 @@
+"""Several targets of one camera: each one's displacement beside the expected path, and one value a frame out of them.
+
+All targets are fixed, so their displacements differ by noise and by a constant: each counts from its own reference
+picture, whose noise is in its zero. Arrays have the axes (target k, frame n); what was not seen is NaN.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from midspan.records import Floats
+
+# Targets further than this many standard deviations from what the others or the prediction say are left out.
+AGREE_STD = 4.0
+# The median of normal values is known to π/2 of the variance of their mean.
+MEDIAN_EXCESS = 0.5 * np.pi
+Used = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class Combined:
+    """One value a frame: value and variance (n,), NaN and infinite where no target is used; the weights (k, n)."""
+
+    value: Floats
+    variance: Floats
+    weight: Floats
+
+    @property
+    def used(self) -> Used:
+        """Which targets (k, n) stand behind each value."""
+        return self.weight > 0.0
+
+
+def combine(residual: Floats, variance: Floats, used: Used) -> Combined:
+    """The mean by inverse variance of those residuals (k, n) that are `used`."""
+    inverse = np.where(used, 1.0 / np.where(used, variance, 1.0), 0.0)
+    total = inverse.sum(axis=0)
+    weight = inverse / np.where(total > 0.0, total, 1.0)
+    value = np.where(total > 0.0, np.sum(weight * np.where(used, residual, 0.0), axis=0), np.nan)
+    return Combined(value, np.where(total > 0.0, 1.0 / np.where(total > 0.0, total, 1.0), np.inf), weight)
+
+
+def agreeing(residual: Floats, variance: Floats, path_variance: Floats) -> Used:
+    """Which targets (k, n) agree with each other; where only two are left, the expected path decides between them.
+
+    residual: displacement minus the expected path, each with its own zero; variance: what either may be off by;
+    path_variance (n,): of the path. One target alone is always used: the filter judges it.
+    """
+    usable = np.isfinite(residual) & np.isfinite(variance)
+    if len(residual) == 1:
+        return usable
+    count = usable.sum(axis=0)
+    total = np.where(usable, variance, np.inf)
+    crowd = count >= 3
+    middle, spread = np.zeros(residual.shape[1]), np.asarray(path_variance, dtype=np.float64)
+    if crowd.any():
+        middle = np.where(crowd, _median(residual, usable, crowd), 0.0)
+        information = np.where(crowd, np.sum(1.0 / total, axis=0), 1.0)
+        spread = np.where(crowd, MEDIAN_EXCESS / information, spread)
+    known = np.where(usable, residual - middle, 0.0) / np.sqrt(np.where(usable, variance, 1.0) + spread)
+    away = np.where(usable, np.abs(known), np.inf)
+    used = usable & (away <= AGREE_STD)
+    pair = (count == 2) & ~_apart(residual, total, usable)
+    used = np.where(pair, usable, used)
+    # Where nothing agrees, the nearest is taken, and the filter judges it.
+    none = (count > 0) & ~used.any(axis=0)
+    used[np.argmin(away, axis=0)[none], np.flatnonzero(none)] = True
+    return used
+
+
+def _median(residual: Floats, usable: Used, frames: Used) -> Floats:
+    """The median (n,) over the usable targets of `frames`, 0 elsewhere."""
+    out = np.zeros(residual.shape[1])
+    out[frames] = np.nanmedian(np.where(usable, residual, np.nan)[:, frames], axis=0)
+    return out
+
+
+def _apart(residual: Floats, total: Floats, usable: Used) -> Used:
+    """Whether the lowest and the highest of the usable targets (k, n) differ by more than noise, (n,)."""
+    low = np.min(np.where(usable, residual, np.inf), axis=0)
+    high = np.max(np.where(usable, residual, -np.inf), axis=0)
+    both = np.sum(np.where(usable, total, 0.0), axis=0)
+    return np.where(usable.any(axis=0), high - low > AGREE_STD * np.sqrt(both), False)
+
+
+def relative_zeros(residual: Floats, variance: Floats) -> Floats:
+    """The constant (k,) by which each target lies beside the others, from residuals (k, n) from one path.
+
+    The mean of what lies within four standard deviations of the median; 0 for a target that was never seen. The zeros
+    together are moved so that their mean by inverse variance is 0: no target's reference picture counts alone.
+    """
+    zeros, weights = np.zeros(len(residual)), np.zeros(len(residual))
+    for k, (row, own) in enumerate(zip(residual, variance, strict=True)):
+        known = np.isfinite(row) & np.isfinite(own)
+        if not known.any():
+            continue
+        middle = float(np.median(row[known]))
+        near = known & (np.abs(row - middle) <= AGREE_STD * np.sqrt(np.where(known, own, 0.0)))
+        zeros[k] = float(np.mean(row[near])) if near.any() else middle
+        weights[k] = 1.0 / float(np.median(own[known]))
+    return zeros - float(np.sum(weights * zeros)) / max(float(np.sum(weights)), 1e-300)

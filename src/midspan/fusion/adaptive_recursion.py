@@ -1,0 +1,379 @@
+"""The compiled recursions of `adaptive-kalman`: equations 7 to 26 as printed, and the guarded form.
+
+Ma, Choi and Sohn, doi 10.1111/mice.12767. Letters as there: G the covariance before a frame, K the gain, R the noise
+variance of a frame, beta the forgetting factor.
+"""
+
+import numpy as np
+from numba import njit
+
+from midspan.fusion.gate import ACCEPTED, NORMAL_MEDIAN, REACQUIRED, REJECTED, agrees, is_near, judge, limits_now
+from midspan.fusion.state_space import (
+    ACCEPTED_COUNT,
+    AGREEMENTS,
+    FARTHEST,
+    FIRST_REJECTED,
+    FIRST_TOTAL,
+    GAP_STEPS,
+    INPUT,
+    LAST_ACCEPTED,
+    LEAD,
+    NEAR_ONES,
+    P00,
+    P01,
+    P02,
+    P11,
+    P12,
+    P22,
+    REJECTIONS,
+    SLOPE,
+    SOURCE,
+    STATE_SIZE,
+    STEP,
+    TIME,
+    B,
+    V,
+    X,
+    advance_covariance,
+    advance_mean,
+    begin_interval,
+    input_response,
+    update_covariance,
+)
+
+# The state vector of the filter, and behind it what is learnt: the noise variance of a frame (literal: m²; guarded:
+# over the declared one), the median step of successive innovations and the last one, in declared deviations; running
+# means of the squared and of the lagged product of the normalised innovations; the factor on the acceleration's noise;
+# the running mean of the innovation's square beyond the declared noise (m²); how many steps in a row were above their
+# median.
+NOISE, MEDIAN_STEP, LAST, SQUARED, LAGGED, LAST_NORMAL, SPREAD, BEYOND, ABOVE = range(STATE_SIZE, STATE_SIZE + 9)
+ADAPTIVE_SIZE = STATE_SIZE + 9
+
+# What is left for each measurement.
+MET_INNOVATION, MET_TOTAL, MET_NOISE, MET_VERDICT = range(4)
+MET_COLUMNS = 4
+UNUSED = -1.0
+
+# The median step moves by this factor a frame: standing still it scatters by a quarter. From the third step in a row
+# above it on it rises faster: five times the noise is followed in some ten frames. Steps much larger than that are
+# outliers or a target that stands still, and do not count.
+STEP_UP = 1.1
+IN_A_ROW, FAST_UP, FARTHEST_STEP = 3.0, 1.3, 6.0
+LEAST_STEP = 0.05
+# The noise variance may leave what the successive differences say by this factor.
+SLACK = 8.0
+# The frame at hand is taken for at least this part of what the steps show beyond the prediction's error.
+QUICK_PART = 0.25
+# While the prediction is wide the steps tell little of the noise; but it is not below this part of what they show.
+LEAST_PART = 1.0 / 16.0
+# The declared noise weighs as much as this many frames.
+PRIOR_FRAMES = 10.0
+# Equation 20 as printed begins with this frame: while the start is settling, its variance is many times the noise's.
+FIRST_FRAMES = 10.0
+# Memory of the consistency watch, and of the error beyond the noise: 20 frames.
+MEMORY = 0.95
+INCONSISTENT, CORRELATED, CONSISTENT = 1.5, 0.4, 1.2
+SPREAD_UP, SPREAD_DOWN, MOST_SPREAD = 1.2, 0.98, 1e6
+# Divisions are what the inner loop would wait for.
+THIRD, SIXTH = 1.0 / 3.0, 1.0 / 6.0
+
+
+@njit(cache=True, inline="always")
+def _keep(rows, k, x, variance, velocity):  # type: ignore[no-untyped-def]
+    """Write row k of the result: rows = (displacement, variance, velocity), each (n,)."""
+    displacements, variances, velocities = rows
+    displacements[k], variances[k], velocities[k] = x, variance, velocity
+
+
+@njit(cache=True, inline="always")
+def _label(labels, k, now, accepted_at, source):  # type: ignore[no-untyped-def]
+    """Write source and status of row k: labels = (sources, statuses, coasting_s, lost_s), the first two (n,)."""
+    sources, statuses, coasting_s, lost_s = labels
+    age = now - accepted_at
+    tracking = age <= coasting_s
+    sources[k] = np.uint8(source) if tracking else np.uint8(0)
+    statuses[k] = np.uint8(0) if tracking else np.uint8(1) if age <= lost_s else np.uint8(2)
+
+
+@njit(cache=True, inline="always")
+def _held(s, dt, a):  # type: ignore[no-untyped-def]
+    """Equation 7: A(dt) x + B(dt) a."""
+    s[X] += dt * s[V] + 0.5 * dt * dt * a
+    s[V] += dt * a
+
+
+@njit(cache=True, inline="always")
+def _moved(p, dt, noise):  # type: ignore[no-untyped-def]
+    """Equation 8: A(dt) P A(dt)' + noise B(dt) B(dt)' of P = (P11, P12, P22)."""
+    half = 0.5 * dt * dt
+    p01 = p[1] + dt * p[2]
+    return (
+        p[0] + dt * (p[1] + p01) + noise * half * half,
+        p01 + noise * half * dt,
+        p[2] + noise * dt * dt,
+    )
+
+
+@njit(cache=True, error_model="numpy")
+def _declare(s, frames, j):  # type: ignore[no-untyped-def]
+    """The first usable frame's declared variance starts the noise; the first position is known no better than that."""
+    for i in range(j, len(frames)):
+        if frames[i, 2] < np.inf:
+            s[NOISE] = frames[i, 2]
+            s[P00] += frames[i, 2]
+            return
+
+
+@njit(cache=True, error_model="numpy")
+def _frames_as_printed(s, frames, j, met, interval, beta):  # type: ignore[no-untyped-def]
+    """Type II and III: the frames of an interval (its end, a_k, q), then on to the end by equations 21 to 26.
+
+    W1 and W2 carry what state and acceleration noise at the interval's start have become, N what the frames' own noise
+    has; for one frame they are equations 23 to 25, and more frames in one interval go on from there.
+    """
+    t1, a, q = interval
+    if np.isnan(s[NOISE]):
+        _declare(s, frames, j)
+    p00, p01, p11 = s[P00], s[P01], s[P11]
+    w00, w01, w10, w11 = 1.0, 0.0, 0.0, 1.0
+    b0, b1 = 0.0, 0.0
+    n = (0.0, 0.0, 0.0)
+    reached = s[TIME]
+    while True:
+        frame = j < len(frames) and frames[j, 0] <= t1
+        if frame and (frames[j, 0] < reached or not frames[j, 2] < np.inf):
+            met[j, MET_VERDICT] = UNUSED
+            j += 1
+            continue
+        until = frames[j, 0] if frame else t1
+        dt = until - reached
+        _held(s, dt, a)
+        w00, w01 = w00 + dt * w10, w01 + dt * w11
+        b0, b1 = b0 + dt * b1 + 0.5 * dt * dt, b1 + dt
+        n = _moved(n, dt, 0.0)
+        g00 = w00 * w00 * p00 + 2.0 * w00 * w01 * p01 + w01 * w01 * p11 + q * b0 * b0 + n[0]
+        g01 = w00 * w10 * p00 + (w00 * w11 + w01 * w10) * p01 + w01 * w11 * p11 + q * b0 * b1 + n[1]
+        g11 = w10 * w10 * p00 + 2.0 * w10 * w11 * p01 + w11 * w11 * p11 + q * b1 * b1 + n[2]
+        reached = until
+        if not frame:
+            s[P00], s[P01], s[P11] = g00, g01, g11
+            return j
+        eta = frames[j, 1] - s[X]
+        s[ACCEPTED_COUNT] += 1.0
+        r = s[NOISE]
+        if s[ACCEPTED_COUNT] > FIRST_FRAMES:
+            r = beta * r + (1.0 - beta) * (eta * eta - g00)
+        s[NOISE] = r
+        k0, k1 = g00 / (g00 + r), g01 / (g00 + r)
+        s[X] += k0 * eta
+        s[V] += k1 * eta
+        w10, w11, w00, w01 = w10 - k1 * w00, w11 - k1 * w01, (1.0 - k0) * w00, (1.0 - k0) * w01
+        b1, b0 = b1 - k1 * b0, (1.0 - k0) * b0
+        rest = 1.0 - k0
+        n = (
+            rest * rest * n[0] + r * k0 * k0,
+            rest * (n[1] - k1 * n[0]) + r * k0 * k1,
+            n[2] - 2.0 * k1 * n[1] + k1 * k1 * n[0] + r * k1 * k1,
+        )
+        s[BEYOND] = MEMORY * s[BEYOND] + (1.0 - MEMORY) * (eta * eta - frames[j, 2] - max(g00, 0.0))
+        s[LAST_ACCEPTED], s[SOURCE] = frames[j, 0], frames[j, 3]
+        met[j, MET_INNOVATION], met[j, MET_TOTAL], met[j, MET_NOISE] = eta, max(g00, 0.0) + max(r, 0.0), r
+        met[j, MET_VERDICT] = ACCEPTED
+        j += 1
+
+
+@njit(cache=True, error_model="numpy")
+def printed_block(samples, frames, s, beta, rows, labels, met):  # type: ignore[no-untyped-def]
+    """Equations 7 to 26 over one block, as printed; the state vector `s` carries over to the next block.
+
+    samples = time stamps (n,) and their origin in ns, acceleration (n,) and noise density (n,); the state's bias is
+    taken off the acceleration. frames (m, 4): time in s, displacement, declared variance (infinite: ignored), source,
+    in time order. rows and labels as in `_keep` and `_label`, and met (m, 4), take the result. Returns how many frames
+    were consumed.
+    """
+    time_ns, origin_ns, values, densities = samples
+    j = 0
+    for k in range(len(time_ns)):
+        t1 = (time_ns[k] - origin_ns) / 1e9
+        dt = t1 - s[TIME]
+        q = densities[k] / dt if dt > 0.0 else 0.0
+        if j < len(frames) and frames[j, 0] <= t1:
+            j = _frames_as_printed(s, frames, j, met, (t1, s[INPUT], q), beta)
+        else:
+            _held(s, dt, s[INPUT])
+            s[P00], s[P01], s[P11] = _moved((s[P00], s[P01], s[P11]), dt, q)
+        s[TIME], s[INPUT] = t1, values[k] - s[B]
+        _keep(rows, k, s[X], max(s[P00], 0.0) + max(s[BEYOND], 0.0), s[V])
+        _label(labels, k, t1, s[LAST_ACCEPTED], s[SOURCE])
+    return j
+
+
+@njit(cache=True, inline="always")
+def _watch_steps(s, innovation, deviation):  # type: ignore[no-untyped-def]
+    """Follow the median of |step| between successive innovations; returns the variance of one of them by it.
+
+    Drift, bias, a jump and a stuck target hardly touch the steps, and one outlier in ten does not move their median: so
+    it tells the noise of the frames whatever else goes wrong. In units of the declared deviation.
+    """
+    if np.isfinite(s[LAST]):
+        step, median = abs(innovation - s[LAST]), s[MEDIAN_STEP] * deviation
+        above = step > median
+        if step < FARTHEST_STEP * median:
+            s[ABOVE] = s[ABOVE] + 1.0 if above else 0.0
+        up = FAST_UP if s[ABOVE] >= IN_A_ROW and step < FARTHEST_STEP * median else STEP_UP
+        s[MEDIAN_STEP] = max(s[MEDIAN_STEP] * up if above else s[MEDIAN_STEP] / STEP_UP, LEAST_STEP)
+    s[LAST] = innovation
+    return 0.5 * (s[MEDIAN_STEP] / NORMAL_MEDIAN) ** 2
+
+
+@njit(cache=True, inline="always")
+def _watch_consistency(s, normal):  # type: ignore[no-untyped-def]
+    """Raise the acceleration's noise where innovations are too large and alike: then it is not the frames that err."""
+    normal = min(max(normal, -4.0), 4.0)
+    s[SQUARED] = MEMORY * s[SQUARED] + (1.0 - MEMORY) * normal * normal
+    s[LAGGED] = MEMORY * s[LAGGED] + (1.0 - MEMORY) * normal * s[LAST_NORMAL]
+    s[LAST_NORMAL] = normal
+    if s[SQUARED] > INCONSISTENT and s[LAGGED] > CORRELATED * s[SQUARED]:
+        s[SPREAD] = min(s[SPREAD] * SPREAD_UP, MOST_SPREAD)
+    elif s[SQUARED] < CONSISTENT:
+        s[SPREAD] = max(s[SPREAD] * SPREAD_DOWN, 1.0)
+
+
+@njit(cache=True, inline="always")
+def _take(s, innovation, verdict, rejected_for, noise):  # type: ignore[no-untyped-def]
+    """Update state and covariance; returns the share of the innovation that is left, and the new displacement's
+    variance."""
+    if verdict == REACQUIRED:
+        s[P00] += innovation * innovation
+        s[P11] += (innovation / max(rejected_for, 1e-3)) ** 2
+        s[P22] += (innovation / max(rejected_for, 1e-3) ** 2) ** 2
+    share = 1.0 / (s[P00] + noise)
+    gain = (share * s[P00], share * s[P01], share * s[P02])
+    s[X] += gain[0] * innovation
+    s[V] += gain[1] * innovation
+    s[B] += gain[2] * innovation
+    update_covariance(s, gain, noise)
+    return (1.0 - gain[0]) * innovation
+
+
+@njit(cache=True, inline="always")
+def _meet(s, met, j, measured, limits, rule):  # type: ignore[no-untyped-def]
+    """Judge one frame (time, value, declared variance, source), use it if believed, and learn the noise from it.
+
+    rule = (beta, floor, ceiling): forgetting factor, and the limits of the noise variance over the declared one.
+    """
+    time, value, declared, source = measured
+    beta, floor, ceiling = rule
+    innovation, g = value - s[X], s[P00]
+    seen = _watch_steps(s, innovation, np.sqrt(declared)) * declared
+    # Never less than the steps show beyond the prediction's own error, never much more than all of them.
+    learnt = max(min(s[NOISE] * declared, SLACK * seen), seen / SLACK - g)
+    learnt = max(min(learnt, ceiling * declared), floor * declared)
+    noise = max(learnt, min(max(LEAST_PART * seen, QUICK_PART * seen - g), ceiling * declared))
+    total, rejections = g + noise, s[REJECTIONS]
+    limits = limits_now(limits, s[ACCEPTED_COUNT], 1.0)
+    rejected_for = time - s[FIRST_REJECTED] if rejections > 0 else 0.0
+    if rejections == 0:
+        s[FIRST_TOTAL] = total
+    near_ones = s[NEAR_ONES] + 1.0 if is_near(innovation, s[FIRST_TOTAL], limits) else 0.0
+    run = (rejected_for, rejections, s[AGREEMENTS], s[FARTHEST], near_ones)
+    verdict = judge(innovation, total, run, limits)
+    if verdict == REJECTED:
+        s[FIRST_REJECTED] = time - rejected_for
+        s[REJECTIONS] = rejections + 1
+        s[FARTHEST], s[NEAR_ONES] = max(s[FARTHEST], innovation * innovation / total), near_ones
+        s[AGREEMENTS] = s[AGREEMENTS] + 1.0 if agrees(innovation, total, limits) else 0.0
+    else:
+        left = _take(s, innovation, verdict, rejected_for, noise)
+        if verdict == ACCEPTED:
+            # Residual form: positive whatever happens (equation 20 is not). In proportion to what the sensor declares.
+            beta = min(beta, 1.0 - 1.0 / (PRIOR_FRAMES + s[ACCEPTED_COUNT]))
+            s[NOISE] = beta * learnt / declared + (1.0 - beta) * (left * left + s[P00]) / declared
+            _watch_consistency(s, innovation / np.sqrt(total))
+        s[ACCEPTED_COUNT] += 1.0
+        s[REJECTIONS] = s[AGREEMENTS] = s[FARTHEST] = s[NEAR_ONES] = 0.0
+        s[LAST_ACCEPTED], s[SOURCE] = time, source
+    met[j, MET_INNOVATION], met[j, MET_TOTAL], met[j, MET_NOISE], met[j, MET_VERDICT] = (
+        innovation,
+        total,
+        noise,
+        verdict,
+    )
+
+
+@njit(cache=True, inline="always")
+def _coast(samples, k, until, s, walk, rows, labels):  # type: ignore[no-untyped-def]
+    """Samples k up to the first at or after the time `until`, without frames; returns where it stopped.
+
+    The same model as `state_space`, with everything in local numbers: this is where the time goes.
+    """
+    time_ns, origin_ns, values, densities = samples
+    x, v, b = s[X], s[V], s[B]
+    p00, p01, p02, p11, p12, p22 = s[P00], s[P01], s[P02], s[P11], s[P12], s[P22]
+    t0, a0, step, last_lead, last_slope = s[TIME], s[INPUT], s[STEP], s[LEAD], s[SLOPE]
+    spread, accepted_at, source = s[SPREAD], s[LAST_ACCEPTED], s[SOURCE]
+    while k < len(time_ns):
+        a1, t1 = values[k], (time_ns[k] - origin_ns) / 1e9
+        if t1 >= until:
+            break
+        dt = t1 - t0
+        slope, half = (a1 - a0) / dt, 0.5 * dt * dt
+        lead = half * SIXTH if dt <= GAP_STEPS * step else 0.0
+        if lead != last_lead:
+            v += (lead - last_lead) * 0.5 * (last_slope + slope)
+        step, last_lead, last_slope = min(dt, GAP_STEPS * step), lead, slope
+        x += dt * (v - lead * slope) + half * (a0 + THIRD * (a1 - a0) - b)
+        v += dt * (0.5 * (a0 + a1) - b)
+        noise = densities[k] * spread
+        m01, m02 = p01 + dt * p11 - half * p12, p02 + dt * p12 - half * p22
+        m11, m12 = p11 - dt * p12, p12 - dt * p22
+        p00 += dt * (p01 + m01) - half * (p02 + m02) + noise * dt * dt * dt * THIRD
+        p01, p02 = m01 - dt * m02 + noise * half, m02
+        p11, p12 = m11 - dt * m12 + noise * dt, m12
+        p22 += walk * dt
+        t0, a0 = t1, a1
+        _keep(rows, k, x, p00, v - lead * slope)
+        _label(labels, k, t0, accepted_at, source)
+        k += 1
+    s[X], s[V], s[B] = x, v, b
+    s[P00], s[P01], s[P02], s[P11], s[P12], s[P22] = p00, p01, p02, p11, p12, p22
+    s[TIME], s[INPUT], s[STEP], s[LEAD], s[SLOPE] = t0, a0, step, last_lead, last_slope
+    return k
+
+
+@njit(cache=True, error_model="numpy")
+def guarded_block(samples, frames, s, options, rows, labels, met):  # type: ignore[no-untyped-def]
+    """The guarded filter over one block; arguments as in `printed_block`.
+
+    options = (walk, limits, rule): density of the bias's walk, the gate's numbers, and what `_meet` takes.
+    """
+    time_ns, origin_ns, values, densities = samples
+    walk, limits, rule = options
+    j = k = 0
+    while k < len(time_ns):
+        k = _coast(samples, k, frames[j, 0] if j < len(frames) else np.inf, s, walk, rows, labels)
+        if k == len(time_ns):
+            return j
+        t0, a0 = s[TIME], s[INPUT]
+        t1, a1, density = (time_ns[k] - origin_ns) / 1e9, values[k], densities[k] * s[SPREAD]
+        dt = t1 - t0
+        lead = begin_interval(s, dt, a0, a1)
+        reached, response = t0, (0.0, 0.0)
+        while j < len(frames) and frames[j, 0] <= t1:
+            time = frames[j, 0]
+            if time < reached or not frames[j, 2] < np.inf:
+                met[j, MET_VERDICT] = UNUSED
+            else:
+                ahead = input_response((time - t0) / dt, dt, a0, a1, lead)
+                advance_mean(s, time - reached, response, ahead)
+                advance_covariance(s, time - reached, density, walk)
+                reached, response = time, ahead
+                _meet(s, met, j, (time, frames[j, 1], frames[j, 2], frames[j, 3]), limits, rule)
+            j += 1
+        advance_mean(s, t1 - reached, response, input_response(1.0, dt, a0, a1, lead))
+        advance_covariance(s, t1 - reached, density, walk)
+        s[TIME], s[INPUT] = t1, a1
+        _keep(rows, k, s[X], s[P00], s[V] - lead * s[SLOPE])
+        _label(labels, k, t1, s[LAST_ACCEPTED], s[SOURCE])
+        k += 1
+    return j

@@ -1,0 +1,166 @@
+"""What a complementary FIR method consists of, and what noise passes through it.
+
+The result is the sum of two branches on the accelerometer's grid: the displacement, brought to the grid by a cubic
+spline, through a low-pass, and the acceleration through a filter that integrates twice and passes the rest.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from midspan.fusion.even import BEHIND
+from midspan.fusion.kalman import KalmanSettings
+from midspan.records import Floats
+from midspan.signals.fir import FilterSum
+from midspan.signals.integrate import RULES
+from midspan.signals.resample import REACH_STEPS, spline_kernel
+
+# A displacement interval longer than this many usual ones is a gap and not interpolated.
+LONGEST_STEPS = 2.5
+# Its own error counts as none: 0.07 % at a tenth of the rate, 1.1 % at a fifth.
+EXACT_RULE = "numerov"
+# Measurements closer than this share of the usual interval count as one: a spline through both would swing.
+MERGED_SHARE = 0.4
+
+
+@dataclass(frozen=True, slots=True)
+class StreamSettings:
+    """What the stream cannot know from the data.
+
+    rate_hz, displacement_rate_hz: nominal rates, Hz; None: learnt from the first 100 steps and 8 intervals.
+    edges: the state-space model for rows without a full window (ends, gaps); its densities come with the data.
+    """
+
+    rate_hz: float | None = None
+    displacement_rate_hz: float | None = None
+    edges: KalmanSettings = field(default_factory=KalmanSettings)
+
+
+@dataclass(frozen=True, slots=True)
+class Rates:
+    """Steps of both series in s, noise density of the acceleration ((m/s²)²/Hz), variance of a displacement (m²).
+
+    jittered: whether the acceleration's stamps are too uneven to be taken as even.
+    """
+
+    step_s: float
+    frame_s: float
+    noise_density: float
+    variance_m2: float
+    jittered: bool = False
+
+    @property
+    def corner_rad_s(self) -> float:
+        """Where both noises meet: (S_a / S_d)^(1/4) with S_d the displacement's variance over its rate, rad/s."""
+        return float((self.noise_density / (self.variance_m2 * max(self.frame_s, self.step_s))) ** 0.25)
+
+
+@dataclass(frozen=True, slots=True)
+class AtFrames:
+    """A filter from acceleration to displacement at any instant: its taps and those of the second derivative · dt²."""
+
+    wanted: Floats
+    bend: Floats
+
+    @property
+    def half(self) -> int:
+        """Samples that it needs on each side."""
+        return len(self.wanted) // 2
+
+
+@dataclass(frozen=True, slots=True)
+class Branches:
+    """A method made for given rates; all taps symmetric, odd in number.
+
+    low: displacement on the grid → low-frequency displacement; high: acceleration → high-frequency displacement (m);
+    rule: integration rule of `high`; removed: what is taken off each displacement before it is interpolated (the
+    anti-aliasing stage); probe: the displacement that tells how much folding is left in the result; warnings: in
+    sentences.
+    """
+
+    low: Floats
+    high: Floats
+    rule: str
+    removed: AtFrames | None = None
+    probe: AtFrames | None = None
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def reach(self) -> int:
+        """Samples on each side of a displacement that it takes to prepare it."""
+        return max((item.half for item in (self.removed, self.probe) if item is not None), default=0)
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """Lengths that follow from branches and rates: in samples `half` of the filters, `wide` with what tells folding,
+    `reach` of the preparation of a displacement, `delay` from a sample to its row; in s `longest` bridged interval,
+    `ahead` that the spline looks."""
+
+    half: int
+    wide: int
+    reach: int
+    delay: int
+    longest_s: float
+    ahead_s: float
+
+
+def window_of(branches: Branches, rates: Rates) -> Window:
+    """The lengths of a method at given rates."""
+    half = max(len(branches.low), len(branches.high)) // 2
+    ahead_s = (REACH_STEPS + MERGED_SHARE) * rates.frame_s
+    delay = half + branches.reach + int(np.ceil(ahead_s / rates.step_s)) + 3
+    delay += BEHIND if rates.jittered else 0
+    wide = half + (branches.probe.half if branches.probe is not None else 0)
+    return Window(half, wide, branches.reach, delay, LONGEST_STEPS * rates.frame_s, ahead_s)
+
+
+class NoiseGain:
+    """Variance of a row from the noise of both series, through the squares of the method's own responses.
+
+    Acceleration noise is white with density S: its samples have the variance S · rate, and the branch adds
+    sum(high²) of it. A displacement's error spreads as spline * low; rows fall anywhere between displacements, so the
+    mean over that place counts: R / frame interval · integral of (spline * low)².
+    """
+
+    def __init__(self, branches: Branches, rates: Rates) -> None:
+        steps = max(rates.frame_s / rates.step_s, 1.0)
+        spread = np.convolve(branches.low, spline_kernel(steps)) if steps > 1.0 else branches.low
+        keep = min(len(spread) // 2, max(len(branches.low), len(branches.high)) // 2)
+        power = spread**2 / steps
+        inner = power[len(power) // 2 - keep : len(power) // 2 + keep + 1]
+        self._low = inner * (np.sum(power) / np.sum(inner))
+        self._high = branches.high**2 / rates.step_s
+        self._sum = FilterSum(self._low, self._high)
+
+    def rows(self, variance_m2: Floats, density: Floats) -> Floats:
+        """Variance (n − 2 half,) from the displacement's variance and the acceleration's density on the grid (n,)."""
+        if np.ptp(variance_m2) == 0.0 and np.ptp(density) == 0.0:
+            level = np.sum(self._low) * variance_m2[0] + np.sum(self._high) * density[0]
+            return np.full(len(density) - 2 * self._sum.half, level)
+        # Rounding of the transforms must not make a variance negative beside a far larger one.
+        return np.maximum(self._sum(variance_m2, density), self._floor(variance_m2, density))
+
+    def _floor(self, variance_m2: Floats, density: Floats) -> float:
+        return float(np.sum(self._low) * np.min(variance_m2) + np.sum(self._high) * np.min(density))
+
+
+def integration_error(displacement: Floats, rule: str) -> Floats:
+    """What the rule's own error is for a displacement (n + 2,) on the grid: (n,) m, leading term.
+
+    The second difference stands for dt² · acceleration; Numerov's error of fourth order is small below a fifth of the
+    rate, and is not counted.
+    """
+    excess = RULES[rule] - RULES[EXACT_RULE]
+    result: Floats = excess * (displacement[2:] - 2.0 * displacement[1:-1] + displacement[:-2])
+    return result
+
+
+def velocity(displacement: Floats, acceleration: Floats, step_s: float) -> Floats:
+    """Velocity (n,) in m/s of a displacement (n + 2,) with its acceleration (n + 2,), of fourth order.
+
+    The central difference is too large by dt²/6 · the second derivative of the velocity; a constant bias drops out.
+    """
+    difference = (displacement[2:] - displacement[:-2]) / (2.0 * step_s)
+    result: Floats = difference - step_s / 12.0 * (acceleration[2:] - acceleration[:-2])
+    return result

@@ -1,0 +1,179 @@
+"""`fir`: displacement by regularised least squares over a moving window, as a pair of complementary filters.
+
+In a window of 2 M + 1 samples the displacement u* minimises
+
+    || L_a (L_c u* − dt² N a) ||² + lambda² || u* − u ||²
+
+with L_c the second difference, L_a a weight of 1 (1/sqrt(2) on the first and last row), a the acceleration, u the
+measured displacement on the accelerometer's grid. Only the middle row of the solution is kept: it is one filter on a
+and one on u, which for a long window are
+
+    C_H = D / (D² + lambda²) · dt²,    C_L = lambda² / (D² + lambda²),    D = 2 − 2 cos(2 pi f dt)
+
+References: H. S. Lee, Y. H. Hong, H. W. Park, Design of an FIR filter for the displacement reconstruction using
+measured acceleration in low-frequency dominant structures, Int. J. Numer. Meth. Eng. 82 (2010) 403-434, doi
+10.1002/nme.2769; Z. Ma, J. Choi, L. Yang, H. Sohn, Structural displacement estimation using accelerometer and FMCW
+millimeter wave radar, Mech. Syst. Signal Process. 182 (2023) 109582, doi 10.1016/j.ymssp.2022.109582, equations 17 to
+21.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from midspan.checks import positive, refuse
+from midspan.fusion.branches import AtFrames, Branches, Rates, StreamSettings
+from midspan.fusion.complementary import ComplementaryFilter, run
+from midspan.records import Acceleration, Displacement, Estimate, Floats, joined
+from midspan.signals.fir import Transition, complement, kaiser_low_pass
+from midspan.signals.integrate import integrating, weights
+
+# Half the window: so many times the time constant 1/corner of matched noises, or periods of the target frequency.
+CORNER_WINDOWS = 5.0
+TARGET_PERIODS = 1.5
+SHORTEST_HALF = 8
+# The corner stays below this share of the displacement's Nyquist frequency: above it folding would pass.
+NYQUIST_SHARE = 0.5
+# What folding is told with need not be sharp: it only widens the band. 1 %, over an octave below the Nyquist frequency.
+PROBE_RIPPLE = 0.01
+SECOND_DIFFERENCE = np.array([1.0, -2.0, 1.0])
+# Above this share of the accelerometer's rate nothing can fold.
+HIGHEST_NYQUIST = 0.4
+
+
+@dataclass(frozen=True, slots=True)
+class FirSettings:
+    """How the two branches share the frequencies.
+
+    literal: as in the papers, with a fixed cut-off and the second difference as the acceleration; otherwise the weight
+    follows from the measured noise levels and the integration is Numerov's. target_hz, accuracy: for literal, the
+    frequency (Hz) from which the acceleration gives this share (0 to 1) of the amplitude; lower leaves more to the
+    accelerometer and lengthens the delay. half_window: samples on each side, None: 1.5 periods of the target frequency,
+    or 5 time constants of the matched filter. free_bias: a constant bias is one more unknown of the least squares;
+    False: as printed, a bias shows.
+    """
+
+    literal: bool = False
+    target_hz: float = 1.0
+    accuracy: float = 0.97
+    half_window: int | None = None
+    free_bias: bool = True
+    stream: StreamSettings = field(default_factory=StreamSettings)
+
+    def __post_init__(self) -> None:
+        positive("target_hz", self.target_hz, "Hz")
+        if not 0.0 < self.accuracy < 1.0:
+            raise refuse("accuracy", "between 0 and 1 (share of the amplitude)", self.accuracy)
+        if self.half_window is not None and self.half_window < SHORTEST_HALF:
+            raise refuse("half_window", f"at least {SHORTEST_HALF} samples", self.half_window)
+
+
+def target_weight(target_hz: float, accuracy: float, step_s: float) -> float:
+    """Regularisation factor lambda for which the acceleration gives `accuracy` of the amplitude at `target_hz`.
+
+    From the response of a long window: lambda = sqrt((1 − accuracy)/accuracy) · (2 − 2 cos(2 pi target_hz step_s)).
+    """
+    turn = 2.0 - 2.0 * np.cos(2.0 * np.pi * target_hz * step_s)
+    return float(np.sqrt((1.0 - accuracy) / accuracy) * turn)
+
+
+def noise_weight(rates: Rates) -> float:
+    """Regularisation factor lambda of least mean square error: (w_c dt)², w_c where both noises meet (rad/s)."""
+    return float((_corner(rates) * rates.step_s) ** 2)
+
+
+def window_filters(half: int, weight: float, step_s: float, *, rule: str, free_bias: bool) -> tuple[Floats, Floats]:
+    """Middle rows (2 half + 1,) of the least-squares solution: for the displacement, and for the acceleration in m/s².
+
+    weight: lambda; rule: integration rule, which is the weighting N of the acceleration; free_bias: a constant in the
+    acceleration is one more unknown of the least squares, so that it shows nowhere; otherwise equation 20 as printed,
+    where a constant is integrated over the finite window (−0.022 m per m/s² at the default cut-off).
+    """
+    ends = np.ones(2 * half - 1)
+    ends[0] = ends[-1] = np.sqrt(0.5)
+    constant = ends / np.linalg.norm(ends)
+    columns = np.zeros((2 * half + 1, 2))
+    columns[half, 0], columns[:, 1] = 1.0, np.convolve(ends * constant, SECOND_DIFFERENCE)
+    (row, spread), (bent, bent_spread) = _solve(ends, weight, columns)
+    if free_bias:
+        share = (columns[:, 1] @ row) / (1.0 - columns[:, 1] @ spread)
+        row, bent = row + share * spread, bent + share * bent_spread
+        bent = bent - constant * (constant @ bent)
+    low, high = _even(row), step_s**2 * _even(np.convolve(ends * bent, weights(rule)))
+    return low / np.sum(low), high
+
+
+def design(rates: Rates, settings: FirSettings) -> Branches:
+    """The two filters, and what tells folding, for given rates and noise levels."""
+    rule = "central-difference" if settings.literal else "numerov"
+    if settings.literal:
+        weight = target_weight(settings.target_hz, settings.accuracy, rates.step_s)
+        half = round(TARGET_PERIODS / (settings.target_hz * rates.step_s))
+    else:
+        weight, half = noise_weight(rates), round(CORNER_WINDOWS / (_corner(rates) * rates.step_s))
+    half = max(half, SHORTEST_HALF) if settings.half_window is None else settings.half_window
+    low, high = window_filters(half, weight, rates.step_s, rule=rule, free_bias=settings.free_bias)
+    return Branches(low, high, rule, probe=folding_probe(rates, 0.5 / rates.frame_s))
+
+
+def folding_probe(rates: Rates, from_hz: float) -> AtFrames | None:
+    """The filter that sees all displacement from `from_hz` on: what a sampling at twice that would fold."""
+    if from_hz * rates.step_s > HIGHEST_NYQUIST:
+        return None
+    band = Transition(0.5 * from_hz, from_hz, PROBE_RIPPLE)
+    return at_frames(kaiser_low_pass(band, 1.0 / rates.step_s), rates, "numerov")
+
+
+def at_frames(low_pass: Floats, rates: Rates, rule: str) -> AtFrames:
+    """The complement of a low-pass, from acceleration to displacement at any instant."""
+    high_pass = complement(low_pass)
+    return AtFrames(integrating(high_pass, rates.step_s, rule=rule), rates.step_s**2 * high_pass)
+
+
+class FirFilter(ComplementaryFilter):
+    """`fir` as a stream; see `ComplementaryFilter` for how to push and finish."""
+
+    def __init__(self, settings: FirSettings | None = None) -> None:
+        self.settings = settings or FirSettings()
+        super().__init__(lambda rates: design(rates, self.settings), self.settings.stream)
+
+
+def fir(acceleration: Acceleration, displacement: Displacement, settings: FirSettings | None = None) -> Estimate:
+    """Fuse a whole record: one row a sample, from acceleration (n samples) and displacement (m) in time order."""
+    outputs = run(FirFilter(settings), acceleration, displacement)
+    return joined([item for item in outputs if isinstance(item, Estimate)])
+
+
+def _corner(rates: Rates) -> float:
+    """The noises' corner in rad/s, kept where the displacement does not fold."""
+    return min(rates.corner_rad_s, NYQUIST_SHARE * np.pi / rates.frame_s, 0.5 / rates.step_s)
+
+
+def _solve(ends: Floats, weight: float, columns: Floats) -> tuple[Floats, Floats]:
+    """x (c, n) with (L'L + lambda²) x = columns (n, c), and L x (c, n − 2); L = L_a L_c with `ends` the weights L_a.
+
+    Solved as lambda r = L y, L'r + lambda y = columns with y = lambda x and r = L x, the entries of r standing between
+    those of y: a band of seven. Its condition is the root of that of the normal equations, which at high rates would
+    leave no digit.
+    """
+    from scipy.linalg import solve_banded
+
+    count = len(columns)
+    place_x = np.maximum(2 * np.arange(count) - 1, 0)
+    place_r = 2 * np.arange(count - 2) + 2
+    bands = np.zeros((7, 2 * count - 2))
+    bands[3] = weight
+    for shift, value in enumerate(SECOND_DIFFERENCE):
+        x = place_x[shift : shift + count - 2]
+        bands[3 + place_r - x, x] = -value * ends
+        bands[3 + x - place_r, place_r] = value * ends
+    right = np.zeros((2 * count - 2, columns.shape[1]))
+    right[place_x] = columns
+    found = solve_banded((3, 3), bands, right)
+    return found[place_x].T / weight, found[place_r].T
+
+
+def _even(taps: Floats) -> Floats:
+    """Taps without the rounding that breaks their symmetry."""
+    result: Floats = 0.5 * (taps + taps[::-1])
+    return result

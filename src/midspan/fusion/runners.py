@@ -1,0 +1,91 @@
+"""How each fusion method is run over a whole record: one table, so that a new method is one entry."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from midspan.checks import option
+from midspan.fusion.adaptive import AdaptiveSettings, adapt
+from midspan.fusion.complementary import run as run_branches
+from midspan.fusion.fir import FirFilter, FirSettings
+from midspan.fusion.kalman import KalmanFilter, KalmanSettings
+from midspan.fusion.lag import LagSettings, smooth_with_lag
+from midspan.fusion.smoother import Smoothed, collected, smooth
+from midspan.fusion.two_stage import TwoStageFir, TwoStageSettings
+from midspan.records import Acceleration, Displacement
+
+
+@dataclass(frozen=True, slots=True)
+class MethodSettings:
+    """What any method may need: the filter's settings, and the keys of [fusion] that single methods use.
+
+    lag_s: delay of `lag`, s. literal: a paper's method exactly as printed. forgetting: factor beta of
+    `adaptive-kalman`, above 0 and below 1.
+    """
+
+    kalman: KalmanSettings = field(default_factory=KalmanSettings)
+    lag_s: float = 0.5
+    literal: bool = False
+    forgetting: float = AdaptiveSettings().forgetting
+
+
+@dataclass(frozen=True, slots=True)
+class Runner:
+    """How a method is run, and what follows from it.
+
+    run: acceleration, displacement and settings → result. both_ways: it uses what comes later without limit, so that
+    its own row is the best that is known of the zero. response: the method whose linear response to an error of the
+    measurements is taken for its own, given the variances that it used.
+    """
+
+    run: Callable[[Acceleration, Displacement, MethodSettings], Smoothed]
+    both_ways: bool
+    response: str
+
+
+def _smoother(acceleration: Acceleration, displacement: Displacement, settings: MethodSettings) -> Smoothed:
+    return smooth(acceleration, displacement, settings.kalman)
+
+
+def _kalman(acceleration: Acceleration, displacement: Displacement, settings: MethodSettings) -> Smoothed:
+    stream = KalmanFilter(settings.kalman)
+    stream.push(displacement)
+    return collected([*stream.push(acceleration), *stream.finish()])
+
+
+def _lag(acceleration: Acceleration, displacement: Displacement, settings: MethodSettings) -> Smoothed:
+    return smooth_with_lag(acceleration, displacement, LagSettings(settings.lag_s, settings.kalman))
+
+
+def _adaptive(acceleration: Acceleration, displacement: Displacement, settings: MethodSettings) -> Smoothed:
+    adaptive = AdaptiveSettings(literal=settings.literal, forgetting=settings.forgetting, kalman=settings.kalman)
+    return adapt(acceleration, displacement, adaptive)
+
+
+def _fir(acceleration: Acceleration, displacement: Displacement, settings: MethodSettings) -> Smoothed:
+    return collected(run_branches(FirFilter(FirSettings(literal=settings.literal)), acceleration, displacement))
+
+
+def _two_stage(acceleration: Acceleration, displacement: Displacement, settings: MethodSettings) -> Smoothed:
+    stream = TwoStageFir(TwoStageSettings(literal=settings.literal))
+    return collected(run_branches(stream, acceleration, displacement))
+
+
+RUNNERS: dict[str, Runner] = {
+    "smoother": Runner(_smoother, both_ways=True, response="smoother"),
+    "kalman": Runner(_kalman, both_ways=False, response="kalman"),
+    "lag": Runner(_lag, both_ways=False, response="lag"),
+    "adaptive-kalman": Runner(_adaptive, both_ways=False, response="kalman"),
+    "fir": Runner(_fir, both_ways=True, response="fir"),
+    "two-stage-fir": Runner(_two_stage, both_ways=True, response="two-stage-fir"),
+}
+
+
+def run_method(
+    name: str, acceleration: Acceleration, displacement: Displacement, settings: MethodSettings | None = None
+) -> Smoothed:
+    """Run the method `name` of `midspan methods` over a whole record.
+
+    acceleration: block of n samples; displacement: block of m measurements on the same clock, in time order. Returns
+    one row a sample with the innovations and events. Raises UsageError for an unknown name.
+    """
+    return RUNNERS[option("method", name, RUNNERS)].run(acceleration, displacement, settings or MethodSettings())

@@ -1,0 +1,100 @@
+"""`two-stage-fir`: what a slow displacement folds is first taken off with the accelerometer, then two branches add.
+
+Stage one takes off each displacement, at its own instant, the acceleration-based displacement above the anti-aliasing
+filter's transition band (from the cut-off f_c to half the displacement's rate). Stage two adds its low-pass and the
+acceleration-based displacement's high-pass, complementary equiripple filters with the transition band up to f_c.
+
+Reference: Z. Ma, P. Liu, J. Choi, H. Sohn, High-sampled structural displacement estimation through the FIR filter-based
+two-stage fusion of high-sampled acceleration and temporally aliased low-sampled displacement measurements, sections 2.2
+and 2.3.
+"""
+
+from dataclasses import dataclass, field
+
+from midspan.fusion.branches import Branches, Rates, StreamSettings
+from midspan.fusion.complementary import ComplementaryFilter, run
+from midspan.fusion.fir import HIGHEST_NYQUIST, at_frames, folding_probe
+from midspan.records import Acceleration, Displacement, Estimate, joined
+from midspan.signals.fir import Transition, complement, equiripple_low_pass
+from midspan.signals.integrate import integrating
+
+# Least width of the anti-aliasing filter's transition band, Hz: half the displacement's rate is at least f_c + this.
+LEAST_WIDTH_HZ = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class TwoStageSettings:
+    """Transition bands and ripples.
+
+    band: of the complementary pair, from where only the displacement counts to where only the acceleration does; its
+    stop_hz is the cut-off f_c. A wider band shortens the delay, a higher one leaves less to the accelerometer.
+    anti_alias_ripple: of the anti-aliasing filter, relative amplitude. literal: the double integral by the trapezoidal
+    rule, as the paper's; otherwise Numerov's.
+    """
+
+    band: Transition = field(default_factory=lambda: Transition(0.5, 1.0))
+    anti_alias_ripple: float = 1e-3
+    literal: bool = False
+    stream: StreamSettings = field(default_factory=StreamSettings)
+
+    def __post_init__(self) -> None:
+        Transition(1.0, 2.0, self.anti_alias_ripple)
+
+    @property
+    def rule(self) -> str:
+        """The integration rule."""
+        return "trapezoid" if self.literal else "numerov"
+
+
+def least_rate_hz(cut_off_hz: float) -> float:
+    """Smallest rate (Hz) of the displacement for a cut-off f_c (Hz): 2 (f_c + 0.5), two-stage paper, equation 1."""
+    return 2.0 * (cut_off_hz + LEAST_WIDTH_HZ)
+
+
+def design(rates: Rates, settings: TwoStageSettings) -> Branches:
+    """The complementary pair and the anti-aliasing filter for given rates, with a warning where the rate is too low.
+
+    Raises UsageError where the band reaches half the accelerometer's rate.
+    """
+    rate_hz, nyquist_hz = 1.0 / rates.step_s, 0.5 / rates.frame_s
+    low = equiripple_low_pass(settings.band, rate_hz)
+    high = integrating(complement(low), rates.step_s, rule=settings.rule)
+    cut_off_hz = settings.band.stop_hz
+    # A few parts in a million: rates learnt from stamps are not exact.
+    if 2.0 * nyquist_hz < least_rate_hz(cut_off_hz) * (1.0 - 1e-3):
+        probe = folding_probe(rates, min(nyquist_hz, settings.band.pass_hz))
+        # Below the least rate the complementary high-pass is the anti-aliasing filter too.
+        removed = at_frames(low, rates, settings.rule)
+        return Branches(low, high, settings.rule, removed, probe, (_too_slow(rates, settings),))
+    if nyquist_hz * rates.step_s > HIGHEST_NYQUIST:
+        return Branches(low, high, settings.rule)
+    anti_alias = equiripple_low_pass(Transition(cut_off_hz, nyquist_hz, settings.anti_alias_ripple), rate_hz)
+    # What the trapezoidal rule leaves folded is told by what Numerov's rule would have taken off.
+    probe = at_frames(anti_alias, rates, "numerov") if settings.literal else None
+    return Branches(low, high, settings.rule, at_frames(anti_alias, rates, settings.rule), probe)
+
+
+class TwoStageFir(ComplementaryFilter):
+    """`two-stage-fir` as a stream; see `ComplementaryFilter` for how to push and finish."""
+
+    def __init__(self, settings: TwoStageSettings | None = None) -> None:
+        self.settings = settings or TwoStageSettings()
+        super().__init__(lambda rates: design(rates, self.settings), self.settings.stream)
+
+
+def two_stage_fir(
+    acceleration: Acceleration, displacement: Displacement, settings: TwoStageSettings | None = None
+) -> Estimate:
+    """Fuse a whole record: one row a sample, from acceleration (n samples) and displacement (m) in time order."""
+    outputs = run(TwoStageFir(settings), acceleration, displacement)
+    return joined([item for item in outputs if isinstance(item, Estimate)])
+
+
+def _too_slow(rates: Rates, settings: TwoStageSettings) -> str:
+    band = settings.band
+    return (
+        f"The displacement comes at {1.0 / rates.frame_s:.3g} Hz; the cut-off of {band.stop_hz:g} Hz needs at least "
+        f"{least_rate_hz(band.stop_hz):g} Hz. Motion between {min(band.pass_hz, 0.5 / rates.frame_s):.3g} and "
+        f"{band.stop_hz:g} Hz is weakened or folded, and the band is wider for it; a faster displacement or a lower "
+        "transition band mends that."
+    )

@@ -1,0 +1,325 @@
+"""The camera's part of a calibration: every target, along every measured image axis, beside the accelerometer."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from midspan.calibration.fit import Pair
+from midspan.calibration.noise import learn_motion
+from midspan.calibration.scale import LEAST_FRAMES, ScaleCalibration, calibrate_scale
+from midspan.errors import UntrustedError, UsageError
+from midspan.recording.calibration import CameraCalibration, TargetCalibration
+from midspan.recording.common_offset import Fitted, common_offset, one_offset, pooled_variance, shared_part
+from midspan.recording.recording import Recording
+from midspan.recording.region_choice import USELESS, Agreement
+from midspan.recording.span import inside
+from midspan.recording.targets import camera_blocks, filter_settings, moves_by_itself, together
+from midspan.recording.tracking import CameraTracking, TargetTracking
+from midspan.records import NANOSECONDS, Floats, Nanoseconds, PixelTrack, ScaleFactor, TimeOffset
+from midspan.vision.lens import bare
+from midspan.vision.tracker import PhaseGain
+
+DEFAULT_WINDOW_S = 60.0
+LEAST_MEASUREMENTS = 20
+
+
+@dataclass(frozen=True, slots=True)
+class CameraFit:
+    """What was learnt of the camera along one axis, and what the best target's values rest on.
+
+    input_density: noise density of the acceleration, (m/s²)²/Hz; without an accelerometer the motion's own.
+    """
+
+    calibration: CameraCalibration
+    input_density: float
+    warnings: tuple[str, ...] = ()
+    diagnostics: ScaleCalibration | None = None
+
+
+def calibration_window(recording: Recording) -> slice:
+    """The samples of the calibration window."""
+    time_ns = recording.prepared.time_ns
+    wanted = recording.settings.calibration.window_s
+    if wanted is None:
+        start = int(time_ns[0])
+        if recording.has("camera"):
+            start = max(start, int(recording.frames.times_ns()[0]))
+        return inside(time_ns, start, start + round(DEFAULT_WINDOW_S * NANOSECONDS))
+    window = inside(time_ns, round(wanted[0] * NANOSECONDS), round(wanted[1] * NANOSECONDS))
+    if window.stop - window.start < LEAST_MEASUREMENTS:
+        raise UsageError(
+            f"{recording.file}: calibration.window_s = {list(wanted)}: must overlap the accelerometer, which runs from "
+            f"{time_ns[0] / NANOSECONDS:.3f} to {time_ns[-1] / NANOSECONDS:.3f} s."
+        )
+    return window
+
+
+def window_ends(recording: Recording) -> tuple[int, int]:
+    """First and last stamp (ns) of the calibration window."""
+    window, time_ns = calibration_window(recording), recording.prepared.time_ns
+    return int(time_ns[window.start]), int(time_ns[window.stop - 1])
+
+
+def calibrate_camera(recording: Recording, tracking: CameraTracking) -> tuple[CameraFit, ...]:
+    """Calibrate the camera along its image axes, the main one first; targets of no use are tracked no further.
+
+    Raises UntrustedError where no target can be calibrated along the main axis.
+    """
+    tracking.until(window_ends(recording)[1])
+    fits = [_fitted(recording, tracking)]
+    across, refused = recording.across, ""
+    if across is not None and across.fused:
+        try:
+            fits.append(_fitted(across, tracking))
+        except UntrustedError as error:
+            refused = f"Along {across.axis} the accelerometer is not used and the target only tracked. {error}"
+    fits = one_offset(fits)
+    if not fits[0].used:
+        raise UntrustedError(
+            f"The targets along {recording.axis} and the other axis contradict each other: {' '.join(fits[0].reasons)} "
+            "Check accelerometer.value_x, accelerometer.value_y and that both columns are of the same clock."
+        )
+    if across is not None and len(fits) == 2 and not fits[1].used:
+        refused = f"Along {across.axis} the target is only tracked: {' '.join(fits[1].reasons)}"
+        fits = fits[:1]
+    offset = common_offset(fits)
+    parts = [_axis(view, tracking, fit, offset) for view, fit in zip((recording, across), fits, strict=False) if view]
+    tracking.leave_out([k for k, target in enumerate(parts[0].calibration.targets) if not target.used])
+    if across is not None and len(parts) == 1:
+        only = _tracked_only(recording, tracking, parts[0].calibration)
+        parts.append(replace(only, warnings=(refused,) if refused else ()))
+    return tuple(parts)
+
+
+def _fitted(recording: Recording, tracking: CameraTracking) -> Fitted:
+    """Each target's own calibration along the recording's axis; UntrustedError where all are refused."""
+    found: list[ScaleCalibration | None] = []
+    reasons: list[str] = []
+    for target, track in zip(tracking.targets, tracking.tracks, strict=True):
+        try:
+            pair = camera_pair(recording, track, target.blur_s(recording.exposure_s))
+            found.append(calibrate_scale(pair, recording.settings.calibration.max_offset_s))
+            reasons.append("")
+        except UntrustedError as error:
+            found.append(None)
+            reasons.append(str(error))
+    if any(found):
+        return Fitted(tuple(found), tuple(reasons))
+    lines = [_named(tracking, target, reason) for target, reason in zip(tracking.targets, reasons, strict=True)]
+    raise UntrustedError(" ".join((*lines, *tracking.warnings())))
+
+
+def _named(tracking: CameraTracking, target: TargetTracking, text: str) -> str:
+    return text if len(tracking.targets) == 1 else f"Target {target.name}: {text}"
+
+
+def camera_pair(recording: Recording, track: PixelTrack, blur_s: float) -> Pair:
+    """A target's translation along the recording's axis, and the acceleration, in the calibration window."""
+    first, last = window_ends(recording)
+    # Frames close to the window's ends could fall outside it at the largest clock offset and would change the sum.
+    margin = round(recording.settings.calibration.max_offset_s * NANOSECONDS)
+    last = min(last, int(track.time_ns[-1]) + margin + NANOSECONDS)
+    window = inside(recording.prepared.time_ns, first, last)
+    value, variance = track.along(recording.axis)
+    inner = inside(track.time_ns, first + margin, last - margin)
+    rows = measured_rows(track.time_ns[inner], value[inner], variance[inner], first)
+    samples, outside = in_band(recording.prepared.rows(first, window), recording.settings.calibration.band_hz)
+    return Pair(samples, rows, None, blur_s, outside)
+
+
+def in_band(samples: Floats, band_hz: tuple[float, float] | None) -> tuple[Floats, Floats | None]:
+    """Samples (n, 3) with the acceleration of a band (zero phase), and those with the rest of it; None for no band."""
+    if band_hz is None:
+        return samples, None
+    from scipy.signal import butter, sosfiltfilt
+
+    rate = (len(samples) - 1) / float(samples[-1, 0] - samples[0, 0])
+    low, high = band_hz[0], min(band_hz[1], 0.49 * rate)
+    if low >= high:
+        raise UsageError(
+            f"calibration.band_hz = {list(band_hz)}: must lie below half the accelerometer's rate of {rate:.4g} Hz."
+        )
+    kind, edges = ("bandpass", [low, high]) if low > 0 else ("lowpass", high)
+    inside, outside = samples.copy(), samples.copy()
+    inside[:, 1] = sosfiltfilt(butter(4, edges, kind, fs=rate, output="sos"), samples[:, 1])
+    outside[:, 1] -= inside[:, 1]
+    return inside, outside
+
+
+def measured_rows(time_ns: Nanoseconds, value: Floats, variance: Floats, origin_ns: int) -> Floats:
+    """Rows (m, 3) for calibration: time (s), value counted from its first, variance (infinite where unusable)."""
+    usable = np.isfinite(value) & np.isfinite(variance)
+    if not usable.any():
+        return np.empty((0, 3))
+    filled = np.where(usable, value - value[np.argmax(usable)], 0.0)
+    return np.column_stack(((time_ns - origin_ns) / NANOSECONDS, filled, np.where(usable, variance, np.inf)))
+
+
+def judged_by(recording: Recording, track: PixelTrack) -> Agreement:
+    """What the accelerometer says of a place that was followed for a while."""
+    try:
+        pair = camera_pair(recording, track, recording.exposure_s or 0.0)
+        found = calibrate_scale(pair, recording.settings.calibration.max_offset_s)
+    except UntrustedError as error:
+        text = str(error)
+        return Agreement(np.inf, text.startswith("No agreement"), text.split(" (")[0].split(":")[0].rstrip("."))
+    std_m = abs(found.scale.value_m_per_px) * found.noise.std
+    text = f"fits the accelerometer, {1e3 * found.scale.value_m_per_px:.3g} mm/px, noise {1e3 * std_m:.2g} mm a frame"
+    missed = float(np.mean(~np.isfinite(found.search.pair.rows[:, 2])))
+    told = f"{text}, missed in {100 * missed:.2g} % of the frames" if missed > 0.0 else text
+    return Agreement(std_m, False, told, missed)
+
+
+def _axis(recording: Recording, tracking: CameraTracking, fit: Fitted, offset: TimeOffset) -> CameraFit:
+    """All targets along one axis as one calibration; those that do not agree with the others are not used."""
+    targets = [
+        _target(target, found, reason, recording.axis)
+        for target, found, reason in zip(tracking.targets, fit.found, fit.reasons, strict=True)
+    ]
+    targets = _without_useless(targets)
+    best = _best(targets)
+    found = fit.found[best]
+    assert found is not None
+    camera = _camera(tracking, recording.axis, targets, offset)
+    camera = _without_movers(recording, tracking, camera, found.input_noise_density)
+    best = _best(camera.targets)
+    found = fit.found[best]
+    assert found is not None
+    scales = [f for f, target in zip(fit.found, camera.targets, strict=True) if f is not None and target.used]
+    several = len(camera.targets) > 1
+    warnings = [
+        f"Target {target.name} is left out along {recording.axis}: {target.reason}"
+        for target in camera.targets
+        if not target.used
+    ]
+    for target, one in zip(camera.targets, fit.found, strict=True):
+        if one is not None and target.used:
+            warnings += [f"Target {target.name}: {line}" if several else line for line in one.warnings]
+    camera = replace(
+        _camera(tracking, recording.axis, list(camera.targets), offset),
+        relative_scale_std=_relative_scale_std(scales) if len(scales) > 1 else None,
+    )
+    return CameraFit(camera, found.input_noise_density, tuple(warnings), found)
+
+
+def _target(target: TargetTracking, found: ScaleCalibration | None, reason: str, axis: str) -> TargetCalibration:
+    if found is None:
+        return TargetCalibration(target.region, target.name, None, used=False, reason=reason)
+    scale = target.with_codec_error(found.scale, axis)
+    return TargetCalibration(
+        target.region, target.name, scale, found.noise.std, found.variance_factor, not reason, reason
+    )
+
+
+def noise_m(target: TargetCalibration) -> float:
+    """Noise of one frame's displacement, m; infinite for a target that is not used."""
+    if not target.used or target.scale is None:
+        return np.inf
+    return abs(target.scale.value_m_per_px) * target.noise_std_px
+
+
+def _best(targets: Sequence[TargetCalibration]) -> int:
+    return min(range(len(targets)), key=lambda k: noise_m(targets[k]))
+
+
+def _without_useless(targets: list[TargetCalibration]) -> list[TargetCalibration]:
+    best = min(noise_m(target) for target in targets)
+    return [
+        target
+        if not target.used or noise_m(target) <= USELESS * best
+        else replace(
+            target,
+            used=False,
+            reason=(
+                f"it differs from the acceleration by {1e3 * noise_m(target):.2g} mm a frame, "
+                f"{noise_m(target) / best:.0f} times as much as the best target: it moves by itself or is too poor to "
+                "help."
+            ),
+        )
+        for target in targets
+    ]
+
+
+def _camera(
+    tracking: CameraTracking, direction: str, targets: Sequence[TargetCalibration], offset: TimeOffset
+) -> CameraCalibration:
+    """The record of one axis: the best target's values, and all targets."""
+    place = _best(targets)
+    best = targets[place]
+    assert best.scale is not None
+    tracker = bare(tracking.targets[place].tracker)
+    gains = tracker.phase_gain_px_per_rad if isinstance(tracker, PhaseGain) else None
+    return CameraCalibration(
+        scale=best.scale,
+        offset=offset,
+        region=best.region,
+        direction=direction,
+        tracker=tracking.settings.tracker,
+        noise_std_px=best.noise_std_px,
+        variance_factor=best.variance_factor,
+        phase_scale_m_per_rad=None if gains is None else best.scale.value_m_per_px * gains["xy".index(direction)],
+        targets=tuple(targets),
+        lens=tracking.settings.lens,
+    )
+
+
+def _without_movers(
+    recording: Recording, tracking: CameraTracking, camera: CameraCalibration, density: float
+) -> CameraCalibration:
+    """The calibration with those targets out of use that move by themselves, the worst first."""
+    while len(camera.used) > 1:
+        used = [k for k, target in enumerate(camera.targets) if target.used]
+        acceleration = recording.prepared.with_noise(density)
+        blocks = camera_blocks([tracking.targets[k] for k in used], camera, recording.exposure_s, acceleration)
+        kalman = filter_settings(recording.prepared, density)
+        found = together(blocks, camera.mappings(), acceleration, kalman, window_ends(recording))
+        worst = moves_by_itself(found)
+        if worst is None:
+            break
+        reason = (
+            f"it moves by itself: it differs from the others by {1e3 * found.apart_m[worst]:.2g} mm rms, "
+            f"{found.apart[worst]:.1f} times what its noise and scale factor explain."
+        )
+        targets = list(camera.targets)
+        targets[used[worst]] = replace(targets[used[worst]], used=False, reason=reason)
+        camera = replace(camera, targets=tuple(targets))
+    return camera
+
+
+def _relative_scale_std(scales: Sequence[ScaleCalibration]) -> float:
+    """Relative standard deviation of the scale factor of all targets' mean."""
+    relative = np.array([s.scale.variance / s.scale.value_m_per_px**2 for s in scales])
+    weight = np.array([1.0 / (s.scale.value_m_per_px * s.noise.std) ** 2 for s in scales])
+    shared = float(np.mean([shared_part(s) for s in scales]))
+    return float(np.sqrt(pooled_variance(weight / weight.sum(), relative, shared)))
+
+
+def _tracked_only(recording: Recording, tracking: CameraTracking, main: CameraCalibration) -> CameraFit:
+    """The axis without an accelerometer: pixels are square, and how the structure is shaken is learnt from the picture.
+
+    Its sign: positive where the structure moves to the right or down in the image, so that the picture goes the other
+    way.
+    """
+    axis = "x" if main.direction == "y" else "y"
+    targets, densities = [], []
+    for target, tracked, track in zip(main.used, tracking.targets, tracking.tracks, strict=True):
+        assert target.scale is not None
+        value = -abs(target.scale.value_m_per_px)
+        first, last = window_ends(recording)
+        translation, variance = track.along(axis)
+        window = inside(track.time_ns, first, last)
+        rows = measured_rows(track.time_ns[window], value * translation[window], value**2 * variance[window], first)
+        if np.count_nonzero(np.isfinite(rows[:, 2])) < LEAST_FRAMES:
+            raise UntrustedError(f"Only {len(rows)} usable frames lie in the calibration window along {axis}.")
+        still = recording.prepared.rows(first, calibration_window(recording)) * np.array([1.0, 0.0, 1.0])
+        # The tracker is as far from its own variance as along the other axis.
+        rows[:, 2] *= target.variance_factor
+        usual = float(np.sqrt(target.variance_factor * np.nanmedian(variance[window])))
+        scale = ScaleFactor(value, target.scale.variance)
+        targets.append(TargetCalibration(tracked.region, tracked.name, scale, usual, target.variance_factor))
+        densities.append(learn_motion(Pair(still, rows, 1.0)))
+    camera = replace(
+        _camera(tracking, axis, targets, main.offset), fused=False, relative_scale_std=main.relative_scale_std
+    )
+    return CameraFit(camera, densities[_best(targets)])

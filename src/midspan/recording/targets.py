@@ -1,0 +1,185 @@
+"""The targets of a camera as one displacement: each beside the path that all and the accelerometer agree on."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from midspan.calibration.whitening import BIAS_WALK_RATIO
+from midspan.engine.monitor import CameraScale
+from midspan.engine.targets import AGREE_STD, Used, agreeing, combine, relative_zeros
+from midspan.fusion.kalman import KalmanSettings
+from midspan.fusion.smoother import smooth
+from midspan.recording.acceleration import PreparedAcceleration
+from midspan.recording.calibration import CameraCalibration
+from midspan.recording.tracking import TargetTracking
+from midspan.records import Acceleration, Displacement, Estimate, Floats, joined, part, seconds
+
+# A target whose displacement leaves the others' by this many times what noise and scale explain moves by itself.
+DISAGREES = 2.5
+# Less than this of the zero's own standard deviation is no disagreement: no model fits to the last digit.
+LEAST_APART_M = 1e-5
+
+
+@dataclass(frozen=True, slots=True)
+class Together:
+    """One displacement out of several targets'.
+
+    measured: one row a frame; zeros_m (k,): the targets' relative zeros; used (k, n): who stands behind each frame;
+    apart (k,): rms of each target's difference from the path over what noise and scale explain; apart_m the same in m.
+    """
+
+    measured: Displacement
+    zeros_m: Floats
+    used: Used
+    apart: Floats
+    apart_m: Floats
+
+
+def together(
+    blocks: Sequence[Displacement],
+    scales: Sequence[CameraScale],
+    acceleration: Acceleration,
+    kalman: KalmanSettings,
+    window_ns: tuple[int, int],
+) -> Together:
+    """Fuse the displacements of several targets of one camera, frame by frame, by inverse variance.
+
+    blocks: one a target, the same frames, on the accelerometer's clock; scales: their mappings. window_ns: the zeros
+    are learnt from the frames between these stamps. A frame's targets that disagree with the others, or with the path,
+    by more than four standard deviations are left out there.
+    """
+    count = len(blocks)
+    if count == 1:
+        used = np.isfinite(blocks[0].value_m)[None, :]
+        return Together(blocks[0], np.zeros(1), used, np.zeros(1), np.zeros(1))
+    best = min(range(count), key=lambda k: _usual(blocks[k]))
+    path = smooth(acceleration, blocks[best], kalman).estimate
+    residual, slack, variance = _beside(blocks, scales, path)
+    window = _window(blocks[0], window_ns)
+    zeros = relative_zeros(residual[:, window], variance[:, window])
+    # Beside the target that agrees best with the accelerometer: one that moves by itself must not draw the path.
+    # Where that one is hidden the path is vague.
+    apart, apart_m = _apart(residual, variance + slack**2 + _at(path, blocks[0], path.variance_m2), window)
+    moved = [replace(block, value_m=block.value_m - zero) for block, zero in zip(blocks, zeros, strict=True)]
+    merged = joined(moved)
+    path = smooth(acceleration, part(merged, np.argsort(merged.time_ns, kind="stable")), kalman).estimate
+    residual, slack, variance = _beside(moved, scales, path)
+    used = agreeing(residual, variance + slack**2, _at(path, blocks[0], path.variance_m2))
+    found = combine(residual, variance, used)
+    stamps = np.array([block.time_ns for block in blocks])
+    late = np.sum(found.weight * (stamps - stamps[0]), axis=0)
+    time_ns = stamps[0] + np.rint(late).astype(np.int64)
+    expected = np.array([_path(path, block) for block in blocks])
+    value = found.value + np.where(found.used.any(axis=0), np.sum(found.weight * expected, axis=0), np.nan)
+    measured = Displacement(time_ns, value, np.where(np.isfinite(value), found.variance, np.nan), blocks[0].source)
+    return Together(measured, zeros, used, apart, apart_m)
+
+
+def camera_blocks(
+    targets: Sequence[TargetTracking],
+    camera: CameraCalibration,
+    exposure_s: float | None,
+    acceleration: Acceleration,
+) -> list[Displacement]:
+    """The displacement that each target in use says, on the accelerometer's clock, without the exposure's averaging."""
+    return [
+        unblurred(mapping.displacement(target.track), target.blur_s(exposure_s), acceleration)
+        for target, mapping in zip(targets, camera.mappings(), strict=True)
+    ]
+
+
+def unblurred(measured: Displacement, blur_s: float, acceleration: Acceleration) -> Displacement:
+    """The camera's displacement without what averaging over `blur_s` added: blur²/24 of the acceleration."""
+    if blur_s == 0.0:
+        return measured
+    value = acceleration.value_m_s2 - np.mean(acceleration.value_m_s2)
+    added = blur_s**2 / 24.0 * np.interp(measured.time_ns, acceleration.time_ns, value)
+    return replace(measured, value_m=measured.value_m - added)
+
+
+def filter_settings(prepared: PreparedAcceleration, density: float, bias: float | None = None) -> KalmanSettings:
+    """First guesses for the filter: the bias (the mean when left out) and how well it is known.
+
+    density: of the acceleration's noise, (m/s²)²/Hz. Without any acceleration the motion is that noise, and its slow
+    part is left to the bias as it was when the density was learnt.
+    """
+    value = prepared.value_m_s2
+    if not value.any():
+        return KalmanSettings(bias_walk=BIAS_WALK_RATIO * density, bias_std=float(np.sqrt(density)) + 1e-9)
+    noise = float(np.sqrt(density * prepared.rate_hz))
+    # A mean over motion is off by some of the motion.
+    return KalmanSettings(
+        bias=float(np.mean(value)) if bias is None else bias, bias_std=float(0.3 * np.std(value) + 10.0 * noise + 1e-4)
+    )
+
+
+def _usual(block: Displacement) -> float:
+    """The usual variance of a target, m²; infinite for one that was never seen."""
+    known = block.variance_m2[np.isfinite(block.variance_m2)]
+    return float(np.median(known)) if len(known) else np.inf
+
+
+def _window(block: Displacement, window_ns: tuple[int, int]) -> slice:
+    """The frames in the window; all of them where it holds too few."""
+    first, last = (int(i) for i in np.searchsorted(block.time_ns, window_ns))
+    return slice(first, last) if last - first >= 20 else slice(0, len(block.time_ns))
+
+
+def _beside(
+    blocks: Sequence[Displacement], scales: Sequence[CameraScale], path: Estimate
+) -> tuple[Floats, Floats, Floats]:
+    """Each target's displacement minus the path, what its scale factor may make of it, and its variance: (k, n)."""
+    expected = np.array([_path(path, block) for block in blocks])
+    relative = np.array([[scale.relative_std] for scale in scales])
+    value = np.array([block.value_m for block in blocks])
+    return value - expected, relative * expected, np.array([block.variance_m2 for block in blocks])
+
+
+def _path(path: Estimate, block: Displacement) -> Floats:
+    """The path (n,) at a block's instants: between samples the cubic of displacements and velocities at both ends."""
+    t = seconds(path.time_ns, int(path.time_ns[0]))
+    at = np.clip(seconds(block.time_ns, int(path.time_ns[0])), t[0], t[-1])
+    k = np.clip(np.searchsorted(t, at, side="right") - 1, 0, len(t) - 2)
+    h = t[k + 1] - t[k]
+    u = (at - t[k]) / h
+    d, v = path.displacement_m, path.velocity_m_s
+    mine: Floats = (
+        (1 + 2 * u) * (1 - u) ** 2 * d[k]
+        + u * (1 - u) ** 2 * h * v[k]
+        + u * u * (3 - 2 * u) * d[k + 1]
+        - u * u * (1 - u) * h * v[k + 1]
+    )
+    return mine
+
+
+def _at(path: Estimate, block: Displacement, value: Floats) -> Floats:
+    """A column of the path (n,) at a block's instants, by straight lines."""
+    origin = int(path.time_ns[0])
+    return np.interp(seconds(block.time_ns, origin), seconds(path.time_ns, origin), value)
+
+
+def _apart(residual: Floats, variance: Floats, window: slice) -> tuple[Floats, Floats]:
+    """How far each target lies from the path in the window: over what is explained, and rms in m.
+
+    Single wrong frames do not count for more than eight standard deviations.
+    """
+    residual, variance = residual[:, window], variance[:, window]
+    usable = np.isfinite(residual) & np.isfinite(variance)
+    share, size = np.zeros(len(residual)), np.zeros(len(residual))
+    for k, known in enumerate(usable):
+        if known.any():
+            own = residual[k, known] - float(np.median(residual[k, known]))
+            std = np.sqrt(variance[k, known])
+            held = np.clip(own, -2.0 * AGREE_STD * std, 2.0 * AGREE_STD * std)
+            share[k] = float(np.sqrt(np.mean((held / std) ** 2)))
+            size[k] = float(np.sqrt(np.mean(held**2)))
+    return share, size
+
+
+def moves_by_itself(found: Together) -> int | None:
+    """The target (number from 0) that differs most from the others beyond what is explained; None where none does."""
+    if len(found.zeros_m) < 2:
+        return None
+    worst = int(np.argmax(found.apart))
+    return worst if found.apart[worst] > DISAGREES and found.apart_m[worst] > LEAST_APART_M else None

@@ -1,0 +1,313 @@
+"""`adaptive-kalman`: the printed equations against a plain implementation, their run-away, and what the guard does."""
+
+import numpy as np
+import pytest
+from fusion_oracles import acceleration_block, displacement_block, filtered
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from midspan.errors import UsageError
+from midspan.fusion.adaptive import AdaptiveFilter, AdaptiveSettings, adapt
+from midspan.fusion.gate import REJECTED
+from midspan.fusion.kalman import KalmanSettings
+from midspan.fusion.smoother import collected
+from midspan.records import Status, part
+
+LITERAL = AdaptiveSettings(literal=True, forgetting=0.9, kalman=KalmanSettings(velocity_std=1e-2))
+RATE_A, RATE_D = 100.0, 10.0
+
+
+def transition(dt):
+    return np.array([[1.0, dt], [0.0, 1.0]])
+
+
+def hold(dt):
+    return np.array([0.5 * dt * dt, dt])
+
+
+def as_printed(time, acceleration, q, frames, beta):
+    """Equations 7 to 26 with plain matrices, for at most one frame in an interval of the accelerometer.
+
+    Returns displacement and velocity (n, 2), covariance (n, 2, 2) and R of each frame. The start: zero, the velocity's
+    variance 1e-4; the first frame's variance is R for ten frames, and that of the position at the start of the first
+    frame's interval.
+    """
+    row = np.array([1.0, 0.0])
+    x, p, r, i = np.zeros(2), np.diag([0.0, 1e-4]), None, 0
+    states, covariances, noises = [], [], []
+    while i < len(frames) and frames[i][0] < time[0]:
+        i += 1
+    for k in range(len(time)):
+        start, a = (time[k - 1], acceleration[k - 1]) if k else (time[0], 0.0)
+        dt = time[k] - start
+        if i < len(frames) and frames[i][0] <= time[k]:
+            stamp, u, declared = frames[i]
+            if r is None:
+                r = declared
+                p = p + np.diag([declared, 0.0])
+            before, after = stamp - start, time[k] - stamp
+            y = transition(before) @ x + hold(before) * a  # eq. 7 with the shorter step
+            g = transition(before) @ p @ transition(before).T + q * np.outer(hold(before), hold(before))  # eq. 8
+            eta = u - row @ y  # eq. 19
+            if len(noises) >= 10:
+                r = beta * r + (1.0 - beta) * (eta**2 - row @ g @ row)  # eq. 20
+            gain = g @ row / (row @ g @ row + r)  # eq. 9
+            kept = np.eye(2) - np.outer(gain, row)
+            w1 = transition(after) @ kept @ transition(before)  # eq. 23
+            w2 = transition(after) @ kept @ hold(before) + hold(after)  # eq. 24
+            w3 = transition(after) @ gain  # eq. 25
+            x = w1 @ x + w2 * a + w3 * u  # eq. 22
+            p = w1 @ p @ w1.T + q * np.outer(w2, w2) + r * np.outer(w3, w3)  # eq. 26
+            noises.append(r)
+            i += 1
+        else:
+            x = transition(dt) @ x + hold(dt) * a  # eqs. 7 and 12
+            p = transition(dt) @ p @ transition(dt).T + q * np.outer(hold(dt), hold(dt))  # eqs. 8 and 13
+        states.append(x)
+        covariances.append(p)
+    return np.array(states), np.array(covariances), np.array(noises)
+
+
+def asynchronous(seed, *, offset_s=0.0037):
+    """Two seconds of noise: frames between the samples, and every third exactly on one."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(200) / RATE_A
+    met = np.arange(18) / RATE_D + offset_s
+    met[::3] = np.round(met[::3], 2)
+    acceleration = rng.normal(0, 0.5, len(time))
+    value = rng.normal(0, 0.01, len(met))
+    return time, acceleration, met, value
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_the_literal_form_equals_a_plain_implementation_of_the_printed_equations(seed):
+    time, acceleration, met, value = asynchronous(seed)
+    q, declared = 0.3**2, 1e-4
+    states, covariances, noises = as_printed(
+        time, acceleration, q, [(t, u, declared) for t, u in zip(met, value, strict=True)], LITERAL.forgetting
+    )
+    found = adapt(acceleration_block(time, acceleration, q / RATE_A), displacement_block(met, value, declared), LITERAL)
+    size = np.abs(states).max(axis=0)
+    # Stamps are whole nanoseconds, a few 1e-16 s off the plain ones; the rest is rounding.
+    np.testing.assert_allclose(found.estimate.displacement_m, states[:, 0], rtol=1e-9, atol=1e-11 * size[0])
+    np.testing.assert_allclose(found.estimate.velocity_m_s, states[:, 1], rtol=1e-9, atol=1e-11 * size[1])
+    np.testing.assert_allclose(found.variance_m2, noises, rtol=1e-9)
+    assert np.all(found.estimate.variance_m2 >= np.maximum(covariances[:, 0, 0], 0.0) * (1 - 1e-9))
+
+
+def test_the_literal_form_takes_expected_bias_off_and_ignores_unusable_and_early_frames():
+    time, acceleration, met, value = asynchronous(4)
+    plain = adapt(acceleration_block(time, acceleration, 1e-3), displacement_block(met, value, 1e-4), LITERAL)
+    more = np.concatenate(([-0.02], met, [1.9]))
+    values = np.concatenate(([5.0], value, [np.nan]))
+    known = AdaptiveSettings(literal=True, forgetting=0.9, kalman=KalmanSettings(bias=9.81, velocity_std=1e-2))
+    found = adapt(acceleration_block(time, acceleration + 9.81, 1e-3), displacement_block(more, values, 1e-4), known)
+    # Taking 9.81 off again leaves 15 of 16 digits.
+    np.testing.assert_allclose(found.estimate.displacement_m, plain.estimate.displacement_m, rtol=1e-9, atol=1e-14)
+
+
+def test_two_frames_in_one_interval_are_taken_one_after_the_other():
+    # The held acceleration's noise is the same throughout an interval: as a third state, which is not updated, it
+    # carries what W1, W2 and W3 of the printed equations carry for one frame.
+    time = np.array([0.0, 0.01, 0.02])
+    acceleration, q, declared = np.array([0.4, -0.3, 0.1]), 0.04, 1e-5
+    met, value = np.array([0.012, 0.016]), np.array([0.003, -0.001])
+    found = adapt(acceleration_block(time, acceleration, q / RATE_A), displacement_block(met, value, declared), LITERAL)
+    mean, whole = np.zeros(3), np.diag([0.0, 1e-4, q])
+    step = np.eye(3)
+    step[:2, :2], step[:2, 2] = transition(0.01), hold(0.01)
+    mean[:2] += hold(0.01) * 0.4
+    whole = step @ whole @ step.T
+    # The next interval has a noise of its own, and its first frame's variance is that of the position.
+    whole[2, :] = whole[:, 2] = 0.0
+    whole[2, 2] = q
+    whole[0, 0] += declared
+    for dt, u in ((0.002, value[0]), (0.004, value[1]), (0.004, None)):
+        step[:2, :2], step[:2, 2] = transition(dt), hold(dt)
+        mean = step @ mean + np.array([*(hold(dt) * -0.3), 0.0])
+        whole = step @ whole @ step.T
+        if u is not None:
+            gain = np.array([*whole[:2, 0], 0.0]) / (whole[0, 0] + declared)
+            kept = np.eye(3) - np.outer(gain, [1.0, 0.0, 0.0])
+            mean = mean + gain * (u - mean[0])
+            whole = kept @ whole @ kept.T + declared * np.outer(gain, gain)
+    assert found.estimate.displacement_m[-1] == pytest.approx(mean[0], rel=1e-10)
+    assert found.estimate.velocity_m_s[-1] == pytest.approx(mean[1], rel=1e-10)
+    assert found.estimate.variance_m2[-1] >= whole[0, 0] * (1 - 1e-10)
+
+
+def still(seed, bias, length_s, noise=(5e-3, 0.5e-3)):
+    """A structure at rest: acceleration with noise and bias, displacement with noise (m/s², m)."""
+    rng = np.random.default_rng(seed)
+    time, met = np.arange(int(RATE_A * length_s)) / RATE_A, np.arange(int(RATE_D * length_s)) / RATE_D
+    acceleration = acceleration_block(time, bias + rng.normal(0, noise[0], len(time)), noise[0] ** 2 / RATE_A)
+    return acceleration, displacement_block(met, rng.normal(0, noise[1], len(met)), noise[1] ** 2)
+
+
+@pytest.mark.parametrize("share", [0.3, 0.6, 0.8])
+def test_equation_20_settles_where_the_bias_and_the_noise_balance(share):
+    limit = 5e-3 * np.sqrt(RATE_D / RATE_A)
+    # The balance is that of the mean values: a long memory keeps R's own scatter, which shifts it, small.
+    found = adapt(*still(5, share * limit, 2400.0), AdaptiveSettings(literal=True, forgetting=0.998))
+    settled = found.variance_m2[len(found.variance_m2) // 2 :]
+    # 12000 frames with a memory of 500 are 24 looks at R, each ± 4.5 %; near the limit the feedback makes them three
+    # times slower and larger, and a third of a scatter of 15 % goes into the mean: 10 %.
+    assert np.mean(settled) / 0.5e-3**2 == pytest.approx(1.0 / (1.0 - share**2), rel=0.10)
+
+
+def test_beyond_the_limit_equation_20_runs_away_and_the_guard_does_not():
+    limit = 5e-3 * np.sqrt(RATE_D / RATE_A)
+    blocks = still(6, 2.0 * limit, 600.0)
+    literal, guarded = adapt(*blocks, AdaptiveSettings(literal=True, forgetting=0.98)), adapt(*blocks)
+    # R grows without limit: each quarter's mean is beyond the last one's.
+    quarters = [np.mean(chunk) for chunk in np.array_split(literal.variance_m2, 4)]
+    assert np.all(np.diff(quarters) > 0)
+    assert quarters[-1] > 1e6 * 0.5e-3**2
+    # The bias is a state: R is the noise's within ± 15 % and the error is that of the filter with known noise.
+    assert np.mean(guarded.variance_m2[600:]) == pytest.approx(0.5e-3**2, rel=0.15)
+    fixed = filtered(*blocks)[0].displacement_m[6000:]
+    assert rms(guarded.estimate.displacement_m[6000:]) <= 1.06 * rms(fixed)
+
+
+def rms(values):
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def moving(time):
+    parts = ((8e-3, 0.1), (3e-3, 3.3))
+    value = sum(a * np.sin(2 * np.pi * f * time) for a, f in parts)
+    return value, -sum(a * (2 * np.pi * f) ** 2 * np.sin(2 * np.pi * f * time) for a, f in parts)
+
+
+def shaken(seed, growth=1.0):
+    """A moving structure; from the middle of two minutes on the displacement's noise is `growth` times 0.1 mm."""
+    rng = np.random.default_rng(seed)
+    time, met = np.arange(12000) / RATE_A, np.arange(1199) / RATE_D + 0.004
+    acceleration = moving(time)[1] + 5e-3 + rng.normal(0, 2e-3, len(time))
+    noise = np.where(met < 60.0, 1e-4, growth * 1e-4)
+    value = moving(met)[0] + noise * rng.normal(0, 1, len(met))
+    return acceleration_block(time, acceleration, 4e-8), met, value, noise, moving(time)[0]
+
+
+def test_a_fivefold_step_of_the_noise_is_learnt_and_costs_at_most_six_per_cent():
+    errors = {"adaptive": [], "oracle": []}
+    for seed in range(12):
+        acceleration, met, value, noise, truth = shaken(seed, 5.0)
+        found = adapt(acceleration, displacement_block(met, value, 1e-8))
+        oracle = filtered(acceleration, displacement_block(met, value, noise**2))[0]
+        errors["adaptive"].append((found.estimate.displacement_m - truth)[500:])
+        errors["oracle"].append((oracle.displacement_m - truth)[500:])
+        late = found.variance_m2[900:]
+        # The memory is 20 frames: 300 frames give R to ± 8 %.
+        assert np.mean(late) == pytest.approx(25e-8, rel=0.25)
+    assert rms(errors["adaptive"]) <= 1.06 * rms(errors["oracle"])
+
+
+@pytest.mark.parametrize("told", [0.1, 10.0])
+def test_a_noise_told_wrong_by_ten_costs_at_most_six_per_cent(told):
+    errors = {"adaptive": [], "oracle": []}
+    for seed in range(3):
+        acceleration, met, value, _, truth = shaken(seed)
+        wrong = adapt(acceleration, displacement_block(met, value, told * 1e-8)).estimate
+        oracle = filtered(acceleration, displacement_block(met, value, 1e-8))[0]
+        errors["adaptive"].append((wrong.displacement_m - truth)[500:])
+        errors["oracle"].append((oracle.displacement_m - truth)[500:])
+    assert rms(errors["adaptive"]) <= 1.06 * rms(errors["oracle"])
+
+
+def test_the_band_is_honest():
+    inside = {True: [], False: []}
+    for literal, shares in inside.items():
+        for seed in range(4):
+            acceleration, met, value, _, truth = shaken(seed)
+            # The printed form knows no bias; it is given the right one.
+            chosen = AdaptiveSettings(literal=literal, kalman=KalmanSettings(bias=5e-3))
+            estimate = adapt(acceleration, displacement_block(met, value, 1e-8), chosen).estimate
+            error = (estimate.displacement_m - truth)[500:]
+            shares.append(np.mean(np.abs(error) <= 1.96 * np.sqrt(estimate.variance_m2[500:])))
+    # Learnt noise widens the band a little; the printed form's is made from above, so that it may cover more.
+    assert 0.93 <= np.mean(inside[False]) <= 0.97
+    assert np.mean(inside[True]) >= 0.93
+
+
+def test_outliers_and_a_stuck_target_are_rejected_and_do_not_raise_the_noise():
+    acceleration, met, value, _, truth = shaken(9)
+    rng = np.random.default_rng(9)
+    bad = (rng.random(len(met)) < 0.1) & (met > 5.0)
+    spoilt = value + np.where(bad, rng.choice([-1.0, 1.0], len(met)) * rng.uniform(1e-3, 6e-3, len(met)), 0.0)
+    stuck = (met > 80.0) & (met < 84.0)
+    spoilt[stuck] += 8e-3
+    found = adapt(acceleration, displacement_block(met, spoilt, 1e-8))
+    clean = adapt(acceleration, displacement_block(met, value, 1e-8))
+    assert np.all(found.innovation.verdict[bad | stuck] == REJECTED)
+    assert [event.kind for event in found.events] == ["rejected"]
+    # Two steps in ten are an outlier's, which puts the median step at 1.3 times the clean one: 1.7 in variance.
+    assert np.median(found.variance_m2[100:]) < 1.7 * np.median(clean.variance_m2[100:])
+    time = np.arange(12000) / RATE_A
+    apart = (time > 5.0) & ~((time > 80.0) & (time < 86.0))
+    # A tenth of the frames is missing: five per cent of the error, and some more where several are missing in a row.
+    assert rms((found.estimate.displacement_m - truth)[apart]) <= 1.10 * rms(
+        (clean.estimate.displacement_m - truth)[apart]
+    )
+
+
+def test_floor_and_ceiling_hold_whatever_comes():
+    rng = np.random.default_rng(3)
+    time, met = np.arange(3000) / RATE_A, np.arange(299) / RATE_D
+    acceleration = acceleration_block(time, np.zeros(3000), 1e-9)
+    for spread in (0.0, 1e-4, 10.0):
+        found = adapt(
+            acceleration,
+            displacement_block(met, spread * rng.normal(0, 1, 299), 1e-8),
+            AdaptiveSettings(floor=0.5, ceiling=3.0),
+        )
+        deviation = np.sqrt(found.variance_m2 / 1e-8)
+        assert np.all((deviation >= 0.5 * (1 - 1e-12)) & (deviation <= 3.0 * (1 + 1e-12)))
+
+
+@pytest.mark.parametrize(
+    ("key", "value"), [("forgetting", 0.0), ("forgetting", 1.0), ("floor", 0.0), ("floor", 2.0), ("ceiling", 0.5)]
+)
+def test_settings_outside_their_range_are_refused_by_name(key, value):
+    with pytest.raises(UsageError, match=key):
+        AdaptiveSettings(**{key: value})
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    seed=st.integers(0, 1000),
+    literal=st.booleans(),
+    cuts=st.lists(st.integers(1, 199), unique=True, max_size=8).map(sorted),
+)
+def test_any_cutting_of_the_input_gives_the_same_output(seed, literal, cuts):
+    time, acceleration, met, value = asynchronous(seed, offset_s=0.0037 + 0.001 * (seed % 7))
+    value[seed % 18] += 1.0
+    blocks = acceleration_block(time, acceleration, 1e-3), displacement_block(met, value, 1e-4)
+    chosen = AdaptiveSettings(literal=literal)
+    whole = adapt(*blocks, chosen)
+    stream, outputs = AdaptiveFilter(chosen), []
+    for start, stop in zip([0, *cuts], [*cuts, 200], strict=True):
+        due = np.searchsorted(met, [time[start], time[stop - 1] + 1e-9])
+        first = 0 if start == 0 else int(np.searchsorted(met, time[start - 1] + 1e-9))
+        stream.push(part(blocks[1], slice(first, int(due[1]))))
+        outputs += stream.push(part(blocks[0], slice(start, stop)))
+    cut = collected([*outputs, *stream.finish()])
+    for name in whole.estimate.__slots__:
+        np.testing.assert_array_equal(getattr(cut.estimate, name), getattr(whole.estimate, name), err_msg=name)
+    np.testing.assert_array_equal(cut.innovation.value_m, whole.innovation.value_m)
+    assert cut.events == whole.events
+
+
+def test_rows_age_and_the_stream_tells_what_noise_it_has_learnt():
+    acceleration, met, value, _, _ = shaken(2)
+    kept = (met < 40.0) | (met > 60.0)
+    stream = AdaptiveFilter()
+    assert np.isnan(stream.noise_std_m)
+    stream.push(displacement_block(met[kept], value[kept], 1e-8))
+    estimate = collected(stream.push(acceleration)).estimate
+    time = np.arange(12000) / RATE_A
+    assert np.all(estimate.status[(time > 40.6) & (time < 49.0)] == Status.COASTING)
+    assert np.all(estimate.status[(time > 51.0) & (time < 60.0)] == Status.LOST)
+    assert np.all(estimate.status[(time > 61.0) & (time < 118.0)] == Status.TRACKING)
+    # Twenty frames' memory: ± 16 %, here on one draw.
+    assert stream.noise_std_m == pytest.approx(1e-4, rel=0.5)

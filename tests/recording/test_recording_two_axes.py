@@ -1,0 +1,207 @@
+"""Both axes of the image: with a two-axis accelerometer, or one axis fused and the other tracked only."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+import midspan
+from midspan.evaluate.result_file import compare_files
+from midspan.recording.inspect import inspect_recording
+from midspan.simulate import scenarios
+from midspan.simulate.motion import Sum, random_motion
+from midspan.sources.accelerometer.formats import list_channels
+from recording_edits import read_columns, set_keys
+
+# As for one axis: a frame of these cameras is good for 0.006 mm, and the zero rests on the first frame.
+FRAME_STD_MM = 0.006
+TRUE_SCALE, TRUE_OFFSET = 1.5, 0.137
+
+
+def slow(rng):
+    """A motion that 10 frames a second follow by themselves."""
+    return Sum((random_motion((0.9, 1.0), 1.4e-3, rng=rng, lines=20), random_motion((0.06, 0.14), 0.5e-3, rng=rng)))
+
+
+@pytest.fixture(scope="module")
+def site(simulated):
+    return simulated("two axes", across=scenarios._sideways)
+
+
+@pytest.fixture
+def site_copy(site, tmp_path):
+    return shutil.copytree(site, tmp_path / "site")
+
+
+@pytest.fixture(scope="module")
+def result(site):
+    return midspan.estimate(midspan.open_recording(site))
+
+
+def truths(folder):
+    """Time (s), displacement along y and along x (mm)."""
+    known = read_columns(folder / "truth.csv")
+    return known[:, 0], known[:, 1], known[:, 3]
+
+
+def errors(folder, result):
+    """Error (mm) of the main and of the second axis by name."""
+    time, y, x = truths(folder)
+    true = {"y": y, "x": x}
+    return {
+        axis: value - np.interp(result.time_s, time, true[axis])
+        for axis, value in ((result.axis, result.displacement_mm), (result.across.axis, result.across.displacement_mm))
+    }
+
+
+def assert_right(error):
+    assert np.std(error) < FRAME_STD_MM
+    assert abs(np.mean(error)) < 4 * FRAME_STD_MM
+
+
+def test_both_axes_are_right_with_their_own_scale_and_one_clock(site, result):
+    assert (result.axis, result.across.axis, result.across.fused) == ("y", "x", True)
+    for error in errors(site, result).values():
+        assert_right(error)
+    across = result.calibration.across.camera
+    assert 1e3 * result.calibration.camera.scale.value_m_per_px == pytest.approx(-TRUE_SCALE, rel=3e-3)
+    assert 1e3 * across.scale.value_m_per_px == pytest.approx(-TRUE_SCALE, rel=3e-3)
+    assert across.offset == result.calibration.camera.offset
+    assert across.offset.value_s == pytest.approx(TRUE_OFFSET, abs=1e-3)
+
+
+def test_the_clock_offset_of_both_axes_together_is_more_certain_than_of_one(site_copy, result):
+    set_keys(site_copy, "accelerometer", value="accel_x", value_x=None, value_y=None)
+    set_keys(site_copy, "camera", direction="x")
+    alone = midspan.calibrate(midspan.open_recording(site_copy)).camera.offset
+    assert result.calibration.camera.offset.variance < alone.variance
+
+
+def test_one_axis_of_the_two_is_what_it_is_alone(site_copy, result):
+    set_keys(site_copy, "accelerometer", value="accel_y", value_x=None, value_y=None)
+    set_keys(site_copy, "camera", direction="y")
+    alone = midspan.estimate(midspan.open_recording(site_copy))
+    # Only the clock offset differs, by its own uncertainty: some 0.02 ms at 15 mm/s are 0.3 µm.
+    np.testing.assert_allclose(alone.displacement_mm, result.displacement_mm, atol=2e-3)
+
+
+def test_an_accelerometer_that_points_the_other_way_turns_only_its_own_axis(site_copy, result):
+    rows = read_columns(site_copy / "accel.csv")
+    header = (site_copy / "accel.csv").read_text(encoding="utf-8").splitlines()[0]
+    column = header.split(",").index("accel_x")
+    rows[:, column] *= -1.0
+    np.savetxt(site_copy / "accel.csv", rows, delimiter=",", header=header, comments="", fmt="%.7f")
+    found = midspan.estimate(midspan.open_recording(site_copy))
+    np.testing.assert_allclose(found.across.displacement_mm, -result.across.displacement_mm, atol=1e-4)
+    np.testing.assert_allclose(found.displacement_mm, result.displacement_mm, atol=1e-4)
+
+
+def test_the_trackers_are_told_where_to_look_along_both_axes(site, result):
+    # A target that moves by several pixels along both axes between frames is still found at its edge of sharpness.
+    track = result.track
+    assert np.ptp(track.x_px) > 1.5
+    assert np.ptp(track.y_px) > 1.5
+    assert np.isfinite(track.x_px).all()
+
+
+def test_the_axis_without_a_column_is_tracked_only_and_its_band_holds(simulated, tmp_path):
+    folder = shutil.copytree(simulated("slow across", across=slow), tmp_path / "site")
+    set_keys(folder, "accelerometer", value_x=None)
+    found = midspan.estimate(midspan.open_recording(folder))
+    assert (found.axis, found.across.axis, found.across.fused) == ("y", "x", False)
+    error = errors(folder, found)
+    assert_right(error["y"])
+    # 0.95 Hz and ten frames a second: what a white acceleration makes of the time between them is far above the truth's
+    # own error, a frame's noise and the smoother's share of the motion.
+    assert np.std(error["x"]) < 0.03
+    assert np.mean(np.abs(error["x"]) < 1.96 * found.across.displacement_std_mm) > 0.95
+    # Square pixels: the magnitude is the fused axis's, and positive means that the structure moves to the right.
+    across, main = found.calibration.across.camera, found.calibration.camera
+    assert across.scale.value_m_per_px == -abs(main.scale.value_m_per_px)
+    assert found.metadata()["axes"]["x"]["fused"] is False
+
+
+def test_a_tracked_axis_too_fast_for_the_camera_has_a_wide_band_not_a_wrong_one(site_copy):
+    set_keys(site_copy, "accelerometer", value_y=None)
+    found = midspan.estimate(midspan.open_recording(site_copy))
+    assert (found.axis, found.across.axis) == ("x", "y")
+    error = errors(site_copy, found)
+    assert_right(error["x"])
+    # 4.6 Hz lies next to the Nyquist frequency of 5 Hz and cannot be told between frames: 0.25 mm rms are missed.
+    assert np.mean(np.abs(error["y"]) < 1.96 * found.across.displacement_std_mm) > 0.9
+    assert np.median(found.across.displacement_std_mm) > 10 * np.median(found.displacement_std_mm)
+
+
+def test_the_second_axis_at_rest_is_tracked_only_with_a_warning(site_copy):
+    rows = read_columns(site_copy / "accel.csv")
+    header = (site_copy / "accel.csv").read_text(encoding="utf-8").splitlines()[0]
+    column = header.split(",").index("accel_x")
+    rows[:, column] = 2.5e-3 * np.random.default_rng(0).standard_normal(len(rows))
+    np.savetxt(site_copy / "accel.csv", rows, delimiter=",", header=header, comments="", fmt="%.7f")
+    found = midspan.estimate(midspan.open_recording(site_copy))
+    assert not found.across.fused
+    assert any("Along x the accelerometer is not used" in line for line in found.warnings)
+    assert_right(errors(site_copy, found)["y"])
+
+
+def test_columns_metadata_and_data_frame_name_the_axes(result, tmp_path):
+    frame = result.to_pandas()
+    second = ["displacement_x_mm", "displacement_std_x_mm", "velocity_x_mm_s", "status_x"]
+    assert list(frame.columns)[-4:] == second
+    assert set(frame["status_x"].unique()) <= {"tracking", "coasting", "lost"}
+    saved = result.save(tmp_path / "result.csv")
+    tree = json.loads(saved.with_suffix(".json").read_text(encoding="utf-8"))
+    assert tree["axes"]["y"]["column"] == "displacement_mm"
+    assert tree["axes"]["x"]["column"] == "displacement_x_mm"
+    assert set(tree["calibration"]["camera"]["axes"]) == {"x", "y"}
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".h5", ".mat", ".mseed", ".uff"])
+def test_every_format_holds_the_second_axis(result, suffix, tmp_path):
+    path = result.save(tmp_path / f"result{suffix}")
+    channels = {channel.name: channel for channel in list_channels(path).channels}
+    name = "displacement_x_mm" if suffix != ".mseed" else next(n for n in channels if n.endswith("DSX"))
+    # CSV keeps a picometre, all others every digit.
+    np.testing.assert_allclose(channels[name].values, result.across.displacement_mm, atol=1e-8)
+
+
+@pytest.mark.parametrize("axis", ["x", "y"])
+def test_compare_takes_the_axis_of_both_files(site, result, axis, tmp_path):
+    path = result.save(tmp_path / "result.csv")
+    error = errors(site, result)[axis]
+    for reference in (site, site / "truth.csv"):
+        found = compare_files(path, reference, axis=axis)
+        # The reference is interpolated by a spline there and by straight lines here: 0.3 % of 0.25 mm at 4.6 Hz.
+        assert found.rmse_mm == pytest.approx(float(np.sqrt(np.mean(error**2))), rel=0.02)
+
+
+def test_an_axis_is_refused_where_there_is_only_one(footbridge, tmp_path):
+    path = midspan.estimate(midspan.open_recording(footbridge)).save(tmp_path / "result.csv")
+    with pytest.raises(midspan.UsageError, match="one axis only"):
+        compare_files(path, footbridge, axis="x")
+
+
+def test_a_calibration_from_its_file_gives_the_same_result(site, result, tmp_path):
+    recording = midspan.open_recording(site)
+    file = midspan.calibrate(recording).save(tmp_path / "calibration.json")
+    again = midspan.estimate(recording, midspan.load_calibration(file))
+    np.testing.assert_allclose(again.displacement_mm, result.displacement_mm, atol=1e-5)
+    np.testing.assert_allclose(again.across.displacement_mm, result.across.displacement_mm, atol=1e-5)
+
+
+def test_a_calibration_of_one_axis_is_refused_for_two(site, footbridge):
+    calibration = midspan.calibrate(midspan.open_recording(footbridge))
+    with pytest.raises(midspan.UsageError, match=r"camera\.direction = 'xy': the calibration was made for 'y'"):
+        midspan.estimate(midspan.open_recording(site), calibration)
+
+
+def test_inspect_shows_both_columns(site):
+    tree = inspect_recording(midspan.open_recording(site))
+    assert tree["accelerometer"]["channel"] == "accel_y"
+    assert tree["accelerometer_x"]["channel"] == "accel_x"
+
+
+def test_a_result_draws_both_axes(result):
+    labels = [line.get_label() for line in result.plot().get_lines()]
+    assert labels == ["displacement along y", "displacement along x"]
