@@ -1,0 +1,182 @@
+"""FLIR's file format FFF: a block for each frame, each with a directory of records.
+
+Sequences (seq, csq) are such blocks one behind the other. They are found by walking their records: the letters FFF
+occur among pixels too.
+"""
+
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from midspan.errors import DataError
+from midspan.thermal.radiometry import Air, OpticalPath, Planck
+
+MAGIC = b"FFF\0"
+_HEADER_BYTES, _ENTRY_BYTES = 64, 32
+_RAW, _CAMERA = 0x01, 0x20
+_RAW_HEADER_BYTES = 32
+_LARGEST_VERSION = 200  # a little-endian version above this is a big-endian one
+_MOST_RECORDS = 1024
+_SHORT_TAIL_BYTES = 4  # the last block of a sequence may claim this much more than there is
+_MARK = 2  # a record's byte-order mark, read in the right order
+_CAMERA_BYTES = 0x38E
+PNG, JPEG_LS = b"\x89PNG", b"\xff\xd8\xff"
+
+Bytes = bytes | memoryview
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """One record of a block: its kind, where it begins in the file and how many bytes it has."""
+
+    kind: int
+    offset: int
+    length: int
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """One frame of a file: where its block begins, its records, and where the next block begins."""
+
+    offset: int
+    records: tuple[Record, ...]
+    end: int
+
+    def record(self, kind: int) -> Record | None:
+        """The first record of a kind."""
+        return next((record for record in self.records if record.kind == kind), None)
+
+
+@dataclass(frozen=True, slots=True)
+class CameraInfo:
+    """What the camera wrote beside a frame: calibration, what lies between, model, time (ns since 1970, 0 where it is
+    not set), nominal rate in Hz (0: not set), and the median count of the frame.
+    """
+
+    planck: Planck
+    path: OpticalPath
+    model: str
+    time_ns: int
+    rate_hz: float
+    median_count: int
+
+
+def blocks(data: Bytes) -> Iterator[Block]:
+    """The blocks of a file from its first byte to its last whole one."""
+    offset = 0
+    while offset + _HEADER_BYTES <= len(data) and bytes(data[offset : offset + 4]) == MAGIC:
+        block = _block(data, offset)
+        if block is None or block.end > len(data) + _SHORT_TAIL_BYTES:
+            return
+        yield block
+        offset = block.end
+
+
+def _block(data: Bytes, offset: int) -> Block | None:
+    """The block at `offset`; None where its directory is cut off or cannot be right."""
+    version = struct.unpack_from("<I", data, offset + 0x14)[0]
+    order = ">" if version > _LARGEST_VERSION else "<"
+    start, count = struct.unpack_from(f"{order}II", data, offset + 0x18)
+    directory = offset + start
+    if count > _MOST_RECORDS or directory + count * _ENTRY_BYTES > len(data):
+        return None
+    records = []
+    for k in range(count):
+        kind, *_, place, length = struct.unpack_from(f"{order}HHIIII", data, directory + k * _ENTRY_BYTES)
+        if kind and length:
+            records.append(Record(kind, offset + place, length))
+    end = max([directory + count * _ENTRY_BYTES, *(record.offset + record.length for record in records)])
+    return Block(offset, tuple(records), end)
+
+
+def _order(data: Bytes, offset: int) -> str:
+    """Byte order of a record, which begins with a mark of its own: the file's header may have the other one."""
+    return "<" if struct.unpack_from("<H", data, offset)[0] == _MARK else ">"
+
+
+def camera_info(data: Bytes, block: Block) -> CameraInfo:
+    """The camera's record of a block; DataError where it is missing or its calibration cannot be right."""
+    record = block.record(_CAMERA)
+    if record is None or record.length < _CAMERA_BYTES or record.offset + _CAMERA_BYTES > len(data):
+        raise DataError("has no record of the camera's calibration; export it with its radiometric data")
+    o = _order(data, record.offset)
+
+    def read(code: str, place: int) -> tuple[float, ...]:
+        return struct.unpack_from(o + code, data, record.offset + place)
+
+    emissivity, distance, reflected, air_k, window_k, window = read("6f", 0x20)
+    (humidity,), (r1, b, f) = read("f", 0x3C), read("3f", 0x58)
+    alpha_1, alpha_2, beta_1, beta_2, x = read("5f", 0x70)
+    (offset,), (r2,), (median,) = read("i", 0x308), read("f", 0x30C), read("i", 0x338)
+    stamp_s, stamp_ms = (int(v) for v in read("2I", 0x384))
+    rate = float(read("H", 0x464)[0]) if record.length >= 0x466 else 0.0
+    air = Air((alpha_1, alpha_2), (beta_1, beta_2), x)
+    model = bytes(data[record.offset + 0xD4 : record.offset + 0xF4]).split(b"\0")[0].decode("latin-1").strip()
+    return CameraInfo(
+        planck=Planck(r1, b, f, float(offset), r2),
+        path=OpticalPath(
+            emissivity=emissivity,
+            distance_m=distance,
+            reflected_k=reflected,
+            air_k=air_k,
+            window_k=window_k,
+            window_transmission=window or 1.0,
+            humidity=humidity / 100.0 if humidity > 1.0 else humidity,
+            air=air,
+        ),
+        model=model,
+        time_ns=stamp_s * 1_000_000_000 + stamp_ms % 1000 * 1_000_000,
+        rate_hz=rate,
+        median_count=int(median),
+    )
+
+
+def frame_size(data: Bytes, block: Block) -> tuple[int, int]:
+    """Width and height in px of a block's raw image; DataError where it has none."""
+    record = block.record(_RAW)
+    if record is None or record.length <= _RAW_HEADER_BYTES:
+        raise DataError("has no record of raw counts; it may hold a picture only")
+    width, height = struct.unpack_from(f"{_order(data, record.offset)}HH", data, record.offset + 2)
+    return int(width), int(height)
+
+
+def counts(data: Bytes, block: Block, median_count: int) -> NDArray[np.uint16]:
+    """Raw counts (rows, columns) of a block. `median_count`, as the camera states it, tells the byte order of a PNG.
+
+    Raises DataError for an image that is cut off or packed in an unknown way, UsageError without a JPEG-LS decoder.
+    """
+    width, height = frame_size(data, block)
+    record = block.record(_RAW)
+    assert record is not None
+    begin = record.offset + _RAW_HEADER_BYTES
+    packed = bytes(data[begin : record.offset + record.length])
+    if packed[:4] == PNG:
+        image = _from_png(packed, median_count)
+    elif packed[:3] == JPEG_LS:
+        from midspan.sources.thermal.jpeg_ls import decode
+
+        image = decode(packed)
+    elif len(packed) >= 2 * width * height:
+        plain = np.frombuffer(packed, dtype=f"{_order(data, record.offset)}u2", count=width * height)
+        image = plain.astype(np.uint16).reshape(height, width)
+    else:
+        raise DataError(f"must hold {width} x {height} counts of 2 bytes; its raw record has {len(packed)} bytes")
+    if image.shape != (height, width):
+        raise DataError(f"states {width} x {height} px, but its image has {image.shape[1]} x {image.shape[0]}")
+    return image
+
+
+def _from_png(packed: bytes, median_count: int) -> NDArray[np.uint16]:
+    """Counts in a PNG: some cameras write the two bytes of a count in the wrong order for this format."""
+    import cv2
+
+    found = cv2.imdecode(np.frombuffer(packed, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+    if found is None or found.ndim != 2 or found.dtype != np.uint16:
+        raise DataError("holds a PNG that cannot be read as 16-bit counts")
+    image = np.asarray(found, dtype=np.uint16)
+    swapped = image.byteswap()
+    near = [abs(float(np.median(values)) - median_count) for values in (image, swapped)]
+    return swapped if near[1] < near[0] else image

@@ -1,0 +1,153 @@
+"""FLIR files as frames in °C: fff (one frame a file, also a folder or glob of them), seq and csq."""
+
+import mmap
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+
+from midspan.errors import DataError, UsageError
+from midspan.records import Frame, Nanoseconds
+from midspan.sources.camera.frames import FrameInfo, FrameSource
+from midspan.sources.camera.timing import file_times, grid
+from midspan.sources.thermal.fff import Block, CameraInfo, blocks, camera_info, counts, frame_size
+from midspan.sources.thermal.request import Floats32, ThermalRequest, checked_celsius
+from midspan.thermal.radiometry import OpticalPath, Planck, celsius_table
+
+SUFFIXES = (".fff", ".seq", ".csq", ".fcf")
+
+
+@dataclass(frozen=True, slots=True)
+class _Place:
+    """Where a frame lies, its time stamp, and its width and height in px."""
+
+    file: Path
+    block: Block
+    time_ns: int
+    size: tuple[int, int]
+
+
+class FlirFrames(FrameSource):
+    """Frames of FLIR files in °C, by the calibration and the surroundings that the camera wrote beside each one."""
+
+    def __init__(self, files: Sequence[Path], request: ThermalRequest) -> None:
+        self._files, self._request = list(files), request
+        self._tables: dict[tuple[Planck, OpticalPath], Floats32] = {}
+        self._notes: list[str] = []
+        self._places = [place for file in self._files for place in self._walked(file)]
+        if not self._places:
+            raise DataError(f"{self._files[0]} holds no whole FLIR frame. Check that the file is whole.")
+        self._width, self._height = self._one_size()
+        with _mapped(self._files[0]) as data:
+            self._first = camera_info(data, self._places[0].block)
+            self._image(data, self._places[0], 0)
+        self._times, note = self._all_times()
+        self._notes += [f"{self._first.model or 'FLIR camera'}, {note}"]
+
+    @property
+    def info(self) -> FrameInfo:
+        """Size and number of frames; temperatures are float32 in °C."""
+        codec = "FLIR records, 16-bit counts"
+        return FrameInfo(self._width, self._height, 32, len(self._places), codec, True, tuple(self._notes))
+
+    def times_ns(self) -> Nanoseconds:
+        """Time stamps from `times`, else the camera's own (ms, since 1970), else a rate; `start_s` is added."""
+        return self._times[:: self._request.frames.every]
+
+    def frames(self, start: int = 0, stop: int | None = None) -> Iterator[Frame]:
+        """Temperatures in °C, float32, one frame at a time; a damaged frame is passed over and told in `info`."""
+        times, every = self.times_ns(), self._request.frames.every
+        for index in range(*slice(start, stop).indices(times.size)):
+            place = self._places[index * every]
+            with _mapped(place.file) as data:
+                image = self._image(data, place, index * every)
+            if image is not None:
+                yield Frame(int(times[index]), image, index)
+
+    def _image(self, data: memoryview, place: _Place, number: int) -> Floats32 | None:
+        name = f"{place.file}: frame {number}"
+        try:
+            info = camera_info(data, place.block)
+            raw = counts(data, place.block, info.median_count)
+        except DataError as error:
+            note = f"frame {number} {error}; it is passed over"
+            if note not in self._notes:
+                self._notes.append(note)
+            return None
+        return checked_celsius(self._table(info)[raw], name)
+
+    def _one_size(self) -> tuple[int, int]:
+        """Width and height of all frames; DataError names the first that differs."""
+        first = self._places[0].size
+        for number, place in enumerate(self._places):
+            if place.size != first:
+                raise DataError(
+                    f"{place.file}: frame {number} must have the size of the first, {first[0]}x{first[1]} px; received "
+                    f"{place.size[0]}x{place.size[1]} px. Split the sequence where the camera's format changed."
+                )
+        return first
+
+    def _table(self, info: CameraInfo) -> Floats32:
+        """Temperature by count; made once for each calibration, which changes with the camera's range only."""
+        stated = self._request.emissivity
+        path = info.path if stated is None else replace(info.path, emissivity=stated)
+        key = (info.planck, path)
+        if key not in self._tables:
+            if len(self._tables) > 16:
+                self._tables.clear()
+            self._tables[key] = celsius_table(info.planck, path)
+        return self._tables[key]
+
+    def _walked(self, file: Path) -> list[_Place]:
+        with _mapped(file) as data:
+            found: list[_Place] = []
+            try:
+                for block in blocks(data):
+                    place = _Place(file, block, camera_info(data, block).time_ns, frame_size(data, block))
+                    found.append(place)
+            except (DataError, UsageError) as error:
+                raise DataError(f"{file}: frame {len(found)} {error}") from error
+            end = found[-1].block.end if found else 0
+            if found and end < len(data):
+                self._notes.append(f"the last {len(data) - end} bytes of {file.name} are no whole frame")
+            return found
+
+    def _all_times(self) -> tuple[Nanoseconds, str]:
+        """Stamps of all frames and how they were found."""
+        request, count = self._request.frames, len(self._places)
+        if request.times is not None:
+            return file_times(request.times, self._files[0], count), f"times from {request.times.name}"
+        start_ns = round(request.start_s * 1e9)
+        stamps = np.array([place.time_ns for place in self._places], dtype=np.int64)
+        if stamps[0] > 0 and np.all(stamps[1:] > stamps[:-1]):
+            begun = datetime.fromtimestamp(int(stamps[0]) / 1e9, UTC).isoformat(timespec="milliseconds")
+            return stamps + np.int64(start_ns), f"the camera's stamps, from {begun}"
+        rate = request.rate_hz or self._first.rate_hz
+        if not rate > 0:
+            raise UsageError(f"{self._files[0]}: its time stamps do not increase. Give rate_hz, or times.")
+        return grid(count, Fraction(rate), start_ns), f"its stamps do not increase: taken as {rate:g} frames a second"
+
+
+def natural_order(files: Sequence[Path]) -> list[Path]:
+    """Files in the order of the numbers in their names: img2 before img10."""
+    return sorted(files, key=lambda file: [int(t) if t.isdigit() else t.lower() for t in re.split(r"(\d+)", str(file))])
+
+
+@contextmanager
+def _mapped(file: Path) -> Iterator[memoryview]:
+    """The bytes of a file without reading them all into memory."""
+    with file.open("rb") as handle:
+        if file.stat().st_size == 0:
+            yield memoryview(b"")
+            return
+        with mmap.mmap(handle.fileno(), 0, access=mmap.ACCESS_READ) as data:
+            view = memoryview(data)
+            try:
+                yield view
+            finally:
+                view.release()

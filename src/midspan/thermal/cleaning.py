@@ -1,0 +1,161 @@
+"""Temperatures made ready for a tracker, frame by frame: no shutter, no fixed pattern, nothing that is not the target.
+
+Nothing is rounded to grey levels: the tracker gets float temperatures, so that no range has to be chosen.
+"""
+
+import math
+from collections import deque
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from midspan.checks import positive, refuse
+from midspan.errors import DataError
+from midspan.records import NANOSECONDS, Event, Floats, Frame, PixelTranslation, Region, Status
+from midspan.thermal.limits import LimitFollower, Limits, LimitState, folded
+from midspan.thermal.pattern import LEAST_FRAMES, FixedPattern, estimate_pattern
+from midspan.thermal.shutter import ShutterSettings, ShutterState, ShutterWatch
+
+
+@dataclass(frozen=True, slots=True)
+class CleaningSettings:
+    """How temperatures are made ready for a tracker.
+
+    margin: share of the target's range by which temperatures may lie outside it, 0 or more. follow_s: time constant in
+    s by which the range follows the target's temperature. pattern_frames: so many frames are learnt from for the fixed
+    pattern, 8 or more; 0: it stays. pattern_k: its expected standard deviation, K. pattern_every_s: least time between
+    two frames that are learnt from, s. shutter: see `midspan.thermal.shutter`.
+    """
+
+    margin: float = 0.25
+    follow_s: float = 60.0
+    pattern_frames: int = 24
+    pattern_k: float = 0.03
+    pattern_every_s: float = 0.05
+    shutter: ShutterSettings = field(default_factory=ShutterSettings)
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.margin < math.inf:
+            raise refuse("margin", "0 or more", self.margin)
+        if self.pattern_frames != 0 and not LEAST_FRAMES <= self.pattern_frames <= 500:
+            raise refuse("pattern_frames", f"0, or from {LEAST_FRAMES} to 500", self.pattern_frames)
+        positive("follow_s", self.follow_s, "s")
+        positive("pattern_k", self.pattern_k, "K")
+
+
+@dataclass(frozen=True, slots=True)
+class Cleaned:
+    """What comes of a frame: the one to track, None while the shutter is closed, and what is worth telling."""
+
+    frame: Frame | None
+    events: tuple[Event, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CleaningState:
+    """What is remembered: of shutter and limits, the pattern in use, the frames kept to learn it from with their
+    translations (px), when the last of them was taken, and how many there were.
+    """
+
+    shutter: ShutterState
+    limits: LimitState
+    pattern: FixedPattern | None
+    kept: tuple[tuple[NDArray[np.float32], float, float], ...]
+    kept_ns: int
+    tries: int
+
+
+class ThermalCleaner:
+    """Makes frames in °C ready for a tracker of one region; `tracked` tells it what the tracker found in each."""
+
+    def __init__(self, reference: Frame, region: Region, settings: CleaningSettings | None = None) -> None:
+        """`reference`: the first frame (rows, columns) in °C; `region`: the target's in it, px."""
+        self.settings = settings or CleaningSettings()
+        rows, columns = reference.pixels.shape
+        if not region.inside(columns, rows):
+            raise refuse("region", f"inside the image of {columns}x{rows} px", region)
+        self._shape, self._region = (rows, columns), region
+        self._watch = ShutterWatch(self.settings.shutter)
+        self._follower = LimitFollower(_part(reference.pixels, region), reference.time_ns, self.settings.follow_s)
+        self._pattern: FixedPattern | None = None
+        self._kept: deque[tuple[NDArray[np.float32], float, float]] = deque(maxlen=max(self.settings.pattern_frames, 1))
+        self._last: Frame | None = None
+        self._kept_ns = -(1 << 62)
+        self._tries = 0
+
+    @property
+    def limits(self) -> Limits:
+        """The target's temperatures of the moment, °C."""
+        return self._follower.limits
+
+    @property
+    def pattern(self) -> FixedPattern | None:
+        """The fixed pattern in use, None while it is not known."""
+        return self._pattern
+
+    @property
+    def state(self) -> CleaningState:
+        """Everything that changes from frame to frame, between `tracked` and the next `push`."""
+        kept = tuple(self._kept)
+        return CleaningState(self._watch.state, self._follower.state, self._pattern, kept, self._kept_ns, self._tries)
+
+    def restore(self, state: CleaningState) -> None:
+        """Continue from a `state` taken earlier, with the same reference frame, region and settings."""
+        self._watch.restore(state.shutter)
+        self._follower.restore(state.limits)
+        self._pattern, self._kept_ns, self._tries = state.pattern, state.kept_ns, state.tries
+        self._kept = deque(state.kept, maxlen=self._kept.maxlen)
+        self._last = None
+
+    def push(self, frame: Frame, region_now: Region | None = None) -> Cleaned:
+        """The frame as it should be tracked; `region_now`: where the target was last seen, px.
+
+        Frames come in the order of their times. Raises DataError when a frame has another size than the first.
+        """
+        if frame.pixels.shape != self._shape:
+            raise DataError(
+                f"All frames must have the size of the first, {self._shape[::-1]} px; frame {frame.index} has "
+                f"{frame.pixels.shape[::-1]} px. Split the sequence where the camera's format changed."
+            )
+        verdict = self._watch.push(frame)
+        self._last = None
+        if not verdict.usable:
+            return Cleaned(None, verdict.events)
+        if verdict.step_k:
+            self._follower.jump(verdict.step_k)
+        if verdict.reopened:
+            self._forget()
+        limits = self._follower.push(_part(frame.pixels, region_now or self._region), frame.time_ns)
+        self._last = frame
+        pixels = frame.pixels if self._pattern is None else self._pattern.removed(frame.pixels)
+        clean = Frame(frame.time_ns, folded(pixels, limits, self.settings.margin), frame.index)
+        return Cleaned(clean, verdict.events)
+
+    def tracked(self, found: PixelTranslation) -> None:
+        """Learn the fixed pattern from what the tracker found in the frame that was pushed last."""
+        frame, wanted = self._last, self.settings.pattern_frames
+        if frame is None or found.status is not Status.TRACKING or not wanted or self._pattern is not None:
+            return
+        if frame.time_ns - self._kept_ns < self.settings.pattern_every_s * NANOSECONDS:
+            return
+        self._kept_ns = frame.time_ns
+        self._kept.append((np.asarray(frame.pixels, dtype=np.float32), found.x_px, found.y_px))
+        self._tries += 1
+        # Where the scene has not moved enough, another try comes when all frames are others.
+        if len(self._kept) == wanted and self._tries % wanted == 0:
+            stack = np.stack([pixels for pixels, _, _ in self._kept]).astype(np.float64)
+            moved: Floats = np.array([(x, y) for _, x, y in self._kept])
+            moved = moved - np.round(moved.mean(axis=0))
+            limits = self.limits
+            self._pattern = estimate_pattern(
+                folded(stack, limits, 1.0).astype(np.float64), moved, self.settings.pattern_k
+            )
+
+    def _forget(self) -> None:
+        self._pattern, self._tries = None, 0
+        self._kept.clear()
+
+
+def _part(pixels: NDArray[np.generic], region: Region) -> NDArray[np.generic]:
+    return pixels[region.y : region.y + region.height, region.x : region.x + region.width]

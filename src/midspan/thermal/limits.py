@@ -1,0 +1,113 @@
+"""Which temperatures belong to the target, and how those that do not are kept from pulling a tracker.
+
+A person or a vehicle in front of the target differs from it by ten times its contrast. Clipped at the edge of a range
+it would still be the strongest object in the picture. So temperatures far outside the target's own are folded back to
+its middle, the way a redescending influence function treats an outlier (Hampel's three parts): what covers a quarter of
+the target then weighs no more than a patch without texture.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from midspan.checks import positive
+from midspan.errors import DataError
+from midspan.records import NANOSECONDS, Floats
+
+Floats32 = NDArray[np.float32]
+
+_SHARES = (1.0, 25.0, 50.0, 75.0, 99.0)  # percent; the quartiles are moved by what covers less than a quarter only
+_LEAST_K = 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """The target's own temperatures, from low to high in °C."""
+
+    low_c: float
+    high_c: float
+
+    @property
+    def middle_c(self) -> float:
+        """Half way between the limits, °C."""
+        return 0.5 * (self.low_c + self.high_c)
+
+    @property
+    def half_k(self) -> float:
+        """Half the width, K."""
+        return max(0.5 * (self.high_c - self.low_c), _LEAST_K)
+
+
+def folded(celsius: NDArray[np.generic], limits: Limits, margin: float = 0.25) -> Floats32:
+    """The picture (any shape) in °C with what lies far outside `limits` folded back to their middle.
+
+    margin: share of the width, 0 or more, by which temperatures may lie outside and still count in full; over another
+    quarter of the width they go down to the middle.
+    """
+    values = np.asarray(celsius, dtype=np.float32)
+    place = (values - np.float32(limits.middle_c)) / np.float32(limits.half_k)
+    full = np.float32(1.0 + 2.0 * margin)
+    distance = np.abs(place)
+    excess = np.maximum(distance - full, np.float32(0.0))
+    weight = np.maximum(np.float32(1.0) - excess / np.float32(0.5), np.float32(0.0))
+    kept = np.minimum(distance, full) * weight
+    return np.asarray(np.float32(limits.middle_c) + np.float32(limits.half_k) * np.copysign(kept, place))
+
+
+@dataclass(frozen=True, slots=True)
+class LimitState:
+    """What is remembered of the target's temperatures: the quartiles in °C and when they were last looked at."""
+
+    quartiles_c: tuple[float, float, float]
+    time_ns: int
+
+
+class LimitFollower:
+    """The target's limits as it warms and cools: its quartiles, followed slowly, times the shape of the first frame."""
+
+    def __init__(self, region: NDArray[np.generic], time_ns: int, follow_s: float = 60.0) -> None:
+        """`region` (rows, columns) in °C of the reference frame; `follow_s` the time constant in s, above 0."""
+        self._follow_s = positive("follow_s", follow_s, "s")
+        low, first, middle, third, high = _shares(region)
+        self._below = (middle - low) / max(middle - first, _LEAST_K)
+        self._above = (high - middle) / max(third - middle, _LEAST_K)
+        self._state = LimitState((first, middle, third), time_ns)
+
+    @property
+    def state(self) -> LimitState:
+        """Everything that changes from frame to frame."""
+        return self._state
+
+    def restore(self, state: LimitState) -> None:
+        """Continue from a `state` taken earlier."""
+        self._state = state
+
+    @property
+    def limits(self) -> Limits:
+        """The limits of the moment."""
+        first, middle, third = self._state.quartiles_c
+        low = middle - self._below * max(middle - first, _LEAST_K)
+        return Limits(low, middle + self._above * max(third - middle, _LEAST_K))
+
+    def push(self, region: NDArray[np.generic], time_ns: int) -> Limits:
+        """Follow the temperatures (rows, columns), °C, of where the target is at `time_ns`; return the limits."""
+        elapsed_s = max(time_ns - self._state.time_ns, 0) / NANOSECONDS
+        gain = 1.0 - float(np.exp(-elapsed_s / self._follow_s))
+        now = _shares(region)[1:4]
+        moved = [old + gain * (new - old) for old, new in zip(self._state.quartiles_c, now, strict=True)]
+        self._state = LimitState((moved[0], moved[1], moved[2]), time_ns)
+        return self.limits
+
+    def jump(self, step_k: float) -> None:
+        """Move the limits by a step of the camera's level, in K."""
+        first, middle, third = (q + step_k for q in self._state.quartiles_c)
+        self._state = LimitState((first, middle, third), self._state.time_ns)
+
+
+def _shares(region: NDArray[np.generic]) -> list[float]:
+    values: Floats = np.asarray(region, dtype=np.float64).ravel()
+    values = values[np.isfinite(values)]
+    if values.size == 0:
+        raise DataError("The region must hold temperatures in °C; all are missing. Choose another region.")
+    return [float(v) for v in np.percentile(values, _SHARES)]

@@ -1,0 +1,150 @@
+"""Flat-field corrections: moments at which a thermal camera closes its shutter to level its pixels.
+
+For some tenths of a second the picture is frozen or shows the shutter, and afterwards level and fixed pattern are
+others. Such frames must not be tracked: a frozen one says that the structure stands still.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from midspan.checks import positive, refuse
+from midspan.records import NANOSECONDS, Event, Floats, Frame
+
+_STEP_FACTOR = 8.0  # times the usual change of the level from frame to frame
+_LEARNING = 0.05  # weight of a frame in what is usual
+_RISING_S = 30.0  # time constant by which the usual contrast rises: a body that passes does not become usual
+_TAILS = 2.44  # from 5 to 95 % it is so many times as far as from quartile to quartile of a normal variable
+_LEAST_FRAMES = 2  # frozen frames that make an event: a recorder may write one picture twice
+
+
+@dataclass(frozen=True, slots=True)
+class ShutterSettings:
+    """When a frame counts as taken with the shutter closed.
+
+    flat_share: contrast below this share of the usual one is the shutter's, 0 to 1. step_k: smallest jump of the mean
+    level from one frame to the next that is told, K. longest_s: what lasts longer is no shutter but another scene, s.
+    """
+
+    flat_share: float = 0.35
+    step_k: float = 0.15
+    longest_s: float = 3.0
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.flat_share < 1.0:
+            raise refuse("flat_share", "above 0 and below 1", self.flat_share)
+        positive("step_k", self.step_k, "K")
+        positive("longest_s", self.longest_s, "s")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ShutterState:
+    """What is remembered: the last picture (every so many pixels) and its time, the usual contrast and step of the
+    level in K, and the running stretch of closed frames: how many, since when, and whether they were frozen.
+    """
+
+    last: Floats | None = None
+    last_ns: int = 0
+    contrast_k: float = 0.0
+    usual_step_k: float = 0.0
+    closed: int = 0
+    since_ns: int = 0
+    frozen: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class ShutterVerdict:
+    """Whether a frame may be tracked; `reopened`: the first one after the shutter, with another fixed pattern; `step_k`
+    by how much the level has jumped (0: not at all); and what is worth telling.
+    """
+
+    usable: bool
+    reopened: bool = False
+    step_k: float = 0.0
+    events: tuple[Event, ...] = ()
+
+
+class ShutterWatch:
+    """Tells frames that were taken with the shutter closed."""
+
+    def __init__(self, settings: ShutterSettings | None = None) -> None:
+        self.settings = settings or ShutterSettings()
+        self._state = ShutterState()
+
+    @property
+    def state(self) -> ShutterState:
+        """Everything that changes from frame to frame."""
+        return self._state
+
+    def restore(self, state: ShutterState) -> None:
+        """Continue from a `state` taken earlier."""
+        self._state = state
+
+    def push(self, frame: Frame) -> ShutterVerdict:
+        """Judge a frame (rows, columns) in °C; frames come in the order of their times."""
+        state, now = self._state, _thinned(frame.pixels)
+        if state.last is None:
+            self._state = replace(state, last=now, last_ns=frame.time_ns, contrast_k=_contrast(now))
+            return ShutterVerdict(True)
+        frozen = bool(np.array_equal(now, state.last))
+        since = state.since_ns if state.closed else frame.time_ns
+        long = frame.time_ns - since > self.settings.longest_s * NANOSECONDS
+        # A warm body that leaves takes contrast away too, but never all that there is between 5 and 95 %.
+        if frozen or (not long and _spread(now, 5.0) / _TAILS < self.settings.flat_share * state.contrast_k):
+            self._state = replace(state, closed=state.closed + 1, since_ns=since, frozen=frozen)
+            return ShutterVerdict(False)
+        return self._open(frame, now)
+
+    def _open(self, frame: Frame, now: Floats) -> ShutterVerdict:
+        state = self._state
+        assert state.last is not None
+        change = float(np.median(now - state.last))
+        limit = max(self.settings.step_k, _STEP_FACTOR * state.usual_step_k)
+        # A recorder that writes pictures twice freezes single frames; the shutter needs longer.
+        reopened = state.closed >= _LEAST_FRAMES or (state.closed > 0 and not state.frozen)
+        stepped = abs(change) > limit
+        usual = state.usual_step_k
+        if not (stepped or reopened):
+            usual += _LEARNING * (abs(change) - usual)
+        contrast = self._usual_contrast(frame, _contrast(now))
+        self._state = ShutterState(now, frame.time_ns, contrast, usual)
+        told = []
+        if reopened:
+            text = (
+                f"the thermal camera's shutter was closed for {(frame.time_ns - state.since_ns) / NANOSECONDS:.2f} s "
+                f"({state.closed} frames); its level changed by {change:+.2f} K"
+            )
+            told.append(Event(state.since_ns, "shutter", text))
+        elif stepped:
+            told.append(Event(frame.time_ns, "level-step", f"the thermal camera's level jumped by {change:+.2f} K"))
+        step = change if stepped or reopened else 0.0
+        return ShutterVerdict(True, reopened, step, tuple(told))
+
+    def _usual_contrast(self, frame: Frame, now_k: float) -> float:
+        """The usual contrast (K) after a frame of `now_k`: falls quickly, rises slowly, is new in a new scene."""
+        state = self._state
+        if state.closed and frame.time_ns - state.since_ns > self.settings.longest_s * NANOSECONDS:
+            return now_k
+        usual = state.contrast_k
+        if now_k < usual:
+            return usual + _LEARNING * (now_k - usual)
+        elapsed_s = max(frame.time_ns - state.last_ns, 0) / NANOSECONDS
+        return usual + (1.0 - float(np.exp(-elapsed_s / _RISING_S))) * (min(now_k, 2.0 * usual) - usual)
+
+
+def _thinned(pixels: NDArray[np.generic]) -> Floats:
+    """Some thousand pixels of the picture, every so many rows and columns."""
+    step = max(min(pixels.shape) // 60, 1)
+    values = np.asarray(pixels[::step, ::step], dtype=np.float64)
+    return np.where(np.isfinite(values), values, 0.0)
+
+
+def _contrast(values: Floats) -> float:
+    """From quartile to quartile, K: what covers less than a quarter of the picture changes it little."""
+    return _spread(values, 25.0)
+
+
+def _spread(values: Floats, percent: float) -> float:
+    low, high = np.percentile(values, (percent, 100.0 - percent))
+    return float(high - low)

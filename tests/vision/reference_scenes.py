@@ -1,0 +1,51 @@
+"""A wall in relief under a light that turns: shading moves from one flank of each bump to the other."""
+
+from functools import cache
+
+import numpy as np
+
+from midspan.records import Frame, Region
+from midspan.simulate.texture import textured_scene
+
+REGION = Region(18, 18, 52, 52)
+SIZE = (88, 88)
+RATE_HZ = 5.0
+
+
+@cache
+def _relief(seed):
+    rng = np.random.default_rng(seed)
+    height = textured_scene("natural", SIZE, rng=rng, reach_px=7.0, lens_px=1.2)
+    tone = textured_scene("blocks", SIZE, rng=rng, reach_px=7.0, lens_px=0.7)
+    return height, tone, 0.5 / float(np.std(height.gradient(0.0, 0.0)[0]))
+
+
+def shaded(seed, moved, angle, level):
+    """Lambert's law on the relief moved by `moved` px, light at `angle` rad from the normal: about 130 DN · level."""
+    height, tone, steep = _relief(seed)
+    gx, gy = (-steep * g for g in height.gradient(*moved))
+    shade = np.maximum(np.cos(angle) - (gx + 0.3 * gy) * np.sin(angle), 0.0) / np.sqrt(1 + gx**2 + gy**2)
+    # Stones of different tone: a fifth of their contrast is left of the picture's.
+    return 130.0 * level * shade * (1.0 + 0.2 * (tone.render(*moved) / 128.0 - 1.0))
+
+
+def swept(seed, angles_deg, levels=None, amplitude_px=2.5):
+    """Frames (8 bit, noise of 2 DN) and true translations (n, 2) under a light at the angles given."""
+    count = len(angles_deg)
+    levels = np.ones(count) if levels is None else levels
+    time = np.arange(count) / RATE_HZ
+    moved = amplitude_px * np.stack([0.3 * np.sin(2.0 * time), np.sin(1.3 * time) * np.cos(0.1 * time)], axis=1)
+    moved -= moved[0]
+    rng = np.random.default_rng(seed + 50)
+    frames = []
+    for k, (d, angle, level) in enumerate(zip(moved, np.deg2rad(angles_deg), levels, strict=True)):
+        picture = shaded(seed, d, angle, level) + rng.normal(0.0, 2.0, SIZE)
+        frames.append(Frame(round(1e9 * k / RATE_HZ), np.clip(np.rint(picture), 0, 255).astype(np.uint8), k))
+    return frames, moved
+
+
+def track(tracker, frames):
+    """Translations (n, 2), their standard deviations (n, 2)."""
+    rows = [tracker.push(frame) for frame in frames]
+    xy = np.array([(r.x_px, r.y_px) for r in rows])
+    return xy, np.sqrt([(r.variance_x_px2, r.variance_y_px2) for r in rows])
