@@ -14,7 +14,7 @@ from midspan.records import Status
 from midspan.settings import RecordingSettings, validate
 from midspan.sinks.write import FORMATS as WRITTEN
 from midspan.sources.accelerometer.formats import FORMATS as CHANNELS
-from midspan.vision.tracker import TRACKERS
+from midspan.vision.tracker import TRACKERS, tracker_settings
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -153,3 +153,11 @@ def test_the_picture_of_the_readme_is_small():
 
 def test_the_changelog_has_an_entry_for_this_version():
     assert f"## [{midspan.__version__}]" in TEXTS[ROOT / "CHANGELOG.md"]
+
+
+@pytest.mark.parametrize("name", TRACKERS)
+def test_every_setting_of_a_tracker_is_in_the_methods(name):
+    text = TEXTS[ROOT / "docs" / "methods.md"].split("### Settings of the trackers")[1]
+    table = text.split("### ")[0]
+    for key in tracker_settings(name).__dataclass_fields__:
+        assert f"`{key}`" in table, key

@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from scipy.ndimage import map_coordinates, spline_filter
+from scipy.ndimage import gaussian_filter, map_coordinates, spline_filter
 
 from midspan.errors import DataError, UsageError
 from midspan.records import Frame, Prediction, Region, Status
@@ -21,11 +21,19 @@ def scenes():
     return {name: textured_scene(name, (SIDE, SIDE), rng=np.random.default_rng(11)) for name in NAMES}
 
 
+@pytest.fixture(scope="module")
+def learnt_trackers(scenes):
+    return {name: started(scenes[name], np.random.default_rng(21)) for name in NAMES}
+
+
 def picture(index, pixels):
     return Frame(time_ns=index * 33_000_000, pixels=pixels, index=index)
 
 
-def started(scene, rng, *, region=REGION, settings=None, learnt=25):
+LEARN_FRAMES = RegistrationSettings().learn_frames
+
+
+def started(scene, rng, *, region=REGION, settings=None, learnt=50):
     """A tracker that has seen its learning frames, all within ±0.6 px of the reference."""
     tracker = RegistrationTracker(
         picture(0, CAMERA.expose(scene.render(0, 0), rng=rng)), region, settings or RegistrationSettings()
@@ -62,20 +70,24 @@ DISTURBED = {
 
 
 @pytest.mark.parametrize("what", DISTURBED)
-@pytest.mark.parametrize("name", ["natural", "blocks"])
-def test_one_disturbance_leaves_five_thousandths_of_a_pixel(scenes, name, what):
-    # Frames without noise, so that what is left is the disturbance's own; the reference has its noise-free place too.
-    scene, rng = scenes[name], np.random.default_rng(3)
-    tracker = RegistrationTracker(picture(0, scene.render(0, 0)), REGION, RegistrationSettings(learn_frames=0))
-    tracker.push(picture(1, CAMERA.expose(scene.render(0.1, 0.2), rng=rng)))
+@pytest.mark.parametrize("name", ["natural", "blocks", "facade"])
+def test_one_disturbance_leaves_less_than_five_thousandths_of_a_pixel(scenes, learnt_trackers, name, what):
+    # Frames without noise, so that what is left is the disturbance's own: what a frame at the same place without it
+    # gives is taken off, because the noise of reference and template is common to both.
+    tracker = learnt_trackers[name]
+    begin = tracker.state
     errors = []
-    for k, (x, y) in enumerate(rng.uniform(-0.05, 0.05, (5, 2))):
-        image = DISTURBED[what](scene.render(x, y)).astype(np.float32)
-        found = tracker.push(picture(k + 2, image), NEAR)
-        assert found.status is Status.TRACKING
+    for k, (x, y) in enumerate(np.random.default_rng(3).uniform(-0.05, 0.05, (4, 2))):
+        found = []
+        for image in (scenes[name].render(x, y), DISTURBED[what](scenes[name].render(x, y)).astype(np.float32)):
+            tracker.restore(begin)
+            found.append(tracker.push(picture(k + 99, image), NEAR))
+        assert found[1].status is Status.TRACKING
         # Turning is about the region's middle in the image: the translation itself turns by 0.05 px × 0.5°.
-        errors.append((found.x_px - x, found.y_px - y))
-    assert np.sqrt(np.mean(np.square(errors), axis=0)).max() < 0.005
+        errors.append((found[1].x_px - found[0].x_px, found[1].y_px - found[0].y_px))
+        assert found[1].variance_y_px2 > 0.9 * found[0].variance_y_px2
+    tracker.restore(begin)
+    assert np.sqrt(np.mean(np.square(errors), axis=0)).max() < 0.0025
 
 
 @pytest.mark.parametrize(("name", "limit"), [("natural", 0.001), ("blocks", 0.001), ("weak", 0.003)])
@@ -87,6 +99,23 @@ def test_the_systematic_error_stays_below_a_thousandth_of_a_pixel_at_every_phase
     assert np.abs(np.array([(f.x_px, f.y_px) for f in found]) - positions).max() < limit
 
 
+def test_an_aliased_template_is_resolved_by_frames_at_many_places(scenes):
+    scene, rng = scenes["facade"], np.random.default_rng(9)
+    tracker = RegistrationTracker(picture(0, scene.render(0, 0)), REGION, RegistrationSettings(learn_frames=0))
+    places = np.array([(k / 20 - 0.5, (7 * k % 20) / 20 - 0.5) for k in range(20)])
+
+    def error():
+        found = [tracker.push(picture(k + 1, scene.render(*p)), NEAR) for k, p in enumerate(places)]
+        return np.array([(f.x_px, f.y_px) for f in found]) - places
+
+    single = np.abs(error()).max()
+    tracker.learn([picture(k + 1, scene.render(*p)) for k, p in enumerate(rng.uniform(-0.5, 0.5, (48, 2)))])
+    resolved = error()
+    assert single > 0.0015
+    # The mean is the zero, which is the reference frame's own and keeps its aliasing.
+    assert np.abs(resolved - resolved.mean(axis=0)).max() < 0.001
+
+
 @pytest.mark.parametrize(("name", "limit"), [("natural", 1.25), ("blocks", 1.25), ("facade", 1.5), ("weak", 1.5)])
 def test_scatter_is_near_the_cramer_rao_bound_and_the_reported_deviation_is_the_error(scenes, name, limit):
     scene, rng = scenes[name], np.random.default_rng(5)
@@ -96,7 +125,7 @@ def test_scatter_is_near_the_cramer_rao_bound_and_the_reported_deviation_is_the_
         tracker = started(scene, rng)
         places = rng.uniform(-0.6, 0.6, (24, 2))
         found = [
-            tracker.push(picture(k + 30, CAMERA.expose(scene.render(*p), rng=rng)), NEAR) for k, p in enumerate(places)
+            tracker.push(picture(k + 60, CAMERA.expose(scene.render(*p), rng=rng)), NEAR) for k, p in enumerate(places)
         ]
         error = np.array([(f.x_px, f.y_px) for f in found]) - places
         scatter.append((error.var(axis=0, ddof=1) / bound**2).mean())
@@ -104,17 +133,99 @@ def test_scatter_is_near_the_cramer_rao_bound_and_the_reported_deviation_is_the_
         true.append(error**2)
     # 120 frames on two axes: the ratio itself carries ±5 %; the goal of 1.2 is the benchmark's, with more frames.
     assert np.sqrt(np.mean(scatter)) < limit
-    # Five references on two axes: ten values of the zero's error, so that the ratio carries ±15 %. The facade's
-    # reference is aliased, an error of the zero that is the same in all frames and cannot be seen in one.
-    assert (0.55 if name == "facade" else 0.7) < np.sqrt(np.mean(reported) / np.mean(true)) < 1.45
+    # Five references on two axes: ten values of the zero's error: the ratio carries ±15 % beside the goal's 25 %.
+    assert 0.7 < np.sqrt(np.mean(reported) / np.mean(true)) < 1.45
 
 
-def test_a_better_template_is_learnt_without_moving_the_zero(scenes):
-    scene, rng = scenes["weak"], np.random.default_rng(8)
-    tracker = started(scene, rng, learnt=40)
-    found = tracker.push(picture(99, tracker.reference.pixels), NEAR)
-    # The reference itself lies at zero whatever the template is made of; only the sixteenth of its phase remains.
-    assert (found.x_px, found.y_px) == pytest.approx((0.0, 0.0), abs=1e-6)
+@pytest.mark.parametrize("name", NAMES)
+def test_a_learnt_template_makes_no_step(scenes, learnt_trackers, name):
+    tracker = learnt_trackers[name]
+    first = RegistrationTracker(tracker.reference, REGION, RegistrationSettings(learn_frames=0))
+    rng = np.random.default_rng(31)
+    images = [CAMERA.expose(scenes[name].render(*p), rng=rng) for p in rng.uniform(-0.6, 0.6, (40, 2))]
+    before, after = (
+        np.array([(f.x_px, f.y_px) for f in (t.push(picture(k + 99, im), NEAR) for k, im in enumerate(images))])
+        for t in (first, tracker)
+    )
+    bound = np.array(cramer_rao_std_px(scenes[name], CAMERA, region=REGION))
+    # Both have the same zero. What is left of one frame's difference (0.4 to 0.9 of the bound, as measured) is averaged
+    # over the 48 frames that the zero was carried over with and over 40 here: 0.06 to 0.19; twice that is allowed.
+    limit = 0.4 if name == "weak" else 0.28
+    assert np.all(np.abs((after - before).mean(axis=0)) < limit * bound)
+
+
+def test_the_frames_learnt_from_keep_their_mean_place(scenes):
+    scene, rng = scenes["natural"], np.random.default_rng(8)
+    images = [CAMERA.expose(scene.render(*p), rng=rng) for p in rng.uniform(-0.6, 0.6, (30, 2))]
+    frames = [picture(k + 1, image) for k, image in enumerate(images)]
+    reference = picture(0, CAMERA.expose(scene.render(0, 0), rng=rng))
+    tracker = RegistrationTracker(reference, REGION, RegistrationSettings(learn_frames=0))
+    before = [tracker.push(frame, NEAR) for frame in frames]
+    tracker.learn(frames)
+    after = [tracker.push(frame, NEAR) for frame in frames]
+    step = np.mean([(a.x_px - b.x_px, a.y_px - b.y_px) for a, b in zip(after, before, strict=True)], axis=0)
+    # One zero: a tenth of a frame's own noise, and less than that, since the very frames are compared.
+    assert np.all(np.abs(step) < 0.1 * np.array(cramer_rao_std_px(scene, CAMERA, region=REGION)))
+
+
+@pytest.mark.parametrize("name", ["natural", "facade"])
+def test_frames_at_one_place_only_are_averaged(scenes, name):
+    scene, rng = scenes[name], np.random.default_rng(4)
+    settings = RegistrationSettings(learn_frames=8)
+    tracker = RegistrationTracker(picture(0, CAMERA.expose(scene.render(0, 0), rng=rng)), REGION, settings)
+    for k in range(40):
+        tracker.push(picture(k + 1, CAMERA.expose(scene.render(0, 0), rng=rng)), NEAR)
+    assert tracker.state.learnt is not None
+    assert tracker.state.samples is not None  # it goes on learning until the structure moves
+    places = rng.uniform(-0.5, 0.5, (20, 2))
+    found = [
+        tracker.push(picture(k + 50, CAMERA.expose(scene.render(*p), rng=rng)), NEAR) for k, p in enumerate(places)
+    ]
+    error = np.array([(f.x_px, f.y_px) for f in found]) - places
+    bound = np.array(cramer_rao_std_px(scene, CAMERA, region=REGION))
+    # What is aliased in the façade stays: a single frame errs by up to 3 bounds.
+    assert np.all(error.std(axis=0) < (4.0 if name == "facade" else 1.6) * bound)
+
+
+def test_learning_needs_frames_that_show_the_target(scenes):
+    tracker = RegistrationTracker(picture(0, scenes["natural"].render(0, 0)), REGION, RegistrationSettings())
+    with pytest.raises(DataError, match="at least 5 frames"):
+        tracker.learn([picture(k + 1, np.zeros((SIDE, SIDE))) for k in range(8)])
+
+
+@pytest.mark.parametrize("side", [32, 128, 512])
+def test_the_kernels_of_a_large_region_stay_within_their_memory(side):
+    rng = np.random.default_rng(6)
+    image = gaussian_filter(rng.normal(0, 400, (side + 60, side + 60)), 1.2)
+    tracker = RegistrationTracker(picture(0, 120 + image), Region(30, 30, side, side), RegistrationSettings())
+    assert sum(bank.kernels.nbytes for bank in tracker.banks) <= 64 << 20
+
+
+def test_kernels_that_gave_way_to_others_are_made_again_alike(scenes, monkeypatch):
+    scene = scenes["natural"]
+    images = [scene.render(0.07 * k, -0.05 * k) for k in range(30)]
+
+    def tracked():
+        tracker = RegistrationTracker(picture(0, images[0]), REGION, RegistrationSettings(learn_frames=0))
+        return [tracker.push(picture(k + 1, image)) for k, image in enumerate(images * 2)]
+
+    whole = tracked()
+    monkeypatch.setattr("midspan.vision.bank.BANK_BYTES", 4 * 12 * SIZE * SIZE)  # four phases
+    assert tracked() == whole
+
+
+def test_a_target_that_leaves_the_image_is_lost_and_found_again(scenes):
+    scene = scenes["natural"]
+    tracker = RegistrationTracker(picture(0, scene.render(0, 0)), Region(10, 60, 64, 64), RegistrationSettings())
+    statuses = []
+    for k in range(60):
+        # It goes out to the left for good at 80 px, then is back.
+        image = np.roll(scene.render(0, 0), -round(80 * min(k, 20) / 20), axis=1) if k < 40 else scene.render(0.3, 0.2)
+        image[:, SIDE - 80 :] = image[:, SIDE - 80 :] if k >= 40 else 90.0
+        found = tracker.push(picture(k + 1, image))
+        statuses.append(found.status)
+    assert set(statuses[14:40]) == {Status.LOST}
+    assert (found.x_px, found.y_px) == pytest.approx((0.3, 0.2), abs=0.002)
 
 
 @pytest.mark.parametrize("place", [(13.4, -12.2), (-9.3, 10.7)])

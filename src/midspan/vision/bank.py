@@ -1,69 +1,161 @@
-"""A template's kernels for all phases, and how much each block of it tells."""
+"""A template's kernels for the phases that were last needed, and how much each block of it tells."""
 
 from dataclasses import dataclass
-from itertools import pairwise
+from functools import cache
+from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from midspan.records import Floats, Region
-from midspan.vision.kernels import PHASES, Integers, build, phase_shift, project, quantised
+from midspan.vision.fine_spline import FINE_TAPS, PER_PX, fine_weights, read, refined
+from midspan.vision.kernels import PHASES, Integers, build, phase_shift
 from midspan.vision.matching import CONTEXT_PX
-from midspan.vision.spline import REACH, Floats32, coefficients, combine, weights
-from midspan.vision.texture import lowpass_taps, noise_gains, noise_std, values
+from midspan.vision.spline import Floats32
+from midspan.vision.texture import gaussian_taps, lowpass_taps, noise_gains, noise_std, values
 
 # Blocks along each axis, and the least size in px for which there are fewer of them.
-COARSE, FINE = (5, 12), (8, 10)
+COARSE, FINE = (5, 20), (8, 10)
 LEAST_SHARE = 0.3  # of a block's gradients must be texture, not noise
+TEMPLATE_WEIGHT = 4.0  # as measured on four textures: the least scatter
+SMOOTHINGS_PX = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.85, 1.0, 1.2, 1.4, 1.7, 2.0)
+LEAST_SMOOTHING_PX = 0.3
+TYPICAL_PX = 128  # of the window are looked at to choose the low-pass
+BANK_BYTES = 32 << 20  # of kernels in one bank: all 256 phases of a region of 104 px, 10 of one of 512 px
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Plane:
-    """What kernels are made from: `pixels` (rows, columns) around the window, which begins at `top`, `left` in it;
-    `weight` (h, w) of the window's pixels; standard deviation of its noise.
+    """What kernels are made from: fine spline coefficients `grid` of the window, which begins at the pixel `origin`
+    (row, column) of it, and around it; `weight` (h, w) of the window's pixels; standard deviation of the noise of a
+    pixel of it.
     """
 
-    pixels: Floats
-    top: int
-    left: int
+    grid: Floats32
+    origin: tuple[int, int]
     weight: Floats32
     noise_std: float
 
 
-class Bank:
-    """The kernels of a template for all phases, each made when it is first needed."""
+class Store(NamedTuple):
+    """A bank as compiled code takes it.
 
-    def __init__(self, plane: Plane, window: Region, smoothing_px: float, division: tuple[int, int]) -> None:
-        self.window = window
-        self._grids = (_grid(plane, window, 0.0), _grid(plane, window, smoothing_px))
-        self._weight = plane.weight
-        self.edges = (_edges(window.height, division), _edges(window.width, division))
-        down, across = (0.5 * (e[1:] + e[:-1]) for e in self.edges)
-        x, y = np.meshgrid(across - 0.5 * window.width, down - 0.5 * window.height)
-        self.centres = np.column_stack([x.ravel(), y.ravel()])
-        self.kernels = np.empty((PHASES**2, 3, window.height, window.width), dtype=np.float32)
-        self._made = np.zeros(PHASES**2, dtype=bool)
-        covariance = self._build(PHASES // 2 * (PHASES + 1))
-        noise = plane.noise_std**2 * noise_gains(smoothing_px)[1] * 2.0
-        share = np.clip(1.0 - noise / np.maximum(_gradient_squares(self._grids[1], self.edges), 1e-30), 0.0, 1.0)
-        self.information = _information(covariance, share)
-        spread = np.where(np.isfinite(covariance[:, 2, 2]), covariance[:, 2, 2], np.inf)
-        self.gain_information = np.where(self.information[:, 0, 0] > 0, 1.0 / np.maximum(spread, 1e-300), 0.0)
+    grids: fine coefficients (2 h + 7, 2 w + 7) of the template, plain and low-passed; weight (h, w); down, across:
+    edges of the blocks; origin: row and column of the window in the reference; kernels (slots, 3, h, w), in which each
+    block has slots of its own; warp (blocks, slots, 2, 2): see `build`; slot_of (blocks, phases): where a block's
+    kernels of a phase are, -1: nowhere; phase_in, used (blocks, slots): what a slot holds and when it was last used;
+    clock (1,); centres (blocks, 2) from the window's middle, px; information (blocks, 2, 2) and gain_information
+    (blocks,): inverse variances.
+    """
 
-    def measure(self, image: NDArray[np.generic], offset: float, place: Floats) -> tuple[Floats, Floats]:
-        """Products (blocks, 3) of the frame with the kernels nearest to the blocks' `place` (blocks, 2), and the
-        translations (blocks, 2) that these kernels stand for.
-        """
-        whole, phase = quantised(place)
-        if not self._made[phase].all():
-            for p in np.unique(phase[~self._made[phase]]):
-                self._build(int(p))
-        at = (whole[:, 1] + self.window.y, whole[:, 0] + self.window.x, phase)
-        return project(image, offset, self.kernels, self.edges, at), np.floor(place * PHASES + 0.5) / PHASES
+    grids: tuple[Floats32, Floats32]
+    weight: Floats32
+    down: Integers
+    across: Integers
+    origin: Integers
+    kernels: Floats32
+    warp: Floats
+    slot_of: Integers
+    phase_in: Integers
+    used: Integers
+    clock: Integers
+    centres: Floats
+    information: Floats
+    gain_information: Floats
 
-    def _build(self, phase: int) -> Floats:
-        self._made[phase] = True
-        return build(self._grids, self._weight, self.edges, phase_shift(phase), self.kernels[phase])
+
+@njit(cache=True)
+def block_box(down: Integers, across: Integers, block: int) -> tuple[int, int, int, int]:
+    """First row, row after the last, first column, column after the last of the block of that number."""
+    j, i = divmod(block, len(across) - 1)
+    return down[j], down[j + 1], across[i], across[i + 1]
+
+
+@njit(cache=True)
+def slots(store: Store, phase: Integers) -> Integers:
+    """The slot (blocks,) that holds each block's kernels for its `phase` (blocks,).
+
+    Kernels that are not there are made, in place of those that have not been used for longest.
+    """
+    out = np.empty(len(phase), dtype=np.int64)
+    store.clock[0] += 1
+    for b in range(len(phase)):
+        slot = store.slot_of[b, phase[b]]
+        if slot < 0:
+            slot = store.used[b].argmin()
+            if store.phase_in[b, slot] >= 0:
+                store.slot_of[b, store.phase_in[b, slot]] = -1
+            box = block_box(store.down, store.across, b)
+            made = build(store.grids, store.weight, box, phase_shift(phase[b]), store.kernels[slot])
+            store.warp[b, slot] = made[1]
+            store.slot_of[b, phase[b]], store.phase_in[b, slot] = slot, phase[b]
+        store.used[b, slot] = store.clock[0]
+        out[b] = slot
+    return out
+
+
+@cache
+def _noise_slopes(smoothing_px: float) -> tuple[float, float]:
+    """What noise of variance 1 gives: square of its low-passed slopes, both axes, and their product with the plain."""
+    impulse = np.zeros((41, 41))
+    impulse[20, 20] = 1.0
+    grid = refined(impulse)
+    plain, smooth = _slopes(grid), _slopes(_lowpassed(grid, smoothing_px))
+    return float(np.sum(smooth**2)), float(np.sum(smooth * plain))
+
+
+def best_smoothing_px(plane: Plane, window: Region) -> float:
+    """The low-pass (px) that gives the least variance with this signal and noise, by the instrument's formula.
+
+    Variance = mean Z'² over (mean Z' T')², with slopes Z' of the low-passed template, T' of the template; what noise
+    adds to Z' counts `TEMPLATE_WEIGHT` times more, because a template's noise also shifts with the frame's phase. Not
+    below `LEAST_SMOOTHING_PX`.
+    """
+    height, width = (min(size, TYPICAL_PX) for size in (window.height, window.width))
+    place = plane.origin[0] + (window.height - height) // 2, plane.origin[1] + (window.width - width) // 2
+    square, plain = plane.noise_std**2, _slopes(_cropped(plane.grid, place, (height, width)))
+    variance = []
+    for sigma in SMOOTHINGS_PX:
+        smooth = _slopes(_cropped(_lowpassed(plane.grid, sigma), place, (height, width)))
+        own, shared = _noise_slopes(sigma)
+        clean = max(float(np.mean(np.sum(smooth**2, axis=0))) - square * own, 1e-30)
+        along = max(float(np.mean(np.sum(smooth * plain, axis=0))) - square * shared, 1e-30)
+        variance.append((clean + TEMPLATE_WEIGHT * square * own) / along**2)
+    return max(SMOOTHINGS_PX[int(np.argmin(variance))], LEAST_SMOOTHING_PX)
+
+
+def make_bank(plane: Plane, window: Region, smoothing_px: float, division: tuple[int, int]) -> Store:
+    """The bank of a template in `division` blocks; its kernels are made when they are first needed."""
+    both = plane.grid, _lowpassed(plane.grid, smoothing_px)
+    grids = tuple(_cropped(grid, plane.origin, (window.height, window.width)) for grid in both)
+    down, across = _edges(window.height, division), _edges(window.width, division)
+    x, y = np.meshgrid(0.5 * (across[1:] + across[:-1] - window.width), 0.5 * (down[1:] + down[:-1] - window.height))
+    count, size = x.size, window.height * window.width
+    held = int(np.clip(BANK_BYTES // (12 * size), 4, PHASES**2))
+    kernels = np.empty((held, 3, window.height, window.width), dtype=np.float32)
+    boxes = [block_box(down, across, b) for b in range(count)]
+    covariance = np.array([build((grids[0], grids[1]), plane.weight, box, (0.0, 0.0), kernels[0])[0] for box in boxes])
+    noise = plane.noise_std**2 * noise_gains(smoothing_px)[1] * 2.0
+    share = np.clip(1.0 - noise / np.maximum(_gradient_squares(grids[1], boxes), 1e-30), 0.0, 1.0)
+    information = _information(covariance, share)
+    spread = np.where(np.isfinite(covariance[:, 2, 2]), covariance[:, 2, 2], np.inf)
+    return Store(
+        grids=(grids[0], grids[1]),
+        weight=plane.weight,
+        down=down,
+        across=across,
+        origin=np.array([window.y, window.x], dtype=np.int64),
+        kernels=kernels,
+        warp=np.zeros((count, held, 2, 2)),
+        slot_of=np.full((count, PHASES**2), -1, dtype=np.int64),
+        phase_in=np.full((count, held), -1, dtype=np.int64),
+        used=np.zeros((count, held), dtype=np.int64),
+        clock=np.zeros(1, dtype=np.int64),
+        centres=np.column_stack([x.ravel(), y.ravel()]),
+        information=information,
+        gain_information=np.where(information[:, 0, 0] > 0, 1.0 / np.maximum(spread, 1e-300), 0.0),
+    )
 
 
 def _edges(size: int, division: tuple[int, int]) -> Integers:
@@ -77,20 +169,25 @@ def first_plane(image: NDArray[np.generic], window: Region, offset: float) -> Pl
     raw = values(image[y0 : window.y + window.height + CONTEXT_PX, x0 : window.x + window.width + CONTEXT_PX], offset)
     assert raw is not None
     weight = np.ones((window.height, window.width), dtype=np.float32)
-    return Plane(raw.astype(np.float64), window.y - y0, window.x - x0, weight, _block_noise(raw))
+    return Plane(refined(raw.astype(np.float64)), (window.y - y0, window.x - x0), weight, _block_noise(raw))
 
 
-def _grid(plane: Plane, window: Region, smoothing_px: float) -> Floats32:
-    """Spline coefficients over the window and 3 px around it, of the low-passed image where `smoothing_px` is not 0."""
+def _cropped(grid: Floats32, origin: tuple[int, int], size: tuple[int, int]) -> Floats32:
+    """The coefficients of the pixels from `origin` (row, column) on, `size` (rows, columns) of them."""
+    top, left = (PER_PX * k for k in origin)
+    down, across = (PER_PX * k + FINE_TAPS - PER_PX for k in size)
+    return np.ascontiguousarray(grid[top : top + down, left : left + across])
+
+
+def _lowpassed(grid: Floats32, smoothing_px: float) -> Floats32:
+    """Coefficients of the image after `lowpass_taps`."""
     from scipy.ndimage import convolve1d
 
-    pixels = plane.pixels
-    if smoothing_px > 0.0:
-        taps = lowpass_taps(smoothing_px)
-        pixels = convolve1d(convolve1d(pixels, taps, axis=0, mode="mirror"), taps, axis=1, mode="mirror")
-    top, left = plane.top - REACH, plane.left - REACH
-    part = coefficients(pixels)[top : top + window.height + 2 * REACH, left : left + window.width + 2 * REACH]
-    return np.ascontiguousarray(part, dtype=np.float32)
+    flat = np.zeros(PER_PX * 4 + 1)
+    flat[::PER_PX] = lowpass_taps(0.0)
+    taps = np.convolve(gaussian_taps(PER_PX * smoothing_px), flat)
+    smooth = convolve1d(grid, taps, axis=0, mode="mirror")
+    return np.asarray(convolve1d(smooth, taps, axis=1, mode="mirror"), dtype=np.float32)
 
 
 def _block_noise(raw: Floats32) -> float:
@@ -104,20 +201,22 @@ def _block_noise(raw: Floats32) -> float:
     return float(np.quantile(parts, 0.2))
 
 
-def _gradient_squares(grid: Floats32, edges: tuple[Integers, Integers]) -> Floats:
+def _slopes(grid: Floats32) -> Floats:
+    """Slopes along x and y (2, rows, columns)."""
+    value, slope = fine_weights(0.0, 0), fine_weights(0.0, 1)
+    return np.stack([read(grid, value, slope), read(grid, slope, value)]).astype(np.float64)
+
+
+def _gradient_squares(grid: Floats32, boxes: list[tuple[int, int, int, int]]) -> Floats:
     """Mean of the squared gradient (blocks,), its level taken out."""
-    value, slope = weights(0.0, 0), weights(0.0, 1)
-    gx, gy = combine(grid, value, slope).astype(np.float64), combine(grid, slope, value).astype(np.float64)
-    down, across = edges
-    return np.array(
-        [gx[r0:r1, c0:c1].var() + gy[r0:r1, c0:c1].var() for r0, r1 in pairwise(down) for c0, c1 in pairwise(across)]
-    )
+    slopes = _slopes(grid)
+    return np.array([slopes[:, r0:r1, c0:c1].var(axis=(1, 2)).sum() for r0, r1, c0, c1 in boxes])
 
 
 def _information(covariance: Floats, share: Floats) -> Floats:
     """Inverse covariance (blocks, 2, 2) of x and y for noise of variance 1; 0 for blocks without texture."""
     out = np.zeros((len(covariance), 2, 2))
     for b, c in enumerate(covariance):
-        if np.isfinite(c).all() and share[b] > 0.3:
+        if np.isfinite(c).all() and share[b] > LEAST_SHARE:
             out[b] = np.linalg.inv(c[:2, :2]) * share[b]
     return out

@@ -10,6 +10,9 @@ CUT = 6.0  # Tukey's weight is 0 beyond this many standard deviations
 # variance of the weighted mean: E[m] E[w] / E[w m], and E[w² m/2] E[w] / E[w - m (1 - m/36) 2/36]².
 SQUARE_FACTOR = 1.124
 VARIANCE_FACTOR = 0.920
+PLAIN_SQUARE = 20.0  # squared distance over its scale: two normal components reach it once in 20 000 blocks
+AGREED = 0.9  # of the blocks about the medians: nothing covers the target, no vote is needed
+MOST_SQUARE = 1.7  # of the noise over the usual one: more is not noise
 _PASSES = 12
 
 
@@ -59,10 +62,11 @@ def _normal(found: Floats, information: Floats, centres: Floats, weight: Floats)
 
 
 @njit(cache=True)
-def gains(found: Floats, information: Floats) -> Floats:
+def gains(found: Floats, information: Floats, usual: float) -> Floats:
     """Gain (blocks,) of every block, drawn to the median of all as far as its own is uncertain; NaN without one.
 
-    `found` (blocks,) gains, `information` (blocks,) their inverse variances up to a factor.
+    `found` (blocks,) gains, `information` (blocks,) their inverse variances for noise of scale 1; `usual` the scale to
+    be expected, 0 where it is not known.
     """
     out = np.full(found.shape[0], np.nan)
     usable = np.isfinite(found) & (information > 0)
@@ -75,6 +79,8 @@ def gains(found: Floats, information: Floats) -> Floats:
     # The scatter of equal gains gives the noise (0.455 is the median of a normal variable's square); what is more
     # than that is their own difference.
     noise = np.median(square * inverse) / 0.455
+    if usual > 0.0:
+        noise = np.minimum(noise, MOST_SQUARE * usual**2)
     variance = noise / inverse
     spread = max(np.median(square) / 0.455 - np.median(variance), 0.0)
     # A block's own gain also counts as far as it lies outside the noise: covered blocks must not be averaged away.
@@ -111,7 +117,7 @@ def fuse(
     `found` (blocks, 2) translations in px; `information` (blocks, 2, 2) their inverse covariances for noise of scale
     1, zero where a block does not count; `centres` (blocks, 2) from the window's middle, px; `begin` (4,) the pose
     before; `usual` the noise scale to be expected, 0 where it is not known. Tukey's biweight from the pose that most
-    blocks vote for; its scale is from the median distance of the blocks, at most twice the usual one, so that more
+    blocks vote for; its scale is from the median distance of the blocks, at most 1.3 times the usual one, so that more
     than half of them may say anything. Roll and zoom are drawn to zero as far as they may be noise.
     """
     counted = np.where(information[:, 0, 0] + information[:, 1, 1] > 0, 1.0, 0.0)
@@ -119,30 +125,35 @@ def fuse(
     weight, scale = counted.copy(), 1.0
     if counted.sum() < 4:
         return pose, covariance, np.zeros(len(counted)), np.inf
-    most = 4.0 * usual * usual if usual > 0.0 else np.inf
+    most = MOST_SQUARE * usual * usual if usual > 0.0 else np.inf
     seed = np.array([_median(found[:, 0], counted), _median(found[:, 1], counted), begin[2], begin[3]])
-    square = max(_median(_distances(found, information, centres, seed), counted) / 1.386, 1e-12)
-    pose = _seed(found, information, centres, begin, min(square, most))
+    distance = _distances(found, information, centres, seed)
+    square = min(max(_median(distance, counted) / 1.386, 1e-12), most)
+    near = (counted * (distance < CUT**2 * square)).sum() / counted.sum()
+    pose = seed if near > AGREED else _seed(found, information, centres, begin, square)
     for step in range(_PASSES):
         distance = _distances(found, information, centres, pose)
         square = min(max(_median(distance, counted) / 1.386, 1e-12), most)
         before = pose.copy()
-        weight = counted * np.maximum(1.0 - distance / (CUT**2 * square), 0.0) ** 2
+        # Where no block stands out none needs to count less: equal weights are the more exact.
+        plain = (counted * distance).max() < PLAIN_SQUARE * square
+        factors = (1.0, 1.0) if plain else (SQUARE_FACTOR, VARIANCE_FACTOR)
+        weight = counted * np.maximum(1.0 - distance / (CUT**2 * square), 0.0) ** 2 if not plain else counted.copy()
         total = weight.sum()
         if total < 2.5:
             return pose, covariance, weight, np.inf
         matrix, right = _normal(found, information, centres, weight)
-        scale = np.sqrt(SQUARE_FACTOR * (weight * distance).sum() / max(2.0 * total - 4.0, 1.0))
+        scale = np.sqrt(factors[0] * (weight * distance).sum() / max(2.0 * total - 4.0, 1.0))
         for k in range(4):
             matrix[k, k] = matrix[k, k] * (1.0 + 1e-9) + 1e-12
         inverse = np.linalg.inv(matrix)
         pose = inverse @ right
         for k in range(2, 4):
-            own = VARIANCE_FACTOR * scale**2 * inverse[k, k]
+            own = factors[1] * scale**2 * inverse[k, k]
             matrix[k, k] += max(scale, 1e-9) ** 2 / (max(pose[k] ** 2 - own, 1e-3 * own) + 1e-300)
         inverse = np.linalg.inv(matrix)
-        covariance = inverse * (VARIANCE_FACTOR * scale**2)
+        covariance = inverse * (factors[1] * scale**2)
         pose = inverse @ right
-        if step > 2 and np.abs(pose[:2] - before[:2]).max() < 1e-6:
+        if step > 0 and np.abs(pose[:2] - before[:2]).max() < 1e-5:
             break
     return pose, covariance, weight, scale

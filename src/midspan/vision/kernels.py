@@ -2,9 +2,10 @@
 
 In each block of the window the frame is a T - a d·∇T + level + ramps, with the template T at a known phase, a small
 remaining shift d and a gain a. The kernels are the rows of (Zᵀ W A)⁻¹ Zᵀ W that belong to a d and a: A holds the
-gradients, the template, 1 and two ramps, W one over each pixel's noise variance, and Z the same columns as A of the
-low-passed template. Whatever is in A and not wanted drops out exactly; the low-pass in Z alone keeps the template's
-noise and aliasing, which the gradient amplifies, out of the result (an instrument in the sense of regression).
+gradients, the template, 1, two ramps and the template times each ramp (light that falls off across the block), W one
+over each pixel's noise variance, and Z the same columns as A of the low-passed template. Whatever is in A and not
+wanted drops out exactly; the low-pass in Z alone keeps the template's noise and aliasing, which the gradient amplifies,
+out of the result (an instrument in the sense of regression).
 """
 
 import numpy as np
@@ -12,12 +13,13 @@ from numba import njit
 from numpy.typing import NDArray
 
 from midspan.records import Floats
-from midspan.vision.spline import Floats32, combine, weights
+from midspan.vision.fine_spline import FINE_TAPS, PER_PX, planes
+from midspan.vision.spline import Floats32
 
 Integers = NDArray[np.int64]
 
 PHASES = 16  # a pixel, along each axis: linearising over 1/32 px leaves an error of the order of 1e-4 px
-_UNKNOWNS = 6
+_UNKNOWNS = 8
 
 
 @njit(cache=True)
@@ -47,64 +49,72 @@ def _invert(matrix: Floats) -> bool:
 
 
 @njit(cache=True)
-def _columns(planes: Floats32, box: tuple[int, int, int, int]) -> Floats:
-    """The regressors (6, pixels) of a block: -∂x, -∂y, template, 1, ramp across, ramp down."""
-    top, bottom, left, right = box
-    out = np.empty((_UNKNOWNS, (bottom - top) * (right - left)))
+def _columns(planes: Floats32) -> Floats:
+    """The regressors (8, pixels) of a block from its `planes` (3, h, w): -∂x, -∂y, template, 1, ramps across and down,
+    the template times each.
+    """
+    rows, columns = planes.shape[1], planes.shape[2]
+    out = np.empty((_UNKNOWNS, rows * columns))
     n = 0
-    for r in range(top, bottom):
-        for c in range(left, right):
+    for r in range(rows):
+        for c in range(columns):
             out[0, n], out[1, n], out[2, n] = -planes[1, r, c], -planes[2, r, c], planes[0, r, c]
-            out[3, n] = 1.0
-            out[4, n] = (2 * c - left - right + 1) / (right - left)
-            out[5, n] = (2 * r - top - bottom + 1) / (bottom - top)
+            across, down = (2 * c - columns + 1) / columns, (2 * r - rows + 1) / rows
+            out[3, n], out[4, n], out[5, n] = 1.0, across, down
+            out[6, n], out[7, n] = across * planes[0, r, c], down * planes[0, r, c]
             n += 1
-    return out
-
-
-@njit(cache=True)
-def _planes(grid: Floats32, x: float, y: float) -> Floats32:
-    """Template and its gradients x and y, (3, h, w), moved by (x, y) px."""
-    wx, wy = weights(-x, 0), weights(-y, 0)
-    value = combine(grid, wy, wx)
-    out = np.empty((3, *value.shape), dtype=np.float32)
-    out[0] = value
-    out[1] = combine(grid, wy, weights(-x, 1))
-    out[2] = combine(grid, weights(-y, 1), wx)
     return out
 
 
 @njit(cache=True, fastmath=True)
 def build(
-    grids: tuple[Floats32, Floats32], weight: Floats32, edges: tuple[Integers, Integers], shift: Floats, out: Floats32
-) -> Floats:
-    """Fill `out` (3, h, w) with the kernels for the template moved by `shift` (2,): x, y in px.
+    grids: tuple[Floats32, Floats32],
+    weight: Floats32,
+    box: tuple[int, int, int, int],
+    shift: tuple[float, float],
+    out: Floats32,
+) -> tuple[Floats, Floats]:
+    """Fill the part `box` of `out` (3, h, w) with the kernels of a block for the template moved by `shift` (x, y px).
 
-    `grids`: spline coefficients (h + 6, w + 6) of the template and of the low-passed one; `weight` (h, w) one over the
-    noise variance; `edges`: rows and columns (n + 1,) at which the blocks begin and end. Returns the kernels' noise
-    covariance (blocks, 3, 3) for that noise; infinite where a block holds no texture.
+    `grids`: fine spline coefficients (2 h + 7, 2 w + 7) of the template and of the low-passed one; `weight` (h, w) one
+    over the noise variance; `box`: first row, row after the last, first column, column after the last of the block in
+    the window. Returns the kernels' noise covariance (3, 3) for that noise, infinite where the block holds no texture,
+    and what they give (2, 2) for x and y (rows) of a block turned by 1 rad or enlarged by 1 about its middle (columns).
     """
-    model, instrument = _planes(grids[0], shift[0], shift[1]), _planes(grids[1], shift[0], shift[1])
-    down, across = edges
-    count = (len(down) - 1) * (len(across) - 1)
-    covariance = np.full((count, 3, 3), np.inf)
-    for b in range(count):
-        j, i = divmod(b, len(across) - 1)
-        box = (down[j], down[j + 1], across[i], across[i + 1])
-        rows, columns = box[1] - box[0], box[3] - box[2]
-        part = weight[box[0] : box[1], box[2] : box[3]].copy().reshape(rows * columns).astype(np.float64)
-        weighted = _columns(instrument, box) * part
-        inverse = weighted @ _columns(model, box).T
-        if not _invert(inverse):
-            out[:, box[0] : box[1], box[2] : box[3]] = np.float32(0.0)
-            continue
-        kernels = np.ascontiguousarray(inverse[:3]) @ weighted
-        covariance[b] = (kernels / part) @ kernels.T
-        for n in range(3):
-            for r in range(rows):
-                for c in range(columns):
-                    out[n, box[0] + r, box[2] + c] = kernels[n, r * columns + c]
-    return covariance
+    top, bottom, left, right = box
+    beyond = FINE_TAPS - PER_PX
+    down, across = slice(PER_PX * top, PER_PX * bottom + beyond), slice(PER_PX * left, PER_PX * right + beyond)
+    moved = planes(grids[0][down, across], shift[0], shift[1])
+    model = _columns(moved)
+    instrument = _columns(planes(grids[1][down, across], shift[0], shift[1]))
+    rows, columns = bottom - top, right - left
+    part = weight[top:bottom, left:right].copy().reshape(rows * columns).astype(np.float64)
+    weighted = instrument * part
+    inverse = weighted @ model.T
+    if not _invert(inverse):
+        out[:, top:bottom, left:right] = np.float32(0.0)
+        return np.full((3, 3), np.inf), np.zeros((2, 2))
+    kernels = np.ascontiguousarray(inverse[:3]) @ weighted
+    for n in range(3):
+        for r in range(rows):
+            for c in range(columns):
+                out[n, top + r, left + c] = kernels[n, r * columns + c]
+    return (kernels / part) @ kernels.T, kernels[:2] @ _warps(moved)
+
+
+@njit(cache=True)
+def _warps(planes: Floats32) -> Floats:
+    """How a block's pixels (pixels, 2) change when it is turned by 1 rad and when it is enlarged by 1."""
+    rows, columns = planes.shape[1], planes.shape[2]
+    out = np.empty((rows * columns, 2))
+    n = 0
+    for r in range(rows):
+        for c in range(columns):
+            x, y = c - 0.5 * (columns - 1), r - 0.5 * (rows - 1)
+            out[n, 0] = y * planes[1, r, c] - x * planes[2, r, c]
+            out[n, 1] = -x * planes[1, r, c] - y * planes[2, r, c]
+            n += 1
+    return out
 
 
 @njit(cache=True)
@@ -134,9 +144,10 @@ def quantised(place: Floats) -> tuple[Integers, Integers]:
     return whole, phase
 
 
-def phase_shift(phase: int) -> Floats:
-    """The shift (2,): x, y in px, -0.5 to below 0.5, of the phase of that number."""
-    return np.array([phase // PHASES - PHASES // 2, phase % PHASES - PHASES // 2]) / PHASES
+@njit(cache=True)
+def phase_shift(phase: int) -> tuple[float, float]:
+    """The shift x, y in px, -0.5 to below 0.5, of the phase of that number."""
+    return (phase // PHASES - PHASES // 2) / PHASES, (phase % PHASES - PHASES // 2) / PHASES
 
 
 @njit(cache=True, fastmath=True)
@@ -149,12 +160,12 @@ def project(
 ) -> Floats:
     """Products of every block with its kernels: (blocks, 3) for a dx, a dy and a.
 
-    `image` (rows, columns), of which `offset` is subtracted; `bank` (phases, 3, h, w); `edges` of the blocks in the
-    window; `at`: for every block the row and column of the image where the window would begin for it, and its phase.
-    NaN where the block is not wholly inside the image.
+    `image` (rows, columns), of which `offset` is subtracted; `bank` (slots, 3, h, w); `edges` of the blocks in the
+    window; `at`: for every block the row and column of the image where the window would begin for it, and its slot
+    of the bank. NaN where the block is not wholly inside the image.
     """
     down, across = edges
-    top, left, phase = at
+    top, left, slot = at
     out = np.zeros((top.shape[0], 3))
     level = np.float32(offset)
     acc = np.empty((3, bank.shape[3]), dtype=np.float32)
@@ -167,7 +178,7 @@ def project(
             continue
         width = c1 - c0
         acc[:, :width] = np.float32(0.0)
-        p = phase[b]
+        p = slot[b]
         for r in range(r0, r1):
             line = image[y + r, x + c0 : x + c1]
             k0, k1, k2 = bank[p, 0, r, c0:c1], bank[p, 1, r, c0:c1], bank[p, 2, r, c0:c1]

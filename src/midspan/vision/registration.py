@@ -3,40 +3,43 @@
 Each block of the window is multiplied by kernels made for the template at the nearest sixteenth of a pixel; that gives
 its translation in one step (see `midspan.vision.kernels`). The blocks are fused so that what covers, shades, turns or
 enlarges a part of the target does not move the result (see `midspan.vision.blocks`). Nothing of the frame is
-interpolated. Where the expected place does not lead to the target, the template tracker looks for it.
+interpolated. The template is the reference frame at first; frames that show the target at other sub-pixel places make
+a better one (see `midspan.vision.learning`) with the same zero. Where the expected place does not lead to the target,
+the template tracker looks for it.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from midspan.checks import refuse
+from midspan.checks import option, refuse
+from midspan.errors import DataError
 from midspan.records import Floats, Frame, PixelTranslation, Prediction, Region, Status
-from midspan.vision.average import Average, registered, start
-from midspan.vision.bank import COARSE, FINE, Bank, Plane, first_plane
-from midspan.vision.blocks import fuse, gains
-from midspan.vision.kernels import PHASES, places
+from midspan.vision.bank import COARSE, FINE, Plane, Store, best_smoothing_px, first_plane, make_bank
+from midspan.vision.climb import ALIKE, UNDISTURBED_SHARE, climb
+from midspan.vision.learning import PAD_PX, Samples, learn_plane, sample
 from midspan.vision.matching import Matching, make_template
-from midspan.vision.region import check_size, clamp, shift
+from midspan.vision.region import check_size
+from midspan.vision.target import Motion, TargetTracker, lost
 from midspan.vision.template import TemplateSettings, TemplateState, TemplateTracker
 from midspan.vision.texture import values
 
-MOST_PASSES = 8
-LINEAR_PX = 0.5 / PHASES + 0.01  # a block this near to its kernels' phase needs no other
+_AT_REST, _CERTAIN = np.zeros(4), np.zeros((4, 4))
 SEED_CORRELATION = 0.4  # with four tenths of the target covered the correlation falls to about a half
-SINGLE_SMOOTHING_PX, LEARNT_SMOOTHING_PX = 0.7, 0.3
-PAD_PX = 8  # around the window in an average: what low-pass and spline reach for
-LEARN_SHARE = 0.8  # of the target's information must agree in a frame that is learnt from
-UNDISTURBED_SHARE = 0.8
+LEARN_SHARE = 0.7  # of the target's information must agree in a frame that is learnt from
+LEARN_TURN_PX = 0.03  # at the window's edge: more roll or zoom would blur what is learnt
+FEWEST_PLACES, PATIENCE = 8, 4
+MOST_LEARNT_FRAMES = 240
 DISTURBED = 1.35  # times the usual noise: 30 degrees of freedom exceed it about once in 500 frames
-CLEARLY_LESS = 0.8
+SHARE_PLAY = 0.1
 SUSPICIOUS = 4.0  # times the usual noise
 SEED_PX = 1.5  # farther than this from where the template was found, blocks have locked on something else
+LEAST_NOISE = 0.5  # of the reference's: less is a picture without noise, whose blocks differ by aliasing
+SELF_SHARE = 0.05  # of the reference's noise: a frame that agrees better than this is the reference itself
 OWN_WEIGHT = 1.0  # of a frame's own noise against the usual one
-LARGEST_ROLL_RAD, LARGEST_ZOOM = 0.1, 0.1
-GAINS = (0.1, 10.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,14 +50,15 @@ class RegistrationSettings:
     weak or aliased texture; None sets it from the signal-to-noise ratio.
     search_px: how far from its last place the target is looked for without a prediction, 3 px or more.
     min_share: share of the target's information below which it counts as lost, 0 to 1.
-    learn_frames: the template becomes the average of this many frames, less noisy than the first alone; 0: never.
+    learn_frames: the template is made anew from this many frames, less noisy than the first alone and, where they show
+    the target at many sub-pixel places, without its aliasing; 0: never by itself.
     bias_floor_px: standard deviation added for what interpolation and aliasing get wrong, 0 px or more.
     """
 
     smoothing_px: float | None = None
     search_px: float = 48.0
-    min_share: float = 0.3
-    learn_frames: int = 24
+    min_share: float = 0.2
+    learn_frames: int = 48
     bias_floor_px: float = 0.0005
 
     def __post_init__(self) -> None:
@@ -71,21 +75,28 @@ class RegistrationSettings:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RegistrationState:
-    """What the tracker remembers: last translation (px), roll (rad), zoom, time, speed (px/s), lost frames, the
-    usual noise of an undisturbed frame, and the average of the frames learnt so far.
+class Learnt:
+    """What was learnt: the template; where the zero lies for kernels in few and in many blocks (4,): x, y (px), roll
+    (rad), zoom, to be taken off; and the covariance (4, 4) of the zero, which rests on the reference frame alone.
     """
 
-    x_px: float = 0.0
-    y_px: float = 0.0
+    plane: Plane
+    zeros: tuple[Floats, Floats]
+    covariance: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RegistrationState(Motion):
+    """What the tracker remembers besides: roll (rad), zoom, the usual noise of an undisturbed frame and how many frames
+    it rests on, those kept to learn from, what was learnt.
+    """
+
     roll_rad: float = 0.0
     zoom: float = 0.0
-    time_ns: int | None = None
-    speed_x_px_s: float = 0.0
-    speed_y_px_s: float = 0.0
-    lost_frames: int = 0
     usual_noise: float = 0.0
-    average: Average | None = None
+    judged_frames: int = 0
+    samples: Samples | None = None
+    learnt: Learnt | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,65 +110,49 @@ class Pose:
     share: float
     noise: float
 
-    def averaged(self, usual: float) -> "Pose":
-        """With the noise averaged with the `usual` noise of earlier frames, that few blocks show only roughly."""
-        if usual <= 0.0:
-            return self
-        square = (OWN_WEIGHT * self.noise**2 + usual**2) / (OWN_WEIGHT + 1.0)
-        return replace(self, covariance=self.covariance * (square / max(self.noise, 1e-300) ** 2))
+    def since(self, zero: Floats, unsure: Floats, wider: float) -> "Pose":
+        """This pose counted from the pose `zero` (4,) of covariance `unsure` (4, 4), its own times `wider`."""
+        return Pose(self.value - zero, wider * self.covariance + unsure, self.share, self.noise)
 
-    def since(self, zero: "Pose") -> "Pose":
-        """This pose counted from `zero`, whose uncertainty is added."""
-        return replace(self, value=self.value - zero.value, covariance=self.covariance + zero.covariance)
+    def averaged(self, usual: float) -> float:
+        """What makes the variance that of the noise averaged with the `usual`, as few blocks show it only roughly."""
+        return (OWN_WEIGHT + (usual / max(self.noise, 1e-300)) ** 2) / (OWN_WEIGHT + 1.0) if usual > 0.0 else 1.0
 
-
-@dataclass(frozen=True, slots=True)
-class Learnt:
-    """What comes of a complete average: kernels in few and in many blocks, and where the reference lies in each."""
-
-    average: Average
-    banks: tuple[Bank, Bank]
-    zeros: tuple[Pose, Pose]
+    def disturbed(self, usual: float) -> float:
+        """What makes the variance that of no less than the usual noise, and the wider the less of the target agrees:
+        those blocks may err together.
+        """
+        return (max(1.0, UNDISTURBED_SHARE / self.share) * max(1.0, usual / max(self.noise, 1e-300))) ** 2
 
 
-_AT_REST = Pose(np.zeros(4), np.zeros((4, 4)), 1.0, 0.0)
-
-
-class RegistrationTracker:
+class RegistrationTracker(TargetTracker):
     """Follows a target through frames; see `midspan.vision.tracker.Tracker` for its interface."""
 
+    _state: RegistrationState
+
     def __init__(self, reference: Frame, region: Region, settings: RegistrationSettings) -> None:
+        super().__init__(reference, region)
         self.settings = settings
         self._seed = TemplateTracker(
             reference, region, TemplateSettings(search_px=settings.search_px, min_correlation=SEED_CORRELATION)
         )
         template = make_template(reference.pixels, region, Matching(0.0, SEED_CORRELATION))
         self._window, self._offset = template.window, template.offset
-        self._plane = first_plane(reference.pixels, template.window, template.offset)
-        self._first = self._banks(self._plane, SINGLE_SMOOTHING_PX)
-        self._learnt: Learnt | None = None
-        self._state = RegistrationState(average=start(self._inner(self._plane)))
+        self._first = first_plane(reference.pixels, template.window, template.offset)
+        self._state = RegistrationState(samples=self._begun())
+        self._plane = self._first
+        self._banks = self._made(self._first)
 
     @property
-    def reference(self) -> Frame:
-        """The frame that the translation counts from."""
-        return self._seed.reference
-
-    @property
-    def region(self) -> Region:
-        """The target's region in the reference frame."""
-        return self._seed.region
-
-    @property
-    def region_now(self) -> Region:
-        """Where the target was last seen, inside the image."""
-        rows, columns = self.reference.pixels.shape
-        return clamp(shift(self.region, self._state.x_px, self._state.y_px), columns, rows)
-
-    @property
-    def banks(self) -> tuple[Bank, Bank]:
+    def banks(self) -> tuple[Store, Store]:
         """The kernels in use: in few large blocks and in many small ones."""
-        return self._first if self._learnt is None else self._learnt.banks
+        return self._banks
+
+    @property
+    def _usual(self) -> float:
+        """The noise to be expected of a frame, 0 while none has shown it."""
+        shown = self._state.usual_noise
+        return max(shown, LEAST_NOISE * self._first.noise_std) if shown > 0.0 else 0.0
 
     @property
     def state(self) -> RegistrationState:
@@ -173,83 +168,127 @@ class RegistrationTracker:
         """Measure the translation (px) of the target in `frame`; LOST with NaN where it cannot be found."""
         check_size(frame, self.reference)
         pose = self._find(frame, prediction)
-        self._state = _after(self._state, frame.time_ns, pose)
+        self._state = _after(self._state, frame.time_ns, pose, self._first.noise_std)
         if pose is None:
-            nan = math.nan
-            return PixelTranslation(frame.time_ns, nan, nan, nan, nan, 0.0, Status.LOST)
+            return lost(frame.time_ns)
         x, y = (float(v) for v in pose.value[:2])
         var_x, var_y = (float(pose.covariance[k, k]) + self.settings.bias_floor_px**2 for k in range(2))
-        self._learn(frame, pose)
+        self._keep(frame, pose)
         return PixelTranslation(frame.time_ns, x, y, var_x, var_y, pose.share, Status.TRACKING)
 
-    def _smoothing(self, usual_px: float) -> float:
-        return usual_px if self.settings.smoothing_px is None else self.settings.smoothing_px
+    def learn(self, frames: Sequence[Frame], translation_px: Floats | None = None, *, direction: str = "y") -> Learnt:
+        """Make the template anew from frames that show the target, best at many sub-pixel places.
 
-    def _banks(self, plane: Plane, smoothing_px: float) -> tuple[Bank, Bank]:
+        The zero stays where it is for these frames, within their noise. `translation_px` and `direction` are taken so
+        that all trackers that learn are called alike; the tracker's own translations are the more exact. Returns what
+        is now in use. Raises DataError where fewer than 5 frames show the target undisturbed.
+        """
+        option("direction", direction, ("x", "y"))
+        step = max(1, math.ceil(len(frames) / MOST_LEARNT_FRAMES))
+        other = RegistrationTracker(self.reference, self.region, replace(self.settings, learn_frames=0))
+        samples = Samples()
+        for frame in frames[::step]:
+            check_size(frame, self.reference)
+            found = other._find(frame, None)
+            other._state = _after(other._state, frame.time_ns, found, other._first.noise_std)
+            if found is not None:
+                samples = other._with(samples, frame, found)
+        if samples.frames < 5:
+            raise DataError(
+                f"Learning needs at least 5 frames that show the target undisturbed; received {samples.frames}."
+            )
+        learnt = other._learnt(samples)
+        self._state = replace(self._state, samples=None, learnt=learnt)
+        self._renew()
+        return learnt
+
+    def _begun(self) -> Samples | None:
+        """The reference frame as the first to learn from; None where nothing is to be learnt."""
+        if self.settings.learn_frames < 2:
+            return None
+        first = sample(self.reference.pixels, self._window, np.zeros(2), self._offset, None)
+        return None if first is None else Samples().plus(first)
+
+    def _made(self, plane: Plane) -> tuple[Store, Store]:
         """Kernels in few large blocks, the most exact, and in many small ones, the most robust."""
-        smoothing_px = self._smoothing(smoothing_px)
-        return Bank(plane, self._window, smoothing_px, COARSE), Bank(plane, self._window, smoothing_px, FINE)
+        given = self.settings.smoothing_px
+        smoothing_px = best_smoothing_px(plane, self._window) if given is None else given
+        few, many = (make_bank(plane, self._window, smoothing_px, division) for division in (COARSE, FINE))
+        return few, many
 
-    def _inner(self, plane: Plane) -> Floats:
-        """The window of the plane with the margin of an average."""
-        top, left = plane.top - PAD_PX, plane.left - PAD_PX
-        h, w = self._window.height + 2 * PAD_PX, self._window.width + 2 * PAD_PX
-        return plane.pixels[top : top + h, left : left + w]
+    def _with(self, samples: Samples, frame: Frame, pose: Pose) -> Samples:
+        """The samples with one more where it shows the target undisturbed, neither turned nor enlarged."""
+        far = 0.5 * math.hypot(self._window.width, self._window.height)
+        allowed = LEARN_TURN_PX + 3.0 * far * np.sqrt(np.diag(pose.covariance)[2:])
+        if pose.share < LEARN_SHARE or (far * np.abs(pose.value[2:]) > allowed).any():
+            return samples
+        like = samples.items[0].pixels if samples.items else None
+        new = sample(frame.pixels, self._window, pose.value[:2], self._offset, like)
+        return samples if new is None else samples.plus(new)
 
-    def _learn(self, frame: Frame, pose: Pose) -> None:
-        """Add a frame to the average, until there are enough."""
-        average, window = self._state.average, self._window
-        if average is None or average.count >= self.settings.learn_frames or pose.share < LEARN_SHARE:
+    def _keep(self, frame: Frame, pose: Pose) -> None:
+        """Keep a frame to learn from; with enough of them, at enough places, make the template anew."""
+        if self._state.samples is None:
             return
-        box = (
-            window.y - PAD_PX,
-            window.y + window.height + PAD_PX,
-            window.x - PAD_PX,
-            window.x + window.width + PAD_PX,
-        )
-        moved = registered(frame.pixels, box, (float(pose.value[0]), float(pose.value[1])), self._offset)
-        if moved is not None:
-            self._state = replace(self._state, average=average.plus(moved))
-            self._renew()
+        samples, enough = self._with(self._state.samples, frame, pose), self.settings.learn_frames
+        if samples is self._state.samples:
+            return
+        self._state = replace(self._state, samples=samples)
+        varied = len(samples.items) >= FEWEST_PLACES
+        if samples.frames < enough or not (varied or samples.frames == PATIENCE * enough):
+            return
+        # A structure at rest shows one place alone: an average will do until it moves.
+        self._state = replace(self._state, samples=None if varied else samples, learnt=self._learnt(samples))
+        self._renew()
+
+    def _learnt(self, samples: Samples) -> Learnt:
+        """The template of the samples, with zeros such that their mean place stays what the first template gave."""
+        plane = learn_plane(samples)
+        if len(samples.items) < FEWEST_PLACES:
+            # So few means are fitted without a rest, which says nothing of their noise.
+            least = self._first.noise_std / math.sqrt(samples.frames)
+            plane = replace(plane, noise_std=max(plane.noise_std, least))
+        few, many = self._made(plane)
+        covariance = np.zeros((4, 4))
+        # The reference is one frame; the template's own noise is that of a frame over the root of their number.
+        covariance[:2, :2] = np.linalg.inv(few.information.sum(axis=0)) * plane.noise_std**2 * samples.frames
+        return Learnt(plane, (_moved(few, samples), _moved(many, samples)), covariance)
 
     def _renew(self) -> None:
-        """Make the kernels anew from the average when it is complete; the zero stays at the reference frame."""
-        average = self._state.average
-        if average is None or average.count < max(self.settings.learn_frames, 2):
-            self._learnt = None
-            return
-        if self._learnt is not None and self._learnt.average is average:
-            return
-        weight = average.weight()[PAD_PX:-PAD_PX, PAD_PX:-PAD_PX]
-        noise = self._plane.noise_std / math.sqrt(average.count)
-        plane = Plane(average.mean, PAD_PX, PAD_PX, np.ascontiguousarray(weight), noise)
-        banks = self._banks(plane, LEARNT_SMOOTHING_PX)
-        image, offset = self._usable(self.reference.pixels)
-        assert image is not None
-        zeros = [self._climb(bank, image, offset, np.zeros(4)) for bank in banks]
-        if zeros[0] is not None and zeros[1] is not None:
-            self._learnt = Learnt(average, banks, (zeros[0], zeros[1]))
+        """Take the template that the state holds."""
+        learnt = self._state.learnt
+        plane = self._first if learnt is None else learnt.plane
+        if plane is not self._plane:
+            self._plane, self._banks = plane, self._made(plane)
 
     def _look(self, image: NDArray[np.generic], offset: float, begin: Floats) -> Pose | None:
         """The pose since the reference frame, from large blocks or, where they disagree, from small ones."""
-        banks = self.banks
-        zeros = (_AT_REST, _AT_REST) if self._learnt is None else self._learnt.zeros
-        usual = self._state.usual_noise
-        few = self._climb(banks[0], image, offset, begin)
+        learnt, usual = self._state.learnt, self._usual
+        zeros = (_AT_REST, _AT_REST) if learnt is None else learnt.zeros
+        unsure = _CERTAIN if learnt is None else learnt.covariance
+        few = self._climb(0, image, offset, begin + zeros[0])
         if few is not None and few.share > UNDISTURBED_SHARE and few.noise < DISTURBED * usual:
-            return few.averaged(usual).since(zeros[0])
-        many = self._climb(banks[1], image, offset, begin)
-        if many is None or few is None:
-            return many.since(zeros[1]) if many is not None else few and few.since(zeros[0])
-        spread = [float(p.covariance[0, 0] + p.covariance[1, 1]) for p in (few, many)]
-        return many.since(zeros[1]) if spread[1] < CLEARLY_LESS * spread[0] else few.since(zeros[0])
+            return few.since(zeros[0], unsure, few.averaged(usual))
+        many = self._climb(1, image, offset, begin + zeros[1])
+        both = ((few, zeros[0]), (many, zeros[1]))
+        found = [pose.since(zero, unsure, pose.disturbed(usual)) for pose, zero in both if pose is not None]
+        if len(found) < 2:
+            return found[0] if found else None
+        few, many = found
+        if usual > 0.0 and (few.noise < ALIKE * usual) != (many.noise < ALIKE * usual):
+            return few if few.noise < many.noise else many
+        spread = [float(p.covariance[0, 0] + p.covariance[1, 1]) for p in found]
+        # A part that covers the target's edge spoils all large blocks alike, and few of the small ones.
+        if few.share > max(UNDISTURBED_SHARE, many.share) and spread[0] < spread[1]:
+            return few
+        return many if many.share > few.share - SHARE_PLAY else few
 
     def _find(self, frame: Frame, prediction: Prediction | None) -> Pose | None:
         """Climb from the expected place; where that does not lead to the target, from where the template is found."""
         image, offset = self._usable(frame.pixels)
         if image is None:
             return None
-        begin = np.array([*self._expected(frame.time_ns, prediction), self._state.roll_rad, self._state.zoom])
+        begin = np.array([*self._state.expected(frame.time_ns, prediction), self._state.roll_rad, self._state.zoom])
         pose = self._look(image, offset, begin) if self._state.lost_frames == 0 else None
         if pose is not None and self._trusted(pose):
             return pose
@@ -266,62 +305,48 @@ class RegistrationTracker:
     def _trusted(self, pose: Pose) -> bool:
         """Whether the blocks agree as well as noise lets them: at a wrong place they do not."""
         # Frame and template both have noise.
-        return pose.noise < SUSPICIOUS * max(self._state.usual_noise, math.sqrt(2.0) * self._plane.noise_std)
+        return pose.noise < SUSPICIOUS * max(self._usual, math.sqrt(2.0) * self._plane.noise_std)
 
     def _usable(self, pixels: NDArray[np.generic]) -> tuple[NDArray[np.generic] | None, float]:
         if pixels.dtype == np.uint8:
             return pixels, self._offset
         return values(pixels, self._offset), 0.0
 
-    def _expected(self, time_ns: int, prediction: Prediction | None) -> tuple[float, float]:
-        state = self._state
-        if prediction is not None and math.isfinite(prediction.x_px + prediction.y_px):
-            x, y = prediction.x_px, prediction.y_px
-        else:
-            elapsed_s = 0.0 if state.time_ns is None else (time_ns - state.time_ns) * 1e-9
-            x, y = state.x_px + state.speed_x_px_s * elapsed_s, state.y_px + state.speed_y_px_s * elapsed_s
-        return min(max(x, -1e6), 1e6), min(max(y, -1e6), 1e6)
-
-    def _climb(self, bank: Bank, image: NDArray[np.generic], offset: float, start: Floats) -> Pose | None:
-        """Linear steps from `start` (4,) until every block lies at its kernels' phase."""
-        pose = start
-        result = None
-        for turn in range(MOST_PASSES):
-            # Far from the kernels' phase the steps are not linear: only then may the blocks differ by more than noise.
-            usual = self._state.usual_noise if turn > 1 else 0.0
-            place = places(pose, bank.centres)
-            sums, at = bank.measure(image, offset, place)
-            gain = gains(sums[:, 2], bank.gain_information)
-            usable = np.isfinite(sums[:, 0]) & (gain > GAINS[0]) & (gain < GAINS[1])
-            step = sums[:, :2] / np.where(usable, gain, 1.0)[:, None]
-            information = np.where(usable[:, None, None], bank.information, 0.0)
-            found = np.where(usable[:, None], at + step, 0.0)
-            value, covariance, weight, scale = fuse(found, information, bank.centres, pose, usual)
-            if not np.isfinite(scale) or abs(value[2]) > LARGEST_ROLL_RAD or abs(value[3]) > LARGEST_ZOOM:
-                return None
-            total = bank.information[:, 0, 0] + bank.information[:, 1, 1]
-            share = float(np.sum(weight * total) / np.sum(total))
-            pose, place = value, places(value, bank.centres)
-            result = Pose(value, covariance, share, float(scale))
-            off = float(np.abs(place - at).max())
-            if off < LINEAR_PX and (turn > 1 or share > UNDISTURBED_SHARE):
-                break
-        else:
-            if off > 2.0 * LINEAR_PX:
-                return None
-        return result if result is not None and result.share >= self.settings.min_share else None
+    def _climb(self, which: int, image: NDArray[np.generic], offset: float, begin: Floats) -> Pose | None:
+        """The pose that the kernels of bank `which` lead to from `begin` (4,)."""
+        found = climb(image, offset, self._banks[which], begin, self._usual)
+        if not found.found or found.share < self.settings.min_share:
+            return None
+        return Pose(found.pose, found.covariance, float(found.share), float(found.noise))
 
 
-def _after(state: RegistrationState, time_ns: int, pose: Pose | None) -> RegistrationState:
-    """The state after a frame: the speed is only kept between two frames that were both tracked."""
+def _moved(bank: Store, samples: Samples) -> Floats:
+    """How much farther (4,) the samples lie by the kernels of `bank` than they were put."""
+    total, count = np.zeros(4), 0
+    bank = bank._replace(origin=np.full(2, PAD_PX, dtype=np.int64))
+    for item in samples.items:
+        begin = np.array([*item.shift, 0.0, 0.0])
+        found = climb(item.pixels, 0.0, bank, begin, 0.0)
+        if found.found:
+            total[:2] += item.count * (found.pose[:2] - item.shift)
+            count += item.count
+    return total / max(count, 1)
+
+
+def _after(state: RegistrationState, time_ns: int, pose: Pose | None, noise_std: float) -> RegistrationState:
+    """The state after a frame."""
     if pose is None:
-        return replace(state, speed_x_px_s=0.0, speed_y_px_s=0.0, lost_frames=state.lost_frames + 1)
+        return state.missed()
     x, y, roll, zoom = (float(v) for v in pose.value)
-    vx, vy = 0.0, 0.0
-    if state.time_ns is not None and state.lost_frames == 0 and time_ns > state.time_ns:
-        elapsed_s = (time_ns - state.time_ns) * 1e-9
-        vx, vy = (x - state.x_px) / elapsed_s, (y - state.y_px) / elapsed_s
-    usual = state.usual_noise
+    usual, judged = _judged(state, pose.noise, noise_std)
+    return state.seen(time_ns, (x, y), roll_rad=roll, zoom=zoom, usual_noise=usual, judged_frames=judged)
+
+
+def _judged(state: RegistrationState, noise: float, noise_std: float) -> tuple[float, int]:
+    """The usual noise renewed from that of one frame, and how many it rests on; `noise_std` is the reference's own."""
+    usual, judged = state.usual_noise, state.judged_frames
+    if noise < SELF_SHARE * noise_std:
+        return usual, judged
     # Noise below the usual counts quickly, noise above it slowly: a long disturbance does not become the usual.
-    usual = pose.noise if usual == 0.0 else usual + (0.1 if pose.noise < 1.2 * usual else 0.005) * (pose.noise - usual)
-    return RegistrationState(x, y, roll, zoom, time_ns, vx, vy, 0, usual, state.average)
+    share = max(0.1 if noise < 1.2 * usual else 0.005, 1.0 / (judged + 1))
+    return usual + share * (noise - usual), judged + 1

@@ -1,0 +1,80 @@
+"""From a frame to a pose: linear steps of all blocks until each lies at its kernels' phase, in one compiled piece."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from midspan.records import Floats
+from midspan.vision.bank import Store, slots
+from midspan.vision.blocks import fuse, gains
+from midspan.vision.kernels import PHASES, places, project, quantised
+
+MOST_PASSES = 8
+LINEAR_PX = 0.5 / PHASES + 0.003  # a block this near to its kernels' phase needs no other; the play stops circles
+UNDISTURBED_SHARE = 0.8
+ALIKE = 2.0  # times the usual noise: up to here blocks agree
+LARGEST_ROLL_RAD, LARGEST_ZOOM = 0.1, 0.1
+LEAST_GAIN, LARGEST_GAIN, LEAST_OWN_GAIN = 0.1, 10.0, 0.25
+
+
+class Climbed(NamedTuple):
+    """Where the steps led: whether to a place at all; pose (4,): x, y in px, roll in rad, zoom; its covariance (4, 4);
+    share of the information that agrees; noise of a pixel as the blocks' scatter shows it.
+    """
+
+    found: bool
+    pose: Floats
+    covariance: Floats
+    share: float
+    noise: float
+
+
+@njit(cache=True)
+def _steps(sums: Floats, store: Store, usual: float) -> tuple[Floats, Floats]:
+    """Translation (blocks, 2) of each block from its kernels' phase, and its information (blocks, 2, 2), 0 if unfit."""
+    gain = gains(sums[:, 2], store.gain_information, usual)
+    step, information = np.zeros((len(gain), 2)), np.zeros(store.information.shape)
+    for b in range(len(gain)):
+        # A covered block's own gain is none, whatever the others' say.
+        shown = sums[b, 2] > LEAST_OWN_GAIN * gain[b]
+        if np.isfinite(sums[b, 0]) and shown and gain[b] > LEAST_GAIN and gain[b] < LARGEST_GAIN:
+            step[b, 0], step[b, 1] = sums[b, 0] / gain[b], sums[b, 1] / gain[b]
+            information[b] = store.information[b]
+    return step, information
+
+
+@njit(cache=True)
+def climb(image: NDArray[np.generic], level: float, store: Store, begin: Floats, usual: float) -> Climbed:
+    """Linear steps from the pose `begin` (4,) in `image` (rows, columns), of which `level` is subtracted.
+
+    `usual`: the noise to be expected of a pixel, 0 where it is not known.
+    """
+    pose, covariance = begin.copy(), np.ascontiguousarray(np.full((4, 4), np.inf))
+    share, noise, found = 0.0, np.inf, False
+    total = store.information[:, 0, 0] + store.information[:, 1, 1]
+    for turn in range(MOST_PASSES):
+        place = places(pose, store.centres)
+        whole, phase = quantised(place)
+        at = np.floor(place * PHASES + 0.5) / PHASES
+        slot = slots(store, phase)
+        where = (whole[:, 1] + store.origin[0], whole[:, 0] + store.origin[1], slot)
+        sums = project(image, level, store.kernels, (store.down, store.across), where)
+        step, information = _steps(sums, store, usual)
+        for b in range(len(slot)):
+            step[b] -= store.warp[b, slot[b]] @ pose[2:]
+        # Far from the kernels' phase the steps are not linear: only then may the blocks differ by more than noise.
+        expected = usual if turn > 1 else 0.0
+        pose, spread, weight, noise = fuse(at + step, information, store.centres, pose, expected)
+        covariance = np.ascontiguousarray(spread)
+        if not np.isfinite(noise) or abs(pose[2]) > LARGEST_ROLL_RAD or abs(pose[3]) > LARGEST_ZOOM:
+            found = False
+            break
+        share = (weight * total).sum() / total.sum()
+        off = np.abs(places(pose, store.centres) - at).max()
+        found = off <= 2.0 * LINEAR_PX
+        agreed = share > UNDISTURBED_SHARE and (usual <= 0.0 or noise < ALIKE * usual)
+        if off < LINEAR_PX and (turn > 1 or agreed):
+            break
+    return Climbed(found, pose, covariance, share, noise)

@@ -1,0 +1,205 @@
+"""A better template than one frame: two samples a pixel, fitted to frames whose sub-pixel places differ.
+
+One frame holds what lies above half a cycle a pixel folded onto lower frequencies; frames at different places fold it
+differently, so that together they tell it apart. The spline coefficients minimise the squared differences from all
+frames, each at its place, plus a penalty on the fourth power of the Laplacian that stands for how the spectrum of
+pictures through a lens falls; conjugate gradients, with the places renewed in between (after Elad and Feuer, 1997,
+doi 10.1109/83.650118). Frames at one place only give their average, interpolated smoothly.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from midspan.records import Floats, Region
+from midspan.vision.bank import Plane
+from midspan.vision.fine_spline import fine_weights, planes, read, refined, spread
+from midspan.vision.spline import Floats32
+from midspan.vision.texture import values
+
+PAD_PX = 8  # around the window: what low-pass and spline reach for
+SAME_PLACE_PX = 0.03  # frames nearer than this are one sample: the blur of it is 1e-4 of any frequency's amplitude
+MOST_SAMPLES = 48
+ROUNDS, ITERATIONS = 4, 12
+FIRST_PENALTY, PENALTY_SHARE = 0.01, 0.1
+_SMOOTHED_PX = 5
+_INNER = np.s_[PAD_PX:-PAD_PX, PAD_PX:-PAD_PX]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sample:
+    """Frames that lie at one place: their mean on the template's pixels (h + 16, w + 16), its level and contrast made
+    those of the first; translation (2,) x, y in px less whole pixels; how many frames.
+    """
+
+    pixels: Floats32
+    shift: Floats
+    count: int = 1
+
+    def plus(self, other: "Sample") -> "Sample":
+        """Both as one."""
+        a, b = self.count, other.count
+        mean = (a * self.pixels + np.float32(b) * other.pixels) / np.float32(a + b)
+        return Sample(mean.astype(np.float32), (a * self.shift + b * other.shift) / (a + b), a + b)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Samples:
+    """What has been kept to learn from: samples at different places, and the frames they are made of."""
+
+    items: tuple[Sample, ...] = ()
+    frames: int = 0
+
+    def plus(self, new: Sample) -> "Samples":
+        """With one more; frames at the place of another are averaged with it."""
+        items = list(self.items)
+        apart = [float(np.abs(item.shift - new.shift).max()) for item in items]
+        nearest = int(np.argmin(apart)) if items else -1
+        if items and (apart[nearest] < SAME_PLACE_PX or len(items) >= MOST_SAMPLES):
+            if apart[nearest] < SAME_PLACE_PX:
+                items[nearest] = items[nearest].plus(new)
+        else:
+            items.append(new)
+        return Samples(tuple(items), self.frames + 1)
+
+
+def sample(
+    pixels: NDArray[np.generic], window: Region, translation: Floats, offset: float, like: Floats32 | None
+) -> Sample | None:
+    """The frame `pixels` less `offset` about the window moved by `translation` (x, y px), level and contrast as `like`.
+
+    None where that leaves the image.
+    """
+    x, y = (round(float(v)) for v in translation[:2])
+    top, left = window.y + y - PAD_PX, window.x + x - PAD_PX
+    bottom, right = top + window.height + 2 * PAD_PX, left + window.width + 2 * PAD_PX
+    if top < 0 or left < 0 or bottom > pixels.shape[0] or right > pixels.shape[1]:
+        return None
+    cut = values(pixels[top:bottom, left:right], offset)
+    if cut is None:
+        return None
+    if like is not None:
+        gain = float(like.std()) / max(float(cut.std()), 1e-30)
+        cut = (cut - cut.mean()) * np.float32(gain) + like.mean()
+    return Sample(np.array(cut, dtype=np.float32), np.array([translation[0] - x, translation[1] - y]))
+
+
+def learn_plane(samples: Samples) -> Plane:
+    """The template that the samples show together, with the weight of each pixel of the window."""
+    items = list(samples.items)
+    grid = refined(items[0].pixels.astype(np.float64))
+    penalty = FIRST_PENALTY
+    for turn in range(ROUNDS):
+        grid = fit(items, grid, penalty)
+        items = [_placed(item, grid) for item in items]
+        if turn == 0:
+            penalty = PENALTY_SHARE * _noise_variance(items, grid) / max(_roughness(grid), 1e-30)
+    variance = _residual_square(items, grid)[_INNER]
+    return Plane(
+        grid,
+        (PAD_PX, PAD_PX),
+        _weight(variance),
+        math.sqrt(_noise_variance(items, grid) / samples.frames),
+    )
+
+
+def fit(items: list[Sample], start: Floats32, penalty: float) -> Floats32:
+    """Fine coefficients (2 h + 7, 2 w + 7) that fit the samples, by conjugate gradients from `start`.
+
+    `penalty`: variance of a frame's noise over that of the coefficients' squared Laplacian.
+    """
+    taps = [(fine_weights(-float(s.shift[1]), 0), fine_weights(-float(s.shift[0]), 0), float(s.count)) for s in items]
+
+    def normal(grid: Floats32) -> Floats:
+        out = np.zeros_like(grid)
+        for wy, wx, count in taps:
+            spread(np.float32(count) * read(grid, wy, wx), wy, wx, out)
+        return out + penalty * _fourth(grid)
+
+    right = np.zeros_like(start)
+    for item, (wy, wx, count) in zip(items, taps, strict=True):
+        spread(np.float32(count) * item.pixels, wy, wx, right)
+    grid = start.astype(np.float64)
+    rest = right - normal(start)
+    direction, square = rest.astype(np.float64), float(np.sum(rest.astype(np.float64) ** 2))
+    for _ in range(ITERATIONS):
+        through = normal(direction.astype(np.float32))
+        step = square / max(float(np.sum(direction * through)), 1e-300)
+        grid, rest = grid + step * direction, rest - step * through
+        before, square = square, float(np.sum(rest**2))
+        direction = rest + square / max(before, 1e-300) * direction
+    return grid.astype(np.float32)
+
+
+@njit(cache=True)
+def _laplacian(grid: Floats) -> Floats:
+    """Sum of the four neighbours less four times the value; beyond the edge the value itself."""
+    rows, columns = grid.shape
+    out = np.empty_like(grid)
+    for r in range(rows):
+        up, down = max(r - 1, 0), min(r + 1, rows - 1)
+        for c in range(columns):
+            before, after = max(c - 1, 0), min(c + 1, columns - 1)
+            out[r, c] = grid[up, c] + grid[down, c] + grid[r, before] + grid[r, after] - 4.0 * grid[r, c]
+    return out
+
+
+@njit(cache=True)
+def _fourth(grid: Floats32) -> Floats:
+    """The Laplacian applied four times: the gradient of half the squared Laplacian's squares."""
+    out = grid.astype(np.float64)
+    for _ in range(4):
+        out = _laplacian(out)
+    return out
+
+
+def _roughness(grid: Floats32) -> float:
+    """Mean square of the Laplacian's Laplacian."""
+    return float(np.mean(_laplacian(_laplacian(grid.astype(np.float64)))[8:-8, 8:-8] ** 2))
+
+
+def _expected(item: Sample, grid: Floats32) -> Floats32:
+    x, y = (float(v) for v in item.shift)
+    return read(grid, fine_weights(-y, 0), fine_weights(-x, 0))
+
+
+def _residual_square(items: list[Sample], grid: Floats32) -> Floats:
+    """Mean square (h + 16, w + 16) of what the fit leaves of one frame."""
+    total = sum(item.count * (item.pixels - _expected(item, grid)).astype(np.float64) ** 2 for item in items)
+    return np.asarray(total / max(len(items) - 1, 1), dtype=np.float64)
+
+
+def _noise_variance(items: list[Sample], grid: Floats32) -> float:
+    """Variance of a frame's noise, from what the fit leaves, without what moves in front of a part."""
+    return float(np.median(_smoothed(_residual_square(items, grid)[_INNER])))
+
+
+def _smoothed(square: Floats) -> Floats:
+    from scipy.ndimage import uniform_filter
+
+    return np.asarray(uniform_filter(square, _SMOOTHED_PX, mode="mirror"), dtype=np.float64)
+
+
+def _weight(variance: Floats) -> Floats32:
+    """One over the variance (h, w) of a pixel from frame to frame, smoothed, about 1 in the middle.
+
+    It holds shot noise, aliasing at edges and what moves in front, each where it is.
+    """
+    smooth = _smoothed(variance)
+    middle = max(float(np.median(smooth)), 1e-30)
+    return np.asarray(1.0 / np.clip(smooth / middle, 0.2, 10.0), dtype=np.float32)
+
+
+def _placed(item: Sample, grid: Floats32) -> Sample:
+    """The sample with its place, level and contrast as the template says: one step of least squares."""
+    x, y = (float(v) for v in item.shift)
+    value, slope_x, slope_y = (p[_INNER].ravel().astype(np.float64) for p in planes(grid, x, y))
+    columns = np.stack([-slope_x, -slope_y, value, np.ones_like(value)])
+    found = np.linalg.solve(columns @ columns.T, columns @ item.pixels[_INNER].ravel().astype(np.float64))
+    gain = found[2] if found[2] > 0.1 else 1.0
+    pixels = ((item.pixels - found[3]) / gain).astype(np.float32)
+    step = np.clip(found[:2] / gain, -0.1, 0.1)
+    return replace(item, pixels=pixels, shift=np.clip(item.shift + step, -0.6, 0.6))
