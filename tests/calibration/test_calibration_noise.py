@@ -106,3 +106,13 @@ def test_the_strength_of_a_motion_without_an_accelerometer_is_learnt_from_its_di
         found.append(learn_motion(Pair(samples, rows, 1.0)))
     # 600 frames tell a variance to 6 % at best; where the noise hides the fast part, fewer count. The mean of six.
     assert np.exp(np.mean(np.log(found))) == pytest.approx(density, rel=0.25)
+
+
+@pytest.mark.parametrize("max_offset_s", [0.0, 0.5])
+@pytest.mark.parametrize("offset_s", [0.0, 0.1])
+def test_a_reversed_sign_is_far_more_likely_turned_round(offset_s, max_offset_s):
+    pair = metres(broadband(8), 8, offset_s=offset_s if max_offset_s else 0.0)
+    turned = replace(pair, rows=pair.rows * [1.0, -1.0, 1.0])
+    # Twenty in the logarithm is one chance in 10^8; the right sign must be as clear the other way.
+    assert calibrate_noise(pair, max_offset_s).reversed_gain < -20.0
+    assert calibrate_noise(turned, max_offset_s).reversed_gain > 20.0

@@ -150,14 +150,22 @@ def test_estimate_writes_csv_with_the_columns_and_json_beside_it(done):
     assert (done / "track.csv").read_text(encoding="utf-8").splitlines()[0] == TRACK_COLUMNS
 
 
+@pytest.fixture(scope="module")
+def repeated(footbridge, done, tmp_path_factory):
+    """A result.csv with the calibration from its file."""
+    target = tmp_path_factory.mktemp("repeated") / "result.csv"
+    assert run(["estimate", str(footbridge), "-c", str(done / "calibration.json"), "-o", str(target), "--quiet"]) == 0
+    return target
+
+
 @pytest.mark.parametrize("suffix", FORMATS)
-def test_every_format_holds_the_same_displacement(suffix, footbridge, done, tmp_path, capsys):
+def test_every_format_holds_the_same_displacement(suffix, footbridge, done, repeated, tmp_path, capsys):
     target = tmp_path / f"ergebnis ü{suffix}"
     arguments = ["estimate", str(footbridge), "-c", str(done / "calibration.json"), "-o", str(target), "--quiet"]
     assert run(arguments) == 0
-    assert run(["compare", str(target), str(done / "result.csv"), "--json"]) == 0
+    assert run(["compare", str(target), str(repeated), "--json"]) == 0
     figures = one_document(capsys.readouterr().out)
-    # CSV keeps a picometre; tracking with and without a calibration differs by less than a nanometre.
+    # CSV keeps a picometre.
     assert figures["rmse_mm"] < 1e-6
     assert figures["count"] == len(read_columns(done / "result.csv"))
     assert figures["coverage_95"] == 1.0
@@ -292,8 +300,11 @@ def test_demo_makes_a_recording_and_comes_close_to_the_bound(tmp_path, capsys):
     folder = tmp_path / "demo"
     assert run(["demo", "-o", str(folder), "--json"]) == 0
     figures = one_document(capsys.readouterr().out)
-    # At most 1.3 times the least error that the simulated sensors' noise allows.
-    assert figures["ratio_to_bound"] < 1.3
+    # The zero rests on one frame: single recordings come out between 0.6 and 2 times the least error that the
+    # simulated sensors' noise allows, 1.12 times in the root mean square (twelve held-out seeds, benchmark demo_bound).
+    assert figures["ratio_to_bound"] < 2.0
+    # Without the zero's part the error lies below that bound, which holds it.
+    assert figures["rmse_without_bias_mm"] < figures["bound_mm"]
     assert figures["correlation"] > 0.9999
     assert {"recording", "report.html", "result.csv", "result.json"} <= {path.name for path in folder.iterdir()}
     assert (folder / "recording" / "calibration.json").is_file()

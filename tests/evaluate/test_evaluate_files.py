@@ -96,3 +96,46 @@ def test_missing_files_and_files_without_displacement_are_refused(tmp_path, refe
     pixels.write_text("time_s,x_px,y_px\n0,1,2\n1,2,3\n2,3,5\n")
     with pytest.raises(UsageError, match="value must name the channel of displacement"):
         compare_files(pixels, reference)
+
+
+def both_axes(path):
+    """A result along y with the second axis x, which moves half as far."""
+    columns = {
+        "time_s": TIME_S,
+        "displacement_mm": motion_mm(TIME_S),
+        "displacement_std_mm": np.full(len(TIME_NS), 0.2),
+        "displacement_x_mm": 0.5 * motion_mm(TIME_S),
+        "displacement_std_x_mm": np.full(len(TIME_NS), 0.1),
+    }
+    write_result(path, ResultTable(columns=columns, time_ns=TIME_NS, metadata={}))
+    return path
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_the_second_axis_comes_back_from_every_format(suffix, tmp_path):
+    stored = read_result(both_axes(tmp_path / f"result{suffix}"), axis="x")
+    np.testing.assert_allclose(stored.series.value, 0.5e-3 * motion_mm(TIME_S), atol=1e-12)
+    np.testing.assert_allclose(stored.std_m, 1e-4, atol=1e-12)
+
+
+def test_a_reference_of_one_axis_is_not_taken_for_the_second(tmp_path, reference):
+    result = both_axes(tmp_path / "result.csv")
+    assert compare_files(result, reference, axis="y").rmse_mm == pytest.approx(0.0, abs=1e-8)
+    with pytest.raises(DataError, match=r"laser\.csv: has displacement_mm but no column displacement_x_mm"):
+        compare_files(result, reference, axis="x")
+    # Any other column is what the user says it is.
+    t = np.arange(2000) / 100.0
+    level = tmp_path / "level.csv"
+    np.savetxt(level, np.column_stack((t, 0.5 * motion_mm(t))), delimiter=",", header="time_s,level", comments="")
+    assert compare_files(result, level, unit="mm", axis="x").rmse_mm == pytest.approx(0.0, abs=1e-8)
+
+
+def test_a_recording_along_one_axis_is_no_reference_for_the_other(tmp_path, reference):
+    (tmp_path / "recording.toml").write_text(
+        '[accelerometer]\nfile = "a.csv"\n[camera]\nfile = "c.mkv"\ndirection = "y"\n'
+        f'[reference]\nfile = "{reference.name}"\ntime = "time_s"\nvalue = "displacement_mm"\nunit = "mm"\n'
+    )
+    result = both_axes(tmp_path / "result.csv")
+    assert compare_files(result, tmp_path, axis="y").rmse_mm == pytest.approx(0.0, abs=1e-8)
+    with pytest.raises(DataError, match=r"displacement along y; .* column displacement_x_mm"):
+        compare_files(result, tmp_path, axis="x")

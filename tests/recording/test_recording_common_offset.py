@@ -7,7 +7,10 @@ import pytest
 
 from midspan.calibration.fit import Pair
 from midspan.calibration.scale import calibrate_scale
+from midspan.recording.calibrate_camera import relative_scale_std
+from midspan.recording.calibration import TargetCalibration
 from midspan.recording.common_offset import Fitted, common_offset, one_offset, pooled_variance
+from midspan.records import Region
 from midspan.simulate.motion import random_motion
 from midspan.simulate.sensors import AccelerometerModel, DisplacementSensorModel, simulate_pair
 
@@ -69,3 +72,18 @@ def test_errors_in_common_do_not_average_out():
     weight, variance = np.array([0.5, 0.5]), np.array([4.0, 4.0])
     assert pooled_variance(weight, variance, 0.0) == pytest.approx(2.0)
     assert pooled_variance(weight, variance, 1.0) == pytest.approx(4.0)
+
+
+def test_what_compression_does_to_the_scale_factors_is_one_error_of_all_targets():
+    (joint,) = one_offset([targets(6)])
+
+    def with_codec(relative):
+        scales = [found.scale for found in joint.used]
+        widened = [replace(s, variance=s.variance + (relative * s.value_m_per_px) ** 2) for s in scales]
+        return [TargetCalibration(Region(0, 0, 8, 8), "", scale) for scale in widened]
+
+    bare = relative_scale_std(joint.used, with_codec(0.0))
+    own = [np.sqrt(found.scale.variance) / abs(found.scale.value_m_per_px) for found in joint.used]
+    assert bare <= max(own)
+    # One per cent of each target's is one per cent of their mean's.
+    assert relative_scale_std(joint.used, with_codec(0.01)) == pytest.approx(np.hypot(bare, 0.01), rel=1e-9)

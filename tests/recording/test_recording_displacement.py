@@ -131,3 +131,18 @@ def test_too_few_numbers_are_refused_however_many_rows_there_are(gnss_copy):
     write_heights(gnss_copy, time, value)
     with pytest.raises(MidspanError, match="at least 20"):
         midspan.estimate(midspan.open_recording(gnss_copy))
+
+
+@pytest.mark.parametrize("estimate_offset", [False, True])
+def test_heights_of_the_wrong_sign_are_refused_with_that_reason(gnss_copy, estimate_offset):
+    time, value = heights(gnss_copy)
+    write_heights(gnss_copy, time, -value)
+    set_keys(gnss_copy, "displacement", estimate_offset=estimate_offset)
+    with pytest.raises(UntrustedError, match="sign is reversed"):
+        midspan.calibrate(midspan.open_recording(gnss_copy))
+
+
+def test_a_calibration_may_be_given_as_its_file(gnss, result, tmp_path):
+    file = result.calibration.save(tmp_path / "calibration.json")
+    again = midspan.estimate(midspan.open_recording(gnss), calibration=file)
+    np.testing.assert_allclose(again.displacement_mm, result.displacement_mm, atol=1e-9)

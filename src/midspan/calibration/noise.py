@@ -24,6 +24,8 @@ class NoiseCalibration:
     variance_factor: learnt variance per unit of the variance given with each measurement; input_noise_density: of the
     acceleration, (m/s²)²/Hz; offset: of the sensor's clock (zero with infinite variance when the motion does not tell);
     scale: the sensor's apparent scale against the accelerometer (1 when both are right) with its standard deviation.
+    reversed_gain: how much more likely (logarithm) the measurements are with the opposite sign; negative when they
+    are right.
     """
 
     variance_factor: float
@@ -31,6 +33,7 @@ class NoiseCalibration:
     offset: TimeOffset
     scale: float
     scale_std: float
+    reversed_gain: float = -np.inf
 
 
 def calibrate_noise(pair: Pair, max_offset_s: float) -> NoiseCalibration:
@@ -50,7 +53,11 @@ def calibrate_noise(pair: Pair, max_offset_s: float) -> NoiseCalibration:
             if gain > LEAST_GAIN and abs(search.fit.offset_s) < 0.99 * max_offset_s:
                 fit, offset = search.fit, search.offset
     scale, scale_std = _apparent_scale(fit)
-    return NoiseCalibration(fit.noise, fit.input_density, offset, scale, scale_std)
+    # With the wrong sign nothing fits but the lowest noise, or a clock offset of half a period.
+    turned = replace(pair, rows=pair.rows * np.array([1.0, -1.0, 1.0]))
+    other = search_offset(turned, max_offset_s).fit if max_offset_s > 0 else best_corner(turned, 0.0)
+    reversed_gain = other.likelihood - fit.likelihood
+    return NoiseCalibration(fit.noise, fit.input_density, offset, scale, scale_std, reversed_gain)
 
 
 def _without_outliers(pair: Pair) -> tuple[Pair, Fit]:

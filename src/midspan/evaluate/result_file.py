@@ -56,15 +56,39 @@ def column_of(names: Sequence[str], axis: str | None) -> str | None:
     main = VALUE if VALUE in names else None
     if axis is None or main is None:
         return main
-    own = f"displacement_{option('axis', axis, ('x', 'y'))}_mm"
+    own = _own(option("axis", axis, ("x", "y")))
     return own if own in names else main
+
+
+def _own(axis: str) -> str:
+    """The column of a second axis."""
+    return f"displacement_{axis}_mm"
 
 
 def _of_both(path: Path, axis: str | None) -> str | None:
     """The axis, if the result has both; UsageError where it has one only."""
-    if axis is None or any(f"displacement_{name}_mm" in list_channels(path).names for name in "xy"):
+    if axis is None or any(_own(name) in list_channels(path).names for name in "xy"):
         return axis
     raise UsageError(f"axis = {axis!r}: {path.name} has one axis only. Leave the axis out.")
+
+
+def _refuse_other_axis(path: Path, axis: str) -> None:
+    """DataError for a reference of one axis only where a result's second axis is compared: whose axis it is is unknown.
+
+    A file without midspan's columns holds what the user says it does.
+    """
+    if _is_recording(path):
+        return
+    names = list_channels(path).names
+    if VALUE in names and not any(_own(name) in names for name in "xy"):
+        raise DataError(
+            f"{path.name}: has {VALUE} but no column {_own(axis)} for the axis {axis!r}. Call the column {_own(axis)} "
+            f"if it is along {axis}, or name another reference."
+        )
+
+
+def _is_recording(path: Path) -> bool:
+    return path.is_dir() or path.name == RECORDING_FILE or path.suffix == ".toml"
 
 
 def _std(channels: tuple[Channel, ...], name: str, series: TimeSeries, unit: str | None) -> Floats | None:
@@ -83,7 +107,7 @@ def read_reference(path: str | Path, unit: str | None = None, axis: str | None =
     without [reference].
     """
     path = Path(path)
-    if not (path.is_dir() or path.name == RECORDING_FILE or path.suffix == ".toml"):
+    if not _is_recording(path):
         return read_result(path, unit, axis).series
     from midspan.recording.recording import open_recording
 
@@ -92,13 +116,14 @@ def read_reference(path: str | Path, unit: str | None = None, axis: str | None =
         raise DataError(f"{recording.file}: has no [reference]. Add one, or name the reference's file itself.")
     if unit is not None:
         raise UsageError(f"unit = {unit!r} goes with a file; {recording.file} names its own as reference.unit.")
-    if axis is None or recording.across is None or axis != recording.across.axis:
+    if axis is None or axis == recording.axis or not recording.axis:
         return recording.reference
     across = recording.reference_across
     if across is None:
         raise DataError(
-            f"{recording.file}: the file of [reference] has no column displacement_{axis}_mm for the axis {axis!r}. "
-            "Name the reference's file itself."
+            f"{recording.file}: [reference] holds displacement along {recording.axis}; for the axis {axis!r} its file "
+            f'must have a column {_own(axis)} beside it, and camera.direction must be "xy". Name the reference\'s file '
+            "itself."
         )
     return across
 
@@ -118,6 +143,8 @@ def compare_files(
     `read_result` and `compare` do.
     """
     stored = read_result(result, axis=_of_both(Path(result), axis))
+    if axis is not None and _own(axis) in list_channels(Path(result)).names:
+        _refuse_other_axis(Path(reference), axis)
     wanted = read_reference(reference, unit, axis)
     found = compare(stored.series, wanted, std_m=stored.std_m, max_lag_s=max_lag_s)
     assumed = [line for line in (*stored.series.notes, *wanted.notes) if line.endswith("assumed.")]

@@ -7,25 +7,19 @@ variance of a frame, beta the forgetting factor.
 import numpy as np
 from numba import njit
 
-from midspan.fusion.gate import ACCEPTED, NORMAL_MEDIAN, REACQUIRED, REJECTED, agrees, is_near, judge, limits_now
+from midspan.fusion.gate import ACCEPTED, NORMAL_MEDIAN, REACQUIRED, REJECTED, give_up, judged, limits_now
 from midspan.fusion.state_space import (
     ACCEPTED_COUNT,
-    AGREEMENTS,
-    FARTHEST,
-    FIRST_REJECTED,
-    FIRST_TOTAL,
     GAP_STEPS,
     INPUT,
     LAST_ACCEPTED,
     LEAD,
-    NEAR_ONES,
     P00,
     P01,
     P02,
     P11,
     P12,
     P22,
-    REJECTIONS,
     SLOPE,
     SOURCE,
     STATE_SIZE,
@@ -244,9 +238,7 @@ def _take(s, innovation, verdict, rejected_for, noise):  # type: ignore[no-untyp
     """Update state and covariance; returns the share of the innovation that is left, and the new displacement's
     variance."""
     if verdict == REACQUIRED:
-        s[P00] += innovation * innovation
-        s[P11] += (innovation / max(rejected_for, 1e-3)) ** 2
-        s[P22] += (innovation / max(rejected_for, 1e-3) ** 2) ** 2
+        give_up(s, innovation, rejected_for)
     share = 1.0 / (s[P00] + noise)
     gain = (share * s[P00], share * s[P01], share * s[P02])
     s[X] += gain[0] * innovation
@@ -270,29 +262,16 @@ def _meet(s, met, j, measured, limits, rule):  # type: ignore[no-untyped-def]
     learnt = max(min(s[NOISE] * declared, SLACK * seen), seen / SLACK - g)
     learnt = max(min(learnt, ceiling * declared), floor * declared)
     noise = max(learnt, min(max(LEAST_PART * seen, QUICK_PART * seen - g), ceiling * declared))
-    total, rejections = g + noise, s[REJECTIONS]
-    limits = limits_now(limits, s[ACCEPTED_COUNT], 1.0)
-    rejected_for = time - s[FIRST_REJECTED] if rejections > 0 else 0.0
-    if rejections == 0:
-        s[FIRST_TOTAL] = total
-    near_ones = s[NEAR_ONES] + 1.0 if is_near(innovation, s[FIRST_TOTAL], limits) else 0.0
-    run = (rejected_for, rejections, s[AGREEMENTS], s[FARTHEST], near_ones)
-    verdict = judge(innovation, total, run, limits)
-    if verdict == REJECTED:
-        s[FIRST_REJECTED] = time - rejected_for
-        s[REJECTIONS] = rejections + 1
-        s[FARTHEST], s[NEAR_ONES] = max(s[FARTHEST], innovation * innovation / total), near_ones
-        s[AGREEMENTS] = s[AGREEMENTS] + 1.0 if agrees(innovation, total, limits) else 0.0
-    else:
+    total, count = g + noise, s[ACCEPTED_COUNT]
+    limits = limits_now(limits, count, 1.0)
+    verdict, rejected_for = judged(s, (time, source), innovation, total, limits)
+    if verdict != REJECTED:
         left = _take(s, innovation, verdict, rejected_for, noise)
         if verdict == ACCEPTED:
             # Residual form: positive whatever happens (equation 20 is not). In proportion to what the sensor declares.
-            beta = min(beta, 1.0 - 1.0 / (PRIOR_FRAMES + s[ACCEPTED_COUNT]))
+            beta = min(beta, 1.0 - 1.0 / (PRIOR_FRAMES + count))
             s[NOISE] = beta * learnt / declared + (1.0 - beta) * (left * left + s[P00]) / declared
             _watch_consistency(s, innovation / np.sqrt(total))
-        s[ACCEPTED_COUNT] += 1.0
-        s[REJECTIONS] = s[AGREEMENTS] = s[FARTHEST] = s[NEAR_ONES] = 0.0
-        s[LAST_ACCEPTED], s[SOURCE] = time, source
     met[j, MET_INNOVATION], met[j, MET_TOTAL], met[j, MET_NOISE], met[j, MET_VERDICT] = (
         innovation,
         total,

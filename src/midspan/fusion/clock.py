@@ -9,14 +9,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from midspan.fusion.gate import ACCEPTED, REACQUIRED, GateSettings
+from midspan.fusion.gate import ACCEPTED, REACQUIRED
 from midspan.fusion.kalman import KalmanFilter, KalmanSettings
+from midspan.fusion.response import linear, standing_still, used_variance
 from midspan.fusion.smoother import smooth
 from midspan.records import NANOSECONDS, Acceleration, Displacement, Floats, Innovation, Nanoseconds, joined, seconds
 
 PASSES = 3
-# Wide enough to let everything in: the response to an error must be linear.
-NO_GATE = GateSettings(limit=1e9)
 MEDIAN_OF_SQUARE = 0.4549  # of a normal variable of variance 1
 
 
@@ -87,9 +86,7 @@ def _sums(
     fused = smooth(acceleration, displacement, settings)
     found = fused.innovation
     used = (found.verdict == ACCEPTED) | (found.verdict == REACQUIRED)
-    place = np.minimum(np.searchsorted(displacement.time_ns, found.time_ns - 1), len(displacement.time_ns) - 1)
-    variance = np.full(len(displacement.time_ns), np.inf)
-    variance[place[used]] = displacement.variance_m2[place[used]]
+    variance = used_variance(displacement, found)
     rows = fused.estimate
     origin = int(rows.time_ns[0])
     velocity = np.interp(seconds(displacement.time_ns, origin), seconds(rows.time_ns, origin), rows.velocity_m_s)
@@ -105,10 +102,9 @@ def _sums(
 
 def _response(acceleration: Acceleration, error: Displacement, settings: KalmanSettings) -> Innovation:
     """The innovations that the measurements' error alone would give."""
-    stream = KalmanFilter(replace(settings, bias=0.0, gate=NO_GATE))
+    stream = KalmanFilter(linear(settings))
     stream.push(error)
-    still = replace(acceleration, value_m_s2=np.zeros(len(acceleration.time_ns)))
-    return joined([item for item in stream.push(still) if isinstance(item, Innovation)])
+    return joined([item for item in stream.push(standing_still(acceleration)) if isinstance(item, Innovation)])
 
 
 def _line(information: Floats, gradient: Floats, time_s: Floats) -> tuple[Floats, Floats]:

@@ -14,6 +14,21 @@ from dataclasses import dataclass
 
 from numba import njit
 
+from midspan.fusion.state_space import (
+    ACCEPTED_COUNT,
+    AGREEMENTS,
+    FARTHEST,
+    FIRST_REJECTED,
+    FIRST_TOTAL,
+    LAST_ACCEPTED,
+    NEAR_ONES,
+    P00,
+    P11,
+    P22,
+    REJECTIONS,
+    SOURCE,
+)
+
 
 @dataclass(frozen=True, slots=True)
 class GateSettings:
@@ -27,6 +42,8 @@ class GateSettings:
     reacquire_s: float = 5.0
 
 
+# Wide enough to let everything in.
+NO_GATE = GateSettings(limit=1e9)
 ACCEPTED, REJECTED, REACQUIRED = 0, 1, 2
 LEAST_REJECTIONS = 5
 # After a run of rejections the predicted band is wide and a wrong measurement can fall into it by chance; the target
@@ -96,3 +113,41 @@ def is_near(innovation: float, variance_at_first: float, limits: tuple[float, fl
 def agrees(innovation: float, variance: float, limits: tuple[float, float]) -> bool:
     """Whether a measurement lies so close to the prediction that it may be the target's return."""
     return innovation * innovation <= 0.25 * limits[0] * limits[0] * variance
+
+
+@njit(cache=True, inline="always")
+def judged(s, stamp, innovation, total, limits):  # type: ignore[no-untyped-def]
+    """Verdict on an innovation of predicted variance `total`, and seconds since the first of the rejections before it.
+
+    The state vector `s` remembers it; stamp = (time, source) of the measurement; limits as of `limits_now`.
+    """
+    time, source = stamp
+    rejections = s[REJECTIONS]
+    rejected_for = time - s[FIRST_REJECTED] if rejections > 0 else 0.0
+    if rejections == 0:
+        s[FIRST_TOTAL] = total
+    near_ones = s[NEAR_ONES] + 1.0 if is_near(innovation, s[FIRST_TOTAL], limits) else 0.0
+    run = (rejected_for, rejections, s[AGREEMENTS], s[FARTHEST], near_ones)
+    verdict = judge(innovation, total, run, limits)
+    if verdict == REJECTED:
+        s[FIRST_REJECTED] = time - rejected_for
+        s[REJECTIONS] = rejections + 1
+        s[FARTHEST], s[NEAR_ONES] = max(s[FARTHEST], innovation * innovation / total), near_ones
+        s[AGREEMENTS] = s[AGREEMENTS] + 1.0 if agrees(innovation, total, limits) else 0.0
+    else:
+        s[ACCEPTED_COUNT] += 1.0
+        s[REJECTIONS] = s[AGREEMENTS] = s[FARTHEST] = s[NEAR_ONES] = 0.0
+        s[LAST_ACCEPTED], s[SOURCE] = time, source
+    return verdict, rejected_for
+
+
+@njit(cache=True, inline="always")
+def give_up(s, jump, rejected_for):  # type: ignore[no-untyped-def]
+    """Before a reacquired measurement: the old position's uncertainty becomes the size of the jump.
+
+    Whether the target jumped or the prediction ran away is not known, so velocity and bias may be wrong by what would
+    explain it too.
+    """
+    s[P00] += jump * jump
+    s[P11] += (jump / max(rejected_for, 1e-3)) ** 2
+    s[P22] += (jump / max(rejected_for, 1e-3) ** 2) ** 2

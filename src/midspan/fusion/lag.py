@@ -72,7 +72,7 @@ class LagSmoother:
         self._origin_ns = 0
         self._waiting = Waiting()
         self._events = GateEvents()
-        # What is not given out yet: nodes (k, 14) with their stamps, and the accepted measurements after the first of
+        # What is not given out yet: nodes (k, 13) with their stamps, and the accepted measurements after the first of
         # them: time and outcome.
         self._nodes, self._stamps = np.empty((0, NODE_COLUMNS)), np.empty(0, dtype=np.int64)
         self._used = np.empty((0, 1 + RECORD_COLUMNS))
@@ -164,7 +164,7 @@ def _adjoint_before(used, first, last, adjoint):  # type: ignore[no-untyped-def]
 def smooth_late(nodes, used, lag_s, rows):  # type: ignore[no-untyped-def]
     """Smooth each node by the accepted measurements of the next `lag_s` seconds.
 
-    nodes (n, 14) and used (m, 9: time and outcome) as the forward recursion left them; rows = (displacement, velocity,
+    nodes (n, 13) and used (m, 9: time and outcome) as the forward recursion left them; rows = (displacement, velocity,
     variance), each (n,), take the result. The adjoint changes only where a measurement enters or leaves the window.
     """
     displacements, velocities, variances = rows

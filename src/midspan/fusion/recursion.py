@@ -3,24 +3,17 @@
 import numpy as np
 from numba import njit
 
-from midspan.fusion.gate import ACCEPTED, REACQUIRED, REJECTED, agrees, is_near, judge, limits_now, rougher
+from midspan.fusion.gate import ACCEPTED, REACQUIRED, REJECTED, give_up, is_near, judged, limits_now, rougher
 from midspan.fusion.state_space import (
     ACCEPTED_COUNT,
-    AGREEMENTS,
-    FARTHEST,
-    FIRST_REJECTED,
-    FIRST_TOTAL,
     INPUT,
     LAST_ACCEPTED,
     LAST_INNOVATION,
     LAST_TOTAL,
-    NEAR_ONES,
     P00,
     P01,
     P02,
-    P11,
     P22,
-    REJECTIONS,
     ROUGHNESS,
     SLOPE,
     SOURCE,
@@ -51,18 +44,8 @@ def meet_measurement(s, row, measured, limits):  # type: ignore[no-untyped-def]
     time, value, variance, source = measured
     innovation, total = value - s[X], s[P00] + variance
     limits = limits_now(limits, s[ACCEPTED_COUNT], s[ROUGHNESS])
-    rejections = s[REJECTIONS]
-    rejected_for = time - s[FIRST_REJECTED] if rejections > 0 else 0.0
-    if rejections == 0:
-        s[FIRST_TOTAL] = total
-    near_ones = s[NEAR_ONES] + 1.0 if is_near(innovation, s[FIRST_TOTAL], limits) else 0.0
-    run = (rejected_for, rejections, s[AGREEMENTS], s[FARTHEST], near_ones)
-    verdict = judge(innovation, total, run, limits)
+    verdict, rejected_for = judged(s, (time, source), innovation, total, limits)
     if verdict == REJECTED:
-        s[FIRST_REJECTED] = time - rejected_for
-        s[REJECTIONS] = rejections + 1
-        s[FARTHEST], s[NEAR_ONES] = max(s[FARTHEST], innovation * innovation / total), near_ones
-        s[AGREEMENTS] = s[AGREEMENTS] + 1.0 if agrees(innovation, total, limits) else 0.0
         row[GAIN_X] = row[GAIN_V] = row[GAIN_B] = 0.0
     if verdict == ACCEPTED or (verdict == REJECTED and is_near(innovation, total, limits)):
         if np.isfinite(s[LAST_INNOVATION]):
@@ -70,20 +53,13 @@ def meet_measurement(s, row, measured, limits):  # type: ignore[no-untyped-def]
         s[LAST_INNOVATION], s[LAST_TOTAL] = innovation, total
     if verdict != REJECTED:
         if verdict == REACQUIRED:
-            # The old position is given up: its uncertainty becomes the size of the jump. Whether the target jumped or
-            # the prediction ran away is not known, so velocity and bias may be wrong by what would explain it too.
-            s[P00] += innovation * innovation
-            s[P11] += (innovation / max(rejected_for, 1e-3)) ** 2
-            s[P22] += (innovation / max(rejected_for, 1e-3) ** 2) ** 2
+            give_up(s, innovation, rejected_for)
             total = s[P00] + variance
         gain = (s[P00] / total, s[P01] / total, s[P02] / total)
         s[X] += gain[0] * innovation
         s[V] += gain[1] * innovation
         s[B] += gain[2] * innovation
         update_covariance(s, gain, variance)
-        s[ACCEPTED_COUNT] += 1.0
-        s[REJECTIONS] = s[AGREEMENTS] = s[FARTHEST] = s[NEAR_ONES] = 0.0
-        s[LAST_ACCEPTED], s[SOURCE] = time, source
         row[GAIN_X], row[GAIN_V], row[GAIN_B] = gain
     row[INNOVATION], row[INNOVATION_VARIANCE], row[VERDICT] = innovation, total, verdict
 

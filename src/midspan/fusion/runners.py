@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 
 from midspan.checks import option
 from midspan.fusion.adaptive import AdaptiveSettings, adapt
+from midspan.fusion.branches import StreamSettings
 from midspan.fusion.complementary import run as run_branches
 from midspan.fusion.fir import FirFilter, FirSettings
 from midspan.fusion.kalman import KalmanFilter, KalmanSettings
@@ -33,12 +34,14 @@ class Runner:
     """How a method is run, and what follows from it.
 
     run: acceleration, displacement and settings → result. both_ways: it uses what comes later without limit, so that
-    its own row is the best that is known of the zero. response: the method whose linear response to an error of the
-    measurements is taken for its own, given the variances that it used.
+    its own row is the best that is known of the zero. has_state: it carries a state across the interval after a sample
+    that was put before the first one; to the others that interval is a gap. response: the method whose linear response
+    to an error of the measurements is taken for its own, given the variances that it used.
     """
 
     run: Callable[[Acceleration, Displacement, MethodSettings], Smoothed]
     both_ways: bool
+    has_state: bool
     response: str
 
 
@@ -62,21 +65,22 @@ def _adaptive(acceleration: Acceleration, displacement: Displacement, settings: 
 
 
 def _fir(acceleration: Acceleration, displacement: Displacement, settings: MethodSettings) -> Smoothed:
-    return collected(run_branches(FirFilter(FirSettings(literal=settings.literal)), acceleration, displacement))
+    fir = FirSettings(literal=settings.literal, stream=StreamSettings(edges=settings.kalman))
+    return collected(run_branches(FirFilter(fir), acceleration, displacement))
 
 
 def _two_stage(acceleration: Acceleration, displacement: Displacement, settings: MethodSettings) -> Smoothed:
-    stream = TwoStageFir(TwoStageSettings(literal=settings.literal))
-    return collected(run_branches(stream, acceleration, displacement))
+    two_stage = TwoStageSettings(literal=settings.literal, stream=StreamSettings(edges=settings.kalman))
+    return collected(run_branches(TwoStageFir(two_stage), acceleration, displacement))
 
 
 RUNNERS: dict[str, Runner] = {
-    "smoother": Runner(_smoother, both_ways=True, response="smoother"),
-    "kalman": Runner(_kalman, both_ways=False, response="kalman"),
-    "lag": Runner(_lag, both_ways=False, response="lag"),
-    "adaptive-kalman": Runner(_adaptive, both_ways=False, response="kalman"),
-    "fir": Runner(_fir, both_ways=True, response="fir"),
-    "two-stage-fir": Runner(_two_stage, both_ways=True, response="two-stage-fir"),
+    "smoother": Runner(_smoother, both_ways=True, has_state=True, response="smoother"),
+    "kalman": Runner(_kalman, both_ways=False, has_state=True, response="kalman"),
+    "lag": Runner(_lag, both_ways=False, has_state=True, response="lag"),
+    "adaptive-kalman": Runner(_adaptive, both_ways=False, has_state=True, response="kalman"),
+    "fir": Runner(_fir, both_ways=True, has_state=False, response="fir"),
+    "two-stage-fir": Runner(_two_stage, both_ways=True, has_state=False, response="two-stage-fir"),
 }
 
 

@@ -106,7 +106,7 @@ def smooth(acceleration: Acceleration, displacement: Displacement, settings: Kal
 
 
 def _forward(samples: Floats, rows: Floats, state: Floats, settings: KalmanSettings) -> tuple[Floats, Floats]:
-    """Nodes (n, 14) of a block and the outcome (m, 8) of its measurements; moves `state` on."""
+    """Nodes (n, 13) of a block and the outcome (m, 8) of its measurements; moves `state` on."""
     nodes, outcome = np.empty((len(samples), NODE_COLUMNS)), np.zeros((len(rows), RECORD_COLUMNS))
     used = filter_block(samples, rows, state, settings.bias_walk, settings.limits, nodes, outcome)
     outcome[used:, VERDICT] = UNUSED

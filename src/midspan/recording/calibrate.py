@@ -33,6 +33,8 @@ NOISE_WINDOW_S = 1800.0
 # A clock offset that was not asked for is refused when it moves the displacement by more than this many times its
 # noise.
 MOST_LATE = 2.0
+# A displacement that is so much more likely (logarithm of the likelihood) with the opposite sign has it.
+CLEARLY_REVERSED = 20.0
 # A given noise of a displacement sensor is taken unless the sensors differ as if it were so many times larger.
 MOST_OPTIMISTIC = 1.5
 
@@ -85,6 +87,7 @@ def _calibrate_and_track(recording: Recording, progress: Progress) -> tuple[Cali
         displacement=displacement_part,
         warnings=tuple(warnings),
         across=across,
+        left_out=recording.across.axis if recording.across is not None and across is None else "",
         diagnostics=diagnostics,
     )
     return calibration, tracking
@@ -202,6 +205,12 @@ def _calibrate_displacement(recording: Recording) -> NoiseCalibration:
     rows = measured_rows(series.time_ns[used], series.value[used], np.ones(used.stop - used.start), first)
     pair = Pair(prepared.rows(first, window), rows, 1.0)
     searched = calibrate_noise(pair, max_offset)
+    if searched.reversed_gain > CLEARLY_REVERSED:
+        raise UntrustedError(
+            "displacement: its sign is reversed: turned round it fits the accelerometer far better. Its second "
+            "derivative must be positive where the structure accelerates along the sensor's positive axis. Turn the sign "
+            "of the column, or of the accelerometer's."
+        )
     section = recording.settings.displacement
     if section is not None and section.estimate_offset:
         return searched

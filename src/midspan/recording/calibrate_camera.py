@@ -64,7 +64,8 @@ def window_ends(recording: Recording) -> tuple[int, int]:
 def calibrate_camera(recording: Recording, tracking: CameraTracking) -> tuple[CameraFit, ...]:
     """Calibrate the camera along its image axes, the main one first; targets of no use are tracked no further.
 
-    Raises UntrustedError where no target can be calibrated along the main axis.
+    A second axis that cannot even be tracked is left out, and the main one's warnings tell why. Raises UntrustedError
+    where no target can be calibrated along the main axis.
     """
     tracking.until(window_ends(recording)[1])
     fits = [_fitted(recording, tracking)]
@@ -84,12 +85,53 @@ def calibrate_camera(recording: Recording, tracking: CameraTracking) -> tuple[Ca
         refused = f"Along {across.axis} the target is only tracked: {' '.join(fits[1].reasons)}"
         fits = fits[:1]
     offset = common_offset(fits)
-    parts = [_axis(view, tracking, fit, offset) for view, fit in zip((recording, across), fits, strict=False) if view]
-    tracking.leave_out([k for k, target in enumerate(parts[0].calibration.targets) if not target.used])
+    axes = [(view, fit) for view, fit in zip((recording, across), fits, strict=False) if view is not None]
+    cameras = used_along_both([_judged(view, tracking, fit, offset) for view, fit in axes])
+    if across is not None and len(cameras) < len(axes):
+        refused = f"Along {across.axis} the target is only tracked: no target is of use along both axes."
+    parts = [_fit_of(tracking, camera, fit) for camera, (_, fit) in zip(cameras, axes, strict=False)]
+    tracking.leave_out([k for k, target in enumerate(cameras[0].targets) if not target.used])
     if across is not None and len(parts) == 1:
-        only = _tracked_only(recording, tracking, parts[0].calibration)
-        parts.append(replace(only, warnings=(refused,) if refused else ()))
+        return _with_tracked(recording, tracking, parts[0], refused)
     return tuple(parts)
+
+
+def used_along_both(cameras: Sequence[CameraCalibration]) -> list[CameraCalibration]:
+    """The axes' calibrations with the same targets in use: what either axis leaves out, neither uses.
+
+    Only the first one where no target would be left.
+    """
+    if len(cameras) < 2:
+        return list(cameras)
+    main, across = cameras
+    pairs = list(zip(main.targets, across.targets, strict=True))
+    if not any(one.used and other.used for one, other in pairs):
+        return [main]
+    return [
+        replace(main, targets=tuple(_beside(one, other, across.direction) for one, other in pairs)),
+        replace(across, targets=tuple(_beside(other, one, main.direction) for one, other in pairs)),
+    ]
+
+
+def _beside(own: TargetCalibration, other: TargetCalibration, axis: str) -> TargetCalibration:
+    """A target along one axis, out of use where it is so along the other, `axis`."""
+    if other.used or not own.used:
+        return own
+    return replace(own, used=False, reason=f"not of use along {axis}: {other.reason}")
+
+
+def _with_tracked(
+    recording: Recording, tracking: CameraTracking, main: CameraFit, refused: str
+) -> tuple[CameraFit, ...]:
+    """The main axis and the second one tracked only, which is left out with a warning where that cannot be trusted."""
+    told = (refused,) if refused else ()
+    try:
+        only = _tracked_only(recording, tracking, main.calibration)
+    except UntrustedError as error:
+        axis = "x" if main.calibration.direction == "y" else "y"
+        left_out = f"The second axis {axis} is left out of the result. {error}"
+        return (replace(main, warnings=(*main.warnings, *told, left_out)),)
+    return main, replace(only, warnings=told)
 
 
 def _fitted(recording: Recording, tracking: CameraTracking) -> Fitted:
@@ -171,7 +213,7 @@ def judged_by(recording: Recording, track: PixelTrack) -> Agreement:
     return Agreement(std_m, False, told, missed)
 
 
-def _axis(recording: Recording, tracking: CameraTracking, fit: Fitted, offset: TimeOffset) -> CameraFit:
+def _judged(recording: Recording, tracking: CameraTracking, fit: Fitted, offset: TimeOffset) -> CameraCalibration:
     """All targets along one axis as one calibration; those that do not agree with the others are not used."""
     targets = [
         _target(target, found, reason, recording.axis)
@@ -182,23 +224,25 @@ def _axis(recording: Recording, tracking: CameraTracking, fit: Fitted, offset: T
     found = fit.found[best]
     assert found is not None
     camera = _camera(tracking, recording.axis, targets, offset)
-    camera = _without_movers(recording, tracking, camera, found.input_noise_density)
-    best = _best(camera.targets)
-    found = fit.found[best]
+    return _without_movers(recording, tracking, camera, found.input_noise_density)
+
+
+def _fit_of(tracking: CameraTracking, camera: CameraCalibration, fit: Fitted) -> CameraFit:
+    """One axis whose targets have been judged: the values of the best one, and what is worth telling."""
+    found = fit.found[_best(camera.targets)]
     assert found is not None
-    scales = [f for f, target in zip(fit.found, camera.targets, strict=True) if f is not None and target.used]
+    used = [(f, t) for f, t in zip(fit.found, camera.targets, strict=True) if f is not None and t.used]
     several = len(camera.targets) > 1
     warnings = [
-        f"Target {target.name} is left out along {recording.axis}: {target.reason}"
+        f"Target {target.name} is left out along {camera.direction}: {target.reason}"
         for target in camera.targets
         if not target.used
     ]
-    for target, one in zip(camera.targets, fit.found, strict=True):
-        if one is not None and target.used:
-            warnings += [f"Target {target.name}: {line}" if several else line for line in one.warnings]
+    for one, target in used:
+        warnings += [f"Target {target.name}: {line}" if several else line for line in one.warnings]
     camera = replace(
-        _camera(tracking, recording.axis, list(camera.targets), offset),
-        relative_scale_std=_relative_scale_std(scales) if len(scales) > 1 else None,
+        _camera(tracking, camera.direction, camera.targets, camera.offset),
+        relative_scale_std=relative_scale_std(*zip(*used, strict=True)) if len(used) > 1 else None,
     )
     return CameraFit(camera, found.input_noise_density, tuple(warnings), found)
 
@@ -287,12 +331,19 @@ def _without_movers(
     return camera
 
 
-def _relative_scale_std(scales: Sequence[ScaleCalibration]) -> float:
-    """Relative standard deviation of the scale factor of all targets' mean."""
+def relative_scale_std(scales: Sequence[ScaleCalibration], targets: Sequence[TargetCalibration]) -> float:
+    """Relative standard deviation of the scale factor of all targets' mean.
+
+    scales: as learnt; targets: the same with what compression may do to them, which is one error of the whole video
+    and does not average out.
+    """
     relative = np.array([s.scale.variance / s.scale.value_m_per_px**2 for s in scales])
+    with_codec = [t.scale.variance / t.scale.value_m_per_px**2 for t in targets if t.scale is not None]
     weight = np.array([1.0 / (s.scale.value_m_per_px * s.noise.std) ** 2 for s in scales])
+    weight /= weight.sum()
     shared = float(np.mean([shared_part(s) for s in scales]))
-    return float(np.sqrt(pooled_variance(weight / weight.sum(), relative, shared)))
+    codec = pooled_variance(weight, np.maximum(np.array(with_codec) - relative, 0.0), 1.0)
+    return float(np.sqrt(pooled_variance(weight, relative, shared) + codec))
 
 
 def _tracked_only(recording: Recording, tracking: CameraTracking, main: CameraCalibration) -> CameraFit:
@@ -310,8 +361,12 @@ def _tracked_only(recording: Recording, tracking: CameraTracking, main: CameraCa
         translation, variance = track.along(axis)
         window = inside(track.time_ns, first, last)
         rows = measured_rows(track.time_ns[window], value * translation[window], value**2 * variance[window], first)
-        if np.count_nonzero(np.isfinite(rows[:, 2])) < LEAST_FRAMES:
-            raise UntrustedError(f"Only {len(rows)} usable frames lie in the calibration window along {axis}.")
+        usable = np.count_nonzero(np.isfinite(rows[:, 2]))
+        if usable < LEAST_FRAMES:
+            raise UntrustedError(
+                f"{usable} usable frames lie in the calibration window along {axis}; at least {LEAST_FRAMES} are "
+                "needed."
+            )
         still = recording.prepared.rows(first, calibration_window(recording)) * np.array([1.0, 0.0, 1.0])
         # The tracker is as far from its own variance as along the other axis.
         rows[:, 2] *= target.variance_factor

@@ -104,7 +104,8 @@ class Calibration:
 
     noise_std_m_s2: white noise of the acceleration per sample; bias_m_s2: its mean in the window. across: the same
     along the second image axis, with camera.direction = "xy"; where that has no accelerometer, the noise is the
-    motion's own acceleration. diagnostics: what the estimates rest on, for the report; not stored in the file.
+    motion's own acceleration. left_out: the second axis "x" or "y" where nothing could be learnt of it, else empty.
+    diagnostics: what the estimates rest on, for the report; not stored in the file.
     """
 
     noise_std_m_s2: float
@@ -113,6 +114,7 @@ class Calibration:
     displacement: DisplacementCalibration | None = None
     warnings: tuple[str, ...] = ()
     across: "Calibration | None" = None
+    left_out: str = ""
     created: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds"))
     version: str = __version__
     diagnostics: "ScaleCalibration | NoiseCalibration | None" = field(default=None, compare=False, repr=False)
@@ -122,7 +124,7 @@ class Calibration:
         """The camera's direction, "x", "y" or "xy"; empty without one."""
         if self.camera is None:
             return ""
-        return self.camera.direction if self.across is None else "xy"
+        return self.camera.direction if self.across is None and not self.left_out else "xy"
 
     def noise_density(self, rate_hz: float) -> float:
         """Two-sided density of the acceleration's noise, (m/s²)²/Hz, at the accelerometer's rate."""
@@ -140,7 +142,7 @@ class Calibration:
             },
         }
         if self.camera:
-            tree["camera"] = _camera_dict(self.camera)
+            tree["camera"] = _camera_dict(self.camera) | ({"left_out": self.left_out} if self.left_out else {})
             if self.across is not None and self.across.camera is not None:
                 both = {part.camera.direction: _axis_dict(part) for part in (self, self.across) if part.camera}
                 tree["camera"] |= {"direction": "xy", "axis": self.camera.direction, "axes": both}

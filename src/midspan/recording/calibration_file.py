@@ -57,6 +57,7 @@ def calibration_from_dict(tree: dict[str, Any]) -> Calibration:
         camera=_camera_of(camera) if camera else None,
         displacement=_displacement_of(displacement) if displacement else None,
         warnings=tuple(str(line) for line in warnings) if isinstance(warnings, list) else (),
+        left_out=_left_out_of(camera) if camera else "",
         created=str(tree.get("created", "")),
         version=str(tree.get("version", "")),
     )
@@ -96,14 +97,18 @@ def _both_axes(found: Calibration, tree: dict[str, Any]) -> Calibration:
     own, other = _section(axes, found.camera.direction), _section(axes, second)
     if own is None or other is None:
         raise _WrongValueError('camera.axes must hold x and y with camera.direction = "xy"')
+    scale, targets = _scale_of(other, f"camera.axes.{second}"), _targets_of(other)
+    # The best target along this axis may be another one than along the main axis: the one with the axis's own scale.
+    regions = [target.region for target in targets if target.used and target.scale == scale]
     camera = replace(
         found.camera,
-        scale=_scale_of(other, f"camera.axes.{second}"),
+        scale=scale,
+        region=(*regions, found.camera.region)[0],
         direction=second,
         noise_std_px=_number(other, f"camera.axes.{second}.noise_std_px", positive=True),
         variance_factor=_number(other, f"camera.axes.{second}.variance_factor", positive=True),
         phase_scale_m_per_rad=_phase_of(other),
-        targets=_targets_of(other),
+        targets=targets,
         fused=other.get("fused") is not False,
         relative_scale_std=_relative_of(other),
     )
@@ -136,6 +141,13 @@ def _camera_of(tree: dict[str, Any]) -> CameraCalibration:
         relative_scale_std=_relative_of(tree),
         lens=_lens_of(tree),
     )
+
+
+def _left_out_of(tree: dict[str, Any]) -> str:
+    axis = tree.get("left_out", "")
+    if axis not in ("", "x", "y"):
+        raise _WrongValueError(f'camera.left_out must be "x" or "y"; received {axis!r}')
+    return str(axis)
 
 
 def _lens_of(tree: dict[str, Any]) -> Lens | None:

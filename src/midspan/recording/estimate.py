@@ -1,6 +1,7 @@
 """`estimate`: the main job, from a recording to displacement at the accelerometer's rate with its error band."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from midspan.fusion.runners import MethodSettings
 from midspan.fusion.smoother import Smoothed
 from midspan.recording.calibrate import calibrate_and_track
 from midspan.recording.calibration import Calibration
+from midspan.recording.calibration_file import load_calibration
 from midspan.recording.fuse import FusionInputs, fuse
 from midspan.recording.inputs import Gathered, gather
 from midspan.recording.progress import Progress, silent
@@ -34,7 +36,7 @@ MOST_TOLD = 3
 
 def estimate(
     recording: Recording,
-    calibration: Calibration | None = None,
+    calibration: Calibration | str | Path | None = None,
     *,
     method: str | None = None,
     tracking: CameraTracking | None = None,
@@ -42,11 +44,13 @@ def estimate(
 ) -> Result:
     """Estimate the displacement of a recording.
 
-    calibration: left out, it is made first (and then the camera is tracked once for both). method: a name of `midspan
+    calibration: or its file; left out, it is made first (and then the camera is tracked once for both). method: a name of `midspan
     methods`, over the recording's own. tracking: what `calibrate_and_track` left, to go on with. Returns one row for
     each accelerometer sample in the streams' common span.
     Raises UntrustedError when calibration is refused, DataError for unusable streams.
     """
+    if isinstance(calibration, str | Path):
+        calibration = load_calibration(calibration)
     # The method is checked first: tracking may take long.
     method = option("method", method or recording.settings.fusion.method, METHODS)
     if recording.settings.fusion.literal and method not in LITERAL:
@@ -66,7 +70,7 @@ def _estimate(
     fused = fuse(gathered.inputs, method, _method_settings(recording))
     _refuse_rejections(fused.innovation)
     result = _cut(recording, gathered.inputs, fused.estimate)
-    across = _across(recording, calibration, gathered, (result, method))
+    across, more = _second(recording, calibration, gathered, (result, method))
     progress(1, 1, "fusing")
     return Result(
         estimate=result,
@@ -75,12 +79,32 @@ def _estimate(
         method=method,
         innovation=fused.innovation,
         events=tuple(sorted((*recording.prepared.events, *fused.events), key=lambda event: event.time_ns)),
-        warnings=(*_warnings(calibration, gathered, fused, result), *_literal_warnings(recording, gathered, fused)),
+        warnings=(
+            *_warnings(calibration, gathered, fused, result),
+            *_literal_warnings(recording, gathered, fused),
+            *more,
+        ),
         track=gathered.track,
         tracking=gathered.tracking,
         recording=recording,
         across=across,
     )
+
+
+def _second(
+    recording: Recording, calibration: Calibration, gathered: Gathered, main: tuple[Estimate, str]
+) -> tuple[SecondAxis | None, list[str]]:
+    """The second image axis and its warnings; left out where it is not to be trusted: the main one stands without."""
+    view = recording.across
+    try:
+        found = _across(recording, calibration, gathered, main)
+    except UntrustedError as error:
+        return None, [f"The second axis {'' if view is None else view.axis} is left out of the result. {error}"]
+    if view is None or found is None:
+        return None, []
+    sensor = view.prepared.events if found.fused else ()
+    events = tuple(sorted((*sensor, *found.events), key=lambda event: event.time_ns))
+    return replace(found, events=events), _second_warnings(found)
 
 
 def _across(
@@ -98,6 +122,13 @@ def _across(
     return replace(found, estimate=replace(found.estimate, status=status))
 
 
+def _second_warnings(across: SecondAxis) -> list[str]:
+    """What the gate did along the second axis."""
+    along = f" along {across.axis}"
+    told = [f"Along {across.axis}: {line}" for line in _told(across.events)]
+    return [*told, *_shares(across.innovation, across.estimate, along)]
+
+
 def _method_settings(recording: Recording) -> MethodSettings:
     """What [fusion] says of single methods."""
     fusion = recording.settings.fusion
@@ -112,7 +143,8 @@ def _literal_warnings(recording: Recording, gathered: Gathered, fused: Smoothed)
         "fusion.literal: the filter was run exactly as printed, without bias, gate and limits. Its own covariance does "
         "not hold its error; the band was widened by what the innovations show."
     ]
-    declared = float(np.median(gathered.inputs.displacement.variance_m2))
+    known = gathered.inputs.displacement.variance_m2
+    declared = float(np.median(known[np.isfinite(known)]))
     grown = float(np.sqrt(np.max(fused.variance_m2) / declared))
     if grown > RUN_AWAY:
         found.append(
@@ -211,11 +243,17 @@ def _warnings(calibration: Calibration, gathered: Gathered, fused: Smoothed, row
         found += gathered.tracking.warnings()
     found += _told(fused.events)
     found += _lost_end(gathered.inputs, rows)
-    rejected = rejected_share(fused.innovation)
+    return (*found, *_shares(fused.innovation, rows))
+
+
+def _shares(innovation: Innovation, rows: Estimate, along: str = "") -> list[str]:
+    """A sentence for many rejected measurements, and for rows that none supports; along: a second axis in words."""
+    found = []
+    rejected = rejected_share(innovation)
     if rejected > NOTABLE_REJECTED:
-        found.append(f"{100 * rejected:.1f} % of the measurements were rejected as outliers.")
+        found.append(f"{100 * rejected:.1f} % of the measurements{along} were rejected as outliers.")
     for status in (Status.COASTING, Status.LOST):
         share = float(np.mean(rows.status == status))
         if share > 0.0:
-            found.append(f"{100 * share:.2g} % of the rows are {status.word}: no measurement supports them.")
-    return tuple(found)
+            found.append(f"{100 * share:.2g} % of the rows{along} are {status.word}: no measurement supports them.")
+    return found

@@ -3,13 +3,13 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from midspan.calibration.time_offset import without_lonely
 from midspan.errors import UntrustedError
-from midspan.fusion.gate import ACCEPTED, REACQUIRED, REJECTED, GateSettings
+from midspan.fusion.gate import ACCEPTED, REJECTED
 from midspan.fusion.kalman import KalmanSettings
 from midspan.fusion.noise_profile import LEAST, noise_factors
+from midspan.fusion.response import linear, places, standing_still, used_variance
 from midspan.fusion.runners import RUNNERS, MethodSettings, Runner, run_method
 from midspan.fusion.smoother import Smoothed, smooth
 from midspan.recording.span import inside, shown
@@ -32,8 +32,6 @@ SHARP_VARIANCES = 25.0
 NEIGHBOURS = 8
 # The zero of `kalman` comes from this much of the record, smoothed: it belongs to its start-up.
 ZERO_S = 60.0
-# Wide enough to let everything in: the response to an error must be linear.
-NO_GATE = GateSettings(limit=1e9)
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +47,7 @@ class SensorError:
 class FusionInputs:
     """What is fused: acceleration, displacement measurements of all sensors, the filter's settings.
 
+    sampled: the acceleration without a sample that was put before the first one, None where there is no such sample;
     zero_ns: the instant that the displacement counts from (the first frame), None for a displacement sensor's own zero;
     level_m: taken off the displacement before fusing, so that a height of 123 m does not start the filter 123 m away;
     errors: what is uncertain of each sensor's calibration.
@@ -60,6 +59,7 @@ class FusionInputs:
     zero_ns: int | None = None
     level_m: float = 0.0
     errors: tuple[SensorError, ...] = ()
+    sampled: Acceleration | None = None
 
 
 def fuse(inputs: FusionInputs, method: str, settings: MethodSettings | None = None) -> Smoothed:
@@ -72,7 +72,7 @@ def fuse(inputs: FusionInputs, method: str, settings: MethodSettings | None = No
     runner = RUNNERS[method]
     fused = _smooth_again(inputs) if method == "smoother" else _run(inputs, method, settings)
     _refuse_runaway(fused, method)
-    zero = _at_zero(inputs, fused.estimate if runner.both_ways else _beginning(inputs))
+    zero = _at_zero(inputs, _rows_of_zero(inputs, runner, fused.estimate))
     rows = fused.estimate
     variance = rows.variance_m2 + zero[1]
     for error_m in _measurement_errors(inputs, rows):
@@ -82,7 +82,13 @@ def fuse(inputs: FusionInputs, method: str, settings: MethodSettings | None = No
 
 
 def _run(inputs: FusionInputs, method: str, settings: MethodSettings) -> Smoothed:
-    return run_method(method, inputs.acceleration, inputs.displacement, settings)
+    acceleration = inputs.acceleration if RUNNERS[method].has_state else _sampled(inputs)
+    return run_method(method, acceleration, inputs.displacement, settings)
+
+
+def _sampled(inputs: FusionInputs) -> Acceleration:
+    """The accelerometer's own samples: to a method without a state one that was put before them is a gap."""
+    return inputs.acceleration if inputs.sampled is None else inputs.sampled
 
 
 def _refuse_runaway(fused: Smoothed, method: str) -> None:
@@ -94,6 +100,12 @@ def _refuse_runaway(fused: Smoothed, method: str) -> None:
         f"{shown(int(rows.time_ns[np.argmin(np.isfinite(rows.displacement_m) & np.isfinite(rows.variance_m2))]))} on "
         "they are not. Leave fusion.literal out, or choose another fusion.method."
     )
+
+
+def _rows_of_zero(inputs: FusionInputs, runner: Runner, rows: Estimate) -> Estimate:
+    """The rows that tell best what the displacement is at the zero."""
+    reaches_zero = runner.has_state or inputs.sampled is None
+    return rows if runner.both_ways and reaches_zero else _beginning(inputs)
 
 
 def _beginning(inputs: FusionInputs) -> Estimate:
@@ -108,9 +120,18 @@ def _at_zero(inputs: FusionInputs, rows: Estimate) -> tuple[float, float]:
     """Displacement and variance at the zero's instant; nothing where the sensor has its own zero."""
     if inputs.zero_ns is None:
         return 0.0, 0.0
+    if inputs.zero_ns < rows.time_ns[0]:
+        return _measured_at_zero(inputs, inputs.zero_ns)
     k = int(np.argmin(np.abs(rows.time_ns - inputs.zero_ns)))
     ahead = (inputs.zero_ns - int(rows.time_ns[k])) / NANOSECONDS
     return float(rows.displacement_m[k] + ahead * rows.velocity_m_s[k]), float(rows.variance_m2[k])
+
+
+def _measured_at_zero(inputs: FusionInputs, zero_ns: int) -> tuple[float, float]:
+    """Displacement and variance of the zero's own measurement: so far before the samples nothing else is known of it."""
+    measured = inputs.displacement
+    k = int(np.argmax((measured.time_ns >= zero_ns) & np.isfinite(measured.value_m)))
+    return float(measured.value_m[k]), float(measured.variance_m2[k])
 
 
 def _smooth_again(inputs: FusionInputs) -> Smoothed:
@@ -125,18 +146,20 @@ def _smooth_again(inputs: FusionInputs) -> Smoothed:
     if not lonely.any() and learnt is None:
         return first
     declared = inputs.displacement.variance_m2 if learnt is None else learnt
-    variance = np.where(lonely, np.inf, declared)
-    second = smooth(inputs.acceleration, replace(inputs.displacement, variance_m2=variance), inputs.kalman)
+    kept = replace(inputs.displacement, variance_m2=np.where(lonely, np.inf, declared))
+    second = smooth(inputs.acceleration, kept, inputs.kalman)
     # They count as rejected measurements, with the first run's innovations.
-    left_out = part(first.innovation, np.isin(first.innovation.time_ns, inputs.displacement.time_ns[lonely]))
+    met = places(inputs.displacement, first.innovation)
+    left_out = part(first.innovation, lonely[met])
     both = joined([second.innovation, replace(left_out, verdict=np.full_like(left_out.verdict, REJECTED))])
-    both = part(both, np.argsort(both.time_ns, kind="stable"))
-    return replace(second, innovation=both, variance_m2=declared[_places(inputs.displacement, both)])
+    place = np.concatenate((places(kept, second.innovation), met[lonely[met]]))
+    order = np.argsort(place)
+    return replace(second, innovation=part(both, order), variance_m2=declared[place[order]])
 
 
 def _learnt_variance(measured: Displacement, found: Innovation) -> Floats | None:
     """Variance (m,) of each measurement where the noise is clearly other than declared; None where it nowhere is."""
-    met = _places(measured, found)
+    met = places(measured, found)
     declared = measured.variance_m2[met]
     variance = measured.variance_m2.copy()
     for source in np.unique(measured.source[met]):
@@ -150,7 +173,7 @@ def _lonely(measured: Displacement, found: Innovation) -> Mask:
     """Measurements (m,) that leave their neighbours of the same sensor without a sharp prediction that agrees."""
     usable = np.isfinite(measured.value_m) & np.isfinite(measured.variance_m2)
     sharp = np.zeros(len(usable), dtype=bool)
-    met = _places(measured, found)
+    met = places(measured, found)
     sharp[met] = (found.variance_m2 < SHARP_VARIANCES * measured.variance_m2[met]) & (found.verdict == ACCEPTED)
     mask = np.zeros(len(usable), dtype=bool)
     for source in np.unique(measured.source):
@@ -164,12 +187,6 @@ def _lonely(measured: Displacement, found: Innovation) -> Mask:
         )
         mask[np.intersect1d(which[np.isinf(without_lonely(rows)[:, 2])], own[doubted])] = True
     return mask
-
-
-def _places(measured: Displacement, found: Innovation) -> NDArray[np.int64]:
-    """The measurement (index) that each innovation belongs to; their stamps agree to the nanosecond."""
-    place = np.searchsorted(measured.time_ns, found.time_ns - 1)
-    return np.minimum(place, len(measured.time_ns) - 1)
 
 
 def _measurement_errors(inputs: FusionInputs, rows: Estimate) -> list[Floats]:
@@ -195,12 +212,10 @@ def _response(
     if not len(found.time_ns):
         # Methods without a gate use every measurement.
         return _alone(inputs, runner, settings, (error_m, declared))
-    met = _places(inputs.displacement, found)
-    used = (found.verdict == ACCEPTED) | (found.verdict == REACQUIRED)
-    taken = declared[met] if fused.variance_m2 is None else np.maximum(fused.variance_m2, LEAST**2 * declared[met])
-    variance = np.full(len(error_m), np.inf)
-    variance[met[used]] = taken[used]
-    return _alone(inputs, runner, settings, (error_m, variance))
+    taken = fused.variance_m2
+    if taken is not None:
+        taken = np.maximum(taken, LEAST**2 * declared[places(inputs.displacement, found)])
+    return _alone(inputs, runner, settings, (error_m, used_variance(inputs.displacement, found, taken)))
 
 
 def _alone(inputs: FusionInputs, runner: Runner, settings: MethodSettings, measured: tuple[Floats, Floats]) -> Floats:
@@ -208,9 +223,10 @@ def _alone(inputs: FusionInputs, runner: Runner, settings: MethodSettings, measu
     error_m, variance = measured
     alone = replace(
         inputs,
-        acceleration=replace(inputs.acceleration, value_m_s2=np.zeros(len(inputs.acceleration.time_ns))),
+        acceleration=standing_still(inputs.acceleration),
+        sampled=None if inputs.sampled is None else standing_still(inputs.sampled),
         displacement=replace(inputs.displacement, value_m=error_m, variance_m2=variance),
-        kalman=replace(inputs.kalman, bias=0.0, gate=NO_GATE),
+        kalman=linear(inputs.kalman),
     )
     rows = _run(alone, runner.response, replace(settings, kalman=alone.kalman)).estimate
-    return rows.displacement_m - _at_zero(alone, rows if runner.both_ways else _beginning(alone))[0]
+    return rows.displacement_m - _at_zero(alone, _rows_of_zero(alone, runner, rows))[0]

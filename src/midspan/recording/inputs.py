@@ -16,7 +16,7 @@ from midspan.recording.calibration import Calibration, CameraCalibration
 from midspan.recording.fuse import FusionInputs, SensorError
 from midspan.recording.progress import Progress
 from midspan.recording.recording import Recording
-from midspan.recording.running_clock import on_one_clock
+from midspan.recording.running_clock import RunningClock, on_one_clock
 from midspan.recording.span import inside, require_overlap
 from midspan.recording.targets import Together, camera_blocks, filter_settings, together
 from midspan.recording.tracking import CameraTracking
@@ -65,10 +65,10 @@ def gather(
     if calibration.camera is not None and recording.has("camera"):
         tracking = tracking or open_tracking(recording, calibration, progress)
         track_all(tracking, _monitor(tracking, sides), [side.acceleration for side in sides])
-    inputs, together, warnings = _inputs(sides[0], tracking)
+    inputs, together, warnings, clock = _inputs(sides[0], tracking)
     across = None
     if len(sides) > 1:
-        across, _, more = _inputs(sides[1], tracking)
+        across, _, more, _ = _inputs(sides[1], tracking, clock)
         warnings += more
     place = 0
     if tracking is not None and calibration.camera is not None:
@@ -124,17 +124,26 @@ def _camera(side: Side, tracking: CameraTracking) -> Together:
     return together(blocks, camera.mappings(), side.acceleration, side.kalman, window_ends(side.recording))
 
 
-def _inputs(side: Side, tracking: CameraTracking | None) -> tuple[FusionInputs, Together | None, list[str]]:
-    """What is fused along one axis, how the targets agreed, and warnings."""
+def _inputs(
+    side: Side, tracking: CameraTracking | None, clock: RunningClock | None = None
+) -> tuple[FusionInputs, Together | None, list[str], RunningClock | None]:
+    """What is fused along one axis, how the targets agreed, warnings, and the camera's clock.
+
+    clock: as it was learnt along the main axis; None learns it.
+    """
     recording, calibration, blocks, errors = side.recording, side.calibration, [], []
     found, told = None, []
     if calibration.camera is not None and tracking is not None:
         found = _camera(side, tracking)
         told = _drops(found, tracking, calibration.camera.direction)
-        running = on_one_clock(found.measured, side.acceleration, side.kalman, "camera")
-        told += running.warnings
-        blocks.append(running.measured)
-        clock_std = _clock_std(calibration.camera.offset) if running.std_s is None else running.std_s
+        clock = (
+            on_one_clock(found.measured, side.acceleration, side.kalman, "camera")
+            if clock is None
+            else clock.also(found.measured)
+        )
+        told += clock.warnings
+        blocks.append(clock.measured)
+        clock_std = _clock_std(calibration.camera.offset) if clock.std_s is None else clock.std_s
         errors.append(SensorError(Source.CAMERA, calibration.camera.relative_std, clock_std))
     if recording.has("displacement"):
         blocks.append(_displacement(recording, calibration))
@@ -144,15 +153,17 @@ def _inputs(side: Side, tracking: CameraTracking | None) -> tuple[FusionInputs, 
     blocks[0] = replace(blocks[0], value_m=blocks[0].value_m - level)
     measured, warnings = _merged(blocks, side.acceleration, side.kalman)
     velocity_std = _velocity_std(side.prepared, measured)
+    begun = from_first_measurement(side.acceleration, measured, side.prepared.rate_hz)
     inputs = FusionInputs(
-        acceleration=from_first_measurement(side.acceleration, measured, side.prepared.rate_hz),
+        acceleration=begun,
         displacement=measured,
         kalman=_with_ages(replace(side.kalman, velocity_std=velocity_std), blocks[0]),
         zero_ns=None if found is None else int(blocks[0].time_ns[0]),
         level_m=level,
         errors=tuple(errors),
+        sampled=None if begun is side.acceleration else side.acceleration,
     )
-    return inputs, found, [*warnings, *told]
+    return inputs, found, [*warnings, *told], clock
 
 
 def _drops(found: Together, tracking: CameraTracking, direction: str) -> list[str]:

@@ -64,8 +64,18 @@ class Result:
             calibration=self.calibration.across,
             method=self.across.method,
             innovation=self.across.innovation,
+            events=self.across.events,
+            track=self._track_along(self.calibration.across),
             across=None,
         )
+
+    def _track_along(self, calibration: Calibration) -> PixelTrack | None:
+        """The track of an axis's best target."""
+        if self.tracking is None or calibration.camera is None:
+            return self.track
+        regions = [target.region for target in self.tracking.targets]
+        best = calibration.camera.region
+        return self.tracking.targets[regions.index(best)].track if best in regions else self.track
 
     @property
     def time_s(self) -> Floats:
@@ -120,9 +130,7 @@ class Result:
             "settings": self.settings.model_dump(mode="json", exclude_none=True),
             "calibration": self.calibration.to_dict(),
             "warnings": list(self.warnings),
-            "events": [
-                {"time_s": event.time_ns / 1e9, "kind": event.kind, "text": event.text} for event in self.events
-            ],
+            "events": _events(self.events),
         }
 
     def _axes(self) -> dict[str, Any]:
@@ -137,6 +145,7 @@ class Result:
                     "column": f"displacement_{second.axis}_mm",
                     "fused": second.fused,
                     "method": second.method,
+                    "events": _events(second.events),
                 },
             }
         }
@@ -228,3 +237,8 @@ class Result:
         notes = "".join(f"<li>{html.escape(line)}</li>" for line in self.warnings)
         data = base64.b64encode(picture.getvalue()).decode()
         return f'<p>{html.escape(text)}</p><img src="data:image/png;base64,{data}"/><ul>{notes}</ul>'
+
+
+def _events(events: tuple[Event, ...]) -> list[dict[str, Any]]:
+    """Events as plain values."""
+    return [{"time_s": event.time_ns / 1e9, "kind": event.kind, "text": event.text} for event in events]

@@ -1,6 +1,6 @@
 """Long recordings: a sensor's clock that runs faster or slower than the accelerometer's is found and corrected."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,11 +19,20 @@ LEAST_LATE_S = 5e-4
 
 @dataclass(frozen=True, slots=True)
 class RunningClock:
-    """Measurements on one clock, what is left of its uncertainty (s, rms; None: as calibrated), and what to tell."""
+    """Measurements on one clock, what is left of its uncertainty (s, rms; None: as calibrated), and what to tell.
+
+    course: what was corrected; None where nothing was.
+    """
 
     measured: Displacement
     std_s: float | None = None
     warnings: tuple[str, ...] = ()
+    course: ClockCourse | None = None
+
+    def also(self, measured: Displacement) -> "RunningClock":
+        """Other measurements of the same sensor on the same clock; what was to tell has been told."""
+        moved = measured if self.course is None else self.course.corrected(measured)
+        return replace(self, measured=moved, warnings=())
 
 
 def on_one_clock(
@@ -49,7 +58,7 @@ def on_one_clock(
         f"{1e3 * late[-1]:+.2f} ms at the end ({1e6 * course.skew:+.1f} ± {1e6 * _skew_std(course):.1f} ppm); "
         "this was corrected."
     )
-    return RunningClock(course.corrected(measured), _rms(std), (text, *told))
+    return RunningClock(course.corrected(measured), _rms(std), (text, *told), course)
 
 
 def _jumps(course: ClockCourse, sensor: str) -> list[str]:

@@ -8,7 +8,7 @@ from midspan.errors import DataError
 from midspan.fusion.runners import MethodSettings
 from midspan.recording.calibration import Calibration
 from midspan.recording.fuse import FusionInputs, fuse
-from midspan.records import Estimate, Floats, Innovation, Nanoseconds, part
+from midspan.records import Estimate, Event, Floats, Innovation, Nanoseconds, part
 
 # Without an accelerometer only a smoother bridges the time between frames.
 TRACKED_METHOD = "smoother"
@@ -18,7 +18,7 @@ TRACKED_METHOD = "smoother"
 class SecondAxis:
     """Displacement along the second image axis at the rows of the first.
 
-    fused: whether with an accelerometer; method: of the fusion.
+    fused: whether with an accelerometer; method: of the fusion; events: what the gate and the sensors did along it.
     """
 
     axis: str
@@ -26,6 +26,7 @@ class SecondAxis:
     method: str
     estimate: Estimate
     innovation: Innovation
+    events: tuple[Event, ...] = ()
 
     @property
     def displacement_mm(self) -> Floats:
@@ -65,4 +66,5 @@ def second_axis(
         method=method if camera.fused else TRACKED_METHOD,
         estimate=part(fused.estimate, place),
         innovation=fused.innovation,
+        events=fused.events,
     )

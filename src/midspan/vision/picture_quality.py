@@ -53,7 +53,7 @@ FROZEN_FRAMES_AROUND = 9
 SCALE_LOSS = 0.6  # of the scale, for a codec's standard deviation as large as the motion's
 BLURRED = 0.6  # of the reference's detail (square)
 SATURATED_SHARE = 0.015
-SATURATED_STD_PX = 0.025  # times the square root of the saturated share
+SATURATED_STD_PX = 0.025  # times the square root of the saturated over the other pixels
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,13 +62,14 @@ class PictureQuality:
 
     frozen_share: share of the texture in blocks that are bit for bit those of the frame before, 0 to 1.
     detail_x, detail_y: mean square difference of pixels two apart; contrast: variance; both in grey levels squared,
-    NaN where the target is lost.
+    NaN where the target is lost. ends: share of the pixels at an end of the scale, 0 to 1.
     """
 
     frozen_share: float = 0.0
     detail_x: float = math.nan
     detail_y: float = math.nan
     contrast: float = math.nan
+    ends: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,6 +177,14 @@ class PictureWatch:
         return max(usual, self._ends)
 
     @property
+    def saturated(self) -> Floats:
+        """For each frame (n,) the share of its or the reference's pixels at an end of the scale over the share of the
+        others; 0 where there are next to none.
+        """
+        share = np.maximum([row.ends for row in self._rows], self._ends)
+        return np.where(share > SATURATED_SHARE, share / np.maximum(1.0 - share, 0.02), 0.0)
+
+    @property
     def sharpness(self) -> Floats:
         """Detail along x and y (n, 2) of each frame over the reference's, square and without noise; NaN where lost."""
         noise = float(np.median([check.reference.fine for check in self._checks])) ** 2 if self._checks else 0.0
@@ -194,9 +203,7 @@ class PictureWatch:
 
     def widened(self, track: PixelTrack) -> PixelTrack:
         """`track`, a row for each frame pushed, with its variances as large as these pictures allow."""
-        added = self.compression.std_px**2
-        if self.saturated_share > SATURATED_SHARE:
-            added += SATURATED_STD_PX**2 * self.saturated_share
+        added = self.compression.std_px**2 + SATURATED_STD_PX**2 * self.saturated
         frozen = np.array([row.frozen_share for row in self._rows])
         sharp = self.sharpness
         wide = []
@@ -224,7 +231,7 @@ class PictureWatch:
         place = self._place(pixels.shape, round(translation.x_px), round(translation.y_px))
         now = _cut(pixels, place).copy()
         self._before = place, now
-        return PictureQuality(share, *detail(now, self._every))
+        return PictureQuality(share, *detail(now, self._every), share_at_ends(now))
 
     def _place(self, shape: tuple[int, ...], x_px: int, y_px: int) -> Region:
         """The region moved by whole pixels, inside the image; most frames need no other than the one before."""

@@ -11,6 +11,7 @@ TELLING_STD_PX = 0.003  # below this, compression does less than the noise of a 
 SWALLOWED = 3.0  # motion below so many standard deviations of the codec loses half of its size, or all
 BLURRED = 0.5  # of the first frame's detail (square)
 TOLD_SHARE, TOLD_FRAMES = 0.02, 3  # of the frames; and not less than so many
+MOST_FRAMES = 0.5
 COARSE_STD_PX = 0.06
 
 
@@ -50,7 +51,8 @@ def _blur(watch: PictureWatch) -> str:
         blurred = int(np.count_nonzero((sharp < BLURRED).any(axis=1)))
         sharper = int(np.count_nonzero((sharp > 1.0 / BLURRED).any(axis=1)))
     least = max(TOLD_SHARE * count, TOLD_FRAMES)
-    if sharper > least:
+    # One frame out of focus at the start leaves all others sharper; a few sharper ones are brighter, or covered.
+    if sharper > MOST_FRAMES * count:
         return (
             f"camera: {sharper} of {count} frames show more than twice the detail of the first one, which is out of "
             "focus or was taken in motion. Start at a sharp frame."
@@ -64,7 +66,14 @@ def _blur(watch: PictureWatch) -> str:
 
 
 def _saturation(watch: PictureWatch) -> str:
-    share = watch.saturated_share
+    share, single = watch.saturated_share, watch.saturated
+    some = int(np.count_nonzero(single))
+    if share <= SATURATED_SHARE and some > max(TOLD_SHARE * len(single), TOLD_FRAMES):
+        most = 100.0 * float(single.max() / (1.0 + single.max()))
+        return (
+            f"camera: in {some} of {len(single)} frames pixels of the region are at the end of the scale, up to "
+            f"{most:.0f} % of them; their standard deviations are widened. Fix the exposure, and keep glare out."
+        )
     if share <= SATURATED_SHARE:
         return ""
     return (

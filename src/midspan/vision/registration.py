@@ -39,6 +39,7 @@ SUSPICIOUS = 4.0  # times the usual noise
 SEED_PX = 1.5  # farther than this from where the template was found, blocks have locked on something else
 LEAST_NOISE = 0.5  # of the reference's: less is a picture without noise, whose blocks differ by aliasing
 SELF_SHARE = 0.05  # of the reference's noise: a frame that agrees better than this is the reference itself
+WHOLE_CORRELATION, WHOLE_PX, WHOLE_SHARE = 0.6, 0.05, 0.1
 OWN_WEIGHT = 1.0  # of a frame's own noise against the usual one
 
 
@@ -299,8 +300,19 @@ class RegistrationTracker(TargetTracker):
             return None
         other = self._look(image, offset, np.array([found.x_px, found.y_px, begin[2], begin[3]]))
         if other is None or math.hypot(other.value[0] - found.x_px, other.value[1] - found.y_px) > SEED_PX:
-            return None
+            return self._whole(found)
         return pose if pose is not None and pose.noise < other.noise else other
+
+    def _whole(self, found: PixelTranslation) -> Pose | None:
+        """What the template as a whole says where its blocks do not agree: pictures that change all over.
+
+        Only where it is as alike as the template tracker asks for. Half a block's disagreement is added.
+        """
+        if found.quality < WHOLE_CORRELATION * self._seed.expected_correlation:
+            return None
+        covariance = np.diag([found.variance_x_px2 + WHOLE_PX**2, found.variance_y_px2 + WHOLE_PX**2, 1e-6, 1e-6])
+        value = np.array([found.x_px, found.y_px, self._state.roll_rad, self._state.zoom])
+        return Pose(value, covariance, WHOLE_SHARE, SUSPICIOUS * max(self._usual, self._first.noise_std))
 
     def _trusted(self, pose: Pose) -> bool:
         """Whether the blocks agree as well as noise lets them: at a wrong place they do not."""

@@ -83,6 +83,11 @@ class TemplateTracker(TargetTracker):
         """Continue from a `state` taken earlier."""
         self._state = state
 
+    @property
+    def expected_correlation(self) -> float:
+        """The correlation of a frame with the template that the noise of both allows, 0 to 1."""
+        return self._template.expected_correlation
+
     def push(self, frame: Frame, prediction: Prediction | None = None) -> PixelTranslation:
         """Measure the translation (px) of the target in `frame`; LOST with NaN where it cannot be found."""
         check_size(frame, self._reference)

@@ -90,7 +90,7 @@ TRACKERS: dict[str, TrackerEntry] = {
         module="midspan.vision.template",
         tracker="TemplateTracker",
         settings="TemplateSettings",
-        use="a textured target that keeps its appearance: correlation with the first frame, quick and exact",
+        use="a textured target that keeps its appearance: correlation with the first frame, simple and exact",
     ),
     "features": TrackerEntry(
         module="midspan.vision.features",
@@ -118,7 +118,7 @@ TRACKERS: dict[str, TrackerEntry] = {
     ),
 }
 
-DEFAULT_TRACKER = "template"
+DEFAULT_TRACKER = "registration"
 
 
 def tracker_settings(name: str, **values: Any) -> Any:

@@ -15,6 +15,16 @@ _OWN_CHANNELS = {
     "STD": ("displacement_std_mm", "mm"),
     "VEL": ("velocity_mm_s", "mm/s"),
 }
+# Along a second image axis its letter stands in the last place.
+_OWN_CHANNELS |= {
+    code + axis.upper(): (name, unit)
+    for axis in "xy"
+    for code, name, unit in (
+        ("DS", f"displacement_{axis}_mm", "mm"),
+        ("ST", f"displacement_std_{axis}_mm", "mm"),
+        ("VE", f"velocity_{axis}_mm_s", "mm/s"),
+    )
+}
 
 
 def read(path: Path) -> ChannelSet:
