@@ -208,8 +208,8 @@ def _calibrate_displacement(recording: Recording) -> NoiseCalibration:
     if searched.reversed_gain > CLEARLY_REVERSED:
         raise UntrustedError(
             "displacement: its sign is reversed: turned round it fits the accelerometer far better. Its second "
-            "derivative must be positive where the structure accelerates along the sensor's positive axis. Turn the sign "
-            "of the column, or of the accelerometer's."
+            "derivative must be positive where the structure accelerates along the sensor's positive axis. Turn the "
+            "sign of the column, or of the accelerometer's."
         )
     section = recording.settings.displacement
     if section is not None and section.estimate_offset:

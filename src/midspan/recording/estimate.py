@@ -44,9 +44,9 @@ def estimate(
 ) -> Result:
     """Estimate the displacement of a recording.
 
-    calibration: or its file; left out, it is made first (and then the camera is tracked once for both). method: a name of `midspan
-    methods`, over the recording's own. tracking: what `calibrate_and_track` left, to go on with. Returns one row for
-    each accelerometer sample in the streams' common span.
+    calibration: or its file; left out, it is made first (and the camera is tracked once for both). method: a name of
+    `midspan methods`, over the recording's own. tracking: what `calibrate_and_track` left, to go on with. Returns one
+    row for each accelerometer sample in the streams' common span.
     Raises UntrustedError when calibration is refused, DataError for unusable streams.
     """
     if isinstance(calibration, str | Path):

@@ -12,12 +12,14 @@ from midspan.fusion.noise_profile import LEAST, noise_factors
 from midspan.fusion.response import linear, places, standing_still, used_variance
 from midspan.fusion.runners import RUNNERS, MethodSettings, Runner, run_method
 from midspan.fusion.smoother import Smoothed, smooth
+from midspan.recording.beginning import SHARP_VARIANCES, Beginning, judged_backwards
 from midspan.recording.span import inside, shown
 from midspan.records import (
     NANOSECONDS,
     Acceleration,
     Displacement,
     Estimate,
+    Event,
     Floats,
     Innovation,
     Source,
@@ -27,8 +29,6 @@ from midspan.records import (
 )
 from midspan.signals.health import Mask
 
-# A prediction is sharp when its variance with the measurement's is below this many of the measurement's own.
-SHARP_VARIANCES = 25.0
 NEIGHBOURS = 8
 # The zero of `kalman` comes from this much of the record, smoothed: it belongs to its start-up.
 ZERO_S = 60.0
@@ -70,7 +70,13 @@ def fuse(inputs: FusionInputs, method: str, settings: MethodSettings | None = No
     """
     settings = replace(settings or MethodSettings(), kalman=inputs.kalman)
     runner = RUNNERS[method]
-    fused = _smooth_again(inputs) if method == "smoother" else _run(inputs, method, settings)
+    begun = judged_backwards(inputs.acceleration, inputs.displacement, inputs.kalman)
+    told = _outliers_at_start(inputs, begun)
+    if told:
+        variance = np.where(begun.wrong, np.inf, inputs.displacement.variance_m2)
+        inputs = replace(inputs, displacement=replace(inputs.displacement, variance_m2=variance))
+    fused = _smooth_again(inputs, begun.right) if method == "smoother" else _run(inputs, method, settings)
+    fused = replace(fused, events=(*told, *fused.events))
     _refuse_runaway(fused, method)
     zero = _at_zero(inputs, _rows_of_zero(inputs, runner, fused.estimate))
     rows = fused.estimate
@@ -79,6 +85,16 @@ def fuse(inputs: FusionInputs, method: str, settings: MethodSettings | None = No
         variance = variance + _response(inputs, runner, settings, error_m, fused) ** 2
     displacement_m = rows.displacement_m + (inputs.level_m if inputs.zero_ns is None else -zero[0])
     return replace(fused, estimate=replace(rows, displacement_m=displacement_m, variance_m2=variance))
+
+
+def _outliers_at_start(inputs: FusionInputs, begun: Beginning) -> tuple[Event, ...]:
+    """An event for the first measurements that are left out: a filter that has just begun would believe them."""
+    count = int(np.count_nonzero(begun.wrong))
+    if not count:
+        return ()
+    first = int(inputs.displacement.time_ns[np.argmax(begun.wrong)])
+    text = f"{count} of the first measurements, the first at {shown(first)}, contradict those after them; left out."
+    return (Event(first, "rejected", text),)
 
 
 def _run(inputs: FusionInputs, method: str, settings: MethodSettings) -> Smoothed:
@@ -128,20 +144,21 @@ def _at_zero(inputs: FusionInputs, rows: Estimate) -> tuple[float, float]:
 
 
 def _measured_at_zero(inputs: FusionInputs, zero_ns: int) -> tuple[float, float]:
-    """Displacement and variance of the zero's own measurement: so far before the samples nothing else is known of it."""
+    """Displacement and variance of the zero's own measurement: before the samples nothing else is known of it."""
     measured = inputs.displacement
     k = int(np.argmax((measured.time_ns >= zero_ns) & np.isfinite(measured.value_m)))
     return float(measured.value_m[k]), float(measured.variance_m2[k])
 
 
-def _smooth_again(inputs: FusionInputs) -> Smoothed:
+def _smooth_again(inputs: FusionInputs, right: Mask) -> Smoothed:
     """The smoother, run again where the first run found lonely outliers or noise that is other than declared.
 
     After a gap the prediction is so wide that an outlier passes the gate and leads the filter away. A measurement that
-    leaves its neighbours on both sides is only kept where a sharp prediction agrees with it.
+    leaves its neighbours on both sides is only kept where a sharp prediction agrees with it. right (m,): measurements
+    that are known to be no outliers.
     """
     first = smooth(inputs.acceleration, inputs.displacement, inputs.kalman)
-    lonely = _lonely(inputs.displacement, first.innovation)
+    lonely = _lonely(inputs.displacement, first.innovation) & ~right
     learnt = _learnt_variance(inputs.displacement, first.innovation)
     if not lonely.any() and learnt is None:
         return first
