@@ -8,8 +8,8 @@ from midspan.fusion.clock import ClockCourse, clock_course
 from midspan.fusion.kalman import KalmanSettings
 from midspan.records import NANOSECONDS, Acceleration, Displacement, Floats
 
-# From this length on a cheap quartz (20 ppm) is off by more than a calibration leaves.
-LEAST_S = 300.0
+# In this time a cheap quartz (20 ppm) runs apart by 2.4 ms; a shorter record is not much longer than its calibration.
+LEAST_S = 120.0
 WINDOW_S, MOST_WINDOWS = 60.0, 240
 # A course is corrected when it leaves the calibrated offset by this many of its standard deviations …
 SIGNIFICANT = 4.0
