@@ -3,8 +3,8 @@
 import cv2
 import numpy as np
 import pytest
-from lens_cases import FISHEYE, IMAGES, PINHOLE, SIZE, Scene, places, poses
 
+from lens_cases import FISHEYE, IMAGES, PINHOLE, SIZE, Scene, places, poses
 from midspan.errors import DataError, UntrustedError, UsageError
 from midspan.records import Frame, PixelTrack, PixelTranslation, Prediction, Region, Status
 from midspan.vision.checkerboard import Board, calibrate_lens, find_board, is_new

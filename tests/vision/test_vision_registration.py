@@ -198,7 +198,7 @@ def test_the_kernels_of_a_large_region_stay_within_their_memory(side):
     rng = np.random.default_rng(6)
     image = gaussian_filter(rng.normal(0, 400, (side + 60, side + 60)), 1.2)
     tracker = RegistrationTracker(picture(0, 120 + image), Region(30, 30, side, side), RegistrationSettings())
-    assert sum(bank.kernels.nbytes for bank in tracker.banks) <= 64 << 20
+    assert sum(bank.kernels.nbytes for bank in tracker.banks) <= 96 << 20
 
 
 def test_kernels_that_gave_way_to_others_are_made_again_alike(scenes, monkeypatch):

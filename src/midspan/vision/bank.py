@@ -22,7 +22,7 @@ TEMPLATE_WEIGHT = 4.0  # as measured on four textures: the least scatter
 SMOOTHINGS_PX = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.85, 1.0, 1.2, 1.4, 1.7, 2.0)
 LEAST_SMOOTHING_PX = 0.3
 TYPICAL_PX = 128  # of the window are looked at to choose the low-pass
-BANK_BYTES = 32 << 20  # of kernels in one bank: all 256 phases of a region of 104 px, 10 of one of 512 px
+BANK_BYTES = 48 << 20  # of kernels in one bank: all 256 phases of a region of 128 px, 16 of one of 512 px
 
 
 @dataclass(frozen=True, slots=True, eq=False)
