@@ -2,8 +2,10 @@
 
 import shutil
 
+import av
 import numpy as np
 import pytest
+from scipy import ndimage
 
 import midspan
 from midspan.recording.calibrate import calibrate_and_track
@@ -149,6 +151,53 @@ def test_a_target_that_slips_for_good_is_left_out_from_then_on(site_copy):
     late, early = found.time_s > 15.5, found.time_s < 14.5
     assert abs(np.mean(error[late]) - np.mean(error[early])) < 0.006
     assert any("near" in line and "disagree" in line for line in found.warnings)
+
+
+def slid(folder, shift_px):
+    """Slide the near target's picture down by `shift_px` (n,) more than the structure's motion does."""
+    stack = frames(folder).copy()
+    region = np.s_[NEAR.y - 10 : NEAR.y + 56, NEAR.x - 10 : NEAR.x + 56]
+    for picture, amount in zip(stack, shift_px(np.arange(len(stack))), strict=True):
+        moved = ndimage.shift(picture[region].astype(float), (amount, 0.0), mode="nearest")
+        picture[region] = np.clip(np.rint(moved), 0, 255)
+    write_stack(folder, stack)
+
+
+@pytest.mark.parametrize("listed", [("near", "middle", "wall"), ("near", "wall"), ("wall", "near")])
+@pytest.mark.parametrize("step_px", [2.0, 0.5])
+def test_the_target_that_steps_while_it_is_calibrated_is_the_one_left_out(listed, step_px, site_copy):
+    # The near target is the sharpest, and a step leaves its noise as it was: only its own innovations betray it.
+    slid(site_copy, lambda n: np.where(n >= 150, step_px, 0.0))
+    only(site_copy, *listed)
+    found = midspan.calibrate(midspan.open_recording(site_copy))
+    assert {target.name for target in found.camera.used} == set(listed) - {"near"}
+
+
+@pytest.mark.parametrize("listed", [("near", "wall"), ("wall", "near")])
+def test_two_targets_that_drift_apart_are_refused_and_a_third_decides(listed, site_copy):
+    # An accelerometer does not feel a constant velocity: 0.02 px more in every frame is in neither's innovations.
+    slid(site_copy, lambda n: 0.02 * n)
+    only(site_copy, *listed)
+    with pytest.raises(midspan.UntrustedError, match="contradict each other along y"):
+        midspan.calibrate(midspan.open_recording(site_copy))
+    only(site_copy, *listed, "middle")
+    found = midspan.calibrate(midspan.open_recording(site_copy))
+    assert {target.name for target in found.camera.used} == {"wall", "middle"}
+
+
+def test_a_scale_factor_that_compression_makes_vague_is_refused(simulated, tmp_path):
+    folder = shutil.copytree(simulated("far away", camera={"scale_mm_per_px": -8.0}), tmp_path / "site")
+    # At a fifth of a pixel of motion the codec holds on to much of the picture before: it comes out too small.
+    stack = frames(folder)
+    with av.open(str(folder / "compressed.mkv"), "w") as container:
+        stream = container.add_stream("libx264", rate=10, options={"crf": "23"})
+        stream.height, stream.width, stream.pix_fmt = *stack.shape[1:], "yuv420p"
+        for picture in stack:
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="gray").reformat(format="yuv420p")))
+        container.mux(stream.encode())
+    set_keys(folder, "camera", file="compressed.mkv")
+    with pytest.raises(midspan.UntrustedError, match=r"Too much compression to calibrate the scale factor: .* 5 %"):
+        midspan.calibrate(midspan.open_recording(folder))
 
 
 def test_a_calibration_from_its_file_gives_the_same_result(site, result, tmp_path):

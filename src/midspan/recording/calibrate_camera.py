@@ -7,14 +7,14 @@ import numpy as np
 
 from midspan.calibration.fit import Pair
 from midspan.calibration.noise import learn_motion
-from midspan.calibration.scale import LEAST_FRAMES, ScaleCalibration, calibrate_scale
+from midspan.calibration.scale import LEAST_FRAMES, REFUSED_ABOVE, ScaleCalibration, calibrate_scale
 from midspan.errors import UntrustedError, UsageError
 from midspan.recording.calibration import CameraCalibration, TargetCalibration
 from midspan.recording.common_offset import Fitted, common_offset, one_offset, pooled_variance, shared_part
 from midspan.recording.recording import Recording
 from midspan.recording.region_choice import USELESS, Agreement
 from midspan.recording.span import inside
-from midspan.recording.targets import camera_blocks, filter_settings, moves_by_itself, together
+from midspan.recording.targets import camera_blocks, filter_settings, moves_by_itself
 from midspan.recording.tracking import CameraTracking, TargetTracking
 from midspan.records import NANOSECONDS, Floats, Nanoseconds, PixelTrack, ScaleFactor, TimeOffset
 from midspan.vision.lens import bare
@@ -141,7 +141,9 @@ def _fitted(recording: Recording, tracking: CameraTracking) -> Fitted:
     for target, track in zip(tracking.targets, tracking.tracks, strict=True):
         try:
             pair = camera_pair(recording, track, target.blur_s(recording.exposure_s))
-            found.append(calibrate_scale(pair, recording.settings.calibration.max_offset_s))
+            own = calibrate_scale(pair, recording.settings.calibration.max_offset_s)
+            _refuse_compression(target.with_codec_error(own.scale, recording.axis), own.scale)
+            found.append(own)
             reasons.append("")
         except UntrustedError as error:
             found.append(None)
@@ -150,6 +152,19 @@ def _fitted(recording: Recording, tracking: CameraTracking) -> Fitted:
         return Fitted(tuple(found), tuple(reasons))
     lines = [_named(tracking, target, reason) for target, reason in zip(tracking.targets, reasons, strict=True)]
     raise UntrustedError(" ".join((*lines, *tracking.warnings())))
+
+
+def _refuse_compression(scale: ScaleFactor, learnt: ScaleFactor) -> None:
+    """UntrustedError where a scale factor with what compression may do to it is too vague to be given out."""
+    if (relative := np.sqrt(scale.variance) / abs(scale.value_m_per_px)) <= REFUSED_ABOVE:
+        return
+    codec = np.sqrt(scale.variance - learnt.variance) / abs(scale.value_m_per_px)
+    raise UntrustedError(
+        f"Too much compression to calibrate the scale factor: it would be {1e3 * scale.value_m_per_px:.4g} mm/px "
+        f"± {100 * relative:.2g} %, of which the video's compression makes ± {100 * codec:.2g} %, and at most "
+        f"± {100 * REFUSED_ABOVE:g} % is given out. Record with a higher bit rate or without compression, choose a "
+        "camera.roi of more contrast, or a calibration.window_s with more motion in the picture."
+    )
 
 
 def _named(tracking: CameraTracking, target: TargetTracking, text: str) -> str:
@@ -311,22 +326,27 @@ def _camera(
 def _without_movers(
     recording: Recording, tracking: CameraTracking, camera: CameraCalibration, density: float
 ) -> CameraCalibration:
-    """The calibration with those targets out of use that move by themselves, the worst first."""
+    """The calibration without the targets that move by themselves, the worst first; UntrustedError if undecided."""
     while len(camera.used) > 1:
         used = [k for k, target in enumerate(camera.targets) if target.used]
         acceleration = recording.prepared.with_noise(density)
         blocks = camera_blocks([tracking.targets[k] for k in used], camera, recording.exposure_s, acceleration)
         kalman = filter_settings(recording.prepared, density)
-        found = together(blocks, camera.mappings(), acceleration, kalman, window_ends(recording))
-        worst = moves_by_itself(found)
-        if worst is None:
+        found = moves_by_itself(blocks, camera.mappings(), acceleration, kalman, window_ends(recording))
+        if found is None:
             break
-        reason = (
-            f"it moves by itself: it differs from the others by {1e3 * found.apart_m[worst]:.2g} mm rms, "
-            f"{found.apart[worst]:.1f} times what its noise and scale factor explain."
-        )
+        worst, beside = used[found.target], used[found.beside]
+        size = f"{1e3 * found.apart_m:.2g} mm rms, more than its noise and scale factor explain."
+        if found.undecided:
+            raise UntrustedError(
+                f"Targets {camera.targets[beside].name} and {camera.targets[worst].name} contradict each other along "
+                f"{camera.direction}: the second differs from the first by {size} One of them moves by itself, as in a "
+                "slow drift, and neither the accelerometer nor a majority tells which. Leave out of camera.target the "
+                "one that may not stand still, or add a third."
+            )
+        reason = f"it moves by itself: it differs from the others by {size}"
         targets = list(camera.targets)
-        targets[used[worst]] = replace(targets[used[worst]], used=False, reason=reason)
+        targets[worst] = replace(targets[worst], used=False, reason=reason)
         camera = replace(camera, targets=tuple(targets))
     return camera
 

@@ -13,10 +13,17 @@ from midspan.fusion.smoother import smooth
 from midspan.recording.acceleration import PreparedAcceleration
 from midspan.recording.calibration import CameraCalibration
 from midspan.recording.tracking import TargetTracking
-from midspan.records import Acceleration, Displacement, Estimate, Floats, joined, part, seconds
+from midspan.records import NANOSECONDS, Acceleration, Displacement, Estimate, Floats, Innovation, joined, part, seconds
 
 # A target whose displacement leaves the others' by this many times what noise and scale explain moves by itself.
 DISAGREES = 2.5
+# Innovations count up to this many standard deviations squared: one wrong frame is no step, which is wrong for seconds.
+MOST_POWER = (2.0 * AGREE_STD) ** 2
+# A target whose own innovations, or learnt noise, stand out by these ratios contradicts the acceleration more than
+# another. Steady targets' innovations were within 4 % of each other, their learnt noise (variance) within 40 %; a step
+# of 0.5 px in a minute raises the innovations by 70 %.
+TELLING_POWER = 1.3
+TELLING_NOISE = 2.0
 # Less than this of the zero's own standard deviation is no disagreement: no model fits to the last digit.
 LEAST_APART_M = 1e-5
 
@@ -25,15 +32,26 @@ LEAST_APART_M = 1e-5
 class Together:
     """One displacement out of several targets'.
 
-    measured: one row a frame; zeros_m (k,): the targets' relative zeros; used (k, n): who stands behind each frame;
-    apart (k,): rms of each target's difference from the path over what noise and scale explain; apart_m the same in m.
+    measured: one row a frame; zeros_m (k,): the targets' relative zeros; used (k, n): who stands behind each frame.
     """
 
     measured: Displacement
     zeros_m: Floats
     used: Used
-    apart: Floats
-    apart_m: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class Contradiction:
+    """The target (number from 0) that differs most from the one that the acceleration and most targets agree with.
+
+    beside: the number of the latter; apart_m: rms of their difference; undecided: whether neither acceleration nor
+    majority tells which of the two moves.
+    """
+
+    target: int
+    beside: int
+    apart_m: float
+    undecided: bool
 
 
 def together(
@@ -52,15 +70,12 @@ def together(
     count = len(blocks)
     if count == 1:
         used = np.isfinite(blocks[0].value_m)[None, :]
-        return Together(blocks[0], np.zeros(1), used, np.zeros(1), np.zeros(1))
+        return Together(blocks[0], np.zeros(1), used)
     best = min(range(count), key=lambda k: _usual(blocks[k]))
     path = smooth(acceleration, blocks[best], kalman).estimate
     residual, slack, variance = _beside(blocks, scales, path)
     window = _window(blocks[0], window_ns)
     zeros = relative_zeros(residual[:, window], variance[:, window])
-    # Beside the target that agrees best with the accelerometer: one that moves by itself must not draw the path.
-    # Where that one is hidden the path is vague.
-    apart, apart_m = _apart(residual, variance + slack**2 + _at(path, blocks[0], path.variance_m2), window)
     moved = [replace(block, value_m=block.value_m - zero) for block, zero in zip(blocks, zeros, strict=True)]
     merged = joined(moved)
     path = smooth(acceleration, part(merged, np.argsort(merged.time_ns, kind="stable")), kalman).estimate
@@ -73,7 +88,7 @@ def together(
     expected = np.array([_path(path, block) for block in blocks])
     value = found.value + np.where(found.used.any(axis=0), np.sum(found.weight * expected, axis=0), np.nan)
     measured = Displacement(time_ns, value, np.where(np.isfinite(value), found.variance, np.nan), blocks[0].source)
-    return Together(measured, zeros, used, apart, apart_m)
+    return Together(measured, zeros, used)
 
 
 def camera_blocks(
@@ -162,7 +177,7 @@ def _at(path: Estimate, block: Displacement, value: Floats) -> Floats:
 def _apart(residual: Floats, variance: Floats, window: slice) -> tuple[Floats, Floats]:
     """How far each target lies from the path in the window: over what is explained, and rms in m.
 
-    Single wrong frames do not count for more than eight standard deviations.
+    In the former, single wrong frames do not count for more than eight standard deviations.
     """
     residual, variance = residual[:, window], variance[:, window]
     usable = np.isfinite(residual) & np.isfinite(variance)
@@ -173,13 +188,62 @@ def _apart(residual: Floats, variance: Floats, window: slice) -> tuple[Floats, F
             std = np.sqrt(variance[k, known])
             held = np.clip(own, -2.0 * AGREE_STD * std, 2.0 * AGREE_STD * std)
             share[k] = float(np.sqrt(np.mean((held / std) ** 2)))
-            size[k] = float(np.sqrt(np.mean(held**2)))
+            size[k] = float(np.sqrt(np.mean(own**2)))
     return share, size
 
 
-def moves_by_itself(found: Together) -> int | None:
-    """The target (number from 0) that differs most from the others beyond what is explained; None where none does."""
-    if len(found.zeros_m) < 2:
+def moves_by_itself(
+    blocks: Sequence[Displacement],
+    scales: Sequence[CameraScale],
+    acceleration: Acceleration,
+    kalman: KalmanSettings,
+    window_ns: tuple[int, int],
+) -> Contradiction | None:
+    """The target that moves by itself, or None where the targets agree; arguments as in `together`.
+
+    Each target has a path of its own, so that none draws the others'. The one to trust contradicts the acceleration
+    least; of those alike in that, it agrees with most others; of those, it is the sharpest.
+    """
+    count = len(blocks)
+    if count < 2:
         return None
-    worst = int(np.argmax(found.apart))
-    return worst if found.apart[worst] > DISAGREES and found.apart_m[worst] > LEAST_APART_M else None
+    acceleration, window = _around(acceleration, blocks), _window(blocks[0], window_ns)
+    apart, apart_m, power = np.zeros((count, count)), np.zeros((count, count)), np.zeros(count)
+    for k, block in enumerate(blocks):
+        own = smooth(acceleration, block, kalman)
+        path = own.estimate
+        residual, slack, variance = _beside(blocks, scales, path)
+        # Where this target is hidden the path is vague.
+        known = variance + slack**2 + _at(path, blocks[0], path.variance_m2)
+        apart[k], apart_m[k] = _apart(residual, known, window)
+        power[k] = _power(own.innovation, window_ns)
+    moved = (apart > DISAGREES) & (apart_m > LEAST_APART_M)
+    noise = np.array([scale.variance_factor for scale in scales])
+    score = np.maximum(power, 1.0) * np.maximum(noise / (TELLING_NOISE * noise.min()), 1.0)
+    agreed = np.where(score <= TELLING_POWER * score.min(), np.sum(~(moved | moved.T), axis=0), 0)
+    trusted = np.flatnonzero(agreed == agreed.max())
+    best = min((int(k) for k in trusted), key=lambda k: _usual(blocks[k]))
+    if not moved[best].any():
+        return None
+    rivals = trusted[moved[best][trusted]]
+    worst = int(np.argmax(np.where(moved[best], apart[best], 0.0)))
+    if len(rivals):
+        worst = int(rivals[np.argmax(apart[best][rivals])])
+    return Contradiction(worst, best, float(apart_m[best, worst]), len(rivals) > 0)
+
+
+def _around(acceleration: Acceleration, blocks: Sequence[Displacement]) -> Acceleration:
+    """The acceleration of the frames' time and a second on either side: frames of a minute need no day of it."""
+    first = min(int(block.time_ns[0]) for block in blocks) - NANOSECONDS
+    last = max(int(block.time_ns[-1]) for block in blocks) + NANOSECONDS
+    return part(acceleration, slice(*(int(i) for i in np.searchsorted(acceleration.time_ns, (first, last)))))
+
+
+def _power(innovation: Innovation, window_ns: tuple[int, int]) -> float:
+    """Mean square of a target's innovations in the window over what the filter expects: 1 where all is explained."""
+    inside = (innovation.time_ns >= window_ns[0]) & (innovation.time_ns <= window_ns[1])
+    inside &= np.isfinite(innovation.value_m) & (innovation.variance_m2 > 0.0)
+    if not inside.any():
+        return 1.0
+    squared = innovation.value_m[inside] ** 2 / innovation.variance_m2[inside]
+    return float(np.mean(np.minimum(squared, MOST_POWER)))
