@@ -20,7 +20,7 @@ from midspan.vision.reference_records import KeyFrame, Overlap, Seen, unmoved
 from midspan.vision.reference_strength import open_counting, relative, strength
 from midspan.vision.region import check_size, clamp, shift
 from midspan.vision.target import lost
-from midspan.vision.tracker import DEFAULT_TRACKER, TRACKERS
+from midspan.vision.tracker import TRACKERS
 
 USUAL_FRAMES = 5  # frames after a key frame whose strength is its usual one
 HEALTH_FRAMES = 5  # frames that the strength is averaged over
@@ -41,7 +41,7 @@ class KeyFrameSettings:
     deviation that the loss of all strength stands for, px.
     """
 
-    tracker: str = DEFAULT_TRACKER
+    tracker: str = "template"
     tracker_settings: Any = None
     renew_share: float = 0.9
     return_share: float = 0.95
