@@ -11,7 +11,8 @@ import midspan
 from midspan.cli.main import COMMANDS
 from midspan.fusion.methods import METHODS
 from midspan.records import Status
-from midspan.settings import RecordingSettings, validate
+from midspan.settings.load import validate
+from midspan.settings.recording import RecordingSettings
 from midspan.sinks.write import FORMATS as WRITTEN
 from midspan.sources.accelerometer.formats import FORMATS as CHANNELS
 from midspan.vision.tracker import TRACKERS, tracker_settings

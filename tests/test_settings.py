@@ -3,7 +3,7 @@
 import pytest
 
 from midspan.errors import DataError, UsageError
-from midspan.settings import load_settings, settings_file, validate
+from midspan.settings.load import load_settings, settings_file, validate
 
 ACCELEROMETER = {"file": "accel.csv", "time": "time_s", "value": "accel", "unit": "m/s^2"}
 CAMERA = {"file": "camera.mkv"}

@@ -9,7 +9,7 @@ from midspan.cli.main import run
 from midspan.errors import DataError, UsageError
 from midspan.recording.lens import lens_of, load_lens
 from midspan.recording.recording import open_recording
-from midspan.settings import validate
+from midspan.settings.load import validate
 from midspan.vision.lens import Lens
 
 

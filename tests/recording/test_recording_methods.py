@@ -11,7 +11,7 @@ from midspan.fusion.methods import LITERAL, METHODS
 from midspan.fusion.runners import MethodSettings
 from midspan.recording.fuse import FusionInputs, SensorError, fuse
 from midspan.records import Acceleration, Displacement, Source, nanoseconds
-from midspan.settings import validate
+from midspan.settings.load import validate
 
 TIME, MET = np.arange(6000) / 100.0, np.arange(598) / 10.0 + 0.053
 NOISE_A, NOISE_D = 2e-3, 1e-4

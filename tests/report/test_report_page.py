@@ -21,7 +21,7 @@ from midspan.recording.recording import open_recording
 from midspan.recording.result import Result
 from midspan.records import Estimate, Event, Innovation, TimeOffset, TimeSeries
 from midspan.report.report import report_html, write_report
-from midspan.settings import validate
+from midspan.settings.load import validate
 
 NASTY = "bridge <script>alert(\"x\")</script> & 'co'"
 FREQUENCIES, AMPLITUDES_M = (0.31, 1.37, 2.83), (2e-3, 1.5e-3, 0.6e-3)

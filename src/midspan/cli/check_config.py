@@ -10,7 +10,7 @@ from midspan.cli.console import Console, common_options
 @common_options
 def command(file: str, quiet: bool, as_json: bool) -> None:
     """Validate a recording.toml (or the folder that holds it) without running it."""
-    from midspan.settings import load_settings, settings_file
+    from midspan.settings.load import load_settings, settings_file
 
     console = Console(quiet, as_json)
     path, settings = settings_file(file), load_settings(file)

@@ -32,7 +32,7 @@ def command(source: str, output: str, quiet: bool, as_json: bool, **options: Any
     from midspan.recording.recording import open_recording
     from midspan.recording.track import TrackRequest, track
     from midspan.records import Region, Status
-    from midspan.settings import RECORDING_FILE
+    from midspan.settings.load import RECORDING_FILE
     from midspan.sinks.write import check_target, write_result
     from midspan.vision.tracker import TRACKERS
 

@@ -10,7 +10,7 @@ from midspan.checks import option
 from midspan.errors import DataError, UsageError
 from midspan.evaluate.metrics import MAX_LAG_S, Comparison, compare
 from midspan.records import Floats, TimeSeries
-from midspan.settings import RECORDING_FILE
+from midspan.settings.load import RECORDING_FILE
 from midspan.sources.accelerometer.channel import Channel
 from midspan.sources.accelerometer.formats import list_channels
 from midspan.sources.accelerometer.select import SeriesRequest, read_series

@@ -24,7 +24,7 @@ from midspan.recording.recording import Recording, naming
 from midspan.recording.span import inside, require_overlap
 from midspan.recording.tracking import CameraTracking, Target, TrackingSettings
 from midspan.records import NANOSECONDS, Nanoseconds, Region, TimeOffset, TimeSeries
-from midspan.settings import CameraSettings
+from midspan.settings.camera import CameraSettings
 from midspan.signals.health import dominant_frequency
 from midspan.vision.tracker import tracker_settings
 

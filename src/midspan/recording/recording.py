@@ -9,7 +9,9 @@ from typing import Any
 from midspan.errors import DataError, MidspanError
 from midspan.recording.acceleration import PreparedAcceleration, prepare_acceleration, still
 from midspan.records import TimeSeries
-from midspan.settings import ChannelSettings, RecordingSettings, load_settings, settings_file
+from midspan.settings.load import load_settings, settings_file
+from midspan.settings.recording import RecordingSettings
+from midspan.settings.sensors import ChannelSettings
 from midspan.sources.accelerometer.formats import list_channels
 from midspan.sources.accelerometer.select import SeriesRequest, read_series
 from midspan.sources.camera.formats import open_frames

@@ -12,7 +12,7 @@ from midspan.recording.calibration import Calibration
 from midspan.recording.second_axis import SecondAxis
 from midspan.recording.tracking import CameraTracking
 from midspan.records import Estimate, Event, Floats, Innovation, PixelTrack, Source, Status, seconds
-from midspan.settings import RecordingSettings
+from midspan.settings.recording import RecordingSettings
 from midspan.signals.thinning import envelope
 from midspan.sinks.table import ResultTable
 from midspan.sinks.write import check_target, write_result

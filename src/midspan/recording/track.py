@@ -15,7 +15,7 @@ from midspan.recording.progress import Progress, silent
 from midspan.recording.recording import open_recording
 from midspan.recording.tracking import CameraTracking, Target, TrackingSettings
 from midspan.records import PixelTrack, Region, Status, seconds
-from midspan.settings import RECORDING_FILE
+from midspan.settings.load import RECORDING_FILE
 from midspan.sinks.table import ResultTable
 from midspan.sources.camera.formats import open_frames
 from midspan.sources.camera.frames import FrameRequest, FrameSource

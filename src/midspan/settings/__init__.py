@@ -1,0 +1,1 @@
+"""One validated settings tree: `recording.toml` and nothing else decides what a run does."""

@@ -1,0 +1,121 @@
+"""Settings of cameras: what they look at, how it is tracked, and their lens."""
+
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, Field, model_validator
+
+from midspan.errors import UsageError
+from midspan.settings.fields import (
+    FiniteNumber,
+    IsNumber,
+    Name,
+    NonNegativeNumber,
+    PositiveNumber,
+    Section,
+    has_four,
+    is_a_word,
+    known,
+    region_is_positive,
+)
+from midspan.vision.lens import MODELS as LENS_MODELS
+from midspan.vision.lens import Lens
+from midspan.vision.tracker import DEFAULT_TRACKER, TRACKERS, tracker_settings
+
+
+class TargetSettings(Section):
+    """One of several targets of a camera."""
+
+    roi: Annotated[tuple[int, int, int, int], AfterValidator(region_is_positive)] = Field(
+        description="x, y, width, height, px"
+    )
+    name: Annotated[str | None, AfterValidator(is_a_word)] = Field(
+        None, description="what reports and columns call it; left out: its number"
+    )
+
+
+class LensSettings(Section):
+    """The camera's lens in OpenCV's models: a file that `midspan lens` wrote, or the numbers themselves."""
+
+    file: Name | None = Field(None, description="lens.json of `midspan lens`, instead of all other keys")
+    model: Annotated[str, known(LENS_MODELS, "lens model")] = Field("pinhole", description="OpenCV's lens model")
+    matrix: Annotated[tuple[FiniteNumber, ...] | None, AfterValidator(has_four)] = Field(
+        None, description="fx, fy, cx, cy, px"
+    )
+    distortion: tuple[FiniteNumber, ...] | None = Field(
+        None, description="k1, k2, p1, p2[, k3 …] of a pinhole; k1, k2, k3, k4 of a fisheye"
+    )
+    size: tuple[int, int] | None = Field(None, description="width, height of the frames it was calibrated for, px")
+
+    @model_validator(mode="after")
+    def _is_whole(self) -> "LensSettings":
+        given = [name for name in ("model", "matrix", "distortion", "size") if name in self.model_fields_set]
+        if self.file is not None and given:
+            raise ValueError(f"must have file or the numbers, not both; take file or {', '.join(given)} out")
+        if self.file is None and (missing := {"matrix", "distortion", "size"} - set(given)):
+            raise ValueError(f"must have file, or matrix, distortion and size; missing: {', '.join(sorted(missing))}")
+        if self.file is None:
+            try:
+                self.lens()
+            except UsageError as error:
+                raise ValueError(str(error).rstrip(".")) from None
+        return self
+
+    def lens(self) -> Lens:
+        """The lens that the numbers stand for."""
+        fx, fy, cx, cy = self.matrix or ()
+        return Lens(self.model, (fx, fy, cx, cy), self.distortion or (), self.size or (0, 0))
+
+
+class CameraSettings(Section):
+    """A camera on the structure that looks at fixed surroundings."""
+
+    file: Name
+    times: Name | None = Field(None, description="file with a column time_s, one row a frame")
+    rate_hz: PositiveNumber | None = Field(None, description="frames a second, where the file has no time stamps")
+    start_s: FiniteNumber = Field(0.0, description="time of the first frame, s")
+    every: Annotated[int, IsNumber, Field(ge=1)] = Field(1, description="use every n-th frame; higher is faster")
+    roi: Annotated[tuple[int, int, int, int] | None, AfterValidator(region_is_positive)] = Field(
+        None, description="x, y, width, height, px; left out: chosen"
+    )
+    target: tuple[TargetSettings, ...] = Field((), description="several targets instead of roi, each with its own roi")
+    automatic_targets: Annotated[int, IsNumber, Field(ge=1, le=6)] = Field(
+        1, description="how many targets are chosen where none is given; more is steadier and slower"
+    )
+    direction: Literal["x", "y", "xy"] = Field(
+        "y", description="image axis of the measured motion: x right, y down, or both"
+    )
+    exposure_s: NonNegativeNumber | None = Field(None, description="exposure time, s; its averaging is corrected")
+    readout_s: NonNegativeNumber = Field(0.0, description="rolling shutter: seconds from first to last row")
+    tracker: Annotated[str, known(TRACKERS, "tracker")] = Field(DEFAULT_TRACKER, description="how the target is found")
+    tracker_settings: dict[str, Any] = Field(
+        default_factory=dict, description="settings of the tracker by name, see docs/methods.md; left out: its defaults"
+    )
+    lens: LensSettings | None = Field(None, description="the lens's distortion; left out: none is corrected")
+
+    @model_validator(mode="after")
+    def _targets_are_told_apart(self) -> "CameraSettings":
+        if self.roi is not None and self.target:
+            raise ValueError("must have roi for one target or [[camera.target]] for several, not both")
+        if self.automatic_targets > 1 and (self.roi is not None or self.target):
+            raise ValueError("must leave automatic_targets out where roi or [[camera.target]] says what to track")
+        names = self.target_names
+        if len(set(names)) < len(names):
+            raise ValueError(f"must give each [[camera.target]] its own name; received {', '.join(names)}")
+        rois = [target.roi for target in self.target]
+        if len(set(rois)) < len(rois):
+            raise ValueError("must give each [[camera.target]] its own roi; two are the same")
+        return self
+
+    @model_validator(mode="after")
+    def _tracker_knows_its_settings(self) -> "CameraSettings":
+        if self.tracker_settings:
+            try:
+                tracker_settings(self.tracker, **self.tracker_settings)
+            except UsageError as error:
+                raise ValueError(f"tracker_settings: {error}".rstrip(".")) from None
+        return self
+
+    @property
+    def target_names(self) -> tuple[str, ...]:
+        """The name of each target that is given; its number where it has none."""
+        return tuple(target.name or str(number) for number, target in enumerate(self.target, start=1))

@@ -1,0 +1,59 @@
+"""Reading and validating a `recording.toml`."""
+
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from midspan.checks import option
+from midspan.errors import DataError, UsageError
+from midspan.settings.messages import explain
+from midspan.settings.recording import RecordingSettings
+
+RECORDING_FILE = "recording.toml"
+# Sections that every recording has, written or not.
+OPTIONAL_SECTIONS = ("calibration", "fusion")
+
+
+def settings_file(path: str | Path) -> Path:
+    """The `recording.toml` meant by a folder or by the file itself; DataError where there is none."""
+    path = Path(path)
+    file = path / RECORDING_FILE if path.is_dir() else path
+    if not file.is_file():
+        hint = f"a folder with {RECORDING_FILE}, or that file"
+        raise DataError(f"{file}: not found. A recording is {hint}; `midspan demo` makes one to look at.")
+    return file
+
+
+def load_settings(path: str | Path, overrides: dict[str, dict[str, Any]] | None = None) -> RecordingSettings:
+    """Read and validate a `recording.toml` (a folder or the file).
+
+    overrides: section → key → value, from the command line; they win over the file. Raises UsageError for anything the
+    file may not say, DataError where there is no file.
+    """
+    file = settings_file(path)
+    try:
+        tree = tomllib.loads(file.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise UsageError(f"{file}: is not valid TOML: {error}. Text values need quotes.") from None
+    except OSError as error:
+        raise DataError(f"{file}: cannot be read ({error.strerror}).") from None
+    for section, keys in (overrides or {}).items():
+        option("section", section, RecordingSettings.model_fields)
+        given = tree.get(section, {})
+        if isinstance(given, dict) and (section in tree or section in OPTIONAL_SECTIONS):
+            if section == "camera" and "tracker" in given and keys.get("tracker", given["tracker"]) != given["tracker"]:
+                # They belong to the file's own tracker.
+                given = {key: value for key, value in given.items() if key != "tracker_settings"}
+            tree[section] = {**given, **keys}
+    return validate(tree, str(file))
+
+
+def validate(tree: dict[str, Any], where: str) -> RecordingSettings:
+    """The settings of a tree of plain values; `where` names it in messages."""
+    try:
+        return RecordingSettings.model_validate(tree)
+    except ValidationError as error:
+        lines = [explain(item) for item in error.errors()]
+        raise UsageError("\n".join(f"{where}: {line}" for line in lines)) from None

@@ -1,0 +1,93 @@
+"""The whole tree of `recording.toml`: its sensors, the calibration and the fusion."""
+
+from typing import Annotated
+
+from pydantic import AfterValidator, Field, model_validator
+
+from midspan.fusion.methods import LITERAL, METHODS, no_literal_form
+from midspan.settings.camera import CameraSettings
+from midspan.settings.fields import (
+    FiniteNumber,
+    IsNumber,
+    NonNegativeNumber,
+    PositiveNumber,
+    Section,
+    known,
+    second_is_larger,
+)
+from midspan.settings.sensors import AccelerometerSettings, DisplacementSettings, ReferenceSettings
+
+
+class CalibrationSettings(Section):
+    """How scale factor and clock offset are found."""
+
+    window_s: Annotated[tuple[FiniteNumber, FiniteNumber] | None, AfterValidator(second_is_larger)] = Field(
+        None, description="start and end of the part used, s on the accelerometer's clock; left out: the first minute"
+    )
+    band_hz: Annotated[tuple[NonNegativeNumber, PositiveNumber] | None, AfterValidator(second_is_larger)] = Field(
+        None,
+        description="band of acceleration compared with the camera, Hz; left out: all that rates and noise allow",
+    )
+    max_offset_s: Annotated[float, IsNumber, Field(ge=0, le=3600)] = Field(
+        0.5, description="largest clock offset searched for, s"
+    )
+
+
+class FusionSettings(Section):
+    """How acceleration and displacement become one."""
+
+    method: Annotated[str, known(METHODS, "method")] = Field("smoother", description="see `midspan methods`")
+    lag_s: PositiveNumber = Field(0.5, description="delay of the method `lag`, s; longer is nearer to the smoother")
+    literal: bool = Field(False, strict=True, description="a paper's method exactly as printed, without guard")
+    forgetting: Annotated[float, IsNumber, Field(gt=0, lt=1)] = Field(
+        0.95, description="factor beta of `adaptive-kalman`; nearer to 1 learns more slowly"
+    )
+
+    @model_validator(mode="after")
+    def _has_a_literal_form(self) -> "FusionSettings":
+        if self.literal and self.method not in LITERAL:
+            raise ValueError(no_literal_form(self.method))
+        return self
+
+
+class RecordingSettings(Section):
+    """The whole of `recording.toml`."""
+
+    name: str = ""
+    accelerometer: AccelerometerSettings
+    camera: CameraSettings | None = None
+    displacement: DisplacementSettings | None = None
+    calibration: CalibrationSettings = Field(default_factory=lambda: CalibrationSettings.model_validate({}))
+    fusion: FusionSettings = Field(default_factory=lambda: FusionSettings.model_validate({}))
+    reference: ReferenceSettings | None = None
+
+    @model_validator(mode="after")
+    def _has_displacement(self) -> "RecordingSettings":
+        if self.camera is None and self.displacement is None:
+            raise ValueError("must have a [camera] or a [displacement] section beside [accelerometer]")
+        return self
+
+    @model_validator(mode="after")
+    def _both_axes_have_columns(self) -> "RecordingSettings":
+        both = self.camera is not None and self.camera.direction == "xy"
+        named = self.accelerometer.value_x or self.accelerometer.value_y
+        if both and not named:
+            raise ValueError(
+                'must name accelerometer.value_x, accelerometer.value_y or both with camera.direction = "xy": the '
+                "columns along the image's axes"
+            )
+        if named and not both:
+            raise ValueError(
+                'must have camera.direction = "xy" with accelerometer.value_x or value_y; for one axis give '
+                "accelerometer.value"
+            )
+        return self
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """The image axes that a result is made for, the one of the main columns first; empty without a camera."""
+        if self.camera is None:
+            return ()
+        if self.camera.direction != "xy":
+            return (self.camera.direction,)
+        return ("y", "x") if self.accelerometer.value_y else ("x", "y")
