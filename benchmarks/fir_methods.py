@@ -1,16 +1,21 @@
-"""`fir` and `two-stage-fir`: the beam over ten draws, the two-stage paper's figure 16, five excitations, speed."""
+"""`fir` and `two-stage-fir`: the beam over ten draws, the two-stage paper's figure 16, five excitations, wrong
+measurements, speed."""
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
 from benchmarks.cases import RATE_HZ, SLOW_HZ, SNR_DB, blocks, rms
 from benchmarks.filter_speed import record
 from benchmarks.table import goal, show
-from midspan.fusion.complementary import run
+from midspan.fusion.branches import StreamSettings
+from midspan.fusion.complementary import ComplementaryFilter, run
 from midspan.fusion.fir import FirFilter, FirSettings, fir
-from midspan.fusion.smoother import smooth
+from midspan.fusion.gate import NO_GATE, REJECTED
+from midspan.fusion.kalman import KalmanSettings
+from midspan.fusion.smoother import collected, smooth
 from midspan.fusion.two_stage import TwoStageFir, TwoStageSettings, two_stage_fir
 from midspan.records import Acceleration, Displacement, Estimate, Floats
 from midspan.simulate.beam import Beam, respond
@@ -18,6 +23,7 @@ from midspan.simulate.motion import FineSteps, Pulse, Sines, Sum, Window
 from midspan.simulate.sensors import AccelerometerModel, DisplacementSensorModel, noise_std_for, simulate_pair
 
 Method = Callable[[Acceleration, Displacement], Estimate]
+Spoil = Callable[[Acceleration, Displacement, Floats, int], tuple[Acceleration, Displacement, Floats]]
 METHODS: dict[str, Method] = {
     "fir, literal": lambda a, d: fir(a, d, FirSettings(literal=True)),
     "fir": fir,
@@ -128,6 +134,84 @@ def _excited(method: Method, every: int, tone: float, seed: int) -> tuple[float,
     return judged(method(a, d), pair.true_displacement_m, FIVE_TRIM)
 
 
+def wrong_measurements() -> None:
+    """The gate: 8 mm at 0.1 Hz with 3 mm at 3.3 Hz, 10 Hz; outliers, a target that sticks, a jump."""
+    print("\nWrong measurements: RMSE over that of the clean record without a gate, share inside ± 1.96 sigma")
+    table = []
+    for name, streams in GATED.items():
+        clean = [_gated(streams[1], *_tones(seed), 0.0) for seed in GATE_SEEDS]
+        for what, spoil, level in SPOILT:
+            found = [_gated(streams[0], *spoil(*_tones(seed), seed), level) for seed in GATE_SEEDS]
+            rows = [rms(np.array([f[0] for f in one])) for one in (found, clean)]
+            shares = [float(np.mean([f[1] for f in one])) for one in (found, clean)]
+            table.append([name, what, rows[0] / rows[1], shares[0], shares[1], float(np.mean([f[2] for f in found]))])
+    show(["method", "", "RMSE / clean", "inside", "clean inside", "rejected"], table)
+    for name, what, ratio, inside, usual, _ in table:
+        limit = 1.005 if what == "nothing wrong" else 1.10
+        goal(f"{name}, {what}: RMSE over clean", float(ratio), limit)
+        goal(f"{name}, {what}: coverage lost", float(usual) - float(inside), 0.02)
+
+
+def _tones(seed: int) -> tuple[Acceleration, Displacement, Floats]:
+    motion = Sines(np.array([8e-3, 3e-3]), np.array([0.1, 3.3]))
+    pair = simulate_pair(
+        motion,
+        120.0,
+        accelerometer=AccelerometerModel(RATE_HZ, 2e-3, 5e-3),
+        displacement=DisplacementSensorModel(SLOW_HZ, 1e-4, -4e-3),
+        seed=seed,
+    )
+    return *blocks(pair.acceleration, pair.displacement, 4e-8, 1e-8, -4e-3), pair.true_displacement_m
+
+
+def _outliers(a: Acceleration, d: Displacement, truth: Floats, seed: int) -> tuple[Acceleration, Displacement, Floats]:
+    """One in ten is off by 10 to 60 deviations, from 3 s on."""
+    rng = np.random.default_rng([3, seed])
+    size = rng.choice([-1.0, 1.0], len(d.value_m)) * rng.uniform(1e-3, 6e-3, len(d.value_m))
+    hit = (rng.random(len(d.value_m)) < 0.1) & (d.time_ns > 3e9)
+    return a, replace(d, value_m=d.value_m + np.where(hit, size, 0.0)), truth
+
+
+def _off(until_s: float) -> Spoil:
+    """8 mm off from 60 s until `until_s`."""
+
+    def spoil(a: Acceleration, d: Displacement, truth: Floats, seed: int) -> tuple[Acceleration, Displacement, Floats]:
+        off = (d.time_ns > 60e9) & (d.time_ns < 1e9 * until_s)
+        return a, replace(d, value_m=d.value_m + np.where(off, 8e-3, 0.0)), truth
+
+    return spoil
+
+
+def _gated(
+    make: Callable[[], ComplementaryFilter], a: Acceleration, d: Displacement, truth: Floats, level: float
+) -> tuple[Floats, float, float]:
+    """Error, share inside the band and share rejected; with a `level` (m) from 60 s on only the rows after 68 s."""
+    found = collected(run(make(), a, d))
+    where = (a.time_ns > 8e9) & (a.time_ns < 112e9)
+    if level != 0.0:
+        where &= a.time_ns > 68e9
+    error = (found.estimate.displacement_m - truth - max(level, 0.0))[where]
+    inside = np.mean(np.abs(error) <= 1.96 * np.sqrt(found.estimate.variance_m2[where]))
+    verdict = found.innovation.verdict
+    return error, float(inside), float(np.mean(verdict == REJECTED)) if len(verdict) else 0.0
+
+
+OPEN = StreamSettings(edges=KalmanSettings(gate=NO_GATE))
+GATE_SEEDS = range(701, 713)
+# With the gate, and without.
+GATED: dict[str, tuple[Callable[[], ComplementaryFilter], Callable[[], ComplementaryFilter]]] = {
+    "fir": (FirFilter, lambda: FirFilter(FirSettings(stream=OPEN))),
+    "two-stage-fir": (TwoStageFir, lambda: TwoStageFir(TwoStageSettings(stream=OPEN))),
+}
+# What is wrong, and the level of the truth afterwards; -1: none, and only the rows afterwards count.
+SPOILT: tuple[tuple[str, Spoil, float], ...] = (
+    ("nothing wrong", lambda a, d, truth, seed: (a, d, truth), 0.0),
+    ("one in ten an outlier", _outliers, 0.0),
+    ("8 mm off for 4 s: 4 s later", _off(64.0), -1.0),
+    ("jump of 8 mm: 8 s later", _off(np.inf), 8e-3),
+)
+
+
 def speed() -> None:
     """Nanoseconds a sample of a long record, and the delay."""
     long, short = record(1_000_000), record(20_000)
@@ -151,4 +235,5 @@ def main() -> None:
     draws()
     figure_16()
     five_excitations()
+    wrong_measurements()
     speed()

@@ -18,7 +18,7 @@ from midspan.records import Acceleration, Displacement, Floats, Source, TimeSeri
 
 METHODS = ("kalman", "lag", "smoother", "adaptive-kalman")
 # Never used while the filters were made.
-SEEDS = range(701, 713)
+SEEDS = range(801, 813)
 LENGTH_S = 120.0
 NOISE_A, NOISE_D, BIAS = 2e-3, 1e-4, 5e-3
 PARTS = ((8e-3, 0.1), (3e-3, 3.3))
@@ -102,12 +102,12 @@ def ratios() -> None:
     drift = clean(0).truth * 0.0 + BIAS + 1e-3 / 60.0 * TIME
     table: list[tuple[str, Callable[[int], Case], Callable[[int], Case], float, tuple[str, ...]]] = [
         ("noise of the displacement x 5 from the middle on", lambda s: noise_step(s, told=False),
-         lambda s: noise_step(s, told=True), 1.06, ("adaptive-kalman", "smoother")),
+         lambda s: noise_step(s, told=True), 1.06, METHODS),
         ("both noise levels unknown", relearnt, clean, 1.06, METHODS),
         ("R told 10 times too large", lambda s: wrong(s, noise=10.0, density=1.0), clean, 1.06,
-         ("adaptive-kalman", "smoother")),
+         METHODS),
         ("R told 10 times too small", lambda s: wrong(s, noise=0.1, density=1.0), clean, 1.06,
-         ("adaptive-kalman", "smoother")),
+         METHODS),
         ("q told 10 times too large", lambda s: wrong(s, noise=1.0, density=10.0), clean, 1.06, ()),
         ("q told 10 times too small", lambda s: wrong(s, noise=1.0, density=0.1), clean, 1.06, ()),
         ("one in ten an outlier of 10 to 60 deviations", outliers, clean, 1.10, METHODS),
@@ -194,8 +194,25 @@ def exposure() -> None:
         goal(f"exposure, {method}: left of the error", float(rest), 0.05)
 
 
+def band_after_step() -> None:
+    """Share of the rows inside ±1.96 standard deviations once the noise has grown, from three seconds after it on."""
+    settled, rows = (TIME > 0.5 * LENGTH_S + 3.0) & (TIME < LENGTH_S - 5.0), []
+    for method in METHODS:
+        inside = []
+        for seed in SEEDS:
+            case = noise_step(seed, told=False)
+            found = case.run(method).estimate
+            off = np.abs(found.displacement_m - case.truth)[settled]
+            inside.append(np.mean(off <= 1.96 * np.sqrt(found.variance_m2[settled])))
+        rows.append([method, float(np.mean(inside))])
+    show(["noise x 5, from 3 s after the step", "in 95 % band"], rows)
+    for method, share in rows:
+        goal(f"noise x 5, {method}: distance of the coverage from 95 %", abs(float(share) - 0.95), 0.02)
+
+
 def main() -> None:
     ratios()
+    band_after_step()
     ridden_through()
     jump()
     exposure()

@@ -29,7 +29,9 @@ def noisy(seed=0, length=1000, count=90):
 
 def test_a_long_lag_is_the_smoother():
     blocks = noisy()
-    late, both = smooth_with_lag(*blocks, LagSettings(1e6)), smooth(*blocks)
+    # The smoother takes the noise as told.
+    told = LagSettings(1e6, KalmanSettings(learn_noise=False))
+    late, both = smooth_with_lag(*blocks, told), smooth(*blocks)
     np.testing.assert_allclose(late.estimate.displacement_m, both.estimate.displacement_m, rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(late.estimate.velocity_m_s, both.estimate.velocity_m_s, rtol=1e-8, atol=1e-9)
     # The first rows' variance is a small difference of the wide start's.

@@ -15,6 +15,7 @@ import numpy as np
 from midspan.checks import refuse
 from midspan.fusion.adaptive_recursion import (
     ADAPTIVE_SIZE,
+    BEYOND,
     LAST,
     MEDIAN_STEP,
     MET_COLUMNS,
@@ -74,6 +75,11 @@ class AdaptiveSettings:
         if not 0.0 < self.floor <= 1.0 <= self.ceiling < np.inf:
             raise refuse("floor and ceiling", "such that 0 < floor <= 1 <= ceiling", (self.floor, self.ceiling))
 
+    @property
+    def options(self) -> tuple[float, tuple[float, float], tuple[float, float, float]]:
+        """What the guarded recursion takes: the bias's walk, the gate's numbers, and how the noise is learnt."""
+        return self.kalman.bias_walk, self.kalman.limits, (self.forgetting, self.floor**2, self.ceiling**2)
+
 
 class AdaptiveFilter:
     """The adaptive filter as a stream: push blocks of displacement and acceleration in time order, take estimates.
@@ -121,7 +127,7 @@ class AdaptiveFilter:
         """Estimate (n), innovations (m) and the noise variance (m,) in m² that each measurement was taken with."""
         if self.state is None:
             self._origin_ns = int(record.time_ns[0])
-            self.state = _state_before(record, self.settings)
+            self.state = state_before(record, self.settings)
         estimate = empty_estimate(record.time_ns)
         told, noise = [], []
         for start in range(0, len(record.time_ns), BLOCK):
@@ -145,9 +151,7 @@ class AdaptiveFilter:
         if settings.literal:
             printed_block(samples, frames, state, settings.forgetting, rows, labels, met)
             return
-        rule = (settings.forgetting, settings.floor**2, settings.ceiling**2)
-        options = (settings.kalman.bias_walk, settings.kalman.limits, rule)
-        guarded_block(samples, frames, state, options, rows, labels, met)
+        guarded_block(samples, frames, state, settings.options, rows, labels, met)
 
 
 def adapt(acceleration: Acceleration, displacement: Displacement, settings: AdaptiveSettings | None = None) -> Smoothed:
@@ -163,7 +167,7 @@ def adapt(acceleration: Acceleration, displacement: Displacement, settings: Adap
     return Smoothed(estimate, innovation, tuple(gate_events(innovation)), noise)
 
 
-def _state_before(first: Acceleration, settings: AdaptiveSettings) -> Floats:
+def state_before(first: Acceleration, settings: AdaptiveSettings) -> Floats:
     """The state vector before the first sample; the literal form starts at the first sample."""
     samples = np.array([[0.0, first.value_m_s2[0], first.noise_density[0]]])
     state = np.zeros(ADAPTIVE_SIZE)
@@ -177,6 +181,8 @@ def _state_before(first: Acceleration, settings: AdaptiveSettings) -> Floats:
         state[: TIME + 1] = 0.0
         state[B], state[NOISE] = settings.kalman.bias, np.nan
         state[P11] = settings.kalman.velocity_std**2
+        # Until the first frame nothing is known of the position that the printed start puts to zero.
+        state[BEYOND] = settings.kalman.displacement_std**2
     return state
 
 

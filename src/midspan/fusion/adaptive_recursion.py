@@ -28,10 +28,7 @@ from midspan.fusion.state_space import (
     B,
     V,
     X,
-    advance_covariance,
-    advance_mean,
     begin_interval,
-    input_response,
     update_covariance,
 )
 
@@ -70,6 +67,8 @@ INCONSISTENT, CORRELATED, CONSISTENT = 1.5, 0.4, 1.2
 SPREAD_UP, SPREAD_DOWN, MOST_SPREAD = 1.2, 0.98, 1e6
 # Divisions are what the inner loop would wait for.
 THIRD, SIXTH = 1.0 / 3.0, 1.0 / 6.0
+# Stamps beyond any: longer than 64-bit nanoseconds reach.
+FOREVER_S, NEVER_NS = 9e9, np.int64(2**63 - 1)
 
 
 @njit(cache=True, inline="always")
@@ -116,6 +115,20 @@ def _declare(s, frames, j):  # type: ignore[no-untyped-def]
             s[NOISE] = frames[i, 2]
             s[P00] += frames[i, 2]
             return
+
+
+@njit(cache=True, inline="always")
+def _follow_beyond(s, eta, g00, declared):  # type: ignore[no-untyped-def]
+    """Follow how far innovations exceed what G and the declared noise explain.
+
+    The mean of all so far until the memory is full: what the first frame finds is the start's own error. While the
+    start settles, the variance G is too wide to be taken off.
+    """
+    beyond = eta * eta - declared - g00
+    if s[ACCEPTED_COUNT] <= FIRST_FRAMES:
+        beyond = max(beyond, -declared)
+    kept = min(MEMORY, 1.0 - 1.0 / s[ACCEPTED_COUNT])
+    s[BEYOND] = kept * s[BEYOND] + (1.0 - kept) * beyond
 
 
 @njit(cache=True, error_model="numpy")
@@ -169,7 +182,7 @@ def _frames_as_printed(s, frames, j, met, interval, beta):  # type: ignore[no-un
             rest * (n[1] - k1 * n[0]) + r * k0 * k1,
             n[2] - 2.0 * k1 * n[1] + k1 * k1 * n[0] + r * k1 * k1,
         )
-        s[BEYOND] = MEMORY * s[BEYOND] + (1.0 - MEMORY) * (eta * eta - frames[j, 2] - max(g00, 0.0))
+        _follow_beyond(s, eta, max(g00, 0.0), frames[j, 2])
         s[LAST_ACCEPTED], s[SOURCE] = frames[j, 0], frames[j, 3]
         met[j, MET_INNOVATION], met[j, MET_TOTAL], met[j, MET_NOISE] = eta, max(g00, 0.0) + max(r, 0.0), r
         met[j, MET_VERDICT] = ACCEPTED
@@ -249,7 +262,7 @@ def _take(s, innovation, verdict, rejected_for, noise):  # type: ignore[no-untyp
 
 
 @njit(cache=True, inline="always")
-def _meet(s, met, j, measured, limits, rule):  # type: ignore[no-untyped-def]
+def meet(s, met, j, measured, limits, rule):  # type: ignore[no-untyped-def]
     """Judge one frame (time, value, declared variance, source), use it if believed, and learn the noise from it.
 
     rule = (beta, floor, ceiling): forgetting factor, and the limits of the noise variance over the declared one.
@@ -281,42 +294,74 @@ def _meet(s, met, j, measured, limits, rule):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, inline="always")
-def _coast(samples, k, until, s, walk, rows, labels):  # type: ignore[no-untyped-def]
-    """Samples k up to the first at or after the time `until`, without frames; returns where it stopped.
+def _glide(s, dt, force, noise, walk):  # type: ignore[no-untyped-def]
+    """Move state and covariance by `dt` within an interval; force = (acceleration now, its slope, lead), see `_coast`.
 
-    The same model as `state_space`, with everything in local numbers: this is where the time goes.
+    The same model as `state_space`, without a division.
+    """
+    a, slope, lead = force
+    half = 0.5 * dt * dt
+    v, b = s[V], s[B]
+    p01, p02, p11, p12, p22 = s[P01], s[P02], s[P11], s[P12], s[P22]
+    s[X] += dt * (v - lead * slope) + half * (a + THIRD * dt * slope - b)
+    s[V] = v + dt * (a - b) + half * slope
+    m01, m02 = p01 + dt * p11 - half * p12, p02 + dt * p12 - half * p22
+    m11, m12 = p11 - dt * p12, p12 - dt * p22
+    s[P00] += dt * (p01 + m01) - half * (p02 + m02) + noise * dt * dt * dt * THIRD
+    s[P01], s[P02] = m01 - dt * m02 + noise * half, m02
+    s[P11], s[P12] = m11 - dt * m12 + noise * dt, m12
+    s[P22] = p22 + walk * dt
+
+
+@njit(cache=True, inline="always")
+def stamp_before(until, origin_ns):  # type: ignore[no-untyped-def]
+    """A stamp (ns) just before the time `until` (s): one that went through seconds may be off after some weeks."""
+    return origin_ns + np.int64(np.rint(until * 1e9)) - 2 if until < FOREVER_S else NEVER_NS
+
+
+@njit(cache=True, inline="always")
+def _coast(samples, k, until, s, walk, rows, labels):  # type: ignore[no-untyped-def]
+    """Samples k up to the first at or just before the time `until`, without frames; returns where it stopped.
+
+    The same model as `state_space`, with everything in local numbers: this is where the time goes. Steps are counted in
+    whole nanoseconds, so that even ones are equal to the last digit and what follows from them is kept.
     """
     time_ns, origin_ns, values, densities = samples
     x, v, b = s[X], s[V], s[B]
     p00, p01, p02, p11, p12, p22 = s[P00], s[P01], s[P02], s[P11], s[P12], s[P22]
-    t0, a0, step, last_lead, last_slope = s[TIME], s[INPUT], s[STEP], s[LEAD], s[SLOPE]
+    a0, step, last_lead, last_slope = s[INPUT], s[STEP], s[LEAD], s[SLOPE]
     spread, accepted_at, source = s[SPREAD], s[LAST_ACCEPTED], s[SOURCE]
-    while k < len(time_ns):
-        a1, t1 = values[k], (time_ns[k] - origin_ns) / 1e9
-        if t1 >= until:
-            break
-        dt = t1 - t0
-        slope, half = (a1 - a0) / dt, 0.5 * dt * dt
-        lead = half * SIXTH if dt <= GAP_STEPS * step else 0.0
-        if lead != last_lead:
-            v += (lead - last_lead) * 0.5 * (last_slope + slope)
-        step, last_lead, last_slope = min(dt, GAP_STEPS * step), lead, slope
-        x += dt * (v - lead * slope) + half * (a0 + THIRD * (a1 - a0) - b)
-        v += dt * (0.5 * (a0 + a1) - b)
+    t1, rise = s[TIME], 0.0
+    last_ns, stop_ns = origin_ns + np.int64(np.rint(t1 * 1e9)), stamp_before(until, origin_ns)
+    step_ns, dt, inverse, half, cube, twelfth = np.int64(-1), 0.0, 0.0, 0.0, 0.0, 0.0
+    while k < len(time_ns) and time_ns[k] < stop_ns:
+        if time_ns[k] - last_ns != step_ns or step < dt:
+            # The velocity state's lead follows the length of the interval, see `begin_interval`.
+            step_ns = time_ns[k] - last_ns
+            dt = step_ns / 1e9
+            inverse, half, cube = 1.0 / dt, 0.5 * dt * dt, dt * dt * dt * THIRD
+            twelfth = half * SIXTH * inverse if dt <= GAP_STEPS * step else 0.0
+            slope = (values[k] - a0) * inverse
+            v += (twelfth * dt - last_lead) * 0.5 * (last_slope + slope)
+            step, last_lead = min(dt, GAP_STEPS * step), twelfth * dt
+        last_ns = time_ns[k]
+        rise = values[k] - a0
+        x += dt * (v - twelfth * rise) + half * (a0 + THIRD * rise - b)
+        v += dt * (a0 + 0.5 * rise - b)
         noise = densities[k] * spread
         m01, m02 = p01 + dt * p11 - half * p12, p02 + dt * p12 - half * p22
         m11, m12 = p11 - dt * p12, p12 - dt * p22
-        p00 += dt * (p01 + m01) - half * (p02 + m02) + noise * dt * dt * dt * THIRD
+        p00 += dt * (p01 + m01) - half * (p02 + m02) + noise * cube
         p01, p02 = m01 - dt * m02 + noise * half, m02
         p11, p12 = m11 - dt * m12 + noise * dt, m12
         p22 += walk * dt
-        t0, a0 = t1, a1
-        _keep(rows, k, x, p00, v - lead * slope)
-        _label(labels, k, t0, accepted_at, source)
+        a0, t1, last_slope = values[k], (time_ns[k] - origin_ns) / 1e9, rise * inverse
+        _keep(rows, k, x, p00, v - twelfth * rise)
+        _label(labels, k, t1, accepted_at, source)
         k += 1
     s[X], s[V], s[B] = x, v, b
     s[P00], s[P01], s[P02], s[P11], s[P12], s[P22] = p00, p01, p02, p11, p12, p22
-    s[TIME], s[INPUT], s[STEP], s[LEAD], s[SLOPE] = t0, a0, step, last_lead, last_slope
+    s[TIME], s[INPUT], s[STEP], s[LEAD], s[SLOPE] = t1, a0, step, last_lead, last_slope
     return k
 
 
@@ -324,7 +369,7 @@ def _coast(samples, k, until, s, walk, rows, labels):  # type: ignore[no-untyped
 def guarded_block(samples, frames, s, options, rows, labels, met):  # type: ignore[no-untyped-def]
     """The guarded filter over one block; arguments as in `printed_block`.
 
-    options = (walk, limits, rule): density of the bias's walk, the gate's numbers, and what `_meet` takes.
+    options = (walk, limits, rule): density of the bias's walk, the gate's numbers, and what `meet` takes.
     """
     time_ns, origin_ns, values, densities = samples
     walk, limits, rule = options
@@ -334,25 +379,22 @@ def guarded_block(samples, frames, s, options, rows, labels, met):  # type: igno
         if k == len(time_ns):
             return j
         t0, a0 = s[TIME], s[INPUT]
-        t1, a1, density = (time_ns[k] - origin_ns) / 1e9, values[k], densities[k] * s[SPREAD]
-        dt = t1 - t0
-        lead = begin_interval(s, dt, a0, a1)
-        reached, response = t0, (0.0, 0.0)
+        t1, density = (time_ns[k] - origin_ns) / 1e9, densities[k]
+        lead = begin_interval(s, t1 - t0, a0, values[k])
+        reached, slope, spread = t0, s[SLOPE], s[SPREAD]
         while j < len(frames) and frames[j, 0] <= t1:
             time = frames[j, 0]
             if time < reached or not frames[j, 2] < np.inf:
                 met[j, MET_VERDICT] = UNUSED
             else:
-                ahead = input_response((time - t0) / dt, dt, a0, a1, lead)
-                advance_mean(s, time - reached, response, ahead)
-                advance_covariance(s, time - reached, density, walk)
-                reached, response = time, ahead
-                _meet(s, met, j, (time, frames[j, 1], frames[j, 2], frames[j, 3]), limits, rule)
+                _glide(s, time - reached, (a0 + (reached - t0) * slope, slope, lead), density * spread, walk)
+                reached = time
+                meet(s, met, j, (time, frames[j, 1], frames[j, 2], frames[j, 3]), limits, rule)
             j += 1
-        advance_mean(s, t1 - reached, response, input_response(1.0, dt, a0, a1, lead))
-        advance_covariance(s, t1 - reached, density, walk)
-        s[TIME], s[INPUT] = t1, a1
-        _keep(rows, k, s[X], s[P00], s[V] - lead * s[SLOPE])
+        if reached < t1:
+            _glide(s, t1 - reached, (a0 + (reached - t0) * slope, slope, lead), density * spread, walk)
+        s[TIME], s[INPUT] = t1, values[k]
+        _keep(rows, k, s[X], s[P00], s[V] - lead * slope)
         _label(labels, k, t1, s[LAST_ACCEPTED], s[SOURCE])
         k += 1
     return j

@@ -28,7 +28,8 @@ class StreamSettings:
     """What the stream cannot know from the data.
 
     rate_hz, displacement_rate_hz: nominal rates, Hz; None: learnt from the first 100 steps and 8 intervals.
-    edges: the state-space model for rows without a full window (ends, gaps); its densities come with the data.
+    edges: the state-space model for rows without a full window (ends, gaps); its densities come with the data. Its gate
+    judges the displacement, except in the literal forms; NO_GATE: every measurement is used.
     """
 
     rate_hz: float | None = None
@@ -40,7 +41,8 @@ class StreamSettings:
 class Rates:
     """Steps of both series in s, noise density of the acceleration ((m/s²)²/Hz), variance of a displacement (m²).
 
-    jittered: whether the acceleration's stamps are too uneven to be taken as even.
+    jittered: whether the acceleration's stamps are too uneven to be taken as even; even_frames: whether the
+    displacement's are so even that a missing one shows.
     """
 
     step_s: float
@@ -48,6 +50,12 @@ class Rates:
     noise_density: float
     variance_m2: float
     jittered: bool = False
+    even_frames: bool = False
+
+    @property
+    def every_s(self) -> float:
+        """Interval after which the next displacement is due, s; infinite where that is not known."""
+        return self.frame_s if self.even_frames and self.frame_s >= 2.0 * self.step_s else float("inf")
 
     @property
     def corner_rad_s(self) -> float:
@@ -135,11 +143,19 @@ class NoiseGain:
 
     def rows(self, variance_m2: Floats, density: Floats) -> Floats:
         """Variance (n − 2 half,) from the displacement's variance and the acceleration's density on the grid (n,)."""
-        if np.ptp(variance_m2) == 0.0 and np.ptp(density) == 0.0:
-            level = np.sum(self._low) * variance_m2[0] + np.sum(self._high) * density[0]
-            return np.full(len(density) - 2 * self._sum.half, level)
-        # Rounding of the transforms must not make a variance negative beside a far larger one.
-        return np.maximum(self._sum(variance_m2, density), self._floor(variance_m2, density))
+        half, usual = self._sum.half, float(variance_m2[0])
+        level = np.sum(self._low) * usual + np.sum(self._high) * density[0]
+        result = np.full(len(density) - 2 * half, level)
+        # A day of even noise with a few raised variances must not be filtered as a whole.
+        odd = np.flatnonzero((variance_m2 != usual) | (density != density[0]))
+        if not len(odd):
+            return result
+        for run in np.split(odd, np.flatnonzero(np.diff(odd) > 2 * half) + 1):
+            first, last = max(int(run[0]) - 2 * half, 0), min(int(run[-1]) + 2 * half + 1, len(density))
+            # Rounding of the transforms must not make a variance negative beside a far larger one.
+            near = (variance_m2[first:last], density[first:last])
+            result[first : last - 2 * half] = np.maximum(self._sum(*near), self._floor(*near))
+        return result
 
     def _floor(self, variance_m2: Floats, density: Floats) -> float:
         return float(np.sum(self._low) * np.min(variance_m2) + np.sum(self._high) * np.min(density))

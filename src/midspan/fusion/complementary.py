@@ -7,10 +7,13 @@ import numpy as np
 
 from midspan.fusion.branches import Branches, Rates, StreamSettings, window_of
 from midspan.fusion.even import LEAST_JITTER
+from midspan.fusion.events import GateEvents
+from midspan.fusion.gate import NO_GATE
+from midspan.fusion.kalman import Output
+from midspan.fusion.missing import is_even
+from midspan.fusion.screen import Screen, unscreened
 from midspan.fusion.stretch import Method, Stretch
-from midspan.records import NANOSECONDS, Acceleration, Displacement, Estimate, Event, joined, part
-
-Output = Estimate | Event
+from midspan.records import NANOSECONDS, Acceleration, Displacement, Event, joined, part
 
 # Rates and noise levels are taken from so many first steps and intervals, or from what came within the patience.
 STEPS, INTERVALS = 100, 8
@@ -29,11 +32,14 @@ class ComplementaryFilter:
     Displacement must be pushed before the acceleration that covers its time; what comes later is ignored. Any cutting
     of the input into blocks gives the same rows up to rounding. A gap in the acceleration resets the memory and is told
     by an Event, as is a gap of the displacement; rows without a full window (ends, gaps) come from least squares over
-    what there is, with its own wider variance.
+    what there is, with its own wider variance. With `gate`, each displacement is judged first (see `Screen`): the
+    verdicts come as Innovation records, and a new level that was taken over begins with empty memory.
     """
 
-    def __init__(self, design: Callable[[Rates], Branches], settings: StreamSettings) -> None:
+    def __init__(self, design: Callable[[Rates], Branches], settings: StreamSettings, *, gate: bool = True) -> None:
         self._design, self._settings = design, settings
+        self._screen = Screen(settings.edges) if gate and settings.edges.gate != NO_GATE else None
+        self._events = GateEvents()
         self._method: Method | None = None
         self._stretch: Stretch | None = None
         self._waiting: list[Acceleration] = []
@@ -65,7 +71,7 @@ class ComplementaryFilter:
         outputs = self._run(final=True)
         if self._stretch is not None:
             outputs.extend(self._stretch.finish())
-        return outputs
+        return [*outputs, *self._events.finish()]
 
     def _run(self, *, final: bool) -> list[Output]:
         if not self._waiting:
@@ -78,6 +84,8 @@ class ComplementaryFilter:
                 return []
             self._first_ns = int(self._waiting[0].time_ns[0])
             self._method = Method.make(self._design(rates), rates, self._settings.edges)
+            if self._screen is not None:
+                self._screen.begin(part(self._waiting[0], slice(STEPS + 1)), rates.every_s)
             told = self._method.branches.warnings
             outputs.extend(Event(self._first_ns, "rate", text) for text in told)
         block, self._waiting = joined(self._waiting), []
@@ -99,10 +107,27 @@ class ComplementaryFilter:
                 outputs.extend(self._stretch.finish())
                 outputs.append(_gap_event(self._last_ns or 0, float(steps[start]) * method.rates.step_s))
                 self._stretch = None
-            if self._stretch is None:
-                self._stretch = Stretch(method, int(piece.time_ns[0]))
-            outputs.extend(self._stretch.push(piece, self._due(int(piece.time_ns[-1]))))
+                if self._screen is not None:
+                    self._screen.begin(piece, method.rates.every_s)
+            outputs.extend(self._judged(piece, self._due(int(piece.time_ns[-1])), method))
             self._last_ns = int(piece.time_ns[-1])
+        return outputs
+
+    def _judged(self, piece: Acceleration, due: Displacement, method: Method) -> list[Output]:
+        """Feed a piece without gaps and its judged measurements to the stretch, and to a new one from each jump on."""
+        screened = unscreened(due) if self._screen is None else self._screen.judge(piece, due)
+        told = screened.innovation
+        outputs: list[Output] = [told, *self._events.push(told)] if len(told.time_ns) else []
+        jumps_ns = due.time_ns[screened.reacquired]
+        # Two levels have no common low-frequency branch: what was before a jump is forgotten.
+        rows = [0, *np.searchsorted(piece.time_ns, jumps_ns), len(piece.time_ns)]
+        for i, ((start, stop), measured) in enumerate(zip(pairwise(rows), screened.pieces(), strict=True)):
+            if i > 0 and self._stretch is not None:
+                outputs.extend(self._stretch.finish())
+                self._stretch = None
+            if self._stretch is None:
+                self._stretch = Stretch(method, int(piece.time_ns[min(start, len(piece.time_ns) - 1)]))
+            outputs.extend(self._stretch.push(part(piece, slice(start, stop)), measured))
         return outputs
 
     def _due(self, until_ns: int) -> Displacement:
@@ -129,12 +154,14 @@ class ComplementaryFilter:
         first = part(block, slice(STEPS + 1))
         step_s = _usual_step(first.time_ns, self._settings.rate_hz, 0.01)
         step_s, jitter_s = _even_step(first.time_ns, step_s, given=self._settings.rate_hz is not None)
+        frame_s = _usual_step(measured.time_ns, self._settings.displacement_rate_hz, 1.0)
         return Rates(
             step_s=step_s,
-            frame_s=_usual_step(measured.time_ns, self._settings.displacement_rate_hz, 1.0),
+            frame_s=frame_s,
             noise_density=_usual(first.noise_density, USUAL_DENSITY),
             variance_m2=_usual(measured.variance_m2, USUAL_VARIANCE),
             jittered=jitter_s > LEAST_JITTER * step_s,
+            even_frames=is_even(measured.time_ns, frame_s),
         )
 
 

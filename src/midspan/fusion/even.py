@@ -58,7 +58,7 @@ class EvenClock:
         self._time_s = np.concatenate((self._time_s, time_s))
         self._value = np.concatenate((self._value, value))
         self._even_s = np.concatenate((self._even_s, even_s))
-        return self._due(len(self._time_s) - BEHIND)
+        return self._due(max(len(self._time_s) - BEHIND, self._given))
 
     def finish(self) -> tuple[Floats, Floats]:
         """The rest; at the end the last value is held where an even instant lies beyond the last stamp."""

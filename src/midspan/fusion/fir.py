@@ -135,7 +135,8 @@ class FirFilter(ComplementaryFilter):
 
     def __init__(self, settings: FirSettings | None = None) -> None:
         self.settings = settings or FirSettings()
-        super().__init__(lambda rates: design(rates, self.settings), self.settings.stream)
+        gate = not self.settings.literal
+        super().__init__(lambda rates: design(rates, self.settings), self.settings.stream, gate=gate)
 
 
 def fir(acceleration: Acceleration, displacement: Displacement, settings: FirSettings | None = None) -> Estimate:

@@ -5,19 +5,21 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from midspan.fusion.events import GateEvents
-from midspan.fusion.gate import GateSettings
+from midspan.fusion.gate import NO_GATE, GateSettings
+from midspan.fusion.noise_online import learning_off, nothing_learnt
 from midspan.fusion.recursion import (
     ACCEPTED_AT,
     ACCEPTED_SOURCE,
     INNOVATION,
     INNOVATION_VARIANCE,
     NODE_COLUMNS,
+    NOISE,
     RECORD_COLUMNS,
     TIME_OF_NODE,
     UNUSED,
     VELOCITY,
     VERDICT,
-    filter_block,
+    learning_block,
 )
 from midspan.fusion.state_space import (
     INPUT,
@@ -64,6 +66,8 @@ class KalmanSettings:
     bias: expected bias before the first measurement, m/s² (the mean of the first samples is good).
     coasting_s: age of the last accepted measurement beyond which a row is `coasting`; lost_s: beyond which it is
     `lost`.
+    learn_noise: whether `kalman` and `lag` follow each source's noise where it is other than declared (not without a
+    gate: outliers would teach). `smoother` looks at the whole record instead.
     """
 
     bias_walk: float = 1e-8
@@ -74,11 +78,16 @@ class KalmanSettings:
     coasting_s: float = 0.5
     lost_s: float = 10.0
     gate: GateSettings = field(default_factory=GateSettings)
+    learn_noise: bool = True
 
     @property
     def limits(self) -> tuple[float, float]:
         """The gate's numbers as the recursion takes them."""
         return self.gate.limit, self.gate.reacquire_s
+
+    def noise_before(self) -> Floats:
+        """What is known of the sources' noise before the first measurement, as the recursion takes it."""
+        return nothing_learnt() if self.learn_noise and self.gate.limit < NO_GATE.limit else learning_off()
 
     def state_before(self, samples: Floats) -> Floats:
         """The state vector shortly before the first of `samples` (n, 3)."""
@@ -98,6 +107,7 @@ class KalmanFilter:
     def __init__(self, settings: KalmanSettings | None = None) -> None:
         self.settings = settings or KalmanSettings()
         self.state: Floats | None = None
+        self._learnt = self.settings.noise_before()
         self._origin_ns = 0
         self._waiting = Waiting()
         self._events = GateEvents()
@@ -113,18 +123,19 @@ class KalmanFilter:
             return []
         if not len(record.time_ns):
             return []
+        estimate, innovation, _ = self.run(record)
+        met = [innovation] if len(innovation.time_ns) else []
+        return [estimate, *met, *self._events.push(innovation)]
+
+    def run(self, record: Acceleration) -> tuple[Estimate, Innovation, Floats]:
+        """Estimate (n), innovations (m) and the noise variance (m,) in m² that each measurement was taken with."""
         if self.state is None:
             self._origin_ns = int(record.time_ns[0])
             self.state = self.settings.state_before(sample_rows(part(record, slice(2)), self._origin_ns))
-        estimates: list[Estimate] = []
-        told: list[Innovation] = []
-        for start in range(0, len(record.time_ns), BLOCK):
-            estimate, innovation = self._run(part(record, slice(start, start + BLOCK)), self.state)
-            estimates.append(estimate)
-            told.append(innovation)
-        innovation = joined(told)
-        met = [innovation] if len(innovation.time_ns) else []
-        return [joined(estimates), *met, *self._events.push(innovation)]
+        starts = range(0, len(record.time_ns), BLOCK)
+        found = [self._run(part(record, slice(start, start + BLOCK)), self.state) for start in starts]
+        estimates, innovations, noise = zip(*found, strict=True)
+        return joined(estimates), joined(innovations), np.concatenate(noise)
 
     def finish(self) -> list[Output]:
         """What is left to tell at the end of the record: a run of rejections that it cut off."""
@@ -142,14 +153,15 @@ class KalmanFilter:
         advance_covariance(ahead, dt, 0.0, 0.0)
         return float(ahead[X]), float(ahead[P00])
 
-    def _run(self, block: Acceleration, state: Floats) -> tuple[Estimate, Innovation]:
+    def _run(self, block: Acceleration, state: Floats) -> tuple[Estimate, Innovation, Floats]:
         samples = sample_rows(block, self._origin_ns)
         rows = due_rows(self._waiting, int(block.time_ns[-1]), self._origin_ns)
         nodes, outcome = np.empty((len(samples), NODE_COLUMNS)), np.zeros((len(rows), RECORD_COLUMNS))
-        filter_block(samples, rows, state, self.settings.bias_walk, self.settings.limits, nodes, outcome)
+        options = (self.settings.bias_walk, self.settings.limits)
+        learning_block(samples, rows, state, options, self._learnt, nodes, outcome)
         met = outcome[:, VERDICT] != UNUSED
         innovation = innovation_rows(rows[met], outcome[met], self._origin_ns)
-        return estimate_rows(block.time_ns, nodes, self.settings), innovation
+        return estimate_rows(block.time_ns, nodes, self.settings), innovation, outcome[met, NOISE]
 
 
 def sample_rows(acceleration: Acceleration, origin_ns: int) -> Floats:
@@ -194,7 +206,7 @@ def estimate_rows(time_ns: Nanoseconds, nodes: Floats, settings: KalmanSettings)
 
 
 def innovation_rows(rows: Floats, outcome: Floats, origin_ns: int) -> Innovation:
-    """Innovations of the measurements `rows` (m, 4) that were met with `outcome` (m, 8)."""
+    """Innovations of the measurements `rows` (m, 4) that were met with `outcome` (m, 9)."""
     return Innovation(
         time_ns=nanoseconds(rows[:, 0], origin_ns),
         value_m=outcome[:, INNOVATION].copy(),

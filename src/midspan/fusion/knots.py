@@ -9,9 +9,9 @@ from midspan.fusion.branches import MERGED_SHARE, AtFrames, Branches, Rates, Win
 from midspan.records import Displacement, Floats, seconds
 from midspan.signals.resample import REACH_STEPS, filtered_at, spline_rows
 
-# Columns of a knot.
-TIME, VALUE, VARIANCE, SOURCE, ANTI_ALIASED, FOLDED = range(6)
-COLUMNS = 6
+# Columns of a knot; ABSENT: 1 where it stands for a missing measurement, else 0.
+TIME, VALUE, VARIANCE, SOURCE, ABSENT, ANTI_ALIASED, FOLDED = range(7)
+COLUMNS = 7
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,8 +25,8 @@ class Grid:
 
 
 def usable_rows(displacement: Displacement, origin_ns: int) -> Floats:
-    """Rows (m, 4) of time in s, value, variance and source of the measurements that may be used."""
-    usable = np.isfinite(displacement.value_m) & np.isfinite(displacement.variance_m2) & (displacement.variance_m2 > 0)
+    """Rows (m, 4) of time in s, value, variance and source of the measurements of finite variance, and of holes."""
+    usable = np.isfinite(displacement.variance_m2)
     return np.column_stack(
         (
             seconds(displacement.time_ns[usable], origin_ns),
@@ -49,13 +49,17 @@ def merged(rows: Floats, apart_s: float, closed_s: float) -> tuple[Floats, Float
     groups, start = [], 0
     while start < len(rows) and time[start] <= closed_s:
         stop = int(np.searchsorted(time, time[start] + apart_s, side="right"))
-        weight = 1.0 / rows[start:stop, VARIANCE]
+        group = rows[start:stop]
+        # A hole of one sensor is none where another has a value.
+        sound = np.isfinite(group[:, VALUE])
+        group = group[sound] if sound.any() else group
+        weight = 1.0 / group[:, VARIANCE]
         groups.append(
             [
-                float(np.average(time[start:stop], weights=weight)),
-                float(np.average(rows[start:stop, VALUE], weights=weight)),
+                float(np.average(group[:, TIME], weights=weight)),
+                float(np.average(group[:, VALUE], weights=weight)),
                 1.0 / float(np.sum(weight)),
-                rows[start + int(np.argmax(weight)), SOURCE],
+                group[int(np.argmax(weight)), SOURCE],
             ]
         )
         start = stop
@@ -69,26 +73,62 @@ class Knots:
         self._branches, self._rates, self._window = branches, rates, window
         self._rows = np.empty((0, COLUMNS))
         self._waiting = np.empty((0, 4))
+        self._absent = np.empty((0, 4))
+        # Times of the last measurement that was made a knot, and of the last missing one.
+        self._met_s = self._missed_s = -np.inf
+        # Times of the last knot that is no hole, and of the last measured one.
+        self._sound_s = self._measured_s = np.nan
 
-    @property
-    def last_s(self) -> float:
-        """Time of the last knot, s; minus infinity before the first."""
-        return float(self._rows[-1, TIME]) if len(self._rows) else -np.inf
-
-    def add(self, rows: Floats) -> None:
-        """Take measurements (m, 4) in time order."""
+    def add(self, rows: Floats, absent: Floats) -> None:
+        """Take measurements (m, 4), and what stands for missing ones (q, 4), in time order."""
         self._waiting = np.concatenate((self._waiting, rows))
+        self._absent = np.concatenate((self._absent, absent))
 
     def prepare(self, grid: Grid, known_s: float) -> list[tuple[float, float]]:
         """Make knots of the measurements known for good, up to `known_s`; returns the gaps met: start and end in s."""
         apart_s = MERGED_SHARE * self._rates.frame_s
+        absent = self._lonely(apart_s, known_s - apart_s)
+        met = self._waiting[:, TIME]
         rows, self._waiting = merged(self._waiting, apart_s, known_s - apart_s)
+        used = len(met) - len(self._waiting)
+        self._met_s = float(met[used - 1]) if used else self._met_s
+        rows = np.column_stack((rows, np.zeros(len(rows))))
+        if len(absent):
+            rows = np.concatenate((rows, np.column_stack((absent, np.ones(len(absent))))))
+            rows = rows[np.argsort(rows[:, TIME], kind="stable")]
         if not len(rows):
             return []
-        times = np.concatenate((self._rows[-1:, TIME], rows[:, TIME]))
-        wide = np.flatnonzero(np.diff(times) > self._window.longest_s)
         self._rows = np.concatenate((self._rows, self._prepared(grid, rows)))
-        return [(float(times[i]), float(times[i + 1])) for i in wide]
+        return self._gaps(rows)
+
+    def _lonely(self, apart_s: float, closed_s: float) -> Floats:
+        """The missing ones (q, 4) up to `closed_s` that have no measurement beside them, nor another missing one."""
+        count = int(np.searchsorted(self._absent[:, TIME], closed_s, side="right"))
+        if not count:
+            return self._absent[:0]
+        due, self._absent = self._absent[:count], self._absent[count:]
+        met = np.concatenate(([self._met_s], self._waiting[:, TIME], [np.inf]))
+        place = np.searchsorted(met, due[:, TIME])
+        lonely = (due[:, TIME] - met[np.maximum(place - 1, 0)] > apart_s) & (met[place] - due[:, TIME] > apart_s)
+        kept = []
+        for i in np.flatnonzero(lonely):
+            if due[i, TIME] - self._missed_s > apart_s:
+                self._missed_s = float(due[i, TIME])
+                kept.append(i)
+        return due[kept]
+
+    def _gaps(self, rows: Floats) -> list[tuple[float, float]]:
+        """Where new knots (m, 5) leave too long an interval: from the last measured one to the next, in s."""
+        sound = rows[(rows[:, ABSENT] == 0.0) | np.isfinite(rows[:, VALUE])]
+        if not len(sound):
+            return []
+        times = np.concatenate(([self._sound_s], sound[:, TIME]))
+        measured = np.where(sound[:, ABSENT] == 0.0, sound[:, TIME], -np.inf)
+        measured = np.fmax.accumulate(np.concatenate(([self._measured_s], measured)))
+        self._sound_s, self._measured_s = float(times[-1]), float(measured[-1])
+        return [
+            (float(measured[i]), float(times[i + 1])) for i in np.flatnonzero(np.diff(times) > self._window.longest_s)
+        ]
 
     def forget(self, before_s: float) -> None:
         """Drop the knots that no later row can need."""
@@ -119,8 +159,20 @@ class Knots:
         result: NDArray[np.uint8] = found[np.maximum(place, 0)].astype(np.uint8)
         return result
 
+    def coasting(self, time_s: Floats, longest_s: float) -> NDArray[np.bool_]:
+        """Whether instants (n,) lie behind a missing measurement and longer than `longest_s` behind a real one."""
+        absent = self._rows[:, ABSENT] > 0.0
+        if not absent.any():
+            return np.zeros(len(time_s), dtype=np.bool_)
+        place = np.searchsorted(self._rows[:, TIME], time_s, side="right")
+        measured = np.concatenate(([-np.inf], np.maximum.accumulate(np.where(absent, -np.inf, self._rows[:, TIME]))))
+        result: NDArray[np.bool_] = (
+            (place > 0) & absent[np.maximum(place - 1, 0)] & (time_s - measured[place] > longest_s)
+        )
+        return result
+
     def _prepared(self, grid: Grid, rows: Floats) -> Floats:
-        """Knots (m, 6): the anti-aliasing stage's part taken off; not finite where acceleration is missing beside."""
+        """Knots (m, 7): the anti-aliasing stage's part taken off; not finite where acceleration is missing beside."""
         index = np.searchsorted(grid.time_s, rows[:, TIME], side="right") - 1
         reach = self._branches.reach
         inside = (index >= reach) & (index + reach + 1 < len(grid.time_s))
@@ -131,8 +183,8 @@ class Knots:
             # The stage's own noise: that of the acceleration through its filter.
             gain = float(np.sum(self._branches.removed.wanted**2)) / self._rates.step_s
             variance += gain * grid.density[np.clip(index, 0, len(grid.density) - 1)]
-        time, value, source = rows[:, TIME], rows[:, VALUE], rows[:, SOURCE]
-        return np.column_stack((time, value, variance, source, value - removed, probe - removed))
+        time, value, source, absent = rows[:, TIME], rows[:, VALUE], rows[:, SOURCE], rows[:, ABSENT]
+        return np.column_stack((time, value, variance, source, absent, value - removed, probe - removed))
 
     def _filtered(
         self, taps: AtFrames | None, grid: Grid, index: NDArray[np.int64], rows: Floats, inside: NDArray[np.bool_]

@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 
 from midspan.checks import positive
-from midspan.fusion.events import GateEvents
+from midspan.fusion.events import GateEvents, gate_events
 from midspan.fusion.gate import REJECTED
 from midspan.fusion.kalman import (
     BLOCK,
@@ -25,14 +25,15 @@ from midspan.fusion.kalman import (
 )
 from midspan.fusion.recursion import (
     NODE_COLUMNS,
+    NOISE,
     RECORD_COLUMNS,
     TIME_OF_NODE,
     UNUSED,
     VELOCITY,
     VERDICT,
-    filter_block,
+    learning_block,
 )
-from midspan.fusion.smoother import ADJOINT_SIZE, Smoothed, back_through_measurement, back_through_time, collected
+from midspan.fusion.smoother import ADJOINT_SIZE, Smoothed, back_through_measurement, back_through_time
 from midspan.fusion.state_space import P00, P01, P02, P11, P12, X
 from midspan.fusion.waiting import Waiting
 from midspan.records import (
@@ -69,6 +70,7 @@ class LagSmoother:
     def __init__(self, settings: LagSettings | None = None) -> None:
         self.settings = settings or LagSettings()
         self.state: Floats | None = None
+        self._learnt = self.settings.kalman.noise_before()
         self._origin_ns = 0
         self._waiting = Waiting()
         self._events = GateEvents()
@@ -91,20 +93,23 @@ class LagSmoother:
             return []
         if not len(record.time_ns):
             return []
-        runs = [self._run(part(record, slice(i, i + BLOCK))) for i in range(0, len(record.time_ns), BLOCK)]
-        innovation = joined([found for _, found in runs])
-        given = [estimate for estimate, _ in runs if len(estimate.time_ns)]
-        out: list[Output] = [joined(given)] if given else []
-        if len(innovation.time_ns):
-            out.append(innovation)
-        return [*out, *self._events.push(innovation)]
+        estimate, innovation, _ = self.run(record)
+        given = [item for item in (estimate, innovation) if len(item.time_ns)]
+        return [*given, *self._events.push(innovation)]
+
+    def run(self, record: Acceleration) -> tuple[Estimate, Innovation, Floats]:
+        """The rows that are due (possibly none), the block's innovations (m) and the variance (m,) m² of each."""
+        starts = range(0, len(record.time_ns), BLOCK)
+        found = [self._run(part(record, slice(start, start + BLOCK))) for start in starts]
+        estimates, innovations, noise = zip(*found, strict=True)
+        return joined(estimates), joined(innovations), np.concatenate(noise)
 
     def finish(self) -> list[Output]:
         """The samples that are still held back, and a run of rejections that the record's end cut off."""
         rest = self._give(len(self._stamps), np.inf) if len(self._stamps) else None
         return [*([rest] if rest else []), *self._events.finish()]
 
-    def _run(self, block: Acceleration) -> tuple[Estimate, Innovation]:
+    def _run(self, block: Acceleration) -> tuple[Estimate, Innovation, Floats]:
         if self.state is None:
             self._origin_ns = int(block.time_ns[0])
             self.state = self.settings.kalman.state_before(sample_rows(part(block, slice(2)), self._origin_ns))
@@ -112,13 +117,14 @@ class LagSmoother:
         samples = sample_rows(block, self._origin_ns)
         rows = due_rows(self._waiting, int(block.time_ns[-1]), self._origin_ns)
         nodes, outcome = np.empty((len(samples), NODE_COLUMNS)), np.zeros((len(rows), RECORD_COLUMNS))
-        filter_block(samples, rows, self.state, kalman.bias_walk, kalman.limits, nodes, outcome)
+        learning_block(samples, rows, self.state, (kalman.bias_walk, kalman.limits), self._learnt, nodes, outcome)
         met = outcome[:, VERDICT] != UNUSED
         used = met & (outcome[:, VERDICT] != REJECTED)
         self._hold(nodes, block.time_ns, np.column_stack((rows[used, 0], outcome[used])))
         until = int(block.time_ns[-1]) - round(self.settings.lag_s * NANOSECONDS)
         due = int(np.searchsorted(self._stamps, until, side="right"))
-        return self._give(due, self.settings.lag_s), innovation_rows(rows[met], outcome[met], self._origin_ns)
+        innovation = innovation_rows(rows[met], outcome[met], self._origin_ns)
+        return self._give(due, self.settings.lag_s), innovation, outcome[met, NOISE]
 
     def _hold(self, nodes: Floats, time_ns: Nanoseconds, used: Floats) -> None:
         self._nodes = np.concatenate((self._nodes, nodes))
@@ -143,11 +149,14 @@ def smooth_with_lag(
     """Run the fixed-lag smoother over a whole record.
 
     acceleration: block of n samples; displacement: block of m measurements on the same clock, in time order. The
-    estimate has one row a sample, made from what came before it and `lag_s` after it.
+    estimate has one row a sample, made from what came before it and `lag_s` after it; `variance_m2` tells the noise
+    each measurement was taken with.
     """
     stream = LagSmoother(settings)
     stream.push(displacement)
-    return collected([*stream.push(acceleration), *stream.finish()])
+    estimate, innovation, noise = stream.run(acceleration)
+    rest = [item for item in stream.finish() if isinstance(item, Estimate)]
+    return Smoothed(joined([estimate, *rest]), innovation, tuple(gate_events(innovation)), noise)
 
 
 @njit(cache=True, inline="always")
@@ -164,7 +173,7 @@ def _adjoint_before(used, first, last, adjoint):  # type: ignore[no-untyped-def]
 def smooth_late(nodes, used, lag_s, rows):  # type: ignore[no-untyped-def]
     """Smooth each node by the accepted measurements of the next `lag_s` seconds.
 
-    nodes (n, 13) and used (m, 9: time and outcome) as the forward recursion left them; rows = (displacement, velocity,
+    nodes (n, 13) and used (m, 10: time and outcome) as the forward recursion left them; rows = (displacement, velocity,
     variance), each (n,), take the result. The adjoint changes only where a measurement enters or leaves the window.
     """
     displacements, velocities, variances = rows

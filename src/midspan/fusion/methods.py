@@ -9,7 +9,7 @@ METHODS: dict[str, str] = {
     "lag": "live with a short delay (fusion.lag_s): nearly the smoother's error from half a second on",
     "adaptive-kalman": "causal, learns the displacement's noise as it goes: for light or weather that changes; "
     "with fusion.literal the adaptive multirate filter exactly as published",
-    "fir": "two FIR branches with a delay of seconds, no gate: to compare with Lee's method, where nothing folds",
+    "fir": "two FIR branches with a delay of seconds: to compare with Lee's method, where nothing folds",
     "two-stage-fir": "the same with folded motion taken off first: to compare with the two-stage method",
 }
 DEFAULT_METHOD = "smoother"

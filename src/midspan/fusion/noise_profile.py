@@ -18,10 +18,11 @@ LEAST, MOST = 0.1, 30.0
 ALIKE = 0.4
 
 
-def noise_factors(innovation: Innovation) -> Floats:
-    """Standard deviation of each innovation over the predicted one (m,): 1 where it does not clearly differ.
+def noise_factors(innovation: Innovation, taken: Floats) -> Floats:
+    """Standard deviation of each measurement's noise over the declared one (m,): 1 where it does not clearly differ.
 
-    innovation: of one sensor, in time order. Fewer than 61 tell nothing: all 1.
+    innovation: of one sensor, in time order; taken (m,): the standard deviation that the run took its noise with over
+    the declared one. Fewer than 61 tell nothing: all 1.
     """
     count = len(innovation.value_m)
     if count < WINDOW:
@@ -29,9 +30,9 @@ def noise_factors(innovation: Innovation) -> Floats:
     step = np.diff(innovation.value_m)
     predicted = innovation.variance_m2[1:] + innovation.variance_m2[:-1]
     size = np.abs(step) / np.sqrt(predicted) / NORMAL_MEDIAN
-    found = np.clip(_running_median(np.concatenate((size[:1], size))), LEAST, MOST)
+    found = np.clip(_running_median(np.concatenate((size[:1], size)) * taken), LEAST, MOST)
     changed = (found > CHANGED) | (found < 1.0 / CHANGED)
-    normal = np.clip(innovation.value_m / np.sqrt(innovation.variance_m2) / found, -4.0, 4.0)[changed]
+    normal = np.clip(innovation.value_m / np.sqrt(innovation.variance_m2) * taken / found, -4.0, 4.0)[changed]
     if normal[1:] @ normal[:-1] > ALIKE * (normal @ normal):
         return np.ones(count)
     return np.where(changed, found, 1.0)

@@ -6,9 +6,10 @@ from dataclasses import dataclass, field
 from midspan.checks import option
 from midspan.fusion.adaptive import AdaptiveSettings, adapt
 from midspan.fusion.branches import StreamSettings
+from midspan.fusion.causal import filter_record
 from midspan.fusion.complementary import run as run_branches
 from midspan.fusion.fir import FirFilter, FirSettings
-from midspan.fusion.kalman import KalmanFilter, KalmanSettings
+from midspan.fusion.kalman import KalmanSettings
 from midspan.fusion.lag import LagSettings, smooth_with_lag
 from midspan.fusion.smoother import Smoothed, collected, smooth
 from midspan.fusion.two_stage import TwoStageFir, TwoStageSettings
@@ -50,9 +51,7 @@ def _smoother(acceleration: Acceleration, displacement: Displacement, settings: 
 
 
 def _kalman(acceleration: Acceleration, displacement: Displacement, settings: MethodSettings) -> Smoothed:
-    stream = KalmanFilter(settings.kalman)
-    stream.push(displacement)
-    return collected([*stream.push(acceleration), *stream.finish()])
+    return filter_record(acceleration, displacement, settings.kalman)
 
 
 def _lag(acceleration: Acceleration, displacement: Displacement, settings: MethodSettings) -> Smoothed:

@@ -106,7 +106,7 @@ def smooth(acceleration: Acceleration, displacement: Displacement, settings: Kal
 
 
 def _forward(samples: Floats, rows: Floats, state: Floats, settings: KalmanSettings) -> tuple[Floats, Floats]:
-    """Nodes (n, 13) of a block and the outcome (m, 8) of its measurements; moves `state` on."""
+    """Nodes (n, 13) of a block and the outcome (m, 9) of its measurements; moves `state` on."""
     nodes, outcome = np.empty((len(samples), NODE_COLUMNS)), np.zeros((len(rows), RECORD_COLUMNS))
     used = filter_block(samples, rows, state, settings.bias_walk, settings.limits, nodes, outcome)
     outcome[used:, VERDICT] = UNUSED
@@ -169,7 +169,7 @@ def back_through_measurement(adjoint: Floats, row: Floats) -> None:
 def smooth_block(time_s, start_s, nodes, outcome, adjoint, smoothed):  # type: ignore[no-untyped-def]
     """Run the backward pass over one block; `adjoint` (9,) is changed in place and carries over to the block before.
 
-    time_s (n,): the samples; start_s: the time of the block's first state; nodes (n, 13), outcome (m, 8): what the
+    time_s (n,): the samples; start_s: the time of the block's first state; nodes (n, 13), outcome (m, 9): what the
     forward recursion left; smoothed (n, 3) takes displacement, velocity and the displacement's variance.
     """
     j = len(outcome) - 1

@@ -9,6 +9,7 @@ from midspan.fusion.branches import EXACT_RULE, Branches, NoiseGain, Rates, inte
 from midspan.fusion.even import EvenClock
 from midspan.fusion.kalman import KalmanSettings
 from midspan.fusion.knots import Grid, Knots, usable_rows
+from midspan.fusion.screen import Screened
 from midspan.fusion.smoother import smooth
 from midspan.records import (
     NANOSECONDS,
@@ -18,6 +19,7 @@ from midspan.records import (
     Event,
     Floats,
     Nanoseconds,
+    Source,
     Status,
     joined,
     part,
@@ -72,14 +74,20 @@ class Stretch:
         self._sound = np.empty(0, dtype=np.bool_)
         self._piece: tuple[int, Estimate] | None = None
 
-    def push(self, acceleration: Acceleration, displacement: Displacement) -> list[Estimate | Event]:
-        """Take samples and all displacement up to the last of them; returns the rows that are due."""
+    def push(self, acceleration: Acceleration, displacement: Screened) -> list[Estimate | Event]:
+        """Take samples and all displacement up to the last of them; returns the rows that are due.
+
+        The branches take what bridges rejected and missing measurements, least squares does without.
+        """
         self._acceleration.append(acceleration)
         self._acceleration = [joined(self._acceleration)]
-        self._take(*self._clock.push(seconds(acceleration.time_ns, self._origin_ns), acceleration.value_m_s2))
-        if len(displacement.time_ns):
-            self._raw.append(displacement)
-            self._knots.add(usable_rows(displacement, self._origin_ns))
+        if len(acceleration.time_ns):
+            self._take(*self._clock.push(seconds(acceleration.time_ns, self._origin_ns), acceleration.value_m_s2))
+        if len(displacement.believed.time_ns):
+            self._raw.append(displacement.believed)
+        self._knots.add(
+            usable_rows(displacement.bridged, self._origin_ns), usable_rows(displacement.missing, self._origin_ns)
+        )
         outputs = self._advance(final=False)
         self._forget()
         return outputs
@@ -113,8 +121,8 @@ class Stretch:
 
     def _told(self, start_s: float, end_s: float) -> Event:
         text = (
-            f"No displacement for {end_s - start_s:.3g} s: the filters' memory was reset; rows that would need it are "
-            "solved by least squares from what there is, with the wider band that belongs to it."
+            f"No displacement for {end_s - start_s:.3g} s that may be used: the filters' memory was reset; rows that "
+            "would need it are solved by least squares from what there is, with the wider band that belongs to it."
         )
         return Event(self._origin_ns + round(start_s * NANOSECONDS), "gap", text)
 
@@ -150,15 +158,14 @@ class Stretch:
     def _full(self, start: int, stop: int) -> NDArray[np.bool_]:
         """Whether each row (n,) from `start` to `stop` has a full window of sound samples."""
         margin, wide = self._window.half + 1, self._window.wide + 1
-        row = np.arange(start, stop) - self._base
-        inside = (row >= wide) & (row + wide < len(self._even)) & (row + margin < len(self._sound))
-        if inside.all() and self._sound.all():
-            return inside
-        unsound = np.concatenate(([0], np.cumsum(~self._sound)))
-        first, last = row - margin, row + margin + 1
-        found = unsound[np.minimum(last, len(self._sound))] - unsound[np.maximum(first, 0)]
-        result: NDArray[np.bool_] = inside & (found == 0)
-        return result
+        first, count = start - self._base, stop - start
+        last = min(len(self._even) - wide, len(self._sound) - margin)
+        full = np.zeros(count, dtype=np.bool_)
+        full[max(wide - first, 0) : max(last - first, 0)] = True
+        changes = np.flatnonzero(np.diff(self._sound, prepend=True, append=True))
+        for begun, ended in zip(changes[::2], changes[1::2], strict=True):
+            full[max(begun - margin - first, 0) : max(ended + margin - first, 0)] = False
+        return full
 
     def _filtered(self, start: int, end: int) -> Estimate:
         """The rows from `start` to `end` by the two branches."""
@@ -182,13 +189,15 @@ class Stretch:
             late_s = seconds(time_ns, self._origin_ns) - self._time_s[beside][1:-1]
             change = np.diff(found, 2) / method.rates.step_s**2
             displacement, speed = displacement + late_s * (speed + 0.5 * late_s * change), speed + late_s * change
+        at_s = self._time_s[beside][1:-1]
+        coasting = self._knots.coasting(at_s, method.edges.coasting_s)
         return Estimate(
             time_ns=time_ns,
             displacement_m=displacement,
             variance_m2=variance,
             velocity_m_s=speed,
-            source=self._knots.sources(self._time_s[beside][1:-1]),
-            status=np.full(end - start, Status.TRACKING, dtype=np.uint8),
+            source=np.where(coasting, np.uint8(Source.PREDICTION), self._knots.sources(at_s)),
+            status=np.where(coasting, np.uint8(Status.COASTING), np.uint8(Status.TRACKING)),
         )
 
     def _solved(self, start: int, end: int, *, final: bool) -> list[Estimate]:

@@ -79,7 +79,8 @@ class TwoStageFir(ComplementaryFilter):
 
     def __init__(self, settings: TwoStageSettings | None = None) -> None:
         self.settings = settings or TwoStageSettings()
-        super().__init__(lambda rates: design(rates, self.settings), self.settings.stream)
+        gate = not self.settings.literal
+        super().__init__(lambda rates: design(rates, self.settings), self.settings.stream, gate=gate)
 
 
 def two_stage_fir(

@@ -6,6 +6,7 @@ import numpy as np
 
 from midspan.calibration.time_offset import without_lonely
 from midspan.errors import UntrustedError
+from midspan.fusion.causal import filter_record
 from midspan.fusion.gate import ACCEPTED, REJECTED
 from midspan.fusion.kalman import KalmanSettings
 from midspan.fusion.noise_profile import LEAST, noise_factors
@@ -22,6 +23,7 @@ from midspan.records import (
     Event,
     Floats,
     Innovation,
+    Nanoseconds,
     Source,
     joined,
     part,
@@ -44,13 +46,32 @@ class SensorError:
 
 
 @dataclass(frozen=True, slots=True)
+class LevelError:
+    """From an instant on a sensor's measurements count from a zero that is known to a standard deviation (m) only."""
+
+    source: Source
+    from_ns: int
+    std_m: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CourseError:
+    """A sensor's zero wanders, and is known at stamps (n,) to standard deviations (n,) in m only."""
+
+    source: Source
+    time_ns: Nanoseconds
+    std_m: Floats
+
+
+@dataclass(frozen=True, slots=True)
 class FusionInputs:
     """What is fused: acceleration, displacement measurements of all sensors, the filter's settings.
 
     sampled: the acceleration without a sample that was put before the first one, None where there is no such sample;
     zero_ns: the instant that the displacement counts from (the first frame), None for a displacement sensor's own zero;
     level_m: taken off the displacement before fusing, so that a height of 123 m does not start the filter 123 m away;
-    errors: what is uncertain of each sensor's calibration.
+    errors: what is uncertain of each sensor's calibration; levels: zeros that are uncertain, and errors that come back
+    with the motion and do not average out.
     """
 
     acceleration: Acceleration
@@ -59,6 +80,7 @@ class FusionInputs:
     zero_ns: int | None = None
     level_m: float = 0.0
     errors: tuple[SensorError, ...] = ()
+    levels: tuple[LevelError | CourseError, ...] = ()
     sampled: Acceleration | None = None
 
 
@@ -151,39 +173,40 @@ def _measured_at_zero(inputs: FusionInputs, zero_ns: int) -> tuple[float, float]
 
 
 def _smooth_again(inputs: FusionInputs, right: Mask) -> Smoothed:
-    """The smoother, run again where the first run found lonely outliers or noise that is other than declared.
+    """The smoother over what a causal run leaves: without lonely outliers, with the noise that it found.
 
+    The causal run learns the noise as it goes, so that a sudden change does not lead it away, as it would the smoother.
     After a gap the prediction is so wide that an outlier passes the gate and leads the filter away. A measurement that
     leaves its neighbours on both sides is only kept where a sharp prediction agrees with it. right (m,): measurements
     that are known to be no outliers.
     """
-    first = smooth(inputs.acceleration, inputs.displacement, inputs.kalman)
-    lonely = _lonely(inputs.displacement, first.innovation) & ~right
-    learnt = _learnt_variance(inputs.displacement, first.innovation)
-    if not lonely.any() and learnt is None:
-        return first
-    declared = inputs.displacement.variance_m2 if learnt is None else learnt
+    causal = filter_record(inputs.acceleration, inputs.displacement, inputs.kalman)
+    declared = _learnt_variance(inputs.displacement, causal)
+    lonely = _lonely(replace(inputs.displacement, variance_m2=declared), causal.innovation) & ~right
     kept = replace(inputs.displacement, variance_m2=np.where(lonely, np.inf, declared))
-    second = smooth(inputs.acceleration, kept, inputs.kalman)
-    # They count as rejected measurements, with the first run's innovations.
-    met = places(inputs.displacement, first.innovation)
-    left_out = part(first.innovation, lonely[met])
-    both = joined([second.innovation, replace(left_out, verdict=np.full_like(left_out.verdict, REJECTED))])
-    place = np.concatenate((places(kept, second.innovation), met[lonely[met]]))
+    found = smooth(inputs.acceleration, kept, inputs.kalman)
+    if not lonely.any() and np.array_equal(declared, inputs.displacement.variance_m2, equal_nan=True):
+        return found
+    # They count as rejected measurements, with the causal run's innovations.
+    met = places(inputs.displacement, causal.innovation)
+    left_out = part(causal.innovation, lonely[met])
+    both = joined([found.innovation, replace(left_out, verdict=np.full_like(left_out.verdict, REJECTED))])
+    place = np.concatenate((places(kept, found.innovation), met[lonely[met]]))
     order = np.argsort(place)
-    return replace(second, innovation=part(both, order), variance_m2=declared[place[order]])
+    return replace(found, innovation=part(both, order), variance_m2=declared[place[order]])
 
 
-def _learnt_variance(measured: Displacement, found: Innovation) -> Floats | None:
-    """Variance (m,) of each measurement where the noise is clearly other than declared; None where it nowhere is."""
-    met = places(measured, found)
-    declared = measured.variance_m2[met]
+def _learnt_variance(measured: Displacement, causal: Smoothed) -> Floats:
+    """Variance (m,) of each measurement: another one than declared where the noise clearly is."""
+    met, innovation = places(measured, causal.innovation), causal.innovation
+    declared, used = measured.variance_m2[met], causal.variance_m2
+    taken = np.ones(len(met)) if used is None else np.sqrt(used / declared)
     variance = measured.variance_m2.copy()
     for source in np.unique(measured.source[met]):
         own = measured.source[met] == source
         # The prediction's own variance follows the noise that is told, so the whole innovation scales with it.
-        variance[met[own]] = noise_factors(part(found, own)) ** 2 * declared[own]
-    return None if np.array_equal(variance[met], declared) else variance
+        variance[met[own]] = noise_factors(part(innovation, own), taken[own]) ** 2 * declared[own]
+    return variance
 
 
 def _lonely(measured: Displacement, found: Innovation) -> Mask:
@@ -209,7 +232,9 @@ def _lonely(measured: Displacement, found: Innovation) -> Mask:
 def _measurement_errors(inputs: FusionInputs, rows: Estimate) -> list[Floats]:
     """The error (m,) of all measurements for one standard deviation of each uncertain value of each sensor."""
     measured = inputs.displacement
-    value = np.where(np.isfinite(measured.value_m), measured.value_m, 0.0)
+    # A wrong scale moves a sensor's own zero as well.
+    level = inputs.level_m if inputs.zero_ns is None else 0.0
+    value = np.where(np.isfinite(measured.value_m), measured.value_m + level, 0.0)
     found = []
     for error in inputs.errors:
         own = measured.source == error.source
@@ -218,6 +243,13 @@ def _measurement_errors(inputs: FusionInputs, rows: Estimate) -> list[Floats]:
         if 0.0 < error.clock_std_s < np.inf:
             velocity = np.interp(measured.time_ns, rows.time_ns, rows.velocity_m_s)
             found.append(np.where(own, error.clock_std_s * velocity, 0.0))
+    for zero in inputs.levels:
+        if isinstance(zero, CourseError):
+            std = np.interp(measured.time_ns, zero.time_ns, zero.std_m)
+            found.append(np.where(measured.source == zero.source, std, 0.0))
+            continue
+        own = (measured.source == zero.source) & (measured.time_ns >= zero.from_ns)
+        found.append(np.where(own, zero.std_m, 0.0))
     return found
 
 
