@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.table import goal, show
+from midspan.radar.following import bins_within
 from midspan.radar.layout import Cube, Layout, Words, pack, unpack
 from midspan.radar.range_profile import hann, slow_time
 from midspan.simulate.radar import SHORT_RANGE, beat
@@ -19,6 +20,7 @@ from midspan.sources.radar.dca1000 import RawCapture
 from midspan.sources.radar.radar_source import RadarRequest
 
 CHIRP, RANGE_M, FRAMES, BATCH = SHORT_RANGE, 1.318, 4000, 100
+FOLLOWED_M = 0.04
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -50,10 +52,13 @@ def compare() -> None:
             fft(part * window, axis=-1, workers=1)
 
     ours = best(lambda: slow_time(words, layout, np.array([RANGE_M / CHIRP.bin_m])))
+    place = RANGE_M / CHIRP.bin_m
+    followed = best(lambda: slow_time(words, layout, bins_within(place, FOLLOWED_M / CHIRP.bin_m)))
     unpacked, ready_made = best(lambda: whole(None)), best(lambda: whole(ready))
     read, read_whole = from_disk(words, layout)
     rows = [
         ["one bin from the words", 1e6 * ours / FRAMES, 1.0],
+        ["all bins of a motion of 40 mm, to follow it", 1e6 * followed / FRAMES, followed / ours],
         ["unpack, window, FFT", 1e6 * unpacked / FRAMES, unpacked / ours],
         ["window, FFT of unpacked samples", 1e6 * ready_made / FRAMES, ready_made / ours],
     ]
@@ -62,6 +67,7 @@ def compare() -> None:
     show(["", "µs a frame", "ratio"], rows)
     goal("times faster than a windowed FFT of every frame", unpacked / ours, 6.0, at_least=True)
     goal("the same from a capture on disk, holes looked for", read_whole / read, 6.0, at_least=True)
+    goal("the same with the bins of a motion of 40 mm", unpacked / followed, 6.0, at_least=True)
     goal("the same against samples that are unpacked already", ready_made / ours, 6.0, at_least=True)
 
 

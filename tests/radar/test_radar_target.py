@@ -11,8 +11,9 @@ from midspan.radar.alignment import align
 from midspan.radar.channels import channel_weights, combined, noise_variance, phase_variance
 from midspan.radar.chirp import RangeAxis
 from midspan.radar.circle import standing_still
+from midspan.radar.evidence import clutter_share
 from midspan.radar.literal import best_on_grid, grid_factor
-from midspan.radar.target import clutter_share, find_targets, ranked
+from midspan.radar.target import find_targets, ranked
 from midspan.simulate.motion import Sines, random_motion
 from midspan.simulate.radar import RadarModel, Reflector, noise_for, phase_bound_m
 

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from radar_cases import CYCLE, RATE, UNIT, accelerometer, phasors, sine
 
+from midspan.radar.aligned import unwrap_aligned
 from midspan.radar.alignment import align
-from midspan.radar.phase_filter import PhaseFilter, PhaseFilterSettings, unwrap_aligned, unwrap_filtered
+from midspan.radar.phase_filter import PhaseFilter, PhaseFilterSettings, unwrap_filtered
 from midspan.radar.unwrap import inertial_steps, unwrap_aided, unwrap_plain, wrapped
 from midspan.records import Status
 from midspan.simulate.motion import Sines

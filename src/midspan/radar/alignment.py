@@ -22,6 +22,12 @@ PRIOR_SHARE = 0.6
 # Lags of the first search, frames, and the fewest second differences that it needs.
 SEARCHED_LAGS, LEAST_FRAMES = (1, 4, 16), 20
 _STEPS, _RATIOS = 6, 25
+# The scatter of the result is that of sums over stretches of so many lags, of which there must be a few; from so few it
+# comes out a little small.
+STRETCH_LAGS, LEAST_STRETCHES, MARGIN = 8, 10, 1.08
+# The accelerometer's noise is what its quieter frequencies hold: this percentile of its spectrum, from records of so
+# many samples on. The correction for it is believed to this share.
+QUIET_PERCENTILE, SPECTRUM_SAMPLES, CORRECTION_SHARE = 30.0, 256, 0.3
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +51,7 @@ class Integrals:
     velocity: object
     place: object
     span: tuple[float, float]
+    noise_density: float
 
     @classmethod
     def of(cls, samples: Floats) -> "Integrals":
@@ -52,7 +59,8 @@ class Integrals:
         from scipy.interpolate import CubicSpline
 
         spline = CubicSpline(samples[:, 0], samples[:, 1] - np.mean(samples[:, 1]))
-        return cls(spline, spline.antiderivative(1), spline.antiderivative(2), (samples[0, 0], samples[-1, 0]))
+        span = (samples[0, 0], samples[-1, 0])
+        return cls(spline, spline.antiderivative(1), spline.antiderivative(2), span, _noise_density(samples))
 
     def second_difference(self, time_s: Floats, lag_s: float, order: int = 0) -> Floats:
         """Displacement before, minus twice now, plus after, at times (n,); its derivative in time with `order` 1."""
@@ -63,6 +71,25 @@ class Integrals:
             return np.asarray(f(np.clip(t, low, high)))  # type: ignore[operator]
 
         return at(time_s - lag_s) - 2.0 * at(time_s) + at(time_s + lag_s)
+
+    def displacement(self, time_s: Floats) -> Floats:
+        """Displacement at times (n,), m, but for a drift."""
+        return np.asarray(self.place(np.clip(time_s, *self.span)))  # type: ignore[operator]
+
+    def noise_variance(self, lag_s: float) -> float:
+        """Variance (m²) that white noise of the accelerometer gives a second difference: its weight is a triangle."""
+        return self.noise_density * 2.0 * lag_s**3 / 3.0
+
+
+def _noise_density(samples: Floats) -> float:
+    """Two-sided density of the accelerometer's noise, (m/s²)²/Hz; 0 for records too short for a spectrum."""
+    if len(samples) < 2 * SPECTRUM_SAMPLES:
+        return 0.0
+    parts = np.lib.stride_tricks.sliding_window_view(samples[:, 1], SPECTRUM_SAMPLES)[:: SPECTRUM_SAMPLES // 2]
+    window = np.sin(np.pi * (np.arange(SPECTRUM_SAMPLES) + 0.5) / SPECTRUM_SAMPLES) ** 2
+    spectrum = np.fft.rfft((parts - parts.mean(axis=1, keepdims=True)) * window, axis=1)
+    power = np.mean(np.abs(spectrum[:, 1:-1]) ** 2, axis=0) / np.sum(window**2)
+    return float(np.percentile(power, QUIET_PERCENTILE) * np.median(np.diff(samples[:, 0])))
 
 
 def align(
@@ -179,16 +206,53 @@ def _sharpened(
         response = integrals.second_difference(at, lag * period)
         slope = integrals.second_difference(at, lag * period, 1)
         columns = unit * np.column_stack((response, value[0] * slope, np.ones(len(at))))
-        rest = wrapped(second - columns[:, [0, 2]] @ value[[0, 2]])
-        normal = columns.T @ columns
+        rest = wrapped(second - np.asarray(columns[:, [0, 2]] @ value[[0, 2]], dtype=np.float64))
         try:
-            change = np.linalg.solve(normal, columns.T @ rest)
+            inverse = np.asarray(np.linalg.inv(columns.T @ columns), dtype=np.float64)
         except np.linalg.LinAlgError:
             return None
-        value = value + change
+        value = value + inverse @ (columns.T @ rest)
     spread = float(np.sqrt(np.mean(rest**2)))
-    std = spread * np.sqrt(np.abs(np.diag(np.linalg.inv(normal))))
     if spread > 1.5 or not np.all(np.isfinite(value)):  # 1.81 is the spread of angles that are all alike
         return None
-    std = std * np.sqrt(max(1.0, lag / 2.0))
-    return Alignment(float(value[0]), float(std[0]), float(value[1]), float(std[1]))
+    std = _scatter(columns, rest, inverse, frame, lag)
+    shrunk = _shrunk(time, phase, integrals, (unit, period, lag), (value, spread, float(np.var(response))))
+    ratio = float(value[0]) / (1.0 - shrunk)
+    ratio_std = float(np.hypot(std[0], CORRECTION_SHARE * shrunk * ratio))
+    return Alignment(ratio, ratio_std, float(value[1]), float(std[1]))
+
+
+def _scatter(columns: Floats, rest: Floats, inverse: Floats, frame: NDArray[np.int64], lag: int) -> Floats:
+    """Standard deviations (k,) of least-squares results whose residuals (n,) hang together over a few lags.
+
+    The sums of column times residual over stretches show the noise as it is at the frequencies of the motion.
+    """
+    stretch = frame // (STRETCH_LAGS * lag)
+    starts = np.flatnonzero(np.diff(stretch, prepend=-1))
+    if len(starts) < LEAST_STRETCHES:
+        return np.asarray(np.sqrt(np.mean(rest**2) * np.abs(np.diag(inverse)) * max(1.0, lag / 2.0)))
+    sums = np.add.reduceat(columns * rest[:, None], starts)
+    spread = sums.T @ sums * len(starts) / (len(starts) - columns.shape[1])
+    return np.asarray(MARGIN * np.sqrt(np.diag(inverse @ spread @ inverse)))
+
+
+def _shrunk(
+    time: Floats,
+    phase: Floats,
+    integrals: Integrals,
+    known: tuple[float, float, int],
+    found: tuple[Floats, float, float],
+) -> float:
+    """By what share the accelerometer's own noise makes the ratio too small, 0 … ½.
+
+    found: the values, the spread of what is left (rad), the variance of the response (m²). The noise is what the quiet
+    frequencies hold, and not more than what is left over this lag beyond what is left over one frame, where the noise
+    of the phase is alone.
+    """
+    (unit, period, lag), (value, spread, power) = known, found
+    second, frame = _differences(phase, 1)
+    response = integrals.second_difference(time[frame] + value[1], period)
+    rest = wrapped(second - unit * value[0] * response)
+    excess = (spread**2 - float(np.var(rest))) / (unit * value[0]) ** 2
+    noise = min(integrals.noise_variance(lag * period), max(excess, 0.0))
+    return min(noise / power, 0.5) if power > 0 else 0.0

@@ -16,6 +16,11 @@ from midspan.records import Floats
 SURE_STD, NEAR_WHOLE = 4.0, 0.25
 PARTS = 8
 LEAST_FRAMES = 3 * PARTS
+# How much faster than the target's phase that of clutter may turn against it: half as much for what moves half as much
+# as the target, one for what stands still, more for what moves the other way.
+SLOPES = (0.5, 1.0, 1.7)
+# Standard deviation per median absolute deviation of a normal distribution.
+NORMAL = 1.4826
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,23 +51,37 @@ def verify_cycles(
     for start, first, end in zip(edges[:-2], edges[1:-1], edges[2:], strict=True):
         # Cycles of range less phase: constant while the cycle is right.
         gap = (coarse * phase_per_m - phase) / (2.0 * np.pi)
-        before, after = _mean(_known(gap[start:first])[-longest:]), _mean(_known(gap[first:end])[:longest])
-        verdict = _judged(first, after[0] - before[0], float(np.hypot(before[1], after[1])))
+        before, after = _side(gap, phase, slice(start, first), -longest), _side(gap, phase, slice(first, end), longest)
+        bent = max(_bent(gap[start:first]), _bent(gap[first:end])) * float(np.hypot(before[2], after[2]))
+        verdict = _judged(first, after[0] - before[0], float(np.hypot(np.hypot(before[1], after[1]), bent)))
         phase[first:] += 2.0 * np.pi * verdict.cycles
         verdicts.append(verdict)
     return phase, tuple(verdicts)
 
 
-def _mean(gap: Floats) -> tuple[float, float]:
-    """Mean and its standard deviation, from the scatter of the means of its parts, which drift and clutter widen."""
-    if len(gap) < LEAST_FRAMES:
-        return 0.0, np.inf
-    means = np.array([part.mean() for part in np.array_split(gap, PARTS)])
-    return float(gap.mean()), float(means.std(ddof=1) / np.sqrt(PARTS))
+def _side(gap: Floats, phase: Floats, part: slice, longest: int) -> tuple[float, float, float]:
+    """Mean gap of the frames nearest to the outage, its standard deviation, and how unevenly the phase lies in them.
+
+    The deviation is the scatter of the means of parts, which drift and clutter widen. Clutter that turns with the phase
+    pulls the range to and fro; where the phase lies evenly, 0, that averages out; where it rests, 1, it does not.
+    """
+    known = np.flatnonzero(np.isfinite(gap[part]) & np.isfinite(phase[part])) + (part.start or 0)
+    known = known[longest:] if longest < 0 else known[:longest]
+    if len(known) < LEAST_FRAMES:
+        return 0.0, np.inf, 1.0
+    means = np.array([some.mean() for some in np.array_split(gap[known], PARTS)])
+    uneven = max(float(np.abs(np.mean(np.exp(1j * slope * phase[known])))) for slope in SLOPES)
+    return float(gap[known].mean()), float(means.std(ddof=1) / np.sqrt(PARTS)), uneven
 
 
-def _known(gap: Floats) -> Floats:
-    return gap[np.isfinite(gap)]
+def _bent(gap: Floats) -> float:
+    """Standard deviation (cycles) of what moves the range slowly, beyond the noise that is new in every frame."""
+    known = gap[np.isfinite(gap)]
+    if len(known) < LEAST_FRAMES:
+        return 0.0
+    slow = float(np.median(np.abs(known - np.median(known)))) * NORMAL
+    step = float(np.median(np.abs(np.diff(known)))) * NORMAL / np.sqrt(2.0)
+    return float(np.sqrt(max(slow**2 - step**2, 0.0)))
 
 
 def _judged(frame: int, difference: float, std: float) -> CycleVerdict:

@@ -17,25 +17,31 @@ from midspan.records import Floats
 LEAST_DB = 6.0
 # Pairing is believed when it packs the energy this many times more densely than the other one.
 LEAST_DENSITY = 1.3
+# Bins about zero in which attached parts lie, whose window is four bins wide.
+NEAR_ZERO = 2
 _PAIRINGS = (("IIQQ", "QQII"), ("IQIQ", "QIQI"))
 
 
 @dataclass(frozen=True, slots=True)
 class OrderEvidence:
     """Of each order: energy of the nearer over the farther half of the range, and of the nearest over the farthest
-    eighth, dB; and how densely the energy lies, 0 … 1.
+    eighth, dB; and how densely the energy lies, 0 … 1, of all and of what is not near zero.
     """
 
     halves_db: dict[str, float]
     eighths_db: dict[str, float]
     density: dict[str, float]
+    density_beside: dict[str, float]
 
     def paired(self) -> tuple[str, str] | None:
-        """The two orders of the pairing that shows, or None where neither does."""
-        first, second = (max(self.density[order] for order in pair) for pair in _PAIRINGS)
-        if first > LEAST_DENSITY * second:
-            return _PAIRINGS[0]
-        return _PAIRINGS[1] if second > LEAST_DENSITY * first else None
+        """The two orders of the pairing that shows, in all that is seen or in the targets alone, or None."""
+        for density in (self.density, self.density_beside):
+            first, second = (max(density[order] for order in pair) for pair in _PAIRINGS)
+            if first > LEAST_DENSITY * second:
+                return _PAIRINGS[0]
+            if second > LEAST_DENSITY * first:
+                return _PAIRINGS[1]
+        return None
 
     def proves(self, order: str) -> bool:
         """Whether energy lies clearly in the nearer half, and in the nearest eighth too."""
@@ -63,12 +69,15 @@ def swapped(order: str) -> str:
 def weigh_orders(words: Words, layout: Layout) -> OrderEvidence:
     """What whole frames of words (frames · words a frame,) say for each order; complex samples only."""
     orders = ORDERS if layout.lanes == 2 else ("IIQQ", "QQII")
-    power = {order: _power(words, Layout(layout.profile, order, layout.lanes)) for order in orders}
+    whole = {order: _power(words, Layout(layout.profile, order, layout.lanes), mean=True) for order in orders}
+    power = {order: _power(words, Layout(layout.profile, order, layout.lanes), mean=False) for order in orders}
     half, eighth = layout.profile.samples // 2, layout.profile.samples // 8
     return OrderEvidence(
         halves_db={order: _ratio_db(p[1:half], p[half + 1 :]) for order, p in power.items()},
         eighths_db={order: _ratio_db(p[1 : eighth + 1], p[-eighth:]) for order, p in power.items()},
-        density={order: float(power[order] @ power[order]) if order in power else 0.0 for order in ORDERS},
+        # What is attached lies near zero. Without its mean its ghost would outweigh it and speak for the wrong pairing.
+        density={order: float(whole[order] @ whole[order]) if order in whole else 0.0 for order in ORDERS},
+        density_beside={order: _density_beside(power[order]) if order in power else 0.0 for order in ORDERS},
     )
 
 
@@ -93,14 +102,27 @@ def decide_order(evidence: OrderEvidence, claimed: str, *, said: bool) -> OrderD
     return OrderDecision(order, False, f"{text} If it is wrong, set radar.iq_order = {swapped(order)!r}.")
 
 
-def _power(words: Words, layout: Layout) -> Floats:
-    """Mean power (samples,) of the windowed chirps without their mean, as shares of all; the zero bin is left out."""
+def _power(words: Words, layout: Layout, *, mean: bool) -> Floats:
+    """Mean power (samples,) of the windowed chirps as shares of all, with their mean or without it and the zero bin."""
     cube = unpack(words, layout).astype(np.complex128)
-    cube -= cube.mean(axis=-1, keepdims=True)
+    if not mean:
+        cube -= cube.mean(axis=-1, keepdims=True)
     spectrum = np.fft.fft(cube * np.hanning(cube.shape[-1]), axis=-1)
     power = np.mean(np.abs(spectrum) ** 2, axis=tuple(range(cube.ndim - 1)))
-    power[0] = 0.0
+    if not mean:
+        power[0] = 0.0
     return np.asarray(power / max(float(power.sum()), 1e-300))
+
+
+def _density_beside(power: Floats) -> float:
+    """How densely shares of power (samples,) lie, 0 … 1, apart from what is attached and its ghost."""
+    count = len(power)
+    away = NEAR_ZERO if count > 8 * NEAR_ZERO else 0
+    near = np.arange(-away, away + 1)
+    kept = power.copy()
+    kept[np.concatenate((near, near + count // 2))] = 0.0
+    kept /= max(float(kept.sum()), 1e-300)
+    return float(kept @ kept)
 
 
 def _ratio_db(near: Floats, far: Floats) -> float:

@@ -6,15 +6,14 @@ averages over many frames, so it stays right at signal-to-noise ratios and throu
 lead astray.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from midspan.checks import positive, same_length
-from midspan.radar.alignment import Alignment, align
-from midspan.radar.unwrap import TURN, inertial_steps
+from midspan.radar.unwrap import TURN
 from midspan.records import Floats, Status
 
 U, V, B, P00, P01, P02, P11, P12, P22, MISFIT, SEEN, BLIND, ENERGY_A, ENERGY_D, MIXED = range(15)
@@ -37,12 +36,6 @@ WATCH_FRAMES = 100.0
 # The accelerometer counts as dead when it explains less than this share of the phase's second differences, while these
 # are this many times what noise makes.
 DEAD_SHARE, DEAD_EXCESS = 0.1, 3.0
-# Errors of the alignment that are allowed for where it has been found, at least.
-LEAST_SCALE_ERROR, LEAST_TIME_ERROR_S = 0.002, 1e-4
-# Frames that tell the speed at the start, and how well they do, m/s.
-START_FRAMES, START_SPEED_STD_M_S = 32, 0.01
-# The shortest record whose trend tells a drift from a swing, s.
-LEAST_TREND_S = 8.0
 # A prediction whose standard deviation exceeds this share of a cycle cannot name the cycle any more.
 UNSURE_CYCLES = 0.2
 
@@ -76,7 +69,9 @@ class Unwrapped:
 
     phase_rad is NaN where the frame was not used; filtered_m (n,) goes on by the accelerometer. `status` holds `Status`
     codes; `restarts` are the frames from which on the cycle is a guess, because the prediction had become too wide;
-    `surprise` is the mean of log variance + squared innovation over variance: the smaller, the better predicted.
+    `surprise` is the mean of log variance + squared innovation over variance: the smaller, the better predicted;
+    innovation_rad (n,): wrapped phase less prediction, NaN where not used; explained: whether the accelerometer
+    accounts for the motion, or there is too little of it for a cycle to be lost.
     """
 
     phase_rad: Floats
@@ -86,6 +81,8 @@ class Unwrapped:
     status: NDArray[np.uint8]
     restarts: tuple[int, ...]
     surprise: float = np.nan
+    innovation_rad: Floats = field(default_factory=lambda: np.empty(0))
+    explained: bool = True
 
 
 @njit(cache=True)
@@ -172,12 +169,12 @@ def _begin(s, phase, variance, unit, usable):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def _run(s, rows, steps, unit, limits, out):  # type: ignore[no-untyped-def]
-    """rows: time step, phase, variance; out: phase, filtered, its variance, 1 used (2: cycle lost), surprise."""
+    """rows: time step, phase, variance; out: phase, filtered, variance, 1 used (2: cycle lost), surprise, misfit."""
     density, scale, delay, walk = limits
     for k in range(len(rows)):
         dt, phase, variance = rows[k]
         usable = np.isfinite(phase) and variance < BLIND_RAD * BLIND_RAD
-        out[k, 0], out[k, 3], out[k, 4] = np.nan, 0.0, np.nan
+        out[k, 0], out[k, 3], out[k, 4], out[k, 5] = np.nan, 0.0, np.nan, np.nan
         if s[SEEN] == 0.0:
             _begin(s, phase, variance, unit, usable)
             if usable:
@@ -199,19 +196,12 @@ def _run(s, rows, steps, unit, limits, out):  # type: ignore[no-untyped-def]
             if misfit < 1.0 or np.sqrt(s[P00]) < WIDEST_CYCLES * 2.0 * np.pi / unit:
                 rise = (min(misfit, MOST_MISFIT) - FAIR_MISFIT) / MISFIT_FRAMES
                 s[MISFIT] = min(max(s[MISFIT] + rise, 0.0), MOST_INFLATED)
-            out[k, 4] = np.log(spread) + misfit
+            out[k, 4], out[k, 5] = np.log(spread) + misfit, difference
             s[BEFORE], s[LAST], s[AGE] = s[LAST], phase, s[AGE] + 1.0
             out[k, 0], out[k, 3] = predicted + difference, 2.0 if lost else 1.0
         else:
             s[AGE] = 0.0
         out[k, 1], out[k, 2] = s[U], s[P00]
-
-
-# The radar alone: the range changes at a speed that wanders slowly, or fast.
-WITHOUT_ACCELEROMETER = (
-    PhaseFilterSettings(noise_density=1e-2, start_inflation=0.0),
-    PhaseFilterSettings(noise_density=1.0, start_inflation=0.0),
-)
 
 
 class PhaseFilter:
@@ -240,7 +230,7 @@ class PhaseFilter:
         same_length(frame_s=time, phase_rad=phase, variance_rad2=variance, steps=steps)
         before = time[:1] if self._time_s is None else np.array([self._time_s])
         rows = np.column_stack((np.diff(time, prepend=before), phase, variance))
-        out = np.empty((len(time), 5))
+        out = np.empty((len(time), 6))
         s = self._settings
         limits = (s.noise_density, s.scale_error, s.time_error_s, s.bias_walk)
         _run(self._state, rows, np.ascontiguousarray(steps), self._unit, limits, out)
@@ -259,6 +249,7 @@ class PhaseFilter:
             status=status.astype(np.uint8),
             restarts=tuple(int(k) for k in np.flatnonzero(out[:, 3] == 2.0)),
             surprise=float(np.nanmean(out[:, 4])) if np.isfinite(out[:, 4]).any() else np.nan,
+            innovation_rad=out[:, 5],
         )
 
 
@@ -273,85 +264,3 @@ def unwrap_filtered(
 ) -> Unwrapped:
     """Unwrap a whole record (n,) with a `PhaseFilter`; the arguments are those of its `push`."""
     return PhaseFilter(phase_per_m, settings).push(frame_s, phase_rad, variance_rad2, steps)
-
-
-def unwrap_aligned(
-    frame_s: Floats,
-    phase_rad: Floats,
-    *,
-    variance_rad2: Floats,
-    samples: Floats,
-    phase_per_m: float,
-    ratio: float,
-    max_offset_s: float = 0.15,
-) -> tuple[Unwrapped, Alignment | None]:
-    """Unwrap a record (n,) of evenly spaced frames after aligning the accelerometer with the phase itself.
-
-    samples (m, 2): time on the accelerometer's clock (s) and acceleration (m/s²); ratio: range change per displacement
-    as far as it is known, signed (the inverse conversion factor). A factor that is 60 % wrong or a clock that is
-    `max_offset_s` off does no harm where there is motion enough to tell; the alignment is None where there is not.
-    """
-    usable = np.asarray(variance_rad2) < BLIND_RAD**2
-    phase = np.where(usable, phase_rad, np.nan)
-    found = align(frame_s, phase, samples=samples, phase_per_m=phase_per_m, max_offset_s=max_offset_s, prior=ratio)
-    offset, ratio = (found.offset_s, found.ratio) if found is not None else (0.0, ratio)
-    level = float(np.mean(samples[:, 1]))
-    steps = inertial_steps(frame_s, np.column_stack((samples[:, 0] - offset, ratio * (samples[:, 1] - level))))
-    speed = _first_speed(np.asarray(frame_s, dtype=np.float64), phase, steps, phase_per_m)
-    runs = [
-        unwrap_filtered(
-            frame_s, phase, variance_rad2=variance_rad2, steps=share * steps, phase_per_m=phase_per_m, settings=settings
-        )
-        for share, settings in ((1.0, _settings(found, speed)), *((0.0, alone) for alone in WITHOUT_ACCELEROMETER))
-    ]
-    # An accelerometer that is dead, or of another event, predicts worse than none.
-    best = min(runs, key=lambda run: np.inf if np.isnan(run.surprise) else run.surprise)
-    return _without_drift(best, np.asarray(frame_s, dtype=np.float64), phase_per_m), found
-
-
-def _without_drift(run: Unwrapped, frame_s: Floats, unit: float) -> Unwrapped:
-    """The run less a whole number of cycles a frame, where its trend is nearest to one.
-
-    Wrapped phases and accelerations are the same for a range that changes by a cycle more in every frame. A record that
-    begins in the middle of a swing can settle there; but no structure drifts so far.
-    """
-    known = np.flatnonzero(np.isfinite(run.phase_rad))
-    if len(known) < 2 or frame_s[known[-1]] - frame_s[known[0]] < LEAST_TREND_S:
-        return run
-    turns = run.phase_rad[known] / TURN
-    cycles = np.rint(np.polyfit(known - known[0], turns, 1)[0])
-    extra = cycles * (np.arange(len(run.phase_rad)) - known[0])
-    return replace(run, phase_rad=run.phase_rad - TURN * extra, filtered_m=run.filtered_m - TURN * extra / unit)
-
-
-def _first_speed(frame_s: Floats, phase: Floats, steps: Floats, unit: float) -> float:
-    """Speed of the range at the first usable frame, m/s: the one that turns the first frames' phasors alike.
-
-    What the accelerometer says of them is taken off first. Speeds a cycle a frame apart look the same; the smallest is
-    meant (see `_without_drift`).
-    """
-    known = np.flatnonzero(np.isfinite(phase))[:START_FRAMES]
-    if len(known) < START_FRAMES:
-        return 0.0
-    first, last = known[0], known[-1] + 1
-    gained = np.concatenate(([0.0], np.cumsum(steps[first + 1 : last, 0])))
-    dt = np.diff(frame_s[first:last])
-    moved = np.concatenate(([0.0], np.cumsum(gained[:-1] * dt + steps[first + 1 : last, 1])))
-    phasors = np.exp(1j * (phase[known] - unit * moved[known - first]))
-    limit = np.pi / (unit * float(np.median(dt)))
-    speeds = np.linspace(-limit, limit, 8 * START_FRAMES, endpoint=False)
-    turns = np.exp(-1j * unit * np.multiply.outer(speeds, frame_s[known] - frame_s[first]))
-    return float(speeds[np.argmax(np.abs(turns @ phasors))])
-
-
-def _settings(found: Alignment | None, speed_m_s: float) -> PhaseFilterSettings:
-    """What the filter allows for: the alignment's own errors where it is known."""
-    if found is None:
-        return PhaseFilterSettings()
-    return PhaseFilterSettings(
-        start_speed_m_s=speed_m_s,
-        start_speed_std_m_s=START_SPEED_STD_M_S,
-        scale_error=max(3.0 * found.ratio_std / abs(found.ratio), LEAST_SCALE_ERROR),
-        time_error_s=max(3.0 * found.offset_std_s, LEAST_TIME_ERROR_S),
-        start_inflation=0.0,
-    )

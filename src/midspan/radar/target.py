@@ -5,13 +5,14 @@ offset follow in closed form with their standard deviations; what moves by itsel
 else, does not agree and is passed over.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from midspan.errors import UntrustedError
-from midspan.radar.alignment import align
+from midspan.radar.aligned import unwrap_aligned
+from midspan.radar.alignment import Integrals, align
 from midspan.radar.channels import (
     LEAST_BINS,
     Phasors,
@@ -22,22 +23,35 @@ from midspan.radar.channels import (
     phase_variance,
 )
 from midspan.radar.chirp import RangeAxis
-from midspan.radar.circle import fit_circle, standing_still
-from midspan.radar.phase_filter import unwrap_aligned
+from midspan.radar.circle import standing_still
+from midspan.radar.evidence import clutter_share, coherence, own_motion
+from midspan.radar.following import (
+    LEAST_EXCURSION_BINS,
+    Background,
+    at_places,
+    bins_within,
+    places_of,
+    standing_in_bins,
+    tracked_places,
+)
+from midspan.radar.peaks import at_place as at_place
+from midspan.radar.peaks import peaks as peaks
+from midspan.radar.phase_noise import factor_spread, measured_variance, modulation
 from midspan.records import Floats
 
-# A peak counts from this power ratio to the noise on, and so many are looked at.
-LEAST_POWER_RATIO, MOST_TARGETS = 10.0, 40
 # What a target must show to be chosen.
 LEAST_COHERENCE, LARGEST_FACTOR, LARGEST_RELATIVE_STD = 0.9, 8.0, 0.02
 # Above this share of clutter in the bin a target is passed over while there is a cleaner one.
 LARGEST_CLUTTER = 0.3
 # The same for a receiver whose phase leaves that of the others by more than this and their noise, rad.
 LARGEST_DISAGREEMENT_RAD = 0.15
-# A phase that turns less says nothing about clutter, rad.
-LEAST_TURN = 2.0
-# Lag of the second differences whose agreement is the coherence, s: it weighs motion of about 1 to 4 Hz.
-COHERENCE_LAG_S = 0.12
+# A target that moves far is met again at most so often, and no more once that makes the coherence worse than by this.
+# Before, while it was seen only part of the time, this much of its motion must be explained.
+FOLLOWING_PASSES, COHERENCE_LOSS, FOLLOWED_COHERENCE = 4, 0.002, 0.3
+# Frames with less than this share of the amplitude that is seen in the best tenth are left out.
+FAINT_SHARE, BEST_PERCENTILE = 0.4, 90.0
+# Where that happens to more than this share of frames, the target is looked for in so many bins on either side.
+OFTEN, TRACKED_BINS = 0.02, 4.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +64,11 @@ class Target:
     does not tell; coherence: share 0 … 1 of the phase's acceleration that the accelerometer explains; clutter:
     amplitude of something else in the bin as a share of the target's, NaN where the phase turns too little to tell;
     leak: what of it stands still and is taken out; noise_m: standard deviation of one frame's displacement.
+
+    background: what stands still in every bin that the target moves through, where it moves so far that it must be
+    followed; reach_bins: how far it moved; modulation_rad: standard deviation of the phase from what else turns in the
+    bin, NaN where it turned too little to tell; phase_noise_rad2: variance of the phase beyond the receiver's noise;
+    own_m: standard deviation of the displacement that the target's own motion makes, above about 0.3 Hz.
     """
 
     place_bin: float
@@ -66,6 +85,11 @@ class Target:
     clutter: float = np.nan
     leak: complex = 0j
     noise_m: float = np.inf
+    background: Background | None = None
+    reach_bins: float = 0.0
+    modulation_rad: float = np.nan
+    phase_noise_rad2: float = 0.0
+    own_m: float = 0.0
 
     @property
     def relative_std(self) -> float:
@@ -76,6 +100,19 @@ class Target:
     def noise_variance(self) -> float:
         """Variance of the complex noise of the receivers combined, in squared ADC counts."""
         return self.amplitude**2 / 10 ** (self.snr_db / 10)
+
+    def bins(self, range_change_m: Floats | float, bin_m: float, count: int | None = None) -> Floats:
+        """Whole bins (k,) to fetch so that the target can be followed, for `measurement.TargetFrames.bins`.
+
+        range_change_m: of the record, as a first pass at `place_bin` found it (n,), or its largest excursion, m; bin_m:
+        from bin to bin, m; count: bins that there are.
+        """
+        change = np.atleast_1d(range_change_m)
+        change = change[np.isfinite(change)]
+        excursion = (
+            np.max(np.abs(change - np.median(change))) if len(change) > 1 else np.max(np.abs(change), initial=0.0)
+        )
+        return bins_within(self.place_bin, max(self.reach_bins, float(excursion) / bin_m), count)
 
     @property
     def objection(self) -> str:
@@ -101,126 +138,151 @@ def find_targets(
     max_offset_s: largest clock offset searched for.
     """
     noise = noise_variance(profiles)
-    return tuple(
-        _examined(profiles, place, (frame_s, samples, max_offset_s), axis, noise) for place in peaks(profiles, noise)
-    )
+    window = _Window(profiles, np.asarray(frame_s, dtype=np.float64), samples, max_offset_s, axis, noise)
+    found = tuple(_examined(window, place) for place in peaks(profiles, noise))
+    return tuple(target for k, target in enumerate(found) if not _repeated(target, found[:k]))
 
 
-def peaks(profiles: Phasors, noise: float) -> tuple[float, ...]:
-    """Fractional bins of the peaks of the mean power, and of the power that changes, of (frames, channels, bins)."""
-    z = np.asarray(profiles)
-    if z.shape[2] < LEAST_BINS:
-        # Stored targets, not a profile.
-        return tuple(float(k) for k in range(z.shape[2]))
-    power = np.mean(np.abs(z) ** 2, axis=(0, 1))
-    changing = np.maximum(power - np.mean(np.abs(z.mean(axis=0)) ** 2, axis=0), 0.0)
-    found: dict[int, float] = {}
-    for values in (power, changing):
-        for k in _summits(values, LEAST_POWER_RATIO * noise):
-            if not any(abs(k - known) <= 1 for known in found):
-                found[k] = k + _fraction(values[k - 1 : k + 2])
-    strongest = sorted(found, key=lambda k: -power[k])[:MOST_TARGETS]
-    return tuple(found[k] for k in sorted(strongest))
+@dataclass(frozen=True, slots=True)
+class _Window:
+    """The calibration window that all targets share; noise: variance of one channel and bin."""
+
+    profiles: Phasors
+    frame_s: Floats
+    samples: Floats
+    max_offset_s: float
+    axis: RangeAxis
+    noise: float
+
+    @property
+    def bin_m(self) -> float:
+        """From bin to bin, m; NaN for stored targets, which cannot be followed."""
+        known = self.profiles.shape[2] >= LEAST_BINS and len(self.axis.range_m) == self.profiles.shape[2]
+        return float(np.median(np.diff(self.axis.range_m))) if known else np.nan
 
 
-def _summits(values: Floats, least: float) -> list[int]:
-    inner = values[1:-1]
-    high = (inner > values[:-2]) & (inner >= values[2:]) & (inner > least)
-    return [int(k) + 1 for k in np.flatnonzero(high)]
-
-
-def _fraction(three: Floats) -> float:
-    """Where between -½ and ½ a peak of three powers of a Hann window lies; their logarithms are near a parabola."""
-    low, middle, high = np.log(np.maximum(three, 1e-300))
-    bend = low - 2.0 * middle + high
-    return float(np.clip(0.5 * (low - high) / bend, -0.5, 0.5)) if bend < 0 else 0.0
-
-
-def at_place(profiles: Phasors, place_bin: float) -> Phasors:
-    """Phasors (frames, channels) at a fractional bin: the two nearest bins, which a Hann window has in phase."""
-    low = min(max(int(np.floor(place_bin)), 0), max(profiles.shape[2] - 2, 0))
-    share = place_bin - low
-    high = min(low + 1, profiles.shape[2] - 1)
-    return np.asarray((1.0 - share) * profiles[..., low] + share * profiles[..., high])
-
-
-def _examined(
-    profiles: Phasors, place: float, clocks: tuple[Floats, Floats, float], axis: RangeAxis, noise: float
-) -> Target:
-    """One target with everything that the window tells of it."""
-    channels = at_place(profiles, place)
+def _examined(window: _Window, place: float) -> Target:
+    """One target with everything that the window tells of it; met again at its own place if it moves far."""
+    channels = at_place(window.profiles, place)
     weights = channel_weights(channels)
     seen = combined(channels, weights)
     leak = standing_still(seen)
-    z = seen - leak
-    amplitude = float(np.median(np.abs(z)))
-    # Averaging the channels divides the noise; interpolating between bins changes it by little.
-    noise = noise / len(weights)
     plain = Target(
         place_bin=place,
-        range_m=axis.range_at(place),
-        amplitude=amplitude,
-        snr_db=float(10.0 * np.log10(max(amplitude**2 / noise, 1e-30))) if noise > 0 else np.inf,
+        range_m=window.axis.range_at(place),
+        amplitude=1.0,
+        snr_db=0.0,
         weights=weights,
         disagreement_rad=float(disagreement_rad(channels, weights).max()),
         leak=leak,
     )
-    return _compared(plain, z, clocks, axis.phase_per_m(plain.range_m), noise)
+    found, change = _compared(plain, seen - leak, window)
+    if np.isfinite(window.bin_m) and _often_faint(seen - leak):
+        again = _tracked(plain, window)
+        found, change = again if again[0].coherence > found.coherence else (found, change)
+    reach = float(np.nanmax(np.abs(change - np.nanmedian(change)))) / window.bin_m if len(change) else 0.0
+    if found.coherence < FOLLOWED_COHERENCE or not LEAST_EXCURSION_BINS < reach < 0.25 * window.profiles.shape[2]:
+        return found
+    return _followed(found, reach, change, window)
 
 
-def _compared(plain: Target, z: Phasors, clocks: tuple[Floats, Floats, float], unit: float, noise: float) -> Target:
-    """The target with its conversion factor, where the accelerometer explains its phase."""
-    from dataclasses import replace
+def _often_faint(z: Phasors) -> bool:
+    """Whether phasors (n,) are often too faint, as those of a target that leaves its bin."""
+    return bool(np.mean(_faint(z)) > OFTEN)
 
-    frame_s, samples, max_offset_s = clocks
-    phase, variance = np.angle(z).astype(np.float64), phase_variance(z, noise)
-    first = align(frame_s, phase, samples=samples, phase_per_m=unit, max_offset_s=max_offset_s)
+
+def _faint(z: Phasors) -> NDArray[np.bool_]:
+    return np.asarray(np.abs(z) < FAINT_SHARE * np.percentile(np.abs(z), BEST_PERCENTILE))
+
+
+def _tracked(plain: Target, window: _Window) -> tuple[Target, Floats]:
+    """The target in the strongest bin of each frame, nothing being known of its motion yet."""
+    bins = bins_within(plain.place_bin, TRACKED_BINS, window.profiles.shape[2])
+    some = window.profiles[:, :, bins.astype(np.int64)]
+    places = tracked_places(np.sum(np.abs(some) ** 2, axis=1), bins, plain.place_bin)
+    seen = np.stack([combined(some[..., k], plain.weights) for k in range(len(bins))], axis=1)
+    return _compared(replace(plain, leak=0j), at_places(seen, bins, places), window)
+
+
+def _followed(found: Target, reach: float, change_m: Floats, window: _Window) -> Target:
+    """The target met again in the bins that it moves through; again as long as that shows more of it."""
+    count = window.profiles.shape[2]
+    for _ in range(FOLLOWING_PASSES):
+        # A target that swings far was found where it turns, not in its middle.
+        search = min(max(1.0, reach), TRACKED_BINS)
+        bins = bins_within(found.place_bin, reach + search, count)
+        some = window.profiles[:, :, bins.astype(np.int64)]
+        seen = np.stack([combined(some[..., k], found.weights) for k in range(len(bins))], axis=1)
+        places = places_of(seen, bins, place_bin=found.place_bin, moved_bins=change_m / window.bin_m, search=search)
+        background = standing_in_bins(seen, bins, places)
+        place = float(np.median(places))
+        met = replace(
+            found,
+            place_bin=place,
+            range_m=window.axis.range_at(place),
+            background=background,
+            leak=complex(background.at(np.array([place]))[0]),
+            reach_bins=reach,
+        )
+        again, change_m = _compared(met, at_places(seen - background.phasors, bins, places), window)
+        again = replace(again, clutter=min(abs(met.leak) / again.amplitude, 1.0))
+        if not len(change_m) or again.coherence < found.coherence - COHERENCE_LOSS:
+            return found
+        known = float(np.nanmax(np.abs(change_m - np.nanmedian(change_m)))) / window.bin_m
+        done, found, reach = abs(known - reach) < LEAST_EXCURSION_BINS, again, known
+        if done:
+            break
+    return found
+
+
+def _compared(plain: Target, z: Phasors, window: _Window) -> tuple[Target, Floats]:
+    """The target with its conversion factor and its range change (n,), empty where the motion does not tell."""
+    unit, frame_s, samples = window.axis.phase_per_m(plain.range_m), window.frame_s, window.samples
+    # Averaging the channels divides the noise; interpolating between bins changes it by little.
+    noise = window.noise / len(plain.weights)
+    faint = _faint(z)
+    amplitude = float(np.median(np.abs(z[~faint])))
+    snr_db = float(10.0 * np.log10(max(amplitude**2 / noise, 1e-30))) if noise > 0 else np.inf
+    plain = replace(plain, amplitude=amplitude, snr_db=snr_db)
+    phase, variance = np.angle(z).astype(np.float64), np.where(faint, np.inf, phase_variance(z, noise))
+    first = align(
+        frame_s, np.where(faint, np.nan, phase), samples=samples, phase_per_m=unit, max_offset_s=window.max_offset_s
+    )
     if first is None:
-        return plain
-    moved = (frame_s + first.offset_s, samples)
+        return plain, np.empty(0)
+    moved_s = frame_s + first.offset_s
     unwrapped, found = unwrap_aligned(
-        moved[0], phase, variance_rad2=variance, samples=samples, phase_per_m=unit, ratio=first.ratio, max_offset_s=0.02
+        moved_s, phase, variance_rad2=variance, samples=samples, phase_per_m=unit, ratio=first.ratio, max_offset_s=0.02
     )
     ratio, std = (found.ratio, found.ratio_std) if found else (first.ratio, first.ratio_std)
     offset = first.offset_s + (found.offset_s if found else 0.0)
-    factor = 1.0 / ratio
-    return replace(
+    integrals, time_s = Integrals.of(samples), frame_s + offset
+    expected = unit * ratio * integrals.displacement(time_s)
+    measured = measured_variance(unwrapped.phase_rad, expected)
+    beyond = max(measured - float(np.median(variance[~faint])), 0.0) if np.isfinite(measured) else 0.0
+    bent = modulation(z, unwrapped.phase_rad, noise)
+    spread = factor_spread(bent, abs(plain.leak) / amplitude, float(np.nanstd(unwrapped.phase_rad)))
+    found_target = replace(
         plain,
-        conversion_factor=factor,
-        conversion_factor_std=abs(factor) * std / abs(ratio),
+        conversion_factor=1.0 / ratio,
+        conversion_factor_std=float(np.hypot(std / ratio**2, spread / ratio)),
         time_offset_s=offset,
         time_offset_std_s=found.offset_std_s if found else first.offset_std_s,
-        coherence=_coherence(unwrapped.phase_rad / unit, frame_s + offset, samples, ratio),
+        coherence=coherence(unwrapped.phase_rad / unit, time_s, integrals, ratio),
         clutter=clutter_share(z + plain.leak, unwrapped.phase_rad),
-        noise_m=abs(factor) * float(np.sqrt(np.median(variance))) / unit,
+        noise_m=abs(1.0 / ratio) * float(np.sqrt(np.median(variance[~faint]) + beyond)) / unit,
+        modulation_rad=bent,
+        phase_noise_rad2=beyond,
+        own_m=abs(1.0 / ratio)
+        * own_motion(
+            unwrapped.phase_rad / unit,
+            time_s,
+            integrals,
+            ratio,
+            (float(np.median(variance[~faint])) + beyond) / unit**2,
+        ),
     )
-
-
-def _coherence(los_m: Floats, time_s: Floats, samples: Floats, ratio: float) -> float:
-    """Share of the second differences of the range change (n,) that the accelerometer explains, 0 … 1."""
-    from midspan.radar.alignment import Integrals
-
-    period = float(np.median(np.diff(time_s)))
-    lag = max(1, round(COHERENCE_LAG_S / period))
-    second = los_m[2 * lag :] - 2.0 * los_m[lag:-lag] + los_m[: -2 * lag]
-    response = ratio * Integrals.of(samples).second_difference(time_s[lag:-lag], lag * period)
-    known = np.isfinite(second)
-    y, x = second[known] - second[known].mean(), response[known] - response[known].mean()
-    total = float(y @ y)
-    return max(0.0, 1.0 - float((y - x) @ (y - x)) / total) if total > 0 else 0.0
-
-
-def clutter_share(z: Phasors, phase_rad: Floats) -> float:
-    """Amplitude of what stands still in the bin as a share of the target's, from phasors (n,) and unwrapped phase (n,).
-
-    It is the distance from zero of the centre of the circle on which the phasors turn. NaN when they turn by less than
-    2 rad.
-    """
-    known = np.isfinite(phase_rad) & np.isfinite(z)
-    if np.count_nonzero(known) < 20 or np.ptp(phase_rad[known]) < LEAST_TURN:
-        return float("nan")
-    circle = fit_circle(z[known])
-    return min(abs(circle.centre) / max(circle.radius, 1e-300), 1.0)
+    return found_target, unwrapped.phase_rad / unit
 
 
 def ranked(targets: tuple[Target, ...]) -> tuple[Target, ...]:
@@ -234,6 +296,13 @@ def ranked(targets: tuple[Target, ...]) -> tuple[Target, ...]:
     return tuple(sorted(usable, key=lambda target: (_shared(target), _expected_m(target))))
 
 
+def _repeated(target: Target, others: tuple[Target, ...]) -> bool:
+    """Whether it is a target that moves so far that its first bin and its last one were both taken for a peak."""
+    return target.reach_bins > 0 and any(
+        other.reach_bins > 0 and abs(other.place_bin - target.place_bin) < 0.5 for other in others
+    )
+
+
 def _shared(target: Target) -> bool:
     """Whether the bin holds more than the target: much clutter, or receivers that see different phases."""
     quiet = 3.0 * 10 ** (-target.snr_db / 20) * np.sqrt(len(target.weights))
@@ -242,11 +311,13 @@ def _shared(target: Target) -> bool:
 
 def _expected_m(target: Target) -> float:
     """Noise and the error that clutter makes, m of displacement."""
-    # What stands still has been taken out.
+    # What stands still has been taken out. Clutter of a share e turns the phase by up to e rad.
     clutter = 0.0 if np.isnan(target.clutter) or target.leak else target.clutter
-    # Clutter of a share e turns the phase by up to e rad.
-    per_rad = target.noise_m * 10 ** (target.snr_db / 20) * np.sqrt(2.0)
-    return float(np.hypot(target.noise_m, clutter * per_rad))
+    left = 0.0 if np.isnan(target.modulation_rad) else target.modulation_rad
+    receiver = 0.5 * 10 ** (-target.snr_db / 10)
+    per_rad = target.noise_m / float(np.sqrt(receiver + target.phase_noise_rad2))
+    # Clutter also shows as a motion of its own: the larger counts.
+    return float(np.hypot(target.noise_m, max(max(clutter, left) * per_rad, target.own_m)))
 
 
 def _no_target(targets: tuple[Target, ...]) -> str:

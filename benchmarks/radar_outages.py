@@ -1,0 +1,105 @@
+"""What is said of the cycle after a blocked view, with clutter in the bin, for a fine and a coarse range."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from benchmarks.radar_chain import accelerometer, sine
+from benchmarks.table import goal, show
+from midspan.radar.chirp import ChirpProfile, RangeAxis
+from midspan.radar.measurement import TargetFrames, TargetSeries, displacement
+from midspan.radar.range_profile import bin_kernel, coarse_range, half_kernel
+from midspan.radar.target import Target, find_targets
+from midspan.records import Floats
+from midspan.simulate.motion import Motion, random_motion
+from midspan.simulate.radar import LONG_RANGE, SHORT_RANGE, RadarModel, Reflector, noise_for
+
+RANGE_M, AMPLITUDE, START_S = 6.3, 1000.0, 18.0
+FRAMES, CALIBRATION = 4000, 1600
+SAID = ("sure", "verified", "shifted", "new datum")
+
+
+def view(seed: int, chirp: ChirpProfile) -> tuple[RadarModel, Motion, float]:
+    """A wall, something else in its bin, and an outage of 0.2 to 10 s of everything that is fixed."""
+    rng = np.random.default_rng(9000 + seed)
+    speed, length_s = rng.uniform(0.02, 0.3), float(10 ** rng.uniform(-0.7, 1.0))
+    frequency = float(rng.uniform(0.3, 3.0))
+    swing = random_motion((0.2, 4.0), speed / 15, rng=rng)
+    motion = sine(speed / (2 * np.pi * frequency), frequency) if seed % 2 else swing
+    blocked = ((START_S, START_S + length_s),)
+    other = float(rng.choice([0.0, 0.5, -0.7]))
+    clutter = Reflector(
+        RANGE_M + float(rng.uniform(-0.5, 0.5)) * chirp.bin_m,
+        AMPLITUDE * float(rng.uniform(0.0, 0.15)),
+        other,
+        blocked=blocked if other else (),
+    )
+    wall = Reflector(RANGE_M, AMPLITUDE, 1.0, blocked=blocked)
+    one = replace(chirp, receivers=1)
+    return RadarModel((wall, clutter), one, noise_for(AMPLITUDE, rng.uniform(5.0, 20.0))), motion, length_s
+
+
+def measured(model: RadarModel, motion: Motion, seed: int) -> tuple[TargetSeries, Floats] | None:
+    """The series of the wall over 40 s, calibrated on the first 16 s, and the true range change; None when refused."""
+    chirp, bins = model.profile, np.arange(60)
+    place = RANGE_M / chirp.bin_m
+    kernel = np.concatenate((bin_kernel(place - 30 + bins, chirp), half_kernel(place, chirp)))
+    rng = np.random.default_rng(seed)
+    z = np.concatenate([cube[:, 0] @ kernel.T.astype(np.complex64) for cube in model.blocks(motion, FRAMES, rng=rng)])
+    at = model.frame_s(FRAMES)
+    samples = accelerometer(motion, 41.0, 3e-3, seed, float(rng.uniform(-0.05, 0.05)))
+    axis = RangeAxis((place - 30 + bins) * chirp.bin_m, chirp.carrier_hz, chirp.slope_hz_s)
+    targets = find_targets(z[:CALIBRATION, :, :60], at[:CALIBRATION], samples=samples, axis=axis)
+    wall: Target = min(targets, key=lambda target: abs(target.range_m - RANGE_M))
+    if wall.objection:
+        return None
+    coarse = coarse_range(z[:, 0, 60:], place, chirp)
+    frames = TargetFrames(at, z[:, :, 30], np.ones((FRAMES, 1), dtype=bool), coarse)
+    series = displacement(frames, wall, samples=samples, phase_per_m=chirp.phase_per_m(RANGE_M))
+    return series, motion.displacement(at)
+
+
+def told(series: TargetSeries, moved: Floats, at: Floats, cycle_m: float, end_s: float) -> str:
+    """What is said of the cycle, or `wrong` when it is off and no new datum was declared."""
+    error = series.range_change_m - moved
+    after = at > end_s
+    jump = np.nanmedian(error[after]) - np.nanmedian(error[at < START_S])
+    said = [verdict.verdict for verdict in series.verdicts]
+    if "new datum" in said:
+        return "new datum"
+    if abs(jump) > cycle_m / 2:
+        return "wrong"
+    return said[-1] if said else "sure"
+
+
+def outages(chirp: ChirpProfile, runs: int = 30) -> int:
+    """Table of what is said by length of the outage; returns how many were silently wrong."""
+    spans = ((0.0, 0.5), (0.5, 2.0), (2.0, 10.1))
+    counts = {span: dict.fromkeys((*SAID, "wrong"), 0) for span in spans}
+    flags = refused = 0
+    for seed in range(runs):
+        model, motion, length_s = view(seed, chirp)
+        found = measured(model, motion, seed)
+        if found is None:
+            refused += 1
+            continue
+        series, moved = found
+        at = model.frame_s(FRAMES)
+        verdict = told(series, moved, at, chirp.cycle_m, START_S + length_s)
+        if verdict == "wrong":
+            print("   wrong:", seed, f"{length_s:.2f} s", series.restarts, series.verdicts)
+        counts[next(span for span in spans if length_s < span[1])][verdict] += 1
+        inside = (at > START_S) & (at < START_S + length_s)
+        grows = np.diff(series.predicted_variance_m2[inside]) > 0
+        flags += bool(np.isfinite(series.value_m[inside]).any() or not grows.all())
+    print(f"{chirp.bandwidth_hz / 1e9:.2f} GHz: range bins of {1e3 * chirp.bin_m:.0f} mm")
+    show(["outage s", *SAID, "wrong"], [[f"{a:g}-{b:g}", *counts[a, b].values()] for a, b in spans])
+    print(f"refused for want of motion: {refused}")
+    goal("outages with a value, or whose deviation does not grow", float(flags), 0.0)
+    return sum(row["wrong"] for row in counts.values())
+
+
+def main() -> None:
+    """Both chirps, 30 outages each."""
+    for chirp in (SHORT_RANGE, LONG_RANGE):
+        goal("silently wrong cycles in 30 outages", float(outages(chirp)), 0.0)

@@ -1,0 +1,187 @@
+"""A whole record unwrapped: the accelerometer aligned with the phase first, then the filter forwards and backwards.
+
+Where the two directions disagree about the cycle it is a guess: a slip, or an outage that was too long.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from midspan.radar.alignment import Alignment, align
+from midspan.radar.phase_filter import BLIND_RAD, PhaseFilterSettings, Unwrapped, unwrap_filtered
+from midspan.radar.unwrap import TURN, inertial_steps
+from midspan.records import Floats
+
+# Errors of the alignment that are allowed for where it has been found, at least.
+LEAST_SCALE_ERROR, LEAST_TIME_ERROR_S = 0.002, 1e-4
+# Frames that tell the speed at the start, and how well they do, m/s.
+START_FRAMES, START_SPEED_STD_M_S = 32, 0.01
+# A motion that turns the phase by less needs no unwrapping.
+QUIET_RAD = 1.6
+# The shortest record whose trend tells a drift from a swing, s.
+LEAST_TREND_S = 8.0
+# A filter settles within this time, s: before it the other direction is believed.
+SETTLED_S = 2.0
+# The directions are compared as medians of so many frames; noise takes single ones a cycle off.
+COMPARED_FRAMES = 11
+# The radar alone: the range changes at a speed that wanders slowly, or fast.
+WITHOUT_ACCELEROMETER = (
+    PhaseFilterSettings(noise_density=1e-2, start_inflation=0.0),
+    PhaseFilterSettings(noise_density=1.0, start_inflation=0.0),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class _Record:
+    """What is unwrapped: arrays (n,), and the acceleration in the line of sight on the radar's clock (m, 2)."""
+
+    frame_s: Floats
+    phase: Floats
+    variance: Floats
+    los: Floats
+    unit: float
+
+    def mirrored(self) -> "_Record":
+        """The record with time running backwards: accelerations stay, speeds change their sign."""
+        los = np.column_stack((-self.los[::-1, 0], self.los[::-1, 1]))
+        return _Record(-self.frame_s[::-1], self.phase[::-1], self.variance[::-1], los, self.unit)
+
+
+def unwrap_aligned(
+    frame_s: Floats,
+    phase_rad: Floats,
+    *,
+    variance_rad2: Floats,
+    samples: Floats,
+    phase_per_m: float,
+    ratio: float,
+    max_offset_s: float = 0.15,
+) -> tuple[Unwrapped, Alignment | None]:
+    """Unwrap a record (n,) of evenly spaced frames after aligning the accelerometer with the phase itself.
+
+    samples (m, 2): time on the accelerometer's clock (s) and acceleration (m/s²); ratio: range change per displacement
+    as far as it is known, signed (the inverse conversion factor). A factor that is 60 % wrong or a clock that is
+    `max_offset_s` off does no harm where there is motion enough to tell; the alignment is None where there is not.
+    `restarts` also holds the frames at which the two directions of time disagree about the cycle; `explained` tells
+    whether the accelerometer accounts for the phase, without which slips are likely and not always seen.
+    """
+    time, variance = np.asarray(frame_s, dtype=np.float64), np.asarray(variance_rad2, dtype=np.float64)
+    phase = np.where(variance < BLIND_RAD**2, phase_rad, np.nan)
+    found = align(time, phase, samples=samples, phase_per_m=phase_per_m, max_offset_s=max_offset_s, prior=ratio)
+    offset, ratio = (found.offset_s, found.ratio) if found is not None else (0.0, ratio)
+    level = float(np.mean(samples[:, 1]))
+    los = np.column_stack((samples[:, 0] - offset, ratio * (samples[:, 1] - level)))
+    record = _Record(time, phase, variance, los, phase_per_m)
+    runs = [_passed(record, found, kind) for kind in range(1 + len(WITHOUT_ACCELEROMETER))]
+    # An accelerometer that is dead, or of another event, predicts worse than none.
+    kind = int(np.argmin([np.inf if np.isnan(run.surprise) else run.surprise for run in runs]))
+    agreed = _agreed(runs[kind], _passed(record.mirrored(), found, kind), time, phase_per_m)
+    quiet = len(time) == 0 or float(np.ptp(agreed.filtered_m)) * phase_per_m < QUIET_RAD
+    return replace(agreed, explained=quiet or (found is not None and kind == 0)), found
+
+
+def _passed(record: _Record, found: Alignment | None, kind: int) -> Unwrapped:
+    """One pass of the filter: kind 0 with the accelerometer, else one of those without."""
+    steps = inertial_steps(record.frame_s, record.los)
+    if kind == 0:
+        settings = _settings(found, _first_speed(record.frame_s, record.phase, steps, record.unit))
+    else:
+        steps, settings = np.zeros_like(steps), WITHOUT_ACCELEROMETER[kind - 1]
+    run = unwrap_filtered(
+        record.frame_s,
+        record.phase,
+        variance_rad2=record.variance,
+        steps=steps,
+        phase_per_m=record.unit,
+        settings=settings,
+    )
+    return _without_drift(run, record.frame_s, record.unit)
+
+
+def _agreed(forward: Unwrapped, backward: Unwrapped, time: Floats, unit: float) -> Unwrapped:
+    """The forward pass with its start from the other direction, and restarts where the directions disagree."""
+    used = np.flatnonzero(np.isfinite(forward.phase_rad) & np.isfinite(backward.phase_rad[::-1]))
+    if len(used) < COMPARED_FRAMES:
+        return forward
+    apart = (forward.phase_rad - backward.phase_rad[::-1])[used] / TURN
+    cycles = _median_of_neighbours(np.rint(apart - np.median(apart)).astype(np.int64))
+    begin = int(np.searchsorted(time[used], time[used[0]] + SETTLED_S))
+    end = int(np.searchsorted(time[used], time[used[-1]] - SETTLED_S))
+    restarts = set(forward.restarts)
+    if begin < end:
+        restarts |= {_after_gap(used, int(k) + 1) for k in np.flatnonzero(np.diff(cycles[begin : end + 1])) + begin}
+        forward = _restarted(forward, used[:begin], cycles[:begin] - cycles[begin], unit)
+    return replace(forward, restarts=tuple(sorted(restarts)))
+
+
+def _median_of_neighbours(cycles: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Running median of whole numbers (n,)."""
+    from scipy.ndimage import median_filter
+
+    return np.asarray(median_filter(cycles, COMPARED_FRAMES, mode="nearest"))
+
+
+def _after_gap(used: NDArray[np.int64], k: int) -> int:
+    """The frame of the k-th used one, or the first after a gap that is near: the median may be some frames off."""
+    low = max(k - COMPARED_FRAMES, 1)
+    gaps = np.flatnonzero(np.diff(used[low - 1 : k + COMPARED_FRAMES]) > 1) + low
+    return int(used[k] if len(gaps) == 0 else used[gaps[np.argmin(np.abs(gaps - k))]])
+
+
+def _restarted(run: Unwrapped, used: NDArray[np.int64], cycles: NDArray[np.int64], unit: float) -> Unwrapped:
+    """The run with `cycles` taken off its first frames `used`, its first one being zero again."""
+    if not np.any(cycles):
+        return run
+    shift = np.zeros(len(run.phase_rad))
+    shift[: used[-1] + 1] = cycles[np.searchsorted(used, np.arange(used[-1] + 1), side="right").clip(1) - 1]
+    shift -= shift[used[0]]
+    return replace(run, phase_rad=run.phase_rad - TURN * shift, filtered_m=run.filtered_m - TURN * shift / unit)
+
+
+def _without_drift(run: Unwrapped, frame_s: Floats, unit: float) -> Unwrapped:
+    """The run less a whole number of cycles a frame, where its trend is nearest to one.
+
+    Wrapped phases and accelerations are the same for a range that changes by a cycle more in every frame. A record that
+    begins in the middle of a swing can settle there; but no structure drifts so far.
+    """
+    known = np.flatnonzero(np.isfinite(run.phase_rad))
+    if len(known) < 2 or frame_s[known[-1]] - frame_s[known[0]] < LEAST_TREND_S:
+        return run
+    turns = run.phase_rad[known] / TURN
+    cycles = np.rint(np.polyfit(known - known[0], turns, 1)[0])
+    extra = cycles * (np.arange(len(run.phase_rad)) - known[0])
+    return replace(run, phase_rad=run.phase_rad - TURN * extra, filtered_m=run.filtered_m - TURN * extra / unit)
+
+
+def _first_speed(frame_s: Floats, phase: Floats, steps: Floats, unit: float) -> float:
+    """Speed of the range at the first usable frame, m/s: the one that turns the first frames' phasors alike.
+
+    What the accelerometer says of them is taken off first. Speeds a cycle a frame apart look the same; the smallest is
+    meant (see `_without_drift`).
+    """
+    known = np.flatnonzero(np.isfinite(phase))[:START_FRAMES]
+    if len(known) < START_FRAMES:
+        return 0.0
+    first, last = known[0], known[-1] + 1
+    gained = np.concatenate(([0.0], np.cumsum(steps[first + 1 : last, 0])))
+    dt = np.diff(frame_s[first:last])
+    moved = np.concatenate(([0.0], np.cumsum(gained[:-1] * dt + steps[first + 1 : last, 1])))
+    phasors = np.exp(1j * (phase[known] - unit * moved[known - first]))
+    limit = np.pi / (unit * float(np.median(dt)))
+    speeds = np.linspace(-limit, limit, 8 * START_FRAMES, endpoint=False)
+    turns = np.exp(-1j * unit * np.multiply.outer(speeds, frame_s[known] - frame_s[first]))
+    return float(speeds[np.argmax(np.abs(turns @ phasors))])
+
+
+def _settings(found: Alignment | None, speed_m_s: float) -> PhaseFilterSettings:
+    """What the filter allows for: the alignment's own errors where it is known."""
+    if found is None:
+        return PhaseFilterSettings()
+    return PhaseFilterSettings(
+        start_speed_m_s=speed_m_s,
+        start_speed_std_m_s=START_SPEED_STD_M_S,
+        scale_error=max(3.0 * found.ratio_std / abs(found.ratio), LEAST_SCALE_ERROR),
+        time_error_s=max(3.0 * found.offset_std_s, LEAST_TIME_ERROR_S),
+        start_inflation=0.0,
+    )

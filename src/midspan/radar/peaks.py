@@ -1,0 +1,47 @@
+"""Peaks of range profiles, and the phasors at them."""
+
+import numpy as np
+
+from midspan.radar.channels import LEAST_BINS, Phasors
+from midspan.records import Floats
+
+# A peak counts from this power ratio to the noise on, and so many are looked at.
+LEAST_POWER_RATIO, MOST_TARGETS = 10.0, 40
+
+
+def peaks(profiles: Phasors, noise: float) -> tuple[float, ...]:
+    """Fractional bins of the peaks of the mean power, and of the power that changes, of (frames, channels, bins)."""
+    z = np.asarray(profiles)
+    if z.shape[2] < LEAST_BINS:
+        # Stored targets, not a profile.
+        return tuple(float(k) for k in range(z.shape[2]))
+    power = np.mean(np.abs(z) ** 2, axis=(0, 1))
+    changing = np.maximum(power - np.mean(np.abs(z.mean(axis=0)) ** 2, axis=0), 0.0)
+    found: dict[int, float] = {}
+    for values in (power, changing):
+        for k in _summits(values, LEAST_POWER_RATIO * noise):
+            if not any(abs(k - known) <= 1 for known in found):
+                found[k] = k + _fraction(values[k - 1 : k + 2])
+    strongest = sorted(found, key=lambda k: -power[k])[:MOST_TARGETS]
+    return tuple(found[k] for k in sorted(strongest))
+
+
+def _summits(values: Floats, least: float) -> list[int]:
+    inner = values[1:-1]
+    high = (inner > values[:-2]) & (inner >= values[2:]) & (inner > least)
+    return [int(k) + 1 for k in np.flatnonzero(high)]
+
+
+def _fraction(three: Floats) -> float:
+    """Where between -½ and ½ a peak of three powers of a Hann window lies; their logarithms are near a parabola."""
+    low, middle, high = np.log(np.maximum(three, 1e-300))
+    bend = low - 2.0 * middle + high
+    return float(np.clip(0.5 * (low - high) / bend, -0.5, 0.5)) if bend < 0 else 0.0
+
+
+def at_place(profiles: Phasors, place_bin: float) -> Phasors:
+    """Phasors (frames, channels) at a fractional bin: the two nearest bins, which a Hann window has in phase."""
+    low = min(max(int(np.floor(place_bin)), 0), max(profiles.shape[2] - 2, 0))
+    share = place_bin - low
+    high = min(low + 1, profiles.shape[2] - 1)
+    return np.asarray((1.0 - share) * profiles[..., low] + share * profiles[..., high])
