@@ -178,6 +178,45 @@ def test_a_single_tone_with_half_a_period_inside_the_search_is_ambiguous():
     assert found.scale.value_m_per_px == pytest.approx(SCALE, rel=3e-3)
 
 
+def test_a_tone_whose_alias_falls_into_the_slow_band_is_refused_with_that_reason():
+    # 3 Hz at 3 frames a second: every frame meets the same phase, and 3.01 Hz drifts through it once in 100 s.
+    for frequency in (3.0, 3.01):
+        text = refusal(observed(tones(44, (3e-3, frequency)), 44, rate_hz=3.0), 0.08)
+        assert f"main tone of {frequency:.3g} Hz" in text
+        assert "no faster than drift" in text
+    # The same motion is calibrated at another rate.
+    found = calibrate_scale(observed(tones(44, (3e-3, 3.0)), 44, rate_hz=3.7), 0.06)
+    assert found.scale.value_m_per_px == pytest.approx(SCALE, rel=0.012)
+
+
+def test_a_slow_tone_beside_an_alias_in_the_slow_band_is_calibrated_by_itself():
+    # 8 mm at 0.1 Hz tell the scale to 1 %, the offset to 18 ms; the tone that stands still may not spoil either.
+    results = [
+        calibrate_scale(observed(tones(s, (8e-3, 0.1), (3e-3, 3.01)), 100 + s, rate_hz=3.0), 0.08) for s in range(24)
+    ]
+    for z in deviations(results):
+        # 24 draws: the rms of z is known to ± 14 %.
+        assert 0.65 < np.sqrt(np.mean(z**2)) < 1.35
+
+
+def test_an_alias_upon_a_slower_tone_is_refused_or_right():
+    # 3.1 Hz shows as 0.1 Hz, where there is a true motion: amplitude and phase of the sum fit two scales.
+    # Without `fit.shrinking` the smaller ratio won, four of its standard deviations off.
+    results, refused = [], []
+    for s in range(24):
+        try:
+            pair = observed(tones(s, (8e-3, 0.1), (3e-3, 3.1)), 100 + s, rate_hz=3.0)
+            results.append(calibrate_scale(pair, 0.08))
+        except UntrustedError as error:
+            refused.append(str(error))
+    # Where the two solutions meet there is one broad summit, whose width is the reason.
+    assert all("ambiguous" in text or "at most ± 5 %" in text for text in refused)
+    assert 5 < len(results) < 19
+    for z in deviations(results):
+        assert np.sqrt(np.mean(z**2)) < 1.6
+        assert np.max(np.abs(z)) < 4.0
+
+
 def test_fewer_than_twenty_usable_frames_are_refused_with_their_number():
     pair = observed(broadband(6), 6)
     rows = pair.rows.copy()

@@ -14,6 +14,8 @@ from midspan.records import Floats
 
 # Ratio, time offset and the ratio of the noise levels are fitted beside the noise itself.
 FITTED = 3
+# Ratios below this share of the reference are no explanation of the motion.
+SMALLEST_RATIO = 0.01
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,6 +28,7 @@ class Pair:
     exposure_s: time over which each translation is averaged.
     outside: samples (n, 3) with the part of the acceleration that must not decide the ratio (motion outside a band); it
     gets a factor of its own. None: all of the acceleration decides.
+    reference: the size of the ratio beside which other ratios are compared, None at first (see `shrinking`).
     """
 
     samples: Floats
@@ -33,6 +36,7 @@ class Pair:
     ratio: float | None = None
     exposure_s: float = 0.0
     outside: Floats | None = None
+    reference: float | None = None
 
     @property
     def rate_hz(self) -> float:
@@ -86,6 +90,7 @@ def evaluate(pair: Pair, offset_s: float, corner: float) -> Fit:
     left = max(total - 2.0 * ratio * cross + ratio * ratio * power, 1e-300)
     noise = left / max(n - FITTED, 1)
     entropy = 0.5 * float(np.sum(np.log(w.variance)))
+    favour = shrinking(w, ratio, pair.reference) if pair.ratio is None and pair.reference is not None else 0.0
     if pair.ratio is None:
         # Accelerometer noise in the response shrinks the regression; its expected share is known and taken back.
         ratio *= 1.0 + min(noise * float(np.sum(w.input_part / w.variance)) / max(ratio * ratio * power, 1e-300), 0.1)
@@ -96,10 +101,20 @@ def evaluate(pair: Pair, offset_s: float, corner: float) -> Fit:
         ratio_variance=noise / max(power, 1e-300),
         noise=noise,
         input_density=density * noise / max(ratio * ratio, 1e-300),
-        likelihood=-0.5 * n * np.log(left / n) - entropy,
+        likelihood=-0.5 * n * np.log(left / n) - entropy - favour,
         without=-0.5 * n * np.log(max(total, 1e-300) / n) - entropy,
         whitened=w,
     )
+
+
+def shrinking(w: Whitened, ratio: float, reference: float) -> float:
+    """What the logarithm of the likelihood gains by a ratio that is smaller than the reference, and must not.
+
+    The noise of the accelerometer is seen in the acceleration itself, multiplied by the ratio: where two offsets
+    explain the motion alike with different ratios, the smaller ratio leaves less of it, whichever is true.
+    """
+    share = float(np.sum(w.input_part / w.variance))
+    return share * float(np.log(reference / max(abs(ratio), SMALLEST_RATIO * reference)))
 
 
 def _without(inside: Whitened, outside: Whitened) -> Whitened:

@@ -25,7 +25,8 @@ class NoiseCalibration:
     acceleration, (m/s²)²/Hz; offset: of the sensor's clock (zero with infinite variance when the motion does not tell);
     scale: the sensor's apparent scale against the accelerometer (1 when both are right) with its standard deviation.
     reversed_gain: how much more likely (logarithm) the measurements are with the opposite sign; negative when they
-    are right.
+    are right. factor, factor_std: metres in one metre read, where that was learnt as well: the other figures hold for
+    readings times this factor. 1 and 0: readings are taken as they are.
     """
 
     variance_factor: float
@@ -34,6 +35,8 @@ class NoiseCalibration:
     scale: float
     scale_std: float
     reversed_gain: float = -np.inf
+    factor: float = 1.0
+    factor_std: float = 0.0
 
 
 def calibrate_noise(pair: Pair, max_offset_s: float) -> NoiseCalibration:
@@ -43,7 +46,7 @@ def calibrate_noise(pair: Pair, max_offset_s: float) -> NoiseCalibration:
     be.
     """
     pair = without_lonely_outliers(replace(pair, ratio=1.0))
-    pair, still = _without_outliers(pair)
+    pair, still = without_outliers(pair)
     fit, offset = still, TimeOffset(0.0, np.inf)
     if max_offset_s > 0:
         search = search_offset(pair, max_offset_s)
@@ -60,7 +63,7 @@ def calibrate_noise(pair: Pair, max_offset_s: float) -> NoiseCalibration:
     return NoiseCalibration(fit.noise, fit.input_density, offset, scale, scale_std, reversed_gain)
 
 
-def _without_outliers(pair: Pair) -> tuple[Pair, Fit]:
+def without_outliers(pair: Pair) -> tuple[Pair, Fit]:
     """The pair without outliers and its fit at no offset; each round takes out the largest, which hid the smaller."""
     fit = best_corner(pair, 0.0)
     for _ in range(MARKING_ROUNDS):

@@ -8,6 +8,7 @@ from midspan.calibration.fit import Fit, Pair
 from midspan.calibration.time_offset import OffsetSearch, search_offset
 from midspan.errors import UntrustedError
 from midspan.records import Floats, NoiseLevel, ScaleFactor
+from midspan.signals.health import dominant_frequency
 
 LEAST_FRAMES = 20
 # Image motion above this many standard deviations of a frame's noise is motion.
@@ -31,6 +32,8 @@ IMPLIED_NOISE = 4.0
 AMBIGUOUS_BELOW = 8.0
 AMBIGUOUS_SHARE = 0.05
 AMBIGUOUS_DRAWS = 3.0
+# An alias below this is told as the likely reason of a refusal: bias and drift of a minute look the same.
+SLOW_ALIAS_HZ = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,8 +102,8 @@ def _refuse_no_motion(pair: Pair, fit: Fit, relative: float, noise: float) -> No
         )
     raise UntrustedError(
         f"Too little motion to calibrate the scale factor {figures}: it would be {1e3 / fit.ratio:.4g} mm/px "
-        f"± {100 * relative:.2g} %, and at most ± {100 * REFUSED_ABOVE:g} % is given out. Choose a "
-        "calibration.window_s with "
+        f"± {100 * relative:.2g} %, and at most ± {100 * REFUSED_ABOVE:g} % is given out. "
+        f"{alias_in_words(pair)}Choose a calibration.window_s with "
         "traffic or shaking, or pass a calibration made at a livelier time with -c. If the structure did move, check "
         "camera.direction, camera.roi and calibration.max_offset_s."
     )
@@ -136,19 +139,39 @@ def white_noise(value: Floats) -> float:
     return float(1.4826 * np.median(np.abs(third)) / np.sqrt(20.0)) if len(third) else 0.0
 
 
-def _refuse_ambiguity(search: OffsetSearch, max_offset_s: float) -> None:
+def alias_in_words(pair: Pair) -> str:
+    """A sentence where the motion's main tone nearly stands still in the slower sensor's samples, else empty."""
+    rate = (len(pair.samples) - 1) / float(pair.samples[-1, 0] - pair.samples[0, 0])
+    tone = dominant_frequency(pair.samples[:, 1], rate)
+    alias = abs(tone - pair.rate_hz * round(tone / pair.rate_hz))
+    if tone < 0.5 * pair.rate_hz or alias > SLOW_ALIAS_HZ:
+        return ""
+    return (
+        f"The motion's main tone of {tone:.3g} Hz shows as {alias:.2g} Hz at {pair.rate_hz:.4g} measurements a second, "
+        "no faster than drift, which hides it: record at a rate of which the tone is no multiple. "
+    )
+
+
+def is_ambiguous(search: OffsetSearch) -> bool:
+    """Whether a second clock offset fits almost as well as the best one."""
     other, fit = search.runner_up, search.fit
     if other is None:
-        return
+        return False
     lead = fit.likelihood - other.likelihood
     share = other.noise / fit.noise * np.exp(_entropy(other.whitened.variance) - _entropy(fit.whitened.variance)) - 1.0
     # Alternatives of a single tone differ by what the noise looks like at shifted instants, which grows with sqrt(n).
-    if lead < max(AMBIGUOUS_BELOW, AMBIGUOUS_DRAWS * np.sqrt(len(fit.whitened.variance))) or share < AMBIGUOUS_SHARE:
+    least = max(AMBIGUOUS_BELOW, AMBIGUOUS_DRAWS * np.sqrt(len(fit.whitened.variance)))
+    return bool(lead < least or share < AMBIGUOUS_SHARE)
+
+
+def _refuse_ambiguity(search: OffsetSearch, max_offset_s: float) -> None:
+    other, fit = search.runner_up, search.fit
+    if other is not None and is_ambiguous(search):
         raise UntrustedError(
             f"The clock offset is ambiguous: {fit.offset_s:+.4f} s (scale factor {1e3 / fit.ratio:.4g} mm/px) and "
             f"{other.offset_s:+.4f} s ({1e3 / other.ratio:.4g} mm/px) fit almost alike within ±{max_offset_s:g} s, as "
-            "they do when the motion is nearly a single tone. Set a smaller calibration.max_offset_s that excludes one "
-            "of them, or calibrate on a time with changing motion."
+            "they do when the motion is nearly a single tone, or when a tone's alias meets a slower tone. Set a "
+            "smaller calibration.max_offset_s that excludes one of them, or calibrate on a time with changing motion."
         )
 
 

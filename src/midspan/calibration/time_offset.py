@@ -22,6 +22,12 @@ OUTLIER_LIMIT = 5.0
 LONELY_LIMIT = 2.0
 # Rounds of marking outliers and fitting again, at most.
 MARKING_ROUNDS = 12
+# Rounds of comparing ratios with the best one's, at most; and the pull towards smaller ratios, in standard deviations
+# of the offset, that is left as it is.
+REFERENCE_ROUNDS = 4
+MOST_PULLED = 0.1
+# Where the accelerometer's noise would be this share of its signal, the sensors do not agree.
+EXPLAINED_BY_NOISE = 0.3
 # Above this rate the coarse search runs on averages of neighbouring samples; the refinement always on all samples.
 COARSE_RATE_HZ = 250.0
 
@@ -58,11 +64,37 @@ def search_offset(pair: Pair, max_offset_s: float) -> OffsetSearch:
         cleaned = _cleaned(pair, best, step)
         fits = [refine(cleaned, fit, step) for fit in fits] if cleaned is not pair else fits
         pair, best = cleaned, max(fits, key=lambda fit: fit.likelihood)
-    others = [fit for fit in fits if abs(fit.offset_s - best.offset_s) > 2.0 * step]
-    runner_up = max(others, key=lambda fit: fit.likelihood, default=None)
+    for _ in range(REFERENCE_ROUNDS):
+        if not _may_shrink(pair, _apart(fits, best, step), best):
+            break
+        pair = replace(pair, reference=abs(best.ratio))
+        offsets, curve = scan(pair, max_offset_s)
+        fits = _refined(pair, offsets, curve)
+        best = max(fits, key=lambda fit: fit.likelihood)
+    runner_up = max(_apart(fits, best, step), key=lambda fit: fit.likelihood, default=None)
     variance, drag = curvature(pair, best)
     best = replace(best, ratio_variance=best.ratio_variance + drag * drag * variance)
     return OffsetSearch(best, TimeOffset(best.offset_s, variance), runner_up, offsets, curve, pair)
+
+
+def _apart(fits: list[Fit], best: Fit, step_s: float) -> list[Fit]:
+    """The fits at other offsets than the best one's."""
+    return [fit for fit in fits if abs(fit.offset_s - best.offset_s) > 2.0 * step_s]
+
+
+def _may_shrink(pair: Pair, others: list[Fit], best: Fit) -> bool:
+    """Whether the noise of the accelerometer can have led to an offset with too small a ratio (see `shrinking`)."""
+    if pair.ratio is not None or (pair.reference is not None and abs(best.ratio) > 0.99 * pair.reference):
+        return False
+    rate = (len(pair.samples) - 1) / float(pair.samples[-1, 0] - pair.samples[0, 0])
+    if np.sqrt(best.input_density * rate) > EXPLAINED_BY_NOISE * np.std(pair.samples[:, 1]):
+        # Nothing agrees here, and all of the acceleration counts as noise.
+        return False
+    share = float(np.sum(best.whitened.input_part / best.whitened.variance))
+    if any(fit.likelihood + share * np.log(abs(fit.ratio / best.ratio)) > best.likelihood for fit in others):
+        return True
+    variance, drag = curvature(pair, best)
+    return bool(share * abs(drag / best.ratio) * np.sqrt(variance) > MOST_PULLED)
 
 
 def scan(pair: Pair, max_offset_s: float) -> tuple[Floats, Floats]:

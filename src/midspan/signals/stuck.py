@@ -1,0 +1,77 @@
+"""A slow sensor that repeats one value while the structure moves."""
+
+import numpy as np
+
+from midspan.records import Floats
+from midspan.signals.health import Mask, runs
+
+# So many exactly equal values in a row are looked at.
+LEAST_EQUAL = 5
+# A stretch is judged in pieces of this length, or of LEAST_EQUAL values where these take longer: over a long time
+# twice integrated noise is larger than any motion.
+PIECE_S = 4.0
+# The motion must leave the value's resolution by this many times, and the accelerometer's own noise by far: noise of
+# density S, integrated twice over T, spans 0.07 · √(S T³) on average about a parabola, and 0.2 in one of a thousand.
+RESOLUTIONS = 2.0
+NOISE_SPAN = 0.5
+# Differences below this share of the values' span are rounding, not resolution.
+ROUNDING = 1e-6
+
+
+def stuck(time_s: Floats, value: Floats, samples: Floats, *, resolution_m: float) -> Mask:
+    """Values (n,) of runs of at least five exactly equal ones over which the structure clearly moved.
+
+    time_s (n,) increasing, value (n,), not-a-number where missing; samples (m, 3): time (s) on the same clock,
+    acceleration (m/s²), density of its noise ((m/s²)²/Hz); resolution_m: what the values are rounded to, m (see
+    `resolution`). A sensor of coarse resolution may stand still while the motion stays within it; and of a parabola in
+    time the acceleration tells nothing.
+    """
+    known = np.flatnonzero(np.isfinite(value))
+    mask = np.zeros(len(value), dtype=bool)
+    if len(known) < LEAST_EQUAL:
+        return mask
+    equal = runs(np.concatenate(([False], np.diff(value[known]) == 0.0)))
+    least = RESOLUTIONS * resolution_m
+    for start, end in equal[equal[:, 1] - equal[:, 0] + 1 >= LEAST_EQUAL]:
+        held = known[start - 1 : end]
+        pieces = _pieces(time_s[held])
+        if any(_moved(time_s[held[a:b]], samples, least) for a, b in pieces):
+            mask[held] = True
+    return mask
+
+
+def resolution(value: Floats) -> float:
+    """The smallest step between the values (n,) that occur, in their unit; 0 where they all are one."""
+    levels = np.unique(value[np.isfinite(value)])
+    steps = np.diff(levels)
+    clear = steps[steps > ROUNDING * float(levels[-1] - levels[0])] if len(levels) > 1 else steps
+    return float(clear.min()) if len(clear) else 0.0
+
+
+def _pieces(time_s: Floats) -> list[tuple[int, int]]:
+    """Start and end (exclusive) of pieces long enough to be judged, overlapping by half."""
+    usual = float(np.median(np.diff(time_s)))
+    count = max(LEAST_EQUAL, int(np.ceil(PIECE_S / usual)))
+    if len(time_s) <= count:
+        return [(0, len(time_s))]
+    starts = [*range(0, len(time_s) - count, max(count // 2, 1)), len(time_s) - count]
+    return [(a, a + count) for a in starts]
+
+
+def _moved(time_s: Floats, samples: Floats, least_m: float) -> bool:
+    """Whether the acceleration tells a motion at these instants (k,) that no parabola and no noise explains."""
+    first, last = np.searchsorted(samples[:, 0], (time_s[0], time_s[-1]))
+    near = samples[max(first - 1, 0) : last + 1]
+    if len(near) < LEAST_EQUAL or near[-1, 0] < time_s[-1] or near[0, 0] > time_s[0]:
+        return False
+    velocity = _integral(near[:, 0], near[:, 1] - np.mean(near[:, 1]))
+    moved = np.interp(time_s, near[:, 0], _integral(near[:, 0], velocity))
+    length = float(time_s[-1] - time_s[0])
+    powers = np.vander((time_s - time_s[0]) / length, 3)
+    left = moved - powers @ np.linalg.lstsq(powers, moved, rcond=None)[0]
+    return bool(np.ptp(left) > max(least_m, NOISE_SPAN * np.sqrt(np.max(near[:, 2]) * length**3)))
+
+
+def _integral(time_s: Floats, value: Floats) -> Floats:
+    steps = 0.5 * (value[1:] + value[:-1]) * np.diff(time_s)
+    return np.concatenate(([0.0], np.cumsum(steps)))

@@ -1,0 +1,93 @@
+"""A sensor that repeats one value: found where the acceleration says that the structure moved, and only there."""
+
+import numpy as np
+import pytest
+
+from midspan.signals.stuck import resolution, stuck
+from midspan.simulate.motion import Sines, Sum, Window, random_motion
+
+NOISE = 2e-3
+
+
+def accelerated(motion, seed, length_s=60.0):
+    """Samples at 100 Hz with 2 mm/s² of noise and a bias of 20 mm/s²."""
+    time = np.arange(0.0, length_s, 0.01)
+    value = motion.acceleration(time) + 0.02 + NOISE * np.random.default_rng(seed).standard_normal(len(time))
+    return np.column_stack((time, value, np.full(len(time), NOISE**2 / 100.0)))
+
+
+def found(time, value, samples):
+    return stuck(time, value, samples, resolution_m=resolution(value))
+
+
+@pytest.mark.parametrize(("rate_hz", "count"), [(1.0, 5), (1.0, 30), (10.0, 40), (100.0, 150)])
+@pytest.mark.parametrize("seed", range(4))
+def test_a_stuck_value_is_found_whole_and_nothing_else(rate_hz, count, seed):
+    motion = random_motion((0.3, 8.0), 3e-3, rng=np.random.default_rng(seed), flat="velocity")
+    time = np.arange(0.5, 59.5, 1.0 / rate_hz)
+    value = motion.displacement(time) + 1e-4 * np.random.default_rng(seed).standard_normal(len(time))
+    first = len(time) // 3
+    value[first : first + count] = value[first]
+    mask = found(time, value, accelerated(motion, seed))
+    np.testing.assert_array_equal(np.flatnonzero(mask), np.arange(first, first + count))
+
+
+@pytest.mark.parametrize("step_m", [1e-5, 1e-4, 1e-3])
+def test_coarse_resolution_at_rest_is_no_fault(step_m):
+    # A second of shaking in a minute of rest; all values are multiples of the resolution.
+    shaking = Window(Sines(np.array([5e-3]), np.array([1.3])), 28.0, 32.0, ramp_s=1.0)
+    time = np.arange(0.5, 59.5, 0.1)
+    for seed in range(4):
+        value = np.round((shaking.displacement(time) + 0.0123) / step_m) * step_m
+        assert not found(time, value, accelerated(shaking, seed)).any()
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_motion_within_the_resolution_is_no_fault(seed):
+    # 0.3 mm of motion at 1.3 Hz, readings in whole millimetres: they stand still most of the time, and rightly so.
+    quiet = Sines(np.array([3e-4, 4e-3]), np.array([1.3, 0.02]))
+    time = np.arange(0.5, 59.5, 0.1)
+    value = np.round(quiet.displacement(time) * 1e3) / 1e3
+    assert np.mean(np.diff(value) == 0.0) > 0.5
+    assert not found(time, value, accelerated(quiet, seed)).any()
+
+
+@pytest.mark.parametrize("length_s", [60.0, 600.0])
+def test_noise_and_bias_of_the_accelerometer_are_no_motion(length_s):
+    # A structure at rest, a sensor without any noise, a stretch of an hour's tenth: the integrated noise is metres.
+    still = Sines(np.array([1e-9]), np.array([1.0]))
+    time = np.arange(0.5, length_s - 0.5, 1.0)
+    for seed in range(6):
+        value = np.full(len(time), 0.0123)
+        value[:20] += 1e-5 * np.arange(20)
+        assert not found(time, value, accelerated(still, seed, length_s)).any()
+
+
+def test_what_the_accelerometer_did_not_see_is_not_held_against_the_sensor():
+    motion = random_motion((0.3, 8.0), 3e-3, rng=np.random.default_rng(1), flat="velocity")
+    time = np.arange(0.5, 59.5, 0.1)
+    value = motion.displacement(time)
+    value[200:240] = value[200]
+    samples = accelerated(motion, 1)
+    bridged = (samples[:, 0] > 15.0) & (samples[:, 0] < 30.0)
+    samples[bridged, 2] = 1.0
+    assert not found(time, value, samples).any()
+    # Where the samples end before the values do, nothing is known either.
+    assert not found(time, value, samples[samples[:, 0] < 22.0]).any()
+
+
+def test_missing_values_inside_a_stuck_stretch_do_not_hide_it():
+    slow = Sines(np.array([5e-3]), np.array([0.05]))
+    motion = Sum((slow, random_motion((0.3, 8.0), 3e-3, rng=np.random.default_rng(2), flat="velocity")))
+    time = np.arange(0.5, 59.5, 0.1)
+    value = motion.displacement(time)
+    value[200:240] = value[200]
+    value[[205, 217]] = np.nan
+    mask = found(time, value, accelerated(motion, 2))
+    np.testing.assert_array_equal(np.flatnonzero(mask), np.setdiff1d(np.arange(200, 240), [205, 217]))
+
+
+def test_the_resolution_is_the_smallest_step_and_not_rounding():
+    value = np.array([1, 2, 5, 9, 2]) * 0.1
+    assert resolution(value + np.array([0.0, 1e-16, 0.0, 0.0, 0.0])) == pytest.approx(0.1)
+    assert resolution(np.array([np.nan, 3.0, 3.0])) == 0.0
