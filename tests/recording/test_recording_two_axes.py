@@ -9,7 +9,7 @@ import pytest
 import midspan
 from midspan.evaluate.result_file import compare_files
 from midspan.fusion.clock import ClockCourse
-from midspan.recording import calibrate_camera, estimate, inputs
+from midspan.recording import calibrate_camera, cameras, estimate, inputs
 from midspan.recording.inspect import inspect_recording
 from midspan.recording.running_clock import RunningClock
 from midspan.recording.tracking import TargetTracking
@@ -235,7 +235,7 @@ def test_the_course_of_the_clock_is_learnt_once_and_moves_both_axes(site_copy, r
         course = ClockCourse(middle, late, 0.01 * late, int(middle[0]), float(late[0]), 1e-5, np.zeros((2, 2)))
         return RunningClock(course.corrected(measured), 1e-4, ("its clock runs",), course)
 
-    monkeypatch.setattr(inputs, "on_one_clock", drifting)
+    monkeypatch.setattr(cameras, "on_one_clock", drifting)
     after = inputs.gather(recording, calibration, None, lambda *_: None)
     assert len(learnt) == 1
     assert after.warnings.count("its clock runs") == 1

@@ -1,5 +1,6 @@
 """A wall in relief under a light that turns: shading moves from one flank of each bump to the other."""
 
+from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
@@ -12,6 +13,17 @@ SIZE = (88, 88)
 RATE_HZ = 5.0
 
 
+@dataclass(frozen=True)
+class Sky:
+    """Where the light goes besides the sweep: `aside` at its beginning and end (tangent of the direction across the
+    sweep); `ambient` share that comes from everywhere; `cast`: bumps throw shadows on each other.
+    """
+
+    aside: tuple[float, float] = (0.3, 0.3)
+    ambient: float = 0.0
+    cast: bool = False
+
+
 @cache
 def _relief(seed):
     rng = np.random.default_rng(seed)
@@ -20,16 +32,32 @@ def _relief(seed):
     return height, tone, 0.5 / float(np.std(height.gradient(0.0, 0.0)[0]))
 
 
-def shaded(seed, moved, angle, level):
+OVERHEAD = Sky()
+
+
+def shaded(seed, moved, angle, level, aside=0.3, sky=OVERHEAD):
     """Lambert's law on the relief moved by `moved` px, light at `angle` rad from the normal: about 130 DN · level."""
     height, tone, steep = _relief(seed)
     gx, gy = (-steep * g for g in height.gradient(*moved))
-    shade = np.maximum(np.cos(angle) - (gx + 0.3 * gy) * np.sin(angle), 0.0) / np.sqrt(1 + gx**2 + gy**2)
+    shade = np.maximum(np.cos(angle) - (gx + aside * gy) * np.sin(angle), 0.0) / np.sqrt(1 + gx**2 + gy**2)
+    if sky.cast:
+        shade = shade * _lit(steep * height.render(*moved), angle)
+    shade = (1.0 - sky.ambient) * shade + sky.ambient / np.sqrt(1 + gx**2 + gy**2)
     # Stones of different tone: a fifth of their contrast is left of the picture's.
     return 130.0 * level * shade * (1.0 + 0.2 * (tone.render(*moved) / 128.0 - 1.0))
 
 
-def swept(seed, angles_deg, levels=None, amplitude_px=2.5):
+def _lit(height, angle):
+    """Share of the light that reaches each pixel past the bumps on the light's side; edges as soft as the sun's."""
+    side, rise = (1 if angle > 0 else -1), 1.0 / max(abs(np.tan(angle)), 1e-3)
+    above = np.full(height.shape, -np.inf)
+    for step in range(1, 13):
+        beyond = np.roll(height, -side * step, axis=1)
+        above = np.maximum(above, beyond - height - step * rise)
+    return 1.0 / (1.0 + np.exp(np.clip(above / 0.1, -50.0, 50.0)))
+
+
+def swept(seed, angles_deg, levels=None, amplitude_px=2.5, sky=OVERHEAD):
     """Frames (8 bit, noise of 2 DN) and true translations (n, 2) under a light at the angles given."""
     count = len(angles_deg)
     levels = np.ones(count) if levels is None else levels
@@ -38,8 +66,9 @@ def swept(seed, angles_deg, levels=None, amplitude_px=2.5):
     moved -= moved[0]
     rng = np.random.default_rng(seed + 50)
     frames = []
+    aside = np.linspace(*sky.aside, count)
     for k, (d, angle, level) in enumerate(zip(moved, np.deg2rad(angles_deg), levels, strict=True)):
-        picture = shaded(seed, d, angle, level) + rng.normal(0.0, 2.0, SIZE)
+        picture = shaded(seed, d, angle, level, float(aside[k]), sky) + rng.normal(0.0, 2.0, SIZE)
         frames.append(Frame(round(1e9 * k / RATE_HZ), np.clip(np.rint(picture), 0, 255).astype(np.uint8), k))
     return frames, moved
 

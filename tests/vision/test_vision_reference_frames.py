@@ -1,13 +1,14 @@
-"""Key frames: their chain is a least-squares solution, hand-overs leave no step, the first frame is found again."""
+"""Key frames: all of them measure together, hand-overs leave no step, the first frame is found again."""
 
 import numpy as np
 import pytest
-from reference_scenes import RATE_HZ, REGION, SIZE, swept, track
+from reference_scenes import RATE_HZ, REGION, SIZE, Sky, shaded, swept, track
 
 from midspan.errors import UsageError
 from midspan.records import Frame
-from midspan.vision.reference_chain import Link, first_chain, mean_link
+from midspan.vision.reference_alignment import aligned
 from midspan.vision.reference_frames import KeyFrameSettings, KeyFrameTracker
+from midspan.vision.reference_light import mixed, placed, sight, steadiness
 from midspan.vision.tracker import open_tracker
 
 DAY_DEG = 60.0 * -np.cos(np.pi * np.arange(150) / 150)
@@ -23,57 +24,63 @@ def day():
     return frames, moved, tracker, xy, std
 
 
-def test_the_chain_is_the_least_squares_solution_of_all_links() -> None:
+def picture(seed, angle_deg, moved=(0.0, 0.0)):
+    """The wall without noise, as it is seen at rest when it lies at `moved` and is believed to lie at 0."""
+    pixels = shaded(seed, moved, np.deg2rad(angle_deg), 1.0).astype(np.float64)
+    return sight(pixels, REGION, np.zeros(2)).window(np.zeros(2))
+
+
+def test_a_light_between_two_is_a_mix_of_them_and_its_motion_is_found_where_one_picture_errs() -> None:
+    there = np.array([0.23, -0.31])
+    frame = sight(shaded(4, there, np.deg2rad(-25.0), 0.6).astype(np.float64), REGION, np.zeros(2))
+    one = mixed([picture(4, -40.0)], [np.zeros(2)])
+    both = mixed([picture(4, -40.0), picture(4, 0.0)], [np.zeros(2)] * 2)
+    alone = np.abs(placed(one, frame, np.zeros(2)).place - there).max()
+    together = np.abs(placed(both, frame, np.zeros(2)).place - there).max()
+    # Lambert's law is linear in the light's direction; flanks that see no light are not.
+    assert together < 0.01
+    assert alone > 3 * together
+
+
+def test_the_shares_of_pictures_in_a_place_add_up_to_one() -> None:
+    mix = mixed([picture(2, a) for a in (-40.0, 0.0, 30.0)], [np.zeros(2)] * 3)
+    found = placed(mix, sight(shaded(2, (0.1, 0.2), 0.2, 1.0), REGION, np.zeros(2)), np.zeros(2))
+    # Moving all pictures alike moves the place alike; what another mix explains is missing, about a hundredth.
+    np.testing.assert_allclose(found.shares.sum(axis=1), 1.0, atol=0.03)
+
+
+def test_pictures_that_lie_wrong_are_put_right_by_being_mixes_of_each_other() -> None:
+    wrong = np.array([[0.0, 0.0], [0.06, -0.04], [-0.05, 0.05], [0.03, 0.06], [-0.06, 0.02]])
+    angles = (-50.0, -25.0, 0.0, 25.0, 50.0)
+    for seed in (1, 4):
+        made = [picture(seed, a, d) for a, d in zip(angles, wrong, strict=True)]
+        found = aligned(mixed(made, [np.zeros(2)] * 5))
+        # To be read farther on by as much as the target lies farther on.
+        error = np.abs(found.moves - wrong)
+        assert error.max() < 0.03
+        assert error.mean() < 0.3 * np.abs(wrong).mean()
+        np.testing.assert_array_equal(found.moves[0], 0.0)
+        std = np.sqrt(np.stack([np.diag(c) for c in found.covariance], axis=1))[1:]
+        assert np.sqrt(np.mean((error[1:] / std) ** 2)) < 2.5
+
+
+def test_a_picture_that_is_no_mix_of_the_others_says_so() -> None:
+    def alone(sky, angles=(-55.0, -30.0, -5.0, 20.0)):
+        frames = [shaded(0, (0.0, 0.0), np.deg2rad(a), 1.0, 0.3, sky).astype(np.float64) for a in angles]
+        made = [sight(f, REGION, np.zeros(2)).window(np.zeros(2)) for f in frames]
+        return aligned(mixed(made, [np.zeros(2)] * len(angles))).alone[0]
+
+    assert alone(Sky(cast=True)) > 2 * alone(Sky())
+
+
+def test_pixels_that_do_not_keep_to_the_mix_count_less() -> None:
     rng = np.random.default_rng(0)
-    truth = rng.normal(0.0, 3.0, (5, 2))
-    truth[0] = 0.0
-    ends = [(0, 1), (1, 2), (0, 2), (2, 3), (1, 3), (3, 4), (0, 4)]
-    links = [Link(a, b, truth[b] - truth[a] + rng.normal(0, 0.02, 2), np.array([4e-4, 9e-4])) for a, b in ends]
-    chain = first_chain()
-    for link in links:
-        chain = chain.extended() if link.end == len(chain) else chain
-        chain = chain.linked(link)
-    for axis, variance in enumerate((4e-4, 9e-4)):
-        design = np.zeros((len(links), 4))
-        for row, link in enumerate(links):
-            design[row, link.end - 1] = 1.0
-            if link.start:
-                design[row, link.start - 1] = -1.0
-        normal = design.T @ design / variance
-        solution = np.linalg.solve(normal, design.T @ [link.value[axis] for link in links] / variance)
-        # The unknown start has a variance of 1e8 px², not an infinite one.
-        np.testing.assert_allclose(chain.place[1:, axis], solution, atol=1e-6)
-        np.testing.assert_allclose(chain.covariance[axis, 1:, 1:], np.linalg.inv(normal), rtol=1e-4)
-    np.testing.assert_array_equal(chain.place[0], 0.0)
-    shorter = chain.without(2)
-    np.testing.assert_array_equal(shorter.place, np.delete(chain.place, 2, axis=0))
-
-
-def test_errors_add_up_along_a_chain_and_a_link_to_its_start_takes_them_back() -> None:
-    chain, variance = first_chain(), np.full(2, 0.01**2)
-    for end in range(1, 10):
-        chain = chain.extended().linked(Link(end - 1, end, np.ones(2), variance))
-    assert np.sqrt(chain.variance(9)) == pytest.approx(0.03, rel=1e-3)  # 0.01 √9
-    closed = chain.linked(Link(0, 9, np.full(2, 9.05), variance))
-    # 9.00 ± 0.03 and 9.05 ± 0.01: weights 1 to 9.
-    assert closed.place[9] == pytest.approx(9.045, abs=1e-4)
-    assert closed.place[4] == pytest.approx(4.0 + 0.045 * 4 / 9, abs=1e-4)
-
-
-def test_a_link_that_contradicts_the_chain_moves_it_little() -> None:
-    chain = first_chain().extended().linked(Link(0, 1, np.zeros(2), np.full(2, 1e-4)))
-    pulled = chain.linked(Link(0, 1, np.full(2, 5.0), np.full(2, 1e-4)))
-    assert np.abs(pulled.place[1]).max() < 0.01
-
-
-def test_a_constant_difference_is_known_better_the_more_frames_there_are() -> None:
-    rng = np.random.default_rng(1)
-    pairs = 0.3 + rng.normal(0.0, 0.02, (400, 2))
-    few, many = (mean_link(pairs[:n], np.full((n, 2), 4e-4), 0.0) for n in (4, 400))
-    assert np.abs(many[0] - 0.3).max() < 0.005
-    assert np.all(many[1] < few[1] / 20)
-    floor = mean_link(pairs, np.full((400, 2), 4e-4), 0.01)[1]
-    assert np.sqrt(floor).min() >= 0.01
+    pictures = rng.normal(size=(400, 2)) @ rng.normal(size=(2, 4))
+    pictures[:40, 2] += 3.0
+    pictures /= np.linalg.norm(pictures, axis=0)
+    weight = steadiness(pictures, np.ones(400))[0]
+    assert weight[:40].max() < 0.3 * weight[40:].mean()
+    assert weight.mean() == pytest.approx(1.0)
 
 
 def test_in_steady_light_there_is_one_key_frame_and_the_track_is_the_inner_trackers() -> None:
@@ -93,10 +100,19 @@ def test_a_light_sweep_of_sixty_degrees_either_way_is_followed_without_a_gap(day
     assert not np.isnan(xy).any()
     assert 3 <= tracker.key_frames <= 15
     error = xy - moved
-    assert np.sqrt(np.mean(error**2)) < 0.12
-    # Two axes of one run whose errors belong together: 95 % would be too much to ask.
-    assert np.mean(np.abs(error) < 1.96 * std) > 0.85
+    # Key frames alone, each a reference of its own, come to 0.10 px on this wall: shading moves over the bumps.
+    assert np.sqrt(np.mean(error**2)) < 0.03
+    assert np.mean(np.abs(error) < 1.96 * std) > 0.93
     assert std[-1].min() > 2 * std[3].max()
+
+
+def test_a_light_that_swings_across_as_well_is_followed_on_other_walls() -> None:
+    for seed in (21, 25):
+        frames, moved = swept(seed, DAY_DEG, DUSK, sky=Sky(aside=(-0.8, 0.8), ambient=0.2))
+        xy, std = track(KeyFrameTracker(frames[0], REGION), frames)
+        error = xy - moved
+        assert np.sqrt(np.mean(error**2)) < 0.08
+        assert np.mean(np.abs(error) < 1.96 * std) > 0.93
 
 
 def test_a_hand_over_leaves_no_step(day) -> None:

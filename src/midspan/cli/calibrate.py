@@ -33,27 +33,71 @@ def command(recording: str, output: str | None, tracker: str | None, quiet: bool
 def describe(console: Console, tree: dict) -> None:  # type: ignore[type-arg]
     """Print a calibration's values with their standard deviations."""
     rows = []
-    camera, displacement, acceleration = tree.get("camera"), tree.get("displacement"), tree["accelerometer"]
-    if camera:
-        scale, std = camera["scale_mm_per_px"], camera["scale_std_mm_per_px"]
-        rows += [
-            ("scale factor", f"{scale:.5g} ± {std:.2g} mm/px ({100 * std / abs(scale):.2g} %)"),
-            ("camera clock offset", _offset(camera)),
-            ("camera noise", f"{camera['noise_std_px']:.2g} px per frame"),
-            ("region of interest", ", ".join(str(number) for number in camera["roi"]) + " (x, y, width, height in px)"),
-            *_targets(camera),
-            *_axes(camera),
-        ]
+    displacement, acceleration = tree.get("displacement"), tree["accelerometer"]
+    for name in ("camera", "infrared"):
+        rows += _camera(tree[name], name) if name in tree else []
+    rows += _radar(tree["radar"]) if "radar" in tree else []
     if displacement:
         rows += [
             ("displacement noise", f"{displacement['noise_std_mm']:.3g} mm per measurement"),
             ("displacement clock offset", _offset(displacement)),
+            *_sensor_scale(displacement),
         ]
     rows += [
         ("accelerometer noise", f"{1e3 * acceleration['noise_std_m_s2']:.3g} mm/s² per sample"),
         ("accelerometer bias", f"{1e3 * acceleration['bias_m_s2']:.3g} mm/s²"),
     ]
     console.table(rows)
+
+
+def _sensor_scale(displacement: dict) -> list[tuple[str, str]]:  # type: ignore[type-arg]
+    """The scale of a displacement sensor, where it was learnt."""
+    if "scale" not in displacement:
+        return []
+    scale, std = displacement["scale"], displacement["scale_std"]
+    return [("displacement scale", f"{scale:.5g} ± {std:.2g} ({100 * std / abs(scale):.2g} %)")]
+
+
+def _camera(camera: dict, name: str) -> list[tuple[str, str]]:  # type: ignore[type-arg]
+    """The rows of a camera of light or infrared."""
+    scale, std = camera["scale_mm_per_px"], camera["scale_std_mm_per_px"]
+    whose = "infrared " if name == "infrared" else ""
+    seen = camera.get("temperature_range_c")
+    return [
+        (f"{whose}scale factor", f"{scale:.5g} ± {std:.2g} mm/px ({100 * std / abs(scale):.2g} %)"),
+        (f"{name} clock offset", _offset(camera)),
+        (f"{name} noise", f"{camera['noise_std_px']:.2g} px per frame"),
+        (
+            f"{whose}region of interest",
+            ", ".join(str(number) for number in camera["roi"]) + " (x, y, width, height in px)",
+        ),
+        *([("temperature range", f"{seen[0]:.2f} … {seen[1]:.2f} °C")] if seen else []),
+        *_targets(camera),
+        *_axes(camera),
+    ]
+
+
+def _radar(radar: dict) -> list[tuple[str, str]]:  # type: ignore[type-arg]
+    """The rows of a radar: what holds for all its targets, then one row for each that was found."""
+    factor, std = radar["conversion_factor"], radar["conversion_factor_std"]
+    rows = [
+        ("radar conversion factor", f"{factor:.5g} ± {std:.2g} ({100 * std / abs(factor):.2g} %)"),
+        ("radar clock offset", _offset(radar)),
+        ("radar noise", f"{radar['noise_std_mm']:.2g} mm per frame"),
+    ]
+    for number, target in enumerate(radar["targets"], start=1):
+        place = f"at {target['range_m']:.2f} m" if target["range_m"] is not None else f"{number}"
+        rows.append((f"radar target {place}", _radar_target(target)))
+    return rows
+
+
+def _radar_target(target: dict) -> str:  # type: ignore[type-arg]
+    """Level, factor, coherence and verdict of a radar's target."""
+    found = [] if target["snr_db"] is None else [f"{target['snr_db']:.0f} dB"]
+    if target["conversion_factor"] is not None and target["conversion_factor_std"] is not None:
+        found.append(f"factor {target['conversion_factor']:.4g} ± {target['conversion_factor_std']:.2g}")
+        found.append(f"coherence {target['coherence']:.4f}")
+    return ", ".join([*found, "used" if target["used"] else f"left out: {target['reason']}"])
 
 
 def _targets(camera: dict) -> list[tuple[str, str]]:  # type: ignore[type-arg]

@@ -15,10 +15,13 @@ def command(file: str, quiet: bool, as_json: bool) -> None:
     console = Console(quiet, as_json)
     path, settings = settings_file(file), load_settings(file)
     missing = []
-    for section in ("accelerometer", "camera", "displacement", "reference"):
+    for section in ("accelerometer", "camera", "infrared", "radar", "displacement", "reference"):
         part = getattr(settings, section)
         if part is not None and not any(sign in part.file for sign in "*?[") and not (path.parent / part.file).exists():
             missing.append(f"{path}: {section}.file = {part.file!r}: no such file yet.")
+    radar = settings.radar
+    if radar is not None and radar.config is not None and not (path.parent / radar.config).exists():
+        missing.append(f"{path}: radar.config = {radar.config!r}: no such file yet.")
     console.say(f"{path}: valid.")
     console.table((key, str(value)) for key, value in _flat(settings.model_dump(exclude_none=True)))
     console.warn(missing)

@@ -59,14 +59,15 @@ def open_with(recording: str, tracker: str | None, method: str | None = None, li
 
     overrides: dict[str, dict[str, Any]] = {}
     if tracker is not None:
-        overrides["camera"] = {"tracker": option("--tracker", tracker, TRACKERS)}
+        chosen = {"tracker": option("--tracker", tracker, TRACKERS)}
+        overrides |= {"camera": chosen, "infrared": dict(chosen)}
     if method is not None:
         overrides["fusion"] = {"method": option("--method", method, METHODS)}
     if literal:
         overrides["fusion"] = overrides.get("fusion", {}) | {"literal": True}
     opened = open_recording(recording, **overrides)
-    if tracker is not None and not opened.has("camera"):
-        raise click.UsageError(f"--tracker {tracker}: {opened.file} has no [camera] to track.")
+    if tracker is not None and not opened.cameras:
+        raise click.UsageError(f"--tracker {tracker}: {opened.file} has no [camera] or [infrared] to track.")
     return opened
 
 
@@ -91,6 +92,12 @@ def _second(result: "Result") -> list[tuple[str, str]]:
     ]
 
 
+def _sources(shares: dict[str, float]) -> list[tuple[str, str]]:
+    """Which sensor the rows rest on, where there are several."""
+    named = [f"{100 * part:.3g} % {word}" for word, part in shares.items()]
+    return [("source", ", ".join(named))] if len(named) > 1 else []
+
+
 def show(console: Console, result: "Result", written: list[str]) -> None:
     """Print the first figures of a result and where it went."""
     f = result.figures()
@@ -102,6 +109,7 @@ def show(console: Console, result: "Result", written: list[str]) -> None:
             ("standard deviation", f"{f['median_std_mm']:.3g} mm (median)"),
             *_second(result),
             ("status", share),
+            *_sources(f["source"]),
             ("written", ", ".join(written)),
         ]
     )

@@ -12,11 +12,15 @@ def command(quiet: bool, as_json: bool) -> None:
     from midspan.sinks.write import FORMATS as WRITTEN
     from midspan.sources.accelerometer.formats import FORMATS as CHANNELS
     from midspan.sources.camera.formats import FORMATS as CAMERAS
+    from midspan.sources.radar.formats import FORMATS as RADARS
+    from midspan.sources.thermal.formats import FORMATS as THERMAL
 
     console = Console(quiet, as_json)
     groups = {
         "accelerometer, displacement, reference": CHANNELS,
         "camera": CAMERAS,
+        "infrared": THERMAL,
+        "radar": RADARS,
         "results": WRITTEN,
     }
     tree = {}

@@ -7,6 +7,17 @@ import click
 
 from midspan.cli.console import Console, common_options
 
+STREAMS = (
+    "accelerometer",
+    "accelerometer_x",
+    "accelerometer_y",
+    "camera",
+    "infrared",
+    "radar",
+    "displacement",
+    "reference",
+)
+
 
 @click.command("inspect")
 @click.argument("recording", type=click.Path())
@@ -35,7 +46,7 @@ def command(recording: str, all_frames: bool, quiet: bool, as_json: bool) -> Non
 def show(console: Console, tree: dict[str, Any]) -> None:
     """Print what `inspect_recording` found."""
     console.say(f"{tree['name']} ({tree['recording']})")
-    for section in ("accelerometer", "accelerometer_x", "accelerometer_y", "camera", "displacement", "reference"):
+    for section in STREAMS:
         if section in tree:
             _show_stream(console, section, tree[section])
     _show_overlap(console, tree["overlap"])
@@ -62,17 +73,50 @@ def _show_stream(console: Console, section: str, branch: dict[str, Any]) -> None
             ("missing, frozen, clipped", f"{branch['missing_samples']}, {branch['frozen_samples']}, "
                                          f"{branch['clipped_samples']} samples"),
         ]  # fmt: skip
+    elif "carrier_hz" in branch:
+        rows += _radar(branch)
     else:
         lossless = {True: "lossless", False: "lossy", None: "lossless or not is unknown"}[branch["lossless"]]
         rows += [
             ("picture", f"{branch['width']} × {branch['height']} px, {branch['bit_depth']} bit, "
                         f"{branch['codec']}, {lossless}"),
             ("frames", f"{branch['frames_used']} used of {branch['frames_in_file'] or 'an unknown number'}"),
+            *_temperatures(branch),
             ("frozen, dark, saturated", f"{branch['frozen_frames']}, {branch['dark_frames']}, "
                                         f"{branch['saturated_frames']} of the {branch['frames_looked_at']} looked at"),
         ]  # fmt: skip
     rows += [("found", note) for note in branch["notes"]]
     console.table(rows)
+
+
+def _radar(branch: dict[str, Any]) -> list[tuple[str, str]]:
+    """What a radar sees, and how."""
+    chirp, resolution = branch["chirp"], branch["range_resolution_m"]
+    reach = "" if branch["largest_range_m"] is None else f" up to {branch['largest_range_m']:.4g} m"
+    rows = [
+        ("radar", f"{branch['kind']}, {branch['frames']} frames, {branch['channels']} channels"),
+        ("carrier", f"{branch['carrier_hz'] / 1e9:.6g} GHz, a cycle is {branch['cycle_mm']:.4g} mm of range"),
+        ("limit speed", f"{branch['limit_speed_mm_s']:.4g} mm/s for unwrapping without the accelerometer"),
+        ("range", f"{branch['bins']} bins" + (f" of {resolution:.4g} m" if resolution else "") + reach),
+    ]
+    if chirp is not None:
+        form = "complex" if chirp["complex_samples"] else "real"
+        rows.append(
+            ("chirp", f"from {chirp['start_frequency_hz'] / 1e9:.6g} GHz, {chirp['slope_hz_s'] / 1e12:.5g} MHz/µs, "
+                      f"{chirp['samples']} samples at {chirp['sample_rate_hz'] / 1e6:.4g} MHz "
+                      f"({chirp['bandwidth_hz'] / 1e9:.4g} GHz), {chirp['bits']} bit {form} {branch['iq_order']}")
+        )  # fmt: skip
+    rows.append(("frames with holes", f"{branch['frames_with_holes']} of the {branch['frames_looked_at']} looked at"))
+    for peak in branch["peaks"]:
+        place = "" if peak["range_m"] is None or peak["range_m"] != peak["range_m"] else f" at {peak['range_m']:.3f} m"
+        rows.append(("peak", f"{peak['level_db']:.0f} dB{place} (bin {peak['bin']:.2f})"))
+    return [*rows, *(("warning", line) for line in branch["warnings"])]
+
+
+def _temperatures(branch: dict[str, Any]) -> list[tuple[str, str]]:
+    if "coldest_c" not in branch:
+        return []
+    return [("temperatures", f"{branch['coldest_c']:.2f} … {branch['warmest_c']:.2f} °C")]
 
 
 def _show_overlap(console: Console, overlap: dict[str, Any]) -> None:

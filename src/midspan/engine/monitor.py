@@ -6,7 +6,7 @@ image axis that is measured has a filter of its own.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -105,7 +105,7 @@ class AxisLoop:
             for scale, translation in zip(self.scales, translations, strict=True)
         ]
         if len(blocks) == 1:
-            self.kalman.push(blocks[0])
+            self.kalman.push(replace(blocks[0], value_m=blocks[0].value_m - self.zeros_m[0]))
             return
         stamps = np.array([int(block.time_ns[0]) for block in blocks])
         path, path_variance = self._path([int(stamp) for stamp in stamps])

@@ -20,7 +20,7 @@ def least_error_mm(result: Result) -> float:
     From the Cramér-Rao bound of the region, the accelerometer's known noise and the true stamps. Raises UsageError
     where the recording is not simulated or has no camera.
     """
-    recording, camera = result.recording, result.calibration.camera
+    recording, camera = result.recording, result.calibration.first_camera
     file = None if recording is None else recording.folder / KNOWN_FILE
     if recording is None or file is None or not file.is_file() or camera is None or result.track is None:
         raise UsageError("The least error is only known for a simulated recording with a camera (with its known.json).")

@@ -22,6 +22,8 @@ PRIOR_SHARE = 0.6
 # Lags of the first search, frames, and the fewest second differences that it needs.
 SEARCHED_LAGS, LEAST_FRAMES = (1, 4, 16), 20
 _STEPS, _RATIOS = 6, 25
+# Frames of the search of a motion so strong that its differences wrap, at most; it tries a grid of ratios too.
+MOST_SEARCHED = 4096
 # The scatter of the result is that of sums over stretches of so many lags, of which there must be a few; from so few it
 # comes out a little small.
 STRETCH_LAGS, LEAST_STRETCHES, MARGIN = 8, 10, 1.08
@@ -144,15 +146,50 @@ def _search(
         second, frame = _differences(phase, lag)
         if len(second) < LEAST_FRAMES:
             continue
-        for offset in _offsets(known[1], known[2]):
-            response = integrals.second_difference(time[frame] + offset, lag * known[1])
-            ratio, std = _regressed(second / known[0], response)
-            # Neighbouring second differences share their noise; lags apart they do not.
-            std *= np.sqrt(max(1.0, lag / 2.0))
-            fits = prior is None or abs(ratio - prior) <= PRIOR_SHARE * abs(prior) + 3.0 * std
-            if fits and abs(ratio) > sharpest * std:
-                found, sharpest = (Alignment(ratio, std, float(offset), known[1]), lag), abs(ratio) / std
+        offsets = _offsets(known[1], known[2])
+        ratio, std = _regressions(second / known[0], frame, (time, known[1], lag), integrals, offsets)
+        # Neighbouring second differences share their noise; lags apart they do not.
+        std *= np.sqrt(max(1.0, lag / 2.0))
+        fits = np.abs(ratio) > sharpest * std
+        if prior is not None:
+            fits &= np.abs(ratio - prior) <= PRIOR_SHARE * abs(prior) + 3.0 * std
+        if fits.any():
+            k = int(np.argmax(np.where(fits, np.abs(ratio) / std, 0.0)))
+            found, sharpest = (Alignment(ratio[k], std[k], offsets[k], known[1]), lag), abs(ratio[k]) / std[k]
     return found
+
+
+def _regressions(
+    value: Floats,
+    frame: NDArray[np.int64],
+    known: tuple[Floats, float, int],
+    integrals: Integrals,
+    offsets: Floats,
+) -> tuple[Floats, Floats]:
+    """Slope (o,) of values (k,) at frames (k,) on the accelerometer's second differences, for each offset; its std.
+
+    known: instants of all frames (n,), their period (s) and the lag in frames. Frames are evenly spaced and the offsets
+    half a frame apart, so that all sums are correlations of whole records, which cost no more for many offsets.
+    """
+    from scipy.signal import correlate
+
+    time, period, lag = known
+    count, some = len(time), len(offsets)
+    at = time[0] + offsets[0] + 0.5 * period * np.arange(2 * count + some)
+    response = integrals.second_difference(at, lag * period)
+    response -= response.mean()
+    there, seen = np.zeros((2, count))
+    there[frame], seen[frame] = 1.0, value - value.mean()
+    sums = np.empty((3, some))
+    for half in (0, 1):
+        x = response[half::2][: count + (some - half + 1) // 2 - 1]
+        for row, (left, right) in enumerate(((x, there), (x * x, there), (x, seen))):
+            sums[row, half::2] = correlate(left, right, mode="valid", method="fft")
+    total = float(seen @ seen)
+    power = np.maximum(sums[1] - sums[0] ** 2 / len(value), np.finfo(np.float64).eps * max(float(sums[1].max()), 1e-300))
+    slope = sums[2] / power
+    rest = np.maximum(total - slope * sums[2], np.finfo(np.float64).eps * total)
+    return slope, np.sqrt(rest / len(value) / power)
 
 
 def _search_strong(
@@ -165,6 +202,8 @@ def _search_strong(
     second, frame = _differences(phase, 1)
     if len(second) < LEAST_FRAMES:
         return None
+    lively = _liveliest(np.abs(integrals.second_difference(time[frame], known[1])), known[2] / known[1])
+    second, frame = second[lively], frame[lively]
     turns = np.exp(1j * second)
     found, best = None, float(np.abs(turns.mean())) + LEAST_SIGNIFICANCE / np.sqrt(2.0 * len(second))
     for offset in _offsets(known[1], known[2]):
@@ -176,20 +215,21 @@ def _search_strong(
     return found
 
 
+def _liveliest(size: Floats, reach: float) -> slice | NDArray[np.int64]:
+    """The `MOST_SEARCHED` values or so of which stretches (longer than the search reaches) have the largest mean."""
+    if len(size) <= MOST_SEARCHED:
+        return slice(None)
+    length = max(int(4.0 * reach), MOST_SEARCHED // 32)
+    starts = np.arange(0, len(size), length)
+    mean = np.add.reduceat(size, starts) / np.diff(np.append(starts, len(size)))
+    best = np.sort(starts[np.argsort(-mean)[: max(1, MOST_SEARCHED // length)]])
+    return np.concatenate([np.arange(k, min(k + length, len(size))) for k in best])
+
+
 def _offsets(period_s: float, most_s: float) -> Floats:
     """Clock offsets that are tried, half a frame apart."""
-    return np.linspace(-most_s, most_s, 2 * max(int(np.ceil(2.0 * most_s / period_s)), 1) + 1)
-
-
-def _regressed(value: Floats, response: Floats) -> tuple[float, float]:
-    """Slope of `value` (n,) on `response` (n,), both about their means, and its standard deviation."""
-    x, y = response - response.mean(), value - value.mean()
-    power = float(x @ x)
-    if power == 0.0:
-        return 0.0, np.inf
-    slope = float(x @ y) / power
-    rest = y - slope * x
-    return slope, float(np.sqrt(rest @ rest / len(rest) / power))
+    count = max(int(np.ceil(2.0 * most_s / period_s)), 1)
+    return 0.5 * period_s * np.arange(-count, count + 1)
 
 
 def _sharpened(

@@ -16,12 +16,10 @@ from midspan.recording.region_choice import USELESS, Agreement
 from midspan.recording.span import inside
 from midspan.recording.targets import camera_blocks, filter_settings, moves_by_itself
 from midspan.recording.tracking import CameraTracking, TargetTracking
+from midspan.recording.window import calibration_window, window_ends
 from midspan.records import NANOSECONDS, Floats, Nanoseconds, PixelTrack, ScaleFactor, TimeOffset
 from midspan.vision.lens import bare
 from midspan.vision.tracker import PhaseGain
-
-DEFAULT_WINDOW_S = 60.0
-LEAST_MEASUREMENTS = 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,30 +33,6 @@ class CameraFit:
     input_density: float
     warnings: tuple[str, ...] = ()
     diagnostics: ScaleCalibration | None = None
-
-
-def calibration_window(recording: Recording) -> slice:
-    """The samples of the calibration window."""
-    time_ns = recording.prepared.time_ns
-    wanted = recording.settings.calibration.window_s
-    if wanted is None:
-        start = int(time_ns[0])
-        if recording.has("camera"):
-            start = max(start, int(recording.frames.times_ns()[0]))
-        return inside(time_ns, start, start + round(DEFAULT_WINDOW_S * NANOSECONDS))
-    window = inside(time_ns, round(wanted[0] * NANOSECONDS), round(wanted[1] * NANOSECONDS))
-    if window.stop - window.start < LEAST_MEASUREMENTS:
-        raise UsageError(
-            f"{recording.file}: calibration.window_s = {list(wanted)}: must overlap the accelerometer, which runs from "
-            f"{time_ns[0] / NANOSECONDS:.3f} to {time_ns[-1] / NANOSECONDS:.3f} s."
-        )
-    return window
-
-
-def window_ends(recording: Recording) -> tuple[int, int]:
-    """First and last stamp (ns) of the calibration window."""
-    window, time_ns = calibration_window(recording), recording.prepared.time_ns
-    return int(time_ns[window.start]), int(time_ns[window.stop - 1])
 
 
 def calibrate_camera(recording: Recording, tracking: CameraTracking) -> tuple[CameraFit, ...]:
@@ -138,9 +112,9 @@ def _fitted(recording: Recording, tracking: CameraTracking) -> Fitted:
     """Each target's own calibration along the recording's axis; UntrustedError where all are refused."""
     found: list[ScaleCalibration | None] = []
     reasons: list[str] = []
-    for target, track in zip(tracking.targets, tracking.tracks, strict=True):
+    for target in tracking.targets:
         try:
-            pair = camera_pair(recording, track, target.blur_s(recording.exposure_s))
+            pair = camera_pair(recording, target.quick, target.blur_s(recording.exposure_s))
             own = calibrate_scale(pair, recording.settings.calibration.max_offset_s)
             _refuse_compression(target.with_codec_error(own.scale, recording.axis), own.scale)
             found.append(own)
@@ -374,7 +348,8 @@ def _tracked_only(recording: Recording, tracking: CameraTracking, main: CameraCa
     """
     axis = "x" if main.direction == "y" else "y"
     targets, densities = [], []
-    for target, tracked, track in zip(main.used, tracking.targets, tracking.tracks, strict=True):
+    for target, tracked in zip(main.used, tracking.targets, strict=True):
+        track = tracked.quick
         assert target.scale is not None
         value = -abs(target.scale.value_m_per_px)
         first, last = window_ends(recording)

@@ -11,7 +11,8 @@ from midspan._version import __version__
 from midspan.calibration.noise import NoiseCalibration
 from midspan.calibration.scale import ScaleCalibration
 from midspan.engine.monitor import CameraScale
-from midspan.records import Region, ScaleFactor, TimeOffset
+from midspan.recording.radar_calibration import RadarCalibration
+from midspan.records import Region, ScaleFactor, Source, TimeOffset
 from midspan.sinks.replace import replacing
 from midspan.vision.lens import Lens
 
@@ -41,7 +42,8 @@ class CameraCalibration:
     variance_factor: the learnt variance over the tracker's own. phase_scale_m_per_rad: displacement per radian of the
     active pixels' mean phase, with the trackers that use it. targets: all of them. fused: whether this axis has an
     accelerometer; without one the scale factor is the other axis's. relative_scale_std: of all targets together.
-    lens: what the pixels were corrected by; the scale factor holds for that lens only.
+    lens: what the pixels were corrected by; the scale factor holds for that lens only. source: which camera it is.
+    temperature_range_c: of a thermal camera what its tracker saw, °C.
     """
 
     scale: ScaleFactor
@@ -56,6 +58,8 @@ class CameraCalibration:
     fused: bool = True
     relative_scale_std: float | None = None
     lens: Lens | None = None
+    source: Source = Source.CAMERA
+    temperature_range_c: tuple[float, float] | None = None
 
     @property
     def used(self) -> tuple[TargetCalibration, ...]:
@@ -87,15 +91,27 @@ class CameraCalibration:
             time_offset_ns=round(1e9 * self.offset.value_s),
             variance_factor=target.variance_factor,
             relative_std=math.sqrt(target.scale.variance) / abs(value),
+            source=self.source,
         )
 
 
 @dataclass(frozen=True, slots=True)
 class DisplacementCalibration:
-    """Noise per measurement (m) and clock offset of a displacement sensor."""
+    """Noise per measurement (m) and clock offset of a displacement sensor, and its scale where that was learnt.
+
+    scale: displacement in one unit read, which is 1 for a sensor of known unit; scale_std: its standard deviation, 0
+    where it was not learnt.
+    """
 
     noise_std_m: float
     offset: TimeOffset
+    scale: float = 1.0
+    scale_std: float = 0.0
+
+    @property
+    def relative_std(self) -> float:
+        """Relative standard deviation of the scale."""
+        return self.scale_std / abs(self.scale)
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,6 +127,8 @@ class Calibration:
     noise_std_m_s2: float
     bias_m_s2: float
     camera: CameraCalibration | None = None
+    infrared: CameraCalibration | None = None
+    radar: RadarCalibration | None = None
     displacement: DisplacementCalibration | None = None
     warnings: tuple[str, ...] = ()
     across: "Calibration | None" = None
@@ -120,11 +138,20 @@ class Calibration:
     diagnostics: "ScaleCalibration | NoiseCalibration | None" = field(default=None, compare=False, repr=False)
 
     @property
+    def first_camera(self) -> CameraCalibration | None:
+        """The camera whose zero counts and whose axes the columns belong to, of light or infrared."""
+        return self.camera or self.infrared
+
+    def of(self, sensor: str) -> CameraCalibration | None:
+        """The part of the section "camera" or "infrared"."""
+        return self.infrared if sensor == "infrared" else self.camera
+
+    @property
     def direction(self) -> str:
         """The camera's direction, "x", "y" or "xy"; empty without one."""
-        if self.camera is None:
+        if self.first_camera is None:
             return ""
-        return self.camera.direction if self.across is None and not self.left_out else "xy"
+        return self.first_camera.direction if self.across is None and not self.left_out else "xy"
 
     def noise_density(self, rate_hz: float) -> float:
         """Two-sided density of the acceleration's noise, (m/s²)²/Hz, at the accelerometer's rate."""
@@ -141,11 +168,18 @@ class Calibration:
                 "bias_m_s2": self.bias_m_s2,
             },
         }
-        if self.camera:
-            tree["camera"] = _camera_dict(self.camera) | ({"left_out": self.left_out} if self.left_out else {})
-            if self.across is not None and self.across.camera is not None:
-                both = {part.camera.direction: _axis_dict(part) for part in (self, self.across) if part.camera}
-                tree["camera"] |= {"direction": "xy", "axis": self.camera.direction, "axes": both}
+        first = self.first_camera
+        if first:
+            own = _camera_dict(first) | ({"left_out": self.left_out} if self.left_out else {})
+            if self.across is not None and self.across.first_camera is not None:
+                sides = ((part.first_camera, part) for part in (self, self.across))
+                both = {camera.direction: _axis_dict(part) for camera, part in sides if camera is not None}
+                own |= {"direction": "xy", "axis": first.direction, "axes": both}
+            tree["infrared" if self.camera is None else "camera"] = own
+        if self.camera and self.infrared:
+            tree["infrared"] = _camera_dict(self.infrared)
+        if self.radar:
+            tree["radar"] = self.radar.to_dict()
         if self.displacement:
             offset = self.displacement.offset
             tree["displacement"] = {
@@ -153,6 +187,9 @@ class Calibration:
                 "time_offset_s": offset.value_s,
                 "time_offset_std_s": _finite_or_none(math.sqrt(offset.variance)),
             }
+            if self.displacement.scale_std > 0.0:
+                learnt = {"scale": self.displacement.scale, "scale_std": self.displacement.scale_std}
+                tree["displacement"] |= learnt
         return tree
 
     def save(self, path: str | Path) -> Path:
@@ -177,6 +214,7 @@ def _camera_dict(camera: CameraCalibration) -> dict[str, Any]:
         "variance_factor": camera.variance_factor,
         "targets": [_target_dict(target) for target in camera.targets],
         **({} if camera.lens is None else {"lens": camera.lens.to_dict()}),
+        **({} if camera.temperature_range_c is None else {"temperature_range_c": list(camera.temperature_range_c)}),
     }
 
 
@@ -206,7 +244,7 @@ def _target_dict(target: TargetCalibration) -> dict[str, Any]:
 
 def _axis_dict(part: Calibration) -> dict[str, Any]:
     """What belongs to one image axis where both are measured."""
-    camera = part.camera
+    camera = part.first_camera
     assert camera is not None
     return {
         "fused": camera.fused,

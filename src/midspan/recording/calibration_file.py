@@ -14,7 +14,13 @@ from midspan.recording.calibration import (
     DisplacementCalibration,
     TargetCalibration,
 )
-from midspan.records import Region, ScaleFactor, TimeOffset
+from midspan.recording.json_values import WrongValueError as _WrongValueError
+from midspan.recording.json_values import number as _number
+from midspan.recording.json_values import offset_of as _offset_of
+from midspan.recording.json_values import section_of as _section
+from midspan.recording.json_values import std as _std
+from midspan.recording.radar_file import radar_of
+from midspan.records import Region, ScaleFactor, Source
 from midspan.vision.lens import Lens
 
 # What the camera and its only target have in common.
@@ -40,70 +46,46 @@ def load_calibration(path: str | Path) -> Calibration:
         raise DataError(f"{path}: {error}. Run `midspan calibrate` again.") from None
 
 
-class _WrongValueError(ValueError):
-    """A key of a calibration that is missing or holds what it cannot."""
-
-
 def calibration_from_dict(tree: dict[str, Any]) -> Calibration:
     """The calibration that `Calibration.to_dict` describes; keys that only inform may be missing."""
     accelerometer = _section(tree, "accelerometer")
     if accelerometer is None:
         raise _WrongValueError("accelerometer is missing")
-    camera, displacement = _section(tree, "camera"), _section(tree, "displacement")
+    camera, displacement, thermal = (_section(tree, name) for name in ("camera", "displacement", "infrared"))
+    first = camera or thermal
+    radar = _section(tree, "radar")
     warnings = tree.get("warnings", [])
     found = Calibration(
         noise_std_m_s2=_number(accelerometer, "accelerometer.noise_std_m_s2", positive=True),
         bias_m_s2=_number(accelerometer, "accelerometer.bias_m_s2", default=0.0),
         camera=_camera_of(camera) if camera else None,
+        infrared=_infrared_of(thermal) if thermal else None,
+        radar=radar_of(radar) if radar else None,
         displacement=_displacement_of(displacement) if displacement else None,
         warnings=tuple(str(line) for line in warnings) if isinstance(warnings, list) else (),
-        left_out=_left_out_of(camera) if camera else "",
+        left_out=_left_out_of(first) if first else "",
         created=str(tree.get("created", "")),
         version=str(tree.get("version", "")),
     )
-    return found if camera is None or camera.get("direction") != "xy" else _both_axes(found, camera)
-
-
-def _section(tree: Any, name: str) -> dict[str, Any] | None:
-    section = tree.get(name) if isinstance(tree, dict) else None
-    if section is not None and not isinstance(section, dict):
-        raise _WrongValueError(f"{name} must be an object with keys; received {section!r}")
-    return section
-
-
-def _number(section: dict[str, Any], key: str, default: float | None = None, positive: bool = False) -> float:
-    value = section.get(key.rpartition(".")[2], default)
-    if value is None:
-        raise _WrongValueError(f"{key} is missing")
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise _WrongValueError(f"{key} must be a finite number; received {value!r}")
-    if positive and value <= 0:
-        raise _WrongValueError(f"{key} must be above 0; received {value!r}")
-    return float(value)
-
-
-def _std(section: dict[str, Any], key: str, default: float | None = None) -> float:
-    value = _number(section, key, default)
-    if value < 0:
-        raise _WrongValueError(f"{key} must be 0 or more; received {value!r}")
-    return value
+    return found if first is None or first.get("direction") != "xy" else _both_axes(found, first)
 
 
 def _both_axes(found: Calibration, tree: dict[str, Any]) -> Calibration:
     """The calibration with the part of the second image axis."""
-    assert found.camera is not None
-    second = "x" if found.camera.direction == "y" else "y"
+    main = found.first_camera
+    assert main is not None
+    second = "x" if main.direction == "y" else "y"
     axes = _section(tree, "axes") or {}
-    own, other = _section(axes, found.camera.direction), _section(axes, second)
+    own, other = _section(axes, main.direction), _section(axes, second)
     if own is None or other is None:
         raise _WrongValueError('camera.axes must hold x and y with camera.direction = "xy"')
     scale, targets = _scale_of(other, f"camera.axes.{second}"), _targets_of(other)
     # The best target along this axis may be another one than along the main axis: the one with the axis's own scale.
     regions = [target.region for target in targets if target.used and target.scale == scale]
     camera = replace(
-        found.camera,
+        main,
         scale=scale,
-        region=(*regions, found.camera.region)[0],
+        region=(*regions, main.region)[0],
         direction=second,
         noise_std_px=_number(other, f"camera.axes.{second}.noise_std_px", positive=True),
         variance_factor=_number(other, f"camera.axes.{second}.variance_factor", positive=True),
@@ -115,7 +97,8 @@ def _both_axes(found: Calibration, tree: dict[str, Any]) -> Calibration:
     across = Calibration(
         noise_std_m_s2=_number(other, f"camera.axes.{second}.accelerometer_noise_std_m_s2", positive=True),
         bias_m_s2=_number(other, f"camera.axes.{second}.accelerometer_bias_m_s2", default=0.0),
-        camera=camera,
+        camera=camera if found.camera is not None else None,
+        infrared=camera if found.camera is None else None,
         created=found.created,
         version=found.version,
     )
@@ -141,6 +124,21 @@ def _camera_of(tree: dict[str, Any]) -> CameraCalibration:
         relative_scale_std=_relative_of(tree),
         lens=_lens_of(tree),
     )
+
+
+def _infrared_of(tree: dict[str, Any]) -> CameraCalibration:
+    """The part of a thermal camera; its messages name its own keys."""
+    try:
+        camera = _camera_of(tree)
+        given = tree.get("temperature_range_c")
+        if given is not None and not (isinstance(given, list) and len(given) == 2):
+            raise _WrongValueError(f"camera.temperature_range_c must be two numbers, °C; received {given!r}")
+        low, high = (_number({"c": value}, "camera.temperature_range_c.c") for value in given or (0.0, 1.0))
+        if low >= high:
+            raise _WrongValueError(f"camera.temperature_range_c must rise; received {given!r}")
+    except _WrongValueError as error:
+        raise _WrongValueError(str(error).replace("camera.", "infrared.")) from None
+    return replace(camera, source=Source.INFRARED, temperature_range_c=None if given is None else (low, high))
 
 
 def _left_out_of(tree: dict[str, Any]) -> str:
@@ -219,10 +217,8 @@ def _region_of(tree: dict[str, Any]) -> Region:
 
 def _displacement_of(tree: dict[str, Any]) -> DisplacementCalibration:
     std = _number(tree, "displacement.noise_std_mm", positive=True)
-    return DisplacementCalibration(std / 1e3, _offset_of(tree, "displacement"))
-
-
-def _offset_of(tree: dict[str, Any], section: str) -> TimeOffset:
-    unknown = tree.get("time_offset_std_s", 0.0) is None
-    std = math.inf if unknown else _std(tree, f"{section}.time_offset_std_s", 0.0)
-    return TimeOffset(_number(tree, f"{section}.time_offset_s"), std**2)
+    scale = _number(tree, "displacement.scale", 1.0)
+    if scale == 0.0:
+        raise _WrongValueError("displacement.scale must not be 0")
+    scale_std = _std(tree, "displacement.scale_std", 0.0)
+    return DisplacementCalibration(std / 1e3, _offset_of(tree, "displacement"), scale, scale_std)

@@ -14,14 +14,17 @@ from midspan.fusion.smoother import Smoothed
 from midspan.recording.calibrate import calibrate_and_track
 from midspan.recording.calibration import Calibration
 from midspan.recording.calibration_file import load_calibration
+from midspan.recording.displacement import frozen_events
 from midspan.recording.fuse import FusionInputs, fuse
 from midspan.recording.inputs import Gathered, gather
 from midspan.recording.progress import Progress, silent
 from midspan.recording.recording import Recording, naming
 from midspan.recording.result import Result
+from midspan.recording.scale_check import scale_warnings
 from midspan.recording.second_axis import SecondAxis, second_axis
 from midspan.recording.span import inside, shown
 from midspan.recording.tracking import CameraTracking
+from midspan.recording.unsupported import unsupported_events
 from midspan.records import NANOSECONDS, Estimate, Event, Innovation, Status, part
 
 # Where more than half of the measurements contradict the prediction, the prediction or the calibration is wrong.
@@ -67,10 +70,15 @@ def _estimate(
     _require(recording, calibration)
     gathered = gather(recording, calibration, tracking, progress)
     progress(0, 1, "fusing")
+    # What was learnt on this recording a moment ago fits it.
+    scaled = scale_warnings(gathered.inputs) if tracking is None else []
     fused = fuse(gathered.inputs, method, _method_settings(recording))
     _refuse_rejections(fused.innovation)
     result = _cut(recording, gathered.inputs, fused.estimate)
-    across, more = _second(recording, calibration, gathered, (result, method))
+    if gathered.belief is not None:
+        result = replace(result, source=gathered.belief.marked(result.time_ns, result.source))
+    alone = unsupported_events(result, fused.events)
+    across, more = _second(recording, calibration, gathered, (result, method), given=tracking is None)
     progress(1, 1, "fusing")
     return Result(
         estimate=result,
@@ -78,9 +86,11 @@ def _estimate(
         settings=recording.settings,
         method=method,
         innovation=fused.innovation,
-        events=tuple(sorted((*recording.prepared.events, *fused.events), key=lambda event: event.time_ns)),
+        events=_events(recording, calibration, gathered, (*fused.events, *alone)),
         warnings=(
             *_warnings(calibration, gathered, fused, result),
+            *scaled,
+            *_told(alone),
             *_literal_warnings(recording, gathered, fused),
             *more,
         ),
@@ -88,15 +98,38 @@ def _estimate(
         tracking=gathered.tracking,
         recording=recording,
         across=across,
+        radar=gathered.radar,
+        eyes=gathered.eyes,
+        belief=gathered.belief,
     )
 
 
+def _events(
+    recording: Recording, calibration: Calibration, gathered: Gathered, more: tuple[Event, ...]
+) -> tuple[Event, ...]:
+    """What happened to all sensors, and `more` of the fusion, in the order of time."""
+    found = (
+        *recording.prepared.events,
+        *(event for eye in gathered.eyes for event in eye.events),
+        *(() if gathered.belief is None else gathered.belief.events),
+        *frozen_events(recording, calibration.displacement),
+        *(() if gathered.radar is None else gathered.radar.events),
+        *more,
+    )
+    return tuple(sorted(found, key=lambda event: event.time_ns))
+
+
 def _second(
-    recording: Recording, calibration: Calibration, gathered: Gathered, main: tuple[Estimate, str]
+    recording: Recording, calibration: Calibration, gathered: Gathered, main: tuple[Estimate, str], *, given: bool
 ) -> tuple[SecondAxis | None, list[str]]:
-    """The second image axis and its warnings; left out where it is not to be trusted: the main one stands without."""
-    view = recording.across
+    """The second image axis and its warnings; left out where it is not to be trusted: the main one stands without.
+
+    given: whether the calibration was not learnt on this recording just now.
+    """
+    view, scaled = recording.across, []
     try:
+        if given and view is not None and gathered.across is not None and _fused_across(calibration):
+            scaled = scale_warnings(gathered.across, f" along {view.axis}")
         found = _across(recording, calibration, gathered, main)
     except UntrustedError as error:
         return None, [f"The second axis {'' if view is None else view.axis} is left out of the result. {error}"]
@@ -104,7 +137,13 @@ def _second(
         return None, []
     sensor = view.prepared.events if found.fused else ()
     events = tuple(sorted((*sensor, *found.events), key=lambda event: event.time_ns))
-    return replace(found, events=events), _second_warnings(found)
+    return replace(found, events=events), [*scaled, *_second_warnings(found)]
+
+
+def _fused_across(calibration: Calibration) -> bool:
+    """Whether the second axis is fused with an accelerometer of its own."""
+    camera = None if calibration.across is None else calibration.across.first_camera
+    return camera is not None and camera.fused
 
 
 def _across(
@@ -168,22 +207,27 @@ def _told(events: tuple[Event, ...]) -> list[str]:
 
 
 def _require(recording: Recording, calibration: Calibration) -> None:
-    if recording.has("camera") and calibration.camera is None:
+    views = recording.cameras
+    if views and not any(calibration.of(view.sensor) for view in views):
         raise UsageError(
-            "The calibration has no camera part, but the recording has a camera. Run `midspan calibrate` on a "
-            "recording of this camera."
+            f"The calibration has no {views[0].sensor} part, but the recording has a camera. Run `midspan calibrate` "
+            "on a recording of this camera."
         )
-    camera = recording.settings.camera
-    if camera and calibration.camera and camera.direction != calibration.direction:
-        raise UsageError(
-            f"{recording.file}: camera.direction = {camera.direction!r}: the calibration was made for "
-            f"{calibration.direction!r}. Calibrate again."
-        )
-    if camera and calibration.camera and recording.axis != calibration.camera.direction:
-        raise UsageError(
-            f"{recording.file}: the main axis is {recording.axis!r}: the calibration's is "
-            f"{calibration.camera.direction!r}. Calibrate again."
-        )
+    for view in views:
+        camera, known = view.settings.camera, calibration.of(view.sensor)
+        if camera is None or known is None:
+            continue
+        made_for = calibration.direction if len(views) == 1 else known.direction
+        if camera.direction != made_for:
+            raise UsageError(
+                f"{recording.file}: {view.sensor}.direction = {camera.direction!r}: the calibration was made for "
+                f"{made_for!r}. Calibrate again."
+            )
+        if view.axis != known.direction:
+            raise UsageError(
+                f"{recording.file}: the main axis is {view.axis!r}: the calibration's is {known.direction!r}. "
+                "Calibrate again."
+            )
 
 
 def _cut(recording: Recording, inputs: FusionInputs, rows: Estimate) -> Estimate:
@@ -239,8 +283,10 @@ def _refuse_rejections(innovation: Innovation) -> None:
 
 def _warnings(calibration: Calibration, gathered: Gathered, fused: Smoothed, rows: Estimate) -> tuple[str, ...]:
     found = [*calibration.warnings, *gathered.warnings]
-    if gathered.tracking is not None:
-        found += gathered.tracking.warnings()
+    for eye in gathered.eyes:
+        found += eye.tracking.warnings()
+    if gathered.radar is not None:
+        found += _told(gathered.radar.events)
     found += _told(fused.events)
     found += _lost_end(gathered.inputs, rows)
     return (*found, *_shares(fused.innovation, rows))

@@ -1,41 +1,32 @@
 """From an opened, calibrated recording to what is fused: tracking to its end, displacement in metres, first guesses."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from midspan.engine.monitor import AxisLoop, Monitor
-from midspan.errors import DataError, UsageError
-from midspan.fusion.kalman import KalmanFilter, KalmanSettings
-from midspan.fusion.smoother import smooth
-from midspan.recording.acceleration import PreparedAcceleration, still, unknown_density
-from midspan.recording.calibrate import open_tracking
-from midspan.recording.calibrate_camera import window_ends
-from midspan.recording.calibration import Calibration, CameraCalibration
-from midspan.recording.fuse import FusionInputs, SensorError
+from midspan.fusion.kalman import KalmanSettings
+from midspan.recording.acceleration import PreparedAcceleration, unknown_density
+from midspan.recording.belief import Belief, believed
+from midspan.recording.calibration import Calibration
+from midspan.recording.cameras import Eye, Seen, Side, open_eyes, seen_along, side_of, track_all, zero_of
+from midspan.recording.displacement import displacement_sensor
+from midspan.recording.fuse import CourseError, FusionInputs, SensorError
+from midspan.recording.merge import merged
 from midspan.recording.progress import Progress
+from midspan.recording.radar_inputs import RadarInputs, radar_inputs
 from midspan.recording.recording import Recording
-from midspan.recording.running_clock import RunningClock, on_one_clock
-from midspan.recording.span import inside, require_overlap
-from midspan.recording.targets import Together, camera_blocks, filter_settings, together
+from midspan.recording.running_clock import RunningClock
+from midspan.recording.targets import Together
 from midspan.recording.tracking import CameraTracking
 from midspan.records import (
     NANOSECONDS,
     Acceleration,
     Displacement,
     PixelTrack,
-    PixelTranslation,
-    Region,
-    Source,
-    TimeOffset,
     joined,
-    part,
 )
 from midspan.signals.health import dominant_frequency
 
-# A target left out of more than this share of its frames is worth telling.
-NOTABLE_DROPPED = 0.1
 # Rows are `coasting` when the last accepted measurement is older than this many of the sensor's usual intervals.
 COASTING_INTERVALS = 2.5
 
@@ -44,7 +35,8 @@ COASTING_INTERVALS = 2.5
 class Gathered:
     """The inputs of the fusion, the camera's best track and its tracking (None without one), and warnings.
 
-    across: the inputs along the second image axis; together: how the targets agreed along the main one.
+    across: the inputs along the second image axis; together: how the targets agreed along the main one. eyes: all
+    cameras; belief: which of two was believed when; radar: what it measured and met.
     """
 
     inputs: FusionInputs
@@ -53,6 +45,9 @@ class Gathered:
     warnings: tuple[str, ...]
     across: FusionInputs | None = None
     together: Together | None = None
+    eyes: tuple[Eye, ...] = ()
+    belief: Belief | None = None
+    radar: RadarInputs | None = None
 
 
 def gather(
@@ -62,137 +57,112 @@ def gather(
     sides = [side_of(recording, calibration)]
     if recording.across is not None and calibration.across is not None:
         sides.append(side_of(recording.across, calibration.across))
-    if calibration.camera is not None and recording.has("camera"):
-        tracking = tracking or open_tracking(recording, calibration, progress)
-        track_all(tracking, _monitor(tracking, sides), [side.acceleration for side in sides])
-    inputs, together, warnings, clock = _inputs(sides[0], tracking)
+    eyes = open_eyes(sides, tracking, progress)
+    if eyes:
+        track_all(eyes, sides)
+    radar = None
+    if recording.has("radar"):
+        radar = radar_inputs(recording, calibration, sides[0].acceleration, sides[0].kalman, progress)
+    main = _inputs(sides[0], 0, eyes, radar=radar)
     across = None
+    warnings = main.warnings
     if len(sides) > 1:
-        across, _, more, _ = _inputs(sides[1], tracking, clock)
-        warnings += more
-    place = 0
-    if tracking is not None and calibration.camera is not None:
-        place = [target.region for target in tracking.targets].index(best_region(tracking, calibration.camera))
-    track = None if tracking is None else tracking.targets[place].track
-    return Gathered(inputs, track, tracking, tuple(warnings), across, together)
+        beside = _inputs(sides[1], 1, eyes, {seen.eye.sensor: seen.clock for seen in main.seen})
+        across, warnings = beside.inputs, (*warnings, *beside.warnings)
+    return Gathered(
+        inputs=main.inputs,
+        track=eyes[0].track if eyes else None,
+        tracking=eyes[0].tracking if eyes else None,
+        warnings=warnings,
+        across=across,
+        together=main.seen[0].together if eyes else None,
+        eyes=eyes,
+        belief=main.belief,
+        radar=radar,
+    )
 
 
 @dataclass(frozen=True, slots=True)
-class Side:
-    """One image axis of a recording, or all of one without a camera: its acceleration and the filter's settings."""
+class Along:
+    """What is fused along one axis, what each camera says along it, which of two is believed when, and warnings."""
 
-    recording: Recording
-    calibration: Calibration
-    prepared: PreparedAcceleration
-    acceleration: Acceleration
-    kalman: KalmanSettings
-
-
-def side_of(recording: Recording, calibration: Calibration) -> Side:
-    """A recording's axis with its calibration; without an accelerometer there its acceleration is zero."""
-    fused = calibration.camera is None or calibration.camera.fused
-    prepared = recording.prepared if fused else still(recording.prepared)
-    density = calibration.noise_density(prepared.rate_hz)
-    kalman = filter_settings(prepared, density, calibration.bias_m_s2)
-    return Side(recording, calibration, prepared, prepared.with_noise(density), kalman)
-
-
-def best_region(tracking: CameraTracking, camera: CameraCalibration) -> Region:
-    """The region of the best target, as it is tracked: one alone may have been moved a little by the recording."""
-    regions = [target.region for target in tracking.targets]
-    return camera.region if camera.region in regions else regions[0]
-
-
-def _monitor(tracking: CameraTracking, sides: Sequence[Side]) -> Monitor:
-    """The loop of trackers and filters, which have been told what was tracked so far."""
-    loops = []
-    for side in sides:
-        assert side.calibration.camera is not None
-        loop = AxisLoop(side.calibration.camera.mappings(), KalmanFilter(side.kalman))
-        if tracking.done:
-            found = _camera(side, tracking)
-            loop.start(found.measured, found.zeros_m)
-        loops.append(loop)
-    return Monitor(tracking.targets, loops)
-
-
-def _camera(side: Side, tracking: CameraTracking) -> Together:
-    """The camera's displacement along one axis, out of what was tracked so far."""
-    camera = side.calibration.camera
-    assert camera is not None
-    blocks = camera_blocks(tracking.targets, camera, side.recording.exposure_s, side.acceleration)
-    return together(blocks, camera.mappings(), side.acceleration, side.kalman, window_ends(side.recording))
+    inputs: FusionInputs
+    seen: tuple[Seen, ...]
+    belief: Belief | None
+    warnings: tuple[str, ...]
 
 
 def _inputs(
-    side: Side, tracking: CameraTracking | None, clock: RunningClock | None = None
-) -> tuple[FusionInputs, Together | None, list[str], RunningClock | None]:
-    """What is fused along one axis, how the targets agreed, warnings, and the camera's clock.
+    side: Side,
+    axis: int,
+    eyes: tuple[Eye, ...],
+    clocks: dict[str, RunningClock] | None = None,
+    radar: RadarInputs | None = None,
+) -> Along:
+    """What is fused along the axis with this number (0: the main one).
 
-    clock: as it was learnt along the main axis; None learns it.
+    clocks: of each camera, as learnt along the main axis; None learns them. radar: what it measured along this axis.
     """
-    recording, calibration, blocks, errors = side.recording, side.calibration, [], []
-    found, told = None, []
-    if calibration.camera is not None and tracking is not None:
-        found = _camera(side, tracking)
-        told = _drops(found, tracking, calibration.camera.direction)
-        clock = (
-            on_one_clock(found.measured, side.acceleration, side.kalman, "camera")
-            if clock is None
-            else clock.also(found.measured)
-        )
-        told += clock.warnings
-        blocks.append(clock.measured)
-        clock_std = _clock_std(calibration.camera.offset) if clock.std_s is None else clock.std_s
-        errors.append(SensorError(Source.CAMERA, calibration.camera.relative_std, clock_std))
+    recording, calibration, blocks = side.recording, side.calibration, []
+    seen = tuple(seen_along(side, axis, eye, (clocks or {}).get(eye.sensor)) for eye in eyes)
+    told = [line for one in seen for line in one.warnings]
+    errors = [SensorError(one.eye.source, one.relative_std, one.clock_std_s) for one in seen]
+    belief = None
+    if len(seen) == 2:
+        belief = believed(side, (seen[0], seen[1]))
+        told += belief.warnings
+    if seen:
+        blocks.append(seen[0].measured if belief is None else belief.measured)
+    if radar is not None:
+        blocks.append(radar.measured)
+        errors.append(radar.error)
+        told += radar.warnings
     if recording.has("displacement"):
-        blocks.append(_displacement(recording, calibration))
-        offset = calibration.displacement.offset if calibration.displacement else TimeOffset(0.0, 0.0)
-        errors.append(SensorError(Source.DISPLACEMENT, 0.0, _clock_std(offset)))
-    level = 0.0 if found is not None else float(blocks[0].value_m[np.argmax(np.isfinite(blocks[0].value_m))])
+        block, error, lines = displacement_sensor(
+            recording, calibration, acceleration=side.acceleration, kalman=side.kalman
+        )
+        blocks.append(block)
+        errors.append(error)
+        told += lines
+    from_first_frame = bool(seen) or radar is not None
+    level = 0.0 if from_first_frame else float(blocks[0].value_m[np.argmax(np.isfinite(blocks[0].value_m))])
     blocks[0] = replace(blocks[0], value_m=blocks[0].value_m - level)
-    measured, warnings = _merged(blocks, side.acceleration, side.kalman)
+    together = merged(blocks, side.acceleration, side.kalman)
+    measured = together.measured
     velocity_std = _velocity_std(side.prepared, measured)
     begun = from_first_measurement(side.acceleration, measured, side.prepared.rate_hz)
     inputs = FusionInputs(
         acceleration=begun,
         displacement=measured,
         kalman=_with_ages(replace(side.kalman, velocity_std=velocity_std), blocks[0]),
-        zero_ns=None if found is None else int(blocks[0].time_ns[0]),
+        zero_ns=None if not from_first_frame else zero_of(seen, blocks[0]),
         level_m=level,
         errors=tuple(errors),
+        levels=(*together.levels, *_camera_levels(seen, belief), *(() if radar is None else radar.levels)),
         sampled=None if begun is side.acceleration else side.acceleration,
     )
-    return inputs, found, [*warnings, *told], clock
+    return Along(inputs, seen, belief, (*together.warnings, *told))
 
 
-def _drops(found: Together, tracking: CameraTracking, direction: str) -> list[str]:
-    """A sentence for each target that was left out of many frames in which it was seen."""
-    told = []
-    for target, used in zip(tracking.targets, found.used, strict=True):
-        seen = np.isfinite(target.track.along(direction)[0])
-        share = float(np.mean(~used[seen])) if seen.any() else 0.0
-        if share > NOTABLE_DROPPED:
-            told.append(
-                f"Target {target.name}: {100 * share:.2g} % of its frames disagree with the other targets along "
-                f"{direction} and were left out; look at its region."
-            )
-    return told
-
-
-def _clock_std(offset: TimeOffset) -> float:
-    """Standard deviation (s) of a clock offset; one that the motion does not tell has no effect either."""
-    return float(np.sqrt(offset.variance)) if np.isfinite(offset.variance) else 0.0
+def _camera_levels(seen: tuple[Seen, ...], belief: Belief | None) -> tuple[CourseError, ...]:
+    """What is uncertain of the zeros of cameras: what their reference frames are off by, and the second's zero."""
+    wandering = tuple(one.wandering for one in seen if one.wandering is not None)
+    return wandering if belief is None else (*wandering, *belief.levels)
 
 
 def _with_ages(kalman: KalmanSettings, measured: Displacement) -> KalmanSettings:
-    interval = float(np.median(np.diff(measured.time_ns))) / NANOSECONDS
+    # Two cameras take turns; at night one of them is left.
+    each = [measured.time_ns[measured.source == source] for source in np.unique(measured.source)]
+    usual = [float(np.median(np.diff(time_ns))) / NANOSECONDS for time_ns in each if len(time_ns) > 1]
+    interval = max(usual, default=0.0)
     return replace(kalman, coasting_s=max(COASTING_INTERVALS * interval, 0.05), lost_s=max(10.0, 10.0 * interval))
 
 
 def _velocity_std(prepared: PreparedAcceleration, measured: Displacement) -> float:
     """First uncertainty of the velocity: three times the larger of what either sensor says of its size."""
+    # Of one sensor: two that measure a millisecond apart differ by their noise.
     usable = np.isfinite(measured.value_m)
+    usable &= measured.source == measured.source[np.argmax(usable)]
     steps = np.diff(measured.value_m[usable]) / np.maximum(np.diff(measured.time_ns[usable]) / NANOSECONDS, 1e-3)
     slow = float(np.sqrt(np.mean(steps**2))) if len(steps) else 1.0
     value = prepared.value_m_s2
@@ -202,59 +172,6 @@ def _velocity_std(prepared: PreparedAcceleration, measured: Displacement) -> flo
         else float(np.std(value)) / (2.0 * np.pi * max(dominant_frequency(value, prepared.rate_hz), 0.2))
     )
     return 3.0 * max(slow, fast)
-
-
-def track_all(tracking: CameraTracking, monitor: Monitor, accelerations: Sequence[Acceleration]) -> None:
-    """Track the frames that are left with the filters' predictions; accelerations: one an axis, of the same stamps."""
-    offset = monitor.axes[0].scales[0].time_offset_ns
-    pushed = [0] * len(accelerations)
-    while tracking.done < len(tracking.time_ns):
-        frame = tracking.take()
-        if frame is None:
-            break
-        for axis, acceleration in enumerate(accelerations):
-            due = int(np.searchsorted(acceleration.time_ns, frame.time_ns + offset, side="right"))
-            monitor.push(part(acceleration, slice(pushed[axis], due)), axis)
-            pushed[axis] = max(pushed[axis], due)
-        translations = [item for item in monitor.push(frame) if isinstance(item, PixelTranslation)]
-        tracking.add(frame, translations)
-    tracking.close()
-
-
-def _displacement(recording: Recording, calibration: Calibration) -> Displacement:
-    """The [displacement] channel as measurements on the accelerometer's clock."""
-    series, learnt = recording.displacement, calibration.displacement
-    require_overlap(recording.prepared.time_ns, series.time_ns, "displacement")
-    if learnt is None:
-        raise UsageError(
-            "The calibration has no displacement part, but the recording has [displacement]. Calibrate again."
-        )
-    count = len(series.time_ns)
-    return Displacement(
-        time_ns=series.time_ns + round(1e9 * learnt.offset.value_s),
-        value_m=series.value,
-        variance_m2=np.full(count, learnt.noise_std_m**2),
-        source=np.full(count, Source.DISPLACEMENT, dtype=np.uint8),
-    )
-
-
-def _merged(
-    blocks: list[Displacement], acceleration: Acceleration, kalman: KalmanSettings
-) -> tuple[Displacement, list[str]]:
-    """All measurements in time order, a second sensor brought to the zero of the first, and warnings."""
-    first, warnings = blocks[0], []
-    for other in blocks[1:]:
-        smoothed = smooth(acceleration, first, kalman).estimate
-        span = inside(other.time_ns, int(first.time_ns[0]), int(first.time_ns[-1]))
-        apart = other.value_m[span] - np.interp(other.time_ns[span], smoothed.time_ns, smoothed.displacement_m)
-        if not np.isfinite(apart).any():
-            warnings.append("displacement: never overlaps the camera, so its zero is unknown; it was left out.")
-            continue
-        both = joined([first, replace(other, value_m=other.value_m - float(np.nanmedian(apart)))])
-        first = part(both, np.argsort(both.time_ns, kind="stable"))
-    if not np.isfinite(first.value_m).any():
-        raise DataError("No frame could be tracked and no displacement is left; check camera.roi and the video.")
-    return first, warnings
 
 
 def from_first_measurement(acceleration: Acceleration, measured: Displacement, rate_hz: float) -> Acceleration:

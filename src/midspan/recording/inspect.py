@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from midspan.errors import DataError, MidspanError, UsageError
+from midspan.recording.inspect_radar import inspect_radar
 from midspan.recording.progress import Progress, silent
 from midspan.recording.recording import Recording
 from midspan.recording.span import shown
@@ -16,8 +17,8 @@ from midspan.signals.health import clipped, clock, frozen
 from midspan.sources.accelerometer.channel import Channel
 from midspan.sources.accelerometer.clock import NOT_A_TIME
 from midspan.sources.accelerometer.formats import list_channels
-from midspan.sources.camera.formats import open_frames
 from midspan.sources.camera.frames import FrameRequest, FrameSource
+from midspan.sources.thermal.formats import is_thermal, open_pictures
 
 # Frames looked at for frozen, black or saturated pictures unless all are asked for.
 LOOKED_AT = 600
@@ -37,6 +38,8 @@ def inspect_recording(recording: Recording, every_frame: bool = False, progress:
     readers: dict[str, Callable[[], tuple[Tree, Nanoseconds]]] = {
         "accelerometer": lambda: _series(recording.acceleration, "m/s^2"),
         "camera": lambda: _frames(recording.frames, every_frame, progress),
+        "infrared": lambda: _frames(_thermal(recording), every_frame, progress, thermal=True),
+        "radar": lambda: _radar(recording, every_frame, progress),
         "displacement": lambda: _series(recording.displacement, "m"),
         "reference": lambda: _series(recording.reference, "m"),
     }
@@ -62,10 +65,12 @@ def inspect_recording(recording: Recording, every_frame: bool = False, progress:
 def inspect_file(path: Path, progress: Progress = silent) -> Tree:
     """What is in a single file: its channels with their units and rates, or its frames."""
     try:
+        if is_thermal(path):
+            raise UsageError(f"{path} holds frames of temperatures.")
         found = list_channels(path)
     except MidspanError as first:
         try:
-            branch, _ = _frames(open_frames(path, FrameRequest()), False, progress)
+            branch, _ = _frames(open_pictures(path, FrameRequest()), False, progress, is_thermal(path))
         except MidspanError as second:
             # No table by its name, and a video that cannot be used: what is wrong with the video counts.
             raise (second if isinstance(first, UsageError) and isinstance(second, DataError) else first) from None
@@ -132,11 +137,14 @@ def _series(series: TimeSeries, unit: str) -> tuple[Tree, Nanoseconds]:
     return branch, series.time_ns
 
 
-def _frames(source: FrameSource, every_frame: bool, progress: Progress) -> tuple[Tree, Nanoseconds]:
+def _frames(
+    source: FrameSource, every_frame: bool, progress: Progress, thermal: bool = False
+) -> tuple[Tree, Nanoseconds]:
     times = source.times_ns()
     count = len(times) if every_frame else min(len(times), LOOKED_AT)
     seen, same, dark, bright = 0, 0, 0, 0
     before = None
+    low_c, high_c = np.inf, -np.inf
     top = float(2 ** min(source.info.bit_depth, 16) - 1)
     for frame in source.frames(0, count):
         progress(seen, count, "looking at frames")
@@ -144,6 +152,8 @@ def _frames(source: FrameSource, every_frame: bool, progress: Progress) -> tuple
         same += before is not None and np.array_equal(before, picture)
         dark += is_dark(picture)
         bright += float(np.mean(picture >= top)) > 0.2
+        if picture.dtype.kind == "f":
+            low_c, high_c = min(low_c, float(np.nanmin(picture))), max(high_c, float(np.nanmax(picture)))
         before, seen = picture, seen + 1
     progress(1, 1, "looking at frames")
     info = source.info
@@ -160,9 +170,21 @@ def _frames(source: FrameSource, every_frame: bool, progress: Progress) -> tuple
         "frozen_frames": int(same),
         "dark_frames": int(dark),
         "saturated_frames": int(bright),
+        **({"coldest_c": low_c, "warmest_c": high_c} if thermal and np.isfinite(high_c - low_c) else {}),
         "notes": list(info.notes),
     }
     return branch, times
+
+
+def _thermal(recording: Recording) -> FrameSource:
+    """The frames of a recording's thermal camera."""
+    assert recording.infrared is not None
+    return recording.infrared.frames
+
+
+def _radar(recording: Recording, every_frame: bool, progress: Progress) -> tuple[Tree, Nanoseconds]:
+    branch, times = inspect_radar(recording.radar, every_frame, progress)
+    return {**branch, **_clock(times)}, times
 
 
 def _overlap(spans: dict[str, tuple[int, int]]) -> Tree:

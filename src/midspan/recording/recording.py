@@ -8,7 +8,8 @@ from typing import Any
 
 from midspan.errors import DataError, MidspanError
 from midspan.recording.acceleration import PreparedAcceleration, prepare_acceleration, still
-from midspan.records import TimeSeries
+from midspan.records import NANOSECONDS, TimeSeries
+from midspan.settings.camera import InfraredSettings
 from midspan.settings.load import load_settings, settings_file
 from midspan.settings.recording import RecordingSettings
 from midspan.settings.sensors import ChannelSettings
@@ -16,6 +17,13 @@ from midspan.sources.accelerometer.formats import list_channels
 from midspan.sources.accelerometer.select import SeriesRequest, read_series
 from midspan.sources.camera.formats import open_frames
 from midspan.sources.camera.frames import FrameRequest, FrameSource
+from midspan.sources.radar.formats import open_radar
+from midspan.sources.radar.radar_source import RadarRequest, RadarSource
+from midspan.sources.thermal.formats import open_thermal
+from midspan.sources.thermal.request import ThermalRequest
+
+# The sections that name a file.
+SECTIONS = ("accelerometer", "camera", "infrared", "radar", "displacement", "reference")
 
 
 @contextmanager
@@ -36,9 +44,12 @@ class Recording:
     def __init__(self, file: Path, settings: RecordingSettings) -> None:
         self.file, self.settings = file, settings
         self._whole: Recording | None = None
+        self._beside: Recording | None = None
+        # A camera that is dark before this instant is used from it on.
+        self.sees_from_ns: int | None = None
 
     def __repr__(self) -> str:
-        sensors = [name for name in ("accelerometer", "camera", "displacement", "reference") if self.has(name)]
+        sensors = [name for name in SECTIONS if self.has(name)]
         return f"Recording({str(self.file)!r}, {self.name!r}: {', '.join(sensors)})"
 
     @property
@@ -73,7 +84,39 @@ class Recording:
     @property
     def exposure_s(self) -> float | None:
         """The camera's exposure time, s; None where it is not told."""
-        return None if self.settings.camera is None else self.settings.camera.exposure_s
+        camera = self.settings.first_camera
+        return None if camera is None else camera.exposure_s
+
+    @property
+    def sensor(self) -> str:
+        """The section that the camera of this recording, or of this view of one, stands in."""
+        return "infrared" if isinstance(self.settings.camera, InfraredSettings) else "camera"
+
+    @cached_property
+    def infrared(self) -> "Recording | None":
+        """The same recording seen by its thermal camera alone, as if that were its camera; None without one."""
+        if self.settings.infrared is None:
+            return None
+        known = type(self.settings).model_fields
+        others: dict[str, Any] = {name: None for name in ("displacement", "radar", "reference") if name in known}
+        changed = {"camera": self.settings.infrared, "infrared": None, **others}
+        view = Recording(self.file, self.settings.model_copy(update=changed))
+        view._beside = self
+        return view
+
+    def seeing(self, first_ns: int, last_ns: int) -> "Recording":
+        """The same recording calibrated from `first_ns` to `last_ns`; no frame of its camera before is used."""
+        span = (first_ns / NANOSECONDS, last_ns / NANOSECONDS)
+        window = self.settings.calibration.model_copy(update={"window_s": span})
+        view = Recording(self.file, self.settings.model_copy(update={"calibration": window, "infrared": None}))
+        view._beside, view.sees_from_ns = self, first_ns
+        return view
+
+    @property
+    def cameras(self) -> "tuple[Recording, ...]":
+        """The recording as each of its cameras sees it, the one whose zero counts first."""
+        own = (self,) if self.settings.camera is not None else ()
+        return own if self.infrared is None else (*own, self.infrared)
 
     @cached_property
     def across(self) -> "Recording | None":
@@ -83,12 +126,14 @@ class Recording:
         """
         if len(self.settings.axes) < 2:
             return None
+        if self.settings.camera is None and self.infrared is not None:
+            return self.infrared.across
         axis, accelerometer = self.settings.axes[1], self.settings.accelerometer
         column = accelerometer.value_x if axis == "x" else accelerometer.value_y
         assert self.settings.camera is not None
         sensor = accelerometer.model_copy(update={"value": column, "value_x": None, "value_y": None})
         camera = self.settings.camera.model_copy(update={"direction": axis})
-        changed = {"accelerometer": sensor, "camera": camera, "displacement": None, "reference": None}
+        changed = {"accelerometer": sensor, "camera": camera, "radar": None, "displacement": None, "reference": None}
         view = Recording(self.file, self.settings.model_copy(update=changed))
         view._whole = self
         return view
@@ -101,6 +146,8 @@ class Recording:
     @cached_property
     def acceleration(self) -> TimeSeries:
         """The accelerometer's channel, m/s², on its own clock."""
+        if self._beside is not None:
+            return self._beside.acceleration
         return self._series("accelerometer", "acceleration")
 
     @cached_property
@@ -108,6 +155,8 @@ class Recording:
         """The acceleration with missing samples bridged and marked; none (zero) along an axis that is tracked only."""
         if self._whole is not None and not self.fused:
             return still(self._whole.prepared)
+        if self._beside is not None:
+            return self._beside.prepared
         return prepare_acceleration(self.acceleration, f"accelerometer ({self.settings.accelerometer.file})")
 
     @cached_property
@@ -144,17 +193,37 @@ class Recording:
         camera = self.settings.camera
         if camera is None:
             raise DataError(f"{self.file}: has no [camera] section.")
-        times = None if camera.times is None else self.path(camera.times, "camera.times")
+        times = None if camera.times is None else self.path(camera.times, f"{self.sensor}.times")
         request = FrameRequest(times=times, rate_hz=camera.rate_hz, start_s=camera.start_s, every=camera.every)
-        return open_frames(self.path(camera.file, "camera.file"), request)
+        path = self.path(camera.file, f"{self.sensor}.file")
+        if isinstance(camera, InfraredSettings):
+            return open_thermal(
+                path, ThermalRequest(request, camera.kelvin_per_count, camera.zero_k, camera.emissivity)
+            )
+        return open_frames(path, request)
+
+    @cached_property
+    def radar(self) -> RadarSource:
+        """The radar's frames."""
+        radar = self.settings.radar
+        if radar is None:
+            raise DataError(f"{self.file}: has no [radar] section.")
+        request = RadarRequest(
+            config=None if radar.config is None else self.path(radar.config, "radar.config"),
+            iq_order=radar.iq_order,
+            start_s=radar.start_s,
+            rate_hz=radar.rate_hz,
+            carrier_hz=radar.carrier_hz,
+        )
+        return open_radar(self.path(radar.file, "radar.file"), request)
 
     @property
     def own_files(self) -> set[Path]:
         """The files that make up the recording, resolved: results must not be written over them."""
-        parts = (getattr(self.settings, name) for name in ("accelerometer", "camera", "displacement", "reference"))
-        names = [name for part in parts if part for name in (part.file, getattr(part, "times", None)) if name]
-        camera = self.settings.camera
-        names += [camera.lens.file] if camera and camera.lens and camera.lens.file else []
+        parts = [part for name in SECTIONS if (part := getattr(self.settings, name)) is not None]
+        names = [name for part in parts for key in ("file", "times", "config") if (name := getattr(part, key, None))]
+        lenses = (camera.lens for camera in (self.settings.camera, self.settings.infrared) if camera is not None)
+        names += [lens.file for lens in lenses if lens is not None and lens.file]
         return {self.file.resolve(), *((self.folder / name).resolve() for name in names)}
 
     def _own_axis(self, channel: ChannelSettings) -> str | None:

@@ -8,7 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from midspan._version import __version__
+from midspan.recording.belief import Belief
 from midspan.recording.calibration import Calibration
+from midspan.recording.cameras import Eye
+from midspan.recording.radar_inputs import RadarInputs
 from midspan.recording.second_axis import SecondAxis
 from midspan.recording.tracking import CameraTracking
 from midspan.records import Estimate, Event, Floats, Innovation, PixelTrack, Source, Status, seconds
@@ -32,8 +35,9 @@ class Result:
     """Displacement at the accelerometer's rate with its error band, and everything it rests on.
 
     estimate: the rows in SI; calibration, settings, method: how they came about; innovation: measured minus predicted
-    displacement; events, warnings: what is worth telling; track, tracking: the camera's, None without one (of several
-    targets the best one's track); across: the second image axis, with camera.direction = "xy".
+    displacement; events, warnings: what is worth telling; track, tracking: the first camera's, None without one (of
+    several targets the best one's track); eyes: all cameras; belief: which of two was believed when; across: the second
+    image axis, with camera.direction = "xy"; radar: what a radar measured and met, None without one.
     """
 
     estimate: Estimate
@@ -47,11 +51,15 @@ class Result:
     tracking: CameraTracking | None = field(default=None, repr=False)
     recording: "Recording | None" = field(default=None, repr=False)
     across: SecondAxis | None = field(default=None, repr=False)
+    eyes: tuple[Eye, ...] = field(default=(), repr=False)
+    belief: Belief | None = field(default=None, repr=False)
+    radar: RadarInputs | None = field(default=None, repr=False)
 
     @property
     def axis(self) -> str:
         """The image axis "x" or "y" that the main columns belong to; empty without a camera."""
-        return self.calibration.camera.direction if self.calibration.camera else ""
+        camera = self.calibration.first_camera
+        return camera.direction if camera else ""
 
     @property
     def second(self) -> "Result | None":
@@ -67,14 +75,17 @@ class Result:
             events=self.across.events,
             track=self._track_along(self.calibration.across),
             across=None,
+            eyes=(),
+            belief=None,
+            radar=None,
         )
 
     def _track_along(self, calibration: Calibration) -> PixelTrack | None:
         """The track of an axis's best target."""
-        if self.tracking is None or calibration.camera is None:
+        if self.tracking is None or calibration.first_camera is None:
             return self.track
         regions = [target.region for target in self.tracking.targets]
-        best = calibration.camera.region
+        best = calibration.first_camera.region
         return self.tracking.targets[regions.index(best)].track if best in regions else self.track
 
     @property
@@ -162,6 +173,7 @@ class Result:
             "rms_mm": float(np.sqrt(np.mean((d - d.mean()) ** 2))),
             "median_std_mm": float(np.median(self.displacement_std_mm)),
             "status": {s.word: float(np.mean(rows.status == s)) for s in Status},
+            "source": {s.word: float(np.mean(rows.source == s)) for s in Source if np.any(rows.source == s)},
             **self._second_figures(),
         }
 

@@ -51,7 +51,7 @@ def second_axis(
 
     Raises DataError where the two acceleration columns are not of the same instants.
     """
-    camera = calibration.camera
+    camera = calibration.first_camera
     assert camera is not None
     fused = fuse(inputs, method, settings) if camera.fused else fuse(inputs, TRACKED_METHOD)
     place = np.minimum(np.searchsorted(fused.estimate.time_ns, rows_ns), len(fused.estimate.time_ns) - 1)

@@ -98,10 +98,11 @@ def camera_blocks(
     acceleration: Acceleration,
 ) -> list[Displacement]:
     """The displacement that each target in use says, on the accelerometer's clock, without the exposure's averaging."""
-    return [
-        unblurred(mapping.displacement(target.track), target.blur_s(exposure_s), acceleration)
-        for target, mapping in zip(targets, camera.mappings(), strict=True)
-    ]
+    pairs = list(zip(targets, camera.mappings(), strict=True))
+    blocks = [unblurred(m.displacement(t.quick), t.blur_s(exposure_s), acceleration) for t, m in pairs]
+    # What the reference frame makes is not among what the learnt factor was learnt from.
+    more = [m.scale_m_per_px**2 * t.wandering_px2[:, "xy".index(m.direction)] for t, m in pairs]
+    return [replace(b, variance_m2=b.variance_m2 + v) for b, v in zip(blocks, more, strict=True)]
 
 
 def unblurred(measured: Displacement, blur_s: float, acceleration: Acceleration) -> Displacement:

@@ -1,7 +1,7 @@
 """`track`: the camera alone, translation in pixels for each frame, no accelerometer needed."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -9,16 +9,17 @@ import numpy as np
 
 from midspan._version import __version__
 from midspan.errors import UsageError
-from midspan.recording.calibrate import given_targets
 from midspan.recording.lens import lens_of
+from midspan.recording.open_tracking import given_targets
 from midspan.recording.progress import Progress, silent
 from midspan.recording.recording import open_recording
+from midspan.recording.temperatures import in_words_of, levels_of
 from midspan.recording.tracking import CameraTracking, Target, TrackingSettings
 from midspan.records import PixelTrack, Region, Status, seconds
 from midspan.settings.load import RECORDING_FILE
 from midspan.sinks.table import ResultTable
-from midspan.sources.camera.formats import open_frames
 from midspan.sources.camera.frames import FrameRequest, FrameSource
+from midspan.sources.thermal.formats import is_thermal, open_pictures
 from midspan.vision.tracker import DEFAULT_TRACKER, tracker_settings
 
 # Images without any time get one second a frame, so that time_s counts them.
@@ -61,6 +62,11 @@ class Tracked:
             "roi": _listed(self.region),
             "targets": [{"name": t.name, "roi": _listed(t.region)} for t in self.tracking.targets],
             "warnings": list(self.warnings),
+            "events": [
+                {"time_s": event.time_ns / 1e9, "kind": event.kind, "text": f"target {target.name}: {event.text}"}
+                for target in self.tracking.targets
+                for event in target.events
+            ],
         }
         track = self.track
         return ResultTable(columns=columns, time_ns=track.time_ns, metadata=metadata)
@@ -93,8 +99,11 @@ def track(source: str | Path, request: TrackRequest | None = None, progress: Pro
         frames, warnings = _of_file(path, request)
         given = (Target(request.region),) if request.region else ()
         settings = TrackingSettings(request.tracker or DEFAULT_TRACKER, targets=given)
-    tracking = CameraTracking(frames, settings, progress)
-    rows = _all_rows(tracking)
+        if is_thermal(path):
+            settings = replace(settings, thermal=True, reference="key-frames", sensor="infrared")
+    with in_words_of(settings.sensor):
+        tracking = CameraTracking(frames, settings, progress)
+        rows = _all_rows(tracking)
     progress(1, 1, "tracking")
     warnings += tracking.warnings()
     for target, found in zip(tracking.targets, rows, strict=True):
@@ -118,26 +127,36 @@ def _of_recording(path: Path, request: TrackRequest) -> tuple[FrameSource, Track
         changed["every"] = request.every
     if request.tracker is not None:
         changed["tracker"] = request.tracker
-    recording = open_recording(path, camera=changed)
-    camera = recording.settings.camera
+    recording = open_recording(path, camera=changed, infrared=changed)
+    views = recording.cameras
+    camera = views[0].settings.camera if views else None
     if camera is None:
-        raise UsageError(f"{recording.file}: has no [camera] section, so there is nothing to track.")
+        hint = " `midspan estimate` follows the radar's targets." if recording.has("radar") else ""
+        raise UsageError(
+            f"{recording.file}: has no [camera] or [infrared] section, so there is nothing to track.{hint}"
+        )
+    view = views[0]
+    others = ["Only the [camera] was tracked; for [infrared] give its file as SOURCE."] if len(views) > 1 else []
     settings = TrackingSettings(
         tracker=camera.tracker,
-        direction=recording.axis,
+        direction=view.axis,
         targets=(Target(request.region),) if request.region else given_targets(camera),
         automatic_targets=camera.automatic_targets,
         readout_s=camera.readout_s,
         tracker_settings=tracker_settings(camera.tracker, **camera.tracker_settings),
-        lens=lens_of(recording),
+        lens=lens_of(view),
+        reference=camera.reference_rule,
+        thermal=view.sensor == "infrared",
+        levels=levels_of(view, None),
+        sensor=view.sensor,
     )
-    return recording.frames, settings, []
+    return view.frames, settings, others
 
 
 def _of_file(path: Path, request: TrackRequest) -> tuple[FrameSource, list[str]]:
     def opened(rate_hz: float | None) -> FrameSource:
         wanted = FrameRequest(rate_hz=rate_hz, start_s=request.start_s, every=request.every or 1)
-        return open_frames(path, wanted)
+        return open_pictures(path, wanted)
 
     return _with_times(opened, request.rate_hz)
 

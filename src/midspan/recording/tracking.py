@@ -13,8 +13,11 @@ from numpy.typing import NDArray
 from midspan.errors import DataError
 from midspan.recording.progress import Progress, silent
 from midspan.recording.region_choice import ChoiceRequest, Judge, choose_targets
+from midspan.recording.sensor_words import worded
+from midspan.recording.target_opening import Opening, events_of, strength_of, thermal_part, wandering_px2
 from midspan.records import (
     NANOSECONDS,
+    Event,
     Floats,
     Frame,
     Nanoseconds,
@@ -27,12 +30,15 @@ from midspan.records import (
 )
 from midspan.signals.health import Mask, runs
 from midspan.sources.camera.frames import FrameSource
-from midspan.vision.lens import Lens, as_shown, bare, lens_warnings, through
+from midspan.thermal.limits import Limits
+from midspan.thermal.temperature_range import RangeSurface
+from midspan.vision.lens import Lens, as_shown, bare, lens_warnings
 from midspan.vision.picture_quality import PictureWatch
 from midspan.vision.picture_warnings import picture_warnings
 from midspan.vision.region import check_region
 from midspan.vision.roi import RegionChoice
-from midspan.vision.tracker import Learner, Tracker, open_tracker
+from midspan.vision.target import lost
+from midspan.vision.tracker import Learner, Tracker
 
 # A variance below this share of the usual one is the mark of a frame that matches itself, not of a quiet one.
 SUSPICIOUS_SHARE = 0.25
@@ -43,6 +49,8 @@ FROZEN_FRAMES = 3
 # A frame whose mean is below this share of full scale is dark; at most this many are skipped at the start.
 DARK_SHARE = 0.02
 MOST_DARK = 1000
+# Every so many rows and columns tell a black frame from a lit one.
+THINNED = 4
 # Frames that trackers learn from are kept until they are tracked; so much memory at most.
 MOST_AHEAD_BYTES = 200_000_000
 
@@ -59,6 +67,8 @@ class Target:
 class TrackingSettings:
     """What to track: the tracker's name, the measured image axis, the targets (none: chosen) and the frames used.
 
+    reference: how the reference frame is kept, see `Opening`; thermal: frames are temperatures, of which `levels` are
+    shown in grey (None: all, as they are). sensor: what messages call it.
     automatic_targets: how many are chosen; trial_from_ns: where the calibration begins, on the camera's clock.
     first: index of the reference frame; last: index after the last frame used. readout_s: rolling shutter, s from the
     first row (which the stamps belong to) to the last: the track's times are those of the target's middle row.
@@ -76,6 +86,15 @@ class TrackingSettings:
     trial_from_ns: int | None = None
     tracker_settings: Any = None
     lens: Lens | None = None
+    reference: str = "first"
+    thermal: bool = False
+    levels: Limits | None = None
+    sensor: str = "camera"
+
+    @property
+    def opening(self) -> Opening:
+        """What each target is tracked with."""
+        return Opening(self.tracker, self.tracker_settings, self.reference, self.thermal, self.levels, self.lens)
 
 
 class TargetTracking:
@@ -86,7 +105,12 @@ class TargetTracking:
         self._rows: list[PixelTranslation] = []
         self._repeats: list[bool] = []
         self._seen = np.empty((0, 0))
-        self._watch = PictureWatch(tracker.reference, tracker.region)
+        self.events: list[Event] = []
+        self.strengths: list[float] = []
+        self._wandering: list[tuple[float, float]] = []
+        self._lit = not is_dark(tracker.reference.pixels)
+        # Temperatures are stored as they are: no codec, no full scale.
+        self._watch = None if thermal_part(tracker) else PictureWatch(tracker.reference, tracker.region)
 
     @property
     def region(self) -> Region:
@@ -95,12 +119,19 @@ class TargetTracking:
 
     def push(self, frame: Frame, prediction: Prediction | None = None) -> PixelTranslation:
         """Find the target in `frame`; the translation is dated by the row that the target's middle was read out at."""
-        found = self.tracker.push(frame, prediction)
+        found = lost(frame.time_ns) if self._in_the_dark(frame) else self.tracker.push(frame, prediction)
+        self.events += events_of(self.tracker)
+        self.strengths.append(strength_of(self.tracker, found))
+        self._wandering.append(wandering_px2(self.tracker, found))
         down_px = as_shown(self.tracker, found).y_px
         row = self.region.y + 0.5 * (self.region.height - 1) + (down_px if np.isfinite(down_px) else 0.0)
         last_row = max(frame.pixels.shape[0] - 1, 1)
         late_ns = round(self._readout_s * NANOSECONDS * row / last_row)
         return replace(found, time_ns=frame.time_ns + late_ns)
+
+    def _in_the_dark(self, frame: Frame) -> bool:
+        """Whether a frame is black, which the reference is not: what a tracker found in its noise would be wrong."""
+        return self._lit and is_dark(frame.pixels[::THINNED, ::THINNED])
 
     def add(self, frame: Frame, translation: PixelTranslation) -> None:
         """Keep what was found in `frame`: the one place where a frame's picture and its translation meet."""
@@ -109,17 +140,29 @@ class TargetTracking:
         self._repeats.append(bool(np.array_equal(seen, self._seen)))
         self._seen = seen.copy()
         self._rows.append(translation)
-        self._watch.push(frame, as_shown(self.tracker, translation))
+        if self._watch is not None:
+            self._watch.push(frame, as_shown(self.tracker, translation))
 
     @property
     def track(self) -> PixelTrack:
         """The rows so far as one block, finished: frames of a frozen picture are lost, the variances fair."""
-        return self._watch.widened(self._narrow)
+        return more_variance(self.quick, self.wandering_px2)
+
+    @property
+    def quick(self) -> PixelTrack:
+        """The same with the variances of the single frames only, without what the reference frame makes."""
+        return self._narrow if self._watch is None else self._watch.widened(self._narrow)
+
+    @property
+    def wandering_px2(self) -> Floats:
+        """The part of the variances (n, 2) along x and y that the reference frame makes, for many frames alike."""
+        return np.array(self._wandering).reshape(-1, 2)
 
     @property
     def _narrow(self) -> PixelTrack:
-        """The rows with the variances that the tracker believes in."""
-        return with_fair_variance(lost_where(PixelTrack.stack(self._rows), self.frozen))
+        """The rows with the variances of the single frames that the tracker believes in."""
+        own = more_variance(PixelTrack.stack(self._rows), -self.wandering_px2)
+        return with_fair_variance(lost_where(own, self.frozen))
 
     @property
     def frozen(self) -> Mask:
@@ -139,6 +182,8 @@ class TargetTracking:
 
     def with_codec_error(self, scale: ScaleFactor, direction: str) -> ScaleFactor:
         """A scale factor learnt along an image axis from the frames so far, with what compression may do to it."""
+        if self._watch is None:
+            return scale
         relative = self._watch.relative_scale_std(self._narrow.along(direction)[0])
         return replace(scale, variance=scale.variance + (relative * scale.value_m_per_px) ** 2)
 
@@ -146,7 +191,7 @@ class TargetTracking:
         """What of the frames tracked so far is worth telling, measured along the image axis "x" or "y"."""
         frozen = int(np.count_nonzero(self.frozen))
         told = [f"camera: {frozen} frames only repeat the picture before them (frozen); they were not used."]
-        seen = picture_warnings(self._watch, self._narrow, direction) if self._rows else []
+        seen = picture_warnings(self._watch, self._narrow, direction) if self._rows and self._watch else []
         return (told if frozen else []) + seen
 
 
@@ -176,10 +221,14 @@ class CameraTracking:
         rows, columns = self.reference.pixels.shape
         for target in targets:
             check_region(target.region, columns, rows)
+        self.chosen = tuple(targets)
         self.targets = tuple(self._opened(target) for target in targets)
         self._ahead = deque([self.reference])
         self._teach()
-        self.done = 0
+        self.done, self.ended = 0, False
+        # The tracking of a second camera of the same recording; how a thermal camera's range was found.
+        self.beside: CameraTracking | None = None
+        self.range_surface: RangeSurface | None = None
 
     @property
     def tracks(self) -> tuple[PixelTrack, ...]:
@@ -211,8 +260,10 @@ class CameraTracking:
             target.add(frame, translation)
 
     def close(self) -> None:
-        """Let the file go."""
+        """Let the file go, and that of a second camera."""
         self._frames.close()
+        if self.beside is not None:
+            self.beside.close()
 
     def warnings(self) -> list[str]:
         """What of the frames tracked so far is worth telling."""
@@ -226,13 +277,10 @@ class CameraTracking:
             if self.settings.lens is not None:
                 own += lens_warnings(target.region, self.settings.lens)
             found += own if len(self.targets) == 1 else [f"target {target.name}: {line}" for line in own]
-        return found
+        return [worded(line, self.settings.sensor) for line in found]
 
     def _opened(self, target: Target) -> TargetTracking:
-        tracker = through(
-            open_tracker(self.settings.tracker, self.reference, target.region, self.settings.tracker_settings),
-            self.settings.lens,
-        )
+        tracker = self.settings.opening.opened(self.reference, target.region)
         return TargetTracking(tracker, target.name, self.settings.readout_s)
 
     def _teach(self) -> None:
@@ -290,9 +338,10 @@ def is_dark(pixels: NDArray[Any]) -> bool:
     """
     if pixels.dtype.kind == "f":
         return False
-    mean, bright = float(np.mean(pixels)), float(np.percentile(pixels[::4, ::4], 99))
     scale = 255.0 if pixels.dtype.itemsize == 1 else 1023.0
-    return mean < DARK_SHARE * scale and bright < 2.0 * DARK_SHARE * scale
+    if float(np.mean(pixels)) >= DARK_SHARE * scale:
+        return False
+    return float(np.percentile(pixels[::4, ::4], 99)) < 2.0 * DARK_SHARE * scale
 
 
 def lost_where(track: PixelTrack, mask: Mask) -> PixelTrack:
@@ -304,6 +353,14 @@ def lost_where(track: PixelTrack, mask: Mask) -> PixelTrack:
         for name in ("x_px", "y_px", "variance_x_px2", "variance_y_px2")
     }
     return replace(track, status=np.where(mask, np.uint8(Status.LOST), track.status), **empty)
+
+
+def more_variance(track: PixelTrack, added_px2: Floats) -> PixelTrack:
+    """The track with variances (n, 2) along x and y added."""
+    if not added_px2.any():
+        return track
+    x, y = (own + more for own, more in zip((track.variance_x_px2, track.variance_y_px2), added_px2.T, strict=True))
+    return replace(track, variance_x_px2=x, variance_y_px2=y)
 
 
 def with_fair_variance(track: PixelTrack) -> PixelTrack:

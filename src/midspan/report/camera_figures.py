@@ -38,7 +38,7 @@ def frame(material: Material) -> Picture:
     assert tracking is not None
     assert track is not None
     pixels = tracking.reference.pixels
-    camera = material.result.calibration.camera
+    camera = material.result.calibration.first_camera
     regions = {target.name: target.region for target in tracking.targets}
     region = camera.region if camera is not None and camera.region in regions.values() else tracking.targets[0].region
     figure = sheet(3.5)
@@ -144,7 +144,7 @@ def _edges(centres: Any) -> tuple[float, float]:
 
 def tracker(material: Material) -> Picture:
     """The tracker's quality and standard deviation frame by frame, lost frames marked."""
-    track, camera = material.result.track, material.result.calibration.camera
+    track, camera = material.result.track, material.result.calibration.first_camera
     assert track is not None
     assert camera is not None
     t = material.clock.at(track.time_ns + round(1e9 * camera.offset.value_s))

@@ -14,6 +14,7 @@ from midspan.report.drawing import (
     GREEN,
     GREY,
     ORANGE,
+    PURPLE,
     SKY,
     VERMILLION,
     Picture,
@@ -32,6 +33,8 @@ BAND = 1.96
 ZOOM_S = 8.0
 SEGMENTS = 8
 LARGEST_SEGMENT = 2**16
+# Measurements that a zoom can show one by one.
+MOST_CLEAR = 250
 
 
 def history(material: Material) -> Picture:
@@ -121,7 +124,7 @@ def zoom(material: Material) -> Picture:
     if reference is not None:
         for axes, value in ((upper, reference[1]), (lower, reference[1] - np.interp(reference[0], t, d))):
             axes.plot(reference[0], value, color=VERMILLION, linestyle=(0, (4, 2)), label="reference")
-    for measured, colour in zip(material.measured, (BLACK, GREEN), strict=False):
+    for measured, colour in zip(material.measured, (BLACK, GREEN, PURPLE, ORANGE), strict=False):
         _measurements((upper, lower), material, measured, (which, colour))
     lower.set_ylim(*_limits(lower, BAND * s))
     upper.set_xlim(t[0], t[-1])
@@ -159,6 +162,9 @@ def _measurements(both: "tuple[Axes, Axes]", material: Material, measured: Measu
     t, value = material.clock.at(measured.time_ns[cut]), measured.value_mm[cut]
     fused = np.interp(t, material.t[which], material.result.displacement_mm[which])
     options: dict[str, Any] = {"color": colour, "elinewidth": 0.7, "markersize": 3.0}
+    if len(t) > MOST_CLEAR:
+        # A fast sensor's points would hide the lines: small and pale, behind them.
+        options |= {"elinewidth": 0.5, "markersize": 1.2, "alpha": 0.3, "zorder": 1.5}
     for axes, shown in zip(both, (value, value - fused), strict=True):
         label = f"{measured.name} ±1.96 σ"
         axes.errorbar(t, shown, BAND * measured.std_mm[cut], fmt="o", label=label, **options)
@@ -175,7 +181,7 @@ def spectra(material: Material) -> Picture:
     figure = sheet(3.6)
     axes = figure.subplots()
     result = material.result
-    for measured, colour in zip(material.measured, (GREY, GREEN), strict=False):
+    for measured, colour in zip(material.measured, (GREY, GREEN, PURPLE, ORANGE), strict=False):
         found = density(measured.time_ns, measured.value_mm)
         if found is not None:
             axes.loglog(*found, color=colour, label=f"{measured.name} alone, to {0.5 * measured.rate_hz:.3g} Hz")

@@ -8,9 +8,10 @@ import numpy as np
 from midspan.errors import DataError
 from midspan.evaluate.interpolation import step_of
 from midspan.evaluate.metrics import Comparison, compare
+from midspan.recording.displacement import read_with
 from midspan.recording.result import Result
 from midspan.recording.span import EPOCH_FROM_NS, inside
-from midspan.records import Floats, Nanoseconds, TimeSeries, seconds
+from midspan.records import Displacement, Floats, Nanoseconds, Source, TimeSeries, part, seconds
 
 # A reference whose zero is off by more than this share of its motion is drawn moved, and the caption says so.
 MOVED_SHARE = 0.2
@@ -106,18 +107,36 @@ def clock_of(first_ns: int) -> Clock:
 
 def _measured(result: Result) -> list[Measured]:
     found = []
-    camera = result.calibration.camera
-    if camera is not None and result.track is not None:
+    camera = result.calibration.first_camera
+    if result.belief is not None:
+        found += _of_cameras(result, result.belief.measured)
+    elif camera is not None and result.track is not None:
         block = camera.mapping().displacement(result.track)
         std = np.sqrt(block.variance_m2)
-        found.append(_aligned(result, Measured("camera", block.time_ns, 1e3 * block.value_m, 1e3 * std)))
+        name = camera.source.word
+        found.append(_aligned(result, Measured(name, block.time_ns, 1e3 * block.value_m, 1e3 * std)))
+    if result.radar is not None:
+        block = result.radar.measured
+        # Blocked frames are NaN and of infinite variance.
+        std = np.where(np.isfinite(block.value_m), np.sqrt(block.variance_m2), np.nan)
+        found.append(_aligned(result, Measured("radar", block.time_ns, 1e3 * block.value_m, 1e3 * std)))
     learnt = result.calibration.displacement
     # A second axis has none of its own.
     if learnt is not None and result.recording is not None and result.recording.has("displacement"):
-        series = result.recording.displacement
-        time_ns = series.time_ns + round(1e9 * learnt.offset.value_s)
-        std = np.full(len(time_ns), 1e3 * learnt.noise_std_m)
-        found.append(_aligned(result, Measured("displacement sensor", time_ns, 1e3 * series.value, std)))
+        series = read_with(result.recording.displacement, learnt)
+        std = np.full(len(series.time_ns), 1e3 * learnt.noise_std_m)
+        found.append(_aligned(result, Measured("displacement sensor", series.time_ns, 1e3 * series.value, std)))
+    return found
+
+
+def _of_cameras(result: Result, both: Displacement) -> list[Measured]:
+    """What each of two cameras said, the second on the zero of the first."""
+    found = []
+    for code in np.unique(both.source):
+        block = part(both, both.source == code)
+        std = np.where(np.isfinite(block.value_m), np.sqrt(block.variance_m2), np.nan)
+        name = Source(int(code)).word
+        found.append(_aligned(result, Measured(name, block.time_ns, 1e3 * block.value_m, 1e3 * std)))
     return found
 
 

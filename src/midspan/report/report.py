@@ -40,6 +40,8 @@ def report_html(result: Result, reference: TimeSeries | None = None) -> str:
         sections.calibration(material),
         sections.innovations(material),
         sections.camera(material),
+        sections.cameras(material),
+        sections.radar(material),
         sections.numbers(material),
         sections.footer(material),
     ]

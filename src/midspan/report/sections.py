@@ -4,11 +4,13 @@ import json
 
 from midspan._version import __version__
 from midspan.calibration.scale import ScaleCalibration
+from midspan.recording.radar_trace import RadarTrace
 from midspan.records import NANOSECONDS
-from midspan.report import camera_figures, figures, page, phase_figures, tables
+from midspan.report import camera_figures, figures, infrared_figures, page, phase_figures, radar_figures, tables
 from midspan.report.history_data import history_attributes
 from midspan.report.material import Material
 from midspan.sinks.table import ResultTable, metadata_json
+from midspan.thermal.temperature_range import RangeSurface
 from midspan.vision.hybrid import PhaseTracker
 from midspan.vision.lens import bare
 
@@ -70,7 +72,7 @@ def second_axis(material: Material) -> str:
     second = material.second
     if second is None:
         return ""
-    axis, camera = second.result.axis, second.result.calibration.camera
+    axis, camera = second.result.axis, second.result.calibration.first_camera
     assert camera is not None
     how = (
         "It has its own column of acceleration and was fused in the same way."
@@ -118,8 +120,17 @@ def calibration(material: Material) -> str:
     elif found.camera is not None:
         text = "The calibration came from a file, which holds its values but not what they rest on: no figures here."
         pieces.append(page.paragraph(text, "note"))
+    elif found.radar is not None and found.displacement is None:
+        text = "What the radar's conversion factor and clock offset rest on is shown in the section on the radar."
+        pieces.append(page.paragraph(text, "note"))
     else:
-        text = "The unit of the displacement sensor is known, so that only noise levels and clock offset were learnt."
+        sensor = found.displacement
+        scaled = sensor is not None and sensor.scale_std > 0.0
+        text = (
+            "Scale, noise levels and clock offset of the displacement sensor were learnt beside the accelerometer."
+            if scaled
+            else "The unit of the displacement sensor is known, so that only noise levels and clock offset were learnt."
+        )
         pieces.append(page.paragraph(text, "note"))
     if found.warnings:
         pieces.append(page.bullets(found.warnings, "warnings"))
@@ -143,14 +154,14 @@ def innovations(material: Material) -> str:
 def camera(material: Material) -> str:
     """Frame, region, path, choice and quality of the tracking; empty without a camera."""
     result = material.result
-    if result.track is None or result.calibration.camera is None:
+    if result.track is None or result.calibration.first_camera is None:
         return ""
     pieces = []
     if result.tracking is not None:
         caption = (
             "The first frame used with the region of interest, the region enlarged, and the target's translation in "
             "the image since then (dot: start). The path should be long in the measured direction "
-            f"({result.calibration.camera.direction}) and short across it."
+            f"({result.calibration.first_camera.direction}) and short across it."
         )
         pieces.append(page.figure(camera_figures.frame(material), "Region of interest", caption))
         pieces.append(_targets(material))
@@ -166,7 +177,7 @@ def camera(material: Material) -> str:
 
 def _targets(material: Material) -> str:
     """What became of each of several targets; empty for one."""
-    camera = material.result.calibration.camera
+    camera = material.result.calibration.first_camera
     if camera is None or len(camera.targets) < 2:
         return ""
     return "<h3>Targets</h3>" + page.table(tables.targets(camera), tables.TARGETS_HEADER)
@@ -200,6 +211,90 @@ def _choice(material: Material) -> str:
             page.bullets(tracking.choice.reasons, "plain"),
         ]
     )
+
+
+def cameras(material: Material) -> str:
+    """Each camera over the record, which one counts when, the temperature range; empty for one camera of light."""
+    if not infrared_figures.worth_showing(material):
+        return ""
+    caption = (
+        "Matches or quality of each camera's best target (zero: lost) with the changes of its reference frame; below, "
+        "standard deviations of single frames and of the result, what the reference frames may be off by included, "
+        "and the source of each row. Dashed: another camera is believed from there on."
+    )
+    pieces = [page.figure(infrared_figures.over_time(material), "Cameras over the record", caption)]
+    drawn = infrared_figures.zero(material)
+    if drawn is not None:
+        caption = (
+            "How far the second camera's zero lies from the first one's, learnt where both see and taken out. Shading "
+            "that moves and surfaces that warm make it wander; where only one sees it is bridged, with a wider band."
+        )
+        pieces.append(page.figure(drawn, "Zero of the second camera", caption))
+    pieces += [_range(eye.sensor, eye.tracking.range_surface) for eye in material.result.eyes]
+    return page.section("cameras", "Cameras over the record", *pieces)
+
+
+def _range(sensor: str, found: RangeSurface | None) -> str:
+    """How the temperature range was found; empty where it was not looked for."""
+    if found is None:
+        return ""
+    caption = (
+        f"Error of the {sensor} translation against the accelerometer, by the two limits of the temperatures shown. "
+        f"Square: the range chosen, {found.best.low_c:.1f} to {found.best.high_c:.1f} °C. A flat floor is usual: many "
+        "ranges are as good. Where the target was lost in too many frames nothing is drawn."
+    )
+    return page.figure(infrared_figures.surface(found), "Temperature range", caption)
+
+
+def radar(material: Material) -> str:
+    """Range profile, targets, circle, phase and amplitudes; empty without a radar."""
+    found = material.result.calibration.radar
+    if found is None:
+        return ""
+    pieces = []
+    if found.diagnostics is not None:
+        caption = (
+            "Mean power of the calibration window over range. Dots: targets in use with their rank; crosses: peaks "
+            "that were not used, for the reasons below."
+        )
+        pieces.append(page.figure(radar_figures.profile(found, found.diagnostics), "Range profile", caption))
+    caption = "Coherence is the share of a target's acceleration that the accelerometer explains; clutter "
+    caption += "the amplitude of something else in its bin, as a share of its own."
+    pieces += [page.table(tables.radar_targets(found), tables.RADAR_HEADER), page.paragraph(caption, "note")]
+    if found.diagnostics is not None:
+        caption = (
+            f"The best target, {tables.radar_place(found.best)}, in the window. Left: its phasors turn about the cross "
+            "as the range changes; what stands still in the bin moves the cross away from zero and is taken out. "
+            "Right: amplitude over phase; flat is right, a wave is what stands still, a wide band other things that "
+            "move."
+        )
+        pieces.append(page.figure(radar_figures.circle(found, found.diagnostics), "Circle of the phasors", caption))
+    trace = None if material.result.radar is None else material.result.radar.trace
+    if trace is not None:
+        pieces.append(_radar_phase(material, trace))
+    return page.section("radar", "Radar", *pieces)
+
+
+def _radar_phase(material: Material, trace: RadarTrace) -> str:
+    """Phase, speed and amplitudes over the record."""
+    pieces = []
+    if trace.excerpt is not None:
+        beyond = trace.speed_m_s > trace.limit_speed_m_s
+        caption = (
+            "The fastest seconds of the best target. Points: the phase as measured, within a cycle; blue: unwrapped "
+            "with the accelerometer, as used; orange: unwrapped plainly from here on. Below, the speed of the range, "
+            f"which reached {1e3 * trace.speed_m_s:.3g} mm/s, {'beyond' if beyond else 'below'} the "
+            f"{1e3 * trace.limit_speed_m_s:.3g} mm/s from which plain unwrapping fails."
+        )
+        drawn = radar_figures.phase(trace, material.clock)
+        pieces.append(page.figure(drawn, "Phase, measured and unwrapped", caption))
+    caption = (
+        "Above, the unwrapped phase of the best target; dotted lines: the cycle had to be found anew after an outage. "
+        "Below, the amplitude of each target beside that of the calibration, with the limits (dashed) outside which a "
+        "frame is blocked; orange ground: not used."
+    )
+    pieces.append(page.figure(radar_figures.amplitudes(trace, material.clock), "Targets over the record", caption))
+    return "".join(pieces)
 
 
 def numbers(material: Material) -> str:

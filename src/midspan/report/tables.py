@@ -8,7 +8,9 @@ import numpy as np
 
 from midspan.evaluate.metrics import Comparison, normalised_innovation
 from midspan.fusion.gate import REJECTED
+from midspan.radar.target import Target
 from midspan.recording.calibration import CameraCalibration, DisplacementCalibration
+from midspan.recording.radar_calibration import RadarCalibration
 from midspan.records import NANOSECONDS, Region, TimeOffset
 from midspan.report.material import Material
 from midspan.vision.roi import RegionChoice
@@ -112,6 +114,8 @@ def calibration(material: Material) -> list[Row]:
     rows: list[Row] = []
     if found.camera is not None:
         rows += _camera(found.camera)
+    if found.radar is not None:
+        rows += _radar(found.radar)
     if found.displacement is not None:
         rows += _displacement(found.displacement)
     rows += [
@@ -153,6 +157,52 @@ def targets(camera: CameraCalibration) -> list[tuple[str, ...]]:
     return rows
 
 
+def _radar(radar: RadarCalibration) -> list[Row]:
+    best = radar.best
+    value, std = best.conversion_factor, best.conversion_factor_std
+    return [
+        ("radar: conversion factor of the best target", f"{value:.6g} ± {std:.2g} ({100 * std / abs(value):.2g} %)"),
+        ("radar: range to it", f"{best.range_m:.3f} m" if math.isfinite(best.range_m) else "not known"),
+        ("radar: clock offset", _offset(radar.offset)),
+        ("radar: noise", f"{1e3 * best.noise_m:.3g} mm a frame of displacement"),
+        ("radar: learnt variance over that of the signal-to-noise ratio", f"{radar.variance_factor:.3g}"),
+        ("radar: carrier", f"{radar.carrier_hz / 1e9:.5f} GHz"),
+    ]
+
+
+RADAR_HEADER = ("range (m)", "SNR (dB)", "conversion factor", "noise (mm)", "coherence", "clutter", "verdict")
+
+
+def radar_place(target: Target) -> str:
+    """Where a target is, in words."""
+    known = math.isfinite(target.range_m)
+    return f"at {target.range_m:.2f} m" if known else f"in bin {target.place_bin:.1f}"
+
+
+def radar_targets(radar: RadarCalibration) -> list[tuple[str, ...]]:
+    """One row a peak of the range profile: the used ones first, each with what speaks for or against it."""
+    rows: list[tuple[str, ...]] = []
+    rank = 0
+    for item in radar.targets:
+        target = item.target
+        rank += item.used
+        factor = ""
+        if math.isfinite(target.conversion_factor):
+            factor = f"{target.conversion_factor:.5f}\u00a0±\u00a0{target.conversion_factor_std:.5f}"
+        rows.append(
+            (
+                f"{target.range_m:.3f}" if math.isfinite(target.range_m) else f"bin {target.place_bin:.1f}",
+                f"{target.snr_db:.1f}",
+                factor,
+                f"{1e3 * target.noise_m:.2g}" if math.isfinite(target.noise_m) else "",
+                percent(target.coherence) if target.coherence > 0.0 else "",
+                percent(target.clutter) if math.isfinite(target.clutter) else "",
+                f"used, rank {rank}" if item.used else f"no: {item.reason}",
+            )
+        )
+    return rows
+
+
 CANDIDATES_HEADER = ("place", "region (px)", "predicted σ (px)", "beside the others (px)", "verdict")
 
 
@@ -175,9 +225,11 @@ def _place(region: Region) -> str:
 
 
 def _displacement(sensor: DisplacementCalibration) -> list[Row]:
+    learnt = f"{sensor.scale:.5g} ± {sensor.scale_std:.2g} ({100 * sensor.relative_std:.2g} %), learnt"
     return [
         ("displacement: noise", f"{1e3 * sensor.noise_std_m:.4g} mm a measurement"),
         ("displacement: clock offset", _offset(sensor.offset)),
+        *([("displacement: scale", learnt)] if sensor.scale_std > 0.0 else []),
     ]
 
 

@@ -1,4 +1,4 @@
-"""Settings of cameras: what they look at, how it is tracked, and their lens."""
+"""Settings of cameras: what they look at, how it is tracked, their lens, and what a thermal camera has besides."""
 
 from typing import Annotated, Any, Literal
 
@@ -16,6 +16,7 @@ from midspan.settings.fields import (
     is_a_word,
     known,
     region_is_positive,
+    second_is_larger,
 )
 from midspan.vision.lens import MODELS as LENS_MODELS
 from midspan.vision.lens import Lens
@@ -91,6 +92,14 @@ class CameraSettings(Section):
         default_factory=dict, description="settings of the tracker by name, see docs/methods.md; left out: its defaults"
     )
     lens: LensSettings | None = Field(None, description="the lens's distortion; left out: none is corrected")
+    reference: Literal["first", "key-frames", "updating"] | None = Field(
+        None, description="the frame that each one is compared with: the first, several, or a new one; left out: first"
+    )
+
+    @property
+    def reference_rule(self) -> str:
+        """How the reference frame is kept: "first", "key-frames" or "updating"."""
+        return self.reference or "first"
 
     @model_validator(mode="after")
     def _targets_are_told_apart(self) -> "CameraSettings":
@@ -119,3 +128,24 @@ class CameraSettings(Section):
     def target_names(self) -> tuple[str, ...]:
         """The name of each target that is given; its number where it has none."""
         return tuple(target.name or str(number) for number, target in enumerate(self.target, start=1))
+
+
+class InfraredSettings(CameraSettings):
+    """A thermal camera on the structure that looks at fixed surroundings: its temperatures too."""
+
+    reference: Literal["first", "key-frames", "updating"] | None = Field(
+        None, description="the frame that each is compared with: the first, several, or a new one; left out: several"
+    )
+    temperature_range_c: Annotated[tuple[FiniteNumber, FiniteNumber] | None, AfterValidator(second_is_larger)] = Field(
+        None, description="°C shown in 256 grey levels; left out: temperatures as they are, or optimised for features"
+    )
+    kelvin_per_count: PositiveNumber | None = Field(None, description="K a count of 16-bit pictures; left out: told")
+    zero_k: FiniteNumber = Field(0.0, description="temperature of count 0 of 16-bit pictures, K")
+    emissivity: Annotated[float, IsNumber, Field(gt=0, le=1)] | None = Field(
+        None, description="of the target, 0 to 1; left out: the one in a FLIR file"
+    )
+
+    @property
+    def reference_rule(self) -> str:
+        """How the reference frame is kept: "first", "key-frames" or "updating"."""
+        return self.reference or "key-frames"

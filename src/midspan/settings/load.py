@@ -14,6 +14,7 @@ from midspan.settings.recording import RecordingSettings
 RECORDING_FILE = "recording.toml"
 # Sections that every recording has, written or not.
 OPTIONAL_SECTIONS = ("calibration", "fusion")
+CAMERAS = ("camera", "infrared")
 
 
 def settings_file(path: str | Path) -> Path:
@@ -43,7 +44,7 @@ def load_settings(path: str | Path, overrides: dict[str, dict[str, Any]] | None 
         option("section", section, RecordingSettings.model_fields)
         given = tree.get(section, {})
         if isinstance(given, dict) and (section in tree or section in OPTIONAL_SECTIONS):
-            if section == "camera" and "tracker" in given and keys.get("tracker", given["tracker"]) != given["tracker"]:
+            if section in CAMERAS and "tracker" in given and keys.get("tracker", given["tracker"]) != given["tracker"]:
                 # They belong to the file's own tracker.
                 given = {key: value for key, value in given.items() if key != "tracker_settings"}
             tree[section] = {**given, **keys}

@@ -5,9 +5,6 @@ from typing import Any
 from midspan.checks import nearest
 from midspan.settings.recording import RecordingSettings
 
-# Sections of a recording.toml that other versions of midspan read.
-OTHER_SECTIONS = ("infrared", "radar")
-
 
 def explain(item: Any) -> str:
     """One sentence for one of pydantic's errors."""
@@ -21,14 +18,16 @@ def explain(item: Any) -> str:
         return f"{key}: must have {4 if key.endswith('roi') else 2} numbers; received {list(value)}."
     if kind == "missing":
         return f"{key}: is missing. Add it; `midspan check-config` shows what a file says."
-    if kind == "tuple_type" and key == "camera.target":
-        return f"{key}: must be a list, one [[camera.target]] for each target; received {value!r}."
+    if kind == "tuple_type" and key in ("camera.target", "infrared.target"):
+        return f"{key}: must be a list, one [[{key}]] for each target; received {value!r}."
     if kind.startswith(("model_type", "model_attributes", "dict_type")):
         return f"{key}: must be one section, [{key}]; received {value!r}."
     if kind == "string_too_short":
         return f"{key} = {value!r}: must not be empty; leave the key out instead."
     text = str(item["msg"]).removeprefix("Value error, ")
     text = text.replace("Input should", "must").replace("String should", "must")
+    if place and place[0] == "infrared":
+        text = text.replace("[[camera.", "[[infrared.")
     return (
         f"{key}: {text}."
         if key == "settings" or isinstance(value, dict)
@@ -47,8 +46,6 @@ def _plain(value: Any) -> str:
 
 
 def _unknown(key: str, place: list[str], value: Any) -> str:
-    if len(place) == 1 and place[0] in OTHER_SECTIONS:
-        return f"{key}: this version of midspan does not read [{key}]. Take the section out."
     known = _keys_at(place[:-1])
     if len(place) == 1:
         known = [name for name in known if name != "name"] if isinstance(value, dict) else ["name"]

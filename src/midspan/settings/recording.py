@@ -1,11 +1,11 @@
 """The whole tree of `recording.toml`: its sensors, the calibration and the fusion."""
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field, model_validator
 
 from midspan.fusion.methods import LITERAL, METHODS, no_literal_form
-from midspan.settings.camera import CameraSettings
+from midspan.settings.camera import CameraSettings, InfraredSettings
 from midspan.settings.fields import (
     FiniteNumber,
     IsNumber,
@@ -15,7 +15,7 @@ from midspan.settings.fields import (
     known,
     second_is_larger,
 )
-from midspan.settings.sensors import AccelerometerSettings, DisplacementSettings, ReferenceSettings
+from midspan.settings.sensors import AccelerometerSettings, DisplacementSettings, RadarSettings, ReferenceSettings
 
 
 class CalibrationSettings(Section):
@@ -39,6 +39,9 @@ class FusionSettings(Section):
     method: Annotated[str, known(METHODS, "method")] = Field("smoother", description="see `midspan methods`")
     lag_s: PositiveNumber = Field(0.5, description="delay of the method `lag`, s; longer is nearer to the smoother")
     literal: bool = Field(False, strict=True, description="a paper's method exactly as printed, without guard")
+    switching: Literal["variance", "matches"] = Field(
+        "variance", description="how two cameras are believed: both by their variances, or the one with more matches"
+    )
     forgetting: Annotated[float, IsNumber, Field(gt=0, lt=1)] = Field(
         0.95, description="factor beta of `adaptive-kalman`; nearer to 1 learns more slowly"
     )
@@ -50,26 +53,36 @@ class FusionSettings(Section):
         return self
 
 
+class SiteSettings(Section):
+    """Where the structure stands: tells day from night where stamps are dates."""
+
+    latitude_deg: Annotated[float, IsNumber, Field(ge=-90, le=90)] = Field(description="degrees, north positive")
+    longitude_deg: Annotated[float, IsNumber, Field(ge=-180, le=180)] = Field(description="degrees, east positive")
+
+
 class RecordingSettings(Section):
     """The whole of `recording.toml`."""
 
     name: str = ""
     accelerometer: AccelerometerSettings
     camera: CameraSettings | None = None
+    infrared: InfraredSettings | None = None
+    radar: RadarSettings | None = None
     displacement: DisplacementSettings | None = None
     calibration: CalibrationSettings = Field(default_factory=lambda: CalibrationSettings.model_validate({}))
     fusion: FusionSettings = Field(default_factory=lambda: FusionSettings.model_validate({}))
     reference: ReferenceSettings | None = None
+    site: SiteSettings | None = None
 
     @model_validator(mode="after")
     def _has_displacement(self) -> "RecordingSettings":
-        if self.camera is None and self.displacement is None:
-            raise ValueError("must have a [camera] or a [displacement] section beside [accelerometer]")
+        if self.first_camera is None and self.radar is None and self.displacement is None:
+            raise ValueError("must have [camera], [infrared], [radar] or [displacement] beside [accelerometer]")
         return self
 
     @model_validator(mode="after")
     def _both_axes_have_columns(self) -> "RecordingSettings":
-        both = self.camera is not None and self.camera.direction == "xy"
+        both = self.first_camera is not None and self.first_camera.direction == "xy"
         named = self.accelerometer.value_x or self.accelerometer.value_y
         if both and not named:
             raise ValueError(
@@ -83,11 +96,27 @@ class RecordingSettings(Section):
             )
         return self
 
+    @model_validator(mode="after")
+    def _two_cameras_measure_one_axis(self) -> "RecordingSettings":
+        if self.camera is None or self.infrared is None:
+            return self
+        if "xy" in (self.camera.direction, self.infrared.direction):
+            raise ValueError(
+                'must have direction = "x" or "y" in [camera] and [infrared] where there are both; "xy" is for one of '
+                "them alone"
+            )
+        return self
+
+    @property
+    def first_camera(self) -> CameraSettings | None:
+        """The camera whose zero counts and whose axes the columns belong to: [camera], else [infrared]."""
+        return self.camera or self.infrared
+
     @property
     def axes(self) -> tuple[str, ...]:
         """The image axes that a result is made for, the one of the main columns first; empty without a camera."""
-        if self.camera is None:
+        if self.first_camera is None:
             return ()
-        if self.camera.direction != "xy":
-            return (self.camera.direction,)
+        if self.first_camera.direction != "xy":
+            return (self.first_camera.direction,)
         return ("y", "x") if self.accelerometer.value_y else ("x", "y")

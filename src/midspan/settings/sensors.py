@@ -1,8 +1,10 @@
-"""Settings of the sensors that give one number at a time: accelerometer, displacement, reference."""
+"""Settings of the sensors that are no cameras: accelerometer, radar, displacement, reference."""
+
+from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from midspan.settings.fields import FiniteNumber, Name, NonNegativeNumber, PositiveNumber, Section
+from midspan.settings.fields import FiniteNumber, IsNumber, Name, NonNegativeNumber, PositiveNumber, Section
 
 
 class ChannelSettings(Section):
@@ -34,11 +36,37 @@ class AccelerometerSettings(ChannelSettings):
         return self
 
 
+class RadarSettings(Section):
+    """A chirp radar on the structure that looks at fixed surroundings."""
+
+    file: Name
+    config: Name | None = Field(None, description=".cfg of the mmWave demo or .json of mmWave Studio")
+    iq_order: Literal["auto", "IIQQ", "QQII", "IQIQ", "QIQI"] = Field(
+        "auto", description="order of I and Q in a raw capture; auto: from the settings and the samples"
+    )
+    start_s: FiniteNumber = Field(0.0, description="time of the first frame, s")
+    rate_hz: PositiveNumber | None = Field(
+        None, description="frames a second of slow-time I/Q, where neither file nor config says it"
+    )
+    carrier_hz: Annotated[float, IsNumber, Field(gt=1e9, allow_inf_nan=False)] | None = Field(
+        None, description="carrier of slow-time I/Q, where neither file nor config says it, Hz"
+    )
+    targets: Annotated[int, IsNumber, Field(ge=1, le=8)] = Field(
+        3, description="how many fixed targets are used at most; more is steadier when some are blocked"
+    )
+    target_range_m: PositiveNumber | None = Field(
+        None, description="use only the target nearest to this range, m; left out: the best ones"
+    )
+
+
 class DisplacementSettings(ChannelSettings):
     """Any other displacement: GNSS, total station, LVDT, level."""
 
     estimate_offset: bool = Field(
         False, strict=True, description="learn and apply the clock offset to the accelerometer; false: one clock"
+    )
+    estimate_scale: bool = Field(
+        False, strict=True, description="learn and apply the scale, with its sign; false: the unit is taken as it is"
     )
 
 

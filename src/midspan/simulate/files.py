@@ -16,6 +16,7 @@ from midspan.simulate.camera import Pixels
 MARK = "known.json"  # the file by which a folder written here is known again
 OWN_FILES = frozenset(
     {MARK, "recording.toml", "accel.csv", "camera.mkv", "camera_times.csv", "gnss.csv", "truth.csv", "calibration.json"}
+    | {"adc_data.bin", "radar.cfg", "radar.h5", "infrared.npz"}
 )
 MILLISECONDS = 1000  # Matroska's time stamps are whole milliseconds
 

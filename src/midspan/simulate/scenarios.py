@@ -11,10 +11,12 @@ from midspan.checks import option
 from midspan.records import Floats, Region
 from midspan.simulate.beam import paper_beam_motion
 from midspan.simulate.camera import Camera, Light, Pixels, cramer_rao_std_px
+from midspan.simulate.day_scenarios import DAY_SCENARIOS
 from midspan.simulate.disturbances import Car, Disturbance, Foliage, Water
 from midspan.simulate.files import MARK, check_free, exact_in_video, whole_folder, write_table, write_video
 from midspan.simulate.motion import Motion, Rest, Sum, Window, random_motion
 from midspan.simulate.panel import Panel
+from midspan.simulate.radar_scenarios import RADAR_SCENARIOS
 from midspan.simulate.sensors import AccelerometerModel, DisplacementSensorModel
 from midspan.simulate.stage import CameraSetup, GnssSetup, Scenario, Stage, stage, within
 from midspan.simulate.stage import pixel_bound as _pixel_bound
@@ -217,6 +219,8 @@ SCENARIOS: dict[str, Scenario] = {
             DisplacementSensorModel(rate_hz=1.0, noise_std_m=2e-3), absent=((70.0, 82.0),), unread=((120.0, 124.0),)
         ),
     ),
+    **RADAR_SCENARIOS,
+    **DAY_SCENARIOS,
 }
 
 NAMES: dict[str, str] = {name: scenario.line for name, scenario in SCENARIOS.items()}
@@ -225,7 +229,7 @@ NAMES: dict[str, str] = {name: scenario.line for name, scenario in SCENARIOS.ite
 def write(name: str, folder: str | Path, *, seed: int = 0, progress: Progress | None = None) -> Path:
     """Write the recording of scenario `name`, one of NAMES, into `folder`, and return the folder.
 
-    It holds recording.toml, accel.csv, camera.mkv or gnss.csv, truth.csv (accelerometer's clock; zero at the first
+    It holds recording.toml, accel.csv, the other sensors' files, truth.csv (accelerometer's clock; zero at the first
     frame) and known.json (what an estimate should find). The same `seed` gives the same files. `progress` is called
     with frames done and frames in all. Raises UsageError for an unknown name, or a folder with other content.
     """
@@ -247,6 +251,11 @@ def write(name: str, folder: str | Path, *, seed: int = 0, progress: Progress | 
             )
         if staged.scenario.gnss is not None:
             known["displacement"] = _write_gnss(partial, staged, staged.scenario.gnss)
+        if staged.scenario.radar is not None:
+            run = staged.radar_run(staged.scenario.radar)
+            known["radar"] = run.write(partial, progress or (lambda done, total: None))
+        if staged.scenario.day is not None:
+            known |= staged.day_run(staged.scenario.day).write(partial, progress or (lambda done, total: None))
         _write_truth(partial, staged)
         _write_settings(partial, staged)
         (partial / MARK).write_text(json.dumps(known, indent=2) + "\n", encoding="utf-8")
@@ -342,6 +351,12 @@ def _write_settings(folder: Path, staged: Stage) -> None:
             settings["camera"]["direction"] = "xy"
     if scenario.gnss is not None:
         settings["displacement"] = {"file": "gnss.csv", "time": "time_s", "value": "height", "unit": "mm"}
+    if scenario.radar is not None:
+        settings["radar"] = scenario.radar.settings()
+    if scenario.day is not None:
+        settings |= scenario.day.settings(scenario.duration_s)
+    if scenario.window_s is not None:
+        settings["calibration"] = {"window_s": list(scenario.window_s)}
     settings["reference"] = {"file": "truth.csv", "time": "time_s", "value": "displacement_mm", "unit": "mm"}
     (folder / "recording.toml").write_text(tomli_w.dumps(settings), encoding="utf-8")
 

@@ -7,9 +7,11 @@ import numpy as np
 
 from midspan.records import Floats, Region, TimeSeries
 from midspan.simulate.camera import Camera, Light, View, cramer_rao_std_px
+from midspan.simulate.day_setup import DayRun, DaySetup
 from midspan.simulate.disturbances import Disturbance
 from midspan.simulate.motion import Motion
 from midspan.simulate.panel import Panel
+from midspan.simulate.radar_setup import RadarRun, RadarSetup
 from midspan.simulate.sensors import AccelerometerModel, DisplacementSensorModel, noise_std_for
 from midspan.simulate.texture import textured_scene
 
@@ -57,7 +59,7 @@ class Scenario:
 
     With `snr_db` the accelerometer's noise is set from the motion. Accelerometer rows in `absent` are missing, values
     in `unread` are left empty; spans are in s of true time. `across` draws the motion along the other image axis, which
-    has a column of acceleration of its own.
+    has a column of acceleration of its own. `window_s` is written as calibration.window_s.
     """
 
     line: str
@@ -71,6 +73,9 @@ class Scenario:
     absent: tuple[Span, ...] = ()
     unread: tuple[Span, ...] = ()
     across: Callable[[np.random.Generator], Motion] | None = None
+    radar: RadarSetup | None = None
+    window_s: Span | None = None
+    day: DaySetup | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,6 +89,7 @@ class Stage:
     rng_scene: np.random.Generator
     rng_sensor: np.random.Generator
     rng_across: np.random.Generator
+    rng_radar: np.random.Generator
     across: Motion | None = None
 
     def acceleration(self) -> TimeSeries:
@@ -124,12 +130,25 @@ class Stage:
         whole = setup.sensor.measure(self.motion, (0.0, self.scenario.duration_s), rng=self.rng_sensor)
         return with_gaps(whole, absent=setup.absent, unread=setup.unread)
 
+    def radar_run(self, setup: RadarSetup) -> RadarRun:
+        """The radar on the moving structure."""
+        return RadarRun(setup, self.motion, self.scenario.duration_s, self.rng_radar)
+
+    def day_run(self, setup: DaySetup) -> DayRun:
+        """A camera and a thermal camera on the moving structure, by day and by night."""
+        return DayRun(setup, self.motion, self.scenario.duration_s, self.rng_sensor)
+
     def zero_m(self, motion: Motion | None = None) -> float:
         """The true displacement in m at the zero of the results: the first frame, else the sensor's own zero."""
-        setup = self.scenario.camera
-        if setup is None:
+        camera, radar = self.scenario.camera, self.scenario.radar
+        if camera is not None:
+            first = self.frame_stamps_s(camera)[:1] + camera.time_offset_s
+        elif radar is not None:
+            first = np.array([radar.first_s])
+        elif self.scenario.day is not None:
+            first = np.array([self.scenario.day.first_s])
+        else:
             return 0.0
-        first = self.frame_stamps_s(setup)[:1] + setup.time_offset_s
         return float((motion or self.motion).displacement(first)[0])
 
     def truth_mm(self, motion: Motion | None = None) -> Floats:
@@ -147,7 +166,7 @@ class Stage:
 def stage(scenario: Scenario, seed: int) -> Stage:
     """The scenario with everything random drawn from `seed`; the same seed gives the same recording."""
     rng_motion, rng_accelerometer, rng_scene, rng_sensor, rng_other = np.random.default_rng(seed).spawn(5)
-    rng_across, rng_motion_across = rng_other.spawn(2)
+    rng_across, rng_motion_across, rng_radar = rng_other.spawn(3)
     motion = scenario.motion(rng_motion)
     accelerometer = scenario.accelerometer
     if scenario.snr_db is not None:
@@ -155,7 +174,8 @@ def stage(scenario: Scenario, seed: int) -> Stage:
         noise = noise_std_for(motion.acceleration(time), scenario.snr_db)
         accelerometer = replace(accelerometer, noise_std_m_s2=noise)
     across = None if scenario.across is None else scenario.across(rng_motion_across)
-    return Stage(scenario, motion, accelerometer, rng_accelerometer, rng_scene, rng_sensor, rng_across, across)
+    generators = (rng_accelerometer, rng_scene, rng_sensor, rng_across, rng_radar)
+    return Stage(scenario, motion, accelerometer, *generators, across)
 
 
 def pixel_bound(scenario: Scenario, region: Region | None = None, *, seed: int = 0) -> tuple[float, float]:

@@ -15,7 +15,7 @@ import numpy as np
 
 from midspan.checks import option, refuse
 from midspan.errors import UsageError
-from midspan.records import Floats, Frame, PixelTranslation, Prediction, Region, Status
+from midspan.records import Event, Floats, Frame, PixelTranslation, Prediction, Region, Status
 from midspan.vision.reference_strength import open_counting, relative, strength
 from midspan.vision.region import check_size, clamp, shift
 from midspan.vision.tracker import TRACKERS, Tracker
@@ -106,6 +106,8 @@ class UpdatingTracker:
         self._tracker: Tracker = self._first
         self._at_rest = self._first.state
         self._state = UpdatingState(Reference(reference))
+        self._events: list[Event] = []
+        self._own = (0.0, 0.0)
 
     @property
     def reference(self) -> Frame:
@@ -121,6 +123,22 @@ class UpdatingTracker:
     def region_now(self) -> Region:
         """Where the target was last seen, inside the image."""
         return self._tracker.region_now
+
+    @property
+    def own_variance_px2(self) -> tuple[float, float]:
+        """Variances along x and y (px²) of the last frame alone, without the reference's."""
+        return self._own
+
+    @property
+    def strength(self) -> float:
+        """Matches of the last frame with the reference in use, or quality in percent."""
+        counts = self._state.current.matches
+        return counts[-1] if counts else 0.0
+
+    def take_events(self) -> list[Event]:
+        """What happened since this was last called: new reference frames, returns to the first."""
+        told, self._events = self._events, []
+        return told
 
     @property
     def state(self) -> UpdatingState:
@@ -159,6 +177,7 @@ class UpdatingTracker:
         matches = strength(tracker, found)
         if found.status is not Status.TRACKING:
             return found, matches
+        self._own = (found.variance_x_px2, found.variance_y_px2)
         return replace(
             found,
             x_px=found.x_px + since.x_px,
@@ -198,6 +217,7 @@ class UpdatingTracker:
                 self._tracker = self._first
                 current = Reference(self.reference, matches=(matches,), threshold=least)
                 self._state = replace(state, current=current, updates=state.updates + 1)
+                self._events.append(Event(frame.time_ns, "reference", "back to the first frame"))
                 return again
         last = state.last
         if last is None or last.number == state.current.number:
@@ -213,6 +233,8 @@ class UpdatingTracker:
             self._tracker = before
             return found
         self._state = replace(state, current=self._counted(last, matches), updates=state.updates + 1)
+        text = f"new reference frame, number {self._state.updates}: too few matches with the one in use"
+        self._events.append(Event(frame.time_ns, "reference", text))
         return renewed
 
     def _guess(self) -> Prediction | None:

@@ -1,9 +1,10 @@
-"""Key frames: reference frames that overlap, are matched to several earlier ones, and lead back to the first.
+"""Key frames: reference frames that overlap, stay in use together, and lead back to the first.
 
-A new key frame begins early, while the old one still matches well. For some frames both are tracked, and with them the
-key frames before; the mean difference says where the new one lies, and the reference's own noise cancels in it. Now and
-then earlier key frames are tried, the first among them: where one matches again, that closes the chain and takes back
-what has added up. The variance of a measurement holds that of its key frame's place, and what lost strength stands for.
+A new key frame begins early, while the old one still matches well, and takes over as the one that the target is looked
+for with. Once there are two, the translation is measured against all of them at once: each is a picture of the target
+under its light, and a frame under another light is nearly a mix of them (`reference_light`). Where the pictures lie to
+each other follows from the same thought (`reference_alignment`), anew with each that is added. Now and then earlier key
+frames are tried, the first among them, and used again where they match again.
 """
 
 import math
@@ -15,9 +16,10 @@ import numpy as np
 from midspan.checks import option, refuse
 from midspan.errors import UsageError
 from midspan.records import Event, Floats, Frame, PixelTranslation, Prediction, Region, Status
-from midspan.vision.reference_chain import Chain, Link, first_chain, mean_link, share_lost
-from midspan.vision.reference_records import KeyFrame, Overlap, Seen, unmoved
-from midspan.vision.reference_strength import open_counting, relative, strength
+from midspan.vision.reference_light import Sight, sight
+from midspan.vision.reference_pictures import Pictures, pictures_of, realigned
+from midspan.vision.reference_records import Chain, KeyFrame, Overlap, Seen, first_chain, unmoved
+from midspan.vision.reference_strength import open_counting, relative, share_lost, strength
 from midspan.vision.region import check_size, clamp, shift
 from midspan.vision.target import lost
 from midspan.vision.tracker import TRACKERS
@@ -34,10 +36,10 @@ class KeyFrameSettings:
 
     tracker, tracker_settings: what tracks, its own settings. renew_share: a new key frame begins when the strength
     (matches, or quality) falls below this share of the usual one, 0 to 1; more gives more key frames. return_share: an
-    earlier one is taken again above this share. overlap_frames: frames that both are tracked for, 3 or more; more makes
-    the hand-over more exact. try_every: every so many frames an earlier key frame is tried. related: so many earlier
-    ones are matched in an overlap, 1 or more. most: key frames kept, 3 or more; memory and time are limited by it.
-    link_floor_px: standard deviation of a hand-over that a longer overlap does not take away. light_px: standard
+    earlier one is taken again above this share. overlap_frames: frames that make a key frame's picture and the
+    hand-over to it, 3 or more. try_every: every so many frames an earlier key frame is tried. related: so many earlier
+    ones are tried when the one in use is lost, 1 or more. most: key frames kept, 3 or more; memory and time are limited
+    by it. link_floor_px: standard deviation of a key frame's place that nothing takes away. light_px: standard
     deviation that the loss of all strength stands for, px.
     """
 
@@ -50,7 +52,7 @@ class KeyFrameSettings:
     related: int = 3
     most: int = 24
     link_floor_px: float = 0.005
-    light_px: float = 0.3
+    light_px: float = 0.5
 
     def __post_init__(self) -> None:
         option("tracker", self.tracker, TRACKERS)
@@ -69,12 +71,13 @@ class KeyFrameSettings:
 class KeyFrameState:
     """What the tracker remembers, for `restore` of a tracker of the same first frame, region and settings."""
 
-    keys: tuple[tuple[Frame, Region, Any, tuple[float, ...]], ...]
+    keys: tuple[tuple[Any, ...], ...]
     chain: Chain
     current: int
     health: tuple[float, ...]
     last: tuple[Frame, Floats, Floats] | None
     overlap: tuple[Any, ...] | None
+    carried: Floats
     frames: int
     made: int
 
@@ -92,9 +95,12 @@ class KeyFrameTracker:
         self._current = 0
         self._health: list[float] = []
         self._last: tuple[Frame, Floats, Floats] | None = None
-        self._overlap: Overlap | None = None
+        self._overlap: Overlap | None = Overlap(0, new=False)
+        self._pictures: Pictures | None = None
+        self._carried = np.zeros(2)
         self._frames, self._made = 0, 1
         self._events: list[Event] = []
+        self._own: Floats = np.zeros(2)
 
     @property
     def reference(self) -> Frame:
@@ -126,6 +132,16 @@ class KeyFrameTracker:
         """How many key frames have been made, the first one counted."""
         return self._made
 
+    @property
+    def own_variance_px2(self) -> tuple[float, float]:
+        """Variances along x and y (px²) of the last frame alone, without those of places and of light."""
+        return float(self._own[0]), float(self._own[1])
+
+    @property
+    def strength(self) -> float:
+        """How well the target resembled the key frame in use in the last frame that showed it."""
+        return self._health[-1] if self._health else self._keys[self._current].usual
+
     def take_events(self) -> list[Event]:
         """What happened since this was last called: new key frames, returns."""
         told, self._events = self._events, []
@@ -136,14 +152,15 @@ class KeyFrameTracker:
         """Everything that changes from frame to frame."""
         lap = self._overlap
         return KeyFrameState(
-            keys=tuple((k.frame, k.region, k.tracker.state, tuple(k.strengths)) for k in self._keys),
+            keys=tuple(
+                (k.frame, k.region, k.tracker.state, tuple(k.strengths), k.picture, k.offset) for k in self._keys
+            ),
             chain=self._chain,
             current=self._current,
             health=tuple(self._health),
             last=self._last,
-            overlap=None
-            if lap is None
-            else (lap.to, lap.others, lap.new, lap.frames, tuple((j, tuple(pairs)) for j, pairs in lap.pairs.items())),
+            overlap=None if lap is None else (lap.to, lap.new, lap.frames, tuple(lap.windows), tuple(lap.places)),
+            carried=self._carried,
             frames=self._frames,
             made=self._made,
         )
@@ -152,17 +169,19 @@ class KeyFrameTracker:
         """Continue from a `state` taken earlier."""
         known = {(id(key.frame), key.region): key for key in self._keys}
         keys = []
-        for frame, region, inner, strengths in state.keys:
+        for frame, region, inner, strengths, picture, offset in state.keys:
             key = known.get((id(frame), region)) or self._opened(frame, region)
             key.tracker.restore(inner)
-            key.strengths = list(strengths)
+            key.strengths, key.picture, key.offset = list(strengths), picture, offset
             keys.append(key)
         self._keys, self._chain, self._current = keys, state.chain, state.current
         self._health, self._last = list(state.health), state.last
         self._frames, self._made, self._overlap = state.frames, state.made, None
+        self._carried = state.carried
         if state.overlap is not None:
-            to, others, new, frames, pairs = state.overlap
-            self._overlap = Overlap(to, others, new, frames, {j: list(rows) for j, rows in pairs})
+            to, new, laps, windows, places = state.overlap
+            self._overlap = Overlap(to, new, laps, list(windows), list(places))
+        self._pictures = pictures_of(self._keys)
 
     def push(self, frame: Frame, prediction: Prediction | None = None) -> PixelTranslation:
         """Measure the translation (px) since the first frame in `frame`; LOST with NaN where no key frame is found."""
@@ -178,9 +197,13 @@ class KeyFrameTracker:
         if len(key.strengths) < USUAL_FRAMES:
             key.strengths.append(seen.strength)
         self._health = [*self._health, seen.strength][-HEALTH_FRAMES:]
-        result = self._result(frame, seen)
-        self._compare(frame, seen, self._predicted(result))
-        self._last = (frame, np.array([result.x_px, result.y_px]), self._chain.variance(self._current) + seen.variance)
+        result, view = self._result(frame, seen)
+        self._compare(frame, result, view)
+        self._last = (
+            frame,
+            np.array([result.x_px, result.y_px]),
+            np.array([result.variance_x_px2, result.variance_y_px2]),
+        )
         return result
 
     def _opened(self, frame: Frame, region: Region) -> KeyFrame:
@@ -199,22 +222,30 @@ class KeyFrameTracker:
         self._keys[number].tracker.restore(self._keys[number].at_rest)
         return self._look(number, frame, prediction)
 
-    def _predicted(self, result: PixelTranslation) -> Prediction:
-        """This frame's own result as the prediction for other key frames."""
-        return Prediction(result.x_px, result.y_px, 1.0, 1.0)
+    def _result(self, frame: Frame, seen: Seen) -> tuple[PixelTranslation, Sight | None]:
+        """Translation since the first frame, by the mix of all pictures where there is one, and the frame as seen.
 
-    def _result(self, frame: Frame, seen: Seen) -> PixelTranslation:
-        """Translation since the first frame, with the variance of the key frame's place and of what light may do."""
+        Its variance holds those of the key frames' places and of what light may do.
+        """
         place = self._chain.place[self._current] + seen.place
+        variance = self._chain.variance(self._current) + seen.variance
+        view = sight(frame.pixels, self.region, place) if self._pictures or self._overlap else None
+        together = self._pictures.place(self._chain, view, place) if self._pictures and view else None
+        if together is not None:
+            place, variance = together
+            # What a new picture corrects comes in little by little, not as a step.
+            self._carried = (1.0 - 0.5 / self.settings.overlap_frames) * self._carried
+            place, variance = place + self._carried, variance + self._carried**2
+        self._own = seen.variance
         gone = share_lost(float(np.mean(self._health)), self._keys[self._current].usual)
-        variance = self._chain.variance(self._current) + seen.variance + (self.settings.light_px * gone) ** 2
+        variance = variance + (self.settings.light_px * gone) ** 2
         return replace(
             seen.found,
             x_px=float(place[0]),
             y_px=float(place[1]),
             variance_x_px2=float(variance[0]),
             variance_y_px2=float(variance[1]),
-        )
+        ), view
 
     def _recovered(self, frame: Frame, prediction: Prediction | None) -> Seen | None:
         """The frame by another key frame, else by the last one that was tracked, which then becomes one."""
@@ -231,16 +262,16 @@ class KeyFrameTracker:
             return None
         before, place, variance = self._last
         try:
-            number = self._added(before, place)
+            number = self._added(before, place, variance + self.settings.link_floor_px**2)
         except UsageError:
             return None
-        self._chain = self._chain.linked(Link(0, number, place, variance + self.settings.link_floor_px**2))
         seen = self._look(number, frame, prediction)
         if seen.found.status is not Status.TRACKING:
             self._dropped(number)
             return None
         self._made += 1
         self._switch(number, frame, "new key frame without overlap: the one in use was lost")
+        self._overlap = Overlap(number, new=False)
         return seen
 
     def _nearest(self, number: int) -> list[int]:
@@ -249,17 +280,15 @@ class KeyFrameTracker:
         chosen = others[: self.settings.related]
         return chosen if 0 in chosen or number == 0 else [*chosen[:-1], 0]
 
-    def _added(self, frame: Frame, place: Floats) -> int:
-        """Number of a new key frame, its target at `place` (2,) px from the first frame; its place is still unknown."""
+    def _added(self, frame: Frame, place: Floats, variance: Floats) -> int:
+        """Number of a new key frame, its target at `place` (2,) px from the first frame, with variance (2,) in px²."""
         if len(self._keys) >= self.settings.most:
             self._dropped(self._crowded())
         rows, columns = frame.pixels.shape
         region = clamp(shift(self.region, float(place[0]), float(place[1])), columns, rows)
         self._keys.append(self._opened(frame, region))
-        self._chain = self._chain.extended()
-        number = len(self._keys) - 1
-        self._chain.place[number] = place
-        return number
+        self._chain = self._chain.extended(place, variance)
+        return len(self._keys) - 1
 
     def _crowded(self) -> int:
         """The key frame, not the first nor the one in use, whose neighbours in time are nearest to each other."""
@@ -273,96 +302,88 @@ class KeyFrameTracker:
         self._chain = self._chain.without(number)
         if self._current > number:
             self._current -= 1
-        self._overlap = None
+        self._overlap, self._pictures = None, pictures_of(self._keys)
 
-    def _compare(self, frame: Frame, seen: Seen, here: Prediction) -> None:
-        """Go on with an overlap, or begin one with a new key frame or an earlier one."""
+    def _compare(self, frame: Frame, result: PixelTranslation, view: Sight | None) -> None:
+        """Go on with an overlap, or begin one with a new key frame; without one, try an earlier key frame."""
+        here = Prediction(result.x_px, result.y_px, 1.0, 1.0)
+        place = np.array([result.x_px, result.y_px])
         if self._overlap is None:
-            self._overlap = self._begun(frame, seen, here)
+            self._overlap = self._begun(frame, result)
+            view = view or (sight(frame.pixels, self.region, place) if self._overlap else None)
         lap = self._overlap
         if lap is None:
+            self._tried(frame, here)
             return
         lap.frames += 1
-        target = unmoved(frame) if frame is self._keys[lap.to].frame else self._look(lap.to, frame, here)
-        if target.found.status is Status.TRACKING:
-            if frame is not self._keys[lap.to].frame and len(self._keys[lap.to].strengths) < USUAL_FRAMES:
-                self._keys[lap.to].strengths.append(target.strength)
-            for number in (self._current, *lap.others):
-                other = seen if number == self._current else self._look(number, frame, here)
-                if other.found.status is Status.TRACKING and self._believed(number, other, here):
-                    row = (other.place - target.place, other.variance + target.variance, self._gone(number, other))
-                    lap.pairs.setdefault(number, []).append(row)
+        window = None if view is None else view.window(place)
+        if window is not None:
+            lap.windows.append(window)
+        if lap.new:
+            key = self._keys[lap.to]
+            target = unmoved(frame) if frame is key.frame else self._look(lap.to, frame, here)
+            if target.found.status is Status.TRACKING:
+                lap.places.append(place - target.place)
+                if frame is not key.frame and len(key.strengths) < USUAL_FRAMES:
+                    key.strengths.append(target.strength)
         if lap.frames >= self.settings.overlap_frames:
             self._finish(lap, frame)
+            again = self._pictures.place(self._chain, view, place) if self._pictures and view else None
+            self._carried = self._carried if again is None else place - again[0]
 
-    def _gone(self, number: int, seen: Seen) -> float:
-        return share_lost(seen.strength, self._keys[number].usual)
-
-    def _believed(self, number: int, seen: Seen, here: Prediction) -> bool:
-        """Whether a key frame still resembles the target and finds it where the one in use does."""
-        if number == self._current:
-            return True
-        off = self._chain.place[number] + seen.place - np.array([here.x_px, here.y_px])
-        near = float(np.abs(off).max()) < 1.0
-        return near and seen.strength >= 0.5 * self._keys[number].usual
-
-    def _begun(self, frame: Frame, seen: Seen, here: Prediction) -> Overlap | None:
+    def _begun(self, frame: Frame, result: PixelTranslation) -> Overlap | None:
+        """A new key frame where the one in use has lost strength."""
         key = self._keys[self._current]
-        if key.usual > 0.0 and float(np.mean(self._health)) < self.settings.renew_share * key.usual:
-            place = np.array([here.x_px, here.y_px])
-            try:
-                number = self._added(frame, place)
-            except UsageError:  # too little texture is left for a reference
-                return None
-            others = tuple(k for k in self._nearest(self._current) if k != number)
-            for other in others:
-                self._keys[other].tracker.restore(self._keys[other].at_rest)
-            return Overlap(number, others, new=True)
-        if self._current == 0 or self._frames % self.settings.try_every:
+        if key.usual <= 0.0 or float(np.mean(self._health)) >= self.settings.renew_share * key.usual:
             return None
+        variance = np.array([result.variance_x_px2, result.variance_y_px2])
+        try:
+            number = self._added(frame, np.array([result.x_px, result.y_px]), variance)
+        except UsageError:  # too little texture is left for a reference
+            return None
+        return Overlap(number, new=True)
+
+    def _tried(self, frame: Frame, here: Prediction) -> None:
+        """Now and then: back to an earlier key frame that is better known and matches again."""
+        if self._current == 0 or self._frames % self.settings.try_every:
+            return
         turn = self._frames // self.settings.try_every
         # Every other try is for the first frame, the rest for the others in turn.
         number = 0 if turn % 2 == 0 else (turn // 2) % len(self._keys)
-        if number == self._current:
-            return None
+        if self._chain.variance(number).sum() >= self._chain.variance(self._current).sum():
+            return
         tried = self._afresh(number, frame, here)
-        enough = self.settings.return_share * self._keys[number].usual
-        if tried.found.status is Status.TRACKING and tried.strength >= enough and self._believed(number, tried, here):
-            return Overlap(number, (), new=False)
-        return None
+        if tried.found.status is not Status.TRACKING:
+            return
+        off = self._chain.place[number] + tried.place - np.array([here.x_px, here.y_px])
+        if float(np.abs(off).max()) < 1.0 and tried.strength >= self.settings.return_share * self._keys[number].usual:
+            self._switch(number, frame, "back to the first frame" if number == 0 else "back to an earlier key frame")
 
     def _finish(self, lap: Overlap, frame: Frame) -> None:
-        """Link what was compared, and hand over to the other key frame where it is the better one."""
-        self._overlap = None
-        if not self._linked(lap, LEAST_PAIRS):
-            if lap.new:
-                self._dropped(lap.to)
-            return
-        if lap.new:
-            self._made += 1
+        """Keep what an overlap gave, and hand over to a new key frame."""
+        if self._kept(lap) and lap.new:
             self._switch(lap.to, frame, "new key frame")
-        elif self._chain.variance(lap.to).sum() <= self._chain.variance(self._current).sum():
-            self._switch(lap.to, frame, "back to the first frame" if lap.to == 0 else "back to an earlier key frame")
 
-    def _linked(self, lap: Overlap, least: int) -> bool:
-        """Add the links of an overlap of `least` pairs or more; whether there is one with the key frame in use."""
-        for number, rows in lap.pairs.items():
-            if len(rows) >= least:
-                pairs, variances, gone = (np.array([row[k] for row in rows]) for k in range(3))
-                # What light does to a picture is the same in all frames of an overlap.
-                floor_px = math.hypot(self.settings.link_floor_px, self.settings.light_px * float(gone.mean()))
-                value, variance = mean_link(pairs, variances, floor_px)
-                self._chain = self._chain.linked(Link(number, lap.to, value, variance))
-        return len(lap.pairs.get(self._current, ())) >= least
+    def _kept(self, lap: Overlap) -> bool:
+        """Keep the picture that an overlap made and align all of them; False where a new key frame was not tracked."""
+        self._overlap = None
+        if lap.new:
+            if len(lap.places) < LEAST_PAIRS:
+                self._dropped(lap.to)
+                return False
+            self._made += 1
+            place = np.mean(lap.places, axis=0)
+            self._chain = self._chain.changed(lap.to, place, self._chain.variance(lap.to))
+        if lap.windows:
+            self._keys[lap.to].picture = np.mean(lap.windows, axis=0, dtype=np.float32)
+            self._chain = realigned(self._keys, self._chain, self.settings.link_floor_px)
+            self._pictures = pictures_of(self._keys)
+        return True
 
     def _ended_early(self) -> None:
-        """The key frame in use was lost during an overlap: keep a new one with the pairs that there are."""
-        lap, self._overlap = self._overlap, None
-        if lap is not None and lap.new:
-            if self._linked(lap, 1):
-                self._made += 1
-            else:
-                self._dropped(lap.to)
+        """The key frame in use was lost during an overlap: keep a new one if it has been tracked."""
+        if self._overlap is not None:
+            self._kept(self._overlap)
 
     def _switch(self, number: int, frame: Frame, why: str) -> None:
         """Use another key frame from now on."""

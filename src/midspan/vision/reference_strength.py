@@ -1,11 +1,12 @@
 """How well a target still resembles its reference frame: the number of good matches, or a tracker's quality."""
 
+import math
 from typing import Any
 
 from midspan.records import Frame, PixelTranslation, Prediction, Region, Status
 from midspan.vision.features import FeatureSettings, FeatureTracker, Matched
 from midspan.vision.region import check_region
-from midspan.vision.tracker import Tracker, open_tracker
+from midspan.vision.tracker import Counting, Tracker, open_tracker
 
 FULL_QUALITY = 100.0  # what a quality of 1 counts, so that a least number of matches is a least percentage too
 
@@ -14,6 +15,11 @@ class CountingFeatures(FeatureTracker):
     """The feature tracker, which also says how many matches were good in the last frame."""
 
     matches: int = 0
+
+    @property
+    def strength(self) -> float:
+        """Good matches in the last frame."""
+        return float(self.matches)
 
     def _find(self, frame: Frame, prediction: Prediction | None) -> Matched | None:
         found = super()._find(frame, prediction)
@@ -34,7 +40,7 @@ def strength(tracker: Tracker, found: PixelTranslation) -> float:
     """Good matches of the last frame, or its quality in percent for trackers without matches; 0 where it is lost."""
     if found.status is not Status.TRACKING:
         return 0.0
-    return float(tracker.matches) if isinstance(tracker, CountingFeatures) else FULL_QUALITY * found.quality
+    return tracker.strength if isinstance(tracker, Counting) else FULL_QUALITY * found.quality
 
 
 def relative(prediction: Prediction | None, x_px: float, y_px: float) -> Prediction | None:
@@ -42,3 +48,8 @@ def relative(prediction: Prediction | None, x_px: float, y_px: float) -> Predict
     if prediction is None:
         return None
     return Prediction(prediction.x_px - x_px, prediction.y_px - y_px, prediction.std_x_px, prediction.std_y_px)
+
+
+def share_lost(strength: float, usual: float) -> float:
+    """Share (0 to 1) of its usual strength that a reference has lost."""
+    return min(max(1.0 - strength / max(usual, 1e-9), 0.0), 1.0) if math.isfinite(strength) else 1.0

@@ -7,7 +7,7 @@ from typing import Any, Protocol, runtime_checkable
 
 from midspan.checks import option, refuse
 from midspan.errors import DataError
-from midspan.records import Frame, PixelTranslation, Prediction, Region
+from midspan.records import Event, Frame, PixelTranslation, Prediction, Region
 from midspan.vision.region import check_region
 
 
@@ -72,6 +72,35 @@ class Learner(Protocol):
 
     def learn(self, frames: Sequence[Frame]) -> Any:
         """Learn from frames, in the order of their times, that begin with the reference frame; the zero stays there."""
+        ...
+
+
+@runtime_checkable
+class Telling(Protocol):
+    """What trackers have besides to which things happen that are worth telling."""
+
+    def take_events(self) -> list[Event]:
+        """What happened since this was last called."""
+        ...
+
+
+@runtime_checkable
+class Wandering(Protocol):
+    """What trackers have besides whose reference changes: part of their variance stays for many frames."""
+
+    @property
+    def own_variance_px2(self) -> tuple[float, float]:
+        """Variances along x and y (px²) of the last frame alone; the rest of what was told is the reference's."""
+        ...
+
+
+@runtime_checkable
+class Counting(Protocol):
+    """What trackers have besides that know how well the target still resembles its reference."""
+
+    @property
+    def strength(self) -> float:
+        """Good matches in the last frame, or its quality in percent; 0 where the target was lost."""
         ...
 
 

@@ -15,12 +15,14 @@ from midspan.records import Floats, Nanoseconds, RangeFrames
 @dataclass(frozen=True, slots=True)
 class RadarRequest:
     """How to read: `config` the radar's settings (.cfg or .json), `iq_order` auto or one of four, `start_s` the time of
-    the first frame (s).
+    the first frame (s); rate_hz, carrier_hz: of slow-time I/Q where neither file nor config says them.
     """
 
     config: Path | None = None
     iq_order: str = "auto"
     start_s: float = 0.0
+    rate_hz: float | None = None
+    carrier_hz: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,9 +57,14 @@ class RadarInfo:
         return RangeAxis(self.range_m, self.carrier_hz, self.profile.slope_hz_s if self.profile else 0.0)
 
     @property
+    def cycle_m(self) -> float:
+        """Change of range that turns the phase once: half a wavelength, m."""
+        return SPEED_OF_LIGHT_M_S / (2.0 * self.carrier_hz)
+
+    @property
     def limit_speed_m_s(self) -> float:
         """Line-of-sight speed from which plain unwrapping fails, m/s."""
-        return SPEED_OF_LIGHT_M_S / (4.0 * self.carrier_hz) * self.frame_rate_hz
+        return 0.5 * self.cycle_m * self.frame_rate_hz
 
 
 class RadarSource(ABC):

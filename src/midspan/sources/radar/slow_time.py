@@ -32,6 +32,8 @@ class SlowTimeFile(RadarSource):
         settings = read_settings(request.config) if request.config else None
         self._read, shape, beside = _opened_npy(path) if path.suffix.lower() == ".npy" else _opened_hdf5(path)
         self._shape = _three_axes(path, shape)
+        if settings is None:
+            beside = _completed(beside, request)
         self._carrier_hz = _carrier(path, beside, settings)
         self._times_s = self._stamps(beside, settings)
         self._range_m = np.atleast_1d(np.asarray(beside.get("range_m", np.nan), dtype=np.float64))
@@ -84,7 +86,7 @@ class SlowTimeFile(RadarSource):
             rate = settings.profile.frame_rate_hz
         if not (np.isfinite(rate) and rate > 0):
             raise DataError(
-                f"{self._path} says nothing of its rate. Store rate_hz or time_s in it, or give radar.config."
+                f"{self._path} says nothing of its rate. Store rate_hz or time_s in it, or give radar.rate_hz."
             )
         return np.arange(count) / rate
 
@@ -101,9 +103,17 @@ def _carrier(path: Path, beside: dict[str, Any], settings: TiSettings | None) ->
     if not (np.isfinite(value) and value > 1e9):
         raise DataError(
             f"{path} says nothing of the carrier frequency (above 1e9 Hz), so its phase has no scale. Store carrier_hz "
-            "or wavelength_m in it, or give radar.config."
+            "or wavelength_m in it, or give radar.carrier_hz."
         )
     return value
+
+
+def _completed(beside: dict[str, Any], request: RadarRequest) -> dict[str, Any]:
+    """What stands beside the samples, and what the request gives of what does not."""
+    given = {"rate_hz": request.rate_hz, "carrier_hz": request.carrier_hz}
+    if "wavelength_m" in beside:
+        given["carrier_hz"] = None
+    return {key: value for key, value in given.items() if value is not None} | beside
 
 
 def _three_axes(path: Path, shape: tuple[int, ...]) -> tuple[int, int, int]:

@@ -1,10 +1,11 @@
 """Radiometric sequences in any form: one table from suffix to reader."""
 
+import zipfile
 from pathlib import Path
 
 from midspan.errors import DataError
 from midspan.sources.camera.formats import open_frames
-from midspan.sources.camera.frames import FrameSource
+from midspan.sources.camera.frames import FrameRequest, FrameSource
 from midspan.sources.camera.timing import check_request
 from midspan.sources.thermal.flir import SUFFIXES, FlirFrames, natural_order
 from midspan.sources.thermal.pictures import ThermalPictures
@@ -31,6 +32,27 @@ def open_thermal(path: Path, request: ThermalRequest | None = None) -> FrameSour
     if files:
         return FlirFrames(files, request)
     return ThermalPictures(open_frames(path, request.frames), request, str(path))
+
+
+def is_thermal(path: Path) -> bool:
+    """Whether a source can be nothing but temperatures: FLIR files, or a stack whose array is called `celsius`.
+
+    Pictures of 16 bits can be of any camera. What cannot be read is not judged.
+    """
+    try:
+        if _flir_files(path):
+            return True
+        if path.suffix.lower() != ".npz" or not path.is_file():
+            return False
+        with zipfile.ZipFile(path) as archive:
+            return "celsius.npy" in archive.namelist()
+    except (DataError, OSError, zipfile.BadZipFile):
+        return False
+
+
+def open_pictures(path: Path, request: FrameRequest) -> FrameSource:
+    """The frames at `path`: temperatures where they can be nothing else, else of a camera of light."""
+    return open_thermal(path, ThermalRequest(request)) if is_thermal(path) else open_frames(path, request)
 
 
 def _flir_files(path: Path) -> list[Path]:

@@ -1,0 +1,143 @@
+"""Two cameras as one displacement: the second on the zero of the first, and which of them is believed when."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from midspan.engine.overlap import ZeroCourse, zero_course
+from midspan.engine.sun import sun_elevation_deg
+from midspan.engine.switching import PUBLISHED, Look, Switch, SwitchSettings
+from midspan.fusion.smoother import smooth
+from midspan.recording.cameras import Seen, Side
+from midspan.recording.fuse import CourseError
+from midspan.recording.span import EPOCH_FROM_NS
+from midspan.records import (
+    NANOSECONDS,
+    Displacement,
+    Event,
+    Floats,
+    Nanoseconds,
+    Source,
+    joined,
+    part,
+    seconds,
+)
+from midspan.signals.health import Mask
+
+# Both cameras see at the same time where their frames are no further apart than so many usual intervals.
+TOGETHER_INTERVALS, LEAST_TOGETHER_S = 2.0, 0.5
+# Sources in the order of this list are cameras.
+CAMERAS = (Source.CAMERA, Source.INFRARED)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Belief:
+    """Two cameras as one block of measurements, and who was believed.
+
+    switched_ns, believed (k,): from each instant on this source, the first from the beginning on. course: the second
+    camera's zero beside the first's, None where both never saw together. levels: what is uncertain of it.
+    """
+
+    measured: Displacement
+    switched_ns: Nanoseconds
+    believed: NDArray[np.uint8]
+    course: ZeroCourse | None
+    levels: tuple[CourseError, ...] = ()
+    events: tuple[Event, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+    def at(self, time_ns: Nanoseconds) -> NDArray[np.uint8]:
+        """The source believed at stamps (n,)."""
+        place = np.searchsorted(self.switched_ns, time_ns, side="right") - 1
+        return self.believed[np.maximum(place, 0)]
+
+    def marked(self, time_ns: Nanoseconds, source: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """The sources (n,) of rows, those of the cameras as believed."""
+        ours = np.isin(source, [int(camera) for camera in CAMERAS])
+        return np.where(ours, self.at(time_ns), source)
+
+
+def believed(side: Side, seen: tuple[Seen, Seen]) -> Belief:
+    """Bring the second camera to the zero of the first, and tell which one is believed when.
+
+    By variances both count, each with its own; by matches only the one that is believed, as published.
+    """
+    first, second = (one.measured for one in seen)
+    course = zero_course(*_apart(side, first, second))
+    warnings: tuple[str, ...] = ()
+    levels: tuple[CourseError, ...] = ()
+    if course is None:
+        names = (seen[0].eye.sensor, seen[1].eye.sensor)
+        warnings = (f"{names[1]}: never sees together with the {names[0]}, so its zero is unknown; it was left out.",)
+        second = replace(second, value_m=np.full_like(second.value_m, np.nan))
+    else:
+        level, variance = course.at(second.time_ns)
+        second = replace(second, value_m=second.value_m - level)
+        levels = (CourseError(seen[1].eye.source, second.time_ns, np.sqrt(variance)),)
+    order, looks = _looks((first, second), seen)
+    switched_ns, sources, events = _switches(side, looks, (seen[0].eye.source, seen[1].eye.source))
+    both = part(joined([first, second]), order)
+    found = Belief(both, switched_ns, sources, course, levels, events, warnings)
+    if side.recording.settings.fusion.switching == "matches":
+        left_out = found.at(both.time_ns) != both.source
+        found = replace(found, measured=replace(both, value_m=np.where(left_out, np.nan, both.value_m)))
+    return found
+
+
+def _apart(side: Side, first: Displacement, second: Displacement) -> tuple[Nanoseconds, Floats, Floats]:
+    """Time, second less first displacement (m) and its variance (m²) at the second's frames; NaN where one is blind."""
+    if not np.isfinite(first.value_m).any():
+        return second.time_ns, np.full(len(second.time_ns), np.nan), second.variance_m2
+    path = smooth(side.acceleration, first, side.kalman).estimate
+    origin = int(path.time_ns[0])
+    t, at = seconds(path.time_ns, origin), seconds(second.time_ns, origin)
+    there, spread = np.interp(at, t, path.displacement_m), np.interp(at, t, path.variance_m2)
+    apart = np.where(_near(first, second.time_ns), second.value_m - there, np.nan)
+    return second.time_ns, apart, second.variance_m2 + spread
+
+
+def _near(first: Displacement, time_ns: Nanoseconds) -> Mask:
+    """Which stamps (n,) lie near a frame that the first camera saw its target in."""
+    seen = first.time_ns[np.isfinite(first.value_m)]
+    usual_s = float(np.median(np.diff(first.time_ns))) / NANOSECONDS if len(first.time_ns) > 1 else LEAST_TOGETHER_S
+    reach_ns = round(max(TOGETHER_INTERVALS * usual_s, LEAST_TOGETHER_S) * NANOSECONDS)
+    place = np.searchsorted(seen, time_ns)
+    before = time_ns - seen[np.maximum(place - 1, 0)]
+    after = seen[np.minimum(place, len(seen) - 1)] - time_ns
+    near: Mask = np.minimum(np.abs(before), np.abs(after)) <= reach_ns
+    return near
+
+
+def _looks(blocks: tuple[Displacement, Displacement], seen: tuple[Seen, Seen]) -> tuple[NDArray[np.int64], list[Look]]:
+    """The order of both blocks' rows by time, and what each frame of both says in that order."""
+    both = joined(list(blocks))
+    strength = np.concatenate([one.eye.strength for one in seen])
+    variance = np.where(np.isfinite(both.value_m), both.variance_m2, np.inf)
+    order = np.argsort(both.time_ns, kind="stable")
+    rows = zip(both.source[order], both.time_ns[order], variance[order], strength[order], strict=True)
+    return order, [Look(Source(int(s)), int(t), float(v), float(m)) for s, t, v, m in rows]
+
+
+def _switches(
+    side: Side, looks: list[Look], sources: tuple[Source, Source]
+) -> tuple[Nanoseconds, NDArray[np.uint8], tuple[Event, ...]]:
+    """From which instant on which source is believed, and the events that tell it."""
+    fusion = side.recording.settings.fusion
+    switch = Switch(sources, PUBLISHED if fusion.switching == "matches" else SwitchSettings())
+    sun = _sun(side, np.array([look.time_ns for look in looks], dtype=np.int64))
+    stamps, codes, events = [looks[0].time_ns], [int(sources[0])], []
+    for k, look in enumerate(looks):
+        events += switch.push(look, None if sun is None else float(sun[k]))
+        if int(switch.believed) != codes[-1]:
+            stamps.append(look.time_ns)
+            codes.append(int(switch.believed))
+    return np.array(stamps, dtype=np.int64), np.array(codes, dtype=np.uint8), tuple(events)
+
+
+def _sun(side: Side, time_ns: Nanoseconds) -> Floats | None:
+    """The sun's elevation (n,) in degrees; None where place or date is not known."""
+    site = side.recording.settings.site
+    if site is None or time_ns[0] < EPOCH_FROM_NS:
+        return None
+    return sun_elevation_deg(time_ns, site.latitude_deg, site.longitude_deg)

@@ -1,0 +1,33 @@
+"""Stretches of a result that no measurement supports for so long that they are `lost`, told as events."""
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from midspan.recording.span import shown
+from midspan.records import Estimate, Event, Status
+from midspan.signals.health import runs
+
+
+def unsupported_events(rows: Estimate, told: Iterable[Event]) -> tuple[Event, ...]:
+    """An event for each stretch of rows (n,) without measurements that comes to be lost.
+
+    told: the fusion's own events; a method that tells its gaps is not repeated.
+    """
+    if any(event.kind == "gap" for event in told):
+        return ()
+    return tuple(
+        _unsupported(rows, start, stop)
+        for start, stop in runs(rows.status != Status.TRACKING)
+        if np.any(rows.status[start:stop] == Status.LOST)
+    )
+
+
+def _unsupported(rows: Estimate, start: int, stop: int) -> Event:
+    widest = 1.96e3 * float(np.sqrt(np.max(rows.variance_m2[start:stop])))
+    first, last = (int(rows.time_ns[i]) for i in (start, stop - 1))
+    text = (
+        f"No measurement supports the rows from {shown(first)} to {shown(last)}: the acceleration alone carries them, "
+        f"at worst within ± {widest:.3g} mm (95 %)."
+    )
+    return Event(first, "lost", text)

@@ -1,0 +1,192 @@
+"""The figures of cameras over a long record: how well each sees, which one counts, and the temperature range."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from midspan.recording.cameras import Eye
+from midspan.records import Event, Floats, Source
+from midspan.report.drawing import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    PURPLE,
+    SKY,
+    VERMILLION,
+    Picture,
+    draw_line,
+    picture,
+    sheet,
+)
+from midspan.report.material import Material
+from midspan.signals.thinning import envelope, spans
+from midspan.thermal.temperature_range import RangeSurface
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+COLOURS = {Source.CAMERA: BLUE, Source.INFRARED: VERMILLION, Source.PREDICTION: ORANGE}
+OTHER = GREEN
+# Trackers whose strength is a number of matches; of the others it is the quality.
+MATCHING = ("features",)
+# A strip of sources needs no more stretches than it has dots.
+STRIP_STRETCHES = 1500
+
+
+def worth_showing(material: Material) -> bool:
+    """Whether there are two cameras, a thermal one, or reference frames that changed."""
+    eyes = material.result.eyes
+    changed = any(event.kind == "reference" for event in material.result.events)
+    return bool(eyes) and (len(eyes) > 1 or eyes[0].source is Source.INFRARED or changed)
+
+
+def over_time(material: Material) -> Picture:
+    """Strength and standard deviation of each camera, its reference changes and shutters, and what was believed."""
+    eyes = material.result.eyes
+    figure = sheet(1.5 + 1.3 * (len(eyes) + 1))
+    *strengths, deviation, strip = figure.subplots(
+        len(eyes) + 2, 1, sharex=True, height_ratios=(*(1.0 for _ in eyes), 1.4, 0.35)
+    )
+    for axes, eye in zip(strengths, eyes, strict=True):
+        _strength(axes, material, eye)
+    _deviations(deviation, material)
+    _strip(strip, material)
+    for axes in (*strengths, deviation):
+        _switches(axes, material, axes is strengths[0])
+    drawn = {
+        label: handle for axes in strengths for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
+    }
+    strengths[0].legend(
+        drawn.values(), drawn.keys(), loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4, borderaxespad=0.2
+    )
+    strip.set_xlabel(material.clock.label)
+    strip.set_xlim(material.t[0], material.t[-1])
+    figure.align_ylabels()
+    return picture(figure)
+
+
+def _strength(axes: "Axes", material: Material, eye: Eye) -> None:
+    """Matches or quality of the best target; zero where it was lost."""
+    t, value = _stamps(material, eye), eye.strength
+    matching = eye.view.settings.camera is not None and eye.view.settings.camera.tracker in MATCHING
+    draw_line(axes, envelope(t, value, value), COLOURS[eye.source], "", linewidth=0.8)
+    axes.set_title(eye.sensor, fontsize=9, loc="left", color=COLOURS[eye.source])
+    axes.set_ylabel("matches" if matching else "quality (%)")
+    axes.set_ylim(0.0, 1.08 * max(float(np.max(value, initial=0.0)), 1.0))
+    for kind, colour, line, label in (
+        ("reference", PURPLE, ":", "another reference frame"),
+        ("shutter", BLACK, "-", "shutter"),
+    ):
+        found = places(material, [event for event in eye.events if event.kind == kind])
+        if len(found):
+            axes.vlines(
+                found, 0.0, 0.22, transform=axes.get_xaxis_transform(), color=colour, linestyle=line, label=label
+            )
+
+
+def _deviations(axes: "Axes", material: Material) -> None:
+    """Standard deviation of each camera's single frames and of the result, on a logarithmic axis."""
+    for eye in material.result.eyes:
+        block = eye.calibrations[0].mapping().displacement(eye.track)
+        seen = np.isfinite(block.value_m) & np.isfinite(block.variance_m2)
+        if seen.any():
+            t, std = material.clock.at(block.time_ns[seen]), 1e3 * np.sqrt(block.variance_m2[seen])
+            draw_line(axes, envelope(t, std, std), COLOURS[eye.source], eye.sensor, linewidth=0.8)
+    std = material.result.displacement_std_mm
+    draw_line(axes, envelope(material.t, std, std), BLACK, "result", linewidth=1.2)
+    axes.set_yscale("log")
+    axes.set_ylabel("σ (mm)")
+    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4, borderaxespad=0.2)
+
+
+def _strip(axes: "Axes", material: Material) -> None:
+    """Which source each row of the result has."""
+    source = material.result.estimate.source
+    known = shares(source)
+    for code, _ in known:
+        held = spans(material.t, source == code, STRIP_STRETCHES)
+        axes.broken_barh(held, (0, 1), color=COLOURS.get(code, OTHER), linewidth=0.0)
+    axes.set_ylim(0, 1)
+    axes.set_yticks([])
+    axes.grid(False)
+    axes.set_ylabel("source", rotation=0, ha="right", va="center")
+    told = [f"{code.word}: {100.0 * share:.3g} %" for code, share in known]
+    handles = [axes.plot([], [], color=COLOURS.get(code, OTHER), linewidth=5.0)[0] for code, _ in known]
+    axes.legend(handles, told, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=5, borderaxespad=0.2)
+
+
+def shares(source: NDArray[np.uint8]) -> list[tuple[Source, float]]:
+    """The sources of rows (n,) that occur, each with its share of them."""
+    return [(Source(int(code)), float(np.mean(source == code))) for code in np.unique(source)]
+
+
+def _switches(axes: "Axes", material: Material, labelled: bool) -> None:
+    """A line where another camera is believed from."""
+    found = places(material, [event for event in material.result.events if event.kind == "switch"])
+    for number, place in enumerate(found):
+        label = "switch" if labelled and number == 0 else None
+        axes.axvline(float(place), color=GREEN, linewidth=1.1, linestyle="--", label=label)
+
+
+def zero(material: Material) -> Picture | None:
+    """How far the second camera's zero lies beside the first one's; None where there is one camera."""
+    belief = material.result.belief
+    if belief is None or belief.course is None:
+        return None
+    rows = material.result.estimate.time_ns
+    # Between the instants where both see the level is a bridge, whose uncertainty grows towards its middle.
+    times = np.linspace(int(rows[0]), int(rows[-1]), 800).astype(np.int64)
+    level, variance = belief.course.at(times)
+    t, middle, half = material.clock.at(times), 1e3 * level, 1.96e3 * np.sqrt(variance)
+    figure = sheet(2.2)
+    axes = figure.subplots()
+    axes.fill_between(t, middle - half, middle + half, color=SKY, alpha=0.45, linewidth=0, label="±1.96 σ")
+    axes.plot(t, middle, color=GREY, linewidth=1.0, label="bridged")
+    both = material.clock.at(belief.course.time_ns)
+    axes.plot(both, 1e3 * belief.course.level_m, ".", color=BLUE, markersize=3.0, label="both see")
+    _switches(axes, material, labelled=True)
+    axes.set_xlabel(material.clock.label)
+    axes.set_ylabel("second − first (mm)")
+    axes.margins(x=0.005)
+    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=5, borderaxespad=0.2)
+    return picture(figure)
+
+
+def chosen_place(found: RangeSurface) -> tuple[int, int]:
+    """Row and column of the range chosen, where rows and columns go from cold to warm."""
+    row = int(np.argmin(np.abs(found.low_c[::-1] - found.best.low_c)))
+    return row, int(np.argmin(np.abs(found.high_c - found.best.high_c)))
+
+
+def surface(found: RangeSurface) -> Picture:
+    """The error of every temperature range by its two limits, with the range chosen."""
+    figure = sheet(3.6, 6.4)
+    axes = figure.subplots()
+    # Rows fall, columns rise: both axes are drawn from cold to warm.
+    error, low = found.error_px[::-1], found.low_c[::-1]
+    axes.set_facecolor("#dddddd")
+    axes.grid(False)
+    shown = axes.imshow(error, cmap="viridis", origin="lower", aspect="auto", interpolation="nearest")
+    figure.colorbar(shown, ax=axes, label="error in the band (px)")
+    for row, column in np.argwhere(np.isnan(error)):
+        axes.text(column, row, "lost", ha="center", va="center", fontsize=7, color=BLACK)
+    row, column = chosen_place(found)
+    axes.plot(column, row, marker="s", markersize=17, markerfacecolor="none", color=VERMILLION, markeredgewidth=2.0)
+    axes.set_xticks(range(len(found.high_c)), [f"{value:.1f}" for value in found.high_c])
+    axes.set_yticks(range(len(low)), [f"{value:.1f}" for value in low])
+    axes.set_xlabel("upper limit (°C): of the region … of the whole view")
+    axes.set_ylabel("lower limit (°C)")
+    return picture(figure)
+
+
+def _stamps(material: Material, eye: Eye) -> Floats:
+    late_ns = round(1e9 * eye.calibrations[0].offset.value_s)
+    return material.clock.at(eye.track.time_ns + np.int64(late_ns))
+
+
+def places(material: Material, events: list[Event]) -> Floats:
+    """Where events (n,) lie on the time axis, s."""
+    return material.clock.at(np.array([event.time_ns for event in events], dtype=np.int64))

@@ -1,0 +1,89 @@
+"""A day of light: the sun's way, twilight, night, fog and rain, as long as is wanted; time 0 is noon."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from midspan.checks import positive, refuse
+
+Span = tuple[float, float]  # start and end in s
+
+# Optical depth of the air over which the light falls by e when the sun stands overhead.
+AIR_DEPTH = 0.14
+# Light of the whole sky beside the full sun, the elevation below which it fades, and over how many degrees by ten.
+SKY_SHARE, FADES_DEG, TENTH_DEG = 0.3, 4.0, 4.0
+NIGHT_LIGHT = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class Light:
+    """The light that falls on a wall which faces south: towards the sun `right`, `down` and `out` of the wall (a unit
+    vector), the strength of the sun's `beam` and that of the `sky`, both beside the full sun.
+    """
+
+    right: float
+    down: float
+    out: float
+    beam: float
+    sky: float
+
+    @property
+    def mean(self) -> float:
+        """What a smooth wall receives."""
+        return self.beam * max(self.out, 0.0) + self.sky
+
+
+@dataclass(frozen=True, slots=True)
+class Sky:
+    """24 hours of sun and weather that last `length_s`, from noon at time 0, again and again.
+
+    latitude_deg, declination_deg: of the place and of the sun. `fog` and `rain` are spans in s; the fog comes and goes
+    over `ramp_s` and takes so much contrast that exp(-fog_depth) of it are left.
+    """
+
+    length_s: float = 86_400.0
+    latitude_deg: float = 45.0
+    declination_deg: float = 8.0
+    fog: tuple[Span, ...] = ()
+    fog_depth: float = 1.2
+    rain: tuple[Span, ...] = ()
+    ramp_s: float = 6.0
+
+    def __post_init__(self) -> None:
+        positive("length_s", self.length_s, "s")
+        positive("ramp_s", self.ramp_s, "s")
+        if not abs(self.latitude_deg) + abs(self.declination_deg) < 90.0:
+            raise refuse("latitude_deg", "where the sun rises and sets each day", self.latitude_deg)
+
+    def elevation_deg(self, time_s: float) -> float:
+        """Elevation of the sun above the horizon, degrees."""
+        return float(np.degrees(np.arcsin(self._toward_sun(time_s)[1])))
+
+    def light(self, time_s: float) -> Light:
+        """The light at `time_s`."""
+        right, up, out = self._toward_sun(time_s)
+        beam = float(np.exp(-AIR_DEPTH / (up + 0.05))) if up > 0.0 else 0.0
+        faded = min(0.0, (self.elevation_deg(time_s) - FADES_DEG) / TENTH_DEG)
+        return Light(right, -up, out, beam, SKY_SHARE * 10.0**faded + NIGHT_LIGHT)
+
+    def night(self, day: int = 0) -> Span:
+        """Start and end (s) of the time with the sun below the horizon after noon number `day`."""
+        tilt = np.tan(np.radians(self.latitude_deg)) * np.tan(np.radians(self.declination_deg))
+        half = float(np.arccos(-tilt)) / (2 * np.pi) * self.length_s
+        return day * self.length_s + half, (day + 1) * self.length_s - half
+
+    def depth(self, time_s: float) -> float:
+        """Optical depth of the fog at `time_s`, 0 without."""
+        parts = [min(time_s - start, end - time_s) / self.ramp_s for start, end in self.fog if start < time_s < end]
+        part = min(max(parts, default=0.0), 1.0)
+        # A half cosine: fog has no kinks.
+        return self.fog_depth * 0.5 * (1.0 - float(np.cos(np.pi * part)))
+
+    def _toward_sun(self, time_s: float) -> tuple[float, float, float]:
+        """The unit vector towards the sun: to the right on a wall that faces south (east), up, and out (south)."""
+        hour = 2 * np.pi * time_s / self.length_s
+        latitude, declination = np.radians(self.latitude_deg), np.radians(self.declination_deg)
+        west = np.cos(declination) * np.sin(hour)
+        south = np.sin(latitude) * np.cos(declination) * np.cos(hour) - np.cos(latitude) * np.sin(declination)
+        up = np.cos(latitude) * np.cos(declination) * np.cos(hour) + np.sin(latitude) * np.sin(declination)
+        return float(-west), float(np.clip(up, -1.0, 1.0)), float(south)

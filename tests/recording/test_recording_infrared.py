@@ -1,0 +1,346 @@
+"""Recordings with a thermal camera, alone and beside a camera of light that goes blind at night."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+import midspan
+from midspan.cli.main import run as command_line
+from midspan.errors import DataError, UsageError
+from midspan.recording.calibration_file import load_calibration
+from midspan.recording.inspect import inspect_recording
+from midspan.recording.track import TrackRequest, track
+from midspan.records import Region, Source, Status
+from midspan.simulate.motion import Sines
+from midspan.simulate.texture import textured_scene
+from midspan.simulate.thermal import Course, ThermalCamera, ThermalView, WarmBody
+from recording_edits import append, read_columns, replace_text, set_keys
+
+LENGTH_S, RATE_HZ = 40.0, 6.0
+DUSK_S, DAWN_S = 20.0, 30.0
+CAMERA_LATE_S, INFRARED_LATE_S = -0.03, 0.07
+MM_PER_PX = {"camera": -1.0, "infrared": -2.0}
+
+
+def light(time_s):
+    """Share of full light: night from DUSK_S to DAWN_S, each with two seconds of twilight."""
+    return np.clip(np.where(time_s < 25.0, (DUSK_S - time_s) / 2.0, (time_s - DAWN_S) / 2.0), 0.0, 1.0)
+
+
+def filmed(motion, folder, rng):
+    """Writes both cameras' stacks; a shutter closes at 12 s and a warm body passes at 26 s."""
+    stamps = np.arange(0.3, LENGTH_S - 0.2, 1.0 / RATE_HZ)
+    moved = 1e3 * motion.displacement(stamps) / MM_PER_PX["infrared"]
+    scene = textured_scene("natural", (80, 88), rng=rng, reach_px=6.0, lens_px=1.0)
+    body = WarmBody(start_s=26.0, left_px=-30.0, width_px=24.0, height_px=40.0, speed_px_s=60.0)
+    view = ThermalView((scene,), bodies=(body,), camera=ThermalCamera(shutters_s=(12.0,), closed_s=0.7))
+    celsius = np.array(list(view.film(np.column_stack((0.0 * moved, moved)), stamps, rng=rng)))
+    np.savez(folder / "infrared.npz", celsius=celsius, time_s=stamps - INFRARED_LATE_S)
+    moved = 1e3 * motion.displacement(stamps) / MM_PER_PX["camera"]
+    scene = textured_scene("natural", (80, 88), rng=rng, reach_px=10.0)
+    pictures = []
+    for y_px, share in zip(moved, light(stamps), strict=True):
+        signal = share * scene.render(0.0, float(y_px))
+        noise = np.sqrt(2.0 + 0.02 * np.maximum(signal, 0.0)) * rng.standard_normal(signal.shape)
+        pictures.append(np.clip(np.rint(signal + noise + 2.0), 0, 255).astype(np.uint8))
+    np.savez(folder / "camera.npz", frames=np.array(pictures), time_s=stamps - CAMERA_LATE_S)
+
+
+@pytest.fixture(scope="module")
+def day(tmp_path_factory):
+    """A compressed day: accelerometer, camera, infrared camera, truth; not to be changed."""
+    folder = tmp_path_factory.mktemp("day") / "Tag und Nacht"
+    folder.mkdir()
+    rng = np.random.default_rng(4)
+    motion = Sines(np.array([1.5e-3, 0.8e-3, 0.5e-3]), np.array([0.9, 1.7, 3.1]), phase_rad=np.array([0.0, 1.0, 2.0]))
+    time_s = np.arange(0.0, LENGTH_S, 0.01)
+    accel = motion.acceleration(time_s) + rng.normal(0.0, 2.5e-3, time_s.size) + 0.03
+    table = np.column_stack((time_s, accel))
+    np.savetxt(folder / "accel.csv", table, delimiter=",", header="time_s,accel", comments="")
+    zero = motion.displacement(np.array([0.3]))[0]
+    truth = np.column_stack((time_s, 1e3 * (motion.displacement(time_s) - zero)))
+    np.savetxt(folder / "truth.csv", truth, delimiter=",", header="time_s,displacement_mm", comments="")
+    filmed(motion, folder, rng)
+    roi = "roi = [14, 10, 60, 60]\n\n"
+    (folder / "recording.toml").write_text(
+        '[accelerometer]\nfile = "accel.csv"\nunit = "m/s^2"\n\n'
+        f'[camera]\nfile = "camera.npz"\n{roi}[infrared]\nfile = "infrared.npz"\n{roi}'
+        "[calibration]\nwindow_s = [0.0, 18.0]\n",
+        encoding="utf-8",
+    )
+    return folder
+
+
+@pytest.fixture
+def day_copy(day, tmp_path):
+    folder = tmp_path / "copy"
+    shutil.copytree(day, folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def result(day):
+    return midspan.estimate(midspan.open_recording(day))
+
+
+@pytest.fixture(scope="module")
+def alone(day, tmp_path_factory):
+    """The same recording without its camera, and its result."""
+    folder = tmp_path_factory.mktemp("alone") / "night"
+    shutil.copytree(day, folder)
+    text = (folder / "recording.toml").read_text(encoding="utf-8")
+    text = text.replace('[camera]\nfile = "camera.npz"\nroi = [14, 10, 60, 60]\n\n', "")
+    (folder / "recording.toml").write_text(text, encoding="utf-8")
+    return folder, midspan.estimate(midspan.open_recording(folder))
+
+
+def error_mm(folder, result):
+    truth = read_columns(folder / "truth.csv")
+    return result.displacement_mm - np.interp(result.time_s, truth[:, 0], truth[:, 1])
+
+
+def test_a_night_without_the_camera_leaves_no_gap_no_step_and_one_source_a_row(day, result):
+    error, rows = error_mm(day, result), result.estimate
+    assert np.all(np.diff(rows.time_ns) == 10_000_000)
+    # Both cameras are noisy by 0.005 px, which the accelerometer halves; the zero is one frame's.
+    assert np.sqrt(np.mean(error**2)) < 0.02
+    assert np.mean(np.abs(error) <= 1.96 * result.displacement_std_mm) > 0.9
+    assert np.mean(rows.status == Status.TRACKING) > 0.98
+    told = [event for event in result.events if event.kind == "switch"]
+    assert told[0].text.startswith("camera → infrared")
+    for event in told:
+        at = event.time_ns / 1e9
+        before, after = (error[(result.time_s > at + a) & (result.time_s < at + a + 3.0)] for a in (-3.0, 0.0))
+        assert abs(after.mean() - before.mean()) < 0.05
+    night = (result.time_s > DUSK_S + 3.0) & (result.time_s < DAWN_S - 0.5)
+    # While the shutter is closed by day the camera goes on; at night only infrared is left.
+    assert set(rows.source[night]) <= {Source.INFRARED, Source.PREDICTION}
+    assert np.all(rows.source[(result.time_s > 5.0) & (result.time_s < 17.0)] == Source.CAMERA)
+
+
+def test_each_camera_has_its_own_scale_factor_and_clock(result):
+    for eye, late_s in zip(result.eyes, (CAMERA_LATE_S, INFRARED_LATE_S), strict=True):
+        camera = eye.calibrations[0]
+        known = MM_PER_PX[eye.sensor]
+        assert abs(1e3 * camera.scale.value_m_per_px - known) < 4.0 * 1e3 * np.sqrt(camera.scale.variance)
+        assert 1e3 * camera.scale.value_m_per_px == pytest.approx(known, rel=0.01)
+        assert camera.offset.value_s == pytest.approx(late_s, abs=2e-3)
+
+
+def test_a_black_or_covered_camera_gives_lost_frames_and_never_wrong_ones(result, day):
+    camera, infrared = (eye.track for eye in result.eyes)
+    dark = light(camera.time_ns / 1e9 + CAMERA_LATE_S) == 0.0
+    assert np.count_nonzero(dark) > 40
+    assert np.all(camera.status[dark] == Status.LOST)
+    assert np.all(np.isnan(camera.y_px[dark]))
+    closed = [event for event in result.events if event.kind == "shutter"]
+    assert len(closed) == 1
+    at = infrared.time_ns / 1e9 + INFRARED_LATE_S
+    assert np.all(infrared.status[(at > 12.3) & (at < 12.6)] == Status.LOST)
+    # The warm body that covers the target for a while costs no frame.
+    assert np.all(infrared.status[(at > 24.0) & (at < 29.0)] == Status.TRACKING)
+
+
+@pytest.mark.parametrize("tracker", ["registration", "hybrid", "template"])
+def test_a_hand_before_the_lens_is_no_displacement(day_copy, tracker):
+    stored = np.load(day_copy / "camera.npz")
+    pictures, stamps = stored["frames"][:90].copy(), stored["time_s"][:90]
+    covered = np.arange(50, 80)
+    rng = np.random.default_rng(0)
+    pictures[covered] = np.clip(90 + 2 * rng.standard_normal(pictures[covered].shape), 0, 255).astype(np.uint8)
+    np.savez(day_copy / "camera.npz", frames=pictures, time_s=stamps)
+    found = track(day_copy, TrackRequest(tracker=tracker)).track
+    assert np.all(found.status[covered] == Status.LOST)
+    assert np.all(found.status[:50] == Status.TRACKING)
+
+
+def test_the_calibration_file_keeps_both_cameras_and_gives_the_same_result(day, result, tmp_path):
+    file = result.calibration.save(tmp_path)
+    tree = json.loads(file.read_text(encoding="utf-8"))
+    assert {"scale_mm_per_px", "scale_std_mm_per_px", "time_offset_s", "roi", "temperature_range_c"} <= set(
+        tree["infrared"]
+    )
+    low, high = tree["infrared"]["temperature_range_c"]
+    assert 15.0 < low < 20.0 < high < 25.0  # a wall of 20 ± 1 °C, not the body of 33 °C
+    again = load_calibration(file)
+    assert again.infrared.source is Source.INFRARED
+    assert again.camera.source is Source.CAMERA
+    assert again.infrared.scale.value_m_per_px == pytest.approx(result.calibration.infrared.scale.value_m_per_px)
+    second = midspan.estimate(midspan.open_recording(day), again)
+    np.testing.assert_allclose(second.displacement_mm, result.displacement_mm, atol=0.01)
+
+
+def test_a_thermal_camera_alone_makes_a_result_of_its_own(alone):
+    folder, result = alone
+    assert set(result.estimate.source) <= {Source.INFRARED, Source.PREDICTION}
+    assert result.calibration.camera is None
+    assert result.axis == "y"
+    assert np.sqrt(np.mean(error_mm(folder, result) ** 2)) < 0.03
+    assert "infrared" in repr(result.recording)
+    assert result.to_pandas()["source"].iloc[500] == "infrared"
+
+
+def test_a_given_range_shows_the_tracker_grey_levels_and_features_find_their_own(alone):
+    folder, _ = alone
+    given = midspan.open_recording(folder, infrared={"temperature_range_c": (16.0, 24.0), "tracker": "template"})
+    calibration = midspan.calibrate(given)
+    assert calibration.infrared.temperature_range_c == (16.0, 24.0)
+    assert 1e3 * calibration.infrared.scale.value_m_per_px == pytest.approx(-2.0, rel=0.01)
+
+
+def test_switching_by_matches_uses_one_camera_at_a_time(day, result):
+    both = result.belief.measured
+    recording = midspan.open_recording(day, fusion={"switching": "matches"})
+    found = midspan.estimate(recording, result.calibration)
+    used = np.isfinite(found.belief.measured.value_m)
+    assert np.all(found.belief.measured.source[used] == found.belief.at(found.belief.measured.time_ns[used]))
+    assert np.count_nonzero(used) < 0.7 * np.count_nonzero(np.isfinite(both.value_m))
+    assert np.sqrt(np.mean(error_mm(day, found) ** 2)) < 0.03
+
+
+def test_a_camera_that_is_dark_in_the_window_is_calibrated_where_it_sees(day):
+    night = midspan.open_recording(day, calibration={"window_s": (DUSK_S, DAWN_S + 1.0)})
+    found = midspan.calibrate(night)
+    assert len([line for line in found.warnings if "it was calibrated where it sees" in line]) == 1
+    assert 1e3 * found.camera.scale.value_m_per_px == pytest.approx(-1.0, rel=0.02)
+    # Infrared is calibrated in the window that was asked for, ten seconds of it.
+    assert 1e3 * found.infrared.scale.value_m_per_px == pytest.approx(-2.0, rel=0.02)
+
+
+def test_a_camera_that_is_black_all_the_time_is_left_out_with_a_warning(day_copy):
+    stored = np.load(day_copy / "camera.npz")
+    rng = np.random.default_rng(1)
+    noise = 2.0 + 1.5 * rng.standard_normal(stored["frames"].shape)
+    np.savez(day_copy / "camera.npz", frames=np.clip(noise, 0, 255).astype(np.uint8), time_s=stored["time_s"])
+    found = midspan.calibrate(midspan.open_recording(day_copy))
+    assert found.camera is None
+    assert any(line.startswith("[camera] is left out of the result. It is dark") for line in found.warnings)
+
+
+@pytest.fixture(scope="module")
+def crossover(tmp_path_factory):
+    """Sixty seconds in which one pattern of temperature gives way to another, as from afternoon to night."""
+    folder = tmp_path_factory.mktemp("crossover")
+    rng = np.random.default_rng(5)
+    motion = Sines(np.array([1.5e-3, 0.8e-3]), np.array([0.9, 1.7]), phase_rad=np.array([0.0, 1.0]))
+    time_s, stamps = np.arange(0.0, 60.0, 0.01), np.arange(0.0, 59.8, 0.2)
+    accel = motion.acceleration(time_s) + rng.normal(0.0, 2.5e-3, time_s.size)
+    np.savetxt(
+        folder / "accel.csv", np.column_stack((time_s, accel)), delimiter=",", header="time_s,accel", comments=""
+    )
+    zero = motion.displacement(np.zeros(1))[0]
+    truth = np.column_stack((time_s, 1e3 * (motion.displacement(time_s) - zero)))
+    np.savetxt(folder / "truth.csv", truth, delimiter=",", header="time_s,displacement_mm", comments="")
+    scenes = tuple(textured_scene("natural", (80, 88), rng=rng, reach_px=8.0, lens_px=1.0) for _ in range(2))
+    moved = 1e3 * motion.displacement(stamps) / MM_PER_PX["infrared"]
+    view = ThermalView(scenes, course=Course(20.0, 6.0, 280.0))
+    celsius = np.array(list(view.film(np.column_stack((0.0 * moved, moved)), stamps, rng=rng)))
+    np.savez(folder / "infrared.npz", celsius=celsius, time_s=stamps)
+    (folder / "recording.toml").write_text(
+        '[accelerometer]\nfile = "accel.csv"\nunit = "m/s^2"\n\n[infrared]\nfile = "infrared.npz"\n'
+        'roi = [14, 10, 60, 60]\ntracker = "template"\n\n[calibration]\nwindow_s = [0.0, 25.0]\n',
+        encoding="utf-8",
+    )
+    return folder
+
+
+def test_key_frames_follow_a_wall_that_cools_and_their_own_error_does_not_average_out(crossover):
+    result = midspan.estimate(midspan.open_recording(crossover))
+    assert not np.any(result.track.status == Status.LOST)
+    told = [event for event in result.events if event.kind == "reference"]
+    assert len(told) >= 3
+    error, std = error_mm(crossover, result), result.displacement_std_mm
+    assert np.mean(np.abs(error) <= 1.96 * std) > 0.9
+    # The band opens with the new references; the noise of single frames alone would leave it as it is.
+    assert np.median(std[-500:]) > 3.0 * np.median(std[500:1000])
+
+
+def test_with_the_first_frame_alone_the_same_wall_is_lost(crossover, tmp_path):
+    shutil.copytree(crossover, tmp_path / "first")
+    set_keys(tmp_path / "first", "infrared", reference="first")
+    found = track(tmp_path / "first").track
+    assert np.mean(found.status == Status.LOST) > 0.4
+
+
+def test_inspect_names_the_temperatures(day):
+    tree = inspect_recording(midspan.open_recording(day))
+    assert tree["overlap"]["streams"] == ["accelerometer", "camera", "infrared"]
+    assert 14.0 < tree["infrared"]["coldest_c"] < 18.0
+    assert 30.0 < tree["infrared"]["warmest_c"] < 35.0
+    assert "coldest_c" not in tree["camera"]
+
+
+def test_a_file_of_temperatures_can_be_tracked_by_itself(day, alone):
+    request = TrackRequest(region=Region(14, 10, 60, 60))
+    found = track(day / "infrared.npz", request)
+    assert np.mean(found.track.status == Status.TRACKING) > 0.95
+    events = found.table().metadata["events"]
+    assert [event["kind"] for event in events if event["kind"] == "shutter"] == ["shutter"]
+    by_recording = track(alone[0], request).track
+    np.testing.assert_array_equal(by_recording.y_px, found.track.y_px)
+
+
+@pytest.fixture
+def run(capsys):
+    """Runs a command in this process; its exit code and all that it printed."""
+
+    def command(*arguments):
+        code = command_line([str(argument) for argument in arguments])
+        return code, "".join(capsys.readouterr())
+
+    return command
+
+
+def test_what_cannot_be_temperatures_is_told_by_the_command_line(run, alone, tmp_path):
+    folder = tmp_path / "wrong"
+    shutil.copytree(alone[0], folder)
+    stored = np.load(folder / "infrared.npz")
+    celsius, stamps = stored["celsius"], stored["time_s"]
+    np.savez(folder / "infrared.npz", celsius=celsius + 273.15, time_s=stamps)
+    code, told = run("estimate", folder)
+    assert code == 3
+    assert "which are kelvin" in told
+    assert not (folder / "result.csv").exists()
+    levels = np.clip(np.rint(30.0 * (celsius - 16.0)), 0, 255).astype(np.uint8)
+    np.savez(folder / "infrared.npz", frames=levels, time_s=stamps)
+    code, told = run("calibrate", folder)
+    assert code == 0
+    assert "8-bit grey levels, not temperatures" in told
+    set_keys(folder, "infrared", temperature_range_c=[16.0, 24.0])
+    code, told = run("calibrate", folder)
+    assert code == 2
+    assert "infrared.temperature_range_c" in told
+
+
+def test_pictures_of_two_sizes_are_told_with_the_frame(run, alone, tmp_path):
+    import cv2
+
+    folder = tmp_path / "sizes"
+    shutil.copytree(alone[0], folder)
+    (folder / "pictures").mkdir()
+    counts = np.rint((np.load(folder / "infrared.npz")["celsius"] + 273.15) * 100).astype(np.uint16)
+    for k in range(30):
+        picture = counts[k] if k < 20 else counts[k][:70]
+        cv2.imwrite(str(folder / "pictures" / f"{k:03d}.tiff"), picture)
+    set_keys(folder, "infrared", file="pictures", rate_hz=RATE_HZ)
+    code, told = run("calibrate", folder)
+    assert code == 3
+    assert "020.tiff" in told
+
+
+def test_messages_name_the_section_and_the_key(alone, day_copy):
+    with pytest.raises(UsageError, match=r"infrared\.roi must lie inside the image"):
+        midspan.calibrate(midspan.open_recording(alone[0], infrared={"roi": (500, 0, 40, 40)}))
+    with pytest.raises(UsageError, match=r'direction = "x" or "y"'):
+        midspan.open_recording(day_copy, infrared={"direction": "xy"})
+    with pytest.raises(UsageError, match=r"infrared\.reference = 'last'"):
+        midspan.open_recording(day_copy, infrared={"reference": "last"})
+    with pytest.raises(DataError, match=r"infrared\.file = 'no\.npz'"):
+        midspan.calibrate(midspan.open_recording(alone[0], infrared={"file": "no.npz"}))
+    append(day_copy, "[site]\nlatitude_deg = 98.0\nlongitude_deg = 11.0")
+    with pytest.raises(UsageError, match=r"site\.latitude_deg"):
+        midspan.open_recording(day_copy)
+    replace_text(day_copy, "98.0", "48.0")
+    assert midspan.open_recording(day_copy).settings.site.latitude_deg == 48.0

@@ -1,0 +1,127 @@
+"""A calibration that was given: a scale of the camera that is not the recording's is refused or told."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import midspan
+from midspan.fusion.kalman import KalmanSettings
+from midspan.recording.fuse import FusionInputs
+from midspan.recording.scale_check import apparent_scales, scale_warnings
+from midspan.records import Acceleration, Displacement, Source, nanoseconds
+from midspan.simulate import scenarios
+
+TIME, MET = np.arange(6000) / 100.0, np.arange(599) / 10.0 + 0.004
+
+
+def inputs(seed, *, factor=1.0, amplitude=1.0, source=Source.CAMERA):
+    """2 mm at 0.6 Hz with 1 mm at 3.3 Hz: 2 mm/s² of noise, 0.01 mm at 10 Hz."""
+    rng = np.random.default_rng(seed)
+    parts = ((2e-3 * amplitude, 0.6), (1e-3 * amplitude, 3.3))
+
+    def motion(time, order):
+        return sum((-1 if order else 1) * a * (2 * np.pi * f) ** order * np.sin(2 * np.pi * f * time) for a, f in parts)
+
+    acceleration = motion(TIME, 2) + 0.05 + rng.normal(0, 2e-3, len(TIME))
+    value = factor * motion(MET, 0) + rng.normal(0, 1e-5, len(MET))
+    return FusionInputs(
+        Acceleration(nanoseconds(TIME), acceleration, np.full(len(TIME), 4e-8)),
+        Displacement(
+            nanoseconds(MET), value, np.full(len(MET), 1e-10), np.full(len(MET), source.value, dtype=np.uint8)
+        ),
+        KalmanSettings(),
+    )
+
+
+@pytest.mark.parametrize("factor", [1.0, 1.04, 1.5, 0.7, -1.0])
+def test_the_apparent_scale_is_the_factor_that_the_camera_is_wrong_by(factor):
+    ratio = []
+    for seed in range(12):
+        (found,) = apparent_scales(inputs(seed, factor=factor))
+        assert found.value == pytest.approx(factor, abs=4e-3)
+        ratio.append((found.value - factor) / found.std)
+    # Twelve draws: a deviation that is right within a third.
+    assert 0.6 < np.std(ratio) < 1.6
+
+
+def test_a_scale_that_is_right_or_nearly_so_is_not_told_a_wrong_one_is_refused():
+    assert scale_warnings(inputs(0)) == scale_warnings(inputs(0, factor=1.04)) == []
+    (text,) = scale_warnings(inputs(0, factor=1.1), " along x")
+    assert "along x is 1.1 ±" in text
+    for factor in (1.3, 0.7, -1.0):
+        with pytest.raises(midspan.UntrustedError, match="does not belong to this recording"):
+            scale_warnings(inputs(0, factor=factor))
+
+
+@pytest.mark.parametrize("amplitude", [0.0, 1e-3, 1e-2])
+def test_a_quiet_record_says_nothing_of_the_scale(amplitude):
+    # What the accelerometer's noise integrates to follows no camera: it must not be taken for a scale of nought.
+    for seed in range(6):
+        assert scale_warnings(inputs(seed, amplitude=amplitude)) == []
+
+
+def test_outliers_and_missing_frames_do_not_hide_or_feign_a_wrong_scale():
+    rng = np.random.default_rng(1)
+    for factor in (1.0, 1.1):
+        found = inputs(3, factor=factor)
+        value = found.displacement.value_m + np.where(rng.random(len(MET)) < 0.05, 5e-3, 0.0)
+        value[rng.random(len(MET)) < 0.1] = np.nan
+        (scale,) = apparent_scales(replace(found, displacement=replace(found.displacement, value_m=value)))
+        assert scale.value == pytest.approx(factor, abs=0.02)
+
+
+def test_a_sensor_that_brings_its_own_scale_is_not_compared():
+    assert apparent_scales(inputs(0, factor=1.5, source=Source.DISPLACEMENT)) == []
+
+
+@pytest.fixture(scope="module")
+def site(simulated):
+    return simulated("two axes", across=scenarios._sideways)
+
+
+@pytest.fixture(scope="module")
+def known(site, tmp_path_factory):
+    file = tmp_path_factory.mktemp("known") / "calibration.json"
+    return json.loads(midspan.calibrate(midspan.open_recording(site)).save(file).read_text(encoding="utf-8"))
+
+
+def with_scale(known, axis, factor, file):
+    tree = json.loads(json.dumps(known))
+    tree["camera"]["axes"][axis]["scale_mm_per_px"] *= factor
+    if axis == tree["camera"]["axis"]:
+        tree["camera"]["scale_mm_per_px"] *= factor
+    file.write_text(json.dumps(tree), encoding="utf-8")
+    return midspan.load_calibration(file)
+
+
+@pytest.mark.parametrize("method", ["kalman", "smoother"])
+@pytest.mark.parametrize("factor", [1.5, -1.0, 0.7, 1.3])
+def test_a_wrong_scale_of_the_second_axis_leaves_it_out_and_the_first_stays(site, known, tmp_path, factor, method):
+    recording = midspan.open_recording(site)
+    wrong = with_scale(known, "x", factor, tmp_path / "wrong.json")
+    found = midspan.estimate(recording, wrong, method=method)
+    assert found.across is None
+    assert any("The second axis x is left out" in line for line in found.warnings)
+    truth = np.loadtxt(site / "truth.csv", delimiter=",", skiprows=1)
+    error = found.displacement_mm - np.interp(found.time_s, truth[:, 0], truth[:, 1])
+    # As with the right one: a frame of these cameras is good for 0.006 mm; `kalman` knows no later frames.
+    assert np.std(error) < (0.025 if method == "kalman" else 0.006)
+
+
+def test_a_scale_of_the_second_axis_that_is_a_tenth_off_is_told_and_the_right_one_is_not(site, known, tmp_path):
+    recording = midspan.open_recording(site)
+    told = [
+        [line for line in midspan.estimate(recording, given).warnings if "along x is" in line]
+        for given in (with_scale(known, "x", factor, tmp_path / "given.json") for factor in (1.0, 1.1))
+    ]
+    assert told[0] == []
+    assert len(told[1]) == 1
+
+
+@pytest.mark.parametrize("factor", [1.3, -1.0])
+def test_a_wrong_scale_of_the_main_axis_is_refused(site, known, tmp_path, factor):
+    wrong = with_scale(known, "y", factor, tmp_path / "wrong.json")
+    with pytest.raises(midspan.UntrustedError, match="does not belong to this recording"):
+        midspan.estimate(midspan.open_recording(site), wrong, method="kalman")

@@ -1,0 +1,115 @@
+"""The report's section on cameras by day and by night, and the temperature range."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import midspan
+from midspan.records import Source
+from midspan.report import infrared_figures
+from midspan.report.material import gather
+from midspan.report.report import report_html
+from midspan.report.sections import cameras
+from midspan.simulate import scenarios
+from midspan.simulate.day_infrared import DayCourse
+from midspan.simulate.scenarios import SCENARIOS
+from midspan.thermal.limits import Limits
+from midspan.thermal.temperature_range import RangeSurface
+
+# Of a day of 400 s the first 20 s are filmed: light and temperatures hardly change, both cameras see all the time.
+DAY_S, FILMED_S = 400.0, 20.0
+
+
+@pytest.fixture(name="result", scope="module")
+def result_of_a_short_noon(tmp_path_factory):
+    """Twenty seconds from noon on with two small cameras."""
+    with pytest.MonkeyPatch.context() as patch:
+        base = SCENARIOS["day-and-night"]
+        day = replace(
+            base.day,
+            sky=replace(base.day.sky, length_s=DAY_S, fog=(), rain=()),
+            camera=replace(base.day.camera, size_px=(96, 112)),
+            infrared=replace(base.day.infrared, size_px=(96, 112)),
+            course=DayCourse(14.0, 6.0, DAY_S),
+            thermal=replace(base.day.thermal, shutters_s=(9.0,)),
+            bodies=(),
+            cars=replace(base.day.cars, starts_s=()),
+            camera_roi=(24, 20, 60, 56),
+            infrared_roi=(24, 20, 60, 56),
+        )
+        short = replace(base, duration_s=FILMED_S, day=day, window_s=(0.0, 18.0))
+        patch.setitem(SCENARIOS, "day-and-night", short)
+        folder = scenarios.write("day-and-night", tmp_path_factory.mktemp("day") / "site", seed=3)
+    return midspan.estimate(midspan.open_recording(folder))
+
+
+def section(text):
+    return re.search(r'<section id="cameras">.*?</section>', text, re.DOTALL)[0]
+
+
+def test_the_section_shows_both_cameras_and_the_second_ones_zero(result):
+    text = section(report_html(result, result.recording.reference))
+    assert re.findall(r'<img alt="([^"]*)"', text) == ["Cameras over the record", "Zero of the second camera"]
+
+
+def test_both_cameras_measurements_are_drawn_on_the_results_zero(result):
+    measured = gather(result, None).measured
+    assert [one.name for one in measured] == ["camera", "infrared"]
+    for one in measured:
+        fused = np.interp(one.time_ns / 1e9, result.time_s, result.displacement_mm)
+        # Moved by the median of the difference, so that half of it lies on either side.
+        assert np.nanmedian(one.value_mm - fused) == pytest.approx(0.0, abs=1e-9)
+    # Frames at 4 Hz from 0.137 s on and from -0.023 s on, inside the accelerometer's 20 s.
+    assert [len(one.time_ns) for one in measured] == pytest.approx([79, 80], abs=1)
+
+
+def test_the_strip_tells_the_share_of_each_source(result):
+    rows = result.estimate.source
+    with_text = infrared_figures.shares(rows)
+    assert sum(share for _, share in with_text) == pytest.approx(1.0)
+    assert dict(with_text)[Source.CAMERA] == pytest.approx(float(np.mean(rows == Source.CAMERA)))
+    assert Source.RADAR not in dict(with_text)
+
+
+def test_events_are_placed_on_the_accelerometers_clock(result):
+    material = gather(result, None)
+    infrared = next(eye for eye in result.eyes if eye.source is Source.INFRARED)
+    shutters = [event for event in infrared.events if event.kind == "shutter"]
+    assert len(shutters) == 1
+    # The shutter closes at 9.0 s of true time; the first frame that shows it comes within a quarter of a second.
+    place = infrared_figures.places(material, shutters)[0]
+    assert 9.0 <= place <= 9.25
+
+
+def surface(best):
+    """Four ranges, the lower limit falling and the upper one rising, one of them lost."""
+    low, high = np.array([23.0, 16.0]), np.array([28.0, 33.0])
+    error = np.array([[0.05, 0.06], [0.04, np.nan]])
+    return RangeSurface(low, high, error, np.isnan(error).astype(float), best)
+
+
+@pytest.mark.parametrize(
+    ("limits", "place"),
+    [((16.0, 28.0), (0, 0)), ((23.0, 28.0), (1, 0)), ((23.0, 33.0), (1, 1)), ((16.0, 33.0), (0, 1))],
+)
+def test_the_range_chosen_is_marked_where_its_limits_are(limits, place):
+    assert infrared_figures.chosen_place(surface(Limits(*limits))) == place
+
+
+def test_an_optimised_range_is_shown_with_its_limits(result, monkeypatch):
+    infrared = next(eye for eye in result.eyes if eye.source is Source.INFRARED)
+    monkeypatch.setattr(infrared.tracking, "range_surface", surface(Limits(16.0, 28.0)))
+    text = cameras(gather(result, None))
+    assert "Temperature range" in text
+    assert "16.0 to 28.0 °C" in text
+
+
+def test_one_camera_of_light_with_its_first_frame_has_no_such_section(result):
+    alone = replace(result, eyes=result.eyes[:1], belief=None, events=())
+    assert cameras(gather(alone, None)) == ""
+    # A reference frame that changed is worth showing.
+    events = tuple(replace(event, kind="reference") for event in result.events[:1])
+    assert events
+    assert "Cameras over the record" in cameras(gather(replace(alone, events=events), None))
