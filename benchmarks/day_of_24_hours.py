@@ -34,13 +34,11 @@ SETTINGS = """
 file = "rendered.csv"
 [camera]
 file = "rendered.mkv"
-roi = [20, 12, 40, 40]
+roi = [42, 10, 44, 44]
 [infrared]
 file = "rendered.npz"
-roi = [20, 12, 40, 40]
+roi = [42, 10, 44, 44]
 tracker = "template"
-[calibration]
-window_s = [0.0, 90.0]
 """
 
 
@@ -89,8 +87,8 @@ def setup_of(day_s: float) -> DaySetup:
     night = np.arange(6.8, 17.2, 1.5)
     return DaySetup(
         sky=Sky(length_s=day_s, fog=((day_s * 17.4 / 24, day_s * 19.0 / 24),), ramp_s=day_s / 100),
-        camera=Eye((64, 80), scale_mm_per_px=-1.0, rate_hz=RATE_HZ, time_offset_s=0.1),
-        infrared=Eye((64, 80), scale_mm_per_px=-1.1, rate_hz=RATE_HZ, start_s=0.2, time_offset_s=-0.08),
+        camera=Eye((64, 88), scale_mm_per_px=-1.0, rate_hz=RATE_HZ, time_offset_s=0.1),
+        infrared=Eye((64, 88), scale_mm_per_px=-1.1, rate_hz=RATE_HZ, start_s=0.2, time_offset_s=-0.08),
         course=DayCourse(14.0, 6.0, day_s),
         thermal=ThermalCamera(pattern_k=0.03, shutters_s=hours(day_s, *np.arange(0.7, 24.0, 0.5)), closed_s=0.9),
         cars=Headlights(hours(day_s, *night), row_px=56.0, reach_px=25.0),
@@ -111,7 +109,8 @@ def rendered(eye: Eye, motion: Motion, duration_s: float, camera: object) -> Ren
 
 def recording_of(folder: Path, day_s: float, duration_s: float, seed: int = 0) -> tuple[Recording, Motion]:
     """A recording whose frames are rendered and whose acceleration is in memory, and its true motion."""
-    (folder / "recording.toml").write_text(SETTINGS)
+    window = [0.0, min(90.0, 0.2 * day_s)]  # by day
+    (folder / "recording.toml").write_text(f"{SETTINGS}[calibration]\nwindow_s = {window}\n")
     rng_motion, rng_noise, rng_camera, rng_infrared = np.random.default_rng(seed).spawn(4)
     motion, setup = swaying(rng_motion), setup_of(day_s)
     time = np.arange(int(duration_s * ACCELERATION_HZ)) / ACCELERATION_HZ

@@ -15,7 +15,8 @@ from midspan.simulate import scenarios
 
 with tempfile.TemporaryDirectory() as folder:
     site = scenarios.write("day-and-night", Path(folder) / "bridge", seed=1)
-    recording = midspan.open_recording(site)
+    # Every other frame, two a second, is enough here; all of them take twice as long and have a third of the error.
+    recording = midspan.open_recording(site, camera={"every": 2}, infrared={"every": 2})
     calibration = midspan.calibrate(recording)
     for camera in (calibration.camera, calibration.infrared):
         print(

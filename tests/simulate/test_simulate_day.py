@@ -96,7 +96,8 @@ def test_shading_and_the_shadow_of_the_post_follow_the_sun(wall):
     camera = DayCamera(wall, Sky(length_s=DAY_S))
     noon, late, again = (camera.mean_image((0.0, 0.0), t) for t in (0.0, 45.0, DAY_S))
     np.testing.assert_allclose(noon, again, atol=1e-5)
-    assert correlation(noon, late) < 0.7
+    # Shading from above gives way to shading from the side; what the wall reflects stays.
+    assert 0.4 < correlation(noon, late) < 0.85
     # The sun is on the left in the afternoon, so the shadow goes to the right, by the tangent of its direction.
     light, columns = camera.sky.light(20.0), np.arange(SIZE[1])
     expected = wall.post_at_px - wall.post_px * light.right / light.out
@@ -201,7 +202,7 @@ def test_the_recording_holds_both_cameras_the_truth_and_what_happened(written):
     assert settings["reference"]["file"] == "truth.csv"
     assert known["camera"]["scale_mm_per_px"] == -1.0
     assert known["infrared"]["time_offset_s"] == -0.083
-    assert known["day"]["night_s"][0] == pytest.approx(Sky(length_s=12.0).night())
+    assert known["day"]["night_s"][0] == pytest.approx(Sky(length_s=12.0, declination_deg=-8.0).night())
     source = open_thermal(folder / "infrared.npz")
     frames = list(source.frames())
     assert calls[-1] == (len(frames) + 48, len(frames) + 48)  # 12 s less 0.1 and 0.137 s at 4 Hz: 48 frames

@@ -1,6 +1,6 @@
 """A wall in relief under a light that turns: shading moves from one flank of each bump to the other."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -78,3 +78,60 @@ def track(tracker, frames):
     rows = [tracker.push(frame) for frame in frames]
     xy = np.array([(r.x_px, r.y_px) for r in rows])
     return xy, np.sqrt([(r.variance_x_px2, r.variance_y_px2) for r in rows])
+
+
+@dataclass(frozen=True)
+class Body:
+    """A thing in front of `share` of the target: from `start_s` it crosses from left to right, parked midway; `kind`:
+    even, blocks, or another piece of wall; `with_target`: it moves in the image as the target does.
+    """
+
+    share: float
+    start_s: float
+    crossing_s: float
+    parked_s: float = 0.0
+    kind: str = "blocks"
+    with_target: bool = False
+    leaves: bool = True
+
+    @property
+    def size(self):
+        """Rows and columns, px."""
+        rows = round(REGION.height * min(1.0, 1.15 * self.share**0.5))
+        return rows, round(self.share * REGION.height * REGION.width / rows)
+
+    def left(self, seconds):
+        """Column of its left edge so many seconds after its start; None once it has gone."""
+        half = 0.5 * self.crossing_s
+        way = REGION.width + self.size[1] + 20
+        gone = min(seconds, half)
+        if self.leaves and seconds >= half:
+            gone = max(seconds - self.parked_s, half)
+        return None if gone > self.crossing_s else REGION.x - 10 - self.size[1] + way * gone / self.crossing_s
+
+
+def _looks(body):
+    rng = np.random.default_rng(5)
+    rows, columns = body.size
+    if body.kind == "even":
+        return 60.0 + rng.normal(0.0, 2.0, (rows, columns))
+    if body.kind == "wall":
+        return np.clip(shaded(71, (0.0, 0.0), 0.35, 1.0)[:rows, :columns], 0, 255)
+    return np.kron(rng.uniform(30, 220, (rows // 5 + 1, columns // 5 + 1)), np.ones((5, 5)))[:rows, :columns]
+
+
+def crossed(frames, moved, body):
+    """The frames with the body in front."""
+    looks, made = _looks(body).astype(np.uint8), []
+    for frame, (dx, dy) in zip(frames, moved, strict=True):
+        seconds = frame.index / RATE_HZ - body.start_s
+        left = None if seconds < 0.0 else body.left(seconds)
+        if left is not None:
+            x, y = round(left), REGION.y + (REGION.height - body.size[0]) // 2
+            if body.with_target:
+                x, y = x + round(dx), y + round(dy)
+            picture = np.pad(frame.pixels, 120)
+            picture[120 + y : 120 + y + looks.shape[0], 120 + x : 120 + x + looks.shape[1]] = looks
+            frame = replace(frame, pixels=picture[120:-120, 120:-120].copy())
+        made.append(frame)
+    return made

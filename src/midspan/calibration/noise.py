@@ -1,20 +1,52 @@
 """Noise levels learnt from the innovations of a displacement sensor and the accelerometer, and their clock offset."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from midspan.calibration.fit import Fit, Pair, best_corner, corner_range
-from midspan.calibration.time_offset import MARKING_ROUNDS, mark_outliers, search_offset, without_lonely_outliers
+from midspan.calibration.agreement import clearly_better, course, noise_share
+from midspan.calibration.fit import Fit, Pair, best_corner, corner_range, evaluate, refine
+from midspan.calibration.scale import LEAST_GAIN as LEAST_AGREEMENT
+from midspan.calibration.scale import white_noise
+from midspan.calibration.time_offset import (
+    BEYOND,
+    MARKING_ROUNDS,
+    OffsetSearch,
+    curvature,
+    mark_outliers,
+    search_offset,
+    without_lonely_outliers,
+)
 from midspan.calibration.whitening import whiten
 from midspan.records import TimeOffset
 
 # A clock offset is only applied when it is this certain and the likelihood gains this much over none.
 CERTAIN_S = 0.02
 LEAST_GAIN = 10.0
+# One farther from 0 than this many of its standard deviations is one of hundreds tried, of which pure noise gains more.
+NEAR, LEAST_FAR_GAIN = 20.0, 20.0
+# Where one clock is meant, an offset is first sought this near to none.
+NEXT_TO_NONE_S = 0.05
+# So much more than the largest offset is searched.
+EDGE_S, EDGE_SHARE = 0.02, 0.05
 # A quiet camera sees a motion so well that the two noise levels meet this far above its Nyquist frequency.
 FASTEST = 100.0
+
+
+@dataclass(frozen=True, slots=True)
+class Findings:
+    """What a calibration rests on, for those who decide whether to believe it.
+
+    pair, fit: measurements without outliers and their fit, offset included; search: of the clock offset, None where
+    none was made; free: the best fit with any scale; likeliest: the best one with the scale as it is.
+    """
+
+    pair: Pair
+    fit: Fit
+    search: OffsetSearch | None
+    free: Fit
+    likeliest: Fit
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +58,8 @@ class NoiseCalibration:
     scale: the sensor's apparent scale against the accelerometer (1 when both are right) with its standard deviation.
     reversed_gain: how much more likely (logarithm) the measurements are with the opposite sign; negative when they
     are right. factor, factor_std: metres in one metre read, where that was learnt as well: the other figures hold for
-    readings times this factor. 1 and 0: readings are taken as they are.
+    readings times this factor. 1 and 0: readings are taken as they are. noise_share: of the response to the
+    acceleration that white noise alone would make; where it is large the motion tells no scale. warnings: sentences.
     """
 
     variance_factor: float
@@ -37,30 +70,84 @@ class NoiseCalibration:
     reversed_gain: float = -np.inf
     factor: float = 1.0
     factor_std: float = 0.0
+    noise_share: float = 0.0
+    warnings: tuple[str, ...] = ()
+    findings: Findings | None = field(default=None, repr=False, compare=False)
 
 
-def calibrate_noise(pair: Pair, max_offset_s: float) -> NoiseCalibration:
+def calibrate_noise(pair: Pair, max_offset_s: float, *, one_clock: bool = False) -> NoiseCalibration:
     """Learn noise levels of a displacement sensor of known unit, and its clock offset where the motion tells it.
 
     pair: displacement in m (ratio 1) with relative variances, and the acceleration. max_offset_s: 0 leaves the clocks
-    be.
+    be. one_clock: the clocks are one, so that the offset is only told. Nothing is refused here: see `Findings`.
     """
-    pair = without_lonely_outliers(replace(pair, ratio=1.0))
-    pair, still = without_outliers(pair)
-    fit, offset = still, TimeOffset(0.0, np.inf)
+    pair, still = without_outliers(without_lonely_outliers(replace(pair, ratio=1.0)))
+    fit, offset, search = still, TimeOffset(0.0, np.inf), None
     if max_offset_s > 0:
-        search = search_offset(pair, max_offset_s)
-        gain = search.fit.likelihood - best_corner(search.pair, 0.0).likelihood
-        if search.offset.variance < CERTAIN_S**2:
-            offset = TimeOffset(0.0, search.offset.variance)
-            if gain > LEAST_GAIN and abs(search.fit.offset_s) < 0.99 * max_offset_s:
-                fit, offset = search.fit, search.offset
-    scale, scale_std = _apparent_scale(fit)
-    # With the wrong sign nothing fits but the lowest noise, or a clock offset of half a period.
-    turned = replace(pair, rows=pair.rows * np.array([1.0, -1.0, 1.0]))
-    other = search_offset(turned, max_offset_s).fit if max_offset_s > 0 else best_corner(turned, 0.0)
-    reversed_gain = other.likelihood - fit.likelihood
-    return NoiseCalibration(fit.noise, fit.input_density, offset, scale, scale_std, reversed_gain)
+        search = search_offset(pair, max_offset_s, edge_s(max_offset_s))
+        found, variance = nearest(search) if one_clock else (search.fit, search.offset.variance)
+        offset = applied(search, found, variance, max_offset_s)
+        if offset.value_s != 0.0 and not one_clock:
+            pair, fit = search.pair, found
+    return _with_scale(pair, fit, offset, search, max_offset_s)
+
+
+def _with_scale(
+    pair: Pair, fit: Fit, offset: TimeOffset, search: OffsetSearch | None, max_offset_s: float
+) -> NoiseCalibration:
+    """The calibration, and how it stands to one with any scale."""
+    unknown = replace(pair, ratio=None)
+    local = best_corner(unknown, offset.value_s)
+    likeliest = fit if search is None or search.fit.likelihood < fit.likelihood else search.fit
+    others = [local]
+    if search is not None:
+        # With the wrong sign nothing fits but the lowest noise, or a clock offset of half a period.
+        found = search_offset(unknown, max_offset_s, edge_s(max_offset_s))
+        others += [found.fit, *([] if found.runner_up is None else [found.runner_up])]
+    # The same without what a smaller ratio was made to lose: comparable with the ratio as it is.
+    others = [evaluate(replace(pair, ratio=one.ratio), one.offset_s, one.corner) for one in others]
+    free = max(others, key=lambda one: one.likelihood)
+    turned = [one.likelihood for one in others if one.ratio < 0.0 and one.likelihood - one.without > LEAST_AGREEMENT]
+    reversed_gain = max(turned, default=-np.inf) - likeliest.likelihood
+    scale, std = local.ratio, float(np.sqrt(local.ratio_variance))
+    changing = course(pair, local)
+    if changing is not None:
+        # A clock that runs apart takes from the ratio of the whole what its pieces still show.
+        scale, std = changing.ratio, changing.ratio_std
+    return NoiseCalibration(
+        variance_factor=fit.noise,
+        input_noise_density=fit.input_density,
+        offset=offset,
+        scale=scale,
+        scale_std=std,
+        reversed_gain=reversed_gain,
+        noise_share=noise_share(pair, local, white_noise(pair.samples[:, 1])),
+        findings=Findings(pair, fit, search, free, likeliest),
+    )
+
+
+def edge_s(max_offset_s: float) -> float:
+    """How much farther (s) is searched so that the largest offset is no edge."""
+    return max(EDGE_SHARE * max_offset_s, EDGE_S)
+
+
+def nearest(search: OffsetSearch) -> tuple[Fit, float]:
+    """The fit next to no offset, unless one farther off is clearly better, and its offset's variance (s²)."""
+    near = refine(search.pair, best_corner(search.pair, 0.0), NEXT_TO_NONE_S)
+    if clearly_better(search.fit, near):
+        return search.fit, search.offset.variance
+    return near, curvature(search.pair, near)[0]
+
+
+def applied(search: OffsetSearch, fit: Fit, variance: float, max_offset_s: float) -> TimeOffset:
+    """The offset of a fit where the motion tells it well enough to apply it; else 0, with a variance that says why."""
+    std = float(np.sqrt(variance))
+    if not std < CERTAIN_S:
+        return TimeOffset(0.0, np.inf)
+    least = LEAST_GAIN if abs(fit.offset_s) < NEAR * std else LEAST_FAR_GAIN
+    if fit.likelihood - best_corner(search.pair, 0.0).likelihood < least:
+        return TimeOffset(0.0, variance)
+    return TimeOffset(fit.offset_s if abs(fit.offset_s) < max_offset_s + BEYOND * std else 0.0, variance)
 
 
 def without_outliers(pair: Pair) -> tuple[Pair, Fit]:
@@ -72,14 +159,6 @@ def without_outliers(pair: Pair) -> tuple[Pair, Fit]:
             break
         pair, fit = cleaned, best_corner(cleaned, 0.0, fit.corner)
     return pair, best_corner(pair, 0.0)
-
-
-def _apparent_scale(fit: Fit) -> tuple[float, float]:
-    """Displacement measured per displacement of the accelerometer, with its standard deviation."""
-    w = fit.whitened
-    power = float(np.sum(w.response**2 / w.variance))
-    cross = float(np.sum(w.response * w.translation / w.variance))
-    return cross / max(power, 1e-300), float(np.sqrt(fit.noise / max(power, 1e-300)))
 
 
 def learn_motion(pair: Pair) -> float:

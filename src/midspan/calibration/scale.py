@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from midspan.calibration.agreement import clearly_better
 from midspan.calibration.fit import Fit, Pair
 from midspan.calibration.time_offset import OffsetSearch, search_offset
 from midspan.errors import UntrustedError
@@ -27,11 +28,6 @@ UNEXPLAINED_SHARE = 0.2
 # times the noise that the signal itself shows (a noisy accelerometer beside a slow motion is no disagreement).
 IMPLIED_SHARE = 0.3
 IMPLIED_NOISE = 4.0
-# The runner-up must be less likely by this much, and its residual power larger by this share (a model never fits to the
-# last digit, and with a very quiet camera the likelihood alone would be over-confident).
-AMBIGUOUS_BELOW = 8.0
-AMBIGUOUS_SHARE = 0.05
-AMBIGUOUS_DRAWS = 3.0
 # An alias below this is told as the likely reason of a refusal: bias and drift of a minute look the same.
 SLOW_ALIAS_HZ = 0.05
 
@@ -154,14 +150,7 @@ def alias_in_words(pair: Pair) -> str:
 
 def is_ambiguous(search: OffsetSearch) -> bool:
     """Whether a second clock offset fits almost as well as the best one."""
-    other, fit = search.runner_up, search.fit
-    if other is None:
-        return False
-    lead = fit.likelihood - other.likelihood
-    share = other.noise / fit.noise * np.exp(_entropy(other.whitened.variance) - _entropy(fit.whitened.variance)) - 1.0
-    # Alternatives of a single tone differ by what the noise looks like at shifted instants, which grows with sqrt(n).
-    least = max(AMBIGUOUS_BELOW, AMBIGUOUS_DRAWS * np.sqrt(len(fit.whitened.variance)))
-    return bool(lead < least or share < AMBIGUOUS_SHARE)
+    return search.runner_up is not None and not clearly_better(search.fit, search.runner_up)
 
 
 def _refuse_ambiguity(search: OffsetSearch, max_offset_s: float) -> None:
@@ -173,11 +162,6 @@ def _refuse_ambiguity(search: OffsetSearch, max_offset_s: float) -> None:
             "they do when the motion is nearly a single tone, or when a tone's alias meets a slower tone. Set a "
             "smaller calibration.max_offset_s that excludes one of them, or calibrate on a time with changing motion."
         )
-
-
-def _entropy(variance: Floats) -> float:
-    """Mean logarithm of the innovations' variances, so that residual powers at two offsets compare."""
-    return float(np.mean(np.log(variance)))
 
 
 def _warnings(search: OffsetSearch, relative: float, usable: int) -> list[str]:

@@ -4,12 +4,14 @@ An LVDT read in volts, a unit that is wrong, a sign that is reversed: the readin
 number. It is the same likelihood as a camera's (see `fit`), with noise that nobody declared.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
-from midspan.calibration.fit import Fit, Pair, best_corner
-from midspan.calibration.noise import CERTAIN_S, LEAST_GAIN, NoiseCalibration, without_outliers
+from midspan.calibration.agreement import course, unexplained
+from midspan.calibration.fit import Fit, Pair
+from midspan.calibration.noise import Findings, NoiseCalibration, applied, edge_s, nearest, without_outliers
 from midspan.calibration.scale import (
     IMPLIED_NOISE,
     IMPLIED_SHARE,
@@ -19,45 +21,74 @@ from midspan.calibration.scale import (
     white_noise,
 )
 from midspan.calibration.scale import LEAST_GAIN as LEAST_AGREEMENT
-from midspan.calibration.time_offset import OffsetSearch, curvature, search_offset, without_lonely_outliers
+from midspan.calibration.time_offset import OffsetSearch, search_offset, without_lonely_outliers
 from midspan.errors import UntrustedError
 from midspan.records import TimeOffset
 
 
-def calibrate_sensor_scale(pair: Pair, max_offset_s: float, *, one_clock: bool) -> NoiseCalibration:
+def calibrate_sensor_scale(
+    pair: Pair, max_offset_s: float, *, one_clock: bool, look: Callable[[Fit], None] | None = None
+) -> NoiseCalibration:
     """Learn scale, noise levels and clock offset of a displacement sensor by maximum likelihood.
 
     pair: readings in m as if the unit were right, with relative variances, and the acceleration. one_clock: the clocks
     are one, so that the offset found within ±`max_offset_s` s is only told and the scale is learnt at no offset.
+    look: given the best fit of scale and offset together, may raise before it is judged here.
     Raises UntrustedError when the motion does not tell the scale to 5 %, when two offsets fit alike, or when the
     sensors do not agree.
     """
     pair = without_lonely_outliers(replace(pair, ratio=None))
     if not one_clock and max_offset_s > 0.0:
-        search = search_offset(pair, max_offset_s)
+        search = search_offset(pair, max_offset_s, edge_s(max_offset_s))
+        if look is not None:
+            look(search.fit)
         _refuse(search.pair, search.fit)
         _refuse_ambiguity(search, max_offset_s)
-        return _scaled(search.fit, search.offset)
+        _refuse_unexplained(search, max_offset_s)
+        return _scaled(search.pair, search.fit, search.offset, search)
     pair, still = without_outliers(pair)
-    offset = TimeOffset(0.0, np.inf)
+    offset, search, found = TimeOffset(0.0, np.inf), None, still
     if max_offset_s > 0.0:
-        offset = _apparent_offset(search_offset(pair, max_offset_s), max_offset_s)
+        search = search_offset(pair, max_offset_s, edge_s(max_offset_s))
+        found, variance = nearest(search)
+        told = applied(search, found, variance, max_offset_s)
+        offset = TimeOffset(0.0, told.variance) if _objection(search.pair, found) else told
+    late = offset.value_s != 0.0
     try:
         _refuse(pair, still)
     except UntrustedError:
-        if offset.value_s == 0.0:
+        if not late:
             raise
-        raise UntrustedError(
-            f"displacement: its clock differs from the accelerometer's by {offset.value_s:+.4f} s, too much to learn "
-            "its scale on one clock. Set displacement.estimate_offset = true to have the offset learnt and applied, "
-            "or correct its time column."
-        ) from None
-    return _scaled(still, offset)
+        raise _clocks_differ(offset) from None
+    learnt = _scaled(pair, still, offset, search)
+    # An offset that was left as it is takes from the scale, or adds to it, what it then would be.
+    bias = abs(still.ratio / found.ratio - 1.0) if late else 0.0
+    if np.hypot(bias, learnt.factor_std / learnt.factor) > REFUSED_ABOVE:
+        raise _clocks_differ(offset)
+    return replace(learnt, factor_std=float(np.hypot(learnt.factor_std, bias * learnt.factor)))
 
 
-def _scaled(fit: Fit, offset: TimeOffset) -> NoiseCalibration:
+def _clocks_differ(offset: TimeOffset) -> UntrustedError:
+    return UntrustedError(
+        f"displacement: its clock differs from the accelerometer's by {offset.value_s:+.4f} s, too much to learn "
+        "its scale on one clock. Set displacement.estimate_offset = true to have the offset learnt and applied, "
+        "or correct its time column."
+    )
+
+
+def _scaled(pair: Pair, fit: Fit, offset: TimeOffset, search: OffsetSearch | None) -> NoiseCalibration:
     """The calibration of readings that are multiplied by the factor found."""
     factor, relative = 1.0 / fit.ratio, float(np.sqrt(fit.ratio_variance)) / abs(fit.ratio)
+    changing = course(pair, fit)
+    if changing is not None:
+        relative = float(np.hypot(relative, changing.ratio / fit.ratio - 1.0))
+        if relative > REFUSED_ABOVE:
+            raise UntrustedError(
+                "displacement: its clock runs apart from the accelerometer's by about "
+                f"{1e6 * changing.skew:+.0f} ppm: one clock offset does not hold all along, and the scale of "
+                f"{factor:.4g} would be uncertain by {100 * relative:.2g} % (at most ± {100 * REFUSED_ABOVE:g} % is "
+                "given out). Correct its time column, or learn the scale on a shorter recording."
+            )
     return NoiseCalibration(
         variance_factor=fit.noise * factor * factor,
         input_noise_density=fit.input_density,
@@ -66,20 +97,8 @@ def _scaled(fit: Fit, offset: TimeOffset) -> NoiseCalibration:
         scale_std=relative,
         factor=factor,
         factor_std=abs(factor) * relative,
+        findings=Findings(pair, fit, search, fit, fit),
     )
-
-
-def _apparent_offset(search: OffsetSearch, max_offset_s: float) -> TimeOffset:
-    """The clock offset that shows, 0 where none does; of two that fit alike the one nearer to 0."""
-    pair, fit, offset = search.pair, search.fit, search.offset
-    other = search.runner_up
-    if other is not None and abs(other.offset_s) < abs(fit.offset_s) and is_ambiguous(search):
-        fit, offset = other, TimeOffset(other.offset_s, curvature(pair, other)[0])
-    gain = fit.likelihood - best_corner(pair, 0.0).likelihood
-    certain = offset.variance < CERTAIN_S**2 and gain > LEAST_GAIN and not _objection(pair, fit)
-    if certain and abs(fit.offset_s) < 0.99 * max_offset_s:
-        return offset
-    return TimeOffset(0.0, offset.variance)
 
 
 def _refuse(pair: Pair, fit: Fit) -> None:
@@ -108,9 +127,24 @@ def _objection(pair: Pair, fit: Fit) -> str:
             "no agreement between the displacement and the accelerometer: their "
             f"difference would need accelerometer noise of {1e3 * implied:.3g} mm/s² per sample where the signal has "
             f"{1e3 * shaken:.3g} mm/s² rms. Check that both measure the same axis and event; where the clocks may "
-            "differ, set displacement.estimate_offset = true and calibration.max_offset_s."
+            "differ by more, raise calibration.max_offset_s, with displacement.estimate_offset = true."
         )
     return ""
+
+
+def _refuse_unexplained(search: OffsetSearch, max_offset_s: float) -> None:
+    if unexplained(search.pair, search.fit):
+        raise UntrustedError(unexplained_text(search.fit.offset_s, max_offset_s))
+
+
+def unexplained_text(offset_s: float, max_offset_s: float) -> str:
+    """What to tell where the best clock offset leaves motion."""
+    return (
+        f"displacement: at the best clock offset within ±{max_offset_s:g} s, {offset_s:+.4f} s, what is left of its "
+        "difference from the accelerometer is no noise but motion. Where the clocks may differ by more, raise "
+        "calibration.max_offset_s or set displacement.start_s; else check that both measure the same axis and event "
+        "and that its clock keeps time."
+    )
 
 
 def _refuse_ambiguity(search: OffsetSearch, max_offset_s: float) -> None:

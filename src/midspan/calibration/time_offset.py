@@ -11,6 +11,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
+from midspan.calibration.agreement import clearly_better
 from midspan.calibration.fit import Fit, Pair, best_corner, corner_range, evaluate, refine
 from midspan.records import Floats, TimeOffset
 
@@ -28,6 +29,8 @@ REFERENCE_ROUNDS = 4
 MOST_PULLED = 0.1
 # Where the accelerometer's noise would be this share of its signal, the sensors do not agree.
 EXPLAINED_BY_NOISE = 0.3
+# An offset beyond the largest by less than so many of its standard deviations, of so many s at most, is within.
+BEYOND, MOST_BEYOND = 3.0, 0.02
 # Above this rate the coarse search runs on averages of neighbouring samples; the refinement always on all samples.
 COARSE_RATE_HZ = 250.0
 
@@ -47,9 +50,14 @@ class OffsetSearch:
     pair: Pair
 
 
-def search_offset(pair: Pair, max_offset_s: float) -> OffsetSearch:
-    """Find the time offset within ±`max_offset_s` that makes translation and acceleration agree best."""
+def search_offset(pair: Pair, max_offset_s: float, edge_s: float = 0.0) -> OffsetSearch:
+    """Find the time offset within ±`max_offset_s` that makes translation and acceleration agree best.
+
+    edge_s: so much farther is searched, so that an offset near the largest is found; one clearly beyond is given only
+    where it is clearly better than all within.
+    """
     pair = without_lonely_outliers(pair)
+    limit_s, max_offset_s = max_offset_s, max_offset_s + edge_s
     offsets, curve = scan(pair, max_offset_s)
     step = float(offsets[1] - offsets[0]) if len(offsets) > 1 else 0.0
     fits = _refined(pair, offsets, curve)
@@ -71,10 +79,21 @@ def search_offset(pair: Pair, max_offset_s: float) -> OffsetSearch:
         offsets, curve = scan(pair, max_offset_s)
         fits = _refined(pair, offsets, curve)
         best = max(fits, key=lambda fit: fit.likelihood)
+    if edge_s > 0.0:
+        fits = _within(pair, fits, limit_s)
+        best = max(fits, key=lambda fit: fit.likelihood)
     runner_up = max(_apart(fits, best, step), key=lambda fit: fit.likelihood, default=None)
     variance, drag = curvature(pair, best)
     best = replace(best, ratio_variance=best.ratio_variance + drag * drag * variance)
     return OffsetSearch(best, TimeOffset(best.offset_s, variance), runner_up, offsets, curve, pair)
+
+
+def _within(pair: Pair, fits: list[Fit], limit_s: float) -> list[Fit]:
+    """The fits within ±`limit_s`, give or take their deviation; the others where one is clearly better than these."""
+    near = [f for f in fits if abs(f.offset_s) < limit_s + BEYOND * np.sqrt(min(curvature(pair, f)[0], MOST_BEYOND**2))]
+    best = max(fits, key=lambda fit: fit.likelihood)
+    inner = max(near, key=lambda fit: fit.likelihood, default=None)
+    return fits if inner is None or (inner is not best and clearly_better(best, inner)) else near
 
 
 def _apart(fits: list[Fit], best: Fit, step_s: float) -> list[Fit]:

@@ -7,11 +7,12 @@ variance of a frame, beta the forgetting factor.
 import numpy as np
 from numba import njit
 
-from midspan.fusion.gate import ACCEPTED, NORMAL_MEDIAN, REACQUIRED, REJECTED, give_up, judged, limits_now
+from midspan.fusion.gate import ACCEPTED, NORMAL_MEDIAN, REACQUIRED, REJECTED, both_sides, give_up, judged, limits_now
 from midspan.fusion.state_space import (
     ACCEPTED_COUNT,
     GAP_STEPS,
     INPUT,
+    JUDGED,
     LAST_ACCEPTED,
     LEAD,
     P00,
@@ -20,6 +21,7 @@ from midspan.fusion.state_space import (
     P11,
     P12,
     P22,
+    REJECTIONS,
     SLOPE,
     SOURCE,
     STATE_SIZE,
@@ -247,11 +249,11 @@ def _watch_consistency(s, normal):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, inline="always")
-def _take(s, innovation, verdict, rejected_for, noise):  # type: ignore[no-untyped-def]
+def _take(s, innovation, verdict, waited, noise):  # type: ignore[no-untyped-def]
     """Update state and covariance; returns the share of the innovation that is left, and the new displacement's
     variance."""
     if verdict == REACQUIRED:
-        give_up(s, innovation, rejected_for)
+        give_up(s, innovation, waited)
     share = 1.0 / (s[P00] + noise)
     gain = (share * s[P00], share * s[P01], share * s[P02])
     s[X] += gain[0] * innovation
@@ -277,20 +279,18 @@ def meet(s, met, j, measured, limits, rule):  # type: ignore[no-untyped-def]
     noise = max(learnt, min(max(LEAST_PART * seen, QUICK_PART * seen - g), ceiling * declared))
     total, count = g + noise, s[ACCEPTED_COUNT]
     limits = limits_now(limits, count, 1.0)
+    if s[REJECTIONS] > 0.0 and innovation * s[JUDGED] < 0.0:
+        both_sides(s)
     verdict, rejected_for = judged(s, (time, source), innovation, total, limits)
     if verdict != REJECTED:
-        left = _take(s, innovation, verdict, rejected_for, noise)
+        left = _take(s, innovation, verdict, (rejected_for, limits[1]), noise)
         if verdict == ACCEPTED:
             # Residual form: positive whatever happens (equation 20 is not). In proportion to what the sensor declares.
             beta = min(beta, 1.0 - 1.0 / (PRIOR_FRAMES + count))
             s[NOISE] = beta * learnt / declared + (1.0 - beta) * (left * left + s[P00]) / declared
             _watch_consistency(s, innovation / np.sqrt(total))
-    met[j, MET_INNOVATION], met[j, MET_TOTAL], met[j, MET_NOISE], met[j, MET_VERDICT] = (
-        innovation,
-        total,
-        noise,
-        verdict,
-    )
+    row = met[j]
+    row[MET_INNOVATION], row[MET_TOTAL], row[MET_NOISE], row[MET_VERDICT] = innovation, total, noise, verdict
 
 
 @njit(cache=True, inline="always")

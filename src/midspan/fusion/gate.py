@@ -4,23 +4,35 @@ A measurement whose innovation is beyond `limit` predicted standard deviations i
 moved would then be rejected for ever, so after `reacquire_s` of nothing but rejections the filter gives its position up
 and takes the new one; this is declared in the result, never silent.
 
+The prediction widens meanwhile, and after some seconds its band holds where the target was and where it seems to be.
+What tells the two apart is the step: over one interval the prediction is sharp however long it has coasted. Only after
+a step may measurements that lie in the band be the target's return; those that drift into it, or stand where the band
+comes to them, wait for `reacquire_s`.
+
 Three things keep wrong noise levels from shutting the truth out. Five rejections in a row already count as the filter's
 own error until it has settled, and later where all five lie within three times the limit: what is taken over then is so
-small a step. And where the accepted innovations and those near to the gate step more from one to the next than
-predicted, the gate widens with them.
+small a step. They do not where they began with a step and keep to their level: that is no error of the filter. And
+where the accepted innovations and those near to the gate step more from one to the next than predicted, the gate widens
+with them.
 """
 
 from dataclasses import dataclass
 
+import numpy as np
 from numba import njit
 
 from midspan.fusion.state_space import (
     ACCEPTED_COUNT,
     AGREEMENTS,
     FARTHEST,
+    FIRST_INNOVATION,
+    FIRST_NOISE,
     FIRST_REJECTED,
     FIRST_TOTAL,
+    JUDGED,
+    JUDGED_AT,
     LAST_ACCEPTED,
+    LEVEL,
     NEAR_ONES,
     P00,
     P11,
@@ -47,9 +59,11 @@ NO_GATE = GateSettings(limit=1e9)
 ACCEPTED, REJECTED, REACQUIRED = 0, 1, 2
 LEAST_REJECTIONS = 5
 # After a run of rejections the predicted band is wide and a wrong measurement can fall into it by chance; the target
-# counts as back only when this many in a row agree within half the limit.
+# counts as back only when this many in a row agree within half the limit, the first after a step and the others none.
 CONFIRMATIONS = 3
-
+# An innovation further from the one before it than this many deviations of what can be predicted has stepped; rejected
+# ones keep to their level while they do not step beyond the second.
+STEPPED, UNSTEADY = 3.0, 4.0
 
 # Five rejections within this many limits are an error of the filter rather than of the measurements.
 NEAR = 3.0
@@ -82,25 +96,29 @@ def limits_now(limits: tuple[float, float], accepted: float, roughness: float) -
 
 @njit(cache=True, inline="always")
 def judge(
-    innovation: float, variance: float, run: tuple[float, float, float, float, float], limits: tuple[float, float]
+    innovation: float,
+    variance: float,
+    run: tuple[float, float, float, float, float, float],
+    limits: tuple[float, float],
 ) -> int:
     """ACCEPTED, REJECTED or REACQUIRED for an innovation of predicted `variance`.
 
-    run: seconds since the first of the rejections in a row, their number, how many of the last ones would agree (see
-    `agrees`), the square of the farthest in predicted variances, and how many of the last ones with this one were near
-    (see `is_near`); limits = (limit, reacquire_s).
+    run: seconds since the first of the rejections in a row, their number, how many of the last ones with this one may
+    be the target's return (see `returning`), the square of the farthest in predicted variances, how many of the last
+    ones with this one were near (see `is_near`), and whether they keep to a level (1.0); limits = (limit, reacquire_s).
     """
-    rejected_for_s, rejections, agreements, farthest, near_ones = run
+    rejected_for_s, rejections, agreements, farthest, near_ones, level = run
     ratio, limit = innovation * innovation / variance, limits[0] * limits[0]
     if rejections < LEAST_REJECTIONS:
-        near = max(ratio, farthest) <= NEAR * NEAR * limit
+        near = max(ratio, farthest) <= NEAR * NEAR * limit and level == 0.0
         waiting = rejections + 1 < LEAST_REJECTIONS or (rejected_for_s < limits[1] and not near)
-        return ACCEPTED if ratio <= limit else REJECTED if waiting else REACQUIRED
-    if rejected_for_s >= limits[1] or near_ones >= LEAST_REJECTIONS:
-        # Also when it lies inside: after so long the band is wide enough for a target that has moved.
-        return REACQUIRED
-    confirmed = agreements + 1 >= CONFIRMATIONS and agrees(innovation, variance, limits)
-    return ACCEPTED if confirmed else REJECTED
+        still = rejections > 0.0 and level > 0.0
+        return ACCEPTED if ratio <= limit and not still else REJECTED if waiting else REACQUIRED
+    if agreements > 0.0:
+        return ACCEPTED if agreements >= CONFIRMATIONS else REJECTED
+    # Also when it lies inside: after so long the band is wide enough for a target that has moved.
+    given_up = rejected_for_s >= limits[1] or (near_ones >= LEAST_REJECTIONS and level == 0.0)
+    return REACQUIRED if given_up else REJECTED
 
 
 @njit(cache=True, inline="always")
@@ -116,38 +134,76 @@ def agrees(innovation: float, variance: float, limits: tuple[float, float]) -> b
 
 
 @njit(cache=True, inline="always")
+def both_sides(s):  # type: ignore[no-untyped-def]
+    """Rejections on both sides are noise: a state that is wrong is left on one side. No reason to give it up."""
+    s[FARTHEST], s[NEAR_ONES] = np.inf, 0.0
+
+
+@njit(cache=True, inline="always")
+def returning(agreements: float, agreeing: bool, steps: tuple[float, float]) -> float:
+    """How many measurements in a row may be the target's return, after one that does or does not agree.
+
+    steps: to this innovation from the one before it, in deviations of what can be predicted of it: with the noise as it
+    was before the rejections where that is less, and as it is.
+    """
+    if not agreeing:
+        return 0.0
+    if agreements > 0.0 and steps[1] <= UNSTEADY:
+        return agreements + 1.0
+    return 1.0 if steps[0] > STEPPED else 0.0
+
+
+@njit(cache=True, inline="always")
 def judged(s, stamp, innovation, total, limits):  # type: ignore[no-untyped-def]
     """Verdict on an innovation of predicted variance `total`, and seconds since the first of the rejections before it.
 
-    The state vector `s` remembers it; stamp = (time, source) of the measurement; limits as of `limits_now`.
+    The state vector `s`, whose covariance is the predicted one, remembers it; stamp = (time, source) of the
+    measurement; limits as of `limits_now`.
     """
     time, source = stamp
     rejections = s[REJECTIONS]
     rejected_for = time - s[FIRST_REJECTED] if rejections > 0 else 0.0
+    noise, lapse = total - s[P00], time - s[JUDGED_AT]
     if rejections == 0:
-        s[FIRST_TOTAL] = total
+        s[FIRST_TOTAL], s[FIRST_INNOVATION], s[FIRST_NOISE] = total, innovation, noise
+    squared, drifted = (innovation - s[JUDGED]) ** 2, lapse * lapse * s[P11]
+    # A target that stands still while the motion goes on looks like noise: what is learnt of it then may be too large.
+    step = np.sqrt(squared / (2.0 * min(noise, s[FIRST_NOISE]) + drifted))
+    if rejections == 0:
+        s[LEVEL] = 1.0 if step > STEPPED else 0.0
+    elif step > UNSTEADY or innovation * innovation <= limits[0] * limits[0] * s[FIRST_TOTAL]:
+        s[LEVEL] = 0.0
     near_ones = s[NEAR_ONES] + 1.0 if is_near(innovation, s[FIRST_TOTAL], limits) else 0.0
-    run = (rejected_for, rejections, s[AGREEMENTS], s[FARTHEST], near_ones)
+    steps = (step, np.sqrt(squared / (2.0 * noise + drifted)))
+    agreements = returning(s[AGREEMENTS], agrees(innovation, total, limits), steps) if rejections > 0 else 0.0
+    run = (rejected_for, rejections, agreements, s[FARTHEST], near_ones, s[LEVEL])
     verdict = judge(innovation, total, run, limits)
     if verdict == REJECTED:
         s[FIRST_REJECTED] = time - rejected_for
         s[REJECTIONS] = rejections + 1
         s[FARTHEST], s[NEAR_ONES] = max(s[FARTHEST], innovation * innovation / total), near_ones
-        s[AGREEMENTS] = s[AGREEMENTS] + 1.0 if agrees(innovation, total, limits) else 0.0
+        s[AGREEMENTS] = agreements
     else:
         s[ACCEPTED_COUNT] += 1.0
         s[REJECTIONS] = s[AGREEMENTS] = s[FARTHEST] = s[NEAR_ONES] = 0.0
         s[LAST_ACCEPTED], s[SOURCE] = time, source
+    s[JUDGED], s[JUDGED_AT] = innovation, time
     return verdict, rejected_for
 
 
 @njit(cache=True, inline="always")
-def give_up(s, jump, rejected_for):  # type: ignore[no-untyped-def]
+def give_up(s, jump, waited):  # type: ignore[no-untyped-def]
     """Before a reacquired measurement: the old position's uncertainty becomes the size of the jump.
 
-    Whether the target jumped or the prediction ran away is not known, so velocity and bias may be wrong by what would
-    explain it too.
+    waited = (seconds of rejections, seconds after which they count as a move of the target). Whether the target jumped
+    or the prediction ran away is not known, so velocity and bias may be wrong by what would explain it too; where the
+    rejections kept to their level, only by what would explain its drift. What came sooner may as well be noise: then
+    the velocity may be wrong by the drift as well, and the bias stays what it is.
     """
+    drift, lapse = jump, max(waited[0], 1e-3)
+    if s[LEVEL] > 0.0 or waited[0] < waited[1]:
+        drift = 2.0 * (jump - s[FIRST_INNOVATION])
     s[P00] += jump * jump
-    s[P11] += (jump / max(rejected_for, 1e-3)) ** 2
-    s[P22] += (jump / max(rejected_for, 1e-3) ** 2) ** 2
+    s[P11] += (drift / lapse) ** 2
+    if waited[0] >= waited[1]:
+        s[P22] += (drift / lapse**2) ** 2

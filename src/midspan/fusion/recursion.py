@@ -3,12 +3,23 @@
 import numpy as np
 from numba import njit
 
-from midspan.fusion.gate import ACCEPTED, REACQUIRED, REJECTED, give_up, is_near, judged, limits_now, rougher
+from midspan.fusion.gate import (
+    ACCEPTED,
+    REACQUIRED,
+    REJECTED,
+    both_sides,
+    give_up,
+    is_near,
+    judged,
+    limits_now,
+    rougher,
+)
 from midspan.fusion.noise_online import FACTOR, doubt, forget_steps, learn, learning_off
 from midspan.fusion.state_space import (
     ACCEPTED_COUNT,
     AGREEMENTS,
     FARTHEST,
+    FIRST_TOTAL,
     INPUT,
     LAST_ACCEPTED,
     LAST_INNOVATION,
@@ -53,16 +64,11 @@ def _settle_gate(s):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, inline="always")
 def _reacquire(s, learnt, source, jump, waited):  # type: ignore[no-untyped-def]
-    """Give the position up; waited = (seconds of rejections, seconds after which they count as a move of the target).
-
-    Where noise is learnt, near rejections that came sooner may as well be noise: then the bias stays what it is.
-    """
-    bias_variance = s[P22]
-    give_up(s, jump, waited[0])
+    """Give the position up, see `give_up`; near rejections that came sooner may as well be noise."""
+    give_up(s, jump, waited)
     if len(learnt) > 0:
         forget_steps(learnt)
         if waited[0] < waited[1]:
-            s[P22] = bias_variance
             doubt(learnt[source])
 
 
@@ -88,12 +94,11 @@ def meet_measurement(s, row, measured, limits, learnt):  # type: ignore[no-untyp
     innovation, total = value - s[X], s[P00] + variance
     limits = limits_now(limits, s[ACCEPTED_COUNT], s[ROUGHNESS])
     if learning and s[REJECTIONS] > 0.0 and innovation * s[LAST_INNOVATION] < 0.0:
-        # A state that is wrong is left on one side; both sides are noise, and no reason to give the position up.
-        s[FARTHEST], s[NEAR_ONES] = np.inf, 0.0
+        both_sides(s)
     verdict, rejected_for = judged(s, (time, code), innovation, total, limits)
     row[GAIN_X] = row[GAIN_V] = row[GAIN_B] = 0.0
     row[INNOVATION], row[INNOVATION_VARIANCE], row[VERDICT], row[NOISE] = innovation, total, verdict, variance
-    if verdict == ACCEPTED or (verdict == REJECTED and is_near(innovation, total, limits)):
+    if verdict == ACCEPTED or (verdict == REJECTED and is_near(innovation, s[FIRST_TOTAL], limits)):
         if np.isfinite(s[LAST_INNOVATION]):
             s[ROUGHNESS] = rougher(s[ROUGHNESS], innovation - s[LAST_INNOVATION], total + s[LAST_TOTAL])
         s[LAST_INNOVATION], s[LAST_TOTAL] = innovation, total

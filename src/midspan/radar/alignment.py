@@ -24,6 +24,8 @@ SEARCHED_LAGS, LEAST_FRAMES = (1, 4, 16), 20
 _STEPS, _RATIOS = 6, 25
 # Frames of the search of a motion so strong that its differences wrap, at most; it tries a grid of ratios too.
 MOST_SEARCHED = 4096
+# Sums by Fourier transform are exact to about this share.
+LEAST_POWER = 1e-12
 # The scatter of the result is that of sums over stretches of so many lags, of which there must be a few; from so few it
 # comes out a little small.
 STRETCH_LAGS, LEAST_STRETCHES, MARGIN = 8, 10, 1.08
@@ -175,7 +177,10 @@ def _regressions(
 
     time, period, lag = known
     count, some = len(time), len(offsets)
-    at = time[0] + offsets[0] + 0.5 * period * np.arange(2 * count + some)
+    # Half frames from before the first to after the last, on the stamps as they are.
+    place = 0.5 * (np.arange(2 * count + some) - some // 2)
+    inside = np.clip(place, 0, count - 1)
+    at = np.interp(inside, np.arange(count), time) + period * (place - inside)
     response = integrals.second_difference(at, lag * period)
     response -= response.mean()
     there, seen = np.zeros((2, count))
@@ -185,10 +190,12 @@ def _regressions(
         x = response[half::2][: count + (some - half + 1) // 2 - 1]
         for row, (left, right) in enumerate(((x, there), (x * x, there), (x, seen))):
             sums[row, half::2] = correlate(left, right, mode="valid", method="fft")
-    total = float(seen @ seen)
-    power = np.maximum(sums[1] - sums[0] ** 2 / len(value), np.finfo(np.float64).eps * max(float(sums[1].max()), 1e-300))
+    least = LEAST_POWER * float(response @ response)
+    if not least > 0.0:
+        return np.zeros(some), np.full(some, np.inf)
+    total, power = float(seen @ seen), np.maximum(sums[1] - sums[0] ** 2 / len(value), least)
     slope = sums[2] / power
-    rest = np.maximum(total - slope * sums[2], np.finfo(np.float64).eps * total)
+    rest = np.maximum(total - slope * sums[2], LEAST_POWER * total)
     return slope, np.sqrt(rest / len(value) / power)
 
 
@@ -229,7 +236,7 @@ def _liveliest(size: Floats, reach: float) -> slice | NDArray[np.int64]:
 def _offsets(period_s: float, most_s: float) -> Floats:
     """Clock offsets that are tried, half a frame apart."""
     count = max(int(np.ceil(2.0 * most_s / period_s)), 1)
-    return 0.5 * period_s * np.arange(-count, count + 1)
+    return np.asarray(0.5 * period_s * np.arange(-count, count + 1, dtype=np.float64))
 
 
 def _sharpened(

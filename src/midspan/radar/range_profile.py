@@ -95,7 +95,11 @@ def slow_time(words: Words, layout: Layout, bins: Floats) -> NDArray[np.complex6
 
 def block_products(words: Words, layout: Layout, kernel: NDArray[np.complexfloating]) -> NDArray[np.complex64]:
     """Products (frames, chirps, receivers, k) of a kernel (k, samples) with raw words (frames · words a frame,)."""
-    weights = word_weights(kernel, layout)
+    return weighted_products(words, layout, word_weights(kernel, layout))
+
+
+def weighted_products(words: Words, layout: Layout, weights: NDArray[np.float32]) -> NDArray[np.complex64]:
+    """The same with the kernel's weights of `word_weights`, which a long replay computes once."""
     blocks = words.reshape(-1, block_words(layout))
     out = np.empty((len(blocks), weights.shape[1]), dtype=np.float32)
     part = np.empty((min(BLOCKS_AT_A_TIME, len(blocks)), blocks.shape[1]), dtype=np.float32)
@@ -103,7 +107,8 @@ def block_products(words: Words, layout: Layout, kernel: NDArray[np.complexfloat
         some = sign_extended(blocks[start : start + BLOCKS_AT_A_TIME], layout.profile.bits)
         part[: len(some)] = some
         np.matmul(part[: len(some)], weights, out=out[start : start + len(some)])
-    shape = (-1, layout.profile.chirps, layout.stored if layout.lanes == 2 else layout.profile.receivers, len(kernel))
+    receivers, together = (layout.stored, 1) if layout.lanes == 2 else (layout.profile.receivers,) * 2
+    shape = (-1, layout.profile.chirps, receivers, weights.shape[1] // (2 * together))
     return out.view(np.complex64).reshape(shape)
 
 

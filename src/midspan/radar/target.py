@@ -129,16 +129,26 @@ class Target:
 
 
 def find_targets(
-    profiles: Phasors, frame_s: Floats, *, samples: Floats, axis: RangeAxis, max_offset_s: float = 0.15
+    profiles: Phasors,
+    frame_s: Floats,
+    *,
+    samples: Floats,
+    axis: RangeAxis,
+    max_offset_s: float = 0.15,
+    valid: NDArray[np.bool_] | None = None,
 ) -> tuple[Target, ...]:
     """All targets of a calibration window, nearest first, each compared with the accelerometer.
 
     profiles (frames, channels, bins): complex range profiles at frame_s (frames,), evenly spaced, s on the radar's
     clock; axis: ranges and carrier; samples (m, 2): time on the accelerometer's clock (s) and acceleration (m/s²);
-    max_offset_s: largest clock offset searched for.
+    max_offset_s: largest clock offset searched for; valid (frames, channels): what was received. What was not may hold
+    anything finite, and is not compared.
     """
-    noise = noise_variance(profiles)
-    window = _Window(profiles, np.asarray(frame_s, dtype=np.float64), samples, max_offset_s, axis, noise)
+    profiles = np.asarray(profiles)
+    valid = np.ones(profiles.shape[:2], dtype=np.bool_) if valid is None else valid
+    whole = profiles[valid.all(axis=1)]
+    noise = noise_variance(whole if len(whole) > 1 else profiles)
+    window = _Window(profiles, valid, np.asarray(frame_s, dtype=np.float64), samples, max_offset_s, axis, noise)
     found = tuple(_examined(window, place) for place in peaks(profiles, noise))
     return tuple(target for k, target in enumerate(found) if not _repeated(target, found[:k]))
 
@@ -148,6 +158,7 @@ class _Window:
     """The calibration window that all targets share; noise: variance of one channel and bin."""
 
     profiles: Phasors
+    valid: NDArray[np.bool_]
     frame_s: Floats
     samples: Floats
     max_offset_s: float
@@ -160,12 +171,17 @@ class _Window:
         known = self.profiles.shape[2] >= LEAST_BINS and len(self.axis.range_m) == self.profiles.shape[2]
         return float(np.median(np.diff(self.axis.range_m))) if known else np.nan
 
+    def seen(self, bins: Floats, weights: NDArray[np.complex128]) -> Phasors:
+        """Phasors (frames, k) at whole bins (k,), receivers combined; NaN where nothing was received."""
+        some = self.profiles[:, :, bins.astype(np.int64)]
+        return np.stack([combined(some[..., k], weights, self.valid) for k in range(len(bins))], axis=1)
+
 
 def _examined(window: _Window, place: float) -> Target:
     """One target with everything that the window tells of it; met again at its own place if it moves far."""
     channels = at_place(window.profiles, place)
     weights = channel_weights(channels)
-    seen = combined(channels, weights)
+    seen = combined(channels, weights, window.valid)
     leak = standing_still(seen)
     plain = Target(
         place_bin=place,
@@ -192,7 +208,9 @@ def _often_faint(z: Phasors) -> bool:
 
 
 def _faint(z: Phasors) -> NDArray[np.bool_]:
-    return np.asarray(np.abs(z) < FAINT_SHARE * np.percentile(np.abs(z), BEST_PERCENTILE))
+    # What was not received (NaN) is no better than what is faint.
+    size = np.abs(z)
+    return np.asarray(~(size >= FAINT_SHARE * np.nanpercentile(size, BEST_PERCENTILE)))
 
 
 def _tracked(plain: Target, window: _Window) -> tuple[Target, Floats]:
@@ -200,8 +218,7 @@ def _tracked(plain: Target, window: _Window) -> tuple[Target, Floats]:
     bins = bins_within(plain.place_bin, TRACKED_BINS, window.profiles.shape[2])
     some = window.profiles[:, :, bins.astype(np.int64)]
     places = tracked_places(np.sum(np.abs(some) ** 2, axis=1), bins, plain.place_bin)
-    seen = np.stack([combined(some[..., k], plain.weights) for k in range(len(bins))], axis=1)
-    return _compared(replace(plain, leak=0j), at_places(seen, bins, places), window)
+    return _compared(replace(plain, leak=0j), at_places(window.seen(bins, plain.weights), bins, places), window)
 
 
 def _followed(found: Target, reach: float, change_m: Floats, window: _Window) -> Target:
@@ -211,8 +228,7 @@ def _followed(found: Target, reach: float, change_m: Floats, window: _Window) ->
         # A target that swings far was found where it turns, not in its middle.
         search = min(max(1.0, reach), TRACKED_BINS)
         bins = bins_within(found.place_bin, reach + search, count)
-        some = window.profiles[:, :, bins.astype(np.int64)]
-        seen = np.stack([combined(some[..., k], found.weights) for k in range(len(bins))], axis=1)
+        seen = window.seen(bins, found.weights)
         places = places_of(seen, bins, place_bin=found.place_bin, moved_bins=change_m / window.bin_m, search=search)
         background = standing_in_bins(seen, bins, places)
         place = float(np.median(places))

@@ -10,6 +10,7 @@ from midspan.recording.calibration import Calibration, DisplacementCalibration
 from midspan.recording.displacement import calibrate_displacement, displacement_part, displacement_warnings
 from midspan.recording.progress import Progress, silent
 from midspan.recording.radar import calibrate_radar
+from midspan.recording.radar_literal import calibrate_radar_literal
 from midspan.recording.recording import Recording, naming
 from midspan.recording.tracking import CameraTracking
 from midspan.recording.window import calibration_window
@@ -47,7 +48,8 @@ def _calibrate_and_track(recording: Recording, progress: Progress) -> tuple[Cali
         warnings += one.warnings
         densities.append(one.parts[0].input_density)
     learnt_of = {one.view.sensor: one.parts[0].calibration for one in seen}
-    radar = None if settings.radar is None else calibrate_radar(recording, progress)
+    learn = calibrate_radar_literal if settings.fusion.literal else calibrate_radar
+    radar = None if settings.radar is None else learn(recording, progress)
     if radar is not None:
         warnings += radar.warnings
         densities.append(radar.input_density)

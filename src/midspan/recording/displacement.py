@@ -4,31 +4,23 @@ from dataclasses import replace
 
 import numpy as np
 
-from midspan.calibration.fit import Pair
-from midspan.calibration.noise import NoiseCalibration, calibrate_noise
+from midspan.calibration.noise import NoiseCalibration
 from midspan.calibration.scale import white_noise
-from midspan.calibration.sensor_scale import calibrate_sensor_scale
-from midspan.errors import DataError, UntrustedError, UsageError
+from midspan.errors import UntrustedError, UsageError
 from midspan.fusion.kalman import KalmanSettings
-from midspan.recording.acceleration import PreparedAcceleration
-from midspan.recording.calibrate_camera import measured_rows
 from midspan.recording.calibration import Calibration, DisplacementCalibration
+from midspan.recording.displacement_noise import learn, wanted
 from midspan.recording.fuse import SensorError
 from midspan.recording.recording import Recording
 from midspan.recording.running_clock import on_one_clock
-from midspan.recording.span import inside, require_overlap, shown
-from midspan.recording.window import LEAST_MEASUREMENTS
+from midspan.recording.span import require_overlap, shown
 from midspan.records import NANOSECONDS, Acceleration, Displacement, Event, Source, TimeOffset, TimeSeries, seconds
-from midspan.signals.health import Mask, dominant_frequency, runs
+from midspan.signals.health import Mask, runs
 from midspan.signals.stuck import resolution, stuck
 
-# Noise levels of a displacement sensor are learnt from this much at most, in one piece, for speed.
-NOISE_WINDOW_S = 1800.0
-# A clock offset that was not asked for is refused when it moves the displacement by more than this many times its
-# noise.
-MOST_LATE = 2.0
-# A displacement that is so much more likely (logarithm of the likelihood) with the opposite sign has it.
-CLEARLY_REVERSED = 20.0
+# A scale that was not learnt is told when it is off by this share and so many deviations, and refused beyond the second
+# share; where the accelerometer's noise makes more than a share of what it shows, it tells no scale.
+TOLD, CERTAIN, REFUSED, MOST_NOISE = 0.015, 4.5, 0.5, 0.1
 # A given noise of a displacement sensor is taken unless the sensors differ as if it were so many times larger.
 MOST_OPTIMISTIC = 1.5
 # Where so many values would count as frozen, the sensor's resolution is coarse beside the motion.
@@ -42,82 +34,17 @@ def calibrate_displacement(recording: Recording) -> NoiseCalibration:
     """
     series = recording.displacement
     require_overlap(recording.prepared.time_ns, series.time_ns, "displacement")
-    if not _wanted(recording, "estimate_scale"):
-        return _learnt(recording, without(series, frozen_values(recording, series)))
+    if not wanted(recording, "estimate_scale"):
+        return learn(recording, without(series, frozen_values(recording, series)))
     # What the values are rounded to is known in metres only with the scale: at first none of it is granted.
     crude = frozen_values(recording, series, resolution_m=0.0)
     known = np.isfinite(series.value)
     first = without(series, crude if np.mean(crude[known]) < MOST_FROZEN else np.zeros_like(crude))
-    learnt = _learnt(recording, first)
+    learnt = learn(recording, first)
     scaled = replace(series, value=learnt.factor * series.value)
     offset_ns = round(NANOSECONDS * learnt.offset.value_s)
     held = frozen_values(recording, replace(scaled, time_ns=series.time_ns + offset_ns))
-    return learnt if np.array_equal(held, np.isnan(first.value) & known) else _learnt(recording, without(series, held))
-
-
-def _wanted(recording: Recording, key: str) -> bool:
-    return bool(getattr(recording.settings.displacement, key, False))
-
-
-def _learnt(recording: Recording, series: TimeSeries) -> NoiseCalibration:
-    prepared = recording.prepared
-    used = inside(series.time_ns, int(prepared.time_ns[0]), int(prepared.time_ns[-1]))
-    first = int(series.time_ns[used.start])
-    last = min(int(series.time_ns[used.stop - 1]), first + round(NOISE_WINDOW_S * NANOSECONDS))
-    max_offset = min(recording.settings.calibration.max_offset_s, 0.1 * (last - first) / NANOSECONDS)
-    margin = round(max_offset * NANOSECONDS)
-    used = inside(series.time_ns, first + margin, last - margin)
-    _refuse_poor_displacement(series, used)
-    window = inside(prepared.time_ns, first - NANOSECONDS, last + NANOSECONDS)
-    rows = measured_rows(series.time_ns[used], series.value[used], np.ones(used.stop - used.start), first)
-    pair = Pair(prepared.rows(first, window), rows, 1.0)
-    one_clock = not _wanted(recording, "estimate_offset")
-    if _wanted(recording, "estimate_scale"):
-        searched = calibrate_sensor_scale(pair, max_offset, one_clock=one_clock)
-        return _on_one_clock(prepared, pair, searched, searched) if one_clock else searched
-    searched = calibrate_noise(pair, max_offset)
-    if searched.reversed_gain > CLEARLY_REVERSED:
-        raise UntrustedError(
-            "displacement: its sign is reversed: turned round it fits the accelerometer far better. Its second "
-            "derivative must be positive where the structure accelerates along the sensor's positive axis. Turn the "
-            "sign of the column, or of the accelerometer's, or have it learnt: displacement.estimate_scale = true."
-        )
-    return _on_one_clock(prepared, pair, searched, calibrate_noise(pair, 0.0)) if one_clock else searched
-
-
-def _on_one_clock(
-    prepared: PreparedAcceleration, pair: Pair, searched: NoiseCalibration, still: NoiseCalibration
-) -> NoiseCalibration:
-    """One clock is taken for granted; an offset that shows all the same is told and put into the error band."""
-    off, value = searched.offset.value_s, pair.samples[:, 1]
-    rows = pair.rows[np.isfinite(pair.rows[:, 2])]
-    shaken = float(np.std(value)) / (2.0 * np.pi * max(dominant_frequency(value, prepared.rate_hz), 0.2))
-    slopes = searched.factor * np.diff(rows[:, 1]) / np.diff(rows[:, 0])
-    speed = max(shaken, float(np.sqrt(np.mean(slopes**2))))
-    if abs(off) * speed > MOST_LATE * np.sqrt(searched.variance_factor):
-        raise UntrustedError(
-            f"displacement: its clock differs from the accelerometer's by {off:+.4f} s, which moves it by "
-            f"{1e3 * abs(off) * speed:.3g} mm rms. Set displacement.estimate_offset = true to have the offset "
-            "learnt and applied, or correct its time column."
-        )
-    return replace(still, offset=TimeOffset(0.0, off * off), scale=searched.scale, scale_std=searched.scale_std)
-
-
-def _refuse_poor_displacement(series: TimeSeries, used: slice) -> None:
-    value = series.value[used]
-    known = value[np.isfinite(value)]
-    if len(known) < LEAST_MEASUREMENTS:
-        raise DataError(
-            f"displacement: {len(known)} measurements overlap the accelerometer; at least {LEAST_MEASUREMENTS} "
-            "are needed "
-            "to learn its noise. Check its time column, gaps and unit."
-        )
-    if np.ptp(known) == 0.0:
-        raise DataError(
-            f"displacement ({series.name}): stands at one value, {1e3 * known[0]:g} mm, all the time. Check the "
-            "sensor, or "
-            "choose another column with displacement.value."
-        )
+    return learnt if np.array_equal(held, np.isnan(first.value) & known) else learn(recording, without(series, held))
 
 
 def displacement_part(recording: Recording, learnt: NoiseCalibration) -> DisplacementCalibration:
@@ -128,7 +55,17 @@ def displacement_part(recording: Recording, learnt: NoiseCalibration) -> Displac
         own = given * unit_in_metres(recording) * abs(learnt.factor)
         # A given noise far below what the sensors differ by would only make the gate reject right measurements.
         std = own if std < MOST_OPTIMISTIC * own else std
-    return DisplacementCalibration(std, learnt.offset, learnt.factor, learnt.factor_std)
+    # A scale that seems wrong is left as it is, and the error band holds both.
+    scale_std = float(np.hypot(learnt.factor_std, abs(learnt.factor) * _scale_error(learnt)))
+    return DisplacementCalibration(std, learnt.offset, learnt.factor, scale_std)
+
+
+def _scale_error(learnt: NoiseCalibration) -> float:
+    """By how much a scale that was not learnt seems wrong, as a share; 0 where it may be right."""
+    uncertain = CERTAIN * learnt.scale_std + 0.5 * learnt.noise_share
+    if learnt.noise_share > MOST_NOISE or not abs(learnt.scale - 1.0) > max(TOLD, uncertain):
+        return 0.0
+    return float(np.hypot(1.0 / learnt.scale - 1.0, learnt.scale_std))
 
 
 def unit_in_metres(recording: Recording) -> float:
@@ -143,21 +80,23 @@ def unit_in_metres(recording: Recording) -> float:
 def displacement_warnings(recording: Recording, learnt: NoiseCalibration, part: DisplacementCalibration) -> list[str]:
     """What to know of the displacement sensor; UntrustedError where its unit is wrong beyond doubt."""
     found = [*frozen_warnings(frozen_events(recording, part)), *_zero_warnings(recording, part)]
-    if learnt.offset.value_s == 0.0 and 0.0 < learnt.offset.variance < np.inf:
+    found += learnt.warnings
+    if not wanted(recording, "estimate_offset") and 0.0 < learnt.offset.variance < np.inf:
         found.append(
             "displacement: its clock seems to differ from the accelerometer's by "
             f"{1e3 * np.sqrt(learnt.offset.variance):.3g} "
             "ms. Set displacement.estimate_offset = true to have the offset learnt and applied."
         )
-    off = abs(learnt.scale - 1.0)
+    if _scale_error(learnt) == 0.0:
+        return found
     text = (
         f"displacement: follows the accelerometer with a factor of {learnt.scale:.3g} ± {learnt.scale_std:.2g} "
         "where 1 is "
         "expected. Check displacement.unit, its sign, accelerometer.unit and that both sensors measure the same axis."
     )
-    if off > max(0.5, 5.0 * learnt.scale_std):
+    if abs(learnt.scale - 1.0) > REFUSED:
         raise UntrustedError(text)
-    return [*found, text] if off > max(0.1, 5.0 * learnt.scale_std) else found
+    return [*found, f"{text} The error band holds the difference; displacement.estimate_scale = true takes it out."]
 
 
 def displacement_sensor(
@@ -170,7 +109,7 @@ def displacement_sensor(
     learnt = _known(recording, calibration)
     block, clock_std = displacement_block(recording, calibration), _finite_std(learnt.offset)
     told: list[str] = []
-    if _wanted(recording, "estimate_offset"):
+    if wanted(recording, "estimate_offset"):
         level = float(np.nanmedian(block.value_m))
         clock = on_one_clock(replace(block, value_m=block.value_m - level), acceleration, kalman, "displacement")
         block = replace(block, time_ns=clock.measured.time_ns)
@@ -212,7 +151,7 @@ def _known(recording: Recording, calibration: Calibration) -> DisplacementCalibr
         raise UsageError(
             "The calibration has no displacement part, but the recording has [displacement]. Calibrate again."
         )
-    if _wanted(recording, "estimate_scale") and learnt.scale_std == 0.0:
+    if wanted(recording, "estimate_scale") and learnt.scale == 1.0:
         raise UsageError(
             "displacement.estimate_scale = true: the calibration was made without it and has no displacement.scale. "
             "Calibrate again."

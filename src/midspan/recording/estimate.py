@@ -18,6 +18,7 @@ from midspan.recording.displacement import frozen_events
 from midspan.recording.fuse import FusionInputs, fuse
 from midspan.recording.inputs import Gathered, gather
 from midspan.recording.progress import Progress, silent
+from midspan.recording.radar_literal import require_same_way
 from midspan.recording.recording import Recording, naming
 from midspan.recording.result import Result
 from midspan.recording.scale_check import scale_warnings
@@ -73,7 +74,7 @@ def _estimate(
     # What was learnt on this recording a moment ago fits it.
     scaled = scale_warnings(gathered.inputs) if tracking is None else []
     fused = fuse(gathered.inputs, method, _method_settings(recording))
-    _refuse_rejections(fused.innovation)
+    _refuse_rejections(recording, fused.innovation)
     result = _cut(recording, gathered.inputs, fused.estimate)
     if gathered.belief is not None:
         result = replace(result, source=gathered.belief.marked(result.time_ns, result.source))
@@ -154,7 +155,7 @@ def _across(
     if view is None or gathered.across is None or calibration.across is None:
         return None
     found = second_axis(gathered.across, calibration.across, rows.time_ns, method, _method_settings(recording))
-    _refuse_rejections(found.innovation)
+    _refuse_rejections(view, found.innovation)
     missing = view.prepared.time_ns[view.prepared.missing]
     bridged = np.isin(rows.time_ns, missing) & (found.estimate.status == Status.TRACKING)
     status = np.where(bridged, np.uint8(Status.COASTING), found.estimate.status)
@@ -207,6 +208,8 @@ def _told(events: tuple[Event, ...]) -> list[str]:
 
 
 def _require(recording: Recording, calibration: Calibration) -> None:
+    if recording.has("radar") and calibration.radar is not None:
+        require_same_way(calibration.radar, recording.settings.fusion.literal)
     views = recording.cameras
     if views and not any(calibration.of(view.sensor) for view in views):
         raise UsageError(
@@ -268,7 +271,7 @@ def rejected_share(innovation: Innovation) -> float:
     return float(np.mean(innovation.verdict == REJECTED)) if len(innovation.verdict) else 0.0
 
 
-def _refuse_rejections(innovation: Innovation) -> None:
+def _refuse_rejections(recording: Recording, innovation: Innovation) -> None:
     """UntrustedError when most measurements contradict the prediction."""
     share = rejected_share(innovation)
     if share > MOST_REJECTED:
@@ -276,9 +279,16 @@ def _refuse_rejections(innovation: Innovation) -> None:
             f"{100 * share:.0f} % of the measurements contradict the acceleration; at most "
             f"{100 * MOST_REJECTED:g} % may. "
             "Scale factor, clock offset or direction belong to another recording, or the sensors do not measure "
-            "the same "
-            "motion. Calibrate this recording, and look at its camera.roi."
+            f"the same motion. Calibrate this recording, and look at {_looked_at(recording)}."
         )
+
+
+def _looked_at(recording: Recording) -> str:
+    """What may be wrong of the sensors that there are, as an instruction's last words."""
+    found = [f"its {view.sensor}.roi" for view in recording.cameras]
+    found += ["what the radar sees (`midspan inspect` lists it)"] if recording.has("radar") else []
+    found += ["the unit and sign of its displacement file"] if recording.has("displacement") else []
+    return " and ".join(found)
 
 
 def _warnings(calibration: Calibration, gathered: Gathered, fused: Smoothed, rows: Estimate) -> tuple[str, ...]:

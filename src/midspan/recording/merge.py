@@ -26,6 +26,14 @@ class Merged:
     warnings: tuple[str, ...]
 
 
+_CHECKED = {
+    Source.CAMERA: "camera.roi and the video",
+    Source.INFRARED: "infrared.roi and the pictures",
+    Source.RADAR: "what the radar sees",
+    Source.DISPLACEMENT: "the displacement file",
+}
+
+
 def merged(blocks: Sequence[Displacement], acceleration: Acceleration, kalman: KalmanSettings) -> Merged:
     """Bring all blocks to the zero of the first one by the robust middle of their difference where they overlap.
 
@@ -47,10 +55,9 @@ def merged(blocks: Sequence[Displacement], acceleration: Acceleration, kalman: K
         both = joined([first, replace(other, value_m=other.value_m - float(np.median(apart)))])
         first = part(both, np.argsort(both.time_ns, kind="stable"))
     if not np.isfinite(first.value_m).any():
-        raise DataError(
-            "No frame could be tracked and no displacement is left; check camera.roi and the video, or "
-            "what the radar sees."
-        )
+        tried = dict.fromkeys(int(code) for block in blocks for code in np.unique(block.source))
+        told = " and ".join(_CHECKED[Source(code)] for code in tried if Source(code) in _CHECKED)
+        raise DataError(f"No frame could be tracked and no displacement is left; check {told or 'the sensors'}.")
     return Merged(first, tuple(levels), tuple(warnings))
 
 

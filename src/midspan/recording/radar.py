@@ -12,7 +12,14 @@ from midspan.errors import DataError, UntrustedError, UsageError
 from midspan.radar.blockage import BlockageSettings
 from midspan.radar.channels import noise_variance
 from midspan.radar.measurement import TargetSeries
-from midspan.radar.target import LARGEST_CLUTTER, Target, at_place, find_targets, ranked
+from midspan.radar.target import (
+    LARGEST_CLUTTER,
+    LARGEST_RELATIVE_STD,
+    Target,
+    at_place,
+    find_targets,
+    ranked,
+)
 from midspan.recording.calibrate_camera import measured_rows
 from midspan.recording.progress import Progress
 from midspan.recording.radar_calibration import RadarCalibration, RadarDiagnostics, RadarTarget
@@ -22,22 +29,17 @@ from midspan.recording.radar_frames import (
     TargetPhasors,
     bin_m_of,
     bins_of,
-    collected,
-    samples_of,
     together,
     without_holes,
 )
 from midspan.recording.radar_track import target_series
+from midspan.recording.radar_window import LEAST_FRAMES, opened_window
 from midspan.recording.recording import Recording
-from midspan.recording.span import inside, require_overlap
-from midspan.recording.window import window_ends
+from midspan.recording.span import inside
 from midspan.records import NANOSECONDS, Floats, TimeOffset
 from midspan.signals.health import runs
 from midspan.sources.radar.radar_source import RadarInfo
 
-# Complex values of range profiles that are kept of the window at most: 128 MB.
-MOST_VALUES = 1 << 24
-LEAST_FRAMES = 100
 # Rows that the likelihood is evaluated on at most; a faster radar is thinned.
 MOST_ROWS = 8000
 # A target whose clock offset leaves the others' by more than this many standard deviations, and this much, is wrong.
@@ -45,7 +47,9 @@ OFFSET_STD, LEAST_OFFSET_S = 5.0, 3e-3
 # The two ways to the factor, closed form and likelihood, may differ by so many standard deviations before that is put
 # into the stated one.
 AGREED_STD = 3.0
-WARNED_ABOVE, WARNED_OFFSET_S, WARNED_LOST = 0.01, 2e-3, 0.02
+WARNED_ABOVE, WARNED_OFFSET_S = 0.01, 2e-3
+# A factor below 1 by more than this share, and by so many standard deviations, is that of no fixed target.
+LEAST_SHORT, SHORT_STD = 0.02, 5.0
 # A target farther than this from the range that was asked for is another one, m.
 FARTHEST_M = 0.5
 # Where targets are hidden in the window for so many frames on end, its longest clear part is used if it is this share
@@ -70,15 +74,10 @@ def calibrate_radar(recording: Recording, progress: Progress) -> RadarFit:
     Raises UntrustedError, with the reason, where no target follows the accelerometer well enough, DataError where the
     window holds too few frames.
     """
-    frames, told = _window(recording, progress)
+    window = opened_window(recording, progress)
+    frames, samples, told, (origin, max_offset) = window.frames, window.samples, window.told, window.clock
     source, section = recording.radar, recording.settings.radar
     assert section is not None
-    first, last = window_ends(recording)
-    origin = int(frames.time_ns[0])
-    frames = replace(frames, time_ns=frames.time_ns - origin)
-    max_offset = min(recording.settings.calibration.max_offset_s, 0.1 * float(frames.time_ns[-1]) / NANOSECONDS)
-    margin = round((max_offset + 1.0) * NANOSECONDS)
-    samples = samples_of(recording.prepared, origin, (first - margin, last + margin))
     given = (max_offset, section.targets)
     found, frames, hidden = _clearly_seen(frames, samples, source.info, given)
     found, frames = _at_one_pace(found, frames, samples, (source.info, max_offset))
@@ -86,8 +85,8 @@ def calibrate_radar(recording: Recording, progress: Progress) -> RadarFit:
     targets, offset = _chosen(found, section.targets, section.target_range_m)
     best = next(item.target for item in targets if item.used)
     unit = source.info.axis.phase_per_m(best.range_m)
-    series = target_series(_phasors(frames, best, source.info), best, (unit, bin_m_of(source.info), samples))
-    search = _searched(recording, whole, series, (origin, max_offset))
+    series = target_series(phasors_of(frames, best, source.info), best, (unit, bin_m_of(source.info), samples))
+    search = searched(recording, whole, series, (origin, max_offset))
     _refuse_ambiguity(search, max_offset)
     targets, told_factor = _widened(targets, search)
     used = [item.target for item in targets if item.used]
@@ -98,43 +97,10 @@ def calibrate_radar(recording: Recording, progress: Progress) -> RadarFit:
         relative_std=_relative_std(used),
         carrier_hz=source.info.carrier_hz,
         channels=source.info.channels,
-        diagnostics=_diagnostics(source.info.axis.range_m, source.info.limit_speed_m_s, whole, (best, series, unit)),
+        diagnostics=diagnostics_of(source.info.axis.range_m, source.info.limit_speed_m_s, whole, (best, series, unit)),
     )
     warnings = (*source.info.warnings, *told, *hidden, *told_factor, *_warnings(calibration))
     return RadarFit(calibration, search.fit.input_density, tuple(warnings))
-
-
-def _window(recording: Recording, progress: Progress) -> tuple[RadarFrames, list[str]]:
-    """The range profiles of the calibration window, no more of them than memory allows."""
-    source, prepared = recording.radar, recording.prepared
-    times = source.times_ns()
-    if not len(times):
-        raise DataError(f"radar.file = {recording.settings.radar.file!r}: holds no frames.")  # type: ignore[union-attr]
-    require_overlap(prepared.time_ns, times, "radar")
-    first, last = window_ends(recording)
-    # At the largest clock offset the frames must still lie inside the accelerometer's samples.
-    margin = round(recording.settings.calibration.max_offset_s * NANOSECONDS)
-    first = max(first, int(prepared.time_ns[0]) + margin)
-    last = min(last, int(prepared.time_ns[-1]) - margin)
-    used = inside(times, first, last)
-    if used.stop - used.start < LEAST_FRAMES:
-        raise DataError(
-            f"radar: {max(used.stop - used.start, 0)} frames lie in the calibration window (those within "
-            f"calibration.max_offset_s of the accelerometer's ends are left out); at least {LEAST_FRAMES} are needed. "
-            "Widen calibration.window_s or bring the clocks together with radar.start_s."
-        )
-    most = MOST_VALUES // max(source.info.channels * source.info.bins, 1)
-    told = []
-    if used.stop - used.start > most:
-        used = slice(used.start, used.start + max(most, LEAST_FRAMES))
-        length_s = (int(times[used.stop - 1]) - int(times[used.start])) / NANOSECONDS
-        told.append(f"radar: only the first {length_s:.3g} s of the calibration window are used, to save memory.")
-    blocks = source.profiles(used.start, used.stop)
-    frames = collected(blocks, used.stop - used.start, progress, "reading the radar's calibration window")
-    holes = float(np.mean(~frames.valid.all(axis=1)))
-    if holes > WARNED_LOST:
-        told.append(f"radar: {100 * holes:.2g} % of the frames in the calibration window have holes (lost packets).")
-    return frames, told
 
 
 def _clearly_seen(
@@ -145,7 +111,7 @@ def _clearly_seen(
     given: largest clock offset (s) and how many targets are used. What stands before a target would be taken for its
     noise.
     """
-    found = _found(frames, samples, info, given[0])
+    found = found_targets(frames, samples, info, given[0])
     best = [target for target in found if not target.objection]
     best = sorted(best, key=lambda target: target.noise_m)[: given[1]]
     if not best:
@@ -161,14 +127,16 @@ def _clearly_seen(
     text = (
         f"radar: something hid a target in the calibration window; its longest clear part, {length_s:.3g} s, was used."
     )
-    return _found(frames, samples, info, given[0]), frames, [text]
+    return found_targets(frames, samples, info, given[0]), frames, [text]
 
 
-def _found(frames: RadarFrames, samples: Floats, info: RadarInfo, max_offset_s: float) -> tuple[Target, ...]:
+def found_targets(frames: RadarFrames, samples: Floats, info: RadarInfo, max_offset_s: float) -> tuple[Target, ...]:
     """All targets of the frames, beside the accelerometer."""
     whole = without_holes(frames)
     time_s = whole.time_ns / NANOSECONDS
-    return find_targets(whole.phasors, time_s, samples=samples, axis=info.axis, max_offset_s=max_offset_s)
+    return find_targets(
+        whole.phasors, time_s, samples=samples, axis=info.axis, max_offset_s=max_offset_s, valid=whole.valid
+    )
 
 
 def _at_one_pace(
@@ -191,7 +159,7 @@ def _at_one_pace(
     middle = 0.5 * float(frames.time_ns[0] + frames.time_ns[-1])
     late_ns = np.rint(skew * (frames.time_ns - middle)).astype(np.int64)
     frames = replace(frames, time_ns=frames.time_ns + late_ns)
-    return _found(frames, samples, given[0], given[1]), frames
+    return found_targets(frames, samples, given[0], given[1]), frames
 
 
 def _longest_clear(frames: RadarFrames, targets: Sequence[Target]) -> slice:
@@ -211,7 +179,7 @@ def _longest_clear(frames: RadarFrames, targets: Sequence[Target]) -> slice:
     return slice(starts[k], ends[k])
 
 
-def _phasors(frames: RadarFrames, target: Target, info: RadarInfo) -> TargetPhasors:
+def phasors_of(frames: RadarFrames, target: Target, info: RadarInfo) -> TargetPhasors:
     """The phasors of one target out of whole profiles."""
     bins = bins_of(target, info)
     single = len(bins) == 1
@@ -224,7 +192,7 @@ def _chosen(found: tuple[Target, ...], most: int, range_m: float | None) -> tupl
     best_first = list(ranked(found))
     if range_m is not None:
         best_first = [_nearest(found, range_m)]
-    agreed, offset = _one_clock(best_first)
+    agreed, offset = one_clock(best_first)
     used = [target for target, reason in zip(best_first, agreed, strict=True) if not reason][:most]
     rest = [target for target in found if not any(target is one for one in used)]
     reasons = dict(zip(map(id, best_first), agreed, strict=True))
@@ -236,6 +204,17 @@ def _chosen(found: tuple[Target, ...], most: int, range_m: float | None) -> tupl
 
 def _nearest(found: tuple[Target, ...], range_m: float) -> Target:
     """The target nearest to a wanted range, refused where it cannot be used."""
+    target = nearest_peak(found, range_m)
+    if target.objection:
+        raise UntrustedError(
+            f"radar.target_range_m = {range_m:g}: the target nearest to it, at {target.range_m:.2f} m, cannot be used: "
+            f"{target.objection}. Give another range (`midspan inspect` lists the peaks) or take the key out."
+        )
+    return target
+
+
+def nearest_peak(found: tuple[Target, ...], range_m: float) -> Target:
+    """The target nearest to a wanted range, usable or not."""
     known = [target for target in found if np.isfinite(target.range_m)]
     if not known:
         raise DataError("radar.target_range_m: this file does not say the ranges of its bins. Take the key out.")
@@ -245,15 +224,10 @@ def _nearest(found: tuple[Target, ...], range_m: float) -> Target:
             f"radar.target_range_m = {range_m:g}: must be within {FARTHEST_M:g} m of a target; the nearest is at "
             f"{target.range_m:.2f} m. `midspan inspect` lists the peaks."
         )
-    if target.objection:
-        raise UntrustedError(
-            f"radar.target_range_m = {range_m:g}: the target nearest to it, at {target.range_m:.2f} m, cannot be used: "
-            f"{target.objection}. Give another range (`midspan inspect` lists the peaks) or take the key out."
-        )
     return target
 
 
-def _one_clock(targets: Sequence[Target]) -> tuple[list[str], TimeOffset]:
+def one_clock(targets: Sequence[Target]) -> tuple[list[str], TimeOffset]:
     """Why a target contradicts the others' clock offset (empty: it does not), and the offset of those that agree."""
     offset = np.array([target.time_offset_s for target in targets])
     std = np.array([target.time_offset_std_s for target in targets])
@@ -274,7 +248,7 @@ def _one_clock(targets: Sequence[Target]) -> tuple[list[str], TimeOffset]:
     return reasons, TimeOffset(mean, max(float(std[kept].min()), scatter) ** 2)
 
 
-def _searched(recording: Recording, whole: RadarFrames, series: TargetSeries, given: tuple[int, float]) -> OffsetSearch:
+def searched(recording: Recording, whole: RadarFrames, series: TargetSeries, given: tuple[int, float]) -> OffsetSearch:
     """Clock offset, factor and noise levels of the best target by maximum likelihood: a second way to all of them."""
     origin, max_offset = given
     prepared = recording.prepared
@@ -317,6 +291,13 @@ def _widened(targets: tuple[RadarTarget, ...], search: OffsetSearch) -> tuple[tu
         f"radar: the conversion factor of the target at {best.range_m:.2f} m is {best.conversion_factor:.5g} by its "
         f"acceleration and {1 / fit.ratio:.5g} by likelihood; the difference was added to its uncertainty."
     )
+    if apart > LARGEST_RELATIVE_STD:
+        raise UntrustedError(
+            f"radar: the conversion factor of the target at {best.range_m:.2f} m is {best.conversion_factor:.4g} by its "
+            f"acceleration and {1 / fit.ratio:.4g} by likelihood: {100 * apart:.2g} % apart, at most "
+            f"{100 * LARGEST_RELATIVE_STD:g} % are allowed. Something else moves in its bin, or it moves by itself. "
+            "Choose another with radar.target_range_m, or calibrate (calibration.window_s) on a time without it."
+        )
     return tuple(_wider(item, apart) if item.used else item for item in targets), [text]
 
 
@@ -343,6 +324,7 @@ def _warnings(calibration: RadarCalibration) -> list[str]:
     if std > WARNED_OFFSET_S:
         found.append(f"radar: the clock offset is known to ± {1e3 * std:.1f} ms only (one standard deviation).")
     best = calibration.best
+    found += _too_small(calibration.used)
     if best.clutter > LARGEST_CLUTTER and not best.leak:
         found.append(
             f"radar: something else of {100 * best.clutter:.0f} % of its amplitude lies in the bin of the target at "
@@ -351,7 +333,20 @@ def _warnings(calibration: RadarCalibration) -> list[str]:
     return found
 
 
-def _diagnostics(
+def _too_small(used: Sequence[Target]) -> list[str]:
+    """A sentence where a factor is below 1, which no fixed target has: it is one over the cosine of an angle."""
+    worst = min(used, key=lambda target: abs(target.conversion_factor))
+    least = 1.0 - max(LEAST_SHORT, SHORT_STD * worst.relative_std)
+    if abs(worst.conversion_factor) >= least:
+        return []
+    return [
+        f"radar: the conversion factor {worst.conversion_factor:.4g} of the target at {worst.range_m:.2f} m is below 1, "
+        "which a fixed target cannot have. Check accelerometer.unit (1 g is 9.81 m/s²) and the accelerometer's "
+        "sensitivity, carrier and slope in radar.config, and that the path is not reflected twice."
+    ]
+
+
+def diagnostics_of(
     range_m: Floats, limit_m_s: float, whole: RadarFrames, best: tuple[Target, TargetSeries, float]
 ) -> RadarDiagnostics:
     """What the report draws; best: target, its series and rad per m of range."""

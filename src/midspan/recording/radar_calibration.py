@@ -47,7 +47,8 @@ class RadarCalibration:
 
     targets: all that were found, the used ones first and of these the best one first; offset: of the radar's clock,
     shared by all; variance_factor: learnt variance over what the signal-to-noise ratio says; relative_std: of the
-    conversion factors of the used targets together; carrier_hz, channels: of the radar that it was made with.
+    conversion factors of the used targets together; carrier_hz, channels: of the radar that it was made with; literal:
+    target, factor and unwrapping as printed (`radar_literal`).
     """
 
     targets: tuple[RadarTarget, ...]
@@ -56,6 +57,7 @@ class RadarCalibration:
     relative_std: float
     carrier_hz: float
     channels: int
+    literal: bool = False
     diagnostics: RadarDiagnostics | None = field(default=None, compare=False, repr=False)
 
     @property
@@ -82,6 +84,7 @@ class RadarCalibration:
             "variance_factor": self.variance_factor,
             "carrier_hz": self.carrier_hz,
             "channels": self.channels,
+            "literal": self.literal,
             "targets": [_target_dict(item) for item in self.targets],
         }
 

@@ -35,6 +35,7 @@ def radar_of(tree: dict[str, Any]) -> RadarCalibration:
         relative_std=std(tree, "radar.relative_std", targets[0].target.relative_std),
         carrier_hz=number(tree, "radar.carrier_hz", positive=True),
         channels=int(channels),
+        literal=tree.get("literal") is True,
     )
 
 

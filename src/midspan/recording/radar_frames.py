@@ -147,7 +147,8 @@ def check_same_radar(source: RadarSource, calibration: RadarCalibration) -> None
 def without_holes(frames: RadarFrames) -> RadarFrames:
     """The frames on an even grid with every hole filled: by the channel before, turned as the other channels turned.
 
-    A window's profiles must be whole and even to be searched for targets; what is filled in is no measurement.
+    A window's profiles must be whole and even to be searched for peaks; what is filled in is no measurement and stays
+    marked in `valid` as not received.
     """
     places = even_places(frames.time_ns)
     if frames.valid.all() and places[-1] + 1 == len(places):

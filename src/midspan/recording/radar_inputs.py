@@ -13,6 +13,7 @@ from midspan.recording.calibration import Calibration
 from midspan.recording.fuse import CourseError, LevelError, SensorError
 from midspan.recording.open_tracking import frames_used
 from midspan.recording.progress import Progress
+from midspan.recording.radar_literal import literal_track
 from midspan.recording.radar_trace import RadarTrace
 from midspan.recording.radar_track import RadarTrack, track_targets
 from midspan.recording.recording import Recording
@@ -26,6 +27,8 @@ BRIDGED_S = 30.0
 LEAST_OUTAGE_S = 0.1
 # A target whose phase the accelerometer does not explain, or that is seen less than this, is worth telling.
 LEAST_SEEN = 0.9
+CONTRADICTION = "radar: the targets contradict each other; the error band was widened by their distance"
+LEFT_OUT = "moved by itself or lost its cycle (it contradicts the accelerometer or the other targets): left out"
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +65,8 @@ def radar_inputs(
     times, accelerations = source.times_ns(), recording.prepared.time_ns
     require_overlap(accelerations, times, "radar")
     margin = round(recording.settings.calibration.max_offset_s * NANOSECONDS)
-    track = track_targets(source, known, recording.prepared, frames_used(times, accelerations, margin), progress)
+    follow = literal_track if known.literal else track_targets
+    track = follow(source, known, recording.prepared, frames_used(times, accelerations, margin), progress)
     seen = np.flatnonzero(np.isfinite(track.measured.value_m))
     if not len(seen):
         raise DataError(
@@ -75,7 +79,8 @@ def radar_inputs(
     events = _events(track, known.used, levels)
     told = [*(() if clock is None else clock.warnings), *_warnings(track, source.info.warnings, calibration)]
     stamps = measured.time_ns
-    bends = tuple(CourseError(Source.RADAR, stamps, bent) for bent in track.bent_m if bent.any())
+    lasting = (*track.bent_m, *(() if track.apart_m is None else (track.apart_m,)))
+    bends = tuple(CourseError(Source.RADAR, stamps, error_m) for error_m in lasting if error_m.any())
     return RadarInputs(
         measured=part(measured, slice(int(seen[0]), None)),
         error=SensorError(Source.RADAR, known.relative_std, std_s),
@@ -146,10 +151,14 @@ def _events(track: RadarTrack, targets: tuple[Target, ...], levels: tuple[LevelE
         for level in levels
     ]
     found += _outages(time_ns, track.lost, "lost frames", "radar: no whole frame arrived")
-    for target, series in zip(targets, track.targets, strict=True):
+    if track.apart_m is not None:
+        found += _outages(time_ns, track.apart_m > 0.0, "contradiction", CONTRADICTION)
+    left_out = np.zeros((len(targets), len(time_ns)), dtype=np.bool_) if track.left_out is None else track.left_out
+    for target, series, left in zip(targets, track.targets, left_out, strict=True):
         hidden = (series.status[places] != Status.TRACKING) & ~track.lost
         name = "radar: the target" if len(targets) == 1 else f"radar: the target at {target.range_m:.2f} m"
         found += _outages(time_ns, hidden, "blocked", f"{name} was not seen")
+        found += _outages(time_ns, left, "left out", f"{name} {LEFT_OUT}")
         for verdict in series.verdicts:
             at = int(time_ns[min(int(np.searchsorted(places, verdict.frame)), len(time_ns) - 1)])
             if verdict.verdict != "new datum":

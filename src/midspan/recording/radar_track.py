@@ -6,10 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from midspan.radar.channels import Phasors
+from midspan.radar.departures import departures
 from midspan.radar.following import LEAST_EXCURSION_BINS, at_places
 from midspan.radar.measurement import TargetFrames, TargetSeries, displacement
 from midspan.radar.range_profile import coarse_range, half_kernel
-from midspan.radar.several import SeveralTargets
+from midspan.radar.several import record_combined
 from midspan.radar.target import Target
 from midspan.recording.acceleration import PreparedAcceleration
 from midspan.recording.progress import Progress
@@ -47,6 +48,8 @@ class RadarTrack:
     lost: NDArray[np.bool_]
     datums: tuple[int, ...]
     bent_m: Floats
+    left_out: NDArray[np.bool_] | None = None
+    apart_m: Floats | None = None
     trace: RadarTrace | None = field(default=None, repr=False)
     clock: RadarClock | None = field(default=None, repr=False)
 
@@ -98,7 +101,7 @@ def track_targets(
     check_same_radar(source, calibration)
     targets = tuple(replace(t, time_offset_s=calibration.offset.value_s) for t in calibration.used)
     wanted = [(target, bins_of(target, source.info)) for target in targets]
-    own = _read(source, wanted, used, progress)
+    own = read_targets(source, wanted, used, progress)
     origin = int(own[0].time_ns[0])
     samples = samples_of(prepared, origin)
     clock = _clock(source, own[0], targets[0], (origin, samples))
@@ -108,7 +111,7 @@ def track_targets(
     if wide:
         # Some moved further than in the calibration: once more, with all bins that they went through.
         again = [(targets[k], bins_of(targets[k], source.info, series[k].excursion_m)) for k in wide]
-        for k, read in zip(wide, _read(source, again, used, progress), strict=True):
+        for k, read in zip(wide, read_targets(source, again, used, progress), strict=True):
             found = replace(read, time_ns=clock.time_ns)
             own[k], series[k] = found, _series(source, found, targets[k], (origin, samples))
     for k, target in enumerate(targets):
@@ -117,13 +120,15 @@ def track_targets(
             coarse = _coarse(source, target, used)
             series[k] = _series(source, own[k], target, (origin, samples), coarse)
     lost = np.asarray(~np.isfinite(own[0].phasors).all(axis=1))
-    track = _together(own[0].time_ns, series, calibration, (lost, source.info.axis.phase_per_m(targets[0].range_m)))
+    given = (lost, source.info.axis.phase_per_m(targets[0].range_m), origin, samples)
+    track = _together(own[0].time_ns, series, calibration, given)
     return replace(track, trace=_trace(source, targets, track, own), clock=clock)
 
 
-def _read(
+def read_targets(
     source: RadarSource, wanted: list[tuple[Target, Floats]], used: slice, progress: Progress
 ) -> list[TargetPhasors]:
+    """The phasors of several targets, each at its bins, through the frames `used` in one pass."""
     bins = np.concatenate([bins for _, bins in wanted])
     return fetched(source.slow_time(bins, used.start, used.stop), wanted, used.stop - used.start, progress)
 
@@ -182,18 +187,25 @@ def _together(
     time_ns: Nanoseconds,
     series: list[TargetSeries],
     calibration: RadarCalibration,
-    given: tuple[NDArray[np.bool_], float],
+    given: tuple[NDArray[np.bool_], float, int, Floats],
 ) -> RadarTrack:
     """One displacement out of all targets'; time_ns (n,): on the radar's clock.
 
-    given: frames (n,) of which nothing arrived, and rad per m of range at the best target.
+    given: frames (n,) of which nothing arrived, rad per m of range at the best target, and `samples_of` with what
+    their time counts from.
     """
+    lost, phase_per_m, origin, samples = given
     places = even_places(time_ns)
     rate = NANOSECONDS / float(np.median(np.diff(time_ns)))
+    frame_s = np.interp(np.arange(int(places[-1]) + 1), places, seconds(time_ns, origin)) + calibration.offset.value_s
     value = np.stack([one.value_m for one in series])
     variance = np.stack([one.variance_m2 for one in series]) * calibration.variance_factor
     guessed = np.stack([one.new_datum for one in series])
-    total, spread, begins = SeveralTargets(len(series), rate).push(value, variance, guessed)
+    relative = np.array([target.relative_std for target in calibration.used])
+    moved = departures(frame_s, value, variance, samples=samples, relative_std=relative)
+    targets, (total, spread, begins) = record_combined(
+        value, variance, rate, told=(guessed, moved), relative_std=relative
+    )
     measured = Displacement(
         time_ns=time_ns + round(calibration.offset.value_s * NANOSECONDS),
         value_m=total[places],
@@ -204,9 +216,11 @@ def _together(
         measured=measured,
         targets=tuple(series),
         places=places,
-        lost=given[0],
+        lost=lost,
         datums=tuple(int(k) for k in np.flatnonzero(begins[places])),
-        bent_m=_bent(series, variance, given[1])[:, places],
+        bent_m=_bent(series, np.where(targets.left_out, np.inf, variance), phase_per_m)[:, places],
+        left_out=targets.left_out[:, places],
+        apart_m=targets.apart_m[places],
     )
 
 

@@ -60,7 +60,7 @@ def over_time(material: Material) -> Picture:
         label: handle for axes in strengths for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
     }
     strengths[0].legend(
-        drawn.values(), drawn.keys(), loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4, borderaxespad=0.2
+        drawn.values(), drawn.keys(), loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=5, borderaxespad=0.2
     )
     strip.set_xlabel(material.clock.label)
     strip.set_xlim(material.t[0], material.t[-1])
@@ -79,6 +79,7 @@ def _strength(axes: "Axes", material: Material, eye: Eye) -> None:
     for kind, colour, line, label in (
         ("reference", PURPLE, ":", "another reference frame"),
         ("shutter", BLACK, "-", "shutter"),
+        ("hidden", ORANGE, "-", "something in front"),
     ):
         found = places(material, [event for event in eye.events if event.kind == kind])
         if len(found):

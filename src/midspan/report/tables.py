@@ -112,8 +112,9 @@ def calibration(material: Material) -> list[Row]:
     """The calibration's values with their standard deviations."""
     found = material.result.calibration
     rows: list[Row] = []
-    if found.camera is not None:
-        rows += _camera(found.camera)
+    for camera in (found.camera, found.infrared):
+        if camera is not None:
+            rows += _camera(camera)
     if found.radar is not None:
         rows += _radar(found.radar)
     if found.displacement is not None:
@@ -128,14 +129,14 @@ def calibration(material: Material) -> list[Row]:
 
 def _camera(camera: CameraCalibration) -> list[Row]:
     value, std = 1e3 * camera.scale.value_m_per_px, 1e3 * math.sqrt(camera.scale.variance)
-    region = camera.region
+    region, sensor = camera.region, camera.source.word
     return [
-        ("camera: scale factor", f"{value:.6g} ± {std:.2g} mm/px ({100 * std / abs(value):.2g} %)"),
-        ("camera: clock offset", _offset(camera.offset)),
-        ("camera: noise", f"{camera.noise_std_px:.3g} px a frame, {abs(value) * camera.noise_std_px:.3g} mm"),
-        ("camera: learnt variance over the tracker's own", f"{camera.variance_factor:.3g}"),
-        ("camera: region", f"x {region.x}, y {region.y}, {region.width} × {region.height} px"),
-        ("camera: direction, tracker", f"{camera.direction}, {camera.tracker}"),
+        (f"{sensor}: scale factor", f"{value:.6g} ± {std:.2g} mm/px ({100 * std / abs(value):.2g} %)"),
+        (f"{sensor}: clock offset", _offset(camera.offset)),
+        (f"{sensor}: noise", f"{camera.noise_std_px:.3g} px a frame, {abs(value) * camera.noise_std_px:.3g} mm"),
+        (f"{sensor}: learnt variance over the tracker's own", f"{camera.variance_factor:.3g}"),
+        (f"{sensor}: region", f"x {region.x}, y {region.y}, {region.width} × {region.height} px"),
+        (f"{sensor}: direction, tracker", f"{camera.direction}, {camera.tracker}"),
     ]
 
 

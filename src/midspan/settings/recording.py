@@ -38,7 +38,7 @@ class FusionSettings(Section):
 
     method: Annotated[str, known(METHODS, "method")] = Field("smoother", description="see `midspan methods`")
     lag_s: PositiveNumber = Field(0.5, description="delay of the method `lag`, s; longer is nearer to the smoother")
-    literal: bool = Field(False, strict=True, description="a paper's method exactly as printed, without guard")
+    literal: bool = Field(False, strict=True, description="a paper's method as printed, without guard; radar too")
     switching: Literal["variance", "matches"] = Field(
         "variance", description="how two cameras are believed: both by their variances, or the one with more matches"
     )

@@ -30,9 +30,9 @@ class Wall:
     slope_right: Scene
     slope_down: Scene
     post_at_px: float
-    post_px: float = 30.0
-    post_wide_px: float = 7.0
-    eaves_px: float = 14.0
+    post_px: float
+    post_wide_px: float
+    eaves_px: float
 
     @property
     def size_px(self) -> tuple[int, int]:
@@ -83,11 +83,19 @@ def wall_in_relief(
 
     shape = canvas_shape(*size_px, reach_px=reach_px)
     height = gaussian_filter(natural(shape, 1.0, rng=rng), RELIEF_BLUR_PX * SAMPLES, mode="wrap")
-    scenes = [scene_of(natural(shape, 26.0, rng=rng), reach_px=reach_px)]
-    for axis in (1, 0):
-        rise = np.roll(height, -1, axis) - np.roll(height, 1, axis)
-        scenes.append(scene_of(rise * (100.0 * slope / rise.std()), reach_px=reach_px))
-    return Wall(scenes[0], scenes[1], scenes[2], post_at_px=0.45 * size_px[1])
+    reflection = scene_of(natural(shape, 26.0, rng=rng), reach_px=reach_px)
+    rises = [np.roll(height, -1, axis) - np.roll(height, 1, axis) for axis in (1, 0)]
+    right, down = (scene_of(rise * (100.0 * slope / rise.std()), reach_px=reach_px) for rise in rises)
+    rows, columns = size_px
+    return Wall(
+        reflection,
+        right,
+        down,
+        post_at_px=0.45 * columns,
+        post_px=0.13 * columns,
+        post_wide_px=0.03 * columns,
+        eaves_px=0.08 * rows,
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,6 +8,7 @@ instead of log det: Y. Peng and others, "RASL", 2012, doi 10.1109/TPAMI.2011.282
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
 from midspan.records import Floats
 from midspan.vision.reference_light import BLOCKS, TRUST, Mix, steadiness
@@ -33,8 +34,8 @@ class Alignment:
 
 def aligned(mix: Mix) -> Alignment:
     """Where the pictures lie such that they are mixes of each other, pixels that are not counting less."""
-    count = mix.pictures.shape[1]
-    columns = np.hstack([mix.pictures, *mix.slopes]).astype(np.float64)
+    count = len(mix.pictures)
+    columns = np.concatenate([mix.pictures, *mix.slopes]).T.astype(np.float64)
     value, across, down = (columns[:, k * count : (k + 1) * count] for k in range(3))
     moves, weight = np.zeros((count, 2)), mix.weight.astype(np.float64)
     for _ in range(REWEIGHTED):
@@ -48,10 +49,11 @@ def aligned(mix: Mix) -> Alignment:
     without -= without.mean(axis=0)
     scale = (BLOCKS**2 - 1.0) / BLOCKS**2
     # Here all pixels count: what the weights leave out is what is to be told.
-    alone = steadiness(value + across * moves[:, 0] + down * moves[:, 1], np.ones(len(weight)))[1]
+    alone = steadiness(value + across * moves[:, 0] + down * moves[:, 1], (weight > 0.0).astype(np.float64))[1]
     return Alignment(moves, scale * np.einsum("bia,bja->aij", without, without), alone)
 
 
+@njit(cache=True)
 def _least(products: Floats, moves: Floats, rounds: int) -> Floats:
     """Moves (n, 2) of least log det from `products` (3 n, 3 n) of pictures and slopes, from `moves` on.
 
@@ -59,20 +61,29 @@ def _least(products: Floats, moves: Floats, rounds: int) -> Floats:
     round goes to that sum's least.
     """
     count = len(moves)
-    index = np.arange(count)
-    free = np.r_[1:count, count + 1 : 2 * count]
-    slopes = products[count:, count:]
+    moves = moves.copy()
     for _ in range(rounds):
         lift = np.zeros((3 * count, count))
-        for plane, amount in enumerate((np.ones(count), *moves.T)):
-            lift[plane * count + index, index] = amount
+        for i in range(count):
+            lift[i, i] = 1.0
+            lift[count + i, i] = moves[i, 0]
+            lift[2 * count + i, i] = moves[i, 1]
         moved = products @ lift
         weight = np.linalg.inv(lift.T @ moved + TRUST**2 * np.eye(count))
-        curve = np.tile(weight, (2, 2)) * slopes
-        pull = (np.tile(weight, (2, 1)) * moved[count:]).sum(axis=1)
-        step = np.zeros(2 * count)
-        step[free] = -np.linalg.solve(curve[np.ix_(free, free)], pull[free])
-        moves = np.clip(moves + step.reshape(2, count).T, -FARTHEST_PX, FARTHEST_PX)
+        # Unknowns: along x, then along y, of all pictures but the first.
+        unknown = 2 * (count - 1)
+        curve, pull = np.empty((unknown, unknown)), np.zeros(unknown)
+        for a in range(unknown):
+            i, row = a % (count - 1) + 1, count * (1 + a // (count - 1))
+            for b in range(unknown):
+                j, column = b % (count - 1) + 1, count * (1 + b // (count - 1))
+                curve[a, b] = weight[i, j] * products[row + i, column + j]
+            for j in range(count):
+                pull[a] += weight[i, j] * moved[row + i, j]
+        step = np.linalg.solve(curve, pull)
+        for a in range(unknown):
+            i, axis = a % (count - 1) + 1, a // (count - 1)
+            moves[i, axis] = min(max(moves[i, axis] - step[a], -FARTHEST_PX), FARTHEST_PX)
         if np.abs(step).max() < ENOUGH_PX:
             break
     return moves

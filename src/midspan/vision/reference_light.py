@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from midspan.records import Floats, Region
+from midspan.vision.reference_kernels import agreement, block_scores, picture_shares, settled, spline_grid
 from midspan.vision.spline import REACH, Floats32, coefficients, combine, translated, weights
 from midspan.vision.texture import lowpass_taps, values
 from midspan.vision.zncc import smooth
@@ -21,6 +22,7 @@ SMOOTHING_PX = 0.7
 TAPS = lowpass_taps(SMOOTHING_PX).astype(np.float32)
 EDGE_PX = 2 * REACH  # of picture around the window: the spline's reach, and what its mirror at the border spoils
 CONTEXT_PX = 2  # of frame beyond that, for the same reason
+CELLS = 6  # a side: where something stands in front is told by smaller blocks
 BLOCKS = 4  # a side: light and relief differ from block to block, and so do their errors
 TRUST = 0.05  # standard deviation of a mix that pictures leave open, as a share of their contrast
 ROUNDS = 6
@@ -55,58 +57,84 @@ def sight(pixels: NDArray[np.generic], region: Region, place: Floats) -> Sight |
         (region.x, region.width, whole[0], pixels.shape[1]),
     ):
         lines.append(np.clip(np.arange(first - margin, first + size + margin) + int(moved), 0, limit - 1))
-    cut = pixels[np.ix_(*lines)]
-    finite = cut[np.isfinite(cut)]
+    (top, bottom), (left, right) = ((int(line[0]), int(line[-1]) + 1) for line in lines)
+    inner = bottom - top == len(lines[0]) and right - left == len(lines[1])
+    cut = pixels[top:bottom, left:right] if inner else pixels[np.ix_(*lines)]
+    finite = cut if cut.dtype.kind in "iub" else cut[np.isfinite(cut)]
     raw = values(cut, float(finite.mean())) if finite.size else None
     if raw is None:
         return None
-    grid = coefficients(smooth(raw, TAPS).astype(np.float64))[CONTEXT_PX:-CONTEXT_PX, CONTEXT_PX:-CONTEXT_PX]
-    return Sight(np.ascontiguousarray(grid, dtype=np.float32), whole)
+    grid = spline_grid(smooth(raw, TAPS))[CONTEXT_PX:-CONTEXT_PX, CONTEXT_PX:-CONTEXT_PX]
+    return Sight(np.ascontiguousarray(grid), whole)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mix:
-    """Pictures (pixels, n) of mean 0 and length 1 and a level; their slopes (2, pixels, n) along x and y per px of the
-    picture moved, the number of the block that each pixel lies in (pixels,), and how far each pixel keeps to the mix.
+    """Pictures (n, pixels) of mean 0 and length 1 and a level; their slopes (2, n, pixels) along x and y per px of the
+    picture moved, the number of the block that each pixel lies in (pixels,), and of the smaller cell, and how far each
+    pixel keeps to the mix, 0 where one of the pictures does not show the target.
     """
 
     columns: Floats32
     slopes: Floats32
     block: NDArray[np.int64]
+    cell: NDArray[np.int64]
     weight: Floats32
 
     @property
     def pictures(self) -> Floats32:
-        """The pictures (pixels, n) without the level."""
-        return self.columns[:, :-1]
+        """The pictures (n, pixels) without the level."""
+        return self.columns[:-1]
+
+    @property
+    def ridge(self) -> Floats:
+        """What keeps the mix from being a difference of nearly equal pictures; the level is free."""
+        return np.append(np.full(len(self.columns) - 1, TRUST**2), 0.0)
 
 
-def mixed(pictures: Sequence[Floats32], offsets: Sequence[Floats]) -> Mix:
-    """Pictures of one target (each with EDGE_PX around it), each read `offsets` (2,; -1 to 1 px) farther on."""
-    planes = np.stack([_planes(*pair) for pair in zip(pictures, offsets, strict=True)], axis=2)
+def mixed(pictures: Sequence[Floats32], offsets: Sequence[Floats], shown: NDArray[np.bool_] | None = None) -> Mix:
+    """Pictures of one target (each with EDGE_PX around it), each read `offsets` (2,; -1 to 1 px) farther on.
+
+    shown (cells,): where all of them show the target; left out: everywhere.
+    """
+    planes = np.stack([_planes(*pair) for pair in zip(pictures, offsets, strict=True)], axis=1)
     rows, columns = (size - 2 * EDGE_PX for size in pictures[0].shape)
-    flat = planes.reshape(3, rows * columns, -1)
-    flat = flat - flat.mean(axis=1, keepdims=True)
-    flat /= np.maximum(np.linalg.norm(flat[0], axis=0), 1e-12)
-    down, across = np.arange(rows) * BLOCKS // rows, np.arange(columns) * BLOCKS // columns
-    weight = np.ones(rows * columns)
+    cell = squares(rows, columns, CELLS)
+    clear = np.ones(rows * columns) if shown is None else shown[cell].astype(np.float64)
+    planes = planes - (planes @ clear / clear.sum())[:, :, None]
+    planes /= np.maximum(np.sqrt(planes[0] ** 2 @ clear), 1e-12)[:, None]
+    weight = clear
     for _ in range(2):
-        weight = steadiness(flat[0], weight)[0]
-    block = (down[:, None] * BLOCKS + across).ravel()
-    columns = np.column_stack([flat[0], np.full(len(block), len(block) ** -0.5)])
-    return Mix(columns.astype(np.float32), flat[1:].astype(np.float32), block, weight.astype(np.float32))
+        weight = steadiness(planes[0].T, weight)[0]
+    level = np.full((1, rows * columns), (rows * columns) ** -0.5)
+    return Mix(
+        np.concatenate([planes[0], level]).astype(np.float32),
+        np.ascontiguousarray(planes[1:], dtype=np.float32),
+        squares(rows, columns, BLOCKS),
+        cell,
+        weight.astype(np.float32),
+    )
+
+
+def squares(rows: int, columns: int, side: int) -> NDArray[np.int64]:
+    """Number (rows · columns,) of the block that each pixel lies in, `side` blocks a side."""
+    down, across = np.arange(rows) * side // rows, np.arange(columns) * side // columns
+    return (down[:, None] * side + across).ravel()
 
 
 def steadiness(pictures: Floats, weight: Floats) -> tuple[Floats, Floats]:
-    """Weight (pixels,) of mean 1 by how well each pixel of each picture is a mix of the others, and the share (n,) of
-    each picture's contrast, squared, that is not. The edge of a shadow that moves is no mix; that is where it counts.
+    """Weight (pixels,) of mean 1 by how well each pixel of each picture (pixels, n) is a mix of the others, 0 where it
+    was 0, and the share (n,) of each picture's contrast, squared, that is not.
+
+    The edge of a shadow that moves is no mix; that is where it counts.
     """
     shared = pictures.T @ (weight[:, None] * pictures) + TRUST**2 * np.eye(pictures.shape[1])
     inverse = np.linalg.inv(shared)
     alone = np.diag(inverse)
     left = (((pictures @ inverse) ** 2) / alone).sum(axis=1)
-    fresh = 1.0 / (1.0 + left / max(float(np.median(left)), 1e-300))
-    return fresh / fresh.mean(), np.maximum(1.0 / alone - TRUST**2, 0.0)
+    shown = weight > 0.0
+    fresh = shown / (1.0 + left / max(float(np.median(left[shown])), 1e-300))
+    return fresh / fresh[shown].mean(), np.maximum(1.0 / alone - TRUST**2, 0.0)
 
 
 def _planes(picture: Floats32, offset: Floats) -> Floats:
@@ -122,59 +150,47 @@ def _planes(picture: Floats32, offset: Floats) -> Floats:
 @dataclass(frozen=True, slots=True, eq=False)
 class Placed:
     """Translation (2,) px and its variance (2,) px² from what blocks contradict each other; `shares` (2, n): how much
-    the place of each picture counts for x and for y.
+    the place of each picture counts for x and for y; `expected` (pixels,): the mix; `agreement` (cells,): how well it
+    is seen.
     """
 
     place: Floats
     variance: Floats
     shares: Floats
+    expected: Floats32
+    agreement: Floats
 
 
-def placed(mix: Mix, frame: Sight, start: Floats) -> Placed | None:
-    """Where the target lies in a frame, as a mix of pictures; None where that does not come to rest near `start`."""
-    place, weight = start, mix.weight
-    for _ in range(ROUNDS):
-        window = frame.window(place)
-        if window is None:
-            return None
-        seen = window[EDGE_PX:-EDGE_PX, EDGE_PX:-EDGE_PX].ravel()
-        seen = seen - seen.mean()
-        seen /= np.float32(max(float(np.linalg.norm(seen)), 1e-12))
-        amount, left, own, slope = _explained(mix, seen, weight)
-        information: Floats = (own.T @ slope).astype(np.float64)
-        if not np.linalg.det(information) > 1e-12:
-            return None
-        step = -np.linalg.solve(information, (own.T @ left).astype(np.float64))
-        place = place + step
-        if np.abs(step).max() < ENOUGH_PX:
-            return _described(mix, place, amount, (left, own, information))
-        limit = np.float32(max(ROBUST * 1.4826 * float(np.median(np.abs(left))), 1e-12))
-        weight = mix.weight / (np.float32(1.0) + (left / limit) ** 2)
-    return None
+def inside(window: Floats32) -> Floats32:
+    """The target (pixels,) of a window, without what is around it and without its mean."""
+    seen = window[EDGE_PX:-EDGE_PX, EDGE_PX:-EDGE_PX].ravel()
+    free: Floats32 = seen - seen.mean()
+    return free
 
 
-def _explained(mix: Mix, seen: Floats32, weight: Floats32) -> tuple[Floats32, Floats32, Floats32, Floats32]:
-    """Amount (n,) of each picture in what is seen, what the mix leaves (pixels,), the mix's slopes (pixels, 2) with
-    weights and without what another mix would explain, and as they are.
+def placed(mix: Mix, frame: Sight, start: Floats, shown: Floats32 | None = None) -> Placed | None:
+    """Where the target lies in a frame, as a mix of pictures; None where that does not come to rest near `start`.
+
+    shown (pixels,): 0 where something stands in front.
     """
-    weighted = weight[:, None] * mix.columns
-    # A small ridge keeps the mix from being a difference of nearly equal pictures; the level is free.
-    ridge = np.full(mix.columns.shape[1], TRUST**2)
-    ridge[-1] = 0.0
-    normal = (weighted.T @ mix.columns).astype(np.float64) + np.diag(ridge)
-    inverse = np.asarray(np.linalg.inv(normal), dtype=np.float32)
-    amount = np.asarray(inverse @ (weighted.T @ seen), dtype=np.float32)
-    slope: Floats32 = (mix.slopes @ amount[:-1]).T
-    own = np.asarray(weight[:, None] * slope - weighted @ (inverse @ (weighted.T @ slope)), dtype=np.float32)
-    return amount[:-1], seen - mix.columns @ amount, own, slope
-
-
-def _described(mix: Mix, place: Floats, amount: Floats32, solved: tuple[Floats32, Floats32, Floats]) -> Placed | None:
-    """The place with its variance by blocks and its shares, from what `_explained` says of it."""
-    left, own, information = solved
-    inverse = np.linalg.inv(information)
-    scores = np.stack([np.bincount(mix.block, axis * left, BLOCKS**2) for axis in own.T])
+    base = mix.weight if shown is None else mix.weight * shown
+    limits = (EDGE_PX, ROUNDS, ENOUGH_PX, ROBUST)
+    rounds, place, seen, told = settled(
+        frame.grid, (frame.whole, start), (mix.columns, mix.slopes, mix.ridge), base, limits
+    )
+    if not rounds:
+        return None
+    amount, left, own, information, _ = told
+    inverse: Floats = np.asarray(np.linalg.inv(information), dtype=np.float64)
+    scores = block_scores(own, left, mix.block, BLOCKS**2)
     # Two numbers for the place and one for the level are taken from the blocks.
-    spread = inverse @ (scores @ scores.T) @ inverse.T * (BLOCKS**2 / (BLOCKS**2 - 3.0))
-    shares = np.stack([(inverse[k] @ own.T @ mix.slopes[k]) * amount for k in range(2)])
-    return Placed(place, np.diag(spread).copy(), shares)
+    spread = inverse @ (scores @ scores.T) @ inverse.T * _few(scores)
+    shares = picture_shares(inverse, own, mix.slopes, amount)
+    agreed = agreement(seen, left, mix.cell, CELLS**2)
+    return Placed(place, np.diag(spread).copy(), shares, seen - left, agreed)
+
+
+def _few(scores: Floats) -> float:
+    """What a variance from so few blocks is to be multiplied by; blocks that nothing is seen of do not count."""
+    count = float(np.count_nonzero(scores[0]))
+    return count / max(count - 3.0, 0.5)

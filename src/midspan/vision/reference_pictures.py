@@ -7,44 +7,56 @@ import numpy as np
 
 from midspan.records import Floats
 from midspan.vision.reference_alignment import aligned
-from midspan.vision.reference_light import Mix, Sight, mixed, placed
+from midspan.vision.reference_light import CELLS, Mix, Placed, mixed
 from midspan.vision.reference_records import Chain, KeyFrame
 
-# Standard deviation of a picture's place if nothing in it were a mix of others: three times what shading was seen to
-# do, and half of what the shadows do that bumps throw in grazing light.
-UNMIXED_PX = 2.0
+# Standard deviation of a picture's place if nothing in it were a mix of others: what the shadows do that bumps throw in
+# grazing light; four times what shading was seen to do.
+UNMIXED_PX = 3.0
+LEAST_SHOWN = 1.0 / 3.0  # of the target that all pictures must show
 FARTHEST_PX = 1.0  # that a picture may lie from where its frames were found
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pictures:
-    """Numbers of the key frames that have pictures, two or more, and the mix of these."""
+    """Numbers of the key frames that have pictures, and the mix of these."""
 
     numbers: tuple[int, ...]
     mix: Mix
 
-    def place(self, chain: Chain, view: Sight, start: Floats) -> tuple[Floats, Floats] | None:
-        """Place (2,) px and variance (2,) px² of the target in a frame, looked for from `start`; None without."""
-        found = placed(self.mix, view, start)
-        if found is None:
-            return None
+    @property
+    def several(self) -> bool:
+        """Whether there is a mix to speak of."""
+        return len(self.numbers) > 1
+
+    def variance(self, chain: Chain, found: Placed) -> Floats:
+        """Variance (2,) px² of a place found with the mix, with that of the pictures' own places."""
         covariance = chain.covariance[np.ix_(range(2), self.numbers, self.numbers)]
-        return found.place, found.variance + np.einsum("ai,aij,aj->a", found.shares, covariance, found.shares)
+        own: Floats = found.variance + np.einsum("ai,aij,aj->a", found.shares, covariance, found.shares)
+        return own
 
 
 def pictures_of(keys: Sequence[KeyFrame]) -> Pictures | None:
-    """The pictures of all key frames that have one; None where there are fewer than two."""
-    numbers = tuple(k for k, key in enumerate(keys) if key.picture is not None)
-    if len(numbers) < 2:
+    """The pictures of the key frames that have one, as far as they show the same of the target; None without any."""
+    shown = np.ones(CELLS**2, dtype=np.bool_)
+    numbers = []
+    # Those that show all of the target, then the newest of those that something stood before.
+    for k in sorted(range(len(keys)), key=lambda k: (keys[k].hidden.any(), -k)):
+        left = shown & ~keys[k].hidden
+        if keys[k].picture is not None and np.mean(left) >= LEAST_SHOWN:
+            numbers.append(k)
+            shown = left
+    if not numbers:
         return None
-    made = [key.picture for key in keys if key.picture is not None]
-    return Pictures(numbers, mixed(made, [keys[k].offset for k in numbers]))
+    numbers.sort()
+    made = [picture for picture in (keys[k].picture for k in numbers) if picture is not None]
+    return Pictures(tuple(numbers), mixed(made, [keys[k].offset for k in numbers], shown))
 
 
 def realigned(keys: Sequence[KeyFrame], chain: Chain, floor_px: float) -> Chain:
     """The places of the key frames from all pictures anew, each known to `floor_px` at best; sets their offsets."""
     known = pictures_of(keys)
-    if known is None:
+    if known is None or not known.several:
         return chain
     found = aligned(known.mix)
     numbers, later = list(known.numbers), list(known.numbers[1:])

@@ -1,12 +1,15 @@
 """What the key-frame tracker keeps: key frames, where they lie, a hand-over, what one of them says of a frame."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from statistics import median
 from typing import Any
 
 import numpy as np
 
 from midspan.records import Floats, Frame, PixelTranslation, Region, Status
+from midspan.vision.reference_cover import ALL_SEEN, Cells
 from midspan.vision.spline import Floats32
 from midspan.vision.tracker import Tracker
 
@@ -14,7 +17,8 @@ from midspan.vision.tracker import Tracker
 @dataclass(slots=True)
 class KeyFrame:
     """A key frame, the tracker that follows from it, and how strong it usually is; `picture`: the mean of the first
-    frames after it, laid over each other, and how much farther on (2,) px it is to be read.
+    frames after it, laid over each other, and how much farther on (2,) px it is to be read; `hidden` (cells,): where
+    something stood in front.
     """
 
     frame: Frame
@@ -24,17 +28,19 @@ class KeyFrame:
     strengths: list[float] = field(default_factory=list)
     picture: Floats32 | None = None
     offset: Floats = field(default_factory=lambda: np.zeros(2))
+    hidden: Cells = field(default_factory=lambda: ALL_SEEN)
 
     @property
     def usual(self) -> float:
         """Median strength in the first frames after it, 0 while there are none."""
-        return float(np.median(self.strengths)) if self.strengths else 0.0
+        return median(self.strengths) if self.strengths else 0.0
 
 
 @dataclass(slots=True)
 class Overlap:
     """Frames that make the picture of the key frame `to`: how many so far, their windows; `new`: it is tracked beside
-    the one in use, to take over from it, and `places` (2,) px are where each frame says that it lies.
+    the one in use, to take over from it, and `places` (2,) px are where each frame says that it lies;
+    `hidden` (cells,): where something stands in front in one of them.
     """
 
     to: int
@@ -42,6 +48,7 @@ class Overlap:
     frames: int = 0
     windows: list[Floats32] = field(default_factory=list)
     places: list[Floats] = field(default_factory=list)
+    hidden: Cells = field(default_factory=lambda: ALL_SEEN)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,3 +113,39 @@ class Seen:
 def unmoved(frame: Frame) -> Seen:
     """What a key frame says of itself: no translation, without error."""
     return Seen(PixelTranslation(frame.time_ns, 0.0, 0.0, 0.0, 0.0, 1.0, Status.TRACKING), math.nan)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KeyFrameState:
+    """What the tracker remembers, for `restore` of a tracker of the same first frame, region and settings."""
+
+    keys: tuple[tuple[Any, ...], ...]
+    chain: Chain
+    current: int
+    health: tuple[float, ...]
+    last: tuple[Frame, Floats, Floats] | None
+    overlap: tuple[Any, ...] | None
+    carried: Floats
+    expected: Floats32 | None
+    hidden: Cells
+    since_ns: int | None
+    likeness: float
+    lately: tuple[Floats, int]
+    recent: tuple[Floats, ...]
+    frames: int
+    made: int
+
+
+def crowded(keys: Sequence[KeyFrame], used: int) -> int:
+    """The key frame, not the first nor the one in use, whose neighbours in time are nearest to each other."""
+    times = [key.frame.time_ns for key in keys]
+    inner = [k for k in range(1, len(times)) if k != used]
+    return min(inner, key=lambda k: times[min(k + 1, len(times) - 1)] - times[k - 1])
+
+
+def nearest(number: int, keys: Sequence[KeyFrame], most: int) -> list[int]:
+    """Up to `most` key frames besides one that show all of the target: those made next to it, and the first."""
+    whole = [k for k, key in enumerate(keys) if k != number and not key.hidden.any()]
+    others = sorted(whole, key=lambda k: (abs(k - number), -k))
+    chosen = others[:most]
+    return chosen if 0 in chosen or number == 0 else [*chosen[:-1], 0]

@@ -6,7 +6,7 @@ from typing import Any
 from midspan.records import Frame, PixelTranslation, Prediction, Region, Status
 from midspan.vision.features import FeatureSettings, FeatureTracker, Matched
 from midspan.vision.region import check_region
-from midspan.vision.tracker import Counting, Tracker, open_tracker
+from midspan.vision.tracker import Tracker, open_tracker
 
 FULL_QUALITY = 100.0  # what a quality of 1 counts, so that a least number of matches is a least percentage too
 
@@ -40,7 +40,9 @@ def strength(tracker: Tracker, found: PixelTranslation) -> float:
     """Good matches of the last frame, or its quality in percent for trackers without matches; 0 where it is lost."""
     if found.status is not Status.TRACKING:
         return 0.0
-    return tracker.strength if isinstance(tracker, Counting) else FULL_QUALITY * found.quality
+    # As `isinstance(tracker, Counting)`, which takes as long as a small picture's sums.
+    counted = getattr(tracker, "strength", None)
+    return FULL_QUALITY * found.quality if counted is None else float(counted)
 
 
 def relative(prediction: Prediction | None, x_px: float, y_px: float) -> Prediction | None:

@@ -113,7 +113,7 @@ def _opened(path: Path) -> tuple[Any, dict[str, Any], dict[str, Any], NDArray[np
     import h5py
 
     if not path.is_file():
-        raise DataError(f"{path}: not found. Correct radar.file; it is relative to recording.toml.")
+        raise DataError(f"{path}: not found. Correct radar.file; it counts from the settings file's folder.")
     try:
         file = h5py.File(path, "r")
         data, entry = file[f"{_ENTRY}/result/frame"], file[_ENTRY]

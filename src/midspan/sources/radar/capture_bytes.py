@@ -48,7 +48,7 @@ def open_bytes(path: Path) -> CaptureBytes:
 def split_files(path: Path) -> list[Path]:
     """The files of a capture: `x_Raw_0.bin` is followed by `x_Raw_1.bin` …, as long as they exist."""
     if not path.is_file():
-        raise DataError(f"{path}: not found. Correct radar.file; it is relative to recording.toml.")
+        raise DataError(f"{path}: not found. Correct radar.file; it counts from the settings file's folder.")
     found = _SPLIT.match(path.name)
     files = [path]
     if found:

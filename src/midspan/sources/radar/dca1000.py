@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from midspan.errors import DataError, UsageError
 from midspan.radar.iq_order import LEAST_DB, decide_order, swapped, weigh_orders
-from midspan.radar.layout import WORD_BYTES, Layout, Words, block_words, sign_extended, unpack
-from midspan.radar.range_profile import averaged, bin_kernel, block_products, range_profile
+from midspan.radar.layout import WORD_BYTES, Layout, Words, block_words, sign_extended, unpack, word_weights
+from midspan.radar.range_profile import averaged, bin_kernel, range_profile, weighted_products
 from midspan.records import ChirpFrame, Floats, Nanoseconds, RangeFrames, nanoseconds
 from midspan.sources.radar.capture_bytes import Bytes, CaptureBytes, open_bytes
 from midspan.sources.radar.radar_source import RadarInfo, RadarRequest, RadarSource
@@ -112,9 +112,9 @@ class RawCapture(RadarSource):
         self, kernel: NDArray[np.complex128], start: int = 0, stop: int | None = None
     ) -> Iterator[RangeFrames]:
         """Products (n, channels, k) with any kernel (k, samples), such as `half_kernel` for the coarse range."""
-        times = self.times_ns()
+        times, weights = self.times_ns(), word_weights(kernel, self._layout)
         for first, words, valid in self._blocks(start, stop):
-            block = averaged(block_products(words, self._layout, kernel), self._layout.profile)
+            block = averaged(weighted_products(words, self._layout, weights), self._layout.profile)
             yield RangeFrames(times[first : first + len(block)], block, self._channels(valid))
 
     def words(self, start: int = 0, stop: int | None = None) -> Iterator[tuple[Words, NDArray[np.bool_]]]:
@@ -261,7 +261,11 @@ def _zero_runs(words: Words, length: int) -> NDArray[np.bool_]:
     if length % _GROUP:
         return np.asarray(~words.reshape(-1, length).any(axis=1))
     groups = words.view(np.int64).reshape(-1, length // _GROUP)
-    thin = np.count_nonzero(groups[:, ::_STRIDE] == 0, axis=1)
+    zero = groups[:, ::_STRIDE] == 0
+    if not zero.any():
+        # As good as always, and much faster than to count.
+        return np.zeros(len(groups), dtype=np.bool_)
+    thin = np.count_nonzero(zero, axis=1)
     few = min(_FEW, max(1, groups.shape[1] // _STRIDE))
     lost = np.asarray(thin >= few)
     if lost.any():

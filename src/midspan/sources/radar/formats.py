@@ -38,6 +38,6 @@ def open_radar(path: Path, request: RadarRequest) -> RadarSource:
 
         return SlowTimeFile(path, request)
     if not path.exists():
-        raise DataError(f"{path}: not found. Correct radar.file; it is relative to recording.toml.")
+        raise DataError(f"{path}: not found. Correct radar.file; it counts from the settings file's folder.")
     known = ", ".join(name for _, names, _ in FORMATS for name in names)
     raise UsageError(f"{path} is no radar data that can be read; known suffixes are {known}.")

@@ -27,7 +27,7 @@ class SlowTimeFile(RadarSource):
 
     def __init__(self, path: Path, request: RadarRequest) -> None:
         if not path.is_file():
-            raise DataError(f"{path}: not found. Correct radar.file; it is relative to recording.toml.")
+            raise DataError(f"{path}: not found. Correct radar.file; it counts from the settings file's folder.")
         self._path, self._request = path, request
         settings = read_settings(request.config) if request.config else None
         self._read, shape, beside = _opened_npy(path) if path.suffix.lower() == ".npy" else _opened_hdf5(path)

@@ -42,7 +42,7 @@ def read_settings(path: Path) -> TiSettings:
     Raises UsageError for another suffix, DataError for what is missing, contradictory or of an unknown device.
     """
     if not path.is_file():
-        raise DataError(f"{path}: not found. Correct radar.config; it is relative to recording.toml.")
+        raise DataError(f"{path}: not found. Correct radar.config; it counts from the settings file's folder.")
     if path.suffix.lower() == ".cfg":
         return _demo(path, path.read_text(encoding="utf-8", errors="replace"))
     if path.suffix.lower() == ".json":

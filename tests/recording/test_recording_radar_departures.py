@@ -1,0 +1,89 @@
+"""A radar's targets that do not stay where they were calibrated, and outages in which nothing is seen."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+import midspan
+from midspan.errors import UntrustedError
+from midspan.records import Floats, Status
+from midspan.simulate.radar import Reflector
+from radar_recordings import PLATE, Case, true_mm, write
+
+WALL = Reflector(3.4, 700.0, ratio=1 / 1.27, azimuth_rad=0.2)
+LEAVES_S = 17.0
+
+
+@dataclass(frozen=True)
+class DrivesOff:
+    """A parked car that sets out at LEAVES_S with 1.5 m/s²."""
+
+    def displacement(self, time_s: Floats) -> Floats:
+        since = np.maximum(np.asarray(time_s) - LEAVES_S, 0.0)
+        return np.asarray(np.minimum(0.75 * since**2, 6.0))
+
+    def acceleration(self, time_s: Floats) -> Floats:
+        return np.where((np.asarray(time_s) > LEAVES_S) & (np.asarray(time_s) < LEAVES_S + 2.8), 1.5, 0.0)
+
+
+CAR = Reflector(6.1, 2000.0, ratio=1.0, own=DrivesOff())
+
+
+def estimated(folder, **options):
+    recording = midspan.open_recording(folder, calibration={"window_s": (0.0, 16.0)})
+    result = midspan.estimate(recording, **options)
+    return result, result.displacement_mm - true_mm(folder, result.time_s)
+
+
+def test_a_parked_car_that_drives_off_is_left_out_and_the_wall_goes_on(tmp_path) -> None:
+    folder = write(tmp_path, Case((CAR, WALL, PLATE), seed=1))
+    result, error = estimated(folder)
+    # Nothing in the calibration speaks against the car, and it is the quieter target.
+    wall, car = sorted(result.calibration.radar.used, key=lambda target: target.range_m)
+    assert car.noise_m < 0.5 * wall.noise_m
+    told = [event for event in result.events if event.kind == "left out"]
+    assert [event.time_ns / 1e9 for event in told] == pytest.approx([LEAVES_S - 0.9], abs=0.2)
+    assert "6.1" in told[0].text
+    # Both targets before, the wall alone after: 8 to 16 µm a frame, smoothed; no step of the hand-over.
+    assert np.abs(error).max() < 0.03
+    assert np.mean(np.abs(error) < 1.96 * result.displacement_std_mm) > 0.9
+    assert np.all(result.estimate.status == Status.TRACKING)
+
+
+def test_an_only_target_that_drives_off_leaves_no_row_that_pretends_to_be_measured(tmp_path) -> None:
+    folder = write(tmp_path, Case((CAR, PLATE), seed=2))
+    for method in ("smoother", "kalman"):
+        result, error = estimated(folder, method=method)
+        # It may as well be the accelerometer that is wrong: the gate rejects and says so, and nothing is tracked.
+        assert "rejected" in {event.kind for event in result.events}
+        assert any("contradict the acceleration" in line for line in result.warnings)
+        tracked = result.estimate.status == Status.TRACKING
+        assert np.all(result.time_s[tracked] < LEAVES_S + 0.2), method
+        assert np.all(np.abs(error) < 5.0 * result.displacement_std_mm), method
+        assert np.abs(error[tracked]).max() < 0.1, method
+
+
+def test_rows_that_nothing_carries_are_lost_and_their_band_holds(tmp_path) -> None:
+    hidden = Reflector(3.4, 900.0, ratio=1 / 1.27, blocked=((16.5, 21.5),))
+    folder = write(tmp_path, Case((hidden, PLATE), seed=3))
+    result, error = estimated(folder, method="fir")
+    std, status = result.displacement_std_mm, result.estimate.status
+    # The filter's window knows the drift of a double integral for a second; from then on its rows are no result.
+    assert np.all(status[std > 2.0] == Status.LOST)
+    assert np.all(status[(result.time_s > 18.0) & (result.time_s < 21.4)] == Status.LOST)
+    assert np.all(np.abs(error) < 5.0 * std)
+    unseen = (result.time_s > 16.4) & (result.time_s < 21.4)
+    assert np.abs(error[unseen & (status != Status.LOST)]).max() < 0.5
+    # The level after it is a new one, and said to be.
+    assert "new datum" in {event.kind for event in result.events}
+
+
+def test_a_refused_result_names_the_sensors_that_are_there(tmp_path) -> None:
+    right = write(tmp_path / "right", Case((WALL, PLATE), seed=4))
+    turned = write(tmp_path / "turned", Case((WALL, PLATE), seed=4, sign=-1.0))
+    calibration = midspan.calibrate(midspan.open_recording(right))
+    with pytest.raises(UntrustedError, match="contradict the acceleration") as refused:
+        midspan.estimate(midspan.open_recording(turned), calibration)
+    assert "what the radar sees" in str(refused.value)
+    assert "roi" not in str(refused.value)
