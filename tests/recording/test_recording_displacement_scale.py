@@ -9,7 +9,9 @@ import pytest
 import midspan
 from midspan.cli.main import run
 from midspan.errors import DataError, UntrustedError, UsageError
-from midspan.records import Status
+from midspan.recording.calibration import DisplacementCalibration
+from midspan.recording.displacement import read_with
+from midspan.records import Status, TimeOffset, TimeSeries
 from midspan.simulate.motion import random_motion
 from recording_edits import append, error_mm, read_columns, set_keys, truth
 
@@ -189,3 +191,11 @@ def test_a_clock_that_runs_apart_is_corrected_where_the_offset_is_to_be_learnt(t
     # The drift blurs the calibration: 5 ms rms about the middle takes (2π · 2 Hz · 5 ms)² / 2 = 0.2 % off the slope.
     learnt = found.calibration.displacement
     assert learnt.scale == pytest.approx(7.0, abs=4.0 * learnt.scale_std + 0.002 * 7.0)
+
+
+def test_readings_are_put_on_the_accelerometers_clock_and_into_metres():
+    # The running clock would make up for a wrong offset later on; so it is looked at here, before.
+    series = TimeSeries(np.array([0, 1_000_000_000]), np.array([0.002, -0.004]))
+    read = read_with(series, DisplacementCalibration(1e-3, TimeOffset(0.25, 0.0), scale=-2.0))
+    assert read.time_ns.tolist() == [250_000_000, 1_250_000_000]
+    assert read.value == pytest.approx([-0.004, 0.008])

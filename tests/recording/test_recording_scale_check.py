@@ -8,7 +8,7 @@ import pytest
 
 import midspan
 from midspan.fusion.kalman import KalmanSettings
-from midspan.recording.fuse import FusionInputs
+from midspan.recording.fuse import FusionInputs, SensorError
 from midspan.recording.scale_check import apparent_scales, scale_warnings
 from midspan.records import Acceleration, Displacement, Source, nanoseconds
 from midspan.simulate import scenarios
@@ -72,8 +72,45 @@ def test_outliers_and_missing_frames_do_not_hide_or_feign_a_wrong_scale():
         assert scale.value == pytest.approx(factor, abs=0.02)
 
 
-def test_a_sensor_that_brings_its_own_scale_is_not_compared():
-    assert apparent_scales(inputs(0, factor=1.5, source=Source.DISPLACEMENT)) == []
+def late(seed, late_s, *, source, factor=1.0):
+    """The measurements of `inputs` with stamps that are `late_s` too early."""
+    found = inputs(seed, source=source, factor=factor)
+    stamps = found.displacement.time_ns - round(1e9 * late_s)
+    return replace(found, displacement=replace(found.displacement, time_ns=stamps))
+
+
+@pytest.mark.parametrize("source", [Source.RADAR, Source.DISPLACEMENT])
+def test_scale_and_clock_of_sensors_whose_clock_is_taken_from_the_calibration_are_both_found(source):
+    ratio = []
+    for seed in range(6):
+        (found,) = apparent_scales(late(seed, 0.1, source=source, factor=1.5), 0.2)
+        assert found.value == pytest.approx(1.5, abs=5e-3)
+        assert found.late_s == pytest.approx(0.1, abs=1e-3)
+        ratio.append((found.late_s - 0.1) / found.late_std_s)
+    assert np.std(ratio) < 2.0
+    # 2 mm at 0.6 Hz and 1 mm at 3.3 Hz a tenth of a second later: 2 a sin(w/20) each, as root mean square, times 1.5.
+    change = [2e-3 * np.sin(np.pi * 0.6 * 0.1), 1e-3 * np.sin(np.pi * 3.3 * 0.1)]
+    assert found.moved_m == pytest.approx(1.5 * np.sqrt(2.0) * np.hypot(*change), rel=0.03)
+
+
+@pytest.mark.parametrize("source", [Source.RADAR, Source.DISPLACEMENT])
+def test_a_clock_is_refused_where_it_moves_the_result_by_more_than_its_noise(source):
+    # 15.6 mm/s rms and 0.01 mm of noise: a millisecond moves it by 1.6 deviations, 2 ms by 3, 5 ms by 8.
+    for late_s, lines in ((0.0, 0), (1e-3, 0), (2e-3, 1)):
+        assert len(scale_warnings(late(1, late_s, source=source), max_offset_s=0.2)) == lines
+    for late_s in (5e-3, -0.1):
+        with pytest.raises(midspan.UntrustedError, match="its clock is"):
+            scale_warnings(late(1, late_s, source=source), max_offset_s=0.2)
+    # What the calibration itself does not know is in the error band, and no contradiction.
+    unsure = replace(late(1, 5e-3, source=source), errors=(SensorError(source, 0.0, 2e-3),))
+    assert scale_warnings(unsure, max_offset_s=0.2) == []
+
+
+def test_a_factor_of_the_radar_that_is_half_is_refused_and_the_printed_one_is_not_compared():
+    wrong = inputs(0, factor=0.5, source=Source.RADAR)
+    with pytest.raises(midspan.UntrustedError, match="conversion_factor does not belong"):
+        scale_warnings(wrong, max_offset_s=0.2)
+    assert scale_warnings(wrong, max_offset_s=0.2, sources=[Source.DISPLACEMENT]) == []
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ import pytest
 
 import midspan
 from midspan.records import Source
-from midspan.report import infrared_figures
+from midspan.report import infrared_figures, tables
 from midspan.report.material import gather
 from midspan.report.report import report_html
 from midspan.report.sections import cameras
@@ -52,6 +52,15 @@ def section(text):
 def test_the_section_shows_both_cameras_and_the_second_ones_zero(result):
     text = section(report_html(result, result.recording.reference))
     assert re.findall(r'<img alt="([^"]*)"', text) == ["Cameras over the record", "Zero of the second camera"]
+
+
+def test_the_calibration_tells_the_scale_factor_and_clock_of_both_cameras(result):
+    found = dict(tables.calibration(gather(result, None)))
+    for sensor, camera in (("camera", result.calibration.camera), ("infrared", result.calibration.infrared)):
+        assert float(found[f"{sensor}: scale factor"].split()[0]) == pytest.approx(
+            1e3 * camera.scale.value_m_per_px, 1e-5
+        )
+        assert f"{sensor}: clock offset" in found
 
 
 def test_both_cameras_measurements_are_drawn_on_the_results_zero(result):

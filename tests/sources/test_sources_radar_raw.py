@@ -155,6 +155,27 @@ def test_split_files_are_read_as_one_also_where_a_frame_lies_across_them(tmp_pat
     assert "3 files" in source.info.notes[0]
 
 
+def test_a_missing_file_of_a_split_capture_and_a_missing_half_are_warned_of(tmp_path: Path) -> None:
+    words = words_by_hand(echoes((5.0,)), "IIQQ")
+    whole = opened(tmp_path, words, name="adc_Raw_0.bin", frames=40)
+    assert whole.info.warnings == ()
+    # 10 of 40 frames in the first file, 10 in the third; a file with a date is none of them.
+    for number, name in enumerate(("adc_Raw_0.bin", "", "adc_Raw_2.bin", "adc_Raw_20251121.bin")):
+        if name:
+            words[len(words) * number // 4 : len(words) * (number + 1) // 4].tofile(tmp_path / name)
+    source = opened(tmp_path, words[: len(words) // 4], name="adc_Raw_0.bin", frames=40)
+    split, short = source.info.warnings
+    assert split.startswith("radar: adc_Raw_1.bin is missing")
+    assert "holds 10 of the 40 frames" in short
+
+
+def test_samples_without_any_noise_are_no_capture(tmp_path: Path) -> None:
+    # The same frame again and again: what a test pattern or a stuck interface gives.
+    one = words_by_hand(echoes((5.0,), frames=1), "IIQQ")
+    with pytest.raises(DataError, match="the same samples in all 40 frames"):
+        opened(tmp_path, np.tile(one, 40), frames=40)
+
+
 @pytest.mark.parametrize("head", [10, 14])
 def test_packets_with_their_headers_are_put_in_order_and_holes_are_known(tmp_path: Path, head: int) -> None:
     cube = echoes((7.0,))

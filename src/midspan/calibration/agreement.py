@@ -5,7 +5,7 @@ noise. But it is motion: innovations of a right model are white, whatever the no
 doi:10.1109/TAC.1968.1099025), and at a wrong offset they are not.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -33,12 +33,9 @@ FARTHER_CORNERS = (0.35, 0.7, 1.4)
 FARTHER_PEAKS = 3
 # Offsets tried per period of the main tone.
 PER_PERIOD = 20.0
-# A record longer than this is looked at in pieces of this length, as clocks run apart.
-LONG_S, PIECE_S = 100.0, 40.0
-# To see whether they do, the record is looked at in so many pieces with at least so many measurements each.
-PIECES, LEAST_IN_PIECE = 8, 40
-# Above this sum of squares per degree of freedom offset and ratio change along the record.
-MOST_UNSTEADY = 2.5
+# In a record longer than this a clock may run apart, and shows it in pieces of this length with at least so many
+# measurements each, by an offset of this much at most.
+LONG_S, PIECE_S, LEAST_IN_PIECE, PIECE_OFFSET_S = 100.0, 40.0, 30, 0.1
 
 
 def clearly_better(fit: Fit, other: Fit) -> bool:
@@ -55,30 +52,29 @@ def _entropy(variance: Floats) -> float:
 
 
 def colour(fit: Fit) -> tuple[float, float]:
-    """Sum of squared autocorrelations of the innovations times their number, and their number."""
+    """Sum of squared autocorrelations of the innovations times their number, and the sum itself."""
     residual = fit.residual
     residual = residual - np.median(residual)
     limit = CLIPPED * 1.4826 * float(np.median(np.abs(residual)))
     left = np.clip(residual, -limit, limit)
     power = float(np.sum(left**2))
     if len(left) <= 2 * FOLLOWING or power == 0.0:
-        return 0.0, float(len(left))
+        return 0.0, 0.0
     total = sum(float(np.sum(left[k:] * left[:-k]) / power) ** 2 for k in range(1, FOLLOWING + 1))
-    return len(left) * total, float(len(left))
+    return len(left) * total, total
 
 
 def unexplained(pair: Pair, fit: Fit) -> bool:
-    """Whether what the fit leaves is motion, not noise; each piece of a long record may have its own clock offset."""
-    length = float(pair.rows[-1, 0] - pair.rows[0, 0])
-    count = int(length // PIECE_S) if length > LONG_S else 1
-    fits = [fit]
-    if count > 1:
-        usable = pair.rows[np.isfinite(pair.rows[:, 2])]
-        fits = [_in_piece(pair, fit, rows)[1] for rows in np.array_split(usable, count) if len(rows) > LEAST_IN_PIECE]
-    found = np.array([colour(one) for one in fits] or [colour(fit)])
-    statistic, measured = float(found[:, 0].sum()), float(found[:, 1].sum())
-    most = FOLLOWING * len(found) + (MOST_FOLLOWING - FOLLOWING) * np.sqrt(len(found))
-    return bool(statistic > most and statistic > MOST_CORRELATED * measured)
+    """Whether what the fit leaves is motion, not noise, even where the sensor's clock may run apart evenly."""
+    if not _coloured(fit):
+        return False
+    straight = straightened(pair, fit)
+    return straight is None or _coloured(straight[0])
+
+
+def _coloured(fit: Fit) -> bool:
+    statistic, share = colour(fit)
+    return statistic > MOST_FOLLOWING and share > MOST_CORRELATED
 
 
 def noise_share(pair: Pair, fit: Fit, noise: float) -> float:
@@ -127,60 +123,26 @@ def _peaks(pair: Pair, offsets: Floats, corner: float) -> Floats:
     return np.column_stack((offsets[peaks], curve[peaks]))
 
 
-@dataclass(frozen=True, slots=True)
-class Course:
-    """Offset and ratio in pieces of a record where they change: rate of the offset (s/s), ratio and its deviation."""
-
-    skew: float
-    ratio: float
-    ratio_std: float
-
-
-def course(pair: Pair, fit: Fit) -> Course | None:
-    """What pieces of the record say, where they contradict each other; None where one offset and ratio are enough."""
-    pair = replace(pair, ratio=None, reference=None)
-    count = min(PIECES, len(fit.whitened.variance) // LEAST_IN_PIECE)
-    if count < 3 or _unsteadiness(pair, fit, count) < MOST_UNSTEADY:
+def straightened(pair: Pair, fit: Fit) -> tuple[Fit, float] | None:
+    """The fit with a clock that runs apart evenly, and its rate (s/s); None where that is not clearly better."""
+    rows = pair.rows[np.isfinite(pair.rows[:, 2])]
+    count = min(int((rows[-1, 0] - rows[0, 0]) // PIECE_S), len(rows) // LEAST_IN_PIECE)
+    if count * PIECE_S < LONG_S:
         return None
-    fits = [_in_piece(pair, fit, rows) for rows in np.array_split(pair.rows[np.isfinite(pair.rows[:, 2])], count)]
-    middle = np.array([found[0] for found in fits])
-    offset = np.array([found[1].offset_s for found in fits])
-    ratio, variance = (np.array(v) for v in zip(*((f.ratio, f.ratio_variance) for _, f in fits), strict=True))
-    weight = 1.0 / variance
-    mean = float(np.sum(weight * ratio) / np.sum(weight))
-    spread = np.sum(weight * (ratio - mean) ** 2) / (count - 1)
-    return Course(
-        skew=float(np.polyfit(middle, offset, 1, w=np.sqrt(weight))[0]),
-        ratio=mean,
-        ratio_std=float(np.sqrt(max(spread, 1.0) / np.sum(weight))),
-    )
+    found = np.array([_in_piece(pair, fit, piece) for piece in np.array_split(rows, count)])
+    first, second = np.triu_indices(count, 1)
+    rate = float(np.median((found[second, 1] - found[first, 1]) / (found[second, 0] - found[first, 0])))
+    moved = pair.rows.copy()
+    moved[:, 0] += rate * (moved[:, 0] - moved[:, 0].mean())
+    pair = replace(pair, rows=moved)
+    other = refine(pair, best_corner(pair, fit.offset_s), 0.02)
+    return (other, rate) if clearly_better(other, fit) else None
 
 
-def _in_piece(pair: Pair, fit: Fit, rows: Floats) -> tuple[float, Fit]:
-    """The middle of a piece (s), and its own best fit near the whole record's."""
-    bound = 0.1
+def _in_piece(pair: Pair, fit: Fit, rows: Floats) -> tuple[float, float]:
+    """The middle of a piece (s), and its own clock offset (s) near the whole record's."""
     first, last = rows[0, 0] + fit.offset_s - 2.0, rows[-1, 0] + fit.offset_s + 2.0
     inside = (pair.samples[:, 0] >= first) & (pair.samples[:, 0] <= last)
     piece = replace(pair, samples=pair.samples[inside], rows=rows)
-    return float(rows[:, 0].mean()), refine(piece, evaluate(piece, fit.offset_s, fit.corner), bound)
-
-
-def _unsteadiness(pair: Pair, fit: Fit, count: int) -> float:
-    """Sum of squares per degree of freedom of what pieces add to offset and ratio, to first order."""
-    step = 1e-4
-    before, here, after = (evaluate(pair, fit.offset_s + sign * step, fit.corner).whitened for sign in (-1.0, 0.0, 1.0))
-    n = min(len(w.variance) for w in (before, here, after))
-    std = np.sqrt(fit.noise * here.variance[:n])
-    slope = (after.translation - fit.ratio * after.response)[:n] - (before.translation - fit.ratio * before.response)[
-        :n
-    ]
-    by = np.column_stack((here.response[:n], -slope / (2.0 * step))) / std[:, None]
-    left = (here.translation - fit.ratio * here.response)[:n] / std
-    limit = CLIPPED * 1.4826 * float(np.median(np.abs(left)))
-    left = np.clip(left, -limit, limit)
-    left = left - by @ np.linalg.lstsq(by, left, rcond=None)[0]
-    total = 0.0
-    for piece in np.array_split(np.arange(n), count):
-        seen = by[piece] @ np.linalg.lstsq(by[piece], left[piece], rcond=None)[0]
-        total += float(np.sum(seen**2))
-    return total / (2.0 * (count - 1))
+    found = refine(piece, evaluate(piece, fit.offset_s, fit.corner), PIECE_OFFSET_S)
+    return float(rows[:, 0].mean()), found.offset_s

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from midspan.calibration.agreement import clearly_better, course, noise_share
+from midspan.calibration.agreement import clearly_better, noise_share, straightened
 from midspan.calibration.fit import Fit, Pair, best_corner, corner_range, evaluate, refine
 from midspan.calibration.scale import LEAST_GAIN as LEAST_AGREEMENT
 from midspan.calibration.scale import white_noise
@@ -108,12 +108,13 @@ def _with_scale(
     others = [evaluate(replace(pair, ratio=one.ratio), one.offset_s, one.corner) for one in others]
     free = max(others, key=lambda one: one.likelihood)
     turned = [one.likelihood for one in others if one.ratio < 0.0 and one.likelihood - one.without > LEAST_AGREEMENT]
-    reversed_gain = max(turned, default=-np.inf) - likeliest.likelihood
+    upright = [one.likelihood for one in (*others, likeliest) if one.ratio > 0.0]
+    reversed_gain = max(turned, default=-np.inf) - max(upright)
     scale, std = local.ratio, float(np.sqrt(local.ratio_variance))
-    changing = course(pair, local)
-    if changing is not None:
-        # A clock that runs apart takes from the ratio of the whole what its pieces still show.
-        scale, std = changing.ratio, changing.ratio_std
+    straight = straightened(unknown, local)
+    if straight is not None:
+        # A clock that runs apart takes from the scale.
+        scale, std = straight[0].ratio, float(np.sqrt(straight[0].ratio_variance))
     return NoiseCalibration(
         variance_factor=fit.noise,
         input_noise_density=fit.input_density,

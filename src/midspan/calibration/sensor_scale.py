@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from midspan.calibration.agreement import course, unexplained
+from midspan.calibration.agreement import straightened, unexplained
 from midspan.calibration.fit import Fit, Pair
 from midspan.calibration.noise import Findings, NoiseCalibration, applied, edge_s, nearest, without_outliers
 from midspan.calibration.scale import (
@@ -25,6 +25,9 @@ from midspan.calibration.time_offset import OffsetSearch, search_offset, without
 from midspan.errors import UntrustedError
 from midspan.records import TimeOffset
 
+# The share of what a clock that runs apart does to the scale that stays uncertain after its correction.
+UNEVEN = 0.2
+
 
 def calibrate_sensor_scale(
     pair: Pair, max_offset_s: float, *, one_clock: bool, look: Callable[[Fit], None] | None = None
@@ -38,6 +41,7 @@ def calibrate_sensor_scale(
     sensors do not agree.
     """
     pair = without_lonely_outliers(replace(pair, ratio=None))
+    search: OffsetSearch | None = None
     if not one_clock and max_offset_s > 0.0:
         search = search_offset(pair, max_offset_s, edge_s(max_offset_s))
         if look is not None:
@@ -47,7 +51,7 @@ def calibrate_sensor_scale(
         _refuse_unexplained(search, max_offset_s)
         return _scaled(search.pair, search.fit, search.offset, search)
     pair, still = without_outliers(pair)
-    offset, search, found = TimeOffset(0.0, np.inf), None, still
+    offset, found = TimeOffset(0.0, np.inf), still
     if max_offset_s > 0.0:
         search = search_offset(pair, max_offset_s, edge_s(max_offset_s))
         found, variance = nearest(search)
@@ -79,15 +83,19 @@ def _clocks_differ(offset: TimeOffset) -> UntrustedError:
 def _scaled(pair: Pair, fit: Fit, offset: TimeOffset, search: OffsetSearch | None) -> NoiseCalibration:
     """The calibration of readings that are multiplied by the factor found."""
     factor, relative = 1.0 / fit.ratio, float(np.sqrt(fit.ratio_variance)) / abs(fit.ratio)
-    changing = course(pair, fit)
-    if changing is not None:
-        relative = float(np.hypot(relative, changing.ratio / fit.ratio - 1.0))
+    straight = straightened(pair, fit)
+    if straight is not None:
+        # A clock that runs apart takes from the scale: how much is known only as well as it runs evenly.
+        even, rate = straight
+        relative = float(np.sqrt(even.ratio_variance)) / abs(even.ratio)
+        relative = float(np.hypot(relative, UNEVEN * (even.ratio / fit.ratio - 1.0)))
+        factor = 1.0 / even.ratio
         if relative > REFUSED_ABOVE:
             raise UntrustedError(
-                "displacement: its clock runs apart from the accelerometer's by about "
-                f"{1e6 * changing.skew:+.0f} ppm: one clock offset does not hold all along, and the scale of "
-                f"{factor:.4g} would be uncertain by {100 * relative:.2g} % (at most ± {100 * REFUSED_ABOVE:g} % is "
-                "given out). Correct its time column, or learn the scale on a shorter recording."
+                f"displacement: its clock runs apart from the accelerometer's by about {1e6 * rate:+.0f} ppm, which "
+                f"leaves its scale of {factor:.4g} uncertain by {100 * relative:.2g} %; at most ± "
+                f"{100 * REFUSED_ABOVE:g} % is given out. Correct its time column, or learn the scale on a shorter "
+                "recording."
             )
     return NoiseCalibration(
         variance_factor=fit.noise * factor * factor,

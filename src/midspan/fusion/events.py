@@ -11,6 +11,7 @@ class GateEvents:
 
     def __init__(self) -> None:
         self._first_ns = self._last_ns = self._count = 0
+        self._first_m = 0.0
 
     def push(self, innovation: Innovation) -> list[Event]:
         """Events that the verdicts of the next measurements complete, in time order."""
@@ -20,11 +21,14 @@ class GateEvents:
         for i in np.flatnonzero(rejected | after | (innovation.verdict == REACQUIRED)):
             time_ns = int(innovation.time_ns[i])
             if rejected[i]:
-                self._first_ns = self._first_ns if self._count else time_ns
+                if not self._count:
+                    self._first_ns, self._first_m = time_ns, float(innovation.value_m[i])
                 self._last_ns, self._count = time_ns, self._count + 1
                 continue
             if innovation.verdict[i] == REACQUIRED:
-                events.append(_reacquired(time_ns, self._count + 1, float(innovation.value_m[i])))
+                last_m = float(innovation.value_m[i])
+                jumps = (self._first_m if self._count else last_m, last_m)
+                events.append(_reacquired(time_ns, self._count + 1, jumps))
             elif self._count >= LEAST_REJECTIONS:
                 events.append(self._rejected())
             self._count = 0
@@ -52,10 +56,11 @@ def gate_events(innovation: Innovation) -> list[Event]:
     return [*watch.push(innovation), *watch.finish()]
 
 
-def _reacquired(time_ns: int, count: int, jump_m: float) -> Event:
+def _reacquired(time_ns: int, count: int, jumps_m: tuple[float, float]) -> Event:
     return Event(
         time_ns,
         "reacquired",
-        f"The measured displacement had left the prediction, by {1e3 * jump_m:.2f} mm at last, for {count} "
-        "measurements in a row; its new level was taken over. Check whether the target or the sensor has moved.",
+        f"The measured displacement had left the prediction, by {1e3 * jumps_m[0]:.2f} mm at first and "
+        f"{1e3 * jumps_m[1]:.2f} mm at last, for {count} measurements in a row; its new level was taken over. Check "
+        "whether the target or the sensor has moved.",
     )

@@ -61,9 +61,11 @@ LEAST_REJECTIONS = 5
 # After a run of rejections the predicted band is wide and a wrong measurement can fall into it by chance; the target
 # counts as back only when this many in a row agree within half the limit, the first after a step and the others none.
 CONFIRMATIONS = 3
-# An innovation further from the one before it than this many deviations of what can be predicted has stepped; rejected
-# ones keep to their level while they do not step beyond the second.
+# An innovation further from the one before it than the first many deviations of what can be predicted has stepped; one
+# that may be the target's return does not step beyond the second from the one before it.
 STEPPED, UNSTEADY = 3.0, 4.0
+# Rejected ones keep to their level while the squares of their steps come to less than this, and so much more for each.
+LEAST_UNSTEADY, UNSTEADY_EACH = 10.0, 3.0
 
 # Five rejections within this many limits are an error of the filter rather than of the measurements.
 NEAR = 3.0
@@ -105,7 +107,8 @@ def judge(
 
     run: seconds since the first of the rejections in a row, their number, how many of the last ones with this one may
     be the target's return (see `returning`), the square of the farthest in predicted variances, how many of the last
-    ones with this one were near (see `is_near`), and whether they keep to a level (1.0); limits = (limit, reacquire_s).
+    ones with this one were near (see `is_near`), and whether they keep to a level (above 0).
+    limits = (limit, reacquire_s).
     """
     rejected_for_s, rejections, agreements, farthest, near_ones, level = run
     ratio, limit = innovation * innovation / variance, limits[0] * limits[0]
@@ -171,8 +174,13 @@ def judged(s, stamp, innovation, total, limits):  # type: ignore[no-untyped-def]
     step = np.sqrt(squared / (2.0 * min(noise, s[FIRST_NOISE]) + drifted))
     if rejections == 0:
         s[LEVEL] = 1.0 if step > STEPPED else 0.0
-    elif step > UNSTEADY or innovation * innovation <= limits[0] * limits[0] * s[FIRST_TOTAL]:
-        s[LEVEL] = 0.0
+    elif s[LEVEL] > 0.0:
+        s[LEVEL] += step * step
+        unsteady = s[LEVEL] - 1.0 > LEAST_UNSTEADY + UNSTEADY_EACH * rejections
+        # Later it may be the prediction's drift that brings the level there.
+        back = rejections < LEAST_REJECTIONS and innovation * innovation <= limits[0] * limits[0] * s[FIRST_TOTAL]
+        if unsteady or back:
+            s[LEVEL] = 0.0
     near_ones = s[NEAR_ONES] + 1.0 if is_near(innovation, s[FIRST_TOTAL], limits) else 0.0
     steps = (step, np.sqrt(squared / (2.0 * noise + drifted)))
     agreements = returning(s[AGREEMENTS], agrees(innovation, total, limits), steps) if rejections > 0 else 0.0

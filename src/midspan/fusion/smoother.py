@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 
 from midspan.fusion.events import gate_events
-from midspan.fusion.gate import REJECTED
+from midspan.fusion.gate import REACQUIRED, REJECTED
 from midspan.fusion.kalman import (
     BLOCK,
     KalmanSettings,
@@ -46,6 +46,8 @@ from midspan.records import Acceleration, Displacement, Estimate, Event, Floats,
 ADJOINT_SIZE = 9
 SMOOTHED_X, SMOOTHED_VELOCITY, SMOOTHED_VARIANCE = range(3)
 SMOOTHED_COLUMNS = 3
+# A second new level is the old one when the two jumps cancel but for this part.
+SAME_LEVEL = 0.3
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,6 +105,23 @@ def smooth(acceleration: Acceleration, displacement: Displacement, settings: Kal
     met = outcome[:, VERDICT] != UNUSED
     innovation = innovation_rows(rows[: used[-1]][met], outcome[met], origin_ns)
     return Smoothed(estimate, innovation, tuple(gate_events(innovation)))
+
+
+def doubt_levels(estimate: Estimate, innovation: Innovation) -> None:
+    """Widen, in place, a smoother's band where a new level was taken over: from the last one believed it holds both.
+
+    Where the old level came back later, which of the two was true is not known in between either. The first rejection
+    tells how far apart they are; the last one holds seconds of drift.
+    """
+    taken = np.flatnonzero(innovation.verdict == REACQUIRED)
+    believed = np.flatnonzero(innovation.verdict != REJECTED)
+    before = believed[np.maximum(np.searchsorted(believed, taken) - 1, 0)]
+    jumps = innovation.value_m[np.minimum(before + 1, taken)]
+    for i, place in enumerate(taken):
+        back = i + 1 < len(taken) and abs(jumps[i] + jumps[i + 1]) < SAME_LEVEL * abs(jumps[i])
+        until_ns = innovation.time_ns[taken[i + 1] if back else place]
+        rows = slice(*np.searchsorted(estimate.time_ns, (innovation.time_ns[before[i]], until_ns)))
+        estimate.variance_m2[rows] += max(abs(jumps[i]), abs(innovation.value_m[place])) ** 2
 
 
 def _forward(samples: Floats, rows: Floats, state: Floats, settings: KalmanSettings) -> tuple[Floats, Floats]:

@@ -25,8 +25,8 @@ STEP, LEAD, SLOPE = range(16, 19)
 # What the gate remembers: how many measurements were accepted, the last innovation and its predicted variance, how
 # large the steps between innovations are for what is predicted, and of the rejections in a row the farthest (squared,
 # in predicted variances), the variance predicted for the first, and how many of the last ones were near. Then the last
-# innovation judged and its time, and of the rejections in a row the first one, the noise's variance at it, and whether
-# they keep to a level that they began with a step to.
+# innovation judged and its time, and of the rejections in a row the first one, the noise's variance at it, and 0 or,
+# where they keep to a level that they began with a step to, 1 and the sum of their squared steps since.
 ACCEPTED_COUNT, LAST_INNOVATION, LAST_TOTAL, ROUGHNESS, FARTHEST, FIRST_TOTAL, NEAR_ONES = range(19, 26)
 JUDGED, JUDGED_AT, FIRST_INNOVATION, FIRST_NOISE, LEVEL = range(26, 31)
 STATE_SIZE = 31

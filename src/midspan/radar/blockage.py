@@ -27,6 +27,10 @@ class BlockageSettings:
 @njit(cache=True)
 def _judge(amplitude, limits, need, run, out):  # type: ignore[no-untyped-def]
     for k in range(len(amplitude)):
+        if np.isnan(amplitude[k]):
+            # A frame that never arrived says nothing of what stands before the target.
+            out[k] = True
+            continue
         good = limits[0] <= amplitude[k] <= limits[1]
         run = min(run + 1, need) if good else 0
         out[k] = run < need
@@ -46,7 +50,10 @@ class BlockageMonitor:
         self._run = self._settings.frames  # calibrated means seen
 
     def push(self, amplitude: Floats) -> NDArray[np.bool_]:
-        """Whether each frame (n,) is blocked; at once when it leaves the band, no longer after some good frames."""
+        """Whether each frame (n,) is blocked; at once when it leaves the band, no longer after some good frames.
+
+        A frame that was not received (NaN) is not seen either, but hides nothing of those after it.
+        """
         values = np.asarray(amplitude, dtype=np.float64)
         out = np.empty(len(values), dtype=np.bool_)
         self._run = _judge(values, self._limits, self._settings.frames, self._run, out)

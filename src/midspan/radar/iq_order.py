@@ -17,6 +17,9 @@ from midspan.records import Floats
 LEAST_DB = 6.0
 # Pairing is believed when it packs the energy this many times more densely than the other one.
 LEAST_DENSITY = 1.3
+# The same by the ghosts: what lies half of the range beyond the targets is this share or more of what the wrong pairing
+# makes, by so many standard deviations, and at most half as much with the other pairing.
+LEAST_GHOST, CERTAIN, LESS = 0.3, 6.0, 0.5
 # Bins about zero in which attached parts lie, whose window is four bins wide.
 NEAR_ZERO = 2
 _PAIRINGS = (("IIQQ", "QQII"), ("IQIQ", "QIQI"))
@@ -25,13 +28,15 @@ _PAIRINGS = (("IIQQ", "QQII"), ("IQIQ", "QIQI"))
 @dataclass(frozen=True, slots=True)
 class OrderEvidence:
     """Of each order: energy of the nearer over the farther half of the range, and of the nearest over the farthest
-    eighth, dB; and how densely the energy lies, 0 … 1, of all and of what is not near zero.
+    eighth, dB; how densely the energy lies, 0 … 1, of all and of what is not near zero. Of each pairing, by its first
+    letter's order: the ghosts that are there as a share of those that it would make if it were wrong, with deviation.
     """
 
     halves_db: dict[str, float]
     eighths_db: dict[str, float]
     density: dict[str, float]
     density_beside: dict[str, float]
+    ghosts: tuple[tuple[float, float], ...] = ()
 
     def paired(self) -> tuple[str, str] | None:
         """The two orders of the pairing that shows, in all that is seen or in the targets alone, or None."""
@@ -41,6 +46,14 @@ class OrderEvidence:
                 return _PAIRINGS[0]
             if second > LEAST_DENSITY * first:
                 return _PAIRINGS[1]
+        return self._without_ghosts()
+
+    def _without_ghosts(self) -> tuple[str, str] | None:
+        """The pairing beside whose other one there are ghosts: near a quarter of the range they are faint."""
+        for right, wrong in ((0, 1), (1, 0)) if len(self.ghosts) == len(_PAIRINGS) else ():
+            share, std = self.ghosts[wrong]
+            if share > max(LEAST_GHOST, CERTAIN * std) and abs(self.ghosts[right][0]) < LESS * share:
+                return _PAIRINGS[right]
         return None
 
     def proves(self, order: str) -> bool:
@@ -72,12 +85,15 @@ def weigh_orders(words: Words, layout: Layout) -> OrderEvidence:
     whole = {order: _power(words, Layout(layout.profile, order, layout.lanes), mean=True) for order in orders}
     power = {order: _power(words, Layout(layout.profile, order, layout.lanes), mean=False) for order in orders}
     half, eighth = layout.profile.samples // 2, layout.profile.samples // 8
+    halves_db = {order: _ratio_db(p[1:half], p[half + 1 :]) for order, p in power.items()}
+    nearer = [max(pair, key=lambda order: halves_db[order]) for pair in _PAIRINGS if pair[0] in halves_db]
     return OrderEvidence(
-        halves_db={order: _ratio_db(p[1:half], p[half + 1 :]) for order, p in power.items()},
+        halves_db=halves_db,
         eighths_db={order: _ratio_db(p[1 : eighth + 1], p[-eighth:]) for order, p in power.items()},
         # What is attached lies near zero. Without its mean its ghost would outweigh it and speak for the wrong pairing.
         density={order: float(whole[order] @ whole[order]) if order in whole else 0.0 for order in ORDERS},
         density_beside={order: _density_beside(power[order]) if order in power else 0.0 for order in ORDERS},
+        ghosts=tuple(_ghosts(words, Layout(layout.profile, order, layout.lanes)) for order in nearer),
     )
 
 
@@ -88,6 +104,10 @@ def decide_order(evidence: OrderEvidence, claimed: str, *, said: bool) -> OrderD
     pair = evidence.paired()
     order = claimed if pair is None or claimed in pair else next(o for o in pair if o[0] == claimed[0])
     figures = f"energy of the nearer over the farther half of the range: {evidence.told()}"
+    if pair is None and (other := _as_clear(evidence, order)):
+        text = f"The samples cannot tell whether the I/Q order is {order} or {other} ({figures}): the targets lie at a"
+        text += f" quarter of the range, where both look alike but for the sign of the motion. Taken is {order}."
+        return OrderDecision(order, False, f"{text} If it is wrong, set radar.iq_order = {other!r}.")
     if evidence.halves_db[order] >= LEAST_DB:
         return OrderDecision(order, True, f"I/Q order {order}, as the sign of the beat energy has it ({figures})")
     source = "the settings" if said else "the capture software's default"
@@ -102,6 +122,12 @@ def decide_order(evidence: OrderEvidence, claimed: str, *, said: bool) -> OrderD
     return OrderDecision(order, False, f"{text} If it is wrong, set radar.iq_order = {swapped(order)!r}.")
 
 
+def _as_clear(evidence: OrderEvidence, order: str) -> str:
+    """The order of the other pairing that shows the sign clearly too; empty where none does."""
+    others = next(pair for pair in _PAIRINGS if order not in pair)
+    return next((one for one in others if evidence.halves_db.get(one, 0.0) >= LEAST_DB), "")
+
+
 def _power(words: Words, layout: Layout, *, mean: bool) -> Floats:
     """Mean power (samples,) of the windowed chirps as shares of all, with their mean or without it and the zero bin."""
     cube = unpack(words, layout).astype(np.complex128)
@@ -112,6 +138,28 @@ def _power(words: Words, layout: Layout, *, mean: bool) -> Floats:
     if not mean:
         power[0] = 0.0
     return np.asarray(power / max(float(power.sum()), 1e-300))
+
+
+def _ghosts(words: Words, layout: Layout) -> tuple[float, float]:
+    """Share of the ghosts that this order would make of the targets that it shows if its pairing were wrong; its
+    standard deviation. Near 1: it is wrong; 0: it is right.
+
+    Words paired wrongly mirror a target at the angle w a sample to p = π − w, and repeat it at p − π with
+    −i cos p / (1 + sin p) of its phasor: faint near a quarter of the range, where p is w and only the sign turns.
+    """
+    cube = unpack(words, layout).astype(np.complex128)
+    count = cube.shape[-1]
+    spectrum = np.fft.fft(cube * np.hanning(count), axis=-1).reshape(-1, count)
+    at = np.arange(2 * NEAR_ZERO, count // 2 - 2 * NEAR_ZERO + 1)
+    angle = 2.0 * np.pi * at / count
+    expected = -1j * np.cos(angle) / (1.0 + np.sin(angle)) * spectrum[:, at]
+    found, power = spectrum[:, at + count // 2], float(np.sum(np.abs(expected) ** 2))
+    if not power > 0.0:
+        return 0.0, np.inf
+    share = float(np.sum((np.conj(expected) * found).real)) / power
+    rest = np.abs(found - share * expected) ** 2
+    # Neighbouring bins of a Hann window share their noise.
+    return share, float(np.sqrt(2.0 * np.sum(np.abs(expected) ** 2 * rest))) / power
 
 
 def _density_beside(power: Floats) -> float:

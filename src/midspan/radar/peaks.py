@@ -34,7 +34,8 @@ def _summits(values: Floats, least: float) -> list[int]:
 
 def _fraction(three: Floats) -> float:
     """Where between -½ and ½ a peak of three powers of a Hann window lies; their logarithms are near a parabola."""
-    low, middle, high = np.log(np.maximum(three, 1e-300))
+    # Single precision holds no 1e-300.
+    low, middle, high = np.log(np.maximum(three.astype(np.float64), 1e-300))
     bend = low - 2.0 * middle + high
     return float(np.clip(0.5 * (low - high) / bend, -0.5, 0.5)) if bend < 0 else 0.0
 

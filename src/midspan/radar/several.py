@@ -13,6 +13,8 @@ LEARNING_S = 10.0
 # deviations on; the distance is known well enough to say so after this many frames.
 LIMIT = 8.0
 _LEARNT_FRAMES = 5.0
+# Where no other is left, a target has a say from this share of the learning on.
+_STANDS_IN = 0.2
 # A target that leaves the others slowly began to so long before it is noticed, s; a record is gone through again to
 # leave that out, at most so often.
 BEFORE_S, _PASSES = 3.0, 4
@@ -114,6 +116,11 @@ def _combine(value, variance, doubt, told, need, state, last, out, left):  # typ
                 state[j, LEFT], seen[j] = 1.0, False
             use[j] = seen[j] and state[j, SAY] == 1.0
             own[j] = value[j, k] - state[j, OFFSET]
+        if not np.any(use):
+            # Those that know the zero are hidden: one whose offset is nearly learnt stands in.
+            for j in range(targets):
+                if seen[j] and state[j, LEFT] == 0.0 and state[j, LEARNT] >= _STANDS_IN * need:
+                    state[j, SAY], use[j] = 1.0, True
         # The offset has noise of its own: the target's and that of the others while it was learnt.
         worst, widened = _contradiction(own, variance[:, k], doubt[:, k], use)
         if worst >= 0:

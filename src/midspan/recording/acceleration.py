@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from midspan.errors import DataError
 from midspan.recording.span import inside
@@ -59,6 +60,14 @@ class PreparedAcceleration:
             np.concatenate((self.value_m_s2, value))[order],
             density + np.concatenate((self.bridging_density, extra))[order],
         )
+
+    @property
+    def unmeasured_ns(self) -> NDArray[np.int64]:
+        """Stamps (k, 2) of the last sample before and the first one after each stretch that had to be bridged."""
+        last = len(self.time_ns) - 1
+        spans = [(max(int(a) - 1, 0), min(int(b), last)) for a, b in runs(self.missing)]
+        spans += [(int(k), int(k) + 1) for k in clock(self.time_ns, GAP_STEPS).gaps]
+        return self.time_ns[np.array(sorted(spans), dtype=np.int64).reshape(-1, 2)]
 
     def rows(self, origin_ns: int, which: slice) -> Floats:
         """Rows (n, 3) for calibration: time (s), acceleration without its mean, relative noise density."""

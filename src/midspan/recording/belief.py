@@ -10,11 +10,19 @@ from midspan.engine.sun import sun_elevation_deg
 from midspan.engine.switching import PUBLISHED, Look, Switch, SwitchSettings
 from midspan.fusion.smoother import smooth
 from midspan.recording.cameras import Seen, Side
+from midspan.recording.contradiction import (
+    Contradiction,
+    bands,
+    cleared,
+    contradictions,
+)
 from midspan.recording.fuse import CourseError
 from midspan.recording.span import EPOCH_FROM_NS
+from midspan.recording.wander import wander_event, without_wandering, zero_errors
 from midspan.records import (
     NANOSECONDS,
     Displacement,
+    Estimate,
     Event,
     Floats,
     Nanoseconds,
@@ -36,7 +44,7 @@ class Belief:
     """Two cameras as one block of measurements, and who was believed.
 
     switched_ns, believed (k,): from each instant on this source, the first from the beginning on. course: the second
-    camera's zero beside the first's, None where both never saw together. levels: what is uncertain of it.
+    camera's zero beside the first's, None where both never saw together. levels: what is uncertain of both zeros.
     """
 
     measured: Displacement
@@ -58,38 +66,82 @@ class Belief:
         return np.where(ours, self.at(time_ns), source)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Zeroed:
+    """Both cameras' measurements on one zero, and what was met on the way."""
+
+    measured: tuple[Displacement, Displacement]
+    course: ZeroCourse | None
+    levels: tuple[CourseError, ...]
+    events: tuple[Event, ...]
+    warnings: tuple[str, ...]
+
+
 def believed(side: Side, seen: tuple[Seen, Seen]) -> Belief:
     """Bring the second camera to the zero of the first, and tell which one is believed when.
 
-    By variances both count, each with its own; by matches only the one that is believed, as published.
+    By variances both count, each with its own; by matches only the one that is believed, as published. Where they
+    contradict each other, the one that the acceleration speaks against is left out.
     """
-    first, second = (one.measured for one in seen)
-    course = zero_course(*_apart(side, first, second))
-    warnings: tuple[str, ...] = ()
-    levels: tuple[CourseError, ...] = ()
-    if course is None:
-        names = (seen[0].eye.sensor, seen[1].eye.sensor)
-        warnings = (f"{names[1]}: never sees together with the {names[0]}, so its zero is unknown; it was left out.",)
-        second = replace(second, value_m=np.full_like(second.value_m, np.nan))
-    else:
-        level, variance = course.at(second.time_ns)
-        second = replace(second, value_m=second.value_m - level)
-        levels = (CourseError(seen[1].eye.source, second.time_ns, np.sqrt(variance)),)
-    order, looks = _looks((first, second), seen)
+    zeroed = _zeroed(side, seen)
+    order, looks = _looks(zeroed.measured, seen)
     switched_ns, sources, events = _switches(side, looks, (seen[0].eye.source, seen[1].eye.source))
-    both = part(joined([first, second]), order)
-    found = Belief(both, switched_ns, sources, course, levels, events, warnings)
+    both = part(joined(list(zeroed.measured)), order)
+    events = (*zeroed.events, *events)
+    found = Belief(both, switched_ns, sources, zeroed.course, zeroed.levels, events, zeroed.warnings)
     if side.recording.settings.fusion.switching == "matches":
         left_out = found.at(both.time_ns) != both.source
         found = replace(found, measured=replace(both, value_m=np.where(left_out, np.nan, both.value_m)))
     return found
 
 
-def _apart(side: Side, first: Displacement, second: Displacement) -> tuple[Nanoseconds, Floats, Floats]:
-    """Time, second less first displacement (m) and its variance (m²) at the second's frames; NaN where one is blind."""
-    if not np.isfinite(first.value_m).any():
-        return second.time_ns, np.full(len(second.time_ns), np.nan), second.variance_m2
-    path = smooth(side.acceleration, first, side.kalman).estimate
+def _zeroed(side: Side, seen: tuple[Seen, Seen]) -> _Zeroed:
+    """Both cameras on the zero of the first; the second left out where both never see together."""
+    first, second = (one.measured for one in seen)
+    names = (seen[0].eye.sensor, seen[1].eye.sensor)
+    quiet = tuple(without_wandering(one) for one in seen)
+    course, innovations = None, []
+    if all(np.isfinite(one.value_m).any() for one in quiet):
+        alone = smooth(side.acceleration, quiet[0], side.kalman)
+        course = zero_course(*_apart(alone.estimate, *quiet))
+        # A day has millions of rows: the first camera's are let go before the second's come.
+        innovations = [alone.innovation]
+        del alone
+        innovations.append(smooth(side.acceleration, quiet[1], side.kalman).innovation)
+    if course is None:
+        text = f"{names[1]}: never sees together with the {names[0]}, so its zero is unknown; it was left out."
+        levels = tuple(one.wandering for one in seen[:1] if one.wandering is not None)
+        blind = replace(second, value_m=np.full_like(second.value_m, np.nan))
+        return _Zeroed((first, blind), None, levels, (), (text,))
+    found = contradictions(course, seen, innovations)
+    events = tuple(one.told(names) for one in found)
+    wandered = wander_event(course, quiet, names)
+    events = events if wandered is None else (*events, wandered)
+    course = _without_jumps_of_first(course, found)
+    levels = (
+        *zero_errors(seen, course, ~_near(first, second.time_ns)),
+        *bands(found, seen, second.time_ns),
+    )
+    second = replace(second, value_m=second.value_m - course.at(second.time_ns)[0])
+    both = (cleared(found, 0, first), cleared(found, 1, second))
+    return _Zeroed(both, course, levels, events, tuple(event.text for event in events))
+
+
+def _without_jumps_of_first(course: ZeroCourse, found: tuple[Contradiction, ...]) -> ZeroCourse:
+    """The second's zero beside the first as it would be without what the first jumped by."""
+    level, jump = course.level_m.copy(), course.jump_m.copy()
+    for one in found:
+        if one.guilty == 0 and one.jump_m:
+            level[course.time_ns >= one.to_ns] -= one.jump_m
+            jump[course.time_ns == one.to_ns] = 0.0
+    return replace(course, level_m=level, jump_m=jump)
+
+
+def _apart(path: Estimate, first: Displacement, second: Displacement) -> tuple[Nanoseconds, Floats, Floats]:
+    """Time, second less first displacement (m) and its variance (m²) at the second's frames; NaN where one is blind.
+
+    path: the first one's displacement, smoothed.
+    """
     origin = int(path.time_ns[0])
     t, at = seconds(path.time_ns, origin), seconds(second.time_ns, origin)
     there, spread = np.interp(at, t, path.displacement_m), np.interp(at, t, path.variance_m2)

@@ -9,7 +9,7 @@ from midspan.calibration.fit import Fit, Pair
 from midspan.calibration.noise import CERTAIN_S, Findings, NoiseCalibration, calibrate_noise, edge_s
 from midspan.calibration.scale import LEAST_GAIN, is_ambiguous
 from midspan.calibration.sensor_scale import calibrate_sensor_scale, unexplained_text
-from midspan.calibration.time_offset import BEYOND
+from midspan.calibration.time_offset import BEYOND, OffsetSearch
 from midspan.errors import DataError, UntrustedError
 from midspan.recording.calibrate_camera import measured_rows
 from midspan.recording.recording import Recording
@@ -28,6 +28,11 @@ TOLD_SHARE, LEARNT_SHARE, FARTHER_SHARE = 0.1, 0.25, 0.35
 MOST_LATE = 2.0
 # A displacement that is so much more likely (logarithm of the likelihood) with the opposite sign has it.
 CLEARLY_REVERSED = 20.0
+# Of two clock offsets the likelier one leads by this much (logarithm of the likelihood), and by this share of what the
+# acceleration brings: alternatives of a tone lead by less than a hundredth of it.
+LEAST_LEAD, LEAST_LEAD_SHARE = 12.0, 0.05
+# A motion that brings more tells an offset, so that two that fit alike are refused; with less, none is applied.
+TELLING_GAIN = 100.0
 # Beyond this share a scale is wrong rather than inexact.
 WRONG_SCALE = 0.5
 
@@ -159,7 +164,8 @@ def _refuse_doubtful_offset(beside: _Beside, learnt: NoiseCalibration, found: Fi
         return
     if unexplained(search.pair, fit):
         raise UntrustedError(unexplained_text(fit.offset_s, limit))
-    if is_ambiguous(search) and search.runner_up is not None:
+    gain = fit.likelihood - fit.without
+    if search.runner_up is not None and _ambiguous(search) and (learnt.offset.value_s != 0.0 or gain > TELLING_GAIN):
         raise UntrustedError(
             f"displacement: the clock offset is ambiguous: {fit.offset_s:+.4f} s and {search.runner_up.offset_s:+.4f} "
             f"s fit almost alike within ±{limit:g} s, as they do when the motion is nearly a single tone, or when a "
@@ -170,6 +176,15 @@ def _refuse_doubtful_offset(beside: _Beside, learnt: NoiseCalibration, found: Fi
         raise UntrustedError(_beyond(beside, fit.offset_s))
 
 
+def _ambiguous(search: OffsetSearch) -> bool:
+    """Whether two offsets fit alike; with little motion a lead that is small beside a tone's errors decides all the
+    same, where it is a good part of what the motion tells at all."""
+    other, fit = search.runner_up, search.fit
+    if other is None or not is_ambiguous(search):
+        return False
+    return fit.likelihood - other.likelihood < max(LEAST_LEAD, LEAST_LEAD_SHARE * (fit.likelihood - fit.without))
+
+
 def _offset_warnings(beside: _Beside, learnt: NoiseCalibration) -> list[str]:
     told = []
     if beside.max_offset_s < beside.wanted_s:
@@ -177,11 +192,19 @@ def _offset_warnings(beside: _Beside, learnt: NoiseCalibration) -> list[str]:
             f"displacement: clock offsets up to ±{beside.max_offset_s:.3g} s only were searched, a quarter of the "
             f"overlap of {beside.overlap_s:.3g} s; calibration.max_offset_s is {beside.wanted_s:g} s."
         )
-    if beside.max_offset_s > 0.0 and np.isinf(learnt.offset.variance):
+    if beside.max_offset_s > 0.0 and (np.isinf(learnt.offset.variance) or _not_told(learnt)):
         told.append(
             "displacement: the motion does not tell its clock offset, which is taken for 0; with more motion it would."
         )
     return told
+
+
+def _not_told(learnt: NoiseCalibration) -> bool:
+    """Whether no offset was applied though the one that fits best is not 0."""
+    search = None if learnt.findings is None else learnt.findings.search
+    if search is None or learnt.offset.value_s != 0.0:
+        return False
+    return abs(search.fit.offset_s) > 5.0 * float(np.sqrt(search.offset.variance))
 
 
 def _on_one_clock(learnt: NoiseCalibration, found: Findings) -> NoiseCalibration:
@@ -205,7 +228,7 @@ def _speed(pair: Pair, factor: float, noise: float) -> float:
     rows = pair.rows[np.isfinite(pair.rows[:, 2])]
     apart = np.diff(rows[:, 0])
     square = (factor * np.diff(rows[:, 1]) / apart) ** 2 - 2.0 * noise / apart**2
-    return float(np.sqrt(max(np.mean(square), 0.0)))
+    return float(np.sqrt(max(float(np.mean(square)), 0.0)))
 
 
 def _refuse_poor_displacement(series: TimeSeries, used: slice) -> None:

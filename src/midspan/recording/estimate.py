@@ -1,6 +1,6 @@
 """`estimate`: the main job, from a recording to displacement at the accelerometer's rate with its error band."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -21,12 +21,12 @@ from midspan.recording.progress import Progress, silent
 from midspan.recording.radar_literal import require_same_way
 from midspan.recording.recording import Recording, naming
 from midspan.recording.result import Result
-from midspan.recording.scale_check import scale_warnings
+from midspan.recording.scale_check import SCALED, scale_warnings
 from midspan.recording.second_axis import SecondAxis, second_axis
 from midspan.recording.span import inside, shown
 from midspan.recording.tracking import CameraTracking
 from midspan.recording.unsupported import unsupported_events
-from midspan.records import NANOSECONDS, Estimate, Event, Innovation, Status, part
+from midspan.records import NANOSECONDS, Estimate, Event, Innovation, Source, Status, part
 
 # Where more than half of the measurements contradict the prediction, the prediction or the calibration is wrong.
 MOST_REJECTED = 0.5
@@ -59,27 +59,37 @@ def estimate(
     method = option("method", method or recording.settings.fusion.method, METHODS)
     if recording.settings.fusion.literal and method not in LITERAL:
         raise UsageError(f"{recording.file}: fusion: {no_literal_form(method)}.")
+    # What was learnt on this recording a moment ago fits it.
+    asked = _Asked(method, given=calibration is not None and tracking is None)
     if calibration is None:
         calibration, tracking = calibrate_and_track(recording, progress)
     with naming(recording):
-        return _estimate(recording, calibration, method, tracking, progress)
+        return _estimate(recording, calibration, asked, tracking, progress)
+
+
+@dataclass(frozen=True, slots=True)
+class _Asked:
+    """The method, and whether the calibration was given, not learnt on this recording just now."""
+
+    method: str
+    given: bool
 
 
 def _estimate(
-    recording: Recording, calibration: Calibration, method: str, tracking: CameraTracking | None, progress: Progress
+    recording: Recording, calibration: Calibration, asked: _Asked, tracking: CameraTracking | None, progress: Progress
 ) -> Result:
+    method = asked.method
     _require(recording, calibration)
     gathered = gather(recording, calibration, tracking, progress)
     progress(0, 1, "fusing")
-    # What was learnt on this recording a moment ago fits it.
-    scaled = scale_warnings(gathered.inputs) if tracking is None else []
+    scaled = _given_warnings(recording, calibration, gathered) if asked.given else []
     fused = fuse(gathered.inputs, method, _method_settings(recording))
     _refuse_rejections(recording, fused.innovation)
     result = _cut(recording, gathered.inputs, fused.estimate)
     if gathered.belief is not None:
         result = replace(result, source=gathered.belief.marked(result.time_ns, result.source))
     alone = unsupported_events(result, fused.events)
-    across, more = _second(recording, calibration, gathered, (result, method), given=tracking is None)
+    across, more = _second(recording, calibration, gathered, (result, method), given=asked.given)
     progress(1, 1, "fusing")
     return Result(
         estimate=result,
@@ -103,6 +113,14 @@ def _estimate(
         eyes=gathered.eyes,
         belief=gathered.belief,
     )
+
+
+def _given_warnings(recording: Recording, calibration: Calibration, gathered: Gathered) -> list[str]:
+    """What to tell of a calibration that does not quite fit; UntrustedError where it does not."""
+    literal = calibration.radar is not None and calibration.radar.literal
+    # The factor as printed is known to be off.
+    sources = [source for source in SCALED if not (literal and source == Source.RADAR)]
+    return scale_warnings(gathered.inputs, max_offset_s=recording.settings.calibration.max_offset_s, sources=sources)
 
 
 def _events(

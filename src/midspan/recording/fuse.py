@@ -12,7 +12,7 @@ from midspan.fusion.kalman import KalmanSettings
 from midspan.fusion.noise_profile import LEAST, noise_factors
 from midspan.fusion.response import linear, places, standing_still, used_variance
 from midspan.fusion.runners import RUNNERS, MethodSettings, Runner, run_method
-from midspan.fusion.smoother import Smoothed, smooth
+from midspan.fusion.smoother import Smoothed, doubt_levels, smooth
 from midspan.recording.beginning import SHARP_VARIANCES, Beginning, judged_backwards
 from midspan.recording.span import inside, shown
 from midspan.records import (
@@ -56,9 +56,12 @@ class LevelError:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CourseError:
-    """A sensor's zero wanders, and is known at stamps (n,) to standard deviations (n,) in m only."""
+    """A sensor's zero wanders, and is known at stamps (n,) to standard deviations (n,) in m only.
 
-    source: Source
+    source: the sensor, or several whose zeros wander together.
+    """
+
+    source: Source | tuple[Source, ...]
     time_ns: Nanoseconds
     std_m: Floats
 
@@ -185,6 +188,7 @@ def _smooth_again(inputs: FusionInputs, right: Mask) -> Smoothed:
     lonely = _lonely(replace(inputs.displacement, variance_m2=declared), causal.innovation) & ~right
     kept = replace(inputs.displacement, variance_m2=np.where(lonely, np.inf, declared))
     found = smooth(inputs.acceleration, kept, inputs.kalman)
+    doubt_levels(found.estimate, found.innovation)
     if not lonely.any() and np.array_equal(declared, inputs.displacement.variance_m2, equal_nan=True):
         return found
     # They count as rejected measurements, with the causal run's innovations.
@@ -246,7 +250,7 @@ def _measurement_errors(inputs: FusionInputs, rows: Estimate) -> list[Floats]:
     for zero in inputs.levels:
         if isinstance(zero, CourseError):
             std = np.interp(measured.time_ns, zero.time_ns, zero.std_m)
-            found.append(np.where(measured.source == zero.source, std, 0.0))
+            found.append(np.where(np.isin(measured.source, zero.source), std, 0.0))
             continue
         own = (measured.source == zero.source) & (measured.time_ns >= zero.from_ns)
         found.append(np.where(own, zero.std_m, 0.0))

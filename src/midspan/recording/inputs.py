@@ -146,8 +146,7 @@ def _inputs(
 
 def _camera_levels(seen: tuple[Seen, ...], belief: Belief | None) -> tuple[CourseError, ...]:
     """What is uncertain of the zeros of cameras: what their reference frames are off by, and the second's zero."""
-    wandering = tuple(one.wandering for one in seen if one.wandering is not None)
-    return wandering if belief is None else (*wandering, *belief.levels)
+    return tuple(one.wandering for one in seen if one.wandering is not None) if belief is None else belief.levels
 
 
 def _with_ages(kalman: KalmanSettings, measured: Displacement) -> KalmanSettings:

@@ -118,7 +118,8 @@ def _clearly_seen(
         return found, frames, []
     longest = _longest_clear(frames, best)
     if longest.stop - longest.start < LEAST_CLEAR * len(frames.time_ns):
-        longest = _longest_clear(frames, best[:1])
+        # What stands before one target may be taken for another, seen for a short time only.
+        longest = max((_longest_clear(frames, [target]) for target in best), key=lambda part: part.stop - part.start)
     count = longest.stop - longest.start
     if count >= ALL_CLEAR * len(frames.time_ns) or count < max(LEAST_FRAMES, LEAST_CLEAR * len(frames.time_ns)):
         return found, frames, []
@@ -291,10 +292,10 @@ def _widened(targets: tuple[RadarTarget, ...], search: OffsetSearch) -> tuple[tu
         f"radar: the conversion factor of the target at {best.range_m:.2f} m is {best.conversion_factor:.5g} by its "
         f"acceleration and {1 / fit.ratio:.5g} by likelihood; the difference was added to its uncertainty."
     )
-    if apart > LARGEST_RELATIVE_STD:
+    if np.hypot(best.relative_std, apart) > LARGEST_RELATIVE_STD:
         raise UntrustedError(
-            f"radar: the conversion factor of the target at {best.range_m:.2f} m is {best.conversion_factor:.4g} by its "
-            f"acceleration and {1 / fit.ratio:.4g} by likelihood: {100 * apart:.2g} % apart, at most "
+            f"radar: the conversion factor of the target at {best.range_m:.2f} m is {best.conversion_factor:.4g} by "
+            f"its acceleration and {1 / fit.ratio:.4g} by likelihood: {100 * apart:.2g} % apart, at most "
             f"{100 * LARGEST_RELATIVE_STD:g} % are allowed. Something else moves in its bin, or it moves by itself. "
             "Choose another with radar.target_range_m, or calibrate (calibration.window_s) on a time without it."
         )
@@ -340,8 +341,8 @@ def _too_small(used: Sequence[Target]) -> list[str]:
     if abs(worst.conversion_factor) >= least:
         return []
     return [
-        f"radar: the conversion factor {worst.conversion_factor:.4g} of the target at {worst.range_m:.2f} m is below 1, "
-        "which a fixed target cannot have. Check accelerometer.unit (1 g is 9.81 m/s²) and the accelerometer's "
+        f"radar: the conversion factor {worst.conversion_factor:.4g} of the target at {worst.range_m:.2f} m is below "
+        "1, which a fixed target cannot have. Check accelerometer.unit (1 g is 9.81 m/s²) and the accelerometer's "
         "sensitivity, carrier and slope in radar.config, and that the path is not reflected twice."
     ]
 

@@ -14,6 +14,7 @@ from midspan.recording.fuse import CourseError, LevelError, SensorError
 from midspan.recording.open_tracking import frames_used
 from midspan.recording.progress import Progress
 from midspan.recording.radar_literal import literal_track
+from midspan.recording.radar_own import told
 from midspan.recording.radar_trace import RadarTrace
 from midspan.recording.radar_track import RadarTrack, track_targets
 from midspan.recording.recording import Recording
@@ -77,16 +78,16 @@ def radar_inputs(
     clock = track.clock
     std_s = float(np.sqrt(known.offset.variance)) if clock is None or clock.std_s is None else clock.std_s
     events = _events(track, known.used, levels)
-    told = [*(() if clock is None else clock.warnings), *_warnings(track, source.info.warnings, calibration)]
+    warned = [*(() if clock is None else clock.warnings), *_warnings(track, source.info.warnings, calibration)]
     stamps = measured.time_ns
-    lasting = (*track.bent_m, *(() if track.apart_m is None else (track.apart_m,)))
+    lasting = (*track.bent_m, *track.courses_m, *(() if track.apart_m is None else (track.apart_m,)))
     bends = tuple(CourseError(Source.RADAR, stamps, error_m) for error_m in lasting if error_m.any())
     return RadarInputs(
         measured=part(measured, slice(int(seen[0]), None)),
         error=SensorError(Source.RADAR, known.relative_std, std_s),
         levels=(*levels, *bends),
         events=events,
-        warnings=tuple(told),
+        warnings=tuple(warned),
         trace=track.trace,
     )
 
@@ -185,6 +186,8 @@ def _warnings(track: RadarTrack, of_source: tuple[str, ...], calibration: Calibr
     if track.lost.any():
         found.append(f"radar: {np.count_nonzero(track.lost)} frames ({100 * np.mean(track.lost):.2g} %) never arrived.")
     assert calibration.radar is not None
+    if track.own is not None:
+        found += told(track.own, calibration.radar.used)
     for target, series in zip(calibration.radar.used, track.targets, strict=True):
         found += [] if series.explained else [f"radar: {line}" for line in series.warnings[:1]]
         seen = float(np.mean(series.status[track.places] == Status.TRACKING))

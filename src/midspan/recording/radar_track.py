@@ -9,6 +9,7 @@ from midspan.radar.channels import Phasors
 from midspan.radar.departures import departures
 from midspan.radar.following import LEAST_EXCURSION_BINS, at_places
 from midspan.radar.measurement import TargetFrames, TargetSeries, displacement
+from midspan.radar.own_motion import OwnMotions, Shown, own_motions
 from midspan.radar.range_profile import coarse_range, half_kernel
 from midspan.radar.several import record_combined
 from midspan.radar.target import Target
@@ -25,6 +26,8 @@ from midspan.recording.radar_frames import (
     fetched,
     samples_of,
 )
+from midspan.recording.radar_gaps import gaps_filled
+from midspan.recording.radar_own import comparable, without_acceleration
 from midspan.recording.radar_trace import Followed, RadarTrace, SeenFrames, radar_trace
 from midspan.records import NANOSECONDS, Displacement, Floats, Nanoseconds, Source, seconds
 from midspan.sources.radar.dca1000 import RawCapture
@@ -39,7 +42,8 @@ class RadarTrack:
     target, on an even grid of frames; places (n,): the rows' frames in it; lost (n,): frames of which nothing arrived;
     datums: rows from which on the displacement counts from a new zero; bent_m (2, n): error for one standard deviation
     of either part, in phase and across, of what else lies in the targets' bins; trace: what the report draws; clock:
-    how the radar's ran.
+    how the radar's ran; own: how the targets move by themselves; courses_m: the error of one standard deviation each
+    that they make by it.
     """
 
     measured: Displacement
@@ -52,6 +56,8 @@ class RadarTrack:
     apart_m: Floats | None = None
     trace: RadarTrace | None = field(default=None, repr=False)
     clock: RadarClock | None = field(default=None, repr=False)
+    own: OwnMotions | None = field(default=None, repr=False)
+    courses_m: tuple[Floats, ...] = field(default=(), repr=False)
 
 
 def target_series(
@@ -104,7 +110,10 @@ def track_targets(
     own = read_targets(source, wanted, used, progress)
     origin = int(own[0].time_ns[0])
     samples = samples_of(prepared, origin)
-    clock = _clock(source, own[0], targets[0], (origin, samples))
+    seen = _seen(source, own[0], targets[0], origin)
+    samples = gaps_filled(samples, prepared.unmeasured_ns - origin, seen)
+    clock = radar_clock(seen, samples)
+    clock = replace(clock, time_ns=clock.time_ns + origin)
     own = [replace(one, time_ns=clock.time_ns) for one in own]
     series = [_series(source, one, target, (origin, samples)) for one, target in zip(own, targets, strict=True)]
     wide = [k for k, one in enumerate(series) if _moves_further(one, own[k], source)]
@@ -121,7 +130,7 @@ def track_targets(
             series[k] = _series(source, own[k], target, (origin, samples), coarse)
     lost = np.asarray(~np.isfinite(own[0].phasors).all(axis=1))
     given = (lost, source.info.axis.phase_per_m(targets[0].range_m), origin, samples)
-    track = _together(own[0].time_ns, series, calibration, given)
+    track = _together(own[0].time_ns, series, (calibration, prepared), given)
     return replace(track, trace=_trace(source, targets, track, own), clock=clock)
 
 
@@ -133,10 +142,9 @@ def read_targets(
     return fetched(source.slow_time(bins, used.start, used.stop), wanted, used.stop - used.start, progress)
 
 
-def _clock(source: RadarSource, own: TargetPhasors, target: Target, given: tuple[int, Floats]) -> RadarClock:
-    """How the radar's clock ran, by the best target."""
-    origin, samples = given
-    seen = Seen(
+def _seen(source: RadarSource, own: TargetPhasors, target: Target, origin: int) -> Seen:
+    """The best target as its clock is judged by; its stamps count from the origin, ns."""
+    return Seen(
         time_ns=own.time_ns - origin,
         phasors=_at_target(own, target, np.zeros(len(own.time_ns))),
         amplitude=target.amplitude,
@@ -144,8 +152,6 @@ def _clock(source: RadarSource, own: TargetPhasors, target: Target, given: tuple
         ratio=1.0 / target.conversion_factor,
         phase_per_m=source.info.axis.phase_per_m(target.range_m),
     )
-    clock = radar_clock(seen, samples)
-    return replace(clock, time_ns=clock.time_ns + origin)
 
 
 def _series(
@@ -186,15 +192,15 @@ def _coarse(source: RawCapture, target: Target, used: slice) -> Floats:
 def _together(
     time_ns: Nanoseconds,
     series: list[TargetSeries],
-    calibration: RadarCalibration,
+    known: tuple[RadarCalibration, PreparedAcceleration],
     given: tuple[NDArray[np.bool_], float, int, Floats],
 ) -> RadarTrack:
-    """One displacement out of all targets'; time_ns (n,): on the radar's clock.
+    """One displacement out of all targets'; time_ns (n,): on the radar's clock; known: calibration, accelerometer.
 
     given: frames (n,) of which nothing arrived, rad per m of range at the best target, and `samples_of` with what
     their time counts from.
     """
-    lost, phase_per_m, origin, samples = given
+    (lost, phase_per_m, origin, samples), (calibration, prepared) = given, known
     places = even_places(time_ns)
     rate = NANOSECONDS / float(np.median(np.diff(time_ns)))
     frame_s = np.interp(np.arange(int(places[-1]) + 1), places, seconds(time_ns, origin)) + calibration.offset.value_s
@@ -202,10 +208,17 @@ def _together(
     variance = np.stack([one.variance_m2 for one in series]) * calibration.variance_factor
     guessed = np.stack([one.new_datum for one in series])
     relative = np.array([target.relative_std for target in calibration.used])
-    moved = departures(frame_s, value, variance, samples=samples, relative_std=relative)
+    blind = without_acceleration(prepared, origin, frame_s)
+    seen = comparable(value, frame_s, blind)
+    moved = departures(frame_s, seen, variance, samples=samples, relative_std=relative)
+    own = _own(series, (frame_s, value, variance, relative), (guessed, moved, blind), samples)
+    kept = ~own.left_out
     targets, (total, spread, begins) = record_combined(
-        value, variance, rate, told=(guessed, moved), relative_std=relative
+        value[kept], variance[kept], rate, told=(guessed[kept], moved[kept]), relative_std=relative[kept]
     )
+    left_out = np.zeros(value.shape, dtype=np.bool_)
+    left_out[kept] = targets.left_out
+    weighed = np.where(left_out | own.left_out[:, None], np.inf, variance)
     measured = Displacement(
         time_ns=time_ns + round(calibration.offset.value_s * NANOSECONDS),
         value_m=total[places],
@@ -218,10 +231,30 @@ def _together(
         places=places,
         lost=lost,
         datums=tuple(int(k) for k in np.flatnonzero(begins[places])),
-        bent_m=_bent(series, np.where(targets.left_out, np.inf, variance), phase_per_m)[:, places],
-        left_out=targets.left_out[:, places],
+        bent_m=_bent(series, weighed, phase_per_m)[:, places],
+        left_out=left_out[:, places],
         apart_m=targets.apart_m[places],
+        own=own,
+        courses_m=own.courses_m(frame_s[places], weighed[:, places]),
     )
+
+
+def _own(
+    series: list[TargetSeries],
+    shown: tuple[Floats, Floats, Floats, Floats],
+    flaws: tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]],
+    samples: Floats,
+) -> OwnMotions:
+    """How the targets move by themselves, besides setting out.
+
+    shown: instants (n,), values and variances (targets, n), the factors' relative deviations (targets,); flaws: where a
+    cycle was lost and where a target set out (targets, n), and where no acceleration was measured (n,).
+    """
+    (frame_s, value, variance, relative), (guessed, moved, blind) = shown, flaws
+    out = moved | ~np.isfinite(variance)
+    steps = guessed | (moved & ~np.roll(moved, 1, axis=1)) | (~moved & np.roll(moved, 1, axis=1))
+    lasting = np.array([one.clutter_m for one in series])
+    return own_motions(Shown(frame_s, np.where(out, np.nan, value), variance, steps, blind, relative, lasting), samples)
 
 
 def _bent(series: list[TargetSeries], variance: Floats, phase_per_m: float) -> Floats:

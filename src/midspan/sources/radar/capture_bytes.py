@@ -12,6 +12,8 @@ from midspan.errors import DataError
 Bytes = NDArray[np.uint8]
 
 PACKET_BYTES = 1456
+# A capture is split into fewer files than this; a larger number is a date or the like.
+MOST_FILES = 1000
 # Headers that some captures keep: number and count of bytes before, with the packet's length between them or without.
 _HEADS = {14: (4, 8), 10: (None, 4)}
 _SPLIT = re.compile(r"^(.*_)0(\.bin)$", re.IGNORECASE)
@@ -55,6 +57,22 @@ def split_files(path: Path) -> list[Path]:
         while (following := path.with_name(f"{found.group(1)}{len(files)}{found.group(2)}")).is_file():
             files.append(following)
     return files
+
+
+def missing_files(path: Path) -> list[str]:
+    """Names of files that are missing between those of a capture that was split."""
+    found, files = _SPLIT.match(path.name), split_files(path)
+    if not found:
+        return []
+    begin, end = found.groups()
+    rest = path.parent.glob("*")
+    numbers = [int(name[len(begin) : -len(end)]) for file in rest if _is_part(name := file.name, begin, end)]
+    last = max([len(files) - 1, *(n for n in numbers if n < MOST_FILES)])
+    return [name for n in range(len(files), last) if not (path.with_name(name := f"{begin}{n}{end}")).is_file()]
+
+
+def _is_part(name: str, begin: str, end: str) -> bool:
+    return name.startswith(begin) and name.endswith(end) and name[len(begin) : -len(end)].isdecimal()
 
 
 def _mapped(file: Path) -> Bytes:

@@ -13,7 +13,7 @@ from midspan.radar.iq_order import LEAST_DB, decide_order, swapped, weigh_orders
 from midspan.radar.layout import WORD_BYTES, Layout, Words, block_words, sign_extended, unpack, word_weights
 from midspan.radar.range_profile import averaged, bin_kernel, range_profile, weighted_products
 from midspan.records import ChirpFrame, Floats, Nanoseconds, RangeFrames, nanoseconds
-from midspan.sources.radar.capture_bytes import Bytes, CaptureBytes, open_bytes
+from midspan.sources.radar.capture_bytes import Bytes, CaptureBytes, missing_files, open_bytes
 from midspan.sources.radar.radar_source import RadarInfo, RadarRequest, RadarSource
 from midspan.sources.radar.ti_config import TiSettings, read_settings
 
@@ -21,6 +21,8 @@ FRAMES_AT_A_TIME = 256
 PROBED_FRAMES = 64
 # Zeros after the last frame are looked at up to so many bytes.
 MOST_PADDING = 1 << 24
+# Missing at the end up to so many frames, or this share, are not worth a warning: a capture is stopped by hand.
+FEW_FRAMES, FEW_SHARE = 2, 0.01
 # Frames of another number of samples, receivers or chirps differ in size by a ratio of whole numbers up to this.
 SIMPLE_RATIO = 64
 # The share of samples at the limits of the ADC from which a capture is useless, and from which it is told.
@@ -46,6 +48,7 @@ class RawCapture(RadarSource):
         self._bytes = open_bytes(path)
         layout = Layout(settings.profile, settings.order, settings.lanes)
         self._count, notes = _frame_count(path, self._bytes, settings, layout)
+        missing = _missing(path, self._count, settings)
         self._layout = layout
         self._runs = True
         probe = self._probe()
@@ -56,7 +59,7 @@ class RawCapture(RadarSource):
         _check_levels(path, probe, layout)
         self._layout, order_notes, warnings = _ordered(path, probe, layout, settings, request.iq_order)
         notes += (*self._bytes.notes, *settings.notes, *order_notes, *_saturation_notes(probe, layout))
-        self._notes, self._warnings = notes, warnings
+        self._notes, self._warnings = notes, (*missing, *warnings)
         self._missing = 0
 
     @property
@@ -164,7 +167,7 @@ def _frame_count(path: Path, data: CaptureBytes, settings: TiSettings, layout: L
     whole, rest = divmod(size, each)
     if said and size > said * each and not data.read(said * each, min(size - said * each, MOST_PADDING))[0].any():
         return said, (f"{size - said * each} bytes of zeros after the last frame are left out",)
-    if said and (size > said * each or _other_frames(size, said, each)):
+    if said and (size > said * each or (_other_frames(size, said, each) and not missing_files(path))):
         raise DataError(
             f"{path} does not fit radar.config. {sums}, {said} frames are {said * each} bytes; found are {size} bytes, "
             f"{size / said:.10g} bytes a frame. Give the settings that it was recorded with."
@@ -177,6 +180,23 @@ def _frame_count(path: Path, data: CaptureBytes, settings: TiSettings, layout: L
     return whole, tuple(notes)
 
 
+def _missing(path: Path, count: int, settings: TiSettings) -> tuple[str, ...]:
+    """Sentences on files of a split capture, and on frames of the settings, that are not there."""
+    absent = missing_files(path)
+    told = []
+    if absent:
+        told.append(
+            f"radar: {', '.join(absent)} is missing beside {path.name}, and later files are there: the capture is read "
+            "only up to the gap. Put the file back."
+        )
+    if settings.frames - count > max(FEW_FRAMES, FEW_SHARE * settings.frames):
+        told.append(
+            f"radar: {path.name} holds {count} of the {settings.frames} frames that radar.config says; the result ends "
+            "with them. Check that the capture is whole."
+        )
+    return tuple(told)
+
+
 def _other_frames(size: int, said: int, each: int) -> bool:
     """Whether a file that is too short holds as many frames as it should, of another size in a simple ratio."""
     return size < said * each and size % said == 0 and Fraction(size // said, each).denominator <= SIMPLE_RATIO
@@ -187,6 +207,12 @@ def _check_levels(path: Path, probe: Words, layout: Layout) -> None:
         raise DataError(
             f"{path} holds nothing but zeros (or holes) in up to {PROBED_FRAMES} frames of {layout.frame_bytes} bytes. "
             "Check that the radar was started before the capture, and its cable."
+        )
+    rows = probe.reshape(-1, layout.frame_words)
+    if len(rows) > 1 and (rows == rows[0]).all():
+        raise DataError(
+            f"{path} holds the same samples in all {len(rows)} frames that were looked at, without any noise: no radar "
+            "measured them. Check radar.file and the capture."
         )
     share = _saturated(probe, layout)
     if share > SATURATED:

@@ -36,6 +36,7 @@ class SlowTimeFile(RadarSource):
             beside = _completed(beside, request)
         self._carrier_hz = _carrier(path, beside, settings)
         self._times_s = self._stamps(beside, settings)
+        self._refuse_nothing()
         self._range_m = np.atleast_1d(np.asarray(beside.get("range_m", np.nan), dtype=np.float64))
 
     @property
@@ -70,6 +71,23 @@ class SlowTimeFile(RadarSource):
         """The bins that are asked for, out of those stored."""
         for block in self.profiles(start, stop):
             yield RangeFrames(block.time_ns, at_bins(block.phasors, bins), block.valid)
+
+    def _refuse_nothing(self) -> None:
+        """DataError where no frame holds anything but zeros or NaN, or all hold the same."""
+        count = self._shape[0]
+        first: NDArray[np.complex64] | None = None
+        for begin in range(0, count, FRAMES_AT_A_TIME):
+            z = np.asarray(self._read(begin, min(begin + FRAMES_AT_A_TIME, count)), dtype=np.complex64)
+            z = z.reshape(len(z), -1)
+            z = z[np.isfinite(z).all(axis=1)]
+            first = z[0] if first is None and len(z) else first
+            if first is not None and (z != first).any():
+                return
+        if count > 1:
+            what = "nothing but missing frames (NaN)" if first is None else f"the same I/Q in all {count} frames"
+            raise DataError(
+                f"{self._path} holds {what}, without any noise: no radar measured that. Check radar.file."
+            )
 
     def _stamps(self, beside: dict[str, Any], settings: TiSettings | None) -> Floats:
         count = self._shape[0]

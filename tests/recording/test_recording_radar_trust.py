@@ -1,0 +1,106 @@
+"""Radar results that must not be trusted: targets that sway, factors no fixed target has, gaps of the accelerometer."""
+
+from dataclasses import dataclass
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import midspan
+from midspan.errors import UntrustedError
+from midspan.radar.target import Target
+from midspan.recording.radar import _widened
+from midspan.recording.radar_calibration import RadarTarget
+from midspan.records import Floats, Status
+from midspan.simulate.radar import Reflector
+from radar_recordings import PLATE, Case, true_mm, write
+
+WALL = Reflector(3.4, 700.0, ratio=1 / 1.27, azimuth_rad=0.2)
+
+
+@dataclass(frozen=True)
+class Sway:
+    """A target that swings by itself."""
+
+    amplitude_m: float
+    frequency_hz: float
+
+    def displacement(self, time_s: Floats) -> Floats:
+        return self.amplitude_m * np.sin(2 * np.pi * self.frequency_hz * np.asarray(time_s))
+
+    def acceleration(self, time_s: Floats) -> Floats:
+        return -((2 * np.pi * self.frequency_hz) ** 2) * self.displacement(time_s)
+
+
+def estimated(folder, **options):
+    result = midspan.estimate(midspan.open_recording(folder), **options)
+    return result, result.displacement_mm - true_mm(folder, result.time_s)
+
+
+def test_an_only_target_that_sways_is_told_and_the_band_holds_it(tmp_path) -> None:
+    tree = Reflector(3.4, 900.0, ratio=1.0, own=Sway(3e-4, 0.4))
+    result, error = estimated(write(tmp_path, Case((tree, PLATE), seed=11)))
+    # Nothing else sees the motion of 0.3 mm: it is in the result, and the band must say so.
+    assert 0.15 < np.std(error) < 0.25
+    assert np.sqrt(np.mean((error / result.displacement_std_mm) ** 2)) < 2.0
+    assert any("3.4" in line and "by itself" in line for line in result.warnings)
+
+
+def test_one_of_two_that_sways_is_left_out_by_the_accelerometer(tmp_path) -> None:
+    tree = Reflector(6.1, 2000.0, ratio=1.0, own=Sway(2e-4, 1.0))
+    result, error = estimated(write(tmp_path, Case((tree, WALL, PLATE), seed=12)))
+    assert any("6.1" in line and "left out" in line for line in result.warnings)
+    # The wall alone: 8 to 16 µm a frame, smoothed.
+    assert np.abs(error).max() < 0.03
+    assert np.mean(np.abs(error) < 1.96 * result.displacement_std_mm) > 0.9
+
+
+def test_two_targets_that_part_slowly_widen_the_band_where_nobody_knows_which(tmp_path) -> None:
+    slow = Reflector(6.1, 2000.0, ratio=1.0, own=Sway(3e-3, 0.04))
+    result, error = estimated(write(tmp_path, Case((slow, WALL, PLATE), seed=13)))
+    assert any("differ by about" in line for line in result.warnings)
+    assert np.abs(error).max() > 1.0
+    assert np.abs(error / result.displacement_std_mm).max() < 4.0
+
+
+def test_a_factor_below_one_is_told(tmp_path) -> None:
+    folder = write(tmp_path, Case((WALL, PLATE), seed=14))
+    text = (folder / "recording.toml").read_text()
+    (folder / "recording.toml").write_text(text.replace('"m/s^2"', '"g"'))
+    table = np.loadtxt(folder / "accel.csv", delimiter=",", skiprows=1)
+    # Half a g is called one, as a sensitivity that is half of the true one does.
+    table[:, 1] /= 2 * 9.80665
+    np.savetxt(folder / "accel.csv", table, delimiter=",", header="time_s,accel", comments="", fmt="%.9f")
+    calibration = midspan.calibrate(midspan.open_recording(folder))
+    assert calibration.radar.best.conversion_factor == pytest.approx(0.635, rel=0.01)
+    assert any("below 1" in line and "accelerometer.unit" in line for line in calibration.warnings)
+
+
+@pytest.mark.parametrize("length_s", [0.1, 1.0])
+def test_a_gap_of_the_accelerometer_is_left_out_of_the_comparison_and_rows_go_on(tmp_path, length_s) -> None:
+    folder = write(tmp_path, Case((WALL, PLATE), seed=15))
+    table = np.loadtxt(folder / "accel.csv", delimiter=",", skiprows=1)
+    kept = (table[:, 0] < 8.0) | (table[:, 0] > 8.0 + length_s)
+    np.savetxt(folder / "accel.csv", table[kept], delimiter=",", header="time_s,accel", comments="", fmt="%.8f")
+    result, error = estimated(folder)
+    used = result.calibration.radar.best
+    assert abs(used.conversion_factor - 1.27) < 4 * used.conversion_factor_std
+    assert any("without a gap" in line for line in result.calibration.warnings)
+    assert not {"left out", "new datum"} & {event.kind for event in result.events}
+    assert result.time_s[-1] > 24.5
+    assert np.mean(result.estimate.status == Status.TRACKING) > 0.99
+    assert np.abs(error).max() < 0.05
+
+
+@pytest.mark.parametrize(("ratio", "refused"), [(1.0, False), (0.985, False), (0.97, True)])
+def test_a_factor_on_which_two_ways_differ_by_more_than_two_percent_is_refused(ratio, refused) -> None:
+    target = Target(15.0, 3.4, 900.0, 30.0, np.ones(1, dtype=complex), 0.0, 1.0, 1e-3, 0.0, 1e-4, 0.99)
+    search = SimpleNamespace(fit=SimpleNamespace(ratio=ratio, ratio_variance=1e-6))
+    if refused:
+        with pytest.raises(UntrustedError, match=r"by its acceleration and 1.031 by likelihood: 3.1 % apart"):
+            _widened((RadarTarget(target),), search)
+        return
+    (widened,), told = _widened((RadarTarget(target),), search)
+    # Within three deviations the stated one stays; up to 2 % the difference goes into it.
+    assert widened.target.relative_std == pytest.approx(1e-3 if ratio == 1.0 else 1 / ratio - 1, rel=0.01)
+    assert len(told) == (ratio != 1.0)
