@@ -281,7 +281,7 @@ def meet(s, met, j, measured, limits, rule):  # type: ignore[no-untyped-def]
     limits = limits_now(limits, count, 1.0)
     if s[REJECTIONS] > 0.0 and innovation * s[JUDGED] < 0.0:
         both_sides(s)
-    verdict, rejected_for = judged(s, (time, source), innovation, total, limits)
+    verdict, rejected_for = judged(s, (time, source), innovation, total, limits, np.inf)
     if verdict != REJECTED:
         left = _take(s, innovation, verdict, (rejected_for, limits[1]), noise)
         if verdict == ACCEPTED:

@@ -157,11 +157,12 @@ def returning(agreements: float, agreeing: bool, steps: tuple[float, float]) -> 
 
 
 @njit(cache=True, inline="always")
-def judged(s, stamp, innovation, total, limits):  # type: ignore[no-untyped-def]
+def judged(s, stamp, innovation, total, limits, back_within):  # type: ignore[no-untyped-def]
     """Verdict on an innovation of predicted variance `total`, and seconds since the first of the rejections before it.
 
     The state vector `s`, whose covariance is the predicted one, remembers it; stamp = (time, source) of the
-    measurement; limits as of `limits_now`.
+    measurement; limits as of `limits_now`; back_within: rejections after which a measurement where the first one was
+    expected no longer means that the level is no level.
     """
     time, source = stamp
     rejections = s[REJECTIONS]
@@ -178,7 +179,7 @@ def judged(s, stamp, innovation, total, limits):  # type: ignore[no-untyped-def]
         s[LEVEL] += step * step
         unsteady = s[LEVEL] - 1.0 > LEAST_UNSTEADY + UNSTEADY_EACH * rejections
         # Later it may be the prediction's drift that brings the level there.
-        back = rejections < LEAST_REJECTIONS and innovation * innovation <= limits[0] * limits[0] * s[FIRST_TOTAL]
+        back = rejections < back_within and innovation * innovation <= limits[0] * limits[0] * s[FIRST_TOTAL]
         if unsteady or back:
             s[LEVEL] = 0.0
     near_ones = s[NEAR_ONES] + 1.0 if is_near(innovation, s[FIRST_TOTAL], limits) else 0.0

@@ -95,7 +95,7 @@ def meet_measurement(s, row, measured, limits, learnt):  # type: ignore[no-untyp
     limits = limits_now(limits, s[ACCEPTED_COUNT], s[ROUGHNESS])
     if learning and s[REJECTIONS] > 0.0 and innovation * s[LAST_INNOVATION] < 0.0:
         both_sides(s)
-    verdict, rejected_for = judged(s, (time, code), innovation, total, limits)
+    verdict, rejected_for = judged(s, (time, code), innovation, total, limits, LEAST_REJECTIONS)
     row[GAIN_X] = row[GAIN_V] = row[GAIN_B] = 0.0
     row[INNOVATION], row[INNOVATION_VARIANCE], row[VERDICT], row[NOISE] = innovation, total, verdict, variance
     if verdict == ACCEPTED or (verdict == REJECTED and is_near(innovation, s[FIRST_TOTAL], limits)):

@@ -41,7 +41,9 @@ class Opening:
     def _followed(self, frame: Frame, region: Region) -> Tracker:
         """The tracker with its rule for the reference frame, on a frame that has been made ready."""
         if self.reference == "key-frames":
-            settings = KeyFrameSettings(tracker=self.tracker, tracker_settings=self.settings)
+            # Warm bodies are taken out of temperatures before, and walls that cool change cell by cell.
+            bodies = frame.pixels.dtype.kind != "f"
+            settings = KeyFrameSettings(tracker=self.tracker, tracker_settings=self.settings, bodies=bodies)
             return KeyFrameTracker(frame, region, settings)
         if self.reference == "updating":
             return UpdatingTracker(frame, region, UpdatingSettings(self.tracker, self.settings))

@@ -17,7 +17,7 @@ import numpy as np
 
 from midspan.errors import UsageError
 from midspan.records import Event, Floats, Frame, PixelTranslation, Prediction, Status
-from midspan.vision.reference_cover import LATELY, PALING, Uncovered, completed, likeness, uncovered
+from midspan.vision.reference_cover import ALL_SEEN, LATELY, PALING, Uncovered, completed, likeness, uncovered
 from midspan.vision.reference_keys import KeyFrames
 from midspan.vision.reference_keys import KeyFrameSettings as KeyFrameSettings
 from midspan.vision.reference_light import Sight, inside, placed, sight
@@ -78,7 +78,7 @@ class KeyFrameTracker(KeyFrames):
         """The result from where the target must be by now, where its key frame does not find it; `front`: only if
         something stands in front.
         """
-        if not self._recent or self._pictures is None:
+        if not self._recent or self._pictures is None or not self.settings.bodies:
             return None
         if prediction is not None:
             return self._remembered_at(frame, np.array([prediction.x_px, prediction.y_px]), front=front)
@@ -184,6 +184,8 @@ class KeyFrameTracker(KeyFrames):
         view = sight(frame.pixels, self.region, place)
         if known is None or not asked or view is None or self._expected is None:
             return view, None
+        if not self.settings.bodies:
+            return view, Uncovered(placed(known.mix, view, place), ALL_SEEN, ALL_SEEN)
         best, then = self._lately
         best = best - PALING * (frame.time_ns - then) / 1e9
         told = uncovered(known.mix, view, place, (self._expected, self._hidden, best))

@@ -30,7 +30,8 @@ class KeyFrameSettings:
     hand-over to it, 3 or more. try_every: every so many frames an earlier key frame is tried. related: so many earlier
     ones are tried when the one in use is lost, 1 or more. most: key frames kept, 3 or more; memory and time are limited
     by it. link_floor_px: standard deviation of a key frame's place that nothing takes away. light_px: standard
-    deviation that the loss of all strength stands for, px.
+    deviation that the loss of all strength stands for, px. bodies: whether things in front of the target are looked
+    for; a scene whose parts change places in brightness, as one of temperatures does, is better without.
     """
 
     tracker: str = "template"
@@ -43,6 +44,7 @@ class KeyFrameSettings:
     most: int = 24
     link_floor_px: float = 0.005
     light_px: float = 0.6
+    bodies: bool = True
 
     def __post_init__(self) -> None:
         option("tracker", self.tracker, TRACKERS)

@@ -85,9 +85,7 @@ class SlowTimeFile(RadarSource):
                 return
         if count > 1:
             what = "nothing but missing frames (NaN)" if first is None else f"the same I/Q in all {count} frames"
-            raise DataError(
-                f"{self._path} holds {what}, without any noise: no radar measured that. Check radar.file."
-            )
+            raise DataError(f"{self._path} holds {what}, without any noise: no radar measured that. Check radar.file.")
 
     def _stamps(self, beside: dict[str, Any], settings: TiSettings | None) -> Floats:
         count = self._shape[0]
