@@ -106,7 +106,9 @@ def test_a_night_without_the_camera_leaves_no_gap_no_step_and_one_source_a_row(d
     assert np.all(np.diff(rows.time_ns) == 10_000_000)
     # Both cameras are noisy by 0.005 px, which the accelerometer halves; the zero is one frame's.
     assert np.sqrt(np.mean(error**2)) < 0.02
-    assert np.mean(np.abs(error) <= 1.96 * result.displacement_std_mm) > 0.9
+    # The zero is one draw for all rows; about it the band holds what it says.
+    assert abs(error.mean()) < 3.0 * np.median(result.displacement_std_mm)
+    assert np.mean(np.abs(error - error.mean()) <= 1.96 * result.displacement_std_mm) > 0.9
     assert np.mean(rows.status == Status.TRACKING) > 0.98
     told = [event for event in result.events if event.kind == "switch"]
     assert told[0].text.startswith("camera → infrared")

@@ -83,7 +83,7 @@ def test_a_refused_result_names_the_sensors_that_are_there(tmp_path) -> None:
     right = write(tmp_path / "right", Case((WALL, PLATE), seed=4))
     turned = write(tmp_path / "turned", Case((WALL, PLATE), seed=4, sign=-1.0))
     calibration = midspan.calibrate(midspan.open_recording(right))
-    with pytest.raises(UntrustedError, match="contradict the acceleration") as refused:
+    with pytest.raises(UntrustedError, match="does not belong to this recording") as refused:
         midspan.estimate(midspan.open_recording(turned), calibration)
-    assert "what the radar sees" in str(refused.value)
+    assert "radar: its displacement is -1" in str(refused.value)
     assert "roi" not in str(refused.value)

@@ -147,12 +147,17 @@ def test_a_wrong_scale_of_the_second_axis_leaves_it_out_and_the_first_stays(site
     assert np.std(error) < (0.025 if method == "kalman" else 0.006)
 
 
-def test_a_scale_of_the_second_axis_that_is_a_tenth_off_is_told_and_the_right_one_is_not(site, known, tmp_path):
+def test_a_scale_of_the_second_axis_that_is_somewhat_off_is_told_and_the_right_one_is_not(site, known, tmp_path):
     recording = midspan.open_recording(site)
     told = [
-        [line for line in midspan.estimate(recording, given).warnings if "along x is" in line]
-        for given in (with_scale(known, "x", factor, tmp_path / "given.json") for factor in (1.0, 1.1))
+        [
+            line
+            for line in midspan.estimate(recording, given).warnings
+            if "along x is" in line or "axis x is left" in line
+        ]
+        for given in (with_scale(known, "x", factor, tmp_path / "given.json") for factor in (1.0, 1.07))
     ]
+    # Where most of its measurements contradict the acceleration it is left out instead, and that is told as well.
     assert told[0] == []
     assert len(told[1]) == 1
 

@@ -5,6 +5,7 @@ from numba import njit
 
 from midspan.fusion.gate import (
     ACCEPTED,
+    LEAST_REJECTIONS,
     REACQUIRED,
     REJECTED,
     both_sides,
