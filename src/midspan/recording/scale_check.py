@@ -162,7 +162,8 @@ class _Compared:
 def _compared(inputs: FusionInputs, measured: Displacement) -> _Compared | None:
     block = inputs.acceleration if inputs.sampled is None else inputs.sampled
     usable = np.isfinite(measured.value_m) & np.isfinite(measured.variance_m2)
-    measured = part(measured, usable & (measured.time_ns >= block.time_ns[0]))
+    usable &= (measured.time_ns >= block.time_ns[0]) & (measured.time_ns <= block.time_ns[-1])
+    measured = part(measured, usable)
     if len(measured.time_ns) < LEAST_MEASUREMENTS:
         return None
     first = int(measured.time_ns[0])
