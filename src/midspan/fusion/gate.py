@@ -64,6 +64,8 @@ CONFIRMATIONS = 3
 # An innovation further from the one before it than the first many deviations of what can be predicted has stepped; one
 # that may be the target's return does not step beyond the second from the one before it.
 STEPPED, UNSTEADY = 3.0, 4.0
+# A level of its own begins beyond so many limits of the gate.
+CLEARLY_OFF = 1.5
 # Rejected ones keep to their level while the squares of their steps come to less than this, and so much more for each.
 LEAST_UNSTEADY, UNSTEADY_EACH = 10.0, 3.0
 
@@ -174,7 +176,9 @@ def judged(s, stamp, innovation, total, limits, back_within):  # type: ignore[no
     # A target that stands still while the motion goes on looks like noise: what is learnt of it then may be too large.
     step = np.sqrt(squared / (2.0 * min(noise, s[FIRST_NOISE]) + drifted))
     if rejections == 0:
-        s[LEVEL] = 1.0 if step > STEPPED else 0.0
+        # What lies just outside the gate is chance, or the filter's own error, and no other level.
+        clear = innovation * innovation > CLEARLY_OFF * CLEARLY_OFF * limits[0] * limits[0] * total
+        s[LEVEL] = 1.0 if step > STEPPED and clear else 0.0
     elif s[LEVEL] > 0.0:
         s[LEVEL] += step * step
         unsteady = s[LEVEL] - 1.0 > LEAST_UNSTEADY + UNSTEADY_EACH * rejections
