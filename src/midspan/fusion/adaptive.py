@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from midspan.checks import refuse
+from midspan.fusion.adaptive_printed import printed_block
 from midspan.fusion.adaptive_recursion import (
     ADAPTIVE_SIZE,
     BEYOND,
@@ -28,7 +29,6 @@ from midspan.fusion.adaptive_recursion import (
     SQUARED,
     UNUSED,
     guarded_block,
-    printed_block,
 )
 from midspan.fusion.events import GateEvents, gate_events
 from midspan.fusion.gate import NORMAL_MEDIAN

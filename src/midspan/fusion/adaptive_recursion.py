@@ -1,4 +1,4 @@
-"""The compiled recursions of `adaptive-kalman`: equations 7 to 26 as printed, and the guarded form.
+"""The compiled recursion of `adaptive-kalman` in its guarded form; as printed: `adaptive_printed`.
 
 Ma, Choi and Sohn, doi 10.1111/mice.12767. Letters as there: G the covariance before a frame, K the gain, R the noise
 variance of a frame, beta the forgetting factor.
@@ -61,8 +61,6 @@ QUICK_PART = 0.25
 LEAST_PART = 1.0 / 16.0
 # The declared noise weighs as much as this many frames.
 PRIOR_FRAMES = 10.0
-# Equation 20 as printed begins with this frame: while the start is settling, its variance is many times the noise's.
-FIRST_FRAMES = 10.0
 # Memory of the consistency watch, and of the error beyond the noise: 20 frames.
 MEMORY = 0.95
 INCONSISTENT, CORRELATED, CONSISTENT = 1.5, 0.4, 1.2
@@ -74,147 +72,20 @@ FOREVER_S, NEVER_NS = 9e9, np.int64(2**63 - 1)
 
 
 @njit(cache=True, inline="always")
-def _keep(rows, k, x, variance, velocity):  # type: ignore[no-untyped-def]
+def keep_row(rows, k, x, variance, velocity):  # type: ignore[no-untyped-def]
     """Write row k of the result: rows = (displacement, variance, velocity), each (n,)."""
     displacements, variances, velocities = rows
     displacements[k], variances[k], velocities[k] = x, variance, velocity
 
 
 @njit(cache=True, inline="always")
-def _label(labels, k, now, accepted_at, source):  # type: ignore[no-untyped-def]
+def label_row(labels, k, now, accepted_at, source):  # type: ignore[no-untyped-def]
     """Write source and status of row k: labels = (sources, statuses, coasting_s, lost_s), the first two (n,)."""
     sources, statuses, coasting_s, lost_s = labels
     age = now - accepted_at
     tracking = age <= coasting_s
     sources[k] = np.uint8(source) if tracking else np.uint8(0)
     statuses[k] = np.uint8(0) if tracking else np.uint8(1) if age <= lost_s else np.uint8(2)
-
-
-@njit(cache=True, inline="always")
-def _held(s, dt, a):  # type: ignore[no-untyped-def]
-    """Equation 7: A(dt) x + B(dt) a."""
-    s[X] += dt * s[V] + 0.5 * dt * dt * a
-    s[V] += dt * a
-
-
-@njit(cache=True, inline="always")
-def _moved(p, dt, noise):  # type: ignore[no-untyped-def]
-    """Equation 8: A(dt) P A(dt)' + noise B(dt) B(dt)' of P = (P11, P12, P22)."""
-    half = 0.5 * dt * dt
-    p01 = p[1] + dt * p[2]
-    return (
-        p[0] + dt * (p[1] + p01) + noise * half * half,
-        p01 + noise * half * dt,
-        p[2] + noise * dt * dt,
-    )
-
-
-@njit(cache=True, error_model="numpy")
-def _declare(s, frames, j):  # type: ignore[no-untyped-def]
-    """The first usable frame's declared variance starts the noise; the first position is known no better than that."""
-    for i in range(j, len(frames)):
-        if frames[i, 2] < np.inf:
-            s[NOISE] = frames[i, 2]
-            s[P00] += frames[i, 2]
-            return
-
-
-@njit(cache=True, inline="always")
-def _follow_beyond(s, eta, g00, declared):  # type: ignore[no-untyped-def]
-    """Follow how far innovations exceed what G and the declared noise explain.
-
-    The mean of all so far until the memory is full: what the first frame finds is the start's own error. While the
-    start settles, the variance G is too wide to be taken off.
-    """
-    beyond = eta * eta - declared - g00
-    if s[ACCEPTED_COUNT] <= FIRST_FRAMES:
-        beyond = max(beyond, -declared)
-    kept = min(MEMORY, 1.0 - 1.0 / s[ACCEPTED_COUNT])
-    s[BEYOND] = kept * s[BEYOND] + (1.0 - kept) * beyond
-
-
-@njit(cache=True, error_model="numpy")
-def _frames_as_printed(s, frames, j, met, interval, beta):  # type: ignore[no-untyped-def]
-    """Type II and III: the frames of an interval (its end, a_k, q), then on to the end by equations 21 to 26.
-
-    W1 and W2 carry what state and acceleration noise at the interval's start have become, N what the frames' own noise
-    has; for one frame they are equations 23 to 25, and more frames in one interval go on from there.
-    """
-    t1, a, q = interval
-    if np.isnan(s[NOISE]):
-        _declare(s, frames, j)
-    p00, p01, p11 = s[P00], s[P01], s[P11]
-    w00, w01, w10, w11 = 1.0, 0.0, 0.0, 1.0
-    b0, b1 = 0.0, 0.0
-    n = (0.0, 0.0, 0.0)
-    reached = s[TIME]
-    while True:
-        frame = j < len(frames) and frames[j, 0] <= t1
-        if frame and (frames[j, 0] < reached or not frames[j, 2] < np.inf):
-            met[j, MET_VERDICT] = UNUSED
-            j += 1
-            continue
-        until = frames[j, 0] if frame else t1
-        dt = until - reached
-        _held(s, dt, a)
-        w00, w01 = w00 + dt * w10, w01 + dt * w11
-        b0, b1 = b0 + dt * b1 + 0.5 * dt * dt, b1 + dt
-        n = _moved(n, dt, 0.0)
-        g00 = w00 * w00 * p00 + 2.0 * w00 * w01 * p01 + w01 * w01 * p11 + q * b0 * b0 + n[0]
-        g01 = w00 * w10 * p00 + (w00 * w11 + w01 * w10) * p01 + w01 * w11 * p11 + q * b0 * b1 + n[1]
-        g11 = w10 * w10 * p00 + 2.0 * w10 * w11 * p01 + w11 * w11 * p11 + q * b1 * b1 + n[2]
-        reached = until
-        if not frame:
-            s[P00], s[P01], s[P11] = g00, g01, g11
-            return j
-        eta = frames[j, 1] - s[X]
-        s[ACCEPTED_COUNT] += 1.0
-        r = s[NOISE]
-        if s[ACCEPTED_COUNT] > FIRST_FRAMES:
-            r = beta * r + (1.0 - beta) * (eta * eta - g00)
-        s[NOISE] = r
-        k0, k1 = g00 / (g00 + r), g01 / (g00 + r)
-        s[X] += k0 * eta
-        s[V] += k1 * eta
-        w10, w11, w00, w01 = w10 - k1 * w00, w11 - k1 * w01, (1.0 - k0) * w00, (1.0 - k0) * w01
-        b1, b0 = b1 - k1 * b0, (1.0 - k0) * b0
-        rest = 1.0 - k0
-        n = (
-            rest * rest * n[0] + r * k0 * k0,
-            rest * (n[1] - k1 * n[0]) + r * k0 * k1,
-            n[2] - 2.0 * k1 * n[1] + k1 * k1 * n[0] + r * k1 * k1,
-        )
-        _follow_beyond(s, eta, max(g00, 0.0), frames[j, 2])
-        s[LAST_ACCEPTED], s[SOURCE] = frames[j, 0], frames[j, 3]
-        met[j, MET_INNOVATION], met[j, MET_TOTAL], met[j, MET_NOISE] = eta, max(g00, 0.0) + max(r, 0.0), r
-        met[j, MET_VERDICT] = ACCEPTED
-        j += 1
-
-
-@njit(cache=True, error_model="numpy")
-def printed_block(samples, frames, s, beta, rows, labels, met):  # type: ignore[no-untyped-def]
-    """Equations 7 to 26 over one block, as printed; the state vector `s` carries over to the next block.
-
-    samples = time stamps (n,) and their origin in ns, acceleration (n,) and noise density (n,); the state's bias is
-    taken off the acceleration. frames (m, 4): time in s, displacement, declared variance (infinite: ignored), source,
-    in time order. rows and labels as in `_keep` and `_label`, and met (m, 4), take the result. Returns how many frames
-    were consumed.
-    """
-    time_ns, origin_ns, values, densities = samples
-    j = 0
-    for k in range(len(time_ns)):
-        t1 = (time_ns[k] - origin_ns) / 1e9
-        dt = t1 - s[TIME]
-        q = densities[k] / dt if dt > 0.0 else 0.0
-        if j < len(frames) and frames[j, 0] <= t1:
-            j = _frames_as_printed(s, frames, j, met, (t1, s[INPUT], q), beta)
-        else:
-            _held(s, dt, s[INPUT])
-            s[P00], s[P01], s[P11] = _moved((s[P00], s[P01], s[P11]), dt, q)
-        s[TIME], s[INPUT] = t1, values[k] - s[B]
-        _keep(rows, k, s[X], max(s[P00], 0.0) + max(s[BEYOND], 0.0), s[V])
-        _label(labels, k, t1, s[LAST_ACCEPTED], s[SOURCE])
-    return j
 
 
 @njit(cache=True, inline="always")
@@ -356,8 +227,8 @@ def _coast(samples, k, until, s, walk, rows, labels):  # type: ignore[no-untyped
         p11, p12 = m11 - dt * m12 + noise * dt, m12
         p22 += walk * dt
         a0, t1, last_slope = values[k], (time_ns[k] - origin_ns) / 1e9, rise * inverse
-        _keep(rows, k, x, p00, v - twelfth * rise)
-        _label(labels, k, t1, accepted_at, source)
+        keep_row(rows, k, x, p00, v - twelfth * rise)
+        label_row(labels, k, t1, accepted_at, source)
         k += 1
     s[X], s[V], s[B] = x, v, b
     s[P00], s[P01], s[P02], s[P11], s[P12], s[P22] = p00, p01, p02, p11, p12, p22
@@ -394,7 +265,7 @@ def guarded_block(samples, frames, s, options, rows, labels, met):  # type: igno
         if reached < t1:
             _glide(s, t1 - reached, (a0 + (reached - t0) * slope, slope, lead), density * spread, walk)
         s[TIME], s[INPUT] = t1, values[k]
-        _keep(rows, k, s[X], s[P00], s[V] - lead * slope)
-        _label(labels, k, t1, s[LAST_ACCEPTED], s[SOURCE])
+        keep_row(rows, k, s[X], s[P00], s[V] - lead * slope)
+        label_row(labels, k, t1, s[LAST_ACCEPTED], s[SOURCE])
         k += 1
     return j
