@@ -5,7 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from fusion_oracles import acceleration_block, displacement_block
+from fir_records import METHODS, moving, two_tones
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -21,10 +21,7 @@ from midspan.records import Estimate, Status, part
 
 TIME, MET = np.arange(9000) / 100.0, np.arange(899) / 10.0 + 0.0043
 INNER = (TIME > 8.0) & (TIME < 82.0)
-# The tone folds: the displacement alone does not tell it.
-PARTS = ((8e-3, 0.1), (3e-3, 3.3))
 OPEN = StreamSettings(edges=KalmanSettings(gate=NO_GATE))
-METHODS = {"fir": FirFilter, "two-stage-fir": TwoStageFir}
 UNGUARDED = {
     "fir": lambda: FirFilter(FirSettings(stream=OPEN)),
     "two-stage-fir": lambda: TwoStageFir(TwoStageSettings(stream=OPEN)),
@@ -32,17 +29,9 @@ UNGUARDED = {
 SEEDS = range(6)
 
 
-def moving(time, order):
-    return sum((-1 if order else 1) * a * (2 * np.pi * f) ** order * np.sin(2 * np.pi * f * time) for a, f in PARTS)
-
-
 @cache
 def clean(seed):
-    """Both sensors: 2 mm/s² with a bias of 5 mm/s², 0.1 mm at 10 Hz."""
-    rng = np.random.default_rng(seed)
-    acceleration = moving(TIME, 2) + 5e-3 + rng.normal(0, 2e-3, len(TIME))
-    value = moving(MET, 0) + rng.normal(0, 1e-4, len(MET))
-    return acceleration_block(TIME, acceleration, 4e-8), displacement_block(MET, value, 1e-8)
+    return two_tones(TIME, MET, seed)
 
 
 def spoilt(seed):

@@ -5,7 +5,8 @@ from functools import cache
 
 import numpy as np
 import pytest
-from fusion_oracles import acceleration_block, displacement_block
+from fir_records import METHODS, moving, two_tones
+from fusion_oracles import displacement_block
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -18,24 +19,13 @@ from midspan.records import Status, nanoseconds, part
 
 TIME, MET = np.arange(6000) / 100.0, np.arange(599) / 10.0 + 0.0043
 NUMBER = np.arange(len(MET))
-# The tone folds: a spline through the frames beside a missing one does not know it.
-PARTS = ((8e-3, 0.1), (3e-3, 3.3))
-METHODS = {"fir": FirFilter, "two-stage-fir": TwoStageFir}
 KINDS = ("no number", "infinite variance", "left out")
 SEEDS = range(12)
 
 
-def moving(time, order):
-    return sum((-1 if order else 1) * a * (2 * np.pi * f) ** order * np.sin(2 * np.pi * f * time) for a, f in PARTS)
-
-
 @cache
 def clean(seed):
-    """Both sensors: 2 mm/s² with a bias of 5 mm/s², 0.1 mm at 10 Hz."""
-    rng = np.random.default_rng(seed)
-    acceleration = moving(TIME, 2) + 5e-3 + rng.normal(0, 2e-3, len(TIME))
-    value = moving(MET, 0) + rng.normal(0, 1e-4, len(MET))
-    return acceleration_block(TIME, acceleration, 4e-8), displacement_block(MET, value, 1e-8)
+    return two_tones(TIME, MET, seed)
 
 
 def missing(displacement, gone, kind):
