@@ -14,6 +14,9 @@ from midspan.vision.reference_frames import KeyFrameSettings, KeyFrameTracker
 from midspan.vision.reference_strength import open_counting, strength
 from midspan.vision.tracker import Telling, Tracker, Wandering
 
+# Temperatures throw no shadows: what no mix explains of them is no motion.
+HEAT_UNMIXED_PX = 0.5
+
 
 @dataclass(frozen=True, slots=True)
 class Opening:
@@ -41,9 +44,11 @@ class Opening:
     def _followed(self, frame: Frame, region: Region) -> Tracker:
         """The tracker with its rule for the reference frame, on a frame that has been made ready."""
         if self.reference == "key-frames":
-            # Warm bodies are taken out of temperatures before, and walls that cool change cell by cell.
-            bodies = frame.pixels.dtype.kind != "f"
-            settings = KeyFrameSettings(tracker=self.tracker, tracker_settings=self.settings, bodies=bodies)
+            own = {"tracker": self.tracker, "tracker_settings": self.settings}
+            heat = frame.pixels.dtype.kind == "f"
+            settings = (
+                KeyFrameSettings(**own, heat=True, unmixed_px=HEAT_UNMIXED_PX) if heat else KeyFrameSettings(**own)
+            )
             return KeyFrameTracker(frame, region, settings)
         if self.reference == "updating":
             return UpdatingTracker(frame, region, UpdatingSettings(self.tracker, self.settings))

@@ -22,14 +22,14 @@ from midspan.thermal.shutter import ShutterSettings, ShutterState, ShutterWatch
 class CleaningSettings:
     """How temperatures are made ready for a tracker.
 
-    margin: share of the target's range by which temperatures may lie outside it, 0 or more. follow_s: time constant in
-    s by which the range follows the target's temperature. pattern_frames: so many frames are learnt from for the fixed
-    pattern, 8 or more; 0: it stays. pattern_k: its expected standard deviation, K. pattern_every_s: least time between
-    two frames that are learnt from, s. shutter: see `midspan.thermal.shutter`.
+    margin: share of the target's range by which temperatures may lie outside it, 0 or more. follow_s: in so
+    many s the range may move by half its width, and widen by a quarter. pattern_frames: so many frames are learnt from
+    for the fixed pattern, 8 or more; 0: it stays. pattern_k: its expected standard deviation, K. pattern_every_s: least
+    time between two frames that are learnt from, s. shutter: see `midspan.thermal.shutter`.
     """
 
     margin: float = 0.25
-    follow_s: float = 60.0
+    follow_s: float = 10.0
     pattern_frames: int = 24
     pattern_k: float = 0.03
     pattern_every_s: float = 0.05

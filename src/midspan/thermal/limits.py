@@ -19,6 +19,8 @@ Floats32 = NDArray[np.float32]
 
 _SHARES = (1.0, 25.0, 50.0, 75.0, 99.0)  # percent; the quartiles are moved by what covers less than a quarter only
 _LEAST_K = 1e-3
+# The width follows so many times slower than the middle: what passes in front widens it, and contrast changes slowly.
+_SLOWER = 4.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,10 +66,17 @@ class LimitState:
 
 
 class LimitFollower:
-    """The target's limits as it warms and cools: its quartiles, followed slowly, times the shape of the first frame."""
+    """The target's limits as it warms and cools: its quartiles, followed at a limited pace, times the shape of the
+    first frame.
 
-    def __init__(self, region: NDArray[np.generic], time_ns: int, follow_s: float = 60.0) -> None:
-        """`region` (rows, columns) in °C of the reference frame; `follow_s` the time constant in s, above 0."""
+    A pace and not a time constant: what passes in front is far from the target and soon gone, while a wall that cools
+    all evening must not be lagged behind, or its own temperatures would be folded.
+    """
+
+    def __init__(self, region: NDArray[np.generic], time_ns: int, follow_s: float = 10.0) -> None:
+        """`region` (rows, columns) in °C of the reference frame; in `follow_s` (s, above 0) the limits move by half
+        their width at most, and the width by a quarter.
+        """
         self._follow_s = positive("follow_s", follow_s, "s")
         low, first, middle, third, high = _shares(region)
         self._below = (middle - low) / max(middle - first, _LEAST_K)
@@ -92,17 +101,28 @@ class LimitFollower:
 
     def push(self, region: NDArray[np.generic], time_ns: int) -> Limits:
         """Follow the temperatures (rows, columns), °C, of where the target is at `time_ns`; return the limits."""
-        elapsed_s = max(time_ns - self._state.time_ns, 0) / NANOSECONDS
-        gain = 1.0 - float(np.exp(-elapsed_s / self._follow_s))
-        now = _shares(region)[1:4]
-        moved = [old + gain * (new - old) for old, new in zip(self._state.quartiles_c, now, strict=True)]
-        self._state = LimitState((moved[0], moved[1], moved[2]), time_ns)
+        share = max(time_ns - self._state.time_ns, 0) / NANOSECONDS / self._follow_s
+        first, middle, third = self._state.quartiles_c
+        low, now, high = _shares(region)[1:4]
+        moved = middle + _within(now - middle, share * self.limits.half_k)
+        below, above = (
+            before * float(np.exp(_within(float(np.log(width / before)), share / _SLOWER)))
+            for before, width in (
+                (max(middle - first, _LEAST_K), max(now - low, _LEAST_K)),
+                (max(third - middle, _LEAST_K), max(high - now, _LEAST_K)),
+            )
+        )
+        self._state = LimitState((moved - below, moved, moved + above), time_ns)
         return self.limits
 
     def jump(self, step_k: float) -> None:
         """Move the limits by a step of the camera's level, in K."""
         first, middle, third = (q + step_k for q in self._state.quartiles_c)
         self._state = LimitState((first, middle, third), self._state.time_ns)
+
+
+def _within(value: float, most: float) -> float:
+    return min(max(value, -most), most)
 
 
 def _shares(region: NDArray[np.generic]) -> list[float]:

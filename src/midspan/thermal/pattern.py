@@ -57,24 +57,31 @@ def estimate_pattern(frames: Floats, translation_px: Floats, expected_k: float =
 
 
 def _told_apart(stack: Floats, moved: Floats, expected_k: float) -> FixedPattern:
-    """Scene and pattern improved in turn; pixels that the scene's known part does not reach have the pattern 0."""
+    """Scene and pattern improved in turn; pixels that the scene's known part does not reach have the pattern 0.
+
+    A scene that warms or cools has another contrast in each frame; what its mean leaves of it would be taken for pattern.
+    """
     back = [_shifted(f, -x, -y) for f, (x, y) in zip(stack, moved, strict=True)]
     inside = [_covered(stack.shape[1:], -x, -y) for x, y in moved]
     count = np.sum(inside, axis=0)
     known = count > 0
     seen = [_covered(known.shape, x, y) & (_shifted(known.astype(np.float64), x, y) > 0.999) for x, y in moved]
     number = np.sum(seen, axis=0)
-    pattern, noise = np.zeros(stack.shape[1:]), expected_k
+    pattern, noise, contrast = np.zeros(stack.shape[1:]), expected_k, np.ones(len(stack))
     for _ in range(TURNS):
-        scene = np.zeros_like(pattern)
-        for image, mask, (x, y) in zip(back, inside, moved, strict=True):
-            scene += np.where(mask, image - _shifted(pattern, -x, -y), 0.0)
-        scene /= np.maximum(count, 1)
+        scene, weight = np.zeros_like(pattern), np.zeros_like(pattern)
+        for image, mask, (x, y), share in zip(back, inside, moved, contrast, strict=True):
+            scene += np.where(mask, share * (image - _shifted(pattern, -x, -y)), 0.0)
+            weight += share**2 * mask
+        scene /= np.maximum(weight, 1e-3)
         total, square = np.zeros_like(pattern), np.zeros_like(pattern)
-        for frame, mask, (x, y) in zip(stack, seen, moved, strict=True):
-            rest = np.where(mask, frame - _shifted(scene, x, y), 0.0)
+        for k, (frame, mask, (x, y)) in enumerate(zip(stack, seen, moved, strict=True)):
+            expected = np.where(mask, _shifted(scene, x, y), 0.0)
+            contrast[k] = _amount(np.where(mask, frame - pattern, 0.0), expected, mask)
+            rest = np.where(mask, frame - contrast[k] * expected, 0.0)
             total += rest
             square += rest**2
+        contrast /= max(float(np.mean(contrast)), 1e-3)
         mean = total / np.maximum(number, 1)
         full = number >= LEAST_FRAMES
         variance = square / np.maximum(number, 1) - mean**2
@@ -84,6 +91,13 @@ def _told_apart(stack: Floats, moved: Floats, expected_k: float) -> FixedPattern
         pattern -= np.mean(pattern[full]) if full.any() else 0.0
         pattern[~full] = 0.0
     return FixedPattern(pattern, noise / math.sqrt(len(stack)))
+
+
+def _amount(seen: Floats, expected: Floats, mask: NDArray[np.bool_]) -> float:
+    """How much of what is expected is seen (both rows, columns), over the mask and apart from levels."""
+    count = max(np.count_nonzero(mask), 1)
+    free = np.where(mask, expected - expected.sum() / count, 0.0)
+    return float(np.sum(free * seen) / max(float(np.sum(free**2)), 1e-12))
 
 
 def _shifted(image: Floats, x_px: float, y_px: float) -> Floats:

@@ -40,6 +40,9 @@ ANYWHERE_TURNS = 20  # every so many tries the first frame is looked for everywh
 LEAST_SEEN = 0.35  # share of the target that must be seen to learn from it
 SCATTERED = 2.0  # standard deviations of the strength that say nothing
 WEAK = 0.95  # share of the usual strength below which a single picture is looked at for a thing in front
+TURNED = 0.8  # share of the usual strength below which temperatures are looked at with bright and dark exchanged
+LINK_PX = 0.5  # how well a frame's place must be known to go on from it without overlap
+LINK_FRAMES = 5  # frames that may have been lost since
 
 
 Told = tuple[PixelTranslation, Sight | None, float]  # a result, the frame as seen, its strength
@@ -58,6 +61,7 @@ class KeyFrameTracker(KeyFrames):
         told = self._remembered(frame, prediction, front=False) if self._hidden.any() else None
         told = told or self._result(frame, self._look(self._current, frame, prediction))
         told = told or self._remembered(frame, prediction, front=True)
+        told = self._turned(frame, prediction, 0.0 if told is None else told[2]) or told
         if told is None:
             self._ended_early()
             told = self._recovered(frame, prediction) or self._remembered(frame, prediction, front=False)
@@ -78,7 +82,7 @@ class KeyFrameTracker(KeyFrames):
         """The result from where the target must be by now, where its key frame does not find it; `front`: only if
         something stands in front.
         """
-        if not self._recent or self._pictures is None or not self.settings.bodies:
+        if not self._recent or self._pictures is None or self.settings.heat:
             return None
         if prediction is not None:
             return self._remembered_at(frame, np.array([prediction.x_px, prediction.y_px]), front=front)
@@ -184,7 +188,7 @@ class KeyFrameTracker(KeyFrames):
         view = sight(frame.pixels, self.region, place)
         if known is None or not asked or view is None or self._expected is None:
             return view, None
-        if not self.settings.bodies:
+        if self.settings.heat:
             return view, Uncovered(placed(known.mix, view, place), ALL_SEEN, ALL_SEEN)
         best, then = self._lately
         best = best - PALING * (frame.time_ns - then) / 1e9
@@ -210,6 +214,8 @@ class KeyFrameTracker(KeyFrames):
         if self._last is None or self._hidden.any() or self._last[0] is self._keys[self._current].frame:
             return None
         before, place, variance = self._last
+        if variance.max() > LINK_PX**2 or frame.index - before.index > LINK_FRAMES:
+            return None
         try:
             number = self._added(before, place, variance + self.settings.link_floor_px**2)
         except UsageError:
@@ -220,6 +226,42 @@ class KeyFrameTracker(KeyFrames):
             return None
         self._made += 1
         self._switch(number, frame, "new key frame without overlap: the one in use was lost")
+        self._overlap = Overlap(number, new=False)
+        return told
+
+    def _turned(self, frame: Frame, prediction: Prediction | None, strength_now: float) -> Told | None:
+        """The result by temperatures with bright and dark exchanged, where these fit better: a new key frame.
+
+        What was warmer than the rest by day may be colder by night.
+        """
+        usual = self._keys[self._current].usual
+        if not self.settings.heat or strength_now >= TURNED * usual:
+            return None
+        other = Frame(frame.time_ns, -np.asarray(frame.pixels, dtype=np.float32), frame.index)
+        best, found = strength_now, None
+        numbers = [self._current, *nearest(self._current, self._keys, self.settings.related)]
+        for number in numbers if strength_now == 0.0 else numbers[:1]:
+            tracker = self._keys[number].tracker
+            before = tracker.state
+            seen = self._afresh(number, other, prediction)
+            tracker.restore(before)
+            if seen.found.status is Status.TRACKING and seen.strength > best:
+                best, found = seen.strength, (number, seen)
+        if found is None:
+            return None
+        number, seen = found
+        variance = self._chain.variance(number) + seen.variance + self.settings.link_floor_px**2
+        self._ended_early()
+        try:
+            number = self._added(frame, self._chain.place[number] + seen.place, variance)
+        except UsageError:
+            return None
+        told = self._tried_on(number, frame, unmoved(frame))
+        if told is None:
+            self._dropped(number)
+            return None
+        self._made += 1
+        self._switch(number, frame, "bright and dark have changed places")
         self._overlap = Overlap(number, new=False)
         return told
 
@@ -285,7 +327,7 @@ class KeyFrameTracker(KeyFrames):
     def _begun(self, frame: Frame, result: PixelTranslation, paled: bool) -> Overlap | None:
         """A new key frame where light has changed the target."""
         if not paled:
-            return None
+            return None if self._keys[self._current].picture is not None else Overlap(self._current, new=False)
         variance = np.array([result.variance_x_px2, result.variance_y_px2])
         try:
             number = self._added(frame, np.array([result.x_px, result.y_px]), variance)

@@ -11,13 +11,23 @@ from midspan.records import Event, Floats, Frame, Prediction, Region
 from midspan.vision.reference_cover import ALL_SEEN, LATELY, Cells
 from midspan.vision.reference_light import inside
 from midspan.vision.reference_pictures import Pictures, pictures_of, realigned
-from midspan.vision.reference_records import Chain, KeyFrame, KeyFrameState, Overlap, Seen, crowded, first_chain
+from midspan.vision.reference_records import (
+    Chain,
+    KeyFrame,
+    KeyFrameState,
+    Overlap,
+    Seen,
+    clear_share,
+    crowded,
+    first_chain,
+)
 from midspan.vision.reference_strength import open_counting, relative, strength
 from midspan.vision.region import clamp, shift
 from midspan.vision.spline import Floats32
 from midspan.vision.tracker import TRACKERS
 
 LEAST_PAIRS = 3
+LEAST_CLEAR = 0.67  # of frames' contrast, squared, that they must have in common to make a picture: the rest is noise
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,8 +40,10 @@ class KeyFrameSettings:
     hand-over to it, 3 or more. try_every: every so many frames an earlier key frame is tried. related: so many earlier
     ones are tried when the one in use is lost, 1 or more. most: key frames kept, 3 or more; memory and time are limited
     by it. link_floor_px: standard deviation of a key frame's place that nothing takes away. light_px: standard
-    deviation that the loss of all strength stands for, px. bodies: whether things in front of the target are looked
-    for; a scene whose parts change places in brightness, as one of temperatures does, is better without.
+    deviation that the loss of all strength stands for, px. unmixed_px: standard deviation of a picture's place if
+    nothing in it were a mix of others: what the shadows do that bumps throw in grazing light is a quarter of 3 px.
+    heat: frames are temperatures: bright and dark may change places, and things in front, which were taken out
+    before, are not looked for.
     """
 
     tracker: str = "template"
@@ -44,7 +56,8 @@ class KeyFrameSettings:
     most: int = 24
     link_floor_px: float = 0.005
     light_px: float = 0.6
-    bodies: bool = True
+    unmixed_px: float = 3.0
+    heat: bool = False
 
     def __post_init__(self) -> None:
         option("tracker", self.tracker, TRACKERS)
@@ -57,6 +70,8 @@ class KeyFrameSettings:
                 raise refuse(name, f"{least} or more", getattr(self, name))
         if not (0.0 <= self.link_floor_px < math.inf and 0.0 <= self.light_px < math.inf):
             raise refuse("link_floor_px and light_px", "0 px or more", (self.link_floor_px, self.light_px))
+        if not 0.0 <= self.unmixed_px < math.inf:
+            raise refuse("unmixed_px", "0 px or more", self.unmixed_px)
 
 
 class KeyFrames:
@@ -213,18 +228,20 @@ class KeyFrames:
     def _kept(self, lap: Overlap) -> bool:
         """Keep the picture that an overlap made and align all of them; False where a new key frame was not tracked."""
         self._overlap = None
+        clear = clear_share(lap.windows) >= LEAST_CLEAR
         if lap.new:
-            if len(lap.windows if lap.hidden.any() else lap.places) < LEAST_PAIRS:
+            few = len(lap.windows if lap.hidden.any() else lap.places) < LEAST_PAIRS
+            if few or not clear:
                 self._dropped(lap.to)
                 return False
             self._made += 1
             place = np.mean(lap.places, axis=0) if lap.places else self._chain.place[lap.to]
             self._chain = self._chain.changed(lap.to, place, self._chain.variance(lap.to))
-        if lap.windows:
+        if lap.windows and clear:
             picture: Floats32 = np.asarray(np.mean(lap.windows, axis=0, dtype=np.float32))
             self._keys[lap.to].picture, self._keys[lap.to].hidden = picture, lap.hidden
             self._expected, self._likeness = inside(picture), -1.0 if lap.hidden.any() else 0.0
-            self._chain = realigned(self._keys, self._chain, self.settings.link_floor_px)
+            self._chain = realigned(self._keys, self._chain, self.settings.link_floor_px, self.settings.unmixed_px)
             self._pictures = pictures_of(self._keys)
         return True
 

@@ -10,9 +10,6 @@ from midspan.vision.reference_alignment import aligned
 from midspan.vision.reference_light import CELLS, Mix, Placed, mixed
 from midspan.vision.reference_records import Chain, KeyFrame
 
-# Standard deviation of a picture's place if nothing in it were a mix of others: what the shadows do that bumps throw in
-# grazing light; four times what shading was seen to do.
-UNMIXED_PX = 3.0
 LEAST_SHOWN = 1.0 / 3.0  # of the target that all pictures must show
 FARTHEST_PX = 1.0  # that a picture may lie from where its frames were found
 
@@ -53,8 +50,11 @@ def pictures_of(keys: Sequence[KeyFrame]) -> Pictures | None:
     return Pictures(tuple(numbers), mixed(made, [keys[k].offset for k in numbers], shown))
 
 
-def realigned(keys: Sequence[KeyFrame], chain: Chain, floor_px: float) -> Chain:
-    """The places of the key frames from all pictures anew, each known to `floor_px` at best; sets their offsets."""
+def realigned(keys: Sequence[KeyFrame], chain: Chain, floor_px: float, unmixed_px: float) -> Chain:
+    """The places of the key frames from all pictures anew, each known to `floor_px` at best; sets their offsets.
+
+    unmixed_px: standard deviation of a picture's place if nothing in it were a mix of others.
+    """
     known = pictures_of(keys)
     if known is None or not known.several:
         return chain
@@ -64,7 +64,7 @@ def realigned(keys: Sequence[KeyFrame], chain: Chain, floor_px: float) -> Chain:
     # All of them lie as uncertainly as the first of them, which the others are measured from.
     covariance[np.ix_(range(2), numbers, numbers)] = found.covariance + chain.variance(numbers[0])[:, None, None]
     # What is no mix of others may have moved with the light.
-    doubt = UNMIXED_PX * (found.alone[0] + found.alone[1:])
+    doubt = unmixed_px * (found.alone[0] + found.alone[1:])
     covariance[:, later, later] += floor_px**2 + doubt**2
     for number, move in zip(numbers, found.moves, strict=True):
         before = keys[number].offset

@@ -149,3 +149,14 @@ def nearest(number: int, keys: Sequence[KeyFrame], most: int) -> list[int]:
     others = sorted(whole, key=lambda k: (abs(k - number), -k))
     chosen = others[:most]
     return chosen if 0 in chosen or number == 0 else [*chosen[:-1], 0]
+
+
+def clear_share(windows: Sequence[Floats32]) -> float:
+    """Share of the windows' contrast, squared, that they have in common, 0 to 1; 1 where there are too few to tell."""
+    if len(windows) < 2:
+        return 1.0
+    stack = np.stack(windows).astype(np.float64)
+    stack -= stack.mean(axis=(1, 2), keepdims=True)
+    own = float(np.mean(np.var(stack, axis=0, ddof=1)))
+    whole = float(np.mean(stack**2))
+    return 1.0 - own / whole if whole > 0.0 else 0.0
