@@ -11,13 +11,14 @@ from midspan.calibration.scale import LEAST_FRAMES, REFUSED_ABOVE, ScaleCalibrat
 from midspan.errors import UntrustedError, UsageError
 from midspan.recording.calibration import CameraCalibration, TargetCalibration
 from midspan.recording.common_offset import Fitted, common_offset, one_offset, pooled_variance, shared_part
+from midspan.recording.measured import measured_rows
 from midspan.recording.recording import Recording
 from midspan.recording.region_choice import USELESS, Agreement
 from midspan.recording.span import inside
 from midspan.recording.targets import camera_blocks, filter_settings, moves_by_itself
 from midspan.recording.tracking import CameraTracking, TargetTracking
 from midspan.recording.window import calibration_window, window_ends
-from midspan.records import NANOSECONDS, Floats, Nanoseconds, PixelTrack, ScaleFactor, TimeOffset
+from midspan.records import NANOSECONDS, Floats, PixelTrack, ScaleFactor, TimeOffset
 from midspan.vision.lens import bare
 from midspan.vision.tracker import PhaseGain
 
@@ -176,15 +177,6 @@ def in_band(samples: Floats, band_hz: tuple[float, float] | None) -> tuple[Float
     inside[:, 1] = sosfiltfilt(butter(4, edges, kind, fs=rate, output="sos"), samples[:, 1])
     outside[:, 1] -= inside[:, 1]
     return inside, outside
-
-
-def measured_rows(time_ns: Nanoseconds, value: Floats, variance: Floats, origin_ns: int) -> Floats:
-    """Rows (m, 3) for calibration: time (s), value counted from its first, variance (infinite where unusable)."""
-    usable = np.isfinite(value) & np.isfinite(variance)
-    if not usable.any():
-        return np.empty((0, 3))
-    filled = np.where(usable, value - value[np.argmax(usable)], 0.0)
-    return np.column_stack(((time_ns - origin_ns) / NANOSECONDS, filled, np.where(usable, variance, np.inf)))
 
 
 def judged_by(recording: Recording, track: PixelTrack) -> Agreement:

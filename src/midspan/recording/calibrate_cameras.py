@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 from midspan.errors import UntrustedError
 from midspan.recording.best_range import best_range, wants_range
-from midspan.recording.calibrate_camera import CameraFit, calibrate_camera
+from midspan.recording.calibrate_camera import CameraFit, calibrate_camera, judged_by
 from midspan.recording.calibration import CameraCalibration
 from midspan.recording.daylight import where_it_sees
 from midspan.recording.open_tracking import open_tracking
@@ -62,7 +62,7 @@ def together(seen: tuple[SeenBy, ...]) -> CameraTracking | None:
 def _calibrated(recording: Recording, progress: Progress) -> SeenBy:
     view, moved = where_it_sees(recording)
     with in_words_of(view.sensor):
-        tracking = open_tracking(view, None, progress)
+        tracking = open_tracking(view, None, progress, judge=lambda track: judged_by(view, track))
         parts = calibrate_camera(view, tracking)
         if wants_range(view):
             tracking, parts = _in_best_range(view, tracking, parts, progress)
@@ -79,7 +79,7 @@ def _in_best_range(
     if surface is None:
         return tracking, parts
     tracking.close()
-    again = open_tracking(view, None, progress, (tuple(tracking.chosen), surface.best))
+    again = open_tracking(view, None, progress, again=(tuple(tracking.chosen), surface.best))
     again.range_surface = surface
     return again, calibrate_camera(view, again)
 

@@ -11,7 +11,7 @@ from midspan.calibration.scale import LEAST_GAIN, is_ambiguous
 from midspan.calibration.sensor_scale import calibrate_sensor_scale, unexplained_text
 from midspan.calibration.time_offset import BEYOND, OffsetSearch
 from midspan.errors import DataError, UntrustedError
-from midspan.recording.calibrate_camera import measured_rows
+from midspan.recording.measured import measured_rows
 from midspan.recording.recording import Recording
 from midspan.recording.span import inside
 from midspan.recording.window import LEAST_MEASUREMENTS

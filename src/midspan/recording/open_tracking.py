@@ -3,16 +3,17 @@
 import numpy as np
 
 from midspan.errors import DataError, UsageError
-from midspan.recording.calibrate_camera import judged_by
 from midspan.recording.calibration import CameraCalibration
 from midspan.recording.lens import check_same_lens, lens_of
+from midspan.recording.measured import frames_used
 from midspan.recording.progress import Progress
 from midspan.recording.recording import Recording
-from midspan.recording.span import inside, require_overlap
+from midspan.recording.region_choice import Judge
+from midspan.recording.span import require_overlap
 from midspan.recording.temperatures import levels_of
 from midspan.recording.tracking import CameraTracking, Target, TrackingSettings
 from midspan.recording.window import window_ends
-from midspan.records import NANOSECONDS, Nanoseconds, Region
+from midspan.records import NANOSECONDS, Region
 from midspan.settings.camera import CameraSettings, InfraredSettings
 from midspan.thermal.limits import Limits
 from midspan.vision.tracker import tracker_settings
@@ -22,12 +23,15 @@ def open_tracking(
     view: Recording,
     known: CameraCalibration | None,
     progress: Progress,
+    *,
     again: tuple[tuple[Target, ...], Limits] | None = None,
+    judge: Judge | None = None,
 ) -> CameraTracking:
     """The tracking of the camera of `view` from the first frame used; with a calibration its targets are taken over.
 
-    again: the targets and the temperature range of what was tracked before in another range. Where no target is given,
-    the accelerometer helps to choose. Raises UsageError for a target that the calibration does not know.
+    again: the targets and the temperature range of what was tracked before in another range. judge: what decides
+    between places by more than the picture where no target is given; left out, the picture alone decides. Raises
+    UsageError for a target that the calibration does not know.
     """
     camera = view.settings.camera
     if camera is None:
@@ -59,7 +63,7 @@ def open_tracking(
     )
     if known is not None:
         check_same_lens(settings.lens, known.lens)
-    return CameraTracking(view.frames, settings, progress, lambda track: judged_by(view, track))
+    return CameraTracking(view.frames, settings, progress, judge)
 
 
 def given_targets(camera: CameraSettings) -> tuple[Target, ...]:
@@ -86,11 +90,3 @@ def calibrated_targets(given: tuple[Target, ...], known: CameraCalibration | Non
             f"{'not ' + ', '.join(missing) if missing else 'some are missing in the recording'}. Calibrate again."
         )
     return tuple(Target(target.region, target.name) for target in known.used)
-
-
-def frames_used(times_ns: Nanoseconds, acceleration_ns: Nanoseconds, margin_ns: int) -> slice:
-    """Frames from the first one used: the file's first where the streams start together, else the first in both."""
-    overlapping = inside(times_ns, int(acceleration_ns[0]), int(acceleration_ns[-1]) + margin_ns)
-    if times_ns[0] >= acceleration_ns[0] - margin_ns:
-        return slice(0, overlapping.stop)
-    return overlapping

@@ -20,7 +20,7 @@ from midspan.radar.target import (
     find_targets,
     ranked,
 )
-from midspan.recording.calibrate_camera import measured_rows
+from midspan.recording.measured import measured_rows
 from midspan.recording.progress import Progress
 from midspan.recording.radar_calibration import RadarCalibration, RadarDiagnostics, RadarTarget
 from midspan.recording.radar_clock import Seen, radar_clock

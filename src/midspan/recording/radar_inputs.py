@@ -11,7 +11,7 @@ from midspan.fusion.smoother import smooth
 from midspan.radar.target import Target
 from midspan.recording.calibration import Calibration
 from midspan.recording.fuse import CourseError, LevelError, SensorError
-from midspan.recording.open_tracking import frames_used
+from midspan.recording.measured import frames_used
 from midspan.recording.progress import Progress
 from midspan.recording.radar_literal import literal_track
 from midspan.recording.radar_own import told

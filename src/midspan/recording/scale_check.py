@@ -9,8 +9,8 @@ from midspan.calibration.fit import Fit, Pair
 from midspan.calibration.noise import nearest, without_outliers
 from midspan.calibration.time_offset import search_offset, without_lonely_outliers
 from midspan.errors import UntrustedError
-from midspan.recording.calibrate_camera import measured_rows
 from midspan.recording.fuse import FusionInputs, SensorError
+from midspan.recording.measured import measured_rows
 from midspan.recording.span import inside
 from midspan.recording.window import LEAST_MEASUREMENTS
 from midspan.records import NANOSECONDS, Displacement, Floats, Source, part, seconds
