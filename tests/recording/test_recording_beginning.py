@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from midspan.fusion.beginning import judged_backwards
 from midspan.fusion.kalman import KalmanSettings
-from midspan.recording.beginning import judged_backwards
 from midspan.recording.fuse import FusionInputs, fuse
 from midspan.records import Acceleration, Displacement, Floats, Source, nanoseconds
 from midspan.simulate.beam import paper_beam_motion

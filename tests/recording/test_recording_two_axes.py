@@ -9,9 +9,9 @@ import pytest
 import midspan
 from midspan.evaluate.result_file import compare_files
 from midspan.fusion.clock import ClockCourse
+from midspan.fusion.running_clock import RunningClock
 from midspan.recording import calibrate_camera, cameras, estimate, inputs
 from midspan.recording.inspect import inspect_recording
-from midspan.recording.running_clock import RunningClock
 from midspan.recording.tracking import TargetTracking
 from midspan.simulate import scenarios
 from midspan.simulate.motion import Sum, random_motion

@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from midspan.engine.overlap import ZeroCourse, zero_course
 from midspan.engine.sun import sun_elevation_deg
 from midspan.engine.switching import PUBLISHED, Look, Switch, SwitchSettings
 from midspan.fusion.smoother import smooth
+from midspan.fusion.zero_course import ZeroCourse, zero_course
 from midspan.recording.cameras import Seen, Side
 from midspan.recording.contradiction import (
     Contradiction,

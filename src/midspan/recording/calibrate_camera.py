@@ -5,12 +5,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from midspan.calibration.common_offset import Fitted, common_offset, one_offset, pooled_variance, shared_part
 from midspan.calibration.fit import Pair
 from midspan.calibration.noise import learn_motion
 from midspan.calibration.scale import LEAST_FRAMES, REFUSED_ABOVE, ScaleCalibration, calibrate_scale
 from midspan.errors import UntrustedError, UsageError
 from midspan.recording.calibration import CameraCalibration, TargetCalibration
-from midspan.recording.common_offset import Fitted, common_offset, one_offset, pooled_variance, shared_part
 from midspan.recording.measured import measured_rows
 from midspan.recording.recording import Recording
 from midspan.recording.region_choice import USELESS, Agreement

@@ -7,6 +7,7 @@ import numpy as np
 
 from midspan.engine.monitor import AxisLoop, Monitor
 from midspan.fusion.kalman import KalmanFilter, KalmanSettings
+from midspan.fusion.running_clock import RunningClock, on_one_clock
 from midspan.fusion.smoother import smooth
 from midspan.recording.acceleration import PreparedAcceleration, still
 from midspan.recording.calibration import Calibration, CameraCalibration
@@ -15,7 +16,6 @@ from midspan.recording.fuse import CourseError
 from midspan.recording.open_tracking import open_tracking
 from midspan.recording.progress import Progress
 from midspan.recording.recording import Recording
-from midspan.recording.running_clock import RunningClock, on_one_clock
 from midspan.recording.targets import Together, camera_blocks, filter_settings, together
 from midspan.recording.temperatures import in_words_of
 from midspan.recording.tracking import CameraTracking

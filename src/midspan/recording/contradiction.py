@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from midspan.engine.overlap import ZeroCourse
 from midspan.fusion.gate import ACCEPTED
+from midspan.fusion.zero_course import ZeroCourse
 from midspan.recording.cameras import Seen
 from midspan.recording.fuse import CourseError
 from midspan.recording.span import shown

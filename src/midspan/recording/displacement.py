@@ -8,11 +8,11 @@ from midspan.calibration.noise import NoiseCalibration
 from midspan.calibration.scale import white_noise
 from midspan.errors import UntrustedError, UsageError
 from midspan.fusion.kalman import KalmanSettings
+from midspan.fusion.running_clock import on_one_clock
 from midspan.recording.calibration import Calibration, DisplacementCalibration
 from midspan.recording.displacement_noise import learn, wanted
 from midspan.recording.fuse import SensorError
 from midspan.recording.recording import Recording
-from midspan.recording.running_clock import on_one_clock
 from midspan.recording.span import require_overlap, shown
 from midspan.records import NANOSECONDS, Acceleration, Displacement, Event, Source, TimeOffset, TimeSeries, seconds
 from midspan.signals.health import Mask, runs

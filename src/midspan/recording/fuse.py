@@ -6,6 +6,7 @@ import numpy as np
 
 from midspan.calibration.time_offset import without_lonely
 from midspan.errors import UntrustedError
+from midspan.fusion.beginning import SHARP_VARIANCES, Beginning, judged_backwards
 from midspan.fusion.causal import filter_record
 from midspan.fusion.gate import ACCEPTED, REJECTED
 from midspan.fusion.kalman import KalmanSettings
@@ -13,7 +14,6 @@ from midspan.fusion.noise_profile import LEAST, noise_factors
 from midspan.fusion.response import linear, places, standing_still, used_variance
 from midspan.fusion.runners import RUNNERS, MethodSettings, Runner, run_method
 from midspan.fusion.smoother import Smoothed, doubt_levels, smooth
-from midspan.recording.beginning import SHARP_VARIANCES, Beginning, judged_backwards
 from midspan.recording.span import inside, shown
 from midspan.records import (
     NANOSECONDS,

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from midspan.fusion.kalman import KalmanSettings
+from midspan.fusion.running_clock import RunningClock
 from midspan.recording.acceleration import PreparedAcceleration, unknown_density
 from midspan.recording.belief import Belief, believed
 from midspan.recording.calibration import Calibration
@@ -15,7 +16,6 @@ from midspan.recording.merge import merged
 from midspan.recording.progress import Progress
 from midspan.recording.radar_inputs import RadarInputs, radar_inputs
 from midspan.recording.recording import Recording
-from midspan.recording.running_clock import RunningClock
 from midspan.recording.targets import Together
 from midspan.recording.tracking import CameraTracking
 from midspan.records import (

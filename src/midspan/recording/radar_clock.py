@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from midspan.fusion.running_clock import SIGNIFICANT
 from midspan.radar.alignment import align
 from midspan.radar.blockage import BlockageMonitor
 from midspan.recording.radar_frames import even_places
-from midspan.recording.running_clock import SIGNIFICANT
 from midspan.records import NANOSECONDS, Floats, Nanoseconds, seconds
 
 # Windows have this length, s, or so many go into the record; those of a long one are spread over it.

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from midspan.engine.overlap import ZeroCourse
+from midspan.fusion.zero_course import ZeroCourse
 from midspan.recording.cameras import Seen
 from midspan.recording.fuse import CourseError
 from midspan.recording.span import shown

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from midspan.engine.overlap import NEW_LEVEL_PIECES, zero_course
+from midspan.fusion.zero_course import NEW_LEVEL_PIECES, zero_course
 
 NOISE_M = 2e-5
 
