@@ -14,8 +14,8 @@ import numpy as np
 
 import midspan
 from benchmarks.table import PEAK, goal, show
-from midspan.recording.recording import Recording
 from midspan.recording.result import Result
+from midspan.recording.streams.recording import Recording
 from midspan.records import Floats, Frame, Nanoseconds, Source, Status, TimeSeries, nanoseconds
 from midspan.simulate.day import Sky
 from midspan.simulate.day_infrared import DayCourse

@@ -142,7 +142,7 @@ def test_relative_links_lead_somewhere(page):
 
 
 def test_equations_name_files_and_functions_that_exist():
-    for cell in re.findall(r"`([a-z_]+/[a-z_]+\.py)(?:: ([^`]+))?`", TEXTS[ROOT / "docs" / "equations.md"]):
+    for cell in re.findall(r"`([a-z_]+(?:/[a-z_]+)+\.py)(?:: ([^`]+))?`", TEXTS[ROOT / "docs" / "equations.md"]):
         source = ROOT / "src" / "midspan" / cell[0]
         assert source.exists(), cell[0]
         text = source.read_text(encoding="utf-8")

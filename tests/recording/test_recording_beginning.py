@@ -7,7 +7,7 @@ import pytest
 
 from midspan.fusion.beginning import judged_backwards
 from midspan.fusion.kalman import KalmanSettings
-from midspan.recording.fuse import FusionInputs, fuse
+from midspan.recording.fusing.fuse import FusionInputs, fuse
 from midspan.records import Acceleration, Displacement, Floats, Source, nanoseconds
 from midspan.simulate.beam import paper_beam_motion
 

@@ -8,7 +8,7 @@ import pytest
 
 import midspan
 from midspan.evaluate.metrics import compare
-from midspan.recording.track import TrackRequest, track
+from midspan.recording.tracking.track import TrackRequest, track
 from midspan.records import Source, Status, TimeSeries, nanoseconds
 from midspan.simulate.camera import Camera
 from midspan.simulate.motion import Sum, random_motion

@@ -9,9 +9,9 @@ import pytest
 import midspan
 from midspan.cli.main import run as command_line
 from midspan.errors import DataError, UsageError
-from midspan.recording.calibration_file import load_calibration
 from midspan.recording.inspect import inspect_recording
-from midspan.recording.track import TrackRequest, track
+from midspan.recording.stored.calibration_file import load_calibration
+from midspan.recording.tracking.track import TrackRequest, track
 from midspan.records import Region, Source, Status
 from midspan.simulate.motion import Sines
 from midspan.simulate.texture import textured_scene

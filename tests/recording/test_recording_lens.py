@@ -10,8 +10,8 @@ from midspan.cli.main import run
 from midspan.errors import UsageError
 from midspan.recording.calibrate import calibrate
 from midspan.recording.estimate import estimate
-from midspan.recording.recording import open_recording
-from midspan.recording.track import TrackRequest, track
+from midspan.recording.streams.recording import open_recording
+from midspan.recording.tracking.track import TrackRequest, track
 from midspan.simulate.camera import Camera
 from midspan.simulate.motion import Sines
 from midspan.simulate.texture import textured_scene

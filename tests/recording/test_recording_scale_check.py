@@ -8,8 +8,8 @@ import pytest
 
 import midspan
 from midspan.fusion.kalman import KalmanSettings
-from midspan.recording.fuse import FusionInputs, SensorError
-from midspan.recording.scale_check import apparent_scales, scale_warnings
+from midspan.recording.fusing.fuse import FusionInputs, SensorError
+from midspan.recording.fusing.scale_check import apparent_scales, scale_warnings
 from midspan.records import Acceleration, Displacement, Source, nanoseconds
 from midspan.simulate import scenarios
 

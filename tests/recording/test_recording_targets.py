@@ -9,7 +9,7 @@ from scipy import ndimage
 
 import midspan
 from midspan.recording.calibrate import calibrate_and_track
-from midspan.recording.track import track
+from midspan.recording.tracking.track import track
 from midspan.records import Region
 from midspan.simulate.camera import Camera
 from midspan.simulate.motion import random_motion

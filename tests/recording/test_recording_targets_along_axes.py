@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import midspan
-from midspan.recording.calibrate_camera import used_along_both
-from midspan.recording.calibration import CameraCalibration, TargetCalibration
+from midspan.recording.camera_calibration.camera import used_along_both
+from midspan.recording.stored.calibration import CameraCalibration, TargetCalibration
 from midspan.records import Region, ScaleFactor, TimeOffset
 from midspan.report.material import gather
 from midspan.simulate import scenarios

@@ -9,7 +9,7 @@ import pytest
 
 import midspan
 from midspan.radar.target import Target
-from midspan.recording.radar_trace import MOST_STRETCHES, Followed, SeenFrames, radar_trace
+from midspan.recording.radar.trace import MOST_STRETCHES, Followed, SeenFrames, radar_trace
 from midspan.report.material import gather
 from midspan.report.report import report_html
 from midspan.simulate import scenarios

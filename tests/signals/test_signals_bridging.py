@@ -5,7 +5,7 @@ import pytest
 
 from midspan.errors import DataError
 from midspan.fusion.smoother import smooth
-from midspan.recording.acceleration import prepare_acceleration
+from midspan.recording.streams.acceleration import prepare_acceleration
 from midspan.records import Displacement, TimeSeries
 from midspan.simulate.motion import random_motion
 
