@@ -42,9 +42,9 @@ def snippets():
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """A folder with a recording `footbridge/`: 20 s of a small textured wall at 10 Hz beside an accelerometer."""
-    from midspan.simulate.camera import Camera
-    from midspan.simulate.motion import Sines
-    from midspan.simulate.texture import textured_scene
+    from midspan.simulate.motion.motion import Sines
+    from midspan.simulate.scene.camera import Camera
+    from midspan.simulate.scene.texture import textured_scene
 
     root = tmp_path_factory.mktemp("docs")
     place = root / "footbridge"

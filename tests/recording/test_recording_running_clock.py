@@ -6,7 +6,7 @@ import pytest
 from midspan.fusion.kalman import KalmanSettings
 from midspan.fusion.running_clock import on_one_clock
 from midspan.records import Acceleration, Displacement, Floats, Source, nanoseconds
-from midspan.simulate.beam import paper_beam_motion
+from midspan.simulate.motion.beam import paper_beam_motion
 
 NOISE = (0.01, 1e-4)  # m/s² and m
 

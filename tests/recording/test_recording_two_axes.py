@@ -15,8 +15,8 @@ from midspan.recording.camera_calibration import camera
 from midspan.recording.cameras import tracked
 from midspan.recording.inspect import inspect_recording
 from midspan.recording.tracking.tracking import TargetTracking
-from midspan.simulate import scenarios
-from midspan.simulate.motion import Sum, random_motion
+from midspan.simulate.motion.motion import Sum, random_motion
+from midspan.simulate.scenarios.table import sideways
 from midspan.sources.accelerometer.formats import list_channels
 from recording_edits import frames, read_columns, set_keys, write_stack
 
@@ -32,7 +32,7 @@ def slow(rng):
 
 @pytest.fixture(scope="module")
 def site(simulated):
-    return simulated("two axes", across=scenarios._sideways)
+    return simulated("two axes", across=sideways)
 
 
 @pytest.fixture

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from midspan.records import Floats
-from midspan.simulate.day import Sky
-from midspan.simulate.day_weather import Drops
-from midspan.simulate.scene import Image
-from midspan.simulate.thermal import Course, ThermalView
+from midspan.simulate.day.sky import Sky
+from midspan.simulate.day.weather import Drops
+from midspan.simulate.scene.scene import Image
+from midspan.simulate.scene.thermal import Course, ThermalView
 
 LAG_RAD = 0.35  # surfaces are warmest 1.3 hours after noon
 AIR_LAG_RAD = 0.6

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from midspan.records import Floats
-from midspan.simulate.day import Span
-from midspan.simulate.scene import Image
+from midspan.simulate.day.sky import Span
+from midspan.simulate.scene.scene import Image
 
 DRYING_S = 8.0  # a drop shrinks to nothing within so many seconds after the rain
 

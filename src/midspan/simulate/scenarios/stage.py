@@ -6,14 +6,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from midspan.records import Floats, Region, TimeSeries
-from midspan.simulate.camera import Camera, Light, View, cramer_rao_std_px
-from midspan.simulate.day_setup import DayRun, DaySetup
-from midspan.simulate.disturbances import Disturbance
-from midspan.simulate.motion import Motion
-from midspan.simulate.panel import Panel
-from midspan.simulate.radar_setup import RadarRun, RadarSetup
-from midspan.simulate.sensors import AccelerometerModel, DisplacementSensorModel, noise_std_for
-from midspan.simulate.texture import textured_scene
+from midspan.simulate.day.setup import DayRun, DaySetup
+from midspan.simulate.motion.motion import Motion
+from midspan.simulate.motion.sensors import AccelerometerModel, DisplacementSensorModel, noise_std_for
+from midspan.simulate.radar.setup import RadarRun, RadarSetup
+from midspan.simulate.scene.camera import Camera, Light, View, cramer_rao_std_px
+from midspan.simulate.scene.disturbances import Disturbance
+from midspan.simulate.scene.panel import Panel
+from midspan.simulate.scene.texture import textured_scene
 
 Span = tuple[float, float]  # start and end in s
 

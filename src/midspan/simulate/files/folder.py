@@ -11,7 +11,7 @@ import numpy as np
 
 from midspan.errors import UsageError
 from midspan.records import Floats
-from midspan.simulate.camera import Pixels
+from midspan.simulate.scene.camera import Pixels
 
 MARK = "known.json"  # the file by which a folder written here is known again
 OWN_FILES = frozenset(

@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 
 from midspan.checks import option, positive
 from midspan.records import Floats, Region, TimeSeries
-from midspan.simulate.camera import Camera, View, cramer_rao_std_px
-from midspan.simulate.files import whole_folder, write_table, write_video
-from midspan.simulate.motion import Motion, Pulse, Sines, Sum, Sweep, Window, random_motion
-from midspan.simulate.scene import Scene
-from midspan.simulate.sensors import AccelerometerModel, exposed
-from midspan.simulate.texture import textured_scene
+from midspan.simulate.files.folder import whole_folder, write_table, write_video
+from midspan.simulate.motion.motion import Motion, Pulse, Sines, Sum, Sweep, Window, random_motion
+from midspan.simulate.motion.sensors import AccelerometerModel, exposed
+from midspan.simulate.scene.camera import Camera, View, cramer_rao_std_px
+from midspan.simulate.scene.scene import Scene
+from midspan.simulate.scene.texture import textured_scene
 
 SIDE_PX, REGION = 200, Region(68, 68, 64, 64)
 FRAME_RATE = Fraction(30000, 3 * 1001)  # every third frame of 29.97 Hz, as both papers take them

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from midspan.checks import positive
 from midspan.radar.chirp import SPEED_OF_LIGHT_M_S, ChirpProfile
 from midspan.records import Floats
-from midspan.simulate.motion import Motion
+from midspan.simulate.motion.motion import Motion
 
 Cubes = NDArray[np.complex64]
 

@@ -8,17 +8,17 @@ from typing import Any
 import numpy as np
 
 from midspan.records import Floats
-from midspan.simulate.camera import Pixels
-from midspan.simulate.day import Sky, Span
-from midspan.simulate.day_camera import DayCamera, wall_in_relief
-from midspan.simulate.day_file import write_celsius
-from midspan.simulate.day_infrared import DayCourse, DayInfrared
-from midspan.simulate.day_weather import Drops, Headlights
-from midspan.simulate.files import exact_in_video, write_table, write_video
-from midspan.simulate.motion import Motion
-from midspan.simulate.scene import Image
-from midspan.simulate.texture import textured_scene
-from midspan.simulate.thermal import ThermalCamera, ThermalView, WarmBody
+from midspan.simulate.day.camera import DayCamera, wall_in_relief
+from midspan.simulate.day.infrared import DayCourse, DayInfrared
+from midspan.simulate.day.sky import Sky, Span
+from midspan.simulate.day.weather import Drops, Headlights
+from midspan.simulate.files.celsius import write_celsius
+from midspan.simulate.files.folder import exact_in_video, write_table, write_video
+from midspan.simulate.motion.motion import Motion
+from midspan.simulate.scene.camera import Pixels
+from midspan.simulate.scene.scene import Image
+from midspan.simulate.scene.texture import textured_scene
+from midspan.simulate.scene.thermal import ThermalCamera, ThermalView, WarmBody
 
 VIDEO, INFRARED, TIMES = "camera.mkv", "infrared.npz", "camera_times.csv"
 Progress = Callable[[int, int], None]

@@ -9,7 +9,7 @@ import numpy as np
 
 from midspan.radar.chirp import ChirpProfile
 from midspan.radar.layout import Layout, pack
-from midspan.simulate.radar import Cubes
+from midspan.simulate.radar.signal import Cubes
 
 PACKET_BYTES = 1456
 # The codes of bits and format in both kinds of settings.

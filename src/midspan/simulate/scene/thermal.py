@@ -7,7 +7,7 @@ import numpy as np
 
 from midspan.checks import option, positive, refuse
 from midspan.records import Floats
-from midspan.simulate.scene import Image, Scene
+from midspan.simulate.scene.scene import Image, Scene
 
 SHUTTERS = {
     "frozen": "the camera repeats its last picture while the shutter is closed",
@@ -99,7 +99,7 @@ class ThermalCamera:
 class ThermalView:
     """A thermal camera before its scene: one or two patterns of temperature of `contrast_k` (standard deviation, K).
 
-    `scenes` are textures made by `midspan.simulate.texture.textured_scene`; only their contrast is used.
+    `scenes` are textures made by `midspan.simulate.scene.texture.textured_scene`; only their contrast is used.
     """
 
     scenes: tuple[Scene, ...]

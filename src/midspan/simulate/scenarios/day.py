@@ -2,14 +2,14 @@
 
 import numpy as np
 
-from midspan.simulate.day import Sky
-from midspan.simulate.day_infrared import DayCourse
-from midspan.simulate.day_setup import DaySetup, Eye, hours, span_hours
-from midspan.simulate.day_weather import Headlights
-from midspan.simulate.motion import Motion, Sum, Window, random_motion
-from midspan.simulate.sensors import AccelerometerModel
-from midspan.simulate.stage import Scenario
-from midspan.simulate.thermal import ThermalCamera, WarmBody
+from midspan.simulate.day.infrared import DayCourse
+from midspan.simulate.day.setup import DaySetup, Eye, hours, span_hours
+from midspan.simulate.day.sky import Sky
+from midspan.simulate.day.weather import Headlights
+from midspan.simulate.motion.motion import Motion, Sum, Window, random_motion
+from midspan.simulate.motion.sensors import AccelerometerModel
+from midspan.simulate.scenarios.stage import Scenario
+from midspan.simulate.scene.thermal import ThermalCamera, WarmBody
 
 DAY_S = 264.0  # 24 hours last so long: 11 s an hour
 # Autumn: the sun stays before the wall until it sets, and moves as fast as in the light sweeps of the benchmarks.

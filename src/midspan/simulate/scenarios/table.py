@@ -1,31 +1,23 @@
-"""The recordings that `midspan simulate` can write, each with its truth: a table of names and how one is written."""
-
-import json
-from collections.abc import Callable, Iterator
-from pathlib import Path
-from typing import Any
+"""The recordings that `midspan simulate` can write: a table of names and what each is made of."""
 
 import numpy as np
 
 from midspan.checks import option
-from midspan.records import Floats, Region
-from midspan.simulate.beam import paper_beam_motion
-from midspan.simulate.camera import Camera, Light, Pixels, cramer_rao_std_px
-from midspan.simulate.day_scenarios import DAY_SCENARIOS
-from midspan.simulate.disturbances import Car, Disturbance, Foliage, Water
-from midspan.simulate.files import MARK, check_free, exact_in_video, whole_folder, write_table, write_video
-from midspan.simulate.motion import Motion, Rest, Sum, Window, random_motion
-from midspan.simulate.panel import Panel
-from midspan.simulate.radar_scenarios import RADAR_SCENARIOS
-from midspan.simulate.sensors import AccelerometerModel, DisplacementSensorModel
-from midspan.simulate.stage import CameraSetup, GnssSetup, Scenario, Stage, stage, within
-from midspan.simulate.stage import pixel_bound as _pixel_bound
-from midspan.simulate.texture import textured_scene
-
-Progress = Callable[[int, int], None]
+from midspan.records import Region
+from midspan.simulate.motion.beam import paper_beam_motion
+from midspan.simulate.motion.motion import Motion, Rest, Sum, Window, random_motion
+from midspan.simulate.motion.sensors import AccelerometerModel, DisplacementSensorModel
+from midspan.simulate.scenarios.day import DAY_SCENARIOS
+from midspan.simulate.scenarios.radar import RADAR_SCENARIOS
+from midspan.simulate.scenarios.stage import CameraSetup, GnssSetup, Scenario
+from midspan.simulate.scenarios.stage import pixel_bound as _pixel_bound
+from midspan.simulate.scene.camera import Camera, Light
+from midspan.simulate.scene.disturbances import Car, Disturbance, Foliage, Water
+from midspan.simulate.scene.panel import Panel
+from midspan.simulate.scene.texture import textured_scene
 
 
-def _pedestrians(rng: np.random.Generator) -> Motion:
+def pedestrians(rng: np.random.Generator) -> Motion:
     """A footbridge under walkers: modes at 1.9 and 4.6 Hz that come and go, a slow sag; at rest for 1.5 s."""
     parts = (
         random_motion((1.80, 2.00), 1.1e-3, rng=rng, lines=20),
@@ -69,7 +61,7 @@ def _street(rng: np.random.Generator) -> tuple[Disturbance, ...]:
     return (Car(top_px=196), Foliage(Region(0, 0, 110, 90), std_dn=18.0, rng=rng))
 
 
-def _sideways(rng: np.random.Generator) -> Motion:
+def sideways(rng: np.random.Generator) -> Motion:
     """The same footbridge sideways: modes at 0.95 and 2.8 Hz, a slow lean; at rest for 1.5 s."""
     parts = (
         random_motion((0.90, 1.00), 1.4e-3, rng=rng, lines=20),
@@ -110,7 +102,7 @@ SCENARIOS: dict[str, Scenario] = {
         line="footbridge under walkers, camera at 10 Hz, unknown clock offset; the demonstration",
         title="simulated footbridge, quarter span",
         duration_s=60.0,
-        motion=_pedestrians,
+        motion=pedestrians,
         accelerometer=_GOOD_ACCELEROMETER,
         camera=CameraSetup(),
     ),
@@ -153,7 +145,7 @@ SCENARIOS: dict[str, Scenario] = {
         line="footbridge with passing cars, leaves in the wind and the sun going in: the region must be chosen well",
         title="simulated footbridge over a street",
         duration_s=60.0,
-        motion=_pedestrians,
+        motion=pedestrians,
         accelerometer=_GOOD_ACCELEROMETER,
         camera=CameraSetup(time_offset_s=-0.09, start_s=0.2, light=Light(25.0, gain=0.75), disturbances=_street),
     ),
@@ -161,7 +153,7 @@ SCENARIOS: dict[str, Scenario] = {
         line="leaves, water and cars fill most of the picture with more contrast than the wall to be looked at",
         title="simulated footbridge over a river",
         duration_s=60.0,
-        motion=_pedestrians,
+        motion=pedestrians,
         accelerometer=_GOOD_ACCELEROMETER,
         camera=CameraSetup(time_offset_s=0.072, disturbances=_decoys),
     ),
@@ -169,7 +161,7 @@ SCENARIOS: dict[str, Scenario] = {
         line="two signs nearer than the wall, one of them at half the distance, and one that swings by itself",
         title="simulated footbridge, several targets",
         duration_s=60.0,
-        motion=_pedestrians,
+        motion=pedestrians,
         accelerometer=_GOOD_ACCELEROMETER,
         camera=CameraSetup(
             time_offset_s=0.114,
@@ -186,8 +178,8 @@ SCENARIOS: dict[str, Scenario] = {
         line="footbridge that moves down and sideways, accelerometer with two axes; truth for both",
         title="simulated footbridge, two axes",
         duration_s=60.0,
-        motion=_pedestrians,
-        across=_sideways,
+        motion=pedestrians,
+        across=sideways,
         accelerometer=_GOOD_ACCELEROMETER,
         camera=CameraSetup(time_offset_s=0.091),
     ),
@@ -195,7 +187,7 @@ SCENARIOS: dict[str, Scenario] = {
         line="footbridge with an unreadable and a missing stretch of acceleration, lost frames and 3 s of darkness",
         title="simulated footbridge with gaps",
         duration_s=60.0,
-        motion=_pedestrians,
+        motion=pedestrians,
         accelerometer=_GOOD_ACCELEROMETER,
         camera=CameraSetup(dropped=((16.0, 17.5), (50.0, 50.3)), black=((30.0, 33.0),)),
         absent=((41.0, 42.2),),
@@ -226,150 +218,7 @@ SCENARIOS: dict[str, Scenario] = {
 NAMES: dict[str, str] = {name: scenario.line for name, scenario in SCENARIOS.items()}
 
 
-def write(name: str, folder: str | Path, *, seed: int = 0, progress: Progress | None = None) -> Path:
-    """Write the recording of scenario `name`, one of NAMES, into `folder`, and return the folder.
-
-    It holds recording.toml, accel.csv, the other sensors' files, truth.csv (accelerometer's clock; zero at the first
-    frame) and known.json (what an estimate should find). The same `seed` gives the same files. `progress` is called
-    with frames done and frames in all. Raises UsageError for an unknown name, or a folder with other content.
-    """
-    option("scenario", name, SCENARIOS)
-    target = Path(folder).resolve()
-    check_free(target)
-    staged = stage(SCENARIOS[name], seed)
-    with whole_folder(target) as partial:
-        _write_acceleration(partial, staged)
-        known = {
-            "written_by": "midspan simulate",
-            "scenario": name,
-            "seed": seed,
-            "accelerometer": _known_noise(staged),
-        }
-        if staged.scenario.camera is not None:
-            known["camera"] = _write_camera(
-                partial, staged, staged.scenario.camera, progress or (lambda done, total: None)
-            )
-        if staged.scenario.gnss is not None:
-            known["displacement"] = _write_gnss(partial, staged, staged.scenario.gnss)
-        if staged.scenario.radar is not None:
-            run = staged.radar_run(staged.scenario.radar)
-            known["radar"] = run.write(partial, progress or (lambda done, total: None))
-        if staged.scenario.day is not None:
-            known |= staged.day_run(staged.scenario.day).write(partial, progress or (lambda done, total: None))
-        _write_truth(partial, staged)
-        _write_settings(partial, staged)
-        (partial / MARK).write_text(json.dumps(known, indent=2) + "\n", encoding="utf-8")
-    return target
-
-
 def pixel_bound(name: str, region: Region | None = None, *, seed: int = 0) -> tuple[float, float]:
     """Cramér-Rao bound (x, y) in px of one frame of scenario `name`, in `region` or the whole picture."""
     option("scenario", name, SCENARIOS)
     return _pixel_bound(SCENARIOS[name], region, seed=seed)
-
-
-def _known_noise(staged: Stage) -> dict[str, float]:
-    return {
-        "noise_std_m_s2": staged.accelerometer.noise_std_m_s2,
-        "bias_m_s2": staged.accelerometer.bias_m_s2,
-    }
-
-
-def _write_acceleration(folder: Path, staged: Stage) -> None:
-    series = staged.acceleration()
-    columns = {"time_s": series.time_ns / 1e9, "accel": series.value}
-    if staged.across is not None and staged.scenario.camera is not None:
-        main = staged.scenario.camera.direction
-        columns[f"accel_{main}"] = columns.pop("accel")
-        columns[f"accel_{_other(main)}"] = staged.acceleration_across().value
-    write_table(folder / "accel.csv", columns, decimals=dict.fromkeys(columns, 7) | {"time_s": 6})
-
-
-def _other(axis: str) -> str:
-    return "x" if axis == "y" else "y"
-
-
-def _write_truth(folder: Path, staged: Stage) -> None:
-    time, displacement, velocity = staged.truth_mm().T
-    columns = {"time_s": time, "displacement_mm": displacement, "velocity_mm_s": velocity}
-    decimals = {"time_s": 6, "displacement_mm": 7, "velocity_mm_s": 6}
-    if staged.across is not None and staged.scenario.camera is not None:
-        axis = _other(staged.scenario.camera.direction)
-        names = (f"displacement_{axis}_mm", f"velocity_{axis}_mm_s")
-        columns |= dict(zip(names, staged.truth_mm(staged.across).T[1:], strict=True))
-        decimals |= {names[0]: 7, names[1]: 6}
-    write_table(folder / "truth.csv", columns, decimals=decimals)
-
-
-def _write_gnss(folder: Path, staged: Stage, setup: GnssSetup) -> dict[str, float]:
-    series = staged.displacement(setup)
-    columns = {"time_s": series.time_ns / 1e9, "height": 1e3 * series.value}
-    write_table(folder / "gnss.csv", columns, decimals={"time_s": 6, "height": 4})
-    return {"noise_std_mm": 1e3 * setup.sensor.noise_std_m, "time_offset_s": setup.sensor.time_offset_s}
-
-
-def _write_camera(folder: Path, staged: Stage, setup: CameraSetup, progress: Progress) -> dict[str, Any]:
-    stamps = staged.frame_stamps_s(setup)
-    view = staged.view(setup)
-    true_times = stamps + setup.time_offset_s
-    frames = darkened(view.film(staged.motion, true_times, rng=staged.rng_sensor), within(true_times, setup.black))
-    write_video(
-        folder / "camera.mkv",
-        frames,
-        stamps_s=stamps,
-        rate_hz=setup.rate_hz,
-        done=lambda count: progress(count, len(stamps)),
-    )
-    if not exact_in_video(stamps):
-        write_table(folder / "camera_times.csv", {"time_s": stamps}, decimals={"time_s": 9})
-    x_px, y_px = cramer_rao_std_px(view.scene, view.camera)
-    return {
-        "scale_mm_per_px": setup.scale_mm_per_px,
-        "time_offset_s": setup.time_offset_s,
-        "cramer_rao_std_px": {"x": x_px, "y": y_px},
-        "cramer_rao_region": [0, 0, view.scene.columns, view.scene.rows],
-    }
-
-
-def darkened(frames: Iterator[Pixels], dark: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> Iterator[Pixels]:
-    """The frames in their order, those marked in `dark` (n,) all black."""
-    for pixels, black in zip(frames, dark, strict=True):
-        yield np.zeros_like(pixels) if black else pixels
-
-
-def _write_settings(folder: Path, staged: Stage) -> None:
-    import tomli_w
-
-    scenario = staged.scenario
-    accelerometer = {"file": "accel.csv", "time": "time_s", "value": "accel", "unit": "m/s^2"}
-    settings: dict[str, Any] = {"name": scenario.title, "accelerometer": accelerometer}
-    if scenario.camera is not None:
-        settings["camera"] = _camera_settings(scenario.camera, staged.frame_stamps_s(scenario.camera))
-        if staged.across is not None:
-            accelerometer.pop("value")
-            settings["accelerometer"] = {**accelerometer, "value_x": "accel_x", "value_y": "accel_y"}
-            settings["camera"]["direction"] = "xy"
-    if scenario.gnss is not None:
-        settings["displacement"] = {"file": "gnss.csv", "time": "time_s", "value": "height", "unit": "mm"}
-    if scenario.radar is not None:
-        settings["radar"] = scenario.radar.settings()
-    if scenario.day is not None:
-        settings |= scenario.day.settings(scenario.duration_s)
-    if scenario.window_s is not None:
-        settings["calibration"] = {"window_s": list(scenario.window_s)}
-    settings["reference"] = {"file": "truth.csv", "time": "time_s", "value": "displacement_mm", "unit": "mm"}
-    (folder / "recording.toml").write_text(tomli_w.dumps(settings), encoding="utf-8")
-
-
-def _camera_settings(setup: CameraSetup, stamps_s: Floats) -> dict[str, Any]:
-    settings: dict[str, Any] = {"file": "camera.mkv"}
-    if not exact_in_video(stamps_s):
-        settings["times"] = "camera_times.csv"
-    settings |= {"rate_hz": setup.rate_hz, "direction": setup.direction, "exposure_s": setup.camera.exposure_s}
-    if setup.every > 1:
-        settings["every"] = setup.every
-    if setup.camera.readout_s > 0:
-        settings["readout_s"] = setup.camera.readout_s
-    if setup.targets:
-        settings["target"] = [{"name": name, "roi": [r.x, r.y, r.width, r.height]} for name, r in setup.targets]
-    return settings

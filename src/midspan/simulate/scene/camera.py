@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 
 from midspan.checks import option, refuse
 from midspan.records import Floats, Region
-from midspan.simulate.disturbances import Disturbance
-from midspan.simulate.motion import Motion
-from midspan.simulate.panel import Panel
-from midspan.simulate.scene import Image, Scene
+from midspan.simulate.motion.motion import Motion
+from midspan.simulate.scene.disturbances import Disturbance
+from midspan.simulate.scene.panel import Panel
+from midspan.simulate.scene.scene import Image, Scene
 
 WHITE_DN = 255.0
 _MOMENTS = 9  # of the motion within one exposure; their mean is off by less than 1/900 of the blur's own curvature

@@ -6,7 +6,7 @@ import numpy as np
 
 from midspan.checks import finite, positive
 from midspan.records import Floats, TimeSeries, nanoseconds
-from midspan.simulate.motion import Motion
+from midspan.simulate.motion.motion import Motion
 
 # The five-point Gauss-Legendre rule on -1 … 1: exact for a polynomial of degree 9 over an exposure.
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)

@@ -6,7 +6,7 @@ from typing import Protocol
 import numpy as np
 
 from midspan.records import Floats, Region
-from midspan.simulate.scene import Image
+from midspan.simulate.scene.scene import Image
 
 
 class Disturbance(Protocol):

@@ -6,11 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from midspan.records import Floats
-from midspan.simulate.camera import WHITE_DN, Camera
-from midspan.simulate.day import Light, Sky
-from midspan.simulate.day_weather import Drops, Headlights
-from midspan.simulate.scene import SAMPLES, Image, Scene, canvas_shape, scene_of
-from midspan.simulate.texture import natural
+from midspan.simulate.day.sky import Light, Sky
+from midspan.simulate.day.weather import Drops, Headlights
+from midspan.simulate.scene.camera import WHITE_DN, Camera
+from midspan.simulate.scene.scene import SAMPLES, Image, Scene, canvas_shape, scene_of
+from midspan.simulate.scene.texture import natural
 
 SOFT_PX = 1.5  # half-width of the border of a shadow
 LEAST_OUT = 0.05  # a sun that grazes the wall throws shadows without end

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from midspan.checks import positive, refuse
 from midspan.records import Floats
-from midspan.simulate.motion import FineSteps, Motion, Pulse, Sines, Sum, Window
+from midspan.simulate.motion.motion import FineSteps, Motion, Pulse, Sines, Sum, Window
 
 LOWEST_STEP_RATE_HZ = 2000.0
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from midspan.records import Floats
-from midspan.simulate.scene import Image
+from midspan.simulate.scene.scene import Image
 
 # Temperatures are rounded to 1/64 K: that adds a hundredth to the noise of a good camera, and half the bytes are zeros.
 STEPS_A_KELVIN = 64.0

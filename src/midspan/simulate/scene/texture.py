@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from midspan.checks import option
 from midspan.records import Floats
-from midspan.simulate.scene import REACH_PX, SAMPLES, Scene, canvas_shape, scene_of
+from midspan.simulate.scene.scene import REACH_PX, SAMPLES, Scene, canvas_shape, scene_of
 
 TEXTURES = {
     "natural": "1/f noise of 30 DN rms, the statistics of natural scenes",

@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from midspan.simulate.motion import Motion, Pulse, Sum, Window, random_motion
-from midspan.simulate.radar import Reflector
-from midspan.simulate.radar_setup import FAR, NEAR, RadarSetup
-from midspan.simulate.sensors import AccelerometerModel
-from midspan.simulate.stage import CameraSetup, Scenario
+from midspan.simulate.motion.motion import Motion, Pulse, Sum, Window, random_motion
+from midspan.simulate.motion.sensors import AccelerometerModel
+from midspan.simulate.radar.setup import FAR, NEAR, RadarSetup
+from midspan.simulate.radar.signal import Reflector
+from midspan.simulate.scenarios.stage import CameraSetup, Scenario
 
 MEMS = AccelerometerModel(rate_hz=100.0, noise_std_m_s2=3e-3, bias_m_s2=0.05)
 FORCE_BALANCE = AccelerometerModel(rate_hz=100.0, noise_std_m_s2=1e-4, bias_m_s2=-0.004)

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from midspan.records import Floats, Region
-from midspan.simulate.motion import Motion
-from midspan.simulate.scene import Image, Scene
+from midspan.simulate.motion.motion import Motion
+from midspan.simulate.scene.scene import Image, Scene
 
 
 @dataclass(frozen=True, slots=True)
