@@ -17,7 +17,7 @@ from midspan.recording.tracking.tracking import CameraTracking
 from midspan.records import NANOSECONDS, Floats, Frame, Nanoseconds, PixelTrack, Region, seconds
 from midspan.settings.camera import InfraredSettings
 from midspan.thermal.temperature_range import Expected, RangeSurface, optimise_range
-from midspan.vision.reference_strength import open_counting
+from midspan.vision.reference.strength import open_counting
 
 # So many frames of the calibration are compared; displacement is let in so much more weakly than it is known, that the
 # accelerometer makes what is compared.

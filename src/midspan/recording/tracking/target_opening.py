@@ -9,9 +9,9 @@ from midspan.engine.thermal_target import ThermalTarget, thermal_target
 from midspan.records import Event, Frame, PixelTranslation, Region, Status
 from midspan.thermal.limits import Limits
 from midspan.vision.lens import Lens, bare, through
-from midspan.vision.reference import UpdatingSettings, UpdatingTracker
-from midspan.vision.reference_frames import KeyFrameSettings, KeyFrameTracker
-from midspan.vision.reference_strength import open_counting, strength
+from midspan.vision.reference.strength import open_counting, strength
+from midspan.vision.reference.tracker import KeyFrameSettings, KeyFrameTracker
+from midspan.vision.reference.updating import UpdatingSettings, UpdatingTracker
 from midspan.vision.tracker import Telling, Tracker, Wandering
 
 

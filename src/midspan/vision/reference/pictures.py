@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from midspan.records import Floats
-from midspan.vision.reference_alignment import aligned
-from midspan.vision.reference_light import CELLS, Mix, Placed, mixed
-from midspan.vision.reference_records import Chain, KeyFrame
+from midspan.vision.reference.alignment import aligned
+from midspan.vision.reference.light import CELLS, Mix, Placed, mixed
+from midspan.vision.reference.records import Chain, KeyFrame
 
 # Standard deviation of a picture's place if nothing in it were a mix of others: what the shadows do that bumps throw in
 # grazing light; four times what shading was seen to do.

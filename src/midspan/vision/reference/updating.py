@@ -4,7 +4,7 @@ J. Choi, Z. Ma, K. Kim, H. Sohn, "Continuous Structural Displacement Monitoring 
 Infrared (IR) Cameras", Sensors 23 (2023) 5241, doi 10.3390/s23115241, section 2.2.2, equations 10 to 14.
 As printed the threshold is the mean number of matches less three standard deviations. Where matches scatter by a third
 of their mean or more that is zero or less, and the reference is never replaced; by default there is a floor and a
-robust scale. `midspan.vision.reference_frames` has another way that keeps its errors from adding up.
+robust scale. `midspan.vision.reference.tracker` has another way that keeps its errors from adding up.
 """
 
 import math
@@ -16,7 +16,7 @@ import numpy as np
 from midspan.checks import option, refuse
 from midspan.errors import UsageError
 from midspan.records import Event, Floats, Frame, PixelTranslation, Prediction, Region, Status
-from midspan.vision.reference_strength import open_counting, relative, strength
+from midspan.vision.reference.strength import open_counting, relative, strength
 from midspan.vision.region import check_size, clamp, shift
 from midspan.vision.tracker import TRACKERS, Tracker
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from midspan.records import Floats, Region
-from midspan.vision.reference_kernels import agreement, block_scores, picture_shares, settled, spline_grid
+from midspan.vision.reference.kernels import agreement, block_scores, picture_shares, settled, spline_grid
 from midspan.vision.spline import REACH, Floats32, coefficients, combine, translated, weights
 from midspan.vision.texture import lowpass_taps, values
 from midspan.vision.zncc import smooth

@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 
 from midspan.records import Floats
-from midspan.vision.reference_light import BLOCKS, TRUST, Mix, steadiness
+from midspan.vision.reference.light import BLOCKS, TRUST, Mix, steadiness
 
 ROUNDS = 40
 ROUNDS_OF_PART = 10  # of a jackknife, which starts from the whole's solution

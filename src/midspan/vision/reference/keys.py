@@ -8,11 +8,11 @@ import numpy as np
 
 from midspan.checks import option, refuse
 from midspan.records import Event, Floats, Frame, Prediction, Region
-from midspan.vision.reference_cover import ALL_SEEN, LATELY, Cells
-from midspan.vision.reference_light import inside
-from midspan.vision.reference_pictures import Pictures, pictures_of, realigned
-from midspan.vision.reference_records import Chain, KeyFrame, KeyFrameState, Overlap, Seen, crowded, first_chain
-from midspan.vision.reference_strength import open_counting, relative, strength
+from midspan.vision.reference.cover import ALL_SEEN, LATELY, Cells
+from midspan.vision.reference.light import inside
+from midspan.vision.reference.pictures import Pictures, pictures_of, realigned
+from midspan.vision.reference.records import Chain, KeyFrame, KeyFrameState, Overlap, Seen, crowded, first_chain
+from midspan.vision.reference.strength import open_counting, relative, strength
 from midspan.vision.region import clamp, shift
 from midspan.vision.spline import Floats32
 from midspan.vision.tracker import TRACKERS

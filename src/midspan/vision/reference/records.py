@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from midspan.records import Floats, Frame, PixelTranslation, Region, Status
-from midspan.vision.reference_cover import ALL_SEEN, Cells
+from midspan.vision.reference.cover import ALL_SEEN, Cells
 from midspan.vision.spline import Floats32
 from midspan.vision.tracker import Tracker
 

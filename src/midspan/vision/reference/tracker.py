@@ -2,12 +2,12 @@
 
 A new key frame begins early, while the old one still matches well, and takes over as the one that the target is looked
 for with. Once there are two, the translation is measured against all of them at once: each is a picture of the target
-under its light, and a frame under another light is nearly a mix of them (`reference_light`). Where the pictures lie to
-each other follows from the same thought (`reference_alignment`), anew with each that is added. Now and then earlier key
-frames are tried, the first among them, and used again where they match again.
+under its light, and a frame under another light is nearly a mix of them (`light`). Where the pictures lie to each other
+follows from the same thought (`alignment`), anew with each that is added. Now and then earlier key frames are tried,
+the first among them, and used again where they match again.
 
-Something in front of the target is no light: it hides cells of it from one frame to the next (`reference_cover`). While
-it is there the target is measured by the rest; where light goes on changing, key frames are made of the rest alone.
+Something in front of the target is no light: it hides cells of it from one frame to the next (`cover`). While it is
+there the target is measured by the rest; where light goes on changing, key frames are made of the rest alone.
 """
 
 from dataclasses import replace
@@ -17,18 +17,18 @@ import numpy as np
 
 from midspan.errors import UsageError
 from midspan.records import Event, Floats, Frame, PixelTranslation, Prediction, Status
-from midspan.vision.reference_cover import ALL_SEEN, LATELY, PALING, Uncovered, completed, likeness, uncovered
-from midspan.vision.reference_keys import KeyFrames
-from midspan.vision.reference_keys import KeyFrameSettings as KeyFrameSettings
-from midspan.vision.reference_light import Sight, inside, placed, sight
-from midspan.vision.reference_pictures import LEAST_SHOWN
-from midspan.vision.reference_records import (
+from midspan.vision.reference.cover import ALL_SEEN, LATELY, PALING, Uncovered, completed, likeness, uncovered
+from midspan.vision.reference.keys import KeyFrames
+from midspan.vision.reference.keys import KeyFrameSettings as KeyFrameSettings
+from midspan.vision.reference.light import Sight, inside, placed, sight
+from midspan.vision.reference.pictures import LEAST_SHOWN
+from midspan.vision.reference.records import (
     Overlap,
     Seen,
     nearest,
     unmoved,
 )
-from midspan.vision.reference_strength import share_lost
+from midspan.vision.reference.strength import share_lost
 from midspan.vision.region import check_size
 from midspan.vision.target import lost
 

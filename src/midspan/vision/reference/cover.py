@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from midspan.records import Floats
-from midspan.vision.reference_kernels import agreement
-from midspan.vision.reference_light import CELLS, EDGE_PX, Mix, Placed, Sight, inside, placed
+from midspan.vision.reference.kernels import agreement
+from midspan.vision.reference.light import CELLS, EDGE_PX, Mix, Placed, Sight, inside, placed
 from midspan.vision.spline import Floats32
 
 Cells = NDArray[np.bool_]
