@@ -16,8 +16,9 @@ from scipy.ndimage import fourier_shift, gaussian_filter
 from midspan.errors import UsageError
 from midspan.recording.estimate import estimate
 from midspan.recording.result import Result
-from midspan.recording.stored.calibration import Calibration, DisplacementCalibration
+from midspan.recording.stored.calibration import Calibration
 from midspan.recording.stored.calibration_file import load_calibration
+from midspan.recording.stored.displacement import DisplacementCalibration
 from midspan.recording.streams.recording import open_recording
 from midspan.records import Estimate, Event, Innovation, TimeOffset, TimeSeries
 from midspan.report.report import report_html, write_report

@@ -9,7 +9,8 @@ from midspan.recording.camera_calibration.cameras import calibrate_cameras, toge
 from midspan.recording.displacement.sensor import calibrate_displacement, displacement_part, displacement_warnings
 from midspan.recording.radar.calibrate import calibrate_radar
 from midspan.recording.radar.literal import calibrate_radar_literal
-from midspan.recording.stored.calibration import Calibration, DisplacementCalibration
+from midspan.recording.stored.calibration import Calibration
+from midspan.recording.stored.displacement import DisplacementCalibration
 from midspan.recording.streams.progress import Progress, silent
 from midspan.recording.streams.recording import Recording, naming
 from midspan.recording.streams.window import calibration_window

@@ -10,7 +10,7 @@ from midspan.calibration.fit import Pair
 from midspan.calibration.noise import learn_motion
 from midspan.calibration.scale import LEAST_FRAMES, REFUSED_ABOVE, ScaleCalibration, calibrate_scale
 from midspan.errors import UntrustedError, UsageError
-from midspan.recording.stored.calibration import CameraCalibration, TargetCalibration
+from midspan.recording.stored.camera import CameraCalibration, TargetCalibration
 from midspan.recording.streams.measured import measured_rows
 from midspan.recording.streams.recording import Recording
 from midspan.recording.streams.span import inside

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from midspan.errors import UntrustedError
 from midspan.recording.camera_calibration.best_range import best_range, wants_range
 from midspan.recording.camera_calibration.camera import CameraFit, calibrate_camera, judged_by
-from midspan.recording.stored.calibration import CameraCalibration
+from midspan.recording.stored.camera import CameraCalibration
 from midspan.recording.streams.progress import Progress
 from midspan.recording.streams.recording import Recording
 from midspan.recording.streams.sensor_words import worded

@@ -10,7 +10,8 @@ from midspan.fusion.kalman import KalmanFilter, KalmanSettings
 from midspan.fusion.running_clock import RunningClock, on_one_clock
 from midspan.fusion.smoother import smooth
 from midspan.recording.fusing.fuse import CourseError
-from midspan.recording.stored.calibration import Calibration, CameraCalibration
+from midspan.recording.stored.calibration import Calibration
+from midspan.recording.stored.camera import CameraCalibration
 from midspan.recording.streams.acceleration import PreparedAcceleration, still
 from midspan.recording.streams.progress import Progress
 from midspan.recording.streams.recording import Recording

@@ -11,7 +11,8 @@ from midspan.fusion.kalman import KalmanSettings
 from midspan.fusion.running_clock import on_one_clock
 from midspan.recording.displacement.learn import learn, wanted
 from midspan.recording.fusing.fuse import SensorError
-from midspan.recording.stored.calibration import Calibration, DisplacementCalibration
+from midspan.recording.stored.calibration import Calibration
+from midspan.recording.stored.displacement import DisplacementCalibration
 from midspan.recording.streams.recording import Recording
 from midspan.recording.streams.span import require_overlap, shown
 from midspan.records import NANOSECONDS, Acceleration, Displacement, Event, Source, TimeOffset, TimeSeries, seconds

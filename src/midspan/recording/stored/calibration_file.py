@@ -7,13 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from midspan.errors import DataError, UsageError
-from midspan.recording.stored.calibration import (
-    CALIBRATION_FILE,
-    Calibration,
-    CameraCalibration,
-    DisplacementCalibration,
-    TargetCalibration,
-)
+from midspan.recording.stored.calibration import CALIBRATION_FILE, Calibration
+from midspan.recording.stored.camera import CameraCalibration, TargetCalibration
+from midspan.recording.stored.displacement import DisplacementCalibration
 from midspan.recording.stored.json_values import WrongValueError as _WrongValueError
 from midspan.recording.stored.json_values import number as _number
 from midspan.recording.stored.json_values import offset_of as _offset_of

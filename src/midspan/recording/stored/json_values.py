@@ -1,4 +1,4 @@
-"""Values of a `calibration.json`, each read with its rule."""
+"""Values of a `calibration.json`, each read with its rule; what JSON has no number for is null."""
 
 import math
 from typing import Any
@@ -48,3 +48,8 @@ def offset_of(tree: dict[str, Any], section: str) -> TimeOffset:
     unknown = tree.get("time_offset_std_s", 0.0) is None
     spread = math.inf if unknown else std(tree, f"{section}.time_offset_std_s", 0.0)
     return TimeOffset(number(tree, f"{section}.time_offset_s"), spread**2)
+
+
+def finite_or_none(value: float) -> float | None:
+    """The value as it is written: None for one that is not finite."""
+    return float(value) if math.isfinite(value) else None

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from midspan.radar.following import Background
 from midspan.radar.target import Target
+from midspan.recording.stored.json_values import finite_or_none
 from midspan.records import Floats, TimeOffset
 
 
@@ -77,9 +78,9 @@ class RadarCalibration:
             "conversion_factor": best.conversion_factor,
             "conversion_factor_std": best.conversion_factor_std,
             "relative_std": self.relative_std,
-            "target_range_m": _finite_or_none(best.range_m),
+            "target_range_m": finite_or_none(best.range_m),
             "time_offset_s": self.offset.value_s,
-            "time_offset_std_s": _finite_or_none(math.sqrt(self.offset.variance)),
+            "time_offset_std_s": finite_or_none(math.sqrt(self.offset.variance)),
             "noise_std_mm": 1e3 * best.noise_m,
             "variance_factor": self.variance_factor,
             "carrier_hz": self.carrier_hz,
@@ -93,19 +94,19 @@ def _target_dict(item: RadarTarget) -> dict[str, Any]:
     target = item.target
     return {
         "place_bin": target.place_bin,
-        "range_m": _finite_or_none(target.range_m),
-        "snr_db": _finite_or_none(target.snr_db),
+        "range_m": finite_or_none(target.range_m),
+        "snr_db": finite_or_none(target.snr_db),
         "amplitude": target.amplitude,
-        "conversion_factor": _finite_or_none(target.conversion_factor),
-        "conversion_factor_std": _finite_or_none(target.conversion_factor_std),
-        "time_offset_s": _finite_or_none(target.time_offset_s),
-        "time_offset_std_s": _finite_or_none(target.time_offset_std_s),
+        "conversion_factor": finite_or_none(target.conversion_factor),
+        "conversion_factor_std": finite_or_none(target.conversion_factor_std),
+        "time_offset_s": finite_or_none(target.time_offset_s),
+        "time_offset_std_s": finite_or_none(target.time_offset_std_s),
         "coherence": target.coherence,
-        "clutter": _finite_or_none(target.clutter),
+        "clutter": finite_or_none(target.clutter),
         "disagreement_rad": target.disagreement_rad,
-        "noise_std_mm": _finite_or_none(1e3 * target.noise_m),
+        "noise_std_mm": finite_or_none(1e3 * target.noise_m),
         "reach_bins": target.reach_bins,
-        "modulation_rad": _finite_or_none(target.modulation_rad),
+        "modulation_rad": finite_or_none(target.modulation_rad),
         "phase_noise_rad2": target.phase_noise_rad2,
         "leak": _pair(target.leak),
         **({} if target.background is None else {"background": _background_dict(target.background)}),
@@ -121,7 +122,3 @@ def _background_dict(background: Background) -> dict[str, Any]:
 
 def _pair(value: complex) -> list[float]:
     return [float(value.real), float(value.imag)]
-
-
-def _finite_or_none(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None

@@ -10,7 +10,7 @@ from midspan.engine.monitor import CameraScale
 from midspan.engine.targets import AGREE_STD, Used, agreeing, combine, relative_zeros
 from midspan.fusion.kalman import KalmanSettings
 from midspan.fusion.smoother import smooth
-from midspan.recording.stored.calibration import CameraCalibration
+from midspan.recording.stored.camera import CameraCalibration
 from midspan.recording.streams.acceleration import PreparedAcceleration
 from midspan.recording.tracking.tracking import TargetTracking
 from midspan.records import NANOSECONDS, Acceleration, Displacement, Estimate, Floats, Innovation, joined, part, seconds

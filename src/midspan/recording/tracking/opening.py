@@ -3,7 +3,7 @@
 import numpy as np
 
 from midspan.errors import DataError, UsageError
-from midspan.recording.stored.calibration import CameraCalibration
+from midspan.recording.stored.camera import CameraCalibration
 from midspan.recording.streams.measured import frames_used
 from midspan.recording.streams.progress import Progress
 from midspan.recording.streams.recording import Recording

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from midspan.errors import MidspanError, UsageError
-from midspan.recording.stored.calibration import CameraCalibration
+from midspan.recording.stored.camera import CameraCalibration
 from midspan.recording.streams.recording import Recording
 from midspan.recording.streams.sensor_words import worded
 from midspan.recording.tracking.target_opening import thermal_part
