@@ -10,8 +10,8 @@ from midspan.calibration.scale import calibrate_scale
 from midspan.calibration.sensor_scale import calibrate_sensor_scale
 from midspan.calibration.whitening import whiten
 from midspan.records import Floats
-from midspan.simulate.motion import Motion, Sines, random_motion
-from midspan.simulate.sensors import AccelerometerModel, DisplacementSensorModel, simulate_pair
+from midspan.simulate.motion.motion import Motion, Sines, random_motion
+from midspan.simulate.motion.sensors import AccelerometerModel, DisplacementSensorModel, simulate_pair
 
 SCALE, OFFSET_S, SEEDS, NOISE_A = 2.289e-3, 0.05, 48, 2e-3
 SLOW = "3.3 Hz aliased"

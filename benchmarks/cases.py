@@ -8,8 +8,8 @@ from midspan.calibration.fit import Pair
 from midspan.calibration.noise import NoiseCalibration, calibrate_noise
 from midspan.fusion.runners import MethodSettings, run_method
 from midspan.records import Acceleration, Displacement, Estimate, Floats, Source, TimeSeries, nanoseconds
-from midspan.simulate.beam import paper_beam_motion
-from midspan.simulate.sensors import AccelerometerModel, DisplacementSensorModel, noise_std_for, simulate_pair
+from midspan.simulate.motion.beam import paper_beam_motion
+from midspan.simulate.motion.sensors import AccelerometerModel, DisplacementSensorModel, noise_std_for, simulate_pair
 
 RATE_HZ, SLOW_HZ, SNR_DB = 100.0, 10.0, 40.0
 MAX_OFFSET_S = 0.5

@@ -13,10 +13,10 @@ from midspan.engine.thermal_target import thermal_target
 from midspan.errors import UsageError
 from midspan.recording.result import Result
 from midspan.records import Floats, Frame, PixelTrack, Region, Status
-from midspan.simulate import scenarios
-from midspan.simulate.scenarios import SCENARIOS
-from midspan.simulate.texture import textured_scene
-from midspan.simulate.thermal import ThermalCamera, ThermalView, WarmBody
+from midspan.simulate.scenarios.table import SCENARIOS
+from midspan.simulate.scenarios.write import write
+from midspan.simulate.scene.texture import textured_scene
+from midspan.simulate.scene.thermal import ThermalCamera, ThermalView, WarmBody
 from midspan.thermal.temperature_range import field_range, in_grey
 from midspan.vision.tracker import open_tracker, tracker_settings
 
@@ -87,7 +87,7 @@ def days(folder: Path) -> dict[str, list[Day]]:
     """The scenario as it is, with key frames of the camera too, and by its thermal camera alone, of several seeds."""
     found: dict[str, list[Day]] = {kind: [] for kind in ("as it is", KEYS, ALONE)}
     for seed in SEEDS:
-        site = scenarios.write(NAME, folder / str(seed), seed=seed)
+        site = write(NAME, folder / str(seed), seed=seed)
         keys: dict[str, Any] = {"reference": "key-frames", "tracker": "template"}
         found["as it is"].append(judged(midspan.estimate(midspan.open_recording(site)), site))
         found[KEYS].append(judged(midspan.estimate(midspan.open_recording(site, camera=keys)), site))

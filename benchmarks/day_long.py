@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.table import PEAK, goal
-from midspan.simulate.motion import random_motion
+from midspan.simulate.motion.motion import random_motion
 
 HOURS = 24.0
 CHILD = (

@@ -14,16 +14,16 @@ import numpy as np
 
 import midspan
 from benchmarks.table import PEAK, goal, show
-from midspan.recording.recording import Recording
 from midspan.recording.result import Result
+from midspan.recording.streams.recording import Recording
 from midspan.records import Floats, Frame, Nanoseconds, Source, Status, TimeSeries, nanoseconds
-from midspan.simulate.day import Sky
-from midspan.simulate.day_infrared import DayCourse
-from midspan.simulate.day_setup import DaySetup, Eye, hours
-from midspan.simulate.day_weather import Headlights
-from midspan.simulate.motion import Motion, Sum, Window, random_motion
-from midspan.simulate.scene import Image
-from midspan.simulate.thermal import ThermalCamera
+from midspan.simulate.day.infrared import DayCourse
+from midspan.simulate.day.setup import DaySetup, Eye, hours
+from midspan.simulate.day.sky import Sky
+from midspan.simulate.day.weather import Headlights
+from midspan.simulate.motion.motion import Motion, Sum, Window, random_motion
+from midspan.simulate.scene.scene import Image
+from midspan.simulate.scene.thermal import ThermalCamera
 from midspan.sources.camera.frames import FrameInfo, FrameSource
 
 RATE_HZ, ACCELERATION_HZ = 2.0, 20.0

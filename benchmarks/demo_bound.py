@@ -10,7 +10,7 @@ from benchmarks.table import goal, show
 from midspan.evaluate.metrics import compare
 from midspan.evaluate.simulated import least_error_mm
 from midspan.records import TimeSeries
-from midspan.simulate.scenarios import write
+from midspan.simulate.scenarios.write import write
 
 # Never used while the demo was made.
 SEEDS = range(200, 212)

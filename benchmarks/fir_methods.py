@@ -18,9 +18,9 @@ from midspan.fusion.kalman import KalmanSettings
 from midspan.fusion.smoother import collected, smooth
 from midspan.fusion.two_stage import TwoStageFir, TwoStageSettings, two_stage_fir
 from midspan.records import Acceleration, Displacement, Estimate, Floats
-from midspan.simulate.beam import Beam, respond
-from midspan.simulate.motion import FineSteps, Pulse, Sines, Sum, Window
-from midspan.simulate.sensors import AccelerometerModel, DisplacementSensorModel, noise_std_for, simulate_pair
+from midspan.simulate.motion.beam import Beam, respond
+from midspan.simulate.motion.motion import FineSteps, Pulse, Sines, Sum, Window
+from midspan.simulate.motion.sensors import AccelerometerModel, DisplacementSensorModel, noise_std_for, simulate_pair
 
 Method = Callable[[Acceleration, Displacement], Estimate]
 Spoil = Callable[[Acceleration, Displacement, Floats, int], tuple[Acceleration, Displacement, Floats]]

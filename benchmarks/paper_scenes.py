@@ -15,7 +15,7 @@ import numpy as np
 from benchmarks.table import goal, show
 from midspan.evaluate.papers import CameraAlone, camera_alone, fused, recorded_frames
 from midspan.records import Frame
-from midspan.simulate.paper_scenes import PAPER_SCENES, Film, film, write_recording
+from midspan.simulate.scenarios.papers import PAPER_SCENES, Film, film, write_recording
 from midspan.vision.tracker import tracker_settings
 
 # What is shown → tracker and what is not its default. The published feature matching is "features as printed".

@@ -10,9 +10,9 @@ import numpy as np
 
 from benchmarks.table import goal, show
 from midspan.records import Floats, Frame, PixelTrack, PixelTranslation, Prediction, Region, Status
-from midspan.simulate.camera import Camera, Pixels
-from midspan.simulate.scene import Scene
-from midspan.simulate.texture import TEXTURES, textured_scene
+from midspan.simulate.scene.camera import Camera, Pixels
+from midspan.simulate.scene.scene import Scene
+from midspan.simulate.scene.texture import TEXTURES, textured_scene
 from midspan.vision.picture_quality import PictureWatch
 from midspan.vision.picture_warnings import picture_warnings
 from midspan.vision.tracker import open_tracker

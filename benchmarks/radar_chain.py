@@ -18,8 +18,8 @@ from midspan.radar.several import SeveralTargets
 from midspan.radar.target import find_targets, ranked
 from midspan.radar.unwrap import unwrap_aided, unwrap_plain
 from midspan.records import Acceleration, Displacement, Floats, Source, nanoseconds
-from midspan.simulate.motion import Motion, Sines, Window, random_motion
-from midspan.simulate.radar import SHORT_RANGE, RadarModel, Reflector, noise_for, phase_bound_m
+from midspan.simulate.motion.motion import Motion, Sines, Window, random_motion
+from midspan.simulate.radar.signal import SHORT_RANGE, RadarModel, Reflector, noise_for, phase_bound_m
 
 RATE, CHIRP = 100.0, SHORT_RANGE
 UNIT = CHIRP.phase_per_m()

@@ -11,8 +11,8 @@ from midspan.radar.measurement import TargetFrames, displacement
 from midspan.radar.peaks import at_place
 from midspan.radar.range_profile import averaged, range_profile
 from midspan.radar.target import find_targets
-from midspan.simulate.motion import random_motion
-from midspan.simulate.radar import RadarModel, Reflector, noise_for
+from midspan.simulate.motion.motion import random_motion
+from midspan.simulate.radar.signal import RadarModel, Reflector, noise_for
 
 BINS, FRAMES = 100, 2000
 

@@ -11,8 +11,8 @@ from midspan.radar.measurement import TargetFrames, TargetSeries, displacement
 from midspan.radar.range_profile import bin_kernel, coarse_range, half_kernel
 from midspan.radar.target import Target, find_targets
 from midspan.records import Floats
-from midspan.simulate.motion import Motion, random_motion
-from midspan.simulate.radar import LONG_RANGE, SHORT_RANGE, RadarModel, Reflector, noise_for
+from midspan.simulate.motion.motion import Motion, random_motion
+from midspan.simulate.radar.signal import LONG_RANGE, SHORT_RANGE, RadarModel, Reflector, noise_for
 
 RANGE_M, AMPLITUDE, START_S = 6.3, 1000.0, 18.0
 FRAMES, CALIBRATION = 4000, 1600

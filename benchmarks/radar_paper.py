@@ -13,8 +13,8 @@ from midspan.radar.range_profile import averaged, range_profile
 from midspan.radar.target import Target, find_targets, ranked
 from midspan.radar.unwrap import unwrap_aided, unwrap_plain
 from midspan.records import Floats
-from midspan.simulate.motion import Motion, Window, random_motion
-from midspan.simulate.radar import LONG_RANGE, SHORT_RANGE, RadarModel, Reflector, noise_for
+from midspan.simulate.motion.motion import Motion, Window, random_motion
+from midspan.simulate.radar.signal import LONG_RANGE, SHORT_RANGE, RadarModel, Reflector, noise_for
 
 RATE, FRAMES, NOISE = 100.0, 3000, 5e-5
 INNER = slice(500, -300)

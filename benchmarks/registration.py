@@ -8,9 +8,9 @@ import numpy as np
 
 from benchmarks.table import goal, show
 from midspan.records import Floats, Frame, Prediction, Region
-from midspan.simulate.camera import Camera, Pixels, cramer_rao_std_px
-from midspan.simulate.scene import Scene
-from midspan.simulate.texture import textured_scene
+from midspan.simulate.scene.camera import Camera, Pixels, cramer_rao_std_px
+from midspan.simulate.scene.scene import Scene
+from midspan.simulate.scene.texture import textured_scene
 from midspan.vision.kernels import project
 from midspan.vision.registration import RegistrationSettings, RegistrationTracker
 

@@ -13,7 +13,7 @@ from benchmarks.table import goal, show
 from midspan.fusion.gate import REACQUIRED, REJECTED
 from midspan.fusion.kalman import KalmanSettings
 from midspan.fusion.smoother import Smoothed
-from midspan.recording.fuse import FusionInputs, fuse
+from midspan.recording.fusing.fuse import FusionInputs, fuse
 from midspan.records import Acceleration, Displacement, Floats, Source, TimeSeries, nanoseconds
 
 METHODS = ("kalman", "lag", "smoother", "adaptive-kalman")

@@ -44,7 +44,7 @@ def frames():
 
 
 def main() -> None:
-    from midspan.simulate.files import write_video
+    from midspan.simulate.files.folder import write_video
 
     with tempfile.TemporaryDirectory() as name:
         video, out = Path(name) / "video.mkv", Path(name) / "track.csv"

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.table import goal, show
-from midspan.recording.track import TrackRequest, track
+from midspan.recording.tracking.track import TrackRequest, track
 from midspan.records import Floats, Frame, Region
 from midspan.sources.camera.formats import open_frames
 from midspan.sources.camera.frames import FrameRequest

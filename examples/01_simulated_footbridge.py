@@ -10,7 +10,7 @@ from pathlib import Path
 
 import midspan
 from midspan.evaluate.result_file import compare_files
-from midspan.simulate.scenarios import write
+from midspan.simulate.scenarios.write import write
 
 with tempfile.TemporaryDirectory() as folder:
     place = write("footbridge", Path(folder) / "footbridge", seed=1)

@@ -7,8 +7,8 @@ small camera. Real frames come as a video, a folder of images or an .npy stack: 
 import numpy as np
 
 from midspan import Frame, choose_region, open_tracker
-from midspan.simulate.camera import Camera, cramer_rao_std_px
-from midspan.simulate.texture import textured_scene
+from midspan.simulate.scene.camera import Camera, cramer_rao_std_px
+from midspan.simulate.scene.texture import textured_scene
 
 rng = np.random.default_rng(3)
 scene = textured_scene("natural", (200, 260), rng=rng)  # rows, columns

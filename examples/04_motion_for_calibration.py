@@ -7,8 +7,8 @@ Simulated pairs, narrow-band random motion about three frequencies, noise of 0.0
 import numpy as np
 
 from midspan import Pair, UntrustedError, calibrate_scale
-from midspan.simulate.motion import random_motion
-from midspan.simulate.sensors import AccelerometerModel, DisplacementSensorModel, simulate_pair
+from midspan.simulate.motion.motion import random_motion
+from midspan.simulate.motion.sensors import AccelerometerModel, DisplacementSensorModel, simulate_pair
 
 SCALE_M_PER_PX = -1.5e-3
 NOISE_PX = 0.02

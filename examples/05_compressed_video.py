@@ -11,8 +11,8 @@ import av
 import numpy as np
 
 from midspan import Frame, Region, open_tracker
-from midspan.simulate.camera import Camera
-from midspan.simulate.texture import textured_scene
+from midspan.simulate.scene.camera import Camera
+from midspan.simulate.scene.texture import textured_scene
 
 RATE_HZ, COUNT = 10, 100
 REGION = Region(56, 56, 96, 96)

@@ -10,8 +10,8 @@ from scipy.interpolate import CubicSpline
 from midspan import Acceleration, Displacement, Estimate, KalmanFilter, smooth
 from midspan.evaluate.bound import KnownNoise, exact_bound
 from midspan.records import Source
-from midspan.simulate.beam import paper_beam_motion
-from midspan.simulate.sensors import AccelerometerModel, DisplacementSensorModel, noise_std_for, simulate_pair
+from midspan.simulate.motion.beam import paper_beam_motion
+from midspan.simulate.motion.sensors import AccelerometerModel, DisplacementSensorModel, noise_std_for, simulate_pair
 
 SEEDS = (11, 12, 13, 14)
 INNER = slice(500, -500)

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 
 from midspan import Frame, Region, open_tracker
-from midspan.simulate.texture import textured_scene
+from midspan.simulate.scene.texture import textured_scene
 
 REGION = Region(96, 56, 128, 128)
 MIDDLE = (REGION.x + 0.5 * (REGION.width - 1), REGION.y + 0.5 * (REGION.height - 1))

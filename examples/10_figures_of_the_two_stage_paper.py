@@ -14,8 +14,8 @@ from midspan import Acceleration, Displacement, smooth
 from midspan.fusion.fir import FirSettings, fir
 from midspan.fusion.two_stage import TwoStageSettings, two_stage_fir
 from midspan.records import Source
-from midspan.simulate.beam import paper_beam_motion
-from midspan.simulate.sensors import AccelerometerModel, DisplacementSensorModel, noise_std_for, simulate_pair
+from midspan.simulate.motion.beam import paper_beam_motion
+from midspan.simulate.motion.sensors import AccelerometerModel, DisplacementSensorModel, noise_std_for, simulate_pair
 
 METHODS = {
     "fir, fixed cut-off": lambda a, d: fir(a, d, FirSettings(literal=True)),

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 
 import midspan
-from midspan.simulate import scenarios
+from midspan.simulate.scenarios.write import write
 
 with tempfile.TemporaryDirectory() as folder:
-    site = scenarios.write("several-targets", Path(folder) / "targets", seed=1)
+    site = write("several-targets", Path(folder) / "targets", seed=1)
     result = midspan.estimate(midspan.open_recording(site))
     print("target      mm/px              noise (mm)   used")
     for target in result.calibration.camera.targets:
@@ -20,7 +20,7 @@ with tempfile.TemporaryDirectory() as folder:
         noise = abs(value) * target.noise_std_px
         print(f"{target.name:10s}  {value:.4f} ± {std:.4f}   {noise:10.4f}   {target.used}")
 
-    site = scenarios.write("two-axes", Path(folder) / "axes", seed=1)
+    site = write("two-axes", Path(folder) / "axes", seed=1)
     result = midspan.estimate(midspan.open_recording(site))
     truth = np.genfromtxt(site / "truth.csv", delimiter=",", names=True)
     print()

@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 
 import midspan
-from midspan.simulate import scenarios
+from midspan.simulate.scenarios.write import write
 
 with tempfile.TemporaryDirectory() as folder:
-    site = scenarios.write("radar-tall-building", Path(folder) / "building", seed=1)
+    site = write("radar-tall-building", Path(folder) / "building", seed=1)
     recording = midspan.open_recording(site)
     calibration = midspan.calibrate(recording)
     print("range (m)   conversion factor      coherence   used")

@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 
 import midspan
-from midspan.simulate import scenarios
+from midspan.simulate.scenarios.write import write
 
 with tempfile.TemporaryDirectory() as folder:
-    site = scenarios.write("day-and-night", Path(folder) / "bridge", seed=1)
+    site = write("day-and-night", Path(folder) / "bridge", seed=1)
     # Every other frame, two a second, is enough here; all of them take twice as long and have a third of the error.
     recording = midspan.open_recording(site, camera={"every": 2}, infrared={"every": 2})
     calibration = midspan.calibrate(recording)

@@ -9,15 +9,16 @@ from typing import Any
 
 import pytest
 
-from midspan.simulate import scenarios
-from midspan.simulate.sensors import AccelerometerModel
-from midspan.simulate.stage import CameraSetup, Scenario
+from midspan.simulate.motion.sensors import AccelerometerModel
+from midspan.simulate.scenarios.stage import CameraSetup, Scenario
+from midspan.simulate.scenarios.table import SCENARIOS, pedestrians
+from midspan.simulate.scenarios.write import write
 
 FOOTBRIDGE = Scenario(
     line="a small footbridge for tests",
     title="small footbridge",
     duration_s=25.0,
-    motion=scenarios._pedestrians,
+    motion=pedestrians,
     accelerometer=AccelerometerModel(rate_hz=100.0, noise_std_m_s2=2.5e-3, bias_m_s2=0.05),
     # Small pictures are rendered and tracked in a fraction of a second.
     camera=CameraSetup(size_px=(96, 96)),
@@ -47,8 +48,8 @@ def simulated(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
             folder = tmp_path_factory.mktemp("simulated") / name
             scenario = replace(FOOTBRIDGE, camera=replace(FOOTBRIDGE.camera, **(camera or {})), **changes)
             with pytest.MonkeyPatch.context() as patch:
-                patch.setitem(scenarios.SCENARIOS, name, scenario)
-                scenarios.write(name, folder, seed=seed)
+                patch.setitem(SCENARIOS, name, scenario)
+                write(name, folder, seed=seed)
             known[name] = folder
         return known[name]
 
@@ -72,4 +73,4 @@ def footbridge_copy(footbridge: Path, tmp_path: Path) -> Path:
 @pytest.fixture(scope="session")
 def gnss(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The scenario `gnss`: an accelerometer and heights at 1 Hz, no camera; not to be changed."""
-    return scenarios.write("gnss", tmp_path_factory.mktemp("simulated") / "gnss")
+    return write("gnss", tmp_path_factory.mktemp("simulated") / "gnss")

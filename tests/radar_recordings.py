@@ -7,9 +7,9 @@ import numpy as np
 
 from midspan.radar.chirp import ChirpProfile
 from midspan.radar.layout import Layout
-from midspan.simulate.motion import Motion, Window, random_motion
-from midspan.simulate.radar import RadarModel, Reflector, noise_for
-from midspan.simulate.radar_files import Capture, demo_settings, write_capture
+from midspan.simulate.motion.motion import Motion, Window, random_motion
+from midspan.simulate.radar.files import Capture, demo_settings, write_capture
+from midspan.simulate.radar.signal import RadarModel, Reflector, noise_for
 
 # 0.69 GHz in 64 samples: bins of 0.22 m.
 PROFILE = ChirpProfile(77e9, 64.985e12, 6e6, 64, 0.01, receivers=2)

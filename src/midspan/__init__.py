@@ -15,7 +15,7 @@ from midspan._version import __version__
 
 _PLACES = {
     "Acceleration": "records",
-    "Calibration": "recording.calibration",
+    "Calibration": "recording.stored.calibration",
     "DataError": "errors",
     "Displacement": "records",
     "Estimate": "records",
@@ -26,7 +26,7 @@ _PLACES = {
     "MidspanError": "errors",
     "Pair": "calibration.fit",
     "Prediction": "records",
-    "Recording": "recording.recording",
+    "Recording": "recording.streams.recording",
     "Region": "records",
     "Result": "recording.result",
     "UntrustedError": "errors",
@@ -36,8 +36,8 @@ _PLACES = {
     "calibrate_scale": "calibration.scale",
     "choose_region": "vision.roi",
     "estimate": "recording.estimate",
-    "load_calibration": "recording.calibration_file",
-    "open_recording": "recording.recording",
+    "load_calibration": "recording.stored.calibration_file",
+    "open_recording": "recording.streams.recording",
     "open_tracker": "vision.tracker",
     "smooth": "fusion.smoother",
 }

@@ -3,9 +3,9 @@
 import numpy as np
 
 from midspan.calibration.fit import Pair
-from midspan.simulate.beam import paper_beam_motion
-from midspan.simulate.motion import Sines, random_motion
-from midspan.simulate.sensors import AccelerometerModel, DisplacementSensorModel, noise_std_for, simulate_pair
+from midspan.simulate.motion.beam import paper_beam_motion
+from midspan.simulate.motion.motion import Sines, random_motion
+from midspan.simulate.motion.sensors import AccelerometerModel, DisplacementSensorModel, noise_std_for, simulate_pair
 
 SCALE = 2.289e-3  # m/px
 OFFSET = 0.05

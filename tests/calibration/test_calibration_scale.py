@@ -9,7 +9,7 @@ from calibration_cases import OFFSET, SCALE, beam_in_pixels, broadband, observed
 from midspan.calibration.fit import Pair
 from midspan.calibration.scale import calibrate_scale
 from midspan.errors import UntrustedError
-from midspan.simulate.motion import Pulse, Sum, Window, random_motion
+from midspan.simulate.motion.motion import Pulse, Sum, Window, random_motion
 
 SEEDS = 40
 

@@ -6,9 +6,9 @@ import pytest
 
 from midspan.cli.main import run
 from midspan.records import Region
-from midspan.simulate import scenarios
-from midspan.simulate.panel import Panel
-from midspan.simulate.texture import textured_scene
+from midspan.simulate.scenarios.table import sideways
+from midspan.simulate.scene.panel import Panel
+from midspan.simulate.scene.texture import textured_scene
 from recording_edits import set_keys
 
 NEAR, WALL = Region(14, 20, 48, 48), Region(84, 20, 48, 48)
@@ -20,7 +20,7 @@ def sign(rng):
 
 @pytest.fixture(scope="module")
 def axes(simulated):
-    return simulated("two axes", across=scenarios._sideways)
+    return simulated("two axes", across=sideways)
 
 
 @pytest.fixture(scope="module")

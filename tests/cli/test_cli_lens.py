@@ -7,8 +7,8 @@ import pytest
 from lens_cases import PINHOLE, SIZE, write_pictures
 from midspan.cli.main import run
 from midspan.errors import DataError, UsageError
-from midspan.recording.lens import lens_of, load_lens
-from midspan.recording.recording import open_recording
+from midspan.recording.streams.recording import open_recording
+from midspan.recording.tracking.lens import lens_of, load_lens
 from midspan.settings.load import validate
 from midspan.vision.lens import Lens
 

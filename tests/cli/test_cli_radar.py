@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from midspan.cli.main import run
-from midspan.simulate.radar import Reflector
+from midspan.simulate.radar.signal import Reflector
 from radar_recordings import PLATE, Case, write
 from recording_edits import set_keys
 

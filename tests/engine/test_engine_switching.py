@@ -5,12 +5,12 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 
-from midspan.engine.overlap import zero_course
 from midspan.engine.sun import sun_elevation_deg
 from midspan.engine.switching import PUBLISHED, Look, Switch, SwitchSettings
 from midspan.errors import UsageError
 from midspan.fusion.kalman import KalmanSettings
 from midspan.fusion.smoother import smooth
+from midspan.fusion.zero_course import zero_course
 from midspan.records import Acceleration, Displacement, Source, joined, nanoseconds, part
 
 BOTH = (Source.CAMERA, Source.INFRARED)

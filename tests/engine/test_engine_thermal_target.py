@@ -5,8 +5,8 @@ import pytest
 
 from midspan.engine.thermal_target import ThermalTarget, thermal_target
 from midspan.records import Frame, Region, Status
-from midspan.simulate.texture import textured_scene
-from midspan.simulate.thermal import ThermalCamera, ThermalView
+from midspan.simulate.scene.texture import textured_scene
+from midspan.simulate.scene.thermal import ThermalCamera, ThermalView
 from midspan.thermal.limits import Limits
 from midspan.vision.tracker import Learner, PhaseGain, Telling, open_tracker
 

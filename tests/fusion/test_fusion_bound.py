@@ -11,8 +11,8 @@ from midspan.calibration.fit import Pair
 from midspan.calibration.noise import calibrate_noise
 from midspan.fusion.kalman import KalmanSettings
 from midspan.fusion.smoother import smooth
-from midspan.simulate.beam import paper_beam_motion
-from midspan.simulate.sensors import AccelerometerModel, DisplacementSensorModel, noise_std_for, simulate_pair
+from midspan.simulate.motion.beam import paper_beam_motion
+from midspan.simulate.motion.sensors import AccelerometerModel, DisplacementSensorModel, noise_std_for, simulate_pair
 
 # Seeds that were not looked at while the filter was made.
 SEEDS = (311, 312, 313, 314, 315, 316)

@@ -6,7 +6,7 @@ import pytest
 from midspan.fusion.clock import clock_course
 from midspan.fusion.kalman import KalmanSettings
 from midspan.records import Acceleration, Displacement, Floats, Source, nanoseconds
-from midspan.simulate.beam import paper_beam_motion
+from midspan.simulate.motion.beam import paper_beam_motion
 
 LENGTH_S, RATE_HZ, SLOW_HZ = 400.0, 100.0, 10.0
 NOISE = (0.01, 1e-4)  # m/s² and m

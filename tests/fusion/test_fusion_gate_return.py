@@ -6,7 +6,7 @@ import pytest
 from midspan.fusion.gate import REACQUIRED, REJECTED
 from midspan.fusion.kalman import KalmanSettings
 from midspan.fusion.noise_profile import noise_factors
-from midspan.recording.fuse import FusionInputs, fuse
+from midspan.recording.fusing.fuse import FusionInputs, fuse
 from midspan.records import Acceleration, Displacement, Innovation, Source, nanoseconds
 
 # After four seconds without a measurement such an accelerometer knows the position to 3 mm.

@@ -19,8 +19,8 @@ from midspan.fusion.two_stage import TwoStageFir, TwoStageSettings, design, leas
 from midspan.records import Estimate, Event, Status, joined, part
 from midspan.signals.fir import Transition, complement, equiripple_low_pass, response
 from midspan.signals.integrate import second_integral
-from midspan.simulate.beam import paper_beam_motion
-from midspan.simulate.sensors import AccelerometerModel, DisplacementSensorModel, noise_std_for, simulate_pair
+from midspan.simulate.motion.beam import paper_beam_motion
+from midspan.simulate.motion.sensors import AccelerometerModel, DisplacementSensorModel, noise_std_for, simulate_pair
 
 INNER = slice(600, -600)
 LITERAL = TwoStageSettings(literal=True)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from midspan.evaluate.papers import camera_alone, fused, recorded_frames
-from midspan.simulate.paper_scenes import FilmSettings, film, write_recording
+from midspan.simulate.scenarios.papers import FilmSettings, film, write_recording
 from midspan.vision.tracker import tracker_settings
 
 CUT = {

@@ -5,8 +5,8 @@ import pytest
 
 from midspan.evaluate.papers import Fused, fused
 from midspan.recording.calibrate import calibrate
-from midspan.recording.recording import open_recording
-from midspan.simulate.paper_scenes import ACCELEROMETER, CAMERA, FilmSettings, film, write_recording
+from midspan.recording.streams.recording import open_recording
+from midspan.simulate.scenarios.papers import ACCELEROMETER, CAMERA, FilmSettings, film, write_recording
 
 # Short pieces of the excitations that move most and least.
 CUT = {

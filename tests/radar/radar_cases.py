@@ -3,8 +3,8 @@
 import numpy as np
 
 from midspan.radar.chirp import ChirpProfile
-from midspan.simulate.motion import Sines, Window
-from midspan.simulate.radar import RadarModel
+from midspan.simulate.motion.motion import Sines, Window
+from midspan.simulate.radar.signal import RadarModel
 
 C = 299_792_458.0
 SHORT = ChirpProfile(77e9, 64.985e12, 6e6, 256, 0.01)

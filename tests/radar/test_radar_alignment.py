@@ -6,7 +6,7 @@ from radar_cases import RATE, UNIT, accelerometer
 
 from midspan.radar.alignment import Integrals, _offsets, _regressions, align
 from midspan.radar.unwrap import wrapped
-from midspan.simulate.motion import random_motion
+from midspan.simulate.motion.motion import random_motion
 
 MOTION = random_motion((0.5, 4.0), 1e-3, rng=np.random.default_rng(0))
 

@@ -6,7 +6,7 @@ from radar_cases import CYCLE, RATE, accelerometer
 
 from midspan.radar.departures import departures
 from midspan.radar.several import SeveralTargets, record_combined
-from midspan.simulate.motion import random_motion
+from midspan.simulate.motion.motion import random_motion
 
 SECONDS, LEAVES_S = 40, 25.0
 SIGMA = 5e-6

@@ -13,8 +13,8 @@ from midspan.radar.peaks import at_place
 from midspan.radar.phase_noise import bending, factor_spread, measured_variance, modulation, slip_variance
 from midspan.radar.several import SeveralTargets
 from midspan.radar.target import Target, find_targets, ranked
-from midspan.simulate.motion import Sines, random_motion
-from midspan.simulate.radar import RadarModel, Reflector, noise_for
+from midspan.simulate.motion.motion import Sines, random_motion
+from midspan.simulate.radar.signal import RadarModel, Reflector, noise_for
 
 TIME = np.arange(0, 20, 1 / RATE)
 

@@ -10,8 +10,8 @@ from midspan.radar.measurement import TargetFrames, displacement
 from midspan.radar.peaks import at_place
 from midspan.radar.range_profile import bin_kernel
 from midspan.radar.target import Target, find_targets, ranked
-from midspan.simulate.motion import Sines
-from midspan.simulate.radar import RadarModel, Reflector, beat, noise_for, phase_bound_m
+from midspan.simulate.motion.motion import Sines
+from midspan.simulate.radar.signal import RadarModel, Reflector, beat, noise_for, phase_bound_m
 
 WALL_M, FACTOR, FRAMES = 1.318, 1.2748, 2000
 UNIT = SHORT.phase_per_m(WALL_M)

@@ -9,9 +9,9 @@ from midspan.radar.measurement import TargetFrames, displacement
 from midspan.radar.range_profile import coarse_range, half_kernel
 from midspan.radar.target import find_targets, ranked
 from midspan.records import Status
-from midspan.simulate.motion import Sines
-from midspan.simulate.radar import RadarModel, Reflector, noise_for, phase_bound_m
-from midspan.simulate.radar_files import Capture, demo_settings, write_capture
+from midspan.simulate.motion.motion import Sines
+from midspan.simulate.radar.files import Capture, demo_settings, write_capture
+from midspan.simulate.radar.signal import RadarModel, Reflector, noise_for, phase_bound_m
 from midspan.sources.radar.dca1000 import RawCapture
 from midspan.sources.radar.radar_source import RadarRequest
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from midspan.radar.own_motion import Shown, own_motions
-from midspan.simulate.motion import random_motion
+from midspan.simulate.motion.motion import random_motion
 
 RATE_HZ, LENGTH_S, NOISE_M, DENSITY = 100.0, 60.0, 1e-5, 4.5e-8
 TIME = np.arange(0.0, LENGTH_S, 1.0 / RATE_HZ)

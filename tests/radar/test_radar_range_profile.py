@@ -19,7 +19,7 @@ from midspan.radar.range_profile import (
     range_profile,
     slow_time,
 )
-from midspan.simulate.radar import LONG_RANGE, beat
+from midspan.simulate.radar.signal import LONG_RANGE, beat
 
 
 def test_the_phase_moves_with_the_frequency_at_the_centre_of_the_window_less_the_delay_on_the_ramp() -> None:

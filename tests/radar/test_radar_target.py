@@ -14,8 +14,8 @@ from midspan.radar.circle import standing_still
 from midspan.radar.evidence import clutter_share
 from midspan.radar.literal import best_on_grid, grid_factor
 from midspan.radar.target import find_targets, ranked
-from midspan.simulate.motion import Sines, random_motion
-from midspan.simulate.radar import RadarModel, Reflector, noise_for, phase_bound_m
+from midspan.simulate.motion.motion import Sines, random_motion
+from midspan.simulate.radar.signal import RadarModel, Reflector, noise_for, phase_bound_m
 
 FRAMES = 2500
 MOTION = Sines(np.array([2e-3, 1e-3]), np.array([1.1, 2.3]))

@@ -9,7 +9,7 @@ from midspan.radar.alignment import align
 from midspan.radar.phase_filter import PhaseFilter, PhaseFilterSettings, unwrap_filtered
 from midspan.radar.unwrap import inertial_steps, unwrap_aided, unwrap_plain, wrapped
 from midspan.records import Status
-from midspan.simulate.motion import Sines
+from midspan.simulate.motion.motion import Sines
 
 TIME = np.arange(0, 20, 1 / RATE)
 

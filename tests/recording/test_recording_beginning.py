@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from midspan.fusion.beginning import judged_backwards
 from midspan.fusion.kalman import KalmanSettings
-from midspan.recording.beginning import judged_backwards
-from midspan.recording.fuse import FusionInputs, fuse
+from midspan.recording.fusing.fuse import FusionInputs, fuse
 from midspan.records import Acceleration, Displacement, Floats, Source, nanoseconds
-from midspan.simulate.beam import paper_beam_motion
+from midspan.simulate.motion.beam import paper_beam_motion
 
 NOISE = (0.01, 2e-4)  # m/s² and m
 LENGTH_S = 60.0

@@ -8,9 +8,9 @@ import pytest
 
 import midspan
 from midspan.errors import DataError, UntrustedError, UsageError
-from midspan.recording.calibration_file import calibration_from_dict
-from midspan.simulate.camera import Camera
-from midspan.simulate.motion import Rest, Sines
+from midspan.recording.stored.calibration_file import calibration_from_dict
+from midspan.simulate.motion.motion import Rest, Sines
+from midspan.simulate.scene.camera import Camera
 from recording_edits import acceleration, frames, read_columns, set_keys, write_acceleration, write_stack
 
 

@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from midspan.calibration.common_offset import Fitted, common_offset, one_offset, pooled_variance
 from midspan.calibration.fit import Pair
 from midspan.calibration.scale import calibrate_scale
-from midspan.recording.calibrate_camera import relative_scale_std
-from midspan.recording.calibration import TargetCalibration
-from midspan.recording.common_offset import Fitted, common_offset, one_offset, pooled_variance
+from midspan.recording.camera_calibration.camera import relative_scale_std
+from midspan.recording.stored.camera import TargetCalibration
 from midspan.records import Region
-from midspan.simulate.motion import random_motion
-from midspan.simulate.sensors import AccelerometerModel, DisplacementSensorModel, simulate_pair
+from midspan.simulate.motion.motion import random_motion
+from midspan.simulate.motion.sensors import AccelerometerModel, DisplacementSensorModel, simulate_pair
 
 SCALES, NOISE_PX, OFFSET_S = (1.5e-3, 0.75e-3), (0.02, 0.05), 0.06
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from midspan.fusion.kalman import KalmanSettings
-from midspan.recording.belief import believed
-from midspan.recording.fuse import CourseError, FusionInputs, fuse
+from midspan.recording.cameras.belief import believed
+from midspan.recording.fusing.fuse import CourseError, FusionInputs, fuse
 from midspan.records import Acceleration, Displacement, Source
 
 LENGTH_S, NOISE_M, BLIND_S = 240.0, 1.5e-5, (90.0, 150.0)

@@ -7,7 +7,7 @@ import pytest
 
 import midspan
 from midspan.errors import UntrustedError
-from midspan.simulate.motion import Sines, random_motion
+from midspan.simulate.motion.motion import Sines, random_motion
 
 NOISE_MM, ACCELERATION_NOISE = 0.1, 5e-3
 

@@ -9,10 +9,10 @@ import pytest
 import midspan
 from midspan.cli.main import run
 from midspan.errors import DataError, UntrustedError, UsageError
-from midspan.recording.calibration import DisplacementCalibration
-from midspan.recording.displacement import read_with
+from midspan.recording.displacement.sensor import read_with
+from midspan.recording.stored.displacement import DisplacementCalibration
 from midspan.records import Status, TimeOffset, TimeSeries
-from midspan.simulate.motion import random_motion
+from midspan.simulate.motion.motion import random_motion
 from recording_edits import append, error_mm, read_columns, set_keys, truth
 
 NOISE_MM = 2.0

@@ -7,7 +7,7 @@ import pytest
 
 from midspan.fusion.kalman import KalmanSettings
 from midspan.fusion.methods import METHODS
-from midspan.recording.fuse import FusionInputs, SensorError, fuse
+from midspan.recording.fusing.fuse import FusionInputs, SensorError, fuse
 from midspan.recording.inputs import from_first_measurement
 from midspan.records import Acceleration, Displacement, Source, nanoseconds
 

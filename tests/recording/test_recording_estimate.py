@@ -8,11 +8,11 @@ import pytest
 
 import midspan
 from midspan.evaluate.metrics import compare
-from midspan.recording.track import TrackRequest, track
+from midspan.recording.tracking.track import TrackRequest, track
 from midspan.records import Source, Status, TimeSeries, nanoseconds
-from midspan.simulate.camera import Camera
-from midspan.simulate.motion import Sum, random_motion
-from midspan.simulate.sensors import AccelerometerModel
+from midspan.simulate.motion.motion import Sum, random_motion
+from midspan.simulate.motion.sensors import AccelerometerModel
+from midspan.simulate.scene.camera import Camera
 from recording_edits import (
     acceleration,
     append,

@@ -9,13 +9,13 @@ import pytest
 import midspan
 from midspan.cli.main import run as command_line
 from midspan.errors import DataError, UsageError
-from midspan.recording.calibration_file import load_calibration
 from midspan.recording.inspect import inspect_recording
-from midspan.recording.track import TrackRequest, track
+from midspan.recording.stored.calibration_file import load_calibration
+from midspan.recording.tracking.track import TrackRequest, track
 from midspan.records import Region, Source, Status
-from midspan.simulate.motion import Sines
-from midspan.simulate.texture import textured_scene
-from midspan.simulate.thermal import Course, ThermalCamera, ThermalView, WarmBody
+from midspan.simulate.motion.motion import Sines
+from midspan.simulate.scene.texture import textured_scene
+from midspan.simulate.scene.thermal import Course, ThermalCamera, ThermalView, WarmBody
 from recording_edits import append, read_columns, replace_text, set_keys
 
 LENGTH_S, RATE_HZ = 40.0, 6.0

@@ -10,11 +10,11 @@ from midspan.cli.main import run
 from midspan.errors import UsageError
 from midspan.recording.calibrate import calibrate
 from midspan.recording.estimate import estimate
-from midspan.recording.recording import open_recording
-from midspan.recording.track import TrackRequest, track
-from midspan.simulate.camera import Camera
-from midspan.simulate.motion import Sines
-from midspan.simulate.texture import textured_scene
+from midspan.recording.streams.recording import open_recording
+from midspan.recording.tracking.track import TrackRequest, track
+from midspan.simulate.motion.motion import Sines
+from midspan.simulate.scene.camera import Camera
+from midspan.simulate.scene.texture import textured_scene
 from midspan.vision.lens import Lens, bent, straight
 
 # The region's middle lies 77 px from the axis: 38° through this lens, as at the rim of an action camera.

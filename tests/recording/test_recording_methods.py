@@ -9,7 +9,7 @@ from midspan.errors import UntrustedError, UsageError
 from midspan.fusion.kalman import KalmanSettings
 from midspan.fusion.methods import LITERAL, METHODS
 from midspan.fusion.runners import MethodSettings
-from midspan.recording.fuse import FusionInputs, SensorError, fuse
+from midspan.recording.fusing.fuse import FusionInputs, SensorError, fuse
 from midspan.records import Acceleration, Displacement, Source, nanoseconds
 from midspan.settings.load import validate
 

@@ -10,13 +10,13 @@ import midspan
 from midspan.errors import UntrustedError, UsageError
 from midspan.fusion.kalman import KalmanSettings
 from midspan.fusion.methods import METHODS
-from midspan.recording.calibration_file import load_calibration
+from midspan.recording.fusing.one_zero import merged
 from midspan.recording.inspect import inspect_recording
-from midspan.recording.merge import merged
-from midspan.recording.radar_frames import RadarFrames, even_places, without_holes
+from midspan.recording.radar.frames import RadarFrames, even_places, without_holes
+from midspan.recording.stored.calibration_file import load_calibration
 from midspan.records import Acceleration, Displacement, Source, Status
-from midspan.simulate.motion import Sines, Window, random_motion
-from midspan.simulate.radar import Reflector
+from midspan.simulate.motion.motion import Sines, Window, random_motion
+from midspan.simulate.radar.signal import Reflector
 from radar_recordings import PLATE, Case, true_mm, write
 
 WALL, PIER = Reflector(3.4, 900.0, ratio=1 / 1.27, azimuth_rad=0.2), Reflector(6.1, 700.0, ratio=-1 / 1.6)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import midspan
-from midspan.simulate.motion import random_motion
+from midspan.simulate.motion.motion import random_motion
 
 CARRIER_HZ, FACTOR = 77.7e9, 1.3
 

@@ -10,10 +10,10 @@ import pytest
 import midspan
 from midspan.cli.main import run
 from midspan.radar.literal import grid_factor
-from midspan.recording.calibration_file import load_calibration
-from midspan.recording.radar_literal import printed_change, ran_away
-from midspan.simulate.motion import Sines
-from midspan.simulate.radar import Reflector
+from midspan.recording.radar.literal import printed_change, ran_away
+from midspan.recording.stored.calibration_file import load_calibration
+from midspan.simulate.motion.motion import Sines
+from midspan.simulate.radar.signal import Reflector
 from midspan.sources.radar.formats import open_radar
 from midspan.sources.radar.radar_source import RadarRequest
 from radar_recordings import PLATE, PROFILE, Case, true_mm, write

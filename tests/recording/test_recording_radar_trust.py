@@ -9,10 +9,10 @@ import pytest
 import midspan
 from midspan.errors import UntrustedError
 from midspan.radar.target import Target
-from midspan.recording.radar import _widened
-from midspan.recording.radar_calibration import RadarTarget
+from midspan.recording.radar.calibrate import _widened
+from midspan.recording.stored.radar import RadarTarget
 from midspan.records import Floats, Status
-from midspan.simulate.radar import Reflector
+from midspan.simulate.radar.signal import Reflector
 from radar_recordings import PLATE, Case, true_mm, write
 
 WALL = Reflector(3.4, 700.0, ratio=1 / 1.27, azimuth_rad=0.2)

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from midspan.fusion.kalman import KalmanSettings
-from midspan.recording.running_clock import on_one_clock
+from midspan.fusion.running_clock import on_one_clock
 from midspan.records import Acceleration, Displacement, Floats, Source, nanoseconds
-from midspan.simulate.beam import paper_beam_motion
+from midspan.simulate.motion.beam import paper_beam_motion
 
 NOISE = (0.01, 1e-4)  # m/s² and m
 

@@ -6,7 +6,7 @@ import pytest
 from midspan.fusion.gate import REJECTED
 from midspan.fusion.kalman import KalmanFilter, KalmanSettings
 from midspan.fusion.response import places, used_variance
-from midspan.recording.fuse import FusionInputs, fuse
+from midspan.recording.fusing.fuse import FusionInputs, fuse
 from midspan.records import Acceleration, Displacement, Innovation, Source, nanoseconds, part
 
 TIME, MET = np.arange(6000) / 100.0, np.repeat(np.arange(598) / 10.0 + 0.05, 2)

@@ -8,10 +8,10 @@ import pytest
 
 import midspan
 from midspan.fusion.kalman import KalmanSettings
-from midspan.recording.fuse import FusionInputs, SensorError
-from midspan.recording.scale_check import apparent_scales, scale_warnings
+from midspan.recording.fusing.fuse import FusionInputs, SensorError
+from midspan.recording.fusing.scale_check import apparent_scales, scale_warnings
 from midspan.records import Acceleration, Displacement, Source, nanoseconds
-from midspan.simulate import scenarios
+from midspan.simulate.scenarios.table import sideways
 
 TIME, MET = np.arange(6000) / 100.0, np.arange(599) / 10.0 + 0.004
 
@@ -115,7 +115,7 @@ def test_a_factor_of_the_radar_that_is_half_is_refused_and_the_printed_one_is_no
 
 @pytest.fixture(scope="module")
 def site(simulated):
-    return simulated("two axes", across=scenarios._sideways)
+    return simulated("two axes", across=sideways)
 
 
 @pytest.fixture(scope="module")

@@ -9,12 +9,12 @@ from scipy import ndimage
 
 import midspan
 from midspan.recording.calibrate import calibrate_and_track
-from midspan.recording.track import track
+from midspan.recording.tracking.track import track
 from midspan.records import Region
-from midspan.simulate.camera import Camera
-from midspan.simulate.motion import random_motion
-from midspan.simulate.panel import Panel
-from midspan.simulate.texture import textured_scene
+from midspan.simulate.motion.motion import random_motion
+from midspan.simulate.scene.camera import Camera
+from midspan.simulate.scene.panel import Panel
+from midspan.simulate.scene.texture import textured_scene
 from recording_edits import error_mm, frames, set_keys, write_stack
 
 NEAR, MIDDLE, SWINGING, WALL = (

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 import midspan
-from midspan.recording.calibrate_camera import used_along_both
-from midspan.recording.calibration import CameraCalibration, TargetCalibration
+from midspan.recording.camera_calibration.camera import used_along_both
+from midspan.recording.stored.camera import CameraCalibration, TargetCalibration
 from midspan.records import Region, ScaleFactor, TimeOffset
 from midspan.report.material import gather
-from midspan.simulate import scenarios
-from midspan.simulate.motion import random_motion
-from midspan.simulate.panel import Panel
-from midspan.simulate.texture import textured_scene
+from midspan.simulate.motion.motion import random_motion
+from midspan.simulate.scenarios.table import sideways
+from midspan.simulate.scene.panel import Panel
+from midspan.simulate.scene.texture import textured_scene
 from recording_edits import read_columns
 
 NEAR, SWINGING, WALL = Region(12, 16, 48, 48), Region(12, 88, 48, 48), Region(88, 88, 48, 48)
@@ -33,7 +33,7 @@ def panels(rng):
 @pytest.fixture(scope="module")
 def site(simulated):
     camera = {"size_px": (152, 152), "panels": panels, "targets": TARGETS}
-    return simulated("targets along both axes", across=scenarios._sideways, camera=camera)
+    return simulated("targets along both axes", across=sideways, camera=camera)
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ import pytest
 import midspan
 from midspan.errors import DataError, UsageError
 from midspan.recording.inspect import inspect_file, inspect_recording
-from midspan.recording.track import TrackRequest, track
+from midspan.recording.tracking.track import TrackRequest, track
 from midspan.records import Region, Status
 from recording_edits import acceleration, frames, set_keys, write_acceleration, write_stack
 

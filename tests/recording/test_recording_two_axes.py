@@ -9,12 +9,14 @@ import pytest
 import midspan
 from midspan.evaluate.result_file import compare_files
 from midspan.fusion.clock import ClockCourse
-from midspan.recording import calibrate_camera, cameras, estimate, inputs
+from midspan.fusion.running_clock import RunningClock
+from midspan.recording import estimate, inputs
+from midspan.recording.camera_calibration import camera
+from midspan.recording.cameras import tracked
 from midspan.recording.inspect import inspect_recording
-from midspan.recording.running_clock import RunningClock
-from midspan.recording.tracking import TargetTracking
-from midspan.simulate import scenarios
-from midspan.simulate.motion import Sum, random_motion
+from midspan.recording.tracking.tracking import TargetTracking
+from midspan.simulate.motion.motion import Sum, random_motion
+from midspan.simulate.scenarios.table import sideways
 from midspan.sources.accelerometer.formats import list_channels
 from recording_edits import frames, read_columns, set_keys, write_stack
 
@@ -30,7 +32,7 @@ def slow(rng):
 
 @pytest.fixture(scope="module")
 def site(simulated):
-    return simulated("two axes", across=scenarios._sideways)
+    return simulated("two axes", across=sideways)
 
 
 @pytest.fixture
@@ -204,7 +206,7 @@ def test_a_second_axis_with_too_few_frames_is_left_out_and_they_are_counted(site
     stack[100:120] = np.random.default_rng(0).integers(0, 255, stack[100:120].shape)
     write_stack(site_copy, stack)
     set_keys(site_copy, "accelerometer", value_x=None)
-    monkeypatch.setattr(calibrate_camera, "LEAST_FRAMES", 10_000)
+    monkeypatch.setattr(camera, "LEAST_FRAMES", 10_000)
     recording = midspan.open_recording(site_copy)
     found = midspan.estimate(recording)
     assert found.across is None
@@ -235,7 +237,7 @@ def test_the_course_of_the_clock_is_learnt_once_and_moves_both_axes(site_copy, r
         course = ClockCourse(middle, late, 0.01 * late, int(middle[0]), float(late[0]), 1e-5, np.zeros((2, 2)))
         return RunningClock(course.corrected(measured), 1e-4, ("its clock runs",), course)
 
-    monkeypatch.setattr(cameras, "on_one_clock", drifting)
+    monkeypatch.setattr(tracked, "on_one_clock", drifting)
     after = inputs.gather(recording, calibration, None, lambda *_: None)
     assert len(learnt) == 1
     assert after.warnings.count("its clock runs") == 1

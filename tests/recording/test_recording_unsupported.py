@@ -5,7 +5,7 @@ import pytest
 
 import midspan
 from midspan.records import Status
-from midspan.simulate import scenarios
+from midspan.simulate.scenarios.write import write
 from recording_edits import read_columns
 
 GAP = (95.0, 110.0)
@@ -15,7 +15,7 @@ GAP = (95.0, 110.0)
 def damaged(tmp_path_factory):
     """GNSS heights at 1 Hz, 15 s of them without a value."""
     folder = tmp_path_factory.mktemp("unsupported") / "gnss"
-    scenarios.write("gnss", folder, seed=3)
+    write("gnss", folder, seed=3)
     lines = (folder / "gnss.csv").read_text(encoding="utf-8").splitlines()
     kept = [
         line.split(",")[0] + "," if k and GAP[0] <= float(line.split(",")[0]) < GAP[1] else line

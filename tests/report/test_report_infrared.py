@@ -12,9 +12,9 @@ from midspan.report import infrared_figures, tables
 from midspan.report.material import gather
 from midspan.report.report import report_html
 from midspan.report.sections import cameras
-from midspan.simulate import scenarios
-from midspan.simulate.day_infrared import DayCourse
-from midspan.simulate.scenarios import SCENARIOS
+from midspan.simulate.day.infrared import DayCourse
+from midspan.simulate.scenarios.table import SCENARIOS
+from midspan.simulate.scenarios.write import write
 from midspan.thermal.limits import Limits
 from midspan.thermal.temperature_range import RangeSurface
 
@@ -41,7 +41,7 @@ def result_of_a_short_noon(tmp_path_factory):
         )
         short = replace(base, duration_s=FILMED_S, day=day, window_s=(0.0, 18.0))
         patch.setitem(SCENARIOS, "day-and-night", short)
-        folder = scenarios.write("day-and-night", tmp_path_factory.mktemp("day") / "site", seed=3)
+        folder = write("day-and-night", tmp_path_factory.mktemp("day") / "site", seed=3)
     return midspan.estimate(midspan.open_recording(folder))
 
 

@@ -14,11 +14,12 @@ import pytest
 from scipy.ndimage import fourier_shift, gaussian_filter
 
 from midspan.errors import UsageError
-from midspan.recording.calibration import Calibration, DisplacementCalibration
-from midspan.recording.calibration_file import load_calibration
 from midspan.recording.estimate import estimate
-from midspan.recording.recording import open_recording
 from midspan.recording.result import Result
+from midspan.recording.stored.calibration import Calibration
+from midspan.recording.stored.calibration_file import load_calibration
+from midspan.recording.stored.displacement import DisplacementCalibration
+from midspan.recording.streams.recording import open_recording
 from midspan.records import Estimate, Event, Innovation, TimeOffset, TimeSeries
 from midspan.report.report import report_html, write_report
 from midspan.settings.load import validate

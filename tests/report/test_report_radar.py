@@ -9,12 +9,13 @@ import pytest
 
 import midspan
 from midspan.radar.target import Target
-from midspan.recording.radar_trace import MOST_STRETCHES, Followed, SeenFrames, radar_trace
+from midspan.recording.radar.trace import MOST_STRETCHES, Followed, SeenFrames, radar_trace
 from midspan.report.material import gather
 from midspan.report.report import report_html
-from midspan.simulate import scenarios
-from midspan.simulate.radar_scenarios import RADAR_SCENARIOS
-from midspan.simulate.radar_setup import NEAR
+from midspan.simulate.radar.setup import NEAR
+from midspan.simulate.scenarios.radar import RADAR_SCENARIOS
+from midspan.simulate.scenarios.table import SCENARIOS
+from midspan.simulate.scenarios.write import write
 
 RATE, UNIT = 100.0, NEAR.phase_per_m()
 BLOCKED = (12.0, 14.0)
@@ -86,8 +87,8 @@ def result_of_a_short_recording(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         radar = replace(base.radar, reflectors=view, targets=1, lost=())
         short = replace(base, duration_s=20.0, window_s=(0.0, 11.5), radar=radar)
-        patch.setitem(scenarios.SCENARIOS, "radar-blockage", short)
-        folder = scenarios.write("radar-blockage", tmp_path_factory.mktemp("radar") / "site", seed=2)
+        patch.setitem(SCENARIOS, "radar-blockage", short)
+        folder = write("radar-blockage", tmp_path_factory.mktemp("radar") / "site", seed=2)
     return midspan.estimate(midspan.open_recording(folder))
 
 

@@ -5,9 +5,9 @@ import pytest
 
 from midspan.errors import DataError
 from midspan.fusion.smoother import smooth
-from midspan.recording.acceleration import prepare_acceleration
+from midspan.recording.streams.acceleration import prepare_acceleration
 from midspan.records import Displacement, TimeSeries
-from midspan.simulate.motion import random_motion
+from midspan.simulate.motion.motion import random_motion
 
 WHERE = "accelerometer (accel.csv)"
 NOISE_A, NOISE_M = 2e-3, 1e-4

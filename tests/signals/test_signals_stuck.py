@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from midspan.signals.stuck import resolution, stuck
-from midspan.simulate.motion import Sines, Sum, Window, random_motion
+from midspan.simulate.motion.motion import Sines, Sum, Window, random_motion
 
 NOISE = 2e-3
 

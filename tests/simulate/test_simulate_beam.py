@@ -4,7 +4,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import eigh
 
 from midspan.errors import UsageError
-from midspan.simulate.beam import Beam, paper_beam_motion, paper_force, respond
+from midspan.simulate.motion.beam import Beam, paper_beam_motion, paper_force, respond
 
 
 def test_the_papers_beam_has_its_first_mode_at_6_22_hz():

@@ -3,11 +3,11 @@ import pytest
 
 from midspan.errors import UsageError
 from midspan.records import Region
-from midspan.simulate.camera import Camera, Light, View, cramer_rao_std_px
-from midspan.simulate.disturbances import Car, Foliage
-from midspan.simulate.motion import Rest, Sines, Sum
-from midspan.simulate.scene import scene_of
-from midspan.simulate.texture import textured_scene
+from midspan.simulate.motion.motion import Rest, Sines, Sum
+from midspan.simulate.scene.camera import Camera, Light, View, cramer_rao_std_px
+from midspan.simulate.scene.disturbances import Car, Foliage
+from midspan.simulate.scene.scene import scene_of
+from midspan.simulate.scene.texture import textured_scene
 
 FLAT = np.full((200, 250), 100.3, dtype=np.float32)
 

@@ -9,15 +9,15 @@ import pytest
 from scipy.ndimage import shift
 
 from midspan.errors import UsageError
-from midspan.simulate import scenarios
-from midspan.simulate.day import Sky
-from midspan.simulate.day_camera import DayCamera, wall_in_relief
-from midspan.simulate.day_infrared import FOG_SHARE, DayCourse, DayInfrared
-from midspan.simulate.day_weather import DRYING_S, Drops, Headlights
-from midspan.simulate.motion import Sines, Window
-from midspan.simulate.scenarios import SCENARIOS
-from midspan.simulate.texture import textured_scene
-from midspan.simulate.thermal import ThermalCamera, ThermalView
+from midspan.simulate.day.camera import DayCamera, wall_in_relief
+from midspan.simulate.day.infrared import FOG_SHARE, DayCourse, DayInfrared
+from midspan.simulate.day.sky import Sky
+from midspan.simulate.day.weather import DRYING_S, Drops, Headlights
+from midspan.simulate.motion.motion import Sines, Window
+from midspan.simulate.scenarios.table import SCENARIOS
+from midspan.simulate.scenarios.write import write
+from midspan.simulate.scene.texture import textured_scene
+from midspan.simulate.scene.thermal import ThermalCamera, ThermalView
 from midspan.sources.thermal.formats import open_thermal
 
 DAY_S = 240.0  # 10 s an hour
@@ -189,7 +189,7 @@ def written(tmp_path_factory):
         patch.setitem(SCENARIOS, "day-and-night", short)
         calls = []
         folder = tmp_path_factory.mktemp("day") / "site"
-        scenarios.write("day-and-night", folder, seed=2, progress=lambda done, total: calls.append((done, total)))
+        write("day-and-night", folder, seed=2, progress=lambda done, total: calls.append((done, total)))
         return folder, calls
 
 

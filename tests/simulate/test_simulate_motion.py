@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from midspan.errors import UsageError
-from midspan.simulate.motion import FineSteps, Pulse, Rest, Sines, Sum, Sweep, Window, random_motion
+from midspan.simulate.motion.motion import FineSteps, Pulse, Rest, Sines, Sum, Sweep, Window, random_motion
 
 MOTIONS = {
     "rest": Rest(0.002),

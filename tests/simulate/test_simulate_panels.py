@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from midspan.records import Region
-from midspan.simulate import scenarios
-from midspan.simulate.camera import Camera, View
-from midspan.simulate.disturbances import Water
-from midspan.simulate.motion import Rest, Sines
-from midspan.simulate.panel import Panel
-from midspan.simulate.stage import stage
-from midspan.simulate.texture import textured_scene
+from midspan.simulate.motion.motion import Rest, Sines
+from midspan.simulate.scenarios.stage import stage
+from midspan.simulate.scenarios.table import SCENARIOS
+from midspan.simulate.scene.camera import Camera, View
+from midspan.simulate.scene.disturbances import Water
+from midspan.simulate.scene.panel import Panel
+from midspan.simulate.scene.texture import textured_scene
 
 REGION = Region(8, 12, 40, 32)
 INSIDE = np.s_[12:44, 8:48]
@@ -65,7 +65,7 @@ def test_water_has_the_contrast_that_was_asked_for_and_does_not_stand_still():
 
 
 def test_two_axes_have_columns_of_acceleration_and_truth_for_both():
-    staged = stage(scenarios.SCENARIOS["two-axes"], 0)
+    staged = stage(SCENARIOS["two-axes"], 0)
     down, across = staged.truth_mm(), staged.truth_mm(staged.across)
     np.testing.assert_array_equal(down[:, 0], across[:, 0])
     assert abs(np.corrcoef(down[:, 1], across[:, 1])[0, 1]) < 0.5
@@ -78,6 +78,6 @@ def test_two_axes_have_columns_of_acceleration_and_truth_for_both():
 
 def test_a_seed_gives_the_same_recording_whether_or_not_there_is_a_second_axis():
     # The scenarios that were there before must not change under anybody's feet.
-    first = stage(scenarios.SCENARIOS["footbridge"], 5)
-    assert first.truth_mm()[1000, 1] == pytest.approx(stage(scenarios.SCENARIOS["two-axes"], 5).motion.displacement(
+    first = stage(SCENARIOS["footbridge"], 5)
+    assert first.truth_mm()[1000, 1] == pytest.approx(stage(SCENARIOS["two-axes"], 5).motion.displacement(
         np.array([10.0]))[0] * 1e3 - 1e3 * first.zero_m(), abs=1e-9)  # fmt: skip

@@ -5,9 +5,9 @@ import pytest
 
 from midspan.radar.chirp import SPEED_OF_LIGHT_M_S, ChirpProfile
 from midspan.radar.layout import Layout, unpack
-from midspan.simulate.motion import Rest, Sines
-from midspan.simulate.radar import SHORT_RANGE, RadarModel, Reflector, beat, noise_for, phase_bound_m
-from midspan.simulate.radar_files import PACKET_BYTES, Capture, packets, write_capture
+from midspan.simulate.motion.motion import Rest, Sines
+from midspan.simulate.radar.files import PACKET_BYTES, Capture, packets, write_capture
+from midspan.simulate.radar.signal import SHORT_RANGE, RadarModel, Reflector, beat, noise_for, phase_bound_m
 
 SMALL = ChirpProfile(77e9, 64.985e12, 6e6, 64, 0.01, receivers=4)
 

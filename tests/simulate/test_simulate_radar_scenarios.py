@@ -9,13 +9,13 @@ import pytest
 
 from midspan.radar.layout import Layout, pack
 from midspan.radar.range_profile import slow_time
-from midspan.simulate import scenarios
-from midspan.simulate.motion import Sines
-from midspan.simulate.radar import RadarModel, Reflector
-from midspan.simulate.radar_scenarios import LORRY, RADAR_SCENARIOS, VAN
-from midspan.simulate.radar_setup import NEAR, RadarRun, RadarSetup, setup_lost, write_slow_time
-from midspan.simulate.scenarios import SCENARIOS
-from midspan.simulate.stage import stage
+from midspan.simulate.motion.motion import Sines
+from midspan.simulate.radar.setup import NEAR, RadarRun, RadarSetup, setup_lost, write_slow_time
+from midspan.simulate.radar.signal import RadarModel, Reflector
+from midspan.simulate.scenarios.radar import LORRY, RADAR_SCENARIOS, VAN
+from midspan.simulate.scenarios.stage import stage
+from midspan.simulate.scenarios.table import SCENARIOS
+from midspan.simulate.scenarios.write import write
 from midspan.sources.radar.formats import open_radar
 from midspan.sources.radar.radar_source import RadarRequest
 
@@ -47,7 +47,7 @@ def short(monkeypatch, tmp_path):
 
     def put(name, duration_s=8.0, seed=0):
         monkeypatch.setitem(SCENARIOS, name, replace(SCENARIOS[name], duration_s=duration_s))
-        return scenarios.write(name, tmp_path / f"{name}-{seed}", seed=seed)
+        return write(name, tmp_path / f"{name}-{seed}", seed=seed)
 
     return put
 
@@ -109,7 +109,7 @@ def test_the_tall_building_is_faster_than_plain_unwrapping_and_comes_nearer_as_i
 
 
 def test_blocked_targets_vanish_and_come_back_and_lost_packets_are_holes(tmp_path):
-    folder = scenarios.write("radar-blockage", tmp_path / "b")
+    folder = write("radar-blockage", tmp_path / "b")
     source, known = opened(folder)
     true_s = source.times_ns() / 1e9 + known["time_offset_s"]
     lorry, van = ((true_s >= a) & (true_s < b) for a, b in (LORRY, VAN))

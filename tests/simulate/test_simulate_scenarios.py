@@ -11,12 +11,12 @@ from scipy.optimize import least_squares
 
 from midspan.errors import UsageError
 from midspan.records import Region
-from midspan.simulate import scenarios
-from midspan.simulate.camera import Camera
-from midspan.simulate.files import exact_in_video, write_video
-from midspan.simulate.motion import Sines, Window
-from midspan.simulate.scenarios import NAMES, SCENARIOS
-from midspan.simulate.stage import stage
+from midspan.simulate.files.folder import exact_in_video, write_video
+from midspan.simulate.motion.motion import Sines, Window
+from midspan.simulate.scenarios.stage import stage
+from midspan.simulate.scenarios.table import NAMES, SCENARIOS, pixel_bound
+from midspan.simulate.scenarios.write import write
+from midspan.simulate.scene.camera import Camera
 
 
 def table(path):
@@ -62,7 +62,7 @@ def test_every_scenario_stays_within_its_scene_and_its_streams_overlap(name, see
 
 
 def test_a_recording_holds_what_its_settings_promise(tmp_path):
-    folder = scenarios.write("gaps", tmp_path / "gaps", seed=3)
+    folder = write("gaps", tmp_path / "gaps", seed=3)
     settings = tomllib.loads((folder / "recording.toml").read_text())
     assert settings["camera"]["file"] == "camera.mkv"
     assert "roi" not in settings["camera"]
@@ -83,7 +83,7 @@ def test_a_recording_holds_what_its_settings_promise(tmp_path):
 
 def test_truth_velocity_is_the_slope_of_truth_displacement(small, tmp_path):
     small()
-    truth = table(scenarios.write("footbridge", tmp_path / "a") / "truth.csv")
+    truth = table(write("footbridge", tmp_path / "a") / "truth.csv")
     slope = CubicSpline(truth["time_s"], truth["displacement_mm"]).derivative()(truth["time_s"])
     # The cubic's slope errs by about h³ x⁗/60 = 1e-6 × 5e4 / 60 mm/s, more at the ramp.
     np.testing.assert_allclose(truth["velocity_mm_s"][5:-5], slope[5:-5], atol=0.01)
@@ -91,7 +91,7 @@ def test_truth_velocity_is_the_slope_of_truth_displacement(small, tmp_path):
 
 def test_the_video_is_the_film_bit_for_bit_with_exact_stamps(small, tmp_path):
     small()
-    folder = scenarios.write("footbridge", tmp_path / "a", seed=4)
+    folder = write("footbridge", tmp_path / "a", seed=4)
     frames, stamps = decoded(folder / "camera.mkv")
     staged = stage(SCENARIOS["footbridge"], 4)
     setup = SCENARIOS["footbridge"].camera
@@ -103,7 +103,7 @@ def test_the_video_is_the_film_bit_for_bit_with_exact_stamps(small, tmp_path):
 @pytest.mark.parametrize(("rate_hz", "offset_s", "start_s"), [(10.0, 0.137, 0.0), (12.5, -0.2, 0.3), (30.0, 0.05, 0.0)])
 def test_scale_and_offset_are_those_that_an_independent_tracker_finds(small, tmp_path, rate_hz, offset_s, start_s):
     small(rate_hz=rate_hz, time_offset_s=offset_s, start_s=start_s)
-    folder = scenarios.write("footbridge", tmp_path / "a", seed=2)
+    folder = write("footbridge", tmp_path / "a", seed=2)
     frames, stamps = decoded(folder / "camera.mkv")
     if (folder / "camera_times.csv").exists():
         stamps = table(folder / "camera_times.csv")["time_s"]
@@ -122,7 +122,7 @@ def test_scale_and_offset_are_those_that_an_independent_tracker_finds(small, tmp
 
 def test_acceleration_on_file_twice_integrated_from_rest_is_the_truth(small, tmp_path):
     small()
-    folder = scenarios.write("footbridge", tmp_path / "a")
+    folder = write("footbridge", tmp_path / "a")
     acceleration, truth = table(folder / "accel.csv"), table(folder / "truth.csv")
     spline = CubicSpline(acceleration["time_s"], acceleration["accel"] - 0.05)
     moved = 1e3 * spline.antiderivative(2)(acceleration["time_s"])
@@ -135,9 +135,7 @@ def test_acceleration_on_file_twice_integrated_from_rest_is_the_truth(small, tmp
 
 def test_the_same_seed_writes_the_same_files_and_another_seed_others(small, tmp_path):
     small()
-    first, again, other = (
-        scenarios.write("footbridge", tmp_path / n, seed=s) for n, s in (("a", 1), ("b", 1), ("c", 2))
-    )
+    first, again, other = (write("footbridge", tmp_path / n, seed=s) for n, s in (("a", 1), ("b", 1), ("c", 2)))
     for name in ("accel.csv", "truth.csv", "recording.toml", "known.json"):
         assert (first / name).read_bytes() == (again / name).read_bytes()
     np.testing.assert_array_equal(decoded(first / "camera.mkv")[0], decoded(again / "camera.mkv")[0])
@@ -147,25 +145,25 @@ def test_the_same_seed_writes_the_same_files_and_another_seed_others(small, tmp_
 def test_progress_counts_every_frame(small, tmp_path):
     small()
     calls = []
-    folder = scenarios.write("footbridge", tmp_path / "a", progress=lambda done, total: calls.append((done, total)))
+    folder = write("footbridge", tmp_path / "a", progress=lambda done, total: calls.append((done, total)))
     total = len(decoded(folder / "camera.mkv")[0])
     assert calls == [(k, total) for k in range(1, total + 1)]
 
 
 def test_its_own_folder_is_written_anew_but_a_foreign_one_is_left_alone(small, tmp_path):
     small()
-    folder = scenarios.write("gnss", tmp_path / "site")
-    scenarios.write("footbridge", folder)
+    folder = write("gnss", tmp_path / "site")
+    write("footbridge", folder)
     assert not (folder / "gnss.csv").exists()
     (folder / "notes.txt").write_text("mine")
     with pytest.raises(UsageError, match=r"notes\.txt"):
-        scenarios.write("gnss", folder)
+        write("gnss", folder)
     assert (folder / "camera.mkv").exists()
     other = tmp_path / "other"
     other.mkdir()
     (other / "recording.toml").write_text("")
     with pytest.raises(UsageError, match="did not write"):
-        scenarios.write("gnss", other)
+        write("gnss", other)
 
 
 def test_a_failure_leaves_nothing_behind(small, tmp_path):
@@ -175,23 +173,23 @@ def test_a_failure_leaves_nothing_behind(small, tmp_path):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        scenarios.write("footbridge", tmp_path / "a", progress=fail)
+        write("footbridge", tmp_path / "a", progress=fail)
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_folder_that_cannot_be_made_is_a_usage_error(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(UsageError):
-        scenarios.write("gnss", tmp_path / "file" / "below")
+        write("gnss", tmp_path / "file" / "below")
 
 
 def test_an_unknown_scenario_names_the_nearest(tmp_path):
     with pytest.raises(UsageError, match="'footbridge'"):
-        scenarios.write("footbrige", tmp_path / "a")
+        write("footbrige", tmp_path / "a")
 
 
 def test_gnss_heights_have_their_noise_and_gaps(tmp_path):
-    folder = scenarios.write("gnss", tmp_path / "g", seed=1)
+    folder = write("gnss", tmp_path / "g", seed=1)
     heights, truth = table(folder / "gnss.csv"), table(folder / "truth.csv")
     assert len(heights) == 180 - 12
     assert np.count_nonzero(np.isnan(heights["height"])) == 4
@@ -201,8 +199,8 @@ def test_gnss_heights_have_their_noise_and_gaps(tmp_path):
 
 def test_the_bound_of_a_region_is_above_that_of_the_whole_picture(small):
     small()
-    whole = scenarios.pixel_bound("footbridge")
-    part = scenarios.pixel_bound("footbridge", Region(0, 0, 32, 32))
+    whole = pixel_bound("footbridge")
+    part = pixel_bound("footbridge", Region(0, 0, 32, 32))
     assert 0 < whole[0] < part[0]
     assert 0 < whole[1] < part[1]
 

@@ -4,8 +4,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from midspan.errors import UsageError
-from midspan.simulate.scene import LENS_PX, SAMPLES, canvas_shape, scene_of
-from midspan.simulate.texture import TEXTURES, textured_scene
+from midspan.simulate.scene.scene import LENS_PX, SAMPLES, canvas_shape, scene_of
+from midspan.simulate.scene.texture import TEXTURES, textured_scene
 
 ROWS, COLUMNS, REACH = 40, 56, 4.0
 TALL, WIDE = (size // SAMPLES for size in canvas_shape(ROWS, COLUMNS, reach_px=REACH))

@@ -3,8 +3,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from midspan.simulate.motion import Rest, Sines
-from midspan.simulate.sensors import AccelerometerModel, DisplacementSensorModel, exposed, noise_std_for, simulate_pair
+from midspan.simulate.motion.motion import Rest, Sines
+from midspan.simulate.motion.sensors import (
+    AccelerometerModel,
+    DisplacementSensorModel,
+    exposed,
+    noise_std_for,
+    simulate_pair,
+)
 
 SINE = Sines([0.003], [1.9])
 MANY = (0.0, 500.0)  # 50 000 samples at 100 Hz: a standard deviation is then known to 1/√100000 = 0.3 %

@@ -6,8 +6,8 @@ import pytest
 from midspan.radar.chirp import ChirpProfile
 from midspan.radar.iq_order import decide_order, weigh_orders
 from midspan.radar.layout import ORDERS, Layout, pack
-from midspan.simulate.motion import Rest
-from midspan.simulate.radar import RadarModel, Reflector, noise_for
+from midspan.simulate.motion.motion import Rest
+from midspan.simulate.radar.signal import RadarModel, Reflector, noise_for
 
 PROFILE = ChirpProfile(77e9, 64.985e12, 6e6, 64, 0.01, receivers=2)
 # Half a cycle of leakage in a chirp: its ghost at half of the sampling rate is as narrow as a target.

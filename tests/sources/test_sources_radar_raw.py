@@ -10,9 +10,9 @@ from radar_captures import echoes, settings, words_by_hand
 from midspan.errors import DataError, UsageError
 from midspan.radar.chirp import ChirpProfile
 from midspan.radar.layout import ORDERS, Layout, pack, unpack
-from midspan.simulate.motion import Sines
-from midspan.simulate.radar import LONG_RANGE, RadarModel, Reflector
-from midspan.simulate.radar_files import Capture, demo_settings, packets, studio_settings, write_capture
+from midspan.simulate.motion.motion import Sines
+from midspan.simulate.radar.files import Capture, demo_settings, packets, studio_settings, write_capture
+from midspan.simulate.radar.signal import LONG_RANGE, RadarModel, Reflector
 from midspan.sources.radar.dca1000 import RawCapture
 from midspan.sources.radar.formats import open_radar
 from midspan.sources.radar.radar_source import RadarRequest

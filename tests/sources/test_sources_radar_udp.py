@@ -10,7 +10,7 @@ from radar_captures import echoes
 from midspan.errors import DataError, UsageError
 from midspan.radar.chirp import ChirpProfile
 from midspan.radar.layout import Layout, pack
-from midspan.simulate.radar_files import packets
+from midspan.simulate.radar.files import packets
 from midspan.sources.radar.udp import LiveCapture, PacketOrder, UdpSettings
 
 LAYOUT = Layout(ChirpProfile(77e9, 64.985e12, 6e6, 64, 0.01))

@@ -6,7 +6,7 @@ from thermal_cases import RATE_HZ, REGION, error_px, filmed, followed, swing, wa
 
 from midspan.errors import DataError, UsageError
 from midspan.records import Frame, PixelTrack, PixelTranslation, Status
-from midspan.simulate.thermal import Course, ThermalCamera, ThermalView, WarmBody
+from midspan.simulate.scene.thermal import Course, ThermalCamera, ThermalView, WarmBody
 from midspan.thermal.cleaning import CleaningSettings, ThermalCleaner
 from midspan.thermal.limits import LimitFollower, Limits, folded
 from midspan.thermal.pattern import estimate_pattern

@@ -6,7 +6,7 @@ from thermal_cases import REGION, filmed, followed, swing, wall
 
 from midspan.errors import UntrustedError, UsageError
 from midspan.records import Frame, PixelTrack, Status
-from midspan.simulate.thermal import ThermalView, WarmBody
+from midspan.simulate.scene.thermal import ThermalView, WarmBody
 from midspan.thermal.limits import Limits
 from midspan.thermal.temperature_range import (
     Expected,

@@ -3,8 +3,8 @@
 import numpy as np
 
 from midspan.records import Frame, PixelTrack, Region
-from midspan.simulate.texture import textured_scene
-from midspan.simulate.thermal import ThermalView
+from midspan.simulate.scene.texture import textured_scene
+from midspan.simulate.scene.thermal import ThermalView
 from midspan.vision.tracker import open_tracker, tracker_settings
 
 REGION = Region(20, 14, 72, 60)

@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 
 from midspan.records import Frame, Region
-from midspan.simulate.texture import textured_scene
+from midspan.simulate.scene.texture import textured_scene
 
 REGION = Region(18, 18, 52, 52)
 SIZE = (88, 88)

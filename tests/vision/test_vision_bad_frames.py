@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from midspan.records import Frame, Prediction, Region, Status
-from midspan.simulate.camera import Camera
-from midspan.simulate.texture import textured_scene
+from midspan.simulate.scene.camera import Camera
+from midspan.simulate.scene.texture import textured_scene
 from midspan.vision.tracker import TRACKERS, open_tracker
 
 REGION, BAD, COUNT = Region(60, 48, 64, 64), range(8, 14), 22

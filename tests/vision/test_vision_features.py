@@ -6,8 +6,8 @@ import pytest
 
 from midspan.errors import DataError, UsageError
 from midspan.records import Frame, Prediction, Region, Status
-from midspan.simulate.camera import Camera
-from midspan.simulate.texture import textured_scene
+from midspan.simulate.scene.camera import Camera
+from midspan.simulate.scene.texture import textured_scene
 from midspan.vision.features import FeatureSettings, FeatureTracker, average, earlier_rules, good_matches
 from midspan.vision.keypoints import DETECTORS, Keypoints, mutual_matches, ratio_matches
 

@@ -9,8 +9,8 @@ import pytest
 from scipy.ndimage import shift as moved_by_spline
 
 from midspan.records import Frame, PixelTrack, PixelTranslation, Prediction, Region, Status
-from midspan.simulate.camera import Camera
-from midspan.simulate.texture import TEXTURES, textured_scene
+from midspan.simulate.scene.camera import Camera
+from midspan.simulate.scene.texture import TEXTURES, textured_scene
 from midspan.vision.picture_difference import (
     REACH_PX,
     Sample,

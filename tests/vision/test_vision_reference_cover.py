@@ -5,8 +5,8 @@ import pytest
 from reference_scenes import RATE_HZ, REGION, Body, crossed, shaded, swept, track
 
 from midspan.records import Frame
-from midspan.vision.reference_frames import KeyFrameTracker
-from midspan.vision.reference_kernels import agreement, spline_grid
+from midspan.vision.reference.kernels import agreement, spline_grid
+from midspan.vision.reference.tracker import KeyFrameTracker
 from midspan.vision.spline import coefficients
 
 

@@ -6,9 +6,9 @@ from reference_scenes import RATE_HZ, REGION, SIZE, Sky, shaded, swept, track
 
 from midspan.errors import UsageError
 from midspan.records import Frame
-from midspan.vision.reference_alignment import aligned
-from midspan.vision.reference_frames import KeyFrameSettings, KeyFrameTracker
-from midspan.vision.reference_light import mixed, placed, sight, steadiness
+from midspan.vision.reference.alignment import aligned
+from midspan.vision.reference.light import mixed, placed, sight, steadiness
+from midspan.vision.reference.tracker import KeyFrameSettings, KeyFrameTracker
 from midspan.vision.tracker import open_tracker
 
 DAY_DEG = 60.0 * -np.cos(np.pi * np.arange(150) / 150)

@@ -4,8 +4,8 @@ from scipy.ndimage import gaussian_filter, map_coordinates, spline_filter
 
 from midspan.errors import DataError, UsageError
 from midspan.records import Frame, Prediction, Region, Status
-from midspan.simulate.camera import Camera, cramer_rao_std_px
-from midspan.simulate.texture import textured_scene
+from midspan.simulate.scene.camera import Camera, cramer_rao_std_px
+from midspan.simulate.scene.texture import textured_scene
 from midspan.vision.registration import RegistrationSettings, RegistrationTracker
 
 SIDE, SIZE = 200, 128

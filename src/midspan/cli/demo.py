@@ -22,8 +22,9 @@ def command(output: str, seed: int, quiet: bool, as_json: bool) -> None:
     from midspan.recording.calibrate import calibrate_and_track
     from midspan.recording.estimate import estimate as run_estimate
     from midspan.recording.inspect import inspect_recording
-    from midspan.recording.recording import open_recording
-    from midspan.simulate.scenarios import NAMES, write
+    from midspan.recording.streams.recording import open_recording
+    from midspan.simulate.scenarios.table import NAMES
+    from midspan.simulate.scenarios.write import write
 
     console = Console(quiet, as_json)
     folder = Path(output)

@@ -8,8 +8,8 @@ import click
 from midspan.cli.console import Console, common_options
 
 if TYPE_CHECKING:
-    from midspan.recording.recording import Recording
     from midspan.recording.result import Result
+    from midspan.recording.streams.recording import Recording
     from midspan.records import TimeSeries
 
 
@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 def command(recording: str, quiet: bool, as_json: bool, **options: Any) -> None:
     """Estimate displacement in mm at the accelerometer's rate, with its standard deviation."""
     from midspan.cli.targets import protect, report_path
-    from midspan.recording.calibration_file import load_calibration
     from midspan.recording.estimate import estimate
+    from midspan.recording.stored.calibration_file import load_calibration
     from midspan.sinks.write import check_target
 
     console = Console(quiet, as_json)
@@ -54,7 +54,7 @@ def open_with(recording: str, tracker: str | None, method: str | None = None, li
     """Open a recording with the tracker and method of the command line, which win over its own."""
     from midspan.checks import option
     from midspan.fusion.methods import METHODS
-    from midspan.recording.recording import open_recording
+    from midspan.recording.streams.recording import open_recording
     from midspan.vision.tracker import TRACKERS
 
     overrides: dict[str, dict[str, Any]] = {}

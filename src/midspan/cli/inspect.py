@@ -26,7 +26,7 @@ STREAMS = (
 def command(recording: str, all_frames: bool, quiet: bool, as_json: bool) -> None:
     """What is in a recording (or in a single file): streams, rates, gaps, clipping, frozen frames, overlap, units."""
     from midspan.recording.inspect import inspect_file, inspect_recording
-    from midspan.recording.recording import open_recording
+    from midspan.recording.streams.recording import open_recording
 
     console = Console(quiet, as_json)
     path = Path(recording)

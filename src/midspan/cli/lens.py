@@ -9,7 +9,7 @@ import click
 from midspan.cli.console import Console, common_options
 
 if TYPE_CHECKING:
-    from midspan.recording.lens import CalibratedLens
+    from midspan.recording.tracking.lens import CalibratedLens
 
 PICTURES = (".png", ".svg", ".pdf", ".jpg")
 
@@ -37,7 +37,7 @@ def command(images: str, output: str, quiet: bool, as_json: bool, **options: Any
     stabiliser off. Columns and rows count inner corners, where four squares meet: 9 by 6 on a board of 10 by 7 squares.
     """
     from midspan.checks import option, positive
-    from midspan.recording.lens import LensRequest, lens_from_pictures
+    from midspan.recording.tracking.lens import LensRequest, lens_from_pictures
     from midspan.report.lens import draw_lens
     from midspan.vision.checkerboard import Board
     from midspan.vision.lens import MODELS

@@ -14,7 +14,8 @@ from midspan.cli.console import Console, common_options
 def command(scenario: str | None, output: str | None, seed: int, listed: bool, quiet: bool, as_json: bool) -> None:
     """Write a recording folder with its truth (truth.csv)."""
     from midspan.checks import option
-    from midspan.simulate.scenarios import NAMES, write
+    from midspan.simulate.scenarios.table import NAMES
+    from midspan.simulate.scenarios.write import write
 
     console = Console(quiet, as_json)
     if listed:

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import click
 
-from midspan.recording.calibration import CALIBRATION_FILE
-from midspan.recording.recording import Recording
+from midspan.recording.stored.calibration import CALIBRATION_FILE
+from midspan.recording.streams.recording import Recording
 
 
 def protect(recording: Recording, output: str | Path, *, result: bool = True) -> Path:

@@ -8,7 +8,7 @@ import click
 from midspan.cli.console import Console, RegionType, common_options
 
 if TYPE_CHECKING:
-    from midspan.recording.track import Tracked
+    from midspan.recording.tracking.track import Tracked
 
 
 @click.command("track")
@@ -29,8 +29,8 @@ def command(source: str, output: str, quiet: bool, as_json: bool, **options: Any
 
     from midspan.checks import option, positive
     from midspan.cli.targets import protect, protect_side_file
-    from midspan.recording.recording import open_recording
-    from midspan.recording.track import TrackRequest, track
+    from midspan.recording.streams.recording import open_recording
+    from midspan.recording.tracking.track import TrackRequest, track
     from midspan.records import Region, Status
     from midspan.settings.load import RECORDING_FILE
     from midspan.sinks.write import check_target, write_result

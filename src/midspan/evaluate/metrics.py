@@ -10,7 +10,7 @@ from midspan.errors import DataError, UsageError
 from midspan.evaluate.interpolation import Piecewise, piecewise, step_of
 from midspan.evaluate.lag import correlation, find_lag
 from midspan.fusion.gate import REJECTED
-from midspan.recording.span import shown
+from midspan.recording.streams.span import shown
 from midspan.records import Floats, Innovation, Nanoseconds, TimeSeries, seconds
 
 MAX_LAG_S = 1.0

@@ -16,9 +16,9 @@ from midspan.engine.monitor import AxisLoop, CameraScale, Monitor
 from midspan.fusion.kalman import KalmanFilter, KalmanSettings
 from midspan.recording.calibrate import calibrate_and_track
 from midspan.recording.estimate import estimate
-from midspan.recording.recording import open_recording
+from midspan.recording.streams.recording import open_recording
 from midspan.records import Acceleration, Floats, Frame, PixelTrack, PixelTranslation, part
-from midspan.simulate.paper_scenes import ACCELEROMETER, CALIBRATION, Film
+from midspan.simulate.scenarios.papers import ACCELEROMETER, CALIBRATION, Film
 from midspan.sources.camera.formats import open_frames
 from midspan.sources.camera.frames import FrameRequest
 from midspan.vision.tracker import Learner, Tracker, open_tracker

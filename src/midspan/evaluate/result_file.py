@@ -109,7 +109,7 @@ def read_reference(path: str | Path, unit: str | None = None, axis: str | None =
     path = Path(path)
     if not _is_recording(path):
         return read_result(path, unit, axis).series
-    from midspan.recording.recording import open_recording
+    from midspan.recording.streams.recording import open_recording
 
     recording = open_recording(path)
     if not recording.has("reference"):

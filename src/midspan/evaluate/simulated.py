@@ -9,7 +9,7 @@ from midspan.errors import UsageError
 from midspan.evaluate.bound import zeroed_bound
 from midspan.recording.result import Result
 from midspan.records import Acceleration, Displacement, Source
-from midspan.simulate.scenarios import pixel_bound
+from midspan.simulate.scenarios.table import pixel_bound
 
 KNOWN_FILE = "known.json"
 

@@ -4,16 +4,17 @@ import numpy as np
 
 from midspan.calibration.noise import NoiseCalibration
 from midspan.calibration.scale import ScaleCalibration
-from midspan.recording.calibrate_camera import CameraFit
-from midspan.recording.calibrate_cameras import calibrate_cameras, together
-from midspan.recording.calibration import Calibration, DisplacementCalibration
-from midspan.recording.displacement import calibrate_displacement, displacement_part, displacement_warnings
-from midspan.recording.progress import Progress, silent
-from midspan.recording.radar import calibrate_radar
-from midspan.recording.radar_literal import calibrate_radar_literal
-from midspan.recording.recording import Recording, naming
-from midspan.recording.tracking import CameraTracking
-from midspan.recording.window import calibration_window
+from midspan.recording.camera_calibration.camera import CameraFit
+from midspan.recording.camera_calibration.cameras import calibrate_cameras, together
+from midspan.recording.displacement.sensor import calibrate_displacement, displacement_part, displacement_warnings
+from midspan.recording.radar.calibrate import calibrate_radar
+from midspan.recording.radar.literal import calibrate_radar_literal
+from midspan.recording.stored.calibration import Calibration
+from midspan.recording.stored.displacement import DisplacementCalibration
+from midspan.recording.streams.progress import Progress, silent
+from midspan.recording.streams.recording import Recording, naming
+from midspan.recording.streams.window import calibration_window
+from midspan.recording.tracking.tracking import CameraTracking
 
 
 def calibrate(recording: Recording, progress: Progress = silent) -> Calibration:

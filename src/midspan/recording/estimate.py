@@ -12,19 +12,19 @@ from midspan.fusion.methods import LITERAL, METHODS, no_literal_form
 from midspan.fusion.runners import MethodSettings
 from midspan.fusion.smoother import Smoothed
 from midspan.recording.calibrate import calibrate_and_track
-from midspan.recording.calibration import Calibration
-from midspan.recording.calibration_file import load_calibration
-from midspan.recording.displacement import frozen_events
-from midspan.recording.fuse import FusionInputs, fuse
+from midspan.recording.displacement.sensor import frozen_events
+from midspan.recording.fusing.fuse import FusionInputs, fuse
+from midspan.recording.fusing.scale_check import SCALED, scale_warnings
 from midspan.recording.inputs import Gathered, gather
-from midspan.recording.progress import Progress, silent
-from midspan.recording.radar_literal import require_same_way
-from midspan.recording.recording import Recording, naming
+from midspan.recording.radar.literal import require_same_way
 from midspan.recording.result import Result
-from midspan.recording.scale_check import SCALED, scale_warnings
 from midspan.recording.second_axis import SecondAxis, second_axis
-from midspan.recording.span import inside, shown
-from midspan.recording.tracking import CameraTracking
+from midspan.recording.stored.calibration import Calibration
+from midspan.recording.stored.calibration_file import load_calibration
+from midspan.recording.streams.progress import Progress, silent
+from midspan.recording.streams.recording import Recording, naming
+from midspan.recording.streams.span import inside, shown
+from midspan.recording.tracking.tracking import CameraTracking
 from midspan.recording.unsupported import unsupported_events
 from midspan.records import NANOSECONDS, Estimate, Event, Innovation, Source, Status, part
 

@@ -5,19 +5,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from midspan.fusion.kalman import KalmanSettings
-from midspan.recording.acceleration import PreparedAcceleration, unknown_density
-from midspan.recording.belief import Belief, believed
-from midspan.recording.calibration import Calibration
-from midspan.recording.cameras import Eye, Seen, Side, open_eyes, seen_along, side_of, track_all, zero_of
-from midspan.recording.displacement import displacement_sensor
-from midspan.recording.fuse import CourseError, FusionInputs, SensorError
-from midspan.recording.merge import merged
-from midspan.recording.progress import Progress
-from midspan.recording.radar_inputs import RadarInputs, radar_inputs
-from midspan.recording.recording import Recording
-from midspan.recording.running_clock import RunningClock
-from midspan.recording.targets import Together
-from midspan.recording.tracking import CameraTracking
+from midspan.fusion.running_clock import RunningClock
+from midspan.recording.cameras.belief import Belief, believed
+from midspan.recording.cameras.tracked import Eye, Seen, Side, open_eyes, seen_along, side_of, track_all, zero_of
+from midspan.recording.displacement.sensor import displacement_sensor
+from midspan.recording.fusing.fuse import CourseError, FusionInputs, SensorError
+from midspan.recording.fusing.one_zero import merged
+from midspan.recording.radar.inputs import RadarInputs, radar_inputs
+from midspan.recording.stored.calibration import Calibration
+from midspan.recording.streams.acceleration import PreparedAcceleration, unknown_density
+from midspan.recording.streams.progress import Progress
+from midspan.recording.streams.recording import Recording
+from midspan.recording.tracking.one_displacement import Together
+from midspan.recording.tracking.tracking import CameraTracking
 from midspan.records import (
     NANOSECONDS,
     Acceleration,

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from midspan._version import __version__
-from midspan.recording.belief import Belief
-from midspan.recording.calibration import Calibration
-from midspan.recording.cameras import Eye
-from midspan.recording.radar_inputs import RadarInputs
+from midspan.recording.cameras.belief import Belief
+from midspan.recording.cameras.tracked import Eye
+from midspan.recording.radar.inputs import RadarInputs
 from midspan.recording.second_axis import SecondAxis
-from midspan.recording.tracking import CameraTracking
+from midspan.recording.stored.calibration import Calibration
+from midspan.recording.tracking.tracking import CameraTracking
 from midspan.records import Estimate, Event, Floats, Innovation, PixelTrack, Source, Status, seconds
 from midspan.settings.recording import RecordingSettings
 from midspan.signals.thinning import envelope
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
 
-    from midspan.recording.recording import Recording
+    from midspan.recording.streams.recording import Recording
 
 # Stretches drawn by `plot`; a longer record is thinned to the extremes of each.
 MOST_STRETCHES = 4000

@@ -6,8 +6,8 @@ import numpy as np
 
 from midspan.errors import DataError
 from midspan.fusion.runners import MethodSettings
-from midspan.recording.calibration import Calibration
-from midspan.recording.fuse import FusionInputs, fuse
+from midspan.recording.fusing.fuse import FusionInputs, fuse
+from midspan.recording.stored.calibration import Calibration
 from midspan.records import Estimate, Event, Floats, Innovation, Nanoseconds, part
 
 # Without an accelerometer only a smoother bridges the time between frames.

@@ -4,7 +4,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from midspan.recording.span import shown
+from midspan.recording.streams.span import shown
 from midspan.records import Estimate, Event, Status
 from midspan.signals.health import runs
 

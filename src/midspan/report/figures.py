@@ -6,7 +6,7 @@ import numpy as np
 
 from midspan.evaluate.metrics import normalised_innovation
 from midspan.fusion.gate import REJECTED
-from midspan.recording.span import inside
+from midspan.recording.streams.span import inside
 from midspan.records import Floats, Nanoseconds, Status, seconds
 from midspan.report.drawing import (
     BLACK,

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from midspan.recording.cameras import Eye
+from midspan.recording.cameras.tracked import Eye
 from midspan.records import Event, Floats, Source
 from midspan.report.drawing import (
     BLACK,

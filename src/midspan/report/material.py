@@ -8,9 +8,9 @@ import numpy as np
 from midspan.errors import DataError
 from midspan.evaluate.interpolation import step_of
 from midspan.evaluate.metrics import Comparison, compare
-from midspan.recording.displacement import read_with
+from midspan.recording.displacement.sensor import read_with
 from midspan.recording.result import Result
-from midspan.recording.span import EPOCH_FROM_NS, inside
+from midspan.recording.streams.span import EPOCH_FROM_NS, inside
 from midspan.records import Displacement, Floats, Nanoseconds, Source, TimeSeries, part, seconds
 
 # A reference whose zero is off by more than this share of its motion is drawn moved, and the caption says so.

@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from midspan.radar.blockage import BlockageSettings
 from midspan.radar.channels import LEAST_BINS
-from midspan.recording.radar_calibration import RadarCalibration, RadarDiagnostics
-from midspan.recording.radar_trace import PhaseExcerpt, RadarTrace, TargetTrace
+from midspan.recording.radar.trace import PhaseExcerpt, RadarTrace, TargetTrace
+from midspan.recording.stored.radar import RadarCalibration, RadarDiagnostics
 from midspan.records import Floats, seconds
 from midspan.report.drawing import (
     BLACK,

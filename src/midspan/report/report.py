@@ -5,7 +5,7 @@ from pathlib import Path
 
 from midspan._version import __version__
 from midspan.recording.result import Result
-from midspan.recording.span import shown
+from midspan.recording.streams.span import shown
 from midspan.records import TimeSeries
 from midspan.report import page, sections
 from midspan.report.drawing import style

@@ -4,7 +4,7 @@ import json
 
 from midspan._version import __version__
 from midspan.calibration.scale import ScaleCalibration
-from midspan.recording.radar_trace import RadarTrace
+from midspan.recording.radar.trace import RadarTrace
 from midspan.records import NANOSECONDS
 from midspan.report import camera_figures, figures, infrared_figures, page, phase_figures, radar_figures, tables
 from midspan.report.history_data import history_attributes

@@ -9,8 +9,9 @@ import numpy as np
 from midspan.evaluate.metrics import Comparison, normalised_innovation
 from midspan.fusion.gate import REJECTED
 from midspan.radar.target import Target
-from midspan.recording.calibration import CameraCalibration, DisplacementCalibration
-from midspan.recording.radar_calibration import RadarCalibration
+from midspan.recording.stored.camera import CameraCalibration
+from midspan.recording.stored.displacement import DisplacementCalibration
+from midspan.recording.stored.radar import RadarCalibration
 from midspan.records import NANOSECONDS, Region, TimeOffset
 from midspan.report.material import Material
 from midspan.vision.roi import RegionChoice

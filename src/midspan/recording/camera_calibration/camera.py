@@ -1,0 +1,367 @@
+"""The camera's part of a calibration: every target, along every measured image axis, beside the accelerometer."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from midspan.calibration.common_offset import Fitted, common_offset, one_offset, pooled_variance, shared_part
+from midspan.calibration.fit import Pair
+from midspan.calibration.noise import learn_motion
+from midspan.calibration.scale import LEAST_FRAMES, REFUSED_ABOVE, ScaleCalibration, calibrate_scale
+from midspan.errors import UntrustedError, UsageError
+from midspan.recording.stored.camera import CameraCalibration, TargetCalibration
+from midspan.recording.streams.measured import measured_rows
+from midspan.recording.streams.recording import Recording
+from midspan.recording.streams.span import inside
+from midspan.recording.streams.window import calibration_window, window_ends
+from midspan.recording.tracking.one_displacement import camera_blocks, filter_settings, moves_by_itself
+from midspan.recording.tracking.region_choice import USELESS, Agreement
+from midspan.recording.tracking.tracking import CameraTracking, TargetTracking
+from midspan.records import NANOSECONDS, Floats, PixelTrack, ScaleFactor, TimeOffset
+from midspan.vision.lens import bare
+from midspan.vision.tracker import PhaseGain
+
+
+@dataclass(frozen=True, slots=True)
+class CameraFit:
+    """What was learnt of the camera along one axis, and what the best target's values rest on.
+
+    input_density: noise density of the acceleration, (m/s²)²/Hz; without an accelerometer the motion's own.
+    """
+
+    calibration: CameraCalibration
+    input_density: float
+    warnings: tuple[str, ...] = ()
+    diagnostics: ScaleCalibration | None = None
+
+
+def calibrate_camera(recording: Recording, tracking: CameraTracking) -> tuple[CameraFit, ...]:
+    """Calibrate the camera along its image axes, the main one first; targets of no use are tracked no further.
+
+    A second axis that cannot even be tracked is left out, and the main one's warnings tell why. Raises UntrustedError
+    where no target can be calibrated along the main axis.
+    """
+    tracking.until(window_ends(recording)[1])
+    fits = [_fitted(recording, tracking)]
+    across, refused = recording.across, ""
+    if across is not None and across.fused:
+        try:
+            fits.append(_fitted(across, tracking))
+        except UntrustedError as error:
+            refused = f"Along {across.axis} the accelerometer is not used and the target only tracked. {error}"
+    fits = one_offset(fits)
+    if not fits[0].used:
+        raise UntrustedError(
+            f"The targets along {recording.axis} and the other axis contradict each other: {' '.join(fits[0].reasons)} "
+            "Check accelerometer.value_x, accelerometer.value_y and that both columns are of the same clock."
+        )
+    if across is not None and len(fits) == 2 and not fits[1].used:
+        refused = f"Along {across.axis} the target is only tracked: {' '.join(fits[1].reasons)}"
+        fits = fits[:1]
+    offset = common_offset(fits)
+    axes = [(view, fit) for view, fit in zip((recording, across), fits, strict=False) if view is not None]
+    cameras = used_along_both([_judged(view, tracking, fit, offset) for view, fit in axes])
+    if across is not None and len(cameras) < len(axes):
+        refused = f"Along {across.axis} the target is only tracked: no target is of use along both axes."
+    parts = [_fit_of(tracking, camera, fit) for camera, (_, fit) in zip(cameras, axes, strict=False)]
+    tracking.leave_out([k for k, target in enumerate(cameras[0].targets) if not target.used])
+    if across is not None and len(parts) == 1:
+        return _with_tracked(recording, tracking, parts[0], refused)
+    return tuple(parts)
+
+
+def used_along_both(cameras: Sequence[CameraCalibration]) -> list[CameraCalibration]:
+    """The axes' calibrations with the same targets in use: what either axis leaves out, neither uses.
+
+    Only the first one where no target would be left.
+    """
+    if len(cameras) < 2:
+        return list(cameras)
+    main, across = cameras
+    pairs = list(zip(main.targets, across.targets, strict=True))
+    if not any(one.used and other.used for one, other in pairs):
+        return [main]
+    return [
+        replace(main, targets=tuple(_beside(one, other, across.direction) for one, other in pairs)),
+        replace(across, targets=tuple(_beside(other, one, main.direction) for one, other in pairs)),
+    ]
+
+
+def _beside(own: TargetCalibration, other: TargetCalibration, axis: str) -> TargetCalibration:
+    """A target along one axis, out of use where it is so along the other, `axis`."""
+    if other.used or not own.used:
+        return own
+    return replace(own, used=False, reason=f"not of use along {axis}: {other.reason}")
+
+
+def _with_tracked(
+    recording: Recording, tracking: CameraTracking, main: CameraFit, refused: str
+) -> tuple[CameraFit, ...]:
+    """The main axis and the second one tracked only, which is left out with a warning where that cannot be trusted."""
+    told = (refused,) if refused else ()
+    try:
+        only = _tracked_only(recording, tracking, main.calibration)
+    except UntrustedError as error:
+        axis = "x" if main.calibration.direction == "y" else "y"
+        left_out = f"The second axis {axis} is left out of the result. {error}"
+        return (replace(main, warnings=(*main.warnings, *told, left_out)),)
+    return main, replace(only, warnings=told)
+
+
+def _fitted(recording: Recording, tracking: CameraTracking) -> Fitted:
+    """Each target's own calibration along the recording's axis; UntrustedError where all are refused."""
+    found: list[ScaleCalibration | None] = []
+    reasons: list[str] = []
+    for target in tracking.targets:
+        try:
+            pair = camera_pair(recording, target.quick, target.blur_s(recording.exposure_s))
+            own = calibrate_scale(pair, recording.settings.calibration.max_offset_s)
+            _refuse_compression(target.with_codec_error(own.scale, recording.axis), own.scale)
+            found.append(own)
+            reasons.append("")
+        except UntrustedError as error:
+            found.append(None)
+            reasons.append(str(error))
+    if any(found):
+        return Fitted(tuple(found), tuple(reasons))
+    lines = [_named(tracking, target, reason) for target, reason in zip(tracking.targets, reasons, strict=True)]
+    raise UntrustedError(" ".join((*lines, *tracking.warnings())))
+
+
+def _refuse_compression(scale: ScaleFactor, learnt: ScaleFactor) -> None:
+    """UntrustedError where a scale factor with what compression may do to it is too vague to be given out."""
+    if (relative := np.sqrt(scale.variance) / abs(scale.value_m_per_px)) <= REFUSED_ABOVE:
+        return
+    codec = np.sqrt(scale.variance - learnt.variance) / abs(scale.value_m_per_px)
+    raise UntrustedError(
+        f"Too much compression to calibrate the scale factor: it would be {1e3 * scale.value_m_per_px:.4g} mm/px "
+        f"± {100 * relative:.2g} %, of which the video's compression makes ± {100 * codec:.2g} %, and at most "
+        f"± {100 * REFUSED_ABOVE:g} % is given out. Record with a higher bit rate or without compression, choose a "
+        "camera.roi of more contrast, or a calibration.window_s with more motion in the picture."
+    )
+
+
+def _named(tracking: CameraTracking, target: TargetTracking, text: str) -> str:
+    return text if len(tracking.targets) == 1 else f"Target {target.name}: {text}"
+
+
+def camera_pair(recording: Recording, track: PixelTrack, blur_s: float) -> Pair:
+    """A target's translation along the recording's axis, and the acceleration, in the calibration window."""
+    first, last = window_ends(recording)
+    # Frames close to the window's ends could fall outside it at the largest clock offset and would change the sum.
+    margin = round(recording.settings.calibration.max_offset_s * NANOSECONDS)
+    last = min(last, int(track.time_ns[-1]) + margin + NANOSECONDS)
+    window = inside(recording.prepared.time_ns, first, last)
+    value, variance = track.along(recording.axis)
+    inner = inside(track.time_ns, first + margin, last - margin)
+    rows = measured_rows(track.time_ns[inner], value[inner], variance[inner], first)
+    samples, outside = in_band(recording.prepared.rows(first, window), recording.settings.calibration.band_hz)
+    return Pair(samples, rows, None, blur_s, outside)
+
+
+def in_band(samples: Floats, band_hz: tuple[float, float] | None) -> tuple[Floats, Floats | None]:
+    """Samples (n, 3) with the acceleration of a band (zero phase), and those with the rest of it; None for no band."""
+    if band_hz is None:
+        return samples, None
+    from scipy.signal import butter, sosfiltfilt
+
+    rate = (len(samples) - 1) / float(samples[-1, 0] - samples[0, 0])
+    low, high = band_hz[0], min(band_hz[1], 0.49 * rate)
+    if low >= high:
+        raise UsageError(
+            f"calibration.band_hz = {list(band_hz)}: must lie below half the accelerometer's rate of {rate:.4g} Hz."
+        )
+    kind, edges = ("bandpass", [low, high]) if low > 0 else ("lowpass", high)
+    inside, outside = samples.copy(), samples.copy()
+    inside[:, 1] = sosfiltfilt(butter(4, edges, kind, fs=rate, output="sos"), samples[:, 1])
+    outside[:, 1] -= inside[:, 1]
+    return inside, outside
+
+
+def judged_by(recording: Recording, track: PixelTrack) -> Agreement:
+    """What the accelerometer says of a place that was followed for a while."""
+    try:
+        pair = camera_pair(recording, track, recording.exposure_s or 0.0)
+        found = calibrate_scale(pair, recording.settings.calibration.max_offset_s)
+    except UntrustedError as error:
+        text = str(error)
+        return Agreement(np.inf, text.startswith("No agreement"), text.split(" (")[0].split(":")[0].rstrip("."))
+    std_m = abs(found.scale.value_m_per_px) * found.noise.std
+    text = f"fits the accelerometer, {1e3 * found.scale.value_m_per_px:.3g} mm/px, noise {1e3 * std_m:.2g} mm a frame"
+    missed = float(np.mean(~np.isfinite(found.search.pair.rows[:, 2])))
+    told = f"{text}, missed in {100 * missed:.2g} % of the frames" if missed > 0.0 else text
+    return Agreement(std_m, False, told, missed)
+
+
+def _judged(recording: Recording, tracking: CameraTracking, fit: Fitted, offset: TimeOffset) -> CameraCalibration:
+    """All targets along one axis as one calibration; those that do not agree with the others are not used."""
+    targets = [
+        _target(target, found, reason, recording.axis)
+        for target, found, reason in zip(tracking.targets, fit.found, fit.reasons, strict=True)
+    ]
+    targets = _without_useless(targets)
+    best = _best(targets)
+    found = fit.found[best]
+    assert found is not None
+    camera = _camera(tracking, recording.axis, targets, offset)
+    return _without_movers(recording, tracking, camera, found.input_noise_density)
+
+
+def _fit_of(tracking: CameraTracking, camera: CameraCalibration, fit: Fitted) -> CameraFit:
+    """One axis whose targets have been judged: the values of the best one, and what is worth telling."""
+    found = fit.found[_best(camera.targets)]
+    assert found is not None
+    used = [(f, t) for f, t in zip(fit.found, camera.targets, strict=True) if f is not None and t.used]
+    several = len(camera.targets) > 1
+    warnings = [
+        f"Target {target.name} is left out along {camera.direction}: {target.reason}"
+        for target in camera.targets
+        if not target.used
+    ]
+    for one, target in used:
+        warnings += [f"Target {target.name}: {line}" if several else line for line in one.warnings]
+    camera = replace(
+        _camera(tracking, camera.direction, camera.targets, camera.offset),
+        relative_scale_std=relative_scale_std(*zip(*used, strict=True)) if len(used) > 1 else None,
+    )
+    return CameraFit(camera, found.input_noise_density, tuple(warnings), found)
+
+
+def _target(target: TargetTracking, found: ScaleCalibration | None, reason: str, axis: str) -> TargetCalibration:
+    if found is None:
+        return TargetCalibration(target.region, target.name, None, used=False, reason=reason)
+    scale = target.with_codec_error(found.scale, axis)
+    return TargetCalibration(
+        target.region, target.name, scale, found.noise.std, found.variance_factor, not reason, reason
+    )
+
+
+def noise_m(target: TargetCalibration) -> float:
+    """Noise of one frame's displacement, m; infinite for a target that is not used."""
+    if not target.used or target.scale is None:
+        return np.inf
+    return abs(target.scale.value_m_per_px) * target.noise_std_px
+
+
+def _best(targets: Sequence[TargetCalibration]) -> int:
+    return min(range(len(targets)), key=lambda k: noise_m(targets[k]))
+
+
+def _without_useless(targets: list[TargetCalibration]) -> list[TargetCalibration]:
+    best = min(noise_m(target) for target in targets)
+    return [
+        target
+        if not target.used or noise_m(target) <= USELESS * best
+        else replace(
+            target,
+            used=False,
+            reason=(
+                f"it differs from the acceleration by {1e3 * noise_m(target):.2g} mm a frame, "
+                f"{noise_m(target) / best:.0f} times as much as the best target: it moves by itself or is too poor to "
+                "help."
+            ),
+        )
+        for target in targets
+    ]
+
+
+def _camera(
+    tracking: CameraTracking, direction: str, targets: Sequence[TargetCalibration], offset: TimeOffset
+) -> CameraCalibration:
+    """The record of one axis: the best target's values, and all targets."""
+    place = _best(targets)
+    best = targets[place]
+    assert best.scale is not None
+    tracker = bare(tracking.targets[place].tracker)
+    gains = tracker.phase_gain_px_per_rad if isinstance(tracker, PhaseGain) else None
+    return CameraCalibration(
+        scale=best.scale,
+        offset=offset,
+        region=best.region,
+        direction=direction,
+        tracker=tracking.settings.tracker,
+        noise_std_px=best.noise_std_px,
+        variance_factor=best.variance_factor,
+        phase_scale_m_per_rad=None if gains is None else best.scale.value_m_per_px * gains["xy".index(direction)],
+        targets=tuple(targets),
+        lens=tracking.settings.lens,
+    )
+
+
+def _without_movers(
+    recording: Recording, tracking: CameraTracking, camera: CameraCalibration, density: float
+) -> CameraCalibration:
+    """The calibration without the targets that move by themselves, the worst first; UntrustedError if undecided."""
+    while len(camera.used) > 1:
+        used = [k for k, target in enumerate(camera.targets) if target.used]
+        acceleration = recording.prepared.with_noise(density)
+        blocks = camera_blocks([tracking.targets[k] for k in used], camera, recording.exposure_s, acceleration)
+        kalman = filter_settings(recording.prepared, density)
+        found = moves_by_itself(blocks, camera.mappings(), acceleration, kalman, window_ends(recording))
+        if found is None:
+            break
+        worst, beside = used[found.target], used[found.beside]
+        size = f"{1e3 * found.apart_m:.2g} mm rms, more than its noise and scale factor explain."
+        if found.undecided:
+            raise UntrustedError(
+                f"Targets {camera.targets[beside].name} and {camera.targets[worst].name} contradict each other along "
+                f"{camera.direction}: the second differs from the first by {size} One of them moves by itself, as in a "
+                "slow drift, and neither the accelerometer nor a majority tells which. Leave out of camera.target the "
+                "one that may not stand still, or add a third."
+            )
+        reason = f"it moves by itself: it differs from the others by {size}"
+        targets = list(camera.targets)
+        targets[worst] = replace(targets[worst], used=False, reason=reason)
+        camera = replace(camera, targets=tuple(targets))
+    return camera
+
+
+def relative_scale_std(scales: Sequence[ScaleCalibration], targets: Sequence[TargetCalibration]) -> float:
+    """Relative standard deviation of the scale factor of all targets' mean.
+
+    scales: as learnt; targets: the same with what compression may do to them, which is one error of the whole video
+    and does not average out.
+    """
+    relative = np.array([s.scale.variance / s.scale.value_m_per_px**2 for s in scales])
+    with_codec = [t.scale.variance / t.scale.value_m_per_px**2 for t in targets if t.scale is not None]
+    weight = np.array([1.0 / (s.scale.value_m_per_px * s.noise.std) ** 2 for s in scales])
+    weight /= weight.sum()
+    shared = float(np.mean([shared_part(s) for s in scales]))
+    codec = pooled_variance(weight, np.maximum(np.array(with_codec) - relative, 0.0), 1.0)
+    return float(np.sqrt(pooled_variance(weight, relative, shared) + codec))
+
+
+def _tracked_only(recording: Recording, tracking: CameraTracking, main: CameraCalibration) -> CameraFit:
+    """The axis without an accelerometer: pixels are square, and how the structure is shaken is learnt from the picture.
+
+    Its sign: positive where the structure moves to the right or down in the image, so that the picture goes the other
+    way.
+    """
+    axis = "x" if main.direction == "y" else "y"
+    targets, densities = [], []
+    for target, tracked in zip(main.used, tracking.targets, strict=True):
+        track = tracked.quick
+        assert target.scale is not None
+        value = -abs(target.scale.value_m_per_px)
+        first, last = window_ends(recording)
+        translation, variance = track.along(axis)
+        window = inside(track.time_ns, first, last)
+        rows = measured_rows(track.time_ns[window], value * translation[window], value**2 * variance[window], first)
+        usable = np.count_nonzero(np.isfinite(rows[:, 2]))
+        if usable < LEAST_FRAMES:
+            raise UntrustedError(
+                f"{usable} usable frames lie in the calibration window along {axis}; at least {LEAST_FRAMES} are "
+                "needed."
+            )
+        still = recording.prepared.rows(first, calibration_window(recording)) * np.array([1.0, 0.0, 1.0])
+        # The tracker is as far from its own variance as along the other axis.
+        rows[:, 2] *= target.variance_factor
+        usual = float(np.sqrt(target.variance_factor * np.nanmedian(variance[window])))
+        scale = ScaleFactor(value, target.scale.variance)
+        targets.append(TargetCalibration(tracked.region, tracked.name, scale, usual, target.variance_factor))
+        densities.append(learn_motion(Pair(still, rows, 1.0)))
+    camera = replace(
+        _camera(tracking, axis, targets, main.offset), fused=False, relative_scale_std=main.relative_scale_std
+    )
+    return CameraFit(camera, densities[_best(targets)])

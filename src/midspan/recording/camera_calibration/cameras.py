@@ -1,0 +1,109 @@
+"""The part of a calibration that rests on pictures: one camera, a thermal one, or both, each where it sees."""
+
+from dataclasses import dataclass, replace
+
+from midspan.errors import UntrustedError
+from midspan.recording.camera_calibration.best_range import best_range, wants_range
+from midspan.recording.camera_calibration.camera import CameraFit, calibrate_camera, judged_by
+from midspan.recording.stored.camera import CameraCalibration
+from midspan.recording.streams.progress import Progress
+from midspan.recording.streams.recording import Recording
+from midspan.recording.streams.sensor_words import worded
+from midspan.recording.tracking.daylight import where_it_sees
+from midspan.recording.tracking.opening import open_tracking
+from midspan.recording.tracking.temperatures import in_words_of, is_grey, range_seen
+from midspan.recording.tracking.tracking import CameraTracking
+from midspan.records import Source
+from midspan.sources.thermal.pictures import AGC_NOTE
+
+SOURCES = {"camera": Source.CAMERA, "infrared": Source.INFRARED}
+
+
+@dataclass(frozen=True, slots=True)
+class SeenBy:
+    """What one camera gave: what was learnt along its axes, its tracking as far as it had to go, and warnings."""
+
+    view: Recording
+    parts: tuple[CameraFit, ...]
+    tracking: CameraTracking
+    warnings: tuple[str, ...]
+
+
+def calibrate_cameras(recording: Recording, progress: Progress) -> tuple[SeenBy, ...]:
+    """Calibrate every camera of a recording, the one whose zero counts first.
+
+    One of two that cannot be trusted is left out, and the other's warnings tell why; UntrustedError where none is left.
+    """
+    found: list[SeenBy] = []
+    refused: list[tuple[Recording, UntrustedError]] = []
+    for view in recording.cameras:
+        try:
+            found.append(_calibrated(view, progress))
+        except UntrustedError as error:
+            refused.append((view, error))
+    if not found:
+        if len(refused) == 1:
+            raise refused[0][1]
+        raise UntrustedError(" ".join(f"{view.sensor}: {error}" for view, error in refused))
+    told = tuple(f"[{view.sensor}] is left out of the result. {error}" for view, error in refused)
+    found[0] = replace(found[0], warnings=(*told, *found[0].warnings))
+    return tuple(found)
+
+
+def together(seen: tuple[SeenBy, ...]) -> CameraTracking | None:
+    """The tracking of the first camera, with that of the second one beside it; None without a camera."""
+    if not seen:
+        return None
+    first, *others = (one.tracking for one in seen)
+    first.beside = others[0] if others else None
+    return first
+
+
+def _calibrated(recording: Recording, progress: Progress) -> SeenBy:
+    view, moved = where_it_sees(recording)
+    with in_words_of(view.sensor):
+        tracking = open_tracking(view, None, progress, judge=lambda track: judged_by(view, track))
+        parts = calibrate_camera(view, tracking)
+        if wants_range(view):
+            tracking, parts = _in_best_range(view, tracking, parts, progress)
+        parts = tuple(_named(view, tracking, part) for part in parts)
+    told = [*moved, *_codec_warnings(view), *(line for part in parts for line in part.warnings)]
+    return SeenBy(view, parts, tracking, tuple(worded(line, view.sensor) for line in told))
+
+
+def _in_best_range(
+    view: Recording, tracking: CameraTracking, parts: tuple[CameraFit, ...], progress: Progress
+) -> tuple[CameraTracking, tuple[CameraFit, ...]]:
+    """Tracking and calibration anew in the best temperature range; as they were where nothing decides on one."""
+    surface = best_range(view, tracking, parts[0])
+    if surface is None:
+        return tracking, parts
+    tracking.close()
+    again = open_tracking(view, None, progress, again=(tuple(tracking.chosen), surface.best))
+    again.range_surface = surface
+    return again, calibrate_camera(view, again)
+
+
+def _named(view: Recording, tracking: CameraTracking, part: CameraFit) -> CameraFit:
+    """What was learnt along one axis, with the camera's name and the temperatures that its tracker sees."""
+    regions = [target.region for target in tracking.targets]
+    place = regions.index(part.calibration.region) if part.calibration.region in regions else 0
+    return replace(part, calibration=named(part.calibration, view.sensor, range_seen(tracking, place)))
+
+
+def named(camera: CameraCalibration, sensor: str, range_c: tuple[float, float] | None = None) -> CameraCalibration:
+    """A calibration as that of the section `sensor`; range_c: what a thermal camera's tracker sees, °C."""
+    return replace(camera, source=SOURCES[sensor], temperature_range_c=range_c)
+
+
+def _codec_warnings(view: Recording) -> list[str]:
+    info = view.frames.info
+    if view.sensor == "infrared" and is_grey(view):
+        return [f"infrared: {AGC_NOTE}."]
+    if info.lossless is not False:
+        return []
+    return [
+        f"camera: the video is compressed ({info.codec}). Compression freezes parts of the picture: motion of "
+        "a few hundredths of a pixel can be lost and the scale factor can be off by 1 % or more. "
+        "Record raw or lossless where you can."
+    ]

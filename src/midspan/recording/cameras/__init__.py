@@ -1,0 +1,1 @@
+"""Calibrated cameras: tracked to their end, and which of two is believed."""

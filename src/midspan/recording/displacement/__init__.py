@@ -1,0 +1,1 @@
+"""A displacement sensor of a recording, and what is learnt of it."""

@@ -1,0 +1,215 @@
+"""The [displacement] sensor of a recording: its noise, clock offset and scale, and its measurements in metres."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from midspan.calibration.noise import NoiseCalibration
+from midspan.calibration.scale import white_noise
+from midspan.errors import UntrustedError, UsageError
+from midspan.fusion.kalman import KalmanSettings
+from midspan.fusion.running_clock import on_one_clock
+from midspan.recording.displacement.learn import learn, wanted
+from midspan.recording.fusing.fuse import SensorError
+from midspan.recording.stored.calibration import Calibration
+from midspan.recording.stored.displacement import DisplacementCalibration
+from midspan.recording.streams.recording import Recording
+from midspan.recording.streams.span import require_overlap, shown
+from midspan.records import NANOSECONDS, Acceleration, Displacement, Event, Source, TimeOffset, TimeSeries, seconds
+from midspan.signals.health import Mask, runs
+from midspan.signals.stuck import resolution, stuck
+
+# A scale that was not learnt is told when it is off by this share and so many deviations, and refused beyond the second
+# share; where the accelerometer's noise makes more than a share of what it shows, it tells no scale.
+TOLD, CERTAIN, REFUSED, MOST_NOISE = 0.015, 4.5, 0.5, 0.1
+# A given noise of a displacement sensor is taken unless the sensors differ as if it were so many times larger.
+MOST_OPTIMISTIC = 1.5
+# Where so many values would count as frozen, the sensor's resolution is coarse beside the motion.
+MOST_FROZEN = 0.5
+
+
+def calibrate_displacement(recording: Recording) -> NoiseCalibration:
+    """Noise, clock offset and scale of the sensor, learnt beside the accelerometer, or a refusal.
+
+    The scale is learnt with displacement.estimate_scale only; else it is told where it seems wrong.
+    """
+    series = recording.displacement
+    require_overlap(recording.prepared.time_ns, series.time_ns, "displacement")
+    if not wanted(recording, "estimate_scale"):
+        return learn(recording, without(series, frozen_values(recording, series)))
+    # What the values are rounded to is known in metres only with the scale: at first none of it is granted.
+    crude = frozen_values(recording, series, resolution_m=0.0)
+    known = np.isfinite(series.value)
+    first = without(series, crude if np.mean(crude[known]) < MOST_FROZEN else np.zeros_like(crude))
+    learnt = learn(recording, first)
+    scaled = replace(series, value=learnt.factor * series.value)
+    offset_ns = round(NANOSECONDS * learnt.offset.value_s)
+    held = frozen_values(recording, replace(scaled, time_ns=series.time_ns + offset_ns))
+    return learnt if np.array_equal(held, np.isnan(first.value) & known) else learn(recording, without(series, held))
+
+
+def displacement_part(recording: Recording, learnt: NoiseCalibration) -> DisplacementCalibration:
+    """What the measurements are read with: noise, clock offset, scale."""
+    given = recording.settings.displacement.noise_std if recording.settings.displacement else None
+    std = float(np.sqrt(learnt.variance_factor))
+    if given is not None:
+        own = given * unit_in_metres(recording) * abs(learnt.factor)
+        # A given noise far below what the sensors differ by would only make the gate reject right measurements.
+        std = own if std < MOST_OPTIMISTIC * own else std
+    # A scale that seems wrong is left as it is, and the error band holds both.
+    scale_std = float(np.hypot(learnt.factor_std, abs(learnt.factor) * _scale_error(learnt)))
+    return DisplacementCalibration(std, learnt.offset, learnt.factor, scale_std)
+
+
+def _scale_error(learnt: NoiseCalibration) -> float:
+    """By how much a scale that was not learnt seems wrong, as a share; 0 where it may be right."""
+    uncertain = CERTAIN * learnt.scale_std + 0.5 * learnt.noise_share
+    if learnt.noise_share > MOST_NOISE or not abs(learnt.scale - 1.0) > max(TOLD, uncertain):
+        return 0.0
+    return float(np.hypot(1.0 / learnt.scale - 1.0, learnt.scale_std))
+
+
+def unit_in_metres(recording: Recording) -> float:
+    """Metres in one unit of the [displacement] channel."""
+    from midspan.sources.accelerometer.units import si_factor
+
+    section = recording.settings.displacement
+    unit = (section.unit if section else None) or recording.displacement.unit
+    return si_factor(unit, "displacement", None)
+
+
+def displacement_warnings(recording: Recording, learnt: NoiseCalibration, part: DisplacementCalibration) -> list[str]:
+    """What to know of the displacement sensor; UntrustedError where its unit is wrong beyond doubt."""
+    found = [*frozen_warnings(frozen_events(recording, part)), *_zero_warnings(recording, part)]
+    found += learnt.warnings
+    if not wanted(recording, "estimate_offset") and 0.0 < learnt.offset.variance < np.inf:
+        found.append(
+            "displacement: its clock seems to differ from the accelerometer's by "
+            f"{1e3 * np.sqrt(learnt.offset.variance):.3g} "
+            "ms. Set displacement.estimate_offset = true to have the offset learnt and applied."
+        )
+    if _scale_error(learnt) == 0.0:
+        return found
+    text = (
+        f"displacement: follows the accelerometer with a factor of {learnt.scale:.3g} ± {learnt.scale_std:.2g} "
+        "where 1 is "
+        "expected. Check displacement.unit, its sign, accelerometer.unit and that both sensors measure the same axis."
+    )
+    if abs(learnt.scale - 1.0) > REFUSED:
+        raise UntrustedError(text)
+    return [*found, f"{text} The error band holds the difference; displacement.estimate_scale = true takes it out."]
+
+
+def displacement_sensor(
+    recording: Recording, calibration: Calibration, *, acceleration: Acceleration, kalman: KalmanSettings
+) -> tuple[Displacement, SensorError, list[str]]:
+    """The sensor's measurements, what is uncertain of them, and what to tell that the calibration did not.
+
+    With displacement.estimate_offset a clock that runs apart in a long record is corrected as a camera's is.
+    """
+    learnt = _known(recording, calibration)
+    block, clock_std = displacement_block(recording, calibration), _finite_std(learnt.offset)
+    told: list[str] = []
+    if wanted(recording, "estimate_offset"):
+        level = float(np.nanmedian(block.value_m))
+        clock = on_one_clock(replace(block, value_m=block.value_m - level), acceleration, kalman, "displacement")
+        block = replace(block, time_ns=clock.measured.time_ns)
+        clock_std = clock_std if clock.std_s is None else clock.std_s
+        told += clock.warnings
+    frozen = frozen_warnings(frozen_events(recording, learnt))
+    told += [line for line in frozen if line not in calibration.warnings]
+    return block, SensorError(Source.DISPLACEMENT, learnt.relative_std, clock_std), told
+
+
+def _finite_std(offset: TimeOffset) -> float:
+    """Standard deviation (s) of a clock offset; one that the motion does not tell has no effect either."""
+    return float(np.sqrt(offset.variance)) if np.isfinite(offset.variance) else 0.0
+
+
+def displacement_block(recording: Recording, calibration: Calibration) -> Displacement:
+    """The [displacement] channel as measurements on the accelerometer's clock; frozen values are missing."""
+    learnt = _known(recording, calibration)
+    series = read_with(recording.displacement, learnt)
+    require_overlap(recording.prepared.time_ns, recording.displacement.time_ns, "displacement")
+    count = len(series.time_ns)
+    return Displacement(
+        time_ns=series.time_ns,
+        value_m=without(series, frozen_values(recording, series)).value,
+        variance_m2=np.full(count, learnt.noise_std_m**2),
+        source=np.full(count, Source.DISPLACEMENT, dtype=np.uint8),
+    )
+
+
+def read_with(series: TimeSeries, learnt: DisplacementCalibration) -> TimeSeries:
+    """The channel in metres on the accelerometer's clock."""
+    offset_ns = round(NANOSECONDS * learnt.offset.value_s)
+    return replace(series, time_ns=series.time_ns + offset_ns, value=learnt.scale * series.value)
+
+
+def _known(recording: Recording, calibration: Calibration) -> DisplacementCalibration:
+    learnt = calibration.displacement
+    if learnt is None:
+        raise UsageError(
+            "The calibration has no displacement part, but the recording has [displacement]. Calibrate again."
+        )
+    if wanted(recording, "estimate_scale") and learnt.scale == 1.0:
+        raise UsageError(
+            "displacement.estimate_scale = true: the calibration was made without it and has no displacement.scale. "
+            "Calibrate again."
+        )
+    return learnt
+
+
+def without(series: TimeSeries, mask: Mask) -> TimeSeries:
+    """The channel with some values (n,) missing."""
+    return replace(series, value=np.where(mask, np.nan, series.value)) if mask.any() else series
+
+
+def frozen_values(recording: Recording, series: TimeSeries, *, resolution_m: float | None = None) -> Mask:
+    """Values (n,) of the sensor that stand still while the accelerometer says that the structure moves.
+
+    series: in metres on the accelerometer's clock; resolution_m: what its values are rounded to; left out: as they are.
+    """
+    prepared, origin = recording.prepared, int(series.time_ns[0])
+    noise = white_noise(prepared.value_m_s2) ** 2 / prepared.rate_hz
+    shaken = prepared.with_noise(noise)
+    samples = np.column_stack((seconds(shaken.time_ns, origin), shaken.value_m_s2, shaken.noise_density))
+    step = resolution(series.value) if resolution_m is None else resolution_m
+    return stuck(seconds(series.time_ns, origin), series.value, samples, resolution_m=step)
+
+
+def frozen_events(recording: Recording, learnt: DisplacementCalibration | None) -> tuple[Event, ...]:
+    """An event for each stretch of frozen values of [displacement] that was left out."""
+    if recording.settings.displacement is None or learnt is None:
+        return ()
+    series = read_with(recording.displacement, learnt)
+    return tuple(
+        Event(
+            int(series.time_ns[a]),
+            "frozen",
+            f"displacement: {b - a} values from {shown(int(series.time_ns[a]))} to {shown(int(series.time_ns[b - 1]))} "
+            f"are all {1e3 * series.value[a]:.6g} mm while the structure moved; they were left out.",
+        )
+        for a, b in runs(frozen_values(recording, series))
+    )
+
+
+def frozen_warnings(events: tuple[Event, ...]) -> list[str]:
+    """One sentence for all frozen stretches."""
+    if not events:
+        return []
+    more = f"So were {len(events) - 1} more such stretches. " if len(events) > 1 else ""
+    return [f"{events[0].text} {more}Check the sensor."]
+
+
+def _zero_warnings(recording: Recording, part: DisplacementCalibration) -> list[str]:
+    """A sentence where the uncertain scale of a large reading hides the zero, which counts in the error band."""
+    value = part.scale * recording.displacement.value
+    level, moved = abs(float(np.nanmedian(value))), float(np.nanstd(value))
+    if recording.has("camera") or part.relative_std * level < max(moved, part.noise_std_m):
+        return []
+    return [
+        f"displacement: it reads about {1e3 * level:.4g} mm, of which the scale's deviation of "
+        f"{100 * part.relative_std:.2g} % is {1e3 * part.relative_std * level:.2g} mm: the error band holds the "
+        "uncertain zero. Take the reading at rest off the column to see the motion's own band."
+    ]

@@ -1,0 +1,1 @@
+"""Prepared measurements become one displacement, and what the calibration's own error adds."""

@@ -1,0 +1,180 @@
+"""Whether a calibration that was given fits the recording: each sensor's scale and clock beside the accelerometer."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from midspan.calibration.fit import Fit, Pair
+from midspan.calibration.noise import nearest, without_outliers
+from midspan.calibration.time_offset import search_offset, without_lonely_outliers
+from midspan.errors import UntrustedError
+from midspan.recording.fusing.fuse import FusionInputs, SensorError
+from midspan.recording.streams.measured import measured_rows
+from midspan.recording.streams.span import inside
+from midspan.recording.streams.window import LEAST_MEASUREMENTS
+from midspan.records import NANOSECONDS, Displacement, Floats, Source, part, seconds
+
+# So much of the recording is compared at most, for speed.
+COMPARED_S = 300.0
+# A scale that is off by this share is told; beyond the second it is refused. Both only beyond so many deviations.
+TOLD, REFUSED, CERTAIN = 0.05, 0.2, 5.0
+# The accelerometer's noise may make this share of the motion that it tells; above it hides the scale.
+MOST_NOISE = 0.1
+# A clock that is off by so many deviations is told from so many noise deviations of the displacement on, and refused
+# from so many.
+CLOCK_TOLD, CLOCK_REFUSED = 2.0, 5.0
+# Measurements that are searched for a clock offset at most; a faster sensor is thinned.
+MOST_ROWS = 6000
+# What of the calibration says the scale of a sensor. The clocks of cameras are followed through the recording, those of
+# the others are taken from the calibration.
+SCALED = {
+    Source.CAMERA: "scale_mm_per_px",
+    Source.INFRARED: "scale_mm_per_px",
+    Source.RADAR: "conversion_factor",
+    Source.DISPLACEMENT: "scale, or the unit,",
+}
+CLOCKED = (Source.RADAR, Source.DISPLACEMENT)
+
+
+@dataclass(frozen=True, slots=True)
+class ApparentScale:
+    """Displacement of a sensor per displacement of the accelerometer (1 when both are right), with its deviation.
+
+    late_s, late_std_s: to be added to its stamps beyond the calibrated clock offset, 0 where that is not looked for;
+    moved_m: what this does to the displacement, rms; noise_m: standard deviation of one measurement.
+    """
+
+    source: Source
+    value: float
+    std: float
+    late_s: float = 0.0
+    late_std_s: float = 0.0
+    moved_m: float = 0.0
+    noise_m: float = 0.0
+
+
+def apparent_scales(
+    inputs: FusionInputs, max_offset_s: float = 0.0, sources: Iterable[Source] = SCALED
+) -> list[ApparentScale]:
+    """The scale of each sensor against the accelerometer, where the motion tells it; clocks up to an offset, s."""
+    measured = inputs.displacement
+    found = (_apparent(inputs, part(measured, measured.source == source), source, max_offset_s) for source in sources)
+    return [one for one in found if one is not None]
+
+
+def scale_warnings(
+    inputs: FusionInputs, along: str = "", *, max_offset_s: float = 0.0, sources: Iterable[Source] = SCALED
+) -> list[str]:
+    """What to tell of sensors whose calibrated scale or clock is not the recording's; along: a second axis in words.
+
+    max_offset_s: largest clock offset looked for; sources: the sensors compared. Raises UntrustedError where one is
+    wrong beyond doubt.
+    """
+    told = []
+    for scale in apparent_scales(inputs, max_offset_s, sources):
+        known = next((error for error in inputs.errors if error.source == scale.source), SensorError(scale.source))
+        told += [*_clock_warnings(scale, known), *_scale_warnings(scale, known.relative_scale_std, along)]
+    return told
+
+
+def _scale_warnings(scale: ApparentScale, known: float, along: str) -> list[str]:
+    off, least = abs(scale.value - 1.0), CERTAIN * float(np.hypot(scale.std, known))
+    text = (
+        f"{scale.source.word}: its displacement{along} is {scale.value:.3g} ± {max(scale.std, known):.2g} times "
+        f"the accelerometer's where 1 is expected: the calibration's {SCALED[scale.source]} does not belong to this "
+        "recording. Calibrate this recording."
+    )
+    if off > max(REFUSED, least):
+        raise UntrustedError(text)
+    return [text] if off > max(TOLD, least) else []
+
+
+def _clock_warnings(scale: ApparentScale, known: SensorError) -> list[str]:
+    std = float(np.hypot(scale.late_std_s, known.clock_std_s))
+    if not abs(scale.late_s) > CERTAIN * std or scale.moved_m <= CLOCK_TOLD * scale.noise_m:
+        return []
+    text = (
+        f"{scale.source.word}: its clock is {1e3 * scale.late_s:+.3g} ± {1e3 * std:.2g} ms off beside the "
+        f"accelerometer's with the calibration's time_offset_s, which is {1e3 * scale.moved_m:.2g} mm of displacement "
+        f"(rms; its noise is {1e3 * scale.noise_m:.2g} mm): it does not belong to this recording. Calibrate this "
+        "recording."
+    )
+    if scale.moved_m > CLOCK_REFUSED * scale.noise_m:
+        raise UntrustedError(text)
+    return [text]
+
+
+def _apparent(
+    inputs: FusionInputs, measured: Displacement, source: Source, max_offset_s: float
+) -> ApparentScale | None:
+    found = _compared(inputs, measured)
+    if found is None:
+        return None
+    if source not in CLOCKED or max_offset_s == 0.0:
+        pair, fit = without_outliers(found.pair)
+        found = replace(found, pair=pair)
+        return ApparentScale(source, fit.ratio, float(np.sqrt(fit.ratio_variance))) if found.tells(fit) else None
+    rows = found.pair.rows
+    thinned = replace(found.pair, rows=rows[:: max(1, -(-len(rows) // MOST_ROWS))])
+    search = search_offset(thinned, max_offset_s)
+    fit, variance = nearest(search)
+    if not replace(found, pair=search.pair).tells(fit):
+        return None
+    return ApparentScale(
+        source,
+        fit.ratio,
+        float(np.sqrt(fit.ratio_variance)),
+        fit.offset_s,
+        float(np.sqrt(variance)),
+        _moved_m(rows, fit.offset_s, found.noise_m),
+        found.noise_m,
+    )
+
+
+def _moved_m(rows: Floats, late_s: float, noise_m: float) -> float:
+    """What a clock that is off does to the displacement of rows (m, 3): rms of its change over that time."""
+    period = float(np.median(np.diff(rows[:, 0])))
+    lag = min(max(1, round(abs(late_s) / period)), len(rows) - 1)
+    change = rows[lag:, 1] - rows[:-lag, 1]
+    near = rows[lag:, 0] - rows[:-lag, 0] < 1.5 * lag * period
+    power = float(np.mean(change[near] ** 2)) - 2.0 * noise_m**2 if near.any() else 0.0
+    return float(np.sqrt(max(power, 0.0))) * abs(late_s) / (lag * period)
+
+
+@dataclass(frozen=True, slots=True)
+class _Compared:
+    """What is compared of a sensor; density: of the acceleration's noise as learnt; noise_m: of one measurement."""
+
+    pair: Pair
+    density: float
+    noise_m: float
+
+    def tells(self, fit: Fit) -> bool:
+        """Whether the accelerometer's own noise leaves the motion to tell the scale."""
+        whitened = fit.whitened
+        power = float(np.sum(whitened.response**2 / whitened.variance))
+        assumed = fit.corner**4 / self.pair.rate_hz
+        noise = self.density / assumed * float(np.sum(whitened.input_part / whitened.variance))
+        return noise < MOST_NOISE * power
+
+
+def _compared(inputs: FusionInputs, measured: Displacement) -> _Compared | None:
+    block = inputs.acceleration if inputs.sampled is None else inputs.sampled
+    usable = np.isfinite(measured.value_m) & np.isfinite(measured.variance_m2)
+    usable &= (measured.time_ns >= block.time_ns[0]) & (measured.time_ns <= block.time_ns[-1])
+    measured = part(measured, usable)
+    if len(measured.time_ns) < LEAST_MEASUREMENTS:
+        return None
+    first = int(measured.time_ns[0])
+    measured = part(measured, inside(measured.time_ns, first, first + round(COMPARED_S * NANOSECONDS)))
+    block = part(block, inside(block.time_ns, first - NANOSECONDS, int(measured.time_ns[-1]) + NANOSECONDS))
+    measured = part(measured, measured.time_ns <= block.time_ns[-1])
+    if len(measured.time_ns) < LEAST_MEASUREMENTS:
+        return None
+    density = float(np.median(block.noise_density))
+    value = block.value_m_s2 - np.mean(block.value_m_s2)
+    samples = np.column_stack((seconds(block.time_ns, first), value, block.noise_density / density))
+    variance = measured.variance_m2 / float(np.median(measured.variance_m2))
+    pair = Pair(samples, measured_rows(measured.time_ns, measured.value_m, variance, first))
+    return _Compared(without_lonely_outliers(pair), density, float(np.sqrt(np.median(measured.variance_m2))))

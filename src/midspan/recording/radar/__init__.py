@@ -1,0 +1,1 @@
+"""The radar of a recording: opened, calibrated, followed, and as printed in the paper."""

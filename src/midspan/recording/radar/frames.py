@@ -1,0 +1,172 @@
+"""The frames of a recording's radar as they are read: on an even grid, receivers combined, holes known."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from midspan.errors import UsageError
+from midspan.radar.channels import LEAST_BINS, Phasors, combined
+from midspan.radar.following import LEAST_EXCURSION_BINS
+from midspan.radar.target import Target
+from midspan.recording.stored.radar import RadarCalibration
+from midspan.recording.streams.acceleration import PreparedAcceleration
+from midspan.recording.streams.progress import Progress
+from midspan.records import Floats, Nanoseconds, RangeFrames, seconds
+from midspan.sources.radar.radar_source import RadarInfo, RadarSource
+
+# A target calibrated for another radar, or moved since, differs in carrier by this share or in range by so many bins.
+SAME_CARRIER, SAME_BINS = 1e-5, 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class RadarFrames:
+    """Frames in memory: time_ns (n,) on the radar's clock, phasors (n, channels, bins), valid (n, channels)."""
+
+    time_ns: Nanoseconds
+    phasors: NDArray[np.complex64]
+    valid: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class TargetPhasors:
+    """One target, receivers combined: bins (k,) whole ones in which it moves, or the one place (1,) where it stays.
+
+    time_ns (n,): on the radar's clock; phasors (n, k): NaN where nothing was received.
+    """
+
+    time_ns: Nanoseconds
+    bins: Floats
+    phasors: NDArray[np.complex64]
+
+
+def collected(blocks: Iterable[RangeFrames], total: int, progress: Progress, what: str) -> RadarFrames:
+    """All blocks of a source as one; total: frames that are expected, for the progress."""
+    times, phasors, valid, done = [], [], [], 0
+    for block in blocks:
+        times.append(block.time_ns)
+        phasors.append(block.phasors)
+        valid.append(block.valid)
+        done += len(block.time_ns)
+        progress(done, total, what)
+    progress(1, 1, what)
+    return RadarFrames(np.concatenate(times), np.concatenate(phasors), np.concatenate(valid))
+
+
+def even_places(time_ns: Nanoseconds) -> NDArray[np.int64]:
+    """Places (n,) of stamps (n,) on an even grid, from 0 on: frames that are absent leave theirs empty."""
+    steps = np.diff(time_ns).astype(np.float64)
+    if not len(steps):
+        return np.zeros(len(time_ns), dtype=np.int64)
+    whole = np.maximum(np.rint(steps / np.median(steps)), 1.0).astype(np.int64)
+    return np.concatenate((np.zeros(1, dtype=np.int64), np.cumsum(whole)))
+
+
+def samples_of(prepared: PreparedAcceleration, origin_ns: int, span_ns: tuple[int, int] | None = None) -> Floats:
+    """Rows (m, 2) of time in s after `origin_ns` and acceleration in m/s², of a span of stamps or all."""
+    block = prepared.with_noise(1.0)
+    first, last = span_ns or (int(block.time_ns[0]), int(block.time_ns[-1]))
+    own = slice(*np.searchsorted(block.time_ns, (first, last + 1)))
+    return np.column_stack((seconds(block.time_ns[own], origin_ns), block.value_m_s2[own]))
+
+
+def bin_m_of(info: RadarInfo) -> float:
+    """From bin to bin, m; NaN where there is no chirp or single targets are stored: nothing can be followed there."""
+    if info.profile is None or info.bins < LEAST_BINS:
+        return float("nan")
+    return float(np.median(np.diff(info.range_m)))
+
+
+def bins_of(target: Target, info: RadarInfo, excursion_m: float = 0.0) -> Floats:
+    """The bins to fetch of a target that moves by `excursion_m` or as the calibration saw; its place if by little."""
+    bin_m = bin_m_of(info)
+    reach = max(target.reach_bins, excursion_m / bin_m) if bin_m > 0 else 0.0
+    if reach <= LEAST_EXCURSION_BINS:
+        return np.array([target.place_bin])
+    return target.bins(excursion_m, bin_m, info.bins)
+
+
+def fetched(
+    blocks: Iterable[RangeFrames], wanted: Sequence[tuple[Target, Floats]], total: int, progress: Progress
+) -> list[TargetPhasors]:
+    """The phasors of several targets out of one pass; blocks: the bins of all of them in their order.
+
+    wanted: targets and their bins; total: frames that are expected, for the progress.
+    """
+    times: list[Nanoseconds] = []
+    parts: list[list[Phasors]] = [[] for _ in wanted]
+    done = 0
+    for block in blocks:
+        times.append(block.time_ns)
+        first = 0
+        for (target, bins), part in zip(wanted, parts, strict=True):
+            part.append(together(block.phasors[..., first : first + len(bins)], target, block.valid))
+            first += len(bins)
+        done += len(block.time_ns)
+        progress(done, total, "reading the radar")
+    progress(1, 1, "reading the radar")
+    time_ns = np.concatenate(times)
+    return [TargetPhasors(time_ns, bins, np.concatenate(part)) for (_, bins), part in zip(wanted, parts, strict=True)]
+
+
+def together(phasors: Phasors, target: Target, valid: NDArray[np.bool_]) -> NDArray[np.complex64]:
+    """Phasors (n, k) of phasors (n, channels, k), receivers combined as the target was calibrated."""
+    each = [combined(phasors[..., k], target.weights, valid) for k in range(phasors.shape[2])]
+    return np.stack(each, axis=1).astype(np.complex64)
+
+
+def check_same_radar(source: RadarSource, calibration: RadarCalibration) -> None:
+    """UsageError where the calibration belongs to other settings of the radar."""
+    info = source.info
+    if abs(info.carrier_hz / calibration.carrier_hz - 1.0) > SAME_CARRIER:
+        raise UsageError(
+            f"radar: the calibration was made at a carrier of {calibration.carrier_hz / 1e9:.6g} GHz, this recording "
+            f"has {info.carrier_hz / 1e9:.6g} GHz. Calibrate again."
+        )
+    if info.channels != calibration.channels:
+        raise UsageError(
+            f"radar: the calibration was made with {calibration.channels} channels, this recording has "
+            f"{info.channels}. Calibrate again."
+        )
+    bin_m = float(np.median(np.diff(info.range_m))) if info.bins > 1 else np.nan
+    for target in calibration.used:
+        if target.place_bin > info.bins - 1:
+            raise UsageError(
+                f"radar: the calibration's target is at bin {target.place_bin:.1f}, this recording has {info.bins} "
+                "bins. Calibrate again."
+            )
+        apart = abs(info.axis.range_at(target.place_bin) - target.range_m)
+        if apart > SAME_BINS * bin_m:
+            raise UsageError(
+                f"radar: the calibration's target at {target.range_m:.3f} m would be at "
+                f"{info.axis.range_at(target.place_bin):.3f} m with this recording's settings. Calibrate again."
+            )
+
+
+def without_holes(frames: RadarFrames) -> RadarFrames:
+    """The frames on an even grid with every hole filled: by the channel before, turned as the other channels turned.
+
+    A window's profiles must be whole and even to be searched for peaks; what is filled in is no measurement and stays
+    marked in `valid` as not received.
+    """
+    places = even_places(frames.time_ns)
+    if frames.valid.all() and places[-1] + 1 == len(places):
+        return frames
+    count = int(places[-1]) + 1
+    time_ns = np.rint(np.interp(np.arange(count), places, frames.time_ns.astype(np.float64))).astype(np.int64)
+    z = np.zeros((count, *frames.phasors.shape[1:]), dtype=np.complex64)
+    valid = np.zeros((count, frames.phasors.shape[1]), dtype=np.bool_)
+    z[places], valid[places] = np.where(frames.valid[..., None], frames.phasors, 0.0), frames.valid
+    first = int(np.argmax(valid.all(axis=1)))
+    for k in np.flatnonzero(~valid.all(axis=1)):
+        _fill(z, valid, int(k), int(k) - 1 if k > first else first)
+    return RadarFrames(time_ns, z, valid)
+
+
+def _fill(z: Phasors, valid: NDArray[np.bool_], k: int, before: int) -> None:
+    good = valid[k]
+    turn = np.sum(z[k, good] * np.conj(z[before, good]), axis=0) if good.any() else np.ones(z.shape[2])
+    size = np.abs(turn)
+    turn = np.where(size > 0, turn / np.where(size > 0, size, 1.0), 1.0)
+    z[k, ~good] = z[before, ~good] * turn

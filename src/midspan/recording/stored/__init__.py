@@ -1,0 +1,1 @@
+"""A calibration as it is kept in `calibration.json`."""

@@ -1,0 +1,127 @@
+"""The camera's part of a calibration: scale factor, clock offset, region and noise, target by target."""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from midspan.engine.monitor import CameraScale
+from midspan.recording.stored.json_values import finite_or_none
+from midspan.records import Region, ScaleFactor, Source, TimeOffset
+from midspan.vision.lens import Lens
+
+
+@dataclass(frozen=True, slots=True)
+class TargetCalibration:
+    """What was learnt of one of several targets; scale None where it was refused.
+
+    used: whether the result rests on it; reason: why not. variance_factor: the learnt variance over the tracker's own.
+    """
+
+    region: Region
+    name: str
+    scale: ScaleFactor | None
+    noise_std_px: float = math.nan
+    variance_factor: float = math.nan
+    used: bool = True
+    reason: str = ""
+
+    def to_dict(self) -> dict[str, Any]:
+        """One of `targets` in `calibration.json`: px and mm."""
+        region, scale = self.region, self.scale
+        return {
+            "name": self.name,
+            "roi": [region.x, region.y, region.width, region.height],
+            "scale_mm_per_px": None if scale is None else 1e3 * scale.value_m_per_px,
+            "scale_std_mm_per_px": None if scale is None else 1e3 * math.sqrt(scale.variance),
+            "noise_std_px": finite_or_none(self.noise_std_px),
+            "variance_factor": finite_or_none(self.variance_factor),
+            "used": self.used,
+            "reason": self.reason,
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class CameraCalibration:
+    """Scale factor, clock offset, region, axis and noise of the camera; with several targets those of the best one.
+
+    variance_factor: the learnt variance over the tracker's own. phase_scale_m_per_rad: displacement per radian of the
+    active pixels' mean phase, with the trackers that use it. targets: all of them. fused: whether this axis has an
+    accelerometer; without one the scale factor is the other axis's. relative_scale_std: of all targets together.
+    lens: what the pixels were corrected by; the scale factor holds for that lens only. source: which camera it is.
+    temperature_range_c: of a thermal camera what its tracker saw, °C.
+    """
+
+    scale: ScaleFactor
+    offset: TimeOffset
+    region: Region
+    direction: str
+    tracker: str
+    noise_std_px: float
+    variance_factor: float
+    phase_scale_m_per_rad: float | None = None
+    targets: tuple[TargetCalibration, ...] = ()
+    fused: bool = True
+    relative_scale_std: float | None = None
+    lens: Lens | None = None
+    source: Source = Source.CAMERA
+    temperature_range_c: tuple[float, float] | None = None
+
+    @property
+    def used(self) -> tuple[TargetCalibration, ...]:
+        """The targets that the result rests on."""
+        found = tuple(target for target in self.targets if target.used)
+        return found or (TargetCalibration(self.region, "1", self.scale, self.noise_std_px, self.variance_factor),)
+
+    @property
+    def relative_std(self) -> float:
+        """Relative standard deviation of the scale factor of all targets together."""
+        if self.relative_scale_std is not None:
+            return self.relative_scale_std
+        return math.sqrt(self.scale.variance) / abs(self.scale.value_m_per_px)
+
+    def mappings(self) -> tuple[CameraScale, ...]:
+        """What turns the pixels of each used target into metres."""
+        return tuple(self._mapping(target) for target in self.used)
+
+    def mapping(self) -> CameraScale:
+        """What turns the best target's pixels into metres."""
+        return self._mapping(TargetCalibration(self.region, "", self.scale, self.noise_std_px, self.variance_factor))
+
+    def _mapping(self, target: TargetCalibration) -> CameraScale:
+        assert target.scale is not None
+        value = target.scale.value_m_per_px
+        return CameraScale(
+            scale_m_per_px=value,
+            direction=self.direction,
+            time_offset_ns=round(1e9 * self.offset.value_s),
+            variance_factor=target.variance_factor,
+            relative_std=math.sqrt(target.scale.variance) / abs(value),
+            source=self.source,
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """The section `camera` or `infrared` of `calibration.json`: px, mm and s."""
+        region = self.region
+        return {
+            **self.scale_dict(),
+            "time_offset_s": self.offset.value_s,
+            "time_offset_std_s": finite_or_none(math.sqrt(self.offset.variance)),
+            "roi": [region.x, region.y, region.width, region.height],
+            "direction": self.direction,
+            "tracker": self.tracker,
+            "noise_std_px": self.noise_std_px,
+            "variance_factor": self.variance_factor,
+            "targets": [target.to_dict() for target in self.targets],
+            **({} if self.lens is None else {"lens": self.lens.to_dict()}),
+            **({} if self.temperature_range_c is None else {"temperature_range_c": list(self.temperature_range_c)}),
+        }
+
+    def scale_dict(self) -> dict[str, Any]:
+        """What of it is the scale's, in mm."""
+        phase, relative = self.phase_scale_m_per_rad, self.relative_scale_std
+        return {
+            **({} if phase is None else {"phase_scale_mm_per_rad": 1e3 * phase}),
+            "scale_mm_per_px": 1e3 * self.scale.value_m_per_px,
+            "scale_std_mm_per_px": 1e3 * math.sqrt(self.scale.variance),
+            **({} if relative is None else {"relative_scale_std": relative}),
+        }

@@ -1,0 +1,254 @@
+"""A recording: its settings and its files, opened when they are first needed."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from midspan.errors import DataError, MidspanError
+from midspan.recording.streams.acceleration import PreparedAcceleration, prepare_acceleration, still
+from midspan.records import NANOSECONDS, TimeSeries
+from midspan.settings.camera import InfraredSettings
+from midspan.settings.load import load_settings, settings_file
+from midspan.settings.recording import RecordingSettings
+from midspan.settings.sensors import ChannelSettings
+from midspan.sources.accelerometer.formats import list_channels
+from midspan.sources.accelerometer.select import SeriesRequest, read_series
+from midspan.sources.camera.formats import open_frames
+from midspan.sources.camera.frames import FrameRequest, FrameSource
+from midspan.sources.radar.formats import open_radar
+from midspan.sources.radar.radar_source import RadarRequest, RadarSource
+from midspan.sources.thermal.formats import open_thermal
+from midspan.sources.thermal.request import ThermalRequest
+
+# The sections that name a file.
+SECTIONS = ("accelerometer", "camera", "infrared", "radar", "displacement", "reference")
+
+
+@contextmanager
+def naming(recording: "Recording") -> Iterator[None]:
+    """Put the recording's file before the message of any error raised inside that does not name it already."""
+    try:
+        yield
+    except MidspanError as error:
+        text = str(error)
+        if str(recording.file) in text:
+            raise
+        raise type(error)(f"{recording.file}: {text}") from None
+
+
+class Recording:
+    """A folder with `recording.toml` and the files it names; see `open_recording`."""
+
+    def __init__(self, file: Path, settings: RecordingSettings) -> None:
+        self.file, self.settings = file, settings
+        self._whole: Recording | None = None
+        self._beside: Recording | None = None
+        # A camera that is dark before this instant is used from it on.
+        self.sees_from_ns: int | None = None
+
+    def __repr__(self) -> str:
+        sensors = [name for name in SECTIONS if self.has(name)]
+        return f"Recording({str(self.file)!r}, {self.name!r}: {', '.join(sensors)})"
+
+    @property
+    def folder(self) -> Path:
+        """The folder that paths in the settings are relative to."""
+        return self.file.parent
+
+    @property
+    def name(self) -> str:
+        """The recording's name, or its folder's."""
+        return self.settings.name or self.folder.resolve().name
+
+    def has(self, section: str) -> bool:
+        """Whether the settings have a section of this name."""
+        return getattr(self.settings, section) is not None
+
+    def path(self, name: str, key: str) -> Path:
+        """The file that a setting names; DataError where it is missing. Globs and folders are left to the reader."""
+        path = self.folder / name
+        if not path.exists() and not any(sign in name for sign in "*?["):
+            raise DataError(
+                f"{self.file}: {key} = {name!r}: no such file in the folder {str(self.folder)!r}. Paths are "
+                f"relative to {self.file.name}."
+            )
+        return path
+
+    @property
+    def axis(self) -> str:
+        """The image axis "x" or "y" of the main columns; empty without a camera."""
+        return (*self.settings.axes, "")[0]
+
+    @property
+    def exposure_s(self) -> float | None:
+        """The camera's exposure time, s; None where it is not told."""
+        camera = self.settings.first_camera
+        return None if camera is None else camera.exposure_s
+
+    @property
+    def sensor(self) -> str:
+        """The section that the camera of this recording, or of this view of one, stands in."""
+        return "infrared" if isinstance(self.settings.camera, InfraredSettings) else "camera"
+
+    @cached_property
+    def infrared(self) -> "Recording | None":
+        """The same recording seen by its thermal camera alone, as if that were its camera; None without one."""
+        if self.settings.infrared is None:
+            return None
+        known = type(self.settings).model_fields
+        others: dict[str, Any] = {name: None for name in ("displacement", "radar", "reference") if name in known}
+        changed = {"camera": self.settings.infrared, "infrared": None, **others}
+        view = Recording(self.file, self.settings.model_copy(update=changed))
+        view._beside = self
+        return view
+
+    def seeing(self, first_ns: int, last_ns: int) -> "Recording":
+        """The same recording calibrated from `first_ns` to `last_ns`; no frame of its camera before is used."""
+        span = (first_ns / NANOSECONDS, last_ns / NANOSECONDS)
+        window = self.settings.calibration.model_copy(update={"window_s": span})
+        view = Recording(self.file, self.settings.model_copy(update={"calibration": window, "infrared": None}))
+        view._beside, view.sees_from_ns = self, first_ns
+        return view
+
+    @property
+    def cameras(self) -> "tuple[Recording, ...]":
+        """The recording as each of its cameras sees it, the one whose zero counts first."""
+        own = (self,) if self.settings.camera is not None else ()
+        return own if self.infrared is None else (*own, self.infrared)
+
+    @cached_property
+    def across(self) -> "Recording | None":
+        """The same recording along the second image axis, with camera.direction = "xy"; None without one.
+
+        Its frames are these; its acceleration is the column of that axis, or absent where the axis is tracked only.
+        """
+        if len(self.settings.axes) < 2:
+            return None
+        if self.settings.camera is None and self.infrared is not None:
+            return self.infrared.across
+        axis, accelerometer = self.settings.axes[1], self.settings.accelerometer
+        column = accelerometer.value_x if axis == "x" else accelerometer.value_y
+        assert self.settings.camera is not None
+        sensor = accelerometer.model_copy(update={"value": column, "value_x": None, "value_y": None})
+        camera = self.settings.camera.model_copy(update={"direction": axis})
+        changed = {"accelerometer": sensor, "camera": camera, "radar": None, "displacement": None, "reference": None}
+        view = Recording(self.file, self.settings.model_copy(update=changed))
+        view._whole = self
+        return view
+
+    @property
+    def fused(self) -> bool:
+        """Whether this axis has an acceleration of its own; the second one of "xy" may be tracked only."""
+        return self._whole is None or self.settings.accelerometer.value is not None
+
+    @cached_property
+    def acceleration(self) -> TimeSeries:
+        """The accelerometer's channel, m/s², on its own clock."""
+        if self._beside is not None:
+            return self._beside.acceleration
+        return self._series("accelerometer", "acceleration")
+
+    @cached_property
+    def prepared(self) -> PreparedAcceleration:
+        """The acceleration with missing samples bridged and marked; none (zero) along an axis that is tracked only."""
+        if self._whole is not None and not self.fused:
+            return still(self._whole.prepared)
+        if self._beside is not None:
+            return self._beside.prepared
+        return prepare_acceleration(self.acceleration, f"accelerometer ({self.settings.accelerometer.file})")
+
+    @cached_property
+    def displacement(self) -> TimeSeries:
+        """The channel of [displacement], m, on its own clock."""
+        return self._series("displacement", "displacement")
+
+    @cached_property
+    def reference(self) -> TimeSeries:
+        """The channel of [reference], m, on the accelerometer's clock."""
+        return self._series("reference", "displacement")
+
+    @cached_property
+    def reference_across(self) -> TimeSeries | None:
+        """The reference along the second image axis, m: the column displacement_x_mm or _y_mm of [reference]'s file.
+
+        None where there is no second axis or no such column.
+        """
+        wanted = self.settings.reference
+        if self.across is None or wanted is None:
+            return None
+        column = f"displacement_{self.across.axis}_mm"
+        path = self.path(wanted.file, "reference.file")
+        if column not in list_channels(path).names:
+            return None
+        request = SeriesRequest("displacement", time=wanted.time, value=column, unit=wanted.unit or "mm")
+        return read_series(path, request)
+
+    @cached_property
+    def frames(self) -> FrameSource:
+        """The camera's frames."""
+        if self._whole is not None:
+            return self._whole.frames
+        camera = self.settings.camera
+        if camera is None:
+            raise DataError(f"{self.file}: has no [camera] section.")
+        times = None if camera.times is None else self.path(camera.times, f"{self.sensor}.times")
+        request = FrameRequest(times=times, rate_hz=camera.rate_hz, start_s=camera.start_s, every=camera.every)
+        path = self.path(camera.file, f"{self.sensor}.file")
+        if isinstance(camera, InfraredSettings):
+            return open_thermal(
+                path, ThermalRequest(request, camera.kelvin_per_count, camera.zero_k, camera.emissivity)
+            )
+        return open_frames(path, request)
+
+    @cached_property
+    def radar(self) -> RadarSource:
+        """The radar's frames."""
+        radar = self.settings.radar
+        if radar is None:
+            raise DataError(f"{self.file}: has no [radar] section.")
+        request = RadarRequest(
+            config=None if radar.config is None else self.path(radar.config, "radar.config"),
+            iq_order=radar.iq_order,
+            start_s=radar.start_s,
+            rate_hz=radar.rate_hz,
+            carrier_hz=radar.carrier_hz,
+        )
+        return open_radar(self.path(radar.file, "radar.file"), request)
+
+    @property
+    def own_files(self) -> set[Path]:
+        """The files that make up the recording, resolved: results must not be written over them."""
+        parts = [part for name in SECTIONS if (part := getattr(self.settings, name)) is not None]
+        names = [name for part in parts for key in ("file", "times", "config") if (name := getattr(part, key, None))]
+        lenses = (camera.lens for camera in (self.settings.camera, self.settings.infrared) if camera is not None)
+        names += [lens.file for lens in lenses if lens is not None and lens.file]
+        return {self.file.resolve(), *((self.folder / name).resolve() for name in names)}
+
+    def _own_axis(self, channel: ChannelSettings) -> str | None:
+        """The column of the main axis where columns are named by the image's axes."""
+        return getattr(channel, f"value_{self.axis}", None)
+
+    def _series(self, section: str, quantity: str) -> TimeSeries:
+        channel: ChannelSettings = getattr(self.settings, section)
+        sensitivity = getattr(channel, "sensitivity", 0.0) or None
+        request = SeriesRequest(
+            quantity=quantity,
+            time=channel.time,
+            value=channel.value or self._own_axis(channel),
+            unit=channel.unit,
+            sensitivity=sensitivity,
+            rate_hz=channel.rate_hz,
+            start_s=channel.start_s,
+        )
+        return read_series(self.path(channel.file, f"{section}.file"), request)
+
+
+def open_recording(path: str | Path, **overrides: dict[str, Any]) -> Recording:
+    """Open a recording: a folder that holds `recording.toml`, or that file.
+
+    overrides: settings that win over the file, a dictionary a section, for example `camera={"roi": (10, 20, 64, 64)}`.
+    Nothing but the settings is read yet. Raises UsageError for wrong settings, DataError where there is no recording.
+    """
+    return Recording(settings_file(path), load_settings(path, overrides))

@@ -1,0 +1,250 @@
+"""The targets of a camera as one displacement: each beside the path that all and the accelerometer agree on."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from midspan.calibration.whitening import BIAS_WALK_RATIO
+from midspan.engine.monitor import CameraScale
+from midspan.engine.targets import AGREE_STD, Used, agreeing, combine, relative_zeros
+from midspan.fusion.kalman import KalmanSettings
+from midspan.fusion.smoother import smooth
+from midspan.recording.stored.camera import CameraCalibration
+from midspan.recording.streams.acceleration import PreparedAcceleration
+from midspan.recording.tracking.tracking import TargetTracking
+from midspan.records import NANOSECONDS, Acceleration, Displacement, Estimate, Floats, Innovation, joined, part, seconds
+
+# A target whose displacement leaves the others' by this many times what noise and scale explain moves by itself.
+DISAGREES = 2.5
+# Innovations count up to this many standard deviations squared: one wrong frame is no step, which is wrong for seconds.
+MOST_POWER = (2.0 * AGREE_STD) ** 2
+# A target whose own innovations, or learnt noise, stand out by these ratios contradicts the acceleration more than
+# another. Steady targets' innovations were within 4 % of each other, their learnt noise (variance) within 40 %; a step
+# of 0.5 px in a minute raises the innovations by 70 %.
+TELLING_POWER = 1.3
+TELLING_NOISE = 2.0
+# Less than this of the zero's own standard deviation is no disagreement: no model fits to the last digit.
+LEAST_APART_M = 1e-5
+
+
+@dataclass(frozen=True, slots=True)
+class Together:
+    """One displacement out of several targets'.
+
+    measured: one row a frame; zeros_m (k,): the targets' relative zeros; used (k, n): who stands behind each frame.
+    """
+
+    measured: Displacement
+    zeros_m: Floats
+    used: Used
+
+
+@dataclass(frozen=True, slots=True)
+class Contradiction:
+    """The target (number from 0) that differs most from the one that the acceleration and most targets agree with.
+
+    beside: the number of the latter; apart_m: rms of their difference; undecided: whether neither acceleration nor
+    majority tells which of the two moves.
+    """
+
+    target: int
+    beside: int
+    apart_m: float
+    undecided: bool
+
+
+def together(
+    blocks: Sequence[Displacement],
+    scales: Sequence[CameraScale],
+    acceleration: Acceleration,
+    kalman: KalmanSettings,
+    window_ns: tuple[int, int],
+) -> Together:
+    """Fuse the displacements of several targets of one camera, frame by frame, by inverse variance.
+
+    blocks: one a target, the same frames, on the accelerometer's clock; scales: their mappings. window_ns: the zeros
+    are learnt from the frames between these stamps. A frame's targets that disagree with the others, or with the path,
+    by more than four standard deviations are left out there.
+    """
+    count = len(blocks)
+    if count == 1:
+        used = np.isfinite(blocks[0].value_m)[None, :]
+        return Together(blocks[0], np.zeros(1), used)
+    best = min(range(count), key=lambda k: _usual(blocks[k]))
+    path = smooth(acceleration, blocks[best], kalman).estimate
+    residual, slack, variance = _beside(blocks, scales, path)
+    window = _window(blocks[0], window_ns)
+    zeros = relative_zeros(residual[:, window], variance[:, window])
+    moved = [replace(block, value_m=block.value_m - zero) for block, zero in zip(blocks, zeros, strict=True)]
+    merged = joined(moved)
+    path = smooth(acceleration, part(merged, np.argsort(merged.time_ns, kind="stable")), kalman).estimate
+    residual, slack, variance = _beside(moved, scales, path)
+    used = agreeing(residual, variance + slack**2, _at(path, blocks[0], path.variance_m2))
+    found = combine(residual, variance, used)
+    stamps = np.array([block.time_ns for block in blocks])
+    late = np.sum(found.weight * (stamps - stamps[0]), axis=0)
+    time_ns = stamps[0] + np.rint(late).astype(np.int64)
+    expected = np.array([_path(path, block) for block in blocks])
+    value = found.value + np.where(found.used.any(axis=0), np.sum(found.weight * expected, axis=0), np.nan)
+    measured = Displacement(time_ns, value, np.where(np.isfinite(value), found.variance, np.nan), blocks[0].source)
+    return Together(measured, zeros, used)
+
+
+def camera_blocks(
+    targets: Sequence[TargetTracking],
+    camera: CameraCalibration,
+    exposure_s: float | None,
+    acceleration: Acceleration,
+) -> list[Displacement]:
+    """The displacement that each target in use says, on the accelerometer's clock, without the exposure's averaging."""
+    pairs = list(zip(targets, camera.mappings(), strict=True))
+    blocks = [unblurred(m.displacement(t.quick), t.blur_s(exposure_s), acceleration) for t, m in pairs]
+    # What the reference frame makes is not among what the learnt factor was learnt from.
+    more = [m.scale_m_per_px**2 * t.wandering_px2[:, "xy".index(m.direction)] for t, m in pairs]
+    return [replace(b, variance_m2=b.variance_m2 + v) for b, v in zip(blocks, more, strict=True)]
+
+
+def unblurred(measured: Displacement, blur_s: float, acceleration: Acceleration) -> Displacement:
+    """The camera's displacement without what averaging over `blur_s` added: blur²/24 of the acceleration."""
+    if blur_s == 0.0:
+        return measured
+    value = acceleration.value_m_s2 - np.mean(acceleration.value_m_s2)
+    added = blur_s**2 / 24.0 * np.interp(measured.time_ns, acceleration.time_ns, value)
+    return replace(measured, value_m=measured.value_m - added)
+
+
+def filter_settings(prepared: PreparedAcceleration, density: float, bias: float | None = None) -> KalmanSettings:
+    """First guesses for the filter: the bias (the mean when left out) and how well it is known.
+
+    density: of the acceleration's noise, (m/s²)²/Hz. Without any acceleration the motion is that noise, and its slow
+    part is left to the bias as it was when the density was learnt.
+    """
+    value = prepared.value_m_s2
+    if not value.any():
+        return KalmanSettings(bias_walk=BIAS_WALK_RATIO * density, bias_std=float(np.sqrt(density)) + 1e-9)
+    noise = float(np.sqrt(density * prepared.rate_hz))
+    # A mean over motion is off by some of the motion.
+    return KalmanSettings(
+        bias=float(np.mean(value)) if bias is None else bias, bias_std=float(0.3 * np.std(value) + 10.0 * noise + 1e-4)
+    )
+
+
+def _usual(block: Displacement) -> float:
+    """The usual variance of a target, m²; infinite for one that was never seen."""
+    known = block.variance_m2[np.isfinite(block.variance_m2)]
+    return float(np.median(known)) if len(known) else np.inf
+
+
+def _window(block: Displacement, window_ns: tuple[int, int]) -> slice:
+    """The frames in the window; all of them where it holds too few."""
+    first, last = (int(i) for i in np.searchsorted(block.time_ns, window_ns))
+    return slice(first, last) if last - first >= 20 else slice(0, len(block.time_ns))
+
+
+def _beside(
+    blocks: Sequence[Displacement], scales: Sequence[CameraScale], path: Estimate
+) -> tuple[Floats, Floats, Floats]:
+    """Each target's displacement minus the path, what its scale factor may make of it, and its variance: (k, n)."""
+    expected = np.array([_path(path, block) for block in blocks])
+    relative = np.array([[scale.relative_std] for scale in scales])
+    value = np.array([block.value_m for block in blocks])
+    return value - expected, relative * expected, np.array([block.variance_m2 for block in blocks])
+
+
+def _path(path: Estimate, block: Displacement) -> Floats:
+    """The path (n,) at a block's instants: between samples the cubic of displacements and velocities at both ends."""
+    t = seconds(path.time_ns, int(path.time_ns[0]))
+    at = np.clip(seconds(block.time_ns, int(path.time_ns[0])), t[0], t[-1])
+    k = np.clip(np.searchsorted(t, at, side="right") - 1, 0, len(t) - 2)
+    h = t[k + 1] - t[k]
+    u = (at - t[k]) / h
+    d, v = path.displacement_m, path.velocity_m_s
+    mine: Floats = (
+        (1 + 2 * u) * (1 - u) ** 2 * d[k]
+        + u * (1 - u) ** 2 * h * v[k]
+        + u * u * (3 - 2 * u) * d[k + 1]
+        - u * u * (1 - u) * h * v[k + 1]
+    )
+    return mine
+
+
+def _at(path: Estimate, block: Displacement, value: Floats) -> Floats:
+    """A column of the path (n,) at a block's instants, by straight lines."""
+    origin = int(path.time_ns[0])
+    return np.interp(seconds(block.time_ns, origin), seconds(path.time_ns, origin), value)
+
+
+def _apart(residual: Floats, variance: Floats, window: slice) -> tuple[Floats, Floats]:
+    """How far each target lies from the path in the window: over what is explained, and rms in m.
+
+    In the former, single wrong frames do not count for more than eight standard deviations.
+    """
+    residual, variance = residual[:, window], variance[:, window]
+    usable = np.isfinite(residual) & np.isfinite(variance)
+    share, size = np.zeros(len(residual)), np.zeros(len(residual))
+    for k, known in enumerate(usable):
+        if known.any():
+            own = residual[k, known] - float(np.median(residual[k, known]))
+            std = np.sqrt(variance[k, known])
+            held = np.clip(own, -2.0 * AGREE_STD * std, 2.0 * AGREE_STD * std)
+            share[k] = float(np.sqrt(np.mean((held / std) ** 2)))
+            size[k] = float(np.sqrt(np.mean(own**2)))
+    return share, size
+
+
+def moves_by_itself(
+    blocks: Sequence[Displacement],
+    scales: Sequence[CameraScale],
+    acceleration: Acceleration,
+    kalman: KalmanSettings,
+    window_ns: tuple[int, int],
+) -> Contradiction | None:
+    """The target that moves by itself, or None where the targets agree; arguments as in `together`.
+
+    Each target has a path of its own, so that none draws the others'. The one to trust contradicts the acceleration
+    least; of those alike in that, it agrees with most others; of those, it is the sharpest.
+    """
+    count = len(blocks)
+    if count < 2:
+        return None
+    acceleration, window = _around(acceleration, blocks), _window(blocks[0], window_ns)
+    apart, apart_m, power = np.zeros((count, count)), np.zeros((count, count)), np.zeros(count)
+    for k, block in enumerate(blocks):
+        own = smooth(acceleration, block, kalman)
+        path = own.estimate
+        residual, slack, variance = _beside(blocks, scales, path)
+        # Where this target is hidden the path is vague.
+        known = variance + slack**2 + _at(path, blocks[0], path.variance_m2)
+        apart[k], apart_m[k] = _apart(residual, known, window)
+        power[k] = _power(own.innovation, window_ns)
+    moved = (apart > DISAGREES) & (apart_m > LEAST_APART_M)
+    noise = np.array([scale.variance_factor for scale in scales])
+    score = np.maximum(power, 1.0) * np.maximum(noise / (TELLING_NOISE * noise.min()), 1.0)
+    agreed = np.where(score <= TELLING_POWER * score.min(), np.sum(~(moved | moved.T), axis=0), 0)
+    trusted = np.flatnonzero(agreed == agreed.max())
+    best = min((int(k) for k in trusted), key=lambda k: _usual(blocks[k]))
+    if not moved[best].any():
+        return None
+    rivals = trusted[moved[best][trusted]]
+    worst = int(np.argmax(np.where(moved[best], apart[best], 0.0)))
+    if len(rivals):
+        worst = int(rivals[np.argmax(apart[best][rivals])])
+    return Contradiction(worst, best, float(apart_m[best, worst]), len(rivals) > 0)
+
+
+def _around(acceleration: Acceleration, blocks: Sequence[Displacement]) -> Acceleration:
+    """The acceleration of the frames' time and a second on either side: frames of a minute need no day of it."""
+    first = min(int(block.time_ns[0]) for block in blocks) - NANOSECONDS
+    last = max(int(block.time_ns[-1]) for block in blocks) + NANOSECONDS
+    return part(acceleration, slice(*(int(i) for i in np.searchsorted(acceleration.time_ns, (first, last)))))
+
+
+def _power(innovation: Innovation, window_ns: tuple[int, int]) -> float:
+    """Mean square of a target's innovations in the window over what the filter expects: 1 where all is explained."""
+    inside = (innovation.time_ns >= window_ns[0]) & (innovation.time_ns <= window_ns[1])
+    inside &= np.isfinite(innovation.value_m) & (innovation.variance_m2 > 0.0)
+    if not inside.any():
+        return 1.0
+    squared = innovation.value_m[inside] ** 2 / innovation.variance_m2[inside]
+    return float(np.mean(np.minimum(squared, MOST_POWER)))

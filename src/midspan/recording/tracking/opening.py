@@ -1,0 +1,92 @@
+"""Opening of a camera's tracking: the frames used, its targets, and what they are tracked with."""
+
+import numpy as np
+
+from midspan.errors import DataError, UsageError
+from midspan.recording.stored.camera import CameraCalibration
+from midspan.recording.streams.measured import frames_used
+from midspan.recording.streams.progress import Progress
+from midspan.recording.streams.recording import Recording
+from midspan.recording.streams.span import require_overlap
+from midspan.recording.streams.window import window_ends
+from midspan.recording.tracking.lens import check_same_lens, lens_of
+from midspan.recording.tracking.region_choice import Judge
+from midspan.recording.tracking.temperatures import levels_of
+from midspan.recording.tracking.tracking import CameraTracking, Target, TrackingSettings
+from midspan.records import NANOSECONDS, Region
+from midspan.settings.camera import CameraSettings, InfraredSettings
+from midspan.thermal.limits import Limits
+from midspan.vision.tracker import tracker_settings
+
+
+def open_tracking(
+    view: Recording,
+    known: CameraCalibration | None,
+    progress: Progress,
+    *,
+    again: tuple[tuple[Target, ...], Limits] | None = None,
+    judge: Judge | None = None,
+) -> CameraTracking:
+    """The tracking of the camera of `view` from the first frame used; with a calibration its targets are taken over.
+
+    again: the targets and the temperature range of what was tracked before in another range. judge: what decides
+    between places by more than the picture where no target is given; left out, the picture alone decides. Raises
+    UsageError for a target that the calibration does not know.
+    """
+    camera = view.settings.camera
+    if camera is None:
+        raise DataError(f"{view.file}: has no [camera] section.")
+    times = view.frames.times_ns()
+    if not len(times):
+        raise DataError(f"{camera.file}: holds no frames.")
+    acceleration_ns = view.prepared.time_ns
+    require_overlap(acceleration_ns, times, view.sensor)
+    margin = round(view.settings.calibration.max_offset_s * NANOSECONDS)
+    used = frames_used(times, acceleration_ns, margin)
+    if view.sees_from_ns is not None:
+        used = slice(max(used.start, int(np.searchsorted(times, view.sees_from_ns))), used.stop)
+    settings = TrackingSettings(
+        tracker=camera.tracker,
+        direction=view.axis,
+        targets=calibrated_targets(given_targets(camera), known) if again is None else again[0],
+        automatic_targets=camera.automatic_targets,
+        first=used.start,
+        last=used.stop,
+        readout_s=camera.readout_s,
+        trial_from_ns=window_ends(view)[0],
+        tracker_settings=tracker_settings(camera.tracker, **camera.tracker_settings),
+        lens=lens_of(view),
+        reference=camera.reference_rule,
+        thermal=isinstance(camera, InfraredSettings),
+        levels=levels_of(view, known) if again is None else again[1],
+        sensor=view.sensor,
+    )
+    if known is not None:
+        check_same_lens(settings.lens, known.lens)
+    return CameraTracking(view.frames, settings, progress, judge)
+
+
+def given_targets(camera: CameraSettings) -> tuple[Target, ...]:
+    """The targets that a recording names; none where they are to be chosen."""
+    if camera.roi is not None:
+        return (Target(Region(*camera.roi)),)
+    return tuple(Target(Region(*t.roi), name) for t, name in zip(camera.target, camera.target_names, strict=True))
+
+
+def calibrated_targets(given: tuple[Target, ...], known: CameraCalibration | None) -> tuple[Target, ...]:
+    """The targets to track beside a calibration: its own in use, or those of them that the recording names."""
+    if known is None:
+        return given
+    if not given:
+        return tuple(Target(target.region, target.name) for target in known.used)
+    if len(given) == 1 and len(known.targets) <= 1:
+        # One target's scale factor is taken for the same target that moved a little in the picture.
+        return given
+    regions = {target.region: target for target in known.targets}
+    missing = [target.name for target in given if target.region not in regions]
+    if missing or len(given) < len(known.used):
+        raise UsageError(
+            f"camera.target: the calibration was made for {len(known.targets)} targets, and not for the same: "
+            f"{'not ' + ', '.join(missing) if missing else 'some are missing in the recording'}. Calibrate again."
+        )
+    return tuple(Target(target.region, target.name) for target in known.used)

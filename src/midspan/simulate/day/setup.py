@@ -1,0 +1,179 @@
+"""A camera and a thermal camera on one structure through a day: how they are set up, and the files they leave."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from midspan.records import Floats
+from midspan.simulate.day.camera import DayCamera, wall_in_relief
+from midspan.simulate.day.infrared import DayCourse, DayInfrared
+from midspan.simulate.day.sky import Sky, Span
+from midspan.simulate.day.weather import Drops, Headlights
+from midspan.simulate.files.celsius import write_celsius
+from midspan.simulate.files.folder import exact_in_video, write_table, write_video
+from midspan.simulate.motion.motion import Motion
+from midspan.simulate.scene.camera import Pixels
+from midspan.simulate.scene.scene import Image
+from midspan.simulate.scene.texture import textured_scene
+from midspan.simulate.scene.thermal import ThermalCamera, ThermalView, WarmBody
+
+VIDEO, INFRARED, TIMES = "camera.mkv", "infrared.npz", "camera_times.csv"
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Eye:
+    """One of both cameras: displacement = scale_mm_per_px × translation down the picture of `size_px` (rows, columns).
+
+    True time = its clock + `time_offset_s`; its first frame is at `start_s` of its clock.
+    """
+
+    size_px: tuple[int, int]
+    scale_mm_per_px: float
+    rate_hz: float = 4.0
+    start_s: float = 0.0
+    time_offset_s: float = 0.0
+
+    def stamps_s(self, duration_s: float) -> Floats:
+        """Time stamps (n,) of its frames in s on its own clock."""
+        usable = duration_s - 0.1 - self.time_offset_s - self.start_s
+        return self.start_s + np.arange(int(usable * self.rate_hz) + 1) / self.rate_hz
+
+    def moved_px(self, motion: Motion, stamps_s: Floats) -> Floats:
+        """Translation (n, 2) of the scene along x and y at its own stamps (n,)."""
+        down = motion.displacement(stamps_s + self.time_offset_s) / (1e-3 * self.scale_mm_per_px)
+        return np.stack([np.zeros_like(down), down], axis=1)
+
+
+@dataclass(frozen=True, slots=True)
+class DaySetup:
+    """Both cameras, their day and what happens in it; all times are true ones in s, 0 at noon.
+
+    contrast_k: of the surfaces' temperatures; thermal: what the thermal camera adds. Where targets are given
+    (`camera_roi`, `infrared_roi`: x, y, width, height in px) they are written into the settings.
+    """
+
+    sky: Sky
+    camera: Eye
+    infrared: Eye
+    contrast_k: float = 1.5
+    course: DayCourse = field(default_factory=DayCourse)
+    thermal: ThermalCamera = field(default_factory=ThermalCamera)
+    bodies: tuple[WarmBody, ...] = ()
+    cars: Headlights = field(default_factory=Headlights)
+    camera_roi: tuple[int, int, int, int] | None = None
+    infrared_roi: tuple[int, int, int, int] | None = None
+    reach_px: float = 16.0
+
+    @property
+    def first_s(self) -> float:
+        """True time of the camera's first frame, the zero of the displacement."""
+        return self.camera.start_s + self.camera.time_offset_s
+
+    def day_camera(self, rng: np.random.Generator) -> DayCamera:
+        """The camera before its wall."""
+        rng_wall, rng_drops, rng_seed = rng.spawn(3)
+        wall = wall_in_relief(self.camera.size_px, rng=rng_wall, reach_px=self.reach_px)
+        drops = Drops(self.camera.size_px, self.sky.rain, rng=rng_drops) if self.sky.rain else None
+        return DayCamera(wall, self.sky, drops=drops, cars=self.cars, seed=int(rng_seed.integers(2**31)))
+
+    def day_infrared(self, rng: np.random.Generator) -> DayInfrared:
+        """The thermal camera before its wall."""
+        rng_sun, rng_kept, rng_drops, rng_seed = rng.spawn(4)
+        scenes = tuple(
+            textured_scene("natural", self.infrared.size_px, rng=r, reach_px=self.reach_px, lens_px=0.9)
+            for r in (rng_sun, rng_kept)
+        )
+        view = ThermalView(scenes, self.contrast_k, self.course, self.bodies, self.thermal)
+        drops = Drops(self.infrared.size_px, self.sky.rain, rng=rng_drops, count=6) if self.sky.rain else None
+        return DayInfrared(view, self.sky, drops, seed=int(rng_seed.integers(2**31)))
+
+    def settings(self, duration_s: float) -> dict[str, Any]:
+        """The sections [camera] and [infrared] of recording.toml."""
+        camera: dict[str, Any] = {"file": VIDEO}
+        if not exact_in_video(self.camera.stamps_s(duration_s)):
+            camera["times"] = TIMES
+        camera |= {"rate_hz": self.camera.rate_hz, "direction": "y"}
+        # Temperatures turn around, so that key frames are needed; a template tells best how well they still match.
+        infrared: dict[str, Any] = {"file": INFRARED, "direction": "y", "tracker": "template"}
+        for section, roi in ((camera, self.camera_roi), (infrared, self.infrared_roi)):
+            if roi is not None:
+                section["roi"] = list(roi)
+        return {"camera": camera, "infrared": infrared}
+
+
+@dataclass(frozen=True, slots=True)
+class DayRun:
+    """A setup on a moving structure, with a generator: what is random in it is drawn in `write`."""
+
+    setup: DaySetup
+    motion: Motion
+    duration_s: float
+    rng: np.random.Generator
+
+    def write(self, folder: Path, progress: Progress) -> dict[str, Any]:
+        """Write both cameras' files frame by frame; returns what is known of them."""
+        rng_camera, rng_infrared = self.rng.spawn(2)
+        setup = self.setup
+        frames = [len(eye.stamps_s(self.duration_s)) for eye in (setup.camera, setup.infrared)]
+        self._write_video(folder, setup.day_camera(rng_camera), lambda done: progress(done, sum(frames)))
+        stamps = setup.infrared.stamps_s(self.duration_s)
+        pictures = self._thermal_film(setup.day_infrared(rng_infrared), stamps)
+        counted = _counted(pictures, lambda done: progress(frames[0] + done, sum(frames)))
+        write_celsius(folder / INFRARED, counted, stamps, setup.infrared.size_px)
+        return self._known()
+
+    def _write_video(self, folder: Path, camera: DayCamera, done: Callable[[int], None]) -> None:
+        eye = self.setup.camera
+        stamps = eye.stamps_s(self.duration_s)
+        write_video(folder / VIDEO, self._film(camera, stamps), stamps_s=stamps, rate_hz=eye.rate_hz, done=done)
+        if not exact_in_video(stamps):
+            write_table(folder / TIMES, {"time_s": stamps}, decimals={"time_s": 9})
+
+    def _film(self, camera: DayCamera, stamps_s: Floats) -> Iterator[Pixels]:
+        eye = self.setup.camera
+        moved = eye.moved_px(self.motion, stamps_s)
+        for number, stamp in enumerate(stamps_s):
+            yield camera.picture(number, moved[number], float(stamp) + eye.time_offset_s)
+
+    def _thermal_film(self, infrared: DayInfrared, stamps_s: Floats) -> Iterator[Image]:
+        eye = self.setup.infrared
+        moved, times = eye.moved_px(self.motion, stamps_s), stamps_s + eye.time_offset_s
+        for number in range(len(stamps_s)):
+            yield infrared.film_number(number, moved, times)
+
+    def _known(self) -> dict[str, Any]:
+        sky, setup = self.setup.sky, self.setup
+        days = int(self.duration_s / sky.length_s) + 1
+        eyes = {
+            name: {"scale_mm_per_px": eye.scale_mm_per_px, "time_offset_s": eye.time_offset_s}
+            for name, eye in (("camera", setup.camera), ("infrared", setup.infrared))
+        }
+        day: dict[str, list[Any]] = {
+            "night_s": [list(sky.night(k)) for k in range(days)],
+            "fog_s": [list(span) for span in sky.fog],
+            "rain_s": [list(span) for span in sky.rain],
+            "headlights_s": list(setup.cars.starts_s),
+            "shutter_s": list(setup.thermal.shutters_s),
+            "warm_body_s": [body.start_s for body in setup.bodies],
+        }
+        return {**eyes, "day": day}
+
+
+def _counted(pictures: Iterator[Image], done: Callable[[int], None]) -> Iterator[Image]:
+    for count, picture in enumerate(pictures, start=1):
+        yield picture
+        done(count)
+
+
+def hours(day_s: float, *at: float) -> tuple[float, ...]:
+    """True times in s of so many hours after noon, where 24 hours last `day_s`."""
+    return tuple(day_s * hour / 24.0 for hour in at)
+
+
+def span_hours(day_s: float, start: float, end: float) -> Span:
+    """A span in s between hours after noon, where 24 hours last `day_s`."""
+    return day_s * start / 24.0, day_s * end / 24.0

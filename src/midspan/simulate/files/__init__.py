@@ -1,0 +1,1 @@
+"""Simulated recordings as files: whole folders, tables, videos."""

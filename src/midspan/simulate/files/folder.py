@@ -1,0 +1,101 @@
+"""Writing of simulated recordings: tables, lossless video, and a folder that appears whole or not at all."""
+
+import os
+import shutil
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+
+from midspan.errors import UsageError
+from midspan.records import Floats
+from midspan.simulate.scene.camera import Pixels
+
+MARK = "known.json"  # the file by which a folder written here is known again
+OWN_FILES = frozenset(
+    {MARK, "recording.toml", "accel.csv", "camera.mkv", "camera_times.csv", "gnss.csv", "truth.csv", "calibration.json"}
+    | {"adc_data.bin", "radar.cfg", "radar.h5", "infrared.npz"}
+)
+MILLISECONDS = 1000  # Matroska's time stamps are whole milliseconds
+
+
+def write_table(path: Path, columns: dict[str, Floats], *, decimals: dict[str, int]) -> None:
+    """A CSV of equal columns (n,) with so many decimals each; NaN becomes an empty field."""
+    texts = [[_number(value, decimals[name]) for value in column.tolist()] for name, column in columns.items()]
+    lines = [",".join(columns), *(",".join(row) for row in zip(*texts, strict=True))]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def _number(value: float, decimals: int) -> str:
+    # Adding zero turns the -0.0 that rounding leaves of a tiny negative number into 0.0.
+    return "" if np.isnan(value) else f"{round(value, decimals) + 0.0:.{decimals}f}"
+
+
+def exact_in_video(stamps_s: Floats) -> bool:
+    """Whether the stamps (n,) are whole milliseconds from 0 on, so that the video file itself can carry them."""
+    return bool(
+        stamps_s[0] == 0.0 and np.all(np.abs(stamps_s * MILLISECONDS - np.rint(stamps_s * MILLISECONDS)) < 1e-6)
+    )
+
+
+def write_video(
+    path: Path, frames: Iterable[Pixels], *, stamps_s: Floats, rate_hz: float, done: Callable[[int], None]
+) -> None:
+    """A lossless video (FFV1 in Matroska) of grey frames (rows, columns) uint8 or uint16, stamped to the millisecond.
+
+    `done` is called with the number of frames written after each one.
+    """
+    import av
+
+    base = Fraction(1, MILLISECONDS)
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("ffv1", rate=Fraction(rate_hz).limit_denominator(1001))
+        for count, (pixels, stamp) in enumerate(zip(frames, stamps_s, strict=True), start=1):
+            layout = "gray" if pixels.dtype == np.uint8 else "gray16le"
+            if count == 1:
+                stream.height, stream.width = pixels.shape
+                stream.pix_fmt = layout
+                stream.codec_context.time_base = base
+            frame = av.VideoFrame.from_ndarray(pixels, format=layout)
+            frame.pts, frame.time_base = round(stamp * MILLISECONDS), base
+            container.mux(stream.encode(frame))
+            done(count)
+        container.mux(stream.encode())
+
+
+def check_free(folder: Path) -> None:
+    """Raise UsageError unless `folder` is absent, empty, or holds nothing but a simulated recording."""
+    if not folder.exists():
+        return
+    if not folder.is_dir():
+        raise UsageError(f"{folder} is a file; a recording is a folder. Choose another name.")
+    held = {entry.name for entry in folder.iterdir()}
+    foreign = sorted(held - OWN_FILES) if MARK in held else sorted(held)
+    if foreign:
+        raise UsageError(
+            f"{folder} holds {foreign[0]!r}, which the simulation did not write; it would be lost. "
+            "Choose another folder or empty this one."
+        )
+
+
+@contextmanager
+def whole_folder(folder: Path) -> Iterator[Path]:
+    """A temporary folder beside `folder` that takes its name when the block ends well, and is removed when it does not.
+
+    Raises UsageError where `folder` holds anything that was not written here, or cannot be written.
+    """
+    check_free(folder)
+    partial = folder.with_name(f".{folder.name}.partial-{os.getpid()}")
+    try:
+        partial.mkdir(parents=True)
+        try:
+            yield partial
+            if folder.exists():
+                shutil.rmtree(folder)
+            os.replace(partial, folder)
+        finally:
+            shutil.rmtree(partial, ignore_errors=True)
+    except OSError as error:
+        raise UsageError(f"{folder} cannot be written ({error.strerror or error}). Choose another folder.") from error

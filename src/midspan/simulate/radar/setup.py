@@ -1,0 +1,164 @@
+"""The radar of a scenario: what it sees, and how its recording is written, as raw samples or as slow-time I/Q."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from midspan.radar.chirp import ChirpProfile
+from midspan.radar.layout import Layout
+from midspan.radar.range_profile import bin_kernel
+from midspan.records import Floats
+from midspan.simulate.motion.motion import Motion
+from midspan.simulate.radar.files import PACKET_BYTES, Capture, demo_settings, write_capture
+from midspan.simulate.radar.signal import Cubes, RadarModel, Reflector, phase_bound_m
+
+RAW, CONFIG, SLOW_TIME = "adc_data.bin", "radar.cfg", "radar.h5"
+Progress = Callable[[int, int], None]
+
+# 128 samples at 6 MHz of a chirp of 65 MHz/µs from 77 GHz: 1.4 GHz of bandwidth, bins of 0.11 m, up to 13.8 m.
+NEAR = ChirpProfile(77e9, 64.985e12, 6e6, 128, 0.01, receivers=2)
+# The same of 15 MHz/µs: 0.32 GHz, bins of 0.47 m, up to 60 m.
+FAR = ChirpProfile(77e9, 15.015e12, 6e6, 128, 0.01, receivers=2)
+
+
+@dataclass(frozen=True, slots=True)
+class RadarSetup:
+    """A radar of a scenario; spans are in s of true time.
+
+    reflectors: draws what it sees, the fixed targets first; targets: how many those are; noise_std: of the receivers,
+    ADC counts; start_s: time of the first frame on the radar's clock; true time = that clock + time_offset_s; lost:
+    packets of the capture card that never arrived; order: of I and Q in the file; slow_time: the phasors of the targets
+    alone are stored, as HDF5, instead of all samples.
+    """
+
+    reflectors: Callable[[np.random.Generator], tuple[Reflector, ...]]
+    targets: int = 1
+    profile: ChirpProfile = NEAR
+    noise_std: float = 450.0
+    phase_noise_rad: float = 3e-3
+    start_s: float = 0.0
+    time_offset_s: float = 0.083
+    lost: tuple[tuple[float, float], ...] = ()
+    order: str = "QQII"
+    slow_time: bool = False
+
+    def frames(self, duration_s: float) -> int:
+        """Frames that are stored of a recording of `duration_s` s of true time."""
+        # The last tenth of a second is left to the accelerometer.
+        usable = duration_s - 0.1 - self.time_offset_s - self.start_s
+        return int(usable * self.profile.frame_rate_hz)
+
+    @property
+    def first_s(self) -> float:
+        """True time in s of the first frame: the middle of its chirps."""
+        return self.start_s + self.profile.middle_s + self.time_offset_s
+
+    def model(self, rng: np.random.Generator) -> RadarModel:
+        """The radar with everything in view drawn from `rng`."""
+        return RadarModel(
+            self.reflectors(rng),
+            self.profile,
+            noise_std=self.noise_std,
+            phase_noise_rad=self.phase_noise_rad,
+            time_offset_s=self.time_offset_s,
+            start_s=self.start_s,
+        )
+
+    def settings(self) -> dict[str, Any]:
+        """What recording.toml says about it."""
+        found: dict[str, Any] = {"file": SLOW_TIME} if self.slow_time else {"file": RAW, "config": CONFIG}
+        return found | ({"start_s": self.start_s} if self.start_s else {})
+
+
+@dataclass(frozen=True, slots=True)
+class RadarRun:
+    """A radar's setup with the motion that it rides on: how long, and the generator of what is random."""
+
+    setup: RadarSetup
+    motion: Motion
+    duration_s: float
+    rng: np.random.Generator
+
+    def write(self, folder: Path, progress: Progress) -> dict[str, Any]:
+        """Write the radar's files into `folder`, in blocks; returns what an estimate should find.
+
+        progress: called with frames done and frames in all.
+        """
+        setup, frames = self.setup, self.setup.frames(self.duration_s)
+        rng_view, rng_noise = self.rng.spawn(2)
+        model = setup.model(rng_view)
+        blocks = _counted(model.blocks(self.motion, frames, rng=rng_noise), frames, progress)
+        if setup.slow_time:
+            places = np.array([target.range_m for target in model.reflectors[: setup.targets]])
+            write_slow_time(folder / SLOW_TIME, blocks, (setup.profile, frames, places))
+        else:
+            layout = Layout(setup.profile, setup.order)
+            write_capture(folder / RAW, blocks, Capture(layout, lost=setup_lost(setup, layout)))
+            text = demo_settings(setup.profile, frames=frames, order=setup.order)
+            (folder / CONFIG).write_text(text, encoding="utf-8")
+        return _known(setup, model)
+
+
+def _counted(blocks: Iterator[Cubes], frames: int, progress: Progress) -> Iterator[Cubes]:
+    done = 0
+    for block in blocks:
+        yield block
+        done += len(block)
+        progress(done, frames)
+
+
+def setup_lost(setup: RadarSetup, layout: Layout) -> tuple[int, ...]:
+    """Numbers of the packets, from 0, that hold the frames in the setup's `lost` spans."""
+    found: set[int] = set()
+    for start, end in setup.lost:
+        frame = (np.array([start, end]) - setup.first_s) * setup.profile.frame_rate_hz
+        first, last = (frame * layout.frame_bytes / PACKET_BYTES).astype(np.int64)
+        found.update(range(max(int(first), 0), int(last)))
+    return tuple(sorted(found))
+
+
+def write_slow_time(path: Path, cubes: Iterator[Cubes], stored: tuple[ChirpProfile, int, Floats]) -> None:
+    """Write the phasors (frames, receivers, targets) of cubes (frames, chirps, receivers, samples) as HDF5.
+
+    stored: the chirp, how many frames there will be, and the ranges (targets,) in m that are kept.
+    """
+    import h5py
+
+    profile, frames, range_m = stored
+    kernel = bin_kernel(range_m / profile.bin_m, profile).astype(np.complex64)
+    with h5py.File(path, "w") as file:
+        shape = (frames, profile.receivers, len(range_m))
+        data = file.create_dataset("iq", shape, np.complex64)
+        file.attrs["carrier_hz"], file.attrs["rate_hz"] = profile.carrier_hz, profile.frame_rate_hz
+        file["range_m"] = range_m
+        done = 0
+        for cube in cubes:
+            data[done : done + len(cube)] = (cube @ kernel.T).mean(axis=1)
+            done += len(cube)
+
+
+def _known(setup: RadarSetup, model: RadarModel) -> dict[str, Any]:
+    targets = [
+        {
+            "range_m": target.range_m,
+            "conversion_factor": 1.0 / target.ratio,
+            "snr_db_a_sample": _decibels(target.amplitude / setup.noise_std),
+            "cramer_rao_std_mm": 1e3 * abs(_bound_m(setup, target)),
+        }
+        for target in model.reflectors[: setup.targets]
+    ]
+    speed = 1e3 * setup.profile.limit_speed_m_s
+    return {"time_offset_s": setup.time_offset_s, "limit_speed_mm_s": speed, "targets": targets}
+
+
+def _bound_m(setup: RadarSetup, target: Reflector) -> float:
+    """Cramér-Rao bound of one frame's displacement from one target, all receivers, m."""
+    ratio = _decibels(target.amplitude / setup.noise_std)
+    return phase_bound_m(ratio, setup.profile, setup.profile.receivers) / target.ratio
+
+
+def _decibels(share: float) -> float:
+    return float(20.0 * np.log10(share))

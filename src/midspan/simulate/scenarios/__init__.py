@@ -1,0 +1,1 @@
+"""The recordings that can be simulated, and how one is written."""

@@ -1,0 +1,202 @@
+"""What a scenario is made of, and everything in it drawn from the seed, ready to be measured."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from midspan.records import Floats, Region, TimeSeries
+from midspan.simulate.day.setup import DayRun, DaySetup
+from midspan.simulate.motion.motion import Motion
+from midspan.simulate.motion.sensors import AccelerometerModel, DisplacementSensorModel, noise_std_for
+from midspan.simulate.radar.setup import RadarRun, RadarSetup
+from midspan.simulate.scene.camera import Camera, Light, View, cramer_rao_std_px
+from midspan.simulate.scene.disturbances import Disturbance
+from midspan.simulate.scene.panel import Panel
+from midspan.simulate.scene.texture import textured_scene
+
+Span = tuple[float, float]  # start and end in s
+
+
+@dataclass(frozen=True, slots=True)
+class CameraSetup:
+    """A camera of a scenario; spans are in s of true time.
+
+    `start_s` is the time of the first frame on the camera's clock; true time = that clock + `time_offset_s`.
+    Frames in `dropped` are absent from the file, those in `black` are dark. `panels` are parts at other distances;
+    `targets` (name, region) are written as [[camera.target]].
+    """
+
+    rate_hz: float = 10.0
+    start_s: float = 0.0
+    time_offset_s: float = 0.137
+    scale_mm_per_px: float = -1.5
+    direction: str = "y"
+    texture: str = "natural"
+    size_px: tuple[int, int] = (240, 320)  # rows, columns
+    camera: Camera = field(default_factory=Camera)
+    every: int = 1
+    light: Light | None = None
+    disturbances: Callable[[np.random.Generator], tuple[Disturbance, ...]] | None = None
+    dropped: tuple[Span, ...] = ()
+    black: tuple[Span, ...] = ()
+    panels: Callable[[np.random.Generator], tuple[Panel, ...]] | None = None
+    targets: tuple[tuple[str, Region], ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class GnssSetup:
+    """A displacement sensor of a scenario; rows in `absent` are missing, values in `unread` are left empty."""
+
+    sensor: DisplacementSensorModel
+    absent: tuple[Span, ...] = ()
+    unread: tuple[Span, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Scenario:
+    """A recording to be simulated: `line` says what it shows; `motion` draws the motion from a generator.
+
+    With `snr_db` the accelerometer's noise is set from the motion. Accelerometer rows in `absent` are missing, values
+    in `unread` are left empty; spans are in s of true time. `across` draws the motion along the other image axis, which
+    has a column of acceleration of its own. `window_s` is written as calibration.window_s.
+    """
+
+    line: str
+    title: str
+    duration_s: float
+    motion: Callable[[np.random.Generator], Motion]
+    accelerometer: AccelerometerModel
+    camera: CameraSetup | None = None
+    gnss: GnssSetup | None = None
+    snr_db: float | None = None
+    absent: tuple[Span, ...] = ()
+    unread: tuple[Span, ...] = ()
+    across: Callable[[np.random.Generator], Motion] | None = None
+    radar: RadarSetup | None = None
+    window_s: Span | None = None
+    day: DaySetup | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Stage:
+    """A scenario with its seed: the motion and the generators of what remains random."""
+
+    scenario: Scenario
+    motion: Motion
+    accelerometer: AccelerometerModel
+    rng_accelerometer: np.random.Generator
+    rng_scene: np.random.Generator
+    rng_sensor: np.random.Generator
+    rng_across: np.random.Generator
+    rng_radar: np.random.Generator
+    across: Motion | None = None
+
+    def acceleration(self) -> TimeSeries:
+        """Acceleration in m/s² as stored, with its gaps; NaN where no number is written."""
+        whole = self.accelerometer.measure(self.motion, (0.0, self.scenario.duration_s), rng=self.rng_accelerometer)
+        return with_gaps(whole, absent=self.scenario.absent, unread=self.scenario.unread)
+
+    def acceleration_across(self) -> TimeSeries:
+        """Acceleration along the other image axis, m/s², at the same instants; its scenario draws a motion for it."""
+        assert self.across is not None
+        whole = self.accelerometer.measure(self.across, (0.0, self.scenario.duration_s), rng=self.rng_across)
+        return with_gaps(whole, absent=self.scenario.absent, unread=self.scenario.unread)
+
+    def frame_stamps_s(self, setup: CameraSetup) -> Floats:
+        """Time stamps (n,) in s on the camera's clock of the frames that are stored."""
+        # The last tenth of a second is left to the accelerometer, so that an exposure never ends after it.
+        usable = self.scenario.duration_s - 0.1 - setup.time_offset_s - setup.start_s
+        stamps = setup.start_s + np.arange(int(usable * setup.rate_hz) + 1) / setup.rate_hz
+        return stamps[~within(stamps + setup.time_offset_s, setup.dropped)]
+
+    def view(self, setup: CameraSetup) -> View:
+        """The camera looking at its scene."""
+        rng_texture, rng_disturbances, rng_panels = self.rng_scene.spawn(3)
+        scene = textured_scene(setup.texture, setup.size_px, rng=rng_texture)
+        return View(
+            scene,
+            setup.scale_mm_per_px * 1e-3,
+            setup.direction,
+            setup.camera,
+            setup.light,
+            setup.disturbances(rng_disturbances) if setup.disturbances else (),
+            setup.panels(rng_panels) if setup.panels else (),
+            self.across,
+        )
+
+    def displacement(self, setup: GnssSetup) -> TimeSeries:
+        """Displacement in m as stored, with its gaps; NaN where no number is written."""
+        whole = setup.sensor.measure(self.motion, (0.0, self.scenario.duration_s), rng=self.rng_sensor)
+        return with_gaps(whole, absent=setup.absent, unread=setup.unread)
+
+    def radar_run(self, setup: RadarSetup) -> RadarRun:
+        """The radar on the moving structure."""
+        return RadarRun(setup, self.motion, self.scenario.duration_s, self.rng_radar)
+
+    def day_run(self, setup: DaySetup) -> DayRun:
+        """A camera and a thermal camera on the moving structure, by day and by night."""
+        return DayRun(setup, self.motion, self.scenario.duration_s, self.rng_sensor)
+
+    def zero_m(self, motion: Motion | None = None) -> float:
+        """The true displacement in m at the zero of the results: the first frame, else the sensor's own zero."""
+        camera, radar = self.scenario.camera, self.scenario.radar
+        if camera is not None:
+            first = self.frame_stamps_s(camera)[:1] + camera.time_offset_s
+        elif radar is not None:
+            first = np.array([radar.first_s])
+        elif self.scenario.day is not None:
+            first = np.array([self.scenario.day.first_s])
+        else:
+            return 0.0
+        return float((motion or self.motion).displacement(first)[0])
+
+    def truth_mm(self, motion: Motion | None = None) -> Floats:
+        """Rows (n, 3) of time in s, displacement in mm from the zero, velocity in mm/s, at every sampling instant.
+
+        motion: another one than the main, that across.
+        """
+        motion = motion or self.motion
+        rate = self.accelerometer.rate_hz
+        time = np.arange(round(self.scenario.duration_s * rate)) / rate
+        moved = motion.displacement(time) - self.zero_m(motion)
+        return np.stack([time, 1e3 * moved, 1e3 * motion.velocity(time)], axis=1)
+
+
+def stage(scenario: Scenario, seed: int) -> Stage:
+    """The scenario with everything random drawn from `seed`; the same seed gives the same recording."""
+    rng_motion, rng_accelerometer, rng_scene, rng_sensor, rng_other = np.random.default_rng(seed).spawn(5)
+    rng_across, rng_motion_across, rng_radar = rng_other.spawn(3)
+    motion = scenario.motion(rng_motion)
+    accelerometer = scenario.accelerometer
+    if scenario.snr_db is not None:
+        time = np.arange(round(scenario.duration_s * accelerometer.rate_hz)) / accelerometer.rate_hz
+        noise = noise_std_for(motion.acceleration(time), scenario.snr_db)
+        accelerometer = replace(accelerometer, noise_std_m_s2=noise)
+    across = None if scenario.across is None else scenario.across(rng_motion_across)
+    generators = (rng_accelerometer, rng_scene, rng_sensor, rng_across, rng_radar)
+    return Stage(scenario, motion, accelerometer, *generators, across)
+
+
+def pixel_bound(scenario: Scenario, region: Region | None = None, *, seed: int = 0) -> tuple[float, float]:
+    """Cramér-Rao bound (x, y) in px of one frame of the scenario's camera, in `region` or the whole picture."""
+    if scenario.camera is None:
+        return (np.nan, np.nan)
+    view = stage(scenario, seed).view(scenario.camera)
+    return cramer_rao_std_px(view.scene, view.camera, region=region)
+
+
+def within(time_s: Floats, spans: tuple[Span, ...]) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+    """Which of the times (n,) lie in one of the half-open spans, all in s."""
+    inside = np.zeros(len(time_s), dtype=np.bool_)
+    for start, end in spans:
+        inside |= (time_s >= start) & (time_s < end)
+    return inside
+
+
+def with_gaps(series: TimeSeries, *, absent: tuple[Span, ...], unread: tuple[Span, ...]) -> TimeSeries:
+    """The series without its rows in `absent`, and with NaN for the values in `unread`."""
+    time = series.time_ns / 1e9
+    value = np.where(within(time, unread), np.nan, series.value)
+    kept = ~within(time, absent)
+    return replace(series, time_ns=series.time_ns[kept], value=value[kept])

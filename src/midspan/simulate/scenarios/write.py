@@ -1,0 +1,160 @@
+"""How the recording of a scenario is written: each sensor's file, the truth, and what an estimate should find."""
+
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from midspan.checks import option
+from midspan.records import Floats
+from midspan.simulate.files.folder import MARK, check_free, exact_in_video, whole_folder, write_table, write_video
+from midspan.simulate.scenarios.stage import CameraSetup, GnssSetup, Stage, stage, within
+from midspan.simulate.scenarios.table import SCENARIOS
+from midspan.simulate.scene.camera import Pixels, cramer_rao_std_px
+
+Progress = Callable[[int, int], None]
+
+
+def write(name: str, folder: str | Path, *, seed: int = 0, progress: Progress | None = None) -> Path:
+    """Write the recording of scenario `name`, one of NAMES, into `folder`, and return the folder.
+
+    It holds recording.toml, accel.csv, the other sensors' files, truth.csv (accelerometer's clock; zero at the first
+    frame) and known.json (what an estimate should find). The same `seed` gives the same files. `progress` is called
+    with frames done and frames in all. Raises UsageError for an unknown name, or a folder with other content.
+    """
+    option("scenario", name, SCENARIOS)
+    target = Path(folder).resolve()
+    check_free(target)
+    staged = stage(SCENARIOS[name], seed)
+    with whole_folder(target) as partial:
+        _write_acceleration(partial, staged)
+        known = {
+            "written_by": "midspan simulate",
+            "scenario": name,
+            "seed": seed,
+            "accelerometer": _known_noise(staged),
+        }
+        if staged.scenario.camera is not None:
+            known["camera"] = _write_camera(
+                partial, staged, staged.scenario.camera, progress or (lambda done, total: None)
+            )
+        if staged.scenario.gnss is not None:
+            known["displacement"] = _write_gnss(partial, staged, staged.scenario.gnss)
+        if staged.scenario.radar is not None:
+            run = staged.radar_run(staged.scenario.radar)
+            known["radar"] = run.write(partial, progress or (lambda done, total: None))
+        if staged.scenario.day is not None:
+            known |= staged.day_run(staged.scenario.day).write(partial, progress or (lambda done, total: None))
+        _write_truth(partial, staged)
+        _write_settings(partial, staged)
+        (partial / MARK).write_text(json.dumps(known, indent=2) + "\n", encoding="utf-8")
+    return target
+
+
+def _known_noise(staged: Stage) -> dict[str, float]:
+    return {
+        "noise_std_m_s2": staged.accelerometer.noise_std_m_s2,
+        "bias_m_s2": staged.accelerometer.bias_m_s2,
+    }
+
+
+def _write_acceleration(folder: Path, staged: Stage) -> None:
+    series = staged.acceleration()
+    columns = {"time_s": series.time_ns / 1e9, "accel": series.value}
+    if staged.across is not None and staged.scenario.camera is not None:
+        main = staged.scenario.camera.direction
+        columns[f"accel_{main}"] = columns.pop("accel")
+        columns[f"accel_{_other(main)}"] = staged.acceleration_across().value
+    write_table(folder / "accel.csv", columns, decimals=dict.fromkeys(columns, 7) | {"time_s": 6})
+
+
+def _other(axis: str) -> str:
+    return "x" if axis == "y" else "y"
+
+
+def _write_truth(folder: Path, staged: Stage) -> None:
+    time, displacement, velocity = staged.truth_mm().T
+    columns = {"time_s": time, "displacement_mm": displacement, "velocity_mm_s": velocity}
+    decimals = {"time_s": 6, "displacement_mm": 7, "velocity_mm_s": 6}
+    if staged.across is not None and staged.scenario.camera is not None:
+        axis = _other(staged.scenario.camera.direction)
+        names = (f"displacement_{axis}_mm", f"velocity_{axis}_mm_s")
+        columns |= dict(zip(names, staged.truth_mm(staged.across).T[1:], strict=True))
+        decimals |= {names[0]: 7, names[1]: 6}
+    write_table(folder / "truth.csv", columns, decimals=decimals)
+
+
+def _write_gnss(folder: Path, staged: Stage, setup: GnssSetup) -> dict[str, float]:
+    series = staged.displacement(setup)
+    columns = {"time_s": series.time_ns / 1e9, "height": 1e3 * series.value}
+    write_table(folder / "gnss.csv", columns, decimals={"time_s": 6, "height": 4})
+    return {"noise_std_mm": 1e3 * setup.sensor.noise_std_m, "time_offset_s": setup.sensor.time_offset_s}
+
+
+def _write_camera(folder: Path, staged: Stage, setup: CameraSetup, progress: Progress) -> dict[str, Any]:
+    stamps = staged.frame_stamps_s(setup)
+    view = staged.view(setup)
+    true_times = stamps + setup.time_offset_s
+    frames = darkened(view.film(staged.motion, true_times, rng=staged.rng_sensor), within(true_times, setup.black))
+    write_video(
+        folder / "camera.mkv",
+        frames,
+        stamps_s=stamps,
+        rate_hz=setup.rate_hz,
+        done=lambda count: progress(count, len(stamps)),
+    )
+    if not exact_in_video(stamps):
+        write_table(folder / "camera_times.csv", {"time_s": stamps}, decimals={"time_s": 9})
+    x_px, y_px = cramer_rao_std_px(view.scene, view.camera)
+    return {
+        "scale_mm_per_px": setup.scale_mm_per_px,
+        "time_offset_s": setup.time_offset_s,
+        "cramer_rao_std_px": {"x": x_px, "y": y_px},
+        "cramer_rao_region": [0, 0, view.scene.columns, view.scene.rows],
+    }
+
+
+def darkened(frames: Iterator[Pixels], dark: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> Iterator[Pixels]:
+    """The frames in their order, those marked in `dark` (n,) all black."""
+    for pixels, black in zip(frames, dark, strict=True):
+        yield np.zeros_like(pixels) if black else pixels
+
+
+def _write_settings(folder: Path, staged: Stage) -> None:
+    import tomli_w
+
+    scenario = staged.scenario
+    accelerometer = {"file": "accel.csv", "time": "time_s", "value": "accel", "unit": "m/s^2"}
+    settings: dict[str, Any] = {"name": scenario.title, "accelerometer": accelerometer}
+    if scenario.camera is not None:
+        settings["camera"] = _camera_settings(scenario.camera, staged.frame_stamps_s(scenario.camera))
+        if staged.across is not None:
+            accelerometer.pop("value")
+            settings["accelerometer"] = {**accelerometer, "value_x": "accel_x", "value_y": "accel_y"}
+            settings["camera"]["direction"] = "xy"
+    if scenario.gnss is not None:
+        settings["displacement"] = {"file": "gnss.csv", "time": "time_s", "value": "height", "unit": "mm"}
+    if scenario.radar is not None:
+        settings["radar"] = scenario.radar.settings()
+    if scenario.day is not None:
+        settings |= scenario.day.settings(scenario.duration_s)
+    if scenario.window_s is not None:
+        settings["calibration"] = {"window_s": list(scenario.window_s)}
+    settings["reference"] = {"file": "truth.csv", "time": "time_s", "value": "displacement_mm", "unit": "mm"}
+    (folder / "recording.toml").write_text(tomli_w.dumps(settings), encoding="utf-8")
+
+
+def _camera_settings(setup: CameraSetup, stamps_s: Floats) -> dict[str, Any]:
+    settings: dict[str, Any] = {"file": "camera.mkv"}
+    if not exact_in_video(stamps_s):
+        settings["times"] = "camera_times.csv"
+    settings |= {"rate_hz": setup.rate_hz, "direction": setup.direction, "exposure_s": setup.camera.exposure_s}
+    if setup.every > 1:
+        settings["every"] = setup.every
+    if setup.camera.readout_s > 0:
+        settings["readout_s"] = setup.camera.readout_s
+    if setup.targets:
+        settings["target"] = [{"name": name, "roi": [r.x, r.y, r.width, r.height]} for name, r in setup.targets]
+    return settings

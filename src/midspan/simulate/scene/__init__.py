@@ -1,0 +1,1 @@
+"""What a camera or a thermal camera sees: textures, light, panels, things in front, noise."""

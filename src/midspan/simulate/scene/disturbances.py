@@ -1,0 +1,85 @@
+"""What moves in a picture although the structure does not: a car that passes, foliage that flickers."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from midspan.records import Floats, Region
+from midspan.simulate.scene.scene import Image
+
+
+class Disturbance(Protocol):
+    """Something that changes a picture of mean DN at a moment."""
+
+    def disturb(self, image: Image, time_s: float) -> None:
+        """Change `image` (rows, columns) of mean DN in place, as it is at `time_s`."""
+
+
+@dataclass(frozen=True, slots=True)
+class Car:
+    """A striped box that passes from left to right again and again, `speed_px_s`, once every `period_s`.
+
+    Its top edge is at row `top_px`; `height_px` and `width_px` are its size, `tone_dn` its mean brightness.
+    """
+
+    top_px: int
+    height_px: int = 24
+    width_px: int = 60
+    speed_px_s: float = 80.0
+    period_s: float = 11.0
+    tone_dn: float = 70.0
+
+    def disturb(self, image: Image, time_s: float) -> None:
+        """Paint the car over `image`; an edge between two pixels covers its part of the pixel."""
+        left = (time_s % self.period_s) * self.speed_px_s - self.width_px
+        column = np.arange(image.shape[1])
+        cover = np.clip(column + 0.5 - left, 0, 1) - np.clip(column + 0.5 - (left + self.width_px), 0, 1)
+        # The stripes move with the car; their period of 7 px is far below the sampling limit.
+        tone = self.tone_dn + 35 * np.sin(2 * np.pi * (column - left) / 7.0)
+        rows = image[self.top_px : self.top_px + self.height_px]
+        rows += ((tone - rows) * cover).astype(np.float32)
+
+
+class Water:
+    """Ripples in `region`: waves of `std_dn` and some pixels' length that run over it in all directions."""
+
+    __slots__ = ("amplitude_dn", "angle", "region", "speed_rad_s")
+
+    def __init__(self, region: Region, *, std_dn: float, rng: np.random.Generator, count: int = 12) -> None:
+        self.region = region
+        length_px, heading = rng.uniform(3.0, 14.0, count), rng.uniform(0, 2 * np.pi, count)
+        y, x = np.mgrid[0 : region.height, 0 : region.width]
+        across = x[None] * np.cos(heading)[:, None, None] + y[None] * np.sin(heading)[:, None, None]
+        self.angle = 2 * np.pi * (across / length_px[:, None, None] + rng.uniform(0, 1, count)[:, None, None])
+        # Waves on deep water: short ones are slower, the frequency falls with the root of the length.
+        self.speed_rad_s: Floats = 2 * np.pi * 3.0 / np.sqrt(length_px)
+        self.amplitude_dn = std_dn * np.sqrt(2 / count)
+
+    def disturb(self, image: Image, time_s: float) -> None:
+        """Paint the water of the moment, which hides what is behind it."""
+        r = self.region
+        waves = self.amplitude_dn * np.sin(self.angle - (self.speed_rad_s * time_s)[:, None, None]).sum(axis=0)
+        image[r.y : r.y + r.height, r.x : r.x + r.width] = (110.0 + waves).astype(np.float32)
+
+
+class Foliage:
+    """Leaves in the wind: smooth patterns of `std_dn` in `region` that swing at 0.4 to 3 Hz, each on its own."""
+
+    __slots__ = ("frequency_hz", "patterns", "phase_rad", "region")
+
+    def __init__(self, region: Region, *, std_dn: float, rng: np.random.Generator, count: int = 6) -> None:
+        from scipy.ndimage import gaussian_filter
+
+        self.region = region
+        fields = [gaussian_filter(rng.standard_normal((region.height, region.width)), 1.5) for _ in range(count)]
+        # Half of each sine's power and `count` patterns: the sum then has the standard deviation that was asked for.
+        self.patterns = np.array([f * (std_dn * np.sqrt(2 / count) / f.std()) for f in fields])
+        self.frequency_hz: Floats = rng.uniform(0.4, 3.0, count)
+        self.phase_rad: Floats = rng.uniform(0, 2 * np.pi, count)
+
+    def disturb(self, image: Image, time_s: float) -> None:
+        """Add the pattern of the moment to the region of `image`."""
+        swing = np.sin(2 * np.pi * self.frequency_hz * time_s + self.phase_rad)
+        r = self.region
+        image[r.y : r.y + r.height, r.x : r.x + r.width] += np.tensordot(swing, self.patterns, 1).astype(np.float32)

@@ -1,0 +1,162 @@
+"""What the key-frame tracker keeps: key frames, where they lie, a hand-over, what one of them says of a frame."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from statistics import median
+from typing import Any
+
+import numpy as np
+
+from midspan.records import Floats, Frame, PixelTranslation, Region, Status
+from midspan.vision.reference.cover import ALL_SEEN, Cells
+from midspan.vision.spline import Floats32
+from midspan.vision.tracker import Tracker
+
+
+@dataclass(slots=True)
+class KeyFrame:
+    """A key frame, the tracker that follows from it, and how strong it usually is; `picture`: the mean of the first
+    frames after it, laid over each other, and how much farther on (2,) px it is to be read; `hidden` (cells,): where
+    something stood in front.
+    """
+
+    frame: Frame
+    region: Region
+    tracker: Tracker
+    at_rest: Any
+    strengths: list[float] = field(default_factory=list)
+    picture: Floats32 | None = None
+    offset: Floats = field(default_factory=lambda: np.zeros(2))
+    hidden: Cells = field(default_factory=lambda: ALL_SEEN)
+
+    @property
+    def usual(self) -> float:
+        """Median strength in the first frames after it, 0 while there are none."""
+        return median(self.strengths) if self.strengths else 0.0
+
+
+@dataclass(slots=True)
+class Overlap:
+    """Frames that make the picture of the key frame `to`: how many so far, their windows; `new`: it is tracked beside
+    the one in use, to take over from it, and `places` (2,) px are where each frame says that it lies;
+    `hidden` (cells,): where something stands in front in one of them.
+    """
+
+    to: int
+    new: bool
+    frames: int = 0
+    windows: list[Floats32] = field(default_factory=list)
+    places: list[Floats] = field(default_factory=list)
+    hidden: Cells = field(default_factory=lambda: ALL_SEEN)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Chain:
+    """Places (frames, 2) in px from the first frame, which is exact; covariances (2, frames, frames) in px²."""
+
+    place: Floats
+    covariance: Floats
+
+    def __len__(self) -> int:
+        return len(self.place)
+
+    def variance(self, frame: int) -> Floats:
+        """Variances (2,) of a frame's place, px²."""
+        return self.covariance[:, frame, frame].copy()
+
+    def extended(self, place: Floats, variance: Floats) -> "Chain":
+        """With one more frame at `place` (2,) px with its variance (2,) in px²."""
+        count = len(self)
+        covariance = np.zeros((2, count + 1, count + 1))
+        covariance[:, :count, :count] = self.covariance
+        covariance[:, count, count] = variance
+        return Chain(np.vstack([self.place, place]), covariance)
+
+    def without(self, frame: int) -> "Chain":
+        """Without a frame."""
+        covariance = np.delete(np.delete(self.covariance, frame, axis=1), frame, axis=2)
+        return Chain(np.delete(self.place, frame, axis=0), covariance)
+
+    def changed(self, frame: int, place: Floats, variance: Floats) -> "Chain":
+        """With one frame at another place (2,) px, known to a variance (2,) in px² by itself."""
+        moved, covariance = self.place.copy(), self.covariance.copy()
+        moved[frame] = place
+        covariance[:, frame, :] = covariance[:, :, frame] = 0.0
+        covariance[:, frame, frame] = variance
+        return Chain(moved, covariance)
+
+
+def first_chain() -> Chain:
+    """The chain of the first frame alone."""
+    return Chain(np.zeros((1, 2)), np.zeros((2, 1, 1)))
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """What one key frame says of a frame: its tracker's translation and strength."""
+
+    found: PixelTranslation
+    strength: float
+
+    @property
+    def place(self) -> Floats:
+        """Translation (2,) from the key frame, px."""
+        return np.array([self.found.x_px, self.found.y_px])
+
+    @property
+    def variance(self) -> Floats:
+        """Variances (2,), px²."""
+        return np.array([self.found.variance_x_px2, self.found.variance_y_px2])
+
+
+def unmoved(frame: Frame) -> Seen:
+    """What a key frame says of itself: no translation, without error."""
+    return Seen(PixelTranslation(frame.time_ns, 0.0, 0.0, 0.0, 0.0, 1.0, Status.TRACKING), math.nan)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KeyFrameState:
+    """What the tracker remembers, for `restore` of a tracker of the same first frame, region and settings."""
+
+    keys: tuple[tuple[Any, ...], ...]
+    chain: Chain
+    current: int
+    health: tuple[float, ...]
+    last: tuple[Frame, Floats, Floats] | None
+    overlap: tuple[Any, ...] | None
+    carried: Floats
+    expected: Floats32 | None
+    hidden: Cells
+    since_ns: int | None
+    likeness: float
+    lately: tuple[Floats, int]
+    recent: tuple[Floats, ...]
+    frames: int
+    made: int
+
+
+def crowded(keys: Sequence[KeyFrame], used: int) -> int:
+    """The key frame, not the first nor the one in use, whose neighbours in time are nearest to each other."""
+    times = [key.frame.time_ns for key in keys]
+    inner = [k for k in range(1, len(times)) if k != used]
+    return min(inner, key=lambda k: times[min(k + 1, len(times) - 1)] - times[k - 1])
+
+
+def nearest(number: int, keys: Sequence[KeyFrame], most: int) -> list[int]:
+    """Up to `most` key frames besides one that show all of the target: those made next to it, and the first."""
+    whole = [k for k, key in enumerate(keys) if k != number and not key.hidden.any()]
+    others = sorted(whole, key=lambda k: (abs(k - number), -k))
+    chosen = others[:most]
+    return chosen if 0 in chosen or number == 0 else [*chosen[:-1], 0]
+
+
+def clear_share(windows: Sequence[Floats32]) -> float:
+    """Share of the windows' contrast, squared, that they have in common, 0 to 1; 1 where there are too few to tell."""
+    if len(windows) < 2:
+        return 1.0
+    stack = np.stack(windows).astype(np.float64)
+    stack -= stack.mean(axis=(1, 2), keepdims=True)
+    own = float(np.mean(np.var(stack, axis=0, ddof=1)))
+    whole = float(np.mean(stack**2))
+    return 1.0 - own / whole if whole > 0.0 else 0.0

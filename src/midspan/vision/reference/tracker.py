@@ -1,0 +1,393 @@
+"""Key frames: reference frames that overlap, stay in use together, and lead back to the first.
+
+A new key frame begins early, while the old one still matches well, and takes over as the one that the target is looked
+for with. Once there are two, the translation is measured against all of them at once: each is a picture of the target
+under its light, and a frame under another light is nearly a mix of them (`light`). Where the pictures lie to each other
+follows from the same thought (`alignment`), anew with each that is added. Now and then earlier key frames are tried,
+the first among them, and used again where they match again.
+
+Something in front of the target is no light: it hides cells of it from one frame to the next (`cover`). While it is
+there the target is measured by the rest; where light goes on changing, key frames are made of the rest alone.
+"""
+
+from dataclasses import replace
+from statistics import fmean
+
+import numpy as np
+
+from midspan.errors import UsageError
+from midspan.records import Event, Floats, Frame, PixelTranslation, Prediction, Status
+from midspan.vision.reference.cover import ALL_SEEN, LATELY, PALING, Uncovered, completed, likeness, uncovered
+from midspan.vision.reference.keys import KeyFrames
+from midspan.vision.reference.keys import KeyFrameSettings as KeyFrameSettings
+from midspan.vision.reference.light import Sight, inside, placed, sight
+from midspan.vision.reference.pictures import LEAST_SHOWN
+from midspan.vision.reference.records import (
+    Overlap,
+    Seen,
+    nearest,
+    unmoved,
+)
+from midspan.vision.reference.strength import share_lost
+from midspan.vision.region import check_size
+from midspan.vision.target import lost
+
+USUAL_FRAMES = 5  # frames after a key frame whose strength is its usual one
+HEALTH_FRAMES = 5  # frames that the strength is averaged over
+REACH_SHARE = 0.1  # of the region's side: how sure the last place is for a tracker that is new to the frame
+NEAR_PX = 1.5  # of where the target must be: what a key frame finds beyond is another thing
+ANYWHERE_TURNS = 20  # every so many tries the first frame is looked for everywhere
+LEAST_SEEN = 0.35  # share of the target that must be seen to learn from it
+SCATTERED = 2.0  # standard deviations of the strength that say nothing
+WEAK = 0.95  # share of the usual strength below which a single picture is looked at for a thing in front
+TURNED = 0.8  # share of the usual strength below which temperatures are looked at with bright and dark exchanged
+LINK_PX = 0.5  # how well a frame's place must be known to go on from it without overlap
+LINK_FRAMES = 5  # frames that may have been lost since
+
+
+Told = tuple[PixelTranslation, Sight | None, float]  # a result, the frame as seen, its strength
+
+
+class KeyFrameTracker(KeyFrames):
+    """Follows a target through changing light; see `midspan.vision.tracker.Tracker` for its interface.
+
+    `take_events` tells of key frames, of returns, and of things that come in front of the target and go.
+    """
+
+    def push(self, frame: Frame, prediction: Prediction | None = None) -> PixelTranslation:
+        """Measure the translation (px) since the first frame in `frame`; LOST with NaN where no key frame is found."""
+        check_size(frame, self.reference)
+        self._frames += 1
+        told = self._remembered(frame, prediction, front=False) if self._hidden.any() else None
+        told = told or self._result(frame, self._look(self._current, frame, prediction))
+        told = told or self._remembered(frame, prediction, front=True)
+        told = self._turned(frame, prediction, 0.0 if told is None else told[2]) or told
+        if told is None:
+            self._ended_early()
+            told = self._recovered(frame, prediction) or self._remembered(frame, prediction, front=False)
+        if told is None:
+            self._recent, self._lately = [], (self._lately[0], frame.time_ns)
+            return lost(frame.time_ns)
+        result, view, strength_now = told
+        self._front(frame)
+        place = np.array([result.x_px, result.y_px])
+        if not self._hidden.any():
+            self._counted(strength_now)
+            self._last = (frame, place, np.array([result.variance_x_px2, result.variance_y_px2]))
+        self._compare(frame, result, view)
+        self._recent = [*self._recent, place][-2:]
+        return result
+
+    def _remembered(self, frame: Frame, prediction: Prediction | None, *, front: bool) -> Told | None:
+        """The result from where the target must be by now, where its key frame does not find it; `front`: only if
+        something stands in front.
+        """
+        if not self._recent or self._pictures is None or self.settings.heat:
+            return None
+        if prediction is not None:
+            return self._remembered_at(frame, np.array([prediction.x_px, prediction.y_px]), front=front)
+        onward = 2.0 * self._recent[-1] - self._recent[0]
+        told = self._remembered_at(frame, onward, front=front) if len(self._recent) > 1 else None
+        return told or self._remembered_at(frame, self._recent[-1], front=front)
+
+    def _remembered_at(self, frame: Frame, place: Floats, *, front: bool) -> Told | None:
+        """The result with the target looked for at `place` (2,) px from the first frame."""
+        x, y = (float(v) for v in place)
+        seen = self._look(self._current, frame, Prediction(x, y, 1.0, 1.0))
+        off = self._chain.place[self._current] + seen.place - place
+        lost_it = seen.found.status is not Status.TRACKING or float(np.abs(off).max()) > NEAR_PX
+        # The key frame may follow what stands in front: it only says how strong the target is.
+        unsure = self.settings.light_px**2
+        x, y = (float(v) for v in place - self._chain.place[self._current])
+        found = PixelTranslation(frame.time_ns, x, y, unsure, unsure, seen.found.quality, Status.TRACKING)
+        seen = Seen(found, 0.0 if lost_it else seen.strength)
+        before = self._hidden, self._doubtful, self._expected, self._carried, self._lately
+        told = self._result(frame, seen, remembered=True)
+        if told is None or (front and not self._hidden.any()):
+            self._hidden, self._doubtful, self._expected, self._carried, self._lately = before
+            return None
+        return told
+
+    def _counted(self, strength_now: float) -> None:
+        """The strength of a frame that shows all of the target."""
+        key = self._keys[self._current]
+        if len(key.strengths) < USUAL_FRAMES:
+            key.strengths.append(strength_now)
+        self._health = [*self._health, strength_now][-HEALTH_FRAMES:]
+
+    def _front(self, frame: Frame) -> None:
+        """Tell when something comes in front of the target and when it has gone; nothing is learnt meanwhile."""
+        share = float(self._hidden.mean())
+        if share > 0.0 and self._since_ns is None:
+            self._since_ns = frame.time_ns
+            text = f"something in front of the target hides {100.0 * share:.0f} % of it"
+            self._events.append(Event(frame.time_ns, "hidden", text))
+            if self._overlap is not None:
+                self._finish(self._overlap, frame)
+        elif share == 0.0 and self._since_ns is not None:
+            text = f"all of the target is seen again after {(frame.time_ns - self._since_ns) / 1e9:.1f} s"
+            self._events.append(Event(frame.time_ns, "seen", text))
+            self._since_ns = None
+
+    def _result(self, frame: Frame, seen: Seen, *, remembered: bool = False) -> Told | None:
+        """Translation since the first frame, by the mix of all pictures where there is one, the frame as seen, and how
+        strong it is; None where the target is not there.
+
+        Its variance holds those of the key frames' places and of what light may do.
+        """
+        if seen.found.status is not Status.TRACKING:
+            return None
+        place = self._chain.place[self._current] + seen.place
+        variance = self._chain.variance(self._current) + seen.variance
+        usual = self._keys[self._current].usual
+        view, together = self._looked_at(frame, place, weak=seen.strength < WEAK * usual)
+        known = self._pictures
+        found = None if together is None else together.found
+        if remembered and found is None:
+            return None
+        if together is not None:
+            if together.absent:
+                return None
+            self._hidden, self._doubtful = together.hidden, together.doubtful
+        if found is not None and known is not None:
+            self._expected = found.expected
+            if known.several or remembered or self._hidden.any():
+                # What a new picture corrects comes in little by little, not as a step.
+                self._carried = (1.0 - 0.5 / self.settings.overlap_frames) * self._carried
+                place, variance = found.place + self._carried, known.variance(self._chain, found) + self._carried**2
+        self._own = seen.variance
+        recent = [seen.strength] if self._hidden.any() else [*self._health, seen.strength][-HEALTH_FRAMES:]
+        gone = share_lost(fmean(recent), usual) if usual > 0.0 else 0.0
+        mixed = found is not None and known is not None and known.several
+        variance = variance + self.settings.light_px**2 * (gone**2 if mixed else self._shifted(gone))
+        result = replace(
+            seen.found,
+            x_px=float(place[0]),
+            y_px=float(place[1]),
+            variance_x_px2=float(variance[0]),
+            variance_y_px2=float(variance[1]),
+        )
+        return result, view, seen.strength
+
+    def _shifted(self, gone: float) -> float:
+        """Share of strength lost, less its scatter: what goes with the square of a shift, if all of it is shading that
+        moves as the target would.
+        """
+        strengths = self._keys[self._current].strengths
+        scatter = SCATTERED * float(np.std(strengths)) / max(fmean(strengths), 1e-12) if len(strengths) > 1 else 0.0
+        return max(gone - scatter, 0.0)
+
+    def _looked_at(self, frame: Frame, place: Floats, *, weak: bool) -> tuple[Sight | None, Uncovered | None]:
+        """The frame around the target and where it lies by the pictures; these are not asked without need."""
+        known = self._pictures
+        asked = known is not None and (known.several or weak or bool(self._hidden.any()))
+        if not asked:
+            self._lately = LATELY, frame.time_ns
+        if not asked and self._overlap is None:
+            return None, None
+        view = sight(frame.pixels, self.region, place)
+        if known is None or not asked or view is None or self._expected is None:
+            return view, None
+        if self.settings.heat:
+            return view, Uncovered(placed(known.mix, view, place), ALL_SEEN, ALL_SEEN)
+        best, then = self._lately
+        best = best - PALING * (frame.time_ns - then) / 1e9
+        told = uncovered(known.mix, view, place, (self._expected, self._hidden, best))
+        if told.found is not None and not told.absent:
+            agreed = np.where(told.hidden, 1.0, told.found.agreement)
+            self._lately = np.maximum(best, agreed), frame.time_ns
+        else:
+            self._lately = self._lately[0], frame.time_ns
+        return view, told
+
+    def _recovered(self, frame: Frame, prediction: Prediction | None) -> Told | None:
+        """The frame by another key frame, else by the last one that was tracked, which then becomes one."""
+        if prediction is None and self._last is not None:
+            x, y = (float(v) for v in self._last[1])
+            reach = REACH_SHARE * min(self.region.width, self.region.height)
+            prediction = Prediction(x, y, reach, reach)
+        for number in nearest(self._current, self._keys, self.settings.related):
+            told = self._tried_on(number, frame, self._afresh(number, frame, prediction))
+            if told is not None:
+                self._switch(number, frame, "the key frame in use was lost")
+                return told
+        if self._last is None or self._hidden.any() or self._last[0] is self._keys[self._current].frame:
+            return None
+        before, place, variance = self._last
+        if variance.max() > LINK_PX**2 or frame.index - before.index > LINK_FRAMES:
+            return None
+        try:
+            number = self._added(before, place, variance + self.settings.link_floor_px**2)
+        except UsageError:
+            return None
+        told = self._tried_on(number, frame, self._look(number, frame, prediction))
+        if told is None:
+            self._dropped(number)
+            return None
+        self._made += 1
+        self._switch(number, frame, "new key frame without overlap: the one in use was lost")
+        self._overlap = Overlap(number, new=False)
+        return told
+
+    def _turned(self, frame: Frame, prediction: Prediction | None, strength_now: float) -> Told | None:
+        """The result by temperatures with bright and dark exchanged, where these fit better: a new key frame.
+
+        What was warmer than the rest by day may be colder by night.
+        """
+        usual = self._keys[self._current].usual
+        if not self.settings.heat or strength_now >= TURNED * usual:
+            return None
+        other = Frame(frame.time_ns, -np.asarray(frame.pixels, dtype=np.float32), frame.index)
+        best, found = strength_now, None
+        numbers = [self._current, *nearest(self._current, self._keys, self.settings.related)]
+        for number in numbers if strength_now == 0.0 else numbers[:1]:
+            tracker = self._keys[number].tracker
+            before = tracker.state
+            seen = self._afresh(number, other, prediction)
+            tracker.restore(before)
+            if seen.found.status is Status.TRACKING and seen.strength > best:
+                best, found = seen.strength, (number, seen)
+        if found is None:
+            return None
+        number, seen = found
+        variance = self._chain.variance(number) + seen.variance + self.settings.link_floor_px**2
+        self._ended_early()
+        try:
+            number = self._added(frame, self._chain.place[number] + seen.place, variance)
+        except UsageError:
+            return None
+        told = self._tried_on(number, frame, unmoved(frame))
+        if told is None:
+            self._dropped(number)
+            return None
+        self._made += 1
+        self._switch(number, frame, "bright and dark have changed places")
+        self._overlap = Overlap(number, new=False)
+        return told
+
+    def _tried_on(self, number: int, frame: Frame, seen: Seen) -> Told | None:
+        """The result by a key frame that is not in use."""
+        used, self._current = self._current, number
+        told = self._result(frame, seen)
+        self._current = used
+        return told
+
+    def _compare(self, frame: Frame, result: PixelTranslation, view: Sight | None) -> None:
+        """Go on with an overlap, or begin one with a new key frame; without one, try an earlier key frame."""
+        here = Prediction(result.x_px, result.y_px, 1.0, 1.0)
+        place = np.array([result.x_px, result.y_px])
+        if self._overlap is None:
+            self._overlap = self._begun(frame, result, self._paled(view, place))
+            view = view or (sight(frame.pixels, self.region, place) if self._overlap else None)
+        lap = self._overlap
+        if lap is None:
+            if not self._hidden.any():
+                self._tried(frame, here)
+            return
+        lap.frames += 1
+        window = None if view is None else view.window(place)
+        if window is not None:
+            if self._hidden.any() and self._pictures is not None and self._expected is not None:
+                window = completed(window, self._expected, self._pictures.mix.cell, self._doubtful)
+                lap.hidden = lap.hidden | self._doubtful
+            lap.windows.append(window)
+        if lap.new and not lap.hidden.any():
+            key = self._keys[lap.to]
+            target = unmoved(frame) if frame is key.frame else self._look(lap.to, frame, here)
+            if target.found.status is Status.TRACKING:
+                lap.places.append(place - target.place)
+                if frame is not key.frame and len(key.strengths) < USUAL_FRAMES:
+                    key.strengths.append(target.strength)
+        if lap.frames >= self.settings.overlap_frames:
+            self._finish(lap, frame)
+            again = (
+                placed(self._pictures.mix, view, place) if self._pictures and self._pictures.several and view else None
+            )
+            self._carried = self._carried if again is None else place - again.place
+
+    def _paled(self, view: Sight | None, place: Floats) -> bool:
+        """Whether light has changed the target: by the strength or, where something stands in front, by the rest."""
+        usual = self._keys[self._current].usual
+        share = fmean(self._health) / usual if self._health and usual > 0.0 else 1.0
+        if not self._hidden.any() or self._pictures is None:
+            self._likeness = 0.0
+            return share < self.settings.renew_share
+        window = None if view is None else view.window(place)
+        seen_share = float(np.mean(~self._hidden)), float(np.mean(~self._doubtful))
+        if window is None or seen_share[0] < LEAST_SEEN or seen_share[1] < LEAST_SHOWN:
+            return False
+        alike = likeness(self._pictures.mix, inside(window), self._doubtful)
+        if self._likeness == 0.0:
+            self._likeness = min(alike / max(share, self.settings.renew_share), 1.0)
+        elif self._likeness < 0.0:
+            self._likeness = alike
+        # The middle cell loses three quarters of what the whole loses.
+        return alike < (1.0 - 0.75 * (1.0 - self.settings.renew_share)) * self._likeness
+
+    def _begun(self, frame: Frame, result: PixelTranslation, paled: bool) -> Overlap | None:
+        """A new key frame where light has changed the target."""
+        if not paled:
+            return None if self._keys[self._current].picture is not None else Overlap(self._current, new=False)
+        variance = np.array([result.variance_x_px2, result.variance_y_px2])
+        try:
+            number = self._added(frame, np.array([result.x_px, result.y_px]), variance)
+        except UsageError:  # too little texture is left for a reference
+            return None
+        return Overlap(number, new=True, hidden=self._doubtful)
+
+    def _tried(self, frame: Frame, here: Prediction) -> None:
+        """Now and then: back to an earlier key frame that is better known and matches again."""
+        if self._current == 0 or self._frames % self.settings.try_every:
+            return
+        turn = self._frames // self.settings.try_every
+        anywhere = turn % ANYWHERE_TURNS == 0
+        # Every other try is for the first frame, the rest for the others in turn.
+        number = 0 if turn % 2 == 0 else (turn // 2) % len(self._keys)
+        if self._keys[number].hidden.any() or (self._unlike(number) and not anywhere):
+            return
+        if self._chain.variance(number).sum() >= self._chain.variance(self._current).sum():
+            return
+        tried = self._afresh(number, frame, None if anywhere else here)
+        usual = self._keys[number].usual
+        if tried.found.status is not Status.TRACKING or tried.strength < self.settings.return_share * usual:
+            return
+        off = float(np.abs(self._chain.place[number] + tried.place - np.array([here.x_px, here.y_px])).max())
+        if off < 1.0:
+            self._switch(number, frame, "back to the first frame" if number == 0 else "back to an earlier key frame")
+        elif number == 0:
+            self._begun_again(frame, off)
+
+    def _begun_again(self, frame: Frame, off_px: float) -> None:
+        """Back to the first frame, which contradicts all later key frames."""
+        count = len(self._keys) - 1
+        self._current = 0
+        for number in range(count, 0, -1):
+            self._dropped(number)
+        self._health, self._recent, self._carried = [], [], np.zeros(2)
+        picture = self._keys[0].picture
+        self._expected = None if picture is None else inside(picture)
+        text = f"back to the first frame; {count} later key frames lay {off_px:.1f} px off and are dropped"
+        self._events.append(Event(frame.time_ns, "reference", text))
+
+    def _unlike(self, number: int) -> bool:
+        """Whether a key frame's picture shows that it cannot match again."""
+        known, expected = self._pictures, self._expected
+        if known is None or expected is None or number not in known.numbers:
+            return False
+        picture = known.mix.pictures[known.numbers.index(number)]
+        return float(picture @ expected) < self.settings.renew_share * float(np.linalg.norm(expected))
+
+    def _finish(self, lap: Overlap, frame: Frame) -> None:
+        """Keep what an overlap gave, and hand over to a new key frame that shows all of the target."""
+        if not self._kept(lap) or not lap.new:
+            return
+        if not lap.hidden.any():
+            self._switch(lap.to, frame, "new key frame")
+            return
+        text = f"new key frame of the {100.0 * np.mean(~lap.hidden):.0f} % of the target that are seen"
+        self._events.append(Event(frame.time_ns, "reference", text))
+
+    def _ended_early(self) -> None:
+        """The key frame in use was lost during an overlap: keep a new one if it has been tracked."""
+        if self._overlap is not None:
+            self._kept(self._overlap)
