@@ -252,3 +252,12 @@ def open_recording(path: str | Path, **overrides: dict[str, Any]) -> Recording:
     Nothing but the settings is read yet. Raises UsageError for wrong settings, DataError where there is no recording.
     """
     return Recording(settings_file(path), load_settings(path, overrides))
+
+
+def open_with_cameras(path: str | Path, changed: dict[str, Any], **overrides: dict[str, Any]) -> Recording:
+    """The same with settings (key → value) that win over the file in every camera section that it has."""
+    recording = open_recording(path, **overrides)
+    if not changed:
+        return recording
+    sections = [section for section in ("camera", "infrared") if recording.has(section)]
+    return open_recording(path, **overrides, **{section: dict(changed) for section in sections})

@@ -12,7 +12,7 @@ from midspan.errors import UsageError
 from midspan.recording.lens import lens_of
 from midspan.recording.open_tracking import given_targets
 from midspan.recording.progress import Progress, silent
-from midspan.recording.recording import open_recording
+from midspan.recording.recording import open_with_cameras
 from midspan.recording.temperatures import in_words_of, levels_of
 from midspan.recording.tracking import CameraTracking, Target, TrackingSettings
 from midspan.records import PixelTrack, Region, Status, seconds
@@ -127,7 +127,7 @@ def _of_recording(path: Path, request: TrackRequest) -> tuple[FrameSource, Track
         changed["every"] = request.every
     if request.tracker is not None:
         changed["tracker"] = request.tracker
-    recording = open_recording(path, camera=changed, infrared=changed)
+    recording = open_with_cameras(path, changed)
     views = recording.cameras
     camera = views[0].settings.camera if views else None
     if camera is None:
