@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from midspan.engine.overlap import ZeroCourse, zero_course
 from midspan.engine.sun import sun_elevation_deg
 from midspan.engine.switching import PUBLISHED, Look, Switch, SwitchSettings
+from midspan.fusion.path import at
 from midspan.fusion.smoother import smooth
 from midspan.recording.cameras import Seen, Side
 from midspan.recording.contradiction import (
@@ -29,7 +30,6 @@ from midspan.records import (
     Source,
     joined,
     part,
-    seconds,
 )
 from midspan.signals.health import Mask
 
@@ -142,9 +142,7 @@ def _apart(path: Estimate, first: Displacement, second: Displacement) -> tuple[N
 
     path: the first one's displacement, smoothed.
     """
-    origin = int(path.time_ns[0])
-    t, at = seconds(path.time_ns, origin), seconds(second.time_ns, origin)
-    there, spread = np.interp(at, t, path.displacement_m), np.interp(at, t, path.variance_m2)
+    there, spread = at(path, second.time_ns)
     apart = np.where(_near(first, second.time_ns), second.value_m - there, np.nan)
     return second.time_ns, apart, second.variance_m2 + spread
 

@@ -7,6 +7,7 @@ from itertools import islice
 import numpy as np
 
 from midspan.errors import UntrustedError
+from midspan.fusion.path import at
 from midspan.fusion.smoother import smooth
 from midspan.recording.calibrate_camera import CameraFit
 from midspan.recording.recording import Recording
@@ -14,7 +15,7 @@ from midspan.recording.targets import camera_blocks, filter_settings
 from midspan.recording.temperatures import IN_GREY, is_grey
 from midspan.recording.tracking import CameraTracking
 from midspan.recording.window import window_ends
-from midspan.records import NANOSECONDS, Floats, Frame, Nanoseconds, PixelTrack, Region, seconds
+from midspan.records import NANOSECONDS, Floats, Frame, Nanoseconds, PixelTrack, Region
 from midspan.settings.camera import InfraredSettings
 from midspan.thermal.temperature_range import Expected, RangeSurface, optimise_range
 from midspan.vision.reference_strength import open_counting
@@ -76,6 +77,5 @@ def _expected_px(view: Recording, tracking: CameraTracking, fit: CameraFit, fram
     kalman = filter_settings(view.prepared, fit.input_density)
     weak = type(block)(block.time_ns, block.value_m, WEAKER * block.variance_m2, block.source)
     path = smooth(acceleration, weak, kalman).estimate
-    origin = int(path.time_ns[0])
-    at = seconds(frames_ns + round(NANOSECONDS * camera.offset.value_s), origin)
-    return np.interp(at, seconds(path.time_ns, origin), path.displacement_m) / camera.scale.value_m_per_px
+    stamps = frames_ns + round(NANOSECONDS * camera.offset.value_s)
+    return at(path, stamps)[0] / camera.scale.value_m_per_px

@@ -7,6 +7,7 @@ import numpy as np
 
 from midspan.engine.monitor import AxisLoop, Monitor
 from midspan.fusion.kalman import KalmanFilter, KalmanSettings
+from midspan.fusion.path import at
 from midspan.fusion.smoother import smooth
 from midspan.recording.acceleration import PreparedAcceleration, still
 from midspan.recording.calibration import Calibration, CameraCalibration
@@ -32,7 +33,6 @@ from midspan.records import (
     Source,
     TimeOffset,
     part,
-    seconds,
 )
 
 # A target left out of more than this share of its frames is worth telling.
@@ -222,9 +222,7 @@ def zero_beside(first: Displacement, other: Displacement, side: Side) -> float |
     if np.count_nonzero(inside) < LEAST_BOTH:
         return None
     path = smooth(side.acceleration, first, side.kalman).estimate
-    origin = int(path.time_ns[0])
-    there = np.interp(seconds(other.time_ns[inside], origin), seconds(path.time_ns, origin), path.displacement_m)
-    return float(np.median(other.value_m[inside] - there))
+    return float(np.median(other.value_m[inside] - at(path, other.time_ns[inside])[0]))
 
 
 def _together(side: Side, number: int, eye: Eye) -> Together:
