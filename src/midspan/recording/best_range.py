@@ -23,6 +23,7 @@ from midspan.vision.reference_strength import open_counting
 # So many frames of the calibration are compared; displacement is let in so much more weakly than it is known, that the
 # accelerometer makes what is compared.
 FRAMES, WEAKER = 90, 1e4
+LEAST_FRAMES = 8
 SLOWEST_HZ, FASTEST_SHARE = 0.5, 0.45
 
 
@@ -37,10 +38,11 @@ def wants_range(view: Recording) -> bool:
     )
 
 
-def best_range(view: Recording, tracking: CameraTracking, fit: CameraFit) -> RangeSurface | None:
-    """The errors of all ranges on frames from the reference frame on, against the accelerometer; None: nothing decides.
+def best_range(view: Recording, tracking: CameraTracking, fit: CameraFit) -> RangeSurface:
+    """The errors of all ranges on frames from the reference frame on, against the accelerometer.
 
-    tracking, fit: of the temperatures as they are, which gave the scale factor.
+    tracking, fit: of the temperatures as they are, which gave the scale factor. Raises UntrustedError where nothing
+    decides, with the reason.
     """
     settings, region = tracking.settings, fit.calibration.region
     first = settings.first
@@ -50,17 +52,22 @@ def best_range(view: Recording, tracking: CameraTracking, fit: CameraFit) -> Ran
     rate = 1.0 / float(np.median(np.diff(time_s))) if len(time_s) > 1 else 0.0
     band = view.settings.calibration.band_hz or (SLOWEST_HZ, math.inf)
     band = (band[0], min(band[1], FASTEST_SHARE * rate))
-    if len(frames) < 8 or band[0] >= band[1]:
-        return None
+    if len(frames) < LEAST_FRAMES:
+        raise UntrustedError(
+            f"The calibration holds {len(frames)} frames from the reference frame on; at least {LEAST_FRAMES} are "
+            "needed. Choose a longer calibration.window_s."
+        )
+    if band[0] >= band[1]:
+        raise UntrustedError(
+            f"Frames at {rate:.3g} Hz show no motion above {band[0]:g} Hz, where ranges are compared. Use more frames "
+            "a second, or a lower calibration.band_hz."
+        )
     expected = _expected_px(view, tracking, fit, np.array([frame.time_ns for frame in frames], dtype=np.int64))
 
     def follow(greys: Sequence[Frame]) -> PixelTrack:
         return _followed(greys, region, settings.tracker, settings.tracker_settings)
 
-    try:
-        return optimise_range(frames, region, follow, Expected(expected, view.axis, band))
-    except UntrustedError:
-        return None
+    return optimise_range(frames, region, follow, Expected(expected, view.axis, band))
 
 
 def _followed(frames: Sequence[Frame], region: Region, name: str, settings: object) -> PixelTrack:
