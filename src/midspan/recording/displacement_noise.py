@@ -90,9 +90,10 @@ def learn(recording: Recording, series: TimeSeries) -> NoiseCalibration:
     beside = _Beside(recording, series, first, last, not wanted(recording, "estimate_offset"))
     max_offset = beside.max_offset_s
     pair = beside.pair(beside.reach_s)
+    notes: list[str] = []
     if wanted(recording, "estimate_scale"):
         learnt = calibrate_sensor_scale(
-            pair, max_offset, one_clock=beside.one_clock, look=lambda fit: _refuse_farther(beside, fit)
+            pair, max_offset, one_clock=beside.one_clock, look=lambda fit: notes.extend(_refuse_farther(beside, fit))
         )
         found = learnt.findings
         assert found is not None
@@ -101,25 +102,33 @@ def learn(recording: Recording, series: TimeSeries) -> NoiseCalibration:
         found = learnt.findings
         assert found is not None
         if found.search is not None and (not beside.one_clock or unexplained(found.pair, found.fit)):
-            _refuse_farther(beside, found.free)
+            notes += _refuse_farther(beside, found.free)
         _refuse_wrong_scale(learnt, found)
+    learnt = replace(learnt, warnings=(*learnt.warnings, *notes))
     if beside.one_clock:
         return _on_one_clock(learnt, found)
     _refuse_doubtful_offset(beside, learnt, found)
     return replace(learnt, warnings=(*learnt.warnings, *_offset_warnings(beside, learnt)))
 
 
-def _refuse_farther(beside: _Beside, near: Fit) -> None:
-    """UntrustedError where the clocks agree far better farther apart than was searched."""
+def _refuse_farther(beside: _Beside, near: Fit) -> list[str]:
+    """UntrustedError where the clocks agree far better farther apart than was searched.
+
+    Returns a warning where the overlap is too short to look there.
+    """
     reach = beside.reach_s
     until = min(reach + farther_s(beside.max_offset_s), FARTHER_SHARE * beside.overlap_s)
     try:
         pair = beside.pair(until, FARTHER_WINDOW_S + 2.0 * until)
     except DataError:
-        return
+        return [
+            f"displacement: a clock offset beyond ±{beside.max_offset_s:.3g} s was not looked for: the overlap of "
+            f"{beside.overlap_s:.3g} s holds too few measurements or too little motion. A longer recording would tell."
+        ]
     other = farther(pair, near, reach, until)
     if other is not None:
         raise UntrustedError(_beyond(beside, other.offset_s))
+    return []
 
 
 def _beyond(beside: _Beside, offset_s: float) -> str:
