@@ -146,3 +146,13 @@ def test_a_calibration_may_be_given_as_its_file(gnss, result, tmp_path):
     file = result.calibration.save(tmp_path / "calibration.json")
     again = midspan.estimate(midspan.open_recording(gnss), calibration=file)
     np.testing.assert_allclose(again.displacement_mm, result.displacement_mm, atol=1e-9)
+
+
+def test_what_is_learnt_of_the_sensor_is_what_its_section_says(gnss, footbridge):
+    def learns(folder, **keys):
+        recording = midspan.open_recording(folder, **({"displacement": keys} if keys else {}))
+        return recording.learns_offset, recording.learns_scale
+
+    assert learns(footbridge) == learns(gnss) == (False, False)
+    assert learns(gnss, estimate_offset=True) == (True, False)
+    assert learns(gnss, estimate_scale=True) == (False, True)

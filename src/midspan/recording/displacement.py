@@ -9,7 +9,7 @@ from midspan.calibration.scale import white_noise
 from midspan.errors import UntrustedError, UsageError
 from midspan.fusion.kalman import KalmanSettings
 from midspan.recording.calibration import Calibration, DisplacementCalibration
-from midspan.recording.displacement_noise import learn, wanted
+from midspan.recording.displacement_noise import learn
 from midspan.recording.fuse import SensorError
 from midspan.recording.recording import Recording
 from midspan.recording.running_clock import on_one_clock
@@ -34,7 +34,7 @@ def calibrate_displacement(recording: Recording) -> NoiseCalibration:
     """
     series = recording.displacement
     require_overlap(recording.prepared.time_ns, series.time_ns, "displacement")
-    if not wanted(recording, "estimate_scale"):
+    if not recording.learns_scale:
         return learn(recording, without(series, frozen_values(recording, series)))
     # What the values are rounded to is known in metres only with the scale: at first none of it is granted.
     crude = frozen_values(recording, series, resolution_m=0.0)
@@ -81,7 +81,7 @@ def displacement_warnings(recording: Recording, learnt: NoiseCalibration, part: 
     """What to know of the displacement sensor; UntrustedError where its unit is wrong beyond doubt."""
     found = [*frozen_warnings(frozen_events(recording, part)), *_zero_warnings(recording, part)]
     found += learnt.warnings
-    if not wanted(recording, "estimate_offset") and 0.0 < learnt.offset.variance < np.inf:
+    if not recording.learns_offset and 0.0 < learnt.offset.variance < np.inf:
         found.append(
             "displacement: its clock seems to differ from the accelerometer's by "
             f"{1e3 * np.sqrt(learnt.offset.variance):.3g} "
@@ -109,7 +109,7 @@ def displacement_sensor(
     learnt = _known(recording, calibration)
     block, clock_std = displacement_block(recording, calibration), _finite_std(learnt.offset)
     told: list[str] = []
-    if wanted(recording, "estimate_offset"):
+    if recording.learns_offset:
         level = float(np.nanmedian(block.value_m))
         clock = on_one_clock(replace(block, value_m=block.value_m - level), acceleration, kalman, "displacement")
         block = replace(block, time_ns=clock.measured.time_ns)
@@ -151,7 +151,7 @@ def _known(recording: Recording, calibration: Calibration) -> DisplacementCalibr
         raise UsageError(
             "The calibration has no displacement part, but the recording has [displacement]. Calibrate again."
         )
-    if wanted(recording, "estimate_scale") and learnt.scale == 1.0:
+    if recording.learns_scale and learnt.scale == 1.0:
         raise UsageError(
             "displacement.estimate_scale = true: the calibration was made without it and has no displacement.scale. "
             "Calibrate again."

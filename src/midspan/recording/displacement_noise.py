@@ -76,22 +76,17 @@ class _Beside:
         return Pair(prepared.rows(self.first_ns, window), rows, 1.0)
 
 
-def wanted(recording: Recording, key: str) -> bool:
-    """Whether `displacement.<key>` is set."""
-    return bool(getattr(recording.settings.displacement, key, False))
-
-
 def learn(recording: Recording, series: TimeSeries) -> NoiseCalibration:
     """Noise, clock offset and scale of the sensor whose values are given, or a refusal."""
     prepared = recording.prepared
     used = inside(series.time_ns, int(prepared.time_ns[0]), int(prepared.time_ns[-1]))
     first = int(series.time_ns[used.start])
     last = min(int(series.time_ns[used.stop - 1]), first + round(NOISE_WINDOW_S * NANOSECONDS))
-    beside = _Beside(recording, series, first, last, not wanted(recording, "estimate_offset"))
+    beside = _Beside(recording, series, first, last, not recording.learns_offset)
     max_offset = beside.max_offset_s
     pair = beside.pair(beside.reach_s)
     notes: list[str] = []
-    if wanted(recording, "estimate_scale"):
+    if recording.learns_scale:
         learnt = calibrate_sensor_scale(
             pair, max_offset, one_clock=beside.one_clock, look=lambda fit: notes.extend(_refuse_farther(beside, fit))
         )

@@ -88,6 +88,18 @@ class Recording:
         return None if camera is None else camera.exposure_s
 
     @property
+    def learns_offset(self) -> bool:
+        """Whether the clock offset of [displacement] is to be learnt and applied."""
+        section = self.settings.displacement
+        return section is not None and section.estimate_offset
+
+    @property
+    def learns_scale(self) -> bool:
+        """Whether the scale of [displacement] is to be learnt and applied."""
+        section = self.settings.displacement
+        return section is not None and section.estimate_scale
+
+    @property
     def sensor(self) -> str:
         """The section that the camera of this recording, or of this view of one, stands in."""
         return "infrared" if isinstance(self.settings.camera, InfraredSettings) else "camera"
