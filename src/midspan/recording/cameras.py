@@ -84,7 +84,7 @@ class Eye:
     @property
     def strength(self) -> Floats:
         """Good matches of the best target in each frame (n,), of trackers without matches the quality in percent."""
-        return np.array(self.tracking.targets[self.best].strengths)
+        return self.tracking.targets[self.best].strengths
 
     @property
     def events(self) -> list[Event]:
