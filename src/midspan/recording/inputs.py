@@ -16,7 +16,6 @@ from midspan.recording.progress import Progress
 from midspan.recording.radar_inputs import RadarInputs, radar_inputs
 from midspan.recording.recording import Recording
 from midspan.recording.running_clock import RunningClock
-from midspan.recording.targets import Together
 from midspan.recording.tracking import CameraTracking
 from midspan.records import (
     NANOSECONDS,
@@ -36,9 +35,8 @@ COASTING_INTERVALS = 2.5
 class Gathered:
     """The inputs of the fusion, the camera's best track and its tracking (None without one), and warnings.
 
-    across: the inputs along the second image axis; together: how the targets agreed along the main one. eyes: all
-    cameras; belief: which of two was believed when; radar: what it measured and met. frozen: where [displacement] stood
-    still.
+    across: the inputs along the second image axis; eyes: all cameras; belief: which of two was believed when; radar:
+    what it measured and met; frozen: where [displacement] stood still.
     """
 
     inputs: FusionInputs
@@ -46,7 +44,6 @@ class Gathered:
     tracking: CameraTracking | None
     warnings: tuple[str, ...]
     across: FusionInputs | None = None
-    together: Together | None = None
     eyes: tuple[Eye, ...] = ()
     belief: Belief | None = None
     radar: RadarInputs | None = None
@@ -78,7 +75,6 @@ def gather(
         tracking=eyes[0].tracking if eyes else None,
         warnings=warnings,
         across=across,
-        together=main.seen[0].together if eyes else None,
         eyes=eyes,
         belief=main.belief,
         radar=radar,
