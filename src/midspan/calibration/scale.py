@@ -37,8 +37,7 @@ class ScaleCalibration:
     """Scale factor, clock offset and noise of one camera.
 
     noise: standard deviation of the translation, px; variance_factor: learnt variance over the tracker's own variance;
-    input_noise_density: of the acceleration, (m/s²)²/Hz; motion_m: rms of the response to the acceleration in the fit's
-    band; search: what was tried, for the report; warnings: sentences.
+    input_noise_density: of the acceleration, (m/s²)²/Hz; search: what was tried, for the report; warnings: sentences.
     """
 
     scale: ScaleFactor
@@ -120,17 +119,15 @@ def _refuse_disagreement(pair: Pair, fit: Fit, usual: float) -> None:
     if implied > measured or (implied > IMPLIED_SHARE * measured and implied > IMPLIED_NOISE * own):
         raise NoAgreementError(
             f"No agreement between image and accelerometer: their difference would need accelerometer noise of "
-            f"{1e3 * implied:.3g} mm/s² per sample where the signal has {1e3 * measured:.3g} mm/s² rms and noise "
-            "of about "
-            f"{1e3 * own:.2g} mm/s². Check that both files are of the same event, camera.direction, camera.roi and "
-            "accelerometer.unit; where the clocks may differ by more, raise calibration.max_offset_s or set "
+            f"{1e3 * implied:.3g} mm/s² per sample where the signal has {1e3 * measured:.3g} mm/s² rms and noise of "
+            f"about {1e3 * own:.2g} mm/s². Check that both files are of the same event, camera.direction, camera.roi "
+            "and accelerometer.unit; where the clocks may differ by more, raise calibration.max_offset_s or set "
             "camera.start_s."
         )
 
 
 def white_noise(value: Floats) -> float:
-    """White noise per sample of a signal (n,) far slower than its rate: from third differences, which sum 20 "
-    "variances."""
+    """White noise per sample of a signal (n,) far slower than its rate: third differences sum 20 variances."""
     third = np.diff(value, 3)
     return float(1.4826 * np.median(np.abs(third)) / np.sqrt(20.0)) if len(third) else 0.0
 

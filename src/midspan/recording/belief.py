@@ -36,7 +36,7 @@ from midspan.signals.health import Mask
 
 # Both cameras see at the same time where their frames are no further apart than so many usual intervals.
 TOGETHER_INTERVALS, LEAST_TOGETHER_S = 2.0, 0.5
-# Sources in the order of this list are cameras.
+# Only their rows are marked by what was believed; radar and displacement sensors count beside either.
 CAMERAS = (Source.CAMERA, Source.INFRARED)
 
 
@@ -112,7 +112,7 @@ def _zeroed(side: Side, seen: tuple[Seen, Seen]) -> _Zeroed:
         del alone
         innovations.append(smooth(side.acceleration, quiet[1], side.kalman).innovation)
     if course is None:
-        text = f"{names[1]}: never sees together with the {names[0]}, so its zero is unknown; it was left out."
+        text = f"{names[1]}: never sees its target while the {names[0]} does, so its zero is unknown; it was left out."
         levels = tuple(one.wandering for one in seen[:1] if one.wandering is not None)
         blind = replace(second, value_m=np.full_like(second.value_m, np.nan))
         return _Zeroed((first, blind), None, levels, (), (text,))

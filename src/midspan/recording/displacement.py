@@ -86,15 +86,15 @@ def displacement_warnings(recording: Recording, learnt: NoiseCalibration, part: 
     if not recording.learns_offset and 0.0 < learnt.offset.variance < np.inf:
         found.append(
             "displacement: its clock seems to differ from the accelerometer's by "
-            f"{1e3 * np.sqrt(learnt.offset.variance):.3g} "
-            "ms. Set displacement.estimate_offset = true to have the offset learnt and applied."
+            f"{1e3 * np.sqrt(learnt.offset.variance):.3g} ms. Set "
+            "displacement.estimate_offset = true to have the offset learnt and applied."
         )
     if _scale_error(learnt) == 0.0:
         return found
     text = (
-        f"displacement: follows the accelerometer with a factor of {learnt.scale:.3g} ± {learnt.scale_std:.2g} "
-        "where 1 is "
-        "expected. Check displacement.unit, its sign, accelerometer.unit and that both sensors measure the same axis."
+        f"displacement: follows the accelerometer with a factor of {learnt.scale:.3g} ± {learnt.scale_std:.2g} where 1 "
+        "is expected. Check displacement.unit, its sign, accelerometer.unit and that both sensors measure the same "
+        "axis."
     )
     if abs(learnt.scale - 1.0) > REFUSED:
         raise UntrustedError(text)

@@ -241,12 +241,10 @@ def _refuse_poor_displacement(series: TimeSeries, used: slice) -> None:
     if len(known) < LEAST_MEASUREMENTS:
         raise DataError(
             f"displacement: {len(known)} measurements overlap the accelerometer; at least {LEAST_MEASUREMENTS} "
-            "are needed "
-            "to learn its noise. Check its time column, gaps and unit."
+            "are needed to learn its noise. Check its time column, gaps and unit."
         )
     if np.ptp(known) == 0.0:
         raise DataError(
             f"displacement ({series.name}): stands at one value, {1e3 * known[0]:g} mm, all the time. Check the "
-            "sensor, or "
-            "choose another column with displacement.value."
+            "sensor, or choose another column with displacement.value."
         )
