@@ -168,6 +168,9 @@ class KeyFrames:
             likeness=self._likeness,
             lately=self._lately,
             recent=tuple(self._recent),
+            doubtful=self._doubtful,
+            own=self._own,
+            events=tuple(self._events),
             frames=self._frames,
             made=self._made,
         )
@@ -189,6 +192,7 @@ class KeyFrames:
         self._hidden, self._since_ns = state.hidden, state.since_ns
         self._likeness, self._recent = state.likeness, list(state.recent)
         self._lately = state.lately
+        self._doubtful, self._own, self._events = state.doubtful, state.own, list(state.events)
         if state.overlap is not None:
             to, new, laps, windows, places, hidden = state.overlap
             self._overlap = Overlap(to, new, laps, list(windows), list(places), hidden)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from midspan.records import Floats, Frame, PixelTranslation, Region, Status
+from midspan.records import Event, Floats, Frame, PixelTranslation, Region, Status
 from midspan.vision.reference.cover import ALL_SEEN, Cells
 from midspan.vision.spline import Floats32
 from midspan.vision.tracker import Tracker
@@ -134,6 +134,9 @@ class KeyFrameState:
     likeness: float
     lately: tuple[Floats, int]
     recent: tuple[Floats, ...]
+    doubtful: Cells
+    own: Floats
+    events: tuple[Event, ...]
     frames: int
     made: int
 
@@ -167,7 +170,7 @@ def clear_share(windows: Sequence[Floats32]) -> float:
 def contrast(frame: Frame, region: Region) -> float:
     """Standard deviation of the pixels of a region; 0 where there are none."""
     part = frame.pixels[region.y : region.y + region.height, region.x : region.x + region.width]
-    return float(np.nanstd(part)) if part.size else 0.0
+    return float(np.nanstd(part.astype(np.float64))) if part.size else 0.0
 
 
 def exchanged(frame: Frame) -> Frame:
