@@ -271,7 +271,7 @@ def _flat(tree: dict[str, Any], prefix: str = "") -> Iterable[Row]:
     for key, value in tree.items():
         if isinstance(value, dict):
             yield from _flat(value, f"{prefix}{key}.")
-        else:
+        elif value != []:
             yield prefix + key, ", ".join(str(x) for x in value) if isinstance(value, list) else str(value)
 
 
