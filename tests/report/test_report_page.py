@@ -238,10 +238,10 @@ def long_result(count, events=0):
 def test_a_long_record_stays_small_quick_and_keeps_its_peak(tmp_path):
     result = long_result(1_000_000, events=120)
     reference = TimeSeries(result.estimate.time_ns, result.estimate.displacement_m + 1e-6)
-    start = time.perf_counter()
+    start = time.process_time()
     path = write_report(result, tmp_path / "long.html", reference)
-    # Twenty seconds on a busy machine; it takes about five.
-    assert time.perf_counter() - start < 20.0
+    # It takes about three seconds of processor time.
+    assert time.process_time() - start < 12.0
     assert path.stat().st_size < 6e6
     text = path.read_text(encoding="utf-8")
     data = base64.b64decode(re.search(r'data-history="([^"]*)"', text).group(1))
