@@ -7,6 +7,7 @@ import pytest
 
 from midspan.fusion.kalman import KalmanSettings
 from midspan.recording.cameras.belief import believed
+from midspan.recording.cameras.contradiction import Contradiction
 from midspan.recording.fusing.fuse import CourseError, FusionInputs, fuse
 from midspan.records import Acceleration, Displacement, Source
 
@@ -144,3 +145,9 @@ def test_an_error_of_several_sensors_moves_them_together():
     both = CourseError((Source.CAMERA, Source.INFRARED), time_ns, np.ones(2))
     assert np.isin([int(Source.CAMERA), int(Source.INFRARED)], alone.source).tolist() == [False, True]
     assert np.isin([int(Source.CAMERA), int(Source.INFRARED)], both.source).tolist() == [True, True]
+
+
+@pytest.mark.parametrize(("lasts_ns", "begins"), [(0, "At 205.407 s "), (250_000_000, "From 205.407 s to 205.657 s ")])
+def test_a_contradiction_in_a_single_frame_is_told_by_its_instant(lasts_ns, begins):
+    found = Contradiction(205_407_000_000, 205_407_000_000 + lasts_ns, 1e-3, None)
+    assert found.told(("camera", "infrared")).text.startswith(begins + "infrared and camera differ by 1 mm")

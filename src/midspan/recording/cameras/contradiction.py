@@ -45,8 +45,12 @@ class Contradiction:
 
     def told(self, names: tuple[str, str]) -> Event:
         """The event that tells it; names of both cameras."""
+        # A jump may be told by a single frame.
+        when = f"From {shown(self.from_ns)} to {shown(self.to_ns)}"
+        if shown(self.from_ns) == shown(self.to_ns):
+            when = f"At {shown(self.from_ns)}"
         text = (
-            f"From {shown(self.from_ns)} to {shown(self.to_ns)} {names[1]} and {names[0]} differ by "
+            f"{when} {names[1]} and {names[0]} differ by "
             f"{1e3 * abs(self.apart_m):.2g} mm more than their stated uncertainties allow; "
         )
         if self.guilty is None:
