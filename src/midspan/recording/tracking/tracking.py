@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from midspan.errors import DataError
 from midspan.recording.streams.progress import Progress, silent
 from midspan.recording.streams.sensor_words import worded
+from midspan.recording.tracking.light import LightWatch, light_warnings
 from midspan.recording.tracking.region_choice import ChoiceRequest, Judge, choose_targets
 from midspan.recording.tracking.target_opening import Opening, events_of, strength_of, thermal_part, wandering_px2
 from midspan.records import (
@@ -38,7 +39,7 @@ from midspan.vision.picture_warnings import picture_warnings
 from midspan.vision.region import check_region
 from midspan.vision.roi import RegionChoice
 from midspan.vision.target import lost
-from midspan.vision.tracker import Learner, Tracker
+from midspan.vision.tracker import Learner, Tracker, Wandering
 
 # A variance below this share of the usual one is the mark of a frame that matches itself, not of a quiet one.
 SUSPICIOUS_SHARE = 0.25
@@ -107,10 +108,15 @@ class TargetTracking:
         self._seen = np.empty((0, 0))
         self.events: list[Event] = []
         self.strengths: list[float] = []
+        self.dark: list[bool] = []
         self._wandering: list[tuple[float, float]] = []
         self._lit = not is_dark(tracker.reference.pixels)
         # Temperatures are stored as they are: no codec, no full scale.
         self._watch = None if thermal_part(tracker) else PictureWatch(tracker.reference, tracker.region)
+        # Trackers whose reference changes know themselves what it is off by; temperatures throw no shadows.
+        self._light: LightWatch | None = None
+        if self._watch is not None and not isinstance(bare(tracker), Wandering):
+            self._light = LightWatch(tracker.reference, tracker.region)
 
     @property
     def region(self) -> Region:
@@ -119,15 +125,27 @@ class TargetTracking:
 
     def push(self, frame: Frame, prediction: Prediction | None = None) -> PixelTranslation:
         """Find the target in `frame`; the translation is dated by the row that the target's middle was read out at."""
-        found = lost(frame.time_ns) if self._in_the_dark(frame) else self.tracker.push(frame, prediction)
+        self.dark.append(self._in_the_dark(frame))
+        found = lost(frame.time_ns) if self.dark[-1] else self.tracker.push(frame, prediction)
         self.events += events_of(self.tracker)
         self.strengths.append(strength_of(self.tracker, found))
-        self._wandering.append(wandering_px2(self.tracker, found))
+        found = self._in_this_light(frame, found)
         down_px = as_shown(self.tracker, found).y_px
         row = self.region.y + 0.5 * (self.region.height - 1) + (down_px if np.isfinite(down_px) else 0.0)
         last_row = max(frame.pixels.shape[0] - 1, 1)
         late_ns = round(self._readout_s * NANOSECONDS * row / last_row)
         return replace(found, time_ns=frame.time_ns + late_ns)
+
+    def _in_this_light(self, frame: Frame, found: PixelTranslation) -> PixelTranslation:
+        """What was found, its variance with what light has done to a fixed reference's picture."""
+        if self._light is None:
+            self._wandering.append(wandering_px2(self.tracker, found))
+            return found
+        more = self._light.push(frame, as_shown(self.tracker, found))
+        lit = found.status is Status.TRACKING
+        self._wandering.append((more, more) if lit else (0.0, 0.0))
+        x, y = found.variance_x_px2 + more, found.variance_y_px2 + more
+        return replace(found, variance_x_px2=x, variance_y_px2=y) if lit and more else found
 
     def _in_the_dark(self, frame: Frame) -> bool:
         """Whether a frame is black, which the reference is not: what a tracker found in its noise would be wrong."""
@@ -192,7 +210,8 @@ class TargetTracking:
         frozen = int(np.count_nonzero(self.frozen))
         told = [f"camera: {frozen} frames only repeat the picture before them (frozen); they were not used."]
         seen = picture_warnings(self._watch, self._narrow, direction) if self._rows and self._watch else []
-        return (told if frozen else []) + seen
+        lit = light_warnings(self.wandering_px2, [row.time_ns for row in self._rows]) if self._light else []
+        return (told if frozen else []) + seen + lit
 
 
 class CameraTracking:
