@@ -73,4 +73,4 @@ def test_changed_light_is_told_with_when_it_began():
     assert "0.09 px" in line
     assert "key-frames" in line
     assert not light_warnings(np.full((5, 2), 0.01**2), np.arange(5) * 10**9)
-    assert not light_warnings(np.empty((0, 2)), ())
+    assert not light_warnings(np.empty((0, 2)), np.empty(0, np.int64))

@@ -20,7 +20,7 @@ def measured(blind, length_s=60.0, rate_hz=4.0):
 
 def seen(block, dark=(0.0, 0.0)):
     lit = (block.time_ns / NANOSECONDS < dark[0]) | (block.time_ns / NANOSECONDS >= dark[1])
-    tracking = SimpleNamespace(targets=[SimpleNamespace(dark=list(~lit))])
+    tracking = SimpleNamespace(targets=[SimpleNamespace(dark=~lit)])
     return SimpleNamespace(eye=SimpleNamespace(sensor="infrared", tracking=tracking, best=0), measured=block)
 
 

@@ -52,7 +52,7 @@ def _stretches(seen: Seen) -> list[tuple[int, int, bool]]:
         return []
     usual = float(np.median(np.diff(measured.time_ns))) / NANOSECONDS
     least_ns = round(max(LOST_S, LOST_INTERVALS * usual) * NANOSECONDS)
-    dark = np.array(seen.eye.tracking.targets[seen.eye.best].dark, dtype=bool)
+    dark = seen.eye.tracking.targets[seen.eye.best].dark
     found = []
     for start, end in runs(blind):
         lasting = int(measured.time_ns[min(end, len(blind) - 1)]) - int(measured.time_ns[start])

@@ -50,7 +50,8 @@ def wander_event(course: ZeroCourse, quiet: tuple[Displacement, ...], names: tup
 
 def gone_m(course: ZeroCourse) -> Floats:
     """How far (n,) m the second's zero beside the first is from where it began; jumps do not count."""
-    return np.abs(course.level_m - np.cumsum(course.jump_m) - course.level_m[0])
+    gone: Floats = np.abs(course.level_m - np.cumsum(course.jump_m) - course.level_m[0])
+    return gone
 
 
 def zero_errors(seen: tuple[Seen, Seen], course: ZeroCourse, alone: Mask) -> tuple[CourseError, ...]:

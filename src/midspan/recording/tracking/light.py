@@ -7,12 +7,11 @@ with the share of the picture's contrast, squared, that is not the reference's.
 """
 
 from collections import deque
-from collections.abc import Sequence
 
 import numpy as np
 
 from midspan.recording.streams.span import shown
-from midspan.records import NANOSECONDS, Floats, Frame, PixelTranslation, Region, Status
+from midspan.records import NANOSECONDS, Floats, Frame, Nanoseconds, PixelTranslation, Region, Status
 
 # The picture is looked at so often; the middle one of the last so many looks counts: what passes by is no light.
 LOOK_S, LOOKS = 1.0, 5
@@ -65,14 +64,14 @@ class LightWatch:
         self.variance_px2 = LIGHT_PX**2 * max(float(np.median(self._last)) - usual, 0.0)
 
 
-def light_warnings(variance_px2: Floats, time_ns: Sequence[int]) -> list[str]:
+def light_warnings(variance_px2: Floats, time_ns: Nanoseconds) -> list[str]:
     """A sentence where light may have moved a target with a fixed reference: variances (n, 2) px² at stamps (n,)."""
     std_px = np.sqrt(np.max(variance_px2, axis=1, initial=0.0))
     notable = std_px > NOTABLE_PX
     if not notable.any():
         return []
     return [
-        f"camera: from {shown(time_ns[int(np.argmax(notable))])} on light has changed the target beside its reference "
+        f"camera: from {shown(int(time_ns[np.argmax(notable)]))} on light has changed the target beside its reference "
         f"frame; its shading may have moved the result by up to {std_px.max():.2g} px (standard deviation), which the "
         'band holds. Take camera.reference = "key-frames".'
     ]

@@ -3,8 +3,9 @@
 from collections import deque
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from itertools import islice
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 from midspan.errors import DataError
 from midspan.recording.streams.progress import Progress, silent
 from midspan.recording.streams.sensor_words import worded
+from midspan.recording.tracking.fair_variance import lost_where, more_variance, with_fair_variance
 from midspan.recording.tracking.light import LightWatch, light_warnings
 from midspan.recording.tracking.region_choice import ChoiceRequest, Judge, choose_targets
 from midspan.recording.tracking.target_opening import Opening, events_of, strength_of, thermal_part, wandering_px2
@@ -29,6 +31,7 @@ from midspan.records import (
     ScaleFactor,
     Status,
 )
+from midspan.signals.growing import Columns
 from midspan.signals.health import Mask, runs
 from midspan.sources.camera.frames import FrameSource
 from midspan.thermal.limits import Limits
@@ -41,12 +44,11 @@ from midspan.vision.roi import RegionChoice
 from midspan.vision.target import lost
 from midspan.vision.tracker import Learner, Tracker, Wandering
 
-# A variance below this share of the usual one is the mark of a frame that matches itself, not of a quiet one.
-SUSPICIOUS_SHARE = 0.25
-# Noise of the template over the noise of a frame, as standard deviations.
-TEMPLATE_NOISE = 1.15
 # This many equal pictures in a row are a frozen camera (or a codec that skipped them), not a structure at rest.
 FROZEN_FRAMES = 3
+# The column that tells them, after those of a translation.
+REPEATS = 7
+_numbers = attrgetter(*(field.name for field in fields(PixelTranslation)))
 # A frame whose mean is below this share of full scale is dark; at most this many are skipped at the start.
 DARK_SHARE = 0.02
 MOST_DARK = 1000
@@ -103,13 +105,14 @@ class TargetTracking:
 
     def __init__(self, tracker: Tracker, name: str, readout_s: float) -> None:
         self.tracker, self.name, self._readout_s = tracker, name, readout_s
-        self._rows: list[PixelTranslation] = []
-        self._repeats: list[bool] = []
+        # A frame's time, translation along x and y, their variances, quality, status; whether its picture repeats.
+        self._rows = Columns("qdddddBB")
+        # How strong it was, the part of its variances along x and y that the reference makes, whether it was dark.
+        self._pushed = Columns("dddB")
+        self._track: PixelTrack | None = None
+        self._quick: PixelTrack | None = None
         self._seen = np.empty((0, 0))
         self.events: list[Event] = []
-        self.strengths: list[float] = []
-        self.dark: list[bool] = []
-        self._wandering: list[tuple[float, float]] = []
         self._lit = not is_dark(tracker.reference.pixels)
         # Temperatures are stored as they are: no codec, no full scale.
         self._watch = None if thermal_part(tracker) else PictureWatch(tracker.reference, tracker.region)
@@ -125,27 +128,28 @@ class TargetTracking:
 
     def push(self, frame: Frame, prediction: Prediction | None = None) -> PixelTranslation:
         """Find the target in `frame`; the translation is dated by the row that the target's middle was read out at."""
-        self.dark.append(self._in_the_dark(frame))
-        found = lost(frame.time_ns) if self.dark[-1] else self.tracker.push(frame, prediction)
+        dark = self._in_the_dark(frame)
+        found = lost(frame.time_ns) if dark else self.tracker.push(frame, prediction)
         self.events += events_of(self.tracker)
-        self.strengths.append(strength_of(self.tracker, found))
-        found = self._in_this_light(frame, found)
+        strength = strength_of(self.tracker, found)
+        found, more = self._in_this_light(frame, found)
+        self._pushed.append(strength, *more, dark)
+        self._track = self._quick = None
         down_px = as_shown(self.tracker, found).y_px
         row = self.region.y + 0.5 * (self.region.height - 1) + (down_px if np.isfinite(down_px) else 0.0)
         last_row = max(frame.pixels.shape[0] - 1, 1)
         late_ns = round(self._readout_s * NANOSECONDS * row / last_row)
         return replace(found, time_ns=frame.time_ns + late_ns)
 
-    def _in_this_light(self, frame: Frame, found: PixelTranslation) -> PixelTranslation:
-        """What was found, its variance with what light has done to a fixed reference's picture."""
+    def _in_this_light(self, frame: Frame, found: PixelTranslation) -> tuple[PixelTranslation, tuple[float, float]]:
+        """What was found, and the part of its variances (px²) that the reference makes: beside a fixed one by light."""
         if self._light is None:
-            self._wandering.append(wandering_px2(self.tracker, found))
-            return found
+            return found, wandering_px2(self.tracker, found)
         more = self._light.push(frame, as_shown(self.tracker, found))
-        lit = found.status is Status.TRACKING
-        self._wandering.append((more, more) if lit else (0.0, 0.0))
+        if found.status is not Status.TRACKING or not more:
+            return found, (0.0, 0.0)
         x, y = found.variance_x_px2 + more, found.variance_y_px2 + more
-        return replace(found, variance_x_px2=x, variance_y_px2=y) if lit and more else found
+        return replace(found, variance_x_px2=x, variance_y_px2=y), (more, more)
 
     def _in_the_dark(self, frame: Frame) -> bool:
         """Whether a frame is black, which the reference is not: what a tracker found in its noise would be wrong."""
@@ -155,38 +159,54 @@ class TargetTracking:
         """Keep what was found in `frame`: the one place where a frame's picture and its translation meet."""
         region = self.region
         seen = np.asarray(frame.pixels[region.y : region.y + region.height, region.x : region.x + region.width])
-        self._repeats.append(bool(np.array_equal(seen, self._seen)))
+        self._rows.append(*_numbers(translation), bool(np.array_equal(seen, self._seen)))
         self._seen = seen.copy()
-        self._rows.append(translation)
+        self._track = self._quick = None
         if self._watch is not None:
             self._watch.push(frame, as_shown(self.tracker, translation))
 
     @property
     def track(self) -> PixelTrack:
         """The rows so far as one block, finished: frames of a frozen picture are lost, the variances fair."""
-        return more_variance(self.quick, self.wandering_px2)
+        if self._track is None:
+            self._track = more_variance(self.quick, self.wandering_px2)
+        return self._track
 
     @property
     def quick(self) -> PixelTrack:
         """The same with the variances of the single frames only, without what the reference frame makes."""
-        return self._narrow if self._watch is None else self._watch.widened(self._narrow)
+        if self._quick is None:
+            self._quick = self._narrow if self._watch is None else self._watch.widened(self._narrow)
+        return self._quick
+
+    @property
+    def strengths(self) -> Floats:
+        """Good matches in each frame (n,), of trackers without matches the quality in percent."""
+        return self._pushed.column(0)
 
     @property
     def wandering_px2(self) -> Floats:
         """The part of the variances (n, 2) along x and y that the reference frame makes, for many frames alike."""
-        return np.array(self._wandering).reshape(-1, 2)
+        return np.column_stack((self._pushed.column(1), self._pushed.column(2)))
+
+    @property
+    def dark(self) -> Mask:
+        """Which frames (n,) were black, so that nothing was looked for."""
+        return self._pushed.column(3).astype(bool)
 
     @property
     def _narrow(self) -> PixelTrack:
         """The rows with the variances of the single frames that the tracker believes in."""
-        own = more_variance(PixelTrack.stack(self._rows), -self.wandering_px2)
+        rows = PixelTrack(*(self._rows.column(number) for number in range(REPEATS)))
+        own = more_variance(rows, -self.wandering_px2)
         return with_fair_variance(lost_where(own, self.frozen))
 
     @property
     def frozen(self) -> Mask:
         """Frames (n,) so far that only repeat the picture before them, in runs of at least `FROZEN_FRAMES`."""
-        mask = np.zeros(len(self._repeats), dtype=bool)
-        for start, end in runs(np.array(self._repeats, dtype=bool)):
+        repeats = self._rows.column(REPEATS).astype(bool)
+        mask = np.zeros(len(repeats), dtype=bool)
+        for start, end in runs(repeats):
             mask[start:end] = end - start + 1 >= FROZEN_FRAMES
         return mask
 
@@ -209,8 +229,8 @@ class TargetTracking:
         """What of the frames tracked so far is worth telling, measured along the image axis "x" or "y"."""
         frozen = int(np.count_nonzero(self.frozen))
         told = [f"camera: {frozen} frames only repeat the picture before them (frozen); they were not used."]
-        seen = picture_warnings(self._watch, self._narrow, direction) if self._rows and self._watch else []
-        lit = light_warnings(self.wandering_px2, [row.time_ns for row in self._rows]) if self._light else []
+        seen = picture_warnings(self._watch, self._narrow, direction) if len(self._rows) and self._watch else []
+        lit = light_warnings(self.wandering_px2, self._rows.column(0)) if self._light else []
         return (told if frozen else []) + seen + lit
 
 
@@ -361,39 +381,3 @@ def is_dark(pixels: NDArray[Any]) -> bool:
     if float(np.mean(pixels)) >= DARK_SHARE * scale:
         return False
     return float(np.percentile(pixels[::4, ::4], 99)) < 2.0 * DARK_SHARE * scale
-
-
-def lost_where(track: PixelTrack, mask: Mask) -> PixelTrack:
-    """The track with the frames of `mask` (n,) marked lost."""
-    if not mask.any():
-        return track
-    empty = {
-        name: np.where(mask, np.nan, getattr(track, name))
-        for name in ("x_px", "y_px", "variance_x_px2", "variance_y_px2")
-    }
-    return replace(track, status=np.where(mask, np.uint8(Status.LOST), track.status), **empty)
-
-
-def more_variance(track: PixelTrack, added_px2: Floats) -> PixelTrack:
-    """The track with variances (n, 2) along x and y added."""
-    if not added_px2.any():
-        return track
-    x, y = (own + more for own, more in zip((track.variance_x_px2, track.variance_y_px2), added_px2.T, strict=True))
-    return replace(track, variance_x_px2=x, variance_y_px2=y)
-
-
-def with_fair_variance(track: PixelTrack) -> PixelTrack:
-    """The track with the usual variance where a frame matched the reference without noise.
-
-    The reference frame (and any frame equal to it) matches itself perfectly and would seem to be known exactly; but its
-    noise is the noise of the template, and the zero of the displacement is no better known than that. A template's
-    noise also enters through the edge of its window, which moves over the frame: measured 1.2 to 1.4 times a frame's
-    own.
-    """
-
-    def fair(variance: Floats) -> Floats:
-        known = variance[np.isfinite(variance)]
-        usual = float(np.median(known)) if len(known) else 0.0
-        return np.where(variance < SUSPICIOUS_SHARE * usual, TEMPLATE_NOISE**2 * usual, variance)
-
-    return replace(track, variance_x_px2=fair(track.variance_x_px2), variance_y_px2=fair(track.variance_y_px2))
