@@ -133,6 +133,7 @@ def _events(
         *(() if gathered.belief is None else gathered.belief.events),
         *frozen_events(recording, calibration.displacement),
         *(() if gathered.radar is None else gathered.radar.events),
+        *gathered.events,
         *more,
     )
     return tuple(sorted(found, key=lambda event: event.time_ns))

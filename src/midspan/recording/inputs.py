@@ -5,11 +5,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from midspan.fusion.kalman import KalmanSettings
-from midspan.fusion.running_clock import RunningClock
 from midspan.recording.cameras.belief import Belief, believed
 from midspan.recording.cameras.tracked import Eye, Seen, Side, open_eyes, seen_along, side_of, track_all, zero_of
 from midspan.recording.displacement.sensor import displacement_sensor
 from midspan.recording.fusing.fuse import CourseError, FusionInputs, SensorError
+from midspan.recording.fusing.one_clock import OneClock
 from midspan.recording.fusing.one_zero import merged
 from midspan.recording.radar.inputs import RadarInputs, radar_inputs
 from midspan.recording.stored.calibration import Calibration
@@ -22,6 +22,7 @@ from midspan.records import (
     NANOSECONDS,
     Acceleration,
     Displacement,
+    Event,
     PixelTrack,
     joined,
 )
@@ -36,7 +37,7 @@ class Gathered:
     """The inputs of the fusion, the camera's best track and its tracking (None without one), and warnings.
 
     across: the inputs along the second image axis; together: how the targets agreed along the main one. eyes: all
-    cameras; belief: which of two was believed when; radar: what it measured and met.
+    cameras; belief: which of two was believed when; radar: what it measured and met; events: of the sensors' clocks.
     """
 
     inputs: FusionInputs
@@ -48,6 +49,7 @@ class Gathered:
     eyes: tuple[Eye, ...] = ()
     belief: Belief | None = None
     radar: RadarInputs | None = None
+    events: tuple[Event, ...] = ()
 
 
 def gather(
@@ -79,24 +81,27 @@ def gather(
         eyes=eyes,
         belief=main.belief,
         radar=radar,
+        events=main.events,
     )
 
 
 @dataclass(frozen=True, slots=True)
 class Along:
-    """What is fused along one axis, what each camera says along it, which of two is believed when, and warnings."""
+    """What is fused along one axis, what each camera says along it, which of two is believed when, warnings and what
+    happened to the clocks."""
 
     inputs: FusionInputs
     seen: tuple[Seen, ...]
     belief: Belief | None
     warnings: tuple[str, ...]
+    events: tuple[Event, ...] = ()
 
 
 def _inputs(
     side: Side,
     axis: int,
     eyes: tuple[Eye, ...],
-    clocks: dict[str, RunningClock] | None = None,
+    clocks: dict[str, OneClock] | None = None,
     radar: RadarInputs | None = None,
 ) -> Along:
     """What is fused along the axis with this number (0: the main one).
@@ -107,6 +112,7 @@ def _inputs(
     seen = tuple(seen_along(side, axis, eye, (clocks or {}).get(eye.sensor)) for eye in eyes)
     told = [line for one in seen for line in one.warnings]
     errors = [SensorError(one.eye.source, one.relative_std, one.clock_std_s) for one in seen]
+    clocks_met = [one.clock for one in seen]
     belief = None
     if len(seen) == 2:
         belief = believed(side, (seen[0], seen[1]))
@@ -118,15 +124,17 @@ def _inputs(
         errors.append(radar.error)
         told += radar.warnings
     if recording.has("displacement"):
-        block, error, lines = displacement_sensor(
+        block, error, clock = displacement_sensor(
             recording, calibration, acceleration=side.acceleration, kalman=side.kalman
         )
         blocks.append(block)
         errors.append(error)
-        told += lines
+        told += clock.warnings
+        clocks_met.append(clock)
     from_first_frame = bool(seen) or radar is not None
     level = 0.0 if from_first_frame else float(blocks[0].value_m[np.argmax(np.isfinite(blocks[0].value_m))])
     blocks[0] = replace(blocks[0], value_m=blocks[0].value_m - level)
+    jumped = [level for clock in clocks_met for level in clock.levels]
     together = merged(blocks, side.acceleration, side.kalman)
     measured = together.measured
     velocity_std = _velocity_std(side.prepared, measured)
@@ -138,10 +146,11 @@ def _inputs(
         zero_ns=None if not from_first_frame else zero_of(seen, blocks[0]),
         level_m=level,
         errors=tuple(errors),
-        levels=(*together.levels, *_camera_levels(seen, belief), *(() if radar is None else radar.levels)),
+        levels=(*together.levels, *_camera_levels(seen, belief), *(() if radar is None else radar.levels), *jumped),
         sampled=None if begun is side.acceleration else side.acceleration,
     )
-    return Along(inputs, seen, belief, (*together.warnings, *told))
+    events = tuple(event for clock in clocks_met for event in clock.events)
+    return Along(inputs, seen, belief, (*together.warnings, *told), events)
 
 
 def _camera_levels(seen: tuple[Seen, ...], belief: Belief | None) -> tuple[CourseError, ...]:

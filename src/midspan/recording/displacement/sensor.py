@@ -8,9 +8,9 @@ from midspan.calibration.noise import NoiseCalibration
 from midspan.calibration.scale import white_noise
 from midspan.errors import UntrustedError, UsageError
 from midspan.fusion.kalman import KalmanSettings
-from midspan.fusion.running_clock import on_one_clock
 from midspan.recording.displacement.learn import learn, wanted
 from midspan.recording.fusing.fuse import SensorError
+from midspan.recording.fusing.one_clock import OneClock, one_clock
 from midspan.recording.stored.calibration import Calibration
 from midspan.recording.stored.displacement import DisplacementCalibration
 from midspan.recording.streams.recording import Recording
@@ -102,23 +102,24 @@ def displacement_warnings(recording: Recording, learnt: NoiseCalibration, part: 
 
 def displacement_sensor(
     recording: Recording, calibration: Calibration, *, acceleration: Acceleration, kalman: KalmanSettings
-) -> tuple[Displacement, SensorError, list[str]]:
-    """The sensor's measurements, what is uncertain of them, and what to tell that the calibration did not.
+) -> tuple[Displacement, SensorError, OneClock]:
+    """The sensor's measurements, what is uncertain of them, and its clock with what the calibration did not tell.
 
     With displacement.estimate_offset a clock that runs apart in a long record is corrected as a camera's is.
     """
     learnt = _known(recording, calibration)
     block, clock_std = displacement_block(recording, calibration), _finite_std(learnt.offset)
-    told: list[str] = []
-    if wanted(recording, "estimate_offset"):
-        level = float(np.nanmedian(block.value_m))
-        clock = on_one_clock(replace(block, value_m=block.value_m - level), acceleration, kalman, "displacement")
-        block = replace(block, time_ns=clock.measured.time_ns)
-        clock_std = clock_std if clock.std_s is None else clock.std_s
-        told += clock.warnings
+    # Where the offset is not learnt the clock is the accelerometer's own, until it jumps.
+    free = wanted(recording, "estimate_offset")
+    level = float(np.nanmedian(block.value_m))
+    levelled = replace(block, value_m=block.value_m - level)
+    clock = one_clock(levelled, acceleration, kalman, "displacement", std_s=clock_std, drifts=free, stays=not free)
+    block = replace(clock.measured, value_m=clock.measured.value_m + level)
+    clock_std = clock_std if clock.std_s is None else clock.std_s
     frozen = frozen_warnings(frozen_events(recording, learnt))
-    told += [line for line in frozen if line not in calibration.warnings]
-    return block, SensorError(Source.DISPLACEMENT, learnt.relative_std, clock_std), told
+    told = [line for line in frozen if line not in calibration.warnings]
+    clock = replace(clock, warnings=(*clock.warnings, *told))
+    return block, SensorError(Source.DISPLACEMENT, learnt.relative_std, clock_std), clock
 
 
 def _finite_std(offset: TimeOffset) -> float:
