@@ -7,7 +7,7 @@ import numpy as np
 from midspan.fusion.kalman import KalmanSettings
 from midspan.recording.cameras.belief import Belief, believed
 from midspan.recording.cameras.tracked import Eye, Seen, Side, open_eyes, seen_along, side_of, track_all, zero_of
-from midspan.recording.displacement.sensor import displacement_sensor
+from midspan.recording.displacement.sensor import displacement_inputs
 from midspan.recording.fusing.fuse import CourseError, FusionInputs, SensorError
 from midspan.recording.fusing.one_clock import OneClock
 from midspan.recording.fusing.one_zero import merged
@@ -16,7 +16,6 @@ from midspan.recording.stored.calibration import Calibration
 from midspan.recording.streams.acceleration import PreparedAcceleration, unknown_density
 from midspan.recording.streams.progress import Progress
 from midspan.recording.streams.recording import Recording
-from midspan.recording.tracking.one_displacement import Together
 from midspan.recording.tracking.tracking import CameraTracking
 from midspan.records import (
     NANOSECONDS,
@@ -36,8 +35,8 @@ COASTING_INTERVALS = 2.5
 class Gathered:
     """The inputs of the fusion, the camera's best track and its tracking (None without one), and warnings.
 
-    across: the inputs along the second image axis; together: how the targets agreed along the main one. eyes: all
-    cameras; belief: which of two was believed when; radar: what it measured and met; events: of the sensors' clocks.
+    across: the inputs along the second image axis; eyes: all cameras; belief: which of two was believed when; radar:
+    what it measured and met; frozen: where [displacement] stood still; events: of the sensors' clocks.
     """
 
     inputs: FusionInputs
@@ -45,10 +44,10 @@ class Gathered:
     tracking: CameraTracking | None
     warnings: tuple[str, ...]
     across: FusionInputs | None = None
-    together: Together | None = None
     eyes: tuple[Eye, ...] = ()
     belief: Belief | None = None
     radar: RadarInputs | None = None
+    frozen: tuple[Event, ...] = ()
     events: tuple[Event, ...] = ()
 
 
@@ -77,23 +76,25 @@ def gather(
         tracking=eyes[0].tracking if eyes else None,
         warnings=warnings,
         across=across,
-        together=main.seen[0].together if eyes else None,
         eyes=eyes,
         belief=main.belief,
         radar=radar,
+        frozen=main.frozen,
         events=main.events,
     )
 
 
 @dataclass(frozen=True, slots=True)
 class Along:
-    """What is fused along one axis, what each camera says along it, which of two is believed when, warnings and what
-    happened to the clocks."""
+    """What is fused along one axis, what each camera says along it, which of two is believed when, warnings, what of
+    [displacement] stood still, and what happened to the clocks.
+    """
 
     inputs: FusionInputs
     seen: tuple[Seen, ...]
     belief: Belief | None
     warnings: tuple[str, ...]
+    frozen: tuple[Event, ...]
     events: tuple[Event, ...] = ()
 
 
@@ -123,14 +124,14 @@ def _inputs(
         blocks.append(radar.measured)
         errors.append(radar.error)
         told += radar.warnings
+    frozen: tuple[Event, ...] = ()
     if recording.has("displacement"):
-        block, error, clock = displacement_sensor(
-            recording, calibration, acceleration=side.acceleration, kalman=side.kalman
-        )
-        blocks.append(block)
-        errors.append(error)
-        told += clock.warnings
-        clocks_met.append(clock)
+        sensor = displacement_inputs(recording, calibration, acceleration=side.acceleration, kalman=side.kalman)
+        blocks.append(sensor.measured)
+        errors.append(sensor.error)
+        frozen = sensor.events
+        told += sensor.warnings
+        clocks_met.append(sensor.clock)
     from_first_frame = bool(seen) or radar is not None
     level = 0.0 if from_first_frame else float(blocks[0].value_m[np.argmax(np.isfinite(blocks[0].value_m))])
     blocks[0] = replace(blocks[0], value_m=blocks[0].value_m - level)
@@ -150,7 +151,7 @@ def _inputs(
         sampled=None if begun is side.acceleration else side.acceleration,
     )
     events = tuple(event for clock in clocks_met for event in clock.events)
-    return Along(inputs, seen, belief, (*together.warnings, *told), events)
+    return Along(inputs, seen, belief, (*together.warnings, *told), frozen, events)
 
 
 def _camera_levels(seen: tuple[Seen, ...], belief: Belief | None) -> tuple[CourseError, ...]:
