@@ -131,6 +131,7 @@ def _events(recording: Recording, gathered: Gathered, more: tuple[Event, ...]) -
         *(() if gathered.belief is None else gathered.belief.events),
         *gathered.frozen,
         *(() if gathered.radar is None else gathered.radar.events),
+        *gathered.events,
         *more,
     )
     return tuple(sorted(found, key=lambda event: event.time_ns))

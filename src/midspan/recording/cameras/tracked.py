@@ -8,9 +8,9 @@ import numpy as np
 from midspan.engine.monitor import AxisLoop, Monitor
 from midspan.fusion.kalman import KalmanFilter, KalmanSettings
 from midspan.fusion.path import at
-from midspan.fusion.running_clock import RunningClock, on_one_clock
 from midspan.fusion.smoother import smooth
 from midspan.recording.fusing.fuse import CourseError
+from midspan.recording.fusing.one_clock import OneClock, one_clock
 from midspan.recording.stored.calibration import Calibration
 from midspan.recording.stored.camera import CameraCalibration
 from midspan.recording.streams.acceleration import PreparedAcceleration, still
@@ -107,7 +107,7 @@ class Seen:
 
     eye: Eye
     together: Together
-    clock: RunningClock
+    clock: OneClock
     clock_std_s: float
     relative_std: float
     wandering: CourseError | None
@@ -233,7 +233,7 @@ def _together(side: Side, number: int, eye: Eye) -> Together:
     return together(blocks, camera.mappings(), side.acceleration, side.kalman, window_ends(eye.view))
 
 
-def seen_along(side: Side, number: int, eye: Eye, clock: RunningClock | None = None) -> Seen:
+def seen_along(side: Side, number: int, eye: Eye, clock: OneClock | None = None) -> Seen:
     """What a camera says along the axis with this number, all frames tracked.
 
     clock: as it was learnt along the main axis; None learns it.
@@ -241,7 +241,7 @@ def seen_along(side: Side, number: int, eye: Eye, clock: RunningClock | None = N
     camera = eye.calibrations[number]
     found = _together(side, number, eye)
     clock = (
-        on_one_clock(found.measured, side.acceleration, side.kalman, eye.sensor)
+        one_clock(found.measured, side.acceleration, side.kalman, eye.sensor, std_s=clock_std_s(camera.offset))
         if clock is None
         else clock.also(found.measured)
     )
