@@ -127,7 +127,6 @@ def _events(recording: Recording, gathered: Gathered, more: tuple[Event, ...]) -
     found = (
         *recording.prepared.events,
         *(event for eye in gathered.eyes for event in eye.events),
-        *gathered.events,
         *(() if gathered.belief is None else gathered.belief.events),
         *gathered.frozen,
         *(() if gathered.radar is None else gathered.radar.events),

@@ -37,7 +37,7 @@ class Gathered:
     """The inputs of the fusion, the camera's best track and its tracking (None without one), and warnings.
 
     across: the inputs along the second image axis; eyes: all cameras; belief: which of two was believed when; radar:
-        events=(*(event for one in main.seen for event in lost_events(one)), *main.events),
+    what it measured; frozen: what of [displacement] stood still; events: targets lost and seen again, clocks that jump.
     """
 
     inputs: FusionInputs

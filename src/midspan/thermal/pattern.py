@@ -74,14 +74,15 @@ def _told_apart(stack: Floats, moved: Floats, expected_k: float) -> FixedPattern
             scene += np.where(mask, share * (image - _shifted(pattern, -x, -y)), 0.0)
             weight += share**2 * mask
         scene /= np.maximum(weight, 1e-3)
+        there = [np.where(mask, _shifted(scene, x, y), 0.0) for mask, (x, y) in zip(seen, moved, strict=True)]
+        contrast = _straight(
+            [_amount(f - pattern, expected, mask) for f, expected, mask in zip(stack, there, seen, strict=True)]
+        )
         total, square = np.zeros_like(pattern), np.zeros_like(pattern)
-        for k, (frame, mask, (x, y)) in enumerate(zip(stack, seen, moved, strict=True)):
-            expected = np.where(mask, _shifted(scene, x, y), 0.0)
-            contrast[k] = _amount(np.where(mask, frame - pattern, 0.0), expected, mask)
-            rest = np.where(mask, frame - contrast[k] * expected, 0.0)
+        for frame, mask, expected, share in zip(stack, seen, there, contrast, strict=True):
+            rest = np.where(mask, frame - share * expected, 0.0)
             total += rest
             square += rest**2
-        contrast /= max(float(np.mean(contrast)), 1e-3)
         mean = total / np.maximum(number, 1)
         full = number >= LEAST_FRAMES
         variance = square / np.maximum(number, 1) - mean**2
@@ -94,10 +95,20 @@ def _told_apart(stack: Floats, moved: Floats, expected_k: float) -> FixedPattern
 
 
 def _amount(seen: Floats, expected: Floats, mask: NDArray[np.bool_]) -> float:
-    """How much of what is expected is seen (both rows, columns), over the mask and apart from levels."""
+    """How much of what is expected (rows, columns; 0 beyond the mask) is seen over the mask, apart from levels."""
     count = max(np.count_nonzero(mask), 1)
     free = np.where(mask, expected - expected.sum() / count, 0.0)
     return float(np.sum(free * seen) / max(float(np.sum(free**2)), 1e-12))
+
+
+def _straight(shares: list[float]) -> Floats:
+    """The straight line (n,) of mean 1 through shares: contrast fades slowly; what differs from frame to frame is what
+    the spline makes of another fraction of a pixel, and would come to stand in the pattern.
+    """
+    place = np.arange(len(shares)) - 0.5 * (len(shares) - 1)
+    mean = max(float(np.mean(shares)), 1e-3)
+    line: Floats = 1.0 + place * float(place @ np.array(shares)) / float(place @ place) / mean
+    return np.maximum(line, 0.05)
 
 
 def _shifted(image: Floats, x_px: float, y_px: float) -> Floats:
