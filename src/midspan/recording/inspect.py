@@ -171,7 +171,7 @@ def _frames(
         "dark_frames": int(dark),
         "saturated_frames": int(bright),
         **({"coldest_c": low_c, "warmest_c": high_c} if thermal and np.isfinite(high_c - low_c) else {}),
-        "notes": list(info.notes),
+        "notes": [*info.notes, *info.damage],
     }
     return branch, times
 

@@ -272,6 +272,7 @@ class CameraTracking:
             found.append(
                 f"camera: the first {self.skipped} frames are dark and were skipped; the zero is at the first lit one."
             )
+        found += [f"camera: {line}." for line in self.source.info.damage]
         for target in self.targets:
             own = target.warnings(self.settings.direction)
             if self.settings.lens is not None:

@@ -32,10 +32,15 @@ class ThermalPictures(FrameSource):
         self._celsius(first)
 
     @property
+    def grey(self) -> bool:
+        """Whether the frames are grey levels of 8 bits instead of temperatures."""
+        return self._dtype == np.uint8
+
+    @property
     def info(self) -> FrameInfo:
         """What is known of the source, and how its numbers were understood."""
         known = self._source.info
-        if self._dtype == np.uint8:
+        if self.grey:
             return replace(known, notes=(*known.notes, AGC_NOTE))
         note = "temperatures in °C"
         if self._scale is not None:
