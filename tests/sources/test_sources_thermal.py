@@ -10,6 +10,7 @@ from flir_files import black_body, block
 
 from midspan.errors import DataError, UsageError
 from midspan.sources.camera.frames import FrameRequest
+from midspan.sources.thermal.flir import wrong_stamps
 from midspan.sources.thermal.formats import open_thermal
 from midspan.sources.thermal.request import ThermalRequest
 
@@ -59,7 +60,7 @@ def test_a_tail_four_bytes_short_is_whole_and_a_frame_cut_in_half_is_told(tmp_pa
     assert open_thermal(tmp_path / "a.seq").info.frame_count == 2
     cut = open_thermal(tmp_path / "b.seq").info
     assert cut.frame_count == 1
-    assert f"the last {len(one) // 2} bytes" in " ".join(cut.notes)
+    assert f"the last {len(one) // 2} bytes" in " ".join(cut.damage)
 
 
 def test_stamps_that_stand_still_give_way_to_the_rate(tmp_path: Path) -> None:
@@ -67,6 +68,35 @@ def test_stamps_that_stand_still_give_way_to_the_rate(tmp_path: Path) -> None:
     source = open_thermal(tmp_path / "a.seq")
     assert np.diff(source.times_ns()).tolist() == [33_333_333, 33_333_334]
     assert "30 frames a second" in " ".join(source.info.notes)
+
+
+def test_frames_behind_bytes_that_are_none_are_found_again_and_that_is_told(tmp_path: Path) -> None:
+    frames = [block(black_body(scene(k)), stamp_ms=1000 + 33 * k) for k in range(4)]
+    broken = b"FFF\0" * 3 + bytes(len(frames[1]) - 12)
+    (tmp_path / "a.seq").write_bytes(frames[0] + broken + frames[2] + frames[3])
+    source = open_thermal(tmp_path / "a.seq")
+    assert source.times_ns().tolist() == [1_000_000_000, 1_066_000_000, 1_099_000_000]
+    np.testing.assert_allclose(list(source.frames())[1].pixels, scene(2), atol=HALF_COUNT_K)
+    assert source.info.damage == (
+        f"{len(frames[1])} bytes of a.seq before frame 1 are no whole frame and were passed over",
+    )
+
+
+def test_a_stamp_out_of_order_costs_its_frame_and_not_the_others_stamps(tmp_path: Path) -> None:
+    stamps = [1000 + 40 * k for k in range(40)]
+    stamps[20] = stamps[12]
+    (tmp_path / "a.seq").write_bytes(b"".join(block(black_body(scene(k)), stamp_ms=s) for k, s in enumerate(stamps)))
+    source = open_thermal(tmp_path / "a.seq")
+    assert source.times_ns().tolist() == [1_000_000 * s for k, s in enumerate(stamps) if k != 20]
+    np.testing.assert_allclose(list(source.frames())[20].pixels, scene(21), atol=HALF_COUNT_K)
+    assert "1 frames (20) have stamps out of order" in " ".join(source.info.damage)
+
+
+def test_a_clock_that_was_set_back_is_not_taken_for_a_slip() -> None:
+    stamps = np.arange(200) * 40
+    back = np.where(np.arange(200) >= 100, stamps - 5 * 40, stamps)
+    assert len(wrong_stamps(back)) == 0
+    assert wrong_stamps(np.where(np.isin(np.arange(200), [50, 51]), 7, stamps)).tolist() == [50, 51]
 
 
 def test_a_folder_of_frames_is_a_sequence_in_natural_order(tmp_path: Path) -> None:
@@ -160,6 +190,29 @@ def test_a_stack_in_another_unit_is_refused_with_what_was_received(tmp_path: Pat
     np.save(tmp_path / "a.npy", change(np.stack([scene(k) for k in range(2)])))
     with pytest.raises(DataError, match=told):
         open_thermal(tmp_path / "a.npy", AT_30)
+
+
+def test_missing_values_are_filled_and_frames_without_most_of_theirs_are_passed_over(tmp_path: Path) -> None:
+    y, x = np.mgrid[:20, :24]
+    stack = np.stack([10.0 + 0.1 * x + 0.2 * y + 0.01 * k for k in range(6)])
+    given = stack.copy()
+    given[:, 5, 7] = np.nan
+    given[3] = np.nan
+    given[4, :, :6] = np.inf
+    np.save(tmp_path / "a.npy", given)
+    source = open_thermal(tmp_path / "a.npy", AT_30)
+    frames = list(source.frames())
+    assert [frame.index for frame in frames] == [0, 1, 2, 5]
+    # A plane is filled with itself, but for float32.
+    np.testing.assert_allclose([frame.pixels for frame in frames], stack[[0, 1, 2, 5]], atol=1e-5)
+    told = " ".join(source.info.damage)
+    assert "4 frames have missing values (NaN), at most 1 a frame" in told
+    assert "2 frames (3, 4) have more than 20 % of their values missing" in told
+
+
+def test_a_sequence_that_begins_with_an_empty_frame_is_opened(tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", np.stack([scene(0) * np.nan, scene(1), scene(2)]))
+    assert [frame.index for frame in open_thermal(tmp_path / "a.npy", AT_30).frames()] == [1, 2]
 
 
 def test_a_unit_that_changes_on_the_way_is_refused_with_its_frame(tmp_path: Path) -> None:
