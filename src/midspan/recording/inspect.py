@@ -11,7 +11,7 @@ from midspan.recording.radar.inspect import inspect_radar
 from midspan.recording.streams.progress import Progress, silent
 from midspan.recording.streams.recording import Recording
 from midspan.recording.streams.span import shown
-from midspan.recording.tracking.tracking import is_dark
+from midspan.recording.tracking.first_frame import is_dark
 from midspan.records import NANOSECONDS, Nanoseconds, TimeSeries
 from midspan.signals.health import clipped, clock, frozen
 from midspan.sources.accelerometer.channel import Channel
