@@ -221,6 +221,38 @@ def test_a_unit_that_changes_on_the_way_is_refused_with_its_frame(tmp_path: Path
         list(open_thermal(tmp_path / "a.npy", AT_30).frames())
 
 
+@pytest.mark.parametrize("first", [0, 2], ids=["to °F", "to °C"])
+def test_a_change_between_celsius_and_fahrenheit_is_refused_with_its_frame(tmp_path: Path, first: int) -> None:
+    noise = np.random.default_rng(3).normal(0.0, 0.05, (4, 12, 16))
+    stack = scene(0) + noise
+    stack[first : first + 2] = 1.8 * stack[first : first + 2] + 32.0
+    np.save(tmp_path / "a.npy", stack)
+    with pytest.raises(DataError, match="frame 2 must be in the unit of the frames before"):
+        list(open_thermal(tmp_path / "a.npy", AT_30).frames())
+
+
+def test_a_level_that_jumps_by_as_much_is_no_change_of_unit(tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", np.stack([scene(0), scene(0) + 48.0, scene(0)]))
+    assert len(list(open_thermal(tmp_path / "a.npy", AT_30).frames())) == 3
+
+
+def test_a_wall_as_hot_as_fahrenheit_would_make_it_is_told(tmp_path: Path) -> None:
+    for name, stack in (("f.npy", 1.8 * scene() + 32.0), ("c.npy", scene())):
+        np.save(tmp_path / name, stack[None])
+        told = " ".join(open_thermal(tmp_path / name, AT_30).info.damage)
+        assert ("if the numbers are °F" in told) == (name == "f.npy")
+
+
+def test_counts_whose_scale_changes_on_the_way_are_refused_and_blank_frames_are_not(tmp_path: Path) -> None:
+    kelvin = scene() + 273.15
+    for k, counts in enumerate((kelvin / 0.01, 0.0 * kelvin)):
+        cv2.imwrite(str(tmp_path / f"p{k}.png"), np.rint(counts).astype(np.uint16))
+    assert len(list(open_thermal(tmp_path, AT_30).frames())) == 2
+    cv2.imwrite(str(tmp_path / "p2.png"), np.rint(kelvin / 0.04).astype(np.uint16))
+    with pytest.raises(DataError, match=r"frame 2 must hold counts of 0.01 K"):
+        list(open_thermal(tmp_path, AT_30).frames())
+
+
 @pytest.mark.parametrize("scale", [0.01, 0.04, 0.1])
 def test_usual_scales_of_16_bit_pictures_are_told_from_each_other(tmp_path: Path, scale: float) -> None:
     truth = scene()

@@ -28,8 +28,8 @@ class FrameRequest:
 class FrameInfo:
     """What is known of a source of frames: `frame_count` counts all frames of the file (None: not known).
 
-    `bit_depth` is that of the luma, `lossless` None where the codec can be either. `damage`: what of the file was lost
-    or mended, which a result should tell.
+    `bit_depth` is that of the luma, `lossless` None where the codec can be either. `damage`: what of the file was
+    lost, mended or is doubtful, which a result should tell.
     """
 
     width: int
