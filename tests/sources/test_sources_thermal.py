@@ -113,6 +113,17 @@ def test_a_sequence_that_mixes_sizes_is_refused_with_both_sizes(tmp_path: Path) 
         open_thermal(tmp_path / "a.seq")
 
 
+def test_a_calibration_of_zeros_is_refused_with_a_remedy(tmp_path: Path) -> None:
+    whole = bytearray(block(black_body(scene())))
+    place = whole.index(b"Model 7") - 0xD4
+    whole[place + 0x58 : place + 0x64] = bytes(12)
+    (tmp_path / "a.seq").write_bytes(whole)
+    with pytest.raises(
+        DataError, match=r"frame 0 has a record of the camera's calibration that cannot be right.*Export"
+    ):
+        open_thermal(tmp_path / "a.seq")
+
+
 def test_a_block_without_calibration_is_refused(tmp_path: Path) -> None:
     (tmp_path / "a.fff").write_bytes(block(black_body(scene()), calibrated=False))
     with pytest.raises(DataError, match="calibration"):

@@ -13,7 +13,14 @@ from midspan.recording.streams.progress import Progress, silent
 from midspan.recording.streams.sensor_words import worded
 from midspan.recording.tracking.first_frame import begun, is_dark
 from midspan.recording.tracking.region_choice import ChoiceRequest, Judge, choose_targets
-from midspan.recording.tracking.target_opening import Opening, events_of, strength_of, thermal_part, wandering_px2
+from midspan.recording.tracking.target_opening import (
+    Opening,
+    events_of,
+    refuse_empty_range,
+    strength_of,
+    thermal_part,
+    wandering_px2,
+)
 from midspan.records import (
     NANOSECONDS,
     Event,
@@ -219,6 +226,8 @@ class CameraTracking:
         rows, columns = self.reference.pixels.shape
         for target in targets:
             check_region(target.region, columns, rows)
+            if settings.thermal and settings.levels is not None:
+                refuse_empty_range(self.reference, target.region, settings.levels)
         self.chosen = tuple(targets)
         self.targets = tuple(self._opened(target) for target in targets)
         self._ahead = deque([self.reference])

@@ -62,8 +62,19 @@ class RepairedFrames(FrameSource):
         known = self._source.info
         count = min(_LOOKED_AT, max(_MOST_BYTES // max(4 * known.width * known.height, 1), 1))
         places = np.unique(np.linspace(0, len(self.times_ns()) - 1, count).astype(int))
-        seen = [f.pixels for k in places for f in self._source.frames(int(k), int(k) + 1)]
-        usable = [pixels for pixels in seen if _missing_share(pixels) <= MOST_MISSING]
+        usable = []
+        refused: DataError | None = None
+        for k in places:
+            try:
+                seen = next(iter(self._source.frames(int(k), int(k) + 1)), None)
+            except DataError as error:
+                # Told where the frames are read in their order: the first that is wrong counts.
+                refused = refused or error
+                continue
+            if seen is not None and _missing_share(seen.pixels) <= MOST_MISSING:
+                usable.append(seen.pixels)
+        if not usable and refused is not None:
+            raise refused
         if not usable:
             raise DataError(
                 f"{self._name} must hold temperatures in °C; of the {len(places)} frames looked at all have more than "
