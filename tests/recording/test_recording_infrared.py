@@ -192,6 +192,17 @@ def test_a_given_range_shows_the_tracker_grey_levels_and_features_find_their_own
     assert 1e3 * calibration.infrared.scale.value_m_per_px == pytest.approx(-2.0, rel=0.01)
 
 
+def test_where_no_range_can_be_chosen_for_features_the_calibration_tells_why(alone):
+    folder, _ = alone
+    # Frames at 6 Hz show nothing above 2.7 Hz.
+    band = {"band_hz": (2.8, 8.0)}
+    found = midspan.calibrate(midspan.open_recording(folder, infrared={"tracker": "features"}, calibration=band))
+    told = [line for line in found.warnings if "no temperature range" in line]
+    assert len(told) == 1
+    for words in ("infrared:", "'features'", "2.8 Hz", "infrared.temperature_range_c"):
+        assert words in told[0]
+
+
 def test_switching_by_matches_uses_one_camera_at_a_time(day, result):
     both = result.belief.measured
     recording = midspan.open_recording(day, fusion={"switching": "matches"})

@@ -115,7 +115,7 @@ def _file_of_frames(path: Path, progress: Progress) -> Tree:
     except UsageError:
         # No stamps in it: frames are counted as if there were one a second.
         timed, source = False, _opened(path, FrameRequest(rate_hz=1.0))
-    celsius = source.info.bit_depth == 32
+    celsius = source.info.radiometric
     branch, _ = _frames(source, False, progress, celsius)
     if not timed:
         branch |= dict.fromkeys(("start", "start_s", "duration_s", "rate_hz", "jitter_ms"))

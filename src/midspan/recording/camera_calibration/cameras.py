@@ -74,10 +74,18 @@ def _calibrated(recording: Recording, progress: Progress) -> SeenBy:
 def _in_best_range(
     view: Recording, tracking: CameraTracking, parts: tuple[CameraFit, ...], progress: Progress
 ) -> tuple[CameraTracking, tuple[CameraFit, ...]]:
-    """Tracking and calibration anew in the best temperature range; as they were where nothing decides on one."""
-    surface = best_range(view, tracking, parts[0])
-    if surface is None:
-        return tracking, parts
+    """Tracking and calibration anew in the best temperature range; as they were, with a warning, where nothing decides
+    on one.
+    """
+    try:
+        surface = best_range(view, tracking, parts[0])
+    except UntrustedError as error:
+        told = (
+            f"infrared: no temperature range was found for the tracker {tracking.settings.tracker!r}, which was made "
+            f"for grey levels: it sees °C as they are, and may lose the target. {error} Or give "
+            "infrared.temperature_range_c."
+        )
+        return tracking, (replace(parts[0], warnings=(*parts[0].warnings, told)), *parts[1:])
     tracking.close()
     again = open_tracking(view, None, progress, again=(tuple(tracking.chosen), surface.best))
     again.range_surface = surface

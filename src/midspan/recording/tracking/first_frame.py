@@ -1,6 +1,7 @@
 """Which frame of a camera is the first that can be used as a reference: what is dark, closed or covered is skipped."""
 
 from collections.abc import Generator, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import islice
 from typing import Any
@@ -8,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from midspan.errors import DataError
 from midspan.records import NANOSECONDS, Floats, Frame, Nanoseconds, Region
 from midspan.sources.camera.frames import FrameSource
 from midspan.thermal.shutter import ShutterSettings
@@ -77,7 +79,7 @@ def _unusable_temperatures(
     times = source.times_ns()[used]
     until = int(np.searchsorted(times, times[0] + round(LOOKED_AT_S * NANOSECONDS)))
     places = used.start + np.unique(np.linspace(0, until - 1, LOOKED_AT).astype(int))
-    seen = [frame.pixels for k in places for frame in source.frames(int(k), int(k) + 1)]
+    seen = _read(source, places) or [opening.pixels]
     usual_k = float(np.median([_contrast(pixels) for pixels in seen]))
     closed = _closed(source, used, usual_k) if _contrast(opening.pixels) < _flat(usual_k) else 0
     begin = slice(used.start + closed, used.stop)
@@ -90,6 +92,15 @@ def _unusable_temperatures(
         told.append(f"{which} {covered} frames show something else over {100.0 * share:.0f} % of a target")
     text = " and ".join(told)
     return closed + covered, f"{text}; they were skipped, and the zero is at the first frame after them" if told else ""
+
+
+def _read(source: FrameSource, places: NDArray[Any]) -> list[NDArray[Any]]:
+    """The pictures at these places (n,); what is wrong with one is told where frames are read in their order."""
+    seen = []
+    for k in places.tolist():
+        with suppress(DataError):
+            seen += [frame.pixels for frame in source.frames(k, k + 1)]
+    return seen
 
 
 def _closed(source: FrameSource, used: slice, usual_k: float) -> int:

@@ -58,8 +58,9 @@ class FlirFrames(FrameSource):
     def info(self) -> FrameInfo:
         """Size and number of frames; temperatures are float32 in °C."""
         codec = "FLIR records, 16-bit counts"
-        told = tuple(self._notes), tuple(self._damage)
-        return FrameInfo(self._width, self._height, 32, len(self._places), codec, True, *told)
+        size, count = (self._width, self._height), len(self._places)
+        notes, damage = tuple(self._notes), tuple(self._damage)
+        return FrameInfo(*size, 32, count, codec, True, notes, radiometric=True, damage=damage)
 
     def times_ns(self) -> Nanoseconds:
         """Time stamps from `times`, else the camera's own (ms, since 1970), else a rate; `start_s` is added."""

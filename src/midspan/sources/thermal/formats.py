@@ -34,7 +34,7 @@ def open_thermal(path: Path, request: ThermalRequest | None = None) -> FrameSour
     if files:
         return RepairedFrames(FlirFrames(files, request), str(path))
     pictures = ThermalPictures(open_frames(path, request.frames), request, str(path))
-    return pictures if pictures.grey else RepairedFrames(pictures, str(path))
+    return RepairedFrames(pictures, str(path)) if pictures.info.radiometric else pictures
 
 
 def is_thermal(path: Path) -> bool:

@@ -42,21 +42,16 @@ class ThermalPictures(FrameSource):
         self._doubt = _doubt(self._celsius(first)) if self._dtype.kind == "f" else ""
 
     @property
-    def grey(self) -> bool:
-        """Whether the frames are grey levels of 8 bits instead of temperatures."""
-        return self._dtype == np.uint8
-
-    @property
     def info(self) -> FrameInfo:
         """What is known of the source, and how its numbers were understood."""
         known = self._source.info
-        if self.grey:
+        if self._dtype == np.uint8:
             return replace(known, notes=(*known.notes, AGC_NOTE))
         note = "temperatures in °C"
         if self._scale is not None:
             note = f"16-bit counts of {self._scale[0]:g} K, 0 at {self._scale[1]:g} K"
         damage = (*known.damage, self._doubt) if self._doubt else known.damage
-        return replace(known, bit_depth=32, notes=(*known.notes, note), damage=damage)
+        return replace(known, bit_depth=32, notes=(*known.notes, note), radiometric=True, damage=damage)
 
     def times_ns(self) -> Nanoseconds:
         """Time stamps of the source."""
