@@ -7,6 +7,7 @@ import numpy as np
 from midspan.fusion.kalman import KalmanSettings
 from midspan.fusion.running_clock import RunningClock
 from midspan.recording.cameras.belief import Belief, believed
+from midspan.recording.cameras.lost_target import lost_events, lost_warnings
 from midspan.recording.cameras.tracked import Eye, Seen, Side, open_eyes, seen_along, side_of, track_all, zero_of
 from midspan.recording.displacement.sensor import displacement_inputs
 from midspan.recording.fusing.fuse import CourseError, FusionInputs, SensorError
@@ -36,7 +37,7 @@ class Gathered:
     """The inputs of the fusion, the camera's best track and its tracking (None without one), and warnings.
 
     across: the inputs along the second image axis; eyes: all cameras; belief: which of two was believed when; radar:
-    what it measured and met; frozen: where [displacement] stood still.
+    what it measured and met; frozen: where [displacement] stood still; events: targets lost and seen again.
     """
 
     inputs: FusionInputs
@@ -48,6 +49,7 @@ class Gathered:
     belief: Belief | None = None
     radar: RadarInputs | None = None
     frozen: tuple[Event, ...] = ()
+    events: tuple[Event, ...] = ()
 
 
 def gather(
@@ -65,7 +67,7 @@ def gather(
         radar = radar_inputs(recording, calibration, sides[0].acceleration, sides[0].kalman, progress)
     main = _inputs(sides[0], 0, eyes, radar=radar)
     across = None
-    warnings = main.warnings
+    warnings = (*main.warnings, *(line for one in main.seen for line in lost_warnings(one)))
     if len(sides) > 1:
         beside = _inputs(sides[1], 1, eyes, {seen.eye.sensor: seen.clock for seen in main.seen})
         across, warnings = beside.inputs, (*warnings, *beside.warnings)
@@ -79,6 +81,7 @@ def gather(
         belief=main.belief,
         radar=radar,
         frozen=main.frozen,
+        events=tuple(event for one in main.seen for event in lost_events(one)),
     )
 
 

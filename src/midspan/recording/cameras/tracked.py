@@ -264,13 +264,16 @@ def _wandering(eye: Eye, camera: CameraCalibration, measured: Displacement) -> C
 def zero_of(seen: Sequence[Seen], first: Displacement) -> int:
     """The instant (ns) that the displacement counts from: the first frame used of the first sensor, else of `first`.
 
-    Of two cameras the first one's; the earliest of both where that one was dark when it began.
+    Of two cameras the first one's; where that one was dark when it began, the earliest frame of `first`, which holds
+    both, in which a target was seen.
     """
     if not seen:
         return int(first.time_ns[0])
     eye = seen[0].eye
-    dark = eye.tracking.skipped > 0 or eye.view.sees_from_ns is not None
-    return int(min(one.measured.time_ns[0] for one in (seen if dark else seen[:1])))
+    began_ns = eye.view.sees_from_ns
+    dark = eye.tracking.skipped > 0 or (began_ns is not None and began_ns > eye.view.frames.times_ns()[0])
+    measured = first.time_ns[np.isfinite(first.value_m)] if dark else seen[0].measured.time_ns
+    return int(measured[0] if len(measured) else first.time_ns[0])
 
 
 def _drops(found: Together, tracking: CameraTracking, direction: str) -> list[str]:
