@@ -1,9 +1,11 @@
 """The camera alone, and what `inspect` says of a recording's streams."""
 
+import cv2
 import numpy as np
 import pytest
 
 import midspan
+from midspan.cli.main import run as command_line
 from midspan.errors import DataError, UsageError
 from midspan.recording.inspect import inspect_file, inspect_recording
 from midspan.recording.tracking.track import TrackRequest, track
@@ -111,6 +113,37 @@ def test_inspect_counts_frozen_dark_and_saturated_frames(footbridge_copy):
     assert branch["frozen_frames"] == 6
     assert branch["dark_frames"] == 2
     assert branch["saturated_frames"] == 1
+
+
+def test_a_single_file_of_frames_shows_its_temperatures_size_and_number_whether_timed_or_not(tmp_path, capsys):
+    rng = np.random.default_rng(1)
+    celsius = rng.uniform(5.0, 25.0, (3, 30, 40))
+    celsius[:, 3, 4], celsius[:, 5, 6] = -2.0, 31.0
+    counts = np.rint((celsius + 273.15) / 0.01).astype(np.uint16)
+    cv2.imwrite(str(tmp_path / "one.tiff"), counts[0])
+    cv2.imwritemulti(str(tmp_path / "many.tif"), list(counts))
+    np.savez(tmp_path / "stack.npz", celsius=celsius)
+    np.savez(tmp_path / "timed.npz", celsius=celsius, time_s=np.arange(3) / 5.0)
+    (tmp_path / "folder").mkdir()
+    for k in range(3):
+        cv2.imwrite(str(tmp_path / "folder" / f"p{k}.png"), counts[k])
+    for name, count in {"one.tiff": 1, "many.tif": 3, "stack.npz": 3, "timed.npz": 3, "folder": 3}.items():
+        branch = inspect_file(tmp_path / name)["frames"]
+        # Half a count of 0.01 K.
+        assert (branch["coldest_c"], branch["warmest_c"]) == pytest.approx((-2.0, 31.0), abs=0.006)
+        assert (branch["width"], branch["height"], branch["frames_used"]) == (40, 30, count)
+        assert branch["rate_hz"] == (pytest.approx(5.0) if name == "timed.npz" else None)
+        assert command_line(["inspect", str(tmp_path / name)]) == 0
+        shown = capsys.readouterr().out
+        assert "-2.00 … 31.00 °C" in shown
+        assert ("no stamps in the file" in shown) == (name != "timed.npz")
+
+
+def test_pictures_of_light_are_shown_without_temperatures(tmp_path):
+    cv2.imwrite(str(tmp_path / "a.png"), np.random.default_rng(1).integers(0, 255, (30, 40)).astype(np.uint8))
+    cv2.imwrite(str(tmp_path / "b.png"), np.random.default_rng(1).integers(0, 1024, (30, 40)).astype(np.uint16))
+    for name in ("a.png", "b.png"):
+        assert "coldest_c" not in inspect_file(tmp_path / name)["frames"]
 
 
 def test_irregular_times_are_jitter_not_gaps(footbridge_copy):

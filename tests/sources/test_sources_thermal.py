@@ -10,6 +10,7 @@ from flir_files import black_body, block
 
 from midspan.errors import DataError, UsageError
 from midspan.sources.camera.frames import FrameRequest
+from midspan.sources.thermal.flir import wrong_stamps
 from midspan.sources.thermal.formats import open_thermal
 from midspan.sources.thermal.request import ThermalRequest
 
@@ -60,7 +61,7 @@ def test_a_tail_four_bytes_short_is_whole_and_a_frame_cut_in_half_is_told(tmp_pa
     assert open_thermal(tmp_path / "a.seq").info.frame_count == 2
     cut = open_thermal(tmp_path / "b.seq").info
     assert cut.frame_count == 1
-    assert f"the last {len(one) // 2} bytes" in " ".join(cut.notes)
+    assert f"the last {len(one) // 2} bytes" in " ".join(cut.damage)
 
 
 def test_stamps_that_stand_still_give_way_to_the_rate(tmp_path: Path) -> None:
@@ -68,6 +69,35 @@ def test_stamps_that_stand_still_give_way_to_the_rate(tmp_path: Path) -> None:
     source = open_thermal(tmp_path / "a.seq")
     assert np.diff(source.times_ns()).tolist() == [33_333_333, 33_333_334]
     assert "30 frames a second" in " ".join(source.info.notes)
+
+
+def test_frames_behind_bytes_that_are_none_are_found_again_and_that_is_told(tmp_path: Path) -> None:
+    frames = [block(black_body(scene(k)), stamp_ms=1000 + 33 * k) for k in range(4)]
+    broken = b"FFF\0" * 3 + bytes(len(frames[1]) - 12)
+    (tmp_path / "a.seq").write_bytes(frames[0] + broken + frames[2] + frames[3])
+    source = open_thermal(tmp_path / "a.seq")
+    assert source.times_ns().tolist() == [1_000_000_000, 1_066_000_000, 1_099_000_000]
+    np.testing.assert_allclose(list(source.frames())[1].pixels, scene(2), atol=HALF_COUNT_K)
+    assert source.info.damage == (
+        f"{len(frames[1])} bytes of a.seq before frame 1 are no whole frame and were passed over",
+    )
+
+
+def test_a_stamp_out_of_order_costs_its_frame_and_not_the_others_stamps(tmp_path: Path) -> None:
+    stamps = [1000 + 40 * k for k in range(40)]
+    stamps[20] = stamps[12]
+    (tmp_path / "a.seq").write_bytes(b"".join(block(black_body(scene(k)), stamp_ms=s) for k, s in enumerate(stamps)))
+    source = open_thermal(tmp_path / "a.seq")
+    assert source.times_ns().tolist() == [1_000_000 * s for k, s in enumerate(stamps) if k != 20]
+    np.testing.assert_allclose(list(source.frames())[20].pixels, scene(21), atol=HALF_COUNT_K)
+    assert "1 frames (20) have stamps out of order" in " ".join(source.info.damage)
+
+
+def test_a_clock_that_was_set_back_is_not_taken_for_a_slip() -> None:
+    stamps = np.arange(200) * 40
+    back = np.where(np.arange(200) >= 100, stamps - 5 * 40, stamps)
+    assert len(wrong_stamps(back)) == 0
+    assert wrong_stamps(np.where(np.isin(np.arange(200), [50, 51]), 7, stamps)).tolist() == [50, 51]
 
 
 def test_a_folder_of_frames_is_a_sequence_in_natural_order(tmp_path: Path) -> None:
@@ -81,6 +111,17 @@ def test_a_folder_of_frames_is_a_sequence_in_natural_order(tmp_path: Path) -> No
 def test_a_sequence_that_mixes_sizes_is_refused_with_both_sizes(tmp_path: Path) -> None:
     (tmp_path / "a.seq").write_bytes(block(black_body(scene())) + block(black_body(scene(1, (10, 16)))))
     with pytest.raises(DataError, match=r"frame 1 must have the size of the first, 16x12 px; received 16x10"):
+        open_thermal(tmp_path / "a.seq")
+
+
+def test_a_calibration_of_zeros_is_refused_with_a_remedy(tmp_path: Path) -> None:
+    whole = bytearray(block(black_body(scene())))
+    place = whole.index(b"Model 7") - 0xD4
+    whole[place + 0x58 : place + 0x64] = bytes(12)
+    (tmp_path / "a.seq").write_bytes(whole)
+    with pytest.raises(
+        DataError, match=r"frame 0 has a record of the camera's calibration that cannot be right.*Export"
+    ):
         open_thermal(tmp_path / "a.seq")
 
 
@@ -163,10 +204,65 @@ def test_a_stack_in_another_unit_is_refused_with_what_was_received(tmp_path: Pat
         open_thermal(tmp_path / "a.npy", AT_30)
 
 
+def test_missing_values_are_filled_and_frames_without_most_of_theirs_are_passed_over(tmp_path: Path) -> None:
+    y, x = np.mgrid[:20, :24]
+    stack = np.stack([10.0 + 0.1 * x + 0.2 * y + 0.01 * k for k in range(6)])
+    given = stack.copy()
+    given[:, 5, 7] = np.nan
+    given[3] = np.nan
+    given[4, :, :6] = np.inf
+    np.save(tmp_path / "a.npy", given)
+    source = open_thermal(tmp_path / "a.npy", AT_30)
+    frames = list(source.frames())
+    assert [frame.index for frame in frames] == [0, 1, 2, 5]
+    # A plane is filled with itself, but for float32.
+    np.testing.assert_allclose([frame.pixels for frame in frames], stack[[0, 1, 2, 5]], atol=1e-5)
+    told = " ".join(source.info.damage)
+    assert "4 frames have missing values (NaN), at most 1 a frame" in told
+    assert "2 frames (3, 4) have more than 20 % of their values missing" in told
+
+
+def test_a_sequence_that_begins_with_an_empty_frame_is_opened(tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", np.stack([scene(0) * np.nan, scene(1), scene(2)]))
+    assert [frame.index for frame in open_thermal(tmp_path / "a.npy", AT_30).frames()] == [1, 2]
+
+
 def test_a_unit_that_changes_on_the_way_is_refused_with_its_frame(tmp_path: Path) -> None:
     np.save(tmp_path / "a.npy", np.stack([scene(0), scene(1), scene(2) + 273.15]))
     with pytest.raises(DataError, match="frame 2 must hold temperatures in °C"):
         list(open_thermal(tmp_path / "a.npy", AT_30).frames())
+
+
+@pytest.mark.parametrize("first", [0, 2], ids=["to °F", "to °C"])
+def test_a_change_between_celsius_and_fahrenheit_is_refused_with_its_frame(tmp_path: Path, first: int) -> None:
+    noise = np.random.default_rng(3).normal(0.0, 0.05, (4, 12, 16))
+    stack = scene(0) + noise
+    stack[first : first + 2] = 1.8 * stack[first : first + 2] + 32.0
+    np.save(tmp_path / "a.npy", stack)
+    with pytest.raises(DataError, match="frame 2 must be in the unit of the frames before"):
+        list(open_thermal(tmp_path / "a.npy", AT_30).frames())
+
+
+def test_a_level_that_jumps_by_as_much_is_no_change_of_unit(tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", np.stack([scene(0), scene(0) + 48.0, scene(0)]))
+    assert len(list(open_thermal(tmp_path / "a.npy", AT_30).frames())) == 3
+
+
+def test_a_wall_as_hot_as_fahrenheit_would_make_it_is_told(tmp_path: Path) -> None:
+    for name, stack in (("f.npy", 1.8 * scene() + 32.0), ("c.npy", scene())):
+        np.save(tmp_path / name, stack[None])
+        told = " ".join(open_thermal(tmp_path / name, AT_30).info.damage)
+        assert ("if the numbers are °F" in told) == (name == "f.npy")
+
+
+def test_counts_whose_scale_changes_on_the_way_are_refused_and_blank_frames_are_not(tmp_path: Path) -> None:
+    kelvin = scene() + 273.15
+    for k, counts in enumerate((kelvin / 0.01, 0.0 * kelvin)):
+        cv2.imwrite(str(tmp_path / f"p{k}.png"), np.rint(counts).astype(np.uint16))
+    assert len(list(open_thermal(tmp_path, AT_30).frames())) == 2
+    cv2.imwrite(str(tmp_path / "p2.png"), np.rint(kelvin / 0.04).astype(np.uint16))
+    with pytest.raises(DataError, match=r"frame 2 must hold counts of 0.01 K"):
+        list(open_thermal(tmp_path, AT_30).frames())
 
 
 @pytest.mark.parametrize("scale", [0.01, 0.04, 0.1])

@@ -25,12 +25,12 @@ STREAMS = (
 @common_options
 def command(recording: str, all_frames: bool, quiet: bool, as_json: bool) -> None:
     """What is in a recording (or in a single file): streams, rates, gaps, clipping, frozen frames, overlap, units."""
-    from midspan.recording.inspect import inspect_file, inspect_recording
+    from midspan.recording.inspect import inspect_file, inspect_recording, is_single
     from midspan.recording.streams.recording import open_recording
 
     console = Console(quiet, as_json)
     path = Path(recording)
-    if path.is_file() and path.suffix.lower() != ".toml":
+    if is_single(path):
         tree = inspect_file(path, console.progress)
         console.done()
         _show_file(console, tree)
@@ -57,13 +57,7 @@ def _show_stream(console: Console, section: str, branch: dict[str, Any]) -> None
     if "error" in branch:
         console.say(f"  cannot be used: {branch['error']}")
         return
-    rate = f"{branch['rate_hz']:.6g} Hz, jitter {branch['jitter_ms']:.3g} ms rms"
-    gaps = branch["gaps"]
-    longest = max((gap["length_s"] for gap in gaps), default=0.0)
-    rows = [
-        ("time", f"{branch['start']}, {branch['duration_s']:.3f} s long, {rate}"),
-        ("gaps", f"{len(gaps)}, the longest {longest:.3g} s" if gaps else "none"),
-    ]
+    rows = _times(branch)
     if "samples" in branch:
         unit = branch["value_unit"]
         rows += [
@@ -87,6 +81,21 @@ def _show_stream(console: Console, section: str, branch: dict[str, Any]) -> None
         ]  # fmt: skip
     rows += [("found", note) for note in branch["notes"]]
     console.table(rows)
+
+
+def _times(branch: dict[str, Any]) -> list[tuple[str, str]]:
+    """When a stream runs, and its gaps; a single frame has no rate, and a file may have no stamps."""
+    if branch["start"] is None:
+        return [("time", "no stamps in the file: rate_hz or times must be given")]
+    if branch["rate_hz"] is None:
+        return [("time", branch["start"])]
+    gaps = branch["gaps"]
+    longest = max((gap["length_s"] for gap in gaps), default=0.0)
+    rate = f"{branch['rate_hz']:.6g} Hz, jitter {branch['jitter_ms']:.3g} ms rms"
+    return [
+        ("time", f"{branch['start']}, {branch['duration_s']:.3f} s long, {rate}"),
+        ("gaps", f"{len(gaps)}, the longest {longest:.3g} s" if gaps else "none"),
+    ]
 
 
 def _radar(branch: dict[str, Any]) -> list[tuple[str, str]]:

@@ -11,17 +11,23 @@ from midspan.recording.radar.inspect import inspect_radar
 from midspan.recording.streams.progress import Progress, silent
 from midspan.recording.streams.recording import Recording
 from midspan.recording.streams.span import shown
-from midspan.recording.tracking.tracking import is_dark
+from midspan.recording.tracking.first_frame import is_dark
 from midspan.records import NANOSECONDS, Nanoseconds, TimeSeries
+from midspan.settings.load import RECORDING_FILE
 from midspan.signals.health import clipped, clock, frozen
 from midspan.sources.accelerometer.channel import Channel
 from midspan.sources.accelerometer.clock import NOT_A_TIME
 from midspan.sources.accelerometer.formats import list_channels
+from midspan.sources.camera.formats import open_frames
 from midspan.sources.camera.frames import FrameRequest, FrameSource
-from midspan.sources.thermal.formats import is_thermal, open_pictures
+from midspan.sources.thermal.formats import is_thermal, open_pictures, open_thermal
+from midspan.sources.thermal.request import ThermalRequest
 
 # Frames looked at for frozen, black or saturated pictures unless all are asked for.
 LOOKED_AT = 600
+# Files that are no table, by their names; in some of these pictures of 16 bits may be counts of temperature.
+PICTURES = (".tif", ".tiff", ".png", ".jpg", ".jpeg", ".bmp", ".pgm")
+COUNTED = (".tif", ".tiff", ".png", ".npy", ".npz")
 
 Tree = dict[str, Any]
 NOTHING: Tree = {"smallest": None, "largest": None}
@@ -62,19 +68,28 @@ def inspect_recording(recording: Recording, every_frame: bool = False, progress:
     return tree
 
 
+def is_single(path: Path) -> bool:
+    """Whether a path is a single file to look at, or a folder of pictures or FLIR frames that is no recording."""
+    if path.is_dir():
+        names = [] if (path / RECORDING_FILE).is_file() else [file.suffix.lower() for file in path.iterdir()]
+        return any(name in PICTURES for name in names) or (bool(names) and is_thermal(path))
+    return path.is_file() and path.suffix.lower() != ".toml"
+
+
 def inspect_file(path: Path, progress: Progress = silent) -> Tree:
     """What is in a single file: its channels with their units and rates, or its frames."""
     try:
-        if is_thermal(path):
-            raise UsageError(f"{path} holds frames of temperatures.")
+        if is_thermal(path) or path.suffix.lower() in PICTURES:
+            raise UsageError(f"{path} holds frames.")
         found = list_channels(path)
     except MidspanError as first:
         try:
-            branch, _ = _frames(open_pictures(path, FrameRequest()), False, progress, is_thermal(path))
+            return {"file": str(path), "frames": _file_of_frames(path, progress)}
         except MidspanError as second:
+            if path.suffix.lower() in PICTURES:
+                raise
             # No table by its name, and a video that cannot be used: what is wrong with the video counts.
             raise (second if isinstance(first, UsageError) and isinstance(second, DataError) else first) from None
-        return {"file": str(path), "frames": branch}
     return {
         "file": str(path),
         "notes": list(found.notes),
@@ -91,6 +106,37 @@ def inspect_file(path: Path, progress: Progress = silent) -> Tree:
     }
 
 
+def _file_of_frames(path: Path, progress: Progress) -> Tree:
+    """The frames of a file without settings: their clock is None where the file has none."""
+    timed = True
+    try:
+        source = _opened(path, FrameRequest())
+        source.times_ns()
+    except UsageError:
+        # No stamps in it: frames are counted as if there were one a second.
+        timed, source = False, _opened(path, FrameRequest(rate_hz=1.0))
+    celsius = source.info.radiometric
+    branch, _ = _frames(source, False, progress, celsius)
+    if not timed:
+        branch |= dict.fromkeys(("start", "start_s", "duration_s", "rate_hz", "jitter_ms"))
+    if celsius and not is_thermal(path):
+        branch["notes"].append("temperatures as [infrared] would read them; for [camera] the numbers are light")
+    return branch
+
+
+def _opened(path: Path, request: FrameRequest) -> FrameSource:
+    """The frames of a file: temperatures where it is sure, or where pictures of 16 bits can be some; else light."""
+    if is_thermal(path) or not (path.is_dir() or path.suffix.lower() in COUNTED):
+        return open_pictures(path, request)
+    light = open_frames(path, request)
+    if light.info.bit_depth == 8:
+        return light
+    try:
+        return open_thermal(path, ThermalRequest(request))
+    except DataError:
+        return light
+
+
 def _range(channel: Channel) -> Tree:
     """Smallest and largest value; a clock's as dates, None where there is no number."""
     known = channel.values[np.isfinite(channel.values)]
@@ -101,6 +147,9 @@ def _range(channel: Channel) -> Tree:
 
 
 def _clock(time_ns: Nanoseconds) -> Tree:
+    if len(time_ns) < 2:
+        start = {"start": shown(int(time_ns[0])), "start_s": time_ns[0] / NANOSECONDS}
+        return {**start, "duration_s": 0.0, "rate_hz": None, "jitter_ms": None, "gaps": []}
     found = clock(time_ns)
     return {
         "start": shown(int(time_ns[0])),
@@ -171,7 +220,7 @@ def _frames(
         "dark_frames": int(dark),
         "saturated_frames": int(bright),
         **({"coldest_c": low_c, "warmest_c": high_c} if thermal and np.isfinite(high_c - low_c) else {}),
-        "notes": list(info.notes),
+        "notes": [*info.notes, *info.damage],
     }
     return branch, times
 

@@ -25,6 +25,11 @@ def require_overlap(acceleration_ns: Nanoseconds, other_ns: Nanoseconds, section
     last = min(int(acceleration_ns[-1]), int(other_ns[-1]))
     if last - first >= LEAST_OVERLAP_S * NANOSECONDS:
         return
+    if other_ns[-1] - other_ns[0] < LEAST_OVERLAP_S * NANOSECONDS:
+        raise DataError(
+            f"{section} must last {LEAST_OVERLAP_S:g} s or more; it has {len(other_ns)} stamps from "
+            f"{shown(int(other_ns[0]))} to {shown(int(other_ns[-1]))}. Check that its file is whole, and its rate."
+        )
     raise DataError(
         f"accelerometer and {section} do not overlap in time: the accelerometer runs from "
         f"{shown(int(acceleration_ns[0]))} to {shown(int(acceleration_ns[-1]))}, {section} from "

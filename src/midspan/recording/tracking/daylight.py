@@ -7,7 +7,7 @@ from midspan.errors import UntrustedError
 from midspan.recording.streams.recording import Recording
 from midspan.recording.streams.span import shown
 from midspan.recording.streams.window import DEFAULT_WINDOW_S, window_ends
-from midspan.recording.tracking.tracking import is_dark
+from midspan.recording.tracking.first_frame import is_dark
 from midspan.records import NANOSECONDS, Floats
 from midspan.signals.health import runs
 

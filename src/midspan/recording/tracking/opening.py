@@ -7,16 +7,18 @@ from midspan.recording.stored.camera import CameraCalibration
 from midspan.recording.streams.measured import frames_used
 from midspan.recording.streams.progress import Progress
 from midspan.recording.streams.recording import Recording
-from midspan.recording.streams.span import require_overlap
+from midspan.recording.streams.span import require_overlap, shown
 from midspan.recording.streams.window import window_ends
 from midspan.recording.tracking.lens import check_same_lens, lens_of
 from midspan.recording.tracking.region_choice import Judge
 from midspan.recording.tracking.temperatures import levels_of
 from midspan.recording.tracking.tracking import CameraTracking, Target, TrackingSettings
-from midspan.records import NANOSECONDS, Region
+from midspan.records import NANOSECONDS, Nanoseconds, Region
 from midspan.settings.camera import CameraSettings, InfraredSettings
 from midspan.thermal.limits import Limits
 from midspan.vision.tracker import tracker_settings
+
+LEAST_FRAMES = 2
 
 
 def open_tracking(
@@ -39,10 +41,7 @@ def open_tracking(
     times = view.frames.times_ns()
     if not len(times):
         raise DataError(f"{camera.file}: holds no frames.")
-    acceleration_ns = view.prepared.time_ns
-    require_overlap(acceleration_ns, times, view.sensor)
-    margin = round(view.settings.calibration.max_offset_s * NANOSECONDS)
-    used = frames_used(times, acceleration_ns, margin)
+    used = _frames_used(view, times)
     if view.sees_from_ns is not None:
         used = slice(max(used.start, int(np.searchsorted(times, view.sees_from_ns))), used.stop)
     settings = TrackingSettings(
@@ -64,6 +63,26 @@ def open_tracking(
     if known is not None:
         check_same_lens(settings.lens, known.lens)
     return CameraTracking(view.frames, settings, progress, judge)
+
+
+def _frames_used(view: Recording, times: Nanoseconds) -> slice:
+    """The frames used of those with these stamps (n,); DataError where they hardly overlap with the acceleration."""
+    acceleration_ns = view.prepared.time_ns
+    try:
+        require_overlap(acceleration_ns, times, view.sensor)
+    except DataError as error:
+        # Stamps that could not be used are the likely reason.
+        raise DataError(" ".join((str(error), *(f"{line}." for line in view.frames.info.damage)))) from None
+    used = frames_used(times, acceleration_ns, round(view.settings.calibration.max_offset_s * NANOSECONDS))
+    if used.stop - used.start < LEAST_FRAMES:
+        usual_s = float(np.median(np.diff(times))) / NANOSECONDS
+        raise DataError(
+            f"{view.sensor}: only {used.stop - used.start} of its {len(times)} frames lie within the acceleration, "
+            f"from {shown(int(acceleration_ns[0]))} to {shown(int(acceleration_ns[-1]))}; the frames run from "
+            f"{shown(int(times[0]))} to {shown(int(times[-1]))}, {usual_s:.4g} s apart. Check that their times are "
+            f"in s, and {view.sensor}.rate_hz and {view.sensor}.start_s."
+        )
+    return used
 
 
 def given_targets(camera: CameraSettings) -> tuple[Target, ...]:

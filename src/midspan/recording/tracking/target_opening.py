@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from midspan.checks import refuse
 from midspan.engine.thermal_target import ThermalTarget, thermal_target
 from midspan.records import Event, Frame, PixelTranslation, Region, Status
 from midspan.thermal.limits import Limits
@@ -16,6 +17,8 @@ from midspan.vision.tracker import Telling, Tracker, Wandering
 
 # Temperatures throw no shadows: what no mix explains of them is no motion.
 HEAT_UNMIXED_PX = 0.5
+# Of a target's pixels; the others are shown as black or white.
+LEAST_INSIDE = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +56,22 @@ class Opening:
         if self.reference == "updating":
             return UpdatingTracker(frame, region, UpdatingSettings(self.tracker, self.settings))
         return open_counting(self.tracker, frame, region, self.settings)
+
+
+def refuse_empty_range(reference: Frame, region: Region, levels: Limits) -> None:
+    """UsageError where hardly any of a target's temperatures in the reference frame are within the range shown."""
+    if reference.pixels.dtype.kind != "f":
+        return
+    part = reference.pixels[region.y : region.y + region.height, region.x : region.x + region.width]
+    celsius = np.asarray(part, dtype=np.float64)
+    if np.mean((celsius > levels.low_c) & (celsius < levels.high_c)) >= LEAST_INSIDE:
+        return
+    low, high = np.percentile(celsius, (1.0, 99.0))
+    raise refuse(
+        "infrared.temperature_range_c",
+        f"a range in °C with the target's temperatures in it; in the first frame used they are {low:.4g} to {high:.4g}",
+        [levels.low_c, levels.high_c],
+    )
 
 
 def thermal_part(tracker: Tracker) -> ThermalTarget | None:

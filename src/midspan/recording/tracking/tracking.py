@@ -1,23 +1,29 @@
 """Tracking a recording's camera: the reference frame, the targets, and the frames in their order."""
 
 from collections import deque
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields, replace
-from itertools import islice
 from operator import attrgetter
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from midspan.errors import DataError
 from midspan.recording.streams.progress import Progress, silent
 from midspan.recording.streams.sensor_words import worded
 from midspan.recording.tracking.fair_variance import lost_where, more_variance, with_fair_variance
+from midspan.recording.tracking.first_frame import begun, is_dark
 from midspan.recording.tracking.light import LightWatch, light_warnings
 from midspan.recording.tracking.region_choice import ChoiceRequest, Judge, choose_targets
-from midspan.recording.tracking.target_opening import Opening, events_of, strength_of, thermal_part, wandering_px2
+from midspan.recording.tracking.target_opening import (
+    Opening,
+    events_of,
+    refuse_empty_range,
+    strength_of,
+    thermal_part,
+    wandering_px2,
+)
 from midspan.records import (
     NANOSECONDS,
     Event,
@@ -49,9 +55,6 @@ FROZEN_FRAMES = 3
 # The column that tells them, after those of a translation.
 REPEATS = 7
 _numbers = attrgetter(*(field.name for field in fields(PixelTranslation)))
-# A frame whose mean is below this share of full scale is dark; at most this many are skipped at the start.
-DARK_SHARE = 0.02
-MOST_DARK = 1000
 # Every so many rows and columns tell a black frame from a lit one.
 THINNED = 4
 # Frames that trackers learn from are kept until they are tracked; so much memory at most.
@@ -237,7 +240,7 @@ class TargetTracking:
 class CameraTracking:
     """Frames from the first one used, every target tracked through one after another; `targets` hold the rows.
 
-    Dark frames before the first lit one are skipped (`skipped` tells how many): nothing could be found in them.
+    Frames before the first usable one are skipped (`skipped` tells how many), see `begun`.
     judge: what decides between places by more than the picture; left out, the picture alone decides.
     """
 
@@ -249,7 +252,9 @@ class CameraTracking:
         judge: Judge | None = None,
     ) -> None:
         self.source, self.progress = source, progress
-        self.skipped, self._frames = lit_frames(source, settings)
+        start = begun(source, settings.first, settings.last, [target.region for target in settings.targets])
+        self.skipped, self._frames = start.skipped, start.frames
+        self._skipped_for = start.reason
         self.settings = settings = replace(settings, first=settings.first + self.skipped)
         self.time_ns: Nanoseconds = source.times_ns()[settings.first : settings.last]
         if len(self.time_ns) < 2:
@@ -260,6 +265,8 @@ class CameraTracking:
         rows, columns = self.reference.pixels.shape
         for target in targets:
             check_region(target.region, columns, rows)
+            if settings.thermal and settings.levels is not None:
+                refuse_empty_range(self.reference, target.region, settings.levels)
         self.chosen = tuple(targets)
         self.targets = tuple(self._opened(target) for target in targets)
         self._ahead = deque([self.reference])
@@ -308,9 +315,8 @@ class CameraTracking:
         """What of the frames tracked so far is worth telling."""
         found = []
         if self.skipped:
-            found.append(
-                f"camera: the first {self.skipped} frames are dark and were skipped; the zero is at the first lit one."
-            )
+            found.append(f"camera: {self._skipped_for}.")
+        found += [f"camera: {line}." for line in self.source.info.damage]
         for target in self.targets:
             own = target.warnings(self.settings.direction)
             if self.settings.lens is not None:
@@ -349,35 +355,3 @@ class CameraTracking:
         request = ChoiceRequest(settings.direction, settings.automatic_targets, settings.first, settings.trial_from_ns)
         self.choice = choose_targets(self.source, self.time_ns, request, self.progress, judge)
         return tuple(Target(region, str(k)) for k, region in enumerate(self.choice.regions, start=1))
-
-
-def lit_frames(source: FrameSource, settings: TrackingSettings) -> tuple[int, Generator[Frame]]:
-    """How many frames from the first used on are dark, and the frames after them.
-
-    When none of the first `MOST_DARK` is lit, none is skipped.
-    """
-    frames = source.frames(settings.first, settings.last)
-    for skipped, frame in enumerate(islice(frames, MOST_DARK)):
-        if not is_dark(np.asarray(frame.pixels)):
-            return skipped, _chained(frame, frames)
-    return 0, _chained(None, source.frames(settings.first, settings.last))
-
-
-def _chained(first: Frame | None, rest: Iterator[Frame]) -> Generator[Frame]:
-    """A frame and those after it."""
-    if first is not None:
-        yield first
-    yield from rest
-
-
-def is_dark(pixels: NDArray[Any]) -> bool:
-    """Whether an integer frame (rows, columns) is black: neither its mean nor its brightest pixels leave the bottom.
-
-    Cameras put 10 or 12 bits into files of 16, so full scale is not known; a dark frame also has no contrast.
-    """
-    if pixels.dtype.kind == "f":
-        return False
-    scale = 255.0 if pixels.dtype.itemsize == 1 else 1023.0
-    if float(np.mean(pixels)) >= DARK_SHARE * scale:
-        return False
-    return float(np.percentile(pixels[::4, ::4], 99)) < 2.0 * DARK_SHARE * scale

@@ -29,7 +29,7 @@ class FrameInfo:
     """What is known of a source of frames: `frame_count` counts all frames of the file (None: not known).
 
     `bit_depth` is that of the luma, `lossless` None where the codec can be either, `radiometric` whether pixels are
-    temperatures.
+    temperatures. `damage`: what of the file was lost, mended or is doubtful, which a result should tell.
     """
 
     width: int
@@ -40,6 +40,7 @@ class FrameInfo:
     lossless: bool | None
     notes: tuple[str, ...] = ()
     radiometric: bool = False
+    damage: tuple[str, ...] = ()
 
 
 class FrameSource(ABC):

@@ -1,6 +1,7 @@
 """Folders and globs of images, and multi-page TIFF, read with OpenCV one at a time."""
 
 import re
+import struct
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,6 +16,8 @@ from midspan.sources.camera.timing import file_times, rate_times
 
 # Pages of a TIFF decoded at once: each call walks the file's list of pages from its start.
 _PAGES_AT_ONCE = 16
+_BIG_TIFF = 43
+_MOST_PAGES = 1_000_000
 _LOSSY = (".jpg", ".jpeg")
 
 
@@ -114,8 +117,36 @@ def _page_count(file: Path) -> int:
 
     if file.suffix.lower() not in (".tif", ".tiff"):
         return 1
+    _refuse_cut_off(file)
     with _quiet():
         return max(int(cv2.imcount(str(file), cv2.IMREAD_UNCHANGED)), 1)
+
+
+def _refuse_cut_off(file: Path) -> None:
+    """DataError where a page of a TIFF would begin behind the end of the file: a copy that broke off."""
+    size = file.stat().st_size
+    with file.open("rb") as data:
+        head = data.read(16)
+        order = {b"II": "<", b"MM": ">"}.get(head[:2])
+        if order is None or len(head) < 16:
+            return
+        big = struct.unpack_from(order + "H", head, 2)[0] == _BIG_TIFF
+        count_code, place_code, entry = ("Q", "Q", 20) if big else ("H", "I", 12)
+        count_bytes, place_bytes = struct.calcsize(order + count_code), struct.calcsize(order + place_code)
+        (place,) = struct.unpack_from(order + place_code, head, 8 if big else 4)
+        for page in range(_MOST_PAGES):
+            if not place:
+                return
+            data.seek(place)
+            (count,) = struct.unpack(order + count_code, data.read(count_bytes).ljust(count_bytes, b"\0"))
+            data.seek(place + count_bytes + count * entry)
+            following = data.read(place_bytes)
+            if len(following) < place_bytes:
+                raise DataError(
+                    f"{file} is cut off: its page {page + 1} is at byte {place}, and the file has {size} bytes. "
+                    "Copy it again."
+                )
+            (place,) = struct.unpack(order + place_code, following)
 
 
 @contextmanager

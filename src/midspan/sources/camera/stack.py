@@ -28,8 +28,11 @@ class StackFrames(FrameSource):
         try:
             self._array, self._times_s, note = _load(path)
         except (ValueError, OSError, EOFError, zipfile.BadZipFile, KeyError) as error:
+            # NumPy takes anything else for Python objects, and advises to allow them.
+            reason = "it is no array of numbers" if "pickle" in str(error) else str(error)
             raise DataError(
-                f"{path} cannot be read as a NumPy stack: {error}. Check that the file is whole."
+                f"{path} cannot be read as a NumPy stack: {reason}. Check that the file is whole, and an array of "
+                "numbers."
             ) from error
         self._notes = [note] if note else []
         shape = self._array.shape

@@ -64,10 +64,8 @@ class VideoFrames(FrameSource):
         name = self._codec.split()[0].removeprefix("lib")
         lossless = True if name in _LOSSLESS else False if name in _LOSSY else None
         count = self._packets.count if self._packets is not None else self._declared
-        notes = list(self._notes)
-        if self._lost:
-            notes.append(f"{self._lost} frames are damaged and were passed over")
-        return FrameInfo(*self._size, self._depth, count, self._codec, lossless, tuple(notes))
+        damage = (f"{self._lost} frames are damaged and were passed over",) if self._lost else ()
+        return FrameInfo(*self._size, self._depth, count, self._codec, lossless, tuple(self._notes), damage=damage)
 
     def times_ns(self) -> Nanoseconds:
         """Time stamps from `times`, else the container, else the rate."""

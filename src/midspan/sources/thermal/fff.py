@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from midspan.errors import DataError
+from midspan.errors import DataError, UsageError
 from midspan.thermal.radiometry import Air, OpticalPath, Planck
 
 MAGIC = b"FFF\0"
@@ -23,6 +23,7 @@ _MOST_RECORDS = 1024
 _SHORT_TAIL_BYTES = 4  # the last block of a sequence may claim this much more than there is
 _MARK = 2  # a record's byte-order mark, read in the right order
 _CAMERA_BYTES = 0x38E
+_SEARCHED_BYTES = 1 << 24  # at once
 PNG, JPEG_LS = b"\x89PNG", b"\xff\xd8\xff"
 
 Bytes = bytes | memoryview
@@ -64,9 +65,8 @@ class CameraInfo:
     median_count: int
 
 
-def blocks(data: Bytes) -> Iterator[Block]:
-    """The blocks of a file from its first byte to its last whole one."""
-    offset = 0
+def blocks(data: Bytes, offset: int = 0) -> Iterator[Block]:
+    """The blocks of a file from `offset` on, one behind the other, to the last whole one."""
     while offset + _HEADER_BYTES <= len(data) and bytes(data[offset : offset + 4]) == MAGIC:
         block = _block(data, offset)
         if block is None or block.end > len(data) + _SHORT_TAIL_BYTES:
@@ -75,8 +75,38 @@ def blocks(data: Bytes) -> Iterator[Block]:
         offset = block.end
 
 
+def next_block(data: Bytes, offset: int) -> int | None:
+    """Where the next whole frame begins, from `offset` on, after bytes that are none; None where there is no more.
+
+    The letters of a block occur among pixels too: one with raw counts and the camera's record lies behind them.
+    """
+    while offset < len(data):
+        piece = bytes(data[offset : offset + _SEARCHED_BYTES + len(MAGIC) - 1])
+        place = piece.find(MAGIC)
+        while place >= 0:
+            if _is_frame(data, offset + place):
+                return offset + place
+            place = piece.find(MAGIC, place + 1)
+        offset += _SEARCHED_BYTES
+    return None
+
+
+def _is_frame(data: Bytes, offset: int) -> bool:
+    """Whether a whole frame begins at `offset`, with counts and a calibration."""
+    if offset + _HEADER_BYTES > len(data):
+        return False
+    block = _block(data, offset)
+    if block is None or block.end > len(data) + _SHORT_TAIL_BYTES:
+        return False
+    try:
+        camera_info(data, block)
+        return min(frame_size(data, block)) > 0
+    except (DataError, struct.error):
+        return False
+
+
 def _block(data: Bytes, offset: int) -> Block | None:
-    """The block at `offset`; None where its directory is cut off or cannot be right."""
+    """The block at `offset`; None where its directory is cut off, empty or cannot be right."""
     version = struct.unpack_from("<I", data, offset + 0x14)[0]
     order = ">" if version > _LARGEST_VERSION else "<"
     start, count = struct.unpack_from(f"{order}II", data, offset + 0x18)
@@ -88,6 +118,8 @@ def _block(data: Bytes, offset: int) -> Block | None:
         kind, *_, place, length = struct.unpack_from(f"{order}HHIIII", data, directory + k * _ENTRY_BYTES)
         if kind and length:
             records.append(Record(kind, offset + place, length))
+    if not records:
+        return None
     end = max([directory + count * _ENTRY_BYTES, *(record.offset + record.length for record in records)])
     return Block(offset, tuple(records), end)
 
@@ -115,8 +147,15 @@ def camera_info(data: Bytes, block: Block) -> CameraInfo:
     rate = float(read("H", 0x464)[0]) if record.length >= 0x466 else 0.0
     air = Air((alpha_1, alpha_2), (beta_1, beta_2), x)
     model = bytes(data[record.offset + 0xD4 : record.offset + 0xF4]).split(b"\0")[0].decode("latin-1").strip()
+    try:
+        planck = Planck(r1, b, f, float(offset), r2)
+    except UsageError as error:
+        raise DataError(
+            f"has a record of the camera's calibration that cannot be right: {error} Export it with its radiometric "
+            "data, or as 16-bit TIFF."
+        ) from error
     return CameraInfo(
-        planck=Planck(r1, b, f, float(offset), r2),
+        planck=planck,
         path=OpticalPath(
             emissivity=emissivity,
             distance_m=distance,

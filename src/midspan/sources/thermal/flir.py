@@ -2,6 +2,7 @@
 
 import mmap
 import re
+from bisect import bisect_left
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -10,15 +11,18 @@ from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from midspan.errors import DataError, UsageError
 from midspan.records import Frame, Nanoseconds
 from midspan.sources.camera.frames import FrameInfo, FrameSource
 from midspan.sources.camera.timing import file_times, grid
-from midspan.sources.thermal.fff import Block, CameraInfo, blocks, camera_info, counts, frame_size
+from midspan.sources.thermal.fff import Block, CameraInfo, blocks, camera_info, counts, frame_size, next_block
 from midspan.sources.thermal.request import Floats32, ThermalRequest, checked_celsius
 from midspan.thermal.radiometry import OpticalPath, Planck, celsius_table
 
+# With fewer stamps in their order than this share, none is believed.
+LEAST_IN_ORDER = 0.95
 SUFFIXES = (".fff", ".seq", ".csq", ".fcf")
 
 
@@ -39,6 +43,7 @@ class FlirFrames(FrameSource):
         self._files, self._request = list(files), request
         self._tables: dict[tuple[Planck, OpticalPath], Floats32] = {}
         self._notes: list[str] = []
+        self._damage: list[str] = []
         self._places = [place for file in self._files for place in self._walked(file)]
         if not self._places:
             raise DataError(f"{self._files[0]} holds no whole FLIR frame. Check that the file is whole.")
@@ -54,7 +59,8 @@ class FlirFrames(FrameSource):
         """Size and number of frames; temperatures are float32 in °C."""
         codec = "FLIR records, 16-bit counts"
         size, count = (self._width, self._height), len(self._places)
-        return FrameInfo(*size, 32, count, codec, True, tuple(self._notes), radiometric=True)
+        notes, damage = tuple(self._notes), tuple(self._damage)
+        return FrameInfo(*size, 32, count, codec, True, notes, radiometric=True, damage=damage)
 
     def times_ns(self) -> Nanoseconds:
         """Time stamps from `times`, else the camera's own (ms, since 1970), else a rate; `start_s` is added."""
@@ -77,8 +83,8 @@ class FlirFrames(FrameSource):
             raw = counts(data, place.block, info.median_count)
         except DataError as error:
             note = f"frame {number} {error}; it is passed over"
-            if note not in self._notes:
-                self._notes.append(note)
+            if note not in self._damage:
+                self._damage.append(note)
             return None
         return checked_celsius(self._table(info)[raw], name)
 
@@ -107,15 +113,23 @@ class FlirFrames(FrameSource):
     def _walked(self, file: Path) -> list[_Place]:
         with _mapped(file) as data:
             found: list[_Place] = []
-            try:
-                for block in blocks(data):
-                    place = _Place(file, block, camera_info(data, block).time_ns, frame_size(data, block))
-                    found.append(place)
-            except (DataError, UsageError) as error:
-                raise DataError(f"{file}: frame {len(found)} {error}") from error
-            end = found[-1].block.end if found else 0
+            begin: int | None = 0
+            while begin is not None:
+                try:
+                    for block in blocks(data, begin):
+                        place = _Place(file, block, camera_info(data, block).time_ns, frame_size(data, block))
+                        found.append(place)
+                except (DataError, UsageError) as error:
+                    raise DataError(f"{file}: frame {len(found)} {error}") from error
+                end = found[-1].block.end if found else 0
+                begin = next_block(data, end + 1) if end < len(data) else None
+                if begin is not None:
+                    self._damage.append(
+                        f"{begin - end} bytes of {file.name} before frame {len(found)} are no whole frame and were "
+                        "passed over"
+                    )
             if found and end < len(data):
-                self._notes.append(f"the last {len(data) - end} bytes of {file.name} are no whole frame")
+                self._damage.append(f"the last {len(data) - end} bytes of {file.name} are no whole frame")
             return found
 
     def _all_times(self) -> tuple[Nanoseconds, str]:
@@ -124,14 +138,60 @@ class FlirFrames(FrameSource):
         if request.times is not None:
             return file_times(request.times, self._files[0], count), f"times from {request.times.name}"
         start_ns = round(request.start_s * 1e9)
-        stamps = np.array([place.time_ns for place in self._places], dtype=np.int64)
+        stamps = self._without_wrong_stamps()
         if stamps[0] > 0 and np.all(stamps[1:] > stamps[:-1]):
             begun = datetime.fromtimestamp(int(stamps[0]) / 1e9, UTC).isoformat(timespec="milliseconds")
             return stamps + np.int64(start_ns), f"the camera's stamps, from {begun}"
         rate = request.rate_hz or self._first.rate_hz
         if not rate > 0:
             raise UsageError(f"{self._files[0]}: its time stamps do not increase. Give rate_hz, or times.")
-        return grid(count, Fraction(rate), start_ns), f"its stamps do not increase: taken as {rate:g} frames a second"
+        told = f"its stamps do not increase: taken as {rate:g} frames a second from start_s = {request.start_s:g} s on"
+        self._damage.append(f"{self._files[0].name}: {told}")
+        return grid(len(stamps), Fraction(rate), start_ns), told
+
+    def _without_wrong_stamps(self) -> NDArray[np.int64]:
+        """The stamps of all frames, after the few are left out whose stamp does not fit between those around it."""
+        stamps = np.array([place.time_ns for place in self._places], dtype=np.int64)
+        wrong = wrong_stamps(stamps)
+        if len(wrong):
+            named = ", ".join(str(k) for k in wrong[:3]) + (" …" if len(wrong) > 3 else "")
+            self._damage.append(f"{len(wrong)} frames ({named}) have stamps out of order and were passed over")
+            self._places = [place for k, place in enumerate(self._places) if k not in set(wrong.tolist())]
+        return np.delete(stamps, wrong)
+
+
+def wrong_stamps(stamps: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Numbers of the frames whose stamps (n,) break the order of the others; none where they are not a few slips.
+
+    Where the clock was set back the frames in between leave no room for those that would be left out.
+    """
+    nothing: NDArray[np.int64] = np.empty(0, dtype=np.int64)
+    if np.all(stamps[1:] > stamps[:-1]):
+        return nothing
+    kept = _longest_increasing(stamps)
+    if len(kept) < LEAST_IN_ORDER * len(stamps) or len(kept) < 2:
+        return nothing
+    steps = np.diff(kept)
+    usual = float(np.median(np.diff(stamps[kept]) / steps))
+    fits = np.diff(stamps[kept]) > (steps - 0.5) * usual
+    wrong: NDArray[np.int64] = np.setdiff1d(np.arange(len(stamps)), kept)
+    return wrong if fits.all() else nothing
+
+
+def _longest_increasing(stamps: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Numbers of the longest series of stamps (n,) that increase."""
+    ends: list[int] = []
+    places: list[int] = []
+    before: list[int] = []
+    for k, stamp in enumerate(stamps.tolist()):
+        place = bisect_left(ends, stamp)
+        before.append(places[place - 1] if place else -1)
+        ends[place : place + 1] = [stamp]
+        places[place : place + 1] = [k]
+    series = [places[-1]]
+    while before[series[-1]] >= 0:
+        series.append(before[series[-1]])
+    return np.array(series[::-1], dtype=np.int64)
 
 
 def natural_order(files: Sequence[Path]) -> list[Path]:

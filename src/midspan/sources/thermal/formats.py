@@ -9,6 +9,7 @@ from midspan.sources.camera.frames import FrameRequest, FrameSource
 from midspan.sources.camera.timing import check_request
 from midspan.sources.thermal.flir import SUFFIXES, FlirFrames, natural_order
 from midspan.sources.thermal.pictures import ThermalPictures
+from midspan.sources.thermal.repaired import RepairedFrames
 from midspan.sources.thermal.request import ThermalRequest
 
 FORMATS = (
@@ -20,7 +21,8 @@ FORMATS = (
 
 
 def open_thermal(path: Path, request: ThermalRequest | None = None) -> FrameSource:
-    """The frames at `path` as temperatures in °C (float32); pictures of 8 bits as grey levels, told in its notes.
+    """The frames at `path` as temperatures in °C (float32, all of them numbers: dead pixels are filled); pictures of
+    8 bits as grey levels, told in its notes.
 
     `path`: a FLIR fff, seq or csq file, a folder or glob of fff files or pictures, a multi-page TIFF, an npy or npz
     stack. Raises UsageError for settings out of range or a missing decoder, DataError for a source that is missing,
@@ -30,8 +32,9 @@ def open_thermal(path: Path, request: ThermalRequest | None = None) -> FrameSour
     check_request(path, request.frames)
     files = _flir_files(path)
     if files:
-        return FlirFrames(files, request)
-    return ThermalPictures(open_frames(path, request.frames), request, str(path))
+        return RepairedFrames(FlirFrames(files, request), str(path))
+    pictures = ThermalPictures(open_frames(path, request.frames), request, str(path))
+    return RepairedFrames(pictures, str(path)) if pictures.info.radiometric else pictures
 
 
 def is_thermal(path: Path) -> bool:
