@@ -107,8 +107,8 @@ def _straight(shares: list[float]) -> Floats:
     """
     place = np.arange(len(shares)) - 0.5 * (len(shares) - 1)
     mean = max(float(np.mean(shares)), 1e-3)
-    line: Floats = 1.0 + place * float(place @ np.array(shares)) / float(place @ place) / mean
-    return np.maximum(line, 0.05)
+    slope = float(place @ np.array(shares)) / float(place @ place) / mean
+    return np.maximum(np.asarray(1.0 + slope * place, dtype=np.float64), 0.05)
 
 
 def _shifted(image: Floats, x_px: float, y_px: float) -> Floats:
