@@ -140,6 +140,7 @@ def _inputs(
         errors=tuple(errors),
         levels=(*together.levels, *_camera_levels(seen, belief), *(() if radar is None else radar.levels)),
         sampled=None if begun is side.acceleration else side.acceleration,
+        believed=None if belief is None else belief.at,
     )
     return Along(inputs, seen, belief, (*together.warnings, *told))
 
