@@ -8,7 +8,8 @@ import pytest
 
 import midspan
 from midspan.cli.main import run as command_line
-from midspan.errors import DataError, UsageError
+from midspan.errors import DataError, UntrustedError, UsageError
+from midspan.recording.camera_calibration.best_range import compared_band
 from midspan.recording.inspect import inspect_recording
 from midspan.recording.stored.calibration_file import load_calibration
 from midspan.recording.tracking.track import TrackRequest, track
@@ -16,6 +17,7 @@ from midspan.records import Region, Source, Status
 from midspan.simulate.motion.motion import Sines
 from midspan.simulate.scene.texture import textured_scene
 from midspan.simulate.scene.thermal import Course, ThermalCamera, ThermalView, WarmBody
+from midspan.thermal.temperature_range import ROUGH, THINNED, band_error
 from recording_edits import append, read_columns, replace_text, set_keys
 
 LENGTH_S, RATE_HZ = 40.0, 6.0
@@ -190,6 +192,34 @@ def test_a_given_range_shows_the_tracker_grey_levels_and_features_find_their_own
     calibration = midspan.calibrate(given)
     assert calibration.infrared.temperature_range_c == (16.0, 24.0)
     assert 1e3 * calibration.infrared.scale.value_m_per_px == pytest.approx(-2.0, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("rate", "given"),
+    [(2.0, None), (4.0, None), (25.0, None), (3.0, (0.1, 2.0)), (4.0, (0.5, 1.4)), (25.0, (0.5, 3.0))],
+)
+def test_the_band_of_the_ranges_is_one_that_the_frames_can_show_even_with_a_fifth_of_them_lost(rate, given):
+    band, count = compared_band(given, rate)
+    # A band that was asked for is not changed.
+    assert band[0] == (min(0.5, 0.05 * rate) if given is None else given[0])
+    whole = np.arange(count) / rate
+    frames = whole[: ROUGH * THINNED : THINNED] if count >= ROUGH * THINNED else whole
+    for time_s in (whole, frames):
+        swing = np.sin(2 * np.pi * 1.2 * band[0] * time_s)
+        swing[::5] = np.nan
+        assert np.isfinite(band_error(time_s, swing, band))
+
+
+def test_a_band_that_the_frames_cannot_show_leaves_features_the_temperatures_and_is_told(alone):
+    folder, _ = alone
+    with pytest.raises(UntrustedError, match=r"begins at 0\.5 Hz; at 2 frames a second"):
+        compared_band((0.5, 3.0), 2.0)
+    slow = midspan.open_recording(
+        folder, infrared={"tracker": "features", "every": 2}, calibration={"band_hz": (0.9, 3.0)}
+    )
+    (line,) = [line for line in midspan.calibrate(slow).warnings if "no temperature range" in line]
+    assert "calibration.band_hz begins at 0.9 Hz" in line
+    assert "Give infrared.temperature_range_c" in line
 
 
 def test_switching_by_matches_uses_one_camera_at_a_time(day, result):

@@ -74,10 +74,16 @@ def _calibrated(recording: Recording, progress: Progress) -> SeenBy:
 def _in_best_range(
     view: Recording, tracking: CameraTracking, parts: tuple[CameraFit, ...], progress: Progress
 ) -> tuple[CameraTracking, tuple[CameraFit, ...]]:
-    """Tracking and calibration anew in the best temperature range; as they were where nothing decides on one."""
-    surface = best_range(view, tracking, parts[0])
-    if surface is None:
-        return tracking, parts
+    """Tracking and calibration anew in the best temperature range; as they were, and told, where nothing decides."""
+    try:
+        surface = best_range(view, tracking, parts[0])
+    except UntrustedError as error:
+        name = view.settings.camera.tracker if view.settings.camera is not None else "the tracker"
+        told = (
+            f"{view.sensor}: no temperature range was chosen, and `{name}`, made for grey levels, saw the temperatures "
+            f"as they are. {error} Give {view.sensor}.temperature_range_c, or choose another tracker."
+        )
+        return tracking, (replace(parts[0], warnings=(*parts[0].warnings, told)), *parts[1:])
     tracking.close()
     again = open_tracking(view, None, progress, again=(tuple(tracking.chosen), surface.best))
     again.range_surface = surface
