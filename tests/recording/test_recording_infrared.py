@@ -222,6 +222,45 @@ def test_a_band_that_the_frames_cannot_show_leaves_features_the_temperatures_and
     assert "Give infrared.temperature_range_c" in line
 
 
+def with_scales(result, factors, file):
+    """The result's calibration with other scale factors, and without the cameras whose factor is 0."""
+    tree = result.calibration.to_dict()
+    for sensor, factor in factors.items():
+        if factor == 0.0:
+            del tree[sensor]
+            continue
+        for part in (tree[sensor], *tree[sensor].get("targets", ())):
+            part["scale_mm_per_px"] *= factor
+    file.write_text(json.dumps(tree), encoding="utf-8")
+    return load_calibration(file)
+
+
+def test_a_reversed_sign_of_one_of_two_cameras_is_refused_and_named(day, result, tmp_path):
+    wrong = with_scales(result, {"camera": -1.0}, tmp_path / "wrong.json")
+    with pytest.raises(UntrustedError, match=r"camera: its displacement is -.*scale_mm_per_px .*sign is reversed"):
+        midspan.estimate(midspan.open_recording(day), wrong)
+
+
+def test_a_scale_of_one_of_two_cameras_2_percent_off_is_told_and_in_the_band(day, result, tmp_path):
+    found = midspan.estimate(
+        midspan.open_recording(day), with_scales(result, {"camera": 1.02}, tmp_path / "wrong.json")
+    )
+    (line,) = [line for line in found.warnings if "its displacement is" in line]
+    assert line.startswith("camera: its displacement is 1.0")
+    assert np.mean(np.abs(error_mm(day, found)) < 1.96 * found.displacement_std_mm) > 0.9
+
+
+def test_a_camera_that_the_given_calibration_does_not_have_is_left_out_and_told(day, result, tmp_path):
+    found = midspan.estimate(
+        midspan.open_recording(day), with_scales(result, {"infrared": 0.0}, tmp_path / "half.json")
+    )
+    (line,) = [line for line in found.warnings if "[infrared] is left out" in line]
+    assert "has no infrared part" in line
+    assert Source.INFRARED not in found.estimate.source
+    same = midspan.estimate(midspan.open_recording(day), with_scales(result, {}, tmp_path / "whole.json"))
+    assert not [line for line in same.warnings if "left out" in line or "its displacement is" in line]
+
+
 def test_switching_by_matches_uses_one_camera_at_a_time(day, result):
     both = result.belief.measured
     recording = midspan.open_recording(day, fusion={"switching": "matches"})

@@ -141,6 +141,7 @@ def _inputs(
         levels=(*together.levels, *_camera_levels(seen, belief), *(() if radar is None else radar.levels)),
         sampled=None if begun is side.acceleration else side.acceleration,
         believed=None if belief is None else belief.at,
+        cameras=() if belief is None else tuple(one.measured for one in seen),
     )
     return Along(inputs, seen, belief, (*together.warnings, *told))
 

@@ -75,7 +75,8 @@ class FusionInputs:
     zero_ns: the instant that the displacement counts from (the first frame), None for a displacement sensor's own zero;
     level_m: taken off the displacement before fusing, so that a height of 123 m does not start the filter 123 m away;
     errors: what is uncertain of each sensor's calibration; levels: zeros that are uncertain, and errors that come back
-    with the motion and do not average out. believed: which of two cameras is believed when, None without a second one.
+    with the motion and do not average out. believed: which of two cameras is believed when, None without a second one;
+    cameras: what each of two measured, with that by which they contradict each other.
     """
 
     acceleration: Acceleration
@@ -87,6 +88,7 @@ class FusionInputs:
     levels: tuple[LevelError | CourseError, ...] = ()
     sampled: Acceleration | None = None
     believed: Believed | None = None
+    cameras: tuple[Displacement, ...] = ()
 
 
 def fuse(inputs: FusionInputs, method: str, settings: MethodSettings | None = None) -> Smoothed:
