@@ -55,7 +55,8 @@ class Rendered(FrameSource):
     def info(self) -> FrameInfo:
         """Size and number of the frames."""
         rows, columns = self.shape
-        return FrameInfo(columns, rows, 32 if self.thermal else 8, len(self.stamps_s), "rendered", True)
+        depth, count = 32 if self.thermal else 8, len(self.stamps_s)
+        return FrameInfo(columns, rows, depth, count, "rendered", True, radiometric=self.thermal)
 
     def times_ns(self) -> Nanoseconds:
         """Time stamps (n,) in ns."""

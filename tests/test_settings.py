@@ -191,6 +191,26 @@ def test_overrides_win_over_the_file(tmp_path):
     assert settings.camera.file == "c.mkv"
 
 
+@pytest.mark.parametrize(
+    ("section", "keys"),
+    [
+        ("radar", {"nonsense": 3}),
+        ("site", {"latitude_deg": 48.0}),
+        ("infrared", {"tracker": "template"}),
+        ("name", {"first": "footbridge"}),
+    ],
+)
+def test_an_override_of_a_section_that_the_file_lacks_is_refused_and_names_it(section, keys, tmp_path):
+    (tmp_path / "recording.toml").write_text('[accelerometer]\nfile = "a.csv"\n[camera]\nfile = "c.mkv"\n')
+    with pytest.raises(UsageError, match=section):
+        load_settings(tmp_path, {section: keys})
+
+
+def test_sections_that_need_not_be_written_may_be_overridden(tmp_path):
+    (tmp_path / "recording.toml").write_text('[accelerometer]\nfile = "a.csv"\n[camera]\nfile = "c.mkv"\n')
+    assert load_settings(tmp_path, {"calibration": {"max_offset_s": 0.2}}).calibration.max_offset_s == 0.2
+
+
 @pytest.mark.parametrize("content", [b"[accelerometer\n", b"unit = m/s^2\n", b'name = "\xe4"\n'])
 def test_a_file_that_is_no_toml_is_named(content, tmp_path):
     (tmp_path / "recording.toml").write_bytes(content)

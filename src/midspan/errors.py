@@ -4,6 +4,7 @@
     ├── UsageError          exit 2   wrong use or wrong settings
     ├── DataError           exit 3   unreadable or unusable data
     └── UntrustedError      exit 4   the result could not be trusted
+        └── NoAgreementError         both sensors moved, but not together
 
 A message says what was found, the rule with its unit, the value received and what to do.
 """
@@ -31,3 +32,7 @@ class UntrustedError(MidspanError):
     """A result that could not be trusted was refused: too little motion, an ambiguity, no agreement of the sensors."""
 
     exit_code = 4
+
+
+class NoAgreementError(UntrustedError):
+    """What the image shows moves, but not with the accelerometer: another thing, axis or event."""

@@ -5,7 +5,7 @@ applied); seconds appear only as differences. A record that holds arrays is a bl
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 from enum import IntEnum
 from typing import TypeVar
 
@@ -223,28 +223,6 @@ class RangeFrames:
 
 
 @dataclass(frozen=True, slots=True)
-class PhaseChange:
-    """A block of unwrapped phase of one radar target since the first frame used: arrays (n,), growing with the range.
-
-    A phase that is not finite marks a frame that must not be used; `status` holds `Status` codes.
-    """
-
-    time_ns: Nanoseconds
-    phase_rad: Floats
-    variance_rad2: Floats
-    status: NDArray[np.uint8]
-
-
-@dataclass(frozen=True, slots=True)
-class Range:
-    """A block of ranges to one radar target from the beat frequency, unambiguous but coarse: arrays (n,)."""
-
-    time_ns: Nanoseconds
-    value_m: Floats
-    variance_m2: Floats
-
-
-@dataclass(frozen=True, slots=True)
 class Estimate:
     """A block of results, one row an accelerometer sample: arrays (n,); `source` and `status` hold their codes."""
 
@@ -296,7 +274,6 @@ class TimeOffset:
 
 @dataclass(frozen=True, slots=True)
 class NoiseLevel:
-    """White noise: standard deviation per sample in the unit of the channel, and whether it was given or learnt."""
+    """White noise: standard deviation per sample in the unit of the channel."""
 
     std: float
-    learnt: bool = field(default=True)

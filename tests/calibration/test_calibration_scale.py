@@ -8,7 +8,7 @@ from calibration_cases import OFFSET, SCALE, beam_in_pixels, broadband, observed
 
 from midspan.calibration.fit import Pair
 from midspan.calibration.scale import calibrate_scale
-from midspan.errors import UntrustedError
+from midspan.errors import NoAgreementError, UntrustedError
 from midspan.simulate.motion.motion import Pulse, Sum, Window, random_motion
 
 SEEDS = 40
@@ -151,6 +151,8 @@ def test_a_still_image_beside_a_shaken_accelerometer_is_refused():
 @pytest.mark.parametrize("seed", range(4))
 def test_signals_of_different_events_do_not_agree(seed):
     pair, other = observed(broadband(seed), seed), observed(broadband(seed + 100), seed + 100)
+    with pytest.raises(NoAgreementError):
+        calibrate_scale(replace(pair, rows=other.rows), 0.5)
     text = refusal(replace(pair, rows=other.rows))
     assert "No agreement between image and accelerometer" in text
     assert "camera.direction" in text

@@ -65,6 +65,16 @@ def test_an_offset_beyond_the_largest_is_refused_and_names_it(motion, late, scal
         assert float(told[1]) == pytest.approx(late, abs=0.02)
 
 
+@pytest.mark.parametrize("scale", [False, True])
+def test_where_too_little_is_left_to_look_farther_off_it_is_told(scale, site):
+    # Of 22 readings fewer than the 20 that are needed keep from both ends what is looked beyond.
+    sway = random_motion((0.06, 0.2), 10e-3, rng=np.random.default_rng(5))
+    short = midspan.calibrate(site(sway, rate_hz=0.5, length=45.0, estimate_offset=True, estimate_scale=scale))
+    assert [line for line in short.warnings if "was not looked for" in line]
+    long = midspan.calibrate(site(sway, length=45.0, estimate_offset=True, estimate_scale=scale))
+    assert not [line for line in long.warnings if "was not looked for" in line]
+
+
 @pytest.mark.parametrize(("late", "largest"), [(0.499, 0.5), (-0.49, 0.5), (7.0, 10.0), (9.0, 20.0)])
 def test_an_offset_near_the_largest_is_found_in_a_short_recording_too(late, largest, site):
     found = midspan.calibrate(site(broad(6), late=late, max_offset_s=largest, estimate_offset=True))

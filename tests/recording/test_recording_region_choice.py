@@ -1,12 +1,15 @@
 """The choice of targets by agreement with the accelerometer: what moves by itself is passed over."""
 
 import shutil
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import midspan
+from midspan.errors import NoAgreementError, UntrustedError
 from midspan.recording.calibrate import calibrate_and_track
+from midspan.recording.camera_calibration.camera import judged_by
 from midspan.recording.tracking.region_choice import TRIAL_PLACES, Agreement, judged, trial_places
 from midspan.recording.tracking.track import track
 from midspan.records import PixelTrack, PixelTranslation, Region, Status
@@ -129,6 +132,16 @@ def fits(std_mm):
 
 REFUSED = Agreement(np.inf, True, "No agreement between image and accelerometer")
 UNDECIDED = Agreement(np.inf, False, "Too little motion to calibrate the scale factor")
+
+
+@pytest.mark.parametrize(("error", "contradicts"), [(NoAgreementError, True), (UntrustedError, False)])
+def test_a_place_contradicts_by_the_kind_of_the_refusal_whatever_its_words(error, contradicts, monkeypatch):
+    def refused(*_):
+        raise error("Any words")
+
+    monkeypatch.setattr("midspan.recording.calibrate_camera.camera_pair", refused)
+    found = judged_by(SimpleNamespace(exposure_s=None), None)
+    assert (found.contradicts, found.std_m) == (contradicts, np.inf)
 
 
 def test_the_place_with_the_least_noise_in_millimetres_wins_whatever_most_of_the_picture_does():

@@ -12,7 +12,7 @@ from midspan.fusion.clock import ClockCourse
 from midspan.fusion.running_clock import RunningClock
 from midspan.recording import estimate, inputs
 from midspan.recording.camera_calibration import camera
-from midspan.recording.cameras import tracked
+from midspan.recording.cameras.tracked import tracked
 from midspan.recording.inspect import inspect_recording
 from midspan.recording.tracking.tracking import TargetTracking
 from midspan.simulate.motion.motion import Sum, random_motion

@@ -1,5 +1,6 @@
 """Live capture: datagrams in any order, with losses, through a sender on the loopback."""
 
+import errno
 import socket
 import threading
 
@@ -91,6 +92,18 @@ def test_silence_ends_the_capture_with_an_error_instead_of_waiting_for_ever() ->
     with (
         LiveCapture(LAYOUT, UdpSettings("127.0.0.1", 0, timeout_s=0.1)) as capture,
         pytest.raises(DataError, match=r"No frame came .* for 0\.1 s"),
+    ):
+        next(capture.frames())
+
+
+def test_a_socket_that_fails_is_told_with_its_reason_and_not_as_silence(monkeypatch) -> None:
+    def fails(*_: object) -> bytes:
+        raise OSError(errno.ENETDOWN, "Network is down")
+
+    monkeypatch.setattr(socket.socket, "recv", fails, raising=False)
+    with (
+        LiveCapture(LAYOUT, UdpSettings("127.0.0.1", 0, timeout_s=0.2)) as capture,
+        pytest.raises(DataError, match="ended: Network is down"),
     ):
         next(capture.frames())
 

@@ -32,6 +32,7 @@ def test_temperatures_come_back_whatever_the_byte_orders(tmp_path: Path, header:
     assert frame.pixels.dtype == np.float32
     np.testing.assert_allclose(frame.pixels, truth, atol=HALF_COUNT_K)
     assert "Model 7" in " ".join(source.info.notes)
+    assert source.info.radiometric
 
 
 def test_a_sequence_keeps_the_cameras_own_milliseconds(tmp_path: Path) -> None:
@@ -177,6 +178,7 @@ def test_usual_scales_of_16_bit_pictures_are_told_from_each_other(tmp_path: Path
     # Half a count, and float32 near 20.
     np.testing.assert_allclose(frame.pixels, truth, atol=0.5 * scale + 1e-5)
     assert f"counts of {scale:g} K" in " ".join(source.info.notes)
+    assert source.info.radiometric
 
 
 def test_a_stated_scale_wins_and_one_that_cannot_be_is_refused(tmp_path: Path) -> None:
@@ -195,6 +197,7 @@ def test_pictures_of_8_bits_are_taken_as_grey_levels_and_that_is_told(tmp_path: 
     source = open_thermal(tmp_path, AT_30)
     assert [f.pixels.dtype for f in source.frames()] == [np.uint8, np.uint8]
     assert "not temperatures" in " ".join(source.info.notes)
+    assert not source.info.radiometric
 
 
 def test_another_emissivity_than_the_files_can_be_given(tmp_path: Path) -> None:

@@ -149,3 +149,23 @@ def test_a_tracker_restored_while_something_is_in_front_goes_on_alike(still, cut
     track(first, seen[:cut])
     other.restore(first.state)
     np.testing.assert_array_equal(track(other, seen[cut:110])[0], whole[cut:])
+
+
+def test_a_tracker_restored_from_an_abandoned_future_knows_nothing_of_it(still) -> None:
+    frames, moved = still
+    seen = crossed(frames, moved, Body(0.4, 6.0, 4.0, 6.0))
+    whole = KeyFrameTracker(frames[0], REGION)
+    track(whole, seen[:60])
+    tracker = KeyFrameTracker(frames[0], REGION)
+    track(tracker, seen[:60])
+    state, told, own = tracker.state, tracker.take_events(), tracker.own_variance_px2
+    assert [event.kind for event in told] == ["hidden"]
+    track(tracker, frames[60:70])  # without the body: it is told to have gone
+    tracker.restore(state)
+    assert tracker.own_variance_px2 == own
+    np.testing.assert_array_equal(tracker.state.doubtful, whole.state.doubtful)
+    assert tracker.state.doubtful.any()
+    assert tracker.take_events() == told
+    np.testing.assert_array_equal(track(tracker, seen[60:110]), track(whole, seen[60:110]))
+    whole.take_events()
+    assert tracker.own_variance_px2 == whole.own_variance_px2

@@ -7,7 +7,7 @@ import numpy as np
 from midspan.calibration.agreement import clearly_better
 from midspan.calibration.fit import Fit, Pair
 from midspan.calibration.time_offset import OffsetSearch, search_offset
-from midspan.errors import UntrustedError
+from midspan.errors import NoAgreementError, UntrustedError
 from midspan.records import Floats, NoiseLevel, ScaleFactor
 from midspan.signals.health import dominant_frequency
 
@@ -37,8 +37,7 @@ class ScaleCalibration:
     """Scale factor, clock offset and noise of one camera.
 
     noise: standard deviation of the translation, px; variance_factor: learnt variance over the tracker's own variance;
-    input_noise_density: of the acceleration, (m/s²)²/Hz; motion_m: rms of the response to the acceleration in the fit's
-    band; search: what was tried, for the report; warnings: sentences.
+    input_noise_density: of the acceleration, (m/s²)²/Hz; search: what was tried, for the report; warnings: sentences.
     """
 
     scale: ScaleFactor
@@ -91,7 +90,7 @@ def _refuse_no_motion(pair: Pair, fit: Fit, relative: float, noise: float) -> No
     seen, shaken = float(np.std(rows[:, 1])), float(np.std(pair.samples[:, 1]))
     figures = f"(image motion {seen:.3g} px rms with noise {noise:.2g} px, acceleration {1e3 * shaken:.3g} mm/s² rms)"
     if seen > CLEARLY_MOVING * noise and gain < LEAST_GAIN:
-        raise UntrustedError(
+        raise NoAgreementError(
             f"No agreement between image and accelerometer {figures}: the image moves, but not with the acceleration. "
             "Check camera.direction, that the region shows something fixed and that both files are of the same event; "
             "where the clocks may differ by more, raise calibration.max_offset_s or set camera.start_s."
@@ -111,26 +110,24 @@ def _refuse_disagreement(pair: Pair, fit: Fit, usual: float) -> None:
     rows = pair.rows[np.isfinite(pair.rows[:, 2])]
     moved, left = float(np.std(rows[:, 1])), float(np.sqrt(fit.noise))
     if left > max(UNEXPLAINED_NOISE * usual, UNEXPLAINED_SHARE * moved):
-        raise UntrustedError(
+        raise NoAgreementError(
             f"No agreement between image and accelerometer: {left:.2g} px of the image's {moved:.2g} px rms stay "
             f"unexplained, where a frame's own noise is {usual:.2g} px. Where the clocks may differ by more, raise "
             "calibration.max_offset_s or set camera.start_s; else check camera.direction and camera.roi."
         )
     own = white_noise(pair.samples[:, 1])
     if implied > measured or (implied > IMPLIED_SHARE * measured and implied > IMPLIED_NOISE * own):
-        raise UntrustedError(
+        raise NoAgreementError(
             f"No agreement between image and accelerometer: their difference would need accelerometer noise of "
-            f"{1e3 * implied:.3g} mm/s² per sample where the signal has {1e3 * measured:.3g} mm/s² rms and noise "
-            "of about "
-            f"{1e3 * own:.2g} mm/s². Check that both files are of the same event, camera.direction, camera.roi and "
-            "accelerometer.unit; where the clocks may differ by more, raise calibration.max_offset_s or set "
+            f"{1e3 * implied:.3g} mm/s² per sample where the signal has {1e3 * measured:.3g} mm/s² rms and noise of "
+            f"about {1e3 * own:.2g} mm/s². Check that both files are of the same event, camera.direction, camera.roi "
+            "and accelerometer.unit; where the clocks may differ by more, raise calibration.max_offset_s or set "
             "camera.start_s."
         )
 
 
 def white_noise(value: Floats) -> float:
-    """White noise per sample of a signal (n,) far slower than its rate: from third differences, which sum 20 "
-    "variances."""
+    """White noise per sample of a signal (n,) far slower than its rate: third differences sum 20 variances."""
     third = np.diff(value, 3)
     return float(1.4826 * np.median(np.abs(third)) / np.sqrt(20.0)) if len(third) else 0.0
 

@@ -54,18 +54,16 @@ def open_with(recording: str, tracker: str | None, method: str | None = None, li
     """Open a recording with the tracker and method of the command line, which win over its own."""
     from midspan.checks import option
     from midspan.fusion.methods import METHODS
-    from midspan.recording.streams.recording import open_recording
+    from midspan.recording.streams.recording import open_with_cameras
     from midspan.vision.tracker import TRACKERS
 
     overrides: dict[str, dict[str, Any]] = {}
-    if tracker is not None:
-        chosen = {"tracker": option("--tracker", tracker, TRACKERS)}
-        overrides |= {"camera": chosen, "infrared": dict(chosen)}
+    chosen = {} if tracker is None else {"tracker": option("--tracker", tracker, TRACKERS)}
     if method is not None:
         overrides["fusion"] = {"method": option("--method", method, METHODS)}
     if literal:
         overrides["fusion"] = overrides.get("fusion", {}) | {"literal": True}
-    opened = open_recording(recording, **overrides)
+    opened = open_with_cameras(recording, chosen, **overrides)
     if tracker is not None and not opened.cameras:
         raise click.UsageError(f"--tracker {tracker}: {opened.file} has no [camera] or [infrared] to track.")
     return opened

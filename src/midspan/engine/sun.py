@@ -14,7 +14,9 @@ def sun_elevation_deg(time_ns: Nanoseconds, latitude_deg: float, longitude_deg: 
 
     time_ns (n,): since 1970, UTC. latitude_deg: north positive, -90 to 90; longitude_deg: east positive, -180 to 180.
     The sun's place is that of a body on Kepler's ellipse around the earth, its equation of the centre to second order
-    in the eccentricity; the elements are linear in time, good from 1950 to 2050.
+    in the eccentricity; the elements are linear in time, good from 1950 to 2050: J. J. Michalsky, "The Astronomical
+    Almanac's algorithm for approximate solar position (1950-2050)", Solar Energy 40 (1988) 227-235, doi
+    10.1016/0038-092X(88)90045-X.
     """
     days = (np.asarray(time_ns, dtype=np.int64) / NANOSECONDS - _J2000_S) / _DAY_S
     mean_longitude = np.radians(280.460 + 0.9856474 * days)

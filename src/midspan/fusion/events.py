@@ -46,7 +46,7 @@ class GateEvents:
             self._first_ns,
             "rejected",
             f"{self._count} measurements in a row were rejected from {first:.3f} to {last:.3f} s: they contradict the "
-            "acceleration. Something may have stood before the target, or the tracker held on to something else.",
+            "acceleration. Something may have stood in front of the target, or the tracker held on to something else.",
         )
 
 

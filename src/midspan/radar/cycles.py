@@ -26,13 +26,12 @@ NORMAL = 1.4826
 @dataclass(frozen=True, slots=True)
 class CycleVerdict:
     """frame: the first one after the outage; verdict: "verified", "shifted" or "new datum"; cycles: by which the phase
-    after it was shifted; difference, std: range less phase after against before, in cycles.
+    after it was shifted; std: of range less phase after against before, in cycles.
     """
 
     frame: int
     verdict: str
     cycles: int
-    difference: float
     std: float
 
 
@@ -86,9 +85,9 @@ def _bent(gap: Floats) -> float:
 
 def _judged(frame: int, difference: float, std: float) -> CycleVerdict:
     if not np.isfinite(std):
-        return CycleVerdict(frame, "new datum", 0, difference, std)
+        return CycleVerdict(frame, "new datum", 0, std)
     cycles = int(np.rint(difference))
     rest = abs(difference - cycles)
     if rest > NEAR_WHOLE or 0.5 - rest < SURE_STD * std:
-        return CycleVerdict(frame, "new datum", 0, difference, std)
-    return CycleVerdict(frame, "shifted" if cycles else "verified", cycles, difference, std)
+        return CycleVerdict(frame, "new datum", 0, std)
+    return CycleVerdict(frame, "shifted" if cycles else "verified", cycles, std)

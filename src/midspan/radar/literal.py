@@ -15,12 +15,10 @@ EDGE_S = 4.0
 
 @dataclass(frozen=True, slots=True)
 class GridFactor:
-    """The factor of least error and that error E (m), with the whole curve: factors (k,) and errors (k,)."""
+    """The factor of least error and that error E (m)."""
 
     conversion_factor: float
     error_m: float
-    factors: Floats
-    errors_m: Floats
 
 
 def high_passed(displacement_m: Floats, rate_hz: float) -> Floats:
@@ -49,7 +47,7 @@ def grid_factor(los_m: Floats, acceleration_m_s2: Floats, rate_hz: float) -> Gri
     power = factors**2 * np.mean(seen**2) - 2.0 * factors * np.mean(seen * inertial) + np.mean(inertial**2)
     errors = np.sqrt(np.maximum(power, 0.0))
     best = int(np.argmin(errors))
-    return GridFactor(float(factors[best]), float(errors[best]), factors, errors)
+    return GridFactor(float(factors[best]), float(errors[best]))
 
 
 def best_on_grid(los_m: Floats, acceleration_m_s2: Floats, rate_hz: float) -> tuple[int, tuple[GridFactor, ...]]:

@@ -16,9 +16,9 @@ from midspan.checks import positive, same_length
 from midspan.radar.unwrap import TURN
 from midspan.records import Floats, Status
 
-U, V, B, P00, P01, P02, P11, P12, P22, MISFIT, SEEN, BLIND, ENERGY_A, ENERGY_D, MIXED = range(15)
-LAST, BEFORE, AGE, LAST_A, ORIGIN, WATCHED = range(15, 21)
-STATE_SIZE = 21
+U, V, B, P00, P01, P02, P11, P12, P22, MISFIT, SEEN, ENERGY_A, ENERGY_D, MIXED = range(14)
+LAST, BEFORE, AGE, LAST_A, ORIGIN, WATCHED = range(14, 20)
+STATE_SIZE = 20
 
 # The phase of a target whose noise reaches this (rad) says nothing about its cycle.
 BLIND_RAD = 0.77

@@ -12,7 +12,6 @@ from midspan.fusion.methods import LITERAL, METHODS, no_literal_form
 from midspan.fusion.runners import MethodSettings
 from midspan.fusion.smoother import Smoothed
 from midspan.recording.calibrate import calibrate_and_track
-from midspan.recording.displacement.sensor import frozen_events
 from midspan.recording.fusing.fuse import FusionInputs, fuse
 from midspan.recording.fusing.scale_check import SCALED, Fitting, fitting
 from midspan.recording.inputs import Gathered, gather
@@ -101,7 +100,7 @@ def _estimate(
         settings=recording.settings,
         method=method,
         innovation=fused.innovation,
-        events=_events(recording, calibration, gathered, (*fused.events, *alone)),
+        events=_events(recording, gathered, (*fused.events, *alone)),
         warnings=(
             *_warnings(calibration, gathered, fused, result),
             *scaled,
@@ -137,15 +136,13 @@ def _uncalibrated(recording: Recording, calibration: Calibration) -> list[str]:
     ]
 
 
-def _events(
-    recording: Recording, calibration: Calibration, gathered: Gathered, more: tuple[Event, ...]
-) -> tuple[Event, ...]:
+def _events(recording: Recording, gathered: Gathered, more: tuple[Event, ...]) -> tuple[Event, ...]:
     """What happened to all sensors, and `more` of the fusion, in the order of time."""
     found = (
         *recording.prepared.events,
         *(event for eye in gathered.eyes for event in eye.events),
         *(() if gathered.belief is None else gathered.belief.events),
-        *frozen_events(recording, calibration.displacement),
+        *gathered.frozen,
         *(() if gathered.radar is None else gathered.radar.events),
         *more,
     )

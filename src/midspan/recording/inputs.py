@@ -8,7 +8,7 @@ from midspan.fusion.kalman import KalmanSettings
 from midspan.fusion.running_clock import RunningClock
 from midspan.recording.cameras.belief import Belief, believed
 from midspan.recording.cameras.tracked import Eye, Seen, Side, open_eyes, seen_along, side_of, track_all, zero_of
-from midspan.recording.displacement.sensor import displacement_sensor
+from midspan.recording.displacement.sensor import displacement_inputs
 from midspan.recording.fusing.fuse import CourseError, FusionInputs, SensorError
 from midspan.recording.fusing.one_zero import merged
 from midspan.recording.radar.inputs import RadarInputs, radar_inputs
@@ -16,12 +16,12 @@ from midspan.recording.stored.calibration import Calibration
 from midspan.recording.streams.acceleration import PreparedAcceleration, unknown_density
 from midspan.recording.streams.progress import Progress
 from midspan.recording.streams.recording import Recording
-from midspan.recording.tracking.one_displacement import Together
 from midspan.recording.tracking.tracking import CameraTracking
 from midspan.records import (
     NANOSECONDS,
     Acceleration,
     Displacement,
+    Event,
     PixelTrack,
     joined,
 )
@@ -35,8 +35,8 @@ COASTING_INTERVALS = 2.5
 class Gathered:
     """The inputs of the fusion, the camera's best track and its tracking (None without one), and warnings.
 
-    across: the inputs along the second image axis; together: how the targets agreed along the main one. eyes: all
-    cameras; belief: which of two was believed when; radar: what it measured and met.
+    across: the inputs along the second image axis; eyes: all cameras; belief: which of two was believed when; radar:
+    what it measured and met; frozen: where [displacement] stood still.
     """
 
     inputs: FusionInputs
@@ -44,10 +44,10 @@ class Gathered:
     tracking: CameraTracking | None
     warnings: tuple[str, ...]
     across: FusionInputs | None = None
-    together: Together | None = None
     eyes: tuple[Eye, ...] = ()
     belief: Belief | None = None
     radar: RadarInputs | None = None
+    frozen: tuple[Event, ...] = ()
 
 
 def gather(
@@ -75,21 +75,24 @@ def gather(
         tracking=eyes[0].tracking if eyes else None,
         warnings=warnings,
         across=across,
-        together=main.seen[0].together if eyes else None,
         eyes=eyes,
         belief=main.belief,
         radar=radar,
+        frozen=main.frozen,
     )
 
 
 @dataclass(frozen=True, slots=True)
 class Along:
-    """What is fused along one axis, what each camera says along it, which of two is believed when, and warnings."""
+    """What is fused along one axis, what each camera says along it, which of two is believed when, warnings, and what
+    of [displacement] stood still.
+    """
 
     inputs: FusionInputs
     seen: tuple[Seen, ...]
     belief: Belief | None
     warnings: tuple[str, ...]
+    frozen: tuple[Event, ...]
 
 
 def _inputs(
@@ -117,13 +120,13 @@ def _inputs(
         blocks.append(radar.measured)
         errors.append(radar.error)
         told += radar.warnings
+    frozen: tuple[Event, ...] = ()
     if recording.has("displacement"):
-        block, error, lines = displacement_sensor(
-            recording, calibration, acceleration=side.acceleration, kalman=side.kalman
-        )
-        blocks.append(block)
-        errors.append(error)
-        told += lines
+        sensor = displacement_inputs(recording, calibration, acceleration=side.acceleration, kalman=side.kalman)
+        blocks.append(sensor.measured)
+        errors.append(sensor.error)
+        frozen = sensor.events
+        told += sensor.warnings
     from_first_frame = bool(seen) or radar is not None
     level = 0.0 if from_first_frame else float(blocks[0].value_m[np.argmax(np.isfinite(blocks[0].value_m))])
     blocks[0] = replace(blocks[0], value_m=blocks[0].value_m - level)
@@ -143,7 +146,7 @@ def _inputs(
         believed=None if belief is None else belief.at,
         cameras=() if belief is None else tuple(one.measured for one in seen),
     )
-    return Along(inputs, seen, belief, (*together.warnings, *told))
+    return Along(inputs, seen, belief, (*together.warnings, *told), frozen)
 
 
 def _camera_levels(seen: tuple[Seen, ...], belief: Belief | None) -> tuple[CourseError, ...]:

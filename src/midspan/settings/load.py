@@ -31,7 +31,7 @@ def load_settings(path: str | Path, overrides: dict[str, dict[str, Any]] | None 
     """Read and validate a `recording.toml` (a folder or the file).
 
     overrides: section → key → value, from the command line; they win over the file. Raises UsageError for anything the
-    file may not say, DataError where there is no file.
+    file may not say and for overrides of a section that it lacks, DataError where there is no file.
     """
     file = settings_file(path)
     try:
@@ -41,9 +41,14 @@ def load_settings(path: str | Path, overrides: dict[str, dict[str, Any]] | None 
     except OSError as error:
         raise DataError(f"{file}: cannot be read ({error.strerror}).") from None
     for section, keys in (overrides or {}).items():
-        option("section", section, RecordingSettings.model_fields)
+        option("section", section, [name for name in RecordingSettings.model_fields if name != "name"])
+        if section not in tree and section not in OPTIONAL_SECTIONS:
+            raise UsageError(
+                f"{file}: has no [{section}] section, so {', '.join(keys) or 'nothing'} of it cannot be changed. "
+                f"Write [{section}] into the file, or leave these settings out."
+            )
         given = tree.get(section, {})
-        if isinstance(given, dict) and (section in tree or section in OPTIONAL_SECTIONS):
+        if isinstance(given, dict):
             if section in CAMERAS and "tracker" in given and keys.get("tracker", given["tracker"]) != given["tracker"]:
                 # They belong to the file's own tracker.
                 given = {key: value for key, value in given.items() if key != "tracker_settings"}

@@ -29,7 +29,9 @@ class CalibrationSettings(Section):
         description="band of acceleration compared with the camera, Hz; left out: all that rates and noise allow",
     )
     max_offset_s: Annotated[float, IsNumber, Field(ge=0, le=3600)] = Field(
-        0.5, description="largest clock offset searched for, s"
+        0.5,
+        description="largest clock offset searched for, s; a larger one finds clocks farther apart and is refused more "
+        "often as ambiguous",
     )
 
 
@@ -63,7 +65,7 @@ class SiteSettings(Section):
 class RecordingSettings(Section):
     """The whole of `recording.toml`."""
 
-    name: str = ""
+    name: str = Field("", description="what reports call the recording; left out: its folder's name")
     accelerometer: AccelerometerSettings
     camera: CameraSettings | None = None
     infrared: InfraredSettings | None = None

@@ -59,7 +59,7 @@ def estimate_pattern(frames: Floats, translation_px: Floats, expected_k: float =
 def _told_apart(stack: Floats, moved: Floats, expected_k: float) -> FixedPattern:
     """Scene and pattern improved in turn; pixels that the scene's known part does not reach have the pattern 0.
 
-    A scene that warms or cools has another contrast in each frame; what its mean leaves of it would be taken for pattern.
+    A scene that warms or cools has another contrast in each frame; what its mean leaves of it would pass for pattern.
     """
     back = [_shifted(f, -x, -y) for f, (x, y) in zip(stack, moved, strict=True)]
     inside = [_covered(stack.shape[1:], -x, -y) for x, y in moved]

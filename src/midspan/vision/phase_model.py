@@ -60,11 +60,6 @@ class PhaseAxis:
         """Mean phase by translation along x and y (2,), rad/px."""
         return np.asarray(self.weight @ self.slope, dtype=np.float64)
 
-    @property
-    def effective_pixels(self) -> float:
-        """As many independent pixels of the same noise would give the mean phase the same variance."""
-        return float(self.weight @ self.unit) / max(self.sensitivity, 1e-300)
-
 
 @dataclass(frozen=True, slots=True)
 class PhaseModel:

@@ -10,13 +10,15 @@ The constants that turn these into pixels were set on simulated frames through x
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from operator import attrgetter
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from midspan.records import Floats, Frame, PixelTrack, PixelTranslation, Region, Status
+from midspan.signals.growing import Columns
 from midspan.vision.picture_difference import (
     REACH_PX,
     Difference,
@@ -72,6 +74,11 @@ class PictureQuality:
     ends: float = 0.0
 
 
+# The columns of a watch's rows.
+FROZEN, DETAIL_X, DETAIL_Y, CONTRAST, ENDS = range(5)
+_numbers = attrgetter(*(field.name for field in fields(PictureQuality)))
+
+
 @dataclass(frozen=True, slots=True)
 class Check:
     """Noise of one frame in its difference to the frame before, to one at least eight frames ago, to the reference;
@@ -123,7 +130,8 @@ class PictureWatch:
         cut = _cut(reference.pixels, region)
         self._zero = PictureQuality(0.0, *detail(cut, self._every))
         self._ends = share_at_ends(cut)
-        self._rows: list[PictureQuality] = []
+        # The fields of `PictureQuality`, a row a frame.
+        self._rows = Columns("ddddd")
         self._checks: list[Check] = []
         self._before: tuple[Region, NDArray[np.generic]] | None = None
         self._moved, self._region_now = (0, 0), region
@@ -141,13 +149,13 @@ class PictureWatch:
                 self._last = self._sample(frame.pixels, translation.x_px, translation.y_px)
             elif _checked(index):
                 self._check(frame.pixels, self._sample(frame.pixels, translation.x_px, translation.y_px))
-        self._rows.append(quality)
+        self._rows.append(*_numbers(quality))
         return quality
 
     @property
     def compression(self) -> Compression:
         """What a codec did to the frames so far."""
-        frozen = float(np.mean([row.frozen_share for row in self._rows])) if self._rows else 0.0
+        frozen = float(np.mean(self._rows.column(FROZEN))) if len(self._rows) else 0.0
         share, variance, blocky = 0.0, 0.0, 0.0
         if len(self._checks) >= LEAST_CHECKS:
             shares = np.median([check.inherited for check in self._checks], axis=0)
@@ -197,7 +205,7 @@ class PictureWatch:
         """For each frame (n,) the share of its or the reference's pixels at an end of the scale over the share of the
         others; 0 where there are next to none.
         """
-        share = np.maximum([row.ends for row in self._rows], self._ends)
+        share = np.maximum(self._rows.column(ENDS), self._ends)
         return np.where(share > SATURATED_SHARE, share / np.maximum(1.0 - share, 0.02), 0.0)
 
     @property
@@ -206,12 +214,10 @@ class PictureWatch:
         noise = float(np.median([check.reference.fine for check in self._checks])) ** 2 if self._checks else 0.0
         zero, rows = self._zero, self._rows
         found = np.full((len(rows), 2), np.nan)
-        contrast = np.array([row.contrast for row in rows])
-        for axis, name in enumerate(("detail_x", "detail_y")):
-            now = np.array([getattr(row, name) for row in rows])
-            then = getattr(zero, name)
+        contrast = rows.column(CONTRAST)
+        for axis, (column, zero_detail) in enumerate(((DETAIL_X, zero.detail_x), (DETAIL_Y, zero.detail_y))):
             # At most half is taken off: where nearly all is noise, what is left of it says nothing.
-            now, then = (np.maximum(value - 2.0 * noise, 0.5 * value) for value in (now, then))
+            now, then = (np.maximum(value - 2.0 * noise, 0.5 * value) for value in (rows.column(column), zero_detail))
             light, dark = (np.maximum(value - noise, 0.5 * value) for value in (contrast, zero.contrast))
             with np.errstate(divide="ignore", invalid="ignore"):
                 found[:, axis] = (now / light) / (then / dark)
@@ -220,7 +226,7 @@ class PictureWatch:
     def widened(self, track: PixelTrack) -> PixelTrack:
         """`track`, a row for each frame pushed, with its variances as large as these pictures allow."""
         added = self.compression.std_px**2 + SATURATED_STD_PX**2 * self.saturated
-        frozen = np.array([row.frozen_share for row in self._rows])
+        frozen = self._rows.column(FROZEN)
         sharp = self.sharpness
         wide = []
         for axis, name in enumerate("xy"):

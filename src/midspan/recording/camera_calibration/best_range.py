@@ -7,6 +7,7 @@ from itertools import islice
 import numpy as np
 
 from midspan.errors import UntrustedError
+from midspan.fusion.path import at
 from midspan.fusion.smoother import smooth
 from midspan.recording.camera_calibration.camera import CameraFit
 from midspan.recording.streams.recording import Recording
@@ -14,7 +15,7 @@ from midspan.recording.streams.window import window_ends
 from midspan.recording.tracking.one_displacement import camera_blocks, filter_settings
 from midspan.recording.tracking.temperatures import IN_GREY, is_grey
 from midspan.recording.tracking.tracking import CameraTracking
-from midspan.records import NANOSECONDS, Floats, Frame, Nanoseconds, PixelTrack, Region, seconds
+from midspan.records import NANOSECONDS, Floats, Frame, Nanoseconds, PixelTrack, Region
 from midspan.settings.camera import InfraredSettings
 from midspan.thermal.temperature_range import ROUGH, THINNED, Expected, RangeSurface, optimise_range
 from midspan.vision.reference.strength import open_counting
@@ -22,11 +23,11 @@ from midspan.vision.reference.strength import open_counting
 # So many frames of the calibration are compared; displacement is let in so much more weakly than it is known, that the
 # accelerometer makes what is compared.
 FRAMES, WEAKER = 90, 1e4
+LEAST_FRAMES = 8
 SLOWEST_HZ, FASTEST_SHARE = 0.5, 0.45
 # Thinned frames, some of them lost, show what lies above this share of the frame rate apart from what is slower; as
 # many as are compared without thinning show it up to the second share.
 SHOWN_SHARE, NOT_THINNED, SHOWN_NOT_THINNED = 0.05, ROUGH * THINNED - 1, 0.18
-LEAST_FRAMES = 8
 
 
 def wants_range(view: Recording) -> bool:
@@ -44,14 +45,17 @@ def best_range(view: Recording, tracking: CameraTracking, fit: CameraFit) -> Ran
     """The errors of all ranges on frames from the reference frame on, against the accelerometer.
 
     tracking, fit: of the temperatures as they are, which gave the scale factor. Raises UntrustedError where nothing
-    decides.
+    decides, with the reason.
     """
     settings, region = tracking.settings, fit.calibration.region
     first = settings.first
     last = int(np.searchsorted(view.frames.times_ns(), window_ends(view)[1], side="right"))
     frames = list(islice(view.frames.frames(first, min(last, first + FRAMES)), FRAMES))
     if len(frames) < LEAST_FRAMES:
-        raise UntrustedError(f"{len(frames)} frames cannot tell one; it takes {LEAST_FRAMES}.")
+        raise UntrustedError(
+            f"The calibration holds {len(frames)} frames from the reference frame on; at least {LEAST_FRAMES} are "
+            "needed. Choose a longer calibration.window_s."
+        )
     rate = NANOSECONDS / float(np.median(np.diff([frame.time_ns for frame in frames])))
     band, count = compared_band(view.settings.calibration.band_hz, rate)
     frames = frames[:count]
@@ -75,8 +79,8 @@ def compared_band(given: tuple[float, float] | None, rate: float) -> tuple[tuple
     if low <= SHOWN_NOT_THINNED * rate and low < high:
         return (low, high), NOT_THINNED
     raise UntrustedError(
-        f"calibration.band_hz begins at {low:g} Hz; at {rate:.3g} frames a second the ranges can be compared from "
-        f"{SHOWN_NOT_THINNED * rate:.2g} Hz or less on."
+        f"calibration.band_hz begins at {low:g} Hz; frames at {rate:.3g} Hz show ranges' errors apart from drift only "
+        f"where it begins at {SHOWN_NOT_THINNED * rate:.2g} Hz or lower. Use more frames a second, or a lower band."
     )
 
 
@@ -94,6 +98,5 @@ def _expected_px(view: Recording, tracking: CameraTracking, fit: CameraFit, fram
     kalman = filter_settings(view.prepared, fit.input_density)
     weak = type(block)(block.time_ns, block.value_m, WEAKER * block.variance_m2, block.source)
     path = smooth(acceleration, weak, kalman).estimate
-    origin = int(path.time_ns[0])
-    at = seconds(frames_ns + round(NANOSECONDS * camera.offset.value_s), origin)
-    return np.interp(at, seconds(path.time_ns, origin), path.displacement_m) / camera.scale.value_m_per_px
+    stamps = frames_ns + round(NANOSECONDS * camera.offset.value_s)
+    return at(path, stamps)[0] / camera.scale.value_m_per_px

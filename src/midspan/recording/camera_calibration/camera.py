@@ -9,7 +9,7 @@ from midspan.calibration.common_offset import Fitted, common_offset, one_offset,
 from midspan.calibration.fit import Pair
 from midspan.calibration.noise import learn_motion
 from midspan.calibration.scale import LEAST_FRAMES, REFUSED_ABOVE, ScaleCalibration, calibrate_scale
-from midspan.errors import UntrustedError, UsageError
+from midspan.errors import NoAgreementError, UntrustedError, UsageError
 from midspan.recording.stored.camera import CameraCalibration, TargetCalibration
 from midspan.recording.streams.measured import measured_rows
 from midspan.recording.streams.recording import Recording
@@ -186,7 +186,7 @@ def judged_by(recording: Recording, track: PixelTrack) -> Agreement:
         found = calibrate_scale(pair, recording.settings.calibration.max_offset_s)
     except UntrustedError as error:
         text = str(error)
-        return Agreement(np.inf, text.startswith("No agreement"), text.split(" (")[0].split(":")[0].rstrip("."))
+        return Agreement(np.inf, isinstance(error, NoAgreementError), text.split(" (")[0].split(":")[0].rstrip("."))
     std_m = abs(found.scale.value_m_per_px) * found.noise.std
     text = f"fits the accelerometer, {1e3 * found.scale.value_m_per_px:.3g} mm/px, noise {1e3 * std_m:.2g} mm a frame"
     missed = float(np.mean(~np.isfinite(found.search.pair.rows[:, 2])))

@@ -74,14 +74,16 @@ def _calibrated(recording: Recording, progress: Progress) -> SeenBy:
 def _in_best_range(
     view: Recording, tracking: CameraTracking, parts: tuple[CameraFit, ...], progress: Progress
 ) -> tuple[CameraTracking, tuple[CameraFit, ...]]:
-    """Tracking and calibration anew in the best temperature range; as they were, and told, where nothing decides."""
+    """Tracking and calibration anew in the best temperature range; as they were, with a warning, where nothing decides
+    on one.
+    """
     try:
         surface = best_range(view, tracking, parts[0])
     except UntrustedError as error:
-        name = view.settings.camera.tracker if view.settings.camera is not None else "the tracker"
         told = (
-            f"{view.sensor}: no temperature range was chosen, and `{name}`, made for grey levels, saw the temperatures "
-            f"as they are. {error} Give {view.sensor}.temperature_range_c, or choose another tracker."
+            f"infrared: no temperature range was found for the tracker {tracking.settings.tracker!r}, which was made "
+            f"for grey levels: it sees °C as they are, and may lose the target. {error} Or give "
+            "infrared.temperature_range_c."
         )
         return tracking, (replace(parts[0], warnings=(*parts[0].warnings, told)), *parts[1:])
     tracking.close()

@@ -1,5 +1,6 @@
 """Two cameras as one displacement: the second on the zero of the first, and which of them is believed when."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -7,6 +8,7 @@ from numpy.typing import NDArray
 
 from midspan.engine.sun import sun_elevation_deg
 from midspan.engine.switching import PUBLISHED, Look, Switch, SwitchSettings
+from midspan.fusion.path import at
 from midspan.fusion.smoother import smooth
 from midspan.fusion.zero_course import ZeroCourse, zero_course
 from midspan.recording.cameras.contradiction import (
@@ -29,13 +31,12 @@ from midspan.records import (
     Source,
     joined,
     part,
-    seconds,
 )
 from midspan.signals.health import Mask
 
 # Both cameras see at the same time where their frames are no further apart than so many usual intervals.
 TOGETHER_INTERVALS, LEAST_TOGETHER_S = 2.0, 0.5
-# Sources in the order of this list are cameras.
+# Only their rows are marked by what was believed; radar and displacement sensors count beside either.
 CAMERAS = (Source.CAMERA, Source.INFRARED)
 
 
@@ -84,9 +85,11 @@ def believed(side: Side, seen: tuple[Seen, Seen]) -> Belief:
     contradict each other, the one that the acceleration speaks against is left out.
     """
     zeroed = _zeroed(side, seen)
-    order, looks = _looks(zeroed.measured, seen)
-    switched_ns, sources, events = _switches(side, looks, (seen[0].eye.source, seen[1].eye.source))
-    both = part(joined(list(zeroed.measured)), order)
+    both = joined(list(zeroed.measured))
+    order = np.argsort(both.time_ns, kind="stable")
+    both = part(both, order)
+    strength = np.concatenate([one.eye.strength for one in seen])[order]
+    switched_ns, sources, events = _switches(side, both, strength, (seen[0].eye.source, seen[1].eye.source))
     events = (*zeroed.events, *events)
     found = Belief(both, switched_ns, sources, zeroed.course, zeroed.levels, events, zeroed.warnings)
     if side.recording.settings.fusion.switching == "matches":
@@ -109,7 +112,7 @@ def _zeroed(side: Side, seen: tuple[Seen, Seen]) -> _Zeroed:
         del alone
         innovations.append(smooth(side.acceleration, quiet[1], side.kalman).innovation)
     if course is None:
-        text = f"{names[1]}: never sees together with the {names[0]}, so its zero is unknown; it was left out."
+        text = f"{names[1]}: never sees its target while the {names[0]} does, so its zero is unknown; it was left out."
         levels = tuple(one.wandering for one in seen[:1] if one.wandering is not None)
         blind = replace(second, value_m=np.full_like(second.value_m, np.nan))
         return _Zeroed((first, blind), None, levels, (), (text,))
@@ -142,9 +145,7 @@ def _apart(path: Estimate, first: Displacement, second: Displacement) -> tuple[N
 
     path: the first one's displacement, smoothed.
     """
-    origin = int(path.time_ns[0])
-    t, at = seconds(path.time_ns, origin), seconds(second.time_ns, origin)
-    there, spread = np.interp(at, t, path.displacement_m), np.interp(at, t, path.variance_m2)
+    there, spread = at(path, second.time_ns)
     apart = np.where(_near(first, second.time_ns), second.value_m - there, np.nan)
     return second.time_ns, apart, second.variance_m2 + spread
 
@@ -161,25 +162,22 @@ def _near(first: Displacement, time_ns: Nanoseconds) -> Mask:
     return near
 
 
-def _looks(blocks: tuple[Displacement, Displacement], seen: tuple[Seen, Seen]) -> tuple[NDArray[np.int64], list[Look]]:
-    """The order of both blocks' rows by time, and what each frame of both says in that order."""
-    both = joined(list(blocks))
-    strength = np.concatenate([one.eye.strength for one in seen])
+def _looks(both: Displacement, strength: Floats) -> Iterator[Look]:
+    """What each frame of both cameras says, one after another."""
     variance = np.where(np.isfinite(both.value_m), both.variance_m2, np.inf)
-    order = np.argsort(both.time_ns, kind="stable")
-    rows = zip(both.source[order], both.time_ns[order], variance[order], strength[order], strict=True)
-    return order, [Look(Source(int(s)), int(t), float(v), float(m)) for s, t, v, m in rows]
+    for source, time_ns, spread, matches in zip(both.source, both.time_ns, variance, strength, strict=True):
+        yield Look(Source(int(source)), int(time_ns), float(spread), float(matches))
 
 
 def _switches(
-    side: Side, looks: list[Look], sources: tuple[Source, Source]
+    side: Side, both: Displacement, strength: Floats, sources: tuple[Source, Source]
 ) -> tuple[Nanoseconds, NDArray[np.uint8], tuple[Event, ...]]:
     """From which instant on which source is believed, and the events that tell it."""
     fusion = side.recording.settings.fusion
     switch = Switch(sources, PUBLISHED if fusion.switching == "matches" else SwitchSettings())
-    sun = _sun(side, np.array([look.time_ns for look in looks], dtype=np.int64))
-    stamps, codes, events = [looks[0].time_ns], [int(sources[0])], []
-    for k, look in enumerate(looks):
+    sun = _sun(side, both.time_ns)
+    stamps, codes, events = [int(both.time_ns[0])], [int(sources[0])], []
+    for k, look in enumerate(_looks(both, strength)):
         events += switch.push(look, None if sun is None else float(sun[k]))
         if int(switch.believed) != codes[-1]:
             stamps.append(look.time_ns)

@@ -26,7 +26,7 @@ EXPLAINED_STD = 3.0
 
 @dataclass(frozen=True, slots=True)
 class Contradiction:
-    """From from_ns to to_ns the cameras differ by about apart_m more than both explain.
+    """From from_ns to to_ns the cameras differ by about apart_m more than their stated uncertainties allow.
 
     guilty: the camera (0 or 1) that the acceleration speaks against, None where it does not tell. jump_m: by how much
     the difference stayed changed from to_ns on, 0 where it came back.
@@ -47,7 +47,7 @@ class Contradiction:
         """The event that tells it; names of both cameras."""
         text = (
             f"From {shown(self.from_ns)} to {shown(self.to_ns)} {names[1]} and {names[0]} differ by "
-            f"{1e3 * abs(self.apart_m):.2g} mm more than both explain; "
+            f"{1e3 * abs(self.apart_m):.2g} mm more than their stated uncertainties allow; "
         )
         if self.guilty is None:
             text += "the acceleration does not tell which one is wrong: the band holds both."

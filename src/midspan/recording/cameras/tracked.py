@@ -7,6 +7,7 @@ import numpy as np
 
 from midspan.engine.monitor import AxisLoop, Monitor
 from midspan.fusion.kalman import KalmanFilter, KalmanSettings
+from midspan.fusion.path import at
 from midspan.fusion.running_clock import RunningClock, on_one_clock
 from midspan.fusion.smoother import smooth
 from midspan.recording.fusing.fuse import CourseError
@@ -33,7 +34,6 @@ from midspan.records import (
     Source,
     TimeOffset,
     part,
-    seconds,
 )
 
 # A target left out of more than this share of its frames is worth telling.
@@ -85,7 +85,7 @@ class Eye:
     @property
     def strength(self) -> Floats:
         """Good matches of the best target in each frame (n,), of trackers without matches the quality in percent."""
-        return np.array(self.tracking.targets[self.best].strengths)
+        return self.tracking.targets[self.best].strengths
 
     @property
     def events(self) -> list[Event]:
@@ -223,9 +223,7 @@ def zero_beside(first: Displacement, other: Displacement, side: Side) -> float |
     if np.count_nonzero(inside) < LEAST_BOTH:
         return None
     path = smooth(side.acceleration, first, side.kalman).estimate
-    origin = int(path.time_ns[0])
-    there = np.interp(seconds(other.time_ns[inside], origin), seconds(path.time_ns, origin), path.displacement_m)
-    return float(np.median(other.value_m[inside] - there))
+    return float(np.median(other.value_m[inside] - at(path, other.time_ns[inside])[0]))
 
 
 def _together(side: Side, number: int, eye: Eye) -> Together:

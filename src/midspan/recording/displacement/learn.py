@@ -76,23 +76,19 @@ class _Beside:
         return Pair(prepared.rows(self.first_ns, window), rows, 1.0)
 
 
-def wanted(recording: Recording, key: str) -> bool:
-    """Whether `displacement.<key>` is set."""
-    return bool(getattr(recording.settings.displacement, key, False))
-
-
 def learn(recording: Recording, series: TimeSeries) -> NoiseCalibration:
     """Noise, clock offset and scale of the sensor whose values are given, or a refusal."""
     prepared = recording.prepared
     used = inside(series.time_ns, int(prepared.time_ns[0]), int(prepared.time_ns[-1]))
     first = int(series.time_ns[used.start])
     last = min(int(series.time_ns[used.stop - 1]), first + round(NOISE_WINDOW_S * NANOSECONDS))
-    beside = _Beside(recording, series, first, last, not wanted(recording, "estimate_offset"))
+    beside = _Beside(recording, series, first, last, not recording.learns_offset)
     max_offset = beside.max_offset_s
     pair = beside.pair(beside.reach_s)
-    if wanted(recording, "estimate_scale"):
+    notes: list[str] = []
+    if recording.learns_scale:
         learnt = calibrate_sensor_scale(
-            pair, max_offset, one_clock=beside.one_clock, look=lambda fit: _refuse_farther(beside, fit)
+            pair, max_offset, one_clock=beside.one_clock, look=lambda fit: notes.extend(_refuse_farther(beside, fit))
         )
         found = learnt.findings
         assert found is not None
@@ -101,25 +97,33 @@ def learn(recording: Recording, series: TimeSeries) -> NoiseCalibration:
         found = learnt.findings
         assert found is not None
         if found.search is not None and (not beside.one_clock or unexplained(found.pair, found.fit)):
-            _refuse_farther(beside, found.free)
+            notes += _refuse_farther(beside, found.free)
         _refuse_wrong_scale(learnt, found)
+    learnt = replace(learnt, warnings=(*learnt.warnings, *notes))
     if beside.one_clock:
         return _on_one_clock(learnt, found)
     _refuse_doubtful_offset(beside, learnt, found)
     return replace(learnt, warnings=(*learnt.warnings, *_offset_warnings(beside, learnt)))
 
 
-def _refuse_farther(beside: _Beside, near: Fit) -> None:
-    """UntrustedError where the clocks agree far better farther apart than was searched."""
+def _refuse_farther(beside: _Beside, near: Fit) -> list[str]:
+    """UntrustedError where the clocks agree far better farther apart than was searched.
+
+    Returns a warning where the overlap is too short to look there.
+    """
     reach = beside.reach_s
     until = min(reach + farther_s(beside.max_offset_s), FARTHER_SHARE * beside.overlap_s)
     try:
         pair = beside.pair(until, FARTHER_WINDOW_S + 2.0 * until)
     except DataError:
-        return
+        return [
+            f"displacement: a clock offset beyond ±{beside.max_offset_s:.3g} s was not looked for: the overlap of "
+            f"{beside.overlap_s:.3g} s holds too few measurements or too little motion. A longer recording would tell."
+        ]
     other = farther(pair, near, reach, until)
     if other is not None:
         raise UntrustedError(_beyond(beside, other.offset_s))
+    return []
 
 
 def _beyond(beside: _Beside, offset_s: float) -> str:
@@ -237,12 +241,10 @@ def _refuse_poor_displacement(series: TimeSeries, used: slice) -> None:
     if len(known) < LEAST_MEASUREMENTS:
         raise DataError(
             f"displacement: {len(known)} measurements overlap the accelerometer; at least {LEAST_MEASUREMENTS} "
-            "are needed "
-            "to learn its noise. Check its time column, gaps and unit."
+            "are needed to learn its noise. Check its time column, gaps and unit."
         )
     if np.ptp(known) == 0.0:
         raise DataError(
             f"displacement ({series.name}): stands at one value, {1e3 * known[0]:g} mm, all the time. Check the "
-            "sensor, or "
-            "choose another column with displacement.value."
+            "sensor, or choose another column with displacement.value."
         )

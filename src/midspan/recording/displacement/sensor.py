@@ -1,6 +1,6 @@
 """The [displacement] sensor of a recording: its noise, clock offset and scale, and its measurements in metres."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -9,7 +9,7 @@ from midspan.calibration.scale import white_noise
 from midspan.errors import UntrustedError, UsageError
 from midspan.fusion.kalman import KalmanSettings
 from midspan.fusion.running_clock import on_one_clock
-from midspan.recording.displacement.learn import learn, wanted
+from midspan.recording.displacement.learn import learn
 from midspan.recording.fusing.fuse import SensorError
 from midspan.recording.stored.calibration import Calibration
 from midspan.recording.stored.displacement import DisplacementCalibration
@@ -35,7 +35,7 @@ def calibrate_displacement(recording: Recording) -> NoiseCalibration:
     """
     series = recording.displacement
     require_overlap(recording.prepared.time_ns, series.time_ns, "displacement")
-    if not wanted(recording, "estimate_scale"):
+    if not recording.learns_scale:
         return learn(recording, without(series, frozen_values(recording, series)))
     # What the values are rounded to is known in metres only with the scale: at first none of it is granted.
     crude = frozen_values(recording, series, resolution_m=0.0)
@@ -80,45 +80,63 @@ def unit_in_metres(recording: Recording) -> float:
 
 def displacement_warnings(recording: Recording, learnt: NoiseCalibration, part: DisplacementCalibration) -> list[str]:
     """What to know of the displacement sensor; UntrustedError where its unit is wrong beyond doubt."""
-    found = [*frozen_warnings(frozen_events(recording, part)), *_zero_warnings(recording, part)]
+    series = read_with(recording.displacement, part)
+    frozen = frozen_events(series, frozen_values(recording, series))
+    found = [*frozen_warnings(frozen), *_zero_warnings(recording, part)]
     found += learnt.warnings
-    if not wanted(recording, "estimate_offset") and 0.0 < learnt.offset.variance < np.inf:
+    if not recording.learns_offset and 0.0 < learnt.offset.variance < np.inf:
         found.append(
             "displacement: its clock seems to differ from the accelerometer's by "
-            f"{1e3 * np.sqrt(learnt.offset.variance):.3g} "
-            "ms. Set displacement.estimate_offset = true to have the offset learnt and applied."
+            f"{1e3 * np.sqrt(learnt.offset.variance):.3g} ms. Set "
+            "displacement.estimate_offset = true to have the offset learnt and applied."
         )
     if _scale_error(learnt) == 0.0:
         return found
     text = (
-        f"displacement: follows the accelerometer with a factor of {learnt.scale:.3g} ± {learnt.scale_std:.2g} "
-        "where 1 is "
-        "expected. Check displacement.unit, its sign, accelerometer.unit and that both sensors measure the same axis."
+        f"displacement: follows the accelerometer with a factor of {learnt.scale:.3g} ± {learnt.scale_std:.2g} where 1 "
+        "is expected. Check displacement.unit, its sign, accelerometer.unit and that both sensors measure the same "
+        "axis."
     )
     if abs(learnt.scale - 1.0) > REFUSED:
         raise UntrustedError(text)
     return [*found, f"{text} The error band holds the difference; displacement.estimate_scale = true takes it out."]
 
 
-def displacement_sensor(
+@dataclass(frozen=True, slots=True)
+class DisplacementInputs:
+    """The sensor's measurements on the accelerometer's clock, what is uncertain of them, an event for each stretch of
+    frozen values that was left out, and what to tell that the calibration did not.
+    """
+
+    measured: Displacement
+    error: SensorError
+    events: tuple[Event, ...]
+    warnings: tuple[str, ...]
+
+
+def displacement_inputs(
     recording: Recording, calibration: Calibration, *, acceleration: Acceleration, kalman: KalmanSettings
-) -> tuple[Displacement, SensorError, list[str]]:
-    """The sensor's measurements, what is uncertain of them, and what to tell that the calibration did not.
+) -> DisplacementInputs:
+    """Read the sensor of a calibrated recording.
 
     With displacement.estimate_offset a clock that runs apart in a long record is corrected as a camera's is.
     """
     learnt = _known(recording, calibration)
-    block, clock_std = displacement_block(recording, calibration), _finite_std(learnt.offset)
-    told: list[str] = []
-    if wanted(recording, "estimate_offset"):
+    require_overlap(recording.prepared.time_ns, recording.displacement.time_ns, "displacement")
+    series = read_with(recording.displacement, learnt)
+    held = frozen_values(recording, series)
+    block, clock_std = _block(without(series, held), learnt), _finite_std(learnt.offset)
+    warnings: list[str] = []
+    if recording.learns_offset:
         level = float(np.nanmedian(block.value_m))
         clock = on_one_clock(replace(block, value_m=block.value_m - level), acceleration, kalman, "displacement")
         block = replace(block, time_ns=clock.measured.time_ns)
         clock_std = clock_std if clock.std_s is None else clock.std_s
-        told += clock.warnings
-    frozen = frozen_warnings(frozen_events(recording, learnt))
-    told += [line for line in frozen if line not in calibration.warnings]
-    return block, SensorError(Source.DISPLACEMENT, learnt.relative_std, clock_std), told
+        warnings += clock.warnings
+    events = frozen_events(series, held)
+    warnings += [line for line in frozen_warnings(events) if line not in calibration.warnings]
+    error = SensorError(Source.DISPLACEMENT, learnt.relative_std, clock_std)
+    return DisplacementInputs(block, error, events, tuple(warnings))
 
 
 def _finite_std(offset: TimeOffset) -> float:
@@ -126,15 +144,12 @@ def _finite_std(offset: TimeOffset) -> float:
     return float(np.sqrt(offset.variance)) if np.isfinite(offset.variance) else 0.0
 
 
-def displacement_block(recording: Recording, calibration: Calibration) -> Displacement:
-    """The [displacement] channel as measurements on the accelerometer's clock; frozen values are missing."""
-    learnt = _known(recording, calibration)
-    series = read_with(recording.displacement, learnt)
-    require_overlap(recording.prepared.time_ns, recording.displacement.time_ns, "displacement")
+def _block(series: TimeSeries, learnt: DisplacementCalibration) -> Displacement:
+    """The channel, in metres on the accelerometer's clock, as measurements."""
     count = len(series.time_ns)
     return Displacement(
         time_ns=series.time_ns,
-        value_m=without(series, frozen_values(recording, series)).value,
+        value_m=series.value,
         variance_m2=np.full(count, learnt.noise_std_m**2),
         source=np.full(count, Source.DISPLACEMENT, dtype=np.uint8),
     )
@@ -152,7 +167,7 @@ def _known(recording: Recording, calibration: Calibration) -> DisplacementCalibr
         raise UsageError(
             "The calibration has no displacement part, but the recording has [displacement]. Calibrate again."
         )
-    if wanted(recording, "estimate_scale") and learnt.scale == 1.0:
+    if recording.learns_scale and learnt.scale == 1.0:
         raise UsageError(
             "displacement.estimate_scale = true: the calibration was made without it and has no displacement.scale. "
             "Calibrate again."
@@ -178,11 +193,11 @@ def frozen_values(recording: Recording, series: TimeSeries, *, resolution_m: flo
     return stuck(seconds(series.time_ns, origin), series.value, samples, resolution_m=step)
 
 
-def frozen_events(recording: Recording, learnt: DisplacementCalibration | None) -> tuple[Event, ...]:
-    """An event for each stretch of frozen values of [displacement] that was left out."""
-    if recording.settings.displacement is None or learnt is None:
-        return ()
-    series = read_with(recording.displacement, learnt)
+def frozen_events(series: TimeSeries, held: Mask) -> tuple[Event, ...]:
+    """An event for each stretch of frozen values (`held` (n,)) of [displacement] that was left out.
+
+    series: in metres on the accelerometer's clock.
+    """
     return tuple(
         Event(
             int(series.time_ns[a]),
@@ -190,7 +205,7 @@ def frozen_events(recording: Recording, learnt: DisplacementCalibration | None) 
             f"displacement: {b - a} values from {shown(int(series.time_ns[a]))} to {shown(int(series.time_ns[b - 1]))} "
             f"are all {1e3 * series.value[a]:.6g} mm while the structure moved; they were left out.",
         )
-        for a, b in runs(frozen_values(recording, series))
+        for a, b in runs(held)
     )
 
 

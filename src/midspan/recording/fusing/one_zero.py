@@ -7,6 +7,7 @@ import numpy as np
 
 from midspan.errors import DataError
 from midspan.fusion.kalman import KalmanSettings
+from midspan.fusion.path import at
 from midspan.fusion.smoother import smooth
 from midspan.recording.fusing.fuse import LevelError
 from midspan.recording.streams.span import inside
@@ -44,7 +45,7 @@ def merged(blocks: Sequence[Displacement], acceleration: Acceleration, kalman: K
         smoothed = smooth(acceleration, first, kalman).estimate
         seen = first.time_ns[np.isfinite(first.value_m)]
         span = inside(other.time_ns, int(seen[0]), int(seen[-1])) if len(seen) else slice(0, 0)
-        apart = other.value_m[span] - np.interp(other.time_ns[span], smoothed.time_ns, smoothed.displacement_m)
+        apart = other.value_m[span] - at(smoothed, other.time_ns[span])[0]
         apart = apart[np.isfinite(apart)]
         name = Source(int(other.source[0])).word
         if not len(apart):

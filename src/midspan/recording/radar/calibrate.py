@@ -360,7 +360,6 @@ def diagnostics_of(
     thin = slice(None, None, max(1, len(whole.time_ns) // KEPT))
     z = at_place(whole.phasors[thin], target.place_bin) @ target.weights.conj() / np.sqrt(len(target.weights))
     time_s = whole.time_ns / NANOSECONDS
-    speed = np.abs(np.diff(series.range_change_m)) / np.diff(time_s)
     return RadarDiagnostics(
         range_m=range_m,
         power_db=10.0 * np.log10(np.maximum(mean / max(noise, 1e-300), 1e-6)),
@@ -369,5 +368,4 @@ def diagnostics_of(
         phase_rad=unit * series.range_change_m[thin],
         leak=target.leak,
         limit_speed_m_s=limit_m_s,
-        reached_speed_m_s=float(np.nanmax(speed, initial=0.0)),
     )

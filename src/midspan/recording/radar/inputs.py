@@ -72,7 +72,7 @@ def radar_inputs(
     if not len(seen):
         raise DataError(
             "radar: none of the calibrated targets is seen in any frame. Calibrate again, or check radar.file and that "
-            "nothing stands before the radar."
+            "nothing stands in front of the radar."
         )
     measured, levels = _levelled(track, acceleration, kalman)
     clock = track.clock

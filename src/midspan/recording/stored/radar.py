@@ -20,7 +20,7 @@ class RadarDiagnostics:
     range_m, power_db (bins,): of the mean range profile, dB over the noise of one frame; frame_s (n,): seconds on the
     radar's clock of thinned frames of the window; phasors, phase_rad (n,): of the best target, what stands still not
     taken out of the phasors; the phase unwrapped. leak: what of the phasors stands still. limit_speed_m_s: from which
-    plain unwrapping fails; reached_speed_m_s: of the range to the best target in the window.
+    plain unwrapping fails.
     """
 
     range_m: Floats
@@ -30,7 +30,6 @@ class RadarDiagnostics:
     phase_rad: Floats
     leak: complex
     limit_speed_m_s: float
-    reached_speed_m_s: float
 
 
 @dataclass(frozen=True, slots=True)

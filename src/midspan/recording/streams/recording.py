@@ -88,6 +88,18 @@ class Recording:
         return None if camera is None else camera.exposure_s
 
     @property
+    def learns_offset(self) -> bool:
+        """Whether the clock offset of [displacement] is to be learnt and applied."""
+        section = self.settings.displacement
+        return section is not None and section.estimate_offset
+
+    @property
+    def learns_scale(self) -> bool:
+        """Whether the scale of [displacement] is to be learnt and applied."""
+        section = self.settings.displacement
+        return section is not None and section.estimate_scale
+
+    @property
     def sensor(self) -> str:
         """The section that the camera of this recording, or of this view of one, stands in."""
         return "infrared" if isinstance(self.settings.camera, InfraredSettings) else "camera"
@@ -252,3 +264,12 @@ def open_recording(path: str | Path, **overrides: dict[str, Any]) -> Recording:
     Nothing but the settings is read yet. Raises UsageError for wrong settings, DataError where there is no recording.
     """
     return Recording(settings_file(path), load_settings(path, overrides))
+
+
+def open_with_cameras(path: str | Path, changed: dict[str, Any], **overrides: dict[str, Any]) -> Recording:
+    """The same with settings (key → value) that win over the file in every camera section that it has."""
+    recording = open_recording(path, **overrides)
+    if not changed:
+        return recording
+    sections = [section for section in ("camera", "infrared") if recording.has(section)]
+    return open_recording(path, **overrides, **{section: dict(changed) for section in sections})

@@ -21,7 +21,6 @@ from midspan.sources.camera.frames import FrameRequest, FrameSource
 from midspan.vision.checkerboard import Board, LensFit, calibrate_lens, find_board, is_new
 from midspan.vision.lens import MODELS, Lens
 
-LENS_FILE = "lens.json"
 # Of a long video this many pictures, evenly spread, are searched for the board, and this many views are fitted.
 MOST_PICTURES = 150
 MOST_VIEWS = 60

@@ -9,11 +9,12 @@ from midspan.calibration.whitening import BIAS_WALK_RATIO
 from midspan.engine.monitor import CameraScale
 from midspan.engine.targets import AGREE_STD, Used, agreeing, combine, relative_zeros
 from midspan.fusion.kalman import KalmanSettings
+from midspan.fusion.path import at
 from midspan.fusion.smoother import smooth
 from midspan.recording.stored.camera import CameraCalibration
 from midspan.recording.streams.acceleration import PreparedAcceleration
 from midspan.recording.tracking.tracking import TargetTracking
-from midspan.records import NANOSECONDS, Acceleration, Displacement, Estimate, Floats, Innovation, joined, part, seconds
+from midspan.records import NANOSECONDS, Acceleration, Displacement, Estimate, Floats, Innovation, joined, part
 
 # A target whose displacement leaves the others' by this many times what noise and scale explain moves by itself.
 DISAGREES = 2.5
@@ -80,12 +81,12 @@ def together(
     merged = joined(moved)
     path = smooth(acceleration, part(merged, np.argsort(merged.time_ns, kind="stable")), kalman).estimate
     residual, slack, variance = _beside(moved, scales, path)
-    used = agreeing(residual, variance + slack**2, _at(path, blocks[0], path.variance_m2))
+    used = agreeing(residual, variance + slack**2, at(path, blocks[0].time_ns)[1])
     found = combine(residual, variance, used)
     stamps = np.array([block.time_ns for block in blocks])
     late = np.sum(found.weight * (stamps - stamps[0]), axis=0)
     time_ns = stamps[0] + np.rint(late).astype(np.int64)
-    expected = np.array([_path(path, block) for block in blocks])
+    expected = np.array([at(path, block.time_ns)[0] for block in blocks])
     value = found.value + np.where(found.used.any(axis=0), np.sum(found.weight * expected, axis=0), np.nan)
     measured = Displacement(time_ns, value, np.where(np.isfinite(value), found.variance, np.nan), blocks[0].source)
     return Together(measured, zeros, used)
@@ -146,33 +147,10 @@ def _beside(
     blocks: Sequence[Displacement], scales: Sequence[CameraScale], path: Estimate
 ) -> tuple[Floats, Floats, Floats]:
     """Each target's displacement minus the path, what its scale factor may make of it, and its variance: (k, n)."""
-    expected = np.array([_path(path, block) for block in blocks])
+    expected = np.array([at(path, block.time_ns)[0] for block in blocks])
     relative = np.array([[scale.relative_std] for scale in scales])
     value = np.array([block.value_m for block in blocks])
     return value - expected, relative * expected, np.array([block.variance_m2 for block in blocks])
-
-
-def _path(path: Estimate, block: Displacement) -> Floats:
-    """The path (n,) at a block's instants: between samples the cubic of displacements and velocities at both ends."""
-    t = seconds(path.time_ns, int(path.time_ns[0]))
-    at = np.clip(seconds(block.time_ns, int(path.time_ns[0])), t[0], t[-1])
-    k = np.clip(np.searchsorted(t, at, side="right") - 1, 0, len(t) - 2)
-    h = t[k + 1] - t[k]
-    u = (at - t[k]) / h
-    d, v = path.displacement_m, path.velocity_m_s
-    mine: Floats = (
-        (1 + 2 * u) * (1 - u) ** 2 * d[k]
-        + u * (1 - u) ** 2 * h * v[k]
-        + u * u * (3 - 2 * u) * d[k + 1]
-        - u * u * (1 - u) * h * v[k + 1]
-    )
-    return mine
-
-
-def _at(path: Estimate, block: Displacement, value: Floats) -> Floats:
-    """A column of the path (n,) at a block's instants, by straight lines."""
-    origin = int(path.time_ns[0])
-    return np.interp(seconds(block.time_ns, origin), seconds(path.time_ns, origin), value)
 
 
 def _apart(residual: Floats, variance: Floats, window: slice) -> tuple[Floats, Floats]:
@@ -215,7 +193,7 @@ def moves_by_itself(
         path = own.estimate
         residual, slack, variance = _beside(blocks, scales, path)
         # Where this target is hidden the path is vague.
-        known = variance + slack**2 + _at(path, blocks[0], path.variance_m2)
+        known = variance + slack**2 + at(path, blocks[0].time_ns)[1]
         apart[k], apart_m[k] = _apart(residual, known, window)
         power[k] = _power(own.innovation, window_ns)
     moved = (apart > DISAGREES) & (apart_m > LEAST_APART_M)

@@ -10,7 +10,6 @@ from midspan.recording.streams.sensor_words import worded
 from midspan.recording.tracking.target_opening import thermal_part
 from midspan.recording.tracking.tracking import CameraTracking
 from midspan.settings.camera import InfraredSettings
-from midspan.sources.thermal.pictures import AGC_NOTE
 from midspan.thermal.limits import Limits
 
 # Trackers that were made for pictures of 256 grey levels: their thresholds are in them.
@@ -49,7 +48,7 @@ def levels_of(view: Recording, known: CameraCalibration | None) -> Limits | None
 
 def is_grey(view: Recording) -> bool:
     """Whether a thermal camera's frames are grey levels of 8 bits instead of temperatures."""
-    return AGC_NOTE in view.frames.info.notes
+    return not view.frames.info.radiometric
 
 
 def range_seen(tracking: CameraTracking, place: int) -> tuple[float, float] | None:

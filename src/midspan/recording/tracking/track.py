@@ -10,7 +10,7 @@ import numpy as np
 from midspan._version import __version__
 from midspan.errors import UsageError
 from midspan.recording.streams.progress import Progress, silent
-from midspan.recording.streams.recording import open_recording
+from midspan.recording.streams.recording import open_with_cameras
 from midspan.recording.tracking.lens import lens_of
 from midspan.recording.tracking.opening import given_targets
 from midspan.recording.tracking.temperatures import in_words_of, levels_of
@@ -127,7 +127,7 @@ def _of_recording(path: Path, request: TrackRequest) -> tuple[FrameSource, Track
         changed["every"] = request.every
     if request.tracker is not None:
         changed["tracker"] = request.tracker
-    recording = open_recording(path, camera=changed, infrared=changed)
+    recording = open_with_cameras(path, changed)
     views = recording.cameras
     camera = views[0].settings.camera if views else None
     if camera is None:

@@ -3,8 +3,9 @@
 from collections import deque
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from itertools import islice
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -28,6 +29,7 @@ from midspan.records import (
     ScaleFactor,
     Status,
 )
+from midspan.signals.growing import Columns
 from midspan.signals.health import Mask, runs
 from midspan.sources.camera.frames import FrameSource
 from midspan.thermal.limits import Limits
@@ -46,6 +48,9 @@ SUSPICIOUS_SHARE = 0.25
 TEMPLATE_NOISE = 1.15
 # This many equal pictures in a row are a frozen camera (or a codec that skipped them), not a structure at rest.
 FROZEN_FRAMES = 3
+# The column that tells them, after those of a translation.
+REPEATS = 7
+_numbers = attrgetter(*(field.name for field in fields(PixelTranslation)))
 # A frame whose mean is below this share of full scale is dark; at most this many are skipped at the start.
 DARK_SHARE = 0.02
 MOST_DARK = 1000
@@ -102,12 +107,14 @@ class TargetTracking:
 
     def __init__(self, tracker: Tracker, name: str, readout_s: float) -> None:
         self.tracker, self.name, self._readout_s = tracker, name, readout_s
-        self._rows: list[PixelTranslation] = []
-        self._repeats: list[bool] = []
+        # A frame's time, translation along x and y, their variances, quality, status; whether its picture repeats.
+        self._rows = Columns("qdddddBB")
+        # How strong it was, and the part of its variances along x and y that the reference frame makes.
+        self._pushed = Columns("ddd")
+        self._track: PixelTrack | None = None
+        self._quick: PixelTrack | None = None
         self._seen = np.empty((0, 0))
         self.events: list[Event] = []
-        self.strengths: list[float] = []
-        self._wandering: list[tuple[float, float]] = []
         self._lit = not is_dark(tracker.reference.pixels)
         # Temperatures are stored as they are: no codec, no full scale.
         self._watch = None if thermal_part(tracker) else PictureWatch(tracker.reference, tracker.region)
@@ -121,8 +128,8 @@ class TargetTracking:
         """Find the target in `frame`; the translation is dated by the row that the target's middle was read out at."""
         found = lost(frame.time_ns) if self._in_the_dark(frame) else self.tracker.push(frame, prediction)
         self.events += events_of(self.tracker)
-        self.strengths.append(strength_of(self.tracker, found))
-        self._wandering.append(wandering_px2(self.tracker, found))
+        self._pushed.append(strength_of(self.tracker, found), *wandering_px2(self.tracker, found))
+        self._track = self._quick = None
         down_px = as_shown(self.tracker, found).y_px
         row = self.region.y + 0.5 * (self.region.height - 1) + (down_px if np.isfinite(down_px) else 0.0)
         last_row = max(frame.pixels.shape[0] - 1, 1)
@@ -137,38 +144,49 @@ class TargetTracking:
         """Keep what was found in `frame`: the one place where a frame's picture and its translation meet."""
         region = self.region
         seen = np.asarray(frame.pixels[region.y : region.y + region.height, region.x : region.x + region.width])
-        self._repeats.append(bool(np.array_equal(seen, self._seen)))
+        self._rows.append(*_numbers(translation), bool(np.array_equal(seen, self._seen)))
         self._seen = seen.copy()
-        self._rows.append(translation)
+        self._track = self._quick = None
         if self._watch is not None:
             self._watch.push(frame, as_shown(self.tracker, translation))
 
     @property
     def track(self) -> PixelTrack:
         """The rows so far as one block, finished: frames of a frozen picture are lost, the variances fair."""
-        return more_variance(self.quick, self.wandering_px2)
+        if self._track is None:
+            self._track = more_variance(self.quick, self.wandering_px2)
+        return self._track
 
     @property
     def quick(self) -> PixelTrack:
         """The same with the variances of the single frames only, without what the reference frame makes."""
-        return self._narrow if self._watch is None else self._watch.widened(self._narrow)
+        if self._quick is None:
+            self._quick = self._narrow if self._watch is None else self._watch.widened(self._narrow)
+        return self._quick
+
+    @property
+    def strengths(self) -> Floats:
+        """Good matches in each frame (n,), of trackers without matches the quality in percent."""
+        return self._pushed.column(0)
 
     @property
     def wandering_px2(self) -> Floats:
         """The part of the variances (n, 2) along x and y that the reference frame makes, for many frames alike."""
-        return np.array(self._wandering).reshape(-1, 2)
+        return np.column_stack((self._pushed.column(1), self._pushed.column(2)))
 
     @property
     def _narrow(self) -> PixelTrack:
         """The rows with the variances of the single frames that the tracker believes in."""
-        own = more_variance(PixelTrack.stack(self._rows), -self.wandering_px2)
+        rows = PixelTrack(*(self._rows.column(number) for number in range(REPEATS)))
+        own = more_variance(rows, -self.wandering_px2)
         return with_fair_variance(lost_where(own, self.frozen))
 
     @property
     def frozen(self) -> Mask:
         """Frames (n,) so far that only repeat the picture before them, in runs of at least `FROZEN_FRAMES`."""
-        mask = np.zeros(len(self._repeats), dtype=bool)
-        for start, end in runs(np.array(self._repeats, dtype=bool)):
+        repeats = self._rows.column(REPEATS).astype(bool)
+        mask = np.zeros(len(repeats), dtype=bool)
+        for start, end in runs(repeats):
             mask[start:end] = end - start + 1 >= FROZEN_FRAMES
         return mask
 
@@ -191,7 +209,7 @@ class TargetTracking:
         """What of the frames tracked so far is worth telling, measured along the image axis "x" or "y"."""
         frozen = int(np.count_nonzero(self.frozen))
         told = [f"camera: {frozen} frames only repeat the picture before them (frozen); they were not used."]
-        seen = picture_warnings(self._watch, self._narrow, direction) if self._rows and self._watch else []
+        seen = picture_warnings(self._watch, self._narrow, direction) if len(self._rows) and self._watch else []
         return (told if frozen else []) + seen
 
 

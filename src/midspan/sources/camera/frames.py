@@ -28,7 +28,8 @@ class FrameRequest:
 class FrameInfo:
     """What is known of a source of frames: `frame_count` counts all frames of the file (None: not known).
 
-    `bit_depth` is that of the luma, `lossless` None where the codec can be either.
+    `bit_depth` is that of the luma, `lossless` None where the codec can be either, `radiometric` whether pixels are
+    temperatures.
     """
 
     width: int
@@ -38,6 +39,7 @@ class FrameInfo:
     codec: str
     lossless: bool | None
     notes: tuple[str, ...] = ()
+    radiometric: bool = False
 
 
 class FrameSource(ABC):

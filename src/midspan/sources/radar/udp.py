@@ -181,7 +181,12 @@ class LiveCapture:
                 datagram = self._socket.recv(LARGEST_DATAGRAM)
             except TimeoutError:
                 continue
-            except OSError:
+            except OSError as error:
+                if not self._stop.is_set():
+                    self._failure = DataError(
+                        f"The capture on port {self._settings.port} of {self._settings.address} ended: "
+                        f"{error.strerror or error}. Check the host's network adapter and begin again."
+                    )
                 return
             if self._first_ns is None:
                 self._first_ns = time.time_ns()

@@ -53,7 +53,8 @@ class FlirFrames(FrameSource):
     def info(self) -> FrameInfo:
         """Size and number of frames; temperatures are float32 in °C."""
         codec = "FLIR records, 16-bit counts"
-        return FrameInfo(self._width, self._height, 32, len(self._places), codec, True, tuple(self._notes))
+        size, count = (self._width, self._height), len(self._places)
+        return FrameInfo(*size, 32, count, codec, True, tuple(self._notes), radiometric=True)
 
     def times_ns(self) -> Nanoseconds:
         """Time stamps from `times`, else the camera's own (ms, since 1970), else a rate; `start_s` is added."""

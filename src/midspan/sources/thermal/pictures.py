@@ -40,7 +40,7 @@ class ThermalPictures(FrameSource):
         note = "temperatures in °C"
         if self._scale is not None:
             note = f"16-bit counts of {self._scale[0]:g} K, 0 at {self._scale[1]:g} K"
-        return replace(known, bit_depth=32, notes=(*known.notes, note))
+        return replace(known, bit_depth=32, notes=(*known.notes, note), radiometric=True)
 
     def times_ns(self) -> Nanoseconds:
         """Time stamps of the source."""

@@ -18,6 +18,7 @@ from midspan.vision.reference.records import (
     Overlap,
     Seen,
     clear_share,
+    contrast,
     crowded,
     first_chain,
 )
@@ -27,6 +28,7 @@ from midspan.vision.spline import Floats32
 from midspan.vision.tracker import TRACKERS
 
 LEAST_PAIRS = 3
+CLEAR = 0.95  # share of frames' contrast, squared, that a good key frame and they have in common
 LEAST_CLEAR = 0.67  # of frames' contrast, squared, that they must have in common to make a picture: the rest is noise
 
 
@@ -149,7 +151,7 @@ class KeyFrames:
         lap = self._overlap
         return KeyFrameState(
             keys=tuple(
-                (k.frame, k.region, k.tracker.state, tuple(k.strengths), k.picture, k.offset, k.hidden)
+                (k.frame, k.region, k.tracker.state, tuple(k.strengths), k.picture, k.offset, k.hidden, k.clear)
                 for k in self._keys
             ),
             chain=self._chain,
@@ -166,6 +168,9 @@ class KeyFrames:
             likeness=self._likeness,
             lately=self._lately,
             recent=tuple(self._recent),
+            doubtful=self._doubtful,
+            own=self._own,
+            events=tuple(self._events),
             frames=self._frames,
             made=self._made,
         )
@@ -174,10 +179,11 @@ class KeyFrames:
         """Continue from a `state` taken earlier."""
         known = {(id(key.frame), key.region): key for key in self._keys}
         keys = []
-        for frame, region, inner, strengths, picture, offset, hidden in state.keys:
+        for frame, region, inner, strengths, picture, offset, hidden, clear in state.keys:
             key = known.get((id(frame), region)) or self._opened(frame, region)
             key.tracker.restore(inner)
             key.strengths, key.picture, key.offset, key.hidden = list(strengths), picture, offset, hidden
+            key.clear = clear
             keys.append(key)
         self._keys, self._chain, self._current = keys, state.chain, state.current
         self._health, self._last = list(state.health), state.last
@@ -186,6 +192,7 @@ class KeyFrames:
         self._hidden, self._since_ns = state.hidden, state.since_ns
         self._likeness, self._recent = state.likeness, list(state.recent)
         self._lately = state.lately
+        self._doubtful, self._own, self._events = state.doubtful, state.own, list(state.events)
         if state.overlap is not None:
             to, new, laps, windows, places, hidden = state.overlap
             self._overlap = Overlap(to, new, laps, list(windows), list(places), hidden)
@@ -193,7 +200,7 @@ class KeyFrames:
 
     def _opened(self, frame: Frame, region: Region) -> KeyFrame:
         tracker = open_counting(self.settings.tracker, frame, region, self.settings.tracker_settings)
-        return KeyFrame(frame, region, tracker, tracker.state)
+        return KeyFrame(frame, region, tracker, tracker.state, contrast(frame, region))
 
     def _look(self, number: int, frame: Frame, prediction: Prediction | None) -> Seen:
         """What the key frame says; `prediction` counts from the first frame."""
@@ -228,7 +235,8 @@ class KeyFrames:
     def _kept(self, lap: Overlap) -> bool:
         """Keep the picture that an overlap made and align all of them; False where a new key frame was not tracked."""
         self._overlap = None
-        clear = clear_share(lap.windows) >= LEAST_CLEAR
+        share = clear_share(lap.windows)
+        clear, self._keys[lap.to].clear = share >= LEAST_CLEAR, share >= CLEAR
         if lap.new:
             few = len(lap.windows if lap.hidden.any() else lap.places) < LEAST_PAIRS
             if few or not clear:

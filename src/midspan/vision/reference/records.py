@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from midspan.records import Floats, Frame, PixelTranslation, Region, Status
+from midspan.records import Event, Floats, Frame, PixelTranslation, Region, Status
 from midspan.vision.reference.cover import ALL_SEEN, Cells
 from midspan.vision.spline import Floats32
 from midspan.vision.tracker import Tracker
@@ -18,17 +18,19 @@ from midspan.vision.tracker import Tracker
 class KeyFrame:
     """A key frame, the tracker that follows from it, and how strong it usually is; `picture`: the mean of the first
     frames after it, laid over each other, and how much farther on (2,) px it is to be read; `hidden` (cells,): where
-    something stood in front.
+    something stood in front; `contrast`: its standard deviation; `clear`: whether little of that is noise.
     """
 
     frame: Frame
     region: Region
     tracker: Tracker
     at_rest: Any
+    contrast: float
     strengths: list[float] = field(default_factory=list)
     picture: Floats32 | None = None
     offset: Floats = field(default_factory=lambda: np.zeros(2))
     hidden: Cells = field(default_factory=lambda: ALL_SEEN)
+    clear: bool = True
 
     @property
     def usual(self) -> float:
@@ -132,6 +134,9 @@ class KeyFrameState:
     likeness: float
     lately: tuple[Floats, int]
     recent: tuple[Floats, ...]
+    doubtful: Cells
+    own: Floats
+    events: tuple[Event, ...]
     frames: int
     made: int
 
@@ -160,3 +165,14 @@ def clear_share(windows: Sequence[Floats32]) -> float:
     own = float(np.mean(np.var(stack, axis=0, ddof=1)))
     whole = float(np.mean(stack**2))
     return 1.0 - own / whole if whole > 0.0 else 0.0
+
+
+def contrast(frame: Frame, region: Region) -> float:
+    """Standard deviation of the pixels of a region; 0 where there are none."""
+    part = frame.pixels[region.y : region.y + region.height, region.x : region.x + region.width]
+    return float(np.nanstd(part.astype(np.float64))) if part.size else 0.0
+
+
+def exchanged(frame: Frame) -> Frame:
+    """A frame with bright and dark exchanged."""
+    return Frame(frame.time_ns, -np.asarray(frame.pixels, dtype=np.float32), frame.index)

@@ -25,6 +25,8 @@ from midspan.vision.reference.pictures import LEAST_SHOWN
 from midspan.vision.reference.records import (
     Overlap,
     Seen,
+    contrast,
+    exchanged,
     nearest,
     unmoved,
 )
@@ -37,10 +39,14 @@ HEALTH_FRAMES = 5  # frames that the strength is averaged over
 REACH_SHARE = 0.1  # of the region's side: how sure the last place is for a tracker that is new to the frame
 NEAR_PX = 1.5  # of where the target must be: what a key frame finds beyond is another thing
 ANYWHERE_TURNS = 20  # every so many tries the first frame is looked for everywhere
+CLEARER = 1.5  # times the contrast of a key frame that is mostly noise: time for another
 LEAST_SEEN = 0.35  # share of the target that must be seen to learn from it
 SCATTERED = 2.0  # standard deviations of the strength that say nothing
 WEAK = 0.95  # share of the usual strength below which a single picture is looked at for a thing in front
 TURNED = 0.8  # share of the usual strength below which temperatures are looked at with bright and dark exchanged
+EXCHANGED_TURNS = 4  # every so many tries it is the first frame with bright and dark exchanged
+FAR_SHARE = 0.25  # of the region's side: how far from its last place a target without prediction is believed
+KNOWN_PX = 0.02  # a key frame known so well need not be found again
 LINK_PX = 0.5  # how well a frame's place must be known to go on from it without overlap
 LINK_FRAMES = 5  # frames that may have been lost since
 
@@ -230,39 +236,53 @@ class KeyFrameTracker(KeyFrames):
         return told
 
     def _turned(self, frame: Frame, prediction: Prediction | None, strength_now: float) -> Told | None:
-        """The result by temperatures with bright and dark exchanged, where these fit better: a new key frame.
+        """The result by temperatures with bright and dark exchanged, where these fit better, as a new key frame.
 
         What was warmer than the rest by day may be colder by night.
         """
-        usual = self._keys[self._current].usual
-        if not self.settings.heat or strength_now >= TURNED * usual:
+        if not self.settings.heat or strength_now >= TURNED * self._keys[self._current].usual:
             return None
-        other = Frame(frame.time_ns, -np.asarray(frame.pixels, dtype=np.float32), frame.index)
-        best, found = strength_now, None
+        other = exchanged(frame)
         numbers = [self._current, *nearest(self._current, self._keys, self.settings.related)]
+        best, found = strength_now, None
         for number in numbers if strength_now == 0.0 else numbers[:1]:
-            tracker = self._keys[number].tracker
-            before = tracker.state
-            seen = self._afresh(number, other, prediction)
-            tracker.restore(before)
-            if seen.found.status is Status.TRACKING and seen.strength > best:
+            seen = self._aside(number, other, prediction)
+            near = self._near(self._chain.place[number] + seen.place, prediction)
+            if seen.found.status is Status.TRACKING and seen.strength > best and near:
                 best, found = seen.strength, (number, seen)
-        if found is None:
-            return None
-        number, seen = found
+        return None if found is None else self._adopted(*found, frame)
+
+    def _near(self, place: Floats, prediction: Prediction | None) -> bool:
+        """Whether a place (2,) px is where the target can be, by the prediction or else by where it was last seen."""
+        if prediction is None:
+            before = np.zeros(2) if self._last is None else self._last[1]
+            return float(np.abs(place - before).max()) <= FAR_SHARE * min(self.region.width, self.region.height)
+        off = np.abs(place - np.array([prediction.x_px, prediction.y_px]))
+        return bool((off <= 3.0 * np.array([prediction.std_x_px, prediction.std_y_px]) + NEAR_PX).all())
+
+    def _aside(self, number: int, frame: Frame, prediction: Prediction | None) -> Seen:
+        """What a key frame says of another picture, without a trace in its tracker."""
+        tracker = self._keys[number].tracker
+        before = tracker.state
+        seen = self._afresh(number, frame, prediction)
+        tracker.restore(before)
+        return seen
+
+    def _adopted(self, number: int, seen: Seen, frame: Frame) -> Told | None:
+        """A new key frame where an earlier one was `seen` with bright and dark exchanged."""
         variance = self._chain.variance(number) + seen.variance + self.settings.link_floor_px**2
         self._ended_early()
         try:
-            number = self._added(frame, self._chain.place[number] + seen.place, variance)
+            new = self._added(frame, self._chain.place[number] + seen.place, variance)
         except UsageError:
             return None
-        told = self._tried_on(number, frame, unmoved(frame))
+        told = self._tried_on(new, frame, unmoved(frame))
         if told is None:
-            self._dropped(number)
+            self._dropped(new)
             return None
         self._made += 1
-        self._switch(number, frame, "bright and dark have changed places")
-        self._overlap = Overlap(number, new=False)
+        self._switch(new, frame, "bright and dark have changed places")
+        self._overlap = Overlap(new, new=False)
         return told
 
     def _tried_on(self, number: int, frame: Frame, seen: Seen) -> Told | None:
@@ -277,7 +297,7 @@ class KeyFrameTracker(KeyFrames):
         here = Prediction(result.x_px, result.y_px, 1.0, 1.0)
         place = np.array([result.x_px, result.y_px])
         if self._overlap is None:
-            self._overlap = self._begun(frame, result, self._paled(view, place))
+            self._overlap = self._begun(frame, result, self._paled(frame, view, place))
             view = view or (sight(frame.pixels, self.region, place) if self._overlap else None)
         lap = self._overlap
         if lap is None:
@@ -305,13 +325,13 @@ class KeyFrameTracker(KeyFrames):
             )
             self._carried = self._carried if again is None else place - again.place
 
-    def _paled(self, view: Sight | None, place: Floats) -> bool:
+    def _paled(self, frame: Frame, view: Sight | None, place: Floats) -> bool:
         """Whether light has changed the target: by the strength or, where something stands in front, by the rest."""
         usual = self._keys[self._current].usual
         share = fmean(self._health) / usual if self._health and usual > 0.0 else 1.0
         if not self._hidden.any() or self._pictures is None:
             self._likeness = 0.0
-            return share < self.settings.renew_share
+            return share < self.settings.renew_share or self._cleared(frame)
         window = None if view is None else view.window(place)
         seen_share = float(np.mean(~self._hidden)), float(np.mean(~self._doubtful))
         if window is None or seen_share[0] < LEAST_SEEN or seen_share[1] < LEAST_SHOWN:
@@ -323,6 +343,11 @@ class KeyFrameTracker(KeyFrames):
             self._likeness = alike
         # The middle cell loses three quarters of what the whole loses.
         return alike < (1.0 - 0.75 * (1.0 - self.settings.renew_share)) * self._likeness
+
+    def _cleared(self, frame: Frame) -> bool:
+        """Whether the target stands out much better than in the key frame, which is mostly noise."""
+        key = self._keys[self._current]
+        return not key.clear and contrast(frame, self.region_now) > CLEARER * key.contrast
 
     def _begun(self, frame: Frame, result: PixelTranslation, paled: bool) -> Overlap | None:
         """A new key frame where light has changed the target."""
@@ -340,6 +365,9 @@ class KeyFrameTracker(KeyFrames):
         if self._current == 0 or self._frames % self.settings.try_every:
             return
         turn = self._frames // self.settings.try_every
+        if self.settings.heat and turn % EXCHANGED_TURNS == 0:
+            self._tried_exchanged(frame, here)
+            return
         anywhere = turn % ANYWHERE_TURNS == 0
         # Every other try is for the first frame, the rest for the others in turn.
         number = 0 if turn % 2 == 0 else (turn // 2) % len(self._keys)
@@ -356,6 +384,14 @@ class KeyFrameTracker(KeyFrames):
             self._switch(number, frame, "back to the first frame" if number == 0 else "back to an earlier key frame")
         elif number == 0:
             self._begun_again(frame, off)
+
+    def _tried_exchanged(self, frame: Frame, here: Prediction) -> None:
+        """Back to what the first frame says with bright and dark exchanged, where that matches and is better known."""
+        seen = self._aside(0, exchanged(frame), here)
+        known = self._chain.variance(self._current)
+        strong = seen.strength >= self.settings.return_share * self._keys[0].usual
+        if seen.found.status is Status.TRACKING and strong and (known > 4.0 * seen.variance + KNOWN_PX**2).any():
+            self._adopted(0, seen, frame)
 
     def _begun_again(self, frame: Frame, off_px: float) -> None:
         """Back to the first frame, which contradicts all later key frames."""
