@@ -28,7 +28,11 @@ STEP_S = 2.0
 
 @dataclass(frozen=True)
 class Day:
-    """One day's figures in mm and shares; step: the largest change of the mean error over a switch."""
+    """One day's figures in mm and shares; step: the largest change of the mean error over a switch.
+
+    inside, coasting: of the whole record; what the result lacks at its ends is neither inside nor tracked, and is in
+    longest_s. missing: its share.
+    """
 
     rmse: float
     day: float
@@ -37,21 +41,23 @@ class Day:
     switches: int
     inside: float
     coasting: float
+    missing: float
     longest_s: float
 
     def row(self) -> list[object]:
         """What is printed."""
         return [
             self.rmse, self.day, self.night, self.step, self.switches,
-            100 * self.inside, 100 * self.coasting, self.longest_s,
+            100 * self.inside, 100 * self.coasting, 100 * self.missing, self.longest_s,
         ]  # fmt: skip
 
 
-def error_mm(result: Result, folder: Path) -> Floats:
-    """The result (n,) less the truth, mm."""
+def error_mm(result: Result, folder: Path) -> tuple[Floats, Floats]:
+    """The result (n,) less the truth, mm; and the seconds that the result lacks at the record's start and end."""
     truth = np.genfromtxt(folder / "truth.csv", delimiter=",", names=True)
     found: Floats = result.displacement_mm - np.interp(result.time_s, truth["time_s"], truth["displacement_mm"])
-    return found
+    lacks = np.maximum([result.time_s[0] - truth["time_s"][0], truth["time_s"][-1] - result.time_s[-1]], 0.0)
+    return found, lacks
 
 
 def steps_mm(result: Result, error: Floats) -> Floats:
@@ -67,19 +73,22 @@ def steps_mm(result: Result, error: Floats) -> Floats:
 
 def judged(result: Result, folder: Path) -> Day:
     """The figures of a result."""
-    error, time = error_mm(result, folder), result.time_s
+    (error, lacks), time = error_mm(result, folder), result.time_s
     start, end = SCENARIOS[NAME].day.sky.night()  # type: ignore[union-attr]
     dark = (time >= start) & (time < end)
     steps = steps_mm(result, error)
     coasting = result.estimate.status != Status.TRACKING
     edges = np.flatnonzero(np.diff(np.concatenate(([0], coasting.astype(np.int8), [0])))).reshape(-1, 2)
+    longest_s = float(np.max(edges[:, 1] - edges[:, 0], initial=0)) * float(np.median(np.diff(time)))
+    missing = float(lacks.sum() / (lacks.sum() + time[-1] - time[0]))
     return Day(
         *(float(np.sqrt(np.mean(error[which] ** 2))) for which in (slice(None), ~dark, dark)),
         float(np.abs(steps).max(initial=0.0)),
         len(steps),
-        float(np.mean(np.abs(error) < 1.96 * result.displacement_std_mm)),
-        float(np.mean(coasting)),
-        float(np.max(edges[:, 1] - edges[:, 0], initial=0)) * float(np.median(np.diff(time))),
+        (1.0 - missing) * float(np.mean(np.abs(error) < 1.96 * result.displacement_std_mm)),
+        missing + (1.0 - missing) * float(np.mean(coasting)),
+        missing,
+        max(longest_s, float(lacks.max())),
     )
 
 
@@ -159,7 +168,8 @@ def main() -> None:
     warm_body()
     with tempfile.TemporaryDirectory() as name:
         found = days(Path(name))
-    head = ["seed", "rmse mm", "day mm", "night mm", "step mm", "switches", "in 1.96 σ %", "coasting %", "longest s"]
+    head = ["seed", "rmse mm", "day mm", "night mm", "step mm", "switches", "in 1.96 σ %"]
+    head += ["not tracked %", "missing %", "longest s"]
     for kind, rows in found.items():
         print(f"\n{kind}")
         show(head, [[seed, *row.row()] for seed, row in zip(SEEDS, rows, strict=True)])

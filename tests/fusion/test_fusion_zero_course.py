@@ -48,6 +48,27 @@ def test_a_drift_grows_by_what_it_does_in_a_minute_not_by_its_steps():
     assert course.wander_m == pytest.approx(rate * 200.0 / np.sqrt(3.0), rel=0.05)
 
 
+def test_a_drift_goes_on_through_a_gap_and_is_no_jump():
+    rate = 8e-6
+    course = course_of(lambda t: np.where((t > 60.0) & (t < 100.0), np.nan, rate * t))
+    assert not course.jump_m.any()
+    assert not course.apart_m.any()
+    before, after = (np.searchsorted(course.time_ns, 1e9 * t) for t in (59.0, 102.0))
+    for place in (before, after):
+        assert course.level_m[place] == pytest.approx(rate * course.time_ns[place] / 1e9, abs=4 * NOISE_M)
+
+
+def test_what_both_zeros_are_said_to_be_off_by_explains_a_level_that_changed_in_a_gap():
+    time_s = np.arange(0.0, 160.0, 0.25)
+    seen = np.where(time_s > 80.0, 1e-3, 0.0) + NOISE_M * np.random.default_rng(0).standard_normal(len(time_s))
+    seen[(time_s > 60.0) & (time_s < 100.0)] = np.nan
+    time_ns, noise = np.rint(1e9 * time_s).astype(np.int64), np.full(len(time_s), NOISE_M**2)
+    assert zero_course(time_ns, seen, noise).jump_m.any()
+    course = zero_course(time_ns, seen, noise, np.where(time_s > 80.0, 0.5e-3**2, 0.0))
+    assert not course.jump_m.any()
+    assert course.level_m[-1] == pytest.approx(1e-3, abs=3 * NOISE_M)
+
+
 def test_a_walk_grows_as_it_is_stated():
     growth = []
     for seed in range(20):

@@ -7,6 +7,7 @@ import pytest
 
 from midspan.fusion.kalman import KalmanSettings
 from midspan.recording.cameras.belief import believed
+from midspan.recording.cameras.contradiction import Contradiction
 from midspan.recording.fusing.fuse import CourseError, FusionInputs, fuse
 from midspan.records import Acceleration, Displacement, Source
 
@@ -33,14 +34,14 @@ def measured(source, errors, seed, blind=None):
     )
 
 
-def one_result(of_camera, of_infrared, seed=0):
+def one_result(of_camera, of_infrared, seed=0, blind=BLIND_S):
     """Belief, time (n,) s, error (n,) and standard deviation (n,) in mm of the fusion of both cameras."""
     rng = np.random.default_rng(seed)
     time_s = np.arange(0.0, LENGTH_S, 0.01)
     value = -((2 * np.pi * 0.9) ** 2) * motion(time_s) + 2.5e-3 * rng.standard_normal(len(time_s))
     acceleration = Acceleration(nanoseconds(time_s), value, np.full(len(time_s), 2.5e-3**2 * 0.01))
     kalman = KalmanSettings(coasting_s=1.0)
-    blocks = (measured(Source.CAMERA, of_camera, seed + 1, BLIND_S), measured(Source.INFRARED, of_infrared, seed + 2))
+    blocks = (measured(Source.CAMERA, of_camera, seed + 1, blind), measured(Source.INFRARED, of_infrared, seed + 2))
     seen = tuple(
         SimpleNamespace(
             eye=SimpleNamespace(sensor=sensor, source=source, strength=np.full(len(block.time_ns), 90.0)),
@@ -130,6 +131,54 @@ def test_a_zero_that_changed_unseen_is_told_and_the_band_holds_both():
     assert told(belief)
 
 
+def test_a_camera_that_comes_back_with_another_zero_is_brought_to_that_of_the_one_that_went_on_seeing():
+    belief, time_s, error, std = one_result(night_jump, steady)
+    (event,) = told(belief)
+    assert event.time_ns / 1e9 == pytest.approx(150.0, abs=1.5)
+    assert "the camera was brought to the other's zero" in event.text
+    assert np.abs(error[time_s < 239.5]).max() < 0.1
+    # Nothing tells which one is right: the camera's own zero is in the band as well.
+    late = (time_s > 155.0) & (time_s < 239.5)
+    assert np.all(1.96 * std[late] > 2.0)
+
+
+def test_one_that_stays_away_until_the_end_is_brought_back_as_well():
+    # Back for ten seconds only: too short for a new level.
+    belief, time_s, error, _ = one_result(lambda t: np.where(t > 120.0, 2e-3, 0.0), steady, blind=(90.0, 229.0))
+    assert "the camera was brought to the other's zero" in " ".join(event.text for event in told(belief))
+    assert np.abs(error[time_s < 239.5]).max() < 0.1
+
+
+def test_a_drift_over_a_night_is_bridged_without_a_step():
+    rate = 8e-6
+    belief, time_s, error, std = one_result(steady, lambda t: rate * t)
+    seen = (time_s > 0.1) & (time_s < 239.5)
+    # As far as 0.48 mm over the night, all of it infrared's, which the difference before and after tells.
+    assert np.abs(error[seen]).max() < 0.12
+    assert np.mean(np.abs(error) < 1.96 * std) > 0.9
+    assert told(belief)
+
+
+def test_a_zero_that_goes_further_and_further_stays_in_the_band():
+    belief, time_s, error, std = one_result(lambda t: 8e-6 * np.maximum(t - 5.0, 0.0), steady)
+    assert np.mean(np.abs(error) < 1.96 * std) > 0.95
+    late = (time_s > 200.0) & (time_s < 239.5)
+    assert np.mean(np.abs(error[late]) < 1.96 * std[late]) > 0.95
+    # Told from where it is ten standard deviations of a frame: 0.15 mm after 19 s.
+    (event,) = told(belief)
+    assert event.time_ns / 1e9 == pytest.approx(25.0, abs=10.0)
+
+
+@pytest.mark.parametrize("wrong", ["camera", "infrared"])
+def test_the_camera_that_makes_a_small_jump_is_found_by_its_first_frames(wrong):
+    def jumps(time_s):
+        return np.where(time_s > 40.0, 0.3e-3, 0.0)
+
+    belief, time_s, error, _ = one_result(*((jumps, steady) if wrong == "camera" else (steady, jumps)))
+    assert f"contradicts the {wrong}" in told(belief)[0].text
+    assert np.abs(error[(np.abs(time_s - 40.0) > 1.5) & (time_s < 239.5)]).max() < 0.08
+
+
 def test_a_drift_that_the_acceleration_does_not_see_is_told_and_the_band_holds_it():
     belief, _, error, std = one_result(drifts, steady)
     assert told(belief)
@@ -144,3 +193,9 @@ def test_an_error_of_several_sensors_moves_them_together():
     both = CourseError((Source.CAMERA, Source.INFRARED), time_ns, np.ones(2))
     assert np.isin([int(Source.CAMERA), int(Source.INFRARED)], alone.source).tolist() == [False, True]
     assert np.isin([int(Source.CAMERA), int(Source.INFRARED)], both.source).tolist() == [True, True]
+
+
+@pytest.mark.parametrize(("lasts_ns", "begins"), [(0, "At 205.407 s "), (250_000_000, "From 205.407 s to 205.657 s ")])
+def test_a_contradiction_in_a_single_frame_is_told_by_its_instant(lasts_ns, begins):
+    found = Contradiction(205_407_000_000, 205_407_000_000 + lasts_ns, 1e-3, None)
+    assert found.told(("camera", "infrared")).text.startswith(begins + "infrared and camera differ by 1 mm")

@@ -12,7 +12,7 @@ from midspan.fusion.clock import ClockCourse
 from midspan.fusion.running_clock import RunningClock
 from midspan.recording import estimate, inputs
 from midspan.recording.camera_calibration import camera
-from midspan.recording.cameras.tracked import tracked
+from midspan.recording.fusing import one_clock
 from midspan.recording.inspect import inspect_recording
 from midspan.recording.tracking.tracking import TargetTracking
 from midspan.simulate.motion.motion import Sum, random_motion
@@ -237,7 +237,7 @@ def test_the_course_of_the_clock_is_learnt_once_and_moves_both_axes(site_copy, r
         course = ClockCourse(middle, late, 0.01 * late, int(middle[0]), float(late[0]), 1e-5, np.zeros((2, 2)))
         return RunningClock(course.corrected(measured), 1e-4, ("its clock runs",), course)
 
-    monkeypatch.setattr(tracked, "on_one_clock", drifting)
+    monkeypatch.setattr(one_clock, "on_one_clock", drifting)
     after = inputs.gather(recording, calibration, None, lambda *_: None)
     assert len(learnt) == 1
     assert after.warnings.count("its clock runs") == 1

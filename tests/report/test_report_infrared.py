@@ -2,16 +2,18 @@
 
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import midspan
-from midspan.records import Source
+from midspan.records import Event, Source
 from midspan.report import infrared_figures, tables
+from midspan.report.camera_sections import cameras
+from midspan.report.figures import innovations_of
 from midspan.report.material import gather
 from midspan.report.report import report_html
-from midspan.report.sections import cameras
 from midspan.simulate.day.infrared import DayCourse
 from midspan.simulate.scenarios.table import SCENARIOS
 from midspan.simulate.scenarios.write import write
@@ -45,13 +47,42 @@ def result_of_a_short_noon(tmp_path_factory):
     return midspan.estimate(midspan.open_recording(folder))
 
 
-def section(text):
-    return re.search(r'<section id="cameras">.*?</section>', text, re.DOTALL)[0]
+def section(text, name="cameras"):
+    return re.search(rf'<section id="{name}">.*?</section>', text, re.DOTALL)[0]
 
 
 def test_the_section_shows_both_cameras_and_the_second_ones_zero(result):
     text = section(report_html(result, result.recording.reference))
     assert re.findall(r'<img alt="([^"]*)"', text) == ["Cameras over the record", "Zero of the second camera"]
+
+
+def test_each_camera_has_its_own_frame_tracking_and_calibration(result):
+    text = report_html(result)
+    for name in ("camera", "infrared"):
+        assert re.findall(r'<img alt="([^"]*)"', section(text, name)) == ["Region of interest", "Tracking"]
+    of_both = ["Scale factor and clock offset", "Scale factor and clock offset of the infrared"]
+    assert re.findall(r'<img alt="([^"]*)"', section(text, "calibration")) == of_both
+    for camera in (result.calibration.camera, result.calibration.infrared):
+        # The slope that is drawn is the inverse of the scale factor, to the few digits that both are shown with.
+        slope = camera.diagnostics.search.fit.ratio
+        assert slope * camera.scale.value_m_per_px == pytest.approx(1.0, rel=0.01)
+
+
+def test_each_cameras_innovations_are_drawn_with_what_is_expected_of_it(result):
+    found = dict(innovations_of(gather(result, None)))
+    assert list(found) == ["camera", "infrared"]
+    measured = result.belief.measured
+    for name, code in (("camera", Source.CAMERA), ("infrared", Source.INFRARED)):
+        assert set(found[name].time_ns) <= set(measured.time_ns[measured.source == code])
+    rows = result.estimate.time_ns
+    shown = (result.innovation.time_ns >= rows[0]) & (result.innovation.time_ns <= rows[-1])
+    assert sum(len(one.time_ns) for one in found.values()) == np.count_nonzero(shown)
+
+
+def test_the_settings_name_the_reference_rule_of_both_cameras(result):
+    found = dict(tables.settings(gather(result, None)))
+    assert found["camera.reference"] == "first (default)"
+    assert found["infrared.reference"] == "key-frames (default)"
 
 
 def test_the_calibration_tells_the_scale_factor_and_clock_of_both_cameras(result):
@@ -92,6 +123,42 @@ def test_events_are_placed_on_the_accelerometers_clock(result):
     assert 9.0 <= place <= 9.25
 
 
+def test_what_stood_in_front_is_shaded_from_hidden_to_seen_and_to_the_end_where_it_stays(result):
+    material = gather(result, None)
+    told = ((4.0, "hidden"), (5.0, "reference"), (6.5, "seen"), (15.0, "hidden"))
+    events = [Event(round(1e9 * at), kind, "") for at, kind in told]
+    found = infrared_figures.hidden_spans(material, SimpleNamespace(events=events))
+    last = float(result.time_s[-1])
+    assert np.allclose(found, [(4.0, 2.5), (15.0, last - 15.0)], atol=1e-6)
+
+
+def test_the_stretches_of_the_camera_believed_cover_the_record_once(result):
+    switched = np.array([result.estimate.time_ns[0], 6_000_000_000, 9_000_000_000])
+    codes = np.array([Source.CAMERA, Source.INFRARED, Source.CAMERA], dtype=np.uint8)
+    belief = replace(result.belief, switched_ns=switched, believed=codes)
+    material = gather(replace(result, belief=belief), None)
+    found = infrared_figures.believed_spans(material)
+    assert np.allclose(found[Source.INFRARED], [(6.0, 3.0)], atol=1e-6)
+    assert len(found[Source.CAMERA]) == 2
+    covered = sum(length for stretches in found.values() for _, length in stretches)
+    assert covered == pytest.approx(float(result.time_s[-1] - result.time_s[0]), abs=1e-6)
+    assert infrared_figures.believed_spans(gather(replace(result, belief=None), None)) == {}
+
+
+@pytest.mark.parametrize(
+    ("values", "texts"),
+    [
+        ([15.0, 20.0], ["15.00", "20.00"]),
+        ([14.98, 15.01], ["14.98", "15.01"]),
+        ([25.2121, 25.2174], ["25.21", "25.22"]),
+        ([25.2121, 25.2134], ["25.212", "25.213"]),
+        ([25.0, 25.0], ["25.00", "25.00"]),
+    ],
+)
+def test_limits_of_temperature_have_digits_that_tell_them_apart(values, texts):
+    assert infrared_figures.told_apart(np.array(values)) == texts
+
+
 def surface(best):
     """Four ranges, the lower limit falling and the upper one rising, one of them lost."""
     low, high = np.array([23.0, 16.0]), np.array([28.0, 33.0])
@@ -112,7 +179,7 @@ def test_an_optimised_range_is_shown_with_its_limits(result, monkeypatch):
     monkeypatch.setattr(infrared.tracking, "range_surface", surface(Limits(16.0, 28.0)))
     text = cameras(gather(result, None))
     assert "Temperature range" in text
-    assert "16.0 to 28.0 °C" in text
+    assert "16.00 to 28.00 °C" in text
 
 
 def test_one_camera_of_light_with_its_first_frame_has_no_such_section(result):

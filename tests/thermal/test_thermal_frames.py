@@ -110,6 +110,20 @@ def test_a_fixed_pattern_is_found_and_its_pull_towards_zero_goes() -> None:
     assert after < 0.5 * before
 
 
+def test_a_scene_that_fades_while_it_moves_leaves_nothing_in_the_pattern() -> None:
+    moved = swing(24)
+    frames = filmed(ThermalView((WALL,), contrast_k=1.5, camera=ThermalCamera(netd_k=0.02, pattern_k=0.0)), moved)
+    # Contrast goes from 1 to 0.7 in the frames that are learnt from, as at dusk.
+    fading = np.linspace(1.0, 0.7, 24)[:, None, None]
+    stack = np.stack([f.pixels for f in frames]).astype(np.float64)
+    level = stack.mean(axis=(1, 2), keepdims=True)
+    found = estimate_pattern(level + fading * (stack - level), moved - moved.mean(axis=0).round())
+    assert found is not None
+    # There is none: what is left is the noise of 24 frames and what the motion does not tell apart. The fading itself
+    # is 0.15 K rms; taken for pattern it left 0.06 K.
+    assert np.std(found.values_k[10:-10, 10:-10]) < 0.025
+
+
 def test_a_pattern_is_not_guessed_from_a_scene_that_stands_still() -> None:
     frames = filmed(ThermalView((WALL,)), np.zeros((12, 2)))
     assert estimate_pattern(np.stack([f.pixels for f in frames]).astype(float), np.zeros((12, 2))) is None

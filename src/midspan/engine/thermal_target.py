@@ -5,15 +5,19 @@ the cleaner learns from what the tracker found. With a temperature range the tra
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from midspan.records import Event, Frame, PixelTranslation, Prediction, Region
-from midspan.thermal.cleaning import CleaningState, ThermalCleaner
+from midspan.thermal.cleaning import Cleaned, CleaningState, ThermalCleaner
 from midspan.thermal.limits import Limits
 from midspan.thermal.temperature_range import grey
 from midspan.vision.target import lost
-from midspan.vision.tracker import Learner, PhaseGain, Telling, Tracker
+from midspan.vision.tracker import Coverable, Learner, PhaseGain, Telling, Tracker
+
+# Temperatures of another kind on more than this share of the target are a thing in front; it pulls by its share of so
+# many px.
+USUAL_SHARE, COVERED_PX = 0.01, 1.5
 
 Opener = Callable[[Frame], Tracker]
 """Opens a tracker on a reference frame that has been made ready."""
@@ -84,20 +88,27 @@ class ThermalTarget:
 
     def push(self, frame: Frame, prediction: Prediction | None = None) -> PixelTranslation:
         """Measure the translation (px) in `frame`, which is in °C; LOST while the shutter is closed."""
-        ready = self._ready(self._cleaner, frame, self.tracker.region_now, self._events)
+        cleaned = self._cleaner.push(frame, self.tracker.region_now)
+        self._events += cleaned.events
+        ready = self._shown(cleaned, frame)
         if ready is None:
             return lost(frame.time_ns)
+        covered = max(cleaned.foreign - USUAL_SHARE, 0.0)
+        if isinstance(self.tracker, Coverable):
+            self.tracker.covered = covered
         found = self.tracker.push(ready, prediction)
-        self._cleaner.tracked(found)
-        return found
+        if covered == 0.0:
+            self._cleaner.tracked(found)
+            return found
+        more = (COVERED_PX * covered) ** 2
+        return replace(found, variance_x_px2=found.variance_x_px2 + more, variance_y_px2=found.variance_y_px2 + more)
 
-    def _ready(
-        self, cleaner: ThermalCleaner, frame: Frame, region: Region, told: list[Event] | None = None
-    ) -> Frame | None:
-        """The frame as the tracker gets it, None with the shutter closed; events go to `told`."""
-        cleaned = cleaner.push(frame, region)
-        if told is not None:
-            told += cleaned.events
+    def _ready(self, cleaner: ThermalCleaner, frame: Frame, region: Region) -> Frame | None:
+        """The frame as the tracker gets it, None with the shutter closed."""
+        return self._shown(cleaner.push(frame, region), frame)
+
+    def _shown(self, cleaned: Cleaned, frame: Frame) -> Frame | None:
+        """A cleaned frame as the tracker gets it."""
         if cleaned.frame is None or self.levels is None:
             return cleaned.frame
         return Frame(frame.time_ns, grey(frame.pixels, self.levels), frame.index)

@@ -19,6 +19,8 @@ from midspan.records import NANOSECONDS, Floats, Nanoseconds
 PIECE_S, MOST_PIECES = 1.0, 4000
 # Differences that leave the level are its new level once they have lasted for so many pieces.
 NEW_LEVEL_PIECES = 20
+# Where nothing was seen for more than so many pieces' length the level may have gone as far as a drift goes.
+GAP_PIECES = 3.0
 # How far a level goes is looked at over so many pieces; each needs so many pairs.
 LAGS, LEAST_PAIRS = (2, 5, 10, 20, 40, 80), 4
 AGREE_STD = 4.0
@@ -74,25 +76,41 @@ class ZeroCourse:
         return level, variance + self.growth_m2_s * np.where(inside, before * after / gap, outside)
 
 
-def zero_course(time_ns: Nanoseconds, difference_m: Floats, variance_m2: Floats) -> ZeroCourse | None:
+def zero_course(
+    time_ns: Nanoseconds, difference_m: Floats, variance_m2: Floats, wandering_m2: Floats | None = None
+) -> ZeroCourse | None:
     """The level that differences (n,) of two displacements walk about; None where there is none.
 
-    time_ns (n,) increasing; difference_m: NaN where one of both does not see; variance_m2: of each, without the walk.
+    time_ns (n,) increasing; difference_m: NaN where one of both does not see; variance_m2: of each, without the walk;
+    wandering_m2 (n,): variance by which both zeros are said to be off, which counts where there was a gap before.
     """
     same_length(time_ns=time_ns, difference_m=difference_m, variance_m2=variance_m2)
     usable = np.isfinite(difference_m) & np.isfinite(variance_m2) & (variance_m2 > 0.0)
     if not usable.any():
         return None
     time_ns, difference_m, variance_m2 = time_ns[usable], difference_m[usable], variance_m2[usable]
-    pieces = _pieces((time_ns - time_ns[0]) / NANOSECONDS, difference_m, variance_m2)
+    time_s = (time_ns - time_ns[0]) / NANOSECONDS
+    pieces = _pieces(time_s, difference_m, variance_m2)
+    stamps = time_ns[0] + np.rint(pieces[:, 0] * NANOSECONDS).astype(np.int64)
     scale = float(np.median(pieces[:, 2]))
     walks = np.array(WALKS) * scale
-    chances = np.array([_forward(pieces, walk)[1] for walk in walks])
+    lengths = np.diff(pieces[:, 0], prepend=pieces[0, 0])
+    chances = np.array([_forward(pieces, walk * lengths)[1] for walk in walks])
     walk = float(walks[int(np.argmax(chances))])
-    found = _forward(pieces, walk)[0]
+    added = walk * lengths
+    course = _course(pieces, stamps, walk, added)
+    gaps = lengths > GAP_PIECES * _length(time_s)
+    if not gaps.any():
+        return course
+    said = np.zeros(len(pieces)) if wandering_m2 is None else np.interp(pieces[:, 0], time_s, wandering_m2[usable])
+    return _course(pieces, stamps, walk, np.where(gaps, course.growth_m2_s * lengths + said, added))
+
+
+def _course(pieces: Floats, stamps: Nanoseconds, walk: float, added: Floats) -> ZeroCourse:
+    """The course of pieces (k, 3) at stamps (k,); added (k,): by what the variance grows up to each of them."""
+    found = _forward(pieces, added)[0]
     level, variance = _smoothed(found)
     apart = np.where(found[:, 4] > 0.0, pieces[:, 1] - level, 0.0)
-    stamps = time_ns[0] + np.rint(pieces[:, 0] * NANOSECONDS).astype(np.int64)
     return ZeroCourse(stamps, level, variance, walk, apart, found[:, 3])
 
 
@@ -102,10 +120,14 @@ def _steps(level: Floats, time_s: Floats) -> list[tuple[Floats, Floats]]:
     return [(level[lag:] - level[:-lag], time_s[lag:] - time_s[:-lag]) for lag in lags]
 
 
+def _length(time_s: Floats) -> float:
+    """The length of a piece, s."""
+    return max(PIECE_S, float(time_s[-1]) / MOST_PIECES)
+
+
 def _pieces(time_s: Floats, value: Floats, variance: Floats) -> Floats:
     """Rows (k, 3) of time (s), mean and its variance of pieces, outliers of each left out."""
-    length = max(PIECE_S, float(time_s[-1]) / MOST_PIECES)
-    which = (time_s // length).astype(np.int64)
+    which = (time_s // _length(time_s)).astype(np.int64)
     starts = np.flatnonzero(np.diff(which, prepend=-1))
     rows = []
     for start, end in zip(starts, (*starts[1:], len(which)), strict=True):
@@ -122,14 +144,14 @@ def _pieces(time_s: Floats, value: Floats, variance: Floats) -> Floats:
 
 
 @njit(cache=True)
-def _forward(pieces: Floats, walk: float) -> tuple[Floats, float]:
+def _forward(pieces: Floats, added: Floats) -> tuple[Floats, float]:
     """Level, variance, predicted variance, jump and whether left out (k, 5), and the logarithm of the likelihood."""
     found = np.zeros((len(pieces), 5))
     chance, out = 0.0, 0
     level, variance = pieces[0, 1], pieces[0, 2]
     found[0, :3] = level, variance, variance
     for k in range(1, len(pieces)):
-        predicted = variance + walk * (pieces[k, 0] - pieces[k - 1, 0])
+        predicted = variance + added[k]
         total = predicted + pieces[k, 2]
         innovation = pieces[k, 1] - level
         far = innovation**2 > AGREE_STD**2 * total

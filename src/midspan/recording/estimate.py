@@ -141,9 +141,11 @@ def _events(recording: Recording, gathered: Gathered, more: tuple[Event, ...]) -
     found = (
         *recording.prepared.events,
         *(event for eye in gathered.eyes for event in eye.events),
+        *gathered.events,
         *(() if gathered.belief is None else gathered.belief.events),
         *gathered.frozen,
         *(() if gathered.radar is None else gathered.radar.events),
+        *gathered.events,
         *more,
     )
     return tuple(sorted(found, key=lambda event: event.time_ns))
@@ -285,6 +287,18 @@ def _cut(recording: Recording, inputs: FusionInputs, rows: Estimate) -> Estimate
     return part(replace(rows, status=status), span)
 
 
+def _late_start(inputs: FusionInputs, rows: Estimate) -> list[str]:
+    """A sentence when the first measurement comes long after both streams have begun."""
+    begun = max(int(inputs.displacement.time_ns[0]), int(inputs.acceleration.time_ns[0]))
+    missed = (int(rows.time_ns[0]) - begun) / NANOSECONDS
+    if missed <= max(1.0, inputs.kalman.coasting_s):
+        return []
+    return [
+        f"Nothing was measured from {shown(begun)} to {shown(int(rows.time_ns[0]))}; the result begins there, "
+        f"{missed:.1f} s late."
+    ]
+
+
 def _lost_end(inputs: FusionInputs, rows: Estimate) -> list[str]:
     """A sentence when the measurements stop long before both streams do."""
     end = min(int(inputs.displacement.time_ns[-1]), int(inputs.acceleration.time_ns[-1]))
@@ -329,6 +343,7 @@ def _warnings(calibration: Calibration, gathered: Gathered, fused: Smoothed, row
     if gathered.radar is not None:
         found += _told(gathered.radar.events)
     found += _told(fused.events)
+    found += _late_start(gathered.inputs, rows)
     found += _lost_end(gathered.inputs, rows)
     return (*found, *_shares(fused.innovation, rows))
 

@@ -5,11 +5,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from midspan.fusion.kalman import KalmanSettings
-from midspan.fusion.running_clock import RunningClock
 from midspan.recording.cameras.belief import Belief, believed
+from midspan.recording.cameras.lost_target import lost_events, lost_warnings
 from midspan.recording.cameras.tracked import Eye, Seen, Side, open_eyes, seen_along, side_of, track_all, zero_of
 from midspan.recording.displacement.sensor import displacement_inputs
 from midspan.recording.fusing.fuse import CourseError, FusionInputs, SensorError
+from midspan.recording.fusing.one_clock import OneClock
 from midspan.recording.fusing.one_zero import merged
 from midspan.recording.radar.inputs import RadarInputs, radar_inputs
 from midspan.recording.stored.calibration import Calibration
@@ -36,7 +37,7 @@ class Gathered:
     """The inputs of the fusion, the camera's best track and its tracking (None without one), and warnings.
 
     across: the inputs along the second image axis; eyes: all cameras; belief: which of two was believed when; radar:
-    what it measured and met; frozen: where [displacement] stood still.
+        events=(*(event for one in main.seen for event in lost_events(one)), *main.events),
     """
 
     inputs: FusionInputs
@@ -48,6 +49,7 @@ class Gathered:
     belief: Belief | None = None
     radar: RadarInputs | None = None
     frozen: tuple[Event, ...] = ()
+    events: tuple[Event, ...] = ()
 
 
 def gather(
@@ -65,7 +67,7 @@ def gather(
         radar = radar_inputs(recording, calibration, sides[0].acceleration, sides[0].kalman, progress)
     main = _inputs(sides[0], 0, eyes, radar=radar)
     across = None
-    warnings = main.warnings
+    warnings = (*main.warnings, *(line for one in main.seen for line in lost_warnings(one)))
     if len(sides) > 1:
         beside = _inputs(sides[1], 1, eyes, {seen.eye.sensor: seen.clock for seen in main.seen})
         across, warnings = beside.inputs, (*warnings, *beside.warnings)
@@ -79,13 +81,14 @@ def gather(
         belief=main.belief,
         radar=radar,
         frozen=main.frozen,
+        events=(*(event for one in main.seen for event in lost_events(one)), *main.events),
     )
 
 
 @dataclass(frozen=True, slots=True)
 class Along:
-    """What is fused along one axis, what each camera says along it, which of two is believed when, warnings, and what
-    of [displacement] stood still.
+    """What is fused along one axis, what each camera says along it, which of two is believed when, warnings, what of
+    [displacement] stood still, and what happened to the clocks.
     """
 
     inputs: FusionInputs
@@ -93,13 +96,14 @@ class Along:
     belief: Belief | None
     warnings: tuple[str, ...]
     frozen: tuple[Event, ...]
+    events: tuple[Event, ...] = ()
 
 
 def _inputs(
     side: Side,
     axis: int,
     eyes: tuple[Eye, ...],
-    clocks: dict[str, RunningClock] | None = None,
+    clocks: dict[str, OneClock] | None = None,
     radar: RadarInputs | None = None,
 ) -> Along:
     """What is fused along the axis with this number (0: the main one).
@@ -110,6 +114,7 @@ def _inputs(
     seen = tuple(seen_along(side, axis, eye, (clocks or {}).get(eye.sensor)) for eye in eyes)
     told = [line for one in seen for line in one.warnings]
     errors = [SensorError(one.eye.source, one.relative_std, one.clock_std_s) for one in seen]
+    clocks_met = [one.clock for one in seen]
     belief = None
     if len(seen) == 2:
         belief = believed(side, (seen[0], seen[1]))
@@ -127,9 +132,11 @@ def _inputs(
         errors.append(sensor.error)
         frozen = sensor.events
         told += sensor.warnings
+        clocks_met.append(sensor.clock)
     from_first_frame = bool(seen) or radar is not None
     level = 0.0 if from_first_frame else float(blocks[0].value_m[np.argmax(np.isfinite(blocks[0].value_m))])
     blocks[0] = replace(blocks[0], value_m=blocks[0].value_m - level)
+    jumped = [level for clock in clocks_met for level in clock.levels]
     together = merged(blocks, side.acceleration, side.kalman)
     measured = together.measured
     velocity_std = _velocity_std(side.prepared, measured)
@@ -141,12 +148,13 @@ def _inputs(
         zero_ns=None if not from_first_frame else zero_of(seen, blocks[0]),
         level_m=level,
         errors=tuple(errors),
-        levels=(*together.levels, *_camera_levels(seen, belief), *(() if radar is None else radar.levels)),
+        levels=(*together.levels, *_camera_levels(seen, belief), *(() if radar is None else radar.levels), *jumped),
         sampled=None if begun is side.acceleration else side.acceleration,
         believed=None if belief is None else belief.at,
         cameras=() if belief is None else tuple(one.measured for one in seen),
     )
-    return Along(inputs, seen, belief, (*together.warnings, *told), frozen)
+    events = tuple(event for clock in clocks_met for event in clock.events)
+    return Along(inputs, seen, belief, (*together.warnings, *told), frozen, events)
 
 
 def _camera_levels(seen: tuple[Seen, ...], belief: Belief | None) -> tuple[CourseError, ...]:

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from midspan.calibration.scale import ScaleCalibration
+from midspan.recording.cameras.tracked import Eye
 from midspan.records import PixelTrack, Region, Status
 from midspan.report.drawing import (
     BLACK,
@@ -20,7 +21,7 @@ from midspan.report.drawing import (
     picture,
     sheet,
 )
-from midspan.report.material import Material
+from midspan.report.material import Clock
 from midspan.signals.thinning import envelope
 from midspan.vision.roi import RegionChoice
 
@@ -32,15 +33,12 @@ LARGEST_FRAME_PX = 960
 MOST_PATH_POINTS = 3000
 
 
-def frame(material: Material) -> Picture:
-    """The reference frame with the region, the region itself, and the path of the target in it."""
-    tracking, track = material.result.tracking, material.result.track
-    assert tracking is not None
-    assert track is not None
+def frame(eye: Eye) -> Picture:
+    """A camera's first frame with the regions, the best target's region itself, and the path of that target."""
+    tracking, camera = eye.tracking, eye.calibrations[0]
     pixels = tracking.reference.pixels
-    camera = material.result.calibration.first_camera
     regions = {target.name: target.region for target in tracking.targets}
-    region = camera.region if camera is not None and camera.region in regions.values() else tracking.targets[0].region
+    region = tracking.targets[eye.best].region
     figure = sheet(3.5)
     whole, close, path = figure.subplots(1, 3, width_ratios=(1.5, 1, 1))
     _image(whole, pixels)
@@ -48,17 +46,16 @@ def frame(material: Material) -> Picture:
         _box(whole, place, color=VERMILLION, linewidth=1.6)
         if len(regions) > 1:
             _label(whole, place, name)
-    if camera is not None:
-        for target in camera.targets:
-            if not target.used:
-                _box(whole, target.region, color=ORANGE, linewidth=1.2, linestyle="--")
-                _label(whole, target.region, target.name)
+    for target in camera.targets:
+        if not target.used:
+            _box(whole, target.region, color=ORANGE, linewidth=1.2, linestyle="--")
+            _label(whole, target.region, target.name)
     whole.set_title(f"first frame, {pixels.shape[1]} × {pixels.shape[0]} px", fontsize=9)
     _image(close, pixels)
     close.set_xlim(region.x - 0.5, region.x + region.width - 0.5)
     close.set_ylim(region.y + region.height - 0.5, region.y - 0.5)
     close.set_title(f"region, {region.width} × {region.height} px", fontsize=9)
-    _path(path, track)
+    _path(path, eye.track)
     return picture(figure, dots=True)
 
 
@@ -105,7 +102,9 @@ def _path(axes: "Axes", track: PixelTrack) -> None:
 def choice(found: RegionChoice, pixels: Any) -> Picture:
     """What the choice of the region looked at: the places that were tracked, and the predicted standard deviation."""
     figure = sheet(3.7)
-    places, scores = figure.subplots(1, 2)
+    # A picture of one place to choose has no map.
+    known = has_map(found)
+    places, *scores = figure.subplots(1, 2 if known else 1, squeeze=False)[0]
     _image(places, pixels)
     # Where the accelerometer was heard it decides, else what most of the picture does.
     heard = any(np.isfinite(candidate.displacement_std_m) for candidate in found.candidates)
@@ -114,8 +113,9 @@ def choice(found: RegionChoice, pixels: Any) -> Picture:
         colour, line = (SKY, "-") if fits else (ORANGE, "--")
         _box(places, candidate.region, color=colour, linewidth=1.0, linestyle=line, zorder=2)
         _label(places, candidate.region, str(number))
-    _scores(scores, found)
-    for axes in (places, scores):
+    for axes in scores:
+        _scores(axes, found)
+    for axes in (places, *scores):
         for region in found.regions:
             _box(axes, region, color=VERMILLION, linewidth=2.0, zorder=2.5)
         axes.set_aspect("equal")
@@ -124,17 +124,22 @@ def choice(found: RegionChoice, pixels: Any) -> Picture:
     return picture(figure, dots=True)
 
 
+def has_map(found: RegionChoice) -> bool:
+    """Whether the predicted standard deviation is known over more than a line of places."""
+    score = found.score_px
+    return min(score.shape) > 1 and bool(np.any(np.isfinite(score) & (score > 0)))
+
+
 def _scores(axes: "Axes", found: RegionChoice) -> None:
     """The map of the predicted standard deviation, coloured up to five times its best value."""
     score = np.where(np.isfinite(found.score_px) & (found.score_px > 0), found.score_px, np.nan)
     axes.set_facecolor("#eeeeee")
     axes.grid(False)
     axes.set_xlabel("x (px)")
-    if min(score.shape) > 1 and np.isfinite(score).any():
-        (x0, x1), (y0, y1) = _edges(found.score_x), _edges(found.score_y)
-        top = min(float(np.nanmax(score)), 5.0 * float(np.nanmin(score)))
-        shown = axes.imshow(score, cmap="viridis", vmax=top, extent=(x0, x1, y1, y0), interpolation="nearest")
-        axes.figure.colorbar(shown, ax=axes, shrink=0.8, label="predicted σ (px)")
+    (x0, x1), (y0, y1) = _edges(found.score_x), _edges(found.score_y)
+    top = min(float(np.nanmax(score)), 5.0 * float(np.nanmin(score)))
+    shown = axes.imshow(score, cmap="viridis", vmax=top, extent=(x0, x1, y1, y0), interpolation="nearest")
+    axes.figure.colorbar(shown, ax=axes, shrink=0.8, label="predicted σ (px)")
 
 
 def _edges(centres: Any) -> tuple[float, float]:
@@ -142,12 +147,10 @@ def _edges(centres: Any) -> tuple[float, float]:
     return float(centres[0]) - half, float(centres[-1]) + half
 
 
-def tracker(material: Material) -> Picture:
+def tracker(eye: Eye, clock: Clock) -> Picture:
     """The tracker's quality and standard deviation frame by frame, lost frames marked."""
-    track, camera = material.result.track, material.result.calibration.first_camera
-    assert track is not None
-    assert camera is not None
-    t = material.clock.at(track.time_ns + round(1e9 * camera.offset.value_s))
+    track, camera = eye.track, eye.calibrations[0]
+    t = clock.at(track.time_ns + round(1e9 * camera.offset.value_s))
     _, variance = track.along(camera.direction)
     std = np.sqrt(camera.variance_factor * variance)
     figure = sheet(3.2)
@@ -164,17 +167,18 @@ def tracker(material: Material) -> Picture:
         options = {"marker": "|", "markersize": 8, "color": VERMILLION, "label": f"{len(bottom)} frames lost"}
         draw_points(upper, t[lost], bottom, transform=upper.get_xaxis_transform(), **options)
         upper.legend(handles=upper.lines[-1:], loc="lower left", bbox_to_anchor=(0.0, 1.0), borderaxespad=0.2)
-    lower.set_xlabel(material.clock.label)
+    lower.set_xlabel(clock.label)
     figure.align_ylabels()
     return picture(figure)
 
 
-def scale(found: ScaleCalibration) -> Picture:
-    """The regression behind the scale factor, and the likelihood over the clock offset."""
+def scale(found: ScaleCalibration, of: str) -> Picture:
+    """The regression behind the scale factor, and the likelihood over the clock offset; of: which camera it is."""
     figure = sheet(3.6)
     left, right = figure.subplots(1, 2)
     _regression(left, found)
     _likelihood(right, found)
+    right.set_xlabel(f"clock offset of the {of} (s)")
     return picture(figure)
 
 
@@ -206,7 +210,6 @@ def _likelihood(axes: "Axes", found: ScaleCalibration) -> None:
         label = f"runner-up {x:+.4f} s, {lead:.0f} behind"
         options: dict[str, Any] = {"marker": "v", "linestyle": "none", "color": ORANGE, "markeredgecolor": BLACK}
         axes.plot(x, np.interp(x, search.offsets_s, curve), label=label, **options)
-    axes.set_xlabel("clock offset of the camera (s)")
     axes.set_ylabel("log-likelihood below the best scanned")
     axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, borderaxespad=0.2)
 

@@ -7,7 +7,7 @@ import numpy as np
 from midspan.evaluate.metrics import normalised_innovation
 from midspan.fusion.gate import REJECTED
 from midspan.recording.streams.span import inside
-from midspan.records import Floats, Nanoseconds, Status, seconds
+from midspan.records import Floats, Innovation, Nanoseconds, Status, part, seconds
 from midspan.report.drawing import (
     BLACK,
     BLUE,
@@ -221,26 +221,54 @@ def density(time_ns: Nanoseconds, value: Floats) -> tuple[Floats, Floats] | None
 
 
 def innovations(material: Material) -> Picture:
-    """Measured minus predicted displacement over time, and its distribution in units of what was expected."""
-    figure = sheet(3.0)
-    left, right = figure.subplots(1, 2, width_ratios=(2.6, 1))
-    found = material.result.innovation
+    """Measured minus predicted displacement over time, and its distribution in units of what was expected.
+
+    A row for each sensor: what is expected of one is not what is expected of the other.
+    """
+    found = innovations_of(material)
+    figure = sheet(3.0 if len(found) == 1 else 0.6 + 2.0 * len(found))
+    grid = figure.subplots(len(found), 2, width_ratios=(2.6, 1), sharex="col", squeeze=False)
+    for (left, right), (name, own) in zip(grid, found, strict=True):
+        _met(left, material, own)
+        left.set_xlim(material.t[0], material.t[-1])
+        left.set_ylabel("measured − predicted (mm)" if len(found) == 1 else f"{name}:\nmeasured − predicted (mm)")
+        _distribution(right, normalised_innovation(own))
+    for axes in grid[:-1].ravel():
+        axes.set_xlabel("")
+    figure.align_ylabels(grid[:, 0])
+    return picture(figure)
+
+
+def innovations_of(material: Material) -> list[tuple[str, Innovation]]:
+    """The innovations of each sensor with its name, of several those among the result's rows; none without any."""
+    whole, sensors, rows = material.result.innovation, material.measured, material.result.estimate.time_ns
+    if len(sensors) < 2:
+        return [(sensors[0].name if sensors else "", whole)]
+    whole = part(whole, inside(whole.time_ns, int(rows[0]), int(rows[-1])))
+    known = np.array([np.isin(whole.time_ns, sensor.time_ns) for sensor in sensors])
+    # A camera's clock that runs is corrected in what was fused alone: its stamps are nobody's.
+    share = [np.mean(np.isin(sensor.time_ns, whole.time_ns)) for sensor in sensors]
+    number = np.where(known.any(axis=0), known.argmax(axis=0), int(np.argmin(share)))
+    each = [(sensor.name, part(whole, number == k)) for k, sensor in enumerate(sensors)]
+    return [(name, own) for name, own in each if len(own.time_ns)]
+
+
+def _met(axes: "Axes", material: Material, found: Innovation) -> None:
+    """One sensor's innovations over time between what was expected of them."""
     t, value, std = material.clock.at(found.time_ns), 1e3 * found.value_m, 1e3 * np.sqrt(found.variance_m2)
     drawn = envelope(t, std, std)
-    left.plot(drawn.t, 2 * drawn.high, color=BLUE, linewidth=0.9, label="±2 σ expected")
-    left.plot(drawn.t, -2 * drawn.high, color=BLUE, linewidth=0.9)
+    axes.plot(drawn.t, 2 * drawn.high, color=BLUE, linewidth=0.9, label="±2 σ expected")
+    axes.plot(drawn.t, -2 * drawn.high, color=BLUE, linewidth=0.9)
     rejected = found.verdict == REJECTED
     usual = 1.25 * max(2.0 * float(np.median(2.0 * std)), 1e-9)
     reach = 1.05 * float(np.quantile(np.abs(value[~rejected]), 0.95)) if not rejected.all() else 0.0
     limit = max(usual, reach)
     value = np.clip(value, -0.97 * limit, 0.97 * limit)
-    draw_points(left, t[~rejected], value[~rejected], marker=".", markersize=2.2, color=BLACK, label="innovation")
+    draw_points(axes, t[~rejected], value[~rejected], marker=".", markersize=2.2, color=BLACK, label="innovation")
     if rejected.any():
-        draw_points(left, t[rejected], value[rejected], marker="x", markersize=5, color=VERMILLION, label="rejected")
-    left.set_ylim(-limit, limit)
-    _finish(left, material, "measured − predicted (mm)")
-    _distribution(right, normalised_innovation(found))
-    return picture(figure)
+        draw_points(axes, t[rejected], value[rejected], marker="x", markersize=5, color=VERMILLION, label="rejected")
+    axes.set_ylim(-limit, limit)
+    _finish(axes, material, "measured − predicted (mm)")
 
 
 def _distribution(axes: "Axes", normalised: Floats) -> None:

@@ -34,6 +34,10 @@ OTHER = GREEN
 MATCHING = ("features",)
 # A strip of sources needs no more stretches than it has dots.
 STRIP_STRETCHES = 1500
+# The marks of each camera below the standard deviations take this share of the height.
+MARK_HEIGHT = 0.09
+# Digits of °C on the surface of temperature ranges.
+LEAST_DIGITS, MOST_DIGITS = 2, 4
 
 
 def worth_showing(material: Material) -> bool:
@@ -55,6 +59,7 @@ def over_time(material: Material) -> Picture:
     _deviations(deviation, material)
     _strip(strip, material)
     for axes in (*strengths, deviation):
+        _believed(axes, material)
         _switches(axes, material, axes is strengths[0])
     drawn = {
         label: handle for axes in strengths for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
@@ -76,16 +81,35 @@ def _strength(axes: "Axes", material: Material, eye: Eye) -> None:
     axes.set_title(eye.sensor, fontsize=9, loc="left", color=COLOURS[eye.source])
     axes.set_ylabel("matches" if matching else "quality (%)")
     axes.set_ylim(0.0, 1.08 * max(float(np.max(value, initial=0.0)), 1.0))
-    for kind, colour, line, label in (
-        ("reference", PURPLE, ":", "another reference frame"),
-        ("shutter", BLACK, "-", "shutter"),
-        ("hidden", ORANGE, "-", "something in front"),
-    ):
+    _marks(axes, material, eye, (0.0, 0.22))
+
+
+def _marks(axes: "Axes", material: Material, eye: Eye, height: tuple[float, float]) -> None:
+    """What happened to a camera's targets, between two heights (0 to 1) of the axes."""
+    over = axes.get_xaxis_transform()
+    hidden = hidden_spans(material, eye)
+    if hidden:
+        place = (height[0], height[1] - height[0])
+        axes.broken_barh(hidden, place, transform=over, color=ORANGE, alpha=0.6, label="something in front")
+    for kind, colour, label in (("reference", PURPLE, "another reference frame"), ("shutter", BLACK, "shutter")):
         found = places(material, [event for event in eye.events if event.kind == kind])
         if len(found):
-            axes.vlines(
-                found, 0.0, 0.22, transform=axes.get_xaxis_transform(), color=colour, linestyle=line, label=label
-            )
+            axes.vlines(found, *height, transform=over, color=colour, linewidth=1.3, label=label)
+
+
+def hidden_spans(material: Material, eye: Eye) -> list[tuple[float, float]]:
+    """Start and length (s) of the stretches in which something stood in front of a camera's targets."""
+    found, since = [], None
+    for event in sorted(eye.events, key=lambda event: event.time_ns):
+        if event.kind == "hidden" and since is None:
+            since = event.time_ns
+        if event.kind == "seen" and since is not None:
+            found.append((since, event.time_ns))
+            since = None
+    if since is not None:
+        found.append((since, int(material.result.estimate.time_ns[-1])))
+    ends = material.clock.at(np.array(found, dtype=np.int64).reshape(-1, 2).ravel()).reshape(-1, 2)
+    return [(float(start), float(max(end - start, 0.0))) for start, end in ends]
 
 
 def _deviations(axes: "Axes", material: Material) -> None:
@@ -101,6 +125,11 @@ def _deviations(axes: "Axes", material: Material) -> None:
     axes.set_yscale("log")
     axes.set_ylabel("σ (mm)")
     axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4, borderaxespad=0.2)
+    for number, eye in enumerate(material.result.eyes[::-1]):
+        low, high = MARK_HEIGHT * number, MARK_HEIGHT * (number + 0.8)
+        _marks(axes, material, eye, (low, high))
+        # Whose marks they are.
+        axes.plot((0.0, 0.0), (low, high), transform=axes.transAxes, color=COLOURS[eye.source], linewidth=6.0)
 
 
 def _strip(axes: "Axes", material: Material) -> None:
@@ -132,6 +161,29 @@ def _switches(axes: "Axes", material: Material, labelled: bool) -> None:
         axes.axvline(float(place), color=GREEN, linewidth=1.1, linestyle="--", label=label)
 
 
+def _believed(axes: "Axes", material: Material) -> None:
+    """The ground in the colour of the camera that is believed; none where there is one camera."""
+    for source, found in believed_spans(material).items():
+        over = axes.get_xaxis_transform()
+        axes.broken_barh(found, (0, 1), transform=over, color=COLOURS.get(source, OTHER), alpha=0.09, linewidth=0.0)
+
+
+def believed_spans(material: Material) -> dict[Source, list[tuple[float, float]]]:
+    """Start and length (s) of the stretches in which each of two cameras is believed; empty where there is one."""
+    belief = material.result.belief
+    if belief is None:
+        return {}
+    rows = material.result.estimate.time_ns
+    edges = np.append(np.clip(belief.switched_ns, rows[0], rows[-1]), rows[-1])
+    edges[0] = rows[0]
+    t = material.clock.at(edges)
+    found: dict[Source, list[tuple[float, float]]] = {}
+    for code, start, end in zip(belief.believed, t, t[1:], strict=False):
+        if end > start:
+            found.setdefault(Source(int(code)), []).append((float(start), float(end - start)))
+    return found
+
+
 def zero(material: Material) -> Picture | None:
     """How far the second camera's zero lies beside the first one's; None where there is one camera."""
     belief = material.result.belief
@@ -148,6 +200,7 @@ def zero(material: Material) -> Picture | None:
     axes.plot(t, middle, color=GREY, linewidth=1.0, label="bridged")
     both = material.clock.at(belief.course.time_ns)
     axes.plot(both, 1e3 * belief.course.level_m, ".", color=BLUE, markersize=3.0, label="both see")
+    _believed(axes, material)
     _switches(axes, material, labelled=True)
     axes.set_xlabel(material.clock.label)
     axes.set_ylabel("second − first (mm)")
@@ -160,6 +213,15 @@ def chosen_place(found: RangeSurface) -> tuple[int, int]:
     """Row and column of the range chosen, where rows and columns go from cold to warm."""
     row = int(np.argmin(np.abs(found.low_c[::-1] - found.best.low_c)))
     return row, int(np.argmin(np.abs(found.high_c - found.best.high_c)))
+
+
+def told_apart(values: Floats) -> list[str]:
+    """Temperatures (n,) as text with as many digits as tell them apart, two at least, four at most."""
+    for digits in range(LEAST_DIGITS, MOST_DIGITS):
+        found = [f"{value:.{digits}f}" for value in values]
+        if len(set(found)) == len(np.unique(values)):
+            return found
+    return [f"{value:.{MOST_DIGITS}f}" for value in values]
 
 
 def surface(found: RangeSurface) -> Picture:
@@ -176,8 +238,8 @@ def surface(found: RangeSurface) -> Picture:
         axes.text(column, row, "lost", ha="center", va="center", fontsize=7, color=BLACK)
     row, column = chosen_place(found)
     axes.plot(column, row, marker="s", markersize=17, markerfacecolor="none", color=VERMILLION, markeredgewidth=2.0)
-    axes.set_xticks(range(len(found.high_c)), [f"{value:.1f}" for value in found.high_c])
-    axes.set_yticks(range(len(low)), [f"{value:.1f}" for value in low])
+    axes.set_xticks(range(len(found.high_c)), told_apart(found.high_c))
+    axes.set_yticks(range(len(low)), told_apart(low))
     axes.set_xlabel("upper limit (°C): of the region … of the whole view")
     axes.set_ylabel("lower limit (°C)")
     return picture(figure)

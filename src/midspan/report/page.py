@@ -81,9 +81,14 @@ def figure(drawn: Picture, title: str, caption: str, attributes: Mapping[str, st
     )
 
 
-def folded(summary: str, text: str) -> str:
-    """A long text that opens on a click."""
-    return f"<details><summary>{escape(summary)}</summary><pre>{escape(text)}</pre></details>"
+def folded(summary: str, piece: str, kind: str = "") -> str:
+    """Something long, HTML already, that opens on a click."""
+    return f"<details{_kind(kind)}><summary>{escape(summary)}</summary>{piece}</details>"
+
+
+def verbatim(text: str) -> str:
+    """A long text as it is."""
+    return f"<pre>{escape(text)}</pre>"
 
 
 def footer(lines: Iterable[str]) -> str:

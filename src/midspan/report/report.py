@@ -7,7 +7,7 @@ from midspan._version import __version__
 from midspan.recording.result import Result
 from midspan.recording.streams.span import shown
 from midspan.records import TimeSeries
-from midspan.report import page, sections
+from midspan.report import camera_sections, page, sections
 from midspan.report.drawing import style
 from midspan.report.material import Material, gather
 from midspan.sinks.replace import replacing
@@ -39,8 +39,8 @@ def report_html(result: Result, reference: TimeSeries | None = None) -> str:
         sections.spectra(material),
         sections.calibration(material),
         sections.innovations(material),
-        sections.camera(material),
-        sections.cameras(material),
+        camera_sections.camera(material),
+        camera_sections.cameras(material),
         sections.radar(material),
         sections.numbers(material),
         sections.footer(material),

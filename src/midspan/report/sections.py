@@ -3,16 +3,13 @@
 import json
 
 from midspan._version import __version__
-from midspan.calibration.scale import ScaleCalibration
 from midspan.recording.radar.trace import RadarTrace
+from midspan.recording.stored.calibration import Calibration
 from midspan.records import NANOSECONDS
-from midspan.report import camera_figures, figures, infrared_figures, page, phase_figures, radar_figures, tables
+from midspan.report import camera_figures, figures, page, radar_figures, tables
 from midspan.report.history_data import history_attributes
 from midspan.report.material import Material
 from midspan.sinks.table import ResultTable, metadata_json
-from midspan.thermal.temperature_range import RangeSurface
-from midspan.vision.hybrid import PhaseTracker
-from midspan.vision.lens import bare
 
 
 def summary(material: Material) -> str:
@@ -28,12 +25,26 @@ def warnings(material: Material) -> str:
     if material.comparison is not None:
         found += [f"Reference: {note}" for note in material.comparison.notes]
     pieces = [page.bullets(found, "warnings") if found else page.paragraph("No warnings.")]
-    count = len(material.result.events)
-    if count:
-        pieces.append(page.table(tables.events(material), (material.clock.label, "event", "what happened")))
-    if count > tables.MOST_EVENTS:
-        pieces.append(page.paragraph(f"The first {tables.MOST_EVENTS} of {count} events are shown.", "note"))
-    return page.section("warnings", "Warnings and events", *pieces)
+    return page.section("warnings", "Warnings and events", *pieces, *_events(material))
+
+
+def _events(material: Material) -> list[str]:
+    """All events: a table of a few; of many one a kind, that opens on a click."""
+    found = material.result.events
+    if not found:
+        return []
+    header = (material.clock.label, "event", "what happened")
+    if len(found) <= tables.FEW_EVENTS:
+        return [page.table(tables.events(material, found), header)]
+    pieces = [page.paragraph(f"{len(found)} events; a click opens those of a kind.", "note")]
+    for kind, own in tables.by_kind(found):
+        pieces.append(
+            page.folded(
+                tables.kind_line(material, kind, own), page.table(tables.events(material, own), header), "events"
+            )
+        )
+    whole = page.table(tables.events(material, found), header)
+    return [*pieces, page.folded(f"all {len(found)} in the order of time", whole, "events")]
 
 
 def displacement(material: Material) -> str:
@@ -108,38 +119,41 @@ def calibration(material: Material) -> str:
     """What was learnt about the sensors, and what it rests on."""
     found = material.result.calibration
     pieces = [page.table(tables.calibration(material))]
-    if isinstance(found.diagnostics, ScaleCalibration):
-        share = camera_figures.explained(found.diagnostics)
+    cameras = [camera for camera in (found.camera, found.infrared) if camera is not None]
+    shown = [(camera.source.word, camera.diagnostics) for camera in cameras if camera.diagnostics is not None]
+    first = cameras[0].source.word if cameras else ""
+    for sensor, diagnostics in shown:
+        share = camera_figures.explained(diagnostics)
         caption = (
             "Left: translation in the image against the motion that the acceleration predicts, both passed through the "
             "same filter, one point a frame. The slope is the inverse of the scale factor; a thin straight cloud is a "
             f"good calibration (here the acceleration explains {tables.percent(share)} of the variance). Right: how "
             "much less likely other clock offsets are; one clear summit is needed, the runner-up is the next best."
         )
-        pieces.append(page.figure(camera_figures.scale(found.diagnostics), "Scale factor and clock offset", caption))
-    elif found.camera is not None:
-        text = "The calibration came from a file, which holds its values but not what they rest on: no figures here."
-        pieces.append(page.paragraph(text, "note"))
-    elif found.radar is not None and found.displacement is None:
-        text = "What the radar's conversion factor and clock offset rest on is shown in the section on the radar."
-        pieces.append(page.paragraph(text, "note"))
-    else:
-        sensor = found.displacement
-        scaled = sensor is not None and sensor.scale_std > 0.0
-        text = (
-            "Scale, noise levels and clock offset of the displacement sensor were learnt beside the accelerometer."
-            if scaled
-            else "The unit of the displacement sensor is known, so that only noise levels and clock offset were learnt."
-        )
-        pieces.append(page.paragraph(text, "note"))
+        title = "Scale factor and clock offset" + ("" if sensor == first else f" of the {sensor}")
+        pieces.append(page.figure(camera_figures.scale(diagnostics, sensor), title, caption))
+    if not shown:
+        pieces.append(page.paragraph(_no_figures(found), "note"))
     if found.warnings:
         pieces.append(page.bullets(found.warnings, "warnings"))
     return page.section("calibration", "Calibration", *pieces)
 
 
+def _no_figures(found: Calibration) -> str:
+    """Why there is no figure of what a calibration rests on, in a sentence."""
+    if found.first_camera is not None:
+        return "The calibration came from a file, which holds its values but not what they rest on: no figures here."
+    if found.radar is not None and found.displacement is None:
+        return "What the radar's conversion factor and clock offset rest on is shown in the section on the radar."
+    if found.displacement is not None and found.displacement.scale_std > 0.0:
+        return "Scale, noise levels and clock offset of the displacement sensor were learnt beside the accelerometer."
+    return "The unit of the displacement sensor is known, so that only noise levels and clock offset were learnt."
+
+
 def innovations(material: Material) -> str:
     """Measured minus predicted."""
-    if not len(material.result.innovation.time_ns):
+    found = figures.innovations_of(material)
+    if not any(len(own.time_ns) for _, own in found):
         return ""
     caption = (
         "Each measurement minus what the filter expected just before it. About 95 % should lie between the lines, "
@@ -147,103 +161,10 @@ def innovations(material: Material) -> str:
         "moves by itself. Crosses were rejected as outliers; what lies beyond is drawn at the border. After a gap more "
         "is expected and allowed."
     )
+    if len(found) > 1:
+        caption += " A row for each sensor: of one more is expected than of another."
     drawn = page.figure(figures.innovations(material), "Innovations", caption)
     return page.section("innovations", "Innovations", drawn)
-
-
-def camera(material: Material) -> str:
-    """Frame, region, path, choice and quality of the tracking; empty without a camera."""
-    result = material.result
-    if result.track is None or result.calibration.first_camera is None:
-        return ""
-    pieces = []
-    if result.tracking is not None:
-        caption = (
-            "The first frame used with the region of interest, the region enlarged, and the target's translation in "
-            "the image since then (dot: start). The path should be long in the measured direction "
-            f"({result.calibration.first_camera.direction}) and short across it."
-        )
-        pieces.append(page.figure(camera_figures.frame(material), "Region of interest", caption))
-        pieces.append(_targets(material))
-        pieces.append(_choice(material))
-        pieces.append(_active_pixels(material))
-    caption = (
-        "Quality from 0 to 1 and standard deviation of each frame's translation. Drops tell of fog, glare, something "
-        "in front of the target, or a blurred picture; their measurements count for less."
-    )
-    pieces.append(page.figure(camera_figures.tracker(material), "Tracking", caption))
-    return page.section("camera", "Camera", *pieces)
-
-
-def _targets(material: Material) -> str:
-    """What became of each of several targets; empty for one."""
-    camera = material.result.calibration.first_camera
-    if camera is None or len(camera.targets) < 2:
-        return ""
-    return "<h3>Targets</h3>" + page.table(tables.targets(camera), tables.TARGETS_HEADER)
-
-
-def _active_pixels(material: Material) -> str:
-    """Which pixels the phase was taken from; empty with other trackers."""
-    tracking = material.result.tracking
-    tracker = None if tracking is None else bare(tracking.targets[0].tracker)
-    if not isinstance(tracker, PhaseTracker):
-        return ""
-    caption = "The pixels whose phase tells the translation along x (left) and y (right), tinted over the region."
-    return page.figure(phase_figures.active_pixels(tracker), "Active pixels", caption)
-
-
-def _choice(material: Material) -> str:
-    tracking = material.result.tracking
-    if tracking is None or tracking.choice is None:
-        return page.paragraph("The region was given, by the settings or by the calibration.", "note")
-    caption = (
-        "Left: numbered boxes were tracked for some seconds. Solid ones fit the accelerometer or, where it could not "
-        "tell, move like most of the picture; dashed ones do not; red ones were taken. Right: the standard deviation "
-        "with which a region centred there could be tracked; darker is better, grey was ruled out or lies too near "
-        "the border."
-    )
-    drawn = camera_figures.choice(tracking.choice, tracking.reference.pixels)
-    return "".join(
-        [
-            page.figure(drawn, "Choice of the region", caption),
-            page.table(tables.candidates(tracking.choice), tables.CANDIDATES_HEADER),
-            page.bullets(tracking.choice.reasons, "plain"),
-        ]
-    )
-
-
-def cameras(material: Material) -> str:
-    """Each camera over the record, which one counts when, the temperature range; empty for one camera of light."""
-    if not infrared_figures.worth_showing(material):
-        return ""
-    caption = (
-        "Matches or quality of each camera's best target (zero: lost) with the changes of its reference frame; below, "
-        "standard deviations of single frames and of the result, what the reference frames may be off by included, "
-        "and the source of each row. Dashed: another camera is believed from there on."
-    )
-    pieces = [page.figure(infrared_figures.over_time(material), "Cameras over the record", caption)]
-    drawn = infrared_figures.zero(material)
-    if drawn is not None:
-        caption = (
-            "How far the second camera's zero lies from the first one's, learnt where both see and taken out. Shading "
-            "that moves and surfaces that warm make it wander; where only one sees it is bridged, with a wider band."
-        )
-        pieces.append(page.figure(drawn, "Zero of the second camera", caption))
-    pieces += [_range(eye.sensor, eye.tracking.range_surface) for eye in material.result.eyes]
-    return page.section("cameras", "Cameras over the record", *pieces)
-
-
-def _range(sensor: str, found: RangeSurface | None) -> str:
-    """How the temperature range was found; empty where it was not looked for."""
-    if found is None:
-        return ""
-    caption = (
-        f"Error of the {sensor} translation against the accelerometer, by the two limits of the temperatures shown. "
-        f"Square: the range chosen, {found.best.low_c:.1f} to {found.best.high_c:.1f} °C. A flat floor is usual: many "
-        "ranges are as good. Where the target was lost in too many frames nothing is drawn."
-    )
-    return page.figure(infrared_figures.surface(found), "Temperature range", caption)
 
 
 def radar(material: Material) -> str:
@@ -316,6 +237,5 @@ def footer(material: Material) -> str:
         f"{material.result.calibration.created}”, together with the settings above, which make the result repeatable.",
         f"Lengths in mm, times in s from {first:.3f} s of the accelerometer's clock on, frequencies in Hz.",
     )
-    return page.folded(
-        "Settings, calibration and events as JSON", json.dumps(json.loads(text), indent=2)
-    ) + page.footer(lines)
+    written = page.verbatim(json.dumps(json.loads(text), indent=2))
+    return page.folded("Settings, calibration and events as JSON", written) + page.footer(lines)

@@ -1,7 +1,7 @@
 """The report's numbers as rows of text: cards, figures, calibration, settings, events."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -9,14 +9,16 @@ import numpy as np
 from midspan.evaluate.metrics import Comparison, normalised_innovation
 from midspan.fusion.gate import REJECTED
 from midspan.radar.target import Target
+from midspan.recording.cameras.tracked import Eye
 from midspan.recording.stored.camera import CameraCalibration
 from midspan.recording.stored.displacement import DisplacementCalibration
 from midspan.recording.stored.radar import RadarCalibration
-from midspan.records import NANOSECONDS, Region, TimeOffset
+from midspan.records import NANOSECONDS, Event, Region, TimeOffset
 from midspan.report.material import Material
 from midspan.vision.roi import RegionChoice
 
-MOST_EVENTS = 50
+# So many events stand in one table; more are folded by their kinds.
+FEW_EVENTS = 12
 Row = tuple[str, str]
 Card = tuple[str, str, str]
 
@@ -242,19 +244,53 @@ def _offset(offset: TimeOffset) -> str:
 
 
 def settings(material: Material) -> list[Row]:
-    """The settings used, flat, in the words of recording.toml."""
-    return list(_flat(material.result.settings.model_dump(mode="json", exclude_none=True)))
+    """The settings used, flat, in the words of recording.toml; with what was taken for those that were left out."""
+    tree = material.result.settings.model_dump(mode="json", exclude_none=True)
+    for eye in material.result.eyes:
+        own = tree.get(eye.sensor)
+        if own is not None:
+            tree[eye.sensor] = own | {key: value for key, value in _taken(eye).items() if not own.get(key)}
+    return list(_flat(tree))
+
+
+def _taken(eye: Eye) -> dict[str, str]:
+    """What a camera was tracked with where its settings do not say."""
+    camera, found = eye.view.settings.camera, {}
+    if camera is not None and camera.reference is None:
+        found["reference"] = f"{camera.reference_rule} (default)"
+    if camera is not None and camera.roi is None and not camera.target:
+        places = [f"{r.x}, {r.y}, {r.width}, {r.height}" for r in (target.region for target in eye.tracking.targets)]
+        found["roi"] = f"{'; '.join(places)} ({'chosen' if eye.tracking.choice is not None else 'of the calibration'})"
+    surface = eye.tracking.range_surface
+    if surface is not None:
+        found["temperature_range_c"] = f"{surface.best.low_c:.2f}, {surface.best.high_c:.2f} (chosen)"
+    return found
 
 
 def _flat(tree: dict[str, Any], prefix: str = "") -> Iterable[Row]:
     for key, value in tree.items():
         if isinstance(value, dict):
             yield from _flat(value, f"{prefix}{key}.")
-        else:
+        elif value != []:
             yield prefix + key, ", ".join(str(x) for x in value) if isinstance(value, list) else str(value)
 
 
-def events(material: Material) -> list[tuple[str, ...]]:
-    """The first events: time, kind, text."""
-    found = material.result.events[:MOST_EVENTS]
-    return [(f"{material.clock.at(np.array([e.time_ns]))[0]:.3f}", e.kind, e.text) for e in found]
+def events(material: Material, found: Sequence[Event]) -> list[tuple[str, ...]]:
+    """Events as rows: time, kind, text."""
+    return [(at, event.kind, event.text) for at, event in zip(_instants(material, found), found, strict=True)]
+
+
+def by_kind(found: Sequence[Event]) -> list[tuple[str, list[Event]]]:
+    """Events by their kinds, in the order in which the kinds occur first."""
+    kinds = dict.fromkeys(event.kind for event in found)
+    return [(kind, [event for event in found if event.kind == kind]) for kind in kinds]
+
+
+def kind_line(material: Material, kind: str, found: Sequence[Event]) -> str:
+    """How many events of a kind there are, and when."""
+    first, last = _instants(material, (found[0], found[-1]))
+    return f"{kind}: {len(found)}, {f'at {first} s' if len(found) == 1 else f'from {first} to {last} s'}"
+
+
+def _instants(material: Material, found: Sequence[Event]) -> list[str]:
+    return [f"{at:.3f}" for at in material.clock.at(np.array([event.time_ns for event in found], dtype=np.int64))]

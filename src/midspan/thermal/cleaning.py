@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from midspan.checks import positive, refuse
 from midspan.errors import DataError
 from midspan.records import NANOSECONDS, Event, Floats, Frame, PixelTranslation, Region, Status
-from midspan.thermal.limits import LimitFollower, Limits, LimitState, folded
+from midspan.thermal.limits import LimitFollower, Limits, LimitState, folded, foreign_share
 from midspan.thermal.pattern import LEAST_FRAMES, FixedPattern, estimate_pattern
 from midspan.thermal.shutter import ShutterSettings, ShutterState, ShutterWatch
 
@@ -46,10 +46,13 @@ class CleaningSettings:
 
 @dataclass(frozen=True, slots=True)
 class Cleaned:
-    """What comes of a frame: the one to track, None while the shutter is closed, and what is worth telling."""
+    """What comes of a frame: the one to track, None while the shutter is closed, what is worth telling, and the share
+    of the target that something of another temperature covers.
+    """
 
     frame: Frame | None
     events: tuple[Event, ...] = ()
+    foreign: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -126,11 +129,12 @@ class ThermalCleaner:
             self._follower.jump(verdict.step_k)
         if verdict.reopened:
             self._forget()
-        limits = self._follower.push(_part(frame.pixels, region_now or self._region), frame.time_ns)
+        target = _part(frame.pixels, region_now or self._region)
+        limits = self._follower.push(target, frame.time_ns)
         self._last = frame
         pixels = frame.pixels if self._pattern is None else self._pattern.removed(frame.pixels)
         clean = Frame(frame.time_ns, folded(pixels, limits, self.settings.margin), frame.index)
-        return Cleaned(clean, verdict.events)
+        return Cleaned(clean, verdict.events, foreign_share(target, limits, self.settings.margin))
 
     def tracked(self, found: PixelTranslation) -> None:
         """Learn the fixed pattern from what the tracker found in the frame that was pushed last."""

@@ -57,6 +57,12 @@ def folded(celsius: NDArray[np.generic], limits: Limits, margin: float = 0.25) -
     return np.asarray(np.float32(limits.middle_c) + np.float32(limits.half_k) * np.copysign(kept, place))
 
 
+def foreign_share(celsius: NDArray[np.generic], limits: Limits, margin: float = 0.25) -> float:
+    """Share of the pixels of a picture, 0 to 1, that are folded: what is warmer or colder than all of the target."""
+    place = np.abs(np.asarray(celsius, dtype=np.float32) - np.float32(limits.middle_c))
+    return float(np.mean(place > np.float32((1.0 + 2.0 * margin) * limits.half_k)))
+
+
 @dataclass(frozen=True, slots=True)
 class LimitState:
     """What is remembered of the target's temperatures: the quartiles in °C and when they were last looked at."""

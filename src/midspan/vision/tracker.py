@@ -95,6 +95,14 @@ class Wandering(Protocol):
 
 
 @runtime_checkable
+class Coverable(Protocol):
+    """What trackers have besides that learn from frames: what others know to stand in front is not learnt from."""
+
+    covered: float
+    """Share of the target that is covered in the next frame, 0 to 1."""
+
+
+@runtime_checkable
 class Counting(Protocol):
     """What trackers have besides that know how well the target still resembles its reference."""
 

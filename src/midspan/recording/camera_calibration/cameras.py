@@ -93,10 +93,11 @@ def _in_best_range(
 
 
 def _named(view: Recording, tracking: CameraTracking, part: CameraFit) -> CameraFit:
-    """What was learnt along one axis, with the camera's name and the temperatures that its tracker sees."""
+    """What was learnt along one axis, with the camera's name, the temperatures seen, and what the values rest on."""
     regions = [target.region for target in tracking.targets]
     place = regions.index(part.calibration.region) if part.calibration.region in regions else 0
-    return replace(part, calibration=named(part.calibration, view.sensor, range_seen(tracking, place)))
+    own = named(part.calibration, view.sensor, range_seen(tracking, place))
+    return replace(part, calibration=replace(own, diagnostics=part.diagnostics))
 
 
 def named(camera: CameraCalibration, sensor: str, range_c: tuple[float, float] | None = None) -> CameraCalibration:

@@ -12,13 +12,13 @@ from midspan.fusion.path import at
 from midspan.fusion.smoother import smooth
 from midspan.fusion.zero_course import ZeroCourse, zero_course
 from midspan.recording.cameras.contradiction import (
-    Contradiction,
     bands,
     cleared,
     contradictions,
+    course_without,
 )
 from midspan.recording.cameras.tracked import Seen, Side
-from midspan.recording.cameras.wander import wander_event, without_wandering, zero_errors
+from midspan.recording.cameras.wander import wander_event, wandering_std, without_wandering, zero_errors
 from midspan.recording.fusing.fuse import CourseError
 from midspan.recording.streams.span import EPOCH_FROM_NS
 from midspan.records import (
@@ -106,7 +106,8 @@ def _zeroed(side: Side, seen: tuple[Seen, Seen]) -> _Zeroed:
     course, innovations = None, []
     if all(np.isfinite(one.value_m).any() for one in quiet):
         alone = smooth(side.acceleration, quiet[0], side.kalman)
-        course = zero_course(*_apart(alone.estimate, *quiet))
+        said = np.hypot(*(wandering_std(one, second.time_ns) for one in seen)) ** 2
+        course = zero_course(*_apart(alone.estimate, *quiet), said)
         # A day has millions of rows: the first camera's are let go before the second's come.
         innovations = [alone.innovation]
         del alone
@@ -117,10 +118,10 @@ def _zeroed(side: Side, seen: tuple[Seen, Seen]) -> _Zeroed:
         blind = replace(second, value_m=np.full_like(second.value_m, np.nan))
         return _Zeroed((first, blind), None, levels, (), (text,))
     found = contradictions(course, seen, innovations)
-    events = tuple(one.told(names) for one in found)
+    events = tuple(one.told(names) for one in found if not one.explained)
     wandered = wander_event(course, quiet, names)
     events = events if wandered is None else (*events, wandered)
-    course = _without_jumps_of_first(course, found)
+    course = course_without(course, found)
     levels = (
         *zero_errors(seen, course, ~_near(first, second.time_ns)),
         *bands(found, seen, second.time_ns),
@@ -128,16 +129,6 @@ def _zeroed(side: Side, seen: tuple[Seen, Seen]) -> _Zeroed:
     second = replace(second, value_m=second.value_m - course.at(second.time_ns)[0])
     both = (cleared(found, 0, first), cleared(found, 1, second))
     return _Zeroed(both, course, levels, events, tuple(event.text for event in events))
-
-
-def _without_jumps_of_first(course: ZeroCourse, found: tuple[Contradiction, ...]) -> ZeroCourse:
-    """The second's zero beside the first as it would be without what the first jumped by."""
-    level, jump = course.level_m.copy(), course.jump_m.copy()
-    for one in found:
-        if one.guilty == 0 and one.jump_m:
-            level[course.time_ns >= one.to_ns] -= one.jump_m
-            jump[course.time_ns == one.to_ns] = 0.0
-    return replace(course, level_m=level, jump_m=jump)
 
 
 def _apart(path: Estimate, first: Displacement, second: Displacement) -> tuple[Nanoseconds, Floats, Floats]:

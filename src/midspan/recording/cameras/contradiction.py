@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from midspan.fusion.gate import ACCEPTED
 from midspan.fusion.zero_course import ZeroCourse
@@ -16,12 +17,15 @@ from midspan.signals.health import Mask
 
 # Differences less than so many seconds apart are one contradiction; innovations so long beside it count.
 APART_S, BESIDE_S = 5.0, 1.5
-# Innovations are judged by their mean over windows of so many seconds; the worst window counts.
-WINDOW_S, LEAST_IN_WINDOW = 2.0, 3
+# Innovations are judged by their mean over windows of so many seconds; the worst window counts. A small jump is seen
+# in the first few only: then the filter has followed it, or expects as much.
+WINDOW_S, LEAST_IN_WINDOW = 0.6, 3
 # The acceleration speaks against a camera whose worst window is so bad, and by this factor worse than the other's.
 BAD, WORSE = 6.0, 4.0
 # What both reference frames may be off by explains a difference of so many standard deviations.
 EXPLAINED_STD = 3.0
+# A camera without a measurement for so many seconds was blind: its zero may have changed unseen.
+BLIND_S = 2.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +33,9 @@ class Contradiction:
     """From from_ns to to_ns the cameras differ by about apart_m more than their stated uncertainties allow.
 
     guilty: the camera (0 or 1) that the acceleration speaks against, None where it does not tell. jump_m: by how much
-    the difference stayed changed from to_ns on, 0 where it came back.
+    the difference stayed changed, 0 where it came back. yields: the camera whose zero then follows the other's where
+    the acceleration does not tell; changed_ns: between which instants it jumped. explained: what both reference frames
+    may be off by explains it, so that it is not told.
     """
 
     from_ns: int
@@ -37,6 +43,14 @@ class Contradiction:
     apart_m: float
     guilty: int | None
     jump_m: float = 0.0
+    yields: int = 1
+    changed_ns: tuple[int, int] = (0, 0)
+    explained: bool = False
+
+    @property
+    def follower(self) -> int:
+        """The camera whose zero follows the other's from the jump on."""
+        return self.yields if self.guilty is None else self.guilty
 
     def covers(self, time_ns: Nanoseconds) -> Mask:
         """Which stamps (n,) lie in it, half a second on either side included."""
@@ -45,8 +59,12 @@ class Contradiction:
 
     def told(self, names: tuple[str, str]) -> Event:
         """The event that tells it; names of both cameras."""
+        # A jump may be told by a single frame.
+        when = f"From {shown(self.from_ns)} to {shown(self.to_ns)}"
+        if shown(self.from_ns) == shown(self.to_ns):
+            when = f"At {shown(self.from_ns)}"
         text = (
-            f"From {shown(self.from_ns)} to {shown(self.to_ns)} {names[1]} and {names[0]} differ by "
+            f"{when} {names[1]} and {names[0]} differ by "
             f"{1e3 * abs(self.apart_m):.2g} mm more than their stated uncertainties allow; "
         )
         if self.guilty is None:
@@ -54,7 +72,8 @@ class Contradiction:
         else:
             text += f"the acceleration contradicts the {names[self.guilty]}, which was left out there."
         if self.jump_m:
-            text += f" The difference stays changed by {1e3 * self.jump_m:+.2g} mm."
+            text += f" The difference stays changed by {1e3 * self.jump_m:+.2g} mm"
+            text += "." if self.guilty is not None else f": the {names[self.follower]} was brought to the other's zero."
         return Event(self.from_ns, "contradiction", text)
 
 
@@ -66,22 +85,81 @@ def contradictions(
     innovations: of each camera alone beside the acceleration.
     """
     allowed = EXPLAINED_STD * np.hypot(*(wandering_std(one, course.time_ns) for one in seen))
-    jump = course.jump_m
-    far = ((course.apart_m != 0.0) & (np.abs(course.apart_m) > allowed)) | (np.abs(jump) > allowed)
-    places = np.flatnonzero(far)
+    far = np.maximum(np.abs(course.apart_m), np.abs(course.jump_m))
+    places = np.flatnonzero(far > 0.0)
     if not len(places):
         return ()
     apart_s = np.diff(course.time_ns[places]) / NANOSECONDS
     # A jump ends its stretch.
-    cut = (apart_s > APART_S) | (jump[places[:-1]] != 0.0)
+    cut = (apart_s > APART_S) | (course.jump_m[places[:-1]] != 0.0)
     found = []
     for own in np.split(places, np.flatnonzero(cut) + 1):
-        end = int(course.time_ns[own[-1]])
-        begin = min(_rejected_from(one, int(course.time_ns[own[0]])) for one in innovations)
-        stays = float(jump[own[-1]])
-        size = abs(stays) if stays else float(np.max(np.abs(course.apart_m[own])))
-        found.append(Contradiction(begin, end, size, _guilty(innovations, begin, end), stays))
+        told = own[far[own] > allowed[own]]
+        stays = _stays(course, own)
+        if not len(told) and not stays:
+            continue
+        size = abs(stays) if stays else float(np.max(far[told]))
+        if not len(told):
+            from_ns, to_ns = int(course.time_ns[own[0]]), int(course.time_ns[own[-1]])
+            guilty = None
+        else:
+            first_ns, to_ns = int(course.time_ns[told[0]]), int(course.time_ns[told[-1]])
+            from_ns = min(_rejected_from(one, first_ns) for one in innovations)
+            guilty = _guilty(innovations, from_ns, to_ns)
+        yields, changed_ns = _yielding(course, own[0], seen)
+        found.append(Contradiction(from_ns, to_ns, size, guilty, stays, yields, changed_ns, not len(told)))
     return tuple(found)
+
+
+def _stays(course: ZeroCourse, own: NDArray[np.int64]) -> float:
+    """By how much (m) the difference stays changed after the pieces `own`; 0 where it comes back."""
+    if course.jump_m[own[-1]]:
+        return float(course.jump_m[own[-1]])
+    # What has not come back by the end is as one that stays.
+    unsettled = own[-1] == len(course.time_ns) - 1 and len(own) >= LEAST_IN_WINDOW
+    return float(np.median(course.apart_m[own])) if unsettled else 0.0
+
+
+def _yielding(course: ZeroCourse, place: int, seen: tuple[Seen, Seen]) -> tuple[int, tuple[int, int]]:
+    """The camera (0 or 1) whose zero follows the other's after a jump up to the piece at `place`, and between which
+    instants (ns) it jumped.
+
+    The first one's zero counts, but for one that it comes back with after it was blind, beside one that was not.
+    """
+    end = int(course.time_ns[place])
+    begin = int(course.time_ns[max(place - 1, 0)])
+    gaps = [_longest_gap(one.measured, begin, end) for one in seen]
+    lengths_s = [(to - since) / NANOSECONDS for since, to in gaps]
+    if lengths_s[0] > BLIND_S > lengths_s[1]:
+        return 0, gaps[0]
+    return 1, gaps[1] if lengths_s[1] > BLIND_S else (begin, end)
+
+
+def _longest_gap(measured: Displacement, begin_ns: int, end_ns: int) -> tuple[int, int]:
+    """First and last instant (ns) of the longest stretch from one to another without a measurement."""
+    inside = np.isfinite(measured.value_m) & (measured.time_ns > begin_ns) & (measured.time_ns < end_ns)
+    stamps = np.concatenate(([begin_ns], measured.time_ns[inside], [end_ns]))
+    longest = int(np.argmax(np.diff(stamps)))
+    return int(stamps[longest]), int(stamps[longest + 1])
+
+
+def course_without(course: ZeroCourse, found: Sequence[Contradiction]) -> ZeroCourse:
+    """The second's zero beside the first without what the first one's jumps changed, each jump of its own where it
+    began: a difference that stays has stayed from its beginning on.
+    """
+    level, jump = course.level_m.copy(), course.jump_m.copy()
+    for one in found:
+        if not one.jump_m or one.guilty == 1:
+            continue
+        here = (course.time_ns == one.to_ns) & (course.jump_m != 0.0)
+        if here.any():
+            level[course.time_ns >= one.to_ns] -= one.jump_m
+        jump[here] = 0.0
+        if one.follower == 1:
+            after = course.time_ns >= one.changed_ns[1]
+            level[after] += one.jump_m
+            jump[np.argmax(after)] = one.jump_m
+    return replace(course, level_m=level, jump_m=jump)
 
 
 def cleared(found: Sequence[Contradiction], number: int, measured: Displacement) -> Displacement:
@@ -91,10 +169,14 @@ def cleared(found: Sequence[Contradiction], number: int, measured: Displacement)
     """
     value = measured.value_m.copy()
     for one in found:
+        if one.jump_m and number == 0 and one.follower == 0:
+            value[measured.time_ns > (one.to_ns if one.guilty == 0 else sum(one.changed_ns) // 2)] += one.jump_m
         if one.guilty == number:
-            if number == 0 and one.jump_m:
-                value[measured.time_ns > one.to_ns] += one.jump_m
             value[one.covers(measured.time_ns)] = np.nan
+        elif one.jump_m and one.guilty is None and number == 1 == one.follower:
+            # Between both levels its zero is not known.
+            since, to = one.changed_ns
+            value[(measured.time_ns > since) & (measured.time_ns < to)] = np.nan
     return replace(measured, value_m=value)
 
 
@@ -103,7 +185,7 @@ def bands(found: Sequence[Contradiction], eyes: tuple[Seen, Seen], time_ns: Nano
     sources = (eyes[0].eye.source, eyes[1].eye.source)
     told = []
     for one in found:
-        if one.guilty is None:
+        if one.guilty is None and not one.explained:
             inside = one.covers(time_ns)
             if one.jump_m:
                 inside |= time_ns >= one.from_ns

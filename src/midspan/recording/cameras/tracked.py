@@ -8,9 +8,9 @@ import numpy as np
 from midspan.engine.monitor import AxisLoop, Monitor
 from midspan.fusion.kalman import KalmanFilter, KalmanSettings
 from midspan.fusion.path import at
-from midspan.fusion.running_clock import RunningClock, on_one_clock
 from midspan.fusion.smoother import smooth
 from midspan.recording.fusing.fuse import CourseError
+from midspan.recording.fusing.one_clock import OneClock, one_clock
 from midspan.recording.stored.calibration import Calibration
 from midspan.recording.stored.camera import CameraCalibration
 from midspan.recording.streams.acceleration import PreparedAcceleration, still
@@ -107,7 +107,7 @@ class Seen:
 
     eye: Eye
     together: Together
-    clock: RunningClock
+    clock: OneClock
     clock_std_s: float
     relative_std: float
     wandering: CourseError | None
@@ -233,7 +233,7 @@ def _together(side: Side, number: int, eye: Eye) -> Together:
     return together(blocks, camera.mappings(), side.acceleration, side.kalman, window_ends(eye.view))
 
 
-def seen_along(side: Side, number: int, eye: Eye, clock: RunningClock | None = None) -> Seen:
+def seen_along(side: Side, number: int, eye: Eye, clock: OneClock | None = None) -> Seen:
     """What a camera says along the axis with this number, all frames tracked.
 
     clock: as it was learnt along the main axis; None learns it.
@@ -241,7 +241,7 @@ def seen_along(side: Side, number: int, eye: Eye, clock: RunningClock | None = N
     camera = eye.calibrations[number]
     found = _together(side, number, eye)
     clock = (
-        on_one_clock(found.measured, side.acceleration, side.kalman, eye.sensor)
+        one_clock(found.measured, side.acceleration, side.kalman, eye.sensor, std_s=clock_std_s(camera.offset))
         if clock is None
         else clock.also(found.measured)
     )
@@ -264,13 +264,16 @@ def _wandering(eye: Eye, camera: CameraCalibration, measured: Displacement) -> C
 def zero_of(seen: Sequence[Seen], first: Displacement) -> int:
     """The instant (ns) that the displacement counts from: the first frame used of the first sensor, else of `first`.
 
-    Of two cameras the first one's; the earliest of both where that one was dark when it began.
+    Of two cameras the first one's; where that one was dark when it began, the earliest frame of `first`, which holds
+    both, in which a target was seen.
     """
     if not seen:
         return int(first.time_ns[0])
     eye = seen[0].eye
-    dark = eye.tracking.skipped > 0 or eye.view.sees_from_ns is not None
-    return int(min(one.measured.time_ns[0] for one in (seen if dark else seen[:1])))
+    began_ns = eye.view.sees_from_ns
+    dark = eye.tracking.skipped > 0 or (began_ns is not None and began_ns > eye.view.frames.times_ns()[0])
+    measured = first.time_ns[np.isfinite(first.value_m)] if dark else seen[0].measured.time_ns
+    return int(measured[0] if len(measured) else first.time_ns[0])
 
 
 def _drops(found: Together, tracking: CameraTracking, direction: str) -> list[str]:

@@ -13,8 +13,8 @@ from midspan.signals.health import Mask
 
 # The noise of single frames is at least this share of a variance that holds what the reference frames are off by too.
 LEAST_NOISE = 0.01
-# A zero that wanders by more than so many standard deviations of a frame is told.
-NOTABLE_STD = 20.0
+# A zero that goes further than so many standard deviations of a frame is told.
+NOTABLE_STD = 10.0
 
 
 def wandering_std(seen: Seen, time_ns: Nanoseconds) -> Floats:
@@ -32,20 +32,26 @@ def without_wandering(seen: Seen) -> Displacement:
 
 
 def wander_event(course: ZeroCourse, quiet: tuple[Displacement, ...], names: tuple[str, str]) -> Event | None:
-    """An event where the zeros go far from each other; quiet: both cameras with the noise of single frames."""
+    """An event from where on the zeros go far from each other; quiet: both cameras with the noise of single frames."""
     noise = max(float(np.sqrt(np.nanmedian(one.variance_m2[np.isfinite(one.value_m)]))) for one in quiet)
-    if course.wander_m <= NOTABLE_STD * noise:
+    wandered = np.where(course.apart_m == 0.0, gone_m(course), 0.0)
+    far = np.flatnonzero(wandered > NOTABLE_STD * noise)
+    if not len(far):
         return None
-    wandered = np.where(
-        course.apart_m == 0.0, np.abs(course.level_m - np.cumsum(course.jump_m) - course.level_m[0]), 0.0
-    )
     worst = int(np.argmax(wandered))
+    since, until = (int(course.time_ns[place]) for place in far[[0, -1]])
     text = (
-        f"The zeros of {names[1]} and {names[0]} wander by {1e3 * course.wander_m:.2g} mm beside each other (root mean "
-        f"square), most at {shown(int(course.time_ns[worst]))}, by {1e3 * wandered[worst]:.2g} mm; nothing tells which "
-        "one's it is: the band holds it. Look at both targets."
+        f"From {shown(since)} to {shown(until)} the zeros of {names[1]} and {names[0]} wander beside each other by "
+        f"{1e3 * course.wander_m:.2g} mm (root mean square), most at {shown(int(course.time_ns[worst]))}, by "
+        f"{1e3 * wandered[worst]:.2g} mm; nothing tells which one's it is: the band holds it. Look at both targets."
     )
-    return Event(int(course.time_ns[worst]), "contradiction", text)
+    return Event(since, "contradiction", text)
+
+
+def gone_m(course: ZeroCourse) -> Floats:
+    """How far (n,) m the second's zero beside the first is from where it began; jumps do not count."""
+    gone: Floats = np.abs(course.level_m - np.cumsum(course.jump_m) - course.level_m[0])
+    return gone
 
 
 def zero_errors(seen: tuple[Seen, Seen], course: ZeroCourse, alone: Mask) -> tuple[CourseError, ...]:
@@ -55,7 +61,9 @@ def zero_errors(seen: tuple[Seen, Seen], course: ZeroCourse, alone: Mask) -> tup
     """
     (first, second), time_ns = seen, seen[1].measured.time_ns
     since_s = np.abs(time_ns - course.time_ns[0]) / NANOSECONDS
-    wander = np.minimum(np.sqrt(course.growth_m2_s * since_s), course.wander_m) / np.sqrt(2.0)
+    wander = np.minimum(np.sqrt(course.growth_m2_s * since_s), course.wander_m)
+    # Where the difference has gone further than it does on the whole it may be all the first one's.
+    wander = np.maximum(wander, np.interp(time_ns, course.time_ns, gone_m(course))) / np.sqrt(2.0)
     found = [
         CourseError((first.eye.source, second.eye.source), time_ns, wander),
         CourseError(second.eye.source, time_ns, np.sqrt(course.at(time_ns)[1])),

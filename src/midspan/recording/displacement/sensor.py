@@ -8,9 +8,9 @@ from midspan.calibration.noise import NoiseCalibration
 from midspan.calibration.scale import white_noise
 from midspan.errors import UntrustedError, UsageError
 from midspan.fusion.kalman import KalmanSettings
-from midspan.fusion.running_clock import on_one_clock
 from midspan.recording.displacement.learn import learn
 from midspan.recording.fusing.fuse import SensorError
+from midspan.recording.fusing.one_clock import OneClock, one_clock
 from midspan.recording.stored.calibration import Calibration
 from midspan.recording.stored.displacement import DisplacementCalibration
 from midspan.recording.streams.recording import Recording
@@ -105,13 +105,14 @@ def displacement_warnings(recording: Recording, learnt: NoiseCalibration, part: 
 @dataclass(frozen=True, slots=True)
 class DisplacementInputs:
     """The sensor's measurements on the accelerometer's clock, what is uncertain of them, an event for each stretch of
-    frozen values that was left out, and what to tell that the calibration did not.
+    frozen values that was left out, and what to tell that the calibration did not; clock: how it ran.
     """
 
     measured: Displacement
     error: SensorError
     events: tuple[Event, ...]
     warnings: tuple[str, ...]
+    clock: OneClock
 
 
 def displacement_inputs(
@@ -126,17 +127,17 @@ def displacement_inputs(
     series = read_with(recording.displacement, learnt)
     held = frozen_values(recording, series)
     block, clock_std = _block(without(series, held), learnt), _finite_std(learnt.offset)
-    warnings: list[str] = []
-    if recording.learns_offset:
-        level = float(np.nanmedian(block.value_m))
-        clock = on_one_clock(replace(block, value_m=block.value_m - level), acceleration, kalman, "displacement")
-        block = replace(block, time_ns=clock.measured.time_ns)
-        clock_std = clock_std if clock.std_s is None else clock.std_s
-        warnings += clock.warnings
+    # Where the offset is not learnt the clock is the accelerometer's own, until it jumps.
+    free = recording.learns_offset
+    level = float(np.nanmedian(block.value_m))
+    levelled = replace(block, value_m=block.value_m - level)
+    clock = one_clock(levelled, acceleration, kalman, "displacement", std_s=clock_std, drifts=free, stays=not free)
+    block = replace(clock.measured, value_m=clock.measured.value_m + level)
+    clock_std = clock_std if clock.std_s is None else clock.std_s
     events = frozen_events(series, held)
-    warnings += [line for line in frozen_warnings(events) if line not in calibration.warnings]
+    frozen = [line for line in frozen_warnings(events) if line not in calibration.warnings]
     error = SensorError(Source.DISPLACEMENT, learnt.relative_std, clock_std)
-    return DisplacementInputs(block, error, events, tuple(warnings))
+    return DisplacementInputs(block, error, events, (*clock.warnings, *frozen), clock)
 
 
 def _finite_std(offset: TimeOffset) -> float:

@@ -10,6 +10,7 @@ from midspan.fusion.kalman import KalmanSettings
 from midspan.fusion.smoother import smooth
 from midspan.radar.target import Target
 from midspan.recording.fusing.fuse import CourseError, LevelError, SensorError
+from midspan.recording.fusing.one_clock import one_clock
 from midspan.recording.radar.literal import literal_track
 from midspan.recording.radar.own_motion import told
 from midspan.recording.radar.trace import RadarTrace
@@ -76,16 +77,24 @@ def radar_inputs(
         )
     measured, levels = _levelled(track, acceleration, kalman)
     clock = track.clock
+    # Its drift was found in the phase; a jump shows best in the displacement.
+    jumped = one_clock(measured, acceleration, kalman, "radar", drifts=False)
+    measured = jumped.measured
     std_s = float(np.sqrt(known.offset.variance)) if clock is None or clock.std_s is None else clock.std_s
-    events = _events(track, known.used, levels)
-    warned = [*(() if clock is None else clock.warnings), *_warnings(track, source.info.warnings, calibration)]
+    std_s = float(np.hypot(std_s, jumped.std_s or 0.0))
+    events = (*_events(track, known.used, levels), *jumped.events)
+    warned = [
+        *(() if clock is None else clock.warnings),
+        *jumped.warnings,
+        *_warnings(track, source.info.warnings, calibration),
+    ]
     stamps = measured.time_ns
     lasting = (*track.bent_m, *track.courses_m, *(() if track.apart_m is None else (track.apart_m,)))
     bends = tuple(CourseError(Source.RADAR, stamps, error_m) for error_m in lasting if error_m.any())
     return RadarInputs(
         measured=part(measured, slice(int(seen[0]), None)),
         error=SensorError(Source.RADAR, known.relative_std, std_s),
-        levels=(*levels, *bends),
+        levels=(*levels, *bends, *jumped.levels),
         events=events,
         warnings=tuple(warned),
         trace=track.trace,

@@ -1,9 +1,10 @@
 """The camera's part of a calibration: scale factor, clock offset, region and noise, target by target."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
+from midspan.calibration.scale import ScaleCalibration
 from midspan.engine.monitor import CameraScale
 from midspan.recording.stored.json_values import finite_or_none
 from midspan.records import Region, ScaleFactor, Source, TimeOffset
@@ -48,7 +49,8 @@ class CameraCalibration:
     active pixels' mean phase, with the trackers that use it. targets: all of them. fused: whether this axis has an
     accelerometer; without one the scale factor is the other axis's. relative_scale_std: of all targets together.
     lens: what the pixels were corrected by; the scale factor holds for that lens only. source: which camera it is.
-    temperature_range_c: of a thermal camera what its tracker saw, °C.
+    temperature_range_c: of a thermal camera what its tracker saw, °C. diagnostics: what the best target's values rest
+    on, for the report; not stored in the file.
     """
 
     scale: ScaleFactor
@@ -65,6 +67,7 @@ class CameraCalibration:
     lens: Lens | None = None
     source: Source = Source.CAMERA
     temperature_range_c: tuple[float, float] | None = None
+    diagnostics: ScaleCalibration | None = field(default=None, compare=False, repr=False)
 
     @property
     def used(self) -> tuple[TargetCalibration, ...]:

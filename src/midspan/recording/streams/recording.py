@@ -116,12 +116,12 @@ class Recording:
         view._beside = self
         return view
 
-    def seeing(self, first_ns: int, last_ns: int) -> "Recording":
-        """The same recording calibrated from `first_ns` to `last_ns`; no frame of its camera before is used."""
+    def seeing(self, first_ns: int, last_ns: int, from_ns: int) -> "Recording":
+        """The same recording calibrated from `first_ns` to `last_ns`, its camera's frames used from `from_ns` on."""
         span = (first_ns / NANOSECONDS, last_ns / NANOSECONDS)
         window = self.settings.calibration.model_copy(update={"window_s": span})
         view = Recording(self.file, self.settings.model_copy(update={"calibration": window, "infrared": None}))
-        view._beside, view.sees_from_ns = self, first_ns
+        view._beside, view.sees_from_ns = self, from_ns
         return view
 
     @property

@@ -16,12 +16,15 @@ LOOKED_AT, SEARCHED = 16, 240
 MOST_DARK_SHARE = 0.2
 # A camera sees well where it is at least so bright beside its bright frames.
 FULL_SHARE = 0.7
+# Of fewer of the frames looked at in a row the first ones may be headlights, which make a poor reference.
+LEAST_LIT = 3
 
 
 def where_it_sees(recording: Recording) -> tuple[Recording, list[str]]:
     """The view with a window in which its camera sees, and a sentence where that is another than the recording's.
 
-    Only a camera of light beside a thermal one is looked at. Raises UntrustedError where it is dark all the time.
+    The window is the longest stretch of light; the frames are used from the first one on. Only a camera of light beside
+    a thermal one is looked at. Raises UntrustedError where it is dark all the time.
     """
     if recording.sensor != "camera" or recording.infrared is None:
         return recording, []
@@ -40,13 +43,14 @@ def where_it_sees(recording: Recording) -> tuple[Recording, list[str]]:
     # Dusk and dawn are left out: a reference frame from there would be a poor one.
     lit = runs(brightness > FULL_SHARE * np.percentile(brightness[brightness > 0.0], 90))
     start, end = max(lit, key=lambda run: run[1] - run[0])
+    seen_from = next((run[0] for run in lit if run[1] - run[0] >= min(LEAST_LIT, end - start)), start)
     begun = int(times[looked[start]])
     ended = min(int(times[looked[min(end, len(looked)) - 1]]), begun + round(DEFAULT_WINDOW_S * NANOSECONDS))
     text = (
         f"camera: it is dark in calibration.window_s; it was calibrated where it sees, from {shown(begun)} to "
         f"{shown(ended)}."
     )
-    return recording.seeing(begun, ended), [text]
+    return recording.seeing(begun, ended, int(times[looked[seen_from]])), [text]
 
 
 def _spread(indices: NDArray[np.int64], count: int) -> NDArray[np.int64]:

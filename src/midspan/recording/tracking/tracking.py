@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 from midspan.errors import DataError
 from midspan.recording.streams.progress import Progress, silent
 from midspan.recording.streams.sensor_words import worded
+from midspan.recording.tracking.fair_variance import lost_where, more_variance, with_fair_variance
+from midspan.recording.tracking.light import LightWatch, light_warnings
 from midspan.recording.tracking.region_choice import ChoiceRequest, Judge, choose_targets
 from midspan.recording.tracking.target_opening import Opening, events_of, strength_of, thermal_part, wandering_px2
 from midspan.records import (
@@ -40,12 +42,8 @@ from midspan.vision.picture_warnings import picture_warnings
 from midspan.vision.region import check_region
 from midspan.vision.roi import RegionChoice
 from midspan.vision.target import lost
-from midspan.vision.tracker import Learner, Tracker
+from midspan.vision.tracker import Learner, Tracker, Wandering
 
-# A variance below this share of the usual one is the mark of a frame that matches itself, not of a quiet one.
-SUSPICIOUS_SHARE = 0.25
-# Noise of the template over the noise of a frame, as standard deviations.
-TEMPLATE_NOISE = 1.15
 # This many equal pictures in a row are a frozen camera (or a codec that skipped them), not a structure at rest.
 FROZEN_FRAMES = 3
 # The column that tells them, after those of a translation.
@@ -109,8 +107,8 @@ class TargetTracking:
         self.tracker, self.name, self._readout_s = tracker, name, readout_s
         # A frame's time, translation along x and y, their variances, quality, status; whether its picture repeats.
         self._rows = Columns("qdddddBB")
-        # How strong it was, and the part of its variances along x and y that the reference frame makes.
-        self._pushed = Columns("ddd")
+        # How strong it was, the part of its variances along x and y that the reference makes, whether it was dark.
+        self._pushed = Columns("dddB")
         self._track: PixelTrack | None = None
         self._quick: PixelTrack | None = None
         self._seen = np.empty((0, 0))
@@ -118,6 +116,10 @@ class TargetTracking:
         self._lit = not is_dark(tracker.reference.pixels)
         # Temperatures are stored as they are: no codec, no full scale.
         self._watch = None if thermal_part(tracker) else PictureWatch(tracker.reference, tracker.region)
+        # Trackers whose reference changes know themselves what it is off by; temperatures throw no shadows.
+        self._light: LightWatch | None = None
+        if self._watch is not None and not isinstance(bare(tracker), Wandering):
+            self._light = LightWatch(tracker.reference, tracker.region)
 
     @property
     def region(self) -> Region:
@@ -126,15 +128,28 @@ class TargetTracking:
 
     def push(self, frame: Frame, prediction: Prediction | None = None) -> PixelTranslation:
         """Find the target in `frame`; the translation is dated by the row that the target's middle was read out at."""
-        found = lost(frame.time_ns) if self._in_the_dark(frame) else self.tracker.push(frame, prediction)
+        dark = self._in_the_dark(frame)
+        found = lost(frame.time_ns) if dark else self.tracker.push(frame, prediction)
         self.events += events_of(self.tracker)
-        self._pushed.append(strength_of(self.tracker, found), *wandering_px2(self.tracker, found))
+        strength = strength_of(self.tracker, found)
+        found, more = self._in_this_light(frame, found)
+        self._pushed.append(strength, *more, dark)
         self._track = self._quick = None
         down_px = as_shown(self.tracker, found).y_px
         row = self.region.y + 0.5 * (self.region.height - 1) + (down_px if np.isfinite(down_px) else 0.0)
         last_row = max(frame.pixels.shape[0] - 1, 1)
         late_ns = round(self._readout_s * NANOSECONDS * row / last_row)
         return replace(found, time_ns=frame.time_ns + late_ns)
+
+    def _in_this_light(self, frame: Frame, found: PixelTranslation) -> tuple[PixelTranslation, tuple[float, float]]:
+        """What was found, and the part of its variances (px²) that the reference makes: beside a fixed one by light."""
+        if self._light is None:
+            return found, wandering_px2(self.tracker, found)
+        more = self._light.push(frame, as_shown(self.tracker, found))
+        if found.status is not Status.TRACKING or not more:
+            return found, (0.0, 0.0)
+        x, y = found.variance_x_px2 + more, found.variance_y_px2 + more
+        return replace(found, variance_x_px2=x, variance_y_px2=y), (more, more)
 
     def _in_the_dark(self, frame: Frame) -> bool:
         """Whether a frame is black, which the reference is not: what a tracker found in its noise would be wrong."""
@@ -175,6 +190,11 @@ class TargetTracking:
         return np.column_stack((self._pushed.column(1), self._pushed.column(2)))
 
     @property
+    def dark(self) -> Mask:
+        """Which frames (n,) were black, so that nothing was looked for."""
+        return self._pushed.column(3).astype(bool)
+
+    @property
     def _narrow(self) -> PixelTrack:
         """The rows with the variances of the single frames that the tracker believes in."""
         rows = PixelTrack(*(self._rows.column(number) for number in range(REPEATS)))
@@ -210,7 +230,8 @@ class TargetTracking:
         frozen = int(np.count_nonzero(self.frozen))
         told = [f"camera: {frozen} frames only repeat the picture before them (frozen); they were not used."]
         seen = picture_warnings(self._watch, self._narrow, direction) if len(self._rows) and self._watch else []
-        return (told if frozen else []) + seen
+        lit = light_warnings(self.wandering_px2, self._rows.column(0)) if self._light else []
+        return (told if frozen else []) + seen + lit
 
 
 class CameraTracking:
@@ -360,39 +381,3 @@ def is_dark(pixels: NDArray[Any]) -> bool:
     if float(np.mean(pixels)) >= DARK_SHARE * scale:
         return False
     return float(np.percentile(pixels[::4, ::4], 99)) < 2.0 * DARK_SHARE * scale
-
-
-def lost_where(track: PixelTrack, mask: Mask) -> PixelTrack:
-    """The track with the frames of `mask` (n,) marked lost."""
-    if not mask.any():
-        return track
-    empty = {
-        name: np.where(mask, np.nan, getattr(track, name))
-        for name in ("x_px", "y_px", "variance_x_px2", "variance_y_px2")
-    }
-    return replace(track, status=np.where(mask, np.uint8(Status.LOST), track.status), **empty)
-
-
-def more_variance(track: PixelTrack, added_px2: Floats) -> PixelTrack:
-    """The track with variances (n, 2) along x and y added."""
-    if not added_px2.any():
-        return track
-    x, y = (own + more for own, more in zip((track.variance_x_px2, track.variance_y_px2), added_px2.T, strict=True))
-    return replace(track, variance_x_px2=x, variance_y_px2=y)
-
-
-def with_fair_variance(track: PixelTrack) -> PixelTrack:
-    """The track with the usual variance where a frame matched the reference without noise.
-
-    The reference frame (and any frame equal to it) matches itself perfectly and would seem to be known exactly; but its
-    noise is the noise of the template, and the zero of the displacement is no better known than that. A template's
-    noise also enters through the edge of its window, which moves over the frame: measured 1.2 to 1.4 times a frame's
-    own.
-    """
-
-    def fair(variance: Floats) -> Floats:
-        known = variance[np.isfinite(variance)]
-        usual = float(np.median(known)) if len(known) else 0.0
-        return np.where(variance < SUSPICIOUS_SHARE * usual, TEMPLATE_NOISE**2 * usual, variance)
-
-    return replace(track, variance_x_px2=fair(track.variance_x_px2), variance_y_px2=fair(track.variance_y_px2))

@@ -81,6 +81,7 @@ class KeyFrames:
 
     def __init__(self, reference: Frame, region: Region, settings: KeyFrameSettings | None = None) -> None:
         self.settings = settings or KeyFrameSettings()
+        self.covered = 0.0
         self._keys = [self._opened(reference, region)]
         self._chain = first_chain()
         self._current = 0

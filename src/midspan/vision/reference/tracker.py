@@ -10,15 +10,13 @@ Something in front of the target is no light: it hides cells of it from one fram
 there the target is measured by the rest; where light goes on changing, key frames are made of the rest alone.
 """
 
-from dataclasses import replace
 from statistics import fmean
 
 import numpy as np
 
 from midspan.errors import UsageError
 from midspan.records import Event, Floats, Frame, PixelTranslation, Prediction, Status
-from midspan.vision.reference.cover import ALL_SEEN, LATELY, PALING, Uncovered, completed, likeness, uncovered
-from midspan.vision.reference.keys import KeyFrames
+from midspan.vision.reference.cover import completed, likeness
 from midspan.vision.reference.keys import KeyFrameSettings as KeyFrameSettings
 from midspan.vision.reference.light import Sight, inside, placed, sight
 from midspan.vision.reference.pictures import LEAST_SHOWN
@@ -30,31 +28,24 @@ from midspan.vision.reference.records import (
     nearest,
     unmoved,
 )
-from midspan.vision.reference.strength import share_lost
+from midspan.vision.reference.seeing import HEALTH_FRAMES, SeeingKeyFrames, Told
 from midspan.vision.region import check_size
 from midspan.vision.target import lost
 
 USUAL_FRAMES = 5  # frames after a key frame whose strength is its usual one
-HEALTH_FRAMES = 5  # frames that the strength is averaged over
 REACH_SHARE = 0.1  # of the region's side: how sure the last place is for a tracker that is new to the frame
-NEAR_PX = 1.5  # of where the target must be: what a key frame finds beyond is another thing
 ANYWHERE_TURNS = 20  # every so many tries the first frame is looked for everywhere
 CLEARER = 1.5  # times the contrast of a key frame that is mostly noise: time for another
 LEAST_SEEN = 0.35  # share of the target that must be seen to learn from it
-SCATTERED = 2.0  # standard deviations of the strength that say nothing
-WEAK = 0.95  # share of the usual strength below which a single picture is looked at for a thing in front
 TURNED = 0.8  # share of the usual strength below which temperatures are looked at with bright and dark exchanged
 EXCHANGED_TURNS = 4  # every so many tries it is the first frame with bright and dark exchanged
-FAR_SHARE = 0.25  # of the region's side: how far from its last place a target without prediction is believed
 KNOWN_PX = 0.02  # a key frame known so well need not be found again
+COVERED = 0.03  # share of the target covered from which nothing is learnt
 LINK_PX = 0.5  # how well a frame's place must be known to go on from it without overlap
 LINK_FRAMES = 5  # frames that may have been lost since
 
 
-Told = tuple[PixelTranslation, Sight | None, float]  # a result, the frame as seen, its strength
-
-
-class KeyFrameTracker(KeyFrames):
+class KeyFrameTracker(SeeingKeyFrames):
     """Follows a target through changing light; see `midspan.vision.tracker.Tracker` for its interface.
 
     `take_events` tells of key frames, of returns, and of things that come in front of the target and go.
@@ -77,42 +68,15 @@ class KeyFrameTracker(KeyFrames):
         result, view, strength_now = told
         self._front(frame)
         place = np.array([result.x_px, result.y_px])
+        if self.covered > COVERED:
+            self._recent = [*self._recent, place][-2:]
+            return result
         if not self._hidden.any():
             self._counted(strength_now)
             self._last = (frame, place, np.array([result.variance_x_px2, result.variance_y_px2]))
         self._compare(frame, result, view)
         self._recent = [*self._recent, place][-2:]
         return result
-
-    def _remembered(self, frame: Frame, prediction: Prediction | None, *, front: bool) -> Told | None:
-        """The result from where the target must be by now, where its key frame does not find it; `front`: only if
-        something stands in front.
-        """
-        if not self._recent or self._pictures is None or self.settings.heat:
-            return None
-        if prediction is not None:
-            return self._remembered_at(frame, np.array([prediction.x_px, prediction.y_px]), front=front)
-        onward = 2.0 * self._recent[-1] - self._recent[0]
-        told = self._remembered_at(frame, onward, front=front) if len(self._recent) > 1 else None
-        return told or self._remembered_at(frame, self._recent[-1], front=front)
-
-    def _remembered_at(self, frame: Frame, place: Floats, *, front: bool) -> Told | None:
-        """The result with the target looked for at `place` (2,) px from the first frame."""
-        x, y = (float(v) for v in place)
-        seen = self._look(self._current, frame, Prediction(x, y, 1.0, 1.0))
-        off = self._chain.place[self._current] + seen.place - place
-        lost_it = seen.found.status is not Status.TRACKING or float(np.abs(off).max()) > NEAR_PX
-        # The key frame may follow what stands in front: it only says how strong the target is.
-        unsure = self.settings.light_px**2
-        x, y = (float(v) for v in place - self._chain.place[self._current])
-        found = PixelTranslation(frame.time_ns, x, y, unsure, unsure, seen.found.quality, Status.TRACKING)
-        seen = Seen(found, 0.0 if lost_it else seen.strength)
-        before = self._hidden, self._doubtful, self._expected, self._carried, self._lately
-        told = self._result(frame, seen, remembered=True)
-        if told is None or (front and not self._hidden.any()):
-            self._hidden, self._doubtful, self._expected, self._carried, self._lately = before
-            return None
-        return told
 
     def _counted(self, strength_now: float) -> None:
         """The strength of a frame that shows all of the target."""
@@ -135,77 +99,6 @@ class KeyFrameTracker(KeyFrames):
             self._events.append(Event(frame.time_ns, "seen", text))
             self._since_ns = None
 
-    def _result(self, frame: Frame, seen: Seen, *, remembered: bool = False) -> Told | None:
-        """Translation since the first frame, by the mix of all pictures where there is one, the frame as seen, and how
-        strong it is; None where the target is not there.
-
-        Its variance holds those of the key frames' places and of what light may do.
-        """
-        if seen.found.status is not Status.TRACKING:
-            return None
-        place = self._chain.place[self._current] + seen.place
-        variance = self._chain.variance(self._current) + seen.variance
-        usual = self._keys[self._current].usual
-        view, together = self._looked_at(frame, place, weak=seen.strength < WEAK * usual)
-        known = self._pictures
-        found = None if together is None else together.found
-        if remembered and found is None:
-            return None
-        if together is not None:
-            if together.absent:
-                return None
-            self._hidden, self._doubtful = together.hidden, together.doubtful
-        if found is not None and known is not None:
-            self._expected = found.expected
-            if known.several or remembered or self._hidden.any():
-                # What a new picture corrects comes in little by little, not as a step.
-                self._carried = (1.0 - 0.5 / self.settings.overlap_frames) * self._carried
-                place, variance = found.place + self._carried, known.variance(self._chain, found) + self._carried**2
-        self._own = seen.variance
-        recent = [seen.strength] if self._hidden.any() else [*self._health, seen.strength][-HEALTH_FRAMES:]
-        gone = share_lost(fmean(recent), usual) if usual > 0.0 else 0.0
-        mixed = found is not None and known is not None and known.several
-        variance = variance + self.settings.light_px**2 * (gone**2 if mixed else self._shifted(gone))
-        result = replace(
-            seen.found,
-            x_px=float(place[0]),
-            y_px=float(place[1]),
-            variance_x_px2=float(variance[0]),
-            variance_y_px2=float(variance[1]),
-        )
-        return result, view, seen.strength
-
-    def _shifted(self, gone: float) -> float:
-        """Share of strength lost, less its scatter: what goes with the square of a shift, if all of it is shading that
-        moves as the target would.
-        """
-        strengths = self._keys[self._current].strengths
-        scatter = SCATTERED * float(np.std(strengths)) / max(fmean(strengths), 1e-12) if len(strengths) > 1 else 0.0
-        return max(gone - scatter, 0.0)
-
-    def _looked_at(self, frame: Frame, place: Floats, *, weak: bool) -> tuple[Sight | None, Uncovered | None]:
-        """The frame around the target and where it lies by the pictures; these are not asked without need."""
-        known = self._pictures
-        asked = known is not None and (known.several or weak or bool(self._hidden.any()))
-        if not asked:
-            self._lately = LATELY, frame.time_ns
-        if not asked and self._overlap is None:
-            return None, None
-        view = sight(frame.pixels, self.region, place)
-        if known is None or not asked or view is None or self._expected is None:
-            return view, None
-        if self.settings.heat:
-            return view, Uncovered(placed(known.mix, view, place), ALL_SEEN, ALL_SEEN)
-        best, then = self._lately
-        best = best - PALING * (frame.time_ns - then) / 1e9
-        told = uncovered(known.mix, view, place, (self._expected, self._hidden, best))
-        if told.found is not None and not told.absent:
-            agreed = np.where(told.hidden, 1.0, told.found.agreement)
-            self._lately = np.maximum(best, agreed), frame.time_ns
-        else:
-            self._lately = self._lately[0], frame.time_ns
-        return view, told
-
     def _recovered(self, frame: Frame, prediction: Prediction | None) -> Told | None:
         """The frame by another key frame, else by the last one that was tracked, which then becomes one."""
         if prediction is None and self._last is not None:
@@ -220,7 +113,7 @@ class KeyFrameTracker(KeyFrames):
         if self._last is None or self._hidden.any() or self._last[0] is self._keys[self._current].frame:
             return None
         before, place, variance = self._last
-        if variance.max() > LINK_PX**2 or frame.index - before.index > LINK_FRAMES:
+        if self.covered > COVERED or variance.max() > LINK_PX**2 or frame.index - before.index > LINK_FRAMES:
             return None
         try:
             number = self._added(before, place, variance + self.settings.link_floor_px**2)
@@ -240,7 +133,7 @@ class KeyFrameTracker(KeyFrames):
 
         What was warmer than the rest by day may be colder by night.
         """
-        if not self.settings.heat or strength_now >= TURNED * self._keys[self._current].usual:
+        if not self.settings.heat or self.covered > COVERED or strength_now >= TURNED * self._keys[self._current].usual:
             return None
         other = exchanged(frame)
         numbers = [self._current, *nearest(self._current, self._keys, self.settings.related)]
@@ -251,22 +144,6 @@ class KeyFrameTracker(KeyFrames):
             if seen.found.status is Status.TRACKING and seen.strength > best and near:
                 best, found = seen.strength, (number, seen)
         return None if found is None else self._adopted(*found, frame)
-
-    def _near(self, place: Floats, prediction: Prediction | None) -> bool:
-        """Whether a place (2,) px is where the target can be, by the prediction or else by where it was last seen."""
-        if prediction is None:
-            before = np.zeros(2) if self._last is None else self._last[1]
-            return float(np.abs(place - before).max()) <= FAR_SHARE * min(self.region.width, self.region.height)
-        off = np.abs(place - np.array([prediction.x_px, prediction.y_px]))
-        return bool((off <= 3.0 * np.array([prediction.std_x_px, prediction.std_y_px]) + NEAR_PX).all())
-
-    def _aside(self, number: int, frame: Frame, prediction: Prediction | None) -> Seen:
-        """What a key frame says of another picture, without a trace in its tracker."""
-        tracker = self._keys[number].tracker
-        before = tracker.state
-        seen = self._afresh(number, frame, prediction)
-        tracker.restore(before)
-        return seen
 
     def _adopted(self, number: int, seen: Seen, frame: Frame) -> Told | None:
         """A new key frame where an earlier one was `seen` with bright and dark exchanged."""
@@ -283,13 +160,6 @@ class KeyFrameTracker(KeyFrames):
         self._made += 1
         self._switch(new, frame, "bright and dark have changed places")
         self._overlap = Overlap(new, new=False)
-        return told
-
-    def _tried_on(self, number: int, frame: Frame, seen: Seen) -> Told | None:
-        """The result by a key frame that is not in use."""
-        used, self._current = self._current, number
-        told = self._result(frame, seen)
-        self._current = used
         return told
 
     def _compare(self, frame: Frame, result: PixelTranslation, view: Sight | None) -> None:

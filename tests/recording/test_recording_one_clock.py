@@ -1,0 +1,108 @@
+"""A clock that jumps in the middle of a recording: corrected and told, in the band where it is not certain."""
+
+import re
+
+import numpy as np
+import pytest
+
+import midspan
+from midspan.fusion.kalman import KalmanSettings
+from midspan.recording.fusing.one_clock import one_clock
+from midspan.records import Acceleration, Displacement, Floats, Source, nanoseconds
+from midspan.simulate.motion.motion import Sines
+
+ACCELERATION_NOISE, NOISE_M = 3e-3, 2e-5
+BRIDGE = Sines(np.array([5e-3, 2e-3, 1e-3]), np.array([0.41, 1.3, 0.07]), phase_rad=np.array([0.3, 1.0, 0.0]))
+TONE = Sines(np.array([4e-3]), np.array([2.0]))
+
+
+def record(stamps: Floats, true_s: Floats, motion: Sines = BRIDGE) -> tuple[Displacement, Acceleration]:
+    """A sensor that measured at `true_s` (m,) and says that it was at `stamps` (m,); 100 Hz of acceleration."""
+    rng = np.random.default_rng(8)
+    time = np.arange(0.0, true_s[-1] + 1.0, 0.01)
+    pushed = motion.acceleration(time) + rng.normal(0.0, ACCELERATION_NOISE, time.size)
+    value = motion.displacement(true_s) + rng.normal(0.0, NOISE_M, true_s.size)
+    source = np.full(stamps.size, Source.CAMERA, dtype=np.uint8)
+    return (
+        Displacement(nanoseconds(stamps), value, np.full(stamps.size, NOISE_M**2), source),
+        Acceleration(nanoseconds(time), pushed, np.full(time.size, ACCELERATION_NOISE**2 / 100.0)),
+    )
+
+
+def test_the_stamps_after_a_jump_are_moved_and_it_is_told_once():
+    true_s = np.arange(0.5, 40.0, 0.125)
+    measured, acceleration = record(true_s + np.where(true_s >= 25.0, 0.05, 0.0), true_s)
+    found = one_clock(measured, acceleration, KalmanSettings(), "camera", std_s=1e-4)
+    sure = np.abs(true_s - 25.0) > 1.0
+    assert found.std_s is not None
+    assert np.abs(found.measured.time_ns / 1e9 - true_s)[sure].max() < 5.0 * found.std_s
+    assert [event.kind for event in found.events] == ["clock"]
+    assert abs(found.events[0].time_ns / 1e9 - 25.0) < 1.0
+    assert found.warnings == (found.events[0].text,)
+    told = re.search(r": (\S+) ± \S+ ms must be added", found.warnings[0])
+    assert told is not None
+    assert float(told[1]) == pytest.approx(-50.0, abs=5e3 * found.std_s)
+    assert "frames" not in found.warnings[0]
+    # The other axis of the same frames goes by the same clock and says nothing again.
+    beside = found.also(measured)
+    np.testing.assert_array_equal(beside.measured.time_ns, found.measured.time_ns)
+    assert beside.warnings == beside.events == ()
+
+
+def test_a_lost_frame_is_named():
+    true_s = np.delete(np.arange(0.5, 40.0, 0.125), 196)
+    measured, acceleration = record(0.5 + 0.125 * np.arange(true_s.size), true_s)
+    found = one_clock(measured, acceleration, KalmanSettings(), "camera")
+    assert "as if 1 of its frames was lost" in found.warnings[0]
+
+
+def test_a_jump_beside_a_drift_is_taken_out_and_the_drift_too():
+    true_s = np.arange(0.5, 180.0, 0.125)
+    late = 40e-6 * true_s + np.where(true_s >= 100.0, 0.03, 0.0)
+    measured, acceleration = record(true_s - late, true_s)
+    found = one_clock(measured, acceleration, KalmanSettings(), "camera")
+    assert found.std_s is not None
+    assert np.abs(found.measured.time_ns / 1e9 - true_s)[np.abs(true_s - 100.0) > 1.0].max() < 5.0 * found.std_s + 1e-4
+    assert len(found.events) == 1
+
+
+def test_where_a_tone_leaves_two_jumps_their_difference_stands_in_the_band():
+    true_s = np.arange(0.5, 40.0, 0.125)
+    measured, acceleration = record(true_s - np.where(true_s >= 20.0, 0.1, 0.0), true_s, TONE)
+    found = one_clock(measured, acceleration, KalmanSettings(), "camera")
+    assert [level.source for level in found.levels] == [Source.CAMERA]
+    assert not found.levels[0].std_m[true_s < 19.0].any()
+    assert "hardly tells" in found.warnings[0]
+
+
+def test_a_good_clock_is_left_alone():
+    true_s = np.arange(0.5, 60.0, 0.125)
+    measured, acceleration = record(true_s, true_s)
+    found = one_clock(measured, acceleration, KalmanSettings(), "camera")
+    assert found.measured is measured
+    assert (found.std_s, found.warnings, found.events, found.levels) == (None, (), (), ())
+
+
+@pytest.mark.parametrize("broken", ["set", "lost", "doubled"])
+def test_a_displacement_sensor_whose_clock_jumps_stays_in_its_band(broken, tmp_path):
+    stamps, rng = np.arange(0.5, 59.0, 0.1), np.random.default_rng(5)
+    true_s = {
+        "set": stamps - np.where(stamps >= 40.0, 0.05, 0.0),
+        "lost": stamps + np.where(stamps >= 40.0, 0.1, 0.0),
+        "doubled": stamps - np.where(stamps >= 40.0, 0.1, 0.0),
+    }[broken]
+    time = np.arange(0.0, 60.0, 0.01)
+    pushed = BRIDGE.acceleration(time) + rng.normal(0.0, ACCELERATION_NOISE, time.size)
+    value = 1e3 * (BRIDGE.displacement(true_s) + rng.normal(0.0, NOISE_M, true_s.size))
+    for name, table, head in (("a.csv", (time, pushed), "time_s,accel"), ("d.csv", (stamps, value), "time_s,d")):
+        np.savetxt(tmp_path / name, np.column_stack(table), delimiter=",", header=head, comments="", fmt="%.9g")
+    (tmp_path / "recording.toml").write_text(
+        '[accelerometer]\nfile = "a.csv"\nunit = "m/s^2"\n[displacement]\nfile = "d.csv"\nunit = "mm"\n'
+        "[calibration]\nwindow_s = [0.0, 35.0]\n"
+    )
+    found = midspan.estimate(midspan.open_recording(tmp_path))
+    error = found.displacement_mm - 1e3 * BRIDGE.displacement(found.time_s)
+    assert np.mean(np.abs(error) < 1.96 * found.displacement_std_mm) > 0.85
+    # Without the correction it is off by millimetres.
+    assert np.abs(error).max() < 0.1
+    assert [event.kind for event in found.events if event.kind == "clock"] == ["clock"]
