@@ -8,7 +8,8 @@ import pytest
 
 import midspan
 from midspan.cli.main import run as command_line
-from midspan.errors import DataError, UsageError
+from midspan.errors import DataError, UntrustedError, UsageError
+from midspan.recording.camera_calibration.best_range import compared_band
 from midspan.recording.inspect import inspect_recording
 from midspan.recording.stored.calibration_file import load_calibration
 from midspan.recording.tracking.track import TrackRequest, track
@@ -16,6 +17,7 @@ from midspan.records import Region, Source, Status
 from midspan.simulate.motion.motion import Sines
 from midspan.simulate.scene.texture import textured_scene
 from midspan.simulate.scene.thermal import Course, ThermalCamera, ThermalView, WarmBody
+from midspan.thermal.temperature_range import ROUGH, THINNED, band_error
 from recording_edits import append, read_columns, replace_text, set_keys
 
 LENGTH_S, RATE_HZ = 40.0, 6.0
@@ -190,6 +192,66 @@ def test_a_given_range_shows_the_tracker_grey_levels_and_features_find_their_own
     calibration = midspan.calibrate(given)
     assert calibration.infrared.temperature_range_c == (16.0, 24.0)
     assert 1e3 * calibration.infrared.scale.value_m_per_px == pytest.approx(-2.0, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("rate", "given"),
+    [(2.0, None), (4.0, None), (25.0, None), (3.0, (0.1, 2.0)), (4.0, (0.5, 1.4)), (25.0, (0.5, 3.0))],
+)
+def test_the_band_of_the_ranges_is_one_that_the_frames_can_show_even_with_a_fifth_of_them_lost(rate, given):
+    band, count = compared_band(given, rate)
+    # A band that was asked for is not changed.
+    assert band[0] == (min(0.5, 0.05 * rate) if given is None else given[0])
+    whole = np.arange(count) / rate
+    frames = whole[: ROUGH * THINNED : THINNED] if count >= ROUGH * THINNED else whole
+    for time_s in (whole, frames):
+        swing = np.sin(2 * np.pi * 1.2 * band[0] * time_s)
+        swing[::5] = np.nan
+        assert np.isfinite(band_error(time_s, swing, band))
+
+
+def test_a_band_that_the_frames_cannot_show_is_refused():
+    with pytest.raises(UntrustedError, match=r"begins at 0\.5 Hz; frames at 2 Hz"):
+        compared_band((0.5, 3.0), 2.0)
+
+
+def with_scales(result, factors, file):
+    """The result's calibration with other scale factors, and without the cameras whose factor is 0."""
+    tree = result.calibration.to_dict()
+    for sensor, factor in factors.items():
+        if factor == 0.0:
+            del tree[sensor]
+            continue
+        for part in (tree[sensor], *tree[sensor].get("targets", ())):
+            part["scale_mm_per_px"] *= factor
+    file.write_text(json.dumps(tree), encoding="utf-8")
+    return load_calibration(file)
+
+
+def test_a_reversed_sign_of_one_of_two_cameras_is_refused_and_named(day, result, tmp_path):
+    wrong = with_scales(result, {"camera": -1.0}, tmp_path / "wrong.json")
+    with pytest.raises(UntrustedError, match=r"camera: its displacement is -.*scale_mm_per_px .*sign is reversed"):
+        midspan.estimate(midspan.open_recording(day), wrong)
+
+
+def test_a_scale_of_one_of_two_cameras_2_percent_off_is_told_and_in_the_band(day, result, tmp_path):
+    found = midspan.estimate(
+        midspan.open_recording(day), with_scales(result, {"camera": 1.02}, tmp_path / "wrong.json")
+    )
+    (line,) = [line for line in found.warnings if "its displacement is" in line]
+    assert line.startswith("camera: its displacement is 1.0")
+    assert np.mean(np.abs(error_mm(day, found)) < 1.96 * found.displacement_std_mm) > 0.9
+
+
+def test_a_camera_that_the_given_calibration_does_not_have_is_left_out_and_told(day, result, tmp_path):
+    found = midspan.estimate(
+        midspan.open_recording(day), with_scales(result, {"infrared": 0.0}, tmp_path / "half.json")
+    )
+    (line,) = [line for line in found.warnings if "[infrared] is left out" in line]
+    assert "has no infrared part" in line
+    assert Source.INFRARED not in found.estimate.source
+    same = midspan.estimate(midspan.open_recording(day), with_scales(result, {}, tmp_path / "whole.json"))
+    assert not [line for line in same.warnings if "left out" in line or "its displacement is" in line]
 
 
 def test_where_no_range_can_be_chosen_for_features_the_calibration_tells_why(alone):

@@ -28,12 +28,14 @@ class StreamSettings:
     """What the stream cannot know from the data.
 
     rate_hz, displacement_rate_hz: nominal rates, Hz; None: learnt from the first 100 steps and 8 intervals.
+    longest_steps: a displacement interval of more usual ones than this is a gap.
     edges: the state-space model for rows without a full window (ends, gaps); its densities come with the data. Its gate
     judges the displacement, except in the literal forms; NO_GATE: every measurement is used.
     """
 
     rate_hz: float | None = None
     displacement_rate_hz: float | None = None
+    longest_steps: float = LONGEST_STEPS
     edges: KalmanSettings = field(default_factory=KalmanSettings)
 
 
@@ -42,7 +44,7 @@ class Rates:
     """Steps of both series in s, noise density of the acceleration ((m/s²)²/Hz), variance of a displacement (m²).
 
     jittered: whether the acceleration's stamps are too uneven to be taken as even; even_frames: whether the
-    displacement's are so even that a missing one shows.
+    displacement's are so even that a missing one shows; longest_steps: frame steps above which an interval is a gap.
     """
 
     step_s: float
@@ -51,6 +53,7 @@ class Rates:
     variance_m2: float
     jittered: bool = False
     even_frames: bool = False
+    longest_steps: float = LONGEST_STEPS
 
     @property
     def every_s(self) -> float:
@@ -120,7 +123,7 @@ def window_of(branches: Branches, rates: Rates) -> Window:
     delay = half + branches.reach + int(np.ceil(ahead_s / rates.step_s)) + 3
     delay += BEHIND if rates.jittered else 0
     wide = half + (branches.probe.half if branches.probe is not None else 0)
-    return Window(half, wide, branches.reach, delay, LONGEST_STEPS * rates.frame_s, ahead_s)
+    return Window(half, wide, branches.reach, delay, rates.longest_steps * rates.frame_s, ahead_s)
 
 
 class NoiseGain:

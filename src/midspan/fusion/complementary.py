@@ -162,6 +162,7 @@ class ComplementaryFilter:
             variance_m2=_usual(measured.variance_m2, USUAL_VARIANCE),
             jittered=jitter_s > LEAST_JITTER * step_s,
             even_frames=is_even(measured.time_ns, frame_s),
+            longest_steps=self._settings.longest_steps,
         )
 
 

@@ -3,9 +3,11 @@
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from midspan.checks import option
 from midspan.fusion.adaptive import AdaptiveSettings, adapt
-from midspan.fusion.branches import StreamSettings
+from midspan.fusion.branches import LONGEST_STEPS, StreamSettings
 from midspan.fusion.causal import filter_record
 from midspan.fusion.complementary import run as run_branches
 from midspan.fusion.fir import FirFilter, FirSettings
@@ -14,6 +16,10 @@ from midspan.fusion.lag import LagSettings, smooth_with_lag
 from midspan.fusion.smoother import Smoothed, collected, smooth
 from midspan.fusion.two_stage import TwoStageFir, TwoStageSettings
 from midspan.records import Acceleration, Displacement
+
+# The filters are made for the rate of the sensor that begins; one that comes in its place is solved by least squares
+# where its intervals are this much longer: what it folds, they would not know of.
+LONGEST_IN_TURN = 1.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,14 +42,16 @@ class Runner:
 
     run: acceleration, displacement and settings → result. both_ways: it uses what comes later without limit, so that
     its own row is the best that is known of the zero. has_state: it carries a state across the interval after a sample
-    that was put before the first one; to the others that interval is a gap. response: the method whose linear response
-    to an error of the measurements is taken for its own, given the variances that it used.
+    that was put before the first one; to the others that interval is a gap. one_series: its filters are made for the
+    displacement of one sensor at even instants; of several each has its turn. response: the method whose linear
+    response to an error of the measurements is taken for its own, given the variances that it used.
     """
 
     run: Callable[[Acceleration, Displacement, MethodSettings], Smoothed]
     both_ways: bool
     has_state: bool
     response: str
+    one_series: bool = False
 
 
 def _smoother(acceleration: Acceleration, displacement: Displacement, settings: MethodSettings) -> Smoothed:
@@ -64,13 +72,19 @@ def _adaptive(acceleration: Acceleration, displacement: Displacement, settings: 
 
 
 def _fir(acceleration: Acceleration, displacement: Displacement, settings: MethodSettings) -> Smoothed:
-    fir = FirSettings(literal=settings.literal, stream=StreamSettings(edges=settings.kalman))
+    fir = FirSettings(literal=settings.literal, stream=_stream(displacement, settings))
     return collected(run_branches(FirFilter(fir), acceleration, displacement))
 
 
 def _two_stage(acceleration: Acceleration, displacement: Displacement, settings: MethodSettings) -> Smoothed:
-    two_stage = TwoStageSettings(literal=settings.literal, stream=StreamSettings(edges=settings.kalman))
+    two_stage = TwoStageSettings(literal=settings.literal, stream=_stream(displacement, settings))
     return collected(run_branches(TwoStageFir(two_stage), acceleration, displacement))
+
+
+def _stream(displacement: Displacement, settings: MethodSettings) -> StreamSettings:
+    """The streams' settings; a second sensor that is much slower than the first leaves gaps, not frames out."""
+    several = len(np.unique(displacement.source)) > 1
+    return StreamSettings(longest_steps=LONGEST_IN_TURN if several else LONGEST_STEPS, edges=settings.kalman)
 
 
 RUNNERS: dict[str, Runner] = {
@@ -78,8 +92,8 @@ RUNNERS: dict[str, Runner] = {
     "kalman": Runner(_kalman, both_ways=False, has_state=True, response="kalman"),
     "lag": Runner(_lag, both_ways=False, has_state=True, response="lag"),
     "adaptive-kalman": Runner(_adaptive, both_ways=False, has_state=True, response="kalman"),
-    "fir": Runner(_fir, both_ways=True, has_state=False, response="fir"),
-    "two-stage-fir": Runner(_two_stage, both_ways=True, has_state=False, response="two-stage-fir"),
+    "fir": Runner(_fir, both_ways=True, has_state=False, response="fir", one_series=True),
+    "two-stage-fir": Runner(_two_stage, both_ways=True, has_state=False, response="two-stage-fir", one_series=True),
 }
 
 

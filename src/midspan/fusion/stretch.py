@@ -29,6 +29,8 @@ from midspan.signals.fir import FilterBank
 
 # Rows without a full window are solved in pieces of at least so many.
 SHORTEST_PIECE = 256
+# Gaps that follow each other at once are told as one, each of them up to so many of the filters' intervals long.
+MOST_IN_A_ROW_STEPS = 20.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +75,8 @@ class Stretch:
         self._displacement, self._folded, self._variance = np.empty(0), np.empty(0), np.empty(0)
         self._sound = np.empty(0, dtype=np.bool_)
         self._piece: tuple[int, Estimate] | None = None
+        # The gap met last, which the next one may go on: start and end in s, and how many intervals it is.
+        self._gap: tuple[float, float, int] | None = None
 
     def push(self, acceleration: Acceleration, displacement: Screened) -> list[Estimate | Event]:
         """Take samples and all displacement up to the last of them; returns the rows that are due.
@@ -98,7 +102,8 @@ class Stretch:
             return []
         if self._clock.behind:
             self._take(*self._clock.finish())
-        return self._advance(final=True)
+        outputs = self._advance(final=True)
+        return [*outputs, *([] if self._gap is None else [self._told(*self._gap)])]
 
     def _take(self, time_s: Floats, value: Floats) -> None:
         self._time_s = np.concatenate((self._time_s, time_s))
@@ -115,13 +120,38 @@ class Stretch:
         if last < 0:
             return []
         known_s = np.inf if final else float(self._time_s[last])
-        outputs: list[Estimate | Event] = [self._told(*gap) for gap in self._knots.prepare(grid, known_s)]
+        outputs: list[Estimate | Event] = list(self._gaps(self._knots.prepare(grid, known_s), known_s))
         self._interpolate(known_s - self._window.ahead_s)
         return [*outputs, *self._rows(final=final)]
 
-    def _told(self, start_s: float, end_s: float) -> Event:
+    def _gaps(self, found: list[tuple[float, float]], known_s: float) -> list[Event]:
+        """The gaps that are over; those that follow each other at once are one: a sensor slower than the filters."""
+        told, frame_s = [], self._method.rates.frame_s
+        longest_s = MOST_IN_A_ROW_STEPS * frame_s
+        for start_s, end_s in found:
+            if self._gap is not None and start_s == self._gap[1] and end_s - start_s <= longest_s:
+                self._gap = (self._gap[0], end_s, self._gap[2] + 1)
+                continue
+            told += [] if self._gap is None else [self._told(*self._gap)]
+            self._gap = (start_s, end_s, 1)
+            if end_s - start_s > longest_s:
+                told.append(self._told(*self._gap))
+                self._gap = None
+        # What would go on with it is known by now, however the input was cut.
+        if self._gap is not None and known_s > self._gap[1] + longest_s + frame_s:
+            told.append(self._told(*self._gap))
+            self._gap = None
+        return told
+
+    def _told(self, start_s: float, end_s: float, count: int) -> Event:
+        length = f"No displacement for {end_s - start_s:.3g} s that may be used"
+        if count > 1:
+            length = (
+                f"For {end_s - start_s:.3g} s displacement came every {(end_s - start_s) / count:.2g} s only, and not "
+                f"every {self._method.rates.frame_s:.3g} s as the filters are made for"
+            )
         text = (
-            f"No displacement for {end_s - start_s:.3g} s that may be used: the filters' memory was reset; rows that "
+            f"{length}: the filters' memory was reset; rows that "
             "would need it are solved by least squares from what there is, with the wider band that belongs to it."
         )
         return Event(self._origin_ns + round(start_s * NANOSECONDS), "gap", text)

@@ -13,7 +13,7 @@ from midspan.fusion.runners import MethodSettings
 from midspan.fusion.smoother import Smoothed
 from midspan.recording.calibrate import calibrate_and_track
 from midspan.recording.fusing.fuse import FusionInputs, fuse
-from midspan.recording.fusing.scale_check import SCALED, scale_warnings
+from midspan.recording.fusing.scale_check import SCALED, Fitting, fitting
 from midspan.recording.inputs import Gathered, gather
 from midspan.recording.radar.literal import require_same_way
 from midspan.recording.result import Result
@@ -81,7 +81,11 @@ def _estimate(
     _require(recording, calibration)
     gathered = gather(recording, calibration, tracking, progress)
     progress(0, 1, "fusing")
-    scaled = _given_warnings(recording, calibration, gathered) if asked.given else []
+    scaled: list[str] = []
+    if asked.given:
+        fits = _given(recording, calibration, gathered)
+        gathered, scaled = replace(gathered, inputs=replace(gathered.inputs, errors=fits.errors)), fits.warnings
+        scaled += _uncalibrated(recording, calibration)
     fused = fuse(gathered.inputs, method, _method_settings(recording))
     _refuse_rejections(recording, fused.innovation)
     result = _cut(recording, gathered.inputs, fused.estimate)
@@ -114,12 +118,22 @@ def _estimate(
     )
 
 
-def _given_warnings(recording: Recording, calibration: Calibration, gathered: Gathered) -> list[str]:
-    """What to tell of a calibration that does not quite fit; UntrustedError where it does not."""
+def _given(recording: Recording, calibration: Calibration, gathered: Gathered) -> Fitting:
+    """How a calibration that was given fits the recording; UntrustedError where it does not."""
     literal = calibration.radar is not None and calibration.radar.literal
     # The factor as printed is known to be off.
     sources = [source for source in SCALED if not (literal and source == Source.RADAR)]
-    return scale_warnings(gathered.inputs, max_offset_s=recording.settings.calibration.max_offset_s, sources=sources)
+    return fitting(gathered.inputs, max_offset_s=recording.settings.calibration.max_offset_s, sources=sources)
+
+
+def _uncalibrated(recording: Recording, calibration: Calibration) -> list[str]:
+    """What to tell of a camera that the recording has and the calibration that was given has not."""
+    return [
+        f"[{view.sensor}] is left out of the result: the calibration that was given has no {view.sensor} part. Run "
+        "`midspan calibrate` on a recording with both cameras."
+        for view in recording.cameras
+        if calibration.of(view.sensor) is None
+    ]
 
 
 def _events(recording: Recording, gathered: Gathered, more: tuple[Event, ...]) -> tuple[Event, ...]:
@@ -146,7 +160,9 @@ def _second(
     view, scaled = recording.across, []
     try:
         if given and view is not None and gathered.across is not None and _fused_across(calibration):
-            scaled = scale_warnings(gathered.across, f" along {view.axis}")
+            fits = fitting(gathered.across, f" along {view.axis}")
+            gathered = replace(gathered, across=replace(gathered.across, errors=fits.errors))
+            scaled = fits.warnings
         found = _across(recording, calibration, gathered, main)
     except UntrustedError as error:
         return None, [f"The second axis {'' if view is None else view.axis} is left out of the result. {error}"]

@@ -83,6 +83,8 @@ _numbers = attrgetter(*(field.name for field in fields(PictureQuality)))
 class Check:
     """Noise of one frame in its difference to the frame before, to one at least eight frames ago, to the reference;
     its steps at the edges of blocks; the shares of it that are flat blocks and at the ends of the scale.
+
+    soon: whether all of these are from the first seconds, in which light has hardly changed.
     """
 
     before: Difference
@@ -91,6 +93,7 @@ class Check:
     blockiness: float
     stairs: float
     ends: float
+    soon: bool = False
 
     @property
     def inherited(self) -> tuple[float, float]:
@@ -160,16 +163,29 @@ class PictureWatch:
             stairs = float(np.median([check.stairs for check in self._checks]))
             variance = (STAIR_STD_PX * stairs * min(max(blocky / ONLY_STAIRS, 0.0), 1.0)) ** 2
             colour = float(np.median([check.colour for check in self._checks]))
-            chance = CHANCE_SHARE + CHANCE_SHARE_ONCE * SAMPLE_PX / self._size / math.sqrt(len(self._checks))
             # Against the reference alone: a change of light parts frames from it too, but leaves their noise white;
             # blur does not.
             clear = shares[1] > CLEAR_SHARE and colour > CLEAR_COLOUR and not self._changed_focus
-            if shares[0] > chance or clear:
+            if (shares[0] > self._chance(self._checks) or clear) and self._soon_too:
                 share = float(max(shares))
                 variance += _inherited_std_px(share, colour, blocky) ** 2
         if share == 0.0 and frozen > STANDSTILL and blocky < CODED_ALONE:
             variance += STANDSTILL_STD_PX**2
         return Compression(share, frozen, math.sqrt(variance))
+
+    def _chance(self, checks: list[Check]) -> float:
+        """The share that chance makes of raw frames in as many checks."""
+        return CHANCE_SHARE + CHANCE_SHARE_ONCE * SAMPLE_PX / self._size / math.sqrt(len(checks))
+
+    @property
+    def _soon_too(self) -> bool:
+        """Whether frames inherit in the first checks as well: light that turns parts only those long after each other,
+        whatever a codec does.
+        """
+        soon = [check for check in self._checks if check.soon]
+        if len(soon) < LEAST_CHECKS:
+            return True
+        return float(np.max(np.median([check.inherited for check in soon], axis=0))) > self._chance(soon)
 
     @property
     def _changed_focus(self) -> bool:
@@ -261,6 +277,7 @@ class PictureWatch:
                 blockiness=blockiness(cut, place.x, place.y),
                 stairs=stair_share(cut, place.x, place.y),
                 ends=share_at_ends(cut),
+                soon=len(self._rows) in FIRST_CHECKS,
             )
             self._checks.append(check)
         self._earlier = sample or self._earlier

@@ -17,7 +17,7 @@ from midspan.recording.tracking.temperatures import IN_GREY, is_grey
 from midspan.recording.tracking.tracking import CameraTracking
 from midspan.records import NANOSECONDS, Floats, Frame, Nanoseconds, PixelTrack, Region
 from midspan.settings.camera import InfraredSettings
-from midspan.thermal.temperature_range import Expected, RangeSurface, optimise_range
+from midspan.thermal.temperature_range import ROUGH, THINNED, Expected, RangeSurface, optimise_range
 from midspan.vision.reference.strength import open_counting
 
 # So many frames of the calibration are compared; displacement is let in so much more weakly than it is known, that the
@@ -25,6 +25,9 @@ from midspan.vision.reference.strength import open_counting
 FRAMES, WEAKER = 90, 1e4
 LEAST_FRAMES = 8
 SLOWEST_HZ, FASTEST_SHARE = 0.5, 0.45
+# Thinned frames, some of them lost, show what lies above this share of the frame rate apart from what is slower; as
+# many as are compared without thinning show it up to the second share.
+SHOWN_SHARE, NOT_THINNED, SHOWN_NOT_THINNED = 0.05, ROUGH * THINNED - 1, 0.18
 
 
 def wants_range(view: Recording) -> bool:
@@ -48,26 +51,37 @@ def best_range(view: Recording, tracking: CameraTracking, fit: CameraFit) -> Ran
     first = settings.first
     last = int(np.searchsorted(view.frames.times_ns(), window_ends(view)[1], side="right"))
     frames = list(islice(view.frames.frames(first, min(last, first + FRAMES)), FRAMES))
-    time_s = [frame.time_ns / NANOSECONDS for frame in frames]
-    rate = 1.0 / float(np.median(np.diff(time_s))) if len(time_s) > 1 else 0.0
-    band = view.settings.calibration.band_hz or (SLOWEST_HZ, math.inf)
-    band = (band[0], min(band[1], FASTEST_SHARE * rate))
     if len(frames) < LEAST_FRAMES:
         raise UntrustedError(
             f"The calibration holds {len(frames)} frames from the reference frame on; at least {LEAST_FRAMES} are "
             "needed. Choose a longer calibration.window_s."
         )
-    if band[0] >= band[1]:
-        raise UntrustedError(
-            f"Frames at {rate:.3g} Hz show no motion above {band[0]:g} Hz, where ranges are compared. Use more frames "
-            "a second, or a lower calibration.band_hz."
-        )
+    rate = NANOSECONDS / float(np.median(np.diff([frame.time_ns for frame in frames])))
+    band, count = compared_band(view.settings.calibration.band_hz, rate)
+    frames = frames[:count]
     expected = _expected_px(view, tracking, fit, np.array([frame.time_ns for frame in frames], dtype=np.int64))
 
     def follow(greys: Sequence[Frame]) -> PixelTrack:
         return _followed(greys, region, settings.tracker, settings.tracker_settings)
 
     return optimise_range(frames, region, follow, Expected(expected, view.axis, band))
+
+
+def compared_band(given: tuple[float, float] | None, rate: float) -> tuple[tuple[float, float], int]:
+    """The band (Hz) that ranges are compared in at a frame rate (Hz), and on how many frames at most.
+
+    given: calibration.band_hz. Raises UntrustedError where the frames are too slow for it.
+    """
+    low, high = given or (min(SLOWEST_HZ, SHOWN_SHARE * rate), math.inf)
+    high = min(high, FASTEST_SHARE * rate)
+    if low <= SHOWN_SHARE * rate and low < high:
+        return (low, high), FRAMES
+    if low <= SHOWN_NOT_THINNED * rate and low < high:
+        return (low, high), NOT_THINNED
+    raise UntrustedError(
+        f"calibration.band_hz begins at {low:g} Hz; frames at {rate:.3g} Hz show ranges' errors apart from drift only "
+        f"where it begins at {SHOWN_NOT_THINNED * rate:.2g} Hz or lower. Use more frames a second, or a lower band."
+    )
 
 
 def _followed(frames: Sequence[Frame], region: Region, name: str, settings: object) -> PixelTrack:

@@ -18,7 +18,9 @@ from midspan.records import NANOSECONDS, Displacement, Floats, Source, part, sec
 # So much of the recording is compared at most, for speed.
 COMPARED_S = 300.0
 # A scale that is off by this share is told; beyond the second it is refused. Both only beyond so many deviations.
-TOLD, REFUSED, CERTAIN = 0.05, 0.2, 5.0
+TOLD, REFUSED, CERTAIN = 0.005, 0.2, 5.0
+# What it is off by beyond so many deviations goes into the band, however little it is.
+EXPECTED = 2.0
 # The accelerometer's noise may make this share of the motion that it tells; above it hides the scale.
 MOST_NOISE = 0.1
 # A clock that is off by so many deviations is told from so many noise deviations of the displacement on, and refused
@@ -63,31 +65,55 @@ def apparent_scales(
     return [one for one in found if one is not None]
 
 
-def scale_warnings(
+@dataclass(frozen=True, slots=True)
+class Fitting:
+    """What to tell of a calibration that was given, and what is uncertain of each sensor with what it is off by."""
+
+    warnings: list[str]
+    errors: tuple[SensorError, ...]
+
+
+def fitting(
     inputs: FusionInputs, along: str = "", *, max_offset_s: float = 0.0, sources: Iterable[Source] = SCALED
-) -> list[str]:
-    """What to tell of sensors whose calibrated scale or clock is not the recording's; along: a second axis in words.
+) -> Fitting:
+    """How the calibrated scales and clocks fit the recording; along: a second axis in words.
 
     max_offset_s: largest clock offset looked for; sources: the sensors compared. Raises UntrustedError where one is
     wrong beyond doubt.
     """
-    told = []
+    sources, told = tuple(sources), []
+    errors = {error.source: error for error in inputs.errors}
+    # A camera that contradicts another one has lost these measurements: turned round it would seem to have none.
+    for block in inputs.cameras:
+        whole = [source for source in sources if source == block.source[0]]
+        for scale in apparent_scales(replace(inputs, displacement=block), max_offset_s, whole):
+            _scale_warnings(scale, errors.get(scale.source, SensorError(scale.source)).relative_scale_std, along)
     for scale in apparent_scales(inputs, max_offset_s, sources):
-        known = next((error for error in inputs.errors if error.source == scale.source), SensorError(scale.source))
+        known = errors.get(scale.source, SensorError(scale.source))
         told += [*_clock_warnings(scale, known), *_scale_warnings(scale, known.relative_scale_std, along)]
-    return told
+        errors[scale.source] = replace(known, relative_scale_std=_with_surplus(scale, known.relative_scale_std))
+    return Fitting(told, tuple(errors.values()))
+
+
+def _with_surplus(scale: ApparentScale, known: float) -> float:
+    """A scale's relative standard deviation with what it is off by beyond what both deviations let expect."""
+    expected = EXPECTED * float(np.hypot(scale.std, known))
+    return float(np.sqrt(known**2 + max((scale.value - 1.0) ** 2 - expected**2, 0.0)))
 
 
 def _scale_warnings(scale: ApparentScale, known: float, along: str) -> list[str]:
     off, least = abs(scale.value - 1.0), CERTAIN * float(np.hypot(scale.std, known))
+    if off <= max(TOLD, least):
+        return []
     text = (
-        f"{scale.source.word}: its displacement{along} is {scale.value:.3g} ± {max(scale.std, known):.2g} times "
-        f"the accelerometer's where 1 is expected: the calibration's {SCALED[scale.source]} does not belong to this "
-        "recording. Calibrate this recording."
+        f"{scale.source.word}: its displacement{along} is {scale.value:.4g} ± {float(np.hypot(scale.std, known)):.2g} "
+        f"times the accelerometer's where 1 is expected: the calibration's {SCALED[scale.source]} does not belong to "
+        "this recording"
     )
-    if off > max(REFUSED, least):
-        raise UntrustedError(text)
-    return [text] if off > max(TOLD, least) else []
+    if off <= max(REFUSED, least):
+        return [f"{text}; the error band holds the {100.0 * off:.2g} %. Calibrate this recording."]
+    turned = " The sign is reversed." if abs(scale.value + 1.0) < max(REFUSED, least) else ""
+    raise UntrustedError(f"{text}.{turned} Calibrate this recording.")
 
 
 def _clock_warnings(scale: ApparentScale, known: SensorError) -> list[str]:
