@@ -31,6 +31,11 @@ def fog(stack, rng):
     stack[:] = 15.0 + share[:, None, None] * (stack - 15.0) + rng.normal(0.0, 0.05, stack.shape)
 
 
+def dusk(stack, rng):
+    share = np.linspace(1.0, -1.0, FRAMES)
+    stack[:] = 15.0 + share[:, None, None] * (stack - 15.0) + rng.normal(0.0, 0.05, stack.shape)
+
+
 def body_that_comes_later(stack, rng):
     stack[20:50, :, 10:60] = 33.0
 
@@ -50,11 +55,12 @@ def body_beside_the_target(stack, rng):
         (shutter, 3, "the first 3 frames show a closed shutter or a cover; they were skipped"),
         (body, 10, "the first 10 frames show something else over 40 % of a target; they were skipped"),
         (fog, 0, ""),
+        (dusk, 0, ""),
         (body_that_comes_later, 0, ""),
         (body_that_stays, 0, ""),
         (body_beside_the_target, 0, ""),
     ],
-    ids=["wall", "shutter", "body", "fog", "later", "stays", "beside"],
+    ids=["wall", "shutter", "body", "fog", "dusk", "later", "stays", "beside"],
 )
 def test_the_first_frame_used_is_the_first_that_shows_the_target(tmp_path, change, skipped, reason):
     rng = np.random.default_rng(5)

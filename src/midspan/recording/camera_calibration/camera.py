@@ -149,6 +149,10 @@ def _named(tracking: CameraTracking, target: TargetTracking, text: str) -> str:
 def camera_pair(recording: Recording, track: PixelTrack, blur_s: float) -> Pair:
     """A target's translation along the recording's axis, and the acceleration, in the calibration window."""
     first, last = window_ends(recording)
+    if not len(track.time_ns):
+        raise UntrustedError(
+            "No frame of the calibration window shows the target. Choose another calibration.window_s or region."
+        )
     # Frames close to the window's ends could fall outside it at the largest clock offset and would change the sum.
     margin = round(recording.settings.calibration.max_offset_s * NANOSECONDS)
     last = min(last, int(track.time_ns[-1]) + margin + NANOSECONDS)

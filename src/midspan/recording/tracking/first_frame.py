@@ -26,6 +26,7 @@ SUDDEN_FRAMES = 3
 # more than the second is, for so many seconds.
 FREE_SHARE, COVERED_SHARE = 0.02, 0.1
 LONGEST_WAIT_S = 60.0
+MOST_OF_BOTH = 0.1
 _LEAST_APART_K = 1.0
 
 
@@ -138,10 +139,12 @@ def _covered(
 
 
 def _far_share(now: NDArray[Any], usual: NDArray[Any]) -> float:
-    """Share of a target's pixels that lie outside its usual temperatures by more than these are wide, levels apart."""
+    """Share of a target's pixels that lie outside its usual temperatures by more than these are wide, on one side."""
     low, high = (float(v) for v in np.percentile(usual, (1.0, 99.0)))
     apart = max(high - low, _LEAST_APART_K)
-    return float(np.mean((now > high + apart) | (now < low - apart)))
+    warmer, colder = float(np.mean(now > high + apart)), float(np.mean(now < low - apart))
+    # A body is warmer than the wall or colder; a wall whose contrast fades or turns is both.
+    return 0.0 if min(warmer, colder) > MOST_OF_BOTH * max(warmer, colder) else warmer + colder
 
 
 def _flat(usual_k: float) -> float:
