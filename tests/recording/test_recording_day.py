@@ -25,9 +25,6 @@ def test_every_second_of_a_day_has_a_row_with_a_status_and_a_source(account):
     assert sum(account.shares[s] for s in ("camera", "infrared", "prediction")) == pytest.approx(1.0)
 
 
-@pytest.mark.xfail(
-    reason="at dusk bright and dark of the wall change places within seconds here, and key frames wander or break off"
-)
 def test_the_error_stays_bounded_through_dusk_night_and_dawn(account):
     # By day and by night alike: a quarter of a pixel and less, as key frames of temperatures wander by 0.1 to 0.3 px.
     assert len(account.rms_mm) == 24
@@ -35,9 +32,6 @@ def test_the_error_stays_bounded_through_dusk_night_and_dawn(account):
     assert account.largest_mm < 0.6
 
 
-@pytest.mark.xfail(
-    reason="at dusk bright and dark of the wall change places within seconds here, and key frames wander or break off"
-)
 def test_infrared_carries_the_night_and_nothing_is_missing_for_longer_than_a_shutter(account):
     # The night lasts 24 h · (1 - 2 arccos(-tan 45° tan 8°) / 360°) = 11 h.
     assert account.shares["infrared"] > 0.95 * 11.0 / 24.0
