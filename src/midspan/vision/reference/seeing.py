@@ -65,7 +65,8 @@ class SeeingKeyFrames(KeyFrames):
         if seen.found.status is not Status.TRACKING:
             return None
         place = self._chain.place[self._current] + seen.place
-        variance = self._chain.variance(self._current) + seen.variance
+        own = seen.variance
+        variance = self._chain.variance(self._current) + own
         usual = self._keys[self._current].usual
         view, together = self._looked_at(frame, place, weak=seen.strength < WEAK * usual)
         known = self._pictures
@@ -82,7 +83,9 @@ class SeeingKeyFrames(KeyFrames):
                 # What a new picture corrects comes in little by little, not as a step.
                 self._carried = (1.0 - 0.5 / self.settings.overlap_frames) * self._carried
                 place, variance = found.place + self._carried, known.variance(self._chain, found) + self._carried**2
-        self._own = seen.variance
+                # What blocks contradict each other by beyond noise stays for many frames, as the places' errors do.
+                own = np.minimum(own, found.variance)
+        self._own = own
         recent = [seen.strength] if self._hidden.any() else [*self._health, seen.strength][-HEALTH_FRAMES:]
         gone = share_lost(fmean(recent), usual) if usual > 0.0 else 0.0
         mixed = found is not None and known is not None and known.several
