@@ -170,7 +170,7 @@ def test_frozen_heights_are_looked_for_once_an_estimate_and_told_and_left_out(gn
         looks.append(stuck(*arguments, **keywords))
         return looks[-1]
 
-    monkeypatch.setattr("midspan.recording.displacement.stuck", counted)
+    monkeypatch.setattr("midspan.recording.displacement.sensor.stuck", counted)
     found = midspan.estimate(midspan.open_recording(gnss_copy), result.calibration)
     assert len(looks) == 1
     told = [event for event in found.events if event.kind == "frozen"]

@@ -36,6 +36,10 @@ def dusk(stack, rng):
     stack[:] = 15.0 + share[:, None, None] * (stack - 15.0) + rng.normal(0.0, 0.05, stack.shape)
 
 
+def cooling(stack, rng):
+    stack += np.linspace(0.0, -12.0, FRAMES)[:, None, None]
+
+
 def body_that_comes_later(stack, rng):
     stack[20:50, :, 10:60] = 33.0
 
@@ -56,11 +60,12 @@ def body_beside_the_target(stack, rng):
         (body, 10, "the first 10 frames show something else over 40 % of a target; they were skipped"),
         (fog, 0, ""),
         (dusk, 0, ""),
+        (cooling, 0, ""),
         (body_that_comes_later, 0, ""),
         (body_that_stays, 0, ""),
         (body_beside_the_target, 0, ""),
     ],
-    ids=["wall", "shutter", "body", "fog", "dusk", "later", "stays", "beside"],
+    ids=["wall", "shutter", "body", "fog", "dusk", "cooling", "later", "stays", "beside"],
 )
 def test_the_first_frame_used_is_the_first_that_shows_the_target(tmp_path, change, skipped, reason):
     rng = np.random.default_rng(5)

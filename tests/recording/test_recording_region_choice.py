@@ -139,7 +139,7 @@ def test_a_place_contradicts_by_the_kind_of_the_refusal_whatever_its_words(error
     def refused(*_):
         raise error("Any words")
 
-    monkeypatch.setattr("midspan.recording.calibrate_camera.camera_pair", refused)
+    monkeypatch.setattr("midspan.recording.camera_calibration.camera.camera_pair", refused)
     found = judged_by(SimpleNamespace(exposure_s=None), None)
     assert (found.contradicts, found.std_m) == (contradicts, np.inf)
 

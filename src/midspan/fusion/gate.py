@@ -66,6 +66,9 @@ CONFIRMATIONS = 3
 STEPPED, UNSTEADY = 3.0, 4.0
 # A level of its own begins beyond so many limits of the gate.
 CLEARLY_OFF = 1.5
+# Where the second rejection lies this much farther off than the first, the prediction runs away from the truth: a level
+# does not double in an interval.
+RUNS_AWAY = 1.6
 # Rejected ones keep to their level while the squares of their steps come to less than this, and so much more for each.
 LEAST_UNSTEADY, UNSTEADY_EACH = 10.0, 3.0
 
@@ -184,7 +187,8 @@ def judged(s, stamp, innovation, total, limits, back_within):  # type: ignore[no
         unsteady = s[LEVEL] - 1.0 > LEAST_UNSTEADY + UNSTEADY_EACH * rejections
         # Later it may be the prediction's drift that brings the level there.
         back = rejections < back_within and innovation * innovation <= limits[0] * limits[0] * s[FIRST_TOTAL]
-        if unsteady or back:
+        away = rejections == 1 and innovation * s[FIRST_INNOVATION] > RUNS_AWAY * s[FIRST_INNOVATION] ** 2
+        if unsteady or back or away:
             s[LEVEL] = 0.0
     near_ones = s[NEAR_ONES] + 1.0 if is_near(innovation, s[FIRST_TOTAL], limits) else 0.0
     steps = (step, np.sqrt(squared / (2.0 * noise + drifted)))
