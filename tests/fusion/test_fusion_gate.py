@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from fusion_oracles import acceleration_block, displacement_block, filtered
 
-from midspan.fusion.gate import ACCEPTED, REACQUIRED, REJECTED
+from midspan.fusion.gate import ACCEPTED, REACQUIRED, REJECTED, judged
 from midspan.fusion.smoother import smooth
+from midspan.fusion.state_space import P00, P11, STATE_SIZE
 from midspan.records import Event, Innovation, Source, Status
 
 NOISE_M, NOISE_A = 1e-4, 2e-3
@@ -196,3 +197,22 @@ def test_reacquisition_waits_five_seconds_and_at_least_five_measurements(interva
     assert stamps[taken[0]] - stamps[first] == pytest.approx(until_s, abs=1e-9)
     assert np.all(verdicts[first : taken[0]] == REJECTED)
     assert len(taken) == 1
+
+
+def in_a_row(innovations_mm, deviations_mm, noise_mm=0.012, velocity_mm_s=0.15):
+    """Verdicts on innovations every quarter of a second, whose predicted deviations grow as given."""
+    s = np.zeros(STATE_SIZE)
+    verdicts = []
+    for k, (innovation, deviation) in enumerate(zip(innovations_mm, deviations_mm, strict=True)):
+        s[P00], s[P11] = deviation**2 - noise_mm**2, velocity_mm_s**2
+        verdicts.append(judged(s, (0.25 * (k + 1), 0.0), innovation, deviation**2, (4.0, 5.0), 3.0)[0])
+    return verdicts
+
+
+def test_a_prediction_that_runs_away_is_no_level_but_a_level_is():
+    deviations = [0.027, 0.068, 0.122, 0.188]
+    # Just beyond six deviations at first, then twice, three, four times as far: a velocity that is wrong. The third
+    # lies inside four deviations of what is predicted by then.
+    assert in_a_row([-0.163, -0.330, -0.464, -0.577], deviations)[2] == ACCEPTED
+    # The same distance, kept: another level, which has to last for five seconds.
+    assert in_a_row([-0.163, -0.170, -0.165, -0.175], deviations) == [REJECTED] * 4
