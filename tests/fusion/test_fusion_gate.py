@@ -199,7 +199,7 @@ def test_reacquisition_waits_five_seconds_and_at_least_five_measurements(interva
     assert len(taken) == 1
 
 
-def in_a_row(innovations_mm, deviations_mm, noise_mm=0.012, velocity_mm_s=0.15):
+def in_a_row(innovations_mm, deviations_mm, noise_mm=0.012, velocity_mm_s=0.2):
     """Verdicts on innovations every quarter of a second, whose predicted deviations grow as given."""
     s = np.zeros(STATE_SIZE)
     verdicts = []
@@ -213,6 +213,6 @@ def test_a_prediction_that_runs_away_is_no_level_but_a_level_is():
     deviations = [0.027, 0.068, 0.122, 0.188]
     # Just beyond six deviations at first, then twice, three, four times as far: a velocity that is wrong. The third
     # lies inside four deviations of what is predicted by then.
-    assert in_a_row([-0.163, -0.330, -0.464, -0.577], deviations)[2] == ACCEPTED
+    assert in_a_row([-0.163, -0.320, -0.448, -0.560], deviations)[2] == ACCEPTED
     # The same distance, kept: another level, which has to last for five seconds.
     assert in_a_row([-0.163, -0.170, -0.165, -0.175], deviations) == [REJECTED] * 4

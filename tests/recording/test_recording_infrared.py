@@ -328,7 +328,7 @@ def test_key_frames_follow_a_wall_that_cools_and_their_own_error_does_not_averag
     assert len(told) >= 3
     error, std = error_mm(crossover, result), result.displacement_std_mm
     assert np.mean(np.abs(error) <= 1.96 * std) > 0.9
-    # Noise of 0.05 K leaves 0.005 mm after fusion; the places of the new references stay uncertain for all frames alike.
+    # Noise of 0.05 K leaves 0.005 mm after fusion; the places of new references stay uncertain for all frames alike.
     assert np.median(std[-500:]) > 0.02
 
 

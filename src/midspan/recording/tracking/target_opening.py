@@ -24,6 +24,8 @@ HEAT: dict[str, Any] = {
     "renew_share": 0.95,
     "return_share": 0.97,
 }
+# Of a target's pixels; the others are shown as black or white.
+LEAST_INSIDE = 0.05
 
 
 @dataclass(frozen=True, slots=True)
