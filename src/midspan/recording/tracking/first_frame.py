@@ -130,7 +130,8 @@ def _covered(
     last, share = times[0] + round(LONGEST_WAIT_S * NANOSECONDS), 0.0
     for number, frame in enumerate(islice(source.frames(used.start, used.stop), MOST_SKIPPED)):
         # The whole picture warms and cools with the day, and its middle with it.
-        seen = frame.pixels - np.float32(np.median(frame.pixels) - np.median(usual))
+        celsius = frame.pixels.astype(np.float32)
+        seen = celsius - np.float32(np.median(celsius) - np.median(usual))
         now = max((_far_share(_cut(seen, region), _cut(usual, region)) for region in regions), default=0.0)
         share = share if number else now
         if share < COVERED_SHARE or frame.time_ns > last:
