@@ -6,6 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from midspan.calibration.clock_jumps import LARGEST_S, Beside, ClockJump, clock_jumps, lateness
+from midspan.errors import UntrustedError
+from midspan.fusion.gate import ACCEPTED
 from midspan.fusion.kalman import KalmanSettings
 from midspan.fusion.running_clock import RunningClock, on_one_clock
 from midspan.fusion.smoother import smooth
@@ -26,6 +28,8 @@ from midspan.records import (
 
 # So much, s, either way of an instant is smoothed to tell what the structure did there.
 AROUND_S = 10.0
+# Of the measurements in a window of so many seconds at most this share may contradict the acceleration in the end.
+WINDOW_S, MOST_REJECTED = 8.0, 0.6
 # Lost or doubled frames are named where a jump is so many intervals to this share of one.
 WHOLE = 0.1
 
@@ -87,6 +91,7 @@ def one_clock(
     known = None if running is None else running.std_s
     if not jumps:
         return OneClock(moved, known, told, running=running)
+    _refuse_contradiction(moved, acceleration, kalman, sensor)
     moved, levels = _either_side(moved, jumps, acceleration, kalman)
     events = tuple(_event(measured, jump, sensor) for jump in jumps)
     spread = float(np.sqrt(sum(jump.std_s**2 for jump in jumps)))
@@ -98,6 +103,26 @@ def one_clock(
         levels,
         jumps,
         running,
+    )
+
+
+def _refuse_contradiction(moved: Displacement, acceleration: Acceleration, kalman: KalmanSettings, sensor: str) -> None:
+    """UntrustedError where measurements contradict the acceleration for long though jumps were taken out."""
+    found = smooth(acceleration, moved, kalman).innovation
+    rejected = np.concatenate(([0], np.cumsum(found.verdict != ACCEPTED)))
+    first = np.arange(len(found.time_ns))
+    last = np.searchsorted(found.time_ns, found.time_ns + round(WINDOW_S * NANOSECONDS))
+    whole = last < len(found.time_ns)
+    share = np.where(whole, (rejected[last] - rejected[first]) / np.maximum(last - first, 1), 0.0)
+    worst = int(np.argmax(share)) if len(share) else 0
+    if not len(share) or share[worst] <= MOST_REJECTED:
+        return
+    at = int(found.time_ns[worst])
+    raise UntrustedError(
+        f"{sensor}: its clock jumps, or frames are lost, more often than the motion tells: after the jumps that were "
+        f"found {100 * share[worst]:.0f} % of the measurements from {shown(at)} to "
+        f"{shown(at + round(WINDOW_S * NANOSECONDS))} still contradict the acceleration. Give a time stamp for each "
+        "frame, or cut the recording where its clock is set."
     )
 
 
