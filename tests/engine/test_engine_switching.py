@@ -208,3 +208,10 @@ def test_a_day_with_a_night_is_measured_without_a_gap_and_without_a_step_at_dusk
         # The night's error is what the walk of an unseen zero makes, and a constant zero would leave a step of more.
         constant = np.nanmedian(apart)
         assert np.abs(level - constant).max() > 3e-5
+
+
+def test_a_camera_that_has_gone_blind_is_not_believed_for_what_it_knew_before():
+    # The camera knew ten times more and goes dark at 10 s; infrared carries on. One switch, none back.
+    switch, events = run([(0.02, 0.2)] * 50 + [(np.nan, 0.2)] * 60)
+    assert switch.believed is Source.INFRARED
+    assert len(events) == 1

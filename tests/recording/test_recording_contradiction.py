@@ -142,6 +142,16 @@ def test_a_camera_that_comes_back_with_another_zero_is_brought_to_that_of_the_on
     assert np.all(1.96 * std[late] > 2.0)
 
 
+def test_one_that_jumps_alone_in_the_dark_is_brought_to_the_camera_that_comes_back_as_it_was():
+    # Infrared is knocked by 4 mm in the middle of the night; the acceleration knows nothing of it.
+    belief, time_s, error, std = one_result(steady, lambda time: np.where(time > 121.0, 4e-3, 0.0))
+    (event,) = told(belief)
+    assert "the infrared was brought to the other's zero" in event.text
+    # Around the knock nothing but the acceleration is left for the gate's five seconds; afterwards nothing is off.
+    assert np.abs(error[(time_s < 239.5) & (np.abs(time_s - 123.5) > 4.0)]).max() < 0.1
+    assert np.mean(np.abs(error) < 1.96 * std) > 0.9
+
+
 def test_one_that_stays_away_until_the_end_is_brought_back_as_well():
     # Back for ten seconds only: too short for a new level.
     belief, time_s, error, _ = one_result(lambda t: np.where(t > 120.0, 2e-3, 0.0), steady, blind=(90.0, 229.0))

@@ -111,7 +111,8 @@ class Switch:
         if self._silent(self.believed, now_ns) and not self._silent(other, now_ns):
             return self._switched(now_ns, "the first that sees" if not self._begun else "it no longer sees the target")
         self._begun = self._begun or own > 0.0
-        if not (theirs > 0.0 and theirs > self._threshold(sun_deg) * own):
+        # What it knew seconds ago still counts in its mean, but it has gone blind since.
+        if self._silent(other, now_ns) or not (theirs > 0.0 and theirs > self._threshold(sun_deg) * own):
             self._better_ns = None
             return []
         self._better_ns = now_ns if self._better_ns is None else self._better_ns

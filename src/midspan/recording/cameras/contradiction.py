@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from midspan.fusion.gate import ACCEPTED
+from midspan.fusion.gate import ACCEPTED, REACQUIRED
 from midspan.fusion.zero_course import ZeroCourse
 from midspan.recording.cameras.tracked import Seen
 from midspan.recording.cameras.wander import wandering_std
@@ -106,7 +106,7 @@ def contradictions(
             first_ns, to_ns = int(course.time_ns[told[0]]), int(course.time_ns[told[-1]])
             from_ns = min(_rejected_from(one, first_ns) for one in innovations)
             guilty = _guilty(innovations, from_ns, to_ns)
-        yields, changed_ns = _yielding(course, own[0], seen)
+        yields, changed_ns = _yielding(course, own[0], seen, innovations)
         found.append(Contradiction(from_ns, to_ns, size, guilty, stays, yields, changed_ns, not len(told)))
     return tuple(found)
 
@@ -120,19 +120,34 @@ def _stays(course: ZeroCourse, own: NDArray[np.int64]) -> float:
     return float(np.median(course.apart_m[own])) if unsettled else 0.0
 
 
-def _yielding(course: ZeroCourse, place: int, seen: tuple[Seen, Seen]) -> tuple[int, tuple[int, int]]:
+def _yielding(
+    course: ZeroCourse, place: int, seen: tuple[Seen, Seen], innovations: Sequence[Innovation]
+) -> tuple[int, tuple[int, int]]:
     """The camera (0 or 1) whose zero follows the other's after a jump up to the piece at `place`, and between which
     instants (ns) it jumped.
 
-    The first one's zero counts, but for one that it comes back with after it was blind, beside one that was not.
+    The first one's zero counts, but for one that it comes back with after it was blind, beside one that was not and
+    whose own level the acceleration bore out all the while.
     """
     end = int(course.time_ns[place])
     begin = int(course.time_ns[max(place - 1, 0)])
     gaps = [_longest_gap(one.measured, begin, end) for one in seen]
     lengths_s = [(to - since) / NANOSECONDS for since, to in gaps]
     if lengths_s[0] > BLIND_S > lengths_s[1]:
-        return 0, gaps[0]
+        taken_over = _taken_over(innovations[1], gaps[0])
+        return (0, gaps[0]) if taken_over is None else (1, taken_over)
     return 1, gaps[1] if lengths_s[1] > BLIND_S else (begin, end)
+
+
+def _taken_over(found: Innovation, gap_ns: tuple[int, int]) -> tuple[int, int] | None:
+    """Between which instants (ns) in a gap another level of a camera was first met; None where it kept its own."""
+    inside = np.flatnonzero((found.time_ns > gap_ns[0]) & (found.time_ns < gap_ns[1]))
+    places = inside[found.verdict[inside] == REACQUIRED]
+    if not len(places):
+        return None
+    before = np.flatnonzero(found.verdict[: places[0]] == ACCEPTED)
+    last = int(before[-1]) if len(before) else 0
+    return int(found.time_ns[last]), int(found.time_ns[last + 1])
 
 
 def _longest_gap(measured: Displacement, begin_ns: int, end_ns: int) -> tuple[int, int]:
@@ -148,9 +163,13 @@ def course_without(course: ZeroCourse, found: Sequence[Contradiction]) -> ZeroCo
     began: a difference that stays has stayed from its beginning on.
     """
     level, jump = course.level_m.copy(), course.jump_m.copy()
+    steps: list[Contradiction] = []
     for one in found:
         if not one.jump_m or one.guilty == 1:
             continue
+        begin, end = np.searchsorted(course.time_ns, one.changed_ns)
+        if one.follower == 1 and begin == end:
+            steps.append(one)  # between two pieces: from one to the other the level would go as a drift does
         here = (course.time_ns == one.to_ns) & (course.jump_m != 0.0)
         if here.any():
             level[course.time_ns >= one.to_ns] -= one.jump_m
@@ -159,7 +178,28 @@ def course_without(course: ZeroCourse, found: Sequence[Contradiction]) -> ZeroCo
             after = course.time_ns >= one.changed_ns[1]
             level[after] += one.jump_m
             jump[np.argmax(after)] = one.jump_m
-    return replace(course, level_m=level, jump_m=jump)
+    made = replace(course, level_m=level, jump_m=jump)
+    for one in steps:
+        made = _stepped(made, one)
+    return made
+
+
+def _stepped(course: ZeroCourse, one: Contradiction) -> ZeroCourse:
+    """The course with a jump where it was, between two pieces that lie far apart."""
+    place = int(np.searchsorted(course.time_ns, one.changed_ns[0]))
+    if not 0 < place < len(course.time_ns):
+        return course
+    levels = (course.level_m[place] - one.jump_m, course.level_m[place])
+    jump = course.jump_m.copy()
+    jump[place] = 0.0
+    return replace(
+        course,
+        time_ns=np.insert(course.time_ns, [place, place], one.changed_ns),
+        level_m=np.insert(course.level_m, [place, place], levels),
+        variance_m2=np.insert(course.variance_m2, [place, place], course.variance_m2[place]),
+        apart_m=np.insert(course.apart_m, [place, place], 0.0),
+        jump_m=np.insert(jump, [place, place], (0.0, one.jump_m)),
+    )
 
 
 def cleared(found: Sequence[Contradiction], number: int, measured: Displacement) -> Displacement:
