@@ -19,6 +19,9 @@ from midspan.records import NANOSECONDS, Displacement, Floats, Source, part, sec
 COMPARED_S = 300.0
 # A scale that is off by this share is told; beyond the second it is refused. Both only beyond so many deviations.
 TOLD, REFUSED, CERTAIN = 0.005, 0.2, 5.0
+# Beside another sensor a scale so far off is refused: two scales in one filter push the velocity to and fro, and the
+# gate takes over now one and now the other (10 % off: up to 0.4 m).
+REFUSED_BESIDE = 0.08
 # What it is off by beyond so many deviations goes into the band, however little it is.
 EXPECTED = 2.0
 # The accelerometer's noise may make this share of the motion that it tells; above it hides the scale.
@@ -83,14 +86,16 @@ def fitting(
     """
     sources, told = tuple(sources), []
     errors = {error.source: error for error in inputs.errors}
+    refused = REFUSED if len(np.unique(inputs.displacement.source)) < 2 else REFUSED_BESIDE
     # A camera that contradicts another one has lost these measurements: turned round it would seem to have none.
     for block in inputs.cameras:
         whole = [source for source in sources if source == block.source[0]]
         for scale in apparent_scales(replace(inputs, displacement=block), max_offset_s, whole):
-            _scale_warnings(scale, errors.get(scale.source, SensorError(scale.source)).relative_scale_std, along)
+            known = errors.get(scale.source, SensorError(scale.source))
+            _scale_warnings(scale, known.relative_scale_std, along, refused)
     for scale in apparent_scales(inputs, max_offset_s, sources):
         known = errors.get(scale.source, SensorError(scale.source))
-        told += [*_clock_warnings(scale, known), *_scale_warnings(scale, known.relative_scale_std, along)]
+        told += [*_clock_warnings(scale, known), *_scale_warnings(scale, known.relative_scale_std, along, refused)]
         errors[scale.source] = replace(known, relative_scale_std=_with_surplus(scale, known.relative_scale_std))
     return Fitting(told, tuple(errors.values()))
 
@@ -101,7 +106,7 @@ def _with_surplus(scale: ApparentScale, known: float) -> float:
     return float(np.sqrt(known**2 + max((scale.value - 1.0) ** 2 - expected**2, 0.0)))
 
 
-def _scale_warnings(scale: ApparentScale, known: float, along: str) -> list[str]:
+def _scale_warnings(scale: ApparentScale, known: float, along: str, refused: float) -> list[str]:
     off, least = abs(scale.value - 1.0), CERTAIN * float(np.hypot(scale.std, known))
     if off <= max(TOLD, least):
         return []
@@ -110,9 +115,9 @@ def _scale_warnings(scale: ApparentScale, known: float, along: str) -> list[str]
         f"times the accelerometer's where 1 is expected: the calibration's {SCALED[scale.source]} does not belong to "
         "this recording"
     )
-    if off <= max(REFUSED, least):
+    if off <= max(refused, least):
         return [f"{text}; the error band holds the {100.0 * off:.2g} %. Calibrate this recording."]
-    turned = " The sign is reversed." if abs(scale.value + 1.0) < max(REFUSED, least) else ""
+    turned = " The sign is reversed." if abs(scale.value + 1.0) < max(refused, least) else ""
     raise UntrustedError(f"{text}.{turned} Calibrate this recording.")
 
 
