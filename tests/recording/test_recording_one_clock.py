@@ -1,13 +1,15 @@
 """A clock that jumps in the middle of a recording: corrected and told, in the band where it is not certain."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import midspan
+from midspan.errors import UntrustedError
 from midspan.fusion.kalman import KalmanSettings
-from midspan.recording.fusing.one_clock import one_clock
+from midspan.recording.fusing.one_clock import _refuse_contradiction, one_clock
 from midspan.records import Acceleration, Displacement, Floats, Source, nanoseconds
 from midspan.simulate.motion.motion import Sines
 
@@ -47,6 +49,31 @@ def test_the_stamps_after_a_jump_are_moved_and_it_is_told_once():
     beside = found.also(measured)
     np.testing.assert_array_equal(beside.measured.time_ns, found.measured.time_ns)
     assert beside.warnings == beside.events == ()
+
+
+@pytest.mark.parametrize(("from_s", "to_s", "late_s"), [(12.0, 28.0, 0.125), (15.0, 30.0, -0.125), (25.0, 60.0, 0.25)])
+def test_two_jumps_are_right_or_refused_but_never_silently_wrong(from_s, to_s, late_s):
+    true_s = np.arange(0.5, to_s + 12.0, 0.125)
+    off = (true_s >= from_s) & (true_s < to_s)
+    # A frame is doubled and another lost later: between them all stamps are off.
+    measured, acceleration = record(true_s + np.where(off, late_s, 0.0), true_s)
+    try:
+        found = one_clock(measured, acceleration, KalmanSettings(), "camera", std_s=1e-4)
+    except UntrustedError as error:
+        assert "contradict the acceleration" in str(error)
+        return
+    sure = (np.abs(true_s - from_s) > 1.0) & (np.abs(true_s - to_s) > 1.0)
+    assert np.abs(found.measured.time_ns / 1e9 - true_s)[sure].max() < 2e-3
+
+
+def test_a_stretch_that_no_jump_explains_is_refused():
+    true_s = np.arange(0.5, 40.0, 0.125)
+    off = (true_s >= 15.0) & (true_s < 25.0)
+    measured, acceleration = record(true_s + np.where(off, 0.2, 0.0), true_s)
+    right = replace(measured, time_ns=nanoseconds(true_s))
+    _refuse_contradiction(right, acceleration, KalmanSettings(), "camera")
+    with pytest.raises(UntrustedError, match="more often than the motion tells"):
+        _refuse_contradiction(measured, acceleration, KalmanSettings(), "camera")
 
 
 def test_a_lost_frame_is_named():

@@ -9,6 +9,7 @@ from midspan.calibration.clock_jumps import LARGEST_S, Beside, ClockJump, clock_
 from midspan.errors import UntrustedError
 from midspan.fusion.gate import ACCEPTED
 from midspan.fusion.kalman import KalmanSettings
+from midspan.fusion.path import at
 from midspan.fusion.running_clock import RunningClock, on_one_clock
 from midspan.fusion.smoother import smooth
 from midspan.recording.fusing.fuse import CourseError
@@ -17,10 +18,8 @@ from midspan.records import (
     NANOSECONDS,
     Acceleration,
     Displacement,
-    Estimate,
     Event,
     Floats,
-    Nanoseconds,
     Source,
     part,
     seconds,
@@ -117,11 +116,11 @@ def _refuse_contradiction(moved: Displacement, acceleration: Acceleration, kalma
     worst = int(np.argmax(share)) if len(share) else 0
     if not len(share) or share[worst] <= MOST_REJECTED:
         return
-    at = int(found.time_ns[worst])
+    begin = int(found.time_ns[worst])
     raise UntrustedError(
         f"{sensor}: its clock jumps, or frames are lost, more often than the motion tells: after the jumps that were "
-        f"found {100 * share[worst]:.0f} % of the measurements from {shown(at)} to "
-        f"{shown(at + round(WINDOW_S * NANOSECONDS))} still contradict the acceleration. Give a time stamp for each "
+        f"found {100 * share[worst]:.0f} % of the measurements from {shown(begin)} to "
+        f"{shown(begin + round(WINDOW_S * NANOSECONDS))} still contradict the acceleration. Give a time stamp for each "
         "frame, or cut the recording where its clock is set."
     )
 
@@ -191,16 +190,11 @@ def _apart(
     rows = smooth(
         part(acceleration, inside(acceleration.time_ns, *span)), part(beside, inside(beside.time_ns, *span)), kalman
     ).estimate
-    return _at(rows, time_ns + np.rint(NANOSECONDS * other_s).astype(np.int64)) - _at(rows, time_ns)
-
-
-def _at(rows: Estimate, time_ns: Nanoseconds) -> Floats:
-    origin = int(rows.time_ns[0])
-    return np.interp(seconds(time_ns, origin), seconds(rows.time_ns, origin), rows.displacement_m)
+    return at(rows, time_ns + np.rint(NANOSECONDS * other_s).astype(np.int64))[0] - at(rows, time_ns)[0]
 
 
 def _event(measured: Displacement, jump: ClockJump, sensor: str) -> Event:
-    at = int(measured.time_ns[jump.row])
+    at_ns = int(measured.time_ns[jump.row])
     begin, end = (int(measured.time_ns[k]) for k in (max(jump.first - 1, 0), jump.last))
     interval = float(np.median(np.diff(measured.time_ns))) / NANOSECONDS
     frames = round(jump.late_s / interval)
@@ -222,4 +216,4 @@ def _event(measured: Displacement, jump: ClockJump, sensor: str) -> Event:
             f" The motion hardly tells that it was not {1e3 * jump.rival_s:+.1f} ms; the error band holds the "
             "difference."
         )
-    return Event(at, "clock", text)
+    return Event(at_ns, "clock", text)

@@ -26,6 +26,7 @@ SUDDEN_FRAMES = 3
 # more than the second is, for so many seconds.
 FREE_SHARE, COVERED_SHARE = 0.02, 0.1
 LONGEST_WAIT_S = 60.0
+# A body lies on one side of the wall's temperatures, but for its soft edge; a wall that fades lies on both alike.
 MOST_OF_BOTH = 0.1
 _LEAST_APART_K = 1.0
 
