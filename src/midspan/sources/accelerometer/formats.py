@@ -4,8 +4,9 @@ import importlib
 from dataclasses import dataclass
 from pathlib import Path
 
-from midspan.errors import DataError, MidspanError, UsageError
+from midspan.errors import DataError, UsageError
 from midspan.sources.accelerometer.channel import ChannelSet
+from midspan.sources.boundary import reading
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,15 +64,8 @@ def list_channels(path: Path) -> ChannelSet:
 
 
 def _read(path: Path, row: Format) -> ChannelSet:
-    try:
+    with reading(path, row.name):
         module = importlib.import_module(f"{_PACKAGE}.{row.module}")
         found = module.read(path)
-    except MidspanError:
-        raise
-    except ImportError as error:
-        raise UsageError(f"{path}: {row.name} needs {row.reader}, which is not installed. {error}.") from error
-    except Exception as error:  # the format libraries raise whatever they meet in a damaged file
-        reason = (str(error).strip() or type(error).__name__).splitlines()[0]
-        raise DataError(f"{path} cannot be read as {row.name}: {reason}. Check that the file is whole.") from error
     assert isinstance(found, ChannelSet)
     return found
