@@ -1,9 +1,13 @@
 """Frames of a video, a folder or glob of images, or a stack: one table from suffix to reader."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 from midspan.errors import DataError, UsageError
+from midspan.sources.accelerometer.formats import FORMATS as TABLE_FORMATS
+from midspan.sources.boundary import reading
 from midspan.sources.camera.frames import FrameRequest, FrameSource
+from midspan.sources.camera.guarded import GuardedFrames
 from midspan.sources.camera.timing import check_request
 
 _VIDEO: tuple[str, ...] = (
@@ -35,6 +39,9 @@ FORMATS = (
 """Rows of (name, suffixes, what it is read with)."""
 
 
+_TABLES = {suffix for _, suffixes, _ in TABLE_FORMATS for suffix in suffixes} - set(_STACKS)
+
+
 def open_frames(path: Path, request: FrameRequest) -> FrameSource:
     """The frames at `path`: a folder or a glob of images, a multi-page TIFF, an npy or npz stack, a Photron
     recording, else a video.
@@ -42,21 +49,49 @@ def open_frames(path: Path, request: FrameRequest) -> FrameSource:
     Raises UsageError for settings out of range, DataError for a missing or unreadable source.
     """
     check_request(path, request)
-    is_glob = any(sign in str(path) for sign in "*?[") and not path.exists()
-    if not is_glob and not path.exists():
-        raise DataError(f"{path} does not exist. Correct the path; it is relative to recording.toml.")
-    if is_glob or path.is_dir() or path.suffix.lower() in _IMAGES:
+    suffix = path.suffix.lower()
+    if suffix in _TABLES and path.is_file():
+        # Decided by the name: a damaged table is no reason to try it as a video.
+        raise UsageError(f"{path} is a table of numbers, not frames; known suffixes are {_known()} …")
+    kind, opened = _opener(path)
+    with reading(path, kind):
+        return GuardedFrames(opened(path, request), path, kind)
+
+
+def is_glob(path: Path) -> bool:
+    """Whether a path is a pattern for several files; a file whose name holds the signs of one is that file."""
+    return any(sign in str(path) for sign in "*?[") and not path.exists()
+
+
+def require_readable(path: Path) -> None:
+    """Raise DataError for a path that is missing, or no regular file or folder: a pipe would be waited for."""
+    if is_glob(path) or path.is_file() or path.is_dir():
+        return
+    if path.exists():
+        raise DataError(f"{path} must be a file or a folder; it is a pipe, a socket or a device. Save it to a file.")
+    raise DataError(f"{path} does not exist. Correct the path; it is relative to recording.toml.")
+
+
+def _opener(path: Path) -> tuple[str, Callable[[Path, FrameRequest], FrameSource]]:
+    """What a source is, in words, and what opens it."""
+    require_readable(path)
+    suffix = path.suffix.lower()
+    if is_glob(path) or path.is_dir() or suffix in _IMAGES:
         from midspan.sources.camera.images import ImageFrames
 
-        return ImageFrames(path, request, _IMAGES)
-    if path.suffix.lower() in _STACKS:
+        return "images", lambda path, request: ImageFrames(path, request, _IMAGES)
+    if suffix in _STACKS:
         from midspan.sources.camera.stack import StackFrames
 
-        return StackFrames(path, request)
-    if path.suffix.lower() in _PHOTRON:
+        return "a NumPy stack", StackFrames
+    if suffix in _PHOTRON:
         from midspan.sources.camera.photron import PhotronFrames
 
-        return PhotronFrames(path, request)
+        return "a Photron recording", PhotronFrames
+    return "a video", _video
+
+
+def _video(path: Path, request: FrameRequest) -> FrameSource:
     from midspan.sources.camera.video import VideoFrames
 
     try:
@@ -64,7 +99,10 @@ def open_frames(path: Path, request: FrameRequest) -> FrameSource:
     except DataError as error:
         if path.suffix.lower() in _VIDEO:
             raise
-        known = ", ".join(_VIDEO[:8] + _IMAGES + _STACKS + _PHOTRON)
         raise UsageError(
-            f"{path} is no video, image or stack that can be read; known suffixes are {known} …"
+            f"{path} is no video, image or stack that can be read; known suffixes are {_known()} …"
         ) from error
+
+
+def _known() -> str:
+    return ", ".join(_VIDEO[:8] + _IMAGES + _STACKS + _PHOTRON)

@@ -1,7 +1,6 @@
 """Folders and globs of images, and multi-page TIFF, read with OpenCV one at a time."""
 
 import re
-import struct
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,13 +10,16 @@ from numpy.typing import NDArray
 
 from midspan.errors import DataError
 from midspan.records import Frame, Nanoseconds
+from midspan.sources.boundary import reading
 from midspan.sources.camera.frames import FrameInfo, FrameRequest, FrameSource, luma
+from midspan.sources.camera.picture_header import pages, picture_bytes
 from midspan.sources.camera.timing import file_times, rate_times
+from midspan.sources.declared_size import require_memory
+from midspan.sources.file_bytes import mapped
 
-# Pages of a TIFF decoded at once: each call walks the file's list of pages from its start.
+# Pages of a TIFF decoded at once, and the bytes they may take: each call walks the file's list of pages from its start.
 _PAGES_AT_ONCE = 16
-_BIG_TIFF = 43
-_MOST_PAGES = 1_000_000
+_BLOCK_BYTES = 1 << 28
 _LOSSY = (".jpg", ".jpeg")
 
 
@@ -28,7 +30,8 @@ class ImageFrames(FrameSource):
         self._path = path
         self._request = request
         self._files = _listed(path, suffixes)
-        self._pages = _page_count(self._files[0]) if len(self._files) == 1 else 1
+        self._pages, largest = _page_count(self._files[0]) if len(self._files) == 1 else (1, 0)
+        self._at_once = max(min(_PAGES_AT_ONCE, _BLOCK_BYTES // max(largest, 1)), 1)
         self._block: tuple[int, list[NDArray[np.generic]]] = (0, [])
         self._first: NDArray[np.generic] | None = None
         self._first = self._page(0)
@@ -84,7 +87,7 @@ class ImageFrames(FrameSource):
         start, pages = self._block
         if not start <= number < start + len(pages):
             start = number
-            count = min(_PAGES_AT_ONCE, self._pages - start)
+            count = min(self._at_once, self._pages - start)
             with _quiet():
                 ok, found = cv2.imreadmulti(str(self._files[0]), start=start, count=count, flags=cv2.IMREAD_UNCHANGED)
             if not ok or not found:
@@ -112,41 +115,20 @@ def _listed(path: Path, suffixes: Sequence[str]) -> list[Path]:
     return sorted(files, key=lambda file: [int(t) if t.isdigit() else t.lower() for t in re.split(r"(\d+)", str(file))])
 
 
-def _page_count(file: Path) -> int:
+def _page_count(file: Path) -> tuple[int, int]:
+    """The pages of a file, and the bytes of the largest of a TIFF."""
     import cv2
 
     if file.suffix.lower() not in (".tif", ".tiff"):
-        return 1
-    _refuse_cut_off(file)
+        return 1, 0
+    try:
+        with mapped(file) as data:
+            largest = max((page.picture_bytes for page in pages(data)), default=0)
+    except DataError as error:
+        raise DataError(f"{file} {error}.") from error
+    require_memory(file, largest, "a page")
     with _quiet():
-        return max(int(cv2.imcount(str(file), cv2.IMREAD_UNCHANGED)), 1)
-
-
-def _refuse_cut_off(file: Path) -> None:
-    """DataError where a page of a TIFF would begin behind the end of the file: a copy that broke off."""
-    size = file.stat().st_size
-    with file.open("rb") as data:
-        head = data.read(16)
-        order = {b"II": "<", b"MM": ">"}.get(head[:2])
-        if order is None or len(head) < 16:
-            return
-        big = struct.unpack_from(order + "H", head, 2)[0] == _BIG_TIFF
-        count_code, place_code, entry = ("Q", "Q", 20) if big else ("H", "I", 12)
-        count_bytes, place_bytes = struct.calcsize(order + count_code), struct.calcsize(order + place_code)
-        (place,) = struct.unpack_from(order + place_code, head, 8 if big else 4)
-        for page in range(_MOST_PAGES):
-            if not place:
-                return
-            data.seek(place)
-            (count,) = struct.unpack(order + count_code, data.read(count_bytes).ljust(count_bytes, b"\0"))
-            data.seek(place + count_bytes + count * entry)
-            following = data.read(place_bytes)
-            if len(following) < place_bytes:
-                raise DataError(
-                    f"{file} is cut off: its page {page + 1} is at byte {place}, and the file has {size} bytes. "
-                    "Copy it again."
-                )
-            (place,) = struct.unpack(order + place_code, following)
+        return max(int(cv2.imcount(str(file), cv2.IMREAD_UNCHANGED)), 1), largest
 
 
 @contextmanager
@@ -165,10 +147,13 @@ def _quiet() -> Iterator[None]:
 def _read(file: Path) -> NDArray[np.generic]:
     import cv2
 
-    # Through memory: OpenCV's own opening of files fails on some letters in names.
-    data = np.fromfile(file, dtype=np.uint8)
-    with _quiet():
-        image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
+    with reading(file, "an image"):
+        require_memory(file, file.stat().st_size, "the file")
+        # Through memory: OpenCV's own opening of files fails on some letters in names.
+        data = np.fromfile(file, dtype=np.uint8)
+        require_memory(file, picture_bytes(data.data), "its picture")
+        with _quiet():
+            image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
     if image is None:
         raise DataError(f"{file} cannot be read as an image. Check that the file is whole, or remove it.")
     return np.asarray(image)

@@ -15,6 +15,8 @@ from midspan.sources.camera.timing import file_times
 # Keys of the header that the frames cannot be read without.
 _WIDTH, _HEIGHT, _COUNT, _BITS, _RATE = "Image Width", "Image Height", "Total Frame", "Color Bit", "Record Rate(fps)"
 _BITS_KNOWN = (8, 12, 16)
+# No width, count or rate (frames per second) of a recording comes near.
+_MAX_HEADER_NUMBER = 1e10
 
 
 class PhotronFrames(FrameSource):
@@ -40,16 +42,17 @@ class PhotronFrames(FrameSource):
                 f"{self._raw_file}: must hold frames of {self._frame_bytes} bytes ({self._columns}x{self._rows} px, "
                 f"{self._bits} bit); it has {self._raw_file.stat().st_size} bytes. Copy it again."
             )
-        self._notes: list[str] = []
+        self._damage: list[str] = []
         if held < self._count:
-            self._notes.append(f"the header promises {self._count} frames, the file holds {held}")
+            self._damage.append(f"the header promises {self._count} frames, the file holds {held}")
         self._count = min(held, self._count)
 
     @property
     def info(self) -> FrameInfo:
         """Width, height, bits and number of frames as the header says; raw frames are lossless."""
         codec = f"Photron raw {self._bits} bit"
-        return FrameInfo(self._columns, self._rows, self._bits, self._count, codec, True, tuple(self._notes))
+        damage = tuple(self._damage)
+        return FrameInfo(self._columns, self._rows, self._bits, self._count, codec, True, damage=damage)
 
     def times_ns(self) -> Nanoseconds:
         """Time stamps from `times`, else from the header's rate (or `rate_hz` over it), from `start_s` on."""
@@ -94,8 +97,11 @@ def _number(header: dict[str, str], key: str, file: Path) -> float:
         number = float(value)
     except ValueError:
         number = 0.0
-    if number <= 0:
-        raise DataError(f"{file}: {key} must be a number above 0; received {value!r}. Export the recording again.")
+    if not 0 < number < _MAX_HEADER_NUMBER:
+        raise DataError(
+            f"{file}: {key} must be a number above 0 and below {_MAX_HEADER_NUMBER:g}; received {value!r}. Export the "
+            "recording again."
+        )
     return number
 
 

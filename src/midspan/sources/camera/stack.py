@@ -1,9 +1,12 @@
 """Stacks of images in one array: npy (memory-mapped) and npz."""
 
+import math
 import struct
 import zipfile
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
+from typing import IO, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,10 +16,11 @@ from midspan.records import Frame, Nanoseconds
 from midspan.sources.accelerometer.clock import numbers_to_ns
 from midspan.sources.camera.frames import FrameInfo, FrameRequest, FrameSource, luma
 from midspan.sources.camera.timing import file_times, rate_times
+from midspan.sources.declared_size import require_memory
 
 _NAMES = ("frames", "images", "celsius")
-_MOST_BYTES_IN_MEMORY = 4 << 30
 _LOCAL_HEADER_BYTES = 30
+_READ_BYTES = 1 << 20  # at once, while a checksum is formed
 
 
 class StackFrames(FrameSource):
@@ -25,15 +29,7 @@ class StackFrames(FrameSource):
     def __init__(self, path: Path, request: FrameRequest) -> None:
         self._path = path
         self._request = request
-        try:
-            self._array, self._times_s, note = _load(path)
-        except (ValueError, OSError, EOFError, zipfile.BadZipFile, KeyError) as error:
-            # NumPy takes anything else for Python objects, and advises to allow them.
-            reason = "it is no array of numbers" if "pickle" in str(error) else str(error)
-            raise DataError(
-                f"{path} cannot be read as a NumPy stack: {reason}. Check that the file is whole, and an array of "
-                "numbers."
-            ) from error
+        self._array, self._times_s, note = _load(path)
         self._notes = [note] if note else []
         shape = self._array.shape
         if (
@@ -47,6 +43,7 @@ class StackFrames(FrameSource):
             )
         if 0 in shape:
             raise DataError(f"{path} must hold one frame or more; received shape {shape}. Check how it was written.")
+        require_memory(path, self._array[0].nbytes, "one frame")
 
     @property
     def info(self) -> FrameInfo:
@@ -84,47 +81,93 @@ class StackFrames(FrameSource):
 
 def _load(path: Path) -> tuple[NDArray[np.generic], NDArray[np.float64] | None, str]:
     if path.suffix.lower() == ".npy":
-        return np.load(path, mmap_mode="r", allow_pickle=False), None, ""
-    with np.load(path, allow_pickle=False) as archive, zipfile.ZipFile(path) as packed:
-        sizes = {name: packed.getinfo(f"{name}.npy") for name in archive.files}
-        name = _stack_name(path, archive, list(archive.files))
-        times_s = np.asarray(archive["time_s"], dtype=np.float64) if "time_s" in archive.files else None
-        member = sizes[name]
-        if member.compress_type == zipfile.ZIP_STORED:
-            return _mapped(path, member), times_s, f"stack {name}"
-        if member.file_size > _MOST_BYTES_IN_MEMORY:
-            raise ValueError(
-                f"its compressed array {name} needs {member.file_size / 2**30:.1f} GiB of memory, above the limit of "
-                f"{_MOST_BYTES_IN_MEMORY / 2**30:.0f} GiB; write it with numpy.savez or as npy"
-            )
-        return archive[name], times_s, f"stack {name}"
+        return np.lib.format.open_memmap(path, mode="r"), None, ""
+    with zipfile.ZipFile(path) as archive:
+        members = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
+        name = _stack_name(path, archive, members)
+        times_s = None
+        if "time_s" in members:
+            times_s = np.asarray(_loaded(path, archive, members["time_s"]), dtype=np.float64)
+        member = members[name]
+        if member.compress_type != zipfile.ZIP_STORED:
+            return _loaded(path, archive, member), times_s, f"stack {name}"
+        array = _mapped(path, member)
+        _check_sum(path, archive, member, array)
+        return array, times_s, f"stack {name}"
 
 
-def _stack_name(path: Path, archive: "np.lib.npyio.NpzFile", names: list[str]) -> str:
-    """The member called frames, images or celsius, else the only one of three axes."""
+def _stack_name(path: Path, archive: zipfile.ZipFile, members: dict[str, zipfile.ZipInfo]) -> str:
+    """The member called frames, images or celsius, else the only one of three or four axes, by the headers alone."""
     for name in _NAMES:
-        if name in names:
+        if name in members:
             return name
-    stacks = [name for name in names if archive[name].ndim in (3, 4)]
+    stacks = [name for name, member in members.items() if len(_header(archive, member).shape) in (3, 4)]
     if len(stacks) != 1:
         raise DataError(
             f"{path} must hold one array frames, images or celsius of shape (frames, rows, columns); it holds "
-            f"{', '.join(names) or 'nothing'}. Rename the array."
+            f"{', '.join(members) or 'nothing'}. Rename the array."
         )
     return stacks[0]
+
+
+@dataclass(frozen=True, slots=True)
+class _Header:
+    """What an array's header declares."""
+
+    shape: tuple[int, ...]
+    fortran: bool
+    dtype: np.dtype[Any]
+
+    @property
+    def count(self) -> int:
+        """Bytes of the array."""
+        return math.prod(self.shape) * self.dtype.itemsize
+
+
+def _header(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> _Header:
+    with archive.open(member) as file:
+        return _read_header(file)
+
+
+def _read_header(file: IO[bytes]) -> _Header:
+    version = np.lib.format.read_magic(file)
+    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    header = _Header(*read(file))
+    if header.dtype.hasobject:
+        raise ValueError("it holds Python objects, which are no array of numbers")
+    return header
+
+
+def _loaded(path: Path, archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray[np.generic]:
+    """A member as an array in memory, which must have room for what its header declares."""
+    require_memory(path, max(_header(archive, member).count, member.file_size), f"its array {member.filename}")
+    with archive.open(member) as file:
+        return np.asarray(np.lib.format.read_array(file, allow_pickle=False))
 
 
 def _mapped(path: Path, member: zipfile.ZipInfo) -> NDArray[np.generic]:
     """An array that lies uncompressed in the archive, mapped instead of loaded."""
     with path.open("rb") as file:
         file.seek(member.header_offset)
-        header = file.read(_LOCAL_HEADER_BYTES)
+        local = file.read(_LOCAL_HEADER_BYTES)
         # The local header repeats the name's length and has an extra field of its own length.
-        name_bytes, extra_bytes = struct.unpack("<HH", header[26:30])
+        name_bytes, extra_bytes = struct.unpack("<HH", local[26:30])
         file.seek(member.header_offset + _LOCAL_HEADER_BYTES + name_bytes + extra_bytes)
-        version = np.lib.format.read_magic(file)
-        read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-        shape, fortran, dtype = read_header(file)
-        if dtype.hasobject:
-            raise ValueError("it holds Python objects")
-        return np.memmap(path, dtype=dtype, mode="r", offset=file.tell(), shape=shape, order="F" if fortran else "C")
+        header = _read_header(file)
+        order: Literal["F", "C"] = "F" if header.fortran else "C"
+        return np.memmap(path, dtype=header.dtype, mode="r", offset=file.tell(), shape=header.shape, order=order)
+
+
+def _check_sum(path: Path, archive: zipfile.ZipFile, member: zipfile.ZipInfo, array: NDArray[np.generic]) -> None:
+    """DataError where an array is not what was written; the archive has one checksum for all its frames."""
+    try:
+        with archive.open(member) as file:
+            while file.read(_READ_BYTES):
+                pass
+    except zipfile.BadZipFile as error:
+        frames = array.shape[0] if array.ndim else 0
+        raise DataError(
+            f"{path}: the checksum (CRC-32) of its array {member.filename.removesuffix('.npy')} is wrong: one or more "
+            f"of its {frames} frames have changed since they were written, and which cannot be known. Copy the file "
+            "again from where it was made."
+        ) from error

@@ -1,6 +1,9 @@
 """Videos through PyAV (FFmpeg): the luma plane as it was decoded, with the container's time stamps."""
 
+import errno
 from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -11,10 +14,13 @@ from numpy.typing import NDArray
 from midspan.errors import DataError
 from midspan.records import Frame, Nanoseconds
 from midspan.signals.health import clock
+from midspan.sources.camera.cut_off import cut_off
 from midspan.sources.camera.frames import FrameInfo, FrameRequest, FrameSource
 from midspan.sources.camera.luma_plane import depth_of, luma_of
 from midspan.sources.camera.packets import Packets, scan
+from midspan.sources.camera.picture_header import picture_bytes
 from midspan.sources.camera.timing import file_times, grid, rate_times
+from midspan.sources.declared_size import require_memory
 
 _LOSSLESS = {"ffv1", "rawvideo", "huffyuv", "ffvhuff", "png", "utvideo", "magicyuv", "v210", "zlib", "bmp", "tiff"}
 _LOSSY = {
@@ -32,7 +38,21 @@ _LOSSY = {
     "dnxhd",
     "theora",
 }
+# Codecs that hold a checksum of every slice. Where one is wrong FFmpeg says so in its log only, and gives the picture.
+_CHECKED_CODECS = ("ffv1",)
+_CHECKSUM_WRONG = "CRC mismatch"
+# FFmpeg's names of containers that hold their pictures themselves; scripts and playlists (concat, hls, dash, sdp) name
+# other files.
+_CONTAINERS = (
+    "mov,matroska,webm,avi,mpegts,mpegtsraw,mpeg,mpegvideo,m4v,asf,asf_o,flv,live_flv,kux,mjpeg,mjpeg_2000,mpjpeg,"
+    "smjpeg,ogg,yuv4mpegpipe,h261,h263,h264,hevc,vvc,evc,av1,obu,gif,gif_pipe,apng,nut,ivf,mxf,dv,dhav,cine,ser,mlv,"
+    "rm,nsv,wtv,swf,amv,vc1,vc1test,dirac,dnxhd,cavsvideo,avs2,avs3,ivr,pva,gxf,webp_anim,webp_pipe,jpeg_pipe,"
+    "png_pipe,bmp_pipe,tiff_pipe,j2k_pipe,jpegls_pipe,jpegxl_pipe,jpegxl_anim,dpx_pipe,exr_pipe,pgm_pipe,pam_pipe,fits"
+)
+_HEAD_BYTES = 1024
 _RATE_TOLERANCE = 0.01
+# Damaged frames that a message names by their numbers.
+_MAX_NAMED = 5
 # A video that holds this share, and at least this long, less than its header declares broke off while it was copied.
 MOST_LOST = 0.03
 LEAST_MISSING_S = 1.0
@@ -47,8 +67,10 @@ class VideoFrames(FrameSource):
         self._packets: Packets | None = None
         self._times: Nanoseconds | None = None
         self._notes: list[str] = []
-        self._lost = 0
+        self._damage: list[str] = []
+        self._lost: set[int] = set()
         self._kind: tuple[tuple[int, ...], np.dtype[Any]] | None = None
+        _require_memory(path)
         with _opened(path) as container:
             stream = container.streams.video[0]
             self._size = (int(stream.codec_context.width), int(stream.codec_context.height))
@@ -64,7 +86,7 @@ class VideoFrames(FrameSource):
         name = self._codec.split()[0].removeprefix("lib")
         lossless = True if name in _LOSSLESS else False if name in _LOSSY else None
         count = self._packets.count if self._packets is not None else self._declared
-        damage = (f"{self._lost} frames are damaged and were passed over",) if self._lost else ()
+        damage = (*self._damage, *_told_lost(self._lost, self._packets))
         return FrameInfo(*self._size, self._depth, count, self._codec, lossless, tuple(self._notes), damage=damage)
 
     def times_ns(self) -> Nanoseconds:
@@ -79,7 +101,24 @@ class VideoFrames(FrameSource):
                 self._packets = scan(self._path, container)
                 declared_s = container.duration * 1e-6 if container.duration else 0.0
             self._refuse_truncated(self._packets, declared_s)
+            self._packets = self._without_cut_frame(self._packets, declared_s)
         return self._packets
+
+    def _without_cut_frame(self, packets: Packets, declared_s: float) -> Packets:
+        """The packets without one that the end of the file cuts; what is cut is reported."""
+        end = cut_off(self._path)
+        if end is None:
+            return packets
+        missing = 0
+        if packets.ticks is not None and packets.rates:
+            held_s = float(packets.ticks[-1] - min(packets.ticks[0], 0)) * float(packets.time_base)
+            missing = round((declared_s - held_s) * float(packets.rates[0])) - 1
+        about = f", about {missing} frames" if missing > 0 else ""
+        self._damage.append(f"{end.text}{about}")
+        if not end.in_frame or packets.count < 2:
+            return packets
+        ticks = None if packets.ticks is None else packets.ticks[:-1]
+        return replace(packets, count=packets.count - 1, ticks=ticks)
 
     def _refuse_truncated(self, packets: Packets, declared_s: float) -> None:
         """DataError when the file holds clearly less than its header declares: a copy that broke off."""
@@ -95,7 +134,7 @@ class VideoFrames(FrameSource):
                 "again; to use what is there, rewrite it first (ffmpeg -i IN -c copy OUT)."
             )
         if lost > 0:
-            self._notes.append(f"the file ends early: {lost} of {self._declared} frames are not in it")
+            self._damage.append(f"the file ends early: {lost} of {self._declared} frames are not in it")
 
     def _all_times(self) -> Nanoseconds:
         packets = self._scanned()
@@ -132,18 +171,20 @@ class VideoFrames(FrameSource):
             return
         packets = self._scanned()
         first, last = wanted[0] * every, wanted[-1] * every
-        decoded = 0
+        missing = set(wanted)
         with _opened(self._path) as container:
             for number, picture in _numbered(container, packets, first):
                 if number > last:
                     break
                 if number >= first and number % every == 0:
-                    decoded += 1
-                    yield Frame(int(times[number // every]), self._checked(luma_of(picture), number), number // every)
-        self._lost = max(self._lost, len(wanted) - decoded)
-        if not decoded:
+                    index = number // every
+                    missing.discard(index)
+                    yield Frame(int(times[index]), self._checked(luma_of(picture), number), index)
+        self._lost |= {index * every for index in missing}
+        if len(missing) == len(wanted) > 1:
             raise DataError(
-                f"{self._path}: none of its {packets.count} frames can be decoded. Give an undamaged video."
+                f"{self._path}: none of the {len(wanted)} frames from {first} to {last} can be decoded. Give an "
+                "undamaged video."
             )
 
     def _checked(self, pixels: NDArray[np.generic], number: int) -> NDArray[np.generic]:
@@ -159,19 +200,75 @@ class VideoFrames(FrameSource):
         return pixels
 
 
+def _told_lost(lost: set[int], packets: Packets | None) -> tuple[str, ...]:
+    """How many frames are damaged, which, and how many build on them; nothing where none is."""
+    if not lost:
+        return ()
+    named = ", ".join(str(number) for number in sorted(lost)[:_MAX_NAMED])
+    more = f" and {len(lost) - _MAX_NAMED} more" if len(lost) > _MAX_NAMED else ""
+    text = f"{len(lost)} frames are damaged and were passed over: frame {named}{more}"
+    after = _building_on(lost, packets) if packets is not None else 0
+    built = f"{after} frames behind damaged ones, up to the next key frame, build on them and can be wrong in part"
+    return (text, built) if after else (text,)
+
+
+def _building_on(lost: set[int], packets: Packets) -> int:
+    """The number of frames between a damaged one and the next key frame, where there are key frames."""
+    if not packets.keys:
+        return 0
+    numbers = np.array(sorted(lost))
+    keys = np.array([*packets.keys, packets.count])
+    until = keys[np.searchsorted(keys[:-1], numbers, side="right")]
+    touched = np.zeros(packets.count + 1, dtype=np.int64)
+    np.add.at(touched, np.minimum(numbers + 1, until), 1)
+    np.add.at(touched, until, -1)
+    inside = np.cumsum(touched)[:-1] > 0
+    inside[numbers] = False
+    return int(np.count_nonzero(inside))
+
+
+def _require_memory(path: Path) -> None:
+    """DataError where the header of pictures that FFmpeg reads (GIF) declares more than the memory holds."""
+    with path.open("rb") as file:
+        require_memory(path, picture_bytes(file.read(_HEAD_BYTES)), "a picture")
+
+
 def _opened(path: Path) -> Any:
     import av
 
     try:
-        container = av.open(str(path))
+        # With its protocol: FFmpeg takes what stands before a colon in a name for one.
+        container = av.open(
+            f"file:{path.absolute()}", options={"format_whitelist": _CONTAINERS}, metadata_errors="replace"
+        )
+    except av.error.ArgumentError as error:
+        raise DataError(
+            f"{path} cannot be opened as a video: it is damaged, or a script or playlist that names other files. Give "
+            "the video itself."
+        ) from error
     except (av.error.FFmpegError, OSError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise DataError(f"{path} cannot be opened as a video: {reason}. Check that the file is whole.") from error
-    if not container.streams.video:
+    try:
+        _prepare(path, container)
+    except DataError:
         container.close()
-        raise DataError(f"{path} has no video stream. Give a file with pictures.")
-    container.streams.video[0].thread_type = "AUTO"
+        raise
     return container
+
+
+def _prepare(path: Path, container: Any) -> None:
+    """Set up the decoder of a container's video; DataError where there is none."""
+    if not container.streams.video:
+        raise DataError(f"{path} has no video stream. Give a file with pictures.")
+    stream = container.streams.video[0]
+    if stream.codec_context is None:
+        raise DataError(
+            f"{path}: its pictures are packed by a codec that is not known. Check that the file is whole, or write it "
+            "again with another codec."
+        )
+    # What a decoder reports on damage belongs to a packet only while no other packet is decoded with it.
+    stream.thread_type = "SLICE" if stream.codec_context.name in _CHECKED_CODECS else "AUTO"
 
 
 def _numbered(container: Any, packets: Packets, first: int) -> Iterator[tuple[int, Any]]:
@@ -196,23 +293,47 @@ def _numbered(container: Any, packets: Packets, first: int) -> Iterator[tuple[in
 
 
 def _pictures(container: Any, stream: Any) -> Iterator[Any]:
-    """All pictures that decode; a packet that does not is passed over."""
+    """All pictures that decode whole; a packet that does not is passed over."""
     import av
 
+    checked = stream.codec_context.name in _CHECKED_CODECS
     packets = container.demux(stream)
     while True:
         try:
             packet = next(packets)
-            pictures = packet.decode()
+            with _decoder_errors(checked) as reported:
+                pictures = packet.decode()
         except StopIteration:
             return
         except av.error.EOFError:
             return
-        except av.error.InvalidDataError:
+        except av.error.FFmpegError as error:
+            if error.errno == errno.ENOMEM:
+                raise MemoryError from error
+            continue
+        if any(_CHECKSUM_WRONG in message for _, _, message in reported):
             continue
         for picture in pictures:
             if not picture.is_corrupt:
                 yield picture
+
+
+@contextmanager
+def _decoder_errors(listen: bool) -> Iterator[list[tuple[int, str, str]]]:
+    """What the decoder logs as errors meanwhile: (level, decoder, message)."""
+    from av import logging
+
+    if not listen:
+        yield []
+        return
+    level = logging.get_level()
+    logging.set_level(logging.ERROR)
+    try:
+        # Of all threads: a slice is decoded by any of them.
+        with logging.Capture(False) as reported:
+            yield reported
+    finally:
+        logging.set_level(level)
 
 
 def _container_times(ticks: Nanoseconds, packets: Packets) -> tuple[Nanoseconds, str]:

@@ -91,6 +91,14 @@ def next_block(data: Bytes, offset: int) -> int | None:
     return None
 
 
+def lists_raw_counts(data: Bytes) -> bool:
+    """Whether the directory at the beginning of a block, of which more need not be there, lists a raw image."""
+    if len(data) < _HEADER_BYTES or bytes(data[: len(MAGIC)]) != MAGIC:
+        return False
+    block = _block(data, 0)
+    return block is not None and block.record(_RAW) is not None
+
+
 def _is_frame(data: Bytes, offset: int) -> bool:
     """Whether a whole frame begins at `offset`, with counts and a calibration."""
     if offset + _HEADER_BYTES > len(data):

@@ -1,6 +1,5 @@
-"""FLIR files as frames in °C: fff (one frame a file, also a folder or glob of them), seq and csq."""
+"""FLIR files as frames in °C: seq and csq, and those of one frame, fff and JPEG, of which a folder is a sequence."""
 
-import mmap
 import re
 from bisect import bisect_left
 from collections.abc import Iterator, Sequence
@@ -17,7 +16,9 @@ from midspan.errors import DataError, UsageError
 from midspan.records import Frame, Nanoseconds
 from midspan.sources.camera.frames import FrameInfo, FrameSource
 from midspan.sources.camera.timing import file_times, grid
+from midspan.sources.file_bytes import mapped
 from midspan.sources.thermal.fff import Block, CameraInfo, blocks, camera_info, counts, frame_size, next_block
+from midspan.sources.thermal.flir_jpeg import embedded_block, is_jpeg
 from midspan.sources.thermal.request import Floats32, ThermalRequest, checked_celsius
 from midspan.thermal.radiometry import OpticalPath, Planck, celsius_table
 
@@ -39,16 +40,19 @@ class _Place:
 class FlirFrames(FrameSource):
     """Frames of FLIR files in °C, by the calibration and the surroundings that the camera wrote beside each one."""
 
-    def __init__(self, files: Sequence[Path], request: ThermalRequest) -> None:
+    def __init__(self, files: Sequence[Path], request: ThermalRequest, left_out: int = 0) -> None:
+        """`left_out`: the number of pictures without raw counts beside the files."""
         self._files, self._request = list(files), request
         self._tables: dict[tuple[Planck, OpticalPath], Floats32] = {}
-        self._notes: list[str] = []
+        self._notes: list[str] = [f"{left_out} pictures without raw counts are left out"] if left_out else []
         self._damage: list[str] = []
         self._places = [place for file in self._files for place in self._walked(file)]
         if not self._places:
-            raise DataError(f"{self._files[0]} holds no whole FLIR frame. Check that the file is whole.")
+            raise DataError(
+                f"{self._files[0]} holds no whole FLIR frame with raw counts. Check that the file is whole."
+            )
         self._width, self._height = self._one_size()
-        with _mapped(self._files[0]) as data:
+        with _bytes(self._files[0]) as data:
             self._first = camera_info(data, self._places[0].block)
             self._image(data, self._places[0], 0)
         self._times, note = self._all_times()
@@ -71,7 +75,7 @@ class FlirFrames(FrameSource):
         times, every = self.times_ns(), self._request.frames.every
         for index in range(*slice(start, stop).indices(times.size)):
             place = self._places[index * every]
-            with _mapped(place.file) as data:
+            with _bytes(place.file) as data:
                 image = self._image(data, place, index * every)
             if image is not None:
                 yield Frame(int(times[index]), image, index)
@@ -111,7 +115,7 @@ class FlirFrames(FrameSource):
         return self._tables[key]
 
     def _walked(self, file: Path) -> list[_Place]:
-        with _mapped(file) as data:
+        with _bytes(file) as data:
             found: list[_Place] = []
             begin: int | None = 0
             while begin is not None:
@@ -121,6 +125,9 @@ class FlirFrames(FrameSource):
                         found.append(place)
                 except (DataError, UsageError) as error:
                     raise DataError(f"{file}: frame {len(found)} {error}") from error
+                if is_jpeg(file):
+                    # One picture, one block; what stands behind it belongs to the camera.
+                    return found[:1]
                 end = found[-1].block.end if found else 0
                 begin = next_block(data, end + 1) if end < len(data) else None
                 if begin is not None:
@@ -160,6 +167,16 @@ class FlirFrames(FrameSource):
         return np.delete(stamps, wrong)
 
 
+@contextmanager
+def _bytes(file: Path) -> Iterator[memoryview]:
+    """The blocks of a file; those of a JPEG are put together from its segments."""
+    if is_jpeg(file):
+        yield memoryview(embedded_block(file))
+        return
+    with mapped(file) as data:
+        yield data
+
+
 def wrong_stamps(stamps: NDArray[np.int64]) -> NDArray[np.int64]:
     """Numbers of the frames whose stamps (n,) break the order of the others; none where they are not a few slips.
 
@@ -197,18 +214,3 @@ def _longest_increasing(stamps: NDArray[np.int64]) -> NDArray[np.int64]:
 def natural_order(files: Sequence[Path]) -> list[Path]:
     """Files in the order of the numbers in their names: img2 before img10."""
     return sorted(files, key=lambda file: [int(t) if t.isdigit() else t.lower() for t in re.split(r"(\d+)", str(file))])
-
-
-@contextmanager
-def _mapped(file: Path) -> Iterator[memoryview]:
-    """The bytes of a file without reading them all into memory."""
-    with file.open("rb") as handle:
-        if file.stat().st_size == 0:
-            yield memoryview(b"")
-            return
-        with mmap.mmap(handle.fileno(), 0, access=mmap.ACCESS_READ) as data:
-            view = memoryview(data)
-            try:
-                yield view
-            finally:
-                view.release()

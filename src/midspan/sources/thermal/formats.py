@@ -4,16 +4,21 @@ import zipfile
 from pathlib import Path
 
 from midspan.errors import DataError
-from midspan.sources.camera.formats import open_frames
+from midspan.sources.boundary import reading
+from midspan.sources.camera.formats import open_frames, require_readable
 from midspan.sources.camera.frames import FrameRequest, FrameSource
+from midspan.sources.camera.guarded import GuardedFrames
 from midspan.sources.camera.timing import check_request
 from midspan.sources.thermal.flir import SUFFIXES, FlirFrames, natural_order
+from midspan.sources.thermal.flir_jpeg import SUFFIXES as JPEG_SUFFIXES
+from midspan.sources.thermal.flir_jpeg import is_flir_jpeg, is_jpeg
 from midspan.sources.thermal.pictures import ThermalPictures
 from midspan.sources.thermal.repaired import RepairedFrames
 from midspan.sources.thermal.request import ThermalRequest
 
 FORMATS = (
     ("FLIR radiometric sequence, folder or glob of frames", SUFFIXES, "midspan (csq with pyjpegls)"),
+    ("FLIR radiometric JPEG, folder or glob of them", JPEG_SUFFIXES, "midspan"),
     ("16-bit TIFF or PNG of counts, float TIFF in °C", (".tif", ".tiff", ".png"), "OpenCV"),
     ("stack in °C (array celsius)", (".npy", ".npz"), "numpy"),
 )
@@ -24,17 +29,20 @@ def open_thermal(path: Path, request: ThermalRequest | None = None) -> FrameSour
     """The frames at `path` as temperatures in °C (float32, all of them numbers: dead pixels are filled); pictures of
     8 bits as grey levels, told in its notes.
 
-    `path`: a FLIR fff, seq or csq file, a folder or glob of fff files or pictures, a multi-page TIFF, an npy or npz
-    stack. Raises UsageError for settings out of range or a missing decoder, DataError for a source that is missing,
-    damaged or in another unit.
+    `path`: a FLIR fff, seq or csq file, a radiometric JPEG, a folder or glob of fff files, such JPEG or pictures, a
+    multi-page TIFF, an npy or npz stack. Raises UsageError for settings out of range or a missing decoder, DataError
+    for a source that is missing, damaged or in another unit.
     """
     request = request or ThermalRequest()
     check_request(path, request.frames)
-    files = _flir_files(path)
-    if files:
-        return RepairedFrames(FlirFrames(files, request), str(path))
-    pictures = ThermalPictures(open_frames(path, request.frames), request, str(path))
-    return RepairedFrames(pictures, str(path)) if pictures.info.radiometric else pictures
+    with reading(path, "temperatures"):
+        files = _flir_files(path)
+        if files:
+            left_out = sum(is_jpeg(file) for file in _files(path)) - len(files) if is_jpeg(files[0]) else 0
+            frames = FlirFrames(files, request, left_out)
+            return RepairedFrames(GuardedFrames(frames, path, "FLIR frames"), str(path))
+        pictures = ThermalPictures(open_frames(path, request.frames), request, str(path))
+        return RepairedFrames(pictures, str(path)) if pictures.info.radiometric else pictures
 
 
 def is_thermal(path: Path) -> bool:
@@ -59,16 +67,18 @@ def open_pictures(path: Path, request: FrameRequest) -> FrameSource:
 
 
 def _flir_files(path: Path) -> list[Path]:
-    """The FLIR files that `path` means: itself, those of a folder or glob; empty where it means something else."""
+    """The FLIR files among those that `path` means, in their order; empty where it means something else."""
+    files = _files(path)
+    sequences = [file for file in files if file.suffix.lower() in SUFFIXES]
+    return natural_order(sequences or [file for file in files if is_flir_jpeg(file)])
+
+
+def _files(path: Path) -> list[Path]:
+    """The files that `path` means: itself, those of a folder or a glob."""
     if path.is_file():
-        return [path] if path.suffix.lower() in SUFFIXES else []
+        return [path]
     if path.is_dir():
-        found = [file for file in path.iterdir() if file.suffix.lower() in SUFFIXES and not file.name.startswith(".")]
-    elif any(sign in str(path) for sign in "*?["):
-        folder = next(parent for parent in path.parents if not any(sign in str(parent) for sign in "*?["))
-        found = [file for file in folder.glob(str(path.relative_to(folder))) if file.suffix.lower() in SUFFIXES]
-    elif path.suffix.lower() in SUFFIXES:
-        raise DataError(f"{path} does not exist. Correct the path; it is relative to recording.toml.")
-    else:
-        found = []
-    return natural_order(found)
+        return [file for file in path.iterdir() if file.is_file() and not file.name.startswith(".")]
+    require_readable(path)
+    folder = next(parent for parent in path.parents if not any(sign in str(parent) for sign in "*?["))
+    return [file for file in folder.glob(str(path.relative_to(folder))) if file.is_file()]

@@ -31,7 +31,7 @@ class ThermalPictures(FrameSource):
 
     def __init__(self, source: FrameSource, request: ThermalRequest, name: str) -> None:
         self._source, self._name = source, name
-        first = next(iter(source.frames(0, 1)), None)
+        first = next(iter(source.frames()), None)
         if first is None:
             raise DataError(f"{name} holds no frame that can be read. Check that the file is whole.")
         self._shape, self._dtype = first.pixels.shape, first.pixels.dtype
