@@ -18,7 +18,7 @@ from midspan.signals.health import clipped, clock, frozen
 from midspan.sources.accelerometer.channel import Channel
 from midspan.sources.accelerometer.clock import NOT_A_TIME
 from midspan.sources.accelerometer.formats import list_channels
-from midspan.sources.camera.formats import open_frames
+from midspan.sources.camera.formats import is_stack, is_table, open_frames, require_readable
 from midspan.sources.camera.frames import FrameRequest, FrameSource
 from midspan.sources.thermal.formats import is_thermal, open_pictures, open_thermal
 from midspan.sources.thermal.request import ThermalRequest
@@ -73,16 +73,20 @@ def is_single(path: Path) -> bool:
     if path.is_dir():
         names = [] if (path / RECORDING_FILE).is_file() else [file.suffix.lower() for file in path.iterdir()]
         return any(name in PICTURES for name in names) or (bool(names) and is_thermal(path))
-    return path.is_file() and path.suffix.lower() != ".toml"
+    return path.exists() and path.suffix.lower() != ".toml"
 
 
 def inspect_file(path: Path, progress: Progress = silent) -> Tree:
     """What is in a single file: its channels with their units and rates, or its frames."""
+    require_readable(path)
     try:
-        if is_thermal(path) or path.suffix.lower() in PICTURES:
+        if is_thermal(path) or path.suffix.lower() in PICTURES or is_stack(path):
             raise UsageError(f"{path} holds frames.")
         found = list_channels(path)
     except MidspanError as first:
+        if is_table(path):
+            # Decided by its name: a damaged table is not tried as a video.
+            raise
         try:
             return {"file": str(path), "frames": _file_of_frames(path, progress)}
         except MidspanError as second:

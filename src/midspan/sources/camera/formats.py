@@ -42,6 +42,20 @@ FORMATS = (
 _TABLES = {suffix for _, suffixes, _ in TABLE_FORMATS for suffix in suffixes} - set(_STACKS)
 
 
+def is_table(path: Path) -> bool:
+    """Whether a file is a table of numbers by its name; arrays of NumPy can be tables or frames."""
+    return path.suffix.lower() in _TABLES
+
+
+def is_stack(path: Path) -> bool:
+    """Whether a file is an array of NumPy that can be frames by its header."""
+    if path.suffix.lower() not in _STACKS or not path.is_file():
+        return False
+    from midspan.sources.camera.stack import holds_stack
+
+    return holds_stack(path)
+
+
 def open_frames(path: Path, request: FrameRequest) -> FrameSource:
     """The frames at `path`: a folder or a glob of images, a multi-page TIFF, an npy or npz stack, a Photron
     recording, else a video.
@@ -49,8 +63,7 @@ def open_frames(path: Path, request: FrameRequest) -> FrameSource:
     Raises UsageError for settings out of range, DataError for a missing or unreadable source.
     """
     check_request(path, request)
-    suffix = path.suffix.lower()
-    if suffix in _TABLES and path.is_file():
+    if is_table(path) and path.is_file():
         # Decided by the name: a damaged table is no reason to try it as a video.
         raise UsageError(f"{path} is a table of numbers, not frames; known suffixes are {_known()} …")
     kind, opened = _opener(path)

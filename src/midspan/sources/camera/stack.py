@@ -19,8 +19,21 @@ from midspan.sources.camera.timing import file_times, rate_times
 from midspan.sources.declared_size import require_memory
 
 _NAMES = ("frames", "images", "celsius")
+_AXES = (3, 4)
 _LOCAL_HEADER_BYTES = 30
 _READ_BYTES = 1 << 20  # at once, while a checksum is formed
+
+
+def holds_stack(path: Path) -> bool:
+    """Whether an npy or npz file declares an array that can be frames. What cannot be read is not judged."""
+    try:
+        if path.suffix.lower() == ".npy":
+            with path.open("rb") as file:
+                return len(_read_header(file).shape) in _AXES
+        with zipfile.ZipFile(path) as archive:
+            return any(len(_header(archive, member).shape) in _AXES for member in archive.infolist())
+    except Exception:  # the readers say what is wrong with it
+        return False
 
 
 class StackFrames(FrameSource):
@@ -101,7 +114,7 @@ def _stack_name(path: Path, archive: zipfile.ZipFile, members: dict[str, zipfile
     for name in _NAMES:
         if name in members:
             return name
-    stacks = [name for name, member in members.items() if len(_header(archive, member).shape) in (3, 4)]
+    stacks = [name for name, member in members.items() if len(_header(archive, member).shape) in _AXES]
     if len(stacks) != 1:
         raise DataError(
             f"{path} must hold one array frames, images or celsius of shape (frames, rows, columns); it holds "

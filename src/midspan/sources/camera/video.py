@@ -296,7 +296,7 @@ def _pictures(container: Any, stream: Any) -> Iterator[Any]:
     """All pictures that decode whole; a packet that does not is passed over."""
     import av
 
-    checked = stream.codec_context.name in _CHECKED_CODECS
+    checked, spoiled = stream.codec_context.name in _CHECKED_CODECS, False
     packets = container.demux(stream)
     while True:
         try:
@@ -310,10 +310,13 @@ def _pictures(container: Any, stream: Any) -> Iterator[Any]:
         except av.error.FFmpegError as error:
             if error.errno == errno.ENOMEM:
                 raise MemoryError from error
+            spoiled = checked
             continue
-        if any(_CHECKSUM_WRONG in message for _, _, message in reported):
-            continue
-        for picture in pictures:
+        if checked:
+            # Pictures up to the next key frame are decoded with what was learnt from the damaged one.
+            wrong = any(_CHECKSUM_WRONG in message for _, _, message in reported)
+            spoiled = wrong or (spoiled and not any(picture.key_frame for picture in pictures))
+        for picture in () if spoiled else pictures:
             if not picture.is_corrupt:
                 yield picture
 
