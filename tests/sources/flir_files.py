@@ -2,6 +2,7 @@
 
 import struct
 
+import cv2
 import numpy as np
 
 R1, B, F, OFFSET, R2 = 16000.0, 1430.0, 1.0, -5000, 0.011
@@ -48,3 +49,19 @@ def block(counts, *, stamp_ms=1_700_000_000_583, header="<", inner="<", packed=N
     directory += bytes(32)  # an unused entry, as cameras leave some
     top = b"FFF\0" + b"test\0".ljust(16, b"\0") + struct.pack(header + "III", 101, 64, len(records) + 1)
     return top.ljust(64, b"\0") + directory + body
+
+
+def flir_jpeg(data, picture=None, parts=3):
+    """A JPEG to look at with an FFF block in segments of its own, as a camera stores it; in `parts` pieces or more."""
+    shown = np.random.default_rng(0).integers(0, 255, (24, 32)).astype(np.uint8) if picture is None else picture
+    ok, jpeg = cv2.imencode(".jpg", shown)
+    assert ok
+    jpeg = jpeg.tobytes()
+    size = min(-(-len(data) // parts), 65000)
+    pieces = [data[k : k + size] for k in range(0, len(data), size)]
+    segments = b"".join(
+        b"\xff\xe1" + struct.pack(">H", len(piece) + 10) + b"FLIR\0\x01" + bytes([k, len(pieces) - 1]) + piece
+        for k, piece in enumerate(pieces)
+    )
+    exif = b"\xff\xe1" + struct.pack(">H", 2 + 14) + b"Exif\0\0" + bytes(8)
+    return jpeg[:2] + exif + segments + jpeg[2:]

@@ -265,6 +265,25 @@ def test_a_tiff_of_many_pages_is_a_sequence(tmp_path: Path) -> None:
     np.testing.assert_array_equal(next(source.frames(30)).pixels, frames[30])
 
 
+@pytest.mark.parametrize(
+    ("suffix", "options", "lossless"),
+    [
+        (".tif", [cv2.IMWRITE_TIFF_COMPRESSION, 1], True),
+        (".tif", [cv2.IMWRITE_TIFF_COMPRESSION, 5], True),
+        (".tif", [cv2.IMWRITE_TIFF_COMPRESSION, 7], False),
+        (".png", [], True),
+        (".bmp", [], True),
+        (".jpg", [], False),
+    ],
+    ids=["TIFF plain", "TIFF LZW", "TIFF of JPEG", "PNG", "BMP", "JPEG"],
+)
+def test_pictures_say_whether_they_are_packed_with_a_loss(
+    tmp_path: Path, suffix: str, options: list[int], lossless: bool
+) -> None:
+    cv2.imwrite(str(tmp_path / f"a{suffix}"), noise(1)[0], options)
+    assert open_frames(tmp_path, FrameRequest(rate_hz=1)).info.lossless is lossless
+
+
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
 def test_stacks_keep_numbers_and_type(tmp_path: Path, dtype: type) -> None:
     frames = noise(5).astype(dtype)

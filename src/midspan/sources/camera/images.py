@@ -32,6 +32,7 @@ class ImageFrames(FrameSource):
         self._files = _listed(path, suffixes)
         self._pages, largest = _page_count(self._files[0]) if len(self._files) == 1 else (1, 0)
         self._at_once = max(min(_PAGES_AT_ONCE, _BLOCK_BYTES // max(largest, 1)), 1)
+        self._lossy = _is_lossy(self._files[0])
         self._block: tuple[int, list[NDArray[np.generic]]] = (0, [])
         self._first: NDArray[np.generic] | None = None
         self._first = self._page(0)
@@ -46,7 +47,7 @@ class ImageFrames(FrameSource):
         notes = (f"{len(self._files)} images, {self._files[0].name} … {self._files[-1].name}",)
         if self._pages > 1:
             notes = (f"{self._pages} pages",)
-        return FrameInfo(columns, rows, depth, self._count, suffix.lstrip("."), suffix not in _LOSSY, notes)
+        return FrameInfo(columns, rows, depth, self._count, suffix.lstrip("."), not self._lossy, notes)
 
     @property
     def _count(self) -> int:
@@ -129,6 +130,14 @@ def _page_count(file: Path) -> tuple[int, int]:
     require_memory(file, largest, "a page")
     with _quiet():
         return max(int(cv2.imcount(str(file), cv2.IMREAD_UNCHANGED)), 1), largest
+
+
+def _is_lossy(file: Path) -> bool:
+    """Whether a picture is packed with a loss."""
+    if file.suffix.lower() not in (".tif", ".tiff"):
+        return file.suffix.lower() in _LOSSY
+    with mapped(file) as data:
+        return any(page.lossy for page in pages(data))
 
 
 @contextmanager

@@ -8,7 +8,9 @@ from dataclasses import dataclass
 from midspan.errors import DataError
 
 _BIG_TIFF = 43
-_WIDTH, _HEIGHT, _BITS, _SAMPLES = 256, 257, 258, 277
+_WIDTH, _HEIGHT, _BITS, _PACKING, _SAMPLES = 256, 257, 258, 259, 277
+# Ways to pack a TIFF that lose something: JPEG, old and new.
+_LOSSY = (6, 7)
 # The codes of whole numbers in a directory of a TIFF, by the number of a field's kind.
 _WHOLE = {1: "B", 3: "H", 4: "I", 16: "Q"}
 # Markers of JPEG that begin a frame and so hold its size; the others of their range hold tables.
@@ -19,10 +21,10 @@ _GIF_SAMPLES = 4  # it is decoded into colours with transparency
 
 @dataclass(frozen=True, slots=True)
 class Page:
-    """A page of a TIFF: where its directory lies in the file, and the bytes that its pixels declare."""
+    """A page of a TIFF: the bytes that its pixels declare, and whether they are packed with a loss."""
 
-    place: int
     picture_bytes: int
+    lossy: bool
 
 
 def picture_bytes(data: bytes | memoryview) -> int:
@@ -63,7 +65,8 @@ def pages(data: bytes | memoryview) -> Iterator[Page]:
                 "again"
             ) from error
         entries = range(first, first + count * entry_bytes, entry_bytes)
-        yield Page(place, _page_bytes(dict(_field(data, order, k, big) for k in entries)))
+        fields = dict(_field(data, order, k, big) for k in entries)
+        yield Page(_page_bytes(fields), fields.get(_PACKING) in _LOSSY)
         place = following
 
 
@@ -72,7 +75,7 @@ def _field(data: bytes | memoryview, order: str, place: int, big: bool) -> tuple
     tag, kind = struct.unpack_from(order + "HH", data, place)
     (count,) = struct.unpack_from(order + ("Q" if big else "I"), data, place + 4)
     code = _WHOLE.get(kind)
-    if code is None or tag not in (_WIDTH, _HEIGHT, _BITS, _SAMPLES):
+    if code is None or tag not in (_WIDTH, _HEIGHT, _BITS, _PACKING, _SAMPLES):
         return tag, 0
     room, value = (8, place + 12) if big else (4, place + 8)
     try:
