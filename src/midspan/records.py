@@ -94,7 +94,8 @@ class Region:
 class TimeSeries:
     """A channel as it was read: `time_ns` (n,) and `value` (n,) in SI (m/s² or m), NaN where the file had no number.
 
-    `notes` says in plain sentences what the reader found and assumed (delimiter, unit, epoch …).
+    `notes` says in plain sentences what the reader found and assumed (delimiter, unit, epoch …), `damage` which data of
+    the file are damaged or cut off and therefore left out.
     """
 
     time_ns: Nanoseconds
@@ -102,6 +103,7 @@ class TimeSeries:
     name: str = ""
     unit: str = ""
     notes: tuple[str, ...] = ()
+    damage: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -80,6 +80,7 @@ def _show_stream(console: Console, section: str, branch: dict[str, Any]) -> None
                                         f"{branch['saturated_frames']} of the {branch['frames_looked_at']} looked at"),
         ]  # fmt: skip
     rows += [("found", note) for note in branch["notes"]]
+    rows += [("warning", line) for line in branch.get("warnings", ())]
     console.table(rows)
 
 
@@ -119,7 +120,7 @@ def _radar(branch: dict[str, Any]) -> list[tuple[str, str]]:
     for peak in branch["peaks"]:
         place = "" if peak["range_m"] is None or peak["range_m"] != peak["range_m"] else f" at {peak['range_m']:.3f} m"
         rows.append(("peak", f"{peak['level_db']:.0f} dB{place} (bin {peak['bin']:.2f})"))
-    return [*rows, *(("warning", line) for line in branch["warnings"])]
+    return rows
 
 
 def _temperatures(branch: dict[str, Any]) -> list[tuple[str, str]]:
@@ -150,7 +151,7 @@ def _show_file(console: Console, tree: dict[str, Any]) -> None:
         console.say(
             f"  {channel['name']}: {channel['samples']} samples, {values} {channel['unit'] or '(no unit)'}{rate}"
         )
-    console.table(("found", note) for note in tree["notes"])
+    console.table([("found", note) for note in tree["notes"]] + [("warning", line) for line in tree["warnings"]])
 
 
 def _short(value: float | str) -> str:

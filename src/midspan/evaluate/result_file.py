@@ -148,4 +148,5 @@ def compare_files(
     wanted = read_reference(reference, unit, axis)
     found = compare(stored.series, wanted, std_m=stored.std_m, max_lag_s=max_lag_s)
     assumed = [line for line in (*stored.series.notes, *wanted.notes) if line.endswith("assumed.")]
+    assumed += [f"{line}." for line in (*stored.series.damage, *wanted.damage)]
     return replace(found, notes=(*assumed, *found.notes))

@@ -39,7 +39,7 @@ def calibrate_and_track(recording: Recording, progress: Progress = silent) -> tu
 def _calibrate_and_track(recording: Recording, progress: Progress) -> tuple[Calibration, CameraTracking | None]:
     prepared, settings = recording.prepared, recording.settings
     sensor: DisplacementCalibration | None = None
-    warnings = list(prepared.warnings)
+    warnings = list(recording.channel_warnings)
     densities: list[float] = []
     diagnostics: ScaleCalibration | NoiseCalibration | None = None
     seen = calibrate_cameras(recording, progress) if settings.first_camera is not None else ()
@@ -90,7 +90,7 @@ def _across(recording: Recording, part: CameraFit, warnings: list[str]) -> Calib
             camera=own,
             infrared=thermal,
         )
-    warnings += view.prepared.warnings
+    warnings += [line for line in view.prepared.warnings if line not in warnings]
     return Calibration(
         noise_std_m_s2=_acceleration_noise(view, [part.input_density], warnings),
         bias_m_s2=float(np.mean(view.prepared.value_m_s2[calibration_window(view)])),

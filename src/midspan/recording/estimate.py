@@ -102,7 +102,8 @@ def _estimate(
         innovation=fused.innovation,
         events=_events(recording, gathered, (*fused.events, *alone)),
         warnings=(
-            *_warnings(calibration, gathered, fused, result),
+            *_channel_warnings(recording, calibration),
+            *_warnings(gathered, fused, result),
             *scaled,
             *_told(alone),
             *_literal_warnings(recording, gathered, fused),
@@ -335,8 +336,14 @@ def _looked_at(recording: Recording) -> str:
     return " and ".join(found)
 
 
-def _warnings(calibration: Calibration, gathered: Gathered, fused: Smoothed, rows: Estimate) -> tuple[str, ...]:
-    found = [*calibration.warnings, *gathered.warnings]
+def _channel_warnings(recording: Recording, calibration: Calibration) -> tuple[str, ...]:
+    """What the calibration says, and what is wrong with this recording's channels where it is another's."""
+    own = recording.channel_warnings
+    return (*calibration.warnings, *(line for line in own if line not in calibration.warnings))
+
+
+def _warnings(gathered: Gathered, fused: Smoothed, rows: Estimate) -> tuple[str, ...]:
+    found = [*gathered.warnings]
     for eye in gathered.eyes:
         found += eye.tracking.warnings()
     if gathered.radar is not None:

@@ -1,5 +1,6 @@
 """`inspect`: what is in a recording, stream by stream, without changing or judging anything."""
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,8 @@ from midspan.sources.thermal.request import ThermalRequest
 
 # Frames looked at for frozen, black or saturated pictures unless all are asked for.
 LOOKED_AT = 600
+# Numbers alone, in an order that only the settings of the sensor tell.
+RAW = (".bin",)
 # Files that are no table, by their names; in some of these pictures of 16 bits may be counts of temperature.
 PICTURES = (".tif", ".tiff", ".png", ".jpg", ".jpeg", ".bmp", ".pgm")
 COUNTED = (".tif", ".tiff", ".png", ".npy", ".npz")
@@ -70,15 +73,28 @@ def inspect_recording(recording: Recording, every_frame: bool = False, progress:
 
 def is_single(path: Path) -> bool:
     """Whether a path is a single file to look at, or a folder of pictures or FLIR frames that is no recording."""
-    if path.is_dir():
+    if os.path.isdir(path):
         names = [] if (path / RECORDING_FILE).is_file() else [file.suffix.lower() for file in path.iterdir()]
         return any(name in PICTURES for name in names) or (bool(names) and is_thermal(path))
-    return path.exists() and path.suffix.lower() != ".toml"
+    try:
+        path.stat()
+    except FileNotFoundError:
+        return False
+    except (OSError, ValueError):
+        # No path that can be: refused with the reason as the file that it is not.
+        return True
+    return path.suffix.lower() != ".toml"
 
 
 def inspect_file(path: Path, progress: Progress = silent) -> Tree:
     """What is in a single file: its channels with their units and rates, or its frames."""
     require_readable(path)
+    if path.suffix.lower() in RAW:
+        raise UsageError(
+            f"{path}: a raw capture ({path.suffix}) does not say how its numbers are ordered. A radar's is described "
+            f'in a recording.toml by [radar] file = "{path.name}" and config = the .cfg or .json that it was recorded '
+            "with; inspect that recording."
+        )
     try:
         if is_thermal(path) or path.suffix.lower() in PICTURES or is_stack(path):
             raise UsageError(f"{path} holds frames.")
@@ -97,6 +113,7 @@ def inspect_file(path: Path, progress: Progress = silent) -> Tree:
     return {
         "file": str(path),
         "notes": list(found.notes),
+        "warnings": list(found.damage),
         "channels": [
             {
                 "name": channel.name,
@@ -186,6 +203,7 @@ def _series(series: TimeSeries, unit: str) -> tuple[Tree, Nanoseconds]:
         "frozen_samples": int(np.count_nonzero(frozen(value, rate))),
         "clipped_samples": int(np.count_nonzero(clipped(value))),
         "notes": list(series.notes),
+        "warnings": list(series.damage),
     }
     return branch, series.time_ns
 

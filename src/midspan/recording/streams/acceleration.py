@@ -95,7 +95,8 @@ def prepare_acceleration(series: TimeSeries, where: str) -> PreparedAcceleration
     _refuse(where, missing, "missing", (MOST_MISSING, "is not a number, frozen or clipped"))
     value = towards_mean(bridged(series.value, missing), missing, usual.rate_hz)
     density = _bridging_density(value, missing, usual)
-    warnings = [
+    warnings = [f"{where}: {line}." for line in series.damage]
+    warnings += [
         f"{where}: {np.count_nonzero(mask)} samples ({100 * np.mean(mask):.2g} %) {what}; they were bridged and marked."
         for mask, what in ((absent, "are not numbers"), (still, "are frozen"), (held, "are clipped"))
         if mask.any()

@@ -176,6 +176,14 @@ class Recording:
         """The channel of [displacement], m, on its own clock."""
         return self._series("displacement", "displacement")
 
+    @property
+    def channel_warnings(self) -> tuple[str, ...]:
+        """What is wrong with the acceleration and with the file of [displacement], as they were read."""
+        sensor = self.settings.displacement
+        damage = () if sensor is None else self.displacement.damage
+        name = "" if sensor is None else sensor.file
+        return (*self.prepared.warnings, *(f"displacement ({name}): {line}." for line in damage))
+
     @cached_property
     def reference(self) -> TimeSeries:
         """The channel of [reference], m, on the accelerometer's clock."""

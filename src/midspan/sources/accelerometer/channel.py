@@ -27,10 +27,14 @@ class Channel:
 
 @dataclass(frozen=True, slots=True)
 class ChannelSet:
-    """All channels of one file, and in plain sentences what the reader found and assumed."""
+    """All channels of one file, in plain sentences what the reader found and assumed, and what is wrong with the file.
+
+    `damage` says which data are damaged or cut off; they are not among the channels' values.
+    """
 
     channels: tuple[Channel, ...]
     notes: tuple[str, ...] = ()
+    damage: tuple[str, ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -171,8 +171,8 @@ def split(line: str, delimiter: str) -> list[str]:
 
 def _try(lines: list[str], delimiter: str, decimal: str) -> _Guess | None:
     """The rows that a delimiter and decimal sign make of the lines; None where they make no columns of numbers."""
-    table = [[] if _is_comment(line) else split(line, delimiter) for line in lines]
-    values = [[_is_value(field, decimal) for field in row] for row in table]
+    table = [[] if is_comment(line) else split(line, delimiter) for line in lines]
+    values = [[is_value(field, decimal) for field in row] for row in table]
     filled = [k for k, row in enumerate(values) if any(row)]
     if not filled:
         return None
@@ -207,17 +207,19 @@ def _longest_run(table: list[list[str]], values: list[list[bool]], width: int) -
     return max(reversed(runs), key=len)
 
 
-def _is_comment(line: str) -> bool:
+def is_comment(line: str) -> bool:
+    """Whether a line is a remark, not data."""
     return line.lstrip().startswith(COMMENT_SIGNS)
 
 
-def _is_value(field: str, decimal: str) -> bool:
+def is_value(field: str, decimal: str) -> bool:
+    """Whether a field is a number with this decimal sign, or a written time."""
     return bool(_NUMBER[decimal].match(field)) or is_time_text(field)
 
 
 def _more_values(rows: list[list[str]], column: int, decimal: str) -> int:
     """By how many the numbers and times of a column exceed its words."""
-    values = sum(_is_value(row[column], decimal) for row in rows)
+    values = sum(is_value(row[column], decimal) for row in rows)
     return 2 * values - sum(row[column].lower() not in _MISSING for row in rows)
 
 
@@ -263,7 +265,7 @@ def _delimiter_note(guess: _Guess) -> str:
 
 
 def _heading_fields(line: str, guess: _Guess) -> list[str]:
-    text = line.strip().lstrip("#%!/").strip() if _is_comment(line) else line
+    text = line.strip().lstrip("#%!/").strip() if is_comment(line) else line
     fields = split(text, guess.delimiter)
     if guess.delimiter == BLANKS and len(fields) != guess.width:
         # Blanks before a unit belong to the name: "time [s]  accel [m/s^2]".
@@ -277,7 +279,7 @@ def _is_unit_row(fields: list[str]) -> bool:
 
 
 def _is_name_row(fields: list[str], decimal: str) -> bool:
-    return any(fields) and not any(_is_value(field, decimal) for field in fields)
+    return any(fields) and not any(is_value(field, decimal) for field in fields)
 
 
 def _unit_text(field: str) -> str | None:

@@ -1,6 +1,7 @@
 """The logger formats: one table from suffix to reader."""
 
 import importlib
+import stat
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,6 +20,8 @@ class Format:
     module: str
 
 
+# Characters of a path that a message shows.
+_SHOWN = 200
 _PACKAGE = "midspan.sources.accelerometer"
 
 _FORMATS = (
@@ -51,16 +54,37 @@ def list_channels(path: Path) -> ChannelSet:
             f"{path}: the suffix must be one of {', '.join(_BY_SUFFIX)}; received {path.suffix!r}. "
             "Rename or convert the file."
         )
-    if not path.is_file():
-        raise DataError(f"{path} does not exist or is no file. Correct the path; it is relative to recording.toml.")
+    require_file(path)
     if path.stat().st_size == 0:
         raise DataError(f"{path} is empty (0 bytes). Give a {row.name} file with data.")
     found = _read(path, row)
     if not found.channels:
+        why = "".join(f" {line[:1].upper()}{line[1:]}." for line in (*found.notes, *found.damage))
         raise DataError(
-            f"{path} holds no channel of numbers. Give a {row.name} file with one series of numbers or more."
+            f"{path} holds no channel of numbers.{why} Give a {row.name} file with one series of numbers or more."
         )
     return found
+
+
+def require_file(path: Path) -> None:
+    """Raise DataError for a path that is no file that can be read to its end."""
+    try:
+        kind = path.stat().st_mode
+    except ValueError:
+        raise DataError(f"{str(path)!r} must be a path without zero characters. Correct the path.") from None
+    except FileNotFoundError:
+        raise DataError(f"{path} does not exist. Correct the path; it is relative to recording.toml.") from None
+    except OSError as error:
+        raise DataError(f"{_start(path)} cannot be opened: {error.strerror}. Correct the path.") from None
+    if not stat.S_ISREG(kind):
+        what = "a folder" if stat.S_ISDIR(kind) else "a pipe, a socket or a device, which has no end"
+        raise DataError(f"{path} must be a file; it is {what}. Give the file itself.")
+
+
+def _start(path: Path) -> str:
+    """The beginning of a path that may be very long."""
+    text = str(path)
+    return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}… ({len(text)} characters)"
 
 
 def _read(path: Path, row: Format) -> ChannelSet:

@@ -1,5 +1,6 @@
 """miniSEED (version 2 and 3), read with pymseed."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -7,7 +8,10 @@ import numpy as np
 
 from midspan.records import Nanoseconds
 from midspan.sources.accelerometer.channel import Channel, ChannelSet
+from midspan.sources.declared_size import require_memory
 
+# libmseed's status of a stream that ends within a record (MS_ENDOFFILE).
+_END_OF_FILE = 1
 # The channels of a result that midspan wrote, with their names and units in the other formats.
 _OWN_STATION = "MIDSP"
 _OWN_CHANNELS = {
@@ -27,13 +31,21 @@ _OWN_CHANNELS |= {
 }
 
 
-def read(path: Path) -> ChannelSet:
-    """All channels as `NET.STA.LOC.CHA` in counts, with the true time stamp of every sample; gaps stay gaps."""
-    from pymseed import MS3TraceList, sourceid2nslc
+# A word of four bytes holds seven samples at most (Steim 2), so no record holds more than two a byte.
+_MAX_SAMPLES_PER_BYTE = 2
 
+
+def read(path: Path) -> ChannelSet:
+    """All channels as `NET.STA.LOC.CHA` in counts, with the true time stamp of every sample; gaps stay gaps.
+
+    Records whose samples do not decode to the last sample that they state (Steim) are left out, like a gap.
+    """
+    from pymseed import MS3TraceList
+
+    records, damage = _sound_records(path)
     channels: list[Channel] = []
     notes: list[str] = []
-    traces = MS3TraceList.from_file(str(path), unpack_data=True)
+    traces = MS3TraceList.from_buffer(records, unpack_data=True) if records else ()
     for trace in traces:
         segments = [s for s in trace if s.numsamples]
         if not segments or segments[0].sampletype not in ("i", "f", "d"):
@@ -43,14 +55,74 @@ def read(path: Path) -> ChannelSet:
         # A copy: the samples belong to the trace list, which goes with this function.
         values = np.concatenate([np.array(s.np_datasamples, dtype=np.float64) for s in segments])
         time_ns = np.concatenate([_times(s) for s in segments])
-        network, station, location, code = sourceid2nslc(trace.sourceid)
-        name, unit = f"{network}.{station}.{location}.{code}", None
+        name, unit = _name(trace.sourceid), None
+        station, code = name.split(".")[1], name.split(".")[-1]
         if station == _OWN_STATION and code in _OWN_CHANNELS:
             name, unit = _OWN_CHANNELS[code]
         if len(segments) > 1:
             notes.append(f"{name}: {len(segments) - 1} gaps")
         channels.append(Channel(name, values, unit, _rate(segments[0]), None, time_ns))
-    return ChannelSet(tuple(channels), tuple(notes))
+    return ChannelSet(tuple(channels), tuple(notes), damage)
+
+
+def _name(sourceid: str) -> str:
+    from pymseed import sourceid2nslc
+
+    return ".".join(sourceid2nslc(sourceid))
+
+
+@dataclass(slots=True)
+class _Lost:
+    """Damaged records of one channel: how many of how many, their samples, and the time of the first one."""
+
+    of: int = 0
+    records: int = 0
+    samples: int = 0
+    first_ns: int = 0
+
+    def sentence(self, sourceid: str) -> str:
+        """How much of the channel is left out, and where it begins."""
+        first = np.datetime64(self.first_ns, "ns").astype("datetime64[ms]")
+        return (
+            f"{_name(sourceid)}: {self.records} of {self.of} records are damaged (their samples do not end at the last "
+            f"value that the record states) and count as missing: {self.samples} samples, the first at {first} UTC"
+        )
+
+
+def _sound_records(path: Path) -> tuple[bytes, tuple[str, ...]]:
+    """The bytes of all records that decode as they state, and a sentence for each channel that lost some."""
+    from pymseed import MiniSEEDError, MS3Record, get_error_messages
+
+    sound: list[bytes] = []
+    count, channels = 0, dict[str, _Lost]()
+    cut: tuple[str, ...] = ()
+    reader = iter(MS3Record.from_file(str(path), unpack_data=False))
+    while True:
+        try:
+            record = next(reader, None)
+        except MiniSEEDError as error:
+            if not sound or error.status_code != _END_OF_FILE:
+                raise
+            cut = ("its last record is cut off and left out",)
+            break
+        if record is None:
+            break
+        lost = channels.setdefault(record.sourceid, _Lost())
+        lost.of += 1
+        try:
+            possible = record.samplecnt <= _MAX_SAMPLES_PER_BYTE * record.reclen
+            decoded = possible and record.unpack_data() == record.samplecnt and not get_error_messages()
+        except MiniSEEDError:
+            decoded = False
+        if decoded:
+            sound.append(record.record)
+            count += record.samplecnt
+            continue
+        lost.first_ns = lost.first_ns or int(record.starttime)
+        lost.records, lost.samples = lost.records + 1, lost.samples + int(record.samplecnt)
+    # Samples as they are decoded (4 bytes), as numbers, and their time stamps (8 bytes each).
+    require_memory(path, 20 * count, "its samples")
+    return b"".join(sound), (*(lost.sentence(name) for name, lost in channels.items() if lost.records), *cut)
 
 
 def _rate(segment: Any) -> float:

@@ -87,7 +87,7 @@ def read_series(path: Path, request: SeriesRequest) -> TimeSeries:
     value = _si(channel, factor, notes)
     time_ns, value = _without_repeated_rows(time_ns, value, notes)
     _check(path, channel.name, time_ns, value)
-    return TimeSeries(time_ns, value, channel.name, unit, tuple(notes))
+    return TimeSeries(time_ns, value, channel.name, unit, tuple(notes), found.damage)
 
 
 def find_channel(path: Path, found: ChannelSet, wanted: str, key: str) -> Channel:

@@ -1,6 +1,8 @@
 """Text columns: csv, txt, dat and asc in any dialect."""
 
 import warnings
+from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +13,8 @@ from midspan.errors import DataError
 from midspan.sources.accelerometer.channel import Channel, ChannelSet, Values
 from midspan.sources.accelerometer.clock import TIME_UNITS, texts_to_ns
 from midspan.sources.accelerometer.dialect import BLANKS, Dialect, find_dialect
+from midspan.sources.accelerometer.last_line import cut_last_line
+from midspan.sources.declared_size import require_memory
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -22,8 +26,11 @@ def read(path: Path) -> ChannelSet:
     Encoding, delimiter, decimal sign, preamble, header and units are found and told in the notes. What is no number
     becomes NaN. Columns of words are left out. Raises DataError where no columns of numbers are found.
     """
+    require_memory(path, path.stat().st_size, "its table")
     dialect = find_dialect(path)
-    frame, notes = _parse(path, dialect)
+    cut = cut_last_line(path, dialect)
+    text = _Text(path, dialect, None if cut is None else cut[0])
+    frame, notes = _parse(text)
     found = [f"encoding {dialect.encoding}", *dialect.notes, *notes]
     channels: list[Channel] = []
     for k in _numeric_columns(dialect):
@@ -32,14 +39,14 @@ def read(path: Path) -> ChannelSet:
         column = frame[k]
         if k == dialect.joined:
             column = column.astype("str").str.cat(frame[k + 1].astype("str"), sep="T")
-        exact = _exact_epoch(path, dialect, k) if _is_fractional_epoch(column, dialect.units[k]) else None
+        exact = _exact_epoch(text, k) if _is_fractional_epoch(column, dialect.units[k]) else None
         if exact is not None:
             channels.append(Channel(dialect.names[k], exact, "ns"))
             continue
         channel, said = _channel(_joined_name(dialect, k), dialect.units[k], column, dialect.decimal)
         found += [note for note in said if note not in found]
         channels += [channel] if channel else []
-    return ChannelSet(tuple(channels), tuple(found))
+    return ChannelSet(tuple(channels), tuple(found), () if cut is None else (cut[1],))
 
 
 def _numeric_columns(dialect: Dialect) -> list[int]:
@@ -53,15 +60,29 @@ def _joined_name(dialect: Dialect, column: int) -> str:
     return dialect.names[column + 1]
 
 
-def _parse(path: Path, dialect: Dialect, only: int | None = None) -> tuple["pd.DataFrame", list[str]]:
+@dataclass(frozen=True, slots=True)
+class _Text:
+    """A text file, how it is written, and its bytes that count (None: all)."""
+
+    path: Path
+    dialect: Dialect
+    end: int | None
+
+    def opened(self) -> Path | BytesIO:
+        """What pandas reads."""
+        return self.path if self.end is None else BytesIO(self.path.read_bytes()[: self.end])
+
+
+def _parse(text: _Text, only: int | None = None) -> tuple["pd.DataFrame", list[str]]:
     """All columns as pandas reads them, or one column as it is written."""
     import pandas as pd
 
+    dialect = text.dialect
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:
             frame = pd.read_csv(
-                path,
+                text.opened(),
                 sep=dialect.delimiter,
                 decimal=dialect.decimal,
                 header=None,
@@ -78,7 +99,9 @@ def _parse(path: Path, dialect: Dialect, only: int | None = None) -> tuple["pd.D
                 on_bad_lines="warn",
             )
         except (pd.errors.ParserError, pd.errors.EmptyDataError, ValueError) as error:
-            raise DataError(f"{path} could not be read as text columns: {error}. Check the file's rows.") from error
+            raise DataError(
+                f"{text.path} could not be read as text columns: {error}. Check the file's rows."
+            ) from error
     lost = sum(str(w.message).count("Skipping line") for w in caught)
     return frame, [f"{lost} lines with too many fields left out"] if lost else []
 
@@ -90,12 +113,12 @@ def _is_fractional_epoch(column: "pd.Series[Any]", unit: str | None) -> bool:
     return bool(1e9 <= column.iloc[0] < 1e10 and 1e9 <= column.iloc[-1] < 1e10)
 
 
-def _exact_epoch(path: Path, dialect: Dialect, column: int) -> NDArray[np.int64] | None:
+def _exact_epoch(text: _Text, column: int) -> NDArray[np.int64] | None:
     """Nanoseconds of a column of decimal seconds, from its digits; None where a field is missing or has an exponent."""
     import pyarrow as pa
 
-    texts = _parse(path, dialect, column)[0].iloc[:, 0].str.strip()
-    if dialect.decimal == ",":
+    texts = _parse(text, column)[0].iloc[:, 0].str.strip()
+    if text.dialect.decimal == ",":
         texts = texts.str.replace(",", ".", regex=False)
     try:
         # pandas keeps text in one piece or in several, depending on the file's size.

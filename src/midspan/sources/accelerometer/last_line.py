@@ -1,0 +1,97 @@
+"""A text file whose last line was cut off, as by a logger that lost its power.
+
+A line with its line end is whole. One without is whole where nothing can be missing: it has all fields of the lines
+above it, and its last number is written as far as theirs. Else it is cut: `-0.` of `-0.113` reads as a number, too.
+"""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from midspan.sources.accelerometer.dialect import Dialect, is_comment, is_value, split
+
+# Bytes from the end that are looked at, and lines above the last one that it is compared with.
+_TAIL_BYTES = 1 << 20
+_NEIGHBOURS = 50
+# Characters of the line that a message shows.
+_SHOWN = 40
+# Nine digits tell every number of single precision (IEEE 754): what may be missing after them is below any sensor.
+_ENOUGH_DIGITS = 9
+_NUMBER = re.compile(r"^[+-]?(?P<mantissa>\d*(?:[.,](?P<decimals>\d*))?)(?:[eEdD][+-]?(?P<exponent>\d*))?$")
+
+
+def cut_last_line(path: Path, dialect: Dialect) -> tuple[int, str] | None:
+    """Up to which byte a file is sound, and a sentence on what follows; None for a file that ends as it should."""
+    with path.open("rb") as file:
+        head = file.read(2)
+        size = file.seek(0, 2)
+        # Characters of UTF-16 stand at even places.
+        file.seek(max(0, size - _TAIL_BYTES) // 2 * 2)
+        tail = file.read()
+    encoding, errors = _of_pieces(dialect.encoding, head)
+    text = tail.decode(encoding, errors)
+    # A disk that lost power before it held the data leaves zeros at a file's end.
+    written = text.rstrip("\0")
+    lines = re.split(r"\r\n|\n|\r", written)
+    if written == text and (not lines[-1].strip() or is_comment(lines[-1]) or _is_whole(lines[-1], lines, dialect)):
+        return None
+    sound = written[: len(written) - len(lines[-1])]
+    end = size - len(tail) + len(sound.encode(encoding, errors))
+    if written != text:
+        return end, f"it ends in {size - end} bytes that were never written (zeros), as after a loss of power"
+    return end, f"its last line has no line end and is cut off: {lines[-1].strip()[:_SHOWN]!r} is left out"
+
+
+def _of_pieces(encoding: str, head: bytes) -> tuple[str, str]:
+    """The encoding of a piece from the middle, without a byte order mark, and how to decode so that no byte is lost."""
+    if encoding == "utf-16":
+        return ("utf-16-be" if head == b"\xfe\xff" else "utf-16-le"), "replace"
+    if encoding.startswith("utf-16"):
+        return encoding, "replace"
+    return ("utf-8" if encoding == "utf-8-sig" else encoding), "surrogateescape"
+
+
+def _is_whole(last: str, lines: Sequence[str], dialect: Dialect) -> bool:
+    """Whether the last of the lines cannot be the beginning of a longer one."""
+    rows = [split(line, dialect.delimiter) for line in lines[-_NEIGHBOURS - 1 : -1] if not is_comment(line)]
+    widths = [len(row) for row in rows if any(row)]
+    if last.count('"') % 2 or not widths:
+        return not widths
+    width = max(set(widths), key=widths.count)
+    fields = split(last, dialect.delimiter)
+    if len(fields) < width:
+        return False
+    above = [row[-1] for row in rows if len(row) == width and is_value(row[-1], dialect.decimal)]
+    return not above or _is_written_out(fields[-1], above)
+
+
+def _is_written_out(field: str, above: Sequence[str]) -> bool:
+    """Whether a field cannot be the beginning of a longer one of the kind of those above it."""
+    number, numbers = _form(field), [_form(other) for other in above]
+    as_long = len(field.lstrip("+-")) >= max(len(other.lstrip("+-")) for other in above)
+    if number is None or None in numbers:
+        return as_long
+    forms = {(form.decimals, form.exponent) for form in numbers if form is not None}
+    if number.decimals and forms == {(number.decimals, number.exponent)}:
+        return True
+    exact = number.decimals and number.digits >= _ENOUGH_DIGITS and {exponent for _, exponent in forms} == {None}
+    return as_long or bool(exact and number.exponent is None)
+
+
+@dataclass(frozen=True, slots=True)
+class _Form:
+    """How a number is written: its decimals, its digits that count, the digits of its exponent (None: it has none)."""
+
+    decimals: int
+    digits: int
+    exponent: int | None
+
+
+def _form(field: str) -> _Form | None:
+    match = _NUMBER.match(field)
+    if match is None or not any(sign.isdigit() for sign in field):
+        return None
+    exponent = match["exponent"]
+    digits = re.sub(r"[.,]", "", match["mantissa"]).lstrip("0")
+    return _Form(len(match["decimals"] or ""), len(digits), None if exponent is None else len(exponent))

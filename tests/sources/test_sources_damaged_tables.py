@@ -1,0 +1,265 @@
+"""Damage that a format itself detects, and files that are cut off: reported, and never taken for data."""
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pymseed
+import pytest
+
+from midspan.cli.main import run
+from midspan.errors import DataError
+from midspan.sources.accelerometer.select import SeriesRequest, read_series
+
+RATE_HZ, COUNT = 100.0, 3000
+TIME_S = np.arange(COUNT) / RATE_HZ
+# Two modes of a footbridge, mm and Hz: the displacement is exact, its second derivative is the acceleration.
+MODES = ((4.0, 1.3, 0.4), (1.5, 3.1, 1.1))
+COUNTS_PER_M_S2 = 1e5
+# Rows of a table that is read again for each place of a cut.
+FEW = 120
+
+
+def displacement_mm(time_s: np.ndarray) -> np.ndarray:
+    return sum(a * np.sin(2 * np.pi * f * time_s + p) for a, f, p in MODES)
+
+
+def acceleration(time_s: np.ndarray) -> np.ndarray:
+    return sum(-1e-3 * a * (2 * np.pi * f) ** 2 * np.sin(2 * np.pi * f * time_s + p) for a, f, p in MODES)
+
+
+NOISY = acceleration(TIME_S) + np.random.default_rng(3).normal(0.0, 0.005, COUNT)
+
+
+def write_recording(folder: Path, accelerometer: str, keys: str = "") -> Path:
+    """A recording.toml around an accelerometer's file, with a displacement sensor of 10 Hz and 0.1 mm."""
+    time_s = np.arange(0.0, TIME_S[-1], 0.1)
+    value = displacement_mm(time_s) + np.random.default_rng(4).normal(0.0, 0.1, time_s.size)
+    rows = "".join(f"{t:.3f},{v:.5f}\n" for t, v in zip(time_s, value, strict=True))
+    (folder / "laser.csv").write_text(f"time_s,laser_mm\n{rows}")
+    (folder / "recording.toml").write_text(
+        f'[accelerometer]\nfile = "{accelerometer}"\n{keys}\n[displacement]\nfile = "laser.csv"\nunit = "mm"\n'
+    )
+    return folder
+
+
+def inspected(path: Path, capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
+    capsys.readouterr()
+    assert run(["inspect", str(path), "--json"]) == 0
+    return json.loads(capsys.readouterr().out)  # type: ignore[no-any-return]
+
+
+def estimated(folder: Path, capsys: pytest.CaptureFixture[str]) -> tuple[list[str], str]:
+    """The warnings in the result's JSON, and what was said on standard error."""
+    capsys.readouterr()
+    assert run(["estimate", str(folder), "-o", str(folder / "out.csv")]) == 0
+    return json.loads((folder / "out.json").read_text())["warnings"], capsys.readouterr().err
+
+
+def refused(path: Path, capsys: pytest.CaptureFixture[str], code: int = 3) -> str:
+    capsys.readouterr()
+    assert run(["inspect", str(path)]) == code
+    said = capsys.readouterr().err
+    assert "Traceback" not in said
+    assert "internal error" not in said
+    return said
+
+
+def miniseed(path: Path, encoding: pymseed.DataEncoding, version: int = 2) -> bytearray:
+    counts = np.round(COUNTS_PER_M_S2 * NOISY).astype(np.int32)
+    traces = pymseed.MS3TraceList()
+    traces.add_data("FDSN:XX_DECK_00_H_N_Z", counts, "i", RATE_HZ, starttime=0)
+    traces.to_file(str(path), encoding=encoding, max_record_length=512, format_version=version)
+    return bytearray(path.read_bytes())
+
+
+@pytest.mark.parametrize("encoding", [pymseed.DataEncoding.STEIM1, pymseed.DataEncoding.STEIM2])
+def test_a_miniseed_record_that_does_not_end_at_its_last_sample_is_a_gap(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], encoding: pymseed.DataEncoding
+) -> None:
+    path = tmp_path / "a.mseed"
+    whole = miniseed(path, encoding)
+    for byte in (150, 301, 433):
+        damaged = bytearray(whole)
+        damaged[4 * 512 + byte] ^= 0x04
+        path.write_bytes(damaged)
+        series = read_series(path, SeriesRequest("acceleration", unit="m/s^2"))
+        kept = np.round(series.time_ns * 1e-9 * RATE_HZ).astype(int)
+        # What is left is exact, and one record is gone.
+        np.testing.assert_array_equal(series.value, np.round(COUNTS_PER_M_S2 * NOISY)[kept])
+        assert 50 < COUNT - kept.size < 600
+        (line,) = inspected(path, capsys)["warnings"]
+        for words in ("XX.DECK.00.HNZ", "1 of ", f"{COUNT - kept.size} samples", "1970-01-01T00:00:"):
+            assert words in line
+
+
+def test_a_damaged_miniseed_record_is_a_warning_of_the_result(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    damaged = miniseed(tmp_path / "a.mseed", pymseed.DataEncoding.STEIM2)
+    damaged[3 * 512 + 200] ^= 0x10
+    (tmp_path / "a.mseed").write_bytes(damaged)
+    folder = write_recording(tmp_path, "a.mseed", f'unit = "V"\nsensitivity = {COUNTS_PER_M_S2}')
+    warnings, said = estimated(folder, capsys)
+    assert sum("records are damaged" in line for line in warnings) == 1
+    assert "records are damaged" in said
+    assert any("records are damaged" in line for line in inspected(folder, capsys)["accelerometer"]["warnings"])
+
+
+def test_a_calibration_made_elsewhere_does_not_hide_the_damage(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    whole = miniseed(tmp_path / "a.mseed", pymseed.DataEncoding.STEIM2)
+    folder = write_recording(tmp_path, "a.mseed", f'unit = "V"\nsensitivity = {COUNTS_PER_M_S2}')
+    assert run(["calibrate", str(folder), "-q"]) == 0
+    whole[3 * 512 + 200] ^= 0x10
+    (tmp_path / "a.mseed").write_bytes(whole)
+    assert run(["estimate", str(folder), "-c", str(folder / "calibration.json"), "-o", str(folder / "out.csv")]) == 0
+    assert any("records are damaged" in line for line in json.loads((folder / "out.json").read_text())["warnings"])
+
+
+def test_a_miniseed_file_without_a_sound_record_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "a.mseed"
+    whole = miniseed(path, pymseed.DataEncoding.STEIM2)
+    for start in range(0, len(whole), 512):
+        whole[start + 140] ^= 0x02
+    path.write_bytes(whole)
+    assert "records are damaged" in refused(path, capsys)
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_a_miniseed_file_that_is_cut_loses_its_last_record_only(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], version: int
+) -> None:
+    path = tmp_path / "a.mseed"
+    whole = miniseed(path, pymseed.DataEncoding.STEIM2, version)
+    path.write_bytes(whole[: len(whole) // 2 + 100])
+    tree = inspected(path, capsys)
+    assert tree["warnings"] == ["its last record is cut off and left out"]
+    assert COUNT // 3 < tree["channels"][0]["samples"] < 2 * COUNT // 3
+
+
+def write_text(
+    path: Path, row: str, cut: int, encoding: str = "utf-8", head: str = "time_s,accel", *, count: int = COUNT
+) -> int:
+    """A table that lacks its last line end and `cut` characters more; the length of its last line."""
+    lines = [row.format(t=t, a=a, n=round(1e4 * a)) for t, a in zip(TIME_S[:count], NOISY[:count], strict=True)]
+    text = "\n".join([head, *lines])
+    path.write_bytes(text[: len(text) - cut].encode(encoding))
+    return len(lines[-1])
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
+@pytest.mark.parametrize(
+    ("row", "head"),
+    [
+        ("{t:.6f},{a:.6f}", "time_s,accel"),
+        ("{t:.2f};{n}", "time_s;accel"),
+        ("{t:.3f} {a:.6e}", "time_s accel"),
+        ("{t},{a}", "time_s,accel"),
+        ("{t:g}\t{a:g}", "time_s\taccel"),
+        ("2024-05-01T12:00:{t:06.3f}Z,{a:.5f},", "time_s,accel,"),
+        ("{a:.4f},{t:08.3f}", "accel,time_s"),
+    ],
+)
+def test_no_cut_of_the_last_line_gives_a_wrong_sample(tmp_path: Path, row: str, head: str, encoding: str) -> None:
+    path = tmp_path / "a.csv"
+    request = SeriesRequest("acceleration", time="time_s", value="accel", unit="m/s^2")
+    length = write_text(path, row, 0, encoding, head, count=FEW)
+    path.write_bytes(path.read_bytes() + "\n".encode(encoding)[-2 if encoding == "utf-16" else -1 :])
+    whole = read_series(path, request)
+    assert whole.value.size == FEW
+    assert whole.damage == ()
+    for cut in range(length + 1):
+        write_text(path, row, cut, encoding, head, count=FEW)
+        found = read_series(path, request)
+        count = found.value.size
+        np.testing.assert_array_equal(found.time_ns, whole.time_ns[:count])
+        # What is kept is right to nine digits: more than any sensor has.
+        np.testing.assert_allclose(found.value, whole.value[:count], rtol=1e-8)
+        assert count >= FEW - 1
+        # Nothing of the line is left where the cut was just before it: the line end above it is whole.
+        assert bool(found.damage) == (count < FEW and cut < length)
+
+
+@pytest.mark.parametrize("row", ["{t:.6f},{a:.6f}", "{t:.2f},{a:.9e}", "2024-05-01T12:00:{t:06.3f},{a:.4f}"])
+def test_a_whole_last_line_without_a_line_end_is_kept(tmp_path: Path, row: str) -> None:
+    path = tmp_path / "a.csv"
+    write_text(path, row, 0)
+    series = read_series(path, SeriesRequest("acceleration", unit="m/s^2"))
+    assert series.value.size == COUNT
+    assert series.damage == ()
+
+
+def test_a_short_table_without_a_last_line_end_is_whole(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("t,a\n0,1\n1,2\n2,3")
+    np.testing.assert_array_equal(read_series(path, SeriesRequest("acceleration", unit="m/s^2")).value, [1, 2, 3])
+
+
+@pytest.mark.parametrize("cut", [7, 12])
+def test_a_cut_last_line_is_a_warning_of_inspect_and_result(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], cut: int
+) -> None:
+    write_text(tmp_path / "accel.csv", "{t:.6f},{a:.6f}", cut)
+    folder = write_recording(tmp_path, "accel.csv", 'unit = "m/s^2"')
+    (line,) = inspected(tmp_path / "accel.csv", capsys)["warnings"]
+    assert "29.99" in line
+    assert "cut off" in line
+    warnings, said = estimated(folder, capsys)
+    assert any("accel.csv" in text and "cut off" in text for text in warnings)
+    assert "cut off" in said
+
+
+def test_zeros_behind_a_loss_of_power_are_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "a.csv"
+    write_text(path, "{t:.6f},{a:.6f}", 4)
+    path.write_bytes(path.read_bytes() + bytes(500))
+    tree = inspected(path, capsys)
+    assert tree["channels"][1]["samples"] == COUNT - 1
+    assert "never written" in tree["warnings"][0]
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "utf-16-le", "utf-16-be"])
+def test_tables_of_windows_loggers_are_read(tmp_path: Path, capsys: pytest.CaptureFixture[str], encoding: str) -> None:
+    path = tmp_path / "a.csv"
+    path.write_bytes("Zeit [s];Beschl [m/s²]\r\n0,00;1,5\r\n0,01;-2,5\r\n0,02;0,5\r\n".encode(encoding))
+    tree = inspected(path, capsys)
+    assert [(c["name"], c["unit"], c["samples"]) for c in tree["channels"]] == [("Zeit", "s", 3), ("Beschl", "m/s²", 3)]
+    assert (tree["channels"][1]["smallest"], tree["channels"][1]["largest"]) == (-2.5, 1.5)
+    assert tree["warnings"] == []
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".mat", ".mseed", ".xyz"])
+def test_a_pipe_is_refused_at_once(tmp_path: Path, capsys: pytest.CaptureFixture[str], suffix: str) -> None:
+    path = tmp_path / f"pipe{suffix}"
+    os.mkfifo(path)
+    assert "pipe" in refused(path, capsys)
+    folder = write_recording(tmp_path, path.name, 'unit = "m/s^2"')
+    if suffix != ".xyz":
+        assert run(["estimate", str(folder), "-o", str(tmp_path / "out.csv")]) == 3
+        assert "must be a file" in capsys.readouterr().err
+
+
+def test_a_name_that_no_file_can_have_is_one_sentence(capsys: pytest.CaptureFixture[str]) -> None:
+    assert "Correct the path" in refused(Path("a" * 300 + ".csv"), capsys)
+    with pytest.raises(DataError, match="without zero characters"):
+        read_series(Path("a\0b.csv"), SeriesRequest("acceleration"))
+
+
+def test_a_folder_with_a_tables_name_is_no_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "a.csv").mkdir()
+    folder = write_recording(tmp_path, "a.csv", 'unit = "m/s^2"')
+    assert run(["calibrate", str(folder)]) == 3
+    assert "it is a folder" in capsys.readouterr().err
+
+
+def test_inspect_says_what_a_raw_capture_needs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "adc_data.bin"
+    path.write_bytes(bytes(1000))
+    said = refused(path, capsys, code=2)
+    for words in ("[radar]", "config", "adc_data.bin"):
+        assert words in said
+    assert ".csv" not in said
