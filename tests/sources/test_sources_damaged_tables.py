@@ -1,13 +1,25 @@
 """Damage that a format itself detects, and files that are cut off: reported, and never taken for data."""
 
+import io
 import json
 import os
+import struct
+import subprocess
+import sys
+import zipfile
+import zlib
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pymseed
 import pytest
+from nptdms import ChannelObject, TdmsWriter
+from scipy.io import savemat
 
 from midspan.cli.main import run
 from midspan.errors import DataError
@@ -263,3 +275,240 @@ def test_inspect_says_what_a_raw_capture_needs(tmp_path: Path, capsys: pytest.Ca
     for words in ("[radar]", "config", "adc_data.bin"):
         assert words in said
     assert ".csv" not in said
+
+
+def write_tdms(path: Path) -> bytes:
+    with TdmsWriter(str(path)) as writer:
+        for part in np.split(np.arange(COUNT), 3):
+            properties = {"wf_increment": 1.0 / RATE_HZ, "unit_string": "m/s^2"}
+            time_s, value = TIME_S[part], NOISY[part]
+            writer.write_segment([ChannelObject("deck", "t", time_s), ChannelObject("deck", "acc", value, properties)])
+    return path.read_bytes()
+
+
+@pytest.mark.parametrize("share", [0.4, 0.5, 0.6, 0.8, 0.99, 1.0])
+def test_a_tdms_file_that_is_cut_says_so_and_nothing_else_does(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], share: float
+) -> None:
+    path = tmp_path / "a.tdms"
+    whole = write_tdms(path)
+    assert inspected(path, capfd)["warnings"] == []
+    path.write_bytes(whole[: min(round(share * len(whole)), len(whole) - 1)])
+    tree = inspected(path, capfd)
+    assert "cut off" in tree["warnings"][0]
+    assert run(["inspect", str(path), "--quiet"]) == 0
+    assert capfd.readouterr().err == ""
+    series = read_series(path, SeriesRequest("acceleration", time="deck/t", value="deck/acc"))
+    np.testing.assert_array_equal(series.value, NOISY[: series.value.size])
+    np.testing.assert_array_equal(series.time_ns, np.round(1e9 * TIME_S[: series.value.size]).astype(np.int64))
+
+
+@pytest.mark.parametrize("junk", [5, 27, 40])
+def test_a_tdms_file_that_ends_in_the_head_of_a_segment_says_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], junk: int
+) -> None:
+    path = tmp_path / "a.tdms"
+    whole = write_tdms(path)
+    path.write_bytes(whole + whole[:junk])
+    tree = inspected(path, capsys)
+    assert "cut off" in tree["warnings"][0]
+    assert [channel["samples"] for channel in tree["channels"]] == [COUNT, COUNT]
+
+
+def test_a_cut_tdms_file_is_a_warning_of_the_result(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    whole = write_tdms(tmp_path / "a.tdms")
+    (tmp_path / "a.tdms").write_bytes(whole[:-1000])
+    warnings, said = estimated(write_recording(tmp_path, "a.tdms", 'value = "acc"'), capfd)
+    assert any("a.tdms" in line and "cut off" in line for line in warnings)
+    assert "nptdms" not in said
+
+
+LVM = """LabVIEW Measurement\t
+Writer_Version\t2
+Separator\tTab
+Decimal_Separator\t.
+X_Columns\tOne
+***End_of_Header***\t
+\t
+Channels\t1\t\t
+Samples\t{samples}\t\t
+Y_Unit_Label\tm/s^2\t\t
+***End_of_Header***\t\t
+X_Value\tacc\tComment
+"""
+
+
+def write_lvm(path: Path, cut: int) -> None:
+    rows = "".join(f"{t:.6f}\t{a:.6f}\n" for t, a in zip(TIME_S[:FEW], NOISY[:FEW], strict=True))
+    path.write_text((LVM.format(samples=FEW) + rows)[: -cut or None])
+
+
+@pytest.mark.parametrize(("cut", "rows"), [(1, FEW), (2, FEW - 1), (9, FEW - 1), (15, FEW - 1), (60, FEW - 4)])
+def test_an_lvm_file_that_is_cut_loses_its_last_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], cut: int, rows: int
+) -> None:
+    path = tmp_path / "a.lvm"
+    write_lvm(path, 0)
+    assert inspected(path, capsys)["warnings"] == []
+    write_lvm(path, cut)
+    series = read_series(path, SeriesRequest("acceleration"))
+    np.testing.assert_allclose(series.value, NOISY[:rows], atol=5.1e-7)
+    said = " ".join(inspected(path, capsys)["warnings"])
+    assert (f"{rows} of {FEW} samples" in said) == (rows < FEW)
+    assert ("no line end" in said) == (rows < FEW)
+    assert os.listdir(tmp_path) == ["a.lvm"]
+
+
+def test_a_group_of_a_group_of_itself_ends(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Nine levels of ten hard links to the level below: a thousand million ways to one dataset."""
+    path = tmp_path / "a.h5"
+    with h5py.File(path, "w") as file:
+        below = file.create_group("level0")
+        below["acc"] = NOISY
+        for level in range(1, 10):
+            group = file.create_group(f"level{level}")
+            for k in range(10):
+                group[f"way{k}"] = below
+            below = group
+        file["level0/itself"] = file
+    tree = inspected(path, capsys)
+    assert [channel["samples"] for channel in tree["channels"]] == [COUNT]
+    assert any("same group" in note for note in tree["notes"])
+
+
+def test_groups_deeper_than_any_logger_writes_are_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "a.h5"
+    with h5py.File(path, "w") as file:
+        file["acc"] = NOISY
+        file["/".join(["deep"] * 2000) + "/acc"] = NOISY
+    tree = inspected(path, capsys)
+    assert [channel["name"] for channel in tree["channels"]] == ["acc"]
+    assert any("groups deep" in note for note in tree["notes"])
+
+
+def outside(kind: str, file: h5py.File, folder: Path) -> None:
+    """A dataset `acc` whose values lie elsewhere."""
+    (folder / "raw").write_bytes(NOISY.tobytes())
+    with h5py.File(folder / "other.h5", "w") as other:
+        other["acc"] = NOISY
+    if kind == "external storage":
+        file.create_dataset("acc", (COUNT,), "f8", external=[(str(folder / "raw"), 0, h5py.h5f.UNLIMITED)])
+    elif kind == "virtual":
+        layout = h5py.VirtualLayout((COUNT,), "f8")
+        layout[:] = h5py.VirtualSource(str(folder / "other.h5"), "acc", (COUNT,))
+        file.create_virtual_dataset("acc", layout)
+    else:
+        file["acc"] = h5py.ExternalLink(str(folder / "other.h5"), "acc")
+
+
+@pytest.mark.parametrize("matlab", [False, True])
+@pytest.mark.parametrize(
+    ("kind", "words"), [("external storage", "another file"), ("virtual", "virtual"), ("link", "another file")]
+)
+def test_values_outside_an_hdf5_file_are_refused_with_a_sentence(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], kind: str, words: str, matlab: bool
+) -> None:
+    path = tmp_path / ("a.mat" if matlab else "a.h5")
+    with h5py.File(path, "w", userblock_size=512 if matlab else 0) as file:
+        outside(kind, file, tmp_path)
+    assert words in refused(path, capsys)
+    with h5py.File(path, "r+") as file:
+        file["t"] = TIME_S
+    assert [channel["name"] for channel in inspected(path, capsys)["channels"]] == ["t"]
+    with pytest.raises(DataError, match=words):
+        read_series(path, SeriesRequest("acceleration", time="t", value="acc", unit="g"))
+
+
+HUGE = 10**13  # values: 73 TiB, more than any machine that this runs on has
+
+
+def npy_header(count: int) -> bytes:
+    head = io.BytesIO()
+    np.lib.format.write_array_header_1_0(head, {"descr": "<f8", "fortran_order": False, "shape": (count,)})
+    return head.getvalue()
+
+
+def mat_variable(kind: int, shape: tuple[int, int], stored: int, called: bytes = b"acc") -> bytes:
+    """The head of a compressed variable of MATLAB 5 that declares `stored` bytes (format description, 2019)."""
+    flags = struct.pack("<IIII", 6, 8, kind, 0)
+    name = struct.pack("<HH4s", 1, len(called), called)
+    inner = struct.pack("<II", 14, stored) + flags + struct.pack("<IIii", 5, 8, *shape) + name
+    packed = zlib.compress(inner + struct.pack("<II", 9, stored - 48) + bytes(10_000))
+    header = b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x01IM"
+    return header + struct.pack("<II", 15, len(packed)) + packed
+
+
+def write_huge(path: Path) -> None:
+    """A file of some kB that declares more than there is memory for."""
+    if path.suffix == ".h5":
+        with h5py.File(path, "w") as file:
+            file.create_dataset("acc", (HUGE,), "f8", chunks=(10**6,), compression="gzip")
+    elif path.name == "v73.mat":
+        with h5py.File(path, "w", userblock_size=512) as file:
+            file.create_dataset("acc", (1, HUGE), "f8", chunks=(1, 10**6), compression="gzip")
+    elif path.suffix == ".npz":
+        with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+            archive.writestr("acc.npy", npy_header(HUGE) + bytes(1000))
+    elif path.suffix == ".npy":
+        path.write_bytes(npy_header(HUGE) + bytes(1000))
+    elif path.name == "numbers.mat":
+        path.write_bytes(mat_variable(6, (2**31 - 1, 2**10), 2**32 - 16))
+    else:
+        path.write_bytes(mat_variable(2, (1, 1), 2**32 - 16))
+
+
+@pytest.mark.parametrize("name", ["a.h5", "v73.mat", "a.npz", "a.npy", "numbers.mat", "structure.mat"])
+def test_a_declared_size_beyond_the_memory_is_refused_before_it_is_taken(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    path = tmp_path / name
+    write_huge(path)
+    assert path.stat().st_size < 100_000
+    said = refused(path, capsys)
+    assert name in said
+    # An npy file has its values as they are: it is not compressed, and too short for them.
+    assert "larger than file" in said or "greater than file size" in said or "available memory" in said
+
+
+def test_a_parquet_table_of_equal_values_is_refused_under_a_memory_limit(tmp_path: Path) -> None:
+    path = tmp_path / "a.parquet"
+    batch = pa.table({"acc": np.zeros(1_000_000)})
+    with pq.ParquetWriter(path, batch.schema) as writer:
+        for _ in range(60):
+            writer.write_table(batch)
+    assert path.stat().st_size < 300_000
+    # 60 million values need 1.4 GB in all; the process may take 1 GB more than it has at its start.
+    code = (
+        "import resource, sys; from midspan.cli.main import run; import pyarrow.parquet, pandas; "
+        "size = int(open('/proc/self/statm').read().split()[0]) * 4096 + 10**9; "
+        "resource.setrlimit(resource.RLIMIT_AS, (size, size)); sys.exit(run(['inspect', sys.argv[1]]))"
+    )
+    done = subprocess.run([sys.executable, "-c", code, str(path)], capture_output=True, text=True, check=False)
+    assert done.returncode == 3, done.stderr
+    assert "available memory" in done.stderr
+    assert "a.parquet" in done.stderr
+
+
+@pytest.mark.parametrize("suffix", [".h5", ".npz", ".mat", ".parquet"])
+def test_a_channel_is_read_beside_one_that_no_memory_holds(tmp_path: Path, suffix: str) -> None:
+    """Only the channels that are named are read: another one may be as large or as damaged as it likes."""
+    path = tmp_path / f"a{suffix}"
+    if suffix == ".h5":
+        with h5py.File(path, "w") as file:
+            file["t"], file["acc"] = TIME_S, NOISY
+            file.create_dataset("other", (HUGE,), "f8", chunks=(10**6,), compression="gzip")
+    elif suffix == ".npz":
+        np.savez(path, t=TIME_S, acc=NOISY)
+        with zipfile.ZipFile(path, "a", zipfile.ZIP_DEFLATED) as archive:
+            archive.writestr("other.npy", npy_header(HUGE))
+    elif suffix == ".mat":
+        savemat(path, {"t": TIME_S, "acc": NOISY})
+        path.write_bytes(path.read_bytes() + mat_variable(6, (2**31 - 1, 2**10), 2**32 - 16, b"big")[128:])
+    else:
+        pd.DataFrame({"other": NOISY[::-1], "t": TIME_S, "acc": NOISY}).to_parquet(path, compression="none")
+        whole = bytearray(path.read_bytes())
+        whole[10:2000] = bytes(1990)
+        path.write_bytes(whole)
+    series = read_series(path, SeriesRequest("acceleration", time="t", value="acc", unit="m/s^2"))
+    np.testing.assert_array_equal(series.value, NOISY)
+    np.testing.assert_array_equal(series.time_ns, np.round(1e9 * TIME_S).astype(np.int64))

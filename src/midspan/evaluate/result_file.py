@@ -93,7 +93,7 @@ def _is_recording(path: Path) -> bool:
 
 def _std(channels: tuple[Channel, ...], name: str, series: TimeSeries, unit: str | None) -> Floats | None:
     for channel in channels:
-        if channel.name == name and len(channel.values) == len(series.value):
+        if channel.name == name and channel.size == len(series.value):
             return channel.values.astype(np.float64) * si_factor(
                 unit or channel.unit or USUAL_UNIT, "displacement", None
             )

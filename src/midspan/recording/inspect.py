@@ -119,7 +119,7 @@ def inspect_file(path: Path, progress: Progress = silent) -> Tree:
                 "name": channel.name,
                 "unit": channel.unit,
                 "rate_hz": channel.rate_hz,
-                "samples": len(channel.values),
+                "samples": channel.size,
                 **_range(channel),
             }
             for channel in found.channels
@@ -160,7 +160,8 @@ def _opened(path: Path, request: FrameRequest) -> FrameSource:
 
 def _range(channel: Channel) -> Tree:
     """Smallest and largest value; a clock's as dates, None where there is no number."""
-    known = channel.values[np.isfinite(channel.values)]
+    known = channel.values
+    known = known[np.isfinite(known)]
     if channel.unit == "ns":
         known = known[known != NOT_A_TIME]
         return {"smallest": shown(int(known.min())), "largest": shown(int(known.max()))} if len(known) else NOTHING

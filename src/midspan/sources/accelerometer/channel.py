@@ -1,5 +1,6 @@
 """What a reader hands over: the channels of one file, with unit and clock where the file tells them."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,19 +11,38 @@ Values = NDArray[np.float64] | NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)
+class Stored:
+    """Values that are still in their file: their count, the bytes that reading them takes, and what reads them."""
+
+    size: int
+    needed_bytes: int
+    load: Callable[[], Values]
+
+
+@dataclass(frozen=True, slots=True)
 class Channel:
-    """One channel of a file: `values` (n,) in `unit` (None: the file does not say).
+    """One channel of a file: `values` (n,) in `unit` (None: the file does not say), read when they are asked for.
 
     `values` are float64, or int64 where every digit counts: time stamps, with unit "ns" for nanoseconds since 1970.
     The channel's own clock is `time_ns` (n,), or `rate_hz` in samples per second with `start_ns`; None where unknown.
     """
 
     name: str
-    values: Values
+    stored: Values | Stored
     unit: str | None = None
     rate_hz: float | None = None
     start_ns: int | None = None
     time_ns: NDArray[np.int64] | None = None
+
+    @property
+    def size(self) -> int:
+        """How many values the channel has."""
+        return self.stored.size
+
+    @property
+    def values(self) -> Values:
+        """The values (n,); from the file each time where they are not in memory."""
+        return self.stored.load() if isinstance(self.stored, Stored) else self.stored
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,12 +2,13 @@
 
 import importlib
 import stat
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from midspan.errors import DataError, UsageError
-from midspan.sources.accelerometer.channel import ChannelSet
+from midspan.sources.accelerometer.channel import Channel, ChannelSet, Stored, Values
 from midspan.sources.boundary import reading
+from midspan.sources.declared_size import require_memory
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,4 +93,18 @@ def _read(path: Path, row: Format) -> ChannelSet:
         module = importlib.import_module(f"{_PACKAGE}.{row.module}")
         found = module.read(path)
     assert isinstance(found, ChannelSet)
-    return found
+    return replace(found, channels=tuple(_guarded(path, row, channel) for channel in found.channels))
+
+
+def _guarded(path: Path, row: Format, channel: Channel) -> Channel:
+    """The channel with the same care around the reading of its values as there is around that of the file."""
+    stored = channel.stored
+    if not isinstance(stored, Stored):
+        return channel
+
+    def load() -> Values:
+        require_memory(path, stored.needed_bytes, f"channel {channel.name!r}")
+        with reading(path, row.name):
+            return stored.load()
+
+    return replace(channel, stored=replace(stored, load=load))

@@ -1,73 +1,139 @@
 """HDF5 files: every dataset of numbers in every group."""
 
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from midspan.sources.accelerometer.channel import ChannelSet
-from midspan.sources.accelerometer.tree import Leaf, channels_of
+from midspan.sources.accelerometer.tree import Leaf, channels_of, loaded
+from midspan.sources.declared_size import require_memory
 
-# A dataset above this many values is no channel of a logger (a stack of images, say) and is not loaded.
-_MOST_VALUES = 2_000_000_000
+# Groups inside one another; a file that has more is damaged or made to be endless.
+_MAX_DEPTH = 32
 
 
 def read(path: Path) -> ChannelSet:
     """All one- and two-axis datasets under their full path; attributes `unit`, `rate_hz`, `sampling_rate`, `fs` count.
 
-    Attributes of the file and of groups hold for all datasets inside unless a dataset has its own.
+    Attributes of the file and of groups hold for all datasets inside unless a dataset has its own. Values that lie in
+    another file (external storage, external links, virtual datasets) are left out and told in the notes.
     """
-    import h5py
-
-    with h5py.File(path, "r") as file:
-        return channels_of(_leaves(file, "", (dict(file.attrs),), transposed=False))
+    return _read(path, matlab=False)
 
 
 def read_matlab(path: Path) -> ChannelSet:
     """All variables of a MATLAB 7.3 file: HDF5 with axes in reverse order; fields of structures are `s.field`."""
+    return _read(path, matlab=True)
+
+
+def _read(path: Path, *, matlab: bool) -> ChannelSet:
     import h5py
 
     with h5py.File(path, "r") as file:
-        leaves = _leaves(file, "", (), transposed=True)
-        return channels_of([Leaf(leaf.name.replace("/", "."), leaf.values, leaf.attributes) for leaf in leaves])
+        walk = _Walk(path, matlab, h5py.h5o.get_info(file.id).fileno)
+        walk.enter(file, "", () if matlab else (dict(file.attrs),))
+    return channels_of(walk.leaves, walk.notes)
 
 
-def _leaves(group: Any, prefix: str, inherited: tuple[dict[str, Any], ...], transposed: bool) -> list[Leaf]:
-    import h5py
+@dataclass(slots=True)
+class _Walk:
+    """The way through a file's groups, each once: links can make a small file hold itself.
 
-    leaves: list[Leaf] = []
-    for name in group:
-        item = group.get(name)
-        if item is None or name.startswith("#"):
-            continue
-        attributes = (dict(item.attrs), *inherited)
-        if isinstance(item, h5py.Group):
-            leaves += _leaves(item, f"{prefix}{name}/", attributes, transposed)
-        elif isinstance(item, h5py.Dataset) and item.shape is not None and item.ndim <= 2 and item.size <= _MOST_VALUES:
-            leaves += _dataset(f"{prefix}{name}", item, attributes, transposed)
-    return leaves
+    number: HDF5's own number of the open file; groups: the name under which each group was met, by its address.
+    """
 
+    path: Path
+    matlab: bool
+    number: int
+    groups: dict[int, str] = field(default_factory=dict)
+    leaves: list[Leaf] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
 
-def _dataset(name: str, item: Any, attributes: tuple[dict[str, Any], ...], transposed: bool) -> list[Leaf]:
-    import h5py
+    def enter(self, group: Any, prefix: str, inherited: tuple[dict[str, Any], ...], depth: int = 0) -> None:
+        """Gather the datasets of a group and of the groups in it."""
+        import h5py
 
-    if h5py.check_ref_dtype(item.dtype) is not None:
-        return []
-    values = np.asarray(item[()])
-    if transposed:
+        address = h5py.h5o.get_info(group.id).addr
+        if address in self.groups:
+            self.notes.append(f"{prefix[:-1]} left out: it is the same group as {self.groups[address] or '/'}")
+            return
+        self.groups[address] = prefix[:-1]
+        if depth > _MAX_DEPTH:
+            self.notes.append(f"{prefix[:-1]} left out: it lies more than {_MAX_DEPTH} groups deep")
+            return
+        for key in group:
+            name = f"{prefix}{key}"
+            if key.startswith("#"):
+                continue
+            if isinstance(group.get(key, getlink=True), h5py.ExternalLink):
+                self._leave(name, "it is a link to another file")
+                continue
+            item = group.get(key)
+            if item is None:
+                continue
+            if h5py.h5o.get_info(item.id).fileno != self.number:
+                self._leave(name, "it is a link to another file")
+            elif isinstance(item, h5py.Group):
+                self.enter(item, f"{name}/", (dict(item.attrs), *inherited), depth + 1)
+            elif isinstance(item, h5py.Dataset):
+                self._dataset(name, item, (dict(item.attrs), *inherited))
+
+    def _leave(self, name: str, why: str) -> None:
+        self.notes.append(f"{name} left out: {why}; copy its values into this file")
+
+    def _dataset(self, name: str, item: Any, attributes: tuple[dict[str, Any], ...]) -> None:
+        import h5py
+
+        if item.shape is None or h5py.check_ref_dtype(item.dtype) is not None:
+            return
+        if item.external:
+            self._leave(name, "its values lie in another file (external storage)")
+            return
+        if item.is_virtual:
+            self._leave(name, "its values lie in other datasets (virtual dataset)")
+            return
+        if self.matlab:
+            self._matlab(name.replace("/", "."), item, attributes)
+            return
+        if item.size == 1:
+            self.leaves.append(loaded(name, np.asarray(item[()]), attributes))
+            return
+        path, place = self.path, item.name
+        self.leaves.append(Leaf(name, tuple(item.shape), item.dtype, lambda: _values(path, place), attributes))
+
+    def _matlab(self, name: str, item: Any, attributes: tuple[dict[str, Any], ...]) -> None:
+        """A variable: axes in reverse order, a row (1, n) the same channel as a column (n, 1), texts as codes."""
+        path, place = self.path, item.name
         if attributes[0].get("MATLAB_class") == b"char":
-            return _matlab_text(name, values)
-        values = _upright(values.T)
-    return [Leaf(name, values, attributes)]
+            if item.ndim == 2:
+                count, dtype = item.shape[1], np.dtype(f"U{max(item.shape[0], 1)}")
+                self.leaves.append(Leaf(name, (count,), dtype, lambda: _matlab_texts(path, place), attributes))
+            return
+        if item.size == 1:
+            self.leaves.append(loaded(name, np.asarray(item[()]), attributes))
+            return
+        shape = tuple(reversed(item.shape))
+        shape = shape[::-1] if len(shape) == 2 and shape[0] == 1 else shape
+        self.leaves.append(Leaf(name, shape, item.dtype, lambda: _upright(_values(path, place).T), attributes))
 
 
-def _upright(values: Any) -> Any:
+def _values(path: Path, place: str) -> NDArray[np.generic]:
+    import h5py
+
+    with h5py.File(path, "r") as file:
+        item = file[place]
+        require_memory(path, item.size * item.dtype.itemsize, f"dataset {place!r}")
+        return np.asarray(item[()])
+
+
+def _upright(values: NDArray[np.generic]) -> NDArray[np.generic]:
     """A row (1, n) of MATLAB is the same channel as a column (n, 1)."""
     return values.T if values.ndim == 2 and values.shape[0] == 1 else values
 
 
-def _matlab_text(name: str, values: Any) -> list[Leaf]:
+def _matlab_texts(path: Path, place: str) -> NDArray[np.generic]:
     """A character matrix (characters, rows as HDF5 shows it) as one text a row."""
-    if values.ndim != 2:
-        return []
-    return [Leaf(name, np.array(["".join(chr(int(code)) for code in row) for row in values.T]))]
+    return np.array(["".join(chr(int(code)) for code in row) for row in _values(path, place).T])

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from midspan.sources.accelerometer.dialect import Dialect, is_comment, is_value, split
+from midspan.sources.accelerometer.dialect import is_comment, is_value, split
 
 # Bytes from the end that are looked at, and lines above the last one that it is compared with.
 _TAIL_BYTES = 1 << 20
@@ -21,20 +21,23 @@ _ENOUGH_DIGITS = 9
 _NUMBER = re.compile(r"^[+-]?(?P<mantissa>\d*(?:[.,](?P<decimals>\d*))?)(?:[eEdD][+-]?(?P<exponent>\d*))?$")
 
 
-def cut_last_line(path: Path, dialect: Dialect) -> tuple[int, str] | None:
-    """Up to which byte a file is sound, and a sentence on what follows; None for a file that ends as it should."""
+def cut_last_line(path: Path, *, encoding: str, delimiter: str, decimal: str) -> tuple[int, str] | None:
+    """Up to which byte a file is sound, and a sentence on what follows; None for a file that ends as it should.
+
+    encoding, delimiter, decimal: how its columns are written, as in `Dialect`.
+    """
     with path.open("rb") as file:
         head = file.read(2)
         size = file.seek(0, 2)
         # Characters of UTF-16 stand at even places.
         file.seek(max(0, size - _TAIL_BYTES) // 2 * 2)
         tail = file.read()
-    encoding, errors = _of_pieces(dialect.encoding, head)
+    encoding, errors = _of_pieces(encoding, head)
     text = tail.decode(encoding, errors)
     # A disk that lost power before it held the data leaves zeros at a file's end.
     written = text.rstrip("\0")
     lines = re.split(r"\r\n|\n|\r", written)
-    if written == text and (not lines[-1].strip() or is_comment(lines[-1]) or _is_whole(lines[-1], lines, dialect)):
+    if written == text and (is_comment(lines[-1]) or _is_whole(lines, delimiter, decimal)):
         return None
     sound = written[: len(written) - len(lines[-1])]
     end = size - len(tail) + len(sound.encode(encoding, errors))
@@ -52,17 +55,20 @@ def _of_pieces(encoding: str, head: bytes) -> tuple[str, str]:
     return ("utf-8" if encoding == "utf-8-sig" else encoding), "surrogateescape"
 
 
-def _is_whole(last: str, lines: Sequence[str], dialect: Dialect) -> bool:
+def _is_whole(lines: Sequence[str], delimiter: str, decimal: str) -> bool:
     """Whether the last of the lines cannot be the beginning of a longer one."""
-    rows = [split(line, dialect.delimiter) for line in lines[-_NEIGHBOURS - 1 : -1] if not is_comment(line)]
+    last = lines[-1]
+    rows = [split(line, delimiter) for line in lines[-_NEIGHBOURS - 1 : -1] if not is_comment(line)]
     widths = [len(row) for row in rows if any(row)]
-    if last.count('"') % 2 or not widths:
-        return not widths
+    if not last.strip() or not widths:
+        return True
+    if last.count('"') % 2:
+        return False
     width = max(set(widths), key=widths.count)
-    fields = split(last, dialect.delimiter)
+    fields = split(last, delimiter)
     if len(fields) < width:
         return False
-    above = [row[-1] for row in rows if len(row) == width and is_value(row[-1], dialect.decimal)]
+    above = [row[-1] for row in rows if len(row) == width and is_value(row[-1], decimal)]
     return not above or _is_written_out(fields[-1], above)
 
 

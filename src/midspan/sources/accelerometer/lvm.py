@@ -1,6 +1,7 @@
 """LabVIEW measurement files (lvm), read with lvm_read."""
 
 from datetime import datetime
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -8,6 +9,13 @@ import numpy as np
 
 from midspan.records import Floats
 from midspan.sources.accelerometer.channel import Channel, ChannelSet
+from midspan.sources.accelerometer.last_line import cut_last_line
+from midspan.sources.declared_size import require_memory
+
+# Lines that hold the file's own header.
+_HEAD_LINES = 40
+# What lvm_read needs for a byte of text: a number of Python (32 bytes) for each field of four characters or more.
+_BYTES_OF_A_BYTE = 8
 
 
 def read(path: Path) -> ChannelSet:
@@ -15,17 +23,15 @@ def read(path: Path) -> ChannelSet:
 
     Where the time starts again in a later segment it is moved by the difference of the segments' date and time.
     """
-    import lvm_read
-
-    # The reader would otherwise leave a pickle beside the user's file, and trust one that it finds.
-    content = lvm_read.read(str(path), read_from_pickle=False, dump_file=False)
+    require_memory(path, _BYTES_OF_A_BYTE * path.stat().st_size, "its table")
+    content, damage = _content(path)
     segments = [content[k] for k in range(content["Segments"])]
     names = [str(name) for name in segments[0]["Channel names"]]
     same = [s for s in segments if [str(n) for n in s["Channel names"]] == names]
     notes = [f"{len(segments) - len(same)} segments with other channels left out"] if len(same) < len(segments) else []
     table = np.vstack([np.asarray(segment["data"], dtype=np.float64) for segment in same])
     if str(content.get("X_Columns", "One")) == "No":
-        return ChannelSet(_without_time(names, table, same[0]), tuple(notes))
+        return ChannelSet(_without_time(names, table, same[0]), tuple(notes), damage)
     time_s, moved = _continued([np.asarray(s["data"])[:, 0] for s in same], [_start(content, s) for s in same])
     notes += ["later segments moved by their date and time"] if moved else []
     units = _units(same[0], len(names) - 1)
@@ -33,7 +39,28 @@ def read(path: Path) -> ChannelSet:
     for k, name in enumerate(names[1:], start=1):
         if name not in ("Comment", "X_Value") and k < table.shape[1] and not np.isnan(table[:, k]).all():
             channels.append(Channel(name, table[:, k].copy(), units[k - 1]))
-    return ChannelSet(tuple(channels), tuple(notes))
+    return ChannelSet(tuple(channels), tuple(notes), damage)
+
+
+def _content(path: Path) -> tuple[dict[Any, Any], tuple[str, ...]]:
+    """What lvm_read finds, without a last line that is cut off, and sentences on what the file lacks."""
+    import lvm_read
+
+    with path.open(encoding="utf-8", errors="ignore") as file:
+        head = dict(line.strip("\r\n").split("\t", 1) for line in islice(file, _HEAD_LINES) if "\t" in line)
+    comma = head.get("Separator", "").strip() == "Comma"
+    decimal = head.get("Decimal_Separator", ".").strip() or "."
+    cut = cut_last_line(path, encoding="utf-8", delimiter="," if comma else "\t", decimal=decimal)
+    if cut is None:
+        # The reader would otherwise leave a pickle beside the user's file, and trust one that it finds.
+        content = lvm_read.read(str(path), read_from_pickle=False, dump_file=False)
+    else:
+        content = lvm_read.read_str(path.read_bytes()[: cut[0]].decode("utf-8", errors="ignore"))
+    last = content[content["Segments"] - 1]
+    declared = np.nanmax(np.asarray(last.get("Samples") or [0.0], dtype=np.float64))
+    rows = len(last["data"])
+    few = (f"its last segment is cut off: {rows} of {declared:.0f} samples are in it",) if rows < declared else ()
+    return content, (*(() if cut is None else (cut[1],)), *few)
 
 
 def _without_time(names: list[str], table: Floats, segment: dict[Any, Any]) -> tuple[Channel, ...]:

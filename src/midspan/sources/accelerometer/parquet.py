@@ -5,42 +5,70 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from midspan.sources.accelerometer.channel import Channel, ChannelSet, numbers
+from midspan.sources.accelerometer.channel import Channel, ChannelSet, Stored, Values, numbers
 from midspan.sources.accelerometer.clock import texts_to_ns
 from midspan.sources.accelerometer.dialect import named_unit
+from midspan.sources.declared_size import require_memory
 
 if TYPE_CHECKING:
     import pandas as pd
 
+# Bytes of a value: as it is stored there, as pyarrow gives it and as a channel has it.
+_BYTES = 24
+
 
 def read(path: Path) -> ChannelSet:
-    """All numeric and time columns of a Parquet file; a column's unit from its field metadata `unit` or its heading."""
+    """All numeric and time columns of a Parquet file; a column's unit from its field metadata `unit` or its heading.
+
+    Columns of numbers are read when they are asked for.
+    """
     import pyarrow.parquet as pq
 
-    table = pq.read_table(path)
+    with pq.ParquetFile(path) as file:
+        schema, count = file.schema_arrow, int(file.metadata.num_rows)
     channels: list[Channel] = []
     notes: list[str] = []
-    for field in table.schema:
+    for field in schema:
         name, heading_unit = named_unit(field.name)
         stated = (field.metadata or {}).get(b"unit")
         unit = stated.decode() if stated else heading_unit
-        channel, said = _channel(name, unit, table.column(field.name))
+        channel, said = _channel(path, field, (name, unit), count)
         channels += [channel] if channel else []
         notes += said
     return ChannelSet(tuple(channels), tuple(notes))
 
 
-def _channel(name: str, unit: str | None, column: Any) -> tuple[Channel | None, list[str]]:
+def _channel(path: Path, field: Any, named: tuple[str, str | None], count: int) -> tuple[Channel | None, list[str]]:
     import pyarrow as pa
 
-    kind = column.type
+    kind, (name, unit) = field.type, named
     if pa.types.is_timestamp(kind):
-        moments: pd.Series[Any] = column.cast(pa.timestamp("ns", tz=kind.tz)).to_pandas()
-        return Channel(name, np.asarray(moments.astype("int64"), dtype=np.int64), "ns"), []
+        return Channel(name, Stored(count, _BYTES * count, lambda: _stamps(path, field)), "ns"), []
     if pa.types.is_string(kind) or pa.types.is_large_string(kind):
-        found = texts_to_ns(column.to_pandas()) if len(column) else None
+        require_memory(path, _BYTES * count, f"column {field.name!r}")
+        found = texts_to_ns(_column(path, field.name).to_pandas()) if count else None
         return (Channel(name, found[0], "ns"), list(found[1])) if found else (None, [])
     if not (pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind)):
         return None, []
-    values = numbers(column.to_numpy())
-    return (Channel(name, values, unit) if values is not None else None), []
+    return Channel(name, Stored(count, _BYTES * count, lambda: _numbers(path, field.name)), unit), []
+
+
+def _column(path: Path, name: str) -> Any:
+    import pyarrow.parquet as pq
+
+    with pq.ParquetFile(path) as file:
+        return file.read(columns=[name]).column(name)
+
+
+def _stamps(path: Path, field: Any) -> Values:
+    import pyarrow as pa
+
+    moments: pd.Series[Any] = _column(path, field.name).cast(pa.timestamp("ns", tz=field.type.tz)).to_pandas()
+    return np.asarray(moments.astype("int64"), dtype=np.int64)
+
+
+def _numbers(path: Path, name: str) -> Values:
+    values = numbers(_column(path, name).to_numpy())
+    if values is None:
+        raise ValueError(f"column {name!r} holds no numbers")
+    return values

@@ -93,7 +93,8 @@ def read_series(path: Path, request: SeriesRequest) -> TimeSeries:
 def find_channel(path: Path, found: ChannelSet, wanted: str, key: str) -> Channel:
     """The channel called `wanted`: its name, the last part of its path if unique, or `name[k]` from 0.
 
-    Raises UsageError that names the nearest and lists what is there; `key` is the setting's name in the message.
+    Raises UsageError that names the nearest and lists what is there, DataError for one that the reader left out; `key`
+    is the setting's name in the message.
     """
     bare, unit = named_unit(wanted)
     matches = [c for c in found.channels if c.name == wanted]
@@ -106,6 +107,9 @@ def find_channel(path: Path, found: ChannelSet, wanted: str, key: str) -> Channe
     if len(matches) == 1:
         return matches[0]
     names = found.names
+    left_out = next((note for note in found.notes if note.startswith(f"{wanted} left out")), None)
+    if left_out is not None and not matches:
+        raise DataError(f"{path}: {key} = {wanted!r}: {left_out}.")
     problem = f"stands for {len(matches)} channels" if matches else "is not in the file"
     hint = nearest(wanted, names)
     raise UsageError(f"{path}: {key} = {wanted!r} {problem}. {hint} It holds {_listing(names)}.".replace("  ", " "))
@@ -162,7 +166,7 @@ def _guessed_time(found: ChannelSet, request: SeriesRequest, value: Channel) -> 
     """A channel of times by its name, else a first channel that rises throughout; none where a rate is given."""
     if request.rate_hz is not None or value.time_ns is not None:
         return None
-    same = [c for c in found.channels if c is not value and c.values.size == value.values.size]
+    same = [c for c in found.channels if c is not value and c.size == value.size]
     named = [c for c in same if _is_clock(c)]
     if named:
         return named[0]
@@ -174,7 +178,7 @@ def _guessed_time(found: ChannelSet, request: SeriesRequest, value: Channel) -> 
 def _times(
     path: Path, channel: Channel, clock: Channel | None, request: SeriesRequest, notes: list[str]
 ) -> Nanoseconds:
-    count = channel.values.size
+    count = channel.size
     if clock is not None:
         return _clock_times(path, channel, clock, notes)
     if channel.time_ns is not None:
@@ -191,10 +195,10 @@ def _times(
 
 
 def _clock_times(path: Path, channel: Channel, clock: Channel, notes: list[str]) -> Nanoseconds:
-    if clock.values.size != channel.values.size:
+    if clock.size != channel.size:
         raise DataError(
             f"{path}: time {clock.name!r} and value {channel.name!r} must be of equal length; received "
-            f"{clock.values.size} and {channel.values.size}. Name channels that belong together."
+            f"{clock.size} and {channel.size}. Name channels that belong together."
         )
     unit = clock.unit or named_unit(clock.name)[1]
     if unit is not None and any(measures(unit, quantity) for quantity in SI_UNITS):

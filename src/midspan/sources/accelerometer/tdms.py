@@ -1,32 +1,86 @@
 """National Instruments TDMS, read with npTDMS."""
 
+import logging
+import struct
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from midspan.sources.accelerometer.channel import Channel, ChannelSet, numbers
+from midspan.sources.declared_size import require_memory
 
 _UNITS = ("unit_string", "NI_UnitDescription", "unit", "Unit")
 # LabVIEW's zero of time, 1904: a waveform that starts there was never given a start.
 _UNSET_BEFORE_NS = int(np.datetime64("1971-01-01", "ns").astype(np.int64))
+# A segment's lead-in: its mark, flags, version, and the bytes that follow ("NI: TDMS file format internal structure").
+_MARK, _LEAD_IN_BYTES, _BIG_ENDIAN = b"TDSm", 28, 1 << 6
 
 
 def read(path: Path) -> ChannelSet:
-    """All channels as `group/channel`, scaled as the file says; rate and start from the waveform properties."""
+    """All channels as `group/channel`, scaled as the file says; rate and start from the waveform properties.
+
+    Of a file that was cut off, channels of one length keep what all of them have.
+    """
     from nptdms import TdmsFile
 
     channels: list[Channel] = []
     notes: list[str] = []
-    with path.open("rb") as opened, TdmsFile.open(opened) as file:
-        for group in file.groups():
-            for item in group.channels():
-                values = numbers(np.asarray(item[:]))
-                if values is None or values.size < 2:
-                    notes.append(f"{group.name}/{item.name} left out: no series of numbers")
-                    continue
-                channels.append(_channel(f"{group.name}/{item.name}", values, np.asarray(item[:1]), item.properties))
-    return ChannelSet(tuple(channels), tuple(notes))
+    with path.open("rb") as opened, _quiet(), TdmsFile.open(opened) as file:
+        items = {f"{group.name}/{item.name}": item for group in file.groups() for item in group.channels()}
+        # As the file has them, and as numbers of eight bytes.
+        require_memory(path, sum(16 * len(item) for item in items.values()), "its channels")
+        counts = _common_counts(file, list(items.values()))
+        for name, item in items.items():
+            values = numbers(np.asarray(item[: counts[item.path]]))
+            if values is None or values.size < 2:
+                notes.append(f"{name} left out: no series of numbers")
+                continue
+            channels.append(_channel(name, values, np.asarray(item[:1]), item.properties))
+    damage = (
+        () if _is_whole(path) else ("it is cut off: its last segment is not complete, and the rest of it is missing",)
+    )
+    return ChannelSet(tuple(channels), tuple(notes), damage)
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Keep the library's warnings off standard error: what they say is in the damage."""
+    from nptdms.log import log_manager
+
+    level = log_manager.log_level
+    log_manager.set_level(logging.ERROR)
+    try:
+        yield
+    finally:
+        log_manager.set_level(level)
+
+
+def _is_whole(path: Path) -> bool:
+    """Whether the file ends where its last segment does; one that a program never finished has no length."""
+    with path.open("rb") as file:
+        end = file.seek(0, 2)
+        place = 0
+        while place < end:
+            file.seek(place)
+            head = file.read(_LEAD_IN_BYTES)
+            if len(head) < _LEAD_IN_BYTES or not head.startswith(_MARK):
+                return False
+            big = struct.unpack("<I", head[4:8])[0] & _BIG_ENDIAN
+            place += _LEAD_IN_BYTES + struct.unpack(">Q" if big else "<Q", head[12:20])[0]
+    return place == end
+
+
+def _common_counts(file: Any, items: list[Any]) -> dict[str, int]:
+    """How many values of each channel are used: of channels that should be equally long, what the shortest has."""
+    last = file.file_status.channel_statuses or {}
+    lost = {path: one.expected_length - one.read_length for path, one in last.items()}
+    declared = {item.path: len(item) + lost.get(item.path, 0) for item in items}
+    return {
+        item.path: min(len(other) for other in items if declared[other.path] == declared[item.path]) for item in items
+    }
 
 
 def _channel(name: str, values: Any, first: Any, properties: dict[str, Any]) -> Channel:

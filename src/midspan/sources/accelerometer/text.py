@@ -28,7 +28,7 @@ def read(path: Path) -> ChannelSet:
     """
     require_memory(path, path.stat().st_size, "its table")
     dialect = find_dialect(path)
-    cut = cut_last_line(path, dialect)
+    cut = cut_last_line(path, encoding=dialect.encoding, delimiter=dialect.delimiter, decimal=dialect.decimal)
     text = _Text(path, dialect, None if cut is None else cut[0])
     frame, notes = _parse(text)
     found = [f"encoding {dialect.encoding}", *dialect.notes, *notes]
