@@ -1,5 +1,6 @@
 """`midspan inspect RECORDING`."""
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -60,9 +61,11 @@ def _show_stream(console: Console, section: str, branch: dict[str, Any]) -> None
     rows = _times(branch)
     if "samples" in branch:
         unit = branch["value_unit"]
+        digits = _digits(branch["smallest"], branch["largest"], 4)
         rows += [
             ("channel", f"{branch['channel']} in {branch['unit']}, {branch['samples']} samples"),
-            ("values", f"{branch['smallest']:.4g} … {branch['largest']:.4g} {unit}, mean {branch['mean']:.4g}, "
+            ("values", f"{branch['smallest']:.{digits}g} … {branch['largest']:.{digits}g} {unit}, "
+                       f"mean {branch['mean']:.{digits}g}, "
                        f"rms about it {branch['std']:.4g}"),
             ("missing, frozen, clipped", f"{branch['missing_samples']}, {branch['frozen_samples']}, "
                                          f"{branch['clipped_samples']} samples"),
@@ -146,16 +149,30 @@ def _show_file(console: Console, tree: dict[str, Any]) -> None:
     console.say(tree["file"])
     for channel in tree["channels"]:
         low, high = channel["smallest"], channel["largest"]
-        values = "no numbers" if low is None else f"{_short(low)} … {_short(high)}"
         rate = f", {channel['rate_hz']:.6g} Hz" if channel["rate_hz"] else ""
-        console.say(
-            f"  {channel['name']}: {channel['samples']} samples, {values} {channel['unit'] or '(no unit)'}{rate}"
-        )
+        missing = f" ({channel['missing']} without a number)" if channel["missing"] else ""
+        values = _values(low, high, channel["unit"] or "(no unit)")
+        console.say(f"  {channel['name']}: {channel['samples']} samples{missing}, {values}{rate}")
     console.table([("found", note) for note in tree["notes"]] + [("warning", line) for line in tree["warnings"]])
 
 
-def _short(value: float | str) -> str:
-    return value if isinstance(value, str) else f"{value:.6g}"
+def _values(low: float | str | None, high: float | str | None, unit: str) -> str:
+    """The range of a channel; times are texts that have their unit with them."""
+    if low is None or high is None:
+        return f"no numbers {unit}"
+    if isinstance(low, str) or isinstance(high, str):
+        return f"{low} … {high}"
+    digits = _digits(low, high, 6)
+    return f"{low:.{digits}g} … {high:.{digits}g} {unit}"
+
+
+def _digits(low: float, high: float, least: int) -> int:
+    """Significant digits, at least so many, that show three digits of how far two numbers lie apart."""
+    apart, size = high - low, max(abs(low), abs(high))
+    if not 0.0 < apart < math.inf:
+        return least
+    # A double holds 17.
+    return min(max(least, math.ceil(math.log10(size / apart)) + 3), 17)
 
 
 def _fail_if_unreadable(tree: dict[str, Any]) -> None:

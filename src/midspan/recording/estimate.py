@@ -124,7 +124,7 @@ def _given(recording: Recording, calibration: Calibration, gathered: Gathered) -
     literal = calibration.radar is not None and calibration.radar.literal
     # The factor as printed is known to be off.
     sources = [source for source in SCALED if not (literal and source == Source.RADAR)]
-    return fitting(gathered.inputs, max_offset_s=recording.settings.calibration.max_offset_s, sources=sources)
+    return fitting(gathered.inputs, max_offset_s=recording.max_offset_s, sources=sources)
 
 
 def _uncalibrated(recording: Recording, calibration: Calibration) -> list[str]:

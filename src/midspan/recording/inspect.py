@@ -9,6 +9,7 @@ import numpy as np
 
 from midspan.errors import DataError, MidspanError, UsageError
 from midspan.recording.radar.inspect import inspect_radar
+from midspan.recording.streams.acceleration import unusable_samples
 from midspan.recording.streams.progress import Progress, silent
 from midspan.recording.streams.recording import Recording
 from midspan.recording.streams.span import shown
@@ -45,7 +46,7 @@ def inspect_recording(recording: Recording, every_frame: bool = False, progress:
     tree: Tree = {"recording": str(recording.file), "name": recording.name}
     spans: dict[str, tuple[int, int]] = {}
     readers: dict[str, Callable[[], tuple[Tree, Nanoseconds]]] = {
-        "accelerometer": lambda: _series(recording.acceleration, "m/s^2"),
+        "accelerometer": lambda: _acceleration(recording.acceleration),
         "camera": lambda: _frames(recording.frames, every_frame, progress),
         "infrared": lambda: _frames(_thermal(recording), every_frame, progress, thermal=True),
         "radar": lambda: _radar(recording, every_frame, progress),
@@ -55,7 +56,7 @@ def inspect_recording(recording: Recording, every_frame: bool = False, progress:
     across = recording.across
     if across is not None and across.fused:
         # The column along the second image axis.
-        readers[f"accelerometer_{across.axis}"] = lambda: _series(across.acceleration, "m/s^2")
+        readers[f"accelerometer_{across.axis}"] = lambda: _acceleration(across.acceleration)
     for section, read in readers.items():
         stream = section.split("_")[0]
         if not recording.has(stream):
@@ -159,13 +160,17 @@ def _opened(path: Path, request: FrameRequest) -> FrameSource:
 
 
 def _range(channel: Channel) -> Tree:
-    """Smallest and largest value; a clock's as dates, None where there is no number."""
+    """Smallest and largest value, a clock's as dates, None where there is no number; how many values are none."""
     known = channel.values
     known = known[np.isfinite(known)]
     if channel.unit == "ns":
         known = known[known != NOT_A_TIME]
-        return {"smallest": shown(int(known.min())), "largest": shown(int(known.max()))} if len(known) else NOTHING
-    return {"smallest": float(known.min()), "largest": float(known.max())} if len(known) else NOTHING
+    missing = {"missing": channel.size - len(known)}
+    if not len(known):
+        return NOTHING | missing
+    if channel.unit == "ns":
+        return {"smallest": shown(int(known.min())), "largest": shown(int(known.max())), **missing}
+    return {"smallest": float(known.min()), "largest": float(known.max()), **missing}
 
 
 def _clock(time_ns: Nanoseconds) -> Tree:
@@ -207,6 +212,12 @@ def _series(series: TimeSeries, unit: str) -> tuple[Tree, Nanoseconds]:
         "warnings": list(series.damage),
     }
     return branch, series.time_ns
+
+
+def _acceleration(series: TimeSeries) -> tuple[Tree, Nanoseconds]:
+    branch, time_ns = _series(series, "m/s^2")
+    branch["warnings"] += unusable_samples(series)
+    return branch, time_ns
 
 
 def _frames(

@@ -62,7 +62,8 @@ def frozen(value: Floats, rate_hz: float) -> Mask:
     mask = np.zeros(len(value), dtype=bool)
     if len(value) < 2:
         return mask
-    least = max(FROZEN_SAMPLES, round(FROZEN_S * rate_hz))
+    # A record shorter than that may be frozen as a whole.
+    least = max(FROZEN_SAMPLES, min(round(FROZEN_S * rate_hz), len(value)))
     stretches = runs(np.concatenate(([False], np.diff(value) == 0.0)))
     for start, end in stretches[stretches[:, 1] - stretches[:, 0] + 1 >= least]:
         at_edge = start == 1 or end == len(value)

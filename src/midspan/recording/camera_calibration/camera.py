@@ -116,7 +116,7 @@ def _fitted(recording: Recording, tracking: CameraTracking) -> Fitted:
     for target in tracking.targets:
         try:
             pair = camera_pair(recording, target.quick, target.blur_s(recording.exposure_s))
-            own = calibrate_scale(pair, recording.settings.calibration.max_offset_s)
+            own = calibrate_scale(pair, recording.max_offset_s)
             _refuse_compression(target.with_codec_error(own.scale, recording.axis), own.scale)
             found.append(own)
             reasons.append("")
@@ -154,7 +154,7 @@ def camera_pair(recording: Recording, track: PixelTrack, blur_s: float) -> Pair:
             "No frame of the calibration window shows the target. Choose another calibration.window_s or region."
         )
     # Frames close to the window's ends could fall outside it at the largest clock offset and would change the sum.
-    margin = round(recording.settings.calibration.max_offset_s * NANOSECONDS)
+    margin = round(recording.max_offset_s * NANOSECONDS)
     last = min(last, int(track.time_ns[-1]) + margin + NANOSECONDS)
     window = inside(recording.prepared.time_ns, first, last)
     value, variance = track.along(recording.axis)
@@ -187,7 +187,7 @@ def judged_by(recording: Recording, track: PixelTrack) -> Agreement:
     """What the accelerometer says of a place that was followed for a while."""
     try:
         pair = camera_pair(recording, track, recording.exposure_s or 0.0)
-        found = calibrate_scale(pair, recording.settings.calibration.max_offset_s)
+        found = calibrate_scale(pair, recording.max_offset_s)
     except UntrustedError as error:
         text = str(error)
         return Agreement(np.inf, isinstance(error, NoAgreementError), text.split(" (")[0].split(":")[0].rstrip("."))

@@ -66,7 +66,7 @@ def radar_inputs(
         raise UsageError("The calibration has no radar part, but the recording has [radar]. Calibrate again.")
     times, accelerations = source.times_ns(), recording.prepared.time_ns
     require_overlap(accelerations, times, "radar")
-    margin = round(recording.settings.calibration.max_offset_s * NANOSECONDS)
+    margin = round(recording.max_offset_s * NANOSECONDS)
     follow = literal_track if known.literal else track_targets
     track = follow(source, known, recording.prepared, frames_used(times, accelerations, margin), progress)
     seen = np.flatnonzero(np.isfinite(track.measured.value_m))

@@ -41,7 +41,7 @@ def opened_window(recording: Recording, progress: Progress) -> OpenedWindow:
     first, last = window_ends(recording)
     origin = int(frames.time_ns[0])
     frames = replace(frames, time_ns=frames.time_ns - origin)
-    max_offset = min(recording.settings.calibration.max_offset_s, 0.1 * float(frames.time_ns[-1]) / NANOSECONDS)
+    max_offset = min(recording.max_offset_s, 0.1 * float(frames.time_ns[-1]) / NANOSECONDS)
     margin = round((max_offset + 1.0) * NANOSECONDS)
     if (kept := _unbroken(recording, frames, (origin, max_offset))) is not None:
         frames = RadarFrames(frames.time_ns[kept], frames.phasors[kept], frames.valid[kept])
@@ -86,7 +86,7 @@ def _window(recording: Recording, progress: Progress) -> tuple[RadarFrames, list
     require_overlap(prepared.time_ns, times, "radar")
     first, last = window_ends(recording)
     # At the largest clock offset the frames must still lie inside the accelerometer's samples.
-    margin = round(recording.settings.calibration.max_offset_s * NANOSECONDS)
+    margin = round(recording.max_offset_s * NANOSECONDS)
     first = max(first, int(prepared.time_ns[0]) + margin)
     last = min(last, int(prepared.time_ns[-1]) - margin)
     used = inside(times, first, last)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from midspan.errors import DataError
-from midspan.recording.streams.span import inside
+from midspan.recording.streams.span import inside, shown
 from midspan.records import NANOSECONDS, Acceleration, Event, Floats, Nanoseconds, TimeSeries, part, seconds
 from midspan.signals.health import Clock, Mask, bridged, clipped, clock, dominant_frequency, frozen, runs
 
@@ -85,10 +85,8 @@ def prepare_acceleration(series: TimeSeries, where: str) -> PreparedAcceleration
 
     Raises DataError when the channel is frozen, clipped or empty beyond what can be bridged.
     """
-    absent = ~np.isfinite(series.value)
     usual = clock(series.time_ns, GAP_STEPS)
-    still = frozen(series.value, usual.rate_hz)
-    held = clipped(series.value) & ~still
+    absent, still, held = _unusable(series)
     _refuse(where, still & ~absent, "frozen", (MOST_MISSING, "stands at one value"))
     _refuse(where, held, "clipped", (MOST_CLIPPED, "is held at the end of its range"))
     missing = absent | still | held
@@ -96,11 +94,7 @@ def prepare_acceleration(series: TimeSeries, where: str) -> PreparedAcceleration
     value = towards_mean(bridged(series.value, missing), missing, usual.rate_hz)
     density = _bridging_density(value, missing, usual)
     warnings = [f"{where}: {line}." for line in series.damage]
-    warnings += [
-        f"{where}: {np.count_nonzero(mask)} samples ({100 * np.mean(mask):.2g} %) {what}; they were bridged and marked."
-        for mask, what in ((absent, "are not numbers"), (still, "are frozen"), (held, "are clipped"))
-        if mask.any()
-    ]
+    warnings += [f"{where}: {line}; they were bridged and marked." for line in unusable_samples(series)]
     if len(usual.gaps):
         longest = float(np.max(usual.gap_s))
         warnings.append(f"{where}: gaps in time: {len(usual.gaps)}, the longest {longest:.3g} s; bridged and marked.")
@@ -117,6 +111,29 @@ def prepare_acceleration(series: TimeSeries, where: str) -> PreparedAcceleration
         for i, s in zip(usual.gaps, usual.gap_s, strict=True)
     ]
     return PreparedAcceleration(series.time_ns, value, density, missing, usual.rate_hz, tuple(events), tuple(warnings))
+
+
+def _unusable(series: TimeSeries) -> tuple[Mask, Mask, Mask]:
+    """Samples (n,) that are no numbers, frozen, clipped: each is one of them at most."""
+    still = frozen(series.value, clock(series.time_ns, GAP_STEPS).rate_hz)
+    return ~np.isfinite(series.value), still, clipped(series.value) & ~still
+
+
+def unusable_samples(series: TimeSeries) -> list[str]:
+    """How many samples of a channel are no numbers, frozen or clipped, and where the longest block of them lies."""
+    kinds = ("are not numbers", "are frozen", "are clipped")
+    found = [(mask, what) for mask, what in zip(_unusable(series), kinds, strict=True) if mask.any()]
+    return [
+        f"{np.count_nonzero(mask)} samples ({100 * np.mean(mask):.2g} %) {what}{_longest_block(series.time_ns, mask)}"
+        for mask, what in found
+    ]
+
+
+def _longest_block(time_ns: Nanoseconds, mask: Mask) -> str:
+    blocks = runs(mask)
+    first, end = blocks[np.argmax(blocks[:, 1] - blocks[:, 0])]
+    length_s = (end - first) / clock(time_ns, GAP_STEPS).rate_hz
+    return f", the longest block for {length_s:.3g} s from {shown(int(time_ns[first]))} on"
 
 
 def still(like: PreparedAcceleration) -> PreparedAcceleration:

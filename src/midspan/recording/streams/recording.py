@@ -22,6 +22,8 @@ from midspan.sources.radar.radar_source import RadarRequest, RadarSource
 from midspan.sources.thermal.formats import open_thermal
 from midspan.sources.thermal.request import ThermalRequest
 
+# Share of the shortest stream by which its clock may be off where nothing else is said.
+MAX_OFFSET_SHARE = 0.2
 # The sections that name a file.
 SECTIONS = ("accelerometer", "camera", "infrared", "radar", "displacement", "reference")
 
@@ -175,6 +177,21 @@ class Recording:
     def displacement(self) -> TimeSeries:
         """The channel of [displacement], m, on its own clock."""
         return self._series("displacement", "displacement")
+
+    @property
+    def max_offset_s(self) -> float:
+        """The largest clock offset that a camera's or radar's calibration looks for, s.
+
+        As set; where it is not set no more than a fifth of the shortest stream, of which both ends are left out by it.
+        """
+        wanted = self.settings.calibration
+        if "max_offset_s" in wanted.model_fields_set:
+            return wanted.max_offset_s
+        streams = [self.prepared.time_ns]
+        streams += [self.frames.times_ns()] if self.has("camera") else []
+        streams += [self.radar.times_ns()] if self.has("radar") else []
+        shortest = min((int(times[-1] - times[0]) for times in streams if len(times)), default=0)
+        return min(wanted.max_offset_s, MAX_OFFSET_SHARE * shortest / NANOSECONDS)
 
     @property
     def channel_warnings(self) -> tuple[str, ...]:

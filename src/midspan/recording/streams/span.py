@@ -7,7 +7,9 @@ import numpy as np
 from midspan.errors import DataError
 from midspan.records import NANOSECONDS, Nanoseconds
 
-LEAST_OVERLAP_S = 1.0
+# Two streams share enough when it lasts this long, or holds this many steps of the slower one: a high-speed camera
+# records a quarter of a second.
+MIN_OVERLAP_S, MIN_OVERLAP_STEPS = 1.0, 100
 # Stamps above this are taken for epoch times when they are shown (1980).
 EPOCH_FROM_NS = 315_532_800 * NANOSECONDS
 
@@ -20,20 +22,25 @@ def shown(time_ns: int) -> str:
 
 
 def require_overlap(acceleration_ns: Nanoseconds, other_ns: Nanoseconds, section: str) -> None:
-    """DataError unless the two streams share at least a second; `section` is the other stream's in the settings."""
+    """DataError unless the two streams share a second, or 100 steps of the slower one where that is less.
+
+    section: the other stream's in the settings.
+    """
+    steps_ns = [float(np.median(np.diff(times))) for times in (acceleration_ns, other_ns) if len(times) > 1]
+    least_s = min(MIN_OVERLAP_S, MIN_OVERLAP_STEPS * max(steps_ns, default=np.inf) / NANOSECONDS)
     first = max(int(acceleration_ns[0]), int(other_ns[0]))
     last = min(int(acceleration_ns[-1]), int(other_ns[-1]))
-    if last - first >= LEAST_OVERLAP_S * NANOSECONDS:
+    if last - first >= least_s * NANOSECONDS:
         return
-    if other_ns[-1] - other_ns[0] < LEAST_OVERLAP_S * NANOSECONDS:
+    if other_ns[-1] - other_ns[0] < least_s * NANOSECONDS:
         raise DataError(
-            f"{section} must last {LEAST_OVERLAP_S:g} s or more; it has {len(other_ns)} stamps from "
+            f"{section} must last {least_s:.3g} s or more; it has {len(other_ns)} stamps from "
             f"{shown(int(other_ns[0]))} to {shown(int(other_ns[-1]))}. Check that its file is whole, and its rate."
         )
     raise DataError(
         f"accelerometer and {section} do not overlap in time: the accelerometer runs from "
         f"{shown(int(acceleration_ns[0]))} to {shown(int(acceleration_ns[-1]))}, {section} from "
-        f"{shown(int(other_ns[0]))} to {shown(int(other_ns[-1]))}; at least {LEAST_OVERLAP_S:g} s must "
+        f"{shown(int(other_ns[0]))} to {shown(int(other_ns[-1]))}; at least {least_s:.3g} s must "
         f"be shared. Bring the clocks together with {section}.start_s or accelerometer.start_s."
     )
 

@@ -73,7 +73,7 @@ def _frames_used(view: Recording, times: Nanoseconds) -> slice:
     except DataError as error:
         # Stamps that could not be used are the likely reason.
         raise DataError(" ".join((str(error), *(f"{line}." for line in view.frames.info.damage)))) from None
-    used = frames_used(times, acceleration_ns, round(view.settings.calibration.max_offset_s * NANOSECONDS))
+    used = frames_used(times, acceleration_ns, round(view.max_offset_s * NANOSECONDS))
     if used.stop - used.start < LEAST_FRAMES:
         usual_s = float(np.median(np.diff(times))) / NANOSECONDS
         raise DataError(

@@ -46,6 +46,8 @@ _VALUE_NAMES = {
 }
 _NOT_VALUES = re.compile(r"(^|[_ ])(std|sigma|err|error|var|variance)([_ ]|$)", re.IGNORECASE)
 _COLUMN = re.compile(r"^(?P<name>.+)\[(?::\s*,)?\s*(?P<index>\d+)\s*\]$")
+# No structure moves by 1e9 m or is accelerated by 1e9 m/s²; the Earth's radius is 6.4e6 m.
+_MAX_VALUE = 1e9
 # A file's own rate and the one given may differ by this much before it is told.
 _RATE_TOLERANCE = 0.01
 
@@ -243,11 +245,15 @@ def _unit(path: Path, channel: Channel, request: SeriesRequest, notes: list[str]
 
 
 def _si(channel: Channel, factor: float, notes: list[str]) -> Floats:
-    value = channel.values.astype(np.float64) * factor
-    infinite = np.isinf(value)
-    if infinite.any():
-        value[infinite] = np.nan
-        notes.append(f"{int(infinite.sum())} infinite values of {channel.name} count as missing")
+    with np.errstate(over="ignore", invalid="ignore"):
+        value = channel.values.astype(np.float64) * factor
+    impossible = np.abs(value) > _MAX_VALUE
+    if impossible.any():
+        value[impossible] = np.nan
+        notes.append(
+            f"{int(impossible.sum())} values of {channel.name} are infinite or beyond ±{_MAX_VALUE:g} (SI) and count "
+            "as missing"
+        )
     return value
 
 

@@ -35,6 +35,7 @@ def file_times(times: Path, source: Path, count: int) -> Nanoseconds:
         raise DataError(
             f"{times} must have one row for each frame of {source}; it has {time_ns.size} rows and there are {count} "
             "frames. Give the times of this file, before `every` is applied."
+            + "".join(f" The file of times: {line}." for line in found.damage)
         )
     wrong = np.flatnonzero((time_ns[1:] <= time_ns[:-1]) | (time_ns[1:] == NOT_A_TIME))
     if wrong.size or time_ns[0] == NOT_A_TIME:
