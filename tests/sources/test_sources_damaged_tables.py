@@ -490,7 +490,7 @@ def test_a_parquet_table_of_equal_values_is_refused_under_a_memory_limit(tmp_pat
 
 
 @pytest.mark.parametrize("suffix", [".h5", ".npz", ".mat", ".parquet"])
-def test_a_channel_is_read_beside_one_that_no_memory_holds(tmp_path: Path, suffix: str) -> None:
+def test_a_channel_is_read_from_a_file_with_one_that_no_memory_holds(tmp_path: Path, suffix: str) -> None:
     """Only the channels that are named are read: another one may be as large or as damaged as it likes."""
     path = tmp_path / f"a{suffix}"
     if suffix == ".h5":
