@@ -1,10 +1,14 @@
-"""The boundary to the format libraries: whatever they raise on a damaged file becomes one sentence."""
+"""The boundary to files and format libraries: whatever they raise becomes one sentence."""
 
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from midspan.errors import DataError, MidspanError, UsageError
+
+# Characters of a path that a message shows.
+_SHOWN = 200
 
 
 @contextmanager
@@ -28,6 +32,27 @@ def reading(path: Path, kind: str) -> Iterator[None]:
         ) from error
     except Exception as error:  # the format libraries raise whatever they meet in a damaged file
         raise DataError(f"{path} cannot be read as {kind}: {_reason(error)}. Check that the file is whole.") from error
+
+
+def require_file(path: Path, *, folder: bool = False) -> None:
+    """Raise DataError for a path that is no file that can be read to its end; folder: one may be given instead."""
+    try:
+        kind = path.stat().st_mode
+    except ValueError:
+        raise DataError(f"{str(path)!r} must be a path without zero characters. Correct the path.") from None
+    except FileNotFoundError:
+        raise DataError(f"{path} does not exist. Correct the path; it is relative to recording.toml.") from None
+    except OSError as error:
+        raise DataError(f"{_start(path)} cannot be opened: {error.strerror}. Correct the path.") from None
+    if not stat.S_ISREG(kind) and not (folder and stat.S_ISDIR(kind)):
+        what = "a folder" if stat.S_ISDIR(kind) else "a pipe, a socket or a device, which has no end"
+        raise DataError(f"{path} must be a file; it is {what}. Give the file itself.")
+
+
+def _start(path: Path) -> str:
+    """The beginning of a path that may be very long."""
+    text = str(path)
+    return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}… ({len(text)} characters)"
 
 
 def _reason(error: Exception) -> str:

@@ -1,13 +1,12 @@
 """The logger formats: one table from suffix to reader."""
 
 import importlib
-import stat
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from midspan.errors import DataError, UsageError
 from midspan.sources.accelerometer.channel import Channel, ChannelSet, Stored, Values
-from midspan.sources.boundary import reading
+from midspan.sources.boundary import reading, require_file
 from midspan.sources.declared_size import require_memory
 
 
@@ -21,8 +20,6 @@ class Format:
     module: str
 
 
-# Characters of a path that a message shows.
-_SHOWN = 200
 _PACKAGE = "midspan.sources.accelerometer"
 
 _FORMATS = (
@@ -65,27 +62,6 @@ def list_channels(path: Path) -> ChannelSet:
             f"{path} holds no channel of numbers.{why} Give a {row.name} file with one series of numbers or more."
         )
     return found
-
-
-def require_file(path: Path) -> None:
-    """Raise DataError for a path that is no file that can be read to its end."""
-    try:
-        kind = path.stat().st_mode
-    except ValueError:
-        raise DataError(f"{str(path)!r} must be a path without zero characters. Correct the path.") from None
-    except FileNotFoundError:
-        raise DataError(f"{path} does not exist. Correct the path; it is relative to recording.toml.") from None
-    except OSError as error:
-        raise DataError(f"{_start(path)} cannot be opened: {error.strerror}. Correct the path.") from None
-    if not stat.S_ISREG(kind):
-        what = "a folder" if stat.S_ISDIR(kind) else "a pipe, a socket or a device, which has no end"
-        raise DataError(f"{path} must be a file; it is {what}. Give the file itself.")
-
-
-def _start(path: Path) -> str:
-    """The beginning of a path that may be very long."""
-    text = str(path)
-    return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}… ({len(text)} characters)"
 
 
 def _read(path: Path, row: Format) -> ChannelSet:

@@ -1,11 +1,12 @@
 """Frames of a video, a folder or glob of images, or a stack: one table from suffix to reader."""
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 
 from midspan.errors import DataError, UsageError
 from midspan.sources.accelerometer.formats import FORMATS as TABLE_FORMATS
-from midspan.sources.boundary import reading
+from midspan.sources.boundary import reading, require_file
 from midspan.sources.camera.frames import FrameRequest, FrameSource
 from midspan.sources.camera.guarded import GuardedFrames
 from midspan.sources.camera.timing import check_request
@@ -73,16 +74,13 @@ def open_frames(path: Path, request: FrameRequest) -> FrameSource:
 
 def is_glob(path: Path) -> bool:
     """Whether a path is a pattern for several files; a file whose name holds the signs of one is that file."""
-    return any(sign in str(path) for sign in "*?[") and not path.exists()
+    return any(sign in str(path) for sign in "*?[") and not os.path.exists(path)
 
 
 def require_readable(path: Path) -> None:
     """Raise DataError for a path that is missing, or no regular file or folder: a pipe would be waited for."""
-    if is_glob(path) or path.is_file() or path.is_dir():
-        return
-    if path.exists():
-        raise DataError(f"{path} must be a file or a folder; it is a pipe, a socket or a device. Save it to a file.")
-    raise DataError(f"{path} does not exist. Correct the path; it is relative to recording.toml.")
+    if not is_glob(path):
+        require_file(path, folder=True)
 
 
 def _opener(path: Path) -> tuple[str, Callable[[Path, FrameRequest], FrameSource]]:
