@@ -11,6 +11,7 @@ import numpy as np
 
 from midspan.fusion.gate import ACCEPTED, REACQUIRED
 from midspan.fusion.kalman import KalmanFilter, KalmanSettings
+from midspan.fusion.path import velocity_at
 from midspan.fusion.response import linear, standing_still, used_variance
 from midspan.fusion.smoother import smooth
 from midspan.records import NANOSECONDS, Acceleration, Displacement, Floats, Innovation, Nanoseconds, joined, seconds
@@ -87,9 +88,7 @@ def _sums(
     found = fused.innovation
     used = (found.verdict == ACCEPTED) | (found.verdict == REACQUIRED)
     variance = used_variance(displacement, found)
-    rows = fused.estimate
-    origin = int(rows.time_ns[0])
-    velocity = np.interp(seconds(displacement.time_ns, origin), seconds(rows.time_ns, origin), rows.velocity_m_s)
+    velocity = velocity_at(fused.estimate, displacement.time_ns)
     response = _response(acceleration, replace(displacement, value_m=velocity, variance_m2=variance), settings)
     e, g, s = found.value_m[used], response.value_m, found.variance_m2[used]
     window = np.clip(np.searchsorted(edges, found.time_ns[used], side="right") - 1, 0, len(edges) - 2)

@@ -11,6 +11,7 @@ from midspan.fusion.causal import filter_record
 from midspan.fusion.gate import ACCEPTED, REJECTED
 from midspan.fusion.kalman import KalmanSettings
 from midspan.fusion.noise_profile import LEAST, noise_factors
+from midspan.fusion.path import at, velocity_at
 from midspan.fusion.response import linear, places, standing_still, used_variance
 from midspan.fusion.runners import RUNNERS, MethodSettings, Runner, run_method
 from midspan.fusion.smoother import Smoothed, doubt_levels, smooth
@@ -169,9 +170,8 @@ def _at_zero(inputs: FusionInputs, rows: Estimate) -> tuple[float, float]:
         return 0.0, 0.0
     if inputs.zero_ns < rows.time_ns[0]:
         return _measured_at_zero(inputs, inputs.zero_ns)
-    k = int(np.argmin(np.abs(rows.time_ns - inputs.zero_ns)))
-    ahead = (inputs.zero_ns - int(rows.time_ns[k])) / NANOSECONDS
-    return float(rows.displacement_m[k] + ahead * rows.velocity_m_s[k]), float(rows.variance_m2[k])
+    displacement_m, variance_m2 = at(rows, np.array([inputs.zero_ns]))
+    return float(displacement_m[0]), float(variance_m2[0])
 
 
 def _measured_at_zero(inputs: FusionInputs, zero_ns: int) -> tuple[float, float]:
@@ -251,8 +251,7 @@ def _measurement_errors(inputs: FusionInputs, rows: Estimate) -> list[Floats]:
         if error.relative_scale_std > 0.0:
             found.append(np.where(own, error.relative_scale_std * value, 0.0))
         if 0.0 < error.clock_std_s < np.inf:
-            velocity = np.interp(measured.time_ns, rows.time_ns, rows.velocity_m_s)
-            found.append(np.where(own, error.clock_std_s * velocity, 0.0))
+            found.append(np.where(own, error.clock_std_s * velocity_at(rows, measured.time_ns), 0.0))
     for zero in inputs.levels:
         if isinstance(zero, CourseError):
             std = np.interp(measured.time_ns, zero.time_ns, zero.std_m)

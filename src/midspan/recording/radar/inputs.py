@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from midspan.errors import DataError, UsageError
 from midspan.fusion.kalman import KalmanSettings
+from midspan.fusion.path import at
 from midspan.fusion.smoother import smooth
 from midspan.radar.target import Target
 from midspan.recording.fusing.fuse import CourseError, LevelError, SensorError
@@ -131,7 +132,7 @@ def _apart(
 ) -> tuple[float, float]:
     """How much higher the rows after an outage (last row before, first after) lie, in m, and its standard deviation."""
     last, first = (int(measured.time_ns[k]) for k in outage)
-    reach, middle = round(BRIDGED_S * NANOSECONDS), (last + first) // 2
+    reach, middle = round(BRIDGED_S * NANOSECONDS), np.array([(last + first) // 2])
     found = []
     for rows, span in (
         (slice(segment[0], outage[0] + 1), (last - reach, first)),
@@ -139,13 +140,11 @@ def _apart(
     ):
         block = part(measured, rows)
         near = part(block, inside(block.time_ns, *span))
-        moved = part(acceleration, inside(acceleration.time_ns, *span))
-        smoothed = smooth(moved, near, kalman).estimate
-        k = int(np.argmin(np.abs(smoothed.time_ns - middle)))
-        ahead = (middle - int(smoothed.time_ns[k])) / NANOSECONDS
-        found.append((smoothed.displacement_m[k] + ahead * smoothed.velocity_m_s[k], smoothed.variance_m2[k]))
+        # The samples around the outage as well: its middle may lie between two of them.
+        moved = part(acceleration, inside(acceleration.time_ns, span[0] - NANOSECONDS, span[1] + NANOSECONDS))
+        found.append(at(smooth(moved, near, kalman).estimate, middle))
     (before, variance_before), (after, variance_after) = found
-    return float(after - before), float(np.sqrt(variance_before + variance_after))
+    return float(after[0] - before[0]), float(np.sqrt(variance_before[0] + variance_after[0]))
 
 
 def _events(track: RadarTrack, targets: tuple[Target, ...], levels: tuple[LevelError, ...]) -> tuple[Event, ...]:
