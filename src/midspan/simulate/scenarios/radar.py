@@ -29,6 +29,11 @@ def _walkers(rng: np.random.Generator) -> Motion:
     return Window(Sum(parts), start_s=1.5, ramp_s=2.0)
 
 
+def lively(rng: np.random.Generator) -> Motion:
+    """4 mm rms at 2 to 3 Hz from before the first sample to after the last."""
+    return random_motion((2.0, 3.0), 4e-3, rng=rng, lines=70)
+
+
 def _storm(rng: np.random.Generator) -> Motion:
     """A tall building in a storm: sway of some 40 mm at 0.3 Hz, a second mode at 1.2 Hz; at rest for 1 s."""
     parts = (
@@ -154,6 +159,14 @@ RADAR_SCENARIOS: dict[str, Scenario] = {
             start_s=0.1,
             slow_time=True,
         ),
+    ),
+    "radar-lively-start": Scenario(
+        line="in lively motion from the radar's first frame, half way between two samples of acceleration at 50 Hz",
+        title="simulated footbridge with a radar, lively from the start",
+        duration_s=60.0,
+        motion=lively,
+        accelerometer=replace(MEMS, rate_hz=50.0),
+        radar=RadarSetup(_below_the_deck, time_offset_s=0.07),
     ),
     "radar-and-camera": Scenario(
         line="footbridge with a camera at 10 Hz, dark for 5 s, and a radar whose target is hidden for another 5 s",

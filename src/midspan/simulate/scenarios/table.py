@@ -1,5 +1,7 @@
 """The recordings that `midspan simulate` can write: a table of names and what each is made of."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from midspan.checks import option
@@ -8,7 +10,7 @@ from midspan.simulate.motion.beam import paper_beam_motion
 from midspan.simulate.motion.motion import Motion, Rest, Sum, Window, random_motion
 from midspan.simulate.motion.sensors import AccelerometerModel, DisplacementSensorModel
 from midspan.simulate.scenarios.day import DAY_SCENARIOS
-from midspan.simulate.scenarios.radar import RADAR_SCENARIOS
+from midspan.simulate.scenarios.radar import RADAR_SCENARIOS, lively
 from midspan.simulate.scenarios.stage import CameraSetup, GnssSetup, Scenario
 from midspan.simulate.scenarios.stage import pixel_bound as _pixel_bound
 from midspan.simulate.scene.camera import Camera, Light
@@ -192,6 +194,14 @@ SCENARIOS: dict[str, Scenario] = {
         camera=CameraSetup(dropped=((16.0, 17.5), (50.0, 50.3)), black=((30.0, 33.0),)),
         absent=((41.0, 42.2),),
         unread=((24.0, 24.25),),
+    ),
+    "lively-start": Scenario(
+        line="in lively motion from the first frame, which falls half way between two samples of acceleration at 50 Hz",
+        title="simulated footbridge, lively from the start",
+        duration_s=60.0,
+        motion=lively,
+        accelerometer=replace(_GOOD_ACCELEROMETER, rate_hz=50.0),
+        camera=CameraSetup(time_offset_s=0.13),
     ),
     "no-excitation": Scenario(
         line="nothing moves: calibration must be refused",
