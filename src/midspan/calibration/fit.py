@@ -29,6 +29,7 @@ class Pair:
     outside: samples (n, 3) with the part of the acceleration that must not decide the ratio (motion outside a band); it
     gets a factor of its own. None: all of the acceleration decides.
     reference: the size of the ratio beside which other ratios are compared, None at first (see `shrinking`).
+    level_m_s2: the mean acceleration, which the samples are without.
     """
 
     samples: Floats
@@ -37,6 +38,7 @@ class Pair:
     exposure_s: float = 0.0
     outside: Floats | None = None
     reference: float | None = None
+    level_m_s2: float = 0.0
 
     @property
     def rate_hz(self) -> float:

@@ -20,6 +20,7 @@ from midspan.fusion.state_space import (
     P00,
     P01,
     P02,
+    P22,
     TIME,
     B,
     V,
@@ -46,7 +47,9 @@ class Whitened:
     """Innovations of the translation and of the response to the acceleration, (k,), after the settling ones.
 
     variance: of the innovation, in units of the noise variance of the translation; input_part: its share that comes
-    from accelerometer noise; index: which measurement each belongs to.
+    from accelerometer noise; index: which measurement each belongs to. bias, response_bias: the filter's bias after the
+    last sample out of the translation alone (px/s²) and out of the acceleration alone (m/s²); bias_variance: of their
+    sum in px/s², in units of the noise variance.
     """
 
     translation: Floats
@@ -54,6 +57,9 @@ class Whitened:
     variance: Floats
     input_part: Floats
     index: Floats
+    bias: float
+    response_bias: float
+    bias_variance: float
 
 
 @njit(cache=True, inline="always")
@@ -130,4 +136,13 @@ def whiten(samples: Floats, rows: Floats, density: float, exposure_s: float = 0.
     out = np.empty((len(rows), 5))
     count = _whiten(samples, rows, density, exposure_s * exposure_s / 24.0, states, out)
     kept = out[SETTLING:count]
-    return Whitened(kept[:, 0], kept[:, 1], kept[:, 2], kept[:, 3], kept[:, 4])
+    return Whitened(
+        translation=kept[:, 0],
+        response=kept[:, 1],
+        variance=kept[:, 2],
+        input_part=kept[:, 3],
+        index=kept[:, 4],
+        bias=float(states[0][B]),
+        response_bias=float(states[1][B]),
+        bias_variance=float(states[0][P22]),
+    )

@@ -45,9 +45,14 @@ def describe(console: Console, tree: dict) -> None:  # type: ignore[type-arg]
         ]
     rows += [
         ("accelerometer noise", f"{1e3 * acceleration['noise_std_m_s2']:.3g} mm/s² per sample"),
-        ("accelerometer bias", f"{1e3 * acceleration['bias_m_s2']:.3g} mm/s²"),
+        ("accelerometer bias", _bias(acceleration)),
     ]
     console.table(rows)
+
+
+def _bias(acceleration: dict) -> str:  # type: ignore[type-arg]
+    value, std = acceleration["bias_m_s2"], acceleration["bias_std_m_s2"]
+    return f"{1e3 * value:.4g}" + (" mm/s²" if std is None else f" ± {1e3 * std:.2g} mm/s²")
 
 
 def _sensor_scale(displacement: dict) -> list[tuple[str, str]]:  # type: ignore[type-arg]

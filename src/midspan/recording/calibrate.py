@@ -2,18 +2,23 @@
 
 import numpy as np
 
+from midspan.calibration.bias import Bias
 from midspan.calibration.noise import NoiseCalibration
 from midspan.calibration.scale import ScaleCalibration
 from midspan.recording.camera_calibration.camera import CameraFit
 from midspan.recording.camera_calibration.cameras import calibrate_cameras, together
-from midspan.recording.displacement.sensor import calibrate_displacement, displacement_part, displacement_warnings
+from midspan.recording.displacement.sensor import (
+    calibrate_displacement,
+    displacement_bias,
+    displacement_part,
+    displacement_warnings,
+)
 from midspan.recording.radar.calibrate import calibrate_radar
 from midspan.recording.radar.literal import calibrate_radar_literal
 from midspan.recording.stored.calibration import Calibration
 from midspan.recording.stored.displacement import DisplacementCalibration
 from midspan.recording.streams.progress import Progress, silent
 from midspan.recording.streams.recording import Recording, naming
-from midspan.recording.streams.window import calibration_window
 from midspan.recording.tracking.tracking import CameraTracking
 
 
@@ -41,6 +46,7 @@ def _calibrate_and_track(recording: Recording, progress: Progress) -> tuple[Cali
     sensor: DisplacementCalibration | None = None
     warnings = list(recording.channel_warnings)
     densities: list[float] = []
+    biases: list[Bias] = []
     diagnostics: ScaleCalibration | NoiseCalibration | None = None
     seen = calibrate_cameras(recording, progress) if settings.first_camera is not None else ()
     parts = seen[0].parts if seen else ()
@@ -48,23 +54,28 @@ def _calibrate_and_track(recording: Recording, progress: Progress) -> tuple[Cali
         diagnostics = diagnostics or one.parts[0].diagnostics
         warnings += one.warnings
         densities.append(one.parts[0].input_density)
+        biases += [] if one.parts[0].bias is None else [one.parts[0].bias]
     learnt_of = {one.view.sensor: one.parts[0].calibration for one in seen}
     learn = calibrate_radar_literal if settings.fusion.literal else calibrate_radar
     radar = None if settings.radar is None else learn(recording, progress)
     if radar is not None:
         warnings += radar.warnings
         densities.append(radar.input_density)
+        biases.append(radar.bias)
     if settings.displacement is not None:
         learnt = calibrate_displacement(recording)
         sensor = displacement_part(recording, learnt)
         warnings += displacement_warnings(recording, learnt, sensor)
         densities.append(learnt.input_noise_density)
+        biases.append(displacement_bias(learnt))
         diagnostics = diagnostics or learnt
-    window = calibration_window(recording)
+    # The accelerometer's noise is in each of them: they are no independent draws, and the surest one is taken.
+    bias = min(biases, key=lambda one: one.std_m_s2)
     across = _across(recording, parts[1], warnings) if len(parts) > 1 else None
     calibration = Calibration(
         noise_std_m_s2=_acceleration_noise(recording, densities, warnings),
-        bias_m_s2=float(np.mean(prepared.value_m_s2[window])),
+        bias_m_s2=bias.value_m_s2,
+        bias_std_m_s2=bias.std_m_s2,
         camera=learnt_of.get("camera"),
         infrared=learnt_of.get("infrared"),
         radar=None if radar is None else radar.calibration,
@@ -83,17 +94,19 @@ def _across(recording: Recording, part: CameraFit, warnings: list[str]) -> Calib
     assert view is not None
     thermal = part.calibration if recording.settings.camera is None else None
     own = None if thermal else part.calibration
-    if not part.calibration.fused:
+    if part.bias is None:
         return Calibration(
             noise_std_m_s2=float(np.sqrt(part.input_density * recording.prepared.rate_hz)),
             bias_m_s2=0.0,
+            bias_std_m_s2=0.0,
             camera=own,
             infrared=thermal,
         )
     warnings += [line for line in view.prepared.warnings if line not in warnings]
     return Calibration(
         noise_std_m_s2=_acceleration_noise(view, [part.input_density], warnings),
-        bias_m_s2=float(np.mean(view.prepared.value_m_s2[calibration_window(view)])),
+        bias_m_s2=part.bias.value_m_s2,
+        bias_std_m_s2=part.bias.std_m_s2,
         camera=own,
         infrared=thermal,
         diagnostics=part.diagnostics,

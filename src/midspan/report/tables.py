@@ -10,6 +10,7 @@ from midspan.evaluate.metrics import Comparison, normalised_innovation
 from midspan.fusion.gate import REJECTED
 from midspan.radar.target import Target
 from midspan.recording.cameras.tracked import Eye
+from midspan.recording.stored.calibration import Calibration
 from midspan.recording.stored.camera import CameraCalibration
 from midspan.recording.stored.displacement import DisplacementCalibration
 from midspan.recording.stored.radar import RadarCalibration
@@ -124,10 +125,15 @@ def calibration(material: Material) -> list[Row]:
         rows += _displacement(found.displacement)
     rows += [
         ("accelerometer: noise", f"{1e3 * found.noise_std_m_s2:.4g} mm/s² per sample"),
-        ("accelerometer: bias in the window", f"{1e3 * found.bias_m_s2:.4g} mm/s²"),
+        ("accelerometer: bias", _bias(found)),
         ("made", f"{found.created} by midspan {found.version}"),
     ]
     return rows
+
+
+def _bias(found: Calibration) -> str:
+    std = f" ± {1e3 * found.bias_std_m_s2:.2g}" if math.isfinite(found.bias_std_m_s2) else ""
+    return f"{1e3 * found.bias_m_s2:.4g}{std} mm/s²"
 
 
 def _camera(camera: CameraCalibration) -> list[Row]:

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from midspan.calibration.bias import Bias, bias_of
 from midspan.calibration.common_offset import Fitted, common_offset, one_offset, pooled_variance, shared_part
 from midspan.calibration.fit import Pair
 from midspan.calibration.noise import learn_motion
@@ -27,11 +28,13 @@ from midspan.vision.tracker import PhaseGain
 class CameraFit:
     """What was learnt of the camera along one axis, and what the best target's values rest on.
 
-    input_density: noise density of the acceleration, (m/s²)²/Hz; without an accelerometer the motion's own.
+    input_density: noise density of the acceleration, (m/s²)²/Hz; without an accelerometer the motion's own. bias: of
+    the accelerometer, None without one.
     """
 
     calibration: CameraCalibration
     input_density: float
+    bias: Bias | None = None
     warnings: tuple[str, ...] = ()
     diagnostics: ScaleCalibration | None = None
 
@@ -161,7 +164,7 @@ def camera_pair(recording: Recording, track: PixelTrack, blur_s: float) -> Pair:
     inner = inside(track.time_ns, first + margin, last - margin)
     rows = measured_rows(track.time_ns[inner], value[inner], variance[inner], first)
     samples, outside = in_band(recording.prepared.rows(first, window), recording.settings.calibration.band_hz)
-    return Pair(samples, rows, None, blur_s, outside)
+    return Pair(samples, rows, None, blur_s, outside, level_m_s2=recording.prepared.level(window))
 
 
 def in_band(samples: Floats, band_hz: tuple[float, float] | None) -> tuple[Floats, Floats | None]:
@@ -229,7 +232,9 @@ def _fit_of(tracking: CameraTracking, camera: CameraCalibration, fit: Fitted) ->
         _camera(tracking, camera.direction, camera.targets, camera.offset),
         relative_scale_std=relative_scale_std(*zip(*used, strict=True)) if len(used) > 1 else None,
     )
-    return CameraFit(camera, found.input_noise_density, tuple(warnings), found)
+    search = found.search
+    bias = bias_of(search.pair, search.fit, float(np.sqrt(search.offset.variance)))
+    return CameraFit(camera, found.input_noise_density, bias, tuple(warnings), found)
 
 
 def _target(target: TargetTracking, found: ScaleCalibration | None, reason: str, axis: str) -> TargetCalibration:

@@ -73,7 +73,7 @@ class _Beside:
         _refuse_poor_displacement(series, used)
         window = inside(prepared.time_ns, self.first_ns - NANOSECONDS, last + NANOSECONDS)
         rows = measured_rows(series.time_ns[used], series.value[used], np.ones(used.stop - used.start), self.first_ns)
-        return Pair(prepared.rows(self.first_ns, window), rows, 1.0)
+        return Pair(prepared.rows(self.first_ns, window), rows, 1.0, level_m_s2=prepared.level(window))
 
 
 def learn(recording: Recording, series: TimeSeries) -> NoiseCalibration:

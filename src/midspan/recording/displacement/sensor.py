@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from midspan.calibration.bias import Bias, bias_of
 from midspan.calibration.noise import NoiseCalibration
 from midspan.calibration.scale import white_noise
 from midspan.errors import UntrustedError, UsageError
@@ -59,6 +60,12 @@ def displacement_part(recording: Recording, learnt: NoiseCalibration) -> Displac
     # A scale that seems wrong is left as it is, and the error band holds both.
     scale_std = float(np.hypot(learnt.factor_std, abs(learnt.factor) * _scale_error(learnt)))
     return DisplacementCalibration(std, learnt.offset, learnt.factor, scale_std)
+
+
+def displacement_bias(learnt: NoiseCalibration) -> Bias:
+    """The accelerometer's bias beside the sensor."""
+    assert learnt.findings is not None
+    return bias_of(learnt.findings.pair, learnt.findings.fit)
 
 
 def _scale_error(learnt: NoiseCalibration) -> float:

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from midspan.calibration.bias import Bias, bias_of
 from midspan.calibration.fit import Pair
 from midspan.calibration.scale import is_ambiguous
 from midspan.calibration.time_offset import OffsetSearch, search_offset
@@ -61,10 +62,14 @@ KEPT = 2000
 
 @dataclass(frozen=True, slots=True)
 class RadarFit:
-    """The radar's calibration, the noise density of the acceleration that it implies, (m/s²)²/Hz, and warnings."""
+    """The radar's calibration, what it implies of the accelerometer, and warnings.
+
+    input_density: noise density of the acceleration, (m/s²)²/Hz; bias: the accelerometer's.
+    """
 
     calibration: RadarCalibration
     input_density: float
+    bias: Bias
     warnings: tuple[str, ...]
 
 
@@ -100,7 +105,7 @@ def calibrate_radar(recording: Recording, progress: Progress) -> RadarFit:
         diagnostics=diagnostics_of(source.info.axis.range_m, source.info.limit_speed_m_s, whole, (best, series, unit)),
     )
     warnings = (*source.info.warnings, *told, *hidden, *told_factor, *_warnings(calibration))
-    return RadarFit(calibration, search.fit.input_density, tuple(warnings))
+    return RadarFit(calibration, search.fit.input_density, searched_bias(search), tuple(warnings))
 
 
 def _clearly_seen(
@@ -255,12 +260,18 @@ def searched(recording: Recording, whole: RadarFrames, series: TargetSeries, giv
     prepared = recording.prepared
     span = int(whole.time_ns[0]) + origin, int(whole.time_ns[-1]) + origin
     margin = round((max_offset + 1.0) * NANOSECONDS)
-    samples = prepared.rows(origin, inside(prepared.time_ns, span[0] - margin, span[1] + margin))
+    window = inside(prepared.time_ns, span[0] - margin, span[1] + margin)
+    samples = prepared.rows(origin, window)
     variance = np.where(np.isfinite(series.value_m), series.variance_m2, np.inf)
     typical = float(np.median(variance[np.isfinite(variance)]))
     thin = slice(None, None, max(1, -(-len(whole.time_ns) // MOST_ROWS)))
     rows = measured_rows(whole.time_ns[thin], series.range_change_m[thin], variance[thin] / typical, 0)
-    return search_offset(Pair(samples, rows), max_offset)
+    return search_offset(Pair(samples, rows, level_m_s2=prepared.level(window)), max_offset)
+
+
+def searched_bias(search: OffsetSearch) -> Bias:
+    """The accelerometer's bias beside the target that a search was made for."""
+    return bias_of(search.pair, search.fit, float(np.sqrt(search.offset.variance)))
 
 
 def _refuse_ambiguity(search: OffsetSearch, max_offset_s: float) -> None:

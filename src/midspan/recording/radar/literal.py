@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from midspan.calibration.time_offset import OffsetSearch
 from midspan.errors import DataError, UsageError
 from midspan.radar.channels import Phasors
 from midspan.radar.chirp import SPEED_OF_LIGHT_M_S
@@ -26,6 +27,7 @@ from midspan.recording.radar.calibrate import (
     one_clock,
     phasors_of,
     searched,
+    searched_bias,
 )
 from midspan.recording.radar.frames import bin_m_of, check_same_radar, even_places, samples_of, without_holes
 from midspan.recording.radar.trace import Followed, SeenFrames, radar_trace
@@ -79,7 +81,8 @@ def calibrate_radar_literal(recording: Recording, progress: Progress) -> RadarFi
         diagnostics=diagnostics_of(info.axis.range_m, info.limit_speed_m_s, whole, (best, series, unit)),
     )
     warnings = (*info.warnings, *window.told, *told, *_warnings(best, series))
-    return RadarFit(calibration, _input_density(recording, window, peaks, series), warnings)
+    search = _accelerometer_beside(recording, window, peaks, series)
+    return RadarFit(calibration, search.fit.input_density, searched_bias(search), warnings)
 
 
 def literal_track(
@@ -197,18 +200,20 @@ def _clock(peaks: Sequence[Target]) -> tuple[TimeOffset, list[str]]:
     return (one_clock(telling)[1], []) if telling else (TimeOffset(0.0, 0.0), [ONE_CLOCK])
 
 
-def _input_density(recording: Recording, window: OpenedWindow, peaks: Sequence[Target], series: TargetSeries) -> float:
-    """Noise density of the acceleration, (m/s²)²/Hz: the printed chain does not tell it.
+def _accelerometer_beside(
+    recording: Recording, window: OpenedWindow, peaks: Sequence[Target], series: TargetSeries
+) -> OffsetSearch:
+    """What tells noise and bias of the accelerometer: the printed chain does not.
 
-    It is learnt as elsewhere, beside the cleanest target where there is a usable one; what bends the printed phase
-    would be taken for noise.
+    They are estimated as elsewhere, beside the cleanest target where there is a usable one; what bends the printed
+    phase would be taken for noise.
     """
     usable = tuple(peak for peak in peaks if not peak.objection)
     if usable:
         clean, info = ranked(usable)[0], recording.radar.info
         given = (info.axis.phase_per_m(clean.range_m), bin_m_of(info), window.samples)
         series = target_series(phasors_of(window.frames, clean, info), clean, given)
-    return searched(recording, window.frames, series, window.clock).fit.input_density
+    return searched(recording, window.frames, series, window.clock)
 
 
 def _level(samples: Floats, time_s: Floats) -> Floats:

@@ -1,6 +1,7 @@
 """The calibration of a recording as one record, and its JSON file."""
 
 import json
+import math
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -11,6 +12,7 @@ from midspan.calibration.noise import NoiseCalibration
 from midspan.calibration.scale import ScaleCalibration
 from midspan.recording.stored.camera import CameraCalibration
 from midspan.recording.stored.displacement import DisplacementCalibration
+from midspan.recording.stored.json_values import finite_or_none
 from midspan.recording.stored.radar import RadarCalibration
 from midspan.sinks.replace import replacing
 
@@ -21,14 +23,16 @@ CALIBRATION_FILE = "calibration.json"
 class Calibration:
     """Everything `calibrate` learns about a recording's sensors.
 
-    noise_std_m_s2: white noise of the acceleration per sample; bias_m_s2: its mean in the window. across: the same
-    along the second image axis, with camera.direction = "xy"; where that has no accelerometer, the noise is the
-    motion's own acceleration. left_out: the second axis "x" or "y" where nothing could be learnt of it, else empty.
-    diagnostics: what the estimates rest on, for the report; not stored in the file.
+    noise_std_m_s2: white noise of the acceleration per sample; bias_m_s2, bias_std_m_s2: the accelerometer's bias at
+    the end of the window and its standard deviation, infinite where that is not known. across: the same along the
+    second image axis, with camera.direction = "xy"; where that has no accelerometer, the noise is the motion's own
+    acceleration. left_out: the second axis "x" or "y" where nothing could be learnt of it, else empty. diagnostics:
+    what the estimates rest on, for the report; not stored in the file.
     """
 
     noise_std_m_s2: float
     bias_m_s2: float
+    bias_std_m_s2: float = math.inf
     camera: CameraCalibration | None = None
     infrared: CameraCalibration | None = None
     radar: RadarCalibration | None = None
@@ -69,6 +73,7 @@ class Calibration:
             "accelerometer": {
                 "noise_std_m_s2": self.noise_std_m_s2,
                 "bias_m_s2": self.bias_m_s2,
+                "bias_std_m_s2": finite_or_none(self.bias_std_m_s2),
             },
         }
         first = self.first_camera
@@ -107,5 +112,6 @@ def _axis_dict(part: Calibration) -> dict[str, Any]:
         "variance_factor": camera.variance_factor,
         "accelerometer_noise_std_m_s2": part.noise_std_m_s2,
         "accelerometer_bias_m_s2": part.bias_m_s2,
+        "accelerometer_bias_std_m_s2": finite_or_none(part.bias_std_m_s2),
         "targets": [target.to_dict() for target in camera.targets],
     }

@@ -15,6 +15,7 @@ from midspan.recording.stored.json_values import number as _number
 from midspan.recording.stored.json_values import offset_of as _offset_of
 from midspan.recording.stored.json_values import section_of as _section
 from midspan.recording.stored.json_values import std as _std
+from midspan.recording.stored.json_values import std_or_unknown as _std_or_unknown
 from midspan.recording.stored.radar_file import radar_of
 from midspan.records import Region, ScaleFactor, Source
 from midspan.vision.lens import Lens
@@ -54,6 +55,7 @@ def calibration_from_dict(tree: dict[str, Any]) -> Calibration:
     found = Calibration(
         noise_std_m_s2=_number(accelerometer, "accelerometer.noise_std_m_s2", positive=True),
         bias_m_s2=_number(accelerometer, "accelerometer.bias_m_s2", default=0.0),
+        bias_std_m_s2=_std_or_unknown(accelerometer, "accelerometer.bias_std_m_s2"),
         camera=_camera_of(camera) if camera else None,
         infrared=_infrared_of(thermal) if thermal else None,
         radar=radar_of(radar) if radar else None,
@@ -93,6 +95,7 @@ def _both_axes(found: Calibration, tree: dict[str, Any]) -> Calibration:
     across = Calibration(
         noise_std_m_s2=_number(other, f"camera.axes.{second}.accelerometer_noise_std_m_s2", positive=True),
         bias_m_s2=_number(other, f"camera.axes.{second}.accelerometer_bias_m_s2", default=0.0),
+        bias_std_m_s2=_std_or_unknown(other, f"camera.axes.{second}.accelerometer_bias_std_m_s2"),
         camera=camera if found.camera is not None else None,
         infrared=camera if found.camera is None else None,
         created=found.created,

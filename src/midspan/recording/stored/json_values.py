@@ -38,6 +38,11 @@ def std(section: dict[str, Any], key: str, default: float | None = None) -> floa
     return value
 
 
+def std_or_unknown(section: dict[str, Any], key: str) -> float:
+    """A standard deviation, infinite where it is null or missing."""
+    return math.inf if section.get(key.rpartition(".")[2]) is None else std(section, key)
+
+
 def number_or(section: dict[str, Any], key: str, unknown: float) -> float:
     """A number, or `unknown` where it is null or missing: what could not be learnt is written as null."""
     return unknown if section.get(key.rpartition(".")[2]) is None else number(section, key)

@@ -69,15 +69,17 @@ class PreparedAcceleration:
         spans += [(int(k), int(k) + 1) for k in clock(self.time_ns, GAP_STEPS).gaps]
         return self.time_ns[np.array(sorted(spans), dtype=np.int64).reshape(-1, 2)]
 
+    def level(self, which: slice) -> float:
+        """Mean acceleration (m/s²) of the samples `which`."""
+        return float(np.mean(self.value_m_s2[which]))
+
     def rows(self, origin_ns: int, which: slice) -> Floats:
-        """Rows (n, 3) for calibration: time (s), acceleration without its mean, relative noise density."""
+        """Rows (n, 3) for calibration: time (s), acceleration without its `level`, relative noise density."""
         usual = 1e-4 * float(np.var(self.value_m_s2[which])) / self.rate_hz
         block = self.with_noise(max(usual, 1e-12))
         block = part(block, inside(block.time_ns, int(self.time_ns[which.start]), int(self.time_ns[which.stop - 1])))
         relative = block.noise_density / max(usual, 1e-12)
-        return np.column_stack(
-            (seconds(block.time_ns, origin_ns), block.value_m_s2 - np.mean(block.value_m_s2), relative)
-        )
+        return np.column_stack((seconds(block.time_ns, origin_ns), block.value_m_s2 - self.level(which), relative))
 
 
 def prepare_acceleration(series: TimeSeries, where: str) -> PreparedAcceleration:

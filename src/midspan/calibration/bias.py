@@ -1,0 +1,82 @@
+"""The accelerometer's bias out of the filter of a calibration's likelihood, and not out of the acceleration's mean.
+
+The mean over T seconds holds (v_end − v_start)/T of the motion, which in a lively start or end is more than the methods
+as printed bear. The filter of `whitening` has the bias as a state beside the displacement that the other sensor saw.
+
+A short window hardly tells the accelerometer's noise, and the likeliest value is often none at all. So the bias is
+averaged over the noise by how likely each value is, with an even prior on its standard deviation (Gelman 2006,
+doi:10.1214/06-BA117A), which is as the square of the corner frequency.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from midspan.calibration.fit import Fit, Pair, corner_range, evaluate
+from midspan.calibration.whitening import Whitened, whiten
+
+# Step of the logarithm of the corner frequency; values less likely by this much (logarithm) do not count any more.
+STEP, LEAST_LIKELY = 0.25, 8.0
+
+
+@dataclass(frozen=True, slots=True)
+class Bias:
+    """The accelerometer's bias at the end of what a calibration looked at, and its standard deviation, m/s²."""
+
+    value_m_s2: float
+    std_m_s2: float
+
+
+def bias_of(pair: Pair, fit: Fit, offset_std_s: float = 0.0) -> Bias:
+    """The bias beside the measurements of a pair, given its best fit.
+
+    What is uncertain of the noise, of the ratio and of the clock offset (s) is in the deviation.
+    """
+    fits = [fit, *_beside(pair, fit, STEP), *_beside(pair, fit, -STEP)]
+    weight = np.array([np.exp(one.likelihood - fit.likelihood) * one.corner**2 for one in fits])
+    value = np.array([_bias(pair, one) for one in fits])
+    mean = float(np.average(value, weights=weight))
+    spread = (value - mean) ** 2 + np.array([_variance(pair, one) for one in fits])
+    variance = float(np.average(spread, weights=weight))
+    if 0.0 < offset_std_s < np.inf:
+        late = evaluate(pair, fit.offset_s + offset_std_s, fit.corner)
+        variance += (_bias(pair, late) - _bias(pair, fit)) ** 2
+    return Bias(pair.level_m_s2 + mean, float(np.sqrt(variance)))
+
+
+def _beside(pair: Pair, fit: Fit, step: float) -> list[Fit]:
+    """Fits with the corner frequency farther and farther from the best fit's, as long as they are likely."""
+    low, high = corner_range(pair)
+    found: list[Fit] = []
+    corner = fit.corner * float(np.exp(step))
+    while low <= corner <= high:
+        one = evaluate(pair, fit.offset_s, corner)
+        if one.likelihood < fit.likelihood - LEAST_LIKELY:
+            break
+        found.append(one)
+        corner *= float(np.exp(step))
+    return found
+
+
+def _bias(pair: Pair, fit: Fit) -> float:
+    """The filter's bias after the last sample, m/s² from the samples' level."""
+    last = _whole(pair, fit)
+    return last.bias / fit.ratio + last.response_bias
+
+
+def _variance(pair: Pair, fit: Fit) -> float:
+    """Variance (m/s²)² of the bias with the noise levels of a fit."""
+    last = _whole(pair, fit)
+    own = fit.noise * last.bias_variance / fit.ratio**2
+    # A ratio that is known is none of the unknowns; else the bias goes with it.
+    return own if pair.ratio is not None else own + (last.bias / fit.ratio**2) ** 2 * fit.ratio_variance
+
+
+def _whole(pair: Pair, fit: Fit) -> Whitened:
+    """The filter over all of the acceleration, with that outside a band which does not decide the ratio."""
+    if pair.outside is None:
+        return fit.whitened
+    samples, rows = pair.samples.copy(), pair.rows.copy()
+    samples[:, 1] += pair.outside[:, 1]
+    rows[:, 0] += fit.offset_s
+    return whiten(samples, rows, fit.corner**4 / pair.rate_hz, pair.exposure_s)
