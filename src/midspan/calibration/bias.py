@@ -1,7 +1,7 @@
 """The accelerometer's bias out of the filter of a calibration's likelihood, and not out of the acceleration's mean.
 
 The mean over T seconds holds (v_end − v_start)/T of the motion, which in a lively start or end is more than the methods
-as printed bear. The filter of `whitening` has the bias as a state beside the displacement that the other sensor saw.
+as printed bear. The filter of `whitening` has the bias as a state, and knows the displacement by the other sensor.
 
 A short window hardly tells the accelerometer's noise, and the likeliest value is often none at all. So the bias is
 averaged over the noise by how likely each value is, with an even prior on its standard deviation (Gelman 2006,
@@ -28,11 +28,11 @@ class Bias:
 
 
 def bias_of(pair: Pair, fit: Fit, offset_std_s: float = 0.0) -> Bias:
-    """The bias beside the measurements of a pair, given its best fit.
+    """The bias that a pair implies, given its best fit.
 
     What is uncertain of the noise, of the ratio and of the clock offset (s) is in the deviation.
     """
-    fits = [fit, *_beside(pair, fit, STEP), *_beside(pair, fit, -STEP)]
+    fits = [fit, *_alternatives(pair, fit, STEP), *_alternatives(pair, fit, -STEP)]
     weight = np.array([np.exp(one.likelihood - fit.likelihood) * one.corner**2 for one in fits])
     value = np.array([_bias(pair, one) for one in fits])
     mean = float(np.average(value, weights=weight))
@@ -44,7 +44,7 @@ def bias_of(pair: Pair, fit: Fit, offset_std_s: float = 0.0) -> Bias:
     return Bias(pair.level_m_s2 + mean, float(np.sqrt(variance)))
 
 
-def _beside(pair: Pair, fit: Fit, step: float) -> list[Fit]:
+def _alternatives(pair: Pair, fit: Fit, step: float) -> list[Fit]:
     """Fits with the corner frequency farther and farther from the best fit's, as long as they are likely."""
     low, high = corner_range(pair)
     found: list[Fit] = []

@@ -63,7 +63,7 @@ def displacement_part(recording: Recording, learnt: NoiseCalibration) -> Displac
 
 
 def displacement_bias(learnt: NoiseCalibration) -> Bias:
-    """The accelerometer's bias beside the sensor."""
+    """The accelerometer's bias, estimated together with the sensor."""
     assert learnt.findings is not None
     return bias_of(learnt.findings.pair, learnt.findings.fit)
 

@@ -270,7 +270,7 @@ def searched(recording: Recording, whole: RadarFrames, series: TargetSeries, giv
 
 
 def searched_bias(search: OffsetSearch) -> Bias:
-    """The accelerometer's bias beside the target that a search was made for."""
+    """The accelerometer's bias, estimated together with the target that a search was made for."""
     return bias_of(search.pair, search.fit, float(np.sqrt(search.offset.variance)))
 
 

@@ -81,7 +81,7 @@ def calibrate_radar_literal(recording: Recording, progress: Progress) -> RadarFi
         diagnostics=diagnostics_of(info.axis.range_m, info.limit_speed_m_s, whole, (best, series, unit)),
     )
     warnings = (*info.warnings, *window.told, *told, *_warnings(best, series))
-    search = _accelerometer_beside(recording, window, peaks, series)
+    search = _accelerometer_by_clean_target(recording, window, peaks, series)
     return RadarFit(calibration, search.fit.input_density, searched_bias(search), warnings)
 
 
@@ -200,12 +200,12 @@ def _clock(peaks: Sequence[Target]) -> tuple[TimeOffset, list[str]]:
     return (one_clock(telling)[1], []) if telling else (TimeOffset(0.0, 0.0), [ONE_CLOCK])
 
 
-def _accelerometer_beside(
+def _accelerometer_by_clean_target(
     recording: Recording, window: OpenedWindow, peaks: Sequence[Target], series: TargetSeries
 ) -> OffsetSearch:
     """What tells noise and bias of the accelerometer: the printed chain does not.
 
-    They are estimated as elsewhere, beside the cleanest target where there is a usable one; what bends the printed
+    They are estimated as elsewhere, with the cleanest target where there is a usable one; what bends the printed
     phase would be taken for noise.
     """
     usable = tuple(peak for peak in peaks if not peak.objection)
