@@ -42,7 +42,7 @@ def calibrate_and_track(recording: Recording, progress: Progress = silent) -> tu
 
 
 def _calibrate_and_track(recording: Recording, progress: Progress) -> tuple[Calibration, CameraTracking | None]:
-    prepared, settings = recording.prepared, recording.settings
+    settings = recording.settings
     sensor: DisplacementCalibration | None = None
     warnings = list(recording.channel_warnings)
     densities: list[float] = []
