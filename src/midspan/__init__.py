@@ -8,10 +8,14 @@
 Names are looked up when first used, so that importing midspan is quick.
 """
 
-import importlib
-from typing import Any
-
 from midspan._version import __version__
+from midspan.caches import prepare as _prepare_caches
+
+TYPE_CHECKING = False  # typing alone takes longer to import than the rest of this file
+if TYPE_CHECKING:
+    from typing import Any
+
+_prepare_caches()
 
 _PLACES = {
     "Acceleration": "records",
@@ -45,9 +49,11 @@ _PLACES = {
 __all__ = ["__version__", *sorted(_PLACES)]
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> "Any":
     if name not in _PLACES:
         raise AttributeError(f"module 'midspan' has no attribute {name!r}")
+    import importlib
+
     value = getattr(importlib.import_module(f"midspan.{_PLACES[name]}"), name)
     globals()[name] = value
     return value

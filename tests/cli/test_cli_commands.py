@@ -277,6 +277,7 @@ def test_methods_and_formats_name_what_the_settings_take(capsys):
 def test_an_old_result_is_replaced_whole(footbridge, tmp_path):
     target = tmp_path / "result.csv"
     target.write_text("old\n" * 100_000, encoding="utf-8")
+    target.with_suffix(".json").write_text('{"midspan": "0.0.1"}', encoding="utf-8")
     assert run(["estimate", str(footbridge), "-o", str(target), "--quiet"]) == 0
     text = target.read_text(encoding="utf-8")
     assert text.startswith(RESULT_COLUMNS)

@@ -15,12 +15,12 @@ from midspan.cli.console import Console, common_options
 def command(recording: str, output: str | None, tracker: str | None, quiet: bool, as_json: bool) -> None:
     """Find scale factor, clock offset and noise levels, and write them to calibration.json."""
     from midspan.cli.estimate import open_with
-    from midspan.cli.targets import protect
+    from midspan.cli.targets import check_calibration
     from midspan.recording.calibrate import calibrate
 
     console = Console(quiet, as_json)
     opened = open_with(recording, tracker)
-    target = protect(opened, output or opened.folder, result=False)
+    target = check_calibration(output, opened) if output else opened.folder
     calibration = calibrate(opened, console.progress)
     console.done()
     file = calibration.save(target)

@@ -8,6 +8,8 @@ from typing import Any, TypeVar
 
 import click
 
+from midspan.cli.process import stop_if_asked
+
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 # A bar appears once the work has lasted this long.
@@ -53,6 +55,8 @@ class Console:
 
     def progress(self, done: int, total: int, what: str) -> None:
         """Show how far the work is, on a terminal and when it lasts."""
+        # Where a library has swallowed a signal, the work ends here.
+        stop_if_asked()
         if self.quiet or not sys.stderr.isatty():
             return
         from tqdm import tqdm

@@ -17,6 +17,7 @@ def command(output: str, seed: int, quiet: bool, as_json: bool) -> None:
     """A complete run: simulate, inspect, calibrate, estimate, compare with the truth, report. Under a minute."""
     from midspan.cli import compare, estimate, inspect
     from midspan.cli.calibrate import describe
+    from midspan.cli.targets import check_result
     from midspan.evaluate.result_file import compare_files
     from midspan.evaluate.simulated import least_error_mm
     from midspan.recording.calibrate import calibrate_and_track
@@ -29,6 +30,8 @@ def command(output: str, seed: int, quiet: bool, as_json: bool) -> None:
     console = Console(quiet, as_json)
     folder = Path(output)
     place = folder / "recording"
+    for name in ("result.csv", "report.html"):
+        check_result(folder / name)
     console.say(f"1. simulate: {NAMES[SCENARIO]}")
     write(SCENARIO, place, seed=seed, progress=lambda done, total: console.progress(done, total, "rendering"))
     console.done()

@@ -37,6 +37,7 @@ def command(images: str, output: str, quiet: bool, as_json: bool, **options: Any
     stabiliser off. Columns and rows count inner corners, where four squares meet: 9 by 6 on a board of 10 by 7 squares.
     """
     from midspan.checks import option, positive
+    from midspan.cli.targets import check_lens, check_result
     from midspan.recording.tracking.lens import LensRequest, lens_from_pictures
     from midspan.report.lens import draw_lens
     from midspan.vision.checkerboard import Board
@@ -44,6 +45,9 @@ def command(images: str, output: str, quiet: bool, as_json: bool, **options: Any
 
     console = Console(quiet, as_json)
     target, drawn = _targets(images, output, options["picture"])
+    check_lens(target)
+    if drawn is not None:
+        check_result(drawn, option="--picture")
     option("--model", options["model"], MODELS)
     positive("--square-mm", options["square_mm"], "mm")
     board = Board(options["columns"], options["rows"], options["square_mm"])

@@ -1,37 +1,110 @@
-"""What a command may write, checked before the work: no own file of a recording is ever overwritten."""
+"""What a command may write, checked before the work: nothing that midspan did not write is ever lost."""
 
+import json
+import mmap
+from collections.abc import Iterable
 from pathlib import Path
 
 import click
 
+from midspan.errors import MidspanError
 from midspan.recording.stored.calibration import CALIBRATION_FILE
-from midspan.recording.streams.recording import Recording
+from midspan.recording.streams.recording import Recording, open_recording
+from midspan.settings.load import RECORDING_FILE
+from midspan.sinks.pair import partner
+
+# What a file of midspan's holds somewhere: JSON of its metadata, a text where its format has room, a station's name.
+_MARKS = (b'"midspan": "', b"written by midspan", b"FDSN:XX_MIDSP__")
+# The keys of the JSON files that midspan writes: each kind may be replaced by its own kind only.
+_CALIBRATION, _LENS, _METADATA = {"version", "created", "accelerometer"}, {"midspan", "created"}, {"midspan"}
 
 
-def protect(recording: Recording, output: str | Path, *, result: bool = True) -> Path:
-    """Refuse an output that is one of the recording's own files, or (for a result) its calibration; returns the path.
+def check_result(output: str | Path, *recordings: Recording, option: str = "-o") -> Path:
+    """Refuse a result, track, report or picture in place of anything but its like; returns the path.
 
-    A CSV has its metadata in a `.json` beside it, which must not replace anything else either.
+    `recordings` are those that the command reads. The one in whose folder the output would lie is protected, too, and
+    so are the calibrations of all. The same holds for the `.json` of a CSV.
     """
     path = Path(output)
-    written = [path, *([path.with_suffix(".json")] if result and path.suffix.lower() == ".csv" else [])]
-    kept = recording.own_files | ({(recording.folder / CALIBRATION_FILE).resolve()} if result else set())
+    pair = path.suffix.lower() == ".csv"
+    written = [path, partner(path)] if pair else [path]
+    owners = [*recordings, *_recordings_at(path)]
+    calibrations = {(owner.folder / CALIBRATION_FILE).resolve() for owner in owners}
     for target in written:
-        if target.resolve() in kept:
-            raise click.UsageError(
-                f"-o {output}: would overwrite {target}, which belongs to the recording. Choose another name."
-            )
-    protect_side_file(path if result else None)
+        _refuse_kept(f"{option} {output}", target, owners, calibrations)
+    known = _is_metadata(partner(path)) if pair else _is_marked(path)
+    kind = f"not a result (one has a {partner(path).name} of midspan's)" if pair else "no file of midspan's"
+    for target in written:
+        _refuse_foreign(f"{option} {output}", target, kind, known=known)
     return path
 
 
-def protect_side_file(path: Path | None) -> None:
-    """Refuse a CSV whose metadata file would replace a `.json` that midspan did not write beside a result."""
-    if path is None or path.suffix.lower() != ".csv":
-        return
-    beside = path.with_suffix(".json")
-    if beside.is_file() and '"midspan"' not in beside.read_text(encoding="utf-8", errors="replace"):
-        raise click.UsageError(f"-o {path}: its metadata would overwrite {beside}. Choose another name.")
+def check_calibration(output: str | Path, recording: Recording) -> Path:
+    """Refuse a calibration in place of anything but a calibration; a folder gets a file of the usual name."""
+    path = Path(output) / CALIBRATION_FILE if Path(output).is_dir() else Path(output)
+    _refuse_kept(f"-o {output}", path, [recording, *_recordings_at(path)], set())
+    _refuse_foreign(f"-o {output}", path, "no calibration", known=_keys(path) >= _CALIBRATION)
+    return path
+
+
+def check_lens(output: str | Path) -> Path:
+    """Refuse a lens file in place of anything but a lens file."""
+    path = Path(output)
+    _refuse_foreign(f"-o {output}", path, "no lens file", known=_keys(path) >= _LENS)
+    return path
+
+
+def _recordings_at(path: Path) -> list[Recording]:
+    """The recording in whose folder a file would lie, by its name and by where links lead."""
+    found = []
+    for folder in {path.absolute().parent, path.resolve().parent}:
+        if (folder / RECORDING_FILE).is_file():
+            try:
+                found.append(open_recording(folder))
+            except MidspanError:
+                # Settings that cannot be read name no files; what midspan did not write is kept all the same.
+                continue
+    return found
+
+
+def _refuse_kept(what: str, target: Path, owners: Iterable[Recording], kept: set[Path]) -> None:
+    own = kept.union(*(owner.own_files for owner in owners))
+    if target.resolve() in own or target.name == RECORDING_FILE:
+        raise click.UsageError(
+            f"{what}: would overwrite {target}, which belongs to the recording. Choose another name."
+        )
+
+
+def _refuse_foreign(what: str, target: Path, kind: str, *, known: bool) -> None:
+    """Refuse to replace a file that midspan did not write; one without content is no loss."""
+    if target.is_file() and target.stat().st_size > 0 and not known:
+        raise click.UsageError(
+            f"{what}: would overwrite {target}, which is {kind}. Choose another name, or remove that file first."
+        )
+
+
+def _is_metadata(path: Path) -> bool:
+    """Whether a file is the metadata of a CSV that midspan wrote, and not a calibration or a lens of that name."""
+    found = _keys(path)
+    return found >= _METADATA and not found >= _LENS
+
+
+def _keys(path: Path) -> set[str]:
+    """The keys of a JSON file's tree; none where it is no JSON."""
+    try:
+        tree = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return set()
+    return set(tree) if isinstance(tree, dict) else set()
+
+
+def _is_marked(path: Path) -> bool:
+    """Whether a file says that midspan wrote it."""
+    try:
+        with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
+            return any(content.find(mark) >= 0 for mark in _MARKS)
+    except (OSError, ValueError):
+        return False
 
 
 def report_path(path: str | None) -> Path | None:
@@ -44,4 +117,4 @@ def report_path(path: str | None) -> Path | None:
     folder = target.absolute().parent
     if not folder.is_dir():
         raise click.UsageError(f"--report {path}: the folder {folder} does not exist; make it first.")
-    return target
+    return check_result(target, option="--report")

@@ -28,7 +28,7 @@ def command(source: str, output: str, quiet: bool, as_json: bool, **options: Any
     import numpy as np
 
     from midspan.checks import option, positive
-    from midspan.cli.targets import protect, protect_side_file
+    from midspan.cli.targets import check_result
     from midspan.recording.streams.recording import open_recording
     from midspan.recording.tracking.track import TrackRequest, track
     from midspan.records import Region, Status
@@ -41,11 +41,11 @@ def command(source: str, output: str, quiet: bool, as_json: bool, **options: Any
     if Path(output).suffix.lower() in (".mseed", ".uff"):
         raise click.UsageError(f"-o {output}: a track is written as .csv, .parquet, .h5 or .mat.")
     if Path(source).name == RECORDING_FILE or (Path(source) / RECORDING_FILE).is_file():
-        protect(open_recording(source), output)
+        check_result(output, open_recording(source))
         if options["rate_hz"] is not None or options["start_s"]:
             raise click.UsageError("--rate-hz and --start-s: a recording says these itself, in [camera].")
     else:
-        protect_side_file(Path(output))
+        check_result(output)
     if options["tracker"] is not None:
         option("--tracker", options["tracker"], TRACKERS)
     if options["rate_hz"] is not None:

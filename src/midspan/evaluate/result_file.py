@@ -11,6 +11,7 @@ from midspan.errors import DataError, UsageError
 from midspan.evaluate.metrics import MAX_LAG_S, Comparison, compare
 from midspan.records import Floats, TimeSeries
 from midspan.settings.load import RECORDING_FILE
+from midspan.sinks.pair import mismatch
 from midspan.sources.accelerometer.channel import Channel
 from midspan.sources.accelerometer.formats import list_channels
 from midspan.sources.accelerometer.select import SeriesRequest, read_series
@@ -149,4 +150,5 @@ def compare_files(
     found = compare(stored.series, wanted, std_m=stored.std_m, max_lag_s=max_lag_s)
     assumed = [line for line in (*stored.series.notes, *wanted.notes) if line.endswith("assumed.")]
     assumed += [f"{line}." for line in (*stored.series.damage, *wanted.damage)]
-    return replace(found, notes=(*assumed, *found.notes))
+    apart = [line for path in (result, reference) if (line := mismatch(Path(path)))]
+    return replace(found, notes=(*apart, *assumed, *found.notes))

@@ -70,13 +70,14 @@ def sheet(height_in: float = 3.0, width_in: float = WIDTH_IN) -> "Figure":
 def picture(figure: "Figure", *, dots: bool = False) -> Picture:
     """The figure as lines (SVG), or as dots (PNG) where asked for or where lines would be larger."""
     if not dots:
-        lines = _saved(figure, "svg", metadata={"Date": None, "Creator": None})
+        lines = saved(figure, "svg", metadata={"Date": None, "Creator": None})
         if len(lines) <= LARGEST_SVG:
             return Picture("image/svg+xml", lines)
-    return Picture("image/png", _saved(figure, "png", dpi=150, metadata={"Software": None}))
+    return Picture("image/png", saved(figure, "png", dpi=150, metadata={"Software": None}))
 
 
-def _saved(figure: "Figure", kind: str, **options: Any) -> bytes:
+def saved(figure: "Figure", kind: str, **options: Any) -> bytes:
+    """The figure as the bytes of a file of this kind."""
     file = io.BytesIO()
     figure.savefig(file, format=kind, **options)
     return file.getvalue()

@@ -6,6 +6,7 @@ from html import escape
 from pathlib import Path
 
 from midspan.report.drawing import Picture
+from midspan.writing import WRITTEN_BY
 
 
 def _own(name: str) -> str:
@@ -20,6 +21,7 @@ def document(title: str, body: Iterable[str]) -> str:
             "<!DOCTYPE html>",
             '<html lang="en"><head><meta charset="utf-8">',
             '<meta name="viewport" content="width=device-width, initial-scale=1">',
+            f'<meta name="generator" content="{WRITTEN_BY}">',
             f"<title>{escape(title)}</title>",
             f"<style>\n{_own('style.css')}</style></head>",
             "<body><main>",

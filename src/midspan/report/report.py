@@ -10,7 +10,7 @@ from midspan.records import TimeSeries
 from midspan.report import camera_sections, page, sections
 from midspan.report.drawing import style
 from midspan.report.material import Material, gather
-from midspan.sinks.replace import replacing
+from midspan.writing import write_whole
 
 
 def write_report(result: Result, path: str | Path, reference: TimeSeries | None = None) -> Path:
@@ -22,8 +22,7 @@ def write_report(result: Result, path: str | Path, reference: TimeSeries | None 
     path = Path(path)
     with style():
         text = report_html(result, reference)
-    with replacing(path) as (partial,):
-        partial.write_text(text, encoding="utf-8")
+    write_whole(path, text.encode())
     return path
 
 

@@ -1,12 +1,12 @@
-"""CSV with a JSON file of metadata beside it."""
+"""CSV; the JSON file of its metadata is written with it, see `sinks/pair.py`."""
 
-from pathlib import Path
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
 from midspan.sinks.arrow import word_column
-from midspan.sinks.table import ResultTable, codes, is_text, metadata_json
+from midspan.sinks.table import ResultTable, codes, is_text
 
 _ROWS_AT_ONCE = 200_000
 # Decimals of the numbers: a picometre for mm, far below any sensor; without them 17 digits would be written.
@@ -15,7 +15,7 @@ _DECIMALS = 9
 _SMALL_NS = 1000
 
 
-def write(path: Path, table: ResultTable) -> None:
+def encode(table: ResultTable) -> Iterator[bytes]:
     """Header and rows; `time_s` from the exact stamps with nine decimals, NaN as an empty field."""
     import pyarrow as pa
     from pyarrow import csv
@@ -24,17 +24,13 @@ def write(path: Path, table: ResultTable) -> None:
     coded = {name: codes(name, values) for name, values in table.columns.items()}
     free_text = any(coded[name] is None and is_text(values) for name, values in table.columns.items())
     options = csv.WriteOptions(include_header=False, quoting_style="needed" if free_text else "none")
-    with pa.OSFile(str(path), "wb") as file:
-        file.write((",".join(table.columns) + "\n").encode())
-        for start in range(0, count, _ROWS_AT_ONCE):
-            rows = slice(start, min(start + _ROWS_AT_ONCE, count))
-            columns = {name: _column(name, values, coded[name], rows, table) for name, values in table.columns.items()}
-            csv.write_csv(pa.table(columns), file, options)
-
-
-def write_metadata(path: Path, table: ResultTable) -> None:
-    """The metadata as indented JSON."""
-    path.write_text(metadata_json(table, indent=2) + "\n", encoding="utf-8")
+    yield (",".join(table.columns) + "\n").encode()
+    for start in range(0, count, _ROWS_AT_ONCE):
+        rows = slice(start, min(start + _ROWS_AT_ONCE, count))
+        columns = {name: _column(name, values, coded[name], rows, table) for name, values in table.columns.items()}
+        stream = pa.BufferOutputStream()
+        csv.write_csv(pa.table(columns), stream, options)
+        yield stream.getvalue().to_pybytes()
 
 
 def _column(name: str, values: Any, coded: Any, rows: slice, table: ResultTable) -> Any:

@@ -1,14 +1,18 @@
 """MATLAB 5: plain variables."""
 
-from pathlib import Path
+import io
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
 from midspan.sinks.table import ResultTable, codes, is_text, metadata_json, words_of
+from midspan.writing import WRITTEN_BY
+
+_TEXT_BYTES = 116  # of the header, for any text; source: MATLAB, MAT-file format, "MAT-file header"
 
 
-def write(path: Path, table: ResultTable) -> None:
+def encode(table: ResultTable) -> Iterator[bytes]:
     """Column vectors named like the columns; words as character matrices; the metadata as JSON text in `midspan`."""
     from scipy.io import savemat
 
@@ -21,4 +25,8 @@ def write(path: Path, table: ResultTable) -> None:
             variables[name] = np.asarray(values).astype(str)
         else:
             variables[name] = np.asarray(values)
-    savemat(path, variables, oned_as="column", do_compression=True)
+    stream = io.BytesIO()
+    savemat(stream, variables, oned_as="column", do_compression=True)
+    stream.seek(0)
+    stream.write(f"MATLAB 5.0 MAT-file, {WRITTEN_BY}".encode().ljust(_TEXT_BYTES))
+    yield stream.getvalue()

@@ -1,7 +1,7 @@
 """miniSEED version 3: displacement, its standard deviation and velocity as 64-bit floats."""
 
+from collections.abc import Iterator
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +25,7 @@ _CHANNELS |= {
 _SOURCE = "FDSN:XX_MIDSP__{0}_{1}_{2}"
 
 
-def write(path: Path, table: ResultTable) -> None:
+def encode(table: ResultTable) -> Iterator[bytes]:
     """Channels DSP (mm), STD (mm) and VEL (mm/s), of a second axis DSX or DSY and so on, at the median interval.
 
     A new segment begins after each gap.
@@ -48,7 +48,7 @@ def write(path: Path, table: ResultTable) -> None:
         for first, last in pairwise(edges):
             start_ns = int(table.time_ns[first])
             traces.add_data(_SOURCE.format(*code), values[first:last], "d", 1e9 / step_ns, starttime=start_ns)
-    traces.to_file(str(path), overwrite=True, encoding=DataEncoding.FLOAT64, format_version=3)
+    yield from traces.generate(encoding=DataEncoding.FLOAT64, format_version=3)
 
 
 def _step_ns(time_ns: Nanoseconds) -> float:

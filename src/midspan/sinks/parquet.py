@@ -1,12 +1,12 @@
 """Parquet with the metadata in the schema."""
 
-from pathlib import Path
+from collections.abc import Iterator
 
 from midspan.sinks.arrow import arrow_column
 from midspan.sinks.table import ResultTable, metadata_json, unit_of
 
 
-def write(path: Path, table: ResultTable) -> None:
+def encode(table: ResultTable) -> Iterator[bytes]:
     """One column each, its unit in the field's metadata `unit`; the table's metadata as JSON under key `midspan`."""
     import pyarrow as pa
     import pyarrow.parquet as pq
@@ -17,4 +17,6 @@ def write(path: Path, table: ResultTable) -> None:
         for name, array in arrays.items()
     ]
     schema = pa.schema(fields, metadata={b"midspan": metadata_json(table).encode()})
-    pq.write_table(pa.Table.from_arrays(list(arrays.values()), schema=schema), path)
+    stream = pa.BufferOutputStream()
+    pq.write_table(pa.Table.from_arrays(list(arrays.values()), schema=schema), stream)
+    yield stream.getvalue().to_pybytes()

@@ -1,12 +1,14 @@
 """Result tables to files: one table from suffix to writer."""
 
 import importlib
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 from midspan.errors import UsageError
-from midspan.sinks.replace import replacing
+from midspan.sinks.pair import write_pair
 from midspan.sinks.table import ResultTable
+from midspan.writing import replacing
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,15 +55,14 @@ def _format(path: Path) -> _Format:
 def write_result(path: Path, table: ResultTable) -> None:
     """Write a table in the format of the path's suffix; the file appears whole or not at all.
 
-    CSV puts the metadata into a `.json` beside it. Raises UsageError for an unknown suffix, a folder that is missing or
-    cannot be written, and a table that the format cannot hold.
+    A CSV gets a `.json` of the same name with its metadata. Raises UsageError for an unknown suffix, a folder that is
+    missing or cannot be written, and a table that the format cannot hold.
     """
     row = _format(path)
-    writer = importlib.import_module(f"midspan.sinks.{row.module}")
+    encoded: Iterator[bytes] = importlib.import_module(f"midspan.sinks.{row.module}").encode(table)
     if row.module == "csv":
-        with replacing(path.with_suffix(".json"), path) as (beside, temporary):
-            writer.write(temporary, table)
-            writer.write_metadata(beside, table)
+        write_pair(path, encoded, table)
         return
-    with replacing(path) as (temporary,):
-        writer.write(temporary, table)
+    with replacing(path) as (file,):
+        for piece in encoded:
+            file.write(piece)

@@ -14,7 +14,7 @@ from midspan.recording.stored.camera import CameraCalibration
 from midspan.recording.stored.displacement import DisplacementCalibration
 from midspan.recording.stored.json_values import finite_or_none
 from midspan.recording.stored.radar import RadarCalibration
-from midspan.sinks.replace import replacing
+from midspan.writing import write_whole
 
 CALIBRATION_FILE = "calibration.json"
 
@@ -96,8 +96,7 @@ class Calibration:
         """Write `calibration.json`; a folder gets a file of that name."""
         path = Path(path)
         path = path / CALIBRATION_FILE if path.is_dir() else path
-        with replacing(path) as (partial,):
-            partial.write_text(json.dumps(self.to_dict(), indent=2) + "\n", encoding="utf-8")
+        write_whole(path, (json.dumps(self.to_dict(), indent=2) + "\n").encode())
         return path
 
 

@@ -15,11 +15,11 @@ from midspan.errors import DataError, UntrustedError, UsageError
 from midspan.recording.streams.progress import Progress, silent
 from midspan.recording.streams.recording import Recording
 from midspan.records import Floats
-from midspan.sinks.replace import replacing
 from midspan.sources.camera.formats import open_frames
 from midspan.sources.camera.frames import FrameRequest, FrameSource
 from midspan.vision.checkerboard import Board, LensFit, calibrate_lens, find_board, is_new
 from midspan.vision.lens import MODELS, Lens
+from midspan.writing import write_whole
 
 # Of a long video this many pictures, evenly spread, are searched for the board, and this many views are fitted.
 MOST_PICTURES = 150
@@ -65,8 +65,7 @@ class CalibratedLens:
 
     def save(self, path: Path) -> Path:
         """Write the lens file; nothing half-written is left."""
-        with replacing(path) as (temporary,):
-            temporary.write_text(json.dumps(self.to_dict(), indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+        write_whole(path, (json.dumps(self.to_dict(), indent=2, ensure_ascii=False) + "\n").encode())
         return path
 
 

@@ -1,7 +1,5 @@
 """Writing of simulated recordings: tables, lossless video, and a folder that appears whole or not at all."""
 
-import os
-import shutil
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from fractions import Fraction
@@ -12,6 +10,7 @@ import numpy as np
 from midspan.errors import UsageError
 from midspan.records import Floats
 from midspan.simulate.scene.camera import Pixels
+from midspan.writing import replacing_folder, settle_folder
 
 MARK = "known.json"  # the file by which a folder written here is known again
 OWN_FILES = frozenset(
@@ -82,20 +81,12 @@ def check_free(folder: Path) -> None:
 
 @contextmanager
 def whole_folder(folder: Path) -> Iterator[Path]:
-    """A temporary folder beside `folder` that takes its name when the block ends well, and is removed when it does not.
+    """A temporary folder that takes the name `folder` when the block ends well, and is removed when it does not.
 
     Raises UsageError where `folder` holds anything that was not written here, or cannot be written.
     """
+    settle_folder(folder)
     check_free(folder)
-    partial = folder.with_name(f".{folder.name}.partial-{os.getpid()}")
-    try:
-        partial.mkdir(parents=True)
-        try:
-            yield partial
-            if folder.exists():
-                shutil.rmtree(folder)
-            os.replace(partial, folder)
-        finally:
-            shutil.rmtree(partial, ignore_errors=True)
-    except OSError as error:
-        raise UsageError(f"{folder} cannot be written ({error.strerror or error}). Choose another folder.") from error
+    with replacing_folder(folder) as partial:
+        yield partial
+        check_free(folder)
