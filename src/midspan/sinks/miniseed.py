@@ -48,7 +48,7 @@ def encode(table: ResultTable) -> Iterator[bytes]:
         for first, last in pairwise(edges):
             start_ns = int(table.time_ns[first])
             traces.add_data(_SOURCE.format(*code), values[first:last], "d", 1e9 / step_ns, starttime=start_ns)
-    yield from traces.generate(encoding=DataEncoding.FLOAT64, format_version=3)
+    yield b"".join(traces.generate(encoding=DataEncoding.FLOAT64, format_version=3))
 
 
 def _step_ns(time_ns: Nanoseconds) -> float:
