@@ -213,18 +213,14 @@ def at_random(recording: Path, number: int, length_s: float) -> tuple[object, ..
 
 def works(recording: Path) -> list[Work]:
     """Every file format of a result, a calibration (a report is written likewise) and a simulated recording."""
-    from midspan.cli.main import run
+    from midspan.simulate.scenarios.write import write
 
     result = midspan.estimate(midspan.open_recording(recording))
-
-    def simulate(place: Path) -> None:
-        if run(["simulate", "gnss", "-o", str(place / "g"), "--seed", "2", "--quiet"]) == 2:
-            raise midspan.UsageError
 
     return [
         *(Work(suffix, lambda place, end=suffix: result.save(place / f"r{end}")) for suffix in SUFFIXES),  # type: ignore[misc]
         Work("calibration", lambda place: result.calibration.save(place / "calibration.json")),
-        Work("simulate", simulate),
+        Work("simulate", lambda place: write("gnss", place / "g", seed=2)),
     ]
 
 
