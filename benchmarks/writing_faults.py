@@ -191,23 +191,31 @@ def full_disk(work: Work, old: Path, new: Contents) -> tuple[object, ...] | None
     return found.row(work.name, "full disk")
 
 
-def at_random(recording: Path, number: int, length_s: float) -> tuple[object, ...]:
-    """The signal at random moments of `midspan estimate`, from its start to its end."""
+def at_random(recording: Path, number: int) -> tuple[object, ...]:
+    """The signal at random moments of `midspan estimate` over a result of another method, from start to end."""
     found, rng = Found(), random.Random(number)
     with tempfile.TemporaryDirectory() as name:
-        place = Path(name)
-        command = [sys.executable, "-c", COMMAND, "estimate", str(recording), "-q", "-o", str(place / "r.csv")]
+        known, place, old = Path(name) / "c.json", Path(name) / "place", Path(name) / "old"
+        place.mkdir()
+        midspan.calibrate(midspan.open_recording(recording)).save(known)
+        command = [sys.executable, "-c", COMMAND, "estimate", str(recording), "-c", str(known), "-q"]
+        command += ["-o", str(place / "r.csv")]
+        subprocess.run([*command, "--method", "kalman"], check=True)
+        shutil.copytree(place, old)
+        start = time.perf_counter()
         subprocess.run(command, check=True)
-        new = contents(place)
+        length_s, new = time.perf_counter() - start, contents(place)
         for _ in range(MOMENTS):
+            shutil.rmtree(place)
+            shutil.copytree(old, place)
             running = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
             time.sleep(rng.uniform(0.0, length_s))
             running.send_signal(number)
             said = running.communicate()[1]
-            found.judge(place, new, new)
+            found.judge(place, contents(old), new)
             found.wrong += "Traceback" in said or "internal error" in said
-        subprocess.run(command, check=True)
-        found.judge_next(place, new)
+            subprocess.run(command, check=True)
+            found.judge_next(place, new)
     return found.row("estimate, whole command", f"{signal.Signals(number).name}, random")
 
 
@@ -253,6 +261,6 @@ def main() -> None:
             rows += [] if on_disk is None else [on_disk]
             print(f"{work.name} done", file=sys.stderr, flush=True)
         for number in (signal.SIGKILL, signal.SIGTERM, signal.SIGINT):
-            rows.append(at_random(recording, number, 3.0))
+            rows.append(at_random(recording, number))
     show(("written", "fault", "old", "new", "remains", "wrong"), rows)
     goal("moments that left half a file, lost both or spoiled the next run", sum(int(str(row[-1])) for row in rows), 0)
