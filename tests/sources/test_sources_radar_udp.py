@@ -3,6 +3,8 @@
 import errno
 import socket
 import threading
+import tracemalloc
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -100,7 +102,7 @@ def test_a_socket_that_fails_is_told_with_its_reason_and_not_as_silence(monkeypa
     def fails(*_: object) -> bytes:
         raise OSError(errno.ENETDOWN, "Network is down")
 
-    monkeypatch.setattr(socket.socket, "recv", fails, raising=False)
+    monkeypatch.setattr(socket.socket, "recvfrom", fails, raising=False)
     with (
         LiveCapture(LAYOUT, UdpSettings("127.0.0.1", 0, timeout_s=0.2)) as capture,
         pytest.raises(DataError, match="ended: Network is down"),
@@ -128,3 +130,109 @@ def test_a_port_in_use_is_a_usage_error() -> None:
         LiveCapture(LAYOUT, UdpSettings("127.0.0.1", capture.port)),
     ):
         pass
+
+
+# 10 s of the configured rate: a jump beyond that is no gap of the stream but another position.
+AHEAD_FRAMES = 1000
+
+
+def datagram(start: int, size: int = 1456) -> bytes:
+    return (1).to_bytes(4, "little") + start.to_bytes(6, "little") + bytes(size)
+
+
+@pytest.mark.parametrize("start", [10**9, 2**46, 2**48 - 1])
+def test_one_datagram_with_a_count_far_ahead_is_a_stray_and_makes_no_frames(start: int) -> None:
+    order = PacketOrder(2048, 64)
+    out = [item for k in range(4) for item in order.push(DATAGRAMS[k])]
+    out += order.push(datagram(start))
+    out += [item for k in range(4, 20) for item in order.push(DATAGRAMS[k])]
+    out += order.flush()
+    assert b"".join(data for _, data, _ in out)[: 20 * 1456] == pack(CUBE, LAYOUT).tobytes()[: 20 * 1456]
+    assert (order.stray_packets, order.positions) == (1, 0)
+
+
+def test_strays_at_random_counts_cost_neither_memory_nor_frames() -> None:
+    order = PacketOrder(1 << 20, 64)
+    counts = np.random.default_rng(5).integers(0, 2**48, 5000)
+    tracemalloc.start()
+    frames = sum(len(order.push(datagram(int(start)))) for start in counts)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert frames == 0
+    assert order.stray_packets >= 4990
+    # Two bytes each (data, mask) of the packets that are waited for and of the frames they begin in.
+    assert peak < 2 * (64 * 1456 + 3 * (1 << 20))
+
+
+def test_a_gap_within_ten_seconds_is_filled_with_holes_at_hardly_any_memory() -> None:
+    order = PacketOrder(1 << 20, 64)
+    begin = AHEAD_FRAMES * (1 << 20) - 1456 * 8
+    tracemalloc.start()
+    out = [item for start in (0, *range(begin, begin + 9 * 1456, 1456)) for item in order.push(datagram(start))]
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert [number for number, _, _ in out] == list(range(AHEAD_FRAMES - 1))
+    assert all(missing == b"\1" * (1 << 20) for _, _, missing in out[1:4])
+    assert peak < 32 << 20  # not the 2 GiB of 999 frames and their masks
+
+
+def test_a_card_that_restarts_is_a_new_position_whose_frames_count_on() -> None:
+    order = PacketOrder(LAYOUT.frame_bytes, 4)
+    first = [item for part in DATAGRAMS[:20] for item in order.push(part)]
+    again = [item for part in DATAGRAMS for item in order.push(part)] + order.flush()
+    assert order.positions == 1
+    numbers = [number for number, _, _ in first + again]
+    assert numbers == list(range(len(numbers)))
+    assert b"".join(data for _, data, _ in again).endswith(pack(CUBE, LAYOUT).tobytes())
+
+
+def test_a_capture_that_begins_in_mid_stream_begins_with_the_first_whole_frame() -> None:
+    far = 3 * 10**9 // LAYOUT.frame_bytes * LAYOUT.frame_bytes
+    moved = [d[:4] + (far + int.from_bytes(d[4:10], "little")).to_bytes(6, "little") + d[10:] for d in DATAGRAMS]
+    order = PacketOrder(LAYOUT.frame_bytes, 64)
+    out = [item for part in moved[1:] for item in order.push(part)] + order.flush()
+    # The second datagram begins within frame 1.
+    assert b"".join(data for _, data, _ in out) == pack(CUBE, LAYOUT).tobytes()[2 * LAYOUT.frame_bytes :]
+    assert [number for number, _, _ in out] == list(range(38))
+    assert order.lost_bytes == 0
+
+
+def test_two_streams_at_once_leave_the_one_that_came_first_undisturbed() -> None:
+    order = PacketOrder(LAYOUT.frame_bytes, 64)
+    out = []
+    for k, part in enumerate(DATAGRAMS):
+        out += order.push(part)
+        order.push(datagram(10**12 + 1456 * k))
+    out += order.flush()
+    assert b"".join(data for _, data, _ in out) == pack(CUBE, LAYOUT).tobytes()
+    assert order.positions == 0
+
+
+def test_packets_of_other_senders_are_counted_and_not_taken() -> None:
+    with LiveCapture(LAYOUT, UdpSettings("127.0.0.1", 0, timeout_s=0.2, senders=("192.168.33.180",))) as capture:
+        send(DATAGRAMS[:4], capture.port).join()
+        with pytest.raises(DataError, match=r"4 packets came from other senders than 192\.168\.33\.180"):
+            next(capture.frames())
+    assert (capture.foreign_packets, capture.order.begun) == (4, False)
+
+
+def test_a_restarted_card_is_an_event_and_its_frames_are_dated_by_their_arrival() -> None:
+    settings = UdpSettings("127.0.0.1", 0, timeout_s=1.0, first_time_ns=10**18, late_packets=4)
+    layout = replace(LAYOUT, profile=replace(LAYOUT.profile, frame_period_s=1e-6))
+    with LiveCapture(layout, settings) as capture:
+        send(DATAGRAMS, capture.port).join()
+        frames = list(capture.frames(35))
+        threading.Event().wait(0.05)
+        send(DATAGRAMS[:10], capture.port).join()
+        frames += list(capture.frames(10))
+    (event,) = capture.events
+    assert event.kind == "gap"
+    assert np.all(np.diff([frame.time_ns for frame in frames]) > 0)
+    # 45 frames of 1 microsecond; only the gap, as the wall clock saw it, can make 50 ms.
+    assert frames[-1].time_ns - frames[0].time_ns >= 50_000_000
+    assert [frame.index for frame in frames] == list(range(45))
+
+
+def test_nothing_but_the_card_and_the_loopback_is_listened_to_unless_it_is_asked_for() -> None:
+    assert UdpSettings().address != "0.0.0.0"
+    assert set(UdpSettings().senders or ()) == {"192.168.33.180", "127.0.0.1"}
