@@ -4,17 +4,56 @@ Every message reads `NAME must be RULE; received VALUE. REMEDY`.
 """
 
 import difflib
+import reprlib
 from collections.abc import Iterable
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from midspan.errors import UsageError
 
+_SHORT = reprlib.Repr()
+_SHORT.maxlevel, _SHORT.maxdict, _SHORT.maxlist, _SHORT.maxtuple = 4, 8, 16, 16
+_SHORT.maxstring = _SHORT.maxother = _SHORT.maxlong = 80
+
+
+@dataclass(frozen=True, slots=True)
+class ValueRange:
+    """The lowest and highest value that a quantity can have, in `unit`; NaN is outside."""
+
+    low: float
+    high: float
+    unit: str = ""
+
+    def __str__(self) -> str:
+        return f"from {self.low:g} to {self.high:g} {self.unit}".rstrip()
+
+    def __contains__(self, value: float) -> bool:
+        return bool(self.low <= value <= self.high)
+
+
+# The sum of two times is below 2^63 ns, and seconds since 1900, 1904, 1970 and 1980 are within.
+TIME_S = ValueRange(-4.5e9, 4.5e9, "s")
+# From a sample in eleven days to the shortest step of a clock that counts nanoseconds.
+RATE_HZ = ValueRange(1e-6, 1e9, "Hz")
+
+
+def shown(value: object) -> str:
+    """A value as messages show it, long and deep ones shortened."""
+    return _SHORT.repr(value)
+
+
+def within(name: str, value: float, limits: ValueRange, remedy: str = "") -> float:
+    """Return `value` if it is a number within `limits`."""
+    if value not in limits:
+        raise refuse(name, str(limits), value, remedy)
+    return value
+
 
 def refuse(name: str, rule: str, received: object, remedy: str = "") -> UsageError:
     """The error for an argument `name` that breaks `rule`; the caller raises it."""
-    text = f"{name} must be {rule}; received {received!r}."
+    text = f"{name} must be {rule}; received {shown(received)}."
     return UsageError(f"{text} {remedy}".rstrip())
 
 

@@ -24,6 +24,9 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "check-config": ("check_config", "Validate a recording.toml without running it."),
 }
 
+# What file systems take.
+MAX_NAME_BYTES = 255
+
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line and leave with its exit code."""
@@ -47,6 +50,10 @@ def run(arguments: list[str]) -> int:
     from midspan.cli.group import commands
     from midspan.errors import MidspanError
 
+    long = next((given for given in arguments if _has_long_name(given)), None)
+    if long is not None:
+        text = f"{long[:60]}…: each name in a path must have at most {MAX_NAME_BYTES} bytes. Give a shorter one."
+        return _explain(arguments, text, 2, None)
     try:
         left = commands.main(args=arguments, prog_name="midspan", standalone_mode=False)
     except click.exceptions.NoArgsIsHelpError as error:
@@ -68,6 +75,13 @@ def run(arguments: list[str]) -> int:
         text = f"internal error ({what}). This is a defect of midspan; MIDSPAN_TRACEBACK=1 shows where it happened."
         return _explain(arguments, text, 1, None)
     return left if isinstance(left, int) else 0
+
+
+def _has_long_name(argument: str) -> bool:
+    """Whether an argument, as a path, holds a name that no file can have."""
+    import os
+
+    return any(len(os.fsencode(name)) > MAX_NAME_BYTES for name in argument.split("/"))
 
 
 def _explain(arguments: list[str], message: str, code: int, error: "click.ClickException | None") -> int:

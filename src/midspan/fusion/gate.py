@@ -74,6 +74,8 @@ LEAST_UNSTEADY, UNSTEADY_EACH = 10.0, 3.0
 
 # Five rejections within this many limits are an error of the filter rather than of the measurements.
 NEAR = 3.0
+# Of a sum of variances, the relative spacing of double precision.
+RESOLVED = 2.3e-16
 # Fewer accepted measurements than this are no state worth defending.
 SETTLED = 20
 # The median step of the innovations is followed by this factor a measurement (it scatters by a quarter then), and
@@ -172,7 +174,8 @@ def judged(s, stamp, innovation, total, limits, back_within):  # type: ignore[no
     time, source = stamp
     rejections = s[REJECTIONS]
     rejected_for = time - s[FIRST_REJECTED] if rejections > 0 else 0.0
-    noise, lapse = total - s[P00], time - s[JUDGED_AT]
+    # At least what a number resolves: next to an unknown position a very small noise is lost in the sum.
+    noise, lapse = max(total - s[P00], RESOLVED * total), time - s[JUDGED_AT]
     if rejections == 0:
         s[FIRST_TOTAL], s[FIRST_INNOVATION], s[FIRST_NOISE] = total, innovation, noise
     squared, drifted = (innovation - s[JUDGED]) ** 2, lapse * lapse * s[P11]

@@ -6,21 +6,27 @@ from pydantic import AfterValidator, Field, model_validator
 
 from midspan.errors import UsageError
 from midspan.settings.fields import (
+    Duration,
+    FileName,
     FiniteNumber,
     IsNumber,
-    Name,
-    NonNegativeNumber,
-    PositiveNumber,
+    Rate,
     Section,
+    Time,
     has_four,
     is_a_word,
     known,
+    limited,
     region_is_positive,
     second_is_larger,
 )
 from midspan.vision.lens import MODELS as LENS_MODELS
 from midspan.vision.lens import Lens
 from midspan.vision.tracker import DEFAULT_TRACKER, TRACKERS, tracker_settings
+
+Celsius = Annotated[float, IsNumber, limited(-273.15, 1e5, "°C")]
+# Settings of trackers are pixels, shares and counts; each tracker has rules of its own within this.
+MAX_TRACKER_SETTING = 1e9
 
 
 class TargetSettings(Section):
@@ -37,7 +43,7 @@ class TargetSettings(Section):
 class LensSettings(Section):
     """The camera's lens in OpenCV's models: a file that `midspan lens` wrote, or the numbers themselves."""
 
-    file: Name | None = Field(None, description="lens.json of `midspan lens`, instead of all other keys")
+    file: FileName | None = Field(None, description="lens.json of `midspan lens`, instead of all other keys")
     model: Annotated[str, known(LENS_MODELS, "lens model")] = Field("pinhole", description="OpenCV's lens model")
     matrix: Annotated[tuple[FiniteNumber, ...] | None, AfterValidator(has_four)] = Field(
         None, description="fx, fy, cx, cy, px"
@@ -70,11 +76,13 @@ class LensSettings(Section):
 class CameraSettings(Section):
     """A camera on the structure that looks at fixed surroundings."""
 
-    file: Name
-    times: Name | None = Field(None, description="file with a column time_s, one row a frame")
-    rate_hz: PositiveNumber | None = Field(None, description="frames a second, where the file has no time stamps")
-    start_s: FiniteNumber = Field(0.0, description="time of the first frame, s")
-    every: Annotated[int, IsNumber, Field(ge=1)] = Field(1, description="use every n-th frame; higher is faster")
+    file: FileName
+    times: FileName | None = Field(None, description="file with a column time_s, one row a frame")
+    rate_hz: Rate | None = Field(None, description="frames a second, where the file has no time stamps")
+    start_s: Time = Field(0.0, description="time of the first frame, s")
+    every: Annotated[int, IsNumber, Field(ge=1, le=1_000_000)] = Field(
+        1, description="use every n-th frame; higher is faster"
+    )
     roi: Annotated[tuple[int, int, int, int] | None, AfterValidator(region_is_positive)] = Field(
         None, description="x, y, width, height, px; left out: chosen"
     )
@@ -85,8 +93,8 @@ class CameraSettings(Section):
     direction: Literal["x", "y", "xy"] = Field(
         "y", description="image axis of the measured motion: x right, y down, or both"
     )
-    exposure_s: NonNegativeNumber | None = Field(None, description="exposure time, s; its averaging is corrected")
-    readout_s: NonNegativeNumber = Field(0.0, description="rolling shutter: seconds from first to last row")
+    exposure_s: Duration | None = Field(None, description="exposure time, s; its averaging is corrected")
+    readout_s: Duration = Field(0.0, description="rolling shutter: seconds from first to last row")
     tracker: Annotated[str, known(TRACKERS, "tracker")] = Field(DEFAULT_TRACKER, description="how the target is found")
     tracker_settings: dict[str, Any] = Field(
         default_factory=dict, description="settings of the tracker by name, see docs/methods.md; left out: its defaults"
@@ -118,6 +126,9 @@ class CameraSettings(Section):
     @model_validator(mode="after")
     def _tracker_knows_its_settings(self) -> "CameraSettings":
         if self.tracker_settings:
+            for key, value in self.tracker_settings.items():
+                if isinstance(value, int | float) and not abs(value) <= MAX_TRACKER_SETTING:
+                    raise ValueError(f"tracker_settings: {key} must be a number up to {MAX_TRACKER_SETTING:g}")
             try:
                 tracker_settings(self.tracker, **self.tracker_settings)
             except UsageError as error:
@@ -136,11 +147,15 @@ class InfraredSettings(CameraSettings):
     reference: Literal["first", "key-frames", "updating"] | None = Field(
         None, description="the frame that each is compared with: the first, several, or a new one; left out: several"
     )
-    temperature_range_c: Annotated[tuple[FiniteNumber, FiniteNumber] | None, AfterValidator(second_is_larger)] = Field(
+    temperature_range_c: Annotated[tuple[Celsius, Celsius] | None, AfterValidator(second_is_larger)] = Field(
         None, description="°C shown in 256 grey levels; left out: temperatures as they are, or optimised for features"
     )
-    kelvin_per_count: PositiveNumber | None = Field(None, description="K a count of 16-bit pictures; left out: told")
-    zero_k: FiniteNumber = Field(0.0, description="temperature of count 0 of 16-bit pictures, K")
+    kelvin_per_count: Annotated[float, IsNumber, limited(1e-9, 1e3, "K a count")] | None = Field(
+        None, description="K a count of 16-bit pictures; left out: as the file says"
+    )
+    zero_k: Annotated[float, IsNumber, limited(-1e6, 1e6, "K")] = Field(
+        0.0, description="temperature of count 0 of 16-bit pictures, K"
+    )
     emissivity: Annotated[float, IsNumber, Field(gt=0, le=1)] | None = Field(
         None, description="of the target, 0 to 1; left out: the one in a FLIR file"
     )

@@ -4,28 +4,69 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 
-from midspan.checks import nearest
+from midspan.checks import RATE_HZ, TIME_S, ValueRange, nearest
+
+MAX_PX = 1_000_000
+# What file systems take: bytes of a name and of a path.
+MAX_NAME_BYTES, MAX_PATH_BYTES = 255, 4095
 
 
 def _number(value: object) -> object:
     """A number of TOML: neither a text nor true or false is one."""
     if isinstance(value, bool | str):
         raise ValueError("must be a number")
+    if isinstance(value, int) and abs(value) >= 2**63:
+        raise ValueError("must be a number of at most 64 bits")
     return value
 
 
 IsNumber = BeforeValidator(_number)
 
-PositiveNumber = Annotated[float, IsNumber, Field(gt=0, allow_inf_nan=False)]
-NonNegativeNumber = Annotated[float, IsNumber, Field(ge=0, allow_inf_nan=False)]
+
+def limited(low: float, high: float, unit: str = "") -> AfterValidator:
+    """A number from `low` to `high`; NaN is none."""
+    return _held(ValueRange(low, high, unit))
+
+
+def _held(limits: ValueRange) -> AfterValidator:
+    def check(value: float) -> float:
+        if value not in limits:
+            raise ValueError(f"must be {limits}. Correct the value or its unit")
+        return value
+
+    return AfterValidator(check)
+
+
+Rate = Annotated[float, IsNumber, _held(RATE_HZ)]
+Time = Annotated[float, IsNumber, _held(TIME_S)]
+# An hour is longer than any exposure or sweep of a shutter.
+Duration = Annotated[float, IsNumber, limited(0.0, 3600.0, "s")]
+# Noise in any unit, from below the last digit of a double in mm to above any sensor's range.
+Noise = Annotated[float, IsNumber, limited(1e-12, 1e9, "in the unit of the values")]
 FiniteNumber = Annotated[float, IsNumber, Field(allow_inf_nan=False)]
 Name = Annotated[str, Field(min_length=1)]
+
+
+def _is_a_path(value: str) -> str:
+    """A text that a file can be named by."""
+    if "\0" in value:
+        raise ValueError("must be a path without NUL characters")
+    if len(value.encode()) > MAX_PATH_BYTES or any(len(name.encode()) > MAX_NAME_BYTES for name in value.split("/")):
+        raise ValueError(
+            f"must be a path of at most {MAX_PATH_BYTES} bytes, each name in it of at most {MAX_NAME_BYTES} bytes"
+        )
+    return value
+
+
+FileName = Annotated[str, Field(min_length=1), AfterValidator(_is_a_path)]
 
 
 def region_is_positive(value: tuple[int, int, int, int] | None) -> tuple[int, int, int, int] | None:
     """Four numbers that are a region of the picture."""
     if value is not None and (min(value[:2]) < 0 or min(value[2:]) < 1):
         raise ValueError("must be x, y >= 0 and width, height >= 1, in px")
+    if value is not None and max(value) > MAX_PX:
+        raise ValueError(f"must be numbers up to {MAX_PX} px")
     return value
 
 

@@ -1,6 +1,5 @@
 """Reading and validating a `recording.toml`."""
 
-import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +9,7 @@ from midspan.checks import option
 from midspan.errors import DataError, UsageError
 from midspan.settings.messages import explain
 from midspan.settings.recording import RecordingSettings
+from midspan.trees import TreeError, read_toml
 
 RECORDING_FILE = "recording.toml"
 # Sections that every recording has, written or not.
@@ -20,11 +20,16 @@ CAMERAS = ("camera", "infrared")
 def settings_file(path: str | Path) -> Path:
     """The `recording.toml` meant by a folder or by the file itself; DataError where there is none."""
     path = Path(path)
-    file = path / RECORDING_FILE if path.is_dir() else path
-    if not file.is_file():
-        hint = f"a folder with {RECORDING_FILE}, or that file"
-        raise DataError(f"{file}: not found. A recording is {hint}; `midspan demo` makes one to look at.")
-    return file
+    hint = f"A recording is a folder with {RECORDING_FILE}, or that file; `midspan demo` makes one to look at."
+    try:
+        file = path / RECORDING_FILE if path.is_dir() else path
+        if file.is_file():
+            return file
+        what = "is no regular file" if file.exists() else "not found"
+    except (OSError, ValueError) as error:
+        # A name that is too long for the file system, or holds a NUL character.
+        file, what = path, f"cannot be a file ({getattr(error, 'strerror', None) or error})"
+    raise DataError(f"{file}: {what}. {hint}")
 
 
 def load_settings(path: str | Path, overrides: dict[str, dict[str, Any]] | None = None) -> RecordingSettings:
@@ -35,9 +40,9 @@ def load_settings(path: str | Path, overrides: dict[str, dict[str, Any]] | None 
     """
     file = settings_file(path)
     try:
-        tree = tomllib.loads(file.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise UsageError(f"{file}: is not valid TOML: {error}. Text values need quotes.") from None
+        tree = read_toml(file)
+    except TreeError as error:
+        raise UsageError(f"{file}: {error}.") from None
     except OSError as error:
         raise DataError(f"{file}: cannot be read ({error.strerror}).") from None
     for section, keys in (overrides or {}).items():

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from midspan.checks import nearest
+from midspan.checks import nearest, shown
 from midspan.settings.recording import RecordingSettings
 
 
@@ -15,15 +15,15 @@ def explain(item: Any) -> str:
     if kind == "extra_forbidden":
         return _unknown(key, [str(part) for part in place if not isinstance(part, int)], value)
     if kind == "too_long" or (kind == "missing" and isinstance(item["loc"][-1], int)):
-        return f"{key}: must have {4 if key.endswith('roi') else 2} numbers; received {list(value)}."
+        return f"{key}: must have {4 if key.endswith('roi') else 2} numbers; received {shown(list(value))}."
     if kind == "missing":
         return f"{key}: is missing. Add it; `midspan check-config` shows what a file says."
     if kind == "tuple_type" and key in ("camera.target", "infrared.target"):
-        return f"{key}: must be a list, one [[{key}]] for each target; received {value!r}."
+        return f"{key}: must be a list, one [[{key}]] for each target; received {shown(value)}."
     if kind.startswith(("model_type", "model_attributes", "dict_type")):
-        return f"{key}: must be one section, [{key}]; received {value!r}."
+        return f"{key}: must be one section, [{key}]; received {shown(value)}."
     if kind == "string_too_short":
-        return f"{key} = {value!r}: must not be empty; leave the key out instead."
+        return f"{key} = {shown(value)}: must not be empty; leave the key out instead."
     text = str(item["msg"]).removeprefix("Value error, ")
     text = text.replace("Input should", "must").replace("String should", "must")
     if place and place[0] == "infrared":
@@ -42,7 +42,7 @@ def _key(place: list[Any]) -> str:
 
 
 def _plain(value: Any) -> str:
-    return repr(list(value)) if isinstance(value, tuple) else repr(value)
+    return shown(list(value)) if isinstance(value, tuple) else shown(value)
 
 
 def _unknown(key: str, place: list[str], value: Any) -> str:

@@ -4,27 +4,29 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field, model_validator
 
+from midspan.checks import RATE_HZ
 from midspan.fusion.methods import LITERAL, METHODS, no_literal_form
 from midspan.settings.camera import CameraSettings, InfraredSettings
 from midspan.settings.fields import (
-    FiniteNumber,
     IsNumber,
-    NonNegativeNumber,
-    PositiveNumber,
     Section,
+    Time,
     known,
+    limited,
     second_is_larger,
 )
 from midspan.settings.sensors import AccelerometerSettings, DisplacementSettings, RadarSettings, ReferenceSettings
+
+Frequency = Annotated[float, IsNumber, limited(0.0, RATE_HZ.high, "Hz")]
 
 
 class CalibrationSettings(Section):
     """How scale factor and clock offset are found."""
 
-    window_s: Annotated[tuple[FiniteNumber, FiniteNumber] | None, AfterValidator(second_is_larger)] = Field(
+    window_s: Annotated[tuple[Time, Time] | None, AfterValidator(second_is_larger)] = Field(
         None, description="start and end of the part used, s on the accelerometer's clock; left out: the first minute"
     )
-    band_hz: Annotated[tuple[NonNegativeNumber, PositiveNumber] | None, AfterValidator(second_is_larger)] = Field(
+    band_hz: Annotated[tuple[Frequency, Frequency] | None, AfterValidator(second_is_larger)] = Field(
         None,
         description="band of acceleration compared with the camera, Hz; left out: all that rates and noise allow",
     )
@@ -39,7 +41,9 @@ class FusionSettings(Section):
     """How acceleration and displacement become one."""
 
     method: Annotated[str, known(METHODS, "method")] = Field("smoother", description="see `midspan methods`")
-    lag_s: PositiveNumber = Field(0.5, description="delay of the method `lag`, s; longer is nearer to the smoother")
+    lag_s: Annotated[float, IsNumber, limited(1e-6, 3600.0, "s")] = Field(
+        0.5, description="delay of the method `lag`, s; longer is nearer to the smoother"
+    )
     literal: bool = Field(False, strict=True, description="a paper's method as printed, without guard; radar too")
     switching: Literal["variance", "matches"] = Field(
         "variance", description="how two cameras are believed: both by their variances, or the one with more matches"

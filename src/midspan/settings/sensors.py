@@ -4,19 +4,19 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from midspan.settings.fields import FiniteNumber, IsNumber, Name, NonNegativeNumber, PositiveNumber, Section
+from midspan.settings.fields import FileName, IsNumber, Name, Noise, Rate, Section, Time, limited
 
 
 class ChannelSettings(Section):
     """Where a channel comes from: a file, its time and value columns, its unit, or a rate where it has no time."""
 
-    file: Name
+    file: FileName
     time: Name | None = Field(None, description="column of time; left out: found by name, else rate_hz")
     value: Name | None = Field(None, description="column of the values; left out: found when only one can be meant")
     unit: Name | None = Field(None, description="unit of the values; left out: as the file says")
-    rate_hz: PositiveNumber | None = Field(None, description="samples a second, where there is no time column")
-    start_s: FiniteNumber = Field(0.0, description="time of the first sample, where there is no time column, s")
-    noise_std: PositiveNumber | None = Field(
+    rate_hz: Rate | None = Field(None, description="samples a second, where there is no time column")
+    start_s: Time = Field(0.0, description="time of the first sample, where there is no time column, s")
+    noise_std: Noise | None = Field(
         None,
         description="noise of one sample, in m/s² (accelerometer) or in `unit`; left out: learnt; higher trusts less",
     )
@@ -27,7 +27,9 @@ class AccelerometerSettings(ChannelSettings):
 
     value_x: Name | None = Field(None, description="column along the image's x axis, with camera.direction = 'xy'")
     value_y: Name | None = Field(None, description="column along the image's y axis, with camera.direction = 'xy'")
-    sensitivity: NonNegativeNumber = Field(0.0, description="V per m/s², with unit = 'V'; 0: not used")
+    sensitivity: Annotated[float, IsNumber, limited(0.0, 1e6, "V per m/s²")] = Field(
+        0.0, description="V per m/s², with unit = 'V'; 0: not used"
+    )
 
     @model_validator(mode="after")
     def _one_way_to_name_a_column(self) -> "AccelerometerSettings":
@@ -39,22 +41,22 @@ class AccelerometerSettings(ChannelSettings):
 class RadarSettings(Section):
     """A chirp radar on the structure that looks at fixed surroundings."""
 
-    file: Name
-    config: Name | None = Field(None, description=".cfg of the mmWave demo or .json of mmWave Studio")
+    file: FileName
+    config: FileName | None = Field(None, description=".cfg of the mmWave demo or .json of mmWave Studio")
     iq_order: Literal["auto", "IIQQ", "QQII", "IQIQ", "QIQI"] = Field(
         "auto", description="order of I and Q in a raw capture; auto: from the settings and the samples"
     )
-    start_s: FiniteNumber = Field(0.0, description="time of the first frame, s")
-    rate_hz: PositiveNumber | None = Field(
+    start_s: Time = Field(0.0, description="time of the first frame, s")
+    rate_hz: Rate | None = Field(
         None, description="frames a second of slow-time I/Q, where neither file nor config says it"
     )
-    carrier_hz: Annotated[float, IsNumber, Field(gt=1e9, allow_inf_nan=False)] | None = Field(
+    carrier_hz: Annotated[float, IsNumber, limited(1e9, 1e12, "Hz")] | None = Field(
         None, description="carrier of slow-time I/Q, where neither file nor config says it, Hz"
     )
     targets: Annotated[int, IsNumber, Field(ge=1, le=8)] = Field(
         3, description="how many fixed targets are used at most; more is steadier when some are blocked"
     )
-    target_range_m: PositiveNumber | None = Field(
+    target_range_m: Annotated[float, IsNumber, limited(1e-3, 1e5, "m")] | None = Field(
         None, description="use only the target nearest to this range, m; left out: the best ones"
     )
 

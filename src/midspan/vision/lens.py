@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from midspan.checks import finite, option, positive, refuse
+from midspan.checks import ValueRange, finite, option, positive, refuse, within
 from midspan.errors import UsageError
 from midspan.records import Floats, Frame, PixelTrack, PixelTranslation, Prediction, Region, Status
 from midspan.vision.tracker import Learner, PhaseGain, Tracker
@@ -21,6 +21,8 @@ from midspan.vision.tracker import Learner, PhaseGain, Tracker
 # Numbers of coefficients that each model can have, as OpenCV orders them.
 MODELS: dict[str, tuple[int, ...]] = {"pinhole": (4, 5, 8, 12), "fisheye": (4,)}
 HALF_A_PIXEL = 0.5
+# Beyond these a lens is no camera's: a thousand times the focal lengths and sizes of real ones.
+MATRIX_PX, DISTORTION, MAX_SIZE_PX = ValueRange(-1e7, 1e7, "px"), ValueRange(-1e6, 1e6), 1_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,17 +45,21 @@ class Lens:
         option("lens model", self.model, MODELS)
         if len(self.matrix) != 4:
             raise refuse("lens matrix", "the four numbers fx, fy, cx, cy (px)", list(self.matrix))
-        finite("lens matrix", self.matrix)
+        for value in finite("lens matrix", self.matrix):
+            within("lens matrix", float(value), MATRIX_PX)
         positive("lens focal length", min(self.matrix[:2]), "px")
         counts = MODELS[self.model]
         if len(self.distortion) not in counts:
             rule = f"a list of {' or '.join(str(count) for count in counts)} numbers for the model {self.model!r}"
             raise refuse("lens distortion", rule, list(self.distortion), "Fill up with zeros where terms are missing.")
-        finite("lens distortion", self.distortion)
+        for value in finite("lens distortion", self.distortion):
+            within("lens distortion", float(value), DISTORTION)
         if self.covered_px is not None:
             positive("lens covered_px", self.covered_px, "px")
-        if len(self.size) != 2 or min(self.size) < 1:
-            raise refuse("lens size", "the width and height of the frames (px)", list(self.size))
+        if len(self.size) != 2 or min(self.size) < 1 or max(self.size) > MAX_SIZE_PX:
+            raise refuse(
+                "lens size", f"the width and height of the frames, from 1 to {MAX_SIZE_PX} px", list(self.size)
+            )
 
     def to_dict(self) -> dict[str, Any]:
         """The lens as a tree of plain values."""

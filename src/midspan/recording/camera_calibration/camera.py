@@ -173,8 +173,17 @@ def in_band(samples: Floats, band_hz: tuple[float, float] | None) -> tuple[Float
         return samples, None
     from scipy.signal import butter, sosfiltfilt
 
-    rate = (len(samples) - 1) / float(samples[-1, 0] - samples[0, 0])
+    length_s = float(samples[-1, 0] - samples[0, 0])
+    rate = (len(samples) - 1) / length_s
     low, high = band_hz[0], min(band_hz[1], 0.49 * rate)
+    if high * length_s < 1.0:
+        raise UsageError(
+            f"calibration.band_hz = {list(band_hz)}: must reach above {1.0 / length_s:.4g} Hz, one cycle in the "
+            f"{length_s:.4g} s that are used. Give frequencies in Hz."
+        )
+    if low * length_s < 1.0:
+        # A filter that swings more slowly than the samples last rings from end to end, or cannot be solved.
+        low = 0.0
     if low >= high:
         raise UsageError(
             f"calibration.band_hz = {list(band_hz)}: must lie below half the accelerometer's rate of {rate:.4g} Hz."

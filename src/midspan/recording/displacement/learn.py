@@ -23,6 +23,8 @@ NOISE_WINDOW_S = 1800.0
 # Measurements within the longest offset of an end are left out: so much of the overlap at most at each end, where the
 # offset is only told, where it is learnt, and where one farther off is looked for.
 TOLD_SHARE, LEARNT_SHARE, FARTHER_SHARE = 0.1, 0.25, 0.35
+# Fewer samples of acceleration carry no motion between two measurements.
+MIN_SAMPLES = 10
 # A clock offset that was not asked for is refused when it moves the displacement by more than this many times its
 # noise.
 MOST_LATE = 2.0
@@ -72,6 +74,12 @@ class _Beside:
         used = inside(series.time_ns, self.first_ns + margin, last - margin)
         _refuse_poor_displacement(series, used)
         window = inside(prepared.time_ns, self.first_ns - NANOSECONDS, last + NANOSECONDS)
+        if window.stop - window.start < MIN_SAMPLES:
+            raise DataError(
+                f"accelerometer: at least {MIN_SAMPLES} samples must lie within the {(last - self.first_ns) / 1e9:.4g} "
+                f"s of [displacement]; received {window.stop - window.start}. Check accelerometer.rate_hz, and that "
+                "both times are in s."
+            )
         rows = measured_rows(series.time_ns[used], series.value[used], np.ones(used.stop - used.start), self.first_ns)
         return Pair(prepared.rows(self.first_ns, window), rows, 1.0, level_m_s2=prepared.level(window))
 

@@ -1,16 +1,18 @@
 """Reading `calibration.json` back; `recording/stored/calibration.py` writes it."""
 
-import json
 import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from midspan.checks import ValueRange, shown
 from midspan.errors import DataError, UsageError
 from midspan.recording.stored.calibration import CALIBRATION_FILE, Calibration
 from midspan.recording.stored.camera import CameraCalibration, TargetCalibration
 from midspan.recording.stored.displacement import DisplacementCalibration
+from midspan.recording.stored.json_values import BIAS_M_S2, NOISE, NOISE_M_S2, RATIO
 from midspan.recording.stored.json_values import WrongValueError as _WrongValueError
+from midspan.recording.stored.json_values import factor as _factor
 from midspan.recording.stored.json_values import number as _number
 from midspan.recording.stored.json_values import offset_of as _offset_of
 from midspan.recording.stored.json_values import section_of as _section
@@ -18,8 +20,11 @@ from midspan.recording.stored.json_values import std as _std
 from midspan.recording.stored.json_values import std_or_unknown as _std_or_unknown
 from midspan.recording.stored.radar_file import radar_of
 from midspan.records import Region, ScaleFactor, Source
+from midspan.settings.fields import MAX_PX
+from midspan.trees import TreeError, read_json
 from midspan.vision.lens import Lens
 
+TEMPERATURE_C = ValueRange(-273.15, 1e5, "°C")
 # What the camera and its only target have in common.
 OWN_KEYS = ("roi", "scale_mm_per_px", "scale_std_mm_per_px", "noise_std_px", "variance_factor")
 
@@ -32,11 +37,11 @@ def load_calibration(path: str | Path) -> Calibration:
     path = Path(path)
     path = path / CALIBRATION_FILE if path.is_dir() else path
     try:
-        tree = json.loads(path.read_text(encoding="utf-8"))
+        tree = read_json(path)
     except OSError as error:
         raise DataError(f"{path}: cannot be read ({error.strerror}). `midspan calibrate` writes one.") from None
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise DataError(f"{path}: is not JSON ({error}). Run `midspan calibrate` again.") from None
+    except TreeError as error:
+        raise DataError(f"{path}: {error}. Run `midspan calibrate` again.") from None
     try:
         return calibration_from_dict(tree)
     except _WrongValueError as error:
@@ -53,8 +58,8 @@ def calibration_from_dict(tree: dict[str, Any]) -> Calibration:
     radar = _section(tree, "radar")
     warnings = tree.get("warnings", [])
     found = Calibration(
-        noise_std_m_s2=_number(accelerometer, "accelerometer.noise_std_m_s2", positive=True),
-        bias_m_s2=_number(accelerometer, "accelerometer.bias_m_s2", default=0.0),
+        noise_std_m_s2=_number(accelerometer, "accelerometer.noise_std_m_s2", limits=NOISE_M_S2),
+        bias_m_s2=_number(accelerometer, "accelerometer.bias_m_s2", 0.0, BIAS_M_S2),
         bias_std_m_s2=_std_or_unknown(accelerometer, "accelerometer.bias_std_m_s2"),
         camera=_camera_of(camera) if camera else None,
         infrared=_infrared_of(thermal) if thermal else None,
@@ -85,16 +90,16 @@ def _both_axes(found: Calibration, tree: dict[str, Any]) -> Calibration:
         scale=scale,
         region=(*regions, main.region)[0],
         direction=second,
-        noise_std_px=_number(other, f"camera.axes.{second}.noise_std_px", positive=True),
-        variance_factor=_number(other, f"camera.axes.{second}.variance_factor", positive=True),
+        noise_std_px=_number(other, f"camera.axes.{second}.noise_std_px", limits=NOISE),
+        variance_factor=_number(other, f"camera.axes.{second}.variance_factor", limits=RATIO),
         phase_scale_m_per_rad=_phase_of(other),
         targets=targets,
         fused=other.get("fused") is not False,
         relative_scale_std=_relative_of(other),
     )
     across = Calibration(
-        noise_std_m_s2=_number(other, f"camera.axes.{second}.accelerometer_noise_std_m_s2", positive=True),
-        bias_m_s2=_number(other, f"camera.axes.{second}.accelerometer_bias_m_s2", default=0.0),
+        noise_std_m_s2=_number(other, f"camera.axes.{second}.accelerometer_noise_std_m_s2", limits=NOISE_M_S2),
+        bias_m_s2=_number(other, f"camera.axes.{second}.accelerometer_bias_m_s2", 0.0, BIAS_M_S2),
         bias_std_m_s2=_std_or_unknown(other, f"camera.axes.{second}.accelerometer_bias_std_m_s2"),
         camera=camera if found.camera is not None else None,
         infrared=camera if found.camera is None else None,
@@ -107,17 +112,17 @@ def _both_axes(found: Calibration, tree: dict[str, Any]) -> Calibration:
 def _camera_of(tree: dict[str, Any]) -> CameraCalibration:
     direction = tree.get("direction", "y")
     if direction not in ("x", "y", "xy"):
-        raise _WrongValueError(f'camera.direction must be "x", "y" or "xy"; received {direction!r}')
+        raise _WrongValueError(f'camera.direction must be "x", "y" or "xy"; received {shown(direction)}')
     if direction == "xy" and (direction := tree.get("axis")) not in ("x", "y"):
-        raise _WrongValueError(f'camera.axis must be "x" or "y"; received {direction!r}')
+        raise _WrongValueError(f'camera.axis must be "x" or "y"; received {shown(direction)}')
     return CameraCalibration(
         scale=_scale_of(tree, "camera"),
         offset=_offset_of(tree, "camera"),
         region=_region_of(tree),
         direction=direction,
         tracker=str(tree.get("tracker", "template")),
-        noise_std_px=_number(tree, "camera.noise_std_px", 0.02, positive=True),
-        variance_factor=_number(tree, "camera.variance_factor", 1.0, positive=True),
+        noise_std_px=_number(tree, "camera.noise_std_px", 0.02, NOISE),
+        variance_factor=_number(tree, "camera.variance_factor", 1.0, RATIO),
         phase_scale_m_per_rad=_phase_of(tree),
         targets=_targets_of(tree),
         relative_scale_std=_relative_of(tree),
@@ -131,10 +136,12 @@ def _infrared_of(tree: dict[str, Any]) -> CameraCalibration:
         camera = _camera_of(tree)
         given = tree.get("temperature_range_c")
         if given is not None and not (isinstance(given, list) and len(given) == 2):
-            raise _WrongValueError(f"camera.temperature_range_c must be two numbers, °C; received {given!r}")
-        low, high = (_number({"c": value}, "camera.temperature_range_c.c") for value in given or (0.0, 1.0))
+            raise _WrongValueError(f"camera.temperature_range_c must be two numbers, °C; received {shown(given)}")
+        low, high = (
+            _number({"c": value}, "camera.temperature_range_c.c", limits=TEMPERATURE_C) for value in given or (0.0, 1.0)
+        )
         if low >= high:
-            raise _WrongValueError(f"camera.temperature_range_c must rise; received {given!r}")
+            raise _WrongValueError(f"camera.temperature_range_c must rise; received {shown(given)}")
     except _WrongValueError as error:
         raise _WrongValueError(str(error).replace("camera.", "infrared.")) from None
     return replace(camera, source=Source.INFRARED, temperature_range_c=None if given is None else (low, high))
@@ -143,7 +150,7 @@ def _infrared_of(tree: dict[str, Any]) -> CameraCalibration:
 def _left_out_of(tree: dict[str, Any]) -> str:
     axis = tree.get("left_out", "")
     if axis not in ("", "x", "y"):
-        raise _WrongValueError(f'camera.left_out must be "x" or "y"; received {axis!r}')
+        raise _WrongValueError(f'camera.left_out must be "x" or "y"; received {shown(axis)}')
     return str(axis)
 
 
@@ -153,20 +160,18 @@ def _lens_of(tree: dict[str, Any]) -> Lens | None:
         return None
     try:
         return Lens.from_dict(section)
-    except (KeyError, TypeError, ValueError, UsageError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError, UsageError) as error:
         raise _WrongValueError(f"camera.lens is no lens: {error}") from None
 
 
 def _scale_of(tree: dict[str, Any], section: str) -> ScaleFactor:
-    scale = _number(tree, f"{section}.scale_mm_per_px") / 1e3
-    if scale == 0.0:
-        raise _WrongValueError(f"{section}.scale_mm_per_px must not be 0")
+    scale = _factor(tree, f"{section}.scale_mm_per_px") / 1e3
     return ScaleFactor(scale, (_std(tree, f"{section}.scale_std_mm_per_px", 0.0) / 1e3) ** 2)
 
 
 def _phase_of(tree: dict[str, Any]) -> float | None:
     key = "phase_scale_mm_per_rad"
-    return _number(tree, f"camera.{key}") / 1e3 if key in tree else None
+    return _factor(tree, f"camera.{key}") / 1e3 if key in tree else None
 
 
 def _relative_of(tree: dict[str, Any]) -> float | None:
@@ -177,7 +182,7 @@ def _relative_of(tree: dict[str, Any]) -> float | None:
 def _targets_of(tree: dict[str, Any]) -> tuple[TargetCalibration, ...]:
     listed = tree.get("targets", [])
     if not isinstance(listed, list) or not all(isinstance(target, dict) for target in listed):
-        raise _WrongValueError(f"camera.targets must be a list of objects; received {listed!r}")
+        raise _WrongValueError(f"camera.targets must be a list of objects; received {shown(listed)}")
     if sum(target.get("used") is not False for target in listed) == 1:
         # The camera's own keys are those of the only target in use, and count where somebody has changed them.
         own = {key: tree[key] for key in OWN_KEYS if key in tree}
@@ -185,11 +190,11 @@ def _targets_of(tree: dict[str, Any]) -> tuple[TargetCalibration, ...]:
     return tuple(_target_of(target, number) for number, target in enumerate(listed, start=1))
 
 
-def _number_or_nan(tree: dict[str, Any], key: str, used: bool) -> float:
-    """A positive number; a target that is not used may have none."""
+def _number_or_nan(tree: dict[str, Any], key: str, used: bool, limits: ValueRange) -> float:
+    """A number within the limits; a target that is not used may have none."""
     if not used and tree.get(key.rpartition(".")[2]) is None:
         return math.nan
-    return _number(tree, key, positive=True)
+    return _number(tree, key, limits=limits)
 
 
 def _target_of(tree: dict[str, Any], number: int) -> TargetCalibration:
@@ -198,8 +203,8 @@ def _target_of(tree: dict[str, Any], number: int) -> TargetCalibration:
         region=_region_of(tree),
         name=str(tree.get("name", number)),
         scale=_scale_of(tree, place) if used or tree.get("scale_mm_per_px") is not None else None,
-        noise_std_px=_number_or_nan(tree, f"{place}.noise_std_px", used),
-        variance_factor=_number_or_nan(tree, f"{place}.variance_factor", used),
+        noise_std_px=_number_or_nan(tree, f"{place}.noise_std_px", used, NOISE),
+        variance_factor=_number_or_nan(tree, f"{place}.variance_factor", used, RATIO),
         used=used,
         reason=str(tree.get("reason", "")),
     )
@@ -208,16 +213,18 @@ def _target_of(tree: dict[str, Any], number: int) -> TargetCalibration:
 def _region_of(tree: dict[str, Any]) -> Region:
     roi = tree.get("roi")
     if not (
-        isinstance(roi, list) and len(roi) == 4 and all(type(n) is int and n >= 0 for n in roi) and min(roi[2:]) > 0
+        isinstance(roi, list)
+        and len(roi) == 4
+        and all(type(n) is int and 0 <= n <= MAX_PX for n in roi)
+        and min(roi[2:]) > 0
     ):
-        raise _WrongValueError(f"camera.roi must be four whole numbers x, y, width, height in px; received {roi!r}")
+        rule = f"four whole numbers x, y, width, height from 0 to {MAX_PX} px"
+        raise _WrongValueError(f"camera.roi must be {rule}; received {shown(roi)}")
     return Region(*roi)
 
 
 def _displacement_of(tree: dict[str, Any]) -> DisplacementCalibration:
-    std = _number(tree, "displacement.noise_std_mm", positive=True)
-    scale = _number(tree, "displacement.scale", 1.0)
-    if scale == 0.0:
-        raise _WrongValueError("displacement.scale must not be 0")
+    std = _number(tree, "displacement.noise_std_mm", limits=NOISE)
+    scale = _factor(tree, "displacement.scale", 1.0)
     scale_std = _std(tree, "displacement.scale_std", 0.0)
     return DisplacementCalibration(std / 1e3, _offset_of(tree, "displacement"), scale, scale_std)

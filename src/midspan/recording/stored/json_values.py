@@ -3,7 +3,20 @@
 import math
 from typing import Any
 
+from midspan.checks import TIME_S, ValueRange, shown
 from midspan.records import TimeOffset
+
+# What any number of a calibration can be, amplitudes of any unit among them: its square stays finite.
+ANY = ValueRange(-1e30, 1e30)
+AMPLITUDE = ValueRange(1e-30, 1e30)
+# A ratio of variances.
+RATIO = ValueRange(1e-12, 1e12)
+# Noise of one sample: the quietest seismometer's is 1e-10 m/s², the full scale of a shock sensor 1e6 m/s².
+BIAS_M_S2 = ValueRange(-1e4, 1e4, "m/s²")
+NOISE_M_S2 = ValueRange(1e-12, 1e6, "m/s²")
+# Of px, mm or m: below what light or electronics allow, above any range.
+NOISE = ValueRange(1e-9, 1e6, "(px or mm)")
+FACTOR = ValueRange(1e-9, 1e9)
 
 
 class WrongValueError(ValueError):
@@ -14,27 +27,32 @@ def section_of(tree: Any, name: str) -> dict[str, Any] | None:
     """The object under a name, None where there is none."""
     section = tree.get(name) if isinstance(tree, dict) else None
     if section is not None and not isinstance(section, dict):
-        raise WrongValueError(f"{name} must be an object with keys; received {section!r}")
+        raise WrongValueError(f"{name} must be an object with keys; received {shown(section)}")
     return section
 
 
-def number(section: dict[str, Any], key: str, default: float | None = None, positive: bool = False) -> float:
-    """A finite number; `key` is its whole path, of which the last part stands in the section."""
+def number(section: dict[str, Any], key: str, default: float | None = None, limits: ValueRange = ANY) -> float:
+    """A number within the limits; `key` is its whole path, of which the last part stands in the section."""
     value = section.get(key.rpartition(".")[2], default)
     if value is None:
         raise WrongValueError(f"{key} is missing")
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise WrongValueError(f"{key} must be a finite number; received {value!r}")
-    if positive and value <= 0:
-        raise WrongValueError(f"{key} must be above 0; received {value!r}")
+        raise WrongValueError(f"{key} must be a finite number; received {shown(value)}")
+    if value not in limits:
+        raise WrongValueError(f"{key} must be {limits}; received {shown(value)}")
     return float(value)
 
 
 def std(section: dict[str, Any], key: str, default: float | None = None) -> float:
     """A standard deviation."""
+    return number(section, key, default, ValueRange(0.0, ANY.high))
+
+
+def factor(section: dict[str, Any], key: str, default: float | None = None) -> float:
+    """A scale or conversion factor of either sign, which is never 0."""
     value = number(section, key, default)
-    if value < 0:
-        raise WrongValueError(f"{key} must be 0 or more; received {value!r}")
+    if abs(value) not in FACTOR:
+        raise WrongValueError(f"{key} must not be 0, its size {FACTOR}; received {shown(value)}")
     return value
 
 
@@ -43,16 +61,16 @@ def std_or_unknown(section: dict[str, Any], key: str) -> float:
     return math.inf if section.get(key.rpartition(".")[2]) is None else std(section, key)
 
 
-def number_or(section: dict[str, Any], key: str, unknown: float) -> float:
+def number_or(section: dict[str, Any], key: str, unknown: float, limits: ValueRange = ANY) -> float:
     """A number, or `unknown` where it is null or missing: what could not be learnt is written as null."""
-    return unknown if section.get(key.rpartition(".")[2]) is None else number(section, key)
+    return unknown if section.get(key.rpartition(".")[2]) is None else number(section, key, limits=limits)
 
 
 def offset_of(tree: dict[str, Any], section: str) -> TimeOffset:
     """A sensor's clock offset."""
     unknown = tree.get("time_offset_std_s", 0.0) is None
     spread = math.inf if unknown else std(tree, f"{section}.time_offset_std_s", 0.0)
-    return TimeOffset(number(tree, f"{section}.time_offset_s"), spread**2)
+    return TimeOffset(number(tree, f"{section}.time_offset_s", limits=TIME_S), spread**2)
 
 
 def finite_or_none(value: float) -> float | None:

@@ -71,7 +71,11 @@ class Recording:
     def path(self, name: str, key: str) -> Path:
         """The file that a setting names; DataError where it is missing. Globs and folders are left to the reader."""
         path = self.folder / name
-        if not path.exists() and not any(sign in name for sign in "*?["):
+        try:
+            found = path.exists()
+        except OSError as error:
+            raise DataError(f"{self.file}: {key} = {name!r}: cannot be read ({error.strerror}).") from None
+        if not found and not any(sign in name for sign in "*?["):
             raise DataError(
                 f"{self.file}: {key} = {name!r}: no such file in the folder {str(self.folder)!r}. Paths are "
                 f"relative to {self.file.name}."

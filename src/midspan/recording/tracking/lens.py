@@ -17,6 +17,7 @@ from midspan.recording.streams.recording import Recording
 from midspan.records import Floats
 from midspan.sources.camera.formats import open_frames
 from midspan.sources.camera.frames import FrameRequest, FrameSource
+from midspan.trees import read_json
 from midspan.vision.checkerboard import Board, LensFit, calibrate_lens, find_board, is_new
 from midspan.vision.lens import MODELS, Lens
 from midspan.writing import write_whole
@@ -73,10 +74,10 @@ def load_lens(path: str | Path) -> Lens:
     """The lens of a file that `midspan lens` wrote. Raises DataError for a file that is not one."""
     path = Path(path)
     try:
-        return Lens.from_dict(json.loads(path.read_text(encoding="utf-8")))
+        return Lens.from_dict(read_json(path))
     except OSError as error:
         raise DataError(f"{path}: cannot be read ({error.strerror}). Make it with `midspan lens`.") from None
-    except (ValueError, KeyError, TypeError, AttributeError, UsageError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError, UsageError) as error:
         what = f"has no {error}" if isinstance(error, KeyError) else str(error)
         raise DataError(f"{path}: is no lens file: {what}. Make it again with `midspan lens`.") from None
 

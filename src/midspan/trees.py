@@ -1,0 +1,116 @@
+"""Trees of plain values from TOML and JSON files, which people edit: encoding, depth and numbers are checked here."""
+
+import json
+import stat
+import tomllib
+from pathlib import Path
+from typing import Any
+
+# Far deeper than any settings go, far below the depth at which Python gives up.
+MAX_LEVELS = 64
+# Settings and calibrations are below 1 MB; anything much larger is another file.
+MAX_BYTES = 64 << 20
+# Whole numbers of 64 bits, as TOML has them.
+MAX_WHOLE = 2**63
+_WIDE = {
+    b"\xff\xfe\x00\x00": "UTF-32",
+    b"\x00\x00\xfe\xff": "UTF-32",
+    b"\xff\xfe": "UTF-16",
+    b"\xfe\xff": "UTF-16",
+}
+
+
+class TreeError(ValueError):
+    """What is wrong with a file and what to do, without the file's name."""
+
+
+def read_text(path: Path, *, strict: bool = True) -> str:
+    """The text of a file in UTF-8, with or without byte-order mark; not strict: bytes of other codes are replaced.
+
+    Raises TreeError for another encoding and for what is no text, OSError where the file cannot be read.
+    """
+    found = path.stat()
+    if not stat.S_ISREG(found.st_mode):
+        raise TreeError("must be a regular file, which a folder, a pipe or a device is not")
+    if found.st_size > MAX_BYTES:
+        raise TreeError(f"must have at most {MAX_BYTES >> 20} MiB; it has {found.st_size >> 20} MiB. Give another file")
+    raw = path.read_bytes()
+    wide = next((name for mark, name in _WIDE.items() if raw.startswith(mark)), "UTF-16" if b"\0" in raw else "")
+    if wide:
+        raise TreeError(f"must be text in UTF-8; this is {wide}, or no text. Save it again with the encoding UTF-8")
+    try:
+        return raw.decode("utf-8-sig", "strict" if strict else "replace")
+    except UnicodeDecodeError as error:
+        line = raw.count(b"\n", 0, error.start) + 1
+        what = f"byte 0x{raw[error.start]:02x} in line {line}"
+        raise TreeError(f"must be text in UTF-8; received {what}. Save it again with the encoding UTF-8") from None
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """The tree of a TOML file. Raises TreeError, and OSError where the file cannot be read."""
+    text = read_text(path)
+    try:
+        tree = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise TreeError(f"is not valid TOML: {error}. Text values need quotes") from None
+    except RecursionError:
+        raise _too_deep() from None
+    except ValueError:
+        raise TreeError("holds a number of thousands of digits. Correct it") from None
+    _check(tree)
+    return tree
+
+
+def read_json(path: Path) -> Any:
+    """The tree of a JSON file. Raises TreeError, and OSError where the file cannot be read."""
+    return json_tree(read_text(path))
+
+
+def json_tree(text: str | bytes) -> Any:
+    """The tree of a JSON text. Raises TreeError; a key that stands twice is an error too."""
+    try:
+        tree = json.loads(text, object_pairs_hook=_unique)
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise TreeError(f"is not JSON: {error}") from None
+    except RecursionError:
+        raise _too_deep() from None
+    except TreeError:
+        raise
+    except ValueError:
+        raise TreeError("holds a number of thousands of digits. Correct it") from None
+    _check(tree)
+    return tree
+
+
+def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    tree = dict(pairs)
+    if len(tree) < len(pairs):
+        seen: set[str] = set()
+        for name, _ in pairs:
+            if name in seen:
+                raise TreeError(f"must have each key once; {name[:80]!r} stands there twice. Take one away")
+            seen.add(name)
+    return tree
+
+
+def _check(tree: Any) -> None:
+    """TreeError for a tree that is too deep or holds whole numbers of more than 64 bits."""
+    level = [tree]
+    for _ in range(MAX_LEVELS):
+        inner: list[Any] = []
+        for value in level:
+            if isinstance(value, dict):
+                inner += value.values()
+            elif isinstance(value, list):
+                inner += value
+            elif isinstance(value, int) and not -MAX_WHOLE <= value < MAX_WHOLE:
+                bits = value.bit_length()
+                raise TreeError(f"must have whole numbers of at most 64 bits; received one of {bits}. Correct it")
+        if not inner:
+            return
+        level = inner
+    raise _too_deep()
+
+
+def _too_deep() -> TreeError:
+    return TreeError(f"must have at most {MAX_LEVELS} levels of brackets; it has more. Check that it is the right file")
