@@ -341,7 +341,7 @@ def test_settings_that_cannot_be_used_are_refused_with_their_command(
 
 def test_a_broken_or_foreign_json_is_refused(tmp_path: Path) -> None:
     (tmp_path / "a.json").write_text("{")
-    with pytest.raises(DataError, match="no JSON"):
+    with pytest.raises(DataError, match="is not JSON"):
         read_settings(tmp_path / "a.json")
     (tmp_path / "b.json").write_text(json.dumps({"mmWaveDevices": [{"rfConfig": {}}]}))
     with pytest.raises(DataError, match="lacks settings of mmWave Studio"):

@@ -23,14 +23,14 @@ from midspan.recording.stored.json_values import (
 )
 from midspan.recording.stored.radar import RadarCalibration, RadarTarget
 from midspan.records import TimeOffset
+from midspan.sources.radar.radar_source import CARRIER_HZ
 
-# Of a range profile, whose transform has fewer places; of an array of antennas; of chirp and pulsed radars.
+# Of a range profile, whose transform has fewer places; of an array of antennas.
 BIN = ValueRange(0.0, 1e6, "bins")
 MAX_CHANNELS = 4096
 SNR_DB = ValueRange(-300.0, 300.0, "dB")
 # Of a target in use: calibration refuses one that follows the accelerometer less; 1 but for rounding.
 COHERENCE = ValueRange(0.01, 1.001)
-CARRIER_HZ = ValueRange(1e9, 1e12, "Hz")
 
 
 def radar_of(tree: dict[str, Any]) -> RadarCalibration:

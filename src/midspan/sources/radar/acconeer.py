@@ -1,6 +1,5 @@
 """Recordings of Acconeer's A121 pulsed coherent radar (HDF5): complex range profiles at 60.5 GHz."""
 
-import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -9,8 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from midspan.errors import DataError
-from midspan.records import Floats, Nanoseconds, RangeFrames, nanoseconds
-from midspan.sources.radar.radar_source import RadarInfo, RadarRequest, RadarSource, at_bins
+from midspan.records import Floats, Nanoseconds, RangeFrames
+from midspan.sources.boundary import reading
+from midspan.sources.declared_size import require_memory
+from midspan.sources.radar.radar_source import RadarInfo, RadarRequest, RadarSource, at_bins, stamps
+from midspan.sources.radar.stored import dataset, values
+from midspan.trees import json_tree
 
 CARRIER_HZ = 60.5e9
 FRAMES_AT_A_TIME = 512
@@ -25,8 +28,10 @@ class AcconeerRecording(RadarSource):
     else by the frame rate, else by the ticks of the recorder. A loopback subsweep can take out the device's own phase.
     """
 
+    file_kind = "a recording of an Acconeer A121"
+
     def __init__(self, path: Path, request: RadarRequest) -> None:
-        self._path, self._request = path, request
+        super().__init__(path, request)
         self._data, self._settings, metadata, self._ticks, tick_s = _opened(path)
         self._parts = _parts(self._settings, metadata, float(metadata["base_step_length_m"]))
         self._range_m = np.concatenate([part[1] for part in self._parts if part[2]] or [np.empty(0)])
@@ -58,9 +63,9 @@ class AcconeerRecording(RadarSource):
 
     def times_ns(self) -> Nanoseconds:
         """One stamp a sweep, from 0 on, `start_s` added."""
-        return nanoseconds(self._times_s + self._request.start_s)
+        return stamps(self._path, self._times_s, self._request.start_s)
 
-    def profiles(self, start: int = 0, stop: int | None = None) -> Iterator[RangeFrames]:
+    def _profiles(self, start: int, stop: int | None) -> Iterator[RangeFrames]:
         """All ranges; the phase of the loopback, where there is one, is taken out."""
         times = self.times_ns()
         sweeps = self._data.shape[1]
@@ -75,9 +80,9 @@ class AcconeerRecording(RadarSource):
             valid = np.asarray(np.isfinite(block).all(axis=1)).reshape(-1, 1)
             yield RangeFrames(stamps, block[:, None, :], valid)
 
-    def slow_time(self, bins: Floats, start: int = 0, stop: int | None = None) -> Iterator[RangeFrames]:
+    def _slow_time(self, bins: Floats, start: int, stop: int | None) -> Iterator[RangeFrames]:
         """The ranges that are asked for, by bin."""
-        for block in self.profiles(start, stop):
+        for block in self._profiles(start, stop):
             yield RangeFrames(block.time_ns, at_bins(block.phasors, bins), block.valid)
 
     def _ranges(self, z: NDArray[np.complexfloating]) -> NDArray[np.complex64]:
@@ -114,29 +119,27 @@ def _opened(path: Path) -> tuple[Any, dict[str, Any], dict[str, Any], NDArray[np
 
     if not path.is_file():
         raise DataError(f"{path}: not found. Correct radar.file; it counts from the settings file's folder.")
-    try:
+    with reading(path, AcconeerRecording.file_kind):
         file = h5py.File(path, "r")
-        data, entry = file[f"{_ENTRY}/result/frame"], file[_ENTRY]
-        groups = json.loads(file["sessions/session_0/session_config"][()])["groups"]
-        metadata = json.loads(entry["metadata"][()])
-        server = json.loads(file["server_info"][()])
-        sensor = str(int(entry["sensor_id"][()]))
+        data = dataset(path, file, f"{_ENTRY}/result/frame")
+        require_memory(
+            path, 4 * data.nbytes * FRAMES_AT_A_TIME // max(len(data), FRAMES_AT_A_TIME), "a block of frames"
+        )
+        groups = json_tree(values(path, file, "sessions/session_0/session_config"))["groups"]
+        metadata = json_tree(values(path, file, f"{_ENTRY}/metadata"))
+        server = json_tree(values(path, file, "server_info"))
+        sensor = str(int(values(path, file, f"{_ENTRY}/sensor_id")))
         settings = next(iter(groups[0].values())) if sensor not in groups[0] else groups[0][sensor]
-        ticks = np.asarray(entry["result/tick"][()], dtype=np.int64)
-    except (OSError, KeyError, ValueError, IndexError, TypeError) as error:
-        raise DataError(f"{path} is no whole recording of an Acconeer A121: {error}. Check the file.") from error
-    return data, settings, metadata, ticks, 1.0 / float(server.get("ticks_per_second") or 1000)
+        ticks = np.asarray(values(path, file, f"{_ENTRY}/result/tick"), dtype=np.int64)
+        return data, settings, metadata, ticks, 1.0 / float(server.get("ticks_per_second") or 1000)
 
 
 def is_acconeer(path: Path) -> bool:
     """Whether an HDF5 file is laid out as Acconeer's recordings are."""
     import h5py
 
-    try:
-        with h5py.File(path, "r") as file:
-            return f"{_ENTRY}/result/frame" in file
-    except OSError:
-        return False
+    with reading(path, "HDF5"), h5py.File(path, "r") as file:
+        return f"{_ENTRY}/result/frame" in file
 
 
 def _parts(settings: dict[str, Any], metadata: dict[str, Any], step_m: float) -> list[tuple[slice, Floats, bool]]:

@@ -8,10 +8,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from midspan.errors import DataError
+from midspan.sources.declared_size import require_memory
 
 Bytes = NDArray[np.uint8]
 
 PACKET_BYTES = 1456
+# A packet comes late by fewer than this; its count is compared with that of so many packets around it.
+LATE_PACKETS, NEIGHBOURS = 64, 5
+# Of a capture with more of it absent nothing can be measured.
+MAX_ABSENT = 0.9
+# Headers are looked for in so many packets; so many of these may be damaged, and so many missing before them.
+HEADS_LOOKED_AT, HEADS_DAMAGED, MAX_FIRST_NUMBER = 16, 3, 1000
 # A capture is split into fewer files than this; a larger number is a date or the like.
 MOST_FILES = 1000
 # Headers that some captures keep: number and count of bytes before, with the packet's length between them or without.
@@ -26,6 +33,7 @@ class CaptureBytes(Protocol):
 
     size: int
     notes: tuple[str, ...]
+    warnings: tuple[str, ...]
 
     def read(self, start: int, count: int) -> tuple[Bytes, Bytes | None]:
         """`count` bytes from `start`, and which of them were never received (1), or None where that is not known."""
@@ -86,18 +94,18 @@ def _number(data: Bytes, start: int, count: int) -> int:
 
 
 def _has_heads(data: Bytes, size: int) -> bool:
-    """Whether a header of `size` bytes stands at the start and again one packet on, with the next number."""
+    """Whether headers of `size` bytes stand where packets begin: the counts of most agree with their numbers."""
     length = PACKET_BYTES
     if size == 14:
         length = _number(data, 4, 4)
         if not 1 <= length <= PACKET_BYTES:
             return False
-    step = size + length
-    if len(data) < 2 * step:
+    begins = range(0, min(len(data) - size, HEADS_LOOKED_AT * (size + length)), size + length)
+    if len(begins) < 2:
         return False
-    first, second = _number(data, 0, 4), _number(data, step, 4)
-    place = size - 6
-    return first == 1 and 1 < second < 1000 and _number(data, step + place, 6) == (second - first) * length
+    heads = [(_number(data, begin, 4), _number(data, begin + size - 6, 6)) for begin in begins]
+    agreeing = sum(1 <= number < MAX_FIRST_NUMBER and count == (number - 1) * length for number, count in heads)
+    return agreeing >= max(2, len(heads) - HEADS_DAMAGED)
 
 
 class _Plain:
@@ -108,6 +116,7 @@ class _Plain:
         self._ends = np.cumsum([len(data) for data in maps])
         self.size = int(self._ends[-1])
         self.notes: tuple[str, ...] = ()
+        self.warnings: tuple[str, ...] = ()
         if len(files) > 1:
             self.notes = (f"{len(files)} files are read as one: {files[0].name} … {files[-1].name}",)
 
@@ -127,10 +136,21 @@ class _Plain:
         return np.asarray(whole), None
 
 
+def _sound(counts: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Which packets' counts (n,) of bytes agree with their neighbours: damage hits one, a gap moves all after it."""
+    if len(counts) < NEIGHBOURS:
+        return np.ones(len(counts), dtype=np.bool_)
+    padded = np.pad(counts, NEIGHBOURS // 2, mode="reflect")
+    usual = np.median(np.lib.stride_tricks.sliding_window_view(padded, NEIGHBOURS), axis=1)
+    return np.asarray(np.abs(counts - usual) <= LATE_PACKETS * PACKET_BYTES)
+
+
 class _Packets:
     """Packets with their headers: put in order by the count of bytes, holes filled with zeros and known."""
 
     def __init__(self, files: list[Path], maps: list[Bytes], head: int) -> None:
+        if len(maps) > 1:
+            require_memory(files[0], sum(len(data) for data in maps), f"the capture in {len(maps)} files")
         data = maps[0] if len(maps) == 1 else np.concatenate(maps)
         self._length = _number(data, 4, 4) if head == 14 else PACKET_BYTES
         step = head + self._length
@@ -147,15 +167,30 @@ class _Packets:
         lengths = np.full(len(starts), self._length, dtype=np.int64)
         if rest > 0:
             lengths[-1] = rest
+        sound = _sound(counts)
+        damaged = int(np.count_nonzero(~sound))
+        counts, starts, lengths = counts[sound], starts[sound], lengths[sound]
         order = np.argsort(counts, kind="stable")
         self._counts, self._starts, self._lengths = counts[order], starts[order], lengths[order]
         self.size = int((self._counts + self._lengths).max())
         received = int(np.sum(lengths[np.unique(counts, return_index=True)[1]]))
         late = int(np.count_nonzero(np.diff(counts) < 0))
+        absent = self.size - received
+        if absent > MAX_ABSENT * self.size:
+            raise DataError(
+                f"{files[0]}: by the counts in its packets {absent} of {self.size} bytes were never received; at most "
+                f"{100 * MAX_ABSENT:g} % may be. Check that the file is one capture, and the network of the card."
+            )
         self.notes: tuple[str, ...] = (
-            f"{files[0].name} keeps packet headers of {head} bytes, which are taken out; {self.size - received} of "
+            f"{files[0].name} keeps packet headers of {head} bytes, which are taken out; {absent} of "
             f"{self.size} bytes were never received, {late} packets came late",
         )
+        self.warnings: tuple[str, ...] = ()
+        if damaged:
+            self.warnings = (
+                f"radar: {damaged} of {len(sound)} packets in {files[0].name} have a damaged count of bytes and are "
+                "left out. Copy the file again if the original is whole.",
+            )
 
     def read(self, start: int, count: int) -> tuple[Bytes, Bytes | None]:
         """Bytes by their count in the headers."""

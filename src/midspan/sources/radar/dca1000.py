@@ -12,9 +12,9 @@ from midspan.errors import DataError, UsageError
 from midspan.radar.iq_order import LEAST_DB, decide_order, swapped, weigh_orders
 from midspan.radar.layout import WORD_BYTES, Layout, Words, block_words, sign_extended, unpack, word_weights
 from midspan.radar.range_profile import averaged, bin_kernel, range_profile, weighted_products
-from midspan.records import ChirpFrame, Floats, Nanoseconds, RangeFrames, nanoseconds
+from midspan.records import ChirpFrame, Floats, Nanoseconds, RangeFrames
 from midspan.sources.radar.capture_bytes import Bytes, CaptureBytes, missing_files, open_bytes
-from midspan.sources.radar.radar_source import RadarInfo, RadarRequest, RadarSource
+from midspan.sources.radar.radar_source import RadarInfo, RadarRequest, RadarSource, stamps
 from midspan.sources.radar.ti_config import TiSettings, read_settings
 
 FRAMES_AT_A_TIME = 256
@@ -35,7 +35,10 @@ _GROUP = 4
 class RawCapture(RadarSource):
     """Frames of a `.bin`; what was lost is told by `valid`, never taken for data."""
 
+    file_kind = "raw ADC data"
+
     def __init__(self, path: Path, request: RadarRequest) -> None:
+        super().__init__(path, request)
         if request.config is None:
             raise UsageError(
                 f"{path.name} is raw ADC data and needs radar.config, the .cfg or .json it was recorded with; without "
@@ -44,9 +47,11 @@ class RawCapture(RadarSource):
         settings = read_settings(request.config)
         if settings.header:
             raise DataError(f"{request.config}: lvdsStreamCfg enableHeader = 1 cannot be read. Capture with 0.")
-        self._path, self._request = path, request
         self._bytes = open_bytes(path)
-        layout = Layout(settings.profile, settings.order, settings.lanes)
+        try:
+            layout = Layout(settings.profile, settings.order, settings.lanes)
+        except UsageError as error:
+            raise DataError(f"{request.config}: {error}") from None
         self._count, notes = _frame_count(path, self._bytes, settings, layout)
         missing = _missing(path, self._count, settings)
         self._layout = layout
@@ -59,7 +64,7 @@ class RawCapture(RadarSource):
         _check_levels(path, probe, layout)
         self._layout, order_notes, warnings = _ordered(path, probe, layout, settings, request.iq_order)
         notes += (*self._bytes.notes, *settings.notes, *order_notes, *_saturation_notes(probe, layout))
-        self._notes, self._warnings = notes, (*missing, *warnings)
+        self._notes, self._warnings = notes, (*missing, *self._bytes.warnings, *warnings)
         self._missing = 0
 
     @property
@@ -89,16 +94,20 @@ class RawCapture(RadarSource):
         """The middle of each frame's chirps, evenly spaced from `start_s`."""
         profile = self._layout.profile
         first = self._request.start_s + profile.middle_s
-        return nanoseconds(np.asarray(first + np.arange(self._count) * profile.frame_period_s, dtype=np.float64))
+        times_s = np.asarray(first + np.arange(self._count) * profile.frame_period_s, dtype=np.float64)
+        return stamps(self._path, times_s, 0.0)
 
     def frames(self, start: int = 0, stop: int | None = None) -> Iterator[ChirpFrame]:
         """Single frames with all their samples."""
+        return self.guarded(self._frames(start, stop))
+
+    def _frames(self, start: int, stop: int | None) -> Iterator[ChirpFrame]:
         times = self.times_ns()
         for first, words, valid in self._blocks(start, stop):
             for k, cube in enumerate(unpack(words, self._layout)):
                 yield ChirpFrame(int(times[first + k]), cube, valid[k], first + k)
 
-    def profiles(self, start: int = 0, stop: int | None = None) -> Iterator[RangeFrames]:
+    def _profiles(self, start: int, stop: int | None) -> Iterator[RangeFrames]:
         """Whole range profiles, chirps of the same transmitters averaged."""
         times, profile = self.times_ns(), self._layout.profile
         for first, words, valid in self._blocks(start, stop):
@@ -106,15 +115,18 @@ class RawCapture(RadarSource):
             block = averaged(cube, profile)
             yield RangeFrames(times[first : first + len(block)], block, self._channels(valid))
 
-    def slow_time(self, bins: Floats, start: int = 0, stop: int | None = None) -> Iterator[RangeFrames]:
+    def _slow_time(self, bins: Floats, start: int, stop: int | None) -> Iterator[RangeFrames]:
         """Only the wanted bins, straight from the stored words."""
         kernel = bin_kernel(np.asarray(bins, dtype=np.float64), self._layout.profile)
-        yield from self.products(kernel, start, stop)
+        yield from self._products(kernel, start, stop)
 
     def products(
         self, kernel: NDArray[np.complex128], start: int = 0, stop: int | None = None
     ) -> Iterator[RangeFrames]:
         """Products (n, channels, k) with any kernel (k, samples), such as `half_kernel` for the coarse range."""
+        return self.guarded(self._products(kernel, start, stop))
+
+    def _products(self, kernel: NDArray[np.complex128], start: int, stop: int | None) -> Iterator[RangeFrames]:
         times, weights = self.times_ns(), word_weights(kernel, self._layout)
         for first, words, valid in self._blocks(start, stop):
             block = averaged(weighted_products(words, self._layout, weights), self._layout.profile)
@@ -122,6 +134,9 @@ class RawCapture(RadarSource):
 
     def words(self, start: int = 0, stop: int | None = None) -> Iterator[tuple[Words, NDArray[np.bool_]]]:
         """Raw words (frames · words a frame,) in blocks, and which channels (frames, channels) are whole."""
+        return self.guarded(self._words(start, stop))
+
+    def _words(self, start: int, stop: int | None) -> Iterator[tuple[Words, NDArray[np.bool_]]]:
         for _, words, valid in self._blocks(start, stop):
             yield words, self._channels(valid)
 

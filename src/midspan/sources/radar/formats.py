@@ -5,6 +5,7 @@ from pathlib import Path
 from midspan.checks import option
 from midspan.errors import DataError, UsageError
 from midspan.radar.layout import ORDERS
+from midspan.sources.boundary import reading
 from midspan.sources.radar.radar_source import RadarRequest, RadarSource
 
 _HDF5 = (".h5", ".hdf5")
@@ -23,6 +24,14 @@ def open_radar(path: Path, request: RadarRequest) -> RadarSource:
     Raises UsageError for settings out of range or an unknown suffix, DataError for what cannot be read.
     """
     option("radar.iq_order", request.iq_order, ("auto", *ORDERS))
+    with reading(path, "radar data"):
+        source = _opened(path, request)
+        # What they work out of a damaged header fails here.
+        _, _ = source.info, source.times_ns()
+    return source
+
+
+def _opened(path: Path, request: RadarRequest) -> RadarSource:
     suffix = path.suffix.lower()
     if suffix == ".bin":
         from midspan.sources.radar.dca1000 import RawCapture

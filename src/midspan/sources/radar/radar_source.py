@@ -4,12 +4,20 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from midspan.checks import TIME_S, ValueRange
+from midspan.errors import DataError
 from midspan.radar.chirp import SPEED_OF_LIGHT_M_S, ChirpProfile, RangeAxis
-from midspan.records import Floats, Nanoseconds, RangeFrames
+from midspan.records import Floats, Nanoseconds, RangeFrames, nanoseconds
+from midspan.sources.boundary import reading
+
+Item = TypeVar("Item")
+# Of chirp and pulsed radars.
+CARRIER_HZ = ValueRange(1e9, 1e12, "Hz")
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +76,16 @@ class RadarInfo:
 
 
 class RadarSource(ABC):
-    """Frames in the order of time, in blocks; never a whole recording in memory."""
+    """Frames in the order of time, in blocks; never a whole recording in memory.
+
+    A subclass reads in `_profiles` and `_slow_time`; damage that shows there is one DataError, see `reading`.
+    """
+
+    # What messages call the file.
+    file_kind: str
+
+    def __init__(self, path: Path, request: RadarRequest) -> None:
+        self._path, self._request = path, request
 
     @property
     @abstractmethod
@@ -79,13 +96,36 @@ class RadarSource(ABC):
     def times_ns(self) -> Nanoseconds:
         """Time stamps (frames,) in ns of the radar's clock, of the middle of each frame's chirps."""
 
-    @abstractmethod
     def profiles(self, start: int = 0, stop: int | None = None) -> Iterator[RangeFrames]:
         """Whole range profiles of the frames start … stop-1, for calibration and inspection."""
+        return self.guarded(self._profiles(start, stop))
 
-    @abstractmethod
     def slow_time(self, bins: Floats, start: int = 0, stop: int | None = None) -> Iterator[RangeFrames]:
         """The phasors at the bins (k,), whole or between two, of the frames start … stop-1: what a replay runs on."""
+        return self.guarded(self._slow_time(bins, start, stop))
+
+    def guarded(self, items: Iterator[Item]) -> Iterator[Item]:
+        """The items as they are read; what a library raises on damage becomes a DataError."""
+        with reading(self._path, self.file_kind):
+            yield from items
+
+    @abstractmethod
+    def _profiles(self, start: int, stop: int | None) -> Iterator[RangeFrames]: ...
+
+    @abstractmethod
+    def _slow_time(self, bins: Floats, start: int, stop: int | None) -> Iterator[RangeFrames]: ...
+
+
+def stamps(path: Path, times_s: Floats, start_s: float) -> Nanoseconds:
+    """Times (n,) of frames in s, `start_s` added, as stamps; DataError where they are no increasing times."""
+    shifted = times_s + start_s
+    ends = shifted[[0, -1]] if len(shifted) else shifted
+    if not all(float(end) in TIME_S for end in ends) or not np.all(np.isfinite(shifted)):
+        raise DataError(f"{path}: the frames' times must be {TIME_S}; received {ends.tolist()}. Check times and rate.")
+    time_ns = nanoseconds(shifted)
+    if np.any(np.diff(time_ns) <= 0):
+        raise DataError(f"{path}: the frames' times must increase by 1 ns or more. Check times and rate.")
+    return time_ns
 
 
 def at_bins(phasors: NDArray[np.complex64], bins: Floats) -> NDArray[np.complex64]:

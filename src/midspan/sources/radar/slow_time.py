@@ -7,10 +7,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from midspan.checks import RATE_HZ
 from midspan.errors import DataError
 from midspan.radar.chirp import SPEED_OF_LIGHT_M_S
-from midspan.records import Floats, Nanoseconds, RangeFrames, nanoseconds
-from midspan.sources.radar.radar_source import RadarInfo, RadarRequest, RadarSource, at_bins
+from midspan.records import Floats, Nanoseconds, RangeFrames
+from midspan.sources.boundary import reading
+from midspan.sources.declared_size import require_memory
+from midspan.sources.radar.radar_source import CARRIER_HZ, RadarInfo, RadarRequest, RadarSource, at_bins, stamps
+from midspan.sources.radar.stored import dataset, values
 from midspan.sources.radar.ti_config import TiSettings, read_settings
 
 FRAMES_AT_A_TIME = 4096
@@ -25,13 +29,19 @@ class SlowTimeFile(RadarSource):
     not in the file comes from radar.config. Growing phase is growing range; NaN marks missing frames.
     """
 
+    file_kind = "slow-time I/Q"
+
     def __init__(self, path: Path, request: RadarRequest) -> None:
+        super().__init__(path, request)
         if not path.is_file():
             raise DataError(f"{path}: not found. Correct radar.file; it counts from the settings file's folder.")
-        self._path, self._request = path, request
         settings = read_settings(request.config) if request.config else None
         self._read, shape, beside = _opened_npy(path) if path.suffix.lower() == ".npy" else _opened_hdf5(path)
         self._shape = _three_axes(path, shape)
+        count, channels, bins = self._shape
+        # Times of all frames, and one block of phasors with its parts.
+        block_bytes = 8 * min(count, FRAMES_AT_A_TIME) * channels * bins
+        require_memory(path, 4 * 8 * count + 3 * block_bytes, "its I/Q")
         if settings is None:
             beside = _completed(beside, request)
         self._carrier_hz = _carrier(path, beside, settings)
@@ -56,9 +66,9 @@ class SlowTimeFile(RadarSource):
 
     def times_ns(self) -> Nanoseconds:
         """From `time_s` of the file, else evenly spaced; `start_s` is added."""
-        return nanoseconds(self._times_s + self._request.start_s)
+        return stamps(self._path, self._times_s, self._request.start_s)
 
-    def profiles(self, start: int = 0, stop: int | None = None) -> Iterator[RangeFrames]:
+    def _profiles(self, start: int, stop: int | None) -> Iterator[RangeFrames]:
         """All bins that are stored."""
         times = self.times_ns()
         begin, end, _ = slice(start, stop).indices(self._shape[0])
@@ -67,9 +77,9 @@ class SlowTimeFile(RadarSource):
             z = np.asarray(self._read(first, last), dtype=np.complex64).reshape(last - first, *self._shape[1:])
             yield RangeFrames(times[first:last], z, np.asarray(np.isfinite(z).all(axis=2)))
 
-    def slow_time(self, bins: Floats, start: int = 0, stop: int | None = None) -> Iterator[RangeFrames]:
+    def _slow_time(self, bins: Floats, start: int, stop: int | None) -> Iterator[RangeFrames]:
         """The bins that are asked for, out of those stored."""
-        for block in self.profiles(start, stop):
+        for block in self._profiles(start, stop):
             yield RangeFrames(block.time_ns, at_bins(block.phasors, bins), block.valid)
 
     def _refuse_nothing(self) -> None:
@@ -100,9 +110,10 @@ class SlowTimeFile(RadarSource):
         rate = float(beside["rate_hz"]) if "rate_hz" in beside else 0.0
         if not rate and settings is not None:
             rate = settings.profile.frame_rate_hz
-        if not (np.isfinite(rate) and rate > 0):
+        if rate not in RATE_HZ:
             raise DataError(
-                f"{self._path} says nothing of its rate. Store rate_hz or time_s in it, or give radar.rate_hz."
+                f"{self._path} says nothing of its rate, {RATE_HZ}; received {rate:g}. Store rate_hz or time_s in it, "
+                "or give radar.rate_hz."
             )
         return np.arange(count) / rate
 
@@ -113,12 +124,12 @@ def _carrier(path: Path, beside: dict[str, Any], settings: TiSettings | None) ->
     if "carrier_hz" in beside:
         value = float(beside["carrier_hz"])
     elif "wavelength_m" in beside:
-        value = SPEED_OF_LIGHT_M_S / float(beside["wavelength_m"])
+        value = SPEED_OF_LIGHT_M_S / (float(beside["wavelength_m"]) or np.inf)
     elif settings is not None:
         value = settings.profile.carrier_hz
-    if not (np.isfinite(value) and value > 1e9):
+    if value not in CARRIER_HZ:
         raise DataError(
-            f"{path} says nothing of the carrier frequency (above 1e9 Hz), so its phase has no scale. Store carrier_hz "
+            f"{path} says nothing of the carrier frequency ({CARRIER_HZ}), so its phase has no scale. Store carrier_hz "
             "or wavelength_m in it, or give radar.carrier_hz."
         )
     return value
@@ -161,31 +172,29 @@ def _pair_shape(path: Path, dtype: Any, shape: tuple[int, ...]) -> tuple[int, ..
 
 
 def _opened_npy(path: Path) -> tuple[Any, tuple[int, ...], dict[str, Any]]:
-    try:
+    with reading(path, "a NumPy array"):
         array = np.load(path, mmap_mode="r", allow_pickle=False)
-    except (ValueError, OSError, EOFError) as error:
-        raise DataError(f"{path} cannot be read as a NumPy array: {error}. Check that the file is whole.") from error
     return lambda first, last: _paired(np.asarray(array[first:last])), _pair_shape(path, array.dtype, array.shape), {}
 
 
 def _opened_hdf5(path: Path) -> tuple[Any, tuple[int, ...], dict[str, Any]]:
     import h5py
 
-    try:
+    with reading(path, "HDF5"):
         file = h5py.File(path, "r")
-    except OSError as error:
-        raise DataError(f"{path} cannot be read as HDF5: {error}. Check that the file is whole.") from error
     beside = {key: file.attrs[key] for key in file.attrs}
     beside |= {
-        key: file[key][()] for key in ("time_s", "range_m", "carrier_hz", "wavelength_m", "rate_hz") if key in file
+        key: values(path, file, key)
+        for key in ("time_s", "range_m", "carrier_hz", "wavelength_m", "rate_hz")
+        if key in file
     }
     name = next((name for name in _NAMES if name in file), None)
     if name is not None:
-        data = file[name]
+        data = dataset(path, file, name)
         beside = {key: data.attrs[key] for key in data.attrs} | beside
         return lambda first, last: _paired(data[first:last]), _pair_shape(path, data.dtype, data.shape), beside
     if "i" in file and "q" in file:
-        i, q = file["i"], file["q"]
+        i, q = dataset(path, file, "i"), dataset(path, file, "q")
         if i.shape != q.shape:
             raise DataError(f"{path}: i and q must have the same shape; received {i.shape} and {q.shape}.")
         return lambda first, last: i[first:last] + 1j * q[first:last], i.shape, beside

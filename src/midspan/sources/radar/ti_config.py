@@ -1,19 +1,36 @@
 """Settings of TI's mmWave radars: the demo firmware's command file (.cfg) and mmWave Studio's JSON."""
 
-import json
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from midspan.checks import ValueRange, shown
 from midspan.errors import DataError, UsageError
 from midspan.radar.chirp import ChirpProfile
+from midspan.sources.boundary import reading
+from midspan.trees import TreeError, read_json, read_text
 
 # Lanes of the capture's interface by family of device: on four lanes the receivers are interleaved sample by sample.
 _LANES = {"12": 4, "14": 4, "16": 2, "18": 2, "64": 2, "68": 2}
 _DEVICE = re.compile(r"\b[xai]wr[-_ ]?(\d{2})(\d{2}|xx)", re.IGNORECASE)
 _BITS = {0: 12, 1: 14, 2: 16}
+# As the fields of the radar's commands allow, or far beyond what any device can do.
+MAX_CHIRPS, MAX_LOOPS = 512, 255
+_NUMBER = ValueRange(-1e12, 1e12)
+_CHIRP = {
+    "start frequency": ValueRange(1.0, 1000.0, "GHz"),
+    "idle time": ValueRange(0.0, 1e6, "µs"),
+    "ADC start": ValueRange(0.0, 1e6, "µs"),
+    "end of the ramp": ValueRange(0.0, 1e6, "µs"),
+    "slope": ValueRange(-1e4, 1e4, "MHz/µs"),
+    "number of samples": ValueRange(1, 65535),
+    "sampling rate": ValueRange(1.0, 1e6, "ksps"),
+    "frame period": ValueRange(1e-3, 1e6, "ms"),
+}
 _STUDIO_DEFAULT, _DEMO_DEFAULT = "IIQQ", "QQII"
 
 
@@ -43,10 +60,14 @@ def read_settings(path: Path) -> TiSettings:
     """
     if not path.is_file():
         raise DataError(f"{path}: not found. Correct radar.config; it counts from the settings file's folder.")
-    if path.suffix.lower() == ".cfg":
-        return _demo(path, path.read_text(encoding="utf-8", errors="replace"))
-    if path.suffix.lower() == ".json":
-        return _studio(path)
+    with reading(path, "settings of a TI radar"):
+        try:
+            if path.suffix.lower() == ".cfg":
+                return _demo(path, read_text(path, strict=False))
+            if path.suffix.lower() == ".json":
+                return _studio(path, read_json(path))
+        except TreeError as error:
+            raise DataError(f"{path}: {error}.") from None
     raise UsageError(
         f"radar.config must be a .cfg of the mmWave demo or a .json of mmWave Studio; received {path.name}."
     )
@@ -79,13 +100,16 @@ class _Lines:
 
     def _numbers(self, number: int, words: list[str]) -> list[float]:
         try:
-            return [float(word) for word in words[1:]]
+            found = [float(word) for word in words[1:]]
         except ValueError:
-            if words[0] in ("profileCfg", "chirpCfg", "frameCfg", "channelCfg", "adcCfg", "adcbufCfg"):
-                raise DataError(
-                    f"{self._path}, line {number}: {words[0]} takes numbers; received {words[1:]}."
-                ) from None
-            return []
+            found = [np.nan]
+        if all(value in _NUMBER for value in found):
+            return found
+        if words[0] in ("profileCfg", "chirpCfg", "frameCfg", "channelCfg", "adcCfg", "adcbufCfg"):
+            raise DataError(
+                f"{self._path}, line {number}: {words[0]} takes numbers {_NUMBER}; received {shown(words[1:])}."
+            )
+        return []
 
     def all(self, name: str) -> list[list[float]]:
         return self._found.get(name, [])
@@ -136,6 +160,11 @@ def _chirps(
     path: Path, chirps: Sequence[tuple[int, int, int, int, Sequence[float]]], span: tuple[int, int], loops: int
 ) -> tuple[int, tuple[int, ...]]:
     """The profile that the frame's chirps share, and the transmitters of each chirp of a frame."""
+    if not 0 <= span[0] <= span[1] < MAX_CHIRPS or not 1 <= loops <= MAX_LOOPS:
+        raise DataError(
+            f"{path}: the frame must use chirps from 0 to {MAX_CHIRPS - 1}, from 1 to {MAX_LOOPS} loops of them; "
+            f"received chirps {span[0]} to {span[1]}, {loops} loops. Check frameCfg."
+        )
     order: list[int] = []
     used: set[int] = set()
     for index in range(span[0], span[1] + 1):
@@ -152,8 +181,6 @@ def _chirps(
         raise DataError(
             f"{path}: the frame's chirps use profiles {sorted(used)}; only frames of one profile can be read."
         )
-    if loops < 1:
-        raise DataError(f"{path}: frameCfg has {loops} loops; one or more are needed.")
     return used.pop(), tuple(order) * loops
 
 
@@ -161,6 +188,9 @@ def _profile(
     path: Path, values: tuple[float, ...], channels: tuple[int, int, int], transmitters: tuple[int, ...]
 ) -> ChirpProfile:
     """The profile from GHz, µs (idle, ADC start, ramp end), MHz/µs, samples, ksps and the frame period in ms."""
+    for (name, limits), value in zip(_CHIRP.items(), values, strict=True):
+        if value not in limits:
+            raise DataError(f"{path}: the {name} must be {limits}; received {value:g}. Check the file.")
     start, idle, adc_start, ramp_end, slope, samples, rate, period = values
     receivers, bits, form = channels
     if bits not in _BITS or form not in (0, 1, 2, 3):
@@ -185,15 +215,14 @@ def _profile(
         raise DataError(f"{path}: {error}") from error
 
 
-def _studio(path: Path) -> TiSettings:
-    try:
-        whole = json.loads(path.read_text(encoding="utf-8-sig"))
-    except ValueError as error:
-        raise DataError(f"{path} is no JSON: {error}. Save the settings again.") from error
+def _studio(path: Path, whole: Any) -> TiSettings:
     device = _texts(whole, ("mmWaveDevice", "partName", "deviceName"))
     if isinstance(whole, dict) and "configUsed" in whole:
         # The setup file names the settings that were in use.
-        inner = read_settings(path.with_name(Path(str(whole["configUsed"])).name))
+        named = path.with_name(Path(str(whole["configUsed"])).name)
+        if named == path:
+            raise DataError(f"{path}: configUsed names this file itself. Name the file with the chirp settings.")
+        inner = read_settings(named)
         lanes, name = _lanes(path, device, interleaved=inner.lanes == 4)
         return _with_device(inner, lanes, name) if name else inner
     try:
