@@ -116,7 +116,7 @@ def _across(recording: Recording, part: CameraFit, warnings: list[str]) -> Calib
 def _acceleration_noise(recording: Recording, densities: list[float], warnings: list[str]) -> float:
     """Noise per sample of the acceleration: as given, else as learnt (the larger of two)."""
     learnt = float(np.sqrt(max(densities) * recording.prepared.rate_hz))
-    given = recording.settings.accelerometer.noise_std
+    given = recording.accelerometer.noise_std
     if given is None:
         return learnt
     if learnt > 2.0 * given:

@@ -70,7 +70,7 @@ class RecordingSettings(Section):
     """The whole of `recording.toml`."""
 
     name: str = Field("", description="what reports call the recording; left out: its folder's name")
-    accelerometer: AccelerometerSettings
+    accelerometer: AccelerometerSettings | None = None
     camera: CameraSettings | None = None
     infrared: InfraredSettings | None = None
     radar: RadarSettings | None = None
@@ -82,6 +82,13 @@ class RecordingSettings(Section):
 
     @model_validator(mode="after")
     def _has_displacement(self) -> "RecordingSettings":
+        if self.accelerometer is None:
+            # A camera alone can be tracked and looked at.
+            if self.first_camera is None:
+                raise ValueError(
+                    "must have [accelerometer]; only a recording with [camera] or [infrared] can do without"
+                )
+            return self
         if self.first_camera is None and self.radar is None and self.displacement is None:
             raise ValueError("must have [camera], [infrared], [radar] or [displacement] beside [accelerometer]")
         return self
@@ -89,6 +96,8 @@ class RecordingSettings(Section):
     @model_validator(mode="after")
     def _both_axes_have_columns(self) -> "RecordingSettings":
         both = self.first_camera is not None and self.first_camera.direction == "xy"
+        if self.accelerometer is None:
+            return self
         named = self.accelerometer.value_x or self.accelerometer.value_y
         if both and not named:
             raise ValueError(
@@ -125,4 +134,4 @@ class RecordingSettings(Section):
             return ()
         if self.first_camera.direction != "xy":
             return (self.first_camera.direction,)
-        return ("y", "x") if self.accelerometer.value_y else ("x", "y")
+        return ("y", "x") if self.accelerometer is not None and self.accelerometer.value_y else ("x", "y")

@@ -6,13 +6,13 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from midspan.errors import DataError, MidspanError
+from midspan.errors import DataError, MidspanError, UsageError
 from midspan.recording.streams.acceleration import PreparedAcceleration, prepare_acceleration, still
 from midspan.records import NANOSECONDS, TimeSeries
 from midspan.settings.camera import InfraredSettings
 from midspan.settings.load import load_settings, settings_file
 from midspan.settings.recording import RecordingSettings
-from midspan.settings.sensors import ChannelSettings
+from midspan.settings.sensors import AccelerometerSettings, ChannelSettings
 from midspan.sources.accelerometer.formats import list_channels
 from midspan.sources.accelerometer.select import SeriesRequest, read_series
 from midspan.sources.camera.formats import open_frames
@@ -142,11 +142,11 @@ class Recording:
 
         Its frames are these; its acceleration is the column of that axis, or absent where the axis is tracked only.
         """
-        if len(self.settings.axes) < 2:
+        if len(self.settings.axes) < 2 or self.settings.accelerometer is None:
             return None
         if self.settings.camera is None and self.infrared is not None:
             return self.infrared.across
-        axis, accelerometer = self.settings.axes[1], self.settings.accelerometer
+        axis, accelerometer = self.settings.axes[1], self.accelerometer
         column = accelerometer.value_x if axis == "x" else accelerometer.value_y
         assert self.settings.camera is not None
         sensor = accelerometer.model_copy(update={"value": column, "value_x": None, "value_y": None})
@@ -159,14 +159,24 @@ class Recording:
     @property
     def fused(self) -> bool:
         """Whether this axis has an acceleration of its own; the second one of "xy" may be tracked only."""
-        return self._whole is None or self.settings.accelerometer.value is not None
+        return self._whole is None or self.accelerometer.value is not None
+
+    @property
+    def accelerometer(self) -> AccelerometerSettings:
+        """The section [accelerometer]; UsageError where there is none: only `track` and `inspect` do without."""
+        if self.settings.accelerometer is None:
+            raise UsageError(
+                f"{self.file}: has no [accelerometer], which calibration and estimation need. Add the section, or "
+                "follow the camera alone with `midspan track`."
+            )
+        return self.settings.accelerometer
 
     @cached_property
     def acceleration(self) -> TimeSeries:
         """The accelerometer's channel, m/s², on its own clock."""
         if self._beside is not None:
             return self._beside.acceleration
-        return self._series("accelerometer", "acceleration")
+        return self._series("accelerometer", self.accelerometer, "acceleration")
 
     @cached_property
     def prepared(self) -> PreparedAcceleration:
@@ -175,12 +185,12 @@ class Recording:
             return still(self._whole.prepared)
         if self._beside is not None:
             return self._beside.prepared
-        return prepare_acceleration(self.acceleration, f"accelerometer ({self.settings.accelerometer.file})")
+        return prepare_acceleration(self.acceleration, f"accelerometer ({self.accelerometer.file})")
 
     @cached_property
     def displacement(self) -> TimeSeries:
         """The channel of [displacement], m, on its own clock."""
-        return self._series("displacement", "displacement")
+        return self._series("displacement", self.settings.displacement, "displacement")
 
     @property
     def max_offset_s(self) -> float:
@@ -208,7 +218,7 @@ class Recording:
     @cached_property
     def reference(self) -> TimeSeries:
         """The channel of [reference], m, on the accelerometer's clock."""
-        return self._series("reference", "displacement")
+        return self._series("reference", self.settings.reference, "displacement")
 
     @cached_property
     def reference_across(self) -> TimeSeries | None:
@@ -271,8 +281,9 @@ class Recording:
         """The column of the main axis where columns are named by the image's axes."""
         return getattr(channel, f"value_{self.axis}", None)
 
-    def _series(self, section: str, quantity: str) -> TimeSeries:
-        channel: ChannelSettings = getattr(self.settings, section)
+    def _series(self, section: str, channel: ChannelSettings | None, quantity: str) -> TimeSeries:
+        if channel is None:
+            raise DataError(f"{self.file}: has no [{section}] section.")
         sensitivity = getattr(channel, "sensitivity", 0.0) or None
         request = SeriesRequest(
             quantity=quantity,
