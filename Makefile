@@ -4,7 +4,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.ready
 
-.PHONY: demo test check bench lock clean setup
+.PHONY: demo test check bench lock audit clean setup
 
 demo: $(STAMP)
 	$(BIN)/midspan demo -o demo
@@ -23,14 +23,18 @@ bench: $(STAMP)
 
 setup: $(STAMP)
 
-$(STAMP): pyproject.toml constraints.txt tools/setup.sh
+$(STAMP): pyproject.toml constraints.txt constraints-dev.txt tools/setup.sh
 	PYTHON="$(PYTHON)" VENV="$(VENV)" sh tools/setup.sh
 	@touch $(STAMP)
 
-# Renew the pinned versions: names and versions only, no addresses.
+# Renew the pinned versions, what users get apart from the developers' tools: names and versions only, no addresses.
 lock: $(STAMP)
 	$(BIN)/python -m pip install --upgrade --upgrade-strategy eager -e '.[dev]'
-	$(BIN)/python -m pip freeze --exclude-editable --exclude midspan > constraints.txt
+	$(BIN)/python tools/pins.py
+
+# Look the pinned versions up in the published advisories; needs a network, and is no part of `make test`.
+audit:
+	PYTHON="$(PYTHON)" sh tools/audit.sh
 
 clean:
-	rm -rf $(VENV) demo .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -rf $(VENV) .audit-venv demo .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -26,4 +26,5 @@ fi
 
 [ -x "$venv/bin/python" ] || "$python" -m venv "$venv"
 # Also the build of midspan itself takes its tools at the pinned versions.
-PIP_CONSTRAINT="$(pwd)/constraints.txt" "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --constraint constraints.txt -e '.[dev]'
+PIP_CONSTRAINT="$(pwd)/constraints.txt $(pwd)/constraints-dev.txt" "$venv/bin/python" -m pip install --quiet --disable-pip-version-check \
+    --constraint constraints.txt --constraint constraints-dev.txt -e '.[dev]'
