@@ -4,7 +4,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.ready
 
-.PHONY: demo test check bench lock audit clean setup
+.PHONY: demo test check bench fuzz lock audit clean setup
 
 demo: $(STAMP)
 	$(BIN)/midspan demo -o demo
@@ -20,6 +20,10 @@ check: $(STAMP)
 
 bench: $(STAMP)
 	$(BIN)/python -m benchmarks
+
+# 10 000 damaged files, settings and results: about 49 readers with 210 inputs each.
+fuzz: $(STAMP)
+	PYTHONPATH=tests:tests/sources $(BIN)/python -m fuzz --inputs 210
 
 setup: $(STAMP)
 
