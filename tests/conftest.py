@@ -8,11 +8,16 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 from midspan.simulate.motion.sensors import AccelerometerModel
 from midspan.simulate.scenarios.stage import CameraSetup, Scenario
 from midspan.simulate.scenarios.table import SCENARIOS, pedestrians
 from midspan.simulate.scenarios.write import write
+
+# How long an example takes says how busy the machine is.
+settings.register_profile("any machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("any machine")
 
 FOOTBRIDGE = Scenario(
     line="a small footbridge for tests",

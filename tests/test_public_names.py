@@ -14,7 +14,7 @@ HEAVY = ("numba", "pandas", "matplotlib", "scipy", "av", "cv2", "pydantic", "h5p
 def modules_after(code):
     """Names of the modules that a fresh interpreter has loaded after `code`."""
     program = f"import sys, json\n{code}\nprint(json.dumps(sorted(sys.modules)))"
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=60)
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     return set(json.loads(done.stdout.splitlines()[-1]))
 
 

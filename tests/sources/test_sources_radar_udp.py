@@ -16,6 +16,8 @@ from midspan.radar.layout import Layout, pack
 from midspan.simulate.radar.files import packets
 from midspan.sources.radar.udp import LiveCapture, PacketOrder, UdpSettings
 
+# A busy machine may keep a sender or the receiving thread waiting this long, s; a quiet one takes milliseconds.
+WAIT_S = 100.0
 LAYOUT = Layout(ChirpProfile(77e9, 64.985e12, 6e6, 64, 0.01))
 CUBE = echoes((7.0,))
 DATAGRAMS = list(packets(pack(CUBE, LAYOUT)))
@@ -75,7 +77,7 @@ def send(datagrams: list[bytes], port: int) -> threading.Thread:
 def test_frames_arrive_over_the_loopback_in_order_with_holes_marked_and_even_stamps() -> None:
     lost = 9
     kept = [d for d in shuffled(2) if d is not DATAGRAMS[lost]]
-    settings = UdpSettings("127.0.0.1", 0, timeout_s=1.0, late_packets=8, first_time_ns=10**18)
+    settings = UdpSettings("127.0.0.1", 0, timeout_s=WAIT_S, late_packets=8, first_time_ns=10**18)
     with LiveCapture(LAYOUT, settings) as capture:
         sending = send(kept, capture.port)
         frames = list(capture.frames(35))
@@ -103,18 +105,20 @@ def test_a_socket_that_fails_is_told_with_its_reason_and_not_as_silence(monkeypa
         raise OSError(errno.ENETDOWN, "Network is down")
 
     monkeypatch.setattr(socket.socket, "recvfrom", fails, raising=False)
-    with (
-        LiveCapture(LAYOUT, UdpSettings("127.0.0.1", 0, timeout_s=0.2)) as capture,
-        pytest.raises(DataError, match="ended: Network is down"),
-    ):
-        next(capture.frames())
+    with LiveCapture(LAYOUT, UdpSettings("127.0.0.1", 0, timeout_s=0.2)) as capture:
+        # The receiving thread has met the failure before frames are asked for.
+        for thread in threading.enumerate():
+            if thread.name == "radar capture":
+                thread.join(WAIT_S)
+        with pytest.raises(DataError, match="ended: Network is down"):
+            next(capture.frames())
 
 
 def test_a_reader_that_is_too_slow_loses_whole_frames_and_is_told() -> None:
-    with LiveCapture(LAYOUT, UdpSettings("127.0.0.1", 0, timeout_s=1.0, waiting=5)) as capture:
+    with LiveCapture(LAYOUT, UdpSettings("127.0.0.1", 0, timeout_s=WAIT_S, waiting=5)) as capture:
         send(DATAGRAMS, capture.port).join()
         deadline = threading.Event()
-        for _ in range(100):
+        for _ in range(round(WAIT_S / 0.02)):
             if capture.dropped_frames >= 35:
                 break
             deadline.wait(0.02)
