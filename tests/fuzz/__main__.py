@@ -23,7 +23,8 @@ os.environ.setdefault("MALLOC_ARENA_MAX", "2")
 os.environ["MIDSPAN_TRACEBACK"] = "1"
 
 from fuzz.runs import GROWTH, Outcome, case, outcomes  # noqa: E402
-from fuzz.seeds import GROUPS, Seed  # noqa: E402
+from fuzz.seeds import GROUPS  # noqa: E402
+from fuzz.world import FILE, Seed  # noqa: E402
 
 FAULTS = ("uncaught", "crash", "hang", "memory", "leak", "growth", "printed")
 # Imported once, before any child is forked.
@@ -75,7 +76,7 @@ def keep(seed: Seed, found: Outcome, place: Path, run: str) -> None:
     shutil.copytree(place, kept)
     if found.number != GROWTH:
         (kept / seed.file).write_bytes(case(seed, (place / seed.file).read_bytes(), found.number, run)[1])
-    lines = [shlex.join(["midspan", *(seed.file if w == "{file}" else w for w in c)]) for c in seed.commands]
+    lines = [shlex.join(["midspan", *(seed.file if w == FILE else w for w in c)]) for c in seed.commands]
     text = "\n".join([f"# {found.fault} after {found.kind}: {found.detail}", *lines])
     (kept / "repeat.sh").write_text(text + "\n", encoding="utf-8")
 

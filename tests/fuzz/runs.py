@@ -21,7 +21,7 @@ from pathlib import Path
 from random import Random
 
 from fuzz.damage import damaged
-from fuzz.seeds import FILE, Seed
+from fuzz.world import FILE, Seed
 
 # A case that computes longer than this hangs, s of processor time, whatever else the machine does.
 MAX_CPU_S = 20.0
@@ -31,7 +31,7 @@ MAX_WALL_S = 200.0
 # that asks for more than it is granted is refused by the system.
 MAX_BYTES, GRANTED_BYTES = 2 * 1024**3, 3 * 1024**3
 # Files that are read again and again at the end of a seed's cases, and how often; memory must not grow with it.
-REPEATED_FILES, REPEATS = 4, 12
+REPEATED_FILES, REPEATS = 2, 8
 # Growth of one such reading, on the average of the second half, bytes: a tenth of the smallest files' frames or columns
 # would show, the jitter of the allocator is a few pages.
 MAX_GROWTH_BYTES = 16 * 1024
