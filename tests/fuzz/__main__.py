@@ -35,10 +35,18 @@ IMPORTED = (
 )  # fmt: skip
 
 
-def share(seeds: Sequence[Seed], inputs: int) -> list[tuple[Seed, int]]:
-    """So many inputs for each seed that every reader gets `inputs` of them, whatever the number of its seeds."""
+def share(seeds: Sequence[Seed], inputs: int, first: int) -> list[tuple[Seed, list[int]]]:
+    """The numbers of each seed's cases: every reader gets `inputs` of them, whatever the number of its seeds.
+
+    Growth is measured with the first seed of a reader.
+    """
     readers = Counter(seed.reader for seed in seeds)
-    return [(seed, -(-inputs // readers[seed.reader])) for seed in seeds]
+    firsts = {seed.reader: seed.name for seed in reversed(seeds)}
+    shares = []
+    for seed in seeds:
+        numbers = list(range(first, first + -(-inputs // readers[seed.reader])))
+        shares.append((seed, [*numbers, GROWTH] if firsts[seed.reader] == seed.name else numbers))
+    return shares
 
 
 def made(seed: Seed, folder: Path) -> Path:
@@ -60,11 +68,11 @@ def made(seed: Seed, folder: Path) -> Path:
     return place
 
 
-def work(seed: Seed, inputs: int, folder: Path, run: str, first: int) -> None:
-    """Make a seed, damage it `inputs` times and write what came of each to a file of its name."""
+def work(seed: Seed, numbers: list[int], folder: Path, run: str) -> None:
+    """Make a seed, damage it once for each number and write what came of each to a file of its name."""
     place = made(seed, folder)
     with (folder / f"{seed.name}.jsonl").open("w", encoding="utf-8") as file:
-        for found in outcomes(seed, [*range(first, first + inputs), GROWTH], place, run):
+        for found in outcomes(seed, numbers, place, run):
             file.write(json.dumps(asdict(found)) + "\n")
             if found.fault:
                 keep(seed, found, place, run)
@@ -109,20 +117,20 @@ def _row(name: str, found: Sequence[Outcome]) -> tuple[object, ...]:
     )
 
 
-def fuzz(shares: Sequence[tuple[Seed, int]], folder: Path, run: str, *, workers: int, first: int = 0) -> list[Outcome]:
-    """Damage every seed so many times; `workers` processes at once, each a fork of this one."""
+def fuzz(shares: Sequence[tuple[Seed, list[int]]], folder: Path, run: str, *, workers: int) -> list[Outcome]:
+    """Damage every seed once for each of its numbers; `workers` processes at once, each a fork of this one."""
     (folder / "failures").mkdir()
     for name in IMPORTED:
         importlib.import_module(name)
     waiting, running, start, ends = list(shares), {}, time.monotonic(), []
     while waiting or running:
         while waiting and len(running) < workers:
-            seed, inputs = waiting.pop(0)
+            seed, numbers = waiting.pop(0)
             child = os.fork()
             if child == 0:
                 code = 1
                 try:
-                    work(seed, inputs, folder, run, first)
+                    work(seed, numbers, folder, run)
                     code = 0
                 except BaseException as error:
                     print(f"{seed.name}: {error}", file=sys.stderr, flush=True)
@@ -155,7 +163,7 @@ def main(arguments: list[str]) -> int:
     folder = given.folder or Path(tempfile.mkdtemp(prefix="midspan-fuzz-"))
     folder.mkdir(parents=True, exist_ok=True)
     seeds = [seed for name in given.groups for seed in GROUPS[name] if not given.seeds or seed.name in given.seeds]
-    found = fuzz(share(seeds, given.inputs), folder, given.run, workers=given.workers, first=given.first)
+    found = fuzz(share(seeds, given.inputs, given.first), folder, given.run, workers=given.workers)
     print(table(found))
     faults = [one for one in found if one.fault]
     for one in faults:
