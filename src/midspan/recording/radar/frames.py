@@ -6,16 +6,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from midspan.errors import UsageError
+from midspan.errors import DataError, UsageError
 from midspan.radar.channels import LEAST_BINS, Phasors, combined
 from midspan.radar.following import LEAST_EXCURSION_BINS
 from midspan.radar.target import Target
 from midspan.recording.stored.radar import RadarCalibration
 from midspan.recording.streams.acceleration import PreparedAcceleration
 from midspan.recording.streams.progress import Progress
-from midspan.records import Floats, Nanoseconds, RangeFrames, seconds
+from midspan.records import NANOSECONDS, Floats, Nanoseconds, RangeFrames, seconds
 from midspan.sources.radar.radar_source import RadarInfo, RadarSource
 
+# Of an even grid the frames fill one in so many places or more, of a short record these places at most.
+MAX_GRID, MAX_GRID_FRAMES = 100, 100_000
 # A target calibrated for another radar, or moved since, differs in carrier by this share or in range by so many bins.
 SAME_CARRIER, SAME_BINS = 1e-5, 0.5
 
@@ -55,11 +57,21 @@ def collected(blocks: Iterable[RangeFrames], total: int, progress: Progress, wha
 
 
 def even_places(time_ns: Nanoseconds) -> NDArray[np.int64]:
-    """Places (n,) of stamps (n,) on an even grid, from 0 on: frames that are absent leave theirs empty."""
+    """Places (n,) of stamps (n,) on an even grid, from 0 on: frames that are absent leave theirs empty.
+
+    Raises DataError for times of which the frames fill next to nothing, which are wrong rather than gaps.
+    """
     steps = np.diff(time_ns).astype(np.float64)
     if not len(steps):
         return np.zeros(len(time_ns), dtype=np.int64)
-    whole = np.maximum(np.rint(steps / np.median(steps)), 1.0).astype(np.int64)
+    usual = np.median(steps)
+    wanted = float(np.sum(np.maximum(np.rint(steps / usual), 1.0)))
+    if wanted > MAX_GRID * len(time_ns) + MAX_GRID_FRAMES:
+        raise DataError(
+            f"radar: the {len(time_ns)} frames looked at are usually {usual / NANOSECONDS:.3g} s apart, but lie in "
+            f"{np.sum(steps) / NANOSECONDS:.3g} s. Check the times in radar.file, or give radar.rate_hz."
+        )
+    whole = np.maximum(np.rint(steps / usual), 1.0).astype(np.int64)
     return np.concatenate((np.zeros(1, dtype=np.int64), np.cumsum(whole)))
 
 
@@ -168,5 +180,6 @@ def _fill(z: Phasors, valid: NDArray[np.bool_], k: int, before: int) -> None:
     good = valid[k]
     turn = np.sum(z[k, good] * np.conj(z[before, good]), axis=0) if good.any() else np.ones(z.shape[2])
     size = np.abs(turn)
-    turn = np.where(size > 0, turn / np.where(size > 0, size, 1.0), 1.0)
+    some = size > np.finfo(np.float32).tiny
+    turn = np.where(some, turn, 1.0) / np.where(some, size, 1.0)
     z[k, ~good] = z[before, ~good] * turn

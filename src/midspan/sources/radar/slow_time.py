@@ -18,6 +18,8 @@ from midspan.sources.radar.stored import dataset, values
 from midspan.sources.radar.ti_config import TiSettings, read_settings
 
 FRAMES_AT_A_TIME = 4096
+# No receiver counts as far; the squares of what is below, and their sums, stay finite in single precision.
+MAX_PHASOR = 1e15
 _NAMES = ("iq", "slow_time", "frame", "z")
 
 
@@ -75,6 +77,7 @@ class SlowTimeFile(RadarSource):
         for first in range(begin, end, FRAMES_AT_A_TIME):
             last = min(first + FRAMES_AT_A_TIME, end)
             z = np.asarray(self._read(first, last), dtype=np.complex64).reshape(last - first, *self._shape[1:])
+            z = np.where(np.abs(z) < MAX_PHASOR, z, np.complex64(np.nan))
             yield RangeFrames(times[first:last], z, np.asarray(np.isfinite(z).all(axis=2)))
 
     def _slow_time(self, bins: Floats, start: int, stop: int | None) -> Iterator[RangeFrames]:
@@ -153,12 +156,14 @@ def _three_axes(path: Path, shape: tuple[int, ...]) -> tuple[int, int, int]:
 
 def _paired(array: Any) -> NDArray[np.complex64]:
     """Complex numbers of complex ones, of the fields real and imag, or of a last axis of I and Q."""
-    if array.dtype.names:
-        names = array.dtype.names
-        return np.asarray(array[names[0]].astype(np.float32) + 1j * array[names[1]].astype(np.float32))
-    if array.dtype.kind == "c":
-        return np.asarray(array, dtype=np.complex64)
-    return np.asarray(array[..., 0].astype(np.float32) + 1j * array[..., 1].astype(np.float32))
+    # What is no number, or none that fits, is a frame that is missing.
+    with np.errstate(invalid="ignore", over="ignore"):
+        if array.dtype.names:
+            names = array.dtype.names
+            return np.asarray(array[names[0]].astype(np.float32) + 1j * array[names[1]].astype(np.float32))
+        if array.dtype.kind == "c":
+            return np.asarray(array, dtype=np.complex64)
+        return np.asarray(array[..., 0].astype(np.float32) + 1j * array[..., 1].astype(np.float32))
 
 
 def _pair_shape(path: Path, dtype: Any, shape: tuple[int, ...]) -> tuple[int, ...]:

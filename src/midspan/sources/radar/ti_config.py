@@ -26,7 +26,7 @@ _CHIRP = {
     "idle time": ValueRange(0.0, 1e6, "µs"),
     "ADC start": ValueRange(0.0, 1e6, "µs"),
     "end of the ramp": ValueRange(0.0, 1e6, "µs"),
-    "slope": ValueRange(-1e4, 1e4, "MHz/µs"),
+    "slope": ValueRange(1e-3, 1e4, "MHz/µs"),
     "number of samples": ValueRange(1, 65535),
     "sampling rate": ValueRange(1.0, 1e6, "ksps"),
     "frame period": ValueRange(1e-3, 1e6, "ms"),
