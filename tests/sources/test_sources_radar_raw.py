@@ -325,7 +325,7 @@ def test_old_firmware_settings_without_a_subframe_are_read(tmp_path: Path) -> No
         ("chirpCfg 0 0 0", "chirpCfg 3 3 0", "chirp 0 is not defined"),
         ("profileCfg 0 77", "profileCfg 0 fast", "line 6: profileCfg takes numbers"),
         ("profileCfg 0", "profileCfg 2", "profileCfg 0, which the frame uses"),
-        ("64.985", "0", "slope_hz_s must be a positive number"),
+        ("64.985", "0", "the slope must be from 0.001 to 10000 MHz"),
         ("chirpCfg 0 0 0 0", "chirpCfg 0 0 0 5", "varies its profile"),
         ("frameCfg", "advFrameCfg", "advanced frames"),
     ],
