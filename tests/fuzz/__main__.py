@@ -84,7 +84,8 @@ def keep(seed: Seed, found: Outcome, place: Path, run: str) -> None:
     shutil.copytree(place, kept)
     if found.number != GROWTH:
         (kept / seed.file).write_bytes(case(seed, (place / seed.file).read_bytes(), found.number, run)[1])
-    lines = [shlex.join(["midspan", *(seed.file if w == FILE else w for w in c)]) for c in seed.commands]
+    lines = ['cd "$(dirname "$0")"']
+    lines += [shlex.join(["midspan", *(seed.file if w == FILE else w for w in c)]) for c in seed.commands]
     text = "\n".join([f"# {found.fault} after {found.kind}: {found.detail}", *lines])
     (kept / "repeat.sh").write_text(text + "\n", encoding="utf-8")
 
@@ -167,7 +168,9 @@ def main(arguments: list[str]) -> int:
     print(table(found))
     faults = [one for one in found if one.fault]
     for one in faults:
-        print(f"{one.fault}: {folder}/failures/{one.seed}-{one.number}-{one.fault}: {one.detail}")
+        print(f"{one.fault}: sh {folder}/failures/{one.seed}-{one.number}-{one.fault}/repeat.sh: {one.detail}")
+    if not faults and given.folder is None:
+        shutil.rmtree(folder)
     return 1 if faults else 0
 
 

@@ -96,7 +96,10 @@ CONFIGURED = tuple(
     for kind in WHOLE
 )
 
-COMPARED = (("compare", FILE, "truth.parquet"), ("compare", "truth.parquet", FILE, "--json"))
+COMPARED = {
+    "result": ("compare", FILE, "truth.parquet"),
+    "reference": ("compare", "truth.parquet", FILE, "--json"),
+}
 
 
 def result(file: str) -> Callable[[Path], None]:
@@ -113,7 +116,8 @@ def result(file: str) -> Callable[[Path], None]:
 
 
 RESULTS = tuple(
-    Seed(f"result-{suffix}", f"result {suffix}", f"result.{suffix}", result(f"result.{suffix}"),
-         text=suffix in ("csv", "uff"), commands=COMPARED)
+    Seed(f"{place}-{suffix}", f"result {suffix}", f"result.{suffix}", result(f"result.{suffix}"),
+         text=suffix in ("csv", "uff"), commands=(command,))
     for suffix in ("csv", "parquet", "h5", "mat", "mseed", "uff")
+    for place, command in COMPARED.items()
 )  # fmt: skip
