@@ -41,8 +41,10 @@ def test_a_wall_that_fades_and_comes_back_inverted_is_found_where_it_was(tracker
     seen = np.isfinite(error[:, 0])
     # Less than noise in the picture: nobody could tell where it is. Else it is tracked.
     assert np.all(seen[np.abs(course) > 3.0 * NETD_K])
-    # Never elsewhere, not even while it hardly shows; and exactly once it stands out again.
-    assert np.abs(error[seen]).max() < 0.4
+    # Never elsewhere, not even while it hardly shows: 0.4 px, or 2.5 of the deviation stated in a frame of mere noise.
+    std = np.sqrt([(row.variance_x_px2, row.variance_y_px2) for row in rows])
+    assert np.all(np.abs(error[seen]) < np.fmax(0.4, 2.5 * std[seen]))
+    # And exactly once it stands out again.
     assert np.sqrt(np.mean(error[course < -0.4] ** 2)) < 0.02
 
 

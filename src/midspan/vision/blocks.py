@@ -29,29 +29,27 @@ def _median(value: Floats, weight: Floats) -> float:
 
 
 @njit(cache=True)
-def _distances(found: Floats, information: Floats, centres: Floats, pose: Floats) -> Floats:
+def _distances(found: Floats, information: Floats, levers: Floats, pose: Floats) -> Floats:
     """Squared Mahalanobis distance (blocks,) of every block's translation from the pose's."""
     out = np.empty(found.shape[0])
     for b in range(found.shape[0]):
-        x, y = centres[b, 0], centres[b, 1]
-        rx = found[b, 0] - (pose[0] - pose[2] * y + pose[3] * x)
-        ry = found[b, 1] - (pose[1] + pose[2] * x + pose[3] * y)
+        rx = found[b, 0] - (pose[0] + levers[b, 0, 0] * pose[2] + levers[b, 0, 1] * pose[3])
+        ry = found[b, 1] - (pose[1] + levers[b, 1, 0] * pose[2] + levers[b, 1, 1] * pose[3])
         p = information[b]
         out[b] = p[0, 0] * rx * rx + 2.0 * p[0, 1] * rx * ry + p[1, 1] * ry * ry
     return out
 
 
 @njit(cache=True)
-def _normal(found: Floats, information: Floats, centres: Floats, weight: Floats) -> tuple[Floats, Floats]:
+def _normal(found: Floats, information: Floats, levers: Floats, weight: Floats) -> tuple[Floats, Floats]:
     """Normal matrix (4, 4) and right side (4,) of the weighted fit of x, y, roll, zoom."""
     matrix, right = np.zeros((4, 4)), np.zeros(4)
     a = np.zeros((2, 4))
     for b in range(found.shape[0]):
         if weight[b] <= 0.0:
             continue
-        x, y = centres[b, 0], centres[b, 1]
-        a[0, 0], a[0, 2], a[0, 3] = 1.0, -y, x
-        a[1, 1], a[1, 2], a[1, 3] = 1.0, x, y
+        a[0, 0], a[1, 1] = 1.0, 1.0
+        a[:, 2:] = levers[b]
         for i in range(4):
             for k in range(2):
                 pa = weight[b] * (information[b, 0, k] * a[0, i] + information[b, 1, k] * a[1, i])
@@ -91,16 +89,16 @@ def gains(found: Floats, information: Floats, usual: float) -> Floats:
 
 
 @njit(cache=True)
-def _seed(found: Floats, information: Floats, centres: Floats, begin: Floats, square: float) -> Floats:
+def _seed(found: Floats, information: Floats, levers: Floats, begin: Floats, square: float) -> Floats:
     """The pose, turned and enlarged as `begin`, that most of the blocks agree with, among those of the blocks."""
     best, most = begin.copy(), -1.0
     for b in range(found.shape[0]):
         if information[b, 0, 0] <= 0.0:
             continue
         pose = begin.copy()
-        pose[0] = found[b, 0] + begin[2] * centres[b, 1] - begin[3] * centres[b, 0]
-        pose[1] = found[b, 1] - begin[2] * centres[b, 0] - begin[3] * centres[b, 1]
-        distance = _distances(found, information, centres, pose)
+        pose[0] = found[b, 0] - levers[b, 0, 0] * begin[2] - levers[b, 0, 1] * begin[3]
+        pose[1] = found[b, 1] - levers[b, 1, 0] * begin[2] - levers[b, 1, 1] * begin[3]
+        distance = _distances(found, information, levers, pose)
         # A block's own error doubles the squared distances from it.
         votes = (np.maximum(1.0 - distance / (2.0 * CUT**2 * square), 0.0) ** 2 * (information[:, 0, 0] > 0)).sum()
         if votes > most:
@@ -110,15 +108,16 @@ def _seed(found: Floats, information: Floats, centres: Floats, begin: Floats, sq
 
 @njit(cache=True)
 def fuse(
-    found: Floats, information: Floats, centres: Floats, begin: Floats, usual: float
+    found: Floats, information: Floats, levers: Floats, begin: Floats, usual: float
 ) -> tuple[Floats, Floats, Floats, float]:
     """Pose (4,): x, y in px, roll in rad, zoom; its covariance (4, 4); the blocks' weights; the noise scale.
 
     `found` (blocks, 2) translations in px; `information` (blocks, 2, 2) their inverse covariances for noise of scale
-    1, zero where a block does not count; `centres` (blocks, 2) from the window's middle, px; `begin` (4,) the pose
-    before; `usual` the noise scale to be expected, 0 where it is not known. Tukey's biweight from the pose that most
-    blocks vote for; its scale is from the median distance of the blocks, at most 1.3 times the usual one, so that more
-    than half of them may say anything. Roll and zoom are drawn to zero as far as they may be noise.
+    1, zero where a block does not count; `levers` (blocks, 2, 2) by how many px a roll of 1 rad and a zoom of 1 move a
+    block along x and y; `begin` (4,) the pose before; `usual` the noise scale to be expected, 0 where it is not known.
+    Tukey's biweight from the pose that most blocks vote for; its scale is from the median distance of the blocks, at
+    most 1.3 times the usual one, so that more than half of them may say anything. Roll and zoom are drawn to zero as
+    far as they may be noise.
     """
     counted = np.where(information[:, 0, 0] + information[:, 1, 1] > 0, 1.0, 0.0)
     pose, covariance = begin.copy(), np.full((4, 4), np.inf)
@@ -127,12 +126,12 @@ def fuse(
         return pose, covariance, np.zeros(len(counted)), np.inf
     most = MOST_SQUARE * usual * usual if usual > 0.0 else np.inf
     seed = np.array([_median(found[:, 0], counted), _median(found[:, 1], counted), begin[2], begin[3]])
-    distance = _distances(found, information, centres, seed)
+    distance = _distances(found, information, levers, seed)
     square = min(max(_median(distance, counted) / 1.386, 1e-12), most)
     near = (counted * (distance < CUT**2 * square)).sum() / counted.sum()
-    pose = seed if near > AGREED else _seed(found, information, centres, begin, square)
+    pose = seed if near > AGREED else _seed(found, information, levers, begin, square)
     for step in range(_PASSES):
-        distance = _distances(found, information, centres, pose)
+        distance = _distances(found, information, levers, pose)
         square = min(max(_median(distance, counted) / 1.386, 1e-12), most)
         before = pose.copy()
         # Where no block stands out none needs to count less: equal weights are the more exact.
@@ -142,7 +141,7 @@ def fuse(
         total = weight.sum()
         if total < 2.5:
             return pose, covariance, weight, np.inf
-        matrix, right = _normal(found, information, centres, weight)
+        matrix, right = _normal(found, information, levers, weight)
         scale = np.sqrt(factors[0] * (weight * distance).sum() / max(2.0 * total - 4.0, 1.0))
         for k in range(4):
             matrix[k, k] = matrix[k, k] * (1.0 + 1e-9) + 1e-12

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from midspan.records import Floats
 from midspan.vision.bank import Store, slots
 from midspan.vision.blocks import fuse, gains
-from midspan.vision.kernels import PHASES, places, project, quantised
+from midspan.vision.kernels import PHASES, Integers, places, project, quantised
 
 MOST_PASSES = 8
 LINEAR_PX = 0.5 / PHASES + 0.003  # a block this near to its kernels' phase needs no other; the play stops circles
@@ -46,6 +46,20 @@ def _steps(sums: Floats, store: Store, usual: float) -> tuple[Floats, Floats]:
 
 
 @njit(cache=True)
+def _levers(store: Store, slot: Integers) -> Floats:
+    """What blocks show (blocks, 2, 2) along x and y of a roll of 1 rad and a zoom of 1 about the window's middle.
+
+    A block's middle moves, and what the block shows turns or grows about it: of a disc nothing is left to be seen of a
+    roll.
+    """
+    out = np.empty((len(slot), 2, 2))
+    for b in range(len(slot)):
+        x, y = store.centres[b, 0], store.centres[b, 1]
+        out[b] = store.warp[b, slot[b]] + np.array([[-y, x], [x, y]])
+    return out
+
+
+@njit(cache=True)
 def climb(image: NDArray[np.generic], level: float, store: Store, begin: Floats, usual: float) -> Climbed:
     """Linear steps from the pose `begin` (4,) in `image` (rows, columns), of which `level` is subtracted.
 
@@ -62,11 +76,10 @@ def climb(image: NDArray[np.generic], level: float, store: Store, begin: Floats,
         where = (whole[:, 1] + store.origin[0], whole[:, 0] + store.origin[1], slot)
         sums = project(image, level, store.kernels, (store.down, store.across), where)
         step, information = _steps(sums, store, usual)
-        for b in range(len(slot)):
-            step[b] -= store.warp[b, slot[b]] @ pose[2:]
+        levers = _levers(store, slot)
         # Far from the kernels' phase the steps are not linear: only then may the blocks differ by more than noise.
         expected = usual if turn > 1 else 0.0
-        pose, spread, weight, noise = fuse(at + step, information, store.centres, pose, expected)
+        pose, spread, weight, noise = fuse(at + step, information, levers, pose, expected)
         covariance = np.ascontiguousarray(spread)
         if not np.isfinite(noise) or abs(pose[2]) > LARGEST_ROLL_RAD or abs(pose[3]) > LARGEST_ZOOM:
             found = False

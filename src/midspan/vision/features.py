@@ -7,13 +7,15 @@ vision measurements", 2022, doi 10.1111/mice.12767: the region follows the predi
 """
 
 import math
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from midspan.checks import option, refuse
-from midspan.errors import DataError, UsageError
+from midspan.errors import DataError, MidspanError, UsageError
 from midspan.records import Floats, Frame, PixelTranslation, Prediction, Region, Status
 from midspan.vision.keypoints import DETECTORS, GRID_STD_PX, Detector, Keypoints, mutual_matches, ratio_matches
 from midspan.vision.region import check_size, clamp, shift
@@ -29,6 +31,7 @@ from midspan.vision.search import Span, coarse_factor, coarse_positions, coarse_
 from midspan.vision.spline import Floats32
 from midspan.vision.surf import SurfSettings
 from midspan.vision.target import LONGEST_DISTANCE_PX, Motion, TargetTracker, lost
+from midspan.vision.template import TemplateSettings, TemplateTracker
 from midspan.vision.texture import check_texture, full_scale, noise_std, values
 
 TECHNIQUES = {
@@ -152,6 +155,10 @@ class FeatureTracker(TargetTracker):
         if found is None:
             self._state = self._state.missed()
             return lost(frame.time_ns)
+        found = self._identified(frame, found, prediction)
+        if found is None:
+            self._state = self._state.missed(confused=True)
+            return lost(frame.time_ns)
         (x, y), (var_x, var_y) = found.translation.tolist(), found.variance.tolist()
         self._state = self._state.seen(frame.time_ns, (x, y))
         return PixelTranslation(frame.time_ns, x, y, var_x, var_y, found.good / found.all, Status.TRACKING)
@@ -169,6 +176,24 @@ class FeatureTracker(TargetTracker):
             return None
         places = [self._match(frame, place, prediction) for place in self._alike(frame.pixels, expected, reach)]
         return max((p for p in places if p is not None), key=lambda p: p.good, default=None)
+
+    @cached_property
+    def _template_tracker(self) -> TemplateTracker | None:
+        """What tells the target from places that look like it; None for the methods as published, or without room."""
+        if self.settings.technique == "existing" or self.settings.literal:
+            return None
+        with suppress(MidspanError):
+            return TemplateTracker(self._reference, self._region, TemplateSettings())
+        return None
+
+    def _identified(self, frame: Frame, found: Matched, prediction: Prediction | None) -> Matched | None:
+        """The matches, those at the alternative that is the target, or None where that is not known."""
+        if self._template_tracker is None:
+            return found
+        place = self._template_tracker.identified(frame, found.translation, prediction, self._state)
+        if place is None or place is found.translation:
+            return None if place is None else found
+        return self._match(frame, shift(self._region, float(place[0]), float(place[1])), None)
 
     def _reach(self, prediction: Prediction | None) -> float:
         """How far (px) from the expected place to search; 0 when the prediction is sharp."""

@@ -39,7 +39,6 @@ from midspan.vision.texture import values
 MOST_LEARNT_FRAMES = 240
 MOST_LEARNT_VALUES = 30_000_000  # phases of all pixels in all frames: 120 MB
 FARTHEST_RESIDUAL_PX = 0.6  # a residual above this moves the region once more: half a pixel, and some play
-UNPREDICTED_STD_PX = 1.0
 CHANCE_COHERENCE = 0.25  # unrelated texture reaches about 0.1
 
 
@@ -241,16 +240,12 @@ class PhaseTracker(TargetTracker):
     def _matched(self, frame: Frame, prediction: Prediction | None) -> PhaseFix | None:
         """Equations 18 and 19: the matcher finds the whole-pixel place, phase measures the rest."""
         if prediction is None and self._state.lost_frames == 0:
-            prediction = self._extrapolated(frame.time_ns)
+            prediction = self._state.extrapolated(frame.time_ns)
         found = self._matcher.push(frame, prediction)
         self._state = replace(self._state, matcher=self._matcher.state, matched_frames=self._state.matched_frames + 1)
         if found.status is not Status.TRACKING:
             return None
         return self._by_phase(frame, (round(found.x_px), round(found.y_px)))
-
-    def _extrapolated(self, time_ns: int) -> Prediction:
-        x, y = self._state.expected(time_ns, None)
-        return Prediction(x, y, UNPREDICTED_STD_PX, UNPREDICTED_STD_PX)
 
     def _by_phase(self, frame: Frame, place: tuple[int, int]) -> PhaseFix | None:
         """Equation 17 about the whole-pixel `place`, which is moved once more while the residual exceeds half a pixel.

@@ -120,11 +120,13 @@ class Compression:
 class PictureWatch:
     """Looks at every frame that a tracker has measured, and widens its variances as far as the pictures ask for.
 
-    `reference` and `region`: those of the tracker.
+    `reference` and `region`: those of the tracker. `lossless`: that the frames come from a file which leaves nothing
+    out; what they share with each other is then the scene's, not a codec's.
     """
 
-    def __init__(self, reference: Frame, region: Region) -> None:
+    def __init__(self, reference: Frame, region: Region, *, lossless: bool = False) -> None:
         self.region = region
+        self._lossless = lossless
         self._size = _sample_size(reference.pixels.shape, region)
         self._every = max(region.height // ROWS_LOOKED_AT, 1)
         cut = _cut(reference.pixels, region)
@@ -155,6 +157,8 @@ class PictureWatch:
     @property
     def compression(self) -> Compression:
         """What a codec did to the frames so far."""
+        if self._lossless:
+            return Compression()
         frozen = float(np.mean(self._rows.column(FROZEN))) if len(self._rows) else 0.0
         share, variance, blocky = 0.0, 0.0, 0.0
         if len(self._checks) >= LEAST_CHECKS:
@@ -246,7 +250,7 @@ class PictureWatch:
     def _look(self, pixels: NDArray[np.generic], translation: PixelTranslation) -> PictureQuality:
         """Frozen blocks where the target was in the frame before, and detail where it is now."""
         share = 0.0
-        if self._before is not None:
+        if self._before is not None and not self._lossless:
             then, cut = self._before
             frozen, whole = frozen_texture(_cut(pixels, then), cut, then.x, then.y)
             share = frozen / whole if whole > 0.0 else 0.0

@@ -15,19 +15,32 @@ MOST_FRAMES = 0.5
 COARSE_STD_PX = 0.06
 
 
-def picture_warnings(watch: PictureWatch, track: PixelTrack, direction: str) -> list[str]:
-    """What `watch` found, for the `track` before it was widened and the measured image axis "x" or "y"."""
-    value, variance = track.along(direction)
-    found = (_compression(watch, value), _blur(watch), _saturation(watch), _texture(variance))
+def picture_warnings(watch: PictureWatch, track: PixelTrack, axes: str) -> list[str]:
+    """What `watch` found, for the `track` before it was widened and the measured image axes "x", "y" or "xy"."""
+    values, variances = zip(*(track.along(axis) for axis in axes), strict=True)
+    most = max(values, key=_moved)
+    least_known = max(variances, key=_typical)
+    found = (_compression(watch, most), _blur(watch), _saturation(watch), _texture(least_known))
     return [text for text in found if text]
+
+
+def _moved(value_px: Floats) -> float:
+    """Standard deviation (px) of a translation (n,) with NaN where it is not known."""
+    known = value_px[np.isfinite(value_px)]
+    return float(np.std(known)) if len(known) else 0.0
+
+
+def _typical(variance: Floats) -> float:
+    """Median of variances (n,) with NaN where they are not known."""
+    known = variance[np.isfinite(variance)]
+    return float(np.median(known)) if len(known) else 0.0
 
 
 def _compression(watch: PictureWatch, value_px: Floats) -> str:
     found = watch.compression
     if found.std_px < TELLING_STD_PX:
         return ""
-    known = value_px[np.isfinite(value_px)]
-    moved, limit = (float(np.std(known)) if len(known) else 0.0), SWALLOWED * found.std_px
+    moved, limit = _moved(value_px), SWALLOWED * found.std_px
     scale = 100.0 * watch.relative_scale_std(value_px)
     small = (
         f"The motion measured here, {moved:.2g} px rms, is not larger: much of it may be missing."
@@ -83,8 +96,7 @@ def _saturation(watch: PictureWatch) -> str:
 
 
 def _texture(variance: Floats) -> str:
-    known = variance[np.isfinite(variance)]
-    std_px = math.sqrt(float(np.median(known))) if len(known) else 0.0
+    std_px = math.sqrt(_typical(variance))
     if std_px <= COARSE_STD_PX:
         return ""
     return (

@@ -10,7 +10,7 @@ the template tracker looks for it.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,8 +21,9 @@ from midspan.records import Floats, Frame, PixelTranslation, Prediction, Region,
 from midspan.vision.bank import COARSE, FINE, Plane, Store, best_smoothing_px, first_plane, make_bank
 from midspan.vision.climb import ALIKE, UNDISTURBED_SHARE, climb
 from midspan.vision.learning import PAD_PX, Samples, learn_plane, sample
-from midspan.vision.matching import Matching, make_template
+from midspan.vision.matching import Fix, Matching, locate, make_template
 from midspan.vision.region import check_size
+from midspan.vision.search import Span, fine_patch
 from midspan.vision.target import Motion, TargetTracker, lost
 from midspan.vision.template import TemplateSettings, TemplateState, TemplateTracker
 from midspan.vision.texture import values
@@ -36,6 +37,8 @@ MOST_LEARNT_FRAMES = 240
 DISTURBED = 1.35  # times the usual noise: 30 degrees of freedom exceed it about once in 500 frames
 SHARE_PLAY = 0.1
 SUSPICIOUS = 4.0  # times the usual noise
+ALL_SHARE = 0.95  # of the target's information: no block is left out
+MAJORITY = 0.5  # of the target's information: less agrees by chance, or with what moves differently in the region
 SEED_PX = 1.5  # farther than this from where the template was found, blocks have locked on something else
 LEAST_NOISE = 0.5  # of the reference's: less is a picture without noise, whose blocks differ by aliasing
 SELF_SHARE = 0.05  # of the reference's noise: a frame that agrees better than this is the reference itself
@@ -137,9 +140,12 @@ class RegistrationTracker(TargetTracker):
         self._seed = TemplateTracker(
             reference, region, TemplateSettings(search_px=settings.search_px, min_correlation=SEED_CORRELATION)
         )
-        template = make_template(reference.pixels, region, Matching(0.0, SEED_CORRELATION))
+        self._template = template = make_template(reference.pixels, region, Matching(0.0, SEED_CORRELATION))
         self._window, self._offset = template.window, template.offset
         self._first = first_plane(reference.pixels, template.window, template.offset)
+        # Variance x and y (px²) of the window as a whole by the noise of frame and reference alone.
+        bread = np.linalg.inv(template.information[0])
+        self._whole_variance = 2.0 * self._first.noise_std**2 * float(np.trace(bread @ template.information[1] @ bread))
         self._state = RegistrationState(samples=self._begun())
         self._plane = self._first
         self._banks = self._made(self._first)
@@ -169,9 +175,10 @@ class RegistrationTracker(TargetTracker):
         """Measure the translation (px) of the target in `frame`; LOST with NaN where it cannot be found."""
         check_size(frame, self.reference)
         pose = self._find(frame, prediction)
-        self._state = _after(self._state, frame.time_ns, pose, self._first.noise_std)
         if pose is None:
+            self._state = self._state.missed(confused=self._seed.state.confused)
             return lost(frame.time_ns)
+        self._state = _after(self._state, frame.time_ns, pose, self._first.noise_std)
         x, y = (float(v) for v in pose.value[:2])
         var_x, var_y = (float(pose.covariance[k, k]) + self.settings.bias_floor_px**2 for k in range(2))
         self._keep(frame, pose)
@@ -191,9 +198,11 @@ class RegistrationTracker(TargetTracker):
         for frame in frames[::step]:
             check_size(frame, self.reference)
             found = other._find(frame, None)
+            if found is None:
+                other._state = other._state.missed(confused=other._seed.state.confused)
+                continue
             other._state = _after(other._state, frame.time_ns, found, other._first.noise_std)
-            if found is not None:
-                samples = other._with(samples, frame, found)
+            samples = other._with(samples, frame, found)
         if samples.frames < 5:
             raise DataError(
                 f"Learning needs at least 5 frames that show the target undisturbed; received {samples.frames}."
@@ -263,6 +272,44 @@ class RegistrationTracker(TargetTracker):
             self._plane, self._banks = plane, self._made(plane)
 
     def _look(self, image: NDArray[np.generic], offset: float, begin: Floats) -> Pose | None:
+        """The pose since the reference frame, from blocks or, where these disagree or know little, from the window as
+        a whole if that is the better known.
+
+        Motion blur moves the two sides of a thing in opposite directions: single blocks contradict each other then,
+        and the most consistent of them err, but the window as a whole does not. Of a single edge or disc, blocks show
+        less than the whole, as each has a level, a gain and ramps of its own.
+        """
+        pose = self._of_blocks(image, offset, begin)
+        if pose is None:
+            return None
+        own = float(pose.covariance[0, 0] + pose.covariance[1, 1])
+        if pose.share > ALL_SHARE and own < DISTURBED**2 * self._whole_variance:
+            return pose
+        fix = self._whole_at(image, offset, pose)
+        if fix is None or fix.variance_x_px2 + fix.variance_y_px2 >= own:
+            return pose
+        covariance = pose.covariance.copy()
+        covariance[0, 0], covariance[1, 1] = fix.variance_x_px2, fix.variance_y_px2
+        return replace(pose, value=np.array([fix.x_px, fix.y_px, *pose.value[2:]]), covariance=covariance)
+
+    def _whole_at(self, image: NDArray[np.generic], offset: float, pose: Pose) -> Fix | None:
+        """The peak of the template as a whole next to a pose of the blocks."""
+        template = self._template
+        x, y = (round(float(v)) for v in pose.value[:2])
+        x, y = template.window.x + x, template.window.y + y
+        rows, columns = image.shape
+        margin = len(template.taps) // 2 + 1
+        whole = Span(margin, columns - template.window.width - margin, margin, rows - template.window.height - margin)
+        span = whole.around(x, y, 1, 1)
+        if span.empty:
+            return None
+        patch = fine_patch(image, span, template.pixels.shape, taps=template.taps, offset=offset)
+        fix = None if patch is None else locate(patch, template, (x, y), 0.0)
+        if fix is None or math.hypot(fix.x_px - pose.value[0], fix.y_px - pose.value[1]) > SEED_PX:
+            return None
+        return fix
+
+    def _of_blocks(self, image: NDArray[np.generic], offset: float, begin: Floats) -> Pose | None:
         """The pose since the reference frame, from large blocks or, where they disagree, from small ones."""
         learnt, usual = self._state.learnt, self._usual
         zeros = (_AT_REST, _AT_REST) if learnt is None else learnt.zeros
@@ -286,22 +333,28 @@ class RegistrationTracker(TargetTracker):
 
     def _find(self, frame: Frame, prediction: Prediction | None) -> Pose | None:
         """Climb from the expected place; where that does not lead to the target, from where the template is found."""
+        self._seed.restore(TemplateState(**{f.name: getattr(self._state, f.name) for f in fields(Motion)}))
         image, offset = self._usable(frame.pixels)
         if image is None:
             return None
         begin = np.array([*self._state.expected(frame.time_ns, prediction), self._state.roll_rad, self._state.zoom])
         pose = self._look(image, offset, begin) if self._state.lost_frames == 0 else None
-        if pose is not None and self._trusted(pose):
+        pose = pose if pose is not None and self._is_target(pose, frame, prediction) else None
+        if pose is not None and pose.share > MAJORITY and self._trusted(pose):
             return pose
-        state = self._state
-        self._seed.restore(TemplateState(state.x_px, state.y_px, state.time_ns, lost_frames=state.lost_frames))
         found = self._seed.push(frame, prediction)
         if found.status is Status.LOST:
-            return None
+            return pose if pose is not None and self._trusted(pose) else None
         other = self._look(image, offset, np.array([found.x_px, found.y_px, begin[2], begin[3]]))
         if other is None or math.hypot(other.value[0] - found.x_px, other.value[1] - found.y_px) > SEED_PX:
             return self._whole(found)
-        return pose if pose is not None and pose.noise < other.noise else other
+        few = pose is not None and pose.share < MAJORITY < other.share
+        return pose if pose is not None and pose.noise < other.noise and not few else other
+
+    def _is_target(self, pose: Pose, frame: Frame, prediction: Prediction | None) -> bool:
+        """Whether a pose is that of the target, and not of a place that looks like it."""
+        place = pose.value[:2]
+        return self._seed.identified(frame, place, prediction, self._state) is place
 
     def _whole(self, found: PixelTranslation) -> Pose | None:
         """What the template as a whole says where its blocks do not agree: pictures that change all over.
@@ -345,10 +398,8 @@ def _moved(bank: Store, samples: Samples) -> Floats:
     return total / max(count, 1)
 
 
-def _after(state: RegistrationState, time_ns: int, pose: Pose | None, noise_std: float) -> RegistrationState:
-    """The state after a frame."""
-    if pose is None:
-        return state.missed()
+def _after(state: RegistrationState, time_ns: int, pose: Pose, noise_std: float) -> RegistrationState:
+    """The state after a frame that shows the target."""
     x, y, roll, zoom = (float(v) for v in pose.value)
     usual, judged = _judged(state, pose.noise, noise_std)
     return state.seen(time_ns, (x, y), roll_rad=roll, zoom=zoom, usual_noise=usual, judged_frames=judged)

@@ -8,11 +8,14 @@ from midspan.records import NANOSECONDS, Frame, PixelTranslation, Prediction, Re
 from midspan.vision.region import clamp, shift
 
 LONGEST_DISTANCE_PX = 1_000_000
+UNPREDICTED_STD_PX = 1.0  # of the place that a target at its last speed reaches by the next frame
 
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """Last translation (px), its time, the speed (px/s), and how many frames the target has been lost since."""
+    """Last translation (px), its time, the speed (px/s), how many frames the target has been lost since, and whether
+    that was because it could not be told from places that look like it: where it was then says nothing of where it is.
+    """
 
     x_px: float = 0.0
     y_px: float = 0.0
@@ -20,6 +23,7 @@ class Motion:
     speed_x_px_s: float = 0.0
     speed_y_px_s: float = 0.0
     lost_frames: int = 0
+    confused: bool = False
 
     def expected(self, time_ns: int, prediction: Prediction | None) -> tuple[float, float]:
         """Translation (px) to look at first: the predicted one, else as far as before at the last speed."""
@@ -30,6 +34,11 @@ class Motion:
             x, y = self.x_px + self.speed_x_px_s * elapsed_s, self.y_px + self.speed_y_px_s * elapsed_s
         limit = LONGEST_DISTANCE_PX
         return min(max(x, -limit), limit), min(max(y, -limit), limit)
+
+    def extrapolated(self, time_ns: int) -> Prediction:
+        """The expected translation (px) without a prediction, with its standard deviations (px)."""
+        x, y = self.expected(time_ns, None)
+        return Prediction(x, y, UNPREDICTED_STD_PX, UNPREDICTED_STD_PX)
 
     def seen(self, time_ns: int, translation: tuple[float, float], **more: Any) -> Self:
         """After a frame that shows the target; the speed is only known between two frames that both do."""
@@ -46,12 +55,19 @@ class Motion:
             speed_x_px_s=speed[0],
             speed_y_px_s=speed[1],
             lost_frames=0,
+            confused=False,
             **more,
         )
 
-    def missed(self) -> Self:
-        """After a frame that does not show the target."""
-        return replace(self, speed_x_px_s=0.0, speed_y_px_s=0.0, lost_frames=self.lost_frames + 1)
+    def missed(self, *, confused: bool = False) -> Self:
+        """After a frame that does not show the target, or in which it cannot be told from places that look like it."""
+        return replace(
+            self,
+            speed_x_px_s=0.0,
+            speed_y_px_s=0.0,
+            lost_frames=self.lost_frames + 1,
+            confused=self.confused or confused,
+        )
 
 
 class TargetTracker:

@@ -11,12 +11,14 @@ a quintic spline of the shift, the template's energy a known function of it, and
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from midspan.checks import refuse
-from midspan.records import Frame, PixelTranslation, Prediction, Region, Status
+from midspan.records import Floats, Frame, PixelTranslation, Prediction, Region, Status
+from midspan.vision.alternatives import MIN_LIKENESS, Alternatives, find_alternatives, identified
 from midspan.vision.matching import Fix, Matching, locate, make_template
 from midspan.vision.region import check_size
 from midspan.vision.search import Span, best_position, coarse_positions, coarse_span, fine_patch
@@ -24,6 +26,7 @@ from midspan.vision.target import LONGEST_DISTANCE_PX, Motion, TargetTracker, lo
 
 DIRECT_RADIUS_PX = 8  # up to here every position is tried, beyond it the search is decimated first
 PATIENCE_FRAMES = 5  # lost frames after which a sharp prediction is no longer believed
+NEXT_PX = 1.0  # a target that is found within this of its expected place is not taken for another
 CLEARLY_BETTER = 0.02  # difference of correlation
 
 
@@ -95,6 +98,13 @@ class TemplateTracker(TargetTracker):
         if fix is None:
             self._state = self._state.missed()
             return lost(frame.time_ns)
+        found = np.array([fix.x_px, fix.y_px])
+        place = self.identified(frame, found, prediction, self._state)
+        if place is not found:
+            fix = None if place is None else self._around(frame.pixels, place)
+        if fix is None:
+            self._state = self._state.missed(confused=True)
+            return lost(frame.time_ns)
         correlation = 0.9 * self._state.correlation + 0.1 * fix.quality
         self._state = self._state.seen(frame.time_ns, (fix.x_px, fix.y_px), correlation=correlation)
         return PixelTranslation(
@@ -110,6 +120,40 @@ class TemplateTracker(TargetTracker):
             if near is not None and (prediction is not None or self._as_good_as_before(near)):
                 return near
         return self._far(image, place, self._reach(radius, prediction is not None), near)
+
+    @cached_property
+    def alternatives(self) -> Alternatives:
+        """The places that look like the target in the reference frame."""
+        template = self._template
+        least = max(MIN_LIKENESS * template.expected_correlation, template.threshold)
+        return find_alternatives(
+            self._reference.pixels, template.window, template.pixels, offset=template.offset, least=least
+        )
+
+    def identified(self, frame: Frame, found: Floats, prediction: Prediction | None, state: Motion) -> Floats | None:
+        """`found` (2,) px if it is the target, the place of the target if it is an alternative, None: not known.
+
+        `state`: of the motion up to this frame. A target next to its expected place is not looked at; after a loss
+        without a prediction, the last place says nothing of others than that.
+        """
+        expected = None if state.confused else state.extrapolated(frame.time_ns)
+        if prediction is not None and math.isfinite(prediction.x_px + prediction.y_px):
+            expected = prediction
+        if expected is not None and math.hypot(found[0] - expected.x_px, found[1] - expected.y_px) <= NEXT_PX:
+            return found
+        if expected is not prediction and state.lost_frames > 0:
+            expected = None
+
+        def correlation(place: Floats) -> float:
+            fix = self._around(frame.pixels, place)
+            return 0.0 if fix is None else fix.quality
+
+        return identified(self.alternatives, frame.pixels, found, expected, correlation)
+
+    def _around(self, image: NDArray[np.generic], place: Floats) -> Fix | None:
+        """The peak next to the target's `place` (2,) px, which is known to a decimated pixel."""
+        window, step = self._template.window, self._template.factor + 2
+        return self._near(image, (window.x + round(float(place[0])), window.y + round(float(place[1]))), (step, step))
 
     def _reach(self, radius: tuple[int, int], predicted: bool) -> float:
         """How far (px) the target is looked for when it is not near its expected place.

@@ -105,7 +105,7 @@ def track(source: str | Path, request: TrackRequest | None = None, progress: Pro
         tracking = CameraTracking(frames, settings, progress)
         rows = _all_rows(tracking)
     progress(1, 1, "tracking")
-    warnings += tracking.warnings()
+    warnings += tracking.warnings("xy")
     for target, found in zip(tracking.targets, rows, strict=True):
         lost = int(np.count_nonzero(found.status == Status.LOST))
         if lost:

@@ -106,7 +106,7 @@ class TrackingSettings:
 class TargetTracking:
     """One target: its tracker, and the rows found so far, one a frame."""
 
-    def __init__(self, tracker: Tracker, name: str, readout_s: float) -> None:
+    def __init__(self, tracker: Tracker, name: str, readout_s: float, *, lossless: bool = False) -> None:
         self.tracker, self.name, self._readout_s = tracker, name, readout_s
         # A frame's time, translation along x and y, their variances, quality, status; whether its picture repeats.
         self._rows = Columns("qdddddBB")
@@ -118,7 +118,9 @@ class TargetTracking:
         self.events: list[Event] = []
         self._lit = not is_dark(tracker.reference.pixels)
         # Temperatures are stored as they are: no codec, no full scale.
-        self._watch = None if thermal_part(tracker) else PictureWatch(tracker.reference, tracker.region)
+        self._watch = (
+            None if thermal_part(tracker) else PictureWatch(tracker.reference, tracker.region, lossless=lossless)
+        )
         # Trackers whose reference changes know themselves what it is off by; temperatures throw no shadows.
         self._light: LightWatch | None = None
         if self._watch is not None and not isinstance(bare(tracker), Wandering):
@@ -228,11 +230,11 @@ class TargetTracking:
         relative = self._watch.relative_scale_std(self._narrow.along(direction)[0])
         return replace(scale, variance=scale.variance + (relative * scale.value_m_per_px) ** 2)
 
-    def warnings(self, direction: str) -> list[str]:
-        """What of the frames tracked so far is worth telling, measured along the image axis "x" or "y"."""
+    def warnings(self, axes: str) -> list[str]:
+        """What of the frames tracked so far is worth telling, measured along the image axes "x", "y" or "xy"."""
         frozen = int(np.count_nonzero(self.frozen))
         told = [f"camera: {frozen} frames only repeat the picture before them (frozen); they were not used."]
-        seen = picture_warnings(self._watch, self._narrow, direction) if len(self._rows) and self._watch else []
+        seen = picture_warnings(self._watch, self._narrow, axes) if len(self._rows) and self._watch else []
         lit = light_warnings(self.wandering_px2, self._rows.column(0)) if self._light else []
         return (told if frozen else []) + seen + lit
 
@@ -311,14 +313,14 @@ class CameraTracking:
         if self.beside is not None:
             self.beside.close()
 
-    def warnings(self) -> list[str]:
-        """What of the frames tracked so far is worth telling."""
+    def warnings(self, axes: str | None = None) -> list[str]:
+        """What of the frames tracked so far is worth telling, along the image `axes` (left out: the measured one)."""
         found = []
         if self.skipped:
             found.append(f"camera: {self._skipped_for}.")
         found += [f"camera: {line}." for line in self.source.info.damage]
         for target in self.targets:
-            own = target.warnings(self.settings.direction)
+            own = target.warnings(axes or self.settings.direction)
             if self.settings.lens is not None:
                 own += lens_warnings(target.region, self.settings.lens)
             found += own if len(self.targets) == 1 else [f"target {target.name}: {line}" for line in own]
@@ -326,7 +328,8 @@ class CameraTracking:
 
     def _opened(self, target: Target) -> TargetTracking:
         tracker = self.settings.opening.opened(self.reference, target.region)
-        return TargetTracking(tracker, target.name, self.settings.readout_s)
+        lossless = self.source.info.lossless is True
+        return TargetTracking(tracker, target.name, self.settings.readout_s, lossless=lossless)
 
     def _teach(self) -> None:
         """Show the first frames to the trackers that learn from them; they are kept to be tracked afterwards."""
