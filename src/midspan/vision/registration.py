@@ -143,9 +143,6 @@ class RegistrationTracker(TargetTracker):
         self._template = template = make_template(reference.pixels, region, Matching(0.0, SEED_CORRELATION))
         self._window, self._offset = template.window, template.offset
         self._first = first_plane(reference.pixels, template.window, template.offset)
-        # Variance x and y (px²) of the window as a whole by the noise of frame and reference alone.
-        bread = np.linalg.inv(template.information[0])
-        self._whole_variance = 2.0 * self._first.noise_std**2 * float(np.trace(bread @ template.information[1] @ bread))
         self._state = RegistrationState(samples=self._begun())
         self._plane = self._first
         self._banks = self._made(self._first)
@@ -272,21 +269,19 @@ class RegistrationTracker(TargetTracker):
             self._plane, self._banks = plane, self._made(plane)
 
     def _look(self, image: NDArray[np.generic], offset: float, begin: Floats) -> Pose | None:
-        """The pose since the reference frame, from blocks or, where these disagree or know little, from the window as
-        a whole if that is the better known.
+        """The pose since the reference frame, from blocks or, where these disagree, from the window as a whole if that
+        is the better known.
 
         Motion blur moves the two sides of a thing in opposite directions: single blocks contradict each other then,
-        and the most consistent of them err, but the window as a whole does not. Of a single edge or disc, blocks show
-        less than the whole, as each has a level, a gain and ramps of its own.
+        and the most consistent of them err, but the window as a whole does not.
         """
         pose = self._of_blocks(image, offset, begin)
-        if pose is None:
-            return None
-        own = float(pose.covariance[0, 0] + pose.covariance[1, 1])
-        if pose.share > ALL_SHARE and own < DISTURBED**2 * self._whole_variance:
+        # Blocks may also disagree in all frames, so that this is their usual noise.
+        usual = min(self._usual or math.inf, math.sqrt(2.0) * self._first.noise_std)
+        if pose is None or (pose.share > ALL_SHARE and pose.noise < DISTURBED * usual):
             return pose
         fix = self._whole_at(image, offset, pose)
-        if fix is None or fix.variance_x_px2 + fix.variance_y_px2 >= own:
+        if fix is None or fix.variance_x_px2 + fix.variance_y_px2 >= np.trace(pose.covariance[:2, :2]):
             return pose
         covariance = pose.covariance.copy()
         covariance[0, 0], covariance[1, 1] = fix.variance_x_px2, fix.variance_y_px2
