@@ -132,25 +132,39 @@ def identified(
     expected: Prediction | None,
     correlation: Callable[[Floats], float],
 ) -> Floats | None:
-    """Where the target is, (2,) px, if what was `found` (2,) px is it or one of its alternatives; None: not known.
+    """`found` (2,) px itself if that is the target, the target's place if it is an alternative; None: not known.
 
     `expected`: where the target is by its motion or a prediction, None where that says nothing. `correlation`: of the
     target with the frame at the sub-pixel peak next to a place (2,) px, 0 where there is none.
     """
     if not len(known.places):
         return found
-    where = np.vstack([found, found - known.places])
+    where = [found, *(found - known.places)]
+    which = _which(known, image, np.array(where), expected, correlation)
+    return None if which is None else where[which]
+
+
+def _which(
+    known: Alternatives,
+    image: NDArray[np.generic],
+    where: Floats,
+    expected: Prediction | None,
+    correlation: Callable[[Floats], float],
+) -> int | None:
+    """The number of the target's place among `where` (n, 2) px, the place that was found and those that it may have
+    been taken for; None: not known.
+    """
     nearest = None if expected is None else _nearest(where, expected, np.ones(len(where), dtype=np.bool_))
     seen, stands = _standing(known, image, where)
     if np.count_nonzero(stands) == 1:
         only = int(np.argmax(stands))
         # The target may be hidden where it is expected, and an alternative in view: that says nothing of a motion.
-        return where[only] if nearest is None or nearest == only or seen[nearest] else None
+        return only if nearest is None or nearest == only or seen[nearest] else None
     among = stands if stands.any() else ~stands
     best = _most_alike(np.array([correlation(place) if a else 0.0 for place, a in zip(where, among, strict=True)]))
     if best is None and expected is not None:
         best = _nearest(where, expected, among)
-    return None if best is None else where[best]
+    return best
 
 
 def _most_alike(correlation: Floats) -> int | None:
