@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from midspan.sources.accelerometer.channel import ChannelSet
 from midspan.sources.accelerometer.tree import Leaf, channels_of, loaded
 from midspan.sources.declared_size import require_memory
+from midspan.sources.hdf5_members import ElsewhereError, member
 
 # Groups inside one another; a file that has more is damaged or made to be endless.
 _MAX_DEPTH = 32
@@ -19,7 +20,7 @@ def read(path: Path) -> ChannelSet:
     """All one- and two-axis datasets under their full path; attributes `unit`, `rate_hz`, `sampling_rate`, `fs` count.
 
     Attributes of the file and of groups hold for all datasets inside unless a dataset has its own. Values that lie in
-    another file (external storage, external links, virtual datasets) are left out and told in the notes.
+    another file (external storage, external links, virtual datasets) are left out and named in the notes.
     """
     return _read(path, matlab=False)
 
@@ -33,7 +34,7 @@ def _read(path: Path, *, matlab: bool) -> ChannelSet:
     import h5py
 
     with h5py.File(path, "r") as file:
-        walk = _Walk(path, matlab, h5py.h5o.get_info(file.id).fileno)
+        walk = _Walk(path, matlab)
         walk.enter(file, "", () if matlab else (dict(file.attrs),))
     return channels_of(walk.leaves, walk.notes)
 
@@ -42,12 +43,11 @@ def _read(path: Path, *, matlab: bool) -> ChannelSet:
 class _Walk:
     """The way through a file's groups, each once: links can make a small file hold itself.
 
-    number: HDF5's own number of the open file; groups: the name under which each group was met, by its address.
+    groups: the name under which each group was met, by its address.
     """
 
     path: Path
     matlab: bool
-    number: int
     groups: dict[int, str] = field(default_factory=dict)
     leaves: list[Leaf] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
@@ -68,32 +68,20 @@ class _Walk:
             name = f"{prefix}{key}"
             if key.startswith("#"):
                 continue
-            if isinstance(group.get(key, getlink=True), h5py.ExternalLink):
-                self._leave(name, "it is a link to another file")
+            try:
+                item = member(group, key)
+            except ElsewhereError as error:
+                self.notes.append(f"{name} left out: {error}; copy its values into this file")
                 continue
-            item = group.get(key)
-            if item is None:
-                continue
-            if h5py.h5o.get_info(item.id).fileno != self.number:
-                self._leave(name, "it is a link to another file")
-            elif isinstance(item, h5py.Group):
+            if isinstance(item, h5py.Group):
                 self.enter(item, f"{name}/", (dict(item.attrs), *inherited), depth + 1)
             elif isinstance(item, h5py.Dataset):
                 self._dataset(name, item, (dict(item.attrs), *inherited))
-
-    def _leave(self, name: str, why: str) -> None:
-        self.notes.append(f"{name} left out: {why}; copy its values into this file")
 
     def _dataset(self, name: str, item: Any, attributes: tuple[dict[str, Any], ...]) -> None:
         import h5py
 
         if item.shape is None or h5py.check_ref_dtype(item.dtype) is not None:
-            return
-        if item.external:
-            self._leave(name, "its values lie in another file (external storage)")
-            return
-        if item.is_virtual:
-            self._leave(name, "its values lie in other datasets (virtual dataset)")
             return
         if self.matlab:
             self._matlab(name.replace("/", "."), item, attributes)

@@ -3,15 +3,14 @@
 import zipfile
 from functools import partial
 from pathlib import Path
-from typing import Any, BinaryIO, cast
 
 import numpy as np
-from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 from midspan.sources.accelerometer.channel import ChannelSet
 from midspan.sources.accelerometer.tree import Leaf, channels_of, loaded
 from midspan.sources.declared_size import require_memory
+from midspan.sources.npy_header import read_npy_header
 
 
 def read(path: Path) -> ChannelSet:
@@ -26,27 +25,12 @@ def read(path: Path) -> ChannelSet:
 
 def _leaf(path: Path, archive: zipfile.ZipFile, member: str) -> Leaf:
     with archive.open(member) as file:
-        shape, dtype = _header(cast(BinaryIO, file))
+        header = read_npy_header(file)
     name = member.removesuffix(".npy")
-    return Leaf(name, shape, dtype, partial(_member, path, name))
+    return Leaf(name, header.shape, header.dtype, partial(_member, path, name, header.array_bytes))
 
 
-def _header(file: BinaryIO) -> tuple[tuple[int, ...], np.dtype[Any]]:
-    """Shape and type that an array's header declares."""
-    version = npy.read_magic(file)
-    shape, _, dtype = npy.read_array_header_1_0(file) if version == (1, 0) else npy.read_array_header_2_0(file)
-    if dtype.hasobject:
-        raise ValueError("it holds Python objects (pickled), which are not loaded")
-    return shape, dtype
-
-
-def _member(path: Path, name: str) -> NDArray[np.generic]:
+def _member(path: Path, name: str, needed_bytes: int) -> NDArray[np.generic]:
+    require_memory(path, needed_bytes, f"array {name!r}")
     with np.load(path, allow_pickle=False) as archive:
-        shape, dtype = _header_of(path, name)
-        require_memory(path, int(np.prod(shape, dtype=object)) * dtype.itemsize, f"array {name!r}")
         return np.asarray(archive[name])
-
-
-def _header_of(path: Path, name: str) -> tuple[tuple[int, ...], np.dtype[Any]]:
-    with zipfile.ZipFile(path) as archive, archive.open(f"{name}.npy") as file:
-        return _header(cast(BinaryIO, file))

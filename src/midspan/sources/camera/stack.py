@@ -1,12 +1,10 @@
 """Stacks of images in one array: npy (memory-mapped) and npz."""
 
-import math
 import struct
 import zipfile
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +15,7 @@ from midspan.sources.accelerometer.clock import numbers_to_ns
 from midspan.sources.camera.frames import FrameInfo, FrameRequest, FrameSource, luma
 from midspan.sources.camera.timing import file_times, rate_times
 from midspan.sources.declared_size import require_memory
+from midspan.sources.npy_header import NpyHeader, read_npy_header
 
 _NAMES = ("frames", "images", "celsius")
 _AXES = (3, 4)
@@ -29,7 +28,7 @@ def holds_stack(path: Path) -> bool:
     try:
         if path.suffix.lower() == ".npy":
             with path.open("rb") as file:
-                return len(_read_header(file).shape) in _AXES
+                return len(read_npy_header(file).shape) in _AXES
         with zipfile.ZipFile(path) as archive:
             return any(len(_header(archive, member).shape) in _AXES for member in archive.infolist())
     except Exception:  # the readers say what is wrong with it
@@ -123,37 +122,14 @@ def _stack_name(path: Path, archive: zipfile.ZipFile, members: dict[str, zipfile
     return stacks[0]
 
 
-@dataclass(frozen=True, slots=True)
-class _Header:
-    """What an array's header declares."""
-
-    shape: tuple[int, ...]
-    fortran: bool
-    dtype: np.dtype[Any]
-
-    @property
-    def count(self) -> int:
-        """Bytes of the array."""
-        return math.prod(self.shape) * self.dtype.itemsize
-
-
-def _header(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> _Header:
+def _header(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NpyHeader:
     with archive.open(member) as file:
-        return _read_header(file)
-
-
-def _read_header(file: IO[bytes]) -> _Header:
-    version = np.lib.format.read_magic(file)
-    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-    header = _Header(*read(file))
-    if header.dtype.hasobject:
-        raise ValueError("it holds Python objects, which are no array of numbers")
-    return header
+        return read_npy_header(file)
 
 
 def _loaded(path: Path, archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray[np.generic]:
     """A member as an array in memory, which must have room for what its header declares."""
-    require_memory(path, max(_header(archive, member).count, member.file_size), f"its array {member.filename}")
+    require_memory(path, max(_header(archive, member).array_bytes, member.file_size), f"its array {member.filename}")
     with archive.open(member) as file:
         return np.asarray(np.lib.format.read_array(file, allow_pickle=False))
 
@@ -166,7 +142,7 @@ def _mapped(path: Path, member: zipfile.ZipInfo) -> NDArray[np.generic]:
         # The local header repeats the name's length and has an extra field of its own length.
         name_bytes, extra_bytes = struct.unpack("<HH", local[26:30])
         file.seek(member.header_offset + _LOCAL_HEADER_BYTES + name_bytes + extra_bytes)
-        header = _read_header(file)
+        header = read_npy_header(file)
         order: Literal["F", "C"] = "F" if header.fortran else "C"
         return np.memmap(path, dtype=header.dtype, mode="r", offset=file.tell(), shape=header.shape, order=order)
 

@@ -5,25 +5,24 @@ from typing import Any
 
 from midspan.errors import DataError
 from midspan.sources.declared_size import require_memory
+from midspan.sources.hdf5_members import ElsewhereError, member
 
 
 def dataset(path: Path, file: Any, name: str) -> Any:
-    """The dataset `name` of an open file or group. Raises KeyError where there is none, DataError for one outside.
-
-    Links to other files, virtual datasets and external storage would read whatever file they name.
-    """
+    """The dataset `name` of an open file or group. Raises KeyError where there is none, DataError for one elsewhere."""
     import h5py
 
-    group = file
+    found = file
     for part in name.split("/"):
-        if isinstance(group.get(part, getlink=True), h5py.ExternalLink):
-            raise _outside(path, name)
-        group = group[part]
-    if not isinstance(group, h5py.Dataset):
+        try:
+            found = member(found, part)
+        except ElsewhereError as error:
+            raise DataError(f"{path}: {name} cannot be read: {error}. Copy the values into this file.") from None
+        if found is None:
+            raise KeyError(f"{name} is missing")
+    if not isinstance(found, h5py.Dataset):
         raise DataError(f"{path}: {name} must be a dataset; it is a group. Check the file.")
-    if group.is_virtual or group.external:
-        raise _outside(path, name)
-    return group
+    return found
 
 
 def values(path: Path, file: Any, name: str) -> Any:
@@ -31,7 +30,3 @@ def values(path: Path, file: Any, name: str) -> Any:
     found = dataset(path, file, name)
     require_memory(path, found.nbytes, name)
     return found[()]
-
-
-def _outside(path: Path, name: str) -> DataError:
-    return DataError(f"{path}: {name} lies in another file, which is not followed. Copy the values into this file.")
