@@ -378,3 +378,13 @@ def what_is_wrong(path: Path) -> str | None:
     except MidspanError as error:
         return str(error)
     return None
+
+
+def test_a_damaged_page_of_a_folder_is_named_with_its_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for k, picture in enumerate(moving()[:4]):
+        cv2.imwrite(str(tmp_path / f"img{k}.tif"), picture)
+    first = tmp_path / "img0.tif"
+    # OpenCV writes the list of pages behind the pixels.
+    first.write_bytes(first.read_bytes()[:-40])
+    assert run(["track", str(tmp_path), "--rate-hz", "10", "-o", str(tmp_path / "o.csv")]) == 3
+    assert "img0.tif is cut off" in capsys.readouterr().err

@@ -23,6 +23,7 @@ from scipy.io import savemat
 
 from midspan.cli.main import run
 from midspan.errors import DataError
+from midspan.sources.accelerometer.formats import list_channels
 from midspan.sources.accelerometer.select import SeriesRequest, read_series
 
 RATE_HZ, COUNT = 100.0, 3000
@@ -225,10 +226,13 @@ def test_a_cut_last_line_is_a_warning_of_inspect_and_result(
     assert "cut off" in said
 
 
-def test_zeros_behind_a_loss_of_power_are_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize("zeros", [1, 500, 3_000_000])
+def test_zeros_behind_a_loss_of_power_are_left_out(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], zeros: int
+) -> None:
     path = tmp_path / "a.csv"
     write_text(path, "{t:.6f},{a:.6f}", 4)
-    path.write_bytes(path.read_bytes() + bytes(500))
+    path.write_bytes(path.read_bytes() + bytes(zeros))
     tree = inspected(path, capsys)
     assert tree["channels"][1]["samples"] == COUNT - 1
     assert "never written" in tree["warnings"][0]
@@ -256,7 +260,10 @@ def test_a_pipe_is_refused_at_once(tmp_path: Path, capsys: pytest.CaptureFixture
 
 
 def test_a_name_that_no_file_can_have_is_one_sentence(capsys: pytest.CaptureFixture[str]) -> None:
-    assert "Correct the path" in refused(Path("a" * 300 + ".csv"), capsys)
+    # 255 bytes are what file systems take; the command refuses more before it opens anything.
+    assert "at most 255 bytes" in refused(Path("a" * 300 + ".csv"), capsys, code=2)
+    with pytest.raises(DataError, match="Correct the path"):
+        read_series(Path("a" * 300 + ".csv"), SeriesRequest("acceleration"))
     with pytest.raises(DataError, match="without zero characters"):
         read_series(Path("a\0b.csv"), SeriesRequest("acceleration"))
 
@@ -512,3 +519,13 @@ def test_a_channel_is_read_from_a_file_with_one_that_no_memory_holds(tmp_path: P
     series = read_series(path, SeriesRequest("acceleration", time="t", value="acc", unit="m/s^2"))
     np.testing.assert_array_equal(series.value, NOISY)
     np.testing.assert_array_equal(series.time_ns, np.round(1e9 * TIME_S).astype(np.int64))
+
+
+def test_a_column_of_true_and_missing_does_not_stop_the_others(tmp_path: Path) -> None:
+    path = tmp_path / "a.parquet"
+    flags = pa.array([True, None] * (COUNT // 2) + [False] * (COUNT % 2))
+    pq.write_table(pa.table({"flag": flags, "t": TIME_S, "acc": NOISY}), path)
+    found = {channel.name: channel.values for channel in list_channels(path).channels}
+    np.testing.assert_array_equal(found["acc"], NOISY)
+    assert np.isnan(found["flag"][1])
+    assert found["flag"][0] == 1.0

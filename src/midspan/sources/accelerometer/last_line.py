@@ -8,6 +8,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import BinaryIO
 
 from midspan.sources.accelerometer.dialect import is_comment, is_value, split
 
@@ -29,21 +30,36 @@ def cut_last_line(path: Path, *, encoding: str, delimiter: str, decimal: str) ->
     with path.open("rb") as file:
         head = file.read(2)
         size = file.seek(0, 2)
+        behind = _behind_written(file, size)
         # Characters of UTF-16 stand at even places.
-        file.seek(max(0, size - _TAIL_BYTES) // 2 * 2)
-        tail = file.read()
+        begin = max(0, behind - _TAIL_BYTES) // 2 * 2
+        file.seek(begin)
+        tail = file.read(behind - begin)
     encoding, errors = _of_pieces(encoding, head)
     text = tail.decode(encoding, errors)
     # A disk that lost power before it held the data leaves zeros at a file's end.
     written = text.rstrip("\0")
+    is_full = behind == size and written == text
     lines = re.split(r"\r\n|\n|\r", written)
-    if written == text and (is_comment(lines[-1]) or _is_whole(lines, delimiter, decimal)):
+    if is_full and (is_comment(lines[-1]) or _is_whole(lines, delimiter, decimal)):
         return None
     sound = written[: len(written) - len(lines[-1])]
-    end = size - len(tail) + len(sound.encode(encoding, errors))
-    if written != text:
+    end = begin + len(sound.encode(encoding, errors))
+    if not is_full:
         return end, f"it ends in {size - end} bytes that were never written (zeros), as after a loss of power"
     return end, f"its last line has no line end and is cut off: {lines[-1].strip()[:_SHOWN]!r} is left out"
+
+
+def _behind_written(file: BinaryIO, size: int) -> int:
+    """Where the zeros at a file's end begin, or one byte later: half a character of UTF-16 can be zero."""
+    while size:
+        begin = max(0, size - _TAIL_BYTES)
+        file.seek(begin)
+        kept = len(file.read(size - begin).rstrip(b"\0"))
+        if kept:
+            return min((begin + kept + 1) // 2 * 2, size)
+        size = begin
+    return 0
 
 
 def _of_pieces(encoding: str, head: bytes) -> tuple[str, str]:

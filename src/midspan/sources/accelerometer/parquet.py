@@ -50,7 +50,7 @@ def _channel(path: Path, field: Any, named: tuple[str, str | None], count: int) 
         return (Channel(name, found[0], "ns"), list(found[1])) if found else (None, [])
     if not (pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind)):
         return None, []
-    return Channel(name, Stored(count, _BYTES * count, lambda: _numbers(path, field.name)), unit), []
+    return Channel(name, Stored(count, _BYTES * count, lambda: _numbers(path, field)), unit), []
 
 
 def _column(path: Path, name: str) -> Any:
@@ -67,8 +67,14 @@ def _stamps(path: Path, field: Any) -> Values:
     return np.asarray(moments.astype("int64"), dtype=np.int64)
 
 
-def _numbers(path: Path, name: str) -> Values:
-    values = numbers(_column(path, name).to_numpy())
+def _numbers(path: Path, field: Any) -> Values:
+    import pyarrow as pa
+
+    column = _column(path, field.name)
+    if pa.types.is_boolean(field.type):
+        # As they are, missing ones among them would become objects of Python.
+        column = column.cast(pa.float64())
+    values = numbers(column.to_numpy())
     if values is None:
-        raise ValueError(f"column {name!r} holds no numbers")
+        raise ValueError(f"column {field.name!r} holds no numbers")
     return values

@@ -12,7 +12,7 @@ from midspan.errors import DataError
 from midspan.records import Frame, Nanoseconds
 from midspan.sources.boundary import reading
 from midspan.sources.camera.frames import FrameInfo, FrameRequest, FrameSource, luma
-from midspan.sources.camera.picture_header import pages, picture_bytes
+from midspan.sources.camera.picture_header import Page, pages, picture_bytes
 from midspan.sources.camera.timing import file_times, rate_times
 from midspan.sources.declared_size import require_memory
 from midspan.sources.file_bytes import mapped
@@ -122,11 +122,7 @@ def _page_count(file: Path) -> tuple[int, int]:
 
     if file.suffix.lower() not in (".tif", ".tiff"):
         return 1, 0
-    try:
-        with mapped(file) as data:
-            largest = max((page.picture_bytes for page in pages(data)), default=0)
-    except DataError as error:
-        raise DataError(f"{file} {error}.") from error
+    largest = max((page.picture_bytes for page in _pages(file)), default=0)
     require_memory(file, largest, "a page")
     with _quiet():
         return max(int(cv2.imcount(str(file), cv2.IMREAD_UNCHANGED)), 1), largest
@@ -136,8 +132,16 @@ def _is_lossy(file: Path) -> bool:
     """Whether a picture is packed with a loss."""
     if file.suffix.lower() not in (".tif", ".tiff"):
         return file.suffix.lower() in _LOSSY
-    with mapped(file) as data:
-        return any(page.lossy for page in pages(data))
+    return any(page.lossy for page in _pages(file))
+
+
+def _pages(file: Path) -> Iterator[Page]:
+    """The pages of a TIFF by its list; DataError, naming the file, where that list is damaged."""
+    try:
+        with mapped(file) as data:
+            yield from pages(data)
+    except DataError as error:
+        raise DataError(f"{file} {error}.") from error
 
 
 @contextmanager
