@@ -37,6 +37,8 @@ class ValueRange:
 TIME_S = ValueRange(-4.5e9, 4.5e9, "s")
 # From a sample in eleven days to the shortest step of a clock that counts nanoseconds.
 RATE_HZ = ValueRange(1e-6, 1e9, "Hz")
+# The carrier of chirp and pulsed radars.
+CARRIER_HZ = ValueRange(1e9, 1e12, "Hz")
 
 
 def shown(value: object) -> str:

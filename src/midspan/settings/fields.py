@@ -4,7 +4,7 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 
-from midspan.checks import RATE_HZ, TIME_S, ValueRange, nearest
+from midspan.checks import CARRIER_HZ, RATE_HZ, TIME_S, ValueRange, nearest
 
 MAX_PX = 1_000_000
 # What file systems take: bytes of a name and of a path.
@@ -38,6 +38,7 @@ def _held(limits: ValueRange) -> AfterValidator:
 
 
 Rate = Annotated[float, IsNumber, _held(RATE_HZ)]
+Carrier = Annotated[float, IsNumber, _held(CARRIER_HZ)]
 Time = Annotated[float, IsNumber, _held(TIME_S)]
 # An hour is longer than any exposure or sweep of a shutter.
 Duration = Annotated[float, IsNumber, limited(0.0, 3600.0, "s")]

@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from midspan.settings.fields import FileName, IsNumber, Name, Noise, Rate, Section, Time, limited
+from midspan.settings.fields import Carrier, FileName, IsNumber, Name, Noise, Rate, Section, Time, limited
 
 
 class ChannelSettings(Section):
@@ -50,7 +50,7 @@ class RadarSettings(Section):
     rate_hz: Rate | None = Field(
         None, description="frames a second of slow-time I/Q, where neither file nor config says it"
     )
-    carrier_hz: Annotated[float, IsNumber, limited(1e9, 1e12, "Hz")] | None = Field(
+    carrier_hz: Carrier | None = Field(
         None, description="carrier of slow-time I/Q, where neither file nor config says it, Hz"
     )
     targets: Annotated[int, IsNumber, Field(ge=1, le=8)] = Field(

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from midspan.checks import TIME_S, ValueRange, shown
+from midspan.checks import CARRIER_HZ, TIME_S, ValueRange, shown
 from midspan.radar.following import Background
 from midspan.radar.target import Target
 from midspan.recording.stored.json_values import (
@@ -23,7 +23,6 @@ from midspan.recording.stored.json_values import (
 )
 from midspan.recording.stored.radar import RadarCalibration, RadarTarget
 from midspan.records import TimeOffset
-from midspan.sources.radar.radar_source import CARRIER_HZ
 
 # Of a range profile, whose transform has fewer places; of an array of antennas.
 BIN = ValueRange(0.0, 1e6, "bins")

@@ -9,15 +9,13 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from midspan.checks import TIME_S, ValueRange
+from midspan.checks import TIME_S
 from midspan.errors import DataError
 from midspan.radar.chirp import SPEED_OF_LIGHT_M_S, ChirpProfile, RangeAxis
 from midspan.records import Floats, Nanoseconds, RangeFrames, nanoseconds
 from midspan.sources.boundary import reading
 
 Item = TypeVar("Item")
-# Of chirp and pulsed radars.
-CARRIER_HZ = ValueRange(1e9, 1e12, "Hz")
 
 
 @dataclass(frozen=True, slots=True)

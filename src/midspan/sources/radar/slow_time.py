@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from midspan.checks import RATE_HZ
+from midspan.checks import CARRIER_HZ, RATE_HZ
 from midspan.errors import DataError
 from midspan.radar.chirp import SPEED_OF_LIGHT_M_S
 from midspan.records import Floats, Nanoseconds, RangeFrames
 from midspan.sources.boundary import reading
 from midspan.sources.declared_size import require_memory
-from midspan.sources.radar.radar_source import CARRIER_HZ, RadarInfo, RadarRequest, RadarSource, at_bins, stamps
+from midspan.sources.radar.radar_source import RadarInfo, RadarRequest, RadarSource, at_bins, stamps
 from midspan.sources.radar.stored import dataset, values
 from midspan.sources.radar.ti_config import TiSettings, read_settings
 
