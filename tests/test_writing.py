@@ -166,6 +166,16 @@ def test_simulate_on_a_full_disk_keeps_the_old_recording(tmp_path, capsys):
     assert contents(tmp_path) == before
 
 
+def test_simulate_over_a_link_replaces_the_folder_that_it_names(tmp_path):
+    assert simulate(tmp_path / "g", 1) == 0
+    (tmp_path / "link").symlink_to(tmp_path / "g")
+    assert simulate(tmp_path / "link", 2) == 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["g", "link"]
+    assert (tmp_path / "link").is_symlink()
+    assert simulate(tmp_path / "other", 2) == 0
+    assert contents(tmp_path / "g") == contents(tmp_path / "other")
+
+
 def test_a_child_reports_how_it_ended():
     assert in_child(lambda: None) == 0
     assert killed_before(1, lambda: os.open(os.devnull, os.O_RDONLY))

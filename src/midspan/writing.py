@@ -79,11 +79,11 @@ class NewFile:
 
     def discard(self) -> None:
         """Close, and remove what has not got its final name."""
+        if self._descriptor >= 0:
+            os.close(self._descriptor)
         # Without an error here: the one that matters is on its way already.
         with suppress(OSError):
             self._temporary.unlink(missing_ok=True)
-        if self._descriptor >= 0:
-            os.close(self._descriptor)
 
 
 @contextmanager

@@ -41,9 +41,10 @@ class OutputError(BaseException):
 def supervised(command: "Callable[[], int]") -> int:
     """Run a command and return its exit code; a signal or a stream that fails ends it with a sentence, too."""
     streams, hook = (sys.stdout, sys.stderr), sys.unraisablehook
-    before = _catch_signals()
+    before: tuple[int, ...] = ()
     _asked.clear()
     try:
+        before = _catch_signals()
         # A closed stream is None, which click and print know.
         sys.stdout = sys.stdout and _Stream(sys.stdout, _fail)
         sys.stderr = sys.stderr and _Stream(sys.stderr, _ignore)

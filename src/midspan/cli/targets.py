@@ -1,6 +1,5 @@
 """What a command may write, checked before the work: nothing that midspan did not write is ever lost."""
 
-import json
 import mmap
 from collections.abc import Iterable
 from pathlib import Path
@@ -12,6 +11,7 @@ from midspan.recording.stored.calibration import CALIBRATION_FILE
 from midspan.recording.streams.recording import Recording, open_recording
 from midspan.settings.load import RECORDING_FILE
 from midspan.sinks.pair import partner
+from midspan.trees import TreeError, read_json
 
 # What a file of midspan's holds somewhere: JSON of its metadata, a text where its format has room, a station's name.
 _MARKS = (b'"midspan": "', b"written by midspan", b"FDSN:XX_MIDSP__")
@@ -92,8 +92,8 @@ def _is_metadata(path: Path) -> bool:
 def _keys(path: Path) -> set[str]:
     """The keys of a JSON file's tree; none where it is no JSON."""
     try:
-        tree = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
+        tree = read_json(path)
+    except (OSError, TreeError):
         return set()
     return set(tree) if isinstance(tree, dict) else set()
 

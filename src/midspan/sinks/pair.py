@@ -1,12 +1,12 @@
 """A CSV and the JSON file of its metadata, which says by a check sum which CSV it belongs to."""
 
 import hashlib
-import json
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 from midspan.sinks.table import ResultTable, metadata_json
+from midspan.trees import TreeError, read_json
 from midspan.writing import replacing
 
 KEY = "csv"
@@ -40,8 +40,8 @@ def mismatch(path: Path) -> str | None:
     if path.suffix.lower() != ".csv":
         return None
     try:
-        wanted = json.loads(partner(path).read_text(encoding="utf-8"))[KEY]["sha256"]
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        wanted = read_json(partner(path))[KEY]["sha256"]
+    except (OSError, TreeError, KeyError, TypeError):
         return None
     with path.open("rb") as file:
         found = hashlib.file_digest(file, "sha256").hexdigest()

@@ -85,6 +85,8 @@ def whole_folder(folder: Path) -> Iterator[Path]:
 
     Raises UsageError where `folder` holds anything that was not written here, or cannot be written.
     """
+    # A link stays, and the folder that it names is replaced.
+    folder = folder.resolve() if folder.is_symlink() else folder
     settle_folder(folder)
     check_free(folder)
     with replacing_folder(folder) as partial:
