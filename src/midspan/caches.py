@@ -30,7 +30,7 @@ def prepare() -> None:
 
 
 def _in_package() -> str:
-    """The folder of compiled code beside one of the modules that have any; the others are written with it."""
+    """The folder of compiled code next to one of the modules that have any; the others are written with it."""
     return os.path.join(_PACKAGE, "fusion", "__pycache__")
 
 

@@ -1,6 +1,7 @@
 """Damaged files, settings and results never end in a traceback, a crash, a hang, gigabytes or growth.
 
-The same machinery as `make fuzz`, with 200 inputs for each reader; its limits are of processor time, not of wall time.
+The same machinery as `make fuzz`, with 200 inputs for each reader; its limits are of processor time; only a case
+that waits for something is ended by wall time, after 200 s.
 """
 
 import json

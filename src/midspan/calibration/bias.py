@@ -3,7 +3,7 @@
 The mean over T seconds holds (v_end − v_start)/T of the motion, which in a lively start or end is more than the methods
 as printed bear. The filter of `whitening` has the bias as a state, and knows the displacement by the other sensor.
 
-A short window hardly tells the accelerometer's noise, and the likeliest value is often none at all. So the bias is
+A short window hardly shows the accelerometer's noise, and the likeliest value is often none at all. So the bias is
 averaged over the noise by how likely each value is, with an even prior on its standard deviation (Gelman 2006,
 doi:10.1214/06-BA117A), which is as the square of the corner frequency.
 """

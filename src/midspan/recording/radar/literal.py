@@ -203,7 +203,7 @@ def _clock(peaks: Sequence[Target]) -> tuple[TimeOffset, list[str]]:
 def _accelerometer_by_clean_target(
     recording: Recording, window: OpenedWindow, peaks: Sequence[Target], series: TargetSeries
 ) -> OffsetSearch:
-    """What tells noise and bias of the accelerometer: the printed chain does not.
+    """The search that gives noise and bias of the accelerometer: the printed chain does not.
 
     They are estimated as elsewhere, with the cleanest target where there is a usable one; what bends the printed
     phase would be taken for noise.

@@ -60,8 +60,8 @@ def loaded(name: str, values: NDArray[np.generic], attributes: tuple[dict[str, A
 def channels_of(leaves: Sequence[Leaf], notes: Sequence[str] = ()) -> ChannelSet:
     """Channels of the leaves: columns of arrays (n, k) become `name_1` … `name_k`, single numbers may give the rate.
 
-    Arrays of more than two axes or 10 000 columns, complex numbers and words are left out and told in the notes, behind
-    `notes`.
+    Arrays of more than two axes or 10 000 columns, complex numbers and words are left out and named in the notes,
+    behind `notes`.
     """
     file_rate = _rate({leaf.name.replace(".", "/").split("/")[-1]: leaf.read() for leaf in leaves if leaf.size == 1})
     channels: list[Channel] = []

@@ -41,7 +41,7 @@ class FlirFrames(FrameSource):
     """Frames of FLIR files in °C, by the calibration and the surroundings that the camera wrote beside each one."""
 
     def __init__(self, files: Sequence[Path], request: ThermalRequest, left_out: int = 0) -> None:
-        """`left_out`: the number of pictures without raw counts beside the files."""
+        """`left_out`: the number of pictures without raw counts in the same folder."""
         self._files, self._request = list(files), request
         self._tables: dict[tuple[Planck, OpticalPath], Floats32] = {}
         self._notes: list[str] = [f"{left_out} pictures without raw counts are left out"] if left_out else []
