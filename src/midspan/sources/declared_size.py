@@ -9,6 +9,7 @@ from midspan.errors import DataError
 
 # Where the system does not say how much memory is available, bytes.
 _ASSUMED_BYTES = 4 << 30
+_CONTAINER = "/sys/fs/cgroup"
 
 
 def require_memory(path: Path, declared_bytes: int, what: str) -> None:
@@ -16,16 +17,18 @@ def require_memory(path: Path, declared_bytes: int, what: str) -> None:
     limit = available_bytes()
     if declared_bytes > limit:
         raise DataError(
-            f"{path}: {what} must fit into the available memory, {_shown(limit)}; its header declares "
-            f"{_shown(declared_bytes)}. Check that the file is whole; if it is, split it, or read it on a machine with "
-            "more memory."
+            f"{path}: {what} must fit into the available memory, {_shown(limit)}; it takes {_shown(declared_bytes)}, as "
+            "the file says. Check that the file is whole; if it is, split it, or read it on a machine with more memory."
         )
 
 
 def available_bytes() -> int:
-    """Memory that this process can still allocate: what the system has left, within the process's own limit."""
+    """Memory that this process can still allocate: what system and container have left, within its own limit."""
     left = _after("/proc/meminfo", "MemAvailable:")
     free = _ASSUMED_BYTES if left is None else 1024 * left
+    # Of a container (control groups, version 2); a limit that is not set is the word "max".
+    most, taken = _after(f"{_CONTAINER}/memory.max", ""), _after(f"{_CONTAINER}/memory.current", "")
+    free = free if most is None or taken is None else min(free, max(most - taken, 0))
     # Both in bytes and in kB, as the kernel writes them; a limit that is not set is no number.
     limit, used = _after("/proc/self/limits", "Max address space"), _after("/proc/self/status", "VmSize:")
     return free if limit is None or used is None else min(free, max(limit - 1024 * used, 0))

@@ -11,11 +11,11 @@ ANY = ValueRange(-1e30, 1e30)
 AMPLITUDE = ValueRange(1e-30, 1e30)
 # A ratio of variances.
 RATIO = ValueRange(1e-12, 1e12)
-# Noise of one sample: the quietest seismometer's is 1e-10 m/s², the full scale of a shock sensor 1e6 m/s².
+# Noise of one sample, from that of computed data without any (rounding) to the full scale of a shock sensor.
 BIAS_M_S2 = ValueRange(-1e4, 1e4, "m/s²")
-NOISE_M_S2 = ValueRange(1e-12, 1e6, "m/s²")
-# Of px, mm or m: below what light or electronics allow, above any range.
-NOISE = ValueRange(1e-9, 1e6, "(px or mm)")
+NOISE_M_S2 = ValueRange(1e-15, 1e6, "m/s²")
+# Of px, mm or m: from rounding to above any range.
+NOISE = ValueRange(1e-15, 1e6, "(px or mm)")
 FACTOR = ValueRange(1e-9, 1e9)
 
 
