@@ -17,8 +17,9 @@ def require_memory(path: Path, declared_bytes: int, what: str) -> None:
     limit = available_bytes()
     if declared_bytes > limit:
         raise DataError(
-            f"{path}: {what} must fit into the available memory, {_shown(limit)}; it takes {_shown(declared_bytes)}, as "
-            "the file says. Check that the file is whole; if it is, split it, or read it on a machine with more memory."
+            f"{path}: {what} must fit into the available memory, {_shown(limit)}; by the file it takes "
+            f"{_shown(declared_bytes)}. Check that the file is whole; if it is, split it, or read it on a machine with "
+            "more memory."
         )
 
 
