@@ -261,7 +261,7 @@ def test_no_value_of_a_calibration_raises_anything_but_a_sentence(tmp_path: Path
     [
         (("displacement", "time_offset_s"), 9223372036854775807, "from -4.5e+09 to 4.5e+09 s"),
         (("displacement", "time_offset_s"), -1e308, "from -4.5e+09 to 4.5e+09 s"),
-        (("displacement", "noise_std_mm"), 1e-320, "from 1e-09 to 1e+06 (px or mm)"),
+        (("displacement", "noise_std_mm"), 1e-320, "from 1e-15 to 1e+06 (px or mm)"),
         (("accelerometer", "noise_std_m_s2"), 1e308, "from 1e-15 to 1e+06 m/s²"),
         (("accelerometer", "noise_std_m_s2"), 2147483648, "from 1e-15 to 1e+06 m/s²"),
         (("accelerometer", "bias_m_s2"), 2147483648, "from -10000 to 10000 m/s²"),

@@ -6,6 +6,11 @@ service with a protected home) it fails, and matplotlib warns. Then a private fo
 
 import os
 import sys
+from contextlib import suppress
+
+TYPE_CHECKING = False  # see `cli/main.py`
+if TYPE_CHECKING:
+    from typing import Any
 
 _PACKAGE = os.path.dirname(os.path.abspath(__file__))
 # The last one is there where a service may write nothing but its own folder.
@@ -21,12 +26,29 @@ def prepare() -> None:
     home = os.path.expanduser("~")
     if "NUMBA_CACHE_DIR" not in os.environ and not any(map(_writable, (_in_package(), _numba_home(home)))):
         _use_private("NUMBA_CACHE_DIR", "numba")
-        numba = sys.modules.get("numba")
-        if numba is not None and "NUMBA_CACHE_DIR" in os.environ:
-            # Imported before midspan, it has read its settings already.
-            numba.config.CACHE_DIR = os.environ["NUMBA_CACHE_DIR"]
+        _tolerate_failures()
     if "MPLCONFIGDIR" not in os.environ and not all(map(_writable, _matplotlib_home(home))):
         _use_private("MPLCONFIGDIR", "matplotlib")
+
+
+def _tolerate_failures() -> None:
+    """Let Numba go on where compiled code cannot be kept: without any place, or on a full disk."""
+    import importlib
+
+    numba: Any = importlib.import_module("numba")
+    caching: Any = importlib.import_module("numba.core.caching")
+    if "NUMBA_CACHE_DIR" not in os.environ:
+        importlib.import_module("numba.core.dispatcher").Dispatcher.enable_caching = lambda self: None
+        return
+    # Where it was imported before midspan it has read its settings already.
+    numba.config.CACHE_DIR = os.environ["NUMBA_CACHE_DIR"]
+    save = caching.Cache.save_overload
+
+    def save_if_possible(self: "Any", *given: "Any") -> None:
+        with suppress(OSError):
+            save(self, *given)
+
+    caching.Cache.save_overload = save_if_possible
 
 
 def _in_package() -> str:

@@ -185,6 +185,22 @@ def test_a_folder_that_others_can_write_is_not_trusted_with_compiled_code(tmp_pa
     assert os.listdir(taken) == []
 
 
+NO_PLACE = """
+import os
+real = os.path.isdir
+os.path.isdir = lambda path: path not in ("/tmp", "/var/tmp", "/dev/shm") and real(path)
+import midspan
+from midspan.fusion.gate import rougher
+print(os.environ.get("NUMBA_CACHE_DIR"), rougher(1.0, 5.0, 1.0))
+"""
+
+
+def test_without_any_place_for_compiled_code_it_is_compiled_each_time(tmp_path):
+    done = in_read_only_places(tmp_path, NO_PLACE, TMPDIR="")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.split() == ["None", "1.1"]
+
+
 def test_what_the_user_has_set_stays(tmp_path):
     (tmp_path / "tmp").mkdir()
     chosen = {"NUMBA_CACHE_DIR": str(tmp_path / "tmp/n"), "MPLCONFIGDIR": str(tmp_path / "tmp/m")}
@@ -201,3 +217,19 @@ def test_nothing_is_set_where_the_usual_places_can_be_written(tmp_path):
         check=False,
     )
     assert done.stdout.split() == ["None", "None"]
+
+
+def test_the_current_folder_is_not_replaced(tmp_path):
+    done = call(["simulate", "gnss", "-o", "."], cwd=tmp_path)
+    assert done.returncode == 2
+    assert "is the current folder, or one above it" in done.stderr
+
+
+def test_a_current_folder_that_is_gone_is_a_sentence(tmp_path):
+    gone = tmp_path / "gone"
+    gone.mkdir()
+    done = call(
+        ["inspect", "."], f"import os, sys; sys.path.insert(0, {str(SOURCES)!r}); os.rmdir(os.getcwd())", cwd=gone
+    )
+    assert done.returncode == 2
+    assert "the current folder no longer exists" in done.stderr

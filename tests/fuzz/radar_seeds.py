@@ -127,7 +127,7 @@ def _acconeer(path):
 CFG = 'config = "radar.cfg"\n'
 JSON = 'config = "radar.mmwave.json"\n'
 RADARS = (
-    Seed("dca1000", "radar bin", "adc_data.bin", radar(_capture, "adc_data.bin", CFG)),
+    Seed("dca1000", "radar bin", "adc_data.bin", radar(_capture, "adc_data.bin", CFG), commands=RECORDING),
     Seed("dca1000-packets", "radar bin", "adc_data.bin", radar(_packets, "adc_data.bin", CFG), commands=RECORDING),
     Seed("cfg", "radar cfg", "radar.cfg", radar(_capture, "radar.cfg", CFG), text=True, commands=RECORDING),
     Seed("mmwave-json", "radar json", "radar.mmwave.json", radar(_studio, "radar.mmwave.json", JSON), text=True,

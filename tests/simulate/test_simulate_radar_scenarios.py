@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 
 from midspan.radar.layout import Layout, pack
 from midspan.radar.range_profile import slow_time
@@ -63,7 +64,9 @@ def test_the_radars_frames_lie_within_the_acceleration_and_the_truth_begins_at_t
     assert abs(known["time_offset_s"]) < 0.5  # the largest offset that calibration searches for by itself
     assert not source.info.warnings
     if SCENARIOS[name].camera is None:
-        assert np.interp(true_s[0], truth["time_s"], truth["displacement_mm"]) == pytest.approx(0.0, abs=1e-6)
+        # The first frame lies on a sample, or between two in lively motion: a cubic meets 4 mm at 3 Hz to 2e-4 mm.
+        curve = CubicSpline(truth["time_s"], truth["displacement_mm"])
+        assert curve(true_s[0]) == pytest.approx(0.0, abs=1e-6 if true_s[0] in truth["time_s"] else 5e-4)
 
 
 @pytest.mark.parametrize("name", RADAR_SCENARIOS)

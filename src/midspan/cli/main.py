@@ -50,6 +50,11 @@ def run(arguments: list[str]) -> int:
     from midspan.cli.group import commands
     from midspan.errors import MidspanError
 
+    try:
+        os.getcwd()
+    except FileNotFoundError:
+        text = 'the current folder no longer exists; it was replaced or removed. Change into it anew: `cd "$PWD"`.'
+        return _explain(arguments, text, 2, None)
     long = next((given for given in arguments if _has_long_name(given)), None)
     if long is not None:
         text = f"{long[:60]}…: each name in a path must have at most {MAX_NAME_BYTES} bytes. Give a shorter one."

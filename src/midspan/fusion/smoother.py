@@ -55,12 +55,14 @@ class Smoothed:
     """What a method returns for a whole record: the estimate, the innovations of its forward pass, and events.
 
     variance_m2 (m,): what each innovation's measurement was taken to vary by, where the method learns it by itself.
+    zero_variance_m2: the part of every row's variance that is the zero's, common to the whole record.
     """
 
     estimate: Estimate
     innovation: Innovation
     events: tuple[Event, ...]
     variance_m2: Floats | None = None
+    zero_variance_m2: float = 0.0
 
 
 def collected(outputs: Sequence[Output]) -> Smoothed:

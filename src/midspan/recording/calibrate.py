@@ -1,5 +1,7 @@
 """`calibrate`: from an opened recording to scale factor, clock offset and noise levels."""
 
+from pathlib import Path
+
 import numpy as np
 
 from midspan.calibration.bias import Bias
@@ -18,17 +20,19 @@ from midspan.recording.radar.literal import calibrate_radar_literal
 from midspan.recording.stored.calibration import Calibration
 from midspan.recording.stored.displacement import DisplacementCalibration
 from midspan.recording.streams.progress import Progress, silent
-from midspan.recording.streams.recording import Recording, naming
+from midspan.recording.streams.recording import Recording, naming, open_recording
 from midspan.recording.tracking.tracking import CameraTracking
 
 
-def calibrate(recording: Recording, progress: Progress = silent) -> Calibration:
-    """Learn scale factor, clock offset and noise levels of a recording.
+def calibrate(recording: Recording | str | Path, progress: Progress = silent) -> Calibration:
+    """Learn scale factor, clock offset and noise levels of a recording, which may be given by its path.
 
     The camera is calibrated against the accelerometer in calibration.window_s (the first minute when left out); a
     [displacement] sensor's noise and clock offset are learnt beside it. Raises UntrustedError, with the reason, when
     the result could not be trusted, DataError for unusable streams.
     """
+    if isinstance(recording, str | Path):
+        recording = open_recording(recording)
     calibration, tracking = calibrate_and_track(recording, progress)
     if tracking is not None:
         tracking.close()

@@ -21,7 +21,7 @@ from midspan.recording.second_axis import SecondAxis, second_axis
 from midspan.recording.stored.calibration import Calibration
 from midspan.recording.stored.calibration_file import load_calibration
 from midspan.recording.streams.progress import Progress, silent
-from midspan.recording.streams.recording import Recording, naming
+from midspan.recording.streams.recording import Recording, naming, open_recording
 from midspan.recording.streams.span import inside, shown
 from midspan.recording.tracking.tracking import CameraTracking
 from midspan.recording.unsupported import unsupported_events
@@ -38,20 +38,22 @@ MOST_TOLD = 3
 
 
 def estimate(
-    recording: Recording,
+    recording: Recording | str | Path,
     calibration: Calibration | str | Path | None = None,
     *,
     method: str | None = None,
     tracking: CameraTracking | None = None,
     progress: Progress = silent,
 ) -> Result:
-    """Estimate the displacement of a recording.
+    """Estimate the displacement of a recording, which may be given by its path.
 
     calibration: or its file; left out, it is made first (and the camera is tracked once for both). method: a name of
     `midspan methods`, over the recording's own. tracking: what `calibrate_and_track` left, to go on with. Returns one
     row for each accelerometer sample in the streams' common span.
     Raises UntrustedError when calibration is refused, DataError for unusable streams.
     """
+    if isinstance(recording, str | Path):
+        recording = open_recording(recording)
     if isinstance(calibration, str | Path):
         calibration = load_calibration(calibration)
     # The method is checked first: tracking may take long.
@@ -114,6 +116,7 @@ def _estimate(
         recording=recording,
         across=across,
         radar=gathered.radar,
+        zero_std_m=float(np.sqrt(fused.zero_variance_m2)),
         eyes=gathered.eyes,
         belief=gathered.belief,
     )

@@ -37,7 +37,8 @@ class Result:
     estimate: the rows in SI; calibration, settings, method: how they came about; innovation: measured minus predicted
     displacement; events, warnings: what is worth telling; track, tracking: the first camera's, None without one (of
     several targets the best one's track); eyes: all cameras; belief: which of two was believed when; across: the second
-    image axis, with camera.direction = "xy"; radar: what a radar measured and met, None without one.
+    image axis, with camera.direction = "xy"; radar: what a radar measured and met, None without one. zero_std_m: the
+    part of every row's standard deviation that is the zero's, common to the whole record.
     """
 
     estimate: Estimate
@@ -54,6 +55,7 @@ class Result:
     eyes: tuple[Eye, ...] = field(default=(), repr=False)
     belief: Belief | None = field(default=None, repr=False)
     radar: RadarInputs | None = field(default=None, repr=False)
+    zero_std_m: float = 0.0
 
     @property
     def axis(self) -> str:
@@ -137,6 +139,7 @@ class Result:
         return {
             "midspan": __version__,
             "method": self.method,
+            "zero_std_mm": 1e3 * self.zero_std_m,
             **self._axes(),
             "settings": self.settings.model_dump(mode="json", exclude_none=True),
             "calibration": self.calibration.to_dict(),

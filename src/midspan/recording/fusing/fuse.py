@@ -116,7 +116,8 @@ def fuse(inputs: FusionInputs, method: str, settings: MethodSettings | None = No
     for error_m in _measurement_errors(inputs, rows):
         variance = variance + _response(inputs, runner, settings, error_m, fused) ** 2
     displacement_m = rows.displacement_m + (inputs.level_m if inputs.zero_ns is None else -zero[0])
-    return replace(fused, estimate=replace(rows, displacement_m=displacement_m, variance_m2=variance))
+    estimate = replace(rows, displacement_m=displacement_m, variance_m2=variance)
+    return replace(fused, estimate=estimate, zero_variance_m2=zero[1])
 
 
 def _outliers_at_start(inputs: FusionInputs, begun: Beginning) -> tuple[Event, ...]:

@@ -70,6 +70,9 @@ def check_free(folder: Path) -> None:
         return
     if not folder.is_dir():
         raise UsageError(f"{folder} is a file; a recording is a folder. Choose another name.")
+    if Path.cwd().is_relative_to(folder.resolve()):
+        # A folder is replaced as a whole, and a shell that stands in it would be left in one that is gone.
+        raise UsageError(f"{folder} is the current folder, or one above it; call from its parent and give its name.")
     held = {entry.name for entry in folder.iterdir()}
     foreign = sorted(held - OWN_FILES) if MARK in held else sorted(held)
     if foreign:

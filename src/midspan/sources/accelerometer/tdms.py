@@ -1,5 +1,6 @@
 """National Instruments TDMS, read with npTDMS."""
 
+import io
 import logging
 import struct
 from collections.abc import Iterator
@@ -28,7 +29,7 @@ def read(path: Path) -> ChannelSet:
 
     channels: list[Channel] = []
     notes: list[str] = []
-    with path.open("rb") as opened, _quiet(), TdmsFile.open(opened) as file:
+    with _WithinFile(path) as opened, _quiet(), TdmsFile.open(opened) as file:
         items = {f"{group.name}/{item.name}": item for group in file.groups() for item in group.channels()}
         # As the file has them, and as numbers of eight bytes.
         require_memory(path, sum(16 * len(item) for item in items.values()), "its channels")
@@ -43,6 +44,19 @@ def read(path: Path) -> ChannelSet:
         () if _is_whole(path) else ("it is cut off: its last segment is not complete, and the rest of it is missing",)
     )
     return ChannelSet(tuple(channels), tuple(notes), damage)
+
+
+class _WithinFile(io.BufferedReader):
+    """A file of which no more is asked for than is left: a damaged length would be allocated before it is read."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(io.FileIO(path))
+        self._size = path.stat().st_size
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        """Up to `size` bytes, all that is left where it is negative or None."""
+        left = max(self._size - self.tell(), 0)
+        return super().read(left if size is None or size < 0 else min(size, left))
 
 
 @contextmanager

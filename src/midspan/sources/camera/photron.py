@@ -15,8 +15,8 @@ from midspan.sources.camera.timing import file_times
 # Keys of the header that the frames cannot be read without.
 _WIDTH, _HEIGHT, _COUNT, _BITS, _RATE = "Image Width", "Image Height", "Total Frame", "Color Bit", "Record Rate(fps)"
 _BITS_KNOWN = (8, 12, 16)
-# No width, count or rate (frames per second) of a recording comes near.
-_MAX_HEADER_NUMBER = 1e10
+# No width, count or rate (frames per second) of a recording comes near; stamps are whole nanoseconds.
+_MAX_HEADER_NUMBER = 1e9
 
 
 class PhotronFrames(FrameSource):
@@ -27,7 +27,7 @@ class PhotronFrames(FrameSource):
         header_file, self._raw_file = _pair(path)
         header = _header(header_file)
         self._columns, self._rows, self._count, self._bits = (
-            int(_number(header, key, header_file)) for key in (_WIDTH, _HEIGHT, _COUNT, _BITS)
+            int(_number(header, key, header_file, least=1.0)) for key in (_WIDTH, _HEIGHT, _COUNT, _BITS)
         )
         self._rate_hz = request.rate_hz or _number(header, _RATE, header_file)
         if header.get("Color Type", "Mono") != "Mono" or self._bits not in _BITS_KNOWN:
@@ -91,15 +91,15 @@ def _header(file: Path) -> dict[str, str]:
     return {key.strip(): value.strip() for key, value in pairs}
 
 
-def _number(header: dict[str, str], key: str, file: Path) -> float:
+def _number(header: dict[str, str], key: str, file: Path, least: float = 1e-6) -> float:
     value = header.get(key, "")
     try:
         number = float(value)
     except ValueError:
         number = 0.0
-    if not 0 < number < _MAX_HEADER_NUMBER:
+    if not least <= number < _MAX_HEADER_NUMBER:
         raise DataError(
-            f"{file}: {key} must be a number above 0 and below {_MAX_HEADER_NUMBER:g}; received {value!r}. Export the "
+            f"{file}: {key} must be a number from {least:g} to {_MAX_HEADER_NUMBER:g}; received {value!r}. Export the "
             "recording again."
         )
     return number
