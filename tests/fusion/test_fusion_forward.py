@@ -19,7 +19,7 @@ from midspan.fusion.forward import (
 
 # The joint filter integrates the acceleration along straight lines: at 300 Hz the two rules agree to 6e-5 at 1.3 Hz.
 RATE_HZ, FRAME_HZ, LENGTH_S = 300.0, 7.0, 5.0
-DENSITY, NOISE_M = 4e-6 / RATE_HZ, 2e-4
+DENSITY, NOISE_M = 4e-6 / RATE_HZ, 5e-5
 # Of the scale error and the clock offset (s): so small that products of two of them are of no weight.
 PRIOR = np.array([5e-3, 1e-3])
 BLUR_S2 = 0.02**2 / 24.0
