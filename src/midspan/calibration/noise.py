@@ -28,8 +28,8 @@ LEAST_GAIN = 10.0
 NEAR, LEAST_FAR_GAIN = 20.0, 20.0
 # Where one clock is meant, an offset is first sought this near to none.
 NEXT_TO_NONE_S = 0.05
-# So much more than the largest offset is searched.
-EDGE_S, EDGE_SHARE = 0.02, 0.05
+# So much more than the largest offset is searched, and of a short record this share of its length at most.
+EDGE_S, EDGE_SHARE, EDGE_OF_LENGTH = 0.02, 0.05, 0.1
 # A quiet camera sees a motion so well that the two noise levels meet this far above its Nyquist frequency.
 FASTEST = 100.0
 
@@ -75,25 +75,28 @@ class NoiseCalibration:
     findings: Findings | None = field(default=None, repr=False, compare=False)
 
 
-def calibrate_noise(pair: Pair, max_offset_s: float, *, one_clock: bool = False) -> NoiseCalibration:
+def calibrate_noise(
+    pair: Pair, max_offset_s: float, *, one_clock: bool = False, length_s: float = np.inf
+) -> NoiseCalibration:
     """Learn noise levels of a displacement sensor of known unit, and its clock offset where the motion tells it.
 
     pair: displacement in m (ratio 1) with relative variances, and the acceleration. max_offset_s: 0 leaves the clocks
-    be. one_clock: the clocks are one, so that the offset is only told. Nothing is refused here: see `Findings`.
+    be. one_clock: the clocks are one, so that the offset is only told. length_s: of the record, see `edge_s`. Nothing
+    is refused here: see `Findings`.
     """
     pair, still = without_outliers(without_lonely_outliers(replace(pair, ratio=1.0)))
     fit, offset, search = still, TimeOffset(0.0, np.inf), None
     if max_offset_s > 0:
-        search = search_offset(pair, max_offset_s, edge_s(max_offset_s))
+        search = search_offset(pair, max_offset_s, edge_s(max_offset_s, length_s))
         found, variance = nearest(search) if one_clock else (search.fit, search.offset.variance)
         offset = applied(search, found, variance, max_offset_s)
         if offset.value_s != 0.0 and not one_clock:
             pair, fit = search.pair, found
-    return _with_scale(pair, fit, offset, search, max_offset_s)
+    return _with_scale(pair, fit, offset, search, max_offset_s, length_s)
 
 
 def _with_scale(
-    pair: Pair, fit: Fit, offset: TimeOffset, search: OffsetSearch | None, max_offset_s: float
+    pair: Pair, fit: Fit, offset: TimeOffset, search: OffsetSearch | None, max_offset_s: float, length_s: float
 ) -> NoiseCalibration:
     """The calibration, and how it stands to one with any scale."""
     unknown = replace(pair, ratio=None)
@@ -102,7 +105,7 @@ def _with_scale(
     others = [local]
     if search is not None:
         # With the wrong sign nothing fits but the lowest noise, or a clock offset of half a period.
-        found = search_offset(unknown, max_offset_s, edge_s(max_offset_s))
+        found = search_offset(unknown, max_offset_s, edge_s(max_offset_s, length_s))
         others += [found.fit, *([] if found.runner_up is None else [found.runner_up])]
     # The same without what a smaller ratio was made to lose: comparable with the ratio as it is.
     others = [evaluate(replace(pair, ratio=one.ratio), one.offset_s, one.corner) for one in others]
@@ -127,9 +130,9 @@ def _with_scale(
     )
 
 
-def edge_s(max_offset_s: float) -> float:
-    """How much farther (s) is searched so that the largest offset is no edge."""
-    return max(EDGE_SHARE * max_offset_s, EDGE_S)
+def edge_s(max_offset_s: float, length_s: float = np.inf) -> float:
+    """How much farther (s) is searched in a record of `length_s` so that the largest offset is no edge."""
+    return min(max(EDGE_SHARE * max_offset_s, EDGE_S), EDGE_OF_LENGTH * length_s)
 
 
 def nearest(search: OffsetSearch) -> tuple[Fit, float]:

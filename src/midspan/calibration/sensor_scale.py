@@ -30,20 +30,26 @@ UNEVEN = 0.2
 
 
 def calibrate_sensor_scale(
-    pair: Pair, max_offset_s: float, *, one_clock: bool, look: Callable[[Fit], None] | None = None
+    pair: Pair,
+    max_offset_s: float,
+    *,
+    one_clock: bool,
+    length_s: float = np.inf,
+    look: Callable[[Fit], None] | None = None,
 ) -> NoiseCalibration:
     """Learn scale, noise levels and clock offset of a displacement sensor by maximum likelihood.
 
     pair: readings in m as if the unit were right, with relative variances, and the acceleration. one_clock: the clocks
     are one, so that the offset found within ±`max_offset_s` s is only told and the scale is learnt at no offset.
-    look: given the best fit of scale and offset together, may raise before it is judged here.
+    length_s: of the record, see `edge_s`. look: given the best fit of scale and offset together, may raise before it
+    is judged here.
     Raises UntrustedError when the motion does not tell the scale to 5 %, when two offsets fit alike, or when the
     sensors do not agree.
     """
     pair = without_lonely_outliers(replace(pair, ratio=None))
     search: OffsetSearch | None = None
     if not one_clock and max_offset_s > 0.0:
-        search = search_offset(pair, max_offset_s, edge_s(max_offset_s))
+        search = search_offset(pair, max_offset_s, edge_s(max_offset_s, length_s))
         if look is not None:
             look(search.fit)
         _refuse(search.pair, search.fit)
@@ -53,7 +59,7 @@ def calibrate_sensor_scale(
     pair, still = without_outliers(pair)
     offset, found = TimeOffset(0.0, np.inf), still
     if max_offset_s > 0.0:
-        search = search_offset(pair, max_offset_s, edge_s(max_offset_s))
+        search = search_offset(pair, max_offset_s, edge_s(max_offset_s, length_s))
         found, variance = nearest(search)
         told = applied(search, found, variance, max_offset_s)
         offset = TimeOffset(0.0, told.variance) if _objection(search.pair, found) else told

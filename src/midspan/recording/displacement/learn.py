@@ -65,7 +65,7 @@ class _Beside:
     @property
     def reach_s(self) -> float:
         """How far is searched so that this is no edge."""
-        return self.max_offset_s + edge_s(self.max_offset_s) if self.max_offset_s > 0.0 else 0.0
+        return self.max_offset_s + edge_s(self.max_offset_s, self.overlap_s) if self.max_offset_s > 0.0 else 0.0
 
     def pair(self, margin_s: float, until_s: float = np.inf) -> Pair:
         """Both signals, the displacement without a margin at both ends, of `until_s` at most."""
@@ -96,12 +96,16 @@ def learn(recording: Recording, series: TimeSeries) -> NoiseCalibration:
     notes: list[str] = []
     if recording.learns_scale:
         learnt = calibrate_sensor_scale(
-            pair, max_offset, one_clock=beside.one_clock, look=lambda fit: notes.extend(_refuse_farther(beside, fit))
+            pair,
+            max_offset,
+            one_clock=beside.one_clock,
+            length_s=beside.overlap_s,
+            look=lambda fit: notes.extend(_refuse_farther(beside, fit)),
         )
         found = learnt.findings
         assert found is not None
     else:
-        learnt = calibrate_noise(pair, max_offset, one_clock=beside.one_clock)
+        learnt = calibrate_noise(pair, max_offset, one_clock=beside.one_clock, length_s=beside.overlap_s)
         found = learnt.findings
         assert found is not None
         if found.search is not None and (not beside.one_clock or unexplained(found.pair, found.fit)):
