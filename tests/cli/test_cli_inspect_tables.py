@@ -4,6 +4,7 @@ import json
 import re
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 
@@ -114,3 +115,20 @@ def test_a_quarter_of_a_second_of_a_high_speed_camera_is_enough(tmp_path: Path) 
     truth = 0.3 * np.sin(2 * np.pi * 60 * time + 0.3) + 0.1 * np.sin(2 * np.pi * 210 * time + 1.0)
     # A frame is good for 0.01 px or 2 µm; the zero is one frame's.
     assert np.std(displacement - truth) < 2e-3
+
+
+def test_a_dataset_larger_than_the_memory_is_listed_and_not_read(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "log.h5"
+    with h5py.File(path, "w") as file:
+        file.create_dataset("acc", data=np.arange(100.0)).attrs["unit"] = "m/s^2"
+        # 800 GB by its header; nothing of it is written.
+        file.create_dataset("spare", shape=(100_000_000_000,), dtype="f8", chunks=(1_000_000,))
+    text = said(["inspect", str(path)], capsys)
+    assert "acc: 100 samples, 0 … 99 m/s^2" in text
+    assert re.search(r"spare: 100000000000 samples, not read: .* GiB", text)
+    acc, spare = json.loads(said(["inspect", str(path), "--json"], capsys))["channels"]
+    assert (acc["smallest"], acc["largest"], acc["missing"]) == (0.0, 99.0, 0)
+    assert (spare["smallest"], spare["largest"], spare["missing"]) == (None, None, None)
+    assert "GiB" in spare["not_read"]

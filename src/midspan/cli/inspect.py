@@ -148,6 +148,9 @@ def _show_file(console: Console, tree: dict[str, Any]) -> None:
         return
     console.say(tree["file"])
     for channel in tree["channels"]:
+        if "not_read" in channel:
+            console.say(f"  {channel['name']}: {channel['samples']} samples, not read: {channel['not_read']}")
+            continue
         low, high = channel["smallest"], channel["largest"]
         rate = f", {channel['rate_hz']:.6g} Hz" if channel["rate_hz"] else ""
         missing = f" ({channel['missing']} without a number)" if channel["missing"] else ""

@@ -1,7 +1,7 @@
 """`inspect`: what is in a recording, stream by stream, without changing or judging anything."""
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +17,12 @@ from midspan.recording.tracking.first_frame import is_dark
 from midspan.records import NANOSECONDS, Nanoseconds, TimeSeries
 from midspan.settings.load import RECORDING_FILE
 from midspan.signals.health import clipped, clock, frozen
-from midspan.sources.accelerometer.channel import Channel
+from midspan.sources.accelerometer.channel import Channel, Stored
 from midspan.sources.accelerometer.clock import NOT_A_TIME
 from midspan.sources.accelerometer.formats import list_channels
 from midspan.sources.camera.formats import is_stack, is_table, open_frames, require_readable
 from midspan.sources.camera.frames import FrameRequest, FrameSource
+from midspan.sources.declared_size import available_bytes, shown_bytes
 from midspan.sources.thermal.formats import is_thermal, open_pictures, open_thermal
 from midspan.sources.thermal.request import ThermalRequest
 
@@ -121,9 +122,9 @@ def inspect_file(path: Path, progress: Progress = silent) -> Tree:
                 "unit": channel.unit,
                 "rate_hz": channel.rate_hz,
                 "samples": channel.size,
-                **_range(channel),
+                **found_range,
             }
-            for channel in found.channels
+            for channel, found_range in zip(found.channels, _ranges(found.channels), strict=True)
         ],
     }
 
@@ -157,6 +158,20 @@ def _opened(path: Path, request: FrameRequest) -> FrameSource:
         return open_thermal(path, ThermalRequest(request))
     except DataError:
         return light
+
+
+def _ranges(channels: Sequence[Channel]) -> list[Tree]:
+    """Each channel's range. One larger than the available memory is not read where others of its file can be used."""
+    limit = available_bytes()
+    needed = [channel.stored.needed_bytes if isinstance(channel.stored, Stored) else 0 for channel in channels]
+    if min(needed) > limit:
+        return [_range(channel) for channel in channels]
+    return [
+        NOTHING | {"missing": None, "not_read": f"it takes {shown_bytes(size)}; {shown_bytes(limit)} are available"}
+        if size > limit
+        else _range(channel)
+        for channel, size in zip(channels, needed, strict=True)
+    ]
 
 
 def _range(channel: Channel) -> Tree:

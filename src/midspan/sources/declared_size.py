@@ -17,9 +17,9 @@ def require_memory(path: Path, declared_bytes: int, what: str) -> None:
     limit = available_bytes()
     if declared_bytes > limit:
         raise DataError(
-            f"{path}: {what} must fit into the available memory, {_shown(limit)}; by the file it takes "
-            f"{_shown(declared_bytes)}. Check that the file is whole; if it is, split it, or read it on a machine with "
-            "more memory."
+            f"{path}: {what} must fit into the available memory, {shown_bytes(limit)}; by the file it takes "
+            f"{shown_bytes(declared_bytes)}. Check that the file is whole; if it is, split it, or read it on a machine "
+            "with more memory."
         )
 
 
@@ -45,5 +45,6 @@ def _after(file: str, name: str) -> int | None:
     return int(words[0]) if words and words[0].isdigit() else None
 
 
-def _shown(count: int) -> str:
+def shown_bytes(count: int) -> str:
+    """A count of bytes for a person."""
     return f"{count / 2**30:.1f} GiB" if count >= 2**30 else f"{count / 2**20:.1f} MiB"
