@@ -206,6 +206,30 @@ def test_a_whole_last_line_without_a_line_end_is_kept(tmp_path: Path, row: str) 
     assert series.damage == ()
 
 
+@pytest.mark.parametrize(
+    ("head", "rows", "cut"),
+    [
+        ("t,acc", [f"{k / 100:.2f},{96 + k % 7}" for k in range(116)] + ["1.16,1008"], "1.16,100"),
+        ("acc,t_ms", [f"0.{k % 7},{10 * k}" for k in range(600, 1000)] + ["0.5,10000"], "0.5,1000"),
+        ("t_ms,acc", [f"{10 * k},0.{k % 7}" for k in range(600, 1000)] + ["99990,0.5"], "99990,0.5"),
+    ],
+)
+def test_a_cut_whole_number_is_left_out_and_a_whole_one_is_read(
+    tmp_path: Path, head: str, rows: list[str], cut: str
+) -> None:
+    path = tmp_path / "a.csv"
+    request = SeriesRequest("acceleration", time=head.split(",")[head.startswith("acc")], value="acc", unit="m/s^2")
+    path.write_text("\n".join([head, *rows[:-1], cut]))
+    found = read_series(path, request)
+    assert found.value.size == len(rows) - 1
+    assert "cut off" in " ".join(found.damage)
+    if head == "acc,t_ms":
+        # Times of one length and step: the last line is whole without a line end.
+        path.write_text("\n".join([head, *rows[:-1]]))
+        found = read_series(path, request)
+        assert (found.value.size, found.damage) == (len(rows) - 1, ())
+
+
 def test_a_short_table_without_a_last_line_end_is_whole(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     path.write_text("t,a\n0,1\n1,2\n2,3")

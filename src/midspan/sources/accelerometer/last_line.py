@@ -1,13 +1,16 @@
 """A text file whose last line was cut off, as by a logger that lost its power.
 
 A line with its line end is whole. One without is whole where nothing can be missing: it has all fields of the lines
-above it, and its last number is written as far as theirs. Else it is cut: `-0.` of `-0.113` reads as a number, too.
+above it, its last number is written as far as theirs, and its time goes on as theirs does. Else it is cut: `-0.` of
+`-0.113` reads as a number, too.
 """
 
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
+from statistics import median
 from typing import BinaryIO
 
 from midspan.sources.accelerometer.dialect import is_comment, is_value, split
@@ -19,6 +22,9 @@ _NEIGHBOURS = 50
 _SHOWN = 40
 # Nine digits tell every number of single precision (IEEE 754): what may be missing after them is below any sensor.
 _ENOUGH_DIGITS = 9
+# A column that rises in so many lines or more counts as a clock; one whose steps differ from the middle one by this
+# share at most has an even step, which the last line must keep to the same share.
+_CLOCK_LINES, _EVEN_SHARE = 10, 0.5
 _NUMBER = re.compile(r"^[+-]?(?P<mantissa>\d*(?:[.,](?P<decimals>\d*))?)(?:[eEdD][+-]?(?P<exponent>\d*))?$")
 
 
@@ -85,7 +91,31 @@ def _is_whole(lines: Sequence[str], delimiter: str, decimal: str) -> bool:
     if len(fields) < width:
         return False
     above = [row[-1] for row in rows if len(row) == width and is_value(row[-1], decimal)]
+    even = [row for row in rows if len(row) == width]
+    if not all(_goes_on([row[k] for row in even], fields[k], decimal) for k in range(width)):
+        return False
     return not above or _is_written_out(fields[-1], above)
+
+
+def _goes_on(above: Sequence[str], field: str, decimal: str) -> bool:
+    """Whether a field follows those above it, where these rise as a clock does: it rises, and keeps an even step."""
+    known = [number for text in above if (number := _number(text, decimal)) is not None]
+    last = _number(field, decimal)
+    if last is None or len(known) < max(len(above), _CLOCK_LINES):
+        return True
+    steps = [after - before for before, after in pairwise(known)]
+    if min(steps) <= 0.0:
+        return True
+    step, middle = last - known[-1], median(steps)
+    is_even = max(abs(one - middle) for one in steps) <= _EVEN_SHARE * middle
+    return abs(step - middle) <= _EVEN_SHARE * middle if is_even else step > 0.0
+
+
+def _number(field: str, decimal: str) -> float | None:
+    try:
+        return float(field.replace(decimal, "."))
+    except ValueError:
+        return None
 
 
 def _is_written_out(field: str, above: Sequence[str]) -> bool:
@@ -97,6 +127,9 @@ def _is_written_out(field: str, above: Sequence[str]) -> bool:
     forms = {(form.decimals, form.exponent) for form in numbers if form is not None}
     if number.decimals and forms == {(number.decimals, number.exponent)}:
         return True
+    if forms == {(0, None)}:
+        # A whole number may lack digits however long it is, unless all have as many.
+        return {len(other.lstrip("+-")) for other in above} == {len(field.lstrip("+-"))}
     exact = number.decimals and number.digits >= _ENOUGH_DIGITS and {exponent for _, exponent in forms} == {None}
     return as_long or bool(exact and number.exponent is None)
 
