@@ -230,6 +230,23 @@ def test_a_cut_whole_number_is_left_out_and_a_whole_one_is_read(
         assert (found.value.size, found.damage) == (len(rows) - 1, ())
 
 
+@pytest.mark.parametrize("end", ["\n\x1a", "\r\n\x1a\x1a", "\x1a", "\n5.00,NaN"])
+def test_an_end_mark_of_dos_and_a_missing_value_are_no_cut(tmp_path: Path, end: str) -> None:
+    path = tmp_path / "a.csv"
+    rows = "\n".join(f"{k / 100:.2f},{k % 7 / 10:.1f}" for k in range(500))
+    path.write_bytes(f"time_s,accel\n{rows}{end}".encode())
+    series = read_series(path, SeriesRequest("acceleration", unit="m/s^2"))
+    assert series.value.size == 500 + ("NaN" in end)
+    assert series.damage == ()
+
+
+@pytest.mark.parametrize("encoding", ["utf-32", "utf-32-le", "utf-32-be"])
+def test_utf_32_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str], encoding: str) -> None:
+    path = tmp_path / "a.csv"
+    write_text(path, "{t:.6f},{a:.6f}", 0, encoding, count=FEW)
+    assert "this is UTF-32" in refused(path, capsys)
+
+
 def test_a_short_table_without_a_last_line_end_is_whole(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     path.write_text("t,a\n0,1\n1,2\n2,3")

@@ -97,11 +97,22 @@ def find_dialect(path: Path) -> Dialect:
     """The dialect of a text file from its first 400 lines; DataError if no columns of numbers are found."""
     with path.open("rb") as file:
         head = file.read(SAMPLE_BYTES)
+    if _is_utf_32(head):
+        raise DataError(f"{path} must be a text in UTF-8, UTF-16 or Latin-1; this is UTF-32. Save it as UTF-8.")
     encoding = _encoding(head)
     lines = re.split(r"\r\n|\n|\r", head.decode(encoding, errors="replace"))
     if len(head) == SAMPLE_BYTES:
         lines = lines[:-1]
     return _dialect(path, encoding, lines[:SAMPLE_LINES])
+
+
+def _is_utf_32(head: bytes) -> bool:
+    """Four bytes a character, of which two at least are zero."""
+    if head.startswith((b"\xff\xfe\0\0", b"\0\0\xfe\xff")):
+        return True
+    first = head[:200]
+    little, big = (first[3::4], first[2::4], first[::4]), (first[::4], first[1::4], first[3::4])
+    return len(first) >= 8 and any(not any(a) and not any(b) and all(c) for a, b, c in (little, big))
 
 
 def _encoding(head: bytes) -> str:
@@ -215,6 +226,11 @@ def is_comment(line: str) -> bool:
 def is_value(field: str, decimal: str) -> bool:
     """Whether a field is a number with this decimal sign, or a written time."""
     return bool(_NUMBER[decimal].match(field)) or is_time_text(field)
+
+
+def is_missing_word(field: str) -> bool:
+    """Whether a field is a word for a missing value, such as NaN, which no longer number begins with."""
+    return field.lower() in _MISSING and any(sign.isalpha() for sign in field)
 
 
 def _more_values(rows: list[list[str]], column: int, decimal: str) -> int:

@@ -13,7 +13,7 @@ from pathlib import Path
 from statistics import median
 from typing import BinaryIO
 
-from midspan.sources.accelerometer.dialect import is_comment, is_value, split
+from midspan.sources.accelerometer.dialect import is_comment, is_missing_word, is_value, split
 
 # Bytes from the end that are looked at, and lines above the last one that it is compared with.
 _TAIL_BYTES = 1 << 20
@@ -25,11 +25,15 @@ _ENOUGH_DIGITS = 9
 # A column that rises in so many lines or more counts as a clock; one whose steps differ from the middle one by this
 # share at most has an even step, which the last line must keep to the same share.
 _CLOCK_LINES, _EVEN_SHARE = 10, 0.5
+# What DOS programs write behind a text (Ctrl-Z).
+_DOS_END = "\x1a"
 _NUMBER = re.compile(r"^[+-]?(?P<mantissa>\d*(?:[.,](?P<decimals>\d*))?)(?:[eEdD][+-]?(?P<exponent>\d*))?$")
 
 
 def cut_last_line(path: Path, *, encoding: str, delimiter: str, decimal: str) -> tuple[int, str] | None:
     """Up to which byte a file is sound, and a sentence on what follows; None for a file that ends as it should.
+
+    The sentence is empty where an end mark of DOS follows: such a file was written to its end.
 
     encoding, delimiter, decimal: how its columns are written, as in `Dialect`.
     """
@@ -46,6 +50,9 @@ def cut_last_line(path: Path, *, encoding: str, delimiter: str, decimal: str) ->
     # A disk that lost power before it held the data leaves zeros at a file's end.
     written = text.rstrip("\0")
     is_full = behind == size and written == text
+    unmarked = written.rstrip(_DOS_END)
+    if is_full and unmarked != written:
+        return begin + len(unmarked.encode(encoding, errors)), ""
     lines = re.split(r"\r\n|\n|\r", written)
     if is_full and (is_comment(lines[-1]) or _is_whole(lines, delimiter, decimal)):
         return None
@@ -94,7 +101,7 @@ def _is_whole(lines: Sequence[str], delimiter: str, decimal: str) -> bool:
     even = [row for row in rows if len(row) == width]
     if not all(_goes_on([row[k] for row in even], fields[k], decimal) for k in range(width)):
         return False
-    return not above or _is_written_out(fields[-1], above)
+    return not above or is_missing_word(fields[-1]) or _is_written_out(fields[-1], above)
 
 
 def _goes_on(above: Sequence[str], field: str, decimal: str) -> bool:

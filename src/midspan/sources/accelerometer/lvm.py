@@ -60,7 +60,7 @@ def _content(path: Path) -> tuple[dict[Any, Any], tuple[str, ...]]:
     declared = np.nanmax(np.asarray(last.get("Samples") or [0.0], dtype=np.float64))
     rows = len(last["data"])
     few = (f"its last segment is cut off: {rows} of {declared:.0f} samples are in it",) if rows < declared else ()
-    return content, (*(() if cut is None else (cut[1],)), *few)
+    return content, (*(() if cut is None or not cut[1] else (cut[1],)), *few)
 
 
 def _without_time(names: list[str], table: Floats, segment: dict[Any, Any]) -> tuple[Channel, ...]:

@@ -46,7 +46,7 @@ def read(path: Path) -> ChannelSet:
         channel, said = _channel(_joined_name(dialect, k), dialect.units[k], column, dialect.decimal)
         found += [note for note in said if note not in found]
         channels += [channel] if channel else []
-    return ChannelSet(tuple(channels), tuple(found), () if cut is None else (cut[1],))
+    return ChannelSet(tuple(channels), tuple(found), () if cut is None or not cut[1] else (cut[1],))
 
 
 def _numeric_columns(dialect: Dialect) -> list[int]:
