@@ -1,6 +1,7 @@
 """Several targets and both axes on the command line and in the report."""
 
 import json
+import re
 
 import pytest
 
@@ -82,6 +83,13 @@ def test_track_names_the_targets_and_one_region_wins_over_them(targets, tmp_path
     one = document(["track", str(targets), "--roi", "84,20,48,48", "-o", str(tmp_path / "one.csv")], capsys)
     assert "targets" not in one
     assert one["roi"] == [84, 20, 48, 48]
+
+
+def test_track_shows_three_digits_of_a_deviation(targets, tmp_path, capsys):
+    assert run(["track", str(targets), "--roi", "84,20,48,48", "-o", str(tmp_path / "one.csv")]) == 0
+    shown = re.findall(r"median std [xy] px +(\S+)", capsys.readouterr().out)
+    assert len(shown) == 2
+    assert all(f"{float(value):.3g}" == value for value in shown)
 
 
 def test_a_target_outside_the_image_is_wrong_use(targets, tmp_path, capsys):

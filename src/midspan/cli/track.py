@@ -74,7 +74,7 @@ def command(source: str, output: str, quiet: bool, as_json: bool, **options: Any
         "written": output,
         "warnings": list(tracked.warnings),
     }
-    console.table((name.replace("_", " "), str(value)) for name, value in figures.items() if name != "warnings")
+    console.table((name.replace("_", " "), _text(value)) for name, value in figures.items() if name != "warnings")
     console.warn(tracked.warnings)
     console.document(figures)
 
@@ -86,6 +86,11 @@ def _others(tracked: "Tracked") -> dict[str, Any]:
         return {}
     regions = {t.name: [t.region.x, t.region.y, t.region.width, t.region.height] for t in targets}
     return {"targets": regions}
+
+
+def _text(value: Any) -> str:
+    """A figure for a person: three digits of a deviation."""
+    return f"{value:.3g}" if isinstance(value, float) else str(value)
 
 
 def _range(values: Any) -> list[float] | None:
