@@ -148,6 +148,31 @@ def copy_datum(x, p, axes):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
+def predict(x, p, motion, sample, way, walks):  # type: ignore[no-untyped-def]
+    """Move mean and covariance from one fraction of the interval that ends at `sample` to another.
+
+    way = (fraction reached, fraction wanted, length of the interval in s); sample, walks: as of `forward_block`.
+    """
+    was, theta, dt = way
+    axes, step = len(motion), (theta - was) * dt
+    for a in range(axes):
+        a0, a1, lead = motion[a, INPUT], sample[1 + a], motion[a, LEAD]
+        before, after = input_response(was, dt, a0, a1, lead), input_response(theta, dt, a0, a1, lead)
+        predict_mean(x, 3 * a, step, before, after)
+    predict_covariance(p, axes, step, sample[1 + axes :], walks)
+
+
+@njit(cache=True)
+def leave(x, motion, node):  # type: ignore[no-untyped-def]
+    """Write the states and, after them, the true velocity of each axis to `node` (n + axes, 1 + k)."""
+    n = len(x)
+    node[:n] = x
+    for a in range(len(motion)):
+        node[n + a] = x[3 * a + 1]
+        node[n + a, 0] -= motion[a, LEAD] * motion[a, SLOPE]
+
+
+@njit(cache=True)
 def forward_block(samples, rows, state, tables, nodes, covariances, record):  # type: ignore[no-untyped-def]
     """Run over one block; `state` = (X (n, 1 + k), P (n, n), motion (axes, 3), clock (2,)) is changed in place.
 
@@ -164,7 +189,6 @@ def forward_block(samples, rows, state, tables, nodes, covariances, record):  # 
     for k in range(len(samples)):
         t0, t1 = clock[TIME], samples[k, 0]
         dt = t1 - t0
-        densities = samples[k, 1 + axes :]
         for a in range(axes):
             begin_interval(x, clock, motion, a, dt, samples[k, 1 + a])
         clock[STEP] = min(dt, GAP_STEPS * clock[STEP])
@@ -178,11 +202,7 @@ def forward_block(samples, rows, state, tables, nodes, covariances, record):  # 
             until = rows[j, AT] if due else t1
             was, theta = (reached - t0) / dt, (until - t0) / dt
             if until > reached:
-                for a in range(axes):
-                    a0, a1, lead = motion[a, INPUT], samples[k, 1 + a], motion[a, LEAD]
-                    before, after = input_response(was, dt, a0, a1, lead), input_response(theta, dt, a0, a1, lead)
-                    predict_mean(x, 3 * a, until - reached, before, after)
-                predict_covariance(p, axes, until - reached, densities, walks)
+                predict(x, p, motion, samples[k], (was, theta, dt), walks)
                 reached = until
             if not due:
                 break
@@ -209,10 +229,7 @@ def forward_block(samples, rows, state, tables, nodes, covariances, record):  # 
         clock[TIME] = t1
         for a in range(axes):
             motion[a, INPUT] = samples[k, 1 + a]
-        nodes[k, :n] = x
-        for a in range(axes):
-            nodes[k, n + a] = x[3 * a + 1]
-            nodes[k, n + a, 0] -= motion[a, LEAD] * motion[a, SLOPE]
+        leave(x, motion, nodes[k])
         covariances[k] = p
     return j
 

@@ -41,13 +41,13 @@ from midspan.fusion.forward import (
     begin_interval,
     copy_datum,
     innovations,
-    predict_covariance,
-    predict_mean,
+    leave,
+    predict,
     row_variance,
     update,
 )
 from midspan.fusion.kalman import START_S
-from midspan.fusion.state_space import GAP_STEPS, input_response
+from midspan.fusion.state_space import GAP_STEPS
 from midspan.records import Floats
 
 GOOD, OUTLIER, SHIFT, RETURN, WRONG, LOST, NOISE = range(7)
@@ -272,7 +272,6 @@ def decide_block(samples, rows, state, hyps, count, last, tables, options, nodes
     for k in range(len(samples)):
         t0, t1 = clock[TIME], samples[k, 0]
         dt = t1 - t0
-        densities = samples[k, 1 + axes :]
         for a in range(axes):
             old_lead, old_slope = motion[a, LEAD], motion[a, SLOPE]
             for b in range(count):
@@ -289,12 +288,7 @@ def decide_block(samples, rows, state, hyps, count, last, tables, options, nodes
             was, theta = (reached - t0) / dt, (until - t0) / dt
             if until > reached:
                 for b in range(count):
-                    for a in range(axes):
-                        a0, a1, lead = motion[a, INPUT], samples[k, 1 + a], motion[a, LEAD]
-                        before = input_response(was, dt, a0, a1, lead)
-                        after = input_response(theta, dt, a0, a1, lead)
-                        predict_mean(xs[b], 3 * a, until - reached, before, after)
-                    predict_covariance(ps[b], axes, until - reached, densities, walks)
+                    predict(xs[b], ps[b], motion, samples[k], (was, theta, dt), walks)
                     if memory[b, DENSITY] > 0.0:
                         noisier(ps[b], 3 * int(memory[b, ALONG]), until - reached, memory[b, DENSITY])
                 reached = until
@@ -313,10 +307,7 @@ def decide_block(samples, rows, state, hyps, count, last, tables, options, nodes
         clock[TIME] = t1
         for a in range(axes):
             motion[a, INPUT] = samples[k, 1 + a]
-        nodes[k, :n] = xs[0]
-        for a in range(axes):
-            nodes[k, n + a] = xs[0][3 * a + 1]
-            nodes[k, n + a, 0] -= motion[a, LEAD] * motion[a, SLOPE]
+        leave(xs[0], motion, nodes[k])
         covariances[k] = ps[0]
     return count
 
