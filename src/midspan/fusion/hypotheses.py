@@ -11,9 +11,9 @@ splits each hypothesis by what may have happened just then:
     LOST     the motion's state is wrong, its bias too: an earlier measurement led it away
     NOISE    the channel's noise has risen
 
-Each goes on by itself; the likelihood of what is measured later, by any channel, decides. Hypotheses that fall behind
-the best by `ODDS` are dropped, those that have come to agree are one again, and no more than a fixed number is kept.
-The priors are rates: how often each is met in the field.
+Each goes on as a filter of its own; the likelihood of what is measured later, by any channel, decides. Hypotheses that
+fall behind the best by `ODDS` are dropped, those that have come to agree are one again, and no more than a fixed number
+is kept. The priors are rates: how often each is met in the field.
 """
 
 from dataclasses import dataclass
@@ -64,7 +64,7 @@ MEMORY_COLUMNS = 5
 # Options, see `Rates`.
 P_OUTLIER, P_STAYS, SHIFT_RATE, RETURN_RATE, WRONG_RATE, NOISE_RATE, LOST_RATE, ODDS = range(8)
 LOG_2PI = np.log(2.0 * np.pi)
-# Errors of unknown size lie within so many decades above the noise.
+# Errors of unknown size lie within this number of decades above the noise.
 DECADES = 4.0
 
 

@@ -1,4 +1,4 @@
-"""Places that look like the target: known from the first frame, told apart by where they lie to each other.
+"""Places that look like the target: known from the first frame, distinguished by where they lie to each other.
 
 A row of equal dots, the windows of a façade or a railing match the target's template at several places. A target that
 moves by a good part of their spacing from one frame to the next is aliased: the nearest match need not be the target.

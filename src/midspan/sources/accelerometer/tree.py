@@ -65,14 +65,14 @@ def channels_of(leaves: Sequence[Leaf], notes: Sequence[str] = ()) -> ChannelSet
     """
     file_rate = _rate({leaf.name.replace(".", "/").split("/")[-1]: leaf.read() for leaf in leaves if leaf.size == 1})
     channels: list[Channel] = []
-    told, last = list(notes), _Last()
+    lines, last = list(notes), _Last()
     for leaf in leaves:
         if leaf.size < 2:
             continue
         found, said = _channels(leaf, file_rate, last)
         channels += found
-        told += said
-    return ChannelSet(tuple(channels), tuple(told))
+        lines += said
+    return ChannelSet(tuple(channels), tuple(lines))
 
 
 @dataclass(slots=True)
