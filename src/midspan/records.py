@@ -134,15 +134,11 @@ class Displacement:
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """One image: `pixels` (rows, columns) of luma or temperature, any integer or float type; `index` in its source.
-
-    covered: share (0 to 1) of the target that an earlier stage knows to be occluded; trackers do not learn from that.
-    """
+    """One image: `pixels` (rows, columns) of luma or temperature, any integer or float type; `index` in its source."""
 
     time_ns: int
     pixels: NDArray[np.generic]
     index: int = 0
-    covered: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,22 +152,10 @@ class Prediction:
 
 
 @dataclass(frozen=True, slots=True)
-class Event:
-    """Something worth telling: when, of what kind, in one sentence."""
-
-    time_ns: int
-    kind: str
-    text: str
-
-
-@dataclass(frozen=True, slots=True)
 class PixelTranslation:
     """Translation of the target since the reference frame: x to the right, y down, in pixels, with variances.
 
     `quality` runs from 0 to 1 (for template matching the correlation coefficient). With status LOST the values are NaN.
-    strength: good matches, of trackers without matches the quality in percent; 0 where lost. reference_variance_x_px2,
-    reference_variance_y_px2: of the reference's own place, common to all frames that are compared with it; they are not
-    part of `variance_x_px2`, `variance_y_px2`. events: what happened in this frame.
     """
 
     time_ns: int
@@ -181,10 +165,6 @@ class PixelTranslation:
     variance_y_px2: float
     quality: float
     status: Status
-    strength: float = 0.0
-    reference_variance_x_px2: float = 0.0
-    reference_variance_y_px2: float = 0.0
-    events: tuple[Event, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -245,66 +225,6 @@ class RangeFrames:
 
 
 @dataclass(frozen=True, slots=True)
-class Channel:
-    """One target of one sensor along one axis, as the estimator sees it; its measurements are in the sensor's own unit.
-
-    sensor: name of the sensor, of which there may be several of a kind; source: how its rows are marked. axis: 0 for
-    the main one. units_per_m: measured units (px, rad, m) per metre of displacement, signed. variance_factor: estimated
-    variance over the one that comes with each measurement. exposure_s: the time over which one measurement averages.
-    zero_std_m: standard deviation of its zero at its first measurement; infinite: unknown. coasting_s, lost_s: age of
-    the last accepted measurement from which on rows are marked so.
-    """
-
-    sensor: str
-    source: Source
-    units_per_m: float
-    target: str = "1"
-    axis: int = 0
-    variance_factor: float = 1.0
-    exposure_s: float = 0.0
-    zero_std_m: float = 0.0
-    coasting_s: float = 0.25
-    lost_s: float = 10.0
-
-
-@dataclass(frozen=True, slots=True)
-class Measured:
-    """A block of measurements, each in its channel's unit: arrays (n,), `channel` its number in the estimator's table.
-
-    reference_variance: of the channel's zero beside its variance at the first measurement, common to measurements that
-    follow each other. A value or variance that is not finite marks a measurement that must not be used.
-    """
-
-    time_ns: Nanoseconds
-    channel: NDArray[np.int64]
-    value: Floats
-    variance: Floats
-    reference_variance: Floats
-
-
-class SampleKind(IntEnum):
-    """What a sample of the acceleration rests on."""
-
-    MEASURED = 0
-    BRIDGED = 1
-    INSERTED = 2
-
-
-@dataclass(frozen=True, slots=True)
-class Samples:
-    """A block of acceleration along all axes: time_ns (n,), value_m_s2 and noise_density (n, axes), kind (n,).
-
-    noise_density: as of `Acceleration`. kind: code of `SampleKind`; BRIDGED rows are marked coasting, INSERTED
-    ones (put into long gaps in time) are no rows of the result.
-    """
-
-    time_ns: Nanoseconds
-    value_m_s2: Floats
-    noise_density: Floats
-    kind: NDArray[np.uint8]
-
-
-@dataclass(frozen=True, slots=True)
 class Estimate:
     """A block of results, one row an accelerometer sample: arrays (n,); `source` and `status` hold their codes."""
 
@@ -326,7 +246,16 @@ class Innovation:
     verdict: NDArray[np.int8]
 
 
-Block = TypeVar("Block", Acceleration, Displacement, Estimate, Innovation, Measured, PixelTrack, Samples)
+Block = TypeVar("Block", Acceleration, Displacement, Estimate, Innovation, PixelTrack)
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """Something worth telling: when, of what kind, in one sentence."""
+
+    time_ns: int
+    kind: str
+    text: str
 
 
 @dataclass(frozen=True, slots=True)

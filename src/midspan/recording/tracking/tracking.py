@@ -54,7 +54,7 @@ from midspan.vision.tracker import Learner, Tracker, Wandering
 FROZEN_FRAMES = 3
 # The column that tells them, after those of a translation.
 REPEATS = 7
-_numbers = attrgetter(*(field.name for field in fields(PixelTrack)))
+_numbers = attrgetter(*(field.name for field in fields(PixelTranslation)))
 # Every so many rows and columns tell a black frame from a lit one.
 THINNED = 4
 # Frames that trackers learn from are kept until they are tracked; so much memory at most.
