@@ -81,8 +81,8 @@ def calibrate_noise(
     """Learn noise levels of a displacement sensor of known unit, and its clock offset where the motion tells it.
 
     pair: displacement in m (ratio 1) with relative variances, and the acceleration. max_offset_s: 0 leaves the clocks
-    be. one_clock: the clocks are one, so that the offset is only told. length_s: of the record, see `edge_s`. Nothing
-    is refused here: see `Findings`.
+    be. one_clock: the clocks are one, so that the offset is only reported. length_s: of the record, see `edge_s`.
+    Nothing is refused here: see `Findings`.
     """
     pair, still = without_outliers(without_lonely_outliers(replace(pair, ratio=1.0)))
     fit, offset, search = still, TimeOffset(0.0, np.inf), None
