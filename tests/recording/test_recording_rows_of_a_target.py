@@ -5,10 +5,11 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from midspan.recording.tracking.tracking import TargetTracking
+from midspan.recording.tracking.tracking import TargetTracking, TrackingSettings
 from midspan.records import Frame, PixelTrack, PixelTranslation, Region, Status
 
 REGION = Region(8, 8, 24, 24)
+SETTINGS = TrackingSettings("template")
 
 
 class Following:
@@ -20,8 +21,9 @@ class Following:
     def push(self, frame, prediction=None):
         k = frame.index
         status = Status.LOST if k % 50 == 49 else Status.TRACKING
+        strength = 0.0 if status is Status.LOST else 90.0
         x, y = (np.nan, np.nan) if status is Status.LOST else (0.1 * np.sin(k), 0.3 * np.cos(k))
-        return PixelTranslation(frame.time_ns, x, y, 1e-4 + 1e-6 * (k % 7), 1e-4, 0.9, status)
+        return PixelTranslation(frame.time_ns, x, y, 1e-4 + 1e-6 * (k % 7), 1e-4, 0.9, status, strength)
 
 
 @pytest.fixture(scope="module")
@@ -44,18 +46,17 @@ def followed(target, pictures, numbers):
 
 
 def test_the_rows_are_what_was_found_to_the_last_bit(pictures):
-    target = TargetTracking(Following(frame(pictures, 0)), "1", 0.0)
+    target = TargetTracking(Following(frame(pictures, 0)), "1", SETTINGS)
     rows = PixelTrack.stack(followed(target, pictures, range(120)))
     for name in ("time_ns", "x_px", "y_px", "quality", "status"):
         found = getattr(target.track, name)
         assert found.dtype == getattr(rows, name).dtype
         np.testing.assert_array_equal(found, getattr(rows, name))
-    # Matches are not counted by this tracker: its quality in percent.
     np.testing.assert_array_equal(target.strengths, np.where(rows.status == Status.LOST, 0.0, 90.0))
 
 
 def test_the_track_is_built_once_for_as_many_frames_as_there_are(pictures):
-    target = TargetTracking(Following(frame(pictures, 0)), "1", 0.0)
+    target = TargetTracking(Following(frame(pictures, 0)), "1", SETTINGS)
     followed(target, pictures, range(20))
     assert target.track is target.track
     assert target.quick is target.quick
@@ -68,7 +69,7 @@ def test_the_track_is_built_once_for_as_many_frames_as_there_are(pictures):
 def test_a_frame_takes_a_fraction_of_what_objects_would(pictures):
     tracemalloc.start()
     try:
-        target, used = TargetTracking(Following(frame(pictures, 0)), "1", 0.0), []
+        target, used = TargetTracking(Following(frame(pictures, 0)), "1", SETTINGS), []
         for k in range(4001):
             followed(target, pictures, [k])
             if k in (1000, 4000):

@@ -101,7 +101,7 @@ class AxisLoop:
     def meet(self, translations: Sequence[PixelTranslation]) -> None:
         """Take one frame's translation of each target: those that agree become one displacement for the filter."""
         blocks = [
-            scale.displacement(PixelTrack.stack([translation]))
+            scale.displacement(PixelTrack.stack([_whole(translation)]))
             for scale, translation in zip(self.scales, translations, strict=True)
         ]
         if len(blocks) == 1:
@@ -142,6 +142,15 @@ class AxisLoop:
         taken = used & (self._met < ZERO_FRAMES)
         self._met[taken] += 1
         self.zeros_m[taken] += apart_m[taken] / self._met[taken]
+
+
+def _whole(found: PixelTranslation) -> PixelTranslation:
+    """A translation whose variances hold those of the reference's place."""
+    return replace(
+        found,
+        variance_x_px2=found.variance_x_px2 + found.reference_variance_x_px2,
+        variance_y_px2=found.variance_y_px2 + found.reference_variance_y_px2,
+    )
 
 
 class Monitor:

@@ -21,7 +21,7 @@ from midspan.records import Acceleration, Floats, Frame, PixelTrack, PixelTransl
 from midspan.simulate.scenarios.papers import ACCELEROMETER, CALIBRATION, Film
 from midspan.sources.camera.formats import open_frames
 from midspan.sources.camera.frames import FrameRequest
-from midspan.vision.tracker import Learner, Tracker, open_tracker
+from midspan.vision.tracker import Tracker, open_tracker
 
 # What the displacement that the scale factor is fitted to is off by, as a share of its size; as of an accelerometer.
 REFERENCE_NOISE = 0.0015
@@ -66,7 +66,7 @@ def camera_alone(film: Film, frames: Sequence[Frame], *, tracker: str, settings:
     """
     count = int(np.searchsorted(film.stamps_s + film.time_offset_s, film.spans[CALIBRATION][1]))
     follower = open_tracker(tracker, frames[0], film.region, settings)
-    if isinstance(follower, Learner):
+    if follower.frames_to_learn:
         follower.learn(frames[:count])
     begun = PixelTrack.stack([follower.push(frame) for frame in frames[:count]])
     scale = _fitted_scale(film, begun)

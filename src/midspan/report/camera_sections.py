@@ -6,7 +6,6 @@ from midspan.report import camera_figures, infrared_figures, page, phase_figures
 from midspan.report.material import Material
 from midspan.thermal.temperature_range import RangeSurface
 from midspan.vision.hybrid import PhaseTracker
-from midspan.vision.lens import bare
 
 
 def camera(material: Material) -> str:
@@ -44,7 +43,7 @@ def _targets(eye: Eye) -> str:
 
 def _active_pixels(eye: Eye) -> str:
     """Which pixels the phase was taken from; empty with other trackers."""
-    tracker = bare(eye.tracking.targets[0].tracker)
+    tracker = eye.tracking.targets[0].tracker
     if not isinstance(tracker, PhaseTracker):
         return ""
     caption = "The pixels whose phase tells the translation along x (left) and y (right), tinted over the region."

@@ -33,8 +33,9 @@ from midspan.vision.phase_model import (
 from midspan.vision.region import SMALLEST_SIDE_PX, check_size
 from midspan.vision.spline import Floats32
 from midspan.vision.steerable import AXES, MARGIN_PX, quadrature, responses
-from midspan.vision.target import Motion, TargetTracker, lost
+from midspan.vision.target import FULL_QUALITY, Motion, lost
 from midspan.vision.texture import values
+from midspan.vision.tracker import Tracker, open_tracker
 
 MOST_LEARNT_FRAMES = 240
 MOST_LEARNT_VALUES = 30_000_000  # phases of all pixels in all frames: 120 MB
@@ -91,7 +92,7 @@ class PhaseState(Motion):
     model: PhaseModel | None = field(default=None, compare=False)
 
 
-class PhaseTracker(TargetTracker):
+class PhaseTracker(Tracker):
     """Local phase about the predicted or the last place; see `midspan.vision.tracker.Tracker` for its interface.
 
     Motion between frames, or the prediction's error, must stay well below π times the gain: about 2 px. Only a target
@@ -120,11 +121,6 @@ class PhaseTracker(TargetTracker):
         self._least_coherence = max(settings.min_coherence * (1.0 - noise), CHANCE_COHERENCE)
         self._first = first_model(self._fields, weighted=settings.weighted)
         self._state = PhaseState(matcher=self._matcher.state)
-
-    @property
-    def state(self) -> PhaseState:
-        """Everything that changes from frame to frame, and what was learnt."""
-        return self._state
 
     def restore(self, state: PhaseState) -> None:
         """Continue from a `state` taken earlier."""
@@ -160,7 +156,8 @@ class PhaseTracker(TargetTracker):
         x, y = (float(v) for v in fix.shift_px)
         self._state = self._state.seen(frame.time_ns, (x, y))
         var_x, var_y = (float(v) + self.settings.bias_floor_px**2 for v in fix.variance_px2)
-        return PixelTranslation(frame.time_ns, x, y, var_x, var_y, fix.coherence, Status.TRACKING)
+        strength = FULL_QUALITY * fix.coherence
+        return PixelTranslation(frame.time_ns, x, y, var_x, var_y, fix.coherence, Status.TRACKING, strength=strength)
 
     @property
     def frames_to_learn(self) -> int:
@@ -296,9 +293,7 @@ class PhaseTracker(TargetTracker):
             out.append(gradient_form(change, slope))
         return np.array(out)
 
-    def _open_matcher(self) -> Any:
-        from midspan.vision.tracker import open_tracker
-
+    def _open_matcher(self) -> Tracker:
         return open_tracker(self.settings.matcher, self._reference, self._region)
 
     def _check_size(self, frame: Frame) -> None:

@@ -24,9 +24,10 @@ from midspan.vision.learning import PAD_PX, Samples, learn_plane, sample
 from midspan.vision.matching import Fix, Matching, locate, make_template
 from midspan.vision.region import check_size
 from midspan.vision.search import Span, fine_patch
-from midspan.vision.target import Motion, TargetTracker, lost
+from midspan.vision.target import FULL_QUALITY, Motion, lost
 from midspan.vision.template import TemplateSettings, TemplateState, TemplateTracker
 from midspan.vision.texture import values
+from midspan.vision.tracker import Tracker
 
 _AT_REST, _CERTAIN = np.zeros(4), np.zeros((4, 4))
 SEED_CORRELATION = 0.4  # with four tenths of the target covered the correlation falls to about a half
@@ -129,7 +130,7 @@ class Pose:
         return (max(1.0, UNDISTURBED_SHARE / self.share) * max(1.0, usual / max(self.noise, 1e-300))) ** 2
 
 
-class RegistrationTracker(TargetTracker):
+class RegistrationTracker(Tracker):
     """Follows a target through frames; see `midspan.vision.tracker.Tracker` for its interface."""
 
     _state: RegistrationState
@@ -158,11 +159,6 @@ class RegistrationTracker(TargetTracker):
         shown = self._state.usual_noise
         return max(shown, LEAST_NOISE * self._first.noise_std) if shown > 0.0 else 0.0
 
-    @property
-    def state(self) -> RegistrationState:
-        """Everything that changes from frame to frame."""
-        return self._state
-
     def restore(self, state: RegistrationState) -> None:
         """Continue from a `state` taken earlier."""
         self._state = state
@@ -179,7 +175,8 @@ class RegistrationTracker(TargetTracker):
         x, y = (float(v) for v in pose.value[:2])
         var_x, var_y = (float(pose.covariance[k, k]) + self.settings.bias_floor_px**2 for k in range(2))
         self._keep(frame, pose)
-        return PixelTranslation(frame.time_ns, x, y, var_x, var_y, pose.share, Status.TRACKING)
+        strength = FULL_QUALITY * pose.share
+        return PixelTranslation(frame.time_ns, x, y, var_x, var_y, pose.share, Status.TRACKING, strength=strength)
 
     def learn(self, frames: Sequence[Frame], translation_px: Floats | None = None, *, direction: str = "y") -> Learnt:
         """Make the template anew from frames that show the target, best at many sub-pixel places.

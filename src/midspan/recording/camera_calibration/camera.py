@@ -20,8 +20,7 @@ from midspan.recording.tracking.one_displacement import camera_blocks, filter_se
 from midspan.recording.tracking.region_choice import USELESS, Agreement
 from midspan.recording.tracking.tracking import CameraTracking, TargetTracking
 from midspan.records import NANOSECONDS, Floats, PixelTrack, ScaleFactor, TimeOffset
-from midspan.vision.lens import bare
-from midspan.vision.tracker import PhaseGain
+from midspan.vision.lens import ideal_gain
 
 
 @dataclass(frozen=True, slots=True)
@@ -291,8 +290,9 @@ def _camera(
     place = _best(targets)
     best = targets[place]
     assert best.scale is not None
-    tracker = bare(tracking.targets[place].tracker)
-    gains = tracker.phase_gain_px_per_rad if isinstance(tracker, PhaseGain) else None
+    tracker, lens = tracking.targets[place].tracker, tracking.settings.lens
+    gain = tracker.phase_gain_px_per_rad
+    gains = None if gain is None else ideal_gain(gain, tracker.region, lens)
     return CameraCalibration(
         scale=best.scale,
         offset=offset,
@@ -303,7 +303,7 @@ def _camera(
         variance_factor=best.variance_factor,
         phase_scale_m_per_rad=None if gains is None else best.scale.value_m_per_px * gains["xy".index(direction)],
         targets=tuple(targets),
-        lens=tracking.settings.lens,
+        lens=lens,
     )
 
 

@@ -1,4 +1,4 @@
-"""How a target's tracker is opened: its reference frames, temperatures made ready, the lens in front of all."""
+"""How a target's tracker is opened: its rule for the reference frame, and temperatures made ready."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -6,14 +6,13 @@ from typing import Any
 import numpy as np
 
 from midspan.checks import refuse
-from midspan.engine.thermal_target import ThermalTarget, thermal_target
-from midspan.records import Event, Frame, PixelTranslation, Region, Status
+from midspan.engine.thermal_target import ThermalTarget
+from midspan.records import Frame, Region
 from midspan.thermal.limits import Limits
-from midspan.vision.lens import Lens, bare, through
-from midspan.vision.reference.strength import open_counting, strength
+from midspan.vision.lens import Lens, check_lens
 from midspan.vision.reference.tracker import KeyFrameSettings, KeyFrameTracker
 from midspan.vision.reference.updating import UpdatingSettings, UpdatingTracker
-from midspan.vision.tracker import Telling, Tracker, Wandering
+from midspan.vision.tracker import Tracker, open_tracker
 
 # Temperatures throw no shadows: what no mix explains of them is no motion. Their places were seen to wander by 0.01 to
 # 0.04 px. At dusk they change sooner than shading does: new key frames begin earlier.
@@ -44,12 +43,21 @@ class Opening:
     levels: Limits | None = None
     lens: Lens | None = None
 
+    def radiometric(self, frame: Frame) -> bool:
+        """Whether a frame holds temperatures."""
+        return self.thermal and frame.pixels.dtype.kind == "f"
+
     def opened(self, reference: Frame, region: Region) -> Tracker:
-        """The tracker of the target in `region` (px) of the frame `reference`."""
-        if self.thermal and reference.pixels.dtype.kind == "f":
-            made = thermal_target(reference, region, lambda frame: self._followed(frame, region), self.levels)
-            return through(made, self.lens)
-        return through(self._followed(reference, region), self.lens)
+        """The tracker of the target in `region` (px) of the frame `reference`; it sees the frames as they are.
+
+        Raises UsageError where the lens is for frames of another size, or does not reach the region.
+        """
+        if self.lens is not None:
+            rows, columns = reference.pixels.shape
+            check_lens(self.lens, region, columns, rows)
+        if self.radiometric(reference):
+            return ThermalTarget(reference, region, lambda frame: self._followed(frame, region), self.levels)
+        return self._followed(reference, region)
 
     def _followed(self, frame: Frame, region: Region) -> Tracker:
         """The tracker with its rule for the reference frame, on a frame that has been made ready."""
@@ -60,7 +68,7 @@ class Opening:
             return KeyFrameTracker(frame, region, settings)
         if self.reference == "updating":
             return UpdatingTracker(frame, region, UpdatingSettings(self.tracker, self.settings))
-        return open_counting(self.tracker, frame, region, self.settings)
+        return open_tracker(self.tracker, frame, region, self.settings)
 
 
 def refuse_empty_range(reference: Frame, region: Region, levels: Limits) -> None:
@@ -77,32 +85,3 @@ def refuse_empty_range(reference: Frame, region: Region, levels: Limits) -> None
         f"a range in °C with the target's temperatures in it; in the first frame used they are {low:.4g} to {high:.4g}",
         [levels.low_c, levels.high_c],
     )
-
-
-def thermal_part(tracker: Tracker) -> ThermalTarget | None:
-    """What makes temperatures ready for a tracker; None where it gets pictures."""
-    own = bare(tracker)
-    return own if isinstance(own, ThermalTarget) else None
-
-
-def events_of(tracker: Tracker) -> list[Event]:
-    """What happened to a tracker since this was last asked: shutters, reference frames."""
-    own = bare(tracker)
-    return own.take_events() if isinstance(own, Telling) else []
-
-
-def wandering_px2(tracker: Tracker, found: PixelTranslation) -> tuple[float, float]:
-    """The part of the variances (px²) of what was just `found` that the reference makes, for many frames alike."""
-    own = bare(tracker)
-    own = own.tracker if isinstance(own, ThermalTarget) else own
-    if found.status is not Status.TRACKING or not isinstance(own, Wandering):
-        return 0.0, 0.0
-    x, y = own.own_variance_px2
-    return max(found.variance_x_px2 - x, 0.0), max(found.variance_y_px2 - y, 0.0)
-
-
-def strength_of(tracker: Tracker, found: PixelTranslation) -> float:
-    """Good matches of what was just `found`, of trackers without matches the quality in percent; 0 where lost."""
-    own = bare(tracker)
-    value = strength(own.tracker if isinstance(own, ThermalTarget) else own, found)
-    return value if np.isfinite(value) else 0.0

@@ -16,14 +16,7 @@ from midspan.recording.tracking.fair_variance import lost_where, more_variance, 
 from midspan.recording.tracking.first_frame import begun, is_dark
 from midspan.recording.tracking.light import LightWatch, light_warnings
 from midspan.recording.tracking.region_choice import ChoiceRequest, Judge, choose_targets
-from midspan.recording.tracking.target_opening import (
-    Opening,
-    events_of,
-    refuse_empty_range,
-    strength_of,
-    thermal_part,
-    wandering_px2,
-)
+from midspan.recording.tracking.target_opening import Opening, refuse_empty_range
 from midspan.records import (
     NANOSECONDS,
     Event,
@@ -42,13 +35,13 @@ from midspan.signals.health import Mask, runs
 from midspan.sources.camera.frames import FrameSource
 from midspan.thermal.limits import Limits
 from midspan.thermal.temperature_range import RangeSurface
-from midspan.vision.lens import Lens, as_shown, bare, lens_warnings
+from midspan.vision.lens import Lens, ideal_translation, lens_warnings, shown_prediction
 from midspan.vision.picture_quality import PictureWatch
 from midspan.vision.picture_warnings import picture_warnings
 from midspan.vision.region import check_region
 from midspan.vision.roi import RegionChoice
 from midspan.vision.target import lost
-from midspan.vision.tracker import Learner, Tracker, Wandering
+from midspan.vision.tracker import Tracker
 
 # This many equal pictures in a row are a frozen camera (or a codec that skipped them), not a structure at rest.
 FROZEN_FRAMES = 3
@@ -106,8 +99,9 @@ class TrackingSettings:
 class TargetTracking:
     """One target: its tracker, and the rows found so far, one a frame."""
 
-    def __init__(self, tracker: Tracker, name: str, readout_s: float, *, lossless: bool = False) -> None:
-        self.tracker, self.name, self._readout_s = tracker, name, readout_s
+    def __init__(self, tracker: Tracker, name: str, settings: TrackingSettings, *, lossless: bool = False) -> None:
+        self.tracker, self.name = tracker, name
+        self._lens, self._readout_s = settings.lens, settings.readout_s
         # A frame's time, translation along x and y, their variances, quality, status; whether its picture repeats.
         self._rows = Columns("qdddddBB")
         # How strong it was, the part of its variances along x and y that the reference makes, whether it was dark.
@@ -118,12 +112,13 @@ class TargetTracking:
         self.events: list[Event] = []
         self._lit = not is_dark(tracker.reference.pixels)
         # Temperatures are stored as they are: no codec, no full scale.
-        self._watch = (
-            None if thermal_part(tracker) else PictureWatch(tracker.reference, tracker.region, lossless=lossless)
-        )
+        self._watch: PictureWatch | None = None
+        if not settings.opening.radiometric(tracker.reference):
+            self._watch = PictureWatch(tracker.reference, tracker.region, lossless=lossless)
+        self._shown = lost(tracker.reference.time_ns)
         # Trackers whose reference changes know themselves what it is off by; temperatures throw no shadows.
         self._light: LightWatch | None = None
-        if self._watch is not None and not isinstance(bare(tracker), Wandering):
+        if self._watch is not None and settings.reference == "first":
             self._light = LightWatch(tracker.reference, tracker.region)
 
     @property
@@ -134,27 +129,24 @@ class TargetTracking:
     def push(self, frame: Frame, prediction: Prediction | None = None) -> PixelTranslation:
         """Find the target in `frame`; the translation is dated by the row that the target's middle was read out at."""
         dark = self._in_the_dark(frame)
-        found = lost(frame.time_ns) if dark else self.tracker.push(frame, prediction)
-        self.events += events_of(self.tracker)
-        strength = strength_of(self.tracker, found)
-        found, more = self._in_this_light(frame, found)
-        self._pushed.append(strength, *more, dark)
+        expected = shown_prediction(prediction, self.region, self._lens)
+        self._shown = lost(frame.time_ns) if dark else self.tracker.push(frame, expected)
+        self.events += self._shown.events
+        found = self._in_this_light(frame, ideal_translation(self._shown, self.region, self._lens))
+        self._pushed.append(found.strength, found.reference_variance_x_px2, found.reference_variance_y_px2, dark)
         self._track = self._quick = None
-        down_px = as_shown(self.tracker, found).y_px
+        down_px = self._shown.y_px
         row = self.region.y + 0.5 * (self.region.height - 1) + (down_px if np.isfinite(down_px) else 0.0)
         last_row = max(frame.pixels.shape[0] - 1, 1)
         late_ns = round(self._readout_s * NANOSECONDS * row / last_row)
         return replace(found, time_ns=frame.time_ns + late_ns)
 
-    def _in_this_light(self, frame: Frame, found: PixelTranslation) -> tuple[PixelTranslation, tuple[float, float]]:
-        """What was found, and the part of its variances (px²) that the reference makes: beside a fixed one by light."""
-        if self._light is None:
-            return found, wandering_px2(self.tracker, found)
-        more = self._light.push(frame, as_shown(self.tracker, found))
+    def _in_this_light(self, frame: Frame, found: PixelTranslation) -> PixelTranslation:
+        """What was found, with the variance (px²) that light adds to a fixed reference."""
+        more = 0.0 if self._light is None else self._light.push(frame, self._shown)
         if found.status is not Status.TRACKING or not more:
-            return found, (0.0, 0.0)
-        x, y = found.variance_x_px2 + more, found.variance_y_px2 + more
-        return replace(found, variance_x_px2=x, variance_y_px2=y), (more, more)
+            return found
+        return replace(found, reference_variance_x_px2=more, reference_variance_y_px2=more)
 
     def _in_the_dark(self, frame: Frame) -> bool:
         """Whether a frame is black, which the reference is not: what a tracker found in its noise would be wrong."""
@@ -168,7 +160,7 @@ class TargetTracking:
         self._seen = seen.copy()
         self._track = self._quick = None
         if self._watch is not None:
-            self._watch.push(frame, as_shown(self.tracker, translation))
+            self._watch.push(frame, self._shown)
 
     @property
     def track(self) -> PixelTrack:
@@ -203,8 +195,7 @@ class TargetTracking:
     def _narrow(self) -> PixelTrack:
         """The rows with the variances of the single frames that the tracker believes in."""
         rows = PixelTrack(*(self._rows.column(number) for number in range(REPEATS)))
-        own = more_variance(rows, -self.wandering_px2)
-        return with_fair_variance(lost_where(own, self.frozen))
+        return with_fair_variance(lost_where(rows, self.frozen))
 
     @property
     def frozen(self) -> Mask:
@@ -329,11 +320,11 @@ class CameraTracking:
     def _opened(self, target: Target) -> TargetTracking:
         tracker = self.settings.opening.opened(self.reference, target.region)
         lossless = self.source.info.lossless is True
-        return TargetTracking(tracker, target.name, self.settings.readout_s, lossless=lossless)
+        return TargetTracking(tracker, target.name, self.settings, lossless=lossless)
 
     def _teach(self) -> None:
         """Show the first frames to the trackers that learn from them; they are kept to be tracked afterwards."""
-        learners = [tracker for target in self.targets if isinstance(tracker := bare(target.tracker), Learner)]
+        learners = [target.tracker for target in self.targets if target.tracker.frames_to_learn]
         wanted = max((learner.frames_to_learn for learner in learners), default=0)
         wanted = min(wanted, MOST_AHEAD_BYTES // self.reference.pixels.nbytes)
         while len(self._ahead) < wanted:

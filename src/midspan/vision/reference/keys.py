@@ -22,10 +22,10 @@ from midspan.vision.reference.records import (
     crowded,
     first_chain,
 )
-from midspan.vision.reference.strength import open_counting, relative, strength
+from midspan.vision.reference.strength import relative
 from midspan.vision.region import clamp, shift
 from midspan.vision.spline import Floats32
-from midspan.vision.tracker import TRACKERS
+from midspan.vision.tracker import TRACKERS, Tracker, open_tracker
 
 LEAST_PAIRS = 3
 CLEAR = 0.95  # share of frames' contrast, squared, that a good key frame and they have in common
@@ -76,12 +76,12 @@ class KeyFrameSettings:
             raise refuse("unmixed_px", "0 px or more", self.unmixed_px)
 
 
-class KeyFrames:
+class KeyFrames(Tracker):
     """Key frames with their trackers, pictures and places; what is common to making them and to measuring by them."""
 
     def __init__(self, reference: Frame, region: Region, settings: KeyFrameSettings | None = None) -> None:
+        super().__init__(reference, region)
         self.settings = settings or KeyFrameSettings()
-        self.covered = 0.0
         self._keys = [self._opened(reference, region)]
         self._chain = first_chain()
         self._current = 0
@@ -102,16 +102,6 @@ class KeyFrames:
         self._recent: list[Floats] = []
 
     @property
-    def reference(self) -> Frame:
-        """The frame that the translation counts from: the first."""
-        return self._keys[0].frame
-
-    @property
-    def region(self) -> Region:
-        """The target's region in the first frame."""
-        return self._keys[0].region
-
-    @property
     def region_now(self) -> Region:
         """Where the target was last seen, inside the image."""
         return self._keys[self._current].tracker.region_now
@@ -130,21 +120,6 @@ class KeyFrames:
     def key_frames(self) -> int:
         """How many key frames have been made, the first one counted."""
         return self._made
-
-    @property
-    def own_variance_px2(self) -> tuple[float, float]:
-        """Variances along x and y (px²) of the last frame alone, without those of places and of light."""
-        return float(self._own[0]), float(self._own[1])
-
-    @property
-    def strength(self) -> float:
-        """How well the target resembled the key frame in use in the last frame that showed it."""
-        return self._health[-1] if self._health else self._keys[self._current].usual
-
-    def take_events(self) -> list[Event]:
-        """What happened since this was last called: new key frames, returns."""
-        told, self._events = self._events, []
-        return told
 
     @property
     def state(self) -> KeyFrameState:
@@ -170,8 +145,6 @@ class KeyFrames:
             lately=self._lately,
             recent=tuple(self._recent),
             doubtful=self._doubtful,
-            own=self._own,
-            events=tuple(self._events),
             frames=self._frames,
             made=self._made,
         )
@@ -193,14 +166,14 @@ class KeyFrames:
         self._hidden, self._since_ns = state.hidden, state.since_ns
         self._likeness, self._recent = state.likeness, list(state.recent)
         self._lately = state.lately
-        self._doubtful, self._own, self._events = state.doubtful, state.own, list(state.events)
+        self._doubtful, self._events = state.doubtful, []
         if state.overlap is not None:
             to, new, laps, windows, places, hidden = state.overlap
             self._overlap = Overlap(to, new, laps, list(windows), list(places), hidden)
         self._pictures = pictures_of(self._keys)
 
     def _opened(self, frame: Frame, region: Region) -> KeyFrame:
-        tracker = open_counting(self.settings.tracker, frame, region, self.settings.tracker_settings)
+        tracker = open_tracker(self.settings.tracker, frame, region, self.settings.tracker_settings)
         return KeyFrame(frame, region, tracker, tracker.state, contrast(frame, region))
 
     def _look(self, number: int, frame: Frame, prediction: Prediction | None) -> Seen:
@@ -208,7 +181,7 @@ class KeyFrames:
         tracker = self._keys[number].tracker
         x, y = (float(v) for v in self._chain.place[number])
         found = tracker.push(frame, relative(prediction, x, y))
-        return Seen(found, strength(tracker, found))
+        return Seen(found, found.strength)
 
     def _afresh(self, number: int, frame: Frame, prediction: Prediction | None) -> Seen:
         """What a key frame says that has not been tracked lately: its own memory of the motion is old."""

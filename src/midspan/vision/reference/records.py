@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from midspan.records import Event, Floats, Frame, PixelTranslation, Region, Status
+from midspan.records import Floats, Frame, PixelTranslation, Region, Status
 from midspan.vision.reference.cover import ALL_SEEN, Cells
 from midspan.vision.spline import Floats32
 from midspan.vision.tracker import Tracker
@@ -135,8 +135,6 @@ class KeyFrameState:
     lately: tuple[Floats, int]
     recent: tuple[Floats, ...]
     doubtful: Cells
-    own: Floats
-    events: tuple[Event, ...]
     frames: int
     made: int
 

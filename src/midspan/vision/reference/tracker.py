@@ -10,6 +10,8 @@ Something in front of the target is no light: it hides cells of it from one fram
 there the target is measured by the rest; where light goes on changing, key frames are made of the rest alone.
 """
 
+import math
+from dataclasses import replace
 from statistics import fmean
 
 import numpy as np
@@ -48,12 +50,30 @@ LINK_FRAMES = 5  # frames that may have been lost since
 class KeyFrameTracker(SeeingKeyFrames):
     """Follows a target through changing light; see `midspan.vision.tracker.Tracker` for its interface.
 
-    `take_events` tells of key frames, of returns, and of things that come in front of the target and go.
+    Its events tell of key frames, of returns, and of things that come in front of the target and go.
     """
 
     def push(self, frame: Frame, prediction: Prediction | None = None) -> PixelTranslation:
         """Measure the translation (px) since the first frame in `frame`; LOST with NaN where no key frame is found."""
         check_size(frame, self.reference)
+        found = self._tracked(frame, prediction)
+        events, self._events = tuple(self._events), []
+        if found.status is not Status.TRACKING:
+            return lost(frame.time_ns, events)
+        strength = self._health[-1] if self._health else self._keys[self._current].usual
+        own_x, own_y = (float(v) for v in self._own)
+        return replace(
+            found,
+            variance_x_px2=own_x,
+            variance_y_px2=own_y,
+            reference_variance_x_px2=max(found.variance_x_px2 - own_x, 0.0),
+            reference_variance_y_px2=max(found.variance_y_px2 - own_y, 0.0),
+            strength=strength if math.isfinite(strength) else 0.0,
+            events=events,
+        )
+
+    def _tracked(self, frame: Frame, prediction: Prediction | None) -> PixelTranslation:
+        """The translation in `frame` whose variances hold all there is."""
         self._frames += 1
         told = self._remembered(frame, prediction, front=False) if self._hidden.any() else None
         told = told or self._result(frame, self._look(self._current, frame, prediction))
@@ -68,7 +88,7 @@ class KeyFrameTracker(SeeingKeyFrames):
         result, view, strength_now = told
         self._front(frame)
         place = np.array([result.x_px, result.y_px])
-        if self.covered > COVERED:
+        if frame.covered > COVERED:
             self._recent = [*self._recent, place][-2:]
             return result
         if not self._hidden.any():
@@ -113,7 +133,7 @@ class KeyFrameTracker(SeeingKeyFrames):
         if self._last is None or self._hidden.any() or self._last[0] is self._keys[self._current].frame:
             return None
         before, place, variance = self._last
-        if self.covered > COVERED or variance.max() > LINK_PX**2 or frame.index - before.index > LINK_FRAMES:
+        if frame.covered > COVERED or variance.max() > LINK_PX**2 or frame.index - before.index > LINK_FRAMES:
             return None
         try:
             number = self._added(before, place, variance + self.settings.link_floor_px**2)
@@ -133,7 +153,11 @@ class KeyFrameTracker(SeeingKeyFrames):
 
         What was warmer than the rest by day may be colder by night.
         """
-        if not self.settings.heat or self.covered > COVERED or strength_now >= TURNED * self._keys[self._current].usual:
+        if (
+            not self.settings.heat
+            or frame.covered > COVERED
+            or strength_now >= TURNED * self._keys[self._current].usual
+        ):
             return None
         other = exchanged(frame)
         numbers = [self._current, *nearest(self._current, self._keys, self.settings.related)]

@@ -16,9 +16,9 @@ import numpy as np
 from midspan.checks import option, refuse
 from midspan.errors import UsageError
 from midspan.records import Event, Floats, Frame, PixelTranslation, Prediction, Region, Status
-from midspan.vision.reference.strength import open_counting, relative, strength
+from midspan.vision.reference.strength import relative
 from midspan.vision.region import check_size, clamp, shift
-from midspan.vision.tracker import TRACKERS, Tracker
+from midspan.vision.tracker import TRACKERS, Tracker, open_tracker
 
 SIGMA_OF_MEDIAN = 1.4826  # standard deviation over median deviation of a normal variable
 PRINTED_SIGMAS = 3.0
@@ -97,27 +97,17 @@ class UpdatingState:
     inner: Any = None
 
 
-class UpdatingTracker:
+class UpdatingTracker(Tracker):
     """Follows a target through changing light; see `midspan.vision.tracker.Tracker` for its interface."""
 
     def __init__(self, reference: Frame, region: Region, settings: UpdatingSettings | None = None) -> None:
         self.settings = settings or UpdatingSettings()
-        self._first = open_counting(self.settings.tracker, reference, region, self.settings.tracker_settings)
+        super().__init__(reference, region)
+        self._first = open_tracker(self.settings.tracker, reference, region, self.settings.tracker_settings)
         self._tracker: Tracker = self._first
         self._at_rest = self._first.state
         self._state = UpdatingState(Reference(reference))
         self._events: list[Event] = []
-        self._own = (0.0, 0.0)
-
-    @property
-    def reference(self) -> Frame:
-        """The frame that the translation counts from: the first."""
-        return self._first.reference
-
-    @property
-    def region(self) -> Region:
-        """The target's region in the first frame."""
-        return self._first.region
 
     @property
     def region_now(self) -> Region:
@@ -125,25 +115,10 @@ class UpdatingTracker:
         return self._tracker.region_now
 
     @property
-    def own_variance_px2(self) -> tuple[float, float]:
-        """Variances along x and y (px²) of the last frame alone, without the reference's."""
-        return self._own
-
-    @property
-    def strength(self) -> float:
-        """Matches of the last frame with the reference in use, or quality in percent."""
-        counts = self._state.current.matches
-        return counts[-1] if counts else 0.0
-
-    def take_events(self) -> list[Event]:
-        """What happened since this was last called: new reference frames, returns to the first."""
-        told, self._events = self._events, []
-        return told
-
-    @property
     def state(self) -> UpdatingState:
         """Everything that changes from frame to frame."""
-        return replace(self._state, inner=self._tracker.state)
+        state: UpdatingState = self._state
+        return replace(state, inner=self._tracker.state)
 
     def restore(self, state: UpdatingState) -> None:
         """Continue from a `state` taken earlier."""
@@ -165,25 +140,28 @@ class UpdatingTracker:
         if self._too_few(current, number - current.number, matches):
             found = self._renewed(frame, prediction, found)
         if found.status is Status.TRACKING:
-            place = (found.x_px, found.y_px, found.variance_x_px2, found.variance_y_px2)
-            self._state = replace(self._state, last=Reference(frame, *place, number=number))
-        return found
+            variance = (
+                found.variance_x_px2 + found.reference_variance_x_px2,
+                found.variance_y_px2 + found.reference_variance_y_px2,
+            )
+            self._state = replace(self._state, last=Reference(frame, found.x_px, found.y_px, *variance, number=number))
+        told, self._events = tuple(self._events), []
+        return replace(found, events=told)
 
     def _measure(
         self, tracker: Tracker, frame: Frame, prediction: Prediction | None, since: Reference
     ) -> tuple[PixelTranslation, float]:
         """Translation since the first frame (equation 11; 13 where `since` is the first) and the number of matches."""
         found = tracker.push(frame, relative(prediction, since.x_px, since.y_px))
-        matches = strength(tracker, found)
+        matches = found.strength
         if found.status is not Status.TRACKING:
             return found, matches
-        self._own = (found.variance_x_px2, found.variance_y_px2)
         return replace(
             found,
             x_px=found.x_px + since.x_px,
             y_px=found.y_px + since.y_px,
-            variance_x_px2=found.variance_x_px2 + since.variance_x_px2,
-            variance_y_px2=found.variance_y_px2 + since.variance_y_px2,
+            reference_variance_x_px2=since.variance_x_px2,
+            reference_variance_y_px2=since.variance_y_px2,
         ), matches
 
     def _counted(self, current: Reference, matches: float) -> Reference:
@@ -250,4 +228,4 @@ class UpdatingTracker:
             return
         rows, columns = current.frame.pixels.shape
         region = clamp(shift(self.region, current.x_px, current.y_px), columns, rows)
-        self._tracker = open_counting(self.settings.tracker, current.frame, region, self.settings.tracker_settings)
+        self._tracker = open_tracker(self.settings.tracker, current.frame, region, self.settings.tracker_settings)
