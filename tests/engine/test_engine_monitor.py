@@ -56,11 +56,16 @@ class KnowingTracker:
         return PixelTranslation(frame.time_ns, x, y, 1e-4, 1e-4, 1.0, Status.TRACKING)
 
 
+def camera(*trackers):
+    """What the monitor asks for the translations of all targets."""
+    return lambda frame, expected: [one.push(frame, where) for one, where in zip(trackers, expected, strict=True)]
+
+
 def run(scale, lost=(), rate_hz=10.0):
     """Push both streams in time order; returns tracker, frames' times on the accelerometer's clock, outputs, "
     "monitor."""
     tracker = KnowingTracker(scale, lost)
-    monitor = Monitor([tracker], [AxisLoop([scale], KalmanFilter())])
+    monitor = Monitor(camera(tracker), [AxisLoop([scale], KalmanFilter())])
     samples, outputs, pushed = acceleration(), [], 0
     times = (np.arange(1, 280) / rate_hz * 1e9).astype(np.int64)
     for index, time_ns in enumerate(times):
@@ -176,7 +181,7 @@ def scales_of(per_px):
 def run_plane(trackers, axes):
     """Push frames at 10 Hz and each axis's acceleration; returns the estimate along y."""
     loops = [AxisLoop([tracker.scales[axis] for tracker in trackers], KalmanFilter()) for axis in axes]
-    monitor = Monitor(trackers, loops)
+    monitor = Monitor(camera(*trackers), loops)
     down = acceleration()
     across = replace(down, value_m_s2=-((2 * np.pi * 0.7) ** 2) * sideways(down.time_ns / 1e9) + 0.02)
     samples = {"y": down, "x": across}

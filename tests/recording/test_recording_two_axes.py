@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 import midspan
+from midspan.engine.camera import WARM_UP_FRAMES
+from midspan.engine.camera_target import TargetChain
 from midspan.evaluate.result_file import compare_files
 from midspan.fusion.clock import ClockCourse
 from midspan.fusion.running_clock import RunningClock
@@ -14,7 +16,6 @@ from midspan.recording import estimate, inputs
 from midspan.recording.camera_calibration import camera
 from midspan.recording.fusing import one_clock
 from midspan.recording.inspect import inspect_recording
-from midspan.recording.tracking.tracking import TargetTracking
 from midspan.simulate.motion.motion import Sum, random_motion
 from midspan.simulate.scenarios.table import sideways
 from midspan.sources.accelerometer.formats import list_channels
@@ -104,14 +105,16 @@ def test_an_accelerometer_that_points_the_other_way_turns_only_its_own_axis(site
 
 
 def test_the_trackers_are_told_where_to_look_along_both_axes(site, result, monkeypatch):
-    told, push = [], TargetTracking.push
+    told, push = [], TargetChain.push
 
-    def recorded(self, frame, prediction=None):
+    def recorded(self, frame, prediction=None, *, dark=False):
         told.append(prediction)
-        return push(self, frame, prediction)
+        return push(self, frame, prediction, dark=dark)
 
-    monkeypatch.setattr(TargetTracking, "push", recorded)
+    monkeypatch.setattr(TargetChain, "push", recorded)
     track = midspan.estimate(midspan.open_recording(site), result.calibration).track
+    # The first frames are gone through once before, to learn what is usual.
+    told = told[WARM_UP_FRAMES:]
     assert len(told) == len(track.time_ns)
     settled = np.arange(100, len(told))
     for name in ("x", "y"):

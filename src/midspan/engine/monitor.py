@@ -5,9 +5,8 @@ target's scale factor, the trackers answer with translations, and those become o
 image axis that is measured has a filter of its own.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 
@@ -35,12 +34,8 @@ MOST_STD_PX = 100.0
 ZERO_FRAMES = 600
 
 
-class Follower(Protocol):
-    """What the monitor asks of a target's tracker."""
-
-    def push(self, frame: Frame, prediction: Prediction | None = None) -> PixelTranslation:
-        """The translation in `frame`, dated on the camera's clock."""
-        ...
+Camera = Callable[[Frame, Sequence[Prediction | None]], Sequence[PixelTranslation]]
+"""The translations of all targets in a frame, dated on the camera's clock, from where each is expected."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,9 +154,9 @@ class Monitor:
     axes: one or two, the main one first.
     """
 
-    def __init__(self, trackers: Sequence[Follower], axes: Sequence[AxisLoop]) -> None:
-        self.trackers, self.axes = tuple(trackers), tuple(axes)
-        self._seen_px = [dict.fromkeys("xy", 0.0) for _ in self.trackers]
+    def __init__(self, camera: Camera, axes: Sequence[AxisLoop]) -> None:
+        self.camera, self.axes = camera, tuple(axes)
+        self._seen_px = [dict.fromkeys("xy", 0.0) for _ in self.axes[0].scales]
 
     def push(self, record: Acceleration | Displacement | Frame, axis: int = 0) -> list[Output | PixelTranslation]:
         """Take one record in time order (acceleration of each axis up to a frame's time before the frame).
@@ -170,9 +165,8 @@ class Monitor:
         """
         if not isinstance(record, Frame):
             return list(self.axes[axis].kalman.push(record))
-        translations = [
-            tracker.push(record, self.prediction(record.time_ns, k)) for k, tracker in enumerate(self.trackers)
-        ]
+        targets = range(len(self._seen_px))
+        translations = self.camera(record, [self.prediction(record.time_ns, k) for k in targets])
         for seen, translation in zip(self._seen_px, translations, strict=True):
             for name, value in (("x", translation.x_px), ("y", translation.y_px)):
                 seen[name] = value if np.isfinite(value) else seen[name]

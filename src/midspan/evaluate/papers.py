@@ -95,7 +95,7 @@ def _with_predictions(film: Film, frames: Sequence[Frame], tracker: Tracker, beg
     kalman = KalmanFilter(KalmanSettings(bias=float(np.mean(series.value))))
     loop = AxisLoop((scale,), kalman)
     loop.start(scale.displacement(begun[0]), np.zeros(1))
-    monitor = Monitor((tracker,), (loop,))
+    monitor = Monitor(lambda frame, expected: (tracker.push(frame, expected[0]),), (loop,))
     density = ACCELEROMETER.noise_std_m_s2**2 / ACCELEROMETER.rate_hz
     acceleration = Acceleration(series.time_ns, series.value, np.full(len(series.time_ns), density))
     found: list[PixelTranslation] = []

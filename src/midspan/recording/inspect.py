@@ -13,7 +13,6 @@ from midspan.recording.streams.acceleration import unusable_samples
 from midspan.recording.streams.progress import Progress, silent
 from midspan.recording.streams.recording import Recording
 from midspan.recording.streams.span import shown
-from midspan.recording.tracking.first_frame import is_dark
 from midspan.records import NANOSECONDS, Nanoseconds, TimeSeries
 from midspan.settings.load import RECORDING_FILE
 from midspan.signals.health import clipped, clock, frozen
@@ -25,6 +24,7 @@ from midspan.sources.camera.frames import FrameRequest, FrameSource
 from midspan.sources.declared_size import available_bytes, shown_bytes
 from midspan.sources.thermal.formats import is_thermal, open_pictures, open_thermal
 from midspan.sources.thermal.request import ThermalRequest
+from midspan.vision.light import is_dark
 
 # Frames looked at for frozen, black or saturated pictures unless all are asked for.
 LOOKED_AT = 600

@@ -192,6 +192,7 @@ def difference(now: Sample, then: Sample) -> Difference:
     )
 
 
+@njit(cache=True)
 def _spread(values: Floats32) -> float:
     """Standard deviation of a normal variable whose median distance from 0 is that of `values`."""
     return float(np.median(np.abs(values))) / _NORMAL_MEDIAN

@@ -117,7 +117,7 @@ def _fitted(recording: Recording, tracking: CameraTracking) -> Fitted:
     reasons: list[str] = []
     for target in tracking.targets:
         try:
-            pair = camera_pair(recording, target.quick, target.blur_s(recording.exposure_s))
+            pair = camera_pair(recording, target.rows, target.chain.blur_s(recording.exposure_s))
             own = calibrate_scale(pair, recording.max_offset_s)
             _refuse_compression(target.with_codec_error(own.scale, recording.axis), own.scale)
             found.append(own)
@@ -359,7 +359,7 @@ def _tracked_only(recording: Recording, tracking: CameraTracking, main: CameraCa
     axis = "x" if main.direction == "y" else "y"
     targets, densities = [], []
     for target, tracked in zip(main.used, tracking.targets, strict=True):
-        track = tracked.quick
+        track = tracked.rows
         assert target.scale is not None
         value = -abs(target.scale.value_m_per_px)
         first, last = window_ends(recording)

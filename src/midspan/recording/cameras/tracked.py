@@ -29,7 +29,6 @@ from midspan.records import (
     Event,
     Floats,
     PixelTrack,
-    PixelTranslation,
     Region,
     Source,
     TimeOffset,
@@ -174,8 +173,7 @@ def track_all(eyes: Sequence[Eye], sides: Sequence[Side]) -> None:
                 kalman.push(part(acceleration, slice(pushed[axis], due)))
             pushed[axis] = max(pushed[axis], due)
         with in_words_of(eyes[number].sensor):
-            translations = [item for item in monitors[number].push(frame) if isinstance(item, PixelTranslation)]
-        eyes[number].tracking.add(frame, translations)
+            monitors[number].push(frame)
     for eye in eyes:
         eye.tracking.close()
 
@@ -211,7 +209,7 @@ def _monitors(eyes: Sequence[Eye], sides: Sequence[Side]) -> list[Monitor]:
                 loop.start(moved, found.zeros_m + zero_m)
                 first = first or (kalman, found.measured)
             own.append(loop)
-    return [Monitor(eye.tracking.targets, own) for eye, own in zip(eyes, loops, strict=True)]
+    return [Monitor(eye.tracking.push, own) for eye, own in zip(eyes, loops, strict=True)]
 
 
 def zero_beside(first: Displacement, other: Displacement, side: Side) -> float | None:
@@ -253,7 +251,7 @@ def seen_along(side: Side, number: int, eye: Eye, clock: OneClock | None = None)
 def _wandering(eye: Eye, camera: CameraCalibration, measured: Displacement) -> CourseError | None:
     """What the reference frames may be off by, by the best target's tracker; None where the reference is the first."""
     target = eye.tracking.targets[eye.best]
-    variance = target.wandering_px2[:, "xy".index(camera.direction)]
+    variance = target.reference_px2[:, "xy".index(camera.direction)]
     if not variance.any():
         return None
     seen = np.isfinite(measured.value_m)

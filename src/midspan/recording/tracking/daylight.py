@@ -7,9 +7,9 @@ from midspan.errors import UntrustedError
 from midspan.recording.streams.recording import Recording
 from midspan.recording.streams.span import shown
 from midspan.recording.streams.window import DEFAULT_WINDOW_S, window_ends
-from midspan.recording.tracking.first_frame import is_dark
 from midspan.records import NANOSECONDS, Floats
 from midspan.signals.health import runs
+from midspan.vision.light import is_dark
 
 # So many frames are looked at in the window, and in the whole recording where that is dark.
 LOOKED_AT, SEARCHED = 16, 240

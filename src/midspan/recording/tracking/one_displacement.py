@@ -100,9 +100,9 @@ def camera_blocks(
 ) -> list[Displacement]:
     """The displacement that each target in use says, on the accelerometer's clock, without the exposure's averaging."""
     pairs = list(zip(targets, camera.mappings(), strict=True))
-    blocks = [unblurred(m.displacement(t.quick), t.blur_s(exposure_s), acceleration) for t, m in pairs]
+    blocks = [unblurred(m.displacement(t.rows), t.chain.blur_s(exposure_s), acceleration) for t, m in pairs]
     # What the reference frame makes is not among what the learnt factor was learnt from.
-    more = [m.scale_m_per_px**2 * t.wandering_px2[:, "xy".index(m.direction)] for t, m in pairs]
+    more = [m.scale_m_per_px**2 * t.reference_px2[:, "xy".index(m.direction)] for t, m in pairs]
     return [replace(b, variance_m2=b.variance_m2 + v) for b, v in zip(blocks, more, strict=True)]
 
 

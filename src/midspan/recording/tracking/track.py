@@ -8,13 +8,14 @@ from typing import Any
 import numpy as np
 
 from midspan._version import __version__
+from midspan.engine.camera_target import Target
 from midspan.errors import UsageError
 from midspan.recording.streams.progress import Progress, silent
 from midspan.recording.streams.recording import open_with_cameras
 from midspan.recording.tracking.lens import lens_of
 from midspan.recording.tracking.opening import given_targets
 from midspan.recording.tracking.temperatures import in_words_of, levels_of
-from midspan.recording.tracking.tracking import CameraTracking, Target, TrackingSettings
+from midspan.recording.tracking.tracking import CameraTracking, TrackingSettings
 from midspan.records import PixelTrack, Region, Status, seconds
 from midspan.settings.load import RECORDING_FILE
 from midspan.sinks.table import ResultTable
@@ -116,7 +117,7 @@ def track(source: str | Path, request: TrackRequest | None = None, progress: Pro
 
 def _all_rows(tracking: CameraTracking) -> tuple[PixelTrack, ...]:
     while (frame := tracking.take()) is not None:
-        tracking.add(frame, [target.push(frame) for target in tracking.targets])
+        tracking.push(frame)
     tracking.close()
     return tracking.tracks
 
