@@ -326,7 +326,70 @@ class Innovation:
     verdict: NDArray[np.int8]
 
 
-Block = TypeVar("Block", Acceleration, Displacement, Estimate, Innovation, Measured, PixelTrack, Samples)
+@dataclass(frozen=True, slots=True)
+class Readings:
+    """A block of readings from outside, nothing of it checked: `time_ns` (n,), `value` (n, axes) in SI.
+
+    time_ns: on the stream's own clock until `Merge` has put it on the common one.
+    """
+
+    time_ns: Nanoseconds
+    value: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class Arrival:
+    """A record of the named stream; `sequence` counts the stream's records, so that lost ones show as a step."""
+
+    stream: str
+    sequence: int
+    record: Readings | Frame | ChirpFrame | Event
+
+
+@dataclass(frozen=True, slots=True)
+class Tick:
+    """The clock of what runs the engine, as data: `now_ns` never decreases. A replay makes ticks from stamps."""
+
+    now_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class ClockOffset:
+    """From stamp `from_ns` of the stream's own clock on, `offset_ns` is added to its stamps to get the common clock."""
+
+    stream: str
+    offset_ns: int
+    from_ns: int
+
+
+class StreamState(IntEnum):
+    """How a stream stands: nothing came yet; in time; later than the others wait; silent for too long."""
+
+    WAITING = 0
+    LIVE = 1
+    BEHIND = 2
+    OUT = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Health:
+    """How a stream stands, and why.
+
+    newest_ns: its newest stamp on the common clock. Counts of readings and frames: used; late; disordered (doubled,
+    backwards, outside the times that are possible); lost records, by their sequence numbers.
+    """
+
+    stream: str
+    state: StreamState
+    reason: str
+    newest_ns: int | None
+    used: int
+    late: int
+    disordered: int
+    lost: int
+
+
+Block = TypeVar("Block", Acceleration, Displacement, Estimate, Innovation, Measured, PixelTrack, Readings, Samples)
 
 
 @dataclass(frozen=True, slots=True)

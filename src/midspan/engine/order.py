@@ -1,0 +1,44 @@
+"""Which stamps of a stream follow each other: increasing, and possible at all."""
+
+from collections.abc import Iterator
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from midspan.checks import TIME_S
+from midspan.records import NANOSECONDS, Nanoseconds
+
+# What is wrong with a stamp.
+GOOD, DOUBLED, BACKWARDS, IMPOSSIBLE, AHEAD, LATE = range(6)
+# The word of the event for each.
+KINDS = ("", "doubled", "backwards", "stamp", "ahead", "late")
+# Stamps that far from the clock's zero are no times: the difference of two of them would not fit into 64 bits.
+FIRST_NS, LAST_NS = (round(end * NANOSECONDS) for end in (TIME_S.low, TIME_S.high))
+
+Codes = NDArray[np.uint8]
+
+
+def order(time_ns: Nanoseconds, newest_ns: int | None, bound_ns: int = LAST_NS) -> tuple[Codes, Nanoseconds]:
+    """What is wrong with each stamp (n,), and the newest good one before it (n,).
+
+    newest_ns: the newest good stamp before the block; None: there is none. Stamps above `bound_ns` are AHEAD.
+    """
+    codes = np.zeros(len(time_ns), dtype=np.uint8)
+    codes[time_ns > bound_ns] = AHEAD
+    codes[(time_ns < FIRST_NS) | (time_ns > LAST_NS)] = IMPOSSIBLE
+    before = FIRST_NS - 1 if newest_ns is None else newest_ns
+    reached = np.where(codes == GOOD, time_ns, before)
+    newest = np.maximum.accumulate(np.concatenate(([before], reached)))[:-1]
+    codes[(codes == GOOD) & (time_ns < newest)] = BACKWARDS
+    codes[(codes == GOOD) & (time_ns == newest)] = DOUBLED
+    return codes, newest
+
+
+def spans(codes: Codes) -> Iterator[tuple[int, int, int]]:
+    """Start, end (exclusive) and code of each run of equal codes (n,)."""
+    if not len(codes):
+        return
+    edges = [0, *(np.flatnonzero(np.diff(codes)) + 1), len(codes)]
+    for start, end in pairwise(edges):
+        yield int(start), int(end), int(codes[start])
