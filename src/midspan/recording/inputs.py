@@ -14,7 +14,7 @@ from midspan.recording.fusing.one_clock import OneClock
 from midspan.recording.fusing.one_zero import merged
 from midspan.recording.radar.inputs import RadarInputs, radar_inputs
 from midspan.recording.stored.calibration import Calibration
-from midspan.recording.streams.acceleration import PreparedAcceleration, unknown_density
+from midspan.recording.streams.acceleration import PreparedAcceleration
 from midspan.recording.streams.progress import Progress
 from midspan.recording.streams.recording import Recording
 from midspan.recording.tracking.tracking import CameraTracking
@@ -26,6 +26,7 @@ from midspan.records import (
     PixelTrack,
     joined,
 )
+from midspan.signals.bridging import unknown_density
 from midspan.signals.health import dominant_frequency
 
 # Rows are `coasting` when the last accepted measurement is older than this many of the sensor's usual intervals.

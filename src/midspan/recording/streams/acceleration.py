@@ -8,16 +8,11 @@ from numpy.typing import NDArray
 from midspan.errors import DataError
 from midspan.recording.streams.span import inside, shown
 from midspan.records import NANOSECONDS, Acceleration, Event, Floats, Nanoseconds, TimeSeries, part, seconds
+from midspan.signals.bridging import GAP_STEPS, LONG_SHARE, LOWEST_HZ, missed_share, unknown_density
 from midspan.signals.health import Clock, Mask, bridged, clipped, clock, dominant_frequency, frozen, runs
 
-# Steps up to this many usual ones are jitter or a single lost sample, which the filter takes as they are.
-GAP_STEPS = 2.5
-# A gap is long when its density is above this share of that of a wholly unknown motion.
-LONG_SHARE = 0.1
 # Above this share of the rate the motion is so fast that integration errs by 1 % and more.
 FASTEST_SHARE = 0.2
-# Motion is not taken to be slower than this when something has to be bridged.
-LOWEST_HZ = 0.2
 # Share of samples that may be missing, frozen or clipped before the channel is refused.
 MOST_MISSING = 0.2
 MOST_CLIPPED = 0.05
@@ -153,16 +148,6 @@ def _refuse(where: str, mask: Mask, kind: str, rule: tuple[float, str]) -> None:
             f"{where}: {100 * share:.1f} % of the samples are {kind} (the channel {rule[1]}); at most "
             f"{100 * rule[0]:g} % can be bridged. Check the sensor, its range and its cable, or choose another channel."
         )
-
-
-def missed_share(length_s: float, frequency_hz: float) -> float:
-    """Share of a motion's amplitude that a straight line over `length_s` misses, (2 pi f T)²/8, at most 1."""
-    return min(1.0, (2.0 * np.pi * frequency_hz * length_s) ** 2 / 8.0)
-
-
-def unknown_density(value: Floats, rate_hz: float) -> float:
-    """Noise density, (m/s²)²/Hz, for a motion like `value` (n,) that was not seen: its variance over its bandwidth."""
-    return float(np.var(value)) / max(dominant_frequency(value, rate_hz), LOWEST_HZ)
 
 
 def towards_mean(value: Floats, missing: Mask, rate_hz: float) -> Floats:
