@@ -79,7 +79,8 @@ def test_every_python_block_is_marked_runnable():
 
 
 def sections(model=RecordingSettings, prefix=""):
-    for name, field in model.model_fields.items():
+    for attribute, field in model.model_fields.items():
+        name = field.alias or attribute
         options = (field.annotation, *getattr(field.annotation, "__args__", ()))
         inner = next((o for o in options if isinstance(o, type) and issubclass(o, BaseModel)), None)
         if inner is None:

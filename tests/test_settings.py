@@ -154,7 +154,8 @@ def test_whole_numbers_are_taken_where_a_number_is_asked_for():
 def test_no_message_shows_the_words_of_the_validation_library():
     trees = [
         tree_with(camera=3),
-        tree_with(camera=[{"file": "x"}]),
+        tree_with(camera=[3]),
+        tree_with(camera=[]),
         tree_with(accelerometer=ACCELEROMETER | {"unit": ""}),
         tree_with(calibration={"window_s": [20, 10]}),
         tree_with(camera=CAMERA | {"roi": [1, 2]}),

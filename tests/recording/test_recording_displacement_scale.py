@@ -75,7 +75,7 @@ def test_the_scale_is_stored_and_read_again(gnss_copy, tmp_path):
     np.testing.assert_allclose(again.displacement_std_mm, result.displacement_std_mm, rtol=1e-9)
     part["scale"] = 0.0
     file.write_text(json.dumps(json.loads(file.read_text()) | {"displacement": part}))
-    with pytest.raises(DataError, match=r"displacement\.scale must not be 0"):
+    with pytest.raises(DataError, match=r"displacement\.scale = 0\.0: must not be 0"):
         midspan.load_calibration(file)
 
 

@@ -96,9 +96,9 @@ def test_a_damaged_section_names_its_key(recordings, tmp_path) -> None:
     file = calibration.save(tmp_path)
     whole = json.loads(file.read_text())
     for change, words in (
-        ({"conversion_factor": 0.0}, "radar.conversion_factor must not be 0"),
-        ({"carrier_hz": None}, "radar.carrier_hz is missing"),
-        ({"targets": []}, "radar.targets must hold a target in use"),
+        ({"conversion_factor": 0.0}, r"radar\.conversion_factor = 0\.0: must not be 0"),
+        ({"carrier_hz": None}, r"radar\.carrier_hz = None: must be"),
+        ({"targets": []}, "radar: targets must hold a target in use"),
         ({"channels": 3}, "weights for 3 channels"),
     ):
         file.write_text(json.dumps({**whole, "radar": {**whole["radar"], **change}}))

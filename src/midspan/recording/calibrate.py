@@ -41,6 +41,7 @@ def calibrate(recording: Recording | str | Path, progress: Progress = silent) ->
 
 def calibrate_and_track(recording: Recording, progress: Progress = silent) -> tuple[Calibration, CameraTracking | None]:
     """The calibration, and the camera's tracking as far as it had to go, to be continued."""
+    recording.require_one_of_a_kind()
     with naming(recording):
         return _calibrate_and_track(recording, progress)
 

@@ -56,6 +56,7 @@ def estimate(
         recording = open_recording(recording)
     if isinstance(calibration, str | Path):
         calibration = load_calibration(calibration)
+    recording.require_one_of_a_kind()
     # The method is checked first: tracking may take long.
     method = option("method", method or recording.settings.fusion.method, METHODS)
     if recording.settings.fusion.literal and method not in LITERAL:
@@ -136,7 +137,7 @@ def _uncalibrated(recording: Recording, calibration: Calibration) -> list[str]:
         f"[{view.sensor}] is left out of the result: the calibration that was given has no {view.sensor} part. Run "
         "`midspan calibrate` on a recording with both cameras."
         for view in recording.cameras
-        if calibration.of(view.sensor) is None
+        if calibration.camera_of(view.sensor) is None
     ]
 
 
@@ -247,13 +248,13 @@ def _require(recording: Recording, calibration: Calibration) -> None:
     if recording.has("radar") and calibration.radar is not None:
         require_same_way(calibration.radar, recording.settings.fusion.literal)
     views = recording.cameras
-    if views and not any(calibration.of(view.sensor) for view in views):
+    if views and not any(calibration.camera_of(view.sensor) for view in views):
         raise UsageError(
             f"The calibration has no {views[0].sensor} part, but the recording has a camera. Run `midspan calibrate` "
             "on a recording of this camera."
         )
     for view in views:
-        camera, known = view.settings.camera, calibration.of(view.sensor)
+        camera, known = view.settings.camera, calibration.camera_of(view.sensor)
         if camera is None or known is None:
             continue
         made_for = calibration.direction if len(views) == 1 else known.direction

@@ -1,7 +1,8 @@
 """`inspect`: what is in a recording, stream by stream, without changing or judging anything."""
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from midspan.recording.streams.recording import Recording
 from midspan.recording.streams.span import shown
 from midspan.records import NANOSECONDS, Nanoseconds, TimeSeries
 from midspan.settings.load import RECORDING_FILE
+from midspan.settings.recording import Sensor
 from midspan.signals.health import clipped, clock, frozen
 from midspan.sources.accelerometer.channel import Channel, Stored
 from midspan.sources.accelerometer.clock import NOT_A_TIME
@@ -22,6 +24,7 @@ from midspan.sources.accelerometer.formats import list_channels
 from midspan.sources.camera.formats import is_stack, is_table, open_frames, require_readable
 from midspan.sources.camera.frames import FrameRequest, FrameSource
 from midspan.sources.declared_size import available_bytes, shown_bytes
+from midspan.sources.radar.radar_source import RadarSource
 from midspan.sources.thermal.formats import is_thermal, open_pictures, open_thermal
 from midspan.sources.thermal.request import ThermalRequest
 from midspan.vision.light import is_dark
@@ -46,23 +49,7 @@ def inspect_recording(recording: Recording, every_frame: bool = False, progress:
     """
     tree: Tree = {"recording": str(recording.file), "name": recording.name}
     spans: dict[str, tuple[int, int]] = {}
-    readers: dict[str, Callable[[], tuple[Tree, Nanoseconds]]] = {
-        "accelerometer": lambda: _acceleration(recording.acceleration),
-        "camera": lambda: _frames(recording.frames, every_frame, progress),
-        "infrared": lambda: _frames(_thermal(recording), every_frame, progress, thermal=True),
-        "radar": lambda: _radar(recording, every_frame, progress),
-        "displacement": lambda: _series(recording.displacement, "m"),
-        "reference": lambda: _series(recording.reference, "m"),
-    }
-    across = recording.across
-    if across is not None and across.fused:
-        # The column along the second image axis.
-        readers[f"accelerometer_{across.axis}"] = lambda: _acceleration(across.acceleration)
-    for section, read in readers.items():
-        stream = section.split("_")[0]
-        if not recording.has(stream):
-            continue
-        file = getattr(recording.settings, stream).file
+    for section, file, read in _streams(recording, every_frame, progress):
         try:
             branch, time_ns = read()
             tree[section] = {"file": file, **branch}
@@ -71,6 +58,30 @@ def inspect_recording(recording: Recording, every_frame: bool = False, progress:
             tree[section] = {"file": file, "error": str(error), "exit_code": error.exit_code}
     tree["overlap"] = _overlap({name: span for name, span in spans.items() if name != "reference"})
     return tree
+
+
+Reader = Callable[[], tuple[Tree, Nanoseconds]]
+
+
+def _streams(recording: Recording, every_frame: bool, progress: Progress) -> Iterator[tuple[str, str, Reader]]:
+    """Name, file and reader of each stream; a sensor's name is its section where there is one of its kind."""
+    settings, across = recording.settings, recording.across
+    if settings.accelerometer is not None:
+        file = settings.accelerometer.file
+        yield "accelerometer", file, lambda: _acceleration(recording.acceleration)
+        if across is not None and across.fused:
+            # The column along the second image axis.
+            yield f"accelerometer_{across.axis}", file, lambda: _acceleration(across.acceleration)
+    readers: dict[str, Callable[[Sensor], tuple[Tree, Nanoseconds]]] = {
+        "camera": lambda sensor: _frames(recording.frames_of(sensor), every_frame, progress),
+        "infrared": lambda sensor: _frames(recording.frames_of(sensor), every_frame, progress, thermal=True),
+        "radar": lambda sensor: _radar(recording.radar_of(sensor), every_frame, progress),
+        "displacement": lambda sensor: _series(recording.series_of(sensor), "m"),
+    }
+    for sensor in recording.sensors:
+        yield sensor.name, sensor.settings.file, partial(readers[sensor.kind], sensor)
+    if settings.reference is not None:
+        yield "reference", settings.reference.file, lambda: _series(recording.reference, "m")
 
 
 def is_single(path: Path) -> bool:
@@ -274,14 +285,8 @@ def _frames(
     return branch, times
 
 
-def _thermal(recording: Recording) -> FrameSource:
-    """The frames of a recording's thermal camera."""
-    assert recording.infrared is not None
-    return recording.infrared.frames
-
-
-def _radar(recording: Recording, every_frame: bool, progress: Progress) -> tuple[Tree, Nanoseconds]:
-    branch, times = inspect_radar(recording.radar, every_frame, progress)
+def _radar(source: RadarSource, every_frame: bool, progress: Progress) -> tuple[Tree, Nanoseconds]:
+    branch, times = inspect_radar(source, every_frame, progress)
     return {**branch, **_clock(times)}, times
 
 

@@ -139,7 +139,7 @@ def open_eyes(sides: Sequence[Side], tracking: CameraTracking | None, progress: 
     opened = {one.settings.sensor: one for one in (tracking, tracking and tracking.beside) if one is not None}
     eyes = []
     for view in sides[0].recording.cameras:
-        known = tuple(camera for side in sides if (camera := side.calibration.of(view.sensor)) is not None)
+        known = tuple(camera for side in sides if (camera := side.calibration.camera_of(view.sensor)) is not None)
         if not known:
             continue
         view, _ = where_it_sees(view)

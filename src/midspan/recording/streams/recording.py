@@ -9,10 +9,11 @@ from typing import Any
 from midspan.errors import DataError, MidspanError, UsageError
 from midspan.recording.streams.acceleration import PreparedAcceleration, prepare_acceleration, still
 from midspan.records import NANOSECONDS, TimeSeries
-from midspan.settings.camera import InfraredSettings
+from midspan.settings.camera import CameraSettings, InfraredSettings
+from midspan.settings.kinds import KINDS
 from midspan.settings.load import load_settings, settings_file
-from midspan.settings.recording import RecordingSettings
-from midspan.settings.sensors import AccelerometerSettings, ChannelSettings
+from midspan.settings.recording import RecordingSettings, Sensor
+from midspan.settings.sensors import AccelerometerSettings, ChannelSettings, DisplacementSettings, RadarSettings
 from midspan.sources.accelerometer.formats import list_channels
 from midspan.sources.accelerometer.select import SeriesRequest, read_series
 from midspan.sources.camera.formats import open_frames
@@ -24,8 +25,6 @@ from midspan.sources.thermal.request import ThermalRequest
 
 # Share of the shortest stream by which its clock may be off where nothing else is said.
 MAX_OFFSET_SHARE = 0.2
-# The sections that name a file.
-SECTIONS = ("accelerometer", "camera", "infrared", "radar", "displacement", "reference")
 
 
 @contextmanager
@@ -51,8 +50,9 @@ class Recording:
         self.sees_from_ns: int | None = None
 
     def __repr__(self) -> str:
-        sensors = [name for name in SECTIONS if self.has(name)]
-        return f"Recording({str(self.file)!r}, {self.name!r}: {', '.join(sensors)})"
+        names = ["accelerometer", *(sensor.name for sensor in self.sensors), "reference"]
+        shown = [name for name in names if name not in ("accelerometer", "reference") or self.has(name)]
+        return f"Recording({str(self.file)!r}, {self.name!r}: {', '.join(shown)})"
 
     @property
     def folder(self) -> Path:
@@ -63,6 +63,11 @@ class Recording:
     def name(self) -> str:
         """The recording's name, or its folder's."""
         return self.settings.name or self.folder.resolve().name
+
+    @property
+    def sensors(self) -> tuple[Sensor, ...]:
+        """All sensors beside the accelerometer, in the order camera, infrared, radar, displacement."""
+        return self.settings.sensors
 
     def has(self, section: str) -> bool:
         """Whether the settings have a section of this name."""
@@ -115,9 +120,8 @@ class Recording:
         """The same recording seen by its thermal camera alone, as if that were its camera; None without one."""
         if self.settings.infrared is None:
             return None
-        known = type(self.settings).model_fields
-        others: dict[str, Any] = {name: None for name in ("displacement", "radar", "reference") if name in known}
-        changed = {"camera": self.settings.infrared, "infrared": None, **others}
+        alone = {"cameras": self.settings.infrareds[:1], "infrareds": (), "radars": (), "displacements": ()}
+        changed = {**alone, "reference": None}
         view = Recording(self.file, self.settings.model_copy(update=changed))
         view._beside = self
         return view
@@ -126,7 +130,7 @@ class Recording:
         """The same recording calibrated from `first_ns` to `last_ns`, its camera's frames used from `from_ns` on."""
         span = (first_ns / NANOSECONDS, last_ns / NANOSECONDS)
         window = self.settings.calibration.model_copy(update={"window_s": span})
-        view = Recording(self.file, self.settings.model_copy(update={"calibration": window, "infrared": None}))
+        view = Recording(self.file, self.settings.model_copy(update={"calibration": window, "infrareds": ()}))
         view._beside, view.sees_from_ns = self, from_ns
         return view
 
@@ -151,7 +155,8 @@ class Recording:
         assert self.settings.camera is not None
         sensor = accelerometer.model_copy(update={"value": column, "value_x": None, "value_y": None})
         camera = self.settings.camera.model_copy(update={"direction": axis})
-        changed = {"accelerometer": sensor, "camera": camera, "radar": None, "displacement": None, "reference": None}
+        alone = {"cameras": (camera,), "radars": (), "displacements": ()}
+        changed = {"accelerometer": sensor, **alone, "reference": None}
         view = Recording(self.file, self.settings.model_copy(update=changed))
         view._whole = self
         return view
@@ -190,7 +195,7 @@ class Recording:
     @cached_property
     def displacement(self) -> TimeSeries:
         """The channel of [displacement], m, on its own clock."""
-        return self._series("displacement", self.settings.displacement, "displacement")
+        return self.series_of(self._first("displacement"))
 
     @property
     def max_offset_s(self) -> float:
@@ -241,12 +246,15 @@ class Recording:
         """The camera's frames."""
         if self._whole is not None:
             return self._whole.frames
-        camera = self.settings.camera
-        if camera is None:
-            raise DataError(f"{self.file}: has no [camera] section.")
-        times = None if camera.times is None else self.path(camera.times, f"{self.sensor}.times")
+        return self.frames_of(self._first("camera"))
+
+    def frames_of(self, sensor: Sensor) -> FrameSource:
+        """The frames of one of `sensors`, a camera of light or infrared."""
+        camera, key = sensor.settings, self._key(sensor)
+        assert isinstance(camera, CameraSettings)
+        times = None if camera.times is None else self.path(camera.times, f"{key}.times")
         request = FrameRequest(times=times, rate_hz=camera.rate_hz, start_s=camera.start_s, every=camera.every)
-        path = self.path(camera.file, f"{self.sensor}.file")
+        path = self.path(camera.file, f"{key}.file")
         if isinstance(camera, InfraredSettings):
             return open_thermal(
                 path, ThermalRequest(request, camera.kelvin_per_count, camera.zero_k, camera.emissivity)
@@ -256,25 +264,55 @@ class Recording:
     @cached_property
     def radar(self) -> RadarSource:
         """The radar's frames."""
-        radar = self.settings.radar
-        if radar is None:
-            raise DataError(f"{self.file}: has no [radar] section.")
+        return self.radar_of(self._first("radar"))
+
+    def radar_of(self, sensor: Sensor) -> RadarSource:
+        """The frames of one of `sensors`, a radar."""
+        radar, key = sensor.settings, self._key(sensor)
+        assert isinstance(radar, RadarSettings)
         request = RadarRequest(
-            config=None if radar.config is None else self.path(radar.config, "radar.config"),
+            config=None if radar.config is None else self.path(radar.config, f"{key}.config"),
             iq_order=radar.iq_order,
             start_s=radar.start_s,
             rate_hz=radar.rate_hz,
             carrier_hz=radar.carrier_hz,
         )
-        return open_radar(self.path(radar.file, "radar.file"), request)
+        return open_radar(self.path(radar.file, f"{key}.file"), request)
+
+    def series_of(self, sensor: Sensor) -> TimeSeries:
+        """The channel (m, on its own clock) of one of `sensors`, a displacement sensor."""
+        assert isinstance(sensor.settings, DisplacementSettings)
+        return self._series(self._key(sensor), sensor.settings, "displacement")
+
+    def require_one_of_a_kind(self) -> None:
+        """UsageError naming the sections where there are several sensors of one kind, for what takes one of each."""
+        for kind in KINDS:
+            names = [sensor.name for sensor in self.sensors if sensor.kind == kind]
+            if len(names) > 1:
+                raise UsageError(
+                    f"{self.file}: [[{kind}]] must be one section here; received {len(names)}: {', '.join(names)}. "
+                    f"This version calibrates, tracks and estimates with one sensor of each kind: leave one [{kind}]."
+                )
+
+    def _first(self, kind: str) -> Sensor:
+        found = next((sensor for sensor in self.sensors if sensor.kind == kind), None)
+        if found is None:
+            raise DataError(f"{self.file}: has no [{kind}] section.")
+        return found
+
+    def _key(self, sensor: Sensor) -> str:
+        """The section of a sensor as messages name it: with its number where there are several of its kind."""
+        kind = "infrared" if isinstance(sensor.settings, InfraredSettings) else sensor.kind
+        listed = self.settings.of_kind(sensor.kind)
+        return kind if len(listed) < 2 else f"{kind}[{1 + listed.index(sensor.settings)}]"
 
     @property
     def own_files(self) -> set[Path]:
         """The files that make up the recording, resolved: results must not be written over them."""
-        parts = [part for name in SECTIONS if (part := getattr(self.settings, name)) is not None]
-        names = [name for part in parts for key in ("file", "times", "config") if (name := getattr(part, key, None))]
-        lenses = (camera.lens for camera in (self.settings.camera, self.settings.infrared) if camera is not None)
-        names += [lens.file for lens in lenses if lens is not None and lens.file]
+        parts = [self.settings.accelerometer, self.settings.reference, *(one.settings for one in self.sensors)]
+        lenses = [getattr(part, "lens", None) for part in parts]
+        keys = ("file", "times", "config")
+        names = [name for part in (*parts, *lenses) for key in keys if (name := getattr(part, key, None))]
         return {self.file.resolve(), *((self.folder / name).resolve() for name in names)}
 
     def _own_axis(self, channel: ChannelSettings) -> str | None:
