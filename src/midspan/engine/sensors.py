@@ -1,0 +1,159 @@
+"""The sensors of a measuring point: from a record, and what the estimator expects of it, to measurements.
+
+A sensor knows which channels of the estimator its targets feed. What it measured leaves it in its own unit, target by
+target; nothing is merged here.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from midspan.engine.camera import CameraChain, CameraState
+from midspan.records import Event, Frame, Measured, PixelTranslation, Prediction, Readings
+
+# The prediction across the measured axis, where nothing predicts: the motion there is small, px.
+ACROSS_STD_PX = 2.0
+# A prediction is trusted to no better than this, so that the search never narrows to nothing, px.
+MIN_STD_PX = 0.5
+# A prediction vaguer than this is none, px.
+MAX_STD_PX = 100.0
+
+Expect = Callable[[int, int], tuple[float, float]]
+"""Expected measurement of a channel (its number) at a stamp (ns) in the channel's unit, and its variance."""
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """What a sensor made of one record: measurements for the estimator, translations of a camera's targets, events."""
+
+    sensor: str
+    measured: Measured
+    translations: tuple[PixelTranslation, ...] = ()
+    events: tuple[Event, ...] = ()
+
+
+class Sensor(Protocol):
+    """One sensor of a point."""
+
+    def push(self, record: Any, expect: Expect) -> Seen:
+        """Take the next record, its stamps on the common clock."""
+        ...
+
+    @property
+    def state(self) -> Any:
+        """Everything that changes from record to record, as a frozen record."""
+        ...
+
+    def restore(self, state: Any) -> None:
+        """Go on from a `state` taken earlier."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Tracked:
+    """A frame whose targets have been found already, before the estimator began: their translations."""
+
+    time_ns: int
+    translations: tuple[PixelTranslation, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CameraSensorState:
+    """What a `CameraSensor` remembers: its chain's state, and where each target was seen last, (x, y) in px."""
+
+    chain: CameraState
+    seen_px: tuple[tuple[float, float], ...]
+
+
+class CameraSensor:
+    """A camera: channels[target][axis] are numbers in the estimator's table, directions the image axis of each."""
+
+    def __init__(
+        self, name: str, chain: CameraChain, channels: Sequence[Sequence[int]], directions: Sequence[str]
+    ) -> None:
+        self.name, self.chain = name, chain
+        self.channels, self.directions = tuple(tuple(row) for row in channels), tuple(directions)
+        self._seen_px = [(0.0, 0.0)] * len(self.channels)
+
+    @property
+    def state(self) -> CameraSensorState:
+        """Everything that changes from frame to frame."""
+        return CameraSensorState(self.chain.state, tuple(self._seen_px))
+
+    def restore(self, state: CameraSensorState) -> None:
+        """Go on from a `state` taken earlier."""
+        self.chain.restore(state.chain)
+        self._seen_px = list(state.seen_px)
+
+    def push(self, record: Frame | Tracked, expect: Expect) -> Seen:
+        """Find each target in a frame, where it is expected; a frame that was tracked before is taken as it is."""
+        if isinstance(record, Tracked):
+            found = record.translations
+        else:
+            numbers = range(len(self.channels))
+            found = self.chain.push(record, [self._prediction(k, record.time_ns, expect) for k in numbers])
+        for k, one in enumerate(found):
+            if np.isfinite(one.x_px) and np.isfinite(one.y_px):
+                self._seen_px[k] = (one.x_px, one.y_px)
+        events = tuple(event for one in found for event in one.events)
+        return Seen(self.name, self._measured(found), found, events)
+
+    def _prediction(self, target: int, time_ns: int, expect: Expect) -> Prediction | None:
+        """Where a target is expected; None while the main axis cannot tell."""
+        place = dict(zip("xy", ((value, ACROSS_STD_PX) for value in self._seen_px[target]), strict=True))
+        for number, (channel, direction) in enumerate(zip(self.channels[target], self.directions, strict=True)):
+            value, variance = expect(channel, time_ns)
+            std = max(float(np.sqrt(max(variance, 0.0))), MIN_STD_PX)
+            if np.isfinite(value) and std <= MAX_STD_PX:
+                place[direction] = (value, std)
+            elif number == 0:
+                return None
+        return Prediction(place["x"][0], place["y"][0], place["x"][1], place["y"][1])
+
+    def _measured(self, found: Sequence[PixelTranslation]) -> Measured:
+        """The translations that were found, along each axis, as measurements."""
+        rows = [
+            (
+                one.time_ns,
+                channel,
+                getattr(one, f"{direction}_px"),
+                getattr(one, f"variance_{direction}_px2"),
+                getattr(one, f"reference_variance_{direction}_px2"),
+            )
+            for one, channels in zip(found, self.channels, strict=True)
+            for channel, direction in zip(channels, self.directions, strict=True)
+        ]
+        time_ns, channel, *values = zip(*rows, strict=True)
+        value, variance, reference = (np.array(column, dtype=np.float64) for column in values)
+        return Measured(
+            np.array(time_ns, dtype=np.int64), np.array(channel, dtype=np.int64), value, variance, reference
+        )
+
+
+class PlainSensor:
+    """A displacement sensor: its readings (n, 1) in m, each of the same variance (m²), feed one channel."""
+
+    def __init__(self, name: str, channel: int, variance_m2: float) -> None:
+        self.name, self.channel, self.variance_m2 = name, channel, variance_m2
+
+    @property
+    def state(self) -> None:
+        """Nothing changes from reading to reading."""
+        return None
+
+    def restore(self, state: None) -> None:
+        """There is nothing to go on from."""
+
+    def push(self, record: Readings, expect: Expect) -> Seen:
+        """Take readings as measurements; what is not finite is not used."""
+        count = len(record.time_ns)
+        measured = Measured(
+            record.time_ns,
+            np.full(count, self.channel),
+            record.value[:, 0],
+            np.full(count, self.variance_m2),
+            np.zeros(count),
+        )
+        return Seen(self.name, measured)

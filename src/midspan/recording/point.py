@@ -1,0 +1,123 @@
+"""From a calibrated recording to its measuring point: channels, what is uncertain of each sensor, and the stages."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from midspan.calibration.whitening import BIAS_WALK_RATIO
+from midspan.engine.axis import AxisFigures, usual_figures
+from midspan.engine.guard import Guard, GuardSettings
+from midspan.engine.merge import Merge
+from midspan.engine.point import ACCELEROMETER, Point
+from midspan.engine.sensors import CameraSensor, PlainSensor, Sensor
+from midspan.fusion.estimator import Estimator
+from midspan.fusion.model import EstimatorSettings, Parameter, ParameterKind
+from midspan.recording.cameras.tracked import Eye, Side, clock_std_s
+from midspan.records import NANOSECONDS, Channel, ClockOffset, Nanoseconds, Source
+
+# Rows are coasting when the last accepted measurement is older than this many of the sensor's usual intervals; they
+# are lost after this many, and after this many seconds at least.
+COASTING_INTERVALS, LOST_INTERVALS, MIN_COASTING_S, MIN_LOST_S = 2.5, 10.0, 0.05, 10.0
+# Noise of a target's reference frame over the noise of a frame, as standard deviations (see `vision/usual.py`).
+REFERENCE_NOISE = 1.15
+# The bias is known to no better than this many samples' noise, m/s², and this (a tilt of 0.006°).
+BIAS_SAMPLES, MIN_BIAS_STD = 10.0, 1e-3
+
+
+@dataclass(slots=True)
+class Table:
+    """The estimator's channels and parameters as they are gathered, sensor by sensor."""
+
+    channels: list[Channel] = field(default_factory=list)
+    parameters: list[Parameter] = field(default_factory=list)
+
+    def add(self, channel: Channel) -> int:
+        """Put a channel to the table; returns its number."""
+        self.channels.append(channel)
+        return len(self.channels) - 1
+
+    def uncertain(self, kind: ParameterKind, channels: Sequence[int], std: float) -> None:
+        """Put an uncertain value that the channels share to the table, where there is any doubt of it."""
+        if 0.0 < std < np.inf:
+            self.parameters.append(Parameter(kind, tuple(channels), std))
+
+
+def ages(times: Nanoseconds) -> tuple[float, float]:
+    """Ages (s) of the last accepted measurement from which on rows are coasting and lost, by a sensor's stamps (n,)."""
+    interval = float(np.median(np.diff(times))) / NANOSECONDS if len(times) > 1 else 0.0
+    return max(COASTING_INTERVALS * interval, MIN_COASTING_S), max(LOST_INTERVALS * interval, MIN_LOST_S)
+
+
+def camera_channels(table: Table, eye: Eye, *, first: bool) -> CameraSensor:
+    """A camera's sensor, and its channels in the table; first: whether its zero is the zero of the displacement."""
+    coasting_s, lost_s = ages(eye.tracking.time_ns)
+    rows: list[list[int]] = [[] for _ in eye.tracking.targets]
+    along: list[list[int]] = []
+    for axis, camera in enumerate(eye.calibrations):
+        along.append([])
+        mappings = camera.mappings()
+        noise = [abs(m.scale_m_per_px) * camera.used[k].noise_std_px for k, m in enumerate(mappings)]
+        best = int(np.argmin(noise))
+        for k, (target, mapping) in enumerate(zip(eye.tracking.targets, mappings, strict=True)):
+            zero_std_m = 0.0 if k == best else REFERENCE_NOISE * float(np.hypot(noise[k], noise[best]))
+            channel = Channel(
+                sensor=eye.sensor,
+                source=eye.source,
+                units_per_m=1.0 / mapping.scale_m_per_px,
+                target=target.name,
+                axis=axis,
+                variance_factor=mapping.variance_factor,
+                exposure_s=target.chain.blur_s(eye.view.exposure_s),
+                zero_std_m=zero_std_m if first else np.inf,
+                coasting_s=coasting_s,
+                lost_s=lost_s,
+            )
+            rows[k].append(table.add(channel))
+            along[axis].append(rows[k][-1])
+    for numbers, camera in zip(along, eye.calibrations, strict=True):
+        # An axis without an accelerometer has the other's scale factor.
+        shared = numbers if camera.fused else []
+        table.uncertain(ParameterKind.SCALE_ERROR, [*numbers, *along[-1]] if not shared else shared, camera.relative_std)
+    every = [number for numbers in along for number in numbers]
+    table.uncertain(ParameterKind.CLOCK_OFFSET, every, clock_std_s(eye.calibrations[0].offset))
+    return CameraSensor(eye.sensor, eye.tracking.chain, rows, [camera.direction for camera in eye.calibrations])
+
+
+def figures(side: Side) -> AxisFigures:
+    """What is usual of an axis's acceleration."""
+    density = side.calibration.noise_density(side.prepared.rate_hz)
+    name = f"accelerometer ({side.recording.accelerometer.file})"
+    return usual_figures(side.recording.acceleration.value, side.prepared.rate_hz, name=name, noise_density=density)
+
+
+def bias_std(side: Side) -> float:
+    """How well the bias is known at the start, m/s²."""
+    known = side.calibration.bias_std_m_s2
+    noise = BIAS_SAMPLES * side.calibration.noise_std_m_s2
+    return float(np.hypot(np.hypot(noise, MIN_BIAS_STD), known if np.isfinite(known) else 0.3))
+
+
+def measuring_point(sides: Sequence[Side], eyes: Sequence[Eye], *, log: bool) -> Point:
+    """The point of a recording's axes and cameras."""
+    table, sensors, offsets = Table(), {}, {}
+    for number, eye in enumerate(eyes):
+        sensors[eye.sensor] = camera_channels(table, eye, first=number == 0)
+        offsets[eye.sensor] = eye.calibrations[0].offset.value_s
+    main = sides[0]
+    zero_ns = None
+    if eyes:
+        zero_ns = int(eyes[0].tracking.time_ns[0]) + round(NANOSECONDS * offsets[eyes[0].sensor])
+    settings = EstimatorSettings(
+        channels=tuple(table.channels),
+        axes=len(sides),
+        parameters=tuple(table.parameters),
+        bias_m_s2=tuple(side.calibration.bias_m_s2 for side in sides),
+        bias_std_m_s2=tuple(bias_std(side) for side in sides),
+        zero_ns=zero_ns,
+    )
+    merge = Merge([ACCELEROMETER, *sensors], lateness_s=np.inf, silent_s=np.inf)
+    for name, offset_s in offsets.items():
+        merge.push(ClockOffset(name, round(NANOSECONDS * offset_s), -(2**62)))
+    guard = Guard(GuardSettings(main.prepared.rate_hz, tuple(figures(side) for side in sides)))
+    return Point(merge, guard, sensors, Estimator(settings, log=log))
