@@ -6,7 +6,7 @@ splits each hypothesis by what may have happened just then:
     GOOD     it is one of the few that lie so far off by chance
     OUTLIER  it is wrong, by any amount; the next ones may be so too, and may keep its value
     SHIFT    the channel's zero has moved, and stays
-    RETURN   the channel's zero is back where it was before its last shift
+    RETURN   the channel's zero is back where it was before its shift
     WRONG    the prediction is: the acceleration errs by more than its noise, and may go on to do so
     LOST     the motion's state is wrong, its bias too: an earlier measurement led it away
     NOISE    the channel's noise has risen
@@ -14,58 +14,76 @@ splits each hypothesis by what may have happened just then:
 Each goes on as a filter of its own; the likelihood of what is measured later, by any channel, decides. Hypotheses that
 fall behind the best by `ODDS` are dropped, those that have come to agree are one again, and no more than a fixed number
 is kept. The priors are rates: how often each is met in the field.
-"""
 
-from dataclasses import dataclass
+The variance of each channel's noise is followed in each hypothesis by the variational Bayes filter (S. Särkkä, A.
+Nummenmaa, Recursive noise adaptive Kalman filtering by variational Bayesian approximations, IEEE Trans. Automat.
+Contr. 54 (2009) 596-600, doi 10.1109/TAC.2008.2008348): a mean, over so many measurements as are remembered, of what
+is left of each innovation after its update and of what the updated state's variance adds to it.
+"""
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from midspan.fusion.forward import (
     AT,
     AXIS,
     CHANNEL,
-    INPUT,
-    LEAD,
-    LIMIT,
-    MOTION_COLUMNS,
-    SET_DATUM,
-    SLOPE,
-    STEP,
-    TIME,
+    REFERENCE,
     UNITS_PER_M,
     VALUE,
     VARIANCE,
     ZERO,
-    begin_interval,
-    copy_datum,
-    innovations,
-    leave,
-    predict,
-    row_variance,
+    ZERO_VARIANCE,
+    add_noise,
+    innovate,
+    move_reference,
+    project,
+    quadratic,
+    scale_state,
     update,
 )
-from midspan.fusion.kalman import START_S
-from midspan.fusion.state_space import GAP_STEPS
-from midspan.records import Floats
+from midspan.fusion.forward import SENSOR as SENSOR_OF
 
 GOOD, OUTLIER, SHIFT, RETURN, WRONG, LOST, NOISE = range(7)
 KINDS = 7
+# In the code of what happened: the error of the acceleration has just ended.
+ENDED = KINDS
+# The setting of the datum.
+DATUM = 2 * KINDS
 # How many hypotheses are kept.
 MOST = 16
 # Two are one again where every state agrees to a fifth of its standard deviation, its variance to a tenth and the
 # noise to a fifth: what is lost by that is below a hundredth of the band.
 SAME_MEAN, SAME_VARIANCE, SAME_NOISE, TINY = 0.05, 0.1, 0.2, 1e-24
+# Innovations beyond so many standard deviations are asked what happened: one in 16 000 is by chance.
+GATE = 4.0
 # Columns of what each hypothesis remembers besides its filter: logarithm of its weight; density of the error of the
-# acceleration that goes on (0: none) and along which axis; of the channel in disturbance number (-1: none), last value.
-WEIGHT, DENSITY, ALONG, DISTURBED, KEPT = range(5)
-MEMORY_COLUMNS = 5
-# Options, see `Rates`.
-P_OUTLIER, P_STAYS, SHIFT_RATE, RETURN_RATE, WRONG_RATE, NOISE_RATE, LOST_RATE, ODDS = range(8)
+# acceleration that goes on (0: none) and along which axis; of the last measurement the hypothesis before it, what it
+# was taken for, its innovation (with the parameters as estimated) and its predicted variance; then what happened to
+# several targets of a sensor in the same frame: time and sensor of the last shift, and of the last outlier.
+WEIGHT, DENSITY, ALONG, PARENT, CODE, ERROR, TOTAL, SHIFT_AT, SHIFT_OF, OUTLIER_AT, OUTLIER_OF = range(11)
+MEMORY_COLUMNS = 11
+# And for each channel: factor on its variance, and how many measurements it rests on; whether the last one was an
+# outlier, and its value; whether its zero has shifted; whether it was met; variance of its reference (m²); when it was
+# last met, when last accepted, and with which variance (m²).
+FACTOR, RESTS_ON, DISTURBED, KEPT, SHIFTED, BEGUN, REFERENCE_NOW, MET_AT, ACCEPTED_AT, ACCEPTED_VARIANCE = range(10)
+MARK_COLUMNS = 10
+# Options, see `Rates`; MEMORY: as of `EstimatorSettings.noise_memory`.
+P_OUTLIER, P_STAYS, SHIFT_RATE, RETURN_RATE, WRONG_RATE, NOISE_RATE, LOST_RATE, ODDS, MEMORY = range(9)
 LOG_2PI = np.log(2.0 * np.pi)
 # Errors of unknown size lie within this number of decades above the noise.
 DECADES = 4.0
+# A zero of which nothing is known is taken to lie within so many times (in variance) what the first measurement is off:
+# that measurement then says 1e-6 of what it would say of the displacement.
+UNKNOWN_ZERO = 1e6
+# What the noise's factor rests on after a sudden rise, in measurements.
+ANEW = 12.0
+# What goes on as an error of the acceleration is so often one of the bias, which a state led away holds too.
+BIAS_TOO = 0.05
+# Iterations of the variance's fixed point: the third changes it by less than a thousandth.
+ITERATIONS = 3
+# Shortest time (s) that a rate is taken over.
+SHORTEST_S = 1e-3
 
 
 @njit(cache=True)
@@ -81,119 +99,193 @@ def log_any_size(e, total):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def copy_state(p, x, to, of):  # type: ignore[no-untyped-def]
-    """The state `to` becomes a copy of the state `of`."""
-    x[to] = x[of]
-    p[to] = p[of]
-    p[:, to] = p[:, of]
-    p[to, to] = p[of, of]
-
-
-@njit(cache=True)
-def noisier(p, i, dt, density):  # type: ignore[no-untyped-def]
-    """More noise of the acceleration over `dt` seconds, along the axis whose displacement is state `i`."""
-    p[i, i] += density * dt * dt * dt / 3.0
-    p[i, i + 1] += density * 0.5 * dt * dt
-    p[i + 1, i] += density * 0.5 * dt * dt
-    p[i + 1, i + 1] += density * dt
-
-
-@njit(cache=True)
-def alike(x, p, y, q):  # type: ignore[no-untyped-def]
-    """Whether two hypotheses have come to say the same of every state but the zeros' past."""
-    for i in range(len(p)):
-        if (x[i, 0] - y[i, 0]) ** 2 > SAME_MEAN * (p[i, i] + q[i, i]) + TINY:
-            return False
-        if abs(p[i, i] - q[i, i]) > SAME_VARIANCE * max(p[i, i], q[i, i]) + TINY:
-            return False
-    return True
-
-
-@njit(cache=True)
-def weigh(b, hyps, row, motion, now, tables, options, last, scratch, chances):  # type: ignore[no-untyped-def]
-    """Logarithms of the weights (6,) of what hypothesis `b` may become by a measurement; -inf: not looked at."""
-    xs, ps, factors, memory, shifted = hyps
-    _, channels, kinds = tables
-    h, gain, e = scratch
-    c, a = int(row[CHANNEL]), int(row[AXIS])
-    channel = channels[c]
-    innovations(xs[b], motion, a, now, row[VALUE], channel, kinds[c], h, e)
-    own = row[VARIANCE] * factors[b, c]
-    total = own + row_variance(ps[b], h, gain)
-    disturbed = int(memory[b, DISTURBED]) == c
-    p_out = options[P_STAYS] if disturbed else options[P_OUTLIER]
-    prior = memory[b, WEIGHT]
-    chances[:] = -np.inf
-    chances[GOOD] = prior + log_normal(e[0], total) + np.log(1.0 - p_out)
-    size = log_any_size(e[0], total)
-    if disturbed:
-        size = np.log(0.5) + max(size, log_normal(row[VALUE] - memory[b, KEPT], 2.0 * own))
-    chances[OUTLIER] = prior + size + np.log(p_out)
-    if e[0] * e[0] <= channel[LIMIT] ** 2 * total:
-        return
-    lapse = max(row[AT] - last[c], 1e-3)
+def meet_zero(hyp, row, channel):  # type: ignore[no-untyped-def]
+    """Before a channel's measurement: its zero begins with the first, and follows the reference; returns the factor
+    by which the reference's state was scaled. hyp: one hypothesis's (x, p, marks of the channel, theta).
+    """
+    x, p, mark, _ = hyp
     z = int(channel[ZERO])
-    if z >= 0:
-        chances[SHIFT] = prior + np.log(options[SHIFT_RATE] * lapse) + log_any_size(e[0], total)
-        if shifted[b, c]:
-            x, p, g = xs[b], ps[b], channel[UNITS_PER_M]
-            back = e[0] + g * (x[z, 0] - x[z + 1, 0])
-            h[z], h[z + 1] = 0.0, g
-            chances[RETURN] = (
-                prior + np.log(options[RETURN_RATE] * lapse) + log_normal(back, own + row_variance(p, h, gain))
-            )
-    chances[WRONG] = prior + np.log(options[WRONG_RATE] * lapse) + log_any_size(e[0], total)
-    chances[LOST] = prior + np.log(options[LOST_RATE] * lapse) + log_any_size(e[0], total)
-    chances[NOISE] = prior + np.log(options[NOISE_RATE] * lapse) + log_any_size(e[0], total)
+    if mark[BEGUN] == 0.0:
+        mark[BEGUN] = 1.0
+        p[z, z] = channel[ZERO_VARIANCE]
+        if not channel[ZERO_VARIANCE] < np.inf:
+            g, i = channel[UNITS_PER_M], 3 * int(channel[AXIS])
+            p[z, z] = UNKNOWN_ZERO * ((row[VALUE] / g - x[i, 0]) ** 2 + row[VARIANCE] / (g * g) + p[i, i])
+    was = mark[REFERENCE_NOW]
+    if was == row[REFERENCE]:
+        return 1.0
+    mark[REFERENCE_NOW] = row[REFERENCE]
+    return move_reference(x, p, z + 2, was, row[REFERENCE])
 
 
 @njit(cache=True)
-def become(kind, b, hyps, row, motion, now, tables, last, scratch):  # type: ignore[no-untyped-def]
-    """Turn hypothesis `b` into what a measurement makes of it, as `kind` says."""
-    xs, ps, factors, memory, shifted = hyps
-    _, channels, kinds = tables
-    h, gain, e = scratch
-    c, a = int(row[CHANNEL]), int(row[AXIS])
-    channel, x, p = channels[c], xs[b], ps[b]
-    z, g = int(channel[ZERO]), channel[UNITS_PER_M]
-    if kind == OUTLIER:
-        memory[b, DISTURBED], memory[b, KEPT] = c, row[VALUE]
+def look(b, hyps, row, scene, tables, scratch):  # type: ignore[no-untyped-def]
+    """Innovation of a measurement in hypothesis `b`, variance of its prediction, and of its own noise.
+
+    scene = (motion, acceleration at the instant); the sensitivities go to `scratch`, and P h with them. The variance
+    of the prediction is (without, with) the parameters' part.
+    """
+    xs, ps, marks, _, thetas, spreads = hyps
+    _, channels, kinds, _ = tables
+    gain, e = scratch
+    c = int(row[CHANNEL])
+    innovate(xs[b], scene[0], channels[c], kinds[c], scene[1], row[VALUE], e)
+    error, known = e[0], project(ps[b], channels[c], gain)
+    for q in range(len(e) - 1):
+        error += e[1 + q] * thetas[b, q]
+    return error, known, known + quadratic(e[1:], spreads[b]), row[VARIANCE] * marks[b, c, FACTOR]
+
+
+@njit(cache=True)
+def adapt(mark, error, known, own, memory):  # type: ignore[no-untyped-def]
+    """Follow the variance of a channel's noise after an accepted innovation; known, own: parts of its variance."""
+    rests = min(mark[RESTS_ON], memory - 1.0)
+    ratio = 1.0
+    for _ in range(ITERATIONS):
+        share = ratio * own / (known + ratio * own)
+        left = (error * share) ** 2 / own + share * known / own
+        ratio = (rests + left) / (rests + 1.0)
+    mark[FACTOR] *= ratio
+    mark[RESTS_ON] = rests + 1.0
+
+
+@njit(cache=True)
+def accept(b, hyps, row, seen, tables, options, scratch):  # type: ignore[no-untyped-def]
+    """Update hypothesis `b` with a measurement; seen: what `look` returned, P h and sensitivities in `scratch`."""
+    xs, ps, marks, memory, _, _ = hyps
+    gain, e = scratch
+    c = int(row[CHANNEL])
+    error, known, wider, own = seen
+    mark, g = marks[b, c], tables[1][c, UNITS_PER_M]
+    memory[b, ERROR], memory[b, TOTAL] = error, wider + own
+    adapt(mark, error, wider, own, options[MEMORY])
+    own = row[VARIANCE] * mark[FACTOR]
+    update(xs[b], ps[b], gain, e, known + own)
+    mark[DISTURBED] = 0.0
+    mark[ACCEPTED_AT], mark[ACCEPTED_VARIANCE] = row[AT], own / (g * g)
+    return known + own
+
+
+@njit(cache=True)
+def weigh(b, hyps, row, scene, tables, options, scratch, chances):  # type: ignore[no-untyped-def]
+    """Logarithms of the weights (7,) of what hypothesis `b` may become by a measurement; -inf: not looked at."""
+    xs, ps, marks, memory, _, _ = hyps
+    channel = tables[1][int(row[CHANNEL])]
+    mark, prior = marks[b, int(row[CHANNEL])], memory[b, WEIGHT]
+    error, _, wider, own = look(b, hyps, row, scene, tables, scratch)
+    total = wider + own
+    same_frame = memory[b, OUTLIER_AT] == row[AT] and memory[b, OUTLIER_OF] == channel[SENSOR_OF]
+    p_out = options[P_STAYS] if mark[DISTURBED] > 0.0 or same_frame else options[P_OUTLIER]
+    chances[:] = -np.inf
+    chances[GOOD] = prior + log_normal(error, total) + np.log(1.0 - p_out)
+    size = log_any_size(error, total)
+    if mark[DISTURBED] > 0.0:
+        kept = np.log(0.5) + max(size, log_normal(row[VALUE] - mark[KEPT], 2.0 * own))
+        chances[OUTLIER] = prior + kept + np.log(p_out)
+    else:
+        chances[OUTLIER] = prior + size + np.log(p_out)
+    if memory[b, DENSITY] > 0.0:
+        chances[LOST] = prior + np.log(BIAS_TOO) + log_normal(error, total)
+    if error * error <= GATE * GATE * total:
         return
-    if int(memory[b, DISTURBED]) == c:
-        memory[b, DISTURBED] = -1.0
-    innovations(x, motion, a, now, row[VALUE], channel, kinds[c], h, e)
-    size, lapse = e[0] / g, max(row[AT] - last[c], 1e-3)
+    lapse = max(row[AT] - mark[MET_AT], SHORTEST_S)
+    shifts = options[SHIFT_RATE] * lapse
+    if memory[b, SHIFT_AT] == row[AT] and memory[b, SHIFT_OF] == channel[SENSOR_OF]:
+        shifts = options[P_STAYS]
+    chances[SHIFT] = prior + np.log(shifts) + size
+    if mark[SHIFTED] > 0.0:
+        s, g = int(channel[ZERO]) + 1, channel[UNITS_PER_M]
+        # Without the shift's state: its mean comes back to the innovation, its variance goes.
+        rest = wider - 2.0 * g * scratch[0][s] + g * g * ps[b, s, s]
+        returned = log_normal(error + g * xs[b, s, 0], max(rest, 0.0) + own)
+        chances[RETURN] = prior + np.log(options[RETURN_RATE] * lapse) + returned
+    chances[WRONG] = prior + np.log(options[WRONG_RATE] * lapse) + size
+    chances[LOST] = max(chances[LOST], prior + np.log(options[LOST_RATE] * lapse) + size)
+    chances[NOISE] = prior + np.log(options[NOISE_RATE] * lapse) + size
+
+
+@njit(cache=True)
+def become(code, b, hyps, row, scene, tables, options, scratch):  # type: ignore[no-untyped-def]
+    """Turn hypothesis `b` into what a measurement makes of it, as `code` says; returns the innovation's variance that
+    it was taken with (0: not at all) and the factor by which the shift's state was scaled.
+    """
+    xs, ps, marks, memory, _, _ = hyps
+    c = int(row[CHANNEL])
+    channel, x, p, mark = tables[1][c], xs[b], ps[b], marks[b, c]
+    a, s, scaled = int(channel[AXIS]), int(channel[ZERO]) + 1, 1.0
+    kind, lapse = code % KINDS, max(row[AT] - mark[MET_AT], SHORTEST_S)
+    memory[b, CODE] = code
+    mark[MET_AT] = row[AT]
+    seen = look(b, hyps, row, scene, tables, scratch)
+    if kind == OUTLIER:
+        mark[DISTURBED], mark[KEPT] = 1.0, row[VALUE]
+        memory[b, OUTLIER_AT], memory[b, OUTLIER_OF] = row[AT], channel[SENSOR_OF]
+        memory[b, ERROR], memory[b, TOTAL] = seen[0], seen[2] + seen[3]
+        if code >= ENDED:
+            memory[b, DENSITY] = 0.0
+        return 0.0, scaled
+    error, total = seen[0], seen[2] + seen[3]
+    size = error / channel[UNITS_PER_M]
     if kind == SHIFT:
-        copy_state(p, x, z + 1, z)
-        p[z, z] += size * size
-        shifted[b, c] = True
+        p[s, s] += size * size
+        mark[SHIFTED] = 1.0
+        memory[b, SHIFT_AT], memory[b, SHIFT_OF] = row[AT], channel[SENSOR_OF]
     elif kind == RETURN:
-        copy_state(p, x, z, z + 1)
+        scaled = 0.0
+        scale_state(x, p, s, scaled)
+        mark[SHIFTED] = 0.0
     elif kind == WRONG:
         memory[b, DENSITY], memory[b, ALONG] = 3.0 * size * size / lapse**3, a
-        noisier(p, 3 * a, lapse, memory[b, DENSITY])
+        add_noise(p, 3 * a, lapse, memory[b, DENSITY])
     elif kind == LOST:
-        i = 3 * a
-        p[i, i] += size * size
-        p[i + 1, i + 1] += (size / lapse) ** 2
-        p[i + 2, i + 2] += (size / lapse**2) ** 2
+        size = max(abs(size), np.sqrt(total) / abs(channel[UNITS_PER_M]))
+        for i, std in ((3 * a, size), (3 * a + 1, size / lapse), (3 * a + 2, size / lapse**2)):
+            p[i, i] += std * std
+        memory[b, DENSITY] = 0.0
     elif kind == NOISE:
-        factors[b, c] *= e[0] * e[0] / (row[VARIANCE] * factors[b, c] + row_variance(p, h, gain))
-    innovations(x, motion, a, now, row[VALUE], channel, kinds[c], h, e)
-    update(x, p, gain, e, row[VARIANCE] * factors[b, c] + row_variance(p, h, gain))
+        mark[FACTOR] *= error * error / total
+        mark[RESTS_ON] = min(mark[RESTS_ON], ANEW)
+    if kind != GOOD:
+        seen = look(b, hyps, row, scene, tables, scratch)
+    taken = accept(b, hyps, row, seen, tables, options, scratch)
+    memory[b, ERROR], memory[b, TOTAL] = error, total
+    if code >= ENDED:
+        memory[b, DENSITY] = 0.0
+    return taken, scaled
 
 
 @njit(cache=True)
 def copy_hypothesis(hyps, to, of):  # type: ignore[no-untyped-def]
     """Hypothesis `to` becomes a copy of `of`."""
-    xs, ps, factors, memory, shifted = hyps
-    xs[to], ps[to], factors[to], memory[to], shifted[to] = xs[of], ps[of], factors[of], memory[of], shifted[of]
+    xs, ps, marks, memory, thetas, spreads = hyps
+    xs[to], ps[to], marks[to], memory[to] = xs[of], ps[of], marks[of], memory[of]
+    thetas[to], spreads[to] = thetas[of], spreads[of]
+
+
+@njit(cache=True)
+def alike(hyps, b, o):  # type: ignore[no-untyped-def]
+    """Whether two hypotheses have come to say the same of every state, of the noise and of what goes on."""
+    xs, ps, marks, memory, _, _ = hyps
+    if memory[o, DENSITY] != memory[b, DENSITY]:
+        return False
+    for c in range(marks.shape[1]):
+        if marks[o, c, DISTURBED] != marks[b, c, DISTURBED]:
+            return False
+        if abs(marks[o, c, FACTOR] / marks[b, c, FACTOR] - 1.0) > SAME_NOISE:
+            return False
+    for i in range(ps.shape[1]):
+        mine, other = ps[b, i, i], ps[o, i, i]
+        if (xs[b, i, 0] - xs[o, i, 0]) ** 2 > SAME_MEAN * (mine + other) + TINY:
+            return False
+        if abs(mine - other) > SAME_VARIANCE * max(mine, other) + TINY:
+            return False
+    return True
 
 
 @njit(cache=True)
 def prune(hyps, count, odds):  # type: ignore[no-untyped-def]
     """Drop what fell behind or repeats a better one; the best comes first. Returns how many are left."""
-    xs, ps, factors, memory, _ = hyps
+    memory = hyps[3]
     best = 0
     for b in range(1, count):
         if memory[b, WEIGHT] > memory[best, WEIGHT]:
@@ -206,9 +298,7 @@ def prune(hyps, count, odds):  # type: ignore[no-untyped-def]
     for b in range(count):
         keep = memory[b, WEIGHT] > top - odds
         for o in range(left):
-            same = memory[o, DENSITY] == memory[b, DENSITY] and memory[o, DISTURBED] == memory[b, DISTURBED]
-            same = same and np.all(np.abs(factors[o] / factors[b] - 1.0) < SAME_NOISE)
-            if keep and same and alike(xs[o], ps[o], xs[b], ps[b]):
+            if keep and alike(hyps, b, o):
                 keep = False
                 high, low = max(memory[o, WEIGHT], memory[b, WEIGHT]), min(memory[o, WEIGHT], memory[b, WEIGHT])
                 memory[o, WEIGHT] = high + np.log1p(np.exp(low - high))
@@ -216,24 +306,21 @@ def prune(hyps, count, odds):  # type: ignore[no-untyped-def]
             if left != b:
                 copy_hypothesis(hyps, left, b)
             left += 1
+    top = memory[0, WEIGHT]
     for b in range(left):
         memory[b, WEIGHT] -= top
     return left
 
 
 @njit(cache=True)
-def meet(hyps, count, row, motion, now, tables, options, last, scratch, chances):  # type: ignore[no-untyped-def]
+def split(hyps, count, row, scene, tables, options, scratch, chances):  # type: ignore[no-untyped-def]
     """Split, weigh and prune all hypotheses by one measurement; returns how many are left."""
     memory = hyps[3]
     for b in range(count):
-        weigh(b, hyps, row, motion, now, tables, options, last, scratch, chances[b])
+        weigh(b, hyps, row, scene, tables, options, scratch, chances[b])
         if memory[b, DENSITY] > 0.0:
             # The error of the acceleration may just have ended.
             chances[b] += np.log(options[P_STAYS])
-    if count == 1 and chances[0, GOOD] == np.max(chances[0]) and np.sum(chances[0] > -np.inf) == 2:
-        become(GOOD, 0, hyps, row, motion, now, tables, last, scratch)
-        memory[0, WEIGHT] = 0.0
-        return 1
     flat = chances[:count].ravel()
     order = np.argsort(-flat)
     made = 0
@@ -242,149 +329,15 @@ def meet(hyps, count, row, motion, now, tables, options, last, scratch, chances)
             break
         b, kind = place // KINDS, place % KINDS
         copy_hypothesis(hyps, MOST + made, b)
-        become(kind, MOST + made, hyps, row, motion, now, tables, last, scratch)
-        memory[MOST + made, WEIGHT] = flat[place]
+        become(kind, MOST + made, hyps, row, scene, tables, options, scratch)
+        memory[MOST + made, WEIGHT], memory[MOST + made, PARENT] = flat[place], b
         made += 1
     for b in range(made):
         copy_hypothesis(hyps, b, MOST + b)
     for b in range(made):
         if memory[b, DENSITY] > 0.0 and made < MOST:
             copy_hypothesis(hyps, made, b)
-            memory[made, DENSITY] = 0.0
+            memory[made, DENSITY], memory[made, CODE] = 0.0, memory[b, CODE] + ENDED
             memory[made, WEIGHT] += np.log(1.0 - options[P_STAYS]) - np.log(options[P_STAYS])
             made += 1
     return prune(hyps, made, options[ODDS])
-
-
-@njit(cache=True)
-def decide_block(samples, rows, state, hyps, count, last, tables, options, nodes, covariances):  # type: ignore[no-untyped-def]
-    """Run all hypotheses over one block; nodes and covariances take the best one's. Returns how many are left.
-
-    state = (motion, clock); hyps = (xs (33, n, 1 + k), ps (33, n, n), factors (33, c), memory (33, 5), shifted (33,c)).
-    """
-    motion, clock = state
-    xs, ps, _, memory, _ = hyps
-    walks = tables[0]
-    n, axes, columns = xs.shape[1], len(motion), xs.shape[2]
-    scratch = (np.zeros(n), np.zeros(n), np.zeros(columns))
-    chances = np.zeros((MOST, KINDS))
-    j = 0
-    for k in range(len(samples)):
-        t0, t1 = clock[TIME], samples[k, 0]
-        dt = t1 - t0
-        for a in range(axes):
-            old_lead, old_slope = motion[a, LEAD], motion[a, SLOPE]
-            for b in range(count):
-                motion[a, LEAD], motion[a, SLOPE] = old_lead, old_slope
-                begin_interval(xs[b], clock, motion, a, dt, samples[k, 1 + a])
-        clock[STEP] = min(dt, GAP_STEPS * clock[STEP])
-        reached = t0
-        while True:
-            due = j < len(rows) and rows[j, AT] <= t1
-            if due and (rows[j, AT] < reached or not rows[j, VARIANCE] < np.inf):
-                j += 1
-                continue
-            until = rows[j, AT] if due else t1
-            was, theta = (reached - t0) / dt, (until - t0) / dt
-            if until > reached:
-                for b in range(count):
-                    predict(xs[b], ps[b], motion, samples[k], (was, theta, dt), walks)
-                    if memory[b, DENSITY] > 0.0:
-                        noisier(ps[b], 3 * int(memory[b, ALONG]), until - reached, memory[b, DENSITY])
-                reached = until
-            if not due:
-                break
-            row = rows[j]
-            j += 1
-            if row[CHANNEL] == SET_DATUM:
-                for b in range(count):
-                    copy_datum(xs[b], ps[b], axes)
-                continue
-            a, c = int(row[AXIS]), int(row[CHANNEL])
-            now = motion[a, INPUT] + theta * (samples[k, 1 + a] - motion[a, INPUT])
-            count = meet(hyps, count, row, motion, now, tables, options, last, scratch, chances)
-            last[c] = row[AT]
-        clock[TIME] = t1
-        for a in range(axes):
-            motion[a, INPUT] = samples[k, 1 + a]
-        leave(xs[0], motion, nodes[k])
-        covariances[k] = ps[0]
-    return count
-
-
-@dataclass(frozen=True, slots=True)
-class Rates:
-    """How often each is met, and what decides.
-
-    outlier: share of measurements that are wrong by any amount; stays: of those whose next one is wrong too, and of
-    errors of the acceleration that last from one measurement to the next. shift, wrong, lost, noise: a second, see the
-    module; once an hour each. back: of a shifted zero, a second. odds: logarithm by which a hypothesis falls behind the
-    best before it is dropped: at 12 it is 160 000 times less likely.
-    """
-
-    outlier: float = 0.01
-    stays: float = 0.6
-    shift: float = 1.0 / 3600.0
-    back: float = 0.1
-    wrong: float = 1.0 / 3600.0
-    noise: float = 1.0 / 3600.0
-    lost: float = 1.0 / 3600.0
-    odds: float = 12.0
-
-    @property
-    def row(self) -> Floats:
-        """As the recursion takes them."""
-        return np.array([self.outlier, self.stays, self.shift, self.back, self.wrong, self.noise, self.lost, self.odds])
-
-
-class Hypotheses:
-    """The estimator of one point along one axis as a stream of samples and measurements, cut anywhere.
-
-    start: standard deviations of displacement (m), velocity (m/s) and bias (m/s²) before the first measurement.
-    channels (c, 4), kinds (c, k): see `forward`; the zero of channel c is state 4 + 2 c, what it was before a shift the
-    state after it. bias_walk: density of the bias's random walk, (m/s²)²/s. bias: expected, m/s².
-    """
-
-    def __init__(
-        self,
-        start: tuple[float, float, float],
-        channels: Floats,
-        kinds: NDArray[np.int64],
-        rates: Rates,
-        *,
-        bias_walk: float,
-        bias: float = 0.0,
-    ) -> None:
-        n, count = 4 + 2 * len(channels), 2 * MOST + 1
-        self._hyps = (
-            np.zeros((count, n, 1 + kinds.shape[1])),
-            np.zeros((count, n, n)),
-            np.ones((count, len(channels))),
-            np.zeros((count, MEMORY_COLUMNS)),
-            np.zeros((count, len(channels)), dtype=np.bool_),
-        )
-        self._hyps[0][0, 2, 0] = bias
-        self._hyps[1][0, :3, :3] = np.diag(np.square(start))
-        self._hyps[3][:, DISTURBED] = -1.0
-        walks = np.zeros(n)
-        walks[2] = bias_walk
-        self._tables, self._options = (walks, channels, kinds), rates.row
-        self._motion, self._clock = np.zeros((1, MOTION_COLUMNS)), np.array([np.nan, np.inf])
-        self._last = np.full(len(channels), np.nan)
-        self.count = 1
-
-    def push(self, samples: Floats, rows: Floats) -> tuple[Floats, Floats]:
-        """Take samples (s, 3) and the measurements (m, 5) up to the last of them, as of `forward`'s columns.
-
-        Returns the best hypothesis's states and true velocity (s, n + 1, 1 + k), and covariance (s, n, n) at each.
-        """
-        if np.isnan(self._clock[TIME]):
-            self._clock[TIME], self._motion[0, INPUT] = samples[0, 0] - START_S, samples[0, 1]
-            self._last[:] = self._clock[TIME]
-        n, columns = self._hyps[0].shape[1:]
-        nodes, covariances = np.empty((len(samples), n + 1, columns)), np.empty((len(samples), n, n))
-        state = (self._motion, self._clock)
-        self.count = decide_block(
-            samples, rows, state, self._hyps, self.count, self._last, self._tables, self._options, nodes, covariances
-        )
-        return nodes, covariances

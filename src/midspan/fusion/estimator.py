@@ -1,0 +1,436 @@
+"""The estimator of one measuring point: samples and measurements in, displacement with its band out, one row a sample.
+
+The filter holds all that is uncertain as states and parameters (see `forward`) and decides by hypotheses what went
+wrong (see `hypotheses`). Rows are held back until the first few measurements have come: the first of them is then
+judged by those after it.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from midspan.fusion.decisions import Decided, Telling, Undecided, events_of, runs_left
+from midspan.fusion.filtering import (
+    FOUND_SOURCE,
+    FOUND_STATUS,
+    FOUND_VARIANCE,
+    FOUND_VELOCITY,
+    FOUND_X,
+    MET_CODE,
+    MET_ERROR,
+    MET_TOTAL,
+)
+from midspan.fusion.forward import (
+    AT,
+    AXIS,
+    CHANNEL,
+    COUNT,
+    INPUT,
+    LEAD,
+    MEASUREMENT_COLUMNS,
+    SET_DATUM,
+    SLOPE,
+    TIME,
+    VALUE,
+    innovate,
+    predict_covariance,
+    project,
+    quadratic,
+)
+from midspan.fusion.hypotheses import KINDS, LOST, OUTLIER, WEIGHT
+from midspan.fusion.model import Beginning, Block, EstimatorSettings, Filter, Left, options_of, run, tables_of
+from midspan.records import (
+    NANOSECONDS,
+    Estimate,
+    Event,
+    Floats,
+    Innovation,
+    Measured,
+    SampleKind,
+    Samples,
+    Status,
+    joined,
+    nanoseconds,
+    part,
+    seconds,
+)
+
+# So many measurements, or so long (s) after the first one, are waited for before rows are given out.
+FIRST_MEASUREMENTS, FIRST_S = 8, 2.0
+# A first measurement before the first sample counts when it is no more than this (s) before it.
+BEFORE_SAMPLES_S = 2.0
+# So many measurements may wait for the samples that cover them; older ones are dropped.
+MAX_WAITING = 65536
+# Samples that are run at once: bounds the memory.
+BLOCK = 8192
+# The motion's first velocity lies within three times what the sensors say of its size; acceleration is taken to belong
+# to a motion of no less than 0.2 Hz.
+VELOCITY_WITHIN, SLOWEST_HZ = 3.0, 0.2
+ACCEPTED, REJECTED, REACQUIRED = 0, 1, 2
+
+
+@dataclass(frozen=True, slots=True)
+class Rows:
+    """What a push gave: rows of each axis, innovations of each channel as the best hypothesis saw them, events.
+
+    zero_variance_m2 (axes,): variance of the datum at the last row, the part that all rows have in common.
+    """
+
+    estimates: tuple[Estimate, ...]
+    innovations: tuple[Innovation, ...]
+    events: tuple[Event, ...]
+    zero_variance_m2: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class EstimatorState:
+    """All that an estimator remembers; filter, begun_s: None while rows are held back."""
+
+    origin_ns: int | None
+    early: tuple[Measured, ...]
+    held: Samples | None
+    waiting: Floats
+    filter: Filter | None
+    first_s: float
+    undecided: Undecided
+    told: Telling
+    late: tuple[int, ...]
+    events: tuple[Event, ...]
+
+
+class Log:
+    """Samples, measurements and final decisions as they were met, from the filter's beginning on."""
+
+    def __init__(self, begin: Beginning) -> None:
+        self.begin = begin
+        self.samples: list[Samples] = []
+        self.decided: list[Decided] = []
+
+
+class Estimator:
+    """The estimator as a stream: any cutting of the input into pushes gives the same rows.
+
+    Measurements wait for the samples that cover their time. log: keep all that a second pass needs.
+    """
+
+    def __init__(self, settings: EstimatorSettings, *, log: bool = False) -> None:
+        self.settings = settings
+        self.log: Log | None = None
+        self.tables, self.options = tables_of(settings), options_of(settings)
+        self._keep = log
+        self._origin_ns: int | None = None
+        self._held: Samples | None = None
+        self._waiting = np.empty((0, MEASUREMENT_COLUMNS))
+        self._early: list[Measured] = []
+        self._filter: Filter | None = None
+        self._first_s = np.nan
+        self._undecided = Undecided.none()
+        self._told = Telling.nothing(settings.channels)
+        self._late: set[int] = set()
+        self._events: list[Event] = []
+
+    def push(self, record: Samples | Measured) -> list[Rows]:
+        """Take one block; returns for samples the rows that are due, if any.
+
+        Times increase from block to block of samples. A measurement that is not later than the last sample is left out,
+        with an event.
+        """
+        if isinstance(record, Measured):
+            self._wait(record)
+            return []
+        found = []
+        for first in range(0, len(record.time_ns), BLOCK):
+            found.extend(self._push(part(record, slice(first, first + BLOCK))))
+        return found
+
+    def finish(self) -> list[Rows]:
+        """The rows that are held back still, and events that the record's end completes."""
+        rows = [] if self._filter is not None or self._held is None else self._begin(self._held, ended=True)
+        if self._filter is None:
+            return rows
+        decided, self._undecided = self._undecided.decided(self._filter.count, all_of_them=True)
+        events = [*self._settle(decided), *runs_left(self._told, self.settings.channels, self._origin)]
+        return [*rows, Rows((), (), tuple(events))] if events else rows
+
+    def predict(self, channel: int, time_ns: int) -> tuple[float, float]:
+        """Expected measurement of a channel at a time after the last sample, in its unit, and the variance of that.
+
+        The last acceleration is held. Infinite variance: nothing is known yet.
+        """
+        if self._filter is None:
+            return 0.0, np.inf
+        time_s = (time_ns - self._origin) / NANOSECONDS
+        state = self._filter
+        value, variance = predict_value(time_s, channel, state.motion, state.clock, state.hyps, self.tables)
+        return float(value), float(variance)
+
+    @property
+    def state(self) -> EstimatorState:
+        """All that the estimator remembers besides its log."""
+        return EstimatorState(
+            self._origin_ns,
+            tuple(self._early),
+            self._held,
+            self._waiting.copy(),
+            None if self._filter is None else self._filter.saved(),
+            self._first_s,
+            self._undecided,
+            self._told,
+            tuple(sorted(self._late)),
+            tuple(self._events),
+        )
+
+    def restore(self, state: EstimatorState) -> None:
+        """Go on from a state of an estimator with the same settings."""
+        self._origin_ns, self._early = state.origin_ns, list(state.early)
+        self._held, self._waiting = state.held, state.waiting.copy()
+        self._filter = None if state.filter is None else state.filter.resumed()
+        self._first_s, self._undecided, self._told = state.first_s, state.undecided, state.told
+        self._late, self._events = set(state.late), list(state.events)
+
+    @property
+    def _origin(self) -> int:
+        return self._origin_ns or 0
+
+    def _wait(self, record: Measured) -> None:
+        if self._origin_ns is None:
+            # Times are counted from the first sample, which is still to come.
+            self._early.append(record)
+            return
+        rows = measured_rows(record, self.settings, self._origin)
+        done = -np.inf if self._filter is None else self._filter.clock[TIME]
+        late = rows[:, AT] <= done
+        for c in np.unique(rows[late, CHANNEL]).astype(int).tolist():
+            if c not in self._late:
+                first = int(record.time_ns[0])
+                name = self.settings.channels[c].sensor
+                self._events.append(Event(first, "late", f"Measurements of {name} came too late and are left out."))
+        self._late |= set(rows[late, CHANNEL].astype(int).tolist())
+        self._late -= set(rows[~late, CHANNEL].astype(int).tolist())
+        self._waiting = in_order(np.concatenate((self._waiting, rows[~late])))[-MAX_WAITING:]
+
+    def _push(self, samples: Samples) -> list[Rows]:
+        if self._origin_ns is None:
+            self._origin_ns = int(samples.time_ns[0])
+            early, self._early = self._early, []
+            for measured in early:
+                self._wait(measured)
+        if self._filter is not None:
+            return [self._run(self._filter, samples)]
+        return self._begin(samples if self._held is None else joined([self._held, samples]))
+
+    def _begin(self, held: Samples, *, ended: bool = False) -> list[Rows]:
+        """Start once enough measurements are there; until then hold the samples from before the first one on."""
+        time_s = seconds(held.time_ns, self._origin)
+        self._waiting = self._waiting[self._waiting[:, AT] >= time_s[0] - BEFORE_SAMPLES_S]
+        rows = self._waiting[self._waiting[:, AT] <= time_s[-1]]
+        if not len(rows):
+            self._held = part(held, slice(-1, None))
+            return []
+        first_s = float(rows[0, AT])
+        held = with_start(
+            part(held, slice(max(int(np.searchsorted(time_s, first_s, side="right")) - 1, 0), None)),
+            first_s,
+            self._origin,
+        )
+        self._held = held
+        time_s = seconds(held.time_ns, self._origin)
+        enough = rows[FIRST_MEASUREMENTS - 1, AT] if len(rows) >= FIRST_MEASUREMENTS else np.inf
+        last = int(np.searchsorted(time_s, min(enough, first_s + FIRST_S)))
+        if last >= len(time_s):
+            if not ended:
+                return []
+            last = len(time_s) - 1
+        self._held = None
+        rest = part(held, slice(last + 1, None))
+        begun = self._start(part(held, slice(last + 1)), first_s)
+        return [begun, *([self._run(self._filter, rest)] if self._filter and len(rest.time_ns) else [])]
+
+    def _start(self, samples: Samples, first_s: float) -> Rows:
+        """Judge the first measurements, and take the rows from a second run with what was decided."""
+        block = sample_rows(samples, self._origin)
+        rows = self._due(block[-1, 0])
+        begin = beginning(block, rows, self.settings)
+        if self.settings.zero_ns is not None:
+            zero_s = max((self.settings.zero_ns - self._origin) / NANOSECONDS, block[0, 0])
+            datum = np.array([[zero_s, SET_DATUM, 0.0, 0.0, 0.0]])
+            rows = np.concatenate((rows, datum)) if zero_s <= block[-1, 0] else rows
+            self._waiting = in_order(np.concatenate((self._waiting, datum))) if zero_s > block[-1, 0] else self._waiting
+            rows = in_order(rows)
+        self._first_s = first_s
+        self._filter = Filter.begun(begin, self.settings)
+        self.log = Log(begin) if self._keep else None
+        open_block = Block.open(block, rows)
+        left = run(self._filter, open_block, self.tables, self.options)
+        best, _ = Undecided(rows, left.survivors, left.errors).decided(self._filter.count, all_of_them=True)
+        again = Filter.begun(begin, self.settings)
+        judged = run(again, open_block.taken_as(best.codes), self.tables, self.options)
+        judged.met[:, MET_ERROR], judged.met[:, MET_TOTAL] = best.errors.T
+        judged.met[:, MET_CODE] = best.codes
+        return self._rows(samples, rows, left, judged)
+
+    def _run(self, state: Filter, samples: Samples) -> Rows:
+        block = sample_rows(samples, self._origin)
+        rows = self._due(block[-1, 0])
+        left = run(state, Block.open(block, rows), self.tables, self.options)
+        return self._rows(samples, rows, left, left)
+
+    def _due(self, until_s: float) -> Floats:
+        """Waiting measurements up to an instant, which no longer wait."""
+        due = int(np.searchsorted(self._waiting[:, AT], until_s, side="right"))
+        rows, self._waiting = self._waiting[:due].copy(), self._waiting[due:]
+        return rows
+
+    def _rows(self, samples: Samples, rows: Floats, left: Left, shown: Left) -> Rows:
+        """The outputs of a run; left: what the hypotheses left; shown: where rows and innovations are taken from."""
+        assert self._filter is not None
+        self._undecided = self._undecided.after(rows, left.survivors, left.errors)
+        decided, self._undecided = self._undecided.decided(self._filter.count)
+        events = self._settle(decided)
+        if self.log is not None:
+            self.log.samples.append(samples)
+        given = given_rows(samples, self._first_s, self._origin)
+        estimates = tuple(estimate_of(samples, shown.found[:, a], given) for a in range(self.settings.axes))
+        innovations = tuple(
+            innovation_of(rows, shown.met, c, channel.units_per_m, self._origin)
+            for c, channel in enumerate(self.settings.channels)
+        )
+        datum, p = self.tables[3], self._filter.hyps[1][0]
+        zero = tuple(float(p[datum + a, datum + a]) if datum >= 0 else 0.0 for a in range(self.settings.axes))
+        return Rows(estimates, innovations, tuple(events), zero)
+
+    def _settle(self, decided: Decided) -> list[Event]:
+        """Log what is final, and return its events with those that waited."""
+        if self.log is not None:
+            self.log.decided.append(decided)
+        self._told, events = events_of(self._told, decided, self.settings.channels, self._origin)
+        waited, self._events = self._events, []
+        return [*waited, *events]
+
+
+def measured_rows(record: Measured, settings: EstimatorSettings, origin_ns: int) -> Floats:
+    """Rows (m, 5) of the usable measurements as the loop takes them."""
+    usable = np.isfinite(record.value) & np.isfinite(record.variance) & (record.variance > 0.0)
+    per_m = np.array([channel.units_per_m for channel in settings.channels])[record.channel]
+    reference = np.where(np.isfinite(record.reference_variance), record.reference_variance, 0.0) / per_m**2
+    time_s = seconds(record.time_ns, origin_ns)
+    rows = np.column_stack((time_s, record.channel, record.value, record.variance, reference))
+    return rows[usable]
+
+
+def in_order(rows: Floats) -> Floats:
+    """Measurements in time order; of one instant by channel."""
+    return rows[np.lexsort((rows[:, CHANNEL], rows[:, AT]))]
+
+
+def sample_rows(samples: Samples, origin_ns: int) -> Floats:
+    """Rows (s, 1 + 2 axes) of time in s, acceleration and noise density as the loop takes them."""
+    return np.column_stack((seconds(samples.time_ns, origin_ns), samples.value_m_s2, samples.noise_density))
+
+
+def with_start(samples: Samples, first_s: float, origin_ns: int) -> Samples:
+    """Put a sample at the first measurement where that comes before the first one: the zero may belong to it.
+
+    What the acceleration was until the first sample is not known: its noise is what it varies by later.
+    """
+    start_ns, first_ns = int(samples.time_ns[0]), origin_ns + round(first_s * NANOSECONDS)
+    if first_ns >= start_ns:
+        return samples
+    value = np.mean(samples.value_m_s2[:100], axis=0, keepdims=True)
+    unknown = np.var(samples.value_m_s2[:100], axis=0) / SLOWEST_HZ
+    density = samples.noise_density.copy()
+    density[0] += unknown
+    before = Samples(np.array([first_ns]), value, density[:1], np.array([SampleKind.INSERTED], dtype=np.uint8))
+    return joined([before, replace(samples, noise_density=density)])
+
+
+def beginning(samples: Floats, rows: Floats, settings: EstimatorSettings) -> Beginning:
+    """The state before the first sample, from the first samples (s, 1 + 2 axes) and measurements (m, 5)."""
+    displacement, velocity = np.zeros(settings.axes), np.zeros(settings.axes)
+    axis_of = np.array([channel.axis for channel in settings.channels])[rows[:, CHANNEL].astype(np.int64)]
+    per_m = np.array([channel.units_per_m for channel in settings.channels])
+    for a in range(settings.axes):
+        own = rows[axis_of == a]
+        first = own[own[:, AT] == own[0, AT]] if len(own) else own
+        displacement[a] = np.median(first[:, VALUE] / per_m[first[:, CHANNEL].astype(int)]) if len(own) else 0.0
+        speed = np.std(samples[:, 1 + a]) / (2.0 * np.pi * SLOWEST_HZ)
+        for c in np.unique(own[:, CHANNEL]):
+            one = own[own[:, CHANNEL] == c]
+            steps = np.diff(one[:, VALUE]) / per_m[int(c)] / np.maximum(np.diff(one[:, AT]), 1e-3)
+            speed = max(speed, np.sqrt(np.mean(steps**2))) if len(steps) else speed
+        velocity[a] = VELOCITY_WITHIN * speed
+    if settings.velocity_std_m_s is not None:
+        velocity[:] = settings.velocity_std_m_s[: settings.axes]
+    return Beginning(float(samples[0, 0]), samples[0, 1 : 1 + settings.axes], displacement, velocity, len(rows))
+
+
+def given_rows(samples: Samples, first_s: float, origin_ns: int) -> NDArray[np.bool_]:
+    """Samples (s,) that are rows: from the first measurement on, and not inserted ones."""
+    first_ns = origin_ns + round(first_s * NANOSECONDS)
+    given: NDArray[np.bool_] = (samples.time_ns >= first_ns) & (samples.kind != SampleKind.INSERTED)
+    return given
+
+
+def estimate_of(samples: Samples, found: Floats, given: NDArray[np.bool_]) -> Estimate:
+    """The rows of one axis from what the loop found (s, 5); bridged samples are coasting at best."""
+    found = found[given]
+    bridged = samples.kind[given] == SampleKind.BRIDGED
+    status = np.where(bridged, np.maximum(found[:, FOUND_STATUS], float(Status.COASTING)), found[:, FOUND_STATUS])
+    return Estimate(
+        samples.time_ns[given],
+        found[:, FOUND_X].copy(),
+        found[:, FOUND_VARIANCE].copy(),
+        found[:, FOUND_VELOCITY].copy(),
+        found[:, FOUND_SOURCE].astype(np.uint8),
+        status.astype(np.uint8),
+    )
+
+
+def innovation_of(rows: Floats, met: Floats, channel: int, units_per_m: float, origin_ns: int) -> Innovation:
+    """Innovations of one channel, in metres, from its measurements (m, 5) and how they were met (m, 3)."""
+    own = rows[:, CHANNEL] == channel
+    kinds = met[own, MET_CODE].astype(np.int64) % KINDS
+    verdict = np.where(kinds == OUTLIER, REJECTED, np.where(kinds == LOST, REACQUIRED, ACCEPTED))
+    return Innovation(
+        nanoseconds(rows[own, AT], origin_ns),
+        met[own, MET_ERROR] / units_per_m,
+        met[own, MET_TOTAL] / units_per_m**2,
+        verdict.astype(np.int8),
+    )
+
+
+@njit(cache=True)
+def predict_value(time_s, c, motion, clock, hyps, tables):  # type: ignore[no-untyped-def]
+    """Expected measurement of channel `c` at a time after the last sample and its variance, over all hypotheses."""
+    xs, ps, _, memory, thetas, spreads = hyps
+    walks, channels, kinds, _ = tables
+    axes, n, columns = len(motion), xs.shape[1], xs.shape[2]
+    x, p, ph, e = np.empty((n, columns)), np.empty((n, n)), np.empty(n), np.empty(columns)
+    still, ahead = np.zeros((axes, 3)), np.zeros(axes)
+    dt = max(time_s - clock[TIME], 0.0)
+    a = int(channels[c, AXIS])
+    whole = mean = square = 0.0
+    first = 0.0
+    for b in range(int(clock[COUNT])):
+        x[:], p[:] = xs[b], ps[b]
+        for i in range(axes):
+            x[3 * i + 1, 0] -= motion[i, LEAD] * motion[i, SLOPE]
+            for q in range(columns):
+                held = motion[i, INPUT] if q == 0 else 0.0
+                x[3 * i, q] += dt * x[3 * i + 1, q] + 0.5 * dt * dt * (held - x[3 * i + 2, q])
+                x[3 * i + 1, q] += dt * (held - x[3 * i + 2, q])
+        predict_covariance(p, axes, dt, ahead, walks)
+        innovate(x, still, channels[c], kinds[c], motion[a, INPUT], 0.0, e)
+        value = -e[0]
+        for q in range(columns - 1):
+            value -= e[1 + q] * thetas[b, q]
+        variance = project(p, channels[c], ph) + quadratic(e[1:], spreads[b])
+        if b == 0:
+            first = value
+        weight = np.exp(memory[b, WEIGHT])
+        whole += weight
+        mean += weight * (value - first)
+        square += weight * (variance + (value - first) ** 2)
+    return first + mean / whole, square / whole - (mean / whole) ** 2
