@@ -5,7 +5,7 @@ target; nothing is merged here.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -53,9 +53,10 @@ class Sensor(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Tracked:
-    """A frame whose targets have been found already, before the estimator began: their translations."""
+    """A frame whose targets have been found already: their translations, with the frame's stamp on their clock."""
 
     time_ns: int
+    own_ns: int
     translations: tuple[PixelTranslation, ...]
 
 
@@ -90,7 +91,8 @@ class CameraSensor:
     def push(self, record: Frame | Tracked, expect: Expect) -> Seen:
         """Find each target in a frame, where it is expected; a frame that was tracked before is taken as it is."""
         if isinstance(record, Tracked):
-            found = record.translations
+            late_ns = record.time_ns - record.own_ns
+            found = tuple(replace(one, time_ns=one.time_ns + late_ns) for one in record.translations)
         else:
             numbers = range(len(self.channels))
             found = self.chain.push(record, [self._prediction(k, record.time_ns, expect) for k in numbers])

@@ -1,7 +1,7 @@
 """A recording as a loop over its point's `push`: all records in, everything that came out of them back."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -45,35 +45,41 @@ def run(point: Point, sides: Sequence[Side], eyes: Sequence[Eye]) -> Outcome:
     time_ns = sides[0].recording.acceleration.time_ns
     value = np.column_stack([side.recording.acceleration.value for side in sides])
     outcome.take(point.push(Arrival(ACCELEROMETER, 0, Readings(time_ns, value))))
-    counts = [0] * len(eyes)
-    for number, eye in enumerate(eyes):
+    named = {eye.sensor: eye for eye in eyes}
+    counts = dict.fromkeys(named, 0)
+    for eye in eyes:
         for k in range(eye.tracking.done):
-            record = Tracked(int(eye.tracking.time_ns[k]), eye.tracking.translations(k))
-            outcome.take(point.push(Arrival(eye.sensor, counts[number], record)))
-            counts[number] += 1
-    while (number := next_camera(eyes)) is not None:
-        eye = eyes[number]
+            stamp = int(eye.tracking.time_ns[k])
+            record = Tracked(stamp, stamp, tuple(target.translation(k) for target in eye.tracking.targets))
+            outcome.take(point.push(Arrival(eye.sensor, k, record)))
+        counts[eye.sensor] = eye.tracking.done
+    while (eye := next_camera(eyes, counts)) is not None:
         frame = eye.tracking.take()
         if frame is None:
             eye.tracking.ended = True
             continue
-        outputs = point.push(Arrival(eye.sensor, counts[number], frame))
-        counts[number] += 1
+        outputs = point.push(Arrival(eye.sensor, counts[eye.sensor], frame))
+        counts[eye.sensor] += 1
         for output in outputs:
-            if isinstance(output, Seen):
-                eyes_by_name = {one.sensor: one for one in eyes}
-                eyes_by_name[output.sensor].tracking.keep(output.translations)
+            if isinstance(output, Seen) and output.translations:
+                seen = named[output.sensor]
+                early_ns = -late_ns(seen)
+                seen.tracking.keep([replace(one, time_ns=one.time_ns + early_ns) for one in output.translations])
         outcome.take(outputs)
     outcome.take(point.finish())
     return outcome
 
 
-def next_camera(eyes: Sequence[Eye]) -> int | None:
-    """Number of the camera with the earliest frame that has not been tracked, on one clock; None at the end."""
-    due = []
-    for number, eye in enumerate(eyes):
-        tracking = eye.tracking
-        if not tracking.ended and tracking.done < len(tracking.time_ns):
-            late_ns = round(NANOSECONDS * eye.calibrations[0].offset.value_s)
-            due.append((int(tracking.time_ns[tracking.done]) + late_ns, number))
-    return min(due)[1] if due else None
+def late_ns(eye: Eye) -> int:
+    """What is added to a camera's stamps to get the accelerometer's clock."""
+    return round(NANOSECONDS * eye.calibrations[0].offset.value_s)
+
+
+def next_camera(eyes: Sequence[Eye], counts: dict[str, int]) -> Eye | None:
+    """The camera with the earliest frame that has not been pushed, on one clock; None at the end."""
+    due = [
+        (int(eye.tracking.time_ns[counts[eye.sensor]]) + late_ns(eye), number)
+        for number, eye in enumerate(eyes)
+        if not eye.tracking.ended and counts[eye.sensor] < len(eye.tracking.time_ns)
+    ]
+    return eyes[min(due)[1]] if due else None

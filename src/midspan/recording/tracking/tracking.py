@@ -28,6 +28,7 @@ from midspan.records import (
     Prediction,
     Region,
     ScaleFactor,
+    Status,
 )
 from midspan.signals.growing import Columns
 from midspan.signals.health import Mask
@@ -143,6 +144,11 @@ class TargetTracking:
         """Which frames (n,) were black, so that nothing was looked for."""
         return self._columns.column(DARK).astype(bool)
 
+    def translation(self, number: int) -> PixelTranslation:
+        """What was found in the frame of this number."""
+        (*row, status, strength, x, y, _) = self._columns.row(number)
+        return PixelTranslation(*row, Status(status), strength, x, y)
+
     def with_codec_error(self, scale: ScaleFactor, direction: str) -> ScaleFactor:
         """A scale factor estimated along an image axis on the frames so far, with what compression may do to it."""
         if self.chain.picture is None:
@@ -206,8 +212,8 @@ class CameraTracking:
                 refuse_empty_range(self.reference, target.region, settings.levels)
         self.chosen = tuple(targets)
         chain = ChainSettings(settings.opening, settings.readout_s, source.info.lossless is True)
-        self._chain = CameraChain(self.reference, targets, chain)
-        self.targets = tuple(TargetTracking(target) for target in self._chain.targets)
+        self.chain = CameraChain(self.reference, targets, chain)
+        self.targets = tuple(TargetTracking(target) for target in self.chain.targets)
         self._ahead = deque([self.reference])
         self._teach()
         self.done, self.ended = 0, False
@@ -222,7 +228,7 @@ class CameraTracking:
 
     def leave_out(self, places: Sequence[int]) -> None:
         """Track the targets of these numbers (from 0) no further."""
-        self._chain.leave_out(places)
+        self.chain.leave_out(places)
         self.targets = tuple(target for k, target in enumerate(self.targets) if k not in places)
 
     def until(self, time_ns: int) -> tuple[PixelTrack, ...]:
@@ -243,11 +249,15 @@ class CameraTracking:
         self, frame: Frame, predictions: Sequence[Prediction | None] | None = None
     ) -> tuple[PixelTranslation, ...]:
         """The translation of each target in the `frame` that was taken; it is kept. predictions: of each target."""
-        self.done += 1
-        found = self._chain.push(frame, predictions)
-        for target, translation in zip(self.targets, found, strict=True):
-            target.add(translation, dark=self._chain.dark)
+        found = self.chain.push(frame, predictions)
+        self.keep(found)
         return found
+
+    def keep(self, found: Sequence[PixelTranslation]) -> None:
+        """Keep what the chain found in a frame that was taken."""
+        self.done += 1
+        for target, translation in zip(self.targets, found, strict=True):
+            target.add(translation, dark=self.chain.dark)
 
     def close(self) -> None:
         """Let the file go, and that of a second camera."""
@@ -270,14 +280,14 @@ class CameraTracking:
 
     def _teach(self) -> None:
         """Show the first frames to the chain, which learns from them; they are kept to be tracked afterwards."""
-        wanted = min(self._chain.frames_to_learn, MOST_AHEAD_BYTES // self.reference.pixels.nbytes)
+        wanted = min(self.chain.frames_to_learn, MOST_AHEAD_BYTES // self.reference.pixels.nbytes)
         while len(self._ahead) < wanted:
             self.progress(len(self._ahead), wanted, "learning the target")
             frame = next(self._frames, None)
             if frame is None:
                 break
             self._ahead.append(frame)
-        self._chain.learn(list(self._ahead))
+        self.chain.learn(list(self._ahead))
 
     def _next_frame(self) -> Frame:
         frame = next(self._frames, None)
