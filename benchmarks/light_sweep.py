@@ -9,7 +9,8 @@ import numpy as np
 
 from benchmarks.table import goal, show
 from midspan.records import Event, Floats, Frame
-from midspan.vision.reference.tracker import KeyFrameSettings, KeyFrameTracker
+from midspan.vision.reference.policy import KeyFrameSettings
+from midspan.vision.reference.tracker import KeyFrameTracker
 from midspan.vision.tracker import Tracker, open_tracker
 
 FRAMES = 600  # 120 s at five frames a second

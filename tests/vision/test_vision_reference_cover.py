@@ -165,8 +165,8 @@ def test_a_tracker_restored_from_an_abandoned_future_knows_nothing_of_it(still) 
     track(tracker, frames[60:70], told)  # without the body: it is told to have gone
     assert told[-1].kind == "seen"
     tracker.restore(state)
-    np.testing.assert_array_equal(tracker.state.doubtful, whole.state.doubtful)
-    assert tracker.state.doubtful.any()
+    np.testing.assert_array_equal(tracker.state.appearance.doubtful, whole.state.appearance.doubtful)
+    assert tracker.state.appearance.doubtful.any()
     one, other = [], []
     np.testing.assert_array_equal(track(tracker, seen[60:110], one), track(whole, seen[60:110], other))
     assert one == other

@@ -8,7 +8,8 @@ from midspan.errors import UsageError
 from midspan.records import Frame
 from midspan.vision.reference.alignment import aligned
 from midspan.vision.reference.light import mixed, placed, sight, steadiness
-from midspan.vision.reference.tracker import KeyFrameSettings, KeyFrameTracker
+from midspan.vision.reference.policy import KeyFrameSettings
+from midspan.vision.reference.tracker import KeyFrameTracker
 from midspan.vision.tracker import open_tracker
 
 DAY_DEG = 60.0 * -np.cos(np.pi * np.arange(150) / 150)
@@ -158,7 +159,7 @@ def test_no_more_key_frames_are_kept_than_were_asked_for(day) -> None:
     tracker = KeyFrameTracker(frames[0], REGION, KeyFrameSettings(most=3))
     xy, _ = track(tracker, frames)
     assert tracker.key_frames > 3
-    assert len(tracker.chain) <= 3
+    assert len(tracker.state.chain) <= 3
     assert not np.isnan(xy).any()
     assert np.sqrt(np.mean((xy - moved) ** 2)) < 0.2
 

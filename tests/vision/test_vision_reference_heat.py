@@ -5,8 +5,9 @@ import pytest
 
 from midspan.records import Frame, Prediction, Region, Status
 from midspan.simulate.scene.texture import textured_scene
+from midspan.vision.reference.policy import KeyFrameSettings
 from midspan.vision.reference.records import clear_share, contrast, exchanged
-from midspan.vision.reference.tracker import KeyFrameSettings, KeyFrameTracker
+from midspan.vision.reference.tracker import KeyFrameTracker
 
 REGION = Region(14, 12, 48, 44)
 FRAMES, RATE_HZ = 150, 5.0

@@ -10,7 +10,8 @@ from moving_dots import Dots, Pull, filmed
 from reference_scenes import REGION, Body, crossed, swept
 
 from midspan.records import Prediction, Status
-from midspan.vision.reference.tracker import KeyFrameSettings, KeyFrameTracker
+from midspan.vision.reference.policy import KeyFrameSettings
+from midspan.vision.reference.tracker import KeyFrameTracker
 from midspan.vision.reference.updating import UpdatingSettings, UpdatingTracker
 from midspan.vision.tracker import TRACKERS, open_tracker
 

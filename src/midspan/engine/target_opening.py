@@ -10,7 +10,8 @@ from midspan.engine.thermal_target import ThermalTarget
 from midspan.records import Frame, Region
 from midspan.thermal.limits import Limits
 from midspan.vision.lens import Lens, check_lens
-from midspan.vision.reference.tracker import KeyFrameSettings, KeyFrameTracker
+from midspan.vision.reference.policy import KeyFrameSettings
+from midspan.vision.reference.tracker import KeyFrameTracker
 from midspan.vision.reference.updating import UpdatingSettings, UpdatingTracker
 from midspan.vision.tracker import Tracker, open_tracker
 

@@ -16,7 +16,7 @@ import numpy as np
 from midspan.checks import option, refuse
 from midspan.errors import UsageError
 from midspan.records import Event, Floats, Frame, PixelTranslation, Prediction, Region, Status
-from midspan.vision.reference.strength import relative
+from midspan.vision.reference.records import relative
 from midspan.vision.region import check_size, clamp, shift
 from midspan.vision.tracker import TRACKERS, Tracker, open_tracker
 
