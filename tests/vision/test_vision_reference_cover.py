@@ -5,9 +5,8 @@ import pytest
 from reference_scenes import RATE_HZ, REGION, Body, crossed, shaded, swept, track
 
 from midspan.records import Frame
-from midspan.vision.reference.kernels import agreement, spline_grid
+from midspan.vision.reference.kernels import agreement
 from midspan.vision.reference.tracker import KeyFrameTracker
-from midspan.vision.spline import coefficients
 
 
 @pytest.fixture(scope="module")
@@ -39,13 +38,6 @@ def test_cells_agree_by_their_correlation_and_a_flat_or_a_strange_one_does_not()
     assert agreed[3] == pytest.approx(1.0 - 1.0 / 1.36, abs=0.03)
     assert agreed[5] < 0.2
     assert np.delete(agreed, (3, 5)).min() > 0.9
-
-
-def test_the_splines_coefficients_in_single_precision_are_those_in_double() -> None:
-    picture = np.random.default_rng(1).normal(0.0, 50.0, (70, 61)).astype(np.float32)
-    exact = coefficients(picture.astype(np.float64))
-    # Seven digits of coefficients of some hundreds, through eight recursions.
-    assert np.abs(spline_grid(picture) - exact).max() < 1e-5 * np.abs(exact).max()
 
 
 @pytest.mark.parametrize(
