@@ -7,7 +7,7 @@ import numpy as np
 
 from midspan.checks import positive, refuse
 from midspan.engine.axis import AxisFigures, AxisLimits, AxisMemory, Bridged, bridge
-from midspan.engine.order import BACKWARDS, DOUBLED, FIRST_NS, GOOD, IMPOSSIBLE, KINDS, order, spans
+from midspan.engine.order import BACKWARDS, FIRST_NS, GOOD, KINDS, order, place_ns, spans, words
 from midspan.records import NANOSECONDS, Event, Floats, Nanoseconds, Readings, SampleKind, Samples
 from midspan.signals.bridging import GAP_STEPS, LONG_SHARE
 from midspan.signals.health import Mask
@@ -103,7 +103,7 @@ class Guard:
 
     def _in_order(self, time_ns: Nanoseconds) -> tuple[Mask, list[Event]]:
         """Which stamps (n,) are used, and events; those used are put to the ones that wait."""
-        state = self._state
+        state, name = self._state, self.settings.axes[0].name
         codes, newest_ns = order(time_ns, state.newest_ns)
         rising = time_ns[codes == GOOD]
         fault, broken, used_ns, events = state.fault, state.broken, state.used_ns, []
@@ -118,7 +118,8 @@ class Guard:
                 if first < stop:
                     broken, used_ns = False, int(time_ns[stop - 1])
             elif code != fault:
-                events.append(self._fault(code, int(time_ns[start]), int(newest_ns[start])))
+                text = words(code, int(time_ns[start]), int(newest_ns[start]), "sample")
+                events.append(Event(place_ns(int(newest_ns[start])), KINDS[code], f"{name}: {text}"))
             broken, fault = broken or code == BACKWARDS, code
         kept = codes == GOOD
         events += self._wait(time_ns[kept], marks[kept])
@@ -153,16 +154,6 @@ class Guard:
 
     def _is_gap(self, step_s: Floats) -> Mask:
         return step_s > GAP_STEPS / self.settings.rate_hz
-
-    def _fault(self, code: int, time_ns: int, newest_ns: int) -> Event:
-        name = self.settings.axes[0].name
-        words = {
-            DOUBLED: "a stamp came twice; the second sample is left out.",
-            BACKWARDS: f"time runs backwards by {(newest_ns - time_ns) / NANOSECONDS:.3g} s; samples are left "
-            "out until they are newer than before.",
-            IMPOSSIBLE: f"a stamp of {time_ns} ns is no time; the sample is left out.",
-        }
-        return Event(newest_ns if newest_ns >= FIRST_NS else 0, KINDS[code], f"{name}: {words[code]}")
 
     def _join(self, time_ns: Nanoseconds, value: Floats, events: list[Event], *, end: bool) -> list[Samples | Event]:
         """Give out what all axes have decided, after new samples: time_ns (n,), value (n, axes)."""

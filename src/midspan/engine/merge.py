@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from midspan.checks import refuse
-from midspan.engine.order import AHEAD, BACKWARDS, DOUBLED, GOOD, IMPOSSIBLE, KINDS, LAST_NS, LATE, order, spans
+from midspan.engine.order import AHEAD, GOOD, KINDS, LAST_NS, LATE, order, spans, words
 from midspan.records import (
     NANOSECONDS,
     Arrival,
@@ -177,8 +177,8 @@ class Merge:
         """Count readings (n,) with a fault; the first of a run of them is an event."""
         stream = self._streams[number]
         if code != stream.fault:
-            words = self._words(code, int(common_ns[0]), newest_ns)
-            self._tell(number, KINDS[code], f"{stream.name}: {words}")
+            text = self._words(code, int(common_ns[0]), newest_ns)
+            self._tell(number, KINDS[code], f"{stream.name}: {text}")
         if code == LATE:
             self._heard(number, int(common_ns[-1]), fault=code, late=stream.late + len(common_ns))
         else:
@@ -195,19 +195,14 @@ class Merge:
 
     def _words(self, code: int, time_ns: int, newest_ns: int) -> str:
         """What is wrong with a stamp, as a person should read it."""
-        apart_s = abs(time_ns - newest_ns) / NANOSECONDS
-        if code == DOUBLED:
-            return "a stamp came twice; the second record is left out."
-        if code == BACKWARDS:
-            return f"time runs backwards by {apart_s:.3g} s; records are left out until they are newer than before."
-        if code == IMPOSSIBLE:
-            return f"a stamp of {time_ns} ns is no time; the record is left out."
         if code == AHEAD:
             ahead_s = (time_ns - (self._streams[0].newest_ns or 0)) / NANOSECONDS
             first = self._streams[0].name
             return f"stamps are {ahead_s:.3g} s ahead of those of {first}; records are left out. Check its clock."
-        late_s = ((self._released_ns or 0) - time_ns) / NANOSECONDS
-        return f"a record came {late_s:.3g} s after its time was given out; it is left out."
+        if code == LATE:
+            late_s = ((self._released_ns or 0) - time_ns) / NANOSECONDS
+            return f"a record came {late_s:.3g} s after its time was given out; it is left out."
+        return words(code, time_ns, newest_ns, "record")
 
     def _tell(self, number: int, kind: str, text: str) -> None:
         """Put an event behind what waits in its stream."""

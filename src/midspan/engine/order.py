@@ -42,3 +42,18 @@ def spans(codes: Codes) -> Iterator[tuple[int, int, int]]:
     edges = [0, *(np.flatnonzero(np.diff(codes)) + 1), len(codes)]
     for start, end in pairwise(edges):
         yield int(start), int(end), int(codes[start])
+
+
+def words(code: int, time_ns: int, newest_ns: int, what: str) -> str:
+    """What is wrong with the stamp of a record (`what`: its name) after the newest good one, for a message."""
+    if code == DOUBLED:
+        return f"a stamp came twice; the second {what} is left out."
+    if code == IMPOSSIBLE:
+        return f"a stamp of {time_ns} ns is no time; the {what} is left out."
+    back_s = (newest_ns - time_ns) / NANOSECONDS
+    return f"time runs backwards by {back_s:.3g} s; each {what} is left out until it is newer than all before."
+
+
+def place_ns(newest_ns: int) -> int:
+    """The stamp of an event about a record after the newest good one."""
+    return newest_ns if newest_ns >= FIRST_NS else 0
