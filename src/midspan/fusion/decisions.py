@@ -62,6 +62,11 @@ class Decided:
     codes: NDArray[np.int64]
     errors: Floats
 
+    @classmethod
+    def none(cls) -> "Decided":
+        """No measurements."""
+        return cls(np.empty((0, 5)), np.empty(0, dtype=np.int64), np.empty((0, 2)))
+
 
 @dataclass(frozen=True, slots=True)
 class Telling:

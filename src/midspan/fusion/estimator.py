@@ -100,13 +100,18 @@ class EstimatorState:
     events: tuple[Event, ...]
 
 
+@dataclass(frozen=True, slots=True)
 class Log:
-    """Samples, measurements and final decisions as they were met, from the filter's beginning on."""
+    """Samples, measurements and final decisions as they were met, from the filter's beginning on.
 
-    def __init__(self, begin: Beginning) -> None:
-        self.begin = begin
-        self.samples: list[Samples] = []
-        self.decided: list[Decided] = []
+    first_s: time of the first measurement, from which on rows are given; origin_ns: what times in s count from.
+    """
+
+    begin: Beginning
+    first_s: float
+    origin_ns: int
+    samples: list[Samples]
+    decided: list[Decided]
 
 
 class Estimator:
@@ -191,6 +196,16 @@ class Estimator:
         self._late, self._events = set(state.late), list(state.events)
 
     @property
+    def undecided(self) -> Undecided:
+        """The measurements of which the hypotheses do not say the same yet."""
+        return self._undecided
+
+    @property
+    def count(self) -> int:
+        """How many hypotheses there are."""
+        return 0 if self._filter is None else self._filter.count
+
+    @property
     def _origin(self) -> int:
         return self._origin_ns or 0
 
@@ -261,7 +276,7 @@ class Estimator:
             rows = in_order(rows)
         self._first_s = first_s
         self._filter = Filter.begun(begin, self.settings)
-        self.log = Log(begin) if self._keep else None
+        self.log = Log(begin, first_s, self._origin, [], []) if self._keep else None
         open_block = Block.open(block, rows)
         left = run(self._filter, open_block, self.tables, self.options)
         best, _ = Undecided(rows, left.survivors, left.errors).decided(self._filter.count, all_of_them=True)
