@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from midspan.calibration.time_offset import thinned
 from midspan.calibration.whitening import whiten
 from midspan.records import Floats
 
@@ -79,7 +78,7 @@ class Beside:
         rows = np.column_stack((self.rows[:, 0], self.rows[:, 1], variance / unit))
         samples = self.samples / np.array([1.0, 1.0, density])
         w = whiten(samples, rows, density / unit)
-        found[w.index.astype(np.int64)] = (w.translation - w.response) / np.sqrt(w.variance * unit)
+        found[w.index] = (w.translation - w.response) / np.sqrt(w.variance * unit)
         return found
 
     def late(self, late_s: Floats | float) -> "Beside":
@@ -251,7 +250,7 @@ def _stretch(beside: Beside, place: int) -> _Stretch | None:
 def _coarse(stretch: _Stretch, place: int) -> list[_Guess]:
     """Candidates: where the cheapest course of offsets changes, and the suspicious place itself."""
     beside = stretch.beside
-    coarse = replace(beside, samples=thinned(beside.samples, 250.0))
+    coarse = beside
     count = round(LARGEST_S / STEP_S)
     grid = STEP_S * np.arange(-count, count + 1)
     wider = stretch.velocity * STEP_S

@@ -6,19 +6,11 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from midspan.calibration.agreement import clearly_better, noise_share, straightened
-from midspan.calibration.fit import Fit, Pair, best_corner, corner_range, evaluate, refine
+from midspan.calibration.fit import Fit, Pair, aligned, best_corner, corner_range, evaluate, refine
 from midspan.calibration.scale import LEAST_GAIN as LEAST_AGREEMENT
 from midspan.calibration.scale import white_noise
-from midspan.calibration.time_offset import (
-    BEYOND,
-    MARKING_ROUNDS,
-    OffsetSearch,
-    curvature,
-    mark_outliers,
-    search_offset,
-    without_lonely_outliers,
-)
-from midspan.calibration.whitening import whiten
+from midspan.calibration.outliers import without_lonely_outliers
+from midspan.calibration.time_offset import BEYOND, OffsetSearch, cleaned, curvature, search_offset
 from midspan.records import TimeOffset
 
 # A clock offset is only applied when it is this certain and the likelihood gains this much over none.
@@ -155,13 +147,8 @@ def applied(search: OffsetSearch, fit: Fit, variance: float, max_offset_s: float
 
 
 def without_outliers(pair: Pair) -> tuple[Pair, Fit]:
-    """The pair without outliers and its fit at no offset; each round takes out the largest, which hid the smaller."""
-    fit = best_corner(pair, 0.0)
-    for _ in range(MARKING_ROUNDS):
-        cleaned = mark_outliers(pair, fit)
-        if cleaned is pair:
-            break
-        pair, fit = cleaned, best_corner(cleaned, 0.0, fit.corner)
+    """The pair without outliers and its fit at no offset."""
+    pair = cleaned(pair, best_corner(pair, 0.0))
     return pair, best_corner(pair, 0.0)
 
 
@@ -174,19 +161,14 @@ def learn_motion(pair: Pair) -> float:
     """
     pair = without_lonely_outliers(pair)
     typical = float(np.median(pair.rows[np.isfinite(pair.rows[:, 2]), 2]))
-    rows = pair.rows / np.array([1.0, 1.0, typical])
-    low, high = corner_range(pair)
-
-    def density(corner: float) -> float:
-        return float(np.exp(4.0 * corner)) / pair.rate_hz
+    here = aligned(replace(pair, rows=pair.rows / np.array([1.0, 1.0, typical])), 0.0)
+    low, high = np.log(corner_range(pair))
 
     def cost(corner: float) -> float:
-        w = whiten(pair.samples, rows, density(corner), pair.exposure_s)
-        return float(np.sum(np.log(w.variance) + w.translation**2 / (typical * w.variance)))
+        w = here.whitened(float(np.exp(corner)))
+        return 2.0 * w.entropy + w.product(w.translation, w.translation) / typical
 
-    bounds = (np.log(low), np.log(FASTEST * high))
-    grid = np.linspace(*bounds, 25)
-    best = grid[int(np.argmin([cost(corner) for corner in grid]))]
-    step = grid[1] - grid[0]
+    grid = np.linspace(low, high + np.log(FASTEST), 25)
+    best, step = grid[int(np.argmin([cost(corner) for corner in grid]))], grid[1] - grid[0]
     found = minimize_scalar(cost, bounds=(best - step, best + step), method="bounded")
-    return typical * density(float(found.x))
+    return typical * float(np.exp(4.0 * found.x)) / pair.rate_hz

@@ -21,7 +21,8 @@ from midspan.calibration.scale import (
     white_noise,
 )
 from midspan.calibration.scale import LEAST_GAIN as LEAST_AGREEMENT
-from midspan.calibration.time_offset import OffsetSearch, search_offset, without_lonely_outliers
+from midspan.calibration.outliers import without_lonely_outliers
+from midspan.calibration.time_offset import OffsetSearch, search_offset
 from midspan.errors import UntrustedError
 from midspan.records import TimeOffset
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from midspan.calibration.time_offset import without_lonely
+from midspan.calibration.outliers import without_lonely
 from midspan.errors import UntrustedError
 from midspan.fusion.beginning import SHARP_VARIANCES, Beginning, judged_backwards
 from midspan.fusion.causal import filter_record

@@ -7,7 +7,8 @@ import numpy as np
 
 from midspan.calibration.fit import Fit, Pair
 from midspan.calibration.noise import nearest, without_outliers
-from midspan.calibration.time_offset import search_offset, without_lonely_outliers
+from midspan.calibration.outliers import without_lonely_outliers
+from midspan.calibration.time_offset import search_offset
 from midspan.errors import UntrustedError
 from midspan.recording.fusing.fuse import FusionInputs, SensorError
 from midspan.recording.streams.measured import measured_rows
