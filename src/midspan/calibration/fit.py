@@ -245,15 +245,17 @@ def refine(pair: Pair, fit: Fit, bound_s: float) -> Fit:
 def _climb(pair: Pair, fit: Fit, span: tuple[float, float]) -> Fit:
     """The most likely offset within a span (s) at the noise ratio of `fit`, by Gauss-Newton steps."""
     for _ in range(STEPS):
-        step, best = gauss_newton(pair, fit)[0], fit
+        (step, information), best = gauss_newton(pair, fit), fit
+        if 0.5 * step * step * information < LEAST_GAIN:
+            break
         for _ in range(HALVINGS):
             other = evaluate(pair, float(np.clip(fit.offset_s + step, *span)), fit.corner)
             best = max(best, other, key=_likelihood)
             if best is other:
                 break
             step *= 0.5
-        if best.likelihood - fit.likelihood < LEAST_GAIN:
-            return best
+        if best is fit:
+            break
         fit = best
     return fit
 

@@ -7,9 +7,9 @@ from scipy.optimize import minimize_scalar
 
 from midspan.calibration.agreement import clearly_better, noise_share, straightened
 from midspan.calibration.fit import Fit, Pair, aligned, best_corner, corner_range, evaluate, refine
+from midspan.calibration.outliers import without_lonely_outliers
 from midspan.calibration.scale import LEAST_GAIN as LEAST_AGREEMENT
 from midspan.calibration.scale import white_noise
-from midspan.calibration.outliers import without_lonely_outliers
 from midspan.calibration.time_offset import BEYOND, OffsetSearch, cleaned, curvature, search_offset
 from midspan.records import TimeOffset
 

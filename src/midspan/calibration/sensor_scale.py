@@ -12,6 +12,7 @@ import numpy as np
 from midspan.calibration.agreement import straightened, unexplained
 from midspan.calibration.fit import Fit, Pair
 from midspan.calibration.noise import Findings, NoiseCalibration, applied, edge_s, nearest, without_outliers
+from midspan.calibration.outliers import without_lonely_outliers
 from midspan.calibration.scale import (
     IMPLIED_NOISE,
     IMPLIED_SHARE,
@@ -21,7 +22,6 @@ from midspan.calibration.scale import (
     white_noise,
 )
 from midspan.calibration.scale import LEAST_GAIN as LEAST_AGREEMENT
-from midspan.calibration.outliers import without_lonely_outliers
 from midspan.calibration.time_offset import OffsetSearch, search_offset
 from midspan.errors import UntrustedError
 from midspan.records import TimeOffset

@@ -25,11 +25,11 @@ from midspan.calibration.outliers import MARKING_ROUNDS, mark_outliers, without_
 from midspan.calibration.whitening import levelled, whiten_columns
 from midspan.records import Floats, TimeOffset
 
-# Noise ratios tried at each offset, and offsets tried in one run of the filter. Offsets are tried at the accelerometer's
-# rate, at this one at most: 5 ms are an eighth of the period of 25 Hz.
+# Noise ratios tried at each offset, and offsets tried in one run of the filter. Offsets are tried at the rate of the
+# accelerometer, at this one at most: 5 ms are an eighth of the period of 25 Hz.
 COARSE_CORNERS, AT_ONCE, MOST_RATE_HZ = 4, 64, 200.0
-# Maxima of the coarse curve that are refined.
-CANDIDATES = 6
+# Maxima of the coarse curve that are refined, and of these the ones that are with a noise ratio sought anew.
+CANDIDATES, CONTENDERS = 6, 3
 # Rounds of searching anew without outliers and with a new reference, at most.
 ROUNDS = 6
 # The pull towards smaller ratios, in standard deviations of the offset, that is left as it is.
@@ -146,6 +146,7 @@ def _refined(pair: Pair, offsets: Floats, curve: Floats, corner: Floats) -> list
     step = float(offsets[1] - offsets[0])
     best = peaks[np.argsort(curve[peaks])[::-1][:CANDIDATES]]
     near = [refine(pair, evaluate(pair, float(offsets[i]), float(corner[i])), step) for i in best]
+    near = sorted(near, key=_likelihood, reverse=True)[:CONTENDERS]
     return [refine(pair, best_corner(pair, fit.offset_s), step) for fit in near]
 
 

@@ -189,7 +189,7 @@ def levelled(time_s: Floats, values: Floats) -> tuple[Floats, Floats]:
 
 
 def whiten_columns(rows: Floats, values: Floats, pieces: Floats, density: float) -> Whitened:
-    """Run columns (m, c) of levelled values at rows (m, 2) of time (s) and relative variance (finite) through the filter.
+    """Run columns (m, c) of levelled values at rows (m, 2) of time (s) and relative variance through the filter.
 
     pieces: as of `Response`; density: noise density of the acceleration times s² in units of the noise variance.
     """
