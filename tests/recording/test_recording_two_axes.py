@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 import midspan
+from midspan.calibration.clock import ClockCourse
+from midspan.calibration.running_clock import RunningClock
 from midspan.engine.camera import WARM_UP_FRAMES
 from midspan.engine.camera_target import TargetChain
 from midspan.evaluate.result_file import compare_files
-from midspan.fusion.clock import ClockCourse
-from midspan.fusion.running_clock import RunningClock
 from midspan.recording import estimate, inputs
 from midspan.recording.camera_calibration import camera
 from midspan.recording.fusing import one_clock

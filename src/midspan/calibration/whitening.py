@@ -135,11 +135,11 @@ class Whitened:
 
 
 @njit(cache=True)
-def _whiten(pieces, rows, density, states, values, out):  # type: ignore[no-untyped-def]
+def _whiten(pieces, rows, density, states, values, longer, out):  # type: ignore[no-untyped-def]
     """Innovations take the place of `values` (m, c); out (m, 2): their variances and what accelerometer noise makes.
 
-    rows (m, 2): time and relative variance; states: covariance and that of the accelerometer noise alone. Returns the
-    bias (c,) at the end of the pieces.
+    rows (m, 2): time and relative variance; states: covariance and that of the accelerometer noise alone; longer (m, c)
+    or (0, 0): what is added to a column's step up to a row, s. Returns the bias (c,) at the end of the pieces.
     """
     state, noise = states
     walk, reached = density * BIAS_WALK_RATIO, rows[0, 0]
@@ -147,8 +147,10 @@ def _whiten(pieces, rows, density, states, values, out):  # type: ignore[no-unty
     g, end = 0, pieces[-1, 0]
     for j in range(len(rows) + 1):
         until = rows[j, 0] if j < len(rows) else max(end, reached)
-        step = until - reached
         for c in range(len(x)):
+            step = until - reached
+            if j < len(longer):
+                step += longer[j, c]
             x[c] += step * (v[c] - 0.5 * step * b[c])
             v[c] -= step * b[c]
         while reached < until:
@@ -188,15 +190,19 @@ def levelled(time_s: Floats, values: Floats) -> tuple[Floats, Floats]:
     return np.ascontiguousarray(values - basis @ share), 2.0 * share[2] / shape[2, 2] / half**2
 
 
-def whiten_columns(rows: Floats, values: Floats, pieces: Floats, density: float) -> Whitened:
+def whiten_columns(
+    rows: Floats, values: Floats, pieces: Floats, density: float, *, late_s: Floats | None = None
+) -> Whitened:
     """Run columns (m, c) of levelled values at rows (m, 2) of time (s) and relative variance through the filter.
 
-    pieces: as of `Response`; density: noise density of the acceleration times s² in units of the noise variance.
+    pieces: as of `Response`; density: noise density of the acceleration times s² in units of the noise variance; late_s
+    (m, c): where the lateness of a column's stamps changes, so does the time that its states move on.
     """
     states = tuple(initial_state(rows[0, 0], (0.0, 0.0, 0.0), DIFFUSE) for _ in range(2))
     states[1][P00:TIME] = 0.0
     out, found = np.empty((len(rows), 2)), values.copy()
-    bias = _whiten(pieces, rows, density, states, found, out)
+    longer = np.empty((0, 0)) if late_s is None else np.diff(late_s, axis=0, prepend=late_s[:1])
+    bias = _whiten(pieces, rows, density, states, found, longer, out)
     index = np.arange(SETTLING, len(rows))
     return Whitened(found[SETTLING:], out[SETTLING:, 0], out[SETTLING:, 1], index, bias, states[0][P22])
 

@@ -5,12 +5,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from midspan.calibration.clock_jumps import LARGEST_S, Beside, ClockJump, clock_jumps, lateness
+from midspan.calibration.clock import compared
+from midspan.calibration.clock_jumps import LARGEST_S, ClockJump, clock_jumps, lateness
+from midspan.calibration.running_clock import RunningClock, on_one_clock
 from midspan.errors import UntrustedError
 from midspan.fusion.gate import ACCEPTED
 from midspan.fusion.kalman import KalmanSettings
 from midspan.fusion.path import at
-from midspan.fusion.running_clock import RunningClock, on_one_clock
 from midspan.fusion.smoother import smooth
 from midspan.recording.fusing.fuse import CourseError
 from midspan.recording.streams.span import inside, shown
@@ -22,7 +23,6 @@ from midspan.records import (
     Floats,
     Source,
     part,
-    seconds,
 )
 
 # So much, s, either way of an instant is smoothed to tell what the structure did there.
@@ -80,11 +80,11 @@ def one_clock(
     drifts: whether its drift is looked for; stays: up to the first jump the stamps are left as they are.
     """
     jumps = _jumps(measured, acceleration, stays=stays)
-    running = on_one_clock(_moved(measured, jumps), acceleration, kalman, sensor) if drifts else None
+    running = on_one_clock(_moved(measured, jumps), acceleration, sensor) if drifts else None
     if running is not None and running.course is not None and not jumps:
         # Beside a clock that runs apart a small jump shows only now.
         jumps = _jumps(running.measured, acceleration, stays=True)
-        running = on_one_clock(_moved(measured, jumps), acceleration, kalman, sensor) if jumps else running
+        running = on_one_clock(_moved(measured, jumps), acceleration, sensor) if jumps else running
     moved = _moved(measured, jumps) if running is None else running.measured
     told = () if running is None else running.warnings
     known = None if running is None else running.std_s
@@ -131,11 +131,11 @@ def _jumps(measured: Displacement, acceleration: Acceleration, *, stays: bool) -
     inner = usable & (measured.time_ns >= first) & (measured.time_ns <= last)
     if np.count_nonzero(inner) < 2 or not acceleration.value_m_s2.any():
         return ()
-    value = np.where(usable, measured.value_m - measured.value_m[np.argmax(inner)], 0.0)
-    rows = np.column_stack((seconds(measured.time_ns, first), value, np.where(inner, measured.variance_m2, np.inf)))
-    pushed = acceleration.value_m_s2 - np.mean(acceleration.value_m_s2)
-    samples = np.column_stack((seconds(acceleration.time_ns, first), pushed, acceleration.noise_density))
-    found = clock_jumps(Beside(samples, rows))
+    one, index = compared(acceleration, measured)
+    found = [
+        replace(jump, row=int(index[jump.row]), first=int(index[jump.first]), last=int(index[jump.last]))
+        for jump in clock_jumps(one)
+    ]
     if stays and found:
         found[0] = replace(found[0], before_s=0.0)
     return tuple(found)

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from midspan.fusion.clock import clock_course
-from midspan.fusion.kalman import KalmanSettings
+from midspan.calibration.clock import clock_course
 from midspan.records import Acceleration, Displacement, Floats, Source, nanoseconds
 from midspan.simulate.motion.beam import paper_beam_motion
 
@@ -36,7 +35,7 @@ def record(seed: int, offset_s: float, skew: float) -> tuple[Acceleration, Displ
 @pytest.mark.parametrize(("offset_s", "skew"), [(0.0, 0.0), (0.002, 0.0), (-0.001, 3e-5), (0.003, -2e-5)])
 def test_offset_and_skew_come_out_within_their_standard_deviations(offset_s: float, skew: float) -> None:
     acceleration, displacement, _ = record(3, offset_s, skew)
-    course = clock_course(acceleration, displacement, KalmanSettings())
+    course = clock_course(acceleration, displacement)
     std = np.sqrt(np.diag(course.covariance))
     # Four standard deviations: one case in ten thousand; 0.02 ms for what is not linear in the lateness.
     assert abs(course.offset_s - offset_s) < 4.0 * std[0] + 2e-5
@@ -48,7 +47,7 @@ def test_the_standard_deviations_are_those_of_repeated_draws() -> None:
     normalised = []
     for seed in range(6):
         acceleration, displacement, _ = record(seed, 0.0, 1e-5)
-        course = clock_course(acceleration, displacement, KalmanSettings())
+        course = clock_course(acceleration, displacement)
         std = np.sqrt(np.diag(course.covariance))
         normalised += [course.offset_s / std[0], (course.skew - 1e-5) / std[1]]
     # The root mean square of 12 normal values lies within 0.5 and 1.5 but for one case in a hundred.
@@ -64,14 +63,14 @@ def test_windows_follow_a_clock_that_does_not_run_straight() -> None:
         displacement.variance_m2,
         displacement.source,
     )
-    course = clock_course(acceleration, early, KalmanSettings(), window_s=50.0)
+    course = clock_course(acceleration, early, window_s=50.0)
     expected = np.where(course.time_ns < 200_000_000_000, 0.0, 0.004)
     assert np.abs(course.lateness_s - expected).max() < 5.0 * course.std_s.max() + 1e-4
 
 
 def test_taking_the_lateness_out_restores_the_stamps() -> None:
     acceleration, displacement, late = record(5, 0.002, 2e-5)
-    course = clock_course(acceleration, displacement, KalmanSettings())
+    course = clock_course(acceleration, displacement)
     restored = course.corrected(displacement)
     error = (restored.time_ns - displacement.time_ns) / 1e9 - late
     assert np.abs(error).max() < 5.0 * course.std_at(displacement.time_ns).max() + 2e-5

@@ -4,8 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from midspan.fusion.clock import ClockCourse, clock_course
-from midspan.fusion.kalman import KalmanSettings
+from midspan.calibration.clock import ClockCourse, clock_course
 from midspan.records import NANOSECONDS, Acceleration, Displacement, Floats
 
 # In this time a cheap quartz (20 ppm) runs apart by 2.4 ms; a shorter record is not much longer than its calibration.
@@ -35,9 +34,7 @@ class RunningClock:
         return replace(self, measured=moved, warnings=())
 
 
-def on_one_clock(
-    measured: Displacement, acceleration: Acceleration, kalman: KalmanSettings, sensor: str
-) -> RunningClock:
+def on_one_clock(measured: Displacement, acceleration: Acceleration, sensor: str) -> RunningClock:
     """The measurements of one sensor with the drift of its clock taken out, where the record is long and shows one.
 
     measured: on the accelerometer's clock as calibrated; sensor: its name in messages.
@@ -48,7 +45,7 @@ def on_one_clock(
     length_s = float(measured.time_ns[usable[-1]] - measured.time_ns[usable[0]]) / NANOSECONDS
     if length_s < LEAST_S:
         return RunningClock(measured)
-    course = clock_course(acceleration, measured, kalman, window_s=max(WINDOW_S, length_s / MOST_WINDOWS))
+    course = clock_course(acceleration, measured, window_s=max(WINDOW_S, length_s / MOST_WINDOWS))
     late, std = course.at(course.time_ns), course.std_at(course.time_ns)
     told = _jumps(course, sensor)
     if not np.any((np.abs(late) > SIGNIFICANT * std) & (np.abs(late) > LEAST_LATE_S)):
