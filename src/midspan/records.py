@@ -338,12 +338,21 @@ class Readings:
 
 
 @dataclass(frozen=True, slots=True)
+class Tracked:
+    """A frame whose targets have been found already: their translations, with the frame's stamp on their clock."""
+
+    time_ns: int
+    own_ns: int
+    translations: tuple[PixelTranslation, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class Arrival:
     """A record of the named stream; `sequence` counts the stream's records, so that lost ones show as a step."""
 
     stream: str
     sequence: int
-    record: Readings | Frame | ChirpFrame | Event
+    record: Readings | Frame | Tracked | ChirpFrame | Event
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,6 +21,7 @@ from midspan.records import (
     Readings,
     StreamState,
     Tick,
+    Tracked,
     part,
 )
 
@@ -293,7 +294,7 @@ def _moved(time_ns: Nanoseconds, offset_ns: int) -> Nanoseconds:
     return np.where(np.abs(time_ns.astype(np.float64)) > LAST_NS, time_ns, time_ns + np.int64(offset_ns))
 
 
-def _stamps(record: Readings | Frame | ChirpFrame | Event) -> Nanoseconds:
+def _stamps(record: Readings | Frame | Tracked | ChirpFrame | Event) -> Nanoseconds:
     if isinstance(record, Readings):
         return np.asarray(record.time_ns, dtype=np.int64)
     return np.array([record.time_ns], dtype=np.int64)

@@ -52,7 +52,7 @@ class EqualRun:
 class PlainState:
     """All that a `PlainChain` knows: the newest stamp, what is wrong with it, the newest run, the samples it may need:
 
-    time_ns, acceleration, density (m,).
+    time_ns, acceleration, density (m,); waiting_ns, waiting_m (w,): values that wait for the samples that cover them.
     """
 
     newest_ns: int | None
@@ -61,6 +61,8 @@ class PlainState:
     time_ns: Nanoseconds
     acceleration: Floats
     density: Floats
+    waiting_ns: Nanoseconds
+    waiting_m: Floats
 
 
 class PlainChain:
@@ -77,7 +79,7 @@ class PlainChain:
         self._piece = piece_length(settings.step_s)
         nothing = np.empty(0, dtype=np.int64)
         run = EqualRun(np.nan, nothing, 0, LEAST_EQUAL, 0)
-        self._state = PlainState(None, GOOD, run, nothing, np.empty(0), np.empty(0))
+        self._state = PlainState(None, GOOD, run, nothing, np.empty(0), np.empty(0), nothing, np.empty(0))
 
     @property
     def state(self) -> PlainState:
@@ -89,17 +91,48 @@ class PlainChain:
         self._state = state
 
     def push(self, record: Samples | Readings | Event) -> list[Measured | Event]:
-        """Take samples, or readings of time_ns (n,) and value (n, 1) in metres; returns measurements and events."""
-        if isinstance(record, Samples):
-            self._remember(record)
-            return []
+        """Take samples, or readings of time_ns (n,) and value (n, 1) in metres; returns measurements and events.
+
+        A value is given out with the samples that reach its time, and judged by those up to it.
+        """
         if isinstance(record, Event):
             return [record]
+        if isinstance(record, Samples):
+            return self._reached(record)
         if record.value.shape != (len(record.time_ns), 1):
             raise refuse("value", f"of shape ({len(record.time_ns)}, 1)", record.value.shape)
         kept, events = self._in_order(record.time_ns)
         kept &= np.isfinite(record.value[:, 0])
-        time_ns, value = record.time_ns[kept], self.settings.scale * record.value[kept, 0]
+        state, value = self._state, self.settings.scale * record.value[kept, 0]
+        waiting_ns = np.concatenate((state.waiting_ns, record.time_ns[kept]))
+        self._state = replace(state, waiting_ns=waiting_ns, waiting_m=np.concatenate((state.waiting_m, value)))
+        return list(events)
+
+    def _reached(self, samples: Samples) -> list[Measured | Event]:
+        """Take samples, and judge the values that they reach; what no later value may need is forgotten."""
+        state, axis = self._state, self.settings.axis
+        if not len(samples.time_ns):
+            return []
+        time_ns = np.concatenate((state.time_ns, samples.time_ns))
+        acceleration = np.concatenate((state.acceleration, samples.value_m_s2[:, axis]))
+        density = np.concatenate((state.density, samples.noise_density[:, axis]))
+        self._state = replace(state, time_ns=time_ns, acceleration=acceleration, density=density)
+        due = int(np.searchsorted(state.waiting_ns, time_ns[-1], side="right"))
+        found = self._judged(state.waiting_ns[:due], state.waiting_m[:due])
+        reach_ns = round(2.0 * self._piece * self.settings.step_s * NANOSECONDS)
+        first = int(np.searchsorted(time_ns, int(time_ns[-1]) - reach_ns))
+        self._state = replace(
+            self._state,
+            time_ns=time_ns[first:].copy(),
+            acceleration=acceleration[first:].copy(),
+            density=density[first:].copy(),
+            waiting_ns=state.waiting_ns[due:],
+            waiting_m=state.waiting_m[due:],
+        )
+        return found
+
+    def _judged(self, time_ns: Nanoseconds, value: Floats) -> list[Measured | Event]:
+        """Values (n,) in metres as measurements, without those that are stuck, and events."""
         used, found = self._moving(time_ns, value)
         count = int(np.count_nonzero(used))
         block = Measured(
@@ -109,22 +142,7 @@ class PlainChain:
             variance=np.full(count, self.settings.variance_m2),
             reference_variance=np.zeros(count),
         )
-        return [block, *events, *found] if count else [*events, *found]
-
-    def _remember(self, samples: Samples) -> None:
-        """Keep the samples that a run of equal values may reach back to, and no more."""
-        state, axis = self._state, self.settings.axis
-        if not len(samples.time_ns):
-            return
-        reach_ns = round(2.0 * self._piece * self.settings.step_s * NANOSECONDS)
-        time_ns = np.concatenate((state.time_ns, samples.time_ns))
-        first = int(np.searchsorted(time_ns, int(time_ns[-1]) - reach_ns))
-        self._state = replace(
-            state,
-            time_ns=time_ns[first:].copy(),
-            acceleration=np.concatenate((state.acceleration, samples.value_m_s2[:, axis]))[first:],
-            density=np.concatenate((state.density, samples.noise_density[:, axis]))[first:],
-        )
+        return [block, *found] if count else [*found]
 
     def _in_order(self, time_ns: Nanoseconds) -> tuple[Mask, list[Event]]:
         """Which stamps (n,) are newer than all before, and an event for each run of others."""
@@ -182,8 +200,10 @@ class PlainChain:
         met = time_ns[: int(np.searchsorted(time_ns, state.time_ns[-1], side="right"))]
         if len(met) < LEAST_EQUAL:
             return False
-        origin_ns = int(met[0])
-        samples = np.column_stack((seconds(state.time_ns, origin_ns), state.acceleration, state.density))
+        origin_ns, end = int(met[0]), int(np.searchsorted(state.time_ns, met[-1], side="right"))
+        samples = np.column_stack(
+            (seconds(state.time_ns[:end], origin_ns), state.acceleration[:end], state.density[:end])
+        )
         return moved(seconds(met, origin_ns), samples, RESOLUTIONS * self.settings.resolution_m)
 
     def _told(self, run: EqualRun, time_ns: int) -> Event:

@@ -4,15 +4,18 @@ Everything that decides is a function of the records pushed: there is no clock, 
 recording is a loop over `push`, and a live point is the same loop.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
+
+import numpy as np
 
 from midspan.engine.guard import Guard, GuardState
 from midspan.engine.merge import Merge, MergeState
 from midspan.engine.sensors import Seen, Sensor
 from midspan.fusion.estimator import Estimator, EstimatorState, Rows
-from midspan.records import Arrival, ClockOffset, Event, Samples, Tick
+from midspan.fusion.second_pass import Lag, LagState
+from midspan.records import Arrival, ClockOffset, Event, Readings, Samples, Tick, joined
 
 ACCELEROMETER = "accelerometer"
 
@@ -25,15 +28,24 @@ class PointState:
 
     merge: MergeState
     guard: GuardState
-    estimator: EstimatorState
+    estimator: EstimatorState | LagState
     sensors: tuple[Any, ...]
 
 
 class Point:
     """An accelerometer and the sensors beside it, by their streams' names, and the estimator that they feed."""
 
-    def __init__(self, merge: Merge, guard: Guard, sensors: Mapping[str, Sensor], estimator: Estimator) -> None:
+    def __init__(
+        self,
+        merge: Merge,
+        guard: Guard,
+        sensors: Mapping[str, Sensor],
+        estimator: Estimator | Lag,
+        unmeasured: Sequence[float] = (),
+    ) -> None:
+        """unmeasured: noise density, (m/s²)²/Hz, of the motion along each further axis without an accelerometer."""
         self.merge, self.guard, self.sensors, self.estimator = merge, guard, dict(sensors), estimator
+        self.unmeasured = tuple(unmeasured)
 
     @property
     def state(self) -> PointState:
@@ -45,30 +57,80 @@ class Point:
         """Go on from where `state` was read."""
         self.merge.restore(state.merge)
         self.guard.restore(state.guard)
-        self.estimator.restore(state.estimator)
+        self.estimator.restore(state.estimator)  # type: ignore[arg-type]
         for name, own in zip(sorted(self.sensors), state.sensors, strict=True):
             self.sensors[name].restore(own)
 
     def push(self, record: Arrival | Tick | ClockOffset) -> list[Output]:
         """Take a record; returns what is due: rows, what the sensors saw, and events."""
-        return [output for due in self.merge.push(record) for output in self._take(due)]
+        return self._run(self.merge.push(record))
 
     def finish(self) -> list[Output]:
         """What is held back still, at the end of all records."""
-        out = [output for due in self.merge.finish() for output in self._take(due)]
+        out = self._run(self.merge.finish())
         for found in self.guard.finish():
             out += self._sampled(found)
         return [*out, *self.estimator.finish()]
 
-    def _take(self, due: Arrival) -> list[Output]:
-        """Give a record, in its turn, to what it is for."""
-        if due.stream == ACCELEROMETER:
-            return [output for found in self.guard.push(due.record) for output in self._sampled(found)]
-        if isinstance(due.record, Event):
-            return [due.record]
-        seen = self.sensors[due.stream].push(due.record, self.estimator.predict)
-        self.estimator.push(seen.measured)
-        return [seen]
+    def _run(self, due: Sequence[Arrival]) -> list[Output]:
+        """Give records, in the order of time, to what they are for."""
+        out: list[Output] = []
+        for arrival in together(due):
+            if arrival.stream == ACCELEROMETER:
+                assert isinstance(arrival.record, Readings | Event)
+                for found in self.guard.push(arrival.record):
+                    out += self._sampled(found)
+            elif isinstance(arrival.record, Event):
+                out.append(arrival.record)
+            else:
+                out += self._seen(self.sensors[arrival.stream].push(arrival.record, self.estimator.predict))
+        return out
 
     def _sampled(self, found: Samples | Event) -> list[Output]:
-        return [found] if isinstance(found, Event) else list(self.estimator.push(found))
+        """Give samples to the estimator, after the measurements that they cover."""
+        if isinstance(found, Event):
+            return [found]
+        if self.unmeasured:
+            found = with_unmeasured(found, self.unmeasured)
+        out = [output for sensor in self.sensors.values() for output in self._seen(sensor.reached(found))]
+        return [*out, *self.estimator.push(found)]
+
+    def _seen(self, seen: Seen | None) -> list[Output]:
+        """Give to the estimator what a sensor measured."""
+        if seen is None:
+            return []
+        if seen.measured is not None:
+            self.estimator.push(seen.measured)
+        return [seen]
+
+
+def together(due: Sequence[Arrival]) -> Iterator[Arrival]:
+    """The arrivals with the readings between two frames or events joined to one block a stream.
+
+    Those of the accelerometer come last: nothing is decided on readings before their samples are there.
+    """
+    held: dict[str, list[Arrival]] = {}
+    for arrival in due:
+        if isinstance(arrival.record, Readings):
+            held.setdefault(arrival.stream, []).append(arrival)
+        else:
+            yield from _blocks(held)
+            held.clear()
+            yield arrival
+    yield from _blocks(held)
+
+
+def _blocks(held: Mapping[str, Sequence[Arrival]]) -> Iterator[Arrival]:
+    for name in sorted(held, key=lambda name: name == ACCELEROMETER):
+        records = [arrival.record for arrival in held[name] if isinstance(arrival.record, Readings)]
+        yield replace(held[name][-1], record=joined(records))
+
+
+def with_unmeasured(samples: Samples, densities: Sequence[float]) -> Samples:
+    """The samples with further axes along which no acceleration is measured; densities: of the motion's own there."""
+    count = len(samples.time_ns)
+    return replace(
+        samples,
+        value_m_s2=np.column_stack((samples.value_m_s2, np.zeros((count, len(densities))))),
+        noise_density=np.column_stack((samples.noise_density, np.tile(densities, (count, 1)))),
+    )

@@ -11,7 +11,8 @@ from typing import Any, Protocol
 import numpy as np
 
 from midspan.engine.camera import CameraChain, CameraState
-from midspan.records import Event, Frame, Measured, PixelTranslation, Prediction, Readings
+from midspan.engine.plain import PlainChain, PlainState
+from midspan.records import Event, Frame, Measured, PixelTranslation, Prediction, Readings, Samples, Tracked, joined
 
 # The prediction across the measured axis, where nothing predicts: the motion there is small, px.
 ACROSS_STD_PX = 2.0
@@ -29,7 +30,7 @@ class Seen:
     """What a sensor made of one record: measurements for the estimator, translations of a camera's targets, events."""
 
     sensor: str
-    measured: Measured
+    measured: Measured | None
     translations: tuple[PixelTranslation, ...] = ()
     events: tuple[Event, ...] = ()
 
@@ -37,8 +38,12 @@ class Seen:
 class Sensor(Protocol):
     """One sensor of a point."""
 
-    def push(self, record: Any, expect: Expect) -> Seen:
+    def push(self, record: Any, expect: Expect) -> Seen | None:
         """Take the next record, its stamps on the common clock."""
+        ...
+
+    def reached(self, samples: Samples) -> Seen | None:
+        """Take the samples that the estimator gets next: a sensor may wait for those that cover its records."""
         ...
 
     @property
@@ -49,15 +54,6 @@ class Sensor(Protocol):
     def restore(self, state: Any) -> None:
         """Go on from a `state` taken earlier."""
         ...
-
-
-@dataclass(frozen=True, slots=True)
-class Tracked:
-    """A frame whose targets have been found already: their translations, with the frame's stamp on their clock."""
-
-    time_ns: int
-    own_ns: int
-    translations: tuple[PixelTranslation, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,6 +98,9 @@ class CameraSensor:
         events = tuple(event for one in found for event in one.events)
         return Seen(self.name, self._measured(found), found, events)
 
+    def reached(self, samples: Samples) -> None:
+        """A frame is measured when it comes; the estimator waits for the samples that cover it."""
+
     def _prediction(self, target: int, time_ns: int, expect: Expect) -> Prediction | None:
         """Where a target is expected; None while the main axis cannot tell."""
         place = dict(zip("xy", ((value, ACROSS_STD_PX) for value in self._seen_px[target]), strict=True))
@@ -135,27 +134,29 @@ class CameraSensor:
 
 
 class PlainSensor:
-    """A displacement sensor: its readings (n, 1) in m, each of the same variance (m²), feed one channel."""
+    """A displacement sensor: its chain takes readings in m and gives them out with the samples that cover them."""
 
-    def __init__(self, name: str, channel: int, variance_m2: float) -> None:
-        self.name, self.channel, self.variance_m2 = name, channel, variance_m2
+    def __init__(self, name: str, chain: PlainChain) -> None:
+        self.name, self.chain = name, chain
 
     @property
-    def state(self) -> None:
-        """Nothing changes from reading to reading."""
-        return None
+    def state(self) -> PlainState:
+        """Everything that changes from reading to reading."""
+        return self.chain.state
 
-    def restore(self, state: None) -> None:
-        """There is nothing to go on from."""
+    def restore(self, state: PlainState) -> None:
+        """Go on from a `state` taken earlier."""
+        self.chain.restore(state)
 
-    def push(self, record: Readings, expect: Expect) -> Seen:
-        """Take readings as measurements; what is not finite is not used."""
-        count = len(record.time_ns)
-        measured = Measured(
-            record.time_ns,
-            np.full(count, self.channel),
-            record.value[:, 0],
-            np.full(count, self.variance_m2),
-            np.zeros(count),
-        )
-        return Seen(self.name, measured)
+    def push(self, record: Readings, expect: Expect) -> Seen | None:
+        """Take readings, which wait."""
+        return self._seen(self.chain.push(record))
+
+    def reached(self, samples: Samples) -> Seen | None:
+        """The readings that the samples reach, as measurements."""
+        return self._seen(self.chain.push(samples))
+
+    def _seen(self, found: Sequence[Measured | Event]) -> Seen | None:
+        measured = [one for one in found if isinstance(one, Measured)]
+        events = tuple(one for one in found if isinstance(one, Event))
+        return Seen(self.name, joined(measured) if measured else None, (), events) if found else None

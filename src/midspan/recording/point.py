@@ -5,16 +5,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from midspan.calibration.whitening import BIAS_WALK_RATIO
 from midspan.engine.axis import AxisFigures, usual_figures
 from midspan.engine.guard import Guard, GuardSettings
 from midspan.engine.merge import Merge
 from midspan.engine.point import ACCELEROMETER, Point
-from midspan.engine.sensors import CameraSensor, PlainSensor, Sensor
+from midspan.engine.sensors import CameraSensor
 from midspan.fusion.estimator import Estimator
 from midspan.fusion.model import EstimatorSettings, Parameter, ParameterKind
 from midspan.recording.cameras.tracked import Eye, Side, clock_std_s
-from midspan.records import NANOSECONDS, Channel, ClockOffset, Nanoseconds, Source
+from midspan.records import NANOSECONDS, Channel, ClockOffset, Nanoseconds
 
 # Rows are coasting when the last accepted measurement is older than this many of the sensor's usual intervals; they
 # are lost after this many, and after this many seconds at least.
@@ -78,7 +77,9 @@ def camera_channels(table: Table, eye: Eye, *, first: bool) -> CameraSensor:
     for numbers, camera in zip(along, eye.calibrations, strict=True):
         # An axis without an accelerometer has the other's scale factor.
         shared = numbers if camera.fused else []
-        table.uncertain(ParameterKind.SCALE_ERROR, [*numbers, *along[-1]] if not shared else shared, camera.relative_std)
+        table.uncertain(
+            ParameterKind.SCALE_ERROR, [*numbers, *along[-1]] if not shared else shared, camera.relative_std
+        )
     every = [number for numbers in along for number in numbers]
     table.uncertain(ParameterKind.CLOCK_OFFSET, every, clock_std_s(eye.calibrations[0].offset))
     return CameraSensor(eye.sensor, eye.tracking.chain, rows, [camera.direction for camera in eye.calibrations])
