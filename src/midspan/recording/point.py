@@ -8,20 +8,26 @@ import numpy as np
 from midspan.engine.axis import AxisFigures, usual_figures
 from midspan.engine.guard import Guard, GuardSettings
 from midspan.engine.merge import Merge
+from midspan.engine.order import FIRST_NS
+from midspan.engine.plain import PlainChain, PlainSettings
 from midspan.engine.point import ACCELEROMETER, Point
-from midspan.engine.sensors import CameraSensor
+from midspan.engine.sensors import CameraSensor, PlainSensor, Sensor
 from midspan.fusion.estimator import Estimator
 from midspan.fusion.model import EstimatorSettings, Parameter, ParameterKind
+from midspan.fusion.second_pass import Lag
 from midspan.recording.cameras.tracked import Eye, Side, clock_std_s
-from midspan.records import NANOSECONDS, Channel, ClockOffset, Nanoseconds
+from midspan.recording.stored.displacement import DisplacementCalibration
+from midspan.recording.streams.recording import Recording
+from midspan.records import NANOSECONDS, Channel, ClockOffset, Nanoseconds, Source, TimeOffset
+from midspan.signals.stuck import resolution
 
 # Rows are coasting when the last accepted measurement is older than this many of the sensor's usual intervals; they
 # are lost after this many, and after this many seconds at least.
 COASTING_INTERVALS, LOST_INTERVALS, MIN_COASTING_S, MIN_LOST_S = 2.5, 10.0, 0.05, 10.0
 # Noise of a target's reference frame over the noise of a frame, as standard deviations (see `vision/usual.py`).
 REFERENCE_NOISE = 1.15
-# The bias is known to no better than this many samples' noise, m/s², and this (a tilt of 0.006°).
-BIAS_SAMPLES, MIN_BIAS_STD = 10.0, 1e-3
+# The bias is known to no better than this many samples' noise, m/s², and this (a tilt of 0.006°); unknown: this.
+BIAS_SAMPLES, MIN_BIAS_STD, UNKNOWN_BIAS_STD = 10.0, 1e-3, 0.3
 
 
 @dataclass(slots=True)
@@ -77,12 +83,37 @@ def camera_channels(table: Table, eye: Eye, *, first: bool) -> CameraSensor:
     for numbers, camera in zip(along, eye.calibrations, strict=True):
         # An axis without an accelerometer has the other's scale factor.
         shared = numbers if camera.fused else []
-        table.uncertain(
-            ParameterKind.SCALE_ERROR, [*numbers, *along[-1]] if not shared else shared, camera.relative_std
-        )
+        table.uncertain(ParameterKind.SCALE_ERROR, shared or [*numbers, *along[-1]], camera.relative_std)
     every = [number for numbers in along for number in numbers]
     table.uncertain(ParameterKind.CLOCK_OFFSET, every, clock_std_s(eye.calibrations[0].offset))
     return CameraSensor(eye.sensor, eye.tracking.chain, rows, [camera.direction for camera in eye.calibrations])
+
+
+def plain_channel(table: Table, recording: Recording, known: DisplacementCalibration, *, first: bool) -> PlainSensor:
+    """A displacement sensor, and its channel in the table; first: whether its zero is the zero of the displacement."""
+    times = recording.displacement.time_ns
+    coasting_s, lost_s = ages(times)
+    channel = table.add(
+        Channel(
+            sensor="displacement",
+            source=Source.DISPLACEMENT,
+            units_per_m=1.0,
+            zero_std_m=0.0 if first else np.inf,
+            coasting_s=coasting_s,
+            lost_s=lost_s,
+        )
+    )
+    table.uncertain(ParameterKind.SCALE_ERROR, [channel], known.relative_std)
+    table.uncertain(ParameterKind.CLOCK_OFFSET, [channel], clock_std_s(known.offset))
+    settings = PlainSettings(
+        name="displacement",
+        channel=channel,
+        variance_m2=known.noise_std_m**2,
+        step_s=coasting_s / COASTING_INTERVALS,
+        resolution_m=resolution(known.scale * recording.displacement.value),
+        scale=known.scale,
+    )
+    return PlainSensor("displacement", PlainChain(settings))
 
 
 def figures(side: Side) -> AxisFigures:
@@ -96,20 +127,20 @@ def bias_std(side: Side) -> float:
     """How well the bias is known at the start, m/s²."""
     known = side.calibration.bias_std_m_s2
     noise = BIAS_SAMPLES * side.calibration.noise_std_m_s2
-    return float(np.hypot(np.hypot(noise, MIN_BIAS_STD), known if np.isfinite(known) else 0.3))
+    return float(np.hypot(np.hypot(noise, MIN_BIAS_STD), known if np.isfinite(known) else UNKNOWN_BIAS_STD))
 
 
-def measuring_point(sides: Sequence[Side], eyes: Sequence[Eye], *, log: bool) -> Point:
-    """The point of a recording's axes and cameras."""
-    table, sensors, offsets = Table(), {}, {}
-    for number, eye in enumerate(eyes):
-        sensors[eye.sensor] = camera_channels(table, eye, first=number == 0)
-        offsets[eye.sensor] = eye.calibrations[0].offset.value_s
-    main = sides[0]
-    zero_ns = None
-    if eyes:
-        zero_ns = int(eyes[0].tracking.time_ns[0]) + round(NANOSECONDS * offsets[eyes[0].sensor])
-    settings = EstimatorSettings(
+def zero_instant(eyes: Sequence[Eye]) -> int | None:
+    """The instant (ns) that the displacement counts from: the first frame used; None: the sensor's own zero."""
+    if not eyes:
+        return None
+    eye = eyes[0]
+    return int(eye.tracking.time_ns[0]) + round(NANOSECONDS * eye.calibrations[0].offset.value_s)
+
+
+def estimator_settings(table: Table, sides: Sequence[Side], zero_ns: int | None) -> EstimatorSettings:
+    """What the estimator is given of a recording's axes and sensors."""
+    return EstimatorSettings(
         channels=tuple(table.channels),
         axes=len(sides),
         parameters=tuple(table.parameters),
@@ -117,8 +148,28 @@ def measuring_point(sides: Sequence[Side], eyes: Sequence[Eye], *, log: bool) ->
         bias_std_m_s2=tuple(bias_std(side) for side in sides),
         zero_ns=zero_ns,
     )
+
+
+def measuring_point(sides: Sequence[Side], eyes: Sequence[Eye], *, lag_s: float | None = None) -> Point:
+    """The point of a recording's axes and sensors; lag_s: rows are given out so much later, smoothed."""
+    main, table = sides[0], Table()
+    sensors: dict[str, Sensor] = {}
+    offsets: dict[str, TimeOffset] = {}
+    for number, eye in enumerate(eyes):
+        sensors[eye.sensor] = camera_channels(table, eye, first=number == 0)
+        offsets[eye.sensor] = eye.calibrations[0].offset
+    known = main.calibration.displacement
+    if main.recording.has("displacement") and known is not None:
+        sensors["displacement"] = plain_channel(table, main.recording, known, first=not eyes)
+        offsets["displacement"] = known.offset
+    settings = estimator_settings(table, sides, zero_instant(eyes))
     merge = Merge([ACCELEROMETER, *sensors], lateness_s=np.inf, silent_s=np.inf)
-    for name, offset_s in offsets.items():
-        merge.push(ClockOffset(name, round(NANOSECONDS * offset_s), -(2**62)))
-    guard = Guard(GuardSettings(main.prepared.rate_hz, tuple(figures(side) for side in sides)))
-    return Point(merge, guard, sensors, Estimator(settings, log=log))
+    for name, offset in offsets.items():
+        merge.push(ClockOffset(name, round(NANOSECONDS * offset.value_s), FIRST_NS))
+    measured = [side for side in sides if side.recording.fused]
+    guard = Guard(GuardSettings(main.prepared.rate_hz, tuple(figures(side) for side in measured)))
+    unmeasured = [side.calibration.noise_density(main.prepared.rate_hz) for side in sides if side not in measured]
+    estimator = Estimator(settings, log=True)
+    if lag_s is not None:
+        return Point(merge, guard, sensors, Lag(settings, max(1, round(lag_s * main.prepared.rate_hz))), unmeasured)
+    return Point(merge, guard, sensors, estimator, unmeasured)

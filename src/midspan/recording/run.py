@@ -6,17 +6,18 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from midspan.engine.point import ACCELEROMETER, Output, Point
-from midspan.engine.sensors import Seen, Tracked
+from midspan.engine.sensors import Seen
 from midspan.fusion.estimator import Rows
 from midspan.recording.cameras.tracked import Eye, Side
-from midspan.records import NANOSECONDS, Arrival, Estimate, Event, Innovation, Readings, joined
+from midspan.records import NANOSECONDS, Arrival, Estimate, Event, Innovation, Measured, Readings, Tracked, joined
 
 
 @dataclass(slots=True)
 class Outcome:
-    """What a point gave for a recording: rows of each axis, innovations of each channel, events."""
+    """What a point gave for a recording: rows, what each sensor measured, events."""
 
     rows: list[Rows] = field(default_factory=list)
+    measured: dict[str, list[Measured]] = field(default_factory=dict)
     events: list[Event] = field(default_factory=list)
 
     def take(self, outputs: Sequence[Output]) -> None:
@@ -29,10 +30,21 @@ class Outcome:
                 self.events.append(output)
             elif isinstance(output, Seen):
                 self.events += output.events
+                if output.measured is not None:
+                    self.measured.setdefault(output.sensor, []).append(output.measured)
 
     def estimate(self, axis: int) -> Estimate:
         """The rows of an axis as one block."""
         return joined([rows.estimates[axis] for rows in self.rows if rows.estimates])
+
+    def measured_by(self, sensor: str) -> Measured:
+        """All that a sensor measured as one block."""
+        return joined(self.measured[sensor])
+
+    @property
+    def zero_variance_m2(self) -> tuple[float, ...]:
+        """Variance of the zero of each axis at the end."""
+        return next((rows.zero_variance_m2 for rows in reversed(self.rows) if rows.zero_variance_m2), (0.0, 0.0))
 
     def innovation(self, channel: int) -> Innovation:
         """The innovations of a channel as one block."""
@@ -43,8 +55,11 @@ def run(point: Point, sides: Sequence[Side], eyes: Sequence[Eye]) -> Outcome:
     """Push all records of a recording into its point."""
     outcome = Outcome()
     time_ns = sides[0].recording.acceleration.time_ns
-    value = np.column_stack([side.recording.acceleration.value for side in sides])
+    value = np.column_stack([side.recording.acceleration.value for side in sides if side.recording.fused])
     outcome.take(point.push(Arrival(ACCELEROMETER, 0, Readings(time_ns, value))))
+    if "displacement" in point.sensors:
+        series = sides[0].recording.displacement
+        outcome.take(point.push(Arrival("displacement", 0, Readings(series.time_ns, series.value[:, None]))))
     named = {eye.sensor: eye for eye in eyes}
     counts = dict.fromkeys(named, 0)
     for eye in eyes:
@@ -53,8 +68,8 @@ def run(point: Point, sides: Sequence[Side], eyes: Sequence[Eye]) -> Outcome:
             record = Tracked(stamp, stamp, tuple(target.translation(k) for target in eye.tracking.targets))
             outcome.take(point.push(Arrival(eye.sensor, k, record)))
         counts[eye.sensor] = eye.tracking.done
-    while (eye := next_camera(eyes, counts)) is not None:
-        frame = eye.tracking.take()
+    while (following := next_camera(eyes, counts)) is not None:
+        eye, frame = following, following.tracking.take()
         if frame is None:
             eye.tracking.ended = True
             continue

@@ -146,8 +146,8 @@ class TargetTracking:
 
     def translation(self, number: int) -> PixelTranslation:
         """What was found in the frame of this number."""
-        (*row, status, strength, x, y, _) = self._columns.row(number)
-        return PixelTranslation(*row, Status(status), strength, x, y)
+        row = self._columns.row(number)
+        return PixelTranslation(*row[: STRENGTH - 1], Status(row[STRENGTH - 1]), *row[STRENGTH:DARK])
 
     def with_codec_error(self, scale: ScaleFactor, direction: str) -> ScaleFactor:
         """A scale factor estimated along an image axis on the frames so far, with what compression may do to it."""
