@@ -127,10 +127,12 @@ def test_memory_is_bounded():
 
 def test_measurements_carry_channel_scale_and_variance():
     chain = PlainChain(PlainSettings("displacement", 3, 4e-8, 0.1, scale=2.0))
-    (block,) = chain.push(Readings(np.array([0, 10, 20]), np.array([[1.0], [np.nan], [3.0]])))
+    times = np.array([0, 100, 600]) * 1_000_000
+    block, event = chain.push(Readings(times, np.array([[1.0], [np.nan], [3.0]])))
+    assert (event.kind, event.time_ns, event.text) == ("gap", 0, "displacement: no values for 0.6 s.")
     np.testing.assert_array_equal(block.value, [2.0, 6.0])
     np.testing.assert_array_equal(block.channel, 3)
     np.testing.assert_array_equal(block.variance, 4e-8)
     np.testing.assert_array_equal(block.reference_variance, 0.0)
     with pytest.raises(UsageError, match="shape"):
-        chain.push(Readings(np.array([30]), np.zeros((1, 2))))
+        chain.push(Readings(times[:1], np.zeros((1, 2))))

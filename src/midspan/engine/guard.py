@@ -7,7 +7,7 @@ import numpy as np
 
 from midspan.checks import positive, refuse
 from midspan.engine.axis import AxisFigures, AxisLimits, AxisMemory, Bridged, bridge
-from midspan.engine.order import BACKWARDS, FIRST_NS, GOOD, KINDS, order, place_ns, spans, words
+from midspan.engine.order import BACKWARDS, FIRST_NS, GOOD, KINDS, is_new, order, place_ns, spans, words
 from midspan.records import NANOSECONDS, Event, Floats, Nanoseconds, Readings, SampleKind, Samples
 from midspan.signals.bridging import GAP_STEPS, LONG_SHARE
 from midspan.signals.health import Mask
@@ -117,7 +117,7 @@ class Guard:
                 marks[first:stop][:1] = broken and used_ns is not None
                 if first < stop:
                     broken, used_ns = False, int(time_ns[stop - 1])
-            elif code != fault:
+            elif is_new(code, fault):
                 text = words(code, int(time_ns[start]), int(newest_ns[start]), "sample")
                 events.append(Event(place_ns(int(newest_ns[start])), KINDS[code], f"{name}: {text}"))
             broken, fault = broken or code == BACKWARDS, code

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from midspan.checks import refuse
-from midspan.engine.order import AHEAD, GOOD, KINDS, LAST_NS, LATE, order, spans, words
+from midspan.engine.order import AHEAD, GOOD, KINDS, LAST_NS, LATE, is_new, order, spans, words
 from midspan.records import (
     NANOSECONDS,
     Arrival,
@@ -33,9 +33,11 @@ MAX_AHEAD = 2
 
 @dataclass(frozen=True, slots=True)
 class StreamMemory:
-    """What is known of a stream. newest_ns: on the common clock; heard_ns: the tick at its newest good record;
+    """What is known of a stream.
 
-    out: silent for too long; fault: code of what is wrong with its newest record; used, late, disordered, lost: counts.
+    newest_ns, late_ns: its newest stamp, and the newest one that came too late, on the common clock; heard_ns: the tick
+    at its newest good record; out: silent for too long; fault: code of what is wrong with its newest record; used,
+    late, disordered, lost: counts.
     """
 
     name: str
@@ -46,6 +48,7 @@ class StreamMemory:
     next_offset: ClockOffset | None = None
     out: bool = False
     fault: int = GOOD
+    late_ns: int | None = None
     used: int = 0
     late: int = 0
     disordered: int = 0
@@ -177,11 +180,15 @@ class Merge:
     def _leave_out(self, number: int, code: int, common_ns: Nanoseconds, newest_ns: int) -> None:
         """Count readings (n,) with a fault; the first of a run of them is an event."""
         stream = self._streams[number]
-        if code != stream.fault:
-            text = self._words(code, int(common_ns[0]), newest_ns)
+        first_ns, late_ns, pause_ns = int(common_ns[0]), stream.late_ns, self._silent_ns
+        # A stream that is late now and then is reported once, until it was in time for a while.
+        often = late_ns is not None and pause_ns is not None and first_ns - late_ns <= pause_ns and code == LATE
+        if is_new(code, stream.fault) and not often:
+            text = self._words(code, first_ns, newest_ns)
             self._tell(number, KINDS[code], f"{stream.name}: {text}")
         if code == LATE:
-            self._heard(number, int(common_ns[-1]), fault=code, late=stream.late + len(common_ns))
+            newest_ns = int(common_ns[-1])
+            self._heard(number, newest_ns, fault=code, late=stream.late + len(common_ns), late_ns=newest_ns)
         else:
             disordered = stream.disordered + len(common_ns)
             self._streams[number] = replace(stream, fault=code, disordered=disordered)

@@ -44,6 +44,14 @@ def spans(codes: Codes) -> Iterator[tuple[int, int, int]]:
         yield int(start), int(end), int(codes[start])
 
 
+def is_new(code: int, fault: int) -> bool:
+    """Whether a stamp's `code` is a fault other than that of the stamp before it (`fault`).
+
+    Of a clock that ran back, the stamp that reaches the newest one again is no fault of its own.
+    """
+    return code not in (GOOD, fault) and (fault, code) != (BACKWARDS, DOUBLED)
+
+
 def words(code: int, time_ns: int, newest_ns: int, what: str) -> str:
     """What is wrong with the stamp of a record (`what`: its name) after the newest good one, for a message."""
     if code == DOUBLED:

@@ -5,8 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from midspan.checks import positive, refuse
-from midspan.engine.order import GOOD, KINDS, order, place_ns, spans, words
+from midspan.engine.order import GOOD, KINDS, is_new, order, place_ns, spans, words
 from midspan.records import NANOSECONDS, Event, Floats, Measured, Nanoseconds, Readings, Samples, seconds
+from midspan.signals.bridging import GAP_STEPS
 from midspan.signals.health import Mask
 from midspan.signals.stuck import LEAST_EQUAL, RESOLUTIONS, moved, piece_length
 
@@ -50,12 +51,15 @@ class EqualRun:
 
 @dataclass(frozen=True, slots=True)
 class PlainState:
-    """All that a `PlainChain` knows: the newest stamp, what is wrong with it, the newest run, the samples it may need:
+    """All that a `PlainChain` knows.
 
-    time_ns, acceleration, density (m,); waiting_ns, waiting_m (w,): values that wait for the samples that cover them.
+    newest_ns, finite_ns: the newest stamp, and that of the newest finite value; fault: what is wrong with the newest
+    stamp; run: of equal values; time_ns, acceleration, density (m,): of the samples that may still be needed; waiting_ns,
+    waiting_m (w,): values that wait for the samples that cover them.
     """
 
     newest_ns: int | None
+    finite_ns: int | None
     fault: int
     run: EqualRun
     time_ns: Nanoseconds
@@ -79,7 +83,7 @@ class PlainChain:
         self._piece = piece_length(settings.step_s)
         nothing = np.empty(0, dtype=np.int64)
         run = EqualRun(np.nan, nothing, 0, LEAST_EQUAL, 0)
-        self._state = PlainState(None, GOOD, run, nothing, np.empty(0), np.empty(0), nothing, np.empty(0))
+        self._state = PlainState(None, None, GOOD, run, nothing, np.empty(0), np.empty(0), nothing, np.empty(0))
 
     @property
     def state(self) -> PlainState:
@@ -103,7 +107,9 @@ class PlainChain:
             raise refuse("value", f"of shape ({len(record.time_ns)}, 1)", record.value.shape)
         kept, events = self._in_order(record.time_ns)
         kept &= np.isfinite(record.value[:, 0])
-        state, value = self._state, self.settings.scale * record.value[kept, 0]
+        value = self.settings.scale * record.value[kept, 0]
+        events += self._gaps(record.time_ns[kept])
+        state = self._state
         waiting_ns = np.concatenate((state.waiting_ns, record.time_ns[kept]))
         self._state = replace(state, waiting_ns=waiting_ns, waiting_m=np.concatenate((state.waiting_m, value)))
         return list(events)
@@ -149,7 +155,7 @@ class PlainChain:
         codes, newest_ns = order(time_ns, self._state.newest_ns)
         fault, events = self._state.fault, []
         for start, _, code in spans(codes):
-            if code not in (GOOD, fault):
+            if is_new(code, fault):
                 text = words(code, int(time_ns[start]), int(newest_ns[start]), "value")
                 events.append(Event(place_ns(int(newest_ns[start])), KINDS[code], f"{self.settings.name}: {text}"))
             fault = code
@@ -157,6 +163,19 @@ class PlainChain:
         newest = int(time_ns[kept][-1]) if kept.any() else self._state.newest_ns
         self._state = replace(self._state, newest_ns=newest, fault=fault)
         return kept, events
+
+    def _gaps(self, time_ns: Nanoseconds) -> list[Event]:
+        """An event for each gap before the stamps (n,) of finite values."""
+        if not len(time_ns):
+            return []
+        state, first_ns = self._state, int(time_ns[0])
+        before_ns = np.concatenate(([first_ns if state.finite_ns is None else state.finite_ns], time_ns[:-1]))
+        step_s = (time_ns - before_ns) / NANOSECONDS
+        self._state = replace(state, finite_ns=int(time_ns[-1]))
+        return [
+            Event(int(before_ns[k]), "gap", f"{self.settings.name}: no values for {step_s[k]:.3g} s.")
+            for k in np.flatnonzero(step_s > GAP_STEPS * self.settings.step_s)
+        ]
 
     def _moving(self, time_ns: Nanoseconds, value: Floats) -> tuple[Mask, list[Event]]:
         """Which finite values (n,) are used, and events where the sensor gets stuck and where it is free again."""
