@@ -45,13 +45,6 @@ class Sight:
         x, y = (float(v) for v in self.whole - place)
         return None if max(abs(x), abs(y)) > FARTHEST_PX else translated(self.grid, x, y)
 
-    def target(self, place: Floats) -> Floats32:
-        """The target (pixels,) as it would look at rest, if it lies at `place` (2,) px, without its mean."""
-        x, y = (float(v) for v in self.whole - place)
-        seen = translated(self.grid[EDGE_PX:-EDGE_PX, EDGE_PX:-EDGE_PX], x, y).ravel()
-        free: Floats32 = seen - seen.mean()
-        return free
-
 
 def sight(pixels: NDArray[np.generic], region: Region, place: Floats) -> Sight | None:
     """The frame around the target of `region`, which lies near `place` (2,) px; None without values.
@@ -185,9 +178,10 @@ def placed(mix: Mix, frame: Sight, start: Floats, shown: Floats32 | None = None)
     base = mix.weight if shown is None else mix.weight * shown
     weight, place = base, start
     for _ in range(ROUNDS):
-        if np.abs(frame.whole - place).max() > FARTHEST_PX:
+        window = frame.window(place)
+        if window is None:
             return None
-        seen = frame.target(place)
+        seen = inside(window)
         told = explained(mix.columns, mix.slopes, weight, seen, mix.ridge)
         squares, spread = np.prod(np.diag(told.information)), np.linalg.det(told.information)
         if not (squares > 0.0 and spread > SINGULAR * squares):

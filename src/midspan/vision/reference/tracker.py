@@ -12,13 +12,13 @@ there the target is measured by the rest; where light goes on changing, key fram
 
 import math
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
 from midspan.errors import UsageError
 from midspan.records import Event, Floats, Frame, PixelTranslation, Prediction, Region, Status
 from midspan.vision.reference.cover import LATELY, completed
+from midspan.vision.reference.inner import InnerTrackers
 from midspan.vision.reference.light import Sight, inside, placed, sight
 from midspan.vision.reference.policy import (
     HEALTH_FRAMES,
@@ -30,8 +30,6 @@ from midspan.vision.reference.policy import (
     to_try,
 )
 from midspan.vision.reference.records import (
-    KeyFrame,
-    contrast,
     crowded,
     exchanged,
     first_chain,
@@ -45,7 +43,7 @@ from midspan.vision.reference.seeing import Told, measured
 from midspan.vision.reference.state import Appearance, KeyFrameState, Overlap
 from midspan.vision.region import check_size, clamp, shift
 from midspan.vision.target import lost
-from midspan.vision.tracker import Tracker, open_tracker
+from midspan.vision.tracker import Tracker
 
 USUAL_FRAMES = 5  # frames after a key frame whose strength is its usual one
 REACH_SHARE = 0.1  # of the region's side: how sure the last place is for a tracker that is new to the frame
@@ -69,17 +67,15 @@ class KeyFrameTracker(Tracker):
     def __init__(self, reference: Frame, region: Region, settings: KeyFrameSettings | None = None) -> None:
         super().__init__(reference, region)
         self.settings = settings or KeyFrameSettings()
-        self._inside: list[tuple[Tracker, Any]] = []
+        self._inside = InnerTrackers(self.settings.tracker, self.settings.tracker_settings)
         self._events: list[Event] = []
-        first = self._opened(reference, region)
+        first = self._inside.key(reference, region)
         self._state = KeyFrameState((first,), first_chain(), Appearance((LATELY, reference.time_ns)))
 
     @property
     def region_now(self) -> Region:
         """Where the target was last seen, inside the image."""
-        tracker = self._of(self._state.key)[0]
-        tracker.restore(self._state.key.inner)
-        return tracker.region_now
+        return self._inside.region_now(self._state.key)
 
     @property
     def current(self) -> int:
@@ -90,6 +86,11 @@ class KeyFrameTracker(Tracker):
     def key_frames(self) -> int:
         """How many key frames have been made, the first one counted."""
         return self._state.made
+
+    def restore(self, state: KeyFrameState) -> None:
+        """Continue from a `state` taken earlier."""
+        self._state = state
+        self._inside.keep(state.keys)
 
     def push(self, frame: Frame, prediction: Prediction | None = None) -> PixelTranslation:
         """Measure the translation (px) since the first frame in `frame`; LOST with NaN where no key frame is found."""
@@ -123,34 +124,16 @@ class KeyFrameTracker(Tracker):
             told = self._recovered(frame, prediction) or self._remembered(frame, prediction, front=False)
         return told
 
-    def _opened(self, frame: Frame, region: Region) -> KeyFrame:
-        """A key frame; raises UsageError where too little texture is left for a reference."""
-        tracker = open_tracker(self.settings.tracker, frame, region, self.settings.tracker_settings)
-        self._inside.append((tracker, tracker.state))
-        return KeyFrame(frame, region, tracker.state, contrast(frame, region))
-
-    def _of(self, key: KeyFrame) -> tuple[Tracker, Any]:
-        """The tracker of a key frame, and its state at rest; those of forgotten key frames are closed."""
-        for tracker, at_rest in self._inside:
-            if tracker.reference is key.frame and tracker.region == key.region:
-                return tracker, at_rest
-        known = {id(one.frame) for one in self._state.keys}
-        self._inside = [one for one in self._inside if id(one[0].reference) in known]
-        self._opened(key.frame, key.region)
-        return self._inside[-1]
-
     def _look(
         self, number: int, frame: Frame, prediction: Prediction | None, *, afresh: bool = False
     ) -> PixelTranslation:
         """What a key frame says; `prediction` counts from the first frame. afresh: one that has not been tracked
         lately, whose memory of the motion is old.
         """
-        key = self._state.keys[number]
-        tracker, at_rest = self._of(key)
-        tracker.restore(at_rest if afresh else key.inner)
         x, y = (float(v) for v in self._state.chain.place[number])
-        found = tracker.push(frame, relative(prediction, x, y))
-        self._state = self._state.with_key(number, inner=tracker.state)
+        expected = relative(prediction, x, y)
+        found, inner = self._inside.look(self._state.keys[number], frame, expected, afresh=afresh)
+        self._state = self._state.with_key(number, inner=inner)
         return found
 
     def _aside(self, number: int, frame: Frame, prediction: Prediction | None) -> PixelTranslation:
@@ -175,8 +158,9 @@ class KeyFrameTracker(Tracker):
             return None
         if prediction is not None:
             return self._remembered_at(frame, np.array([prediction.x_px, prediction.y_px]), front=front)
-        told = self._remembered_at(frame, 2.0 * recent[-1] - recent[0], front=front) if len(recent) > 1 else None
-        return told or self._remembered_at(frame, recent[-1], front=front)
+        onward = 2.0 * recent[-1] - recent[0]  # as far as before; the last place itself where there is no other
+        told = self._remembered_at(frame, onward, front=front)
+        return told or (self._remembered_at(frame, recent[-1], front=front) if len(recent) > 1 else None)
 
     def _remembered_at(self, frame: Frame, place: Floats, *, front: bool) -> Told | None:
         """The result with the target looked for at `place` (2,) px from the first frame."""
@@ -384,13 +368,14 @@ class KeyFrameTracker(Tracker):
         """
         rows, columns = frame.pixels.shape
         try:
-            key = self._opened(frame, clamp(shift(self.region, float(place[0]), float(place[1])), columns, rows))
+            key = self._inside.key(frame, clamp(shift(self.region, float(place[0]), float(place[1])), columns, rows))
         except UsageError:
             return None
         state = self._state
         if len(state.keys) >= self.settings.most:
             state = state.without(crowded(state.keys, state.current))
         self._state = state.plus(key, place, variance)
+        self._inside.keep(self._state.keys)
         return len(self._state.keys) - 1
 
     def _hand_over(self) -> bool:
