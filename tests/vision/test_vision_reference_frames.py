@@ -134,7 +134,7 @@ def test_when_the_light_comes_back_the_first_frame_takes_back_what_has_added_up(
     events = []
     xy, std = track(tracker, frames, events)
     assert tracker.key_frames > 2
-    assert tracker.current == 0
+    assert tracker.state.current == 0
     assert any("back to the first frame" in event.text for event in events)
     assert np.abs((xy - moved)[-10:]).max() < 0.05
     assert std[-1].max() < 0.3 * std[60].max()

@@ -12,7 +12,8 @@ from midspan.vision.reference.pictures import Pictures, pictures_of, realigned
 from midspan.vision.reference.records import Chain, KeyFrame, clear_share
 from midspan.vision.spline import Floats32
 
-LEAST_PAIRS = 3
+USUAL_FRAMES = 5  # frames after a key frame whose strength is its usual one
+LEAST_PAIRS = 3  # frames in which a new key frame must have been tracked
 CLEAR = 0.95  # share of frames' contrast, squared, that a good key frame and they have in common
 LEAST_CLEAR = 0.67  # of frames' contrast, squared, that they must have in common to make a picture: the rest is noise
 
@@ -79,6 +80,11 @@ class KeyFrameState:
         keys = list(self.keys)
         keys[number] = replace(keys[number], **changes)
         return replace(self, keys=tuple(keys))
+
+    def counted(self, number: int, strength: float) -> "KeyFrameState":
+        """With one more strength of a key frame, as long as its usual one is not known."""
+        known = self.keys[number].strengths
+        return self if len(known) >= USUAL_FRAMES else self.with_key(number, strengths=(*known, strength))
 
     def plus(self, key: KeyFrame, place: Floats, variance: Floats) -> "KeyFrameState":
         """With one more key frame, its target at `place` (2,) px, known to a variance (2,) in px²."""

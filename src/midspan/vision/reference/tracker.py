@@ -45,7 +45,6 @@ from midspan.vision.region import check_size, clamp, shift
 from midspan.vision.target import lost
 from midspan.vision.tracker import Tracker
 
-USUAL_FRAMES = 5  # frames after a key frame whose strength is its usual one
 REACH_SHARE = 0.1  # of the region's side: how sure the last place is for a tracker that is new to the frame
 TURNED = 0.8  # share of the usual strength below which temperatures are looked at with bright and dark exchanged
 EXCHANGED_TURNS = 4  # every so many tries it is the first frame with bright and dark exchanged
@@ -78,11 +77,6 @@ class KeyFrameTracker(Tracker):
         return self._inside.region_now(self._state.key)
 
     @property
-    def current(self) -> int:
-        """Number of the key frame in use, in the state's chain; 0 is the first frame."""
-        return self._state.current
-
-    @property
     def key_frames(self) -> int:
         """How many key frames have been made, the first one counted."""
         return self._state.made
@@ -110,7 +104,7 @@ class KeyFrameTracker(Tracker):
             self._compare(frame, found, view)
         state = self._state = replace(self._state, recent=(*self._state.recent, place)[-2:])
         strength = state.health[-1] if state.health else state.key.usual
-        return replace(found, strength=strength if math.isfinite(strength) else 0.0, events=tuple(self._events))
+        return replace(found, strength=strength, events=tuple(self._events))
 
     def _found(self, frame: Frame, prediction: Prediction | None) -> Told | None:
         """The result by the key frame in use, by where the target must be, or by another key frame."""
@@ -180,14 +174,13 @@ class KeyFrameTracker(Tracker):
         return told
 
     def _counted(self, frame: Frame, found: PixelTranslation) -> None:
-        """Count the strength of a frame that shows all of the target, and remember it."""
+        """Remember a frame that shows all of the target, and its strength; the key frame itself has none."""
         if self._state.appearance.hidden.any():
             return
-        key = self._state.key
-        if len(key.strengths) < USUAL_FRAMES:
-            self._state = self._state.with_key(self._state.current, strengths=(*key.strengths, found.strength))
-        health = (*self._state.health, found.strength)[-HEALTH_FRAMES:]
-        self._state = replace(self._state, health=health, last=(frame, place_of(found), variance_of(found)))
+        self._state = replace(self._state, last=(frame, place_of(found), variance_of(found)))
+        if math.isfinite(found.strength):
+            self._state = self._state.counted(self._state.current, found.strength)
+            self._state = replace(self._state, health=(*self._state.health, found.strength)[-HEALTH_FRAMES:])
 
     def _front(self, frame: Frame) -> None:
         """Tell when something comes in front of the target and when it has gone; nothing is learnt meanwhile."""
@@ -219,7 +212,8 @@ class KeyFrameTracker(Tracker):
         if frame.covered > COVERED or variance.max() > LINK_PX**2 or frame.index - before.index > LINK_FRAMES:
             return None
         new = self._added(before, place, variance + self.settings.link_floor_px**2)
-        return None if new is None else self._linked(new, frame, self._look(new, frame, prediction), _UNLINKED)
+        why = "new key frame without overlap: the one in use was lost"
+        return None if new is None else self._linked(new, frame, self._look(new, frame, prediction), why)
 
     def _linked(self, number: int, frame: Frame, found: PixelTranslation, why: str) -> Told | None:
         """The result by a new key frame that takes over at once; without one it goes again."""
@@ -295,13 +289,13 @@ class KeyFrameTracker(Tracker):
         """The overlap with where a new key frame lies by this frame, in which the target is at `place` (2,) px."""
         if not lap.new or lap.hidden.any():
             return lap
-        key, first = self._state.keys[lap.to], lap.frames == 1
+        if lap.frames == 1:
+            return replace(lap, places=(place,))
         x, y = (float(v) for v in place)
-        seen = unmoved(frame) if first else self._look(lap.to, frame, Prediction(x, y, 1.0, 1.0))
+        seen = self._look(lap.to, frame, Prediction(x, y, 1.0, 1.0))
         if seen.status is not Status.TRACKING:
             return lap
-        if not first and len(key.strengths) < USUAL_FRAMES:
-            self._state = self._state.with_key(lap.to, strengths=(*key.strengths, seen.strength))
+        self._state = self._state.counted(lap.to, seen.strength)
         return replace(lap, places=(*lap.places, place - place_of(seen)))
 
     def _begin(self, frame: Frame, found: PixelTranslation, view: Sight | None) -> None:
@@ -401,6 +395,3 @@ class KeyFrameTracker(Tracker):
 
     def _tell(self, frame: Frame, text: str, kind: str = "reference") -> None:
         self._events.append(Event(frame.time_ns, kind, text))
-
-
-_UNLINKED = "new key frame without overlap: the one in use was lost"
