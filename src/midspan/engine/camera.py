@@ -9,11 +9,10 @@ from midspan.errors import DataError
 from midspan.records import Frame, PixelTranslation, Prediction
 from midspan.vision.light import is_dark
 
-# A frame of more rows is thinned so far that about so many remain: enough to tell a black frame from a lit one.
-DARK_ROWS = 120
-THINNED = 4
-# The third check of the codec (see vision/compression.py) is complete in this frame: what is usual is learnt up to it.
-WARM_UP_FRAMES = 27
+# Every so many rows and columns, or so many rows where a frame has more, tell a black frame from a lit one.
+THINNED, DARK_ROWS = 4, 60
+# What is usual is learnt up to the frame that completes the third check of the codec, see vision/compression.py.
+WARM_UP_FRAMES = 28
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -118,7 +118,8 @@ class TargetChain:
         if self.picture is not None:
             found = self.picture.push(frame, found).of(found)
         late_ns = self._late_ns(frame, found)
-        return replace(ideal_translation(found, self.region, lens), time_ns=frame.time_ns + late_ns)
+        found = ideal_translation(found, self.region, lens)
+        return replace(found, time_ns=frame.time_ns + late_ns) if late_ns else found
 
     def blur_s(self, exposure_s: float | None) -> float:
         """The time a translation is averaged over: the exposure, and the read-out of the region's rows.

@@ -78,7 +78,7 @@ _numbers = attrgetter(*(field.name for field in fields(Check)))
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Comparison:
-    """A check under way; one difference is taken a frame, so that no frame bears the cost of all three.
+    """A check under way; one difference is taken in each of the next frames, so that none bears the cost of all three.
 
     partners: what `sample` is still to be compared with; found: the differences so far, to the frame before, an earlier
     one and the reference. soon: whether it is one of the first checks, in which light has hardly changed.
@@ -213,7 +213,7 @@ class CodecWatch:
             cut = pixels[seen.y : seen.y + seen.height, seen.x : seen.x + seen.width]
             steps = blockiness(cut, seen.x, seen.y), stair_share(cut, seen.x, seen.y)
             begun = Comparison(sample, (last, earlier, reference), (), *steps, share_at_ends(cut), soon)
-            self._under_way = begun.advanced()
+            self._under_way = begun
         self._earlier = sample or self._earlier
 
     def _go_on(self, under_way: Comparison) -> None:

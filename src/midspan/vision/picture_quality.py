@@ -38,8 +38,14 @@ class Widening:
 
     def of(self, found: PixelTranslation) -> PixelTranslation:
         """The translation with its variances widened."""
+        if self == NOTHING:
+            return found
         x = self.factor_x * found.variance_x_px2 + self.added_x_px2
-        return replace(found, variance_x_px2=x, variance_y_px2=self.factor_y * found.variance_y_px2 + self.added_y_px2)
+        y = self.factor_y * found.variance_y_px2 + self.added_y_px2
+        return replace(found, variance_x_px2=x, variance_y_px2=y)
+
+
+NOTHING = Widening()
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,7 +122,7 @@ class PictureWatch:
         if found.status is Status.LOST:
             self._codec.lost()
             self._before, self._lags, self.counts = None, (Lag(), Lag()), self.counts.lost()
-            return Widening()
+            return NOTHING
         place = self._place(frame.pixels.shape, found)
         frozen = self._frozen(frame.pixels)
         cut = _cut(frame.pixels, place).copy()
