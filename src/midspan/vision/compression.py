@@ -29,7 +29,9 @@ from midspan.vision.picture_difference import (
 )
 
 CHECK_FRAMES = 96  # one in so many frames is compared with earlier ones
-FIRST_CHECKS = range(8, 48, 8)  # and these, so that short recordings are known too
+FIRST_CHECKS, FIRST_FRAMES = 5, 8  # and one in so many until so many checks have told something
+# Rounding to whole grey levels alone makes so much noise, 1/√12; a difference with less is of one picture with itself.
+ROUNDING_NOISE = 0.29
 LEAST_CHECKS = 2
 CHECKS_KEPT = 64  # medians are taken over so many: a median of 64 is known to a sixth of one check's scatter
 SAMPLE_PX = 64  # side of the square that is compared
@@ -81,7 +83,7 @@ class Comparison:
     """A check under way; one difference is taken in each of the next frames, so that none bears the cost of all three.
 
     partners: what `sample` is still to be compared with; found: the differences so far, to the frame before, an earlier
-    one and the reference. soon: whether it is one of the first checks, in which light has hardly changed.
+    one and the reference.
     """
 
     sample: Sample
@@ -90,16 +92,17 @@ class Comparison:
     blockiness: float
     stairs: float
     ends: float
-    soon: bool
 
     def advanced(self) -> "Comparison":
         """With the next difference."""
         now = difference(self.sample, self.partners[0])
         return replace(self, partners=self.partners[1:], found=(*self.found, now))
 
-    def check(self) -> Check:
-        """What it shows once all differences are taken."""
+    def check(self) -> Check | None:
+        """What it shows once all differences are taken; None where the picture is hardly another than it was."""
         before, earlier, reference = self.found
+        if min(earlier.broad, reference.broad) < ROUNDING_NOISE:
+            return None
         colour = reference.broad / reference.fine if reference.fine > 0.0 else MOST_COLOUR
         shares = _inherited(before, earlier), _inherited(before, reference)
         return Check(*shares, colour, reference.fine, self.blockiness, self.stairs, self.ends)
@@ -158,16 +161,16 @@ class CodecWatch:
         self._under_way = state.under_way
         none: tuple[tuple[float, ...], ...] = ((),) * len(fields(Check))
         self._medians = [RunningMedian(CHECKS_KEPT, values) for values in state.checks or none]
-        self._first = [RunningMedian(len(FIRST_CHECKS), values) for values in state.first_checks or none]
+        self._first = [RunningMedian(FIRST_CHECKS, values) for values in state.first_checks or none]
         self._take_medians()
 
     def push(self, pixels: NDArray[np.generic], translation: PixelTranslation, seen: Region) -> None:
         """Look at a frame with the target, which lies at `translation`, in the region `seen`."""
         index, self.frames = self.frames, self.frames + 1
-        if _checked(index + 1):
+        if self._due(index + 1):
             self._last = self._sample(pixels, translation.x_px, translation.y_px)
-        elif _checked(index):
-            self._begin(pixels, self._sample(pixels, translation.x_px, translation.y_px), seen, index in FIRST_CHECKS)
+        elif self._due(index):
+            self._begin(pixels, self._sample(pixels, translation.x_px, translation.y_px), seen)
         elif self._under_way is not None:
             self._go_on(self._under_way)
 
@@ -199,11 +202,16 @@ class CodecWatch:
         """How many checks the medians are taken over."""
         return len(self._medians[0].state)
 
+    def _due(self, index: int) -> bool:
+        """Whether the frame of this number is to be compared with earlier ones."""
+        often = len(self._first[0].state) < FIRST_CHECKS
+        return index > 0 and index % (FIRST_FRAMES if often else CHECK_FRAMES) == 0
+
     def _chance(self, checks: int) -> float:
         """The share that chance makes of raw frames in as many checks."""
         return CHANCE_SHARE + CHANCE_SHARE_ONCE * SAMPLE_PX / self._size / math.sqrt(checks)
 
-    def _begin(self, pixels: NDArray[np.generic], sample: Sample | None, seen: Region, soon: bool) -> None:
+    def _begin(self, pixels: NDArray[np.generic], sample: Sample | None, seen: Region) -> None:
         """Begin to compare the square of a frame with those of the frame before, the last check and the reference."""
         last, earlier, reference = self._last, self._earlier, self._reference
         if sample is not None and last is not None and earlier is not None and reference is not None:
@@ -212,7 +220,7 @@ class CodecWatch:
                 return
             cut = pixels[seen.y : seen.y + seen.height, seen.x : seen.x + seen.width]
             steps = blockiness(cut, seen.x, seen.y), stair_share(cut, seen.x, seen.y)
-            begun = Comparison(sample, (last, earlier, reference), (), *steps, share_at_ends(cut), soon)
+            begun = Comparison(sample, (last, earlier, reference), (), *steps, share_at_ends(cut))
             self._under_way = begun
         self._earlier = sample or self._earlier
 
@@ -222,9 +230,12 @@ class CodecWatch:
         if under_way.partners:
             self._under_way = under_way
             return
-        self._under_way = None
-        for medians in (self._medians, self._first) if under_way.soon else (self._medians,):
-            for median, value in zip(medians, _numbers(under_way.check()), strict=True):
+        self._under_way, check = None, under_way.check()
+        if check is None:
+            return
+        first = len(self._first[0].state) < FIRST_CHECKS
+        for medians in (self._medians, self._first) if first else (self._medians,):
+            for median, value in zip(medians, _numbers(check), strict=True):
                 median.push(value)
         self._take_medians()
 
@@ -252,10 +263,6 @@ class CodecWatch:
             return None
         square = np.array(pixels[top : top + n, left : left + n], dtype=np.float32, order="C")
         return Sample(square, (x_px - dx, y_px - dy)) if np.isfinite(square).all() else None
-
-
-def _checked(index: int) -> bool:
-    return index in FIRST_CHECKS or (index > 0 and index % CHECK_FRAMES == 0)
 
 
 def _sample_size(shape: tuple[int, ...], region: Region) -> int:

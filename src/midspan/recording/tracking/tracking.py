@@ -161,7 +161,8 @@ class TargetTracking:
         found, chain = [], self.chain
         if chain.frozen_frames:
             found.append(
-                f"camera: {chain.frozen_frames} frames only repeat the picture before them (frozen); they were not used."
+                f"camera: {chain.frozen_frames} frames only repeat the picture before them (frozen); they were not "
+                "used."
             )
         if chain.picture is not None:
             found += picture_warnings(chain.picture, axes)
