@@ -3,12 +3,23 @@
 Unknown keys are ignored, so that files of other versions can be read. null stands for what is not known.
 """
 
+import math
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationError,
+    WrapValidator,
+    model_validator,
+)
 
-from midspan.checks import ValueRange
+from midspan.checks import ValueRange, shown
 from midspan.errors import DataError, UsageError
+from midspan.records import TimeOffset
 from midspan.settings.camera import Celsius
 from midspan.settings.fields import (
     Carrier,
@@ -24,8 +35,8 @@ from midspan.vision.lens import Lens
 
 # The size of any scale or conversion factor.
 FACTOR = ValueRange(1e-9, 1e9)
-# Of a radar's target in use: its amplitude, whose square stays finite, and its coherence, 1 but for rounding.
-AMPLITUDE, COHERENCE = ValueRange(1e-30, 1e30), ValueRange(0.01, 1.001)
+# What a radar's target in use must have, either sign of its factor; its coherence is 1 but for rounding.
+USED = {"amplitude": ValueRange(1e-30, 1e30), "conversion_factor": FACTOR, "coherence": ValueRange(0.01, 1.001)}
 
 
 def _is_a_factor(value: float) -> float:
@@ -39,6 +50,11 @@ def _lens(value: Any) -> Lens | None:
         return None if value is None else Lens.from_dict(value)
     except (KeyError, TypeError, ValueError, OverflowError, UsageError) as error:
         raise ValueError(f"is no lens: {error}".rstrip(".")) from None
+
+
+def _null(unknown: float) -> WrapValidator:
+    """What null stands for."""
+    return WrapValidator(lambda value, number: unknown if value is None else number(value))
 
 
 # The squares of all numbers stay finite.
@@ -57,6 +73,10 @@ Decibel = Annotated[float, IsNumber, limited(-300.0, 300.0, "dB")]
 Whole = Annotated[int, Field(strict=True)]
 Roi = Annotated[tuple[Whole, Whole, Whole, Whole], AfterValidator(region_is_positive)]
 Complex = tuple[Number, Number]
+NumberOrNan = Annotated[Number, _null(math.nan)]
+NumberOrInf = Annotated[Number, _null(math.inf)]
+NumberOrZero = Annotated[Number, _null(0.0)]
+StdOrInf = Annotated[Std, _null(math.inf)]
 Text = Annotated[str, BeforeValidator(str)]
 Yes = Annotated[bool, Field(strict=True)]
 
@@ -72,7 +92,7 @@ class StoredAccelerometer(Stored):
 
     noise_std_m_s2: AccelerationNoise
     bias_m_s2: Bias = 0.0
-    bias_std_m_s2: Std | None = None
+    bias_std_m_s2: StdOrInf = math.inf
     scale: Factor = 1.0
     scale_std: Std = 0.0
 
@@ -83,16 +103,19 @@ class StoredTarget(Stored):
     name: Text | None = None
     roi: Roi
     scale_mm_per_px: Factor | None = None
-    scale_std_mm_per_px: Std | None = None
-    noise_std_px: Noise | None = None
-    variance_factor: Ratio | None = None
+    scale_std_mm_per_px: Std | None = 0.0
+    noise_std_px: Annotated[Noise, _null(math.nan)] = math.nan
+    variance_factor: Annotated[Ratio, _null(math.nan)] = math.nan
     used: Yes = True
     reason: Text = ""
 
     @model_validator(mode="after")
     def _has_what_is_used(self) -> "StoredTarget":
-        wanted = ("scale_mm_per_px", "noise_std_px", "variance_factor") if self.used else ()
-        _all_known(self, wanted)
+        wanted = ["scale_mm_per_px", "noise_std_px", "variance_factor"] if self.used else []
+        wanted += ["scale_std_mm_per_px"] if self.scale_mm_per_px is not None else []
+        for key in wanted:
+            if getattr(self, key) is None or math.isnan(getattr(self, key)):
+                raise ValueError(f"{key} is missing")
         return self
 
 
@@ -116,7 +139,7 @@ class StoredAxis(StoredScale):
     fused: Yes = True
     accelerometer_noise_std_m_s2: AccelerationNoise
     accelerometer_bias_m_s2: Bias = 0.0
-    accelerometer_bias_std_m_s2: Std | None = None
+    accelerometer_bias_std_m_s2: StdOrInf = math.inf
 
 
 class StoredAxes(Stored):
@@ -127,11 +150,16 @@ class StoredAxes(Stored):
 
 
 class StoredSensor(Stored):
-    """What all sensors have: a name where there are several of a kind, and a clock; its deviation null: not known."""
+    """What all sensors have: a name where there are several of a kind, and a clock."""
 
     name: SensorName | None = None
     time_offset_s: Time
-    time_offset_std_s: Std | None = 0.0
+    time_offset_std_s: StdOrInf = 0.0
+
+    @property
+    def offset(self) -> TimeOffset:
+        """The clock offset, its variance infinite where it is not known."""
+        return TimeOffset(self.time_offset_s, self.time_offset_std_s**2)
 
 
 class StoredCamera(StoredSensor, StoredScale):
@@ -170,20 +198,20 @@ class StoredRadarTarget(Stored):
     """One peak of the range profile."""
 
     place_bin: Bin
-    range_m: Number | None = None
-    snr_db: Decibel | None = None
+    range_m: NumberOrNan = math.nan
+    snr_db: Annotated[Decibel, _null(math.inf)] = math.inf
     amplitude: Number
-    conversion_factor: Number | None = None
+    conversion_factor: NumberOrNan = math.nan
     conversion_factor_std: Number | None = None
     time_offset_s: Time | None = None
-    time_offset_std_s: Number | None = None
+    time_offset_std_s: NumberOrInf = math.inf
     coherence: Number | None = None
-    clutter: Number | None = None
-    disagreement_rad: Number | None = None
-    noise_std_mm: Number | None = None
-    reach_bins: Bin | None = None
-    modulation_rad: Number | None = None
-    phase_noise_rad2: Number | None = None
+    clutter: NumberOrNan = math.nan
+    disagreement_rad: NumberOrZero = 0.0
+    noise_std_mm: NumberOrInf = math.inf
+    reach_bins: Annotated[Bin, _null(0.0)] = 0.0
+    modulation_rad: NumberOrNan = math.nan
+    phase_noise_rad2: NumberOrZero = 0.0
     leak: Complex = (0.0, 0.0)
     background: StoredBackground | None = None
     weights: Annotated[tuple[Complex, ...], Field(min_length=1)]
@@ -192,16 +220,12 @@ class StoredRadarTarget(Stored):
 
     @model_validator(mode="after")
     def _can_be_used(self) -> "StoredRadarTarget":
-        if not self.used:
-            return self
-        _all_known(self, ("conversion_factor",))
-        limits = {"amplitude": AMPLITUDE, "coherence": COHERENCE}
-        for key, value, allowed in [
-            *((key, getattr(self, key), limits[key]) for key in limits),
-            ("size of conversion_factor", abs(self.conversion_factor or 0.0), FACTOR),
-        ]:
-            if value is not None and value not in allowed:
-                raise ValueError(f"{key} must be {allowed}; received {value:g}")
+        for key, limits in USED.items() if self.used else ():
+            value = getattr(self, key)
+            # A factor of either sign.
+            size = abs(value) if key == "conversion_factor" else value
+            if value is not None and size not in limits:
+                raise ValueError(f"{key} of a target in use must be {limits}; received {shown(value)}")
         return self
 
 
@@ -254,12 +278,6 @@ class StoredCalibration(Stored):
         if len(cameras) > 1 and any(camera.direction == "xy" for camera in cameras):
             raise ValueError('must have direction = "x" or "y" in each camera where there are several')
         return self
-
-
-def _all_known(part: Stored, keys: tuple[str, ...]) -> None:
-    for key in keys:
-        if getattr(part, key) is None:
-            raise ValueError(f"{key} is missing")
 
 
 def validate_calibration(tree: Any, where: str) -> StoredCalibration:

@@ -6,6 +6,15 @@ from pydantic import BaseModel
 
 from midspan.checks import nearest, shown
 
+# The validation library's words, and what stands for them.
+PLAIN = {
+    "Input should": "must",
+    "String should": "must",
+    "a valid boolean": "true or false",
+    "a valid number": "a number",
+    "a valid integer": "a whole number",
+}
+
 
 def explain(item: Any, tree: dict[str, Any], model: type[BaseModel]) -> str:
     """One sentence for one of pydantic's errors about `tree`, which `model` validated."""
@@ -29,7 +38,8 @@ def explain(item: Any, tree: dict[str, Any], model: type[BaseModel]) -> str:
     if kind == "string_too_short":
         return f"{key} = {shown(value)}: must not be empty; leave the key out instead."
     text = str(item["msg"]).removeprefix("Value error, ")
-    text = text.replace("Input should", "must").replace("String should", "must")
+    for words, plain in PLAIN.items():
+        text = text.replace(words, plain)
     if place and place[0] == "infrared":
         text = text.replace("[[camera.", "[[infrared.")
     return (

@@ -108,15 +108,21 @@ class Calibration:
             },
         }
         for kind, written in TREES.items():
-            listed = [written(one) for one in self.of_kind(kind)]
+            listed = [
+                written(one) | (self._second_axis() if one is self.first_camera else {}) for one in self.of_kind(kind)
+            ]
             if listed:
                 tree[kind] = listed if len(listed) > 1 else listed[0]
-        if (first := self.first_camera) is not None:
-            tree[first.kind] |= {"left_out": self.left_out} if self.left_out else {}
-            if self.across is not None and (other := self.across.first_camera) is not None:
-                both = {first.direction: _axis_tree(first, self), other.direction: _axis_tree(other, self.across)}
-                tree[first.kind] |= {"direction": "xy", "axis": first.direction, "axes": both}
         return tree
+
+    def _second_axis(self) -> dict[str, Any]:
+        """What the first camera's section has besides where both image axes are measured, or one was left out."""
+        first, other = self.first_camera, None if self.across is None else self.across.first_camera
+        left_out = {"left_out": self.left_out} if self.left_out else {}
+        if self.across is None or first is None or other is None:
+            return left_out
+        both = {first.direction: _axis_tree(first, self), other.direction: _axis_tree(other, self.across)}
+        return left_out | {"direction": "xy", "axis": first.direction, "axes": both}
 
     def save(self, path: str | Path) -> Path:
         """Write `calibration.json`; a folder gets a file of that name."""

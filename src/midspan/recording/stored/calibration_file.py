@@ -1,13 +1,12 @@
 """Reading `calibration.json` back; `recording/stored/calibration.py` writes it."""
 
-import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from midspan.errors import DataError
 from midspan.recording.stored.calibration import CALIBRATION_FILE, Calibration
-from midspan.recording.stored.sections import camera_across, camera_of, displacement_of, or_unknown, radar_of
+from midspan.recording.stored.sections import camera_across, camera_of, displacement_of, radar_of
 from midspan.records import Source
 from midspan.settings.calibration import StoredCamera, validate_calibration
 from midspan.trees import TreeError, read_json
@@ -45,7 +44,7 @@ def calibration_from_dict(tree: Any, where: str = CALIBRATION_FILE) -> Calibrati
     found = Calibration(
         noise_std_m_s2=own.noise_std_m_s2,
         bias_m_s2=own.bias_m_s2,
-        bias_std_m_s2=or_unknown(own.bias_std_m_s2, math.inf),
+        bias_std_m_s2=own.bias_std_m_s2,
         warnings=stored.warnings,
         left_out="" if first is None else first.left_out,
         created=stored.created,
@@ -68,7 +67,7 @@ def _with_second_axis(found: Calibration, first: StoredCamera) -> Calibration:
     across = Calibration(
         noise_std_m_s2=part.accelerometer_noise_std_m_s2,
         bias_m_s2=part.accelerometer_bias_m_s2,
-        bias_std_m_s2=or_unknown(part.accelerometer_bias_std_m_s2, math.inf),
+        bias_std_m_s2=part.accelerometer_bias_std_m_s2,
         camera=camera if found.camera is not None else None,
         infrared=camera if found.camera is None else None,
         created=found.created,

@@ -1,7 +1,7 @@
-"""The sections of `calibration.json` (mm, px, s), and what they stand for in SI: one function each way and sensor."""
+"""The sections of `calibration.json` (mm, px, s) and the records that they stand for (SI): each way by sensor."""
 
 import math
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
@@ -11,8 +11,9 @@ from midspan.radar.target import Target
 from midspan.recording.stored.camera import CameraCalibration, TargetCalibration
 from midspan.recording.stored.displacement import DisplacementCalibration
 from midspan.recording.stored.radar import RadarCalibration, RadarTarget
-from midspan.records import Region, ScaleFactor, Source, TimeOffset
+from midspan.records import Region, ScaleFactor, Source
 from midspan.settings.calibration import (
+    Stored,
     StoredAxis,
     StoredCamera,
     StoredDisplacement,
@@ -25,20 +26,11 @@ from midspan.settings.calibration import (
 MM = 1e3
 # What the camera and its only target have in common.
 OWN_KEYS = ("roi", "scale_mm_per_px", "scale_std_mm_per_px", "noise_std_px", "variance_factor")
-# What null stands for in a radar's target that is used, and in one that is not.
-UNKNOWN = {
-    "range_m": (math.nan, math.nan),
-    "snr_db": (math.inf, math.inf),
-    "conversion_factor": (math.nan, math.nan),
-    "conversion_factor_std": (0.0, math.inf),
-    "time_offset_std_s": (math.inf, math.inf),
-    "coherence": (1.0, 0.0),
-    "clutter": (math.nan, math.nan),
-    "disagreement_rad": (0.0, 0.0),
-    "reach_bins": (0.0, 0.0),
-    "modulation_rad": (math.nan, math.nan),
-    "phase_noise_rad2": (0.0, 0.0),
-}
+# What a radar's target has under the same name and in the same unit in the file.
+SAME = (
+    "place_bin", "range_m", "snr_db", "amplitude", "conversion_factor", "conversion_factor_std", "time_offset_s",
+    "time_offset_std_s", "coherence", "clutter", "disagreement_rad", "reach_bins", "modulation_rad", "phase_noise_rad2",
+)  # fmt: skip
 
 
 def finite_or_none(value: float) -> float | None:
@@ -46,52 +38,57 @@ def finite_or_none(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
 
 
-def or_unknown(value: float | None, unknown: float) -> float:
-    """The value as it was read, `unknown` for None."""
-    return unknown if value is None else value
-
-
 def camera_tree(camera: CameraCalibration) -> dict[str, Any]:
     """The section of a camera along its main axis."""
-    lens, range_c = camera.lens, camera.temperature_range_c
-    return {
-        **_named(camera.name),
-        **scale_tree(camera),
-        **_offset_tree(camera.offset),
-        "roi": _roi(camera.region),
-        "direction": camera.direction,
-        "tracker": camera.tracker,
-        **({} if lens is None else {"lens": lens.to_dict()}),
-        **({} if range_c is None else {"temperature_range_c": list(range_c)}),
+    own = {"roi": _roi(camera.region), "direction": camera.direction, "tracker": camera.tracker}
+    more = {
+        "lens": None if camera.lens is None else camera.lens.to_dict(),
+        "temperature_range_c": None if camera.temperature_range_c is None else list(camera.temperature_range_c),
     }
+    return _sensor_tree(camera) | scale_tree(camera) | own | _known(more)
 
 
 def scale_tree(camera: CameraCalibration) -> dict[str, Any]:
     """What of it belongs to one image axis."""
-    phase, relative = camera.phase_scale_m_per_rad, camera.relative_scale_std
-    return {
-        **({} if phase is None else {"phase_scale_mm_per_rad": MM * phase}),
-        **_factor_tree(camera.scale),
-        **({} if relative is None else {"relative_scale_std": relative}),
-        "noise_std_px": camera.noise_std_px,
-        "variance_factor": camera.variance_factor,
-        "targets": [_target_tree(target) for target in camera.targets],
+    phase = camera.phase_scale_m_per_rad
+    more = {
+        "phase_scale_mm_per_rad": None if phase is None else MM * phase,
+        "relative_scale_std": camera.relative_scale_std,
     }
+    noise = {"noise_std_px": camera.noise_std_px, "variance_factor": camera.variance_factor}
+    return (
+        _factor_tree(camera.scale) | noise | _known(more) | {"targets": [_target_tree(one) for one in camera.targets]}
+    )
+
+
+def radar_tree(radar: RadarCalibration) -> dict[str, Any]:
+    """The section of a radar; complex numbers as [real, imaginary]."""
+    best = radar.best
+    return _sensor_tree(radar) | {
+        "conversion_factor": best.conversion_factor,
+        "conversion_factor_std": best.conversion_factor_std,
+        "relative_std": radar.relative_std,
+        "target_range_m": finite_or_none(best.range_m),
+        "noise_std_mm": MM * best.noise_m,
+        "variance_factor": radar.variance_factor,
+        "carrier_hz": radar.carrier_hz,
+        "channels": radar.channels,
+        "literal": radar.literal,
+        "targets": [_radar_target_tree(item) for item in radar.targets],
+    }
+
+
+def displacement_tree(sensor: DisplacementCalibration) -> dict[str, Any]:
+    """The section of a displacement sensor."""
+    scale = {"scale": sensor.scale, "scale_std": sensor.scale_std} if sensor.scale_std > 0.0 else {}
+    return _sensor_tree(sensor) | {"noise_std_mm": MM * sensor.noise_std_m} | scale
 
 
 def camera_of(part: StoredCamera, source: Source) -> CameraCalibration:
     """The camera along its main axis."""
-    return CameraCalibration(
-        **_along(part),
-        offset=_offset(part),
-        region=Region(*part.roi),
-        direction=part.axis if part.direction == "xy" and part.axis is not None else part.direction,
-        tracker=part.tracker,
-        lens=part.lens,
-        source=source,
-        temperature_range_c=part.temperature_range_c,
-        name=part.name,
-    )
+    direction = part.axis if part.direction == "xy" and part.axis is not None else part.direction
+    own = _same(CameraCalibration, part) | _along(part)
+    return CameraCalibration(**own | {"region": Region(*part.roi), "direction": direction, "source": source})
 
 
 def camera_across(main: CameraCalibration, part: StoredAxis) -> CameraCalibration:
@@ -102,69 +99,33 @@ def camera_across(main: CameraCalibration, part: StoredAxis) -> CameraCalibratio
     return replace(found, region=(*regions, main.region)[0])
 
 
-def radar_tree(radar: RadarCalibration) -> dict[str, Any]:
-    """The section of a radar; complex numbers as [real, imaginary]."""
-    best = radar.best
-    return {
-        **_named(radar.name),
-        "conversion_factor": best.conversion_factor,
-        "conversion_factor_std": best.conversion_factor_std,
-        "relative_std": radar.relative_std,
-        "target_range_m": finite_or_none(best.range_m),
-        **_offset_tree(radar.offset),
-        "noise_std_mm": MM * best.noise_m,
-        "variance_factor": radar.variance_factor,
-        "carrier_hz": radar.carrier_hz,
-        "channels": radar.channels,
-        "literal": radar.literal,
-        "targets": [_radar_target_tree(item) for item in radar.targets],
-    }
-
-
 def radar_of(part: StoredRadar) -> RadarCalibration:
     """The radar; the section's own conversion factor is that of the best target."""
-    offset = _offset(part)
-    targets = sorted((_radar_target(one, offset) for one in part.targets), key=lambda item: not item.used)
-    listed, factor, std = targets[0].target, part.conversion_factor, part.conversion_factor_std
-    targets[0] = replace(targets[0], target=replace(listed, conversion_factor=factor, conversion_factor_std=std))
-    return RadarCalibration(
-        targets=tuple(targets),
-        offset=offset,
-        variance_factor=part.variance_factor,
-        relative_std=or_unknown(part.relative_std, listed.relative_std),
-        carrier_hz=part.carrier_hz,
-        channels=part.channels,
-        literal=part.literal,
-        name=part.name,
-    )
-
-
-def displacement_tree(sensor: DisplacementCalibration) -> dict[str, Any]:
-    """The section of a displacement sensor."""
-    scale = {"scale": sensor.scale, "scale_std": sensor.scale_std} if sensor.scale_std > 0.0 else {}
-    return {
-        **_named(sensor.name),
-        "noise_std_mm": MM * sensor.noise_std_m,
-        **_offset_tree(sensor.offset),
-        **scale,
-    }
+    best, *others = sorted((_radar_target(one, part) for one in part.targets), key=lambda item: not item.used)
+    factor, std = part.conversion_factor, part.conversion_factor_std
+    told = replace(best, target=replace(best.target, conversion_factor=factor, conversion_factor_std=std))
+    spread = best.target.relative_std if part.relative_std is None else part.relative_std
+    return RadarCalibration(**_same(RadarCalibration, part) | {"targets": (told, *others), "relative_std": spread})
 
 
 def displacement_of(part: StoredDisplacement) -> DisplacementCalibration:
     """The displacement sensor."""
-    return DisplacementCalibration(part.noise_std_mm / MM, _offset(part), part.scale, part.scale_std, part.name)
+    return DisplacementCalibration(noise_std_m=part.noise_std_mm / MM, **_same(DisplacementCalibration, part))
 
 
-def _named(name: str | None) -> dict[str, str]:
-    return {} if name is None else {"name": name}
+def _same(record: type, part: Stored) -> dict[str, Any]:
+    """What a record has under the same name and in the same unit in the file."""
+    return {item.name: getattr(part, item.name) for item in fields(record) if hasattr(part, item.name)}
 
 
-def _offset_tree(offset: TimeOffset) -> dict[str, float | None]:
-    return {"time_offset_s": offset.value_s, "time_offset_std_s": finite_or_none(math.sqrt(offset.variance))}
+def _known(tree: dict[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in tree.items() if value is not None}
 
 
-def _offset(part: StoredCamera | StoredRadar | StoredDisplacement) -> TimeOffset:
-    return TimeOffset(part.time_offset_s, or_unknown(part.time_offset_std_s, math.inf) ** 2)
+def _sensor_tree(sensor: CameraCalibration | RadarCalibration | DisplacementCalibration) -> dict[str, Any]:
+    offset = sensor.offset
+    std = finite_or_none(math.sqrt(offset.variance))
+    return _known({"name": sensor.name}) | {"time_offset_s": offset.value_s, "time_offset_std_s": std}
 
 
 def _roi(region: Region) -> list[int]:
@@ -176,8 +137,9 @@ def _factor_tree(scale: ScaleFactor | None) -> dict[str, float | None]:
     return {"scale_mm_per_px": value, "scale_std_mm_per_px": std}
 
 
-def _factor(scale_mm_per_px: float, std_mm_per_px: float | None) -> ScaleFactor:
-    return ScaleFactor(scale_mm_per_px / MM, (or_unknown(std_mm_per_px, 0.0) / MM) ** 2)
+def _factor(part: StoredScale | StoredTarget) -> ScaleFactor | None:
+    value, std = part.scale_mm_per_px, part.scale_std_mm_per_px or 0.0
+    return None if value is None else ScaleFactor(value / MM, (std / MM) ** 2)
 
 
 def _target_tree(target: TargetCalibration) -> dict[str, Any]:
@@ -192,6 +154,11 @@ def _target_tree(target: TargetCalibration) -> dict[str, Any]:
     }
 
 
+def _target(part: StoredTarget, number: int) -> TargetCalibration:
+    own = {"region": Region(*part.roi), "name": part.name or str(number), "scale": _factor(part)}
+    return TargetCalibration(**_same(TargetCalibration, part) | own)
+
+
 def _along(part: StoredScale) -> dict[str, Any]:
     """What of a camera belongs to one image axis; its own keys count for its only target in use."""
     own = {key: getattr(part, key) for key in OWN_KEYS if key in part.model_fields_set}
@@ -199,7 +166,7 @@ def _along(part: StoredScale) -> dict[str, Any]:
     targets = [one.model_copy(update=own) if alone and one.used else one for one in part.targets]
     phase = part.phase_scale_mm_per_rad
     return {
-        "scale": _factor(part.scale_mm_per_px, part.scale_std_mm_per_px),
+        "scale": _factor(part),
         "noise_std_px": part.noise_std_px,
         "variance_factor": part.variance_factor,
         "phase_scale_m_per_rad": None if phase is None else phase / MM,
@@ -208,52 +175,33 @@ def _along(part: StoredScale) -> dict[str, Any]:
     }
 
 
-def _target(part: StoredTarget, number: int) -> TargetCalibration:
-    scale = part.scale_mm_per_px
-    return TargetCalibration(
-        region=Region(*part.roi),
-        name=str(number) if part.name is None else part.name,
-        scale=None if scale is None else _factor(scale, part.scale_std_mm_per_px),
-        noise_std_px=or_unknown(part.noise_std_px, math.nan),
-        variance_factor=or_unknown(part.variance_factor, math.nan),
-        used=part.used,
-        reason=part.reason,
-    )
-
-
 def _radar_target_tree(item: RadarTarget) -> dict[str, Any]:
     target, still = item.target, item.target.background
-    known = {key: finite_or_none(getattr(target, key)) for key in (*UNKNOWN, "time_offset_s")}
-    background = {} if still is None else {"bins": still.bins.tolist(), "phasors": _pairs(still.phasors)}
-    return {
-        "place_bin": target.place_bin,
-        "amplitude": target.amplitude,
-        **known,
+    background = None if still is None else {"bins": still.bins.tolist(), "phasors": _pairs(still.phasors)}
+    return {key: finite_or_none(getattr(target, key)) for key in SAME} | {
         "noise_std_mm": finite_or_none(MM * target.noise_m),
-        "leak": _pairs(np.array([target.leak]))[0],
-        **({"background": background} if background else {}),
+        "leak": [target.leak.real, target.leak.imag],
+        **_known({"background": background}),
         "weights": _pairs(target.weights),
         "used": item.used,
         "reason": item.reason,
     }
 
 
-def _radar_target(part: StoredRadarTarget, offset: TimeOffset) -> RadarTarget:
-    known: dict[str, Any] = {
-        key: or_unknown(getattr(part, key), unknown[not part.used]) for key, unknown in UNKNOWN.items()
-    }
+def _radar_target(part: StoredRadarTarget, radar: StoredRadar) -> RadarTarget:
+    """One target; what is not known of it is another thing for one that is used than for one that is not."""
+    std, offset_s, coherence = (0.0, radar.time_offset_s, 1.0) if part.used else (math.inf, math.nan, 0.0)
+    unknown = {"conversion_factor_std": std, "time_offset_s": offset_s, "coherence": coherence}
     still = part.background
-    target = Target(
-        place_bin=part.place_bin,
-        amplitude=part.amplitude,
-        **known,
-        time_offset_s=or_unknown(part.time_offset_s, offset.value_s if part.used else math.nan),
-        noise_m=or_unknown(part.noise_std_mm, math.inf) / MM,
-        leak=complex(*part.leak),
-        background=None if still is None else Background(np.array(still.bins), _complex(still.phasors)),
-        weights=_complex(part.weights),
+    more = {
+        "noise_m": part.noise_std_mm / MM,
+        "leak": complex(*part.leak),
+        "background": None if still is None else Background(np.array(still.bins), _complex(still.phasors)),
+        "weights": _complex(part.weights),
+    }
+    return RadarTarget(
+        Target(**unknown | _known({key: getattr(part, key) for key in SAME}) | more), part.used, part.reason
     )
-    return RadarTarget(target, part.used, part.reason)
 
 
 def _pairs(values: np.ndarray[Any, np.dtype[np.complex128]]) -> list[list[float]]:
