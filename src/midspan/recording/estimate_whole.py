@@ -245,6 +245,12 @@ def _told(events: tuple[Event, ...]) -> list[str]:
 
 
 def _require(recording: Recording, calibration: Calibration) -> None:
+    if calibration.others:
+        names = ", ".join(name for name, _, _ in calibration.sensors)
+        raise UsageError(
+            f"The calibration must be of one sensor of each kind here; received {names}. Keep those of the recording's "
+            "sensors in it, or run `midspan calibrate` on this recording."
+        )
     if recording.has("radar") and calibration.radar is not None:
         require_same_way(calibration.radar, recording.settings.fusion.literal)
     views = recording.cameras

@@ -1,6 +1,6 @@
 """A recording: its settings and its files, opened when they are first needed."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import cached_property
 from pathlib import Path
@@ -284,9 +284,9 @@ class Recording:
         assert isinstance(sensor.settings, DisplacementSettings)
         return self._series(self._key(sensor), sensor.settings, "displacement")
 
-    def require_one_of_a_kind(self) -> None:
+    def require_one_of_a_kind(self, kinds: Sequence[str] = KINDS) -> None:
         """UsageError naming the sections where there are several sensors of one kind, for what takes one of each."""
-        for kind in KINDS:
+        for kind in kinds:
             names = [sensor.name for sensor in self.sensors if sensor.kind == kind]
             if len(names) > 1:
                 raise UsageError(

@@ -129,7 +129,7 @@ def _of_recording(path: Path, request: TrackRequest) -> tuple[FrameSource, Track
     if request.tracker is not None:
         changed["tracker"] = request.tracker
     recording = open_with_cameras(path, changed)
-    recording.require_one_of_a_kind()
+    recording.require_one_of_a_kind(("camera", "infrared"))
     views = recording.cameras
     camera = views[0].settings.camera if views else None
     if camera is None:
