@@ -372,3 +372,13 @@ def test_overrides_of_a_kind_win_in_each_of_its_sections(tmp_path):
     # Subsections belong to the section above them.
     assert (left.target, left.lens) == ((), None)
     assert (right.target[0].roi, right.lens.file) == ((1, 2, 30, 40), "lens.json")
+
+
+@pytest.mark.parametrize("kind", ["camera", "infrared", "radar", "displacement"])
+@pytest.mark.parametrize("value", [None, True, 3, "x", [], [1], [[]], [{}], [{}, {}], [None, {}], {"file": []}, [[{}]]])
+def test_nonsense_in_place_of_a_sensor_is_a_sentence(kind, value):
+    tree = {"accelerometer": ACCELEROMETER, kind: value}
+    message = message_of(tree)
+    assert kind in message
+    for word in ("Settings", "dictionary", "instance", "Value error", "Input", "pydantic"):
+        assert word not in message, message

@@ -215,3 +215,45 @@ def test_unknown_keys_are_ignored_everywhere():
         return [more(value) for value in tree] if isinstance(tree, list) else tree
 
     assert_alike(calibration_from_dict(more(PAIR.to_dict())), PAIR)
+
+
+NONSENSE = (
+    None,
+    True,
+    0,
+    -1,
+    1e308,
+    float("nan"),
+    2**62,
+    "x",
+    "camera",
+    "",
+    [],
+    [1],
+    [[]],
+    {},
+    {"a": 1},
+    [{}],
+    [{}, {}],
+)
+
+
+def places(tree, place=()):
+    """Every place of a tree, its branches too."""
+    inner = tree.items() if isinstance(tree, dict) else enumerate(tree) if isinstance(tree, list) else ()
+    return [place, *(one for key, value in inner for one in places(value, (*place, key)))]
+
+
+def test_nonsense_anywhere_among_several_sensors_is_a_calibration_or_a_sentence():
+    text = json.dumps(PAIR.to_dict())
+    for place in places(json.loads(text))[1:]:
+        for value in NONSENSE:
+            tree = branch = json.loads(text)
+            for key in place[:-1]:
+                branch = branch[key]
+            branch[place[-1]] = value
+            try:
+                assert isinstance(calibration_from_dict(tree, "c.json"), Calibration)
+            except midspan.DataError as error:
+                assert str(error).startswith("c.json: ")
+                assert not any(word in str(error) for word in ("Stored", "pydantic", "Value error", "Input")), error
