@@ -9,7 +9,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from midspan.calibration.fit import Fit, Pair, best_corner, evaluate, refine
+from midspan.calibration.clock import Compared, line
+from midspan.calibration.fit import Fit, Pair, best_corner, refine
 from midspan.records import Floats
 
 # The less likely of two offsets must be so by this much, and its residual power larger by this share (a model never
@@ -25,9 +26,8 @@ MOST_FOLLOWING = 35.0
 MOST_CORRELATED = 0.15
 # Innovations beyond this many robust standard deviations count as that many.
 CLIPPED = 4.0
-# In a record longer than this a clock may run apart, and shows it in pieces of this length with at least so many
-# measurements each, by an offset of this much at most.
-LONG_S, PIECE_S, LEAST_IN_PIECE, PIECE_OFFSET_S = 100.0, 40.0, 30, 0.1
+# In a record longer than this a clock may drift, which windows of this length show.
+LONG_S, WINDOW_S = 100.0, 40.0
 
 
 def clearly_better(fit: Fit, other: Fit) -> bool:
@@ -79,25 +79,15 @@ def noise_share(pair: Pair, fit: Fit, noise: float) -> float:
 
 
 def straightened(pair: Pair, fit: Fit) -> tuple[Fit, float] | None:
-    """The fit with a clock that runs apart evenly, and its rate (s/s); None where that is not clearly better."""
-    rows = pair.rows[np.isfinite(pair.rows[:, 2])]
-    count = min(int((rows[-1, 0] - rows[0, 0]) // PIECE_S), len(rows) // LEAST_IN_PIECE)
-    if count * PIECE_S < LONG_S:
+    """The fit with a clock that drifts evenly, and its rate (s/s); None where that is not clearly better."""
+    rows = pair.rows[pair.used(fit.offset_s)]
+    if rows[-1, 0] - rows[0, 0] < LONG_S:
         return None
-    found = np.array([_in_piece(pair, fit, piece) for piece in np.array_split(rows, count)])
-    first, second = np.triu_indices(count, 1)
-    rate = float(np.median((found[second, 1] - found[first, 1]) / (found[second, 0] - found[first, 0])))
+    samples = pair.samples * np.array([1.0, 1.0, fit.input_density])
+    metres = rows / np.array([1.0, fit.ratio, fit.ratio**2 / fit.noise])
+    rate = line(Compared(samples, metres + np.array([fit.offset_s, 0.0, 0.0])), WINDOW_S).skew
     moved = pair.rows.copy()
-    moved[:, 0] += rate * (moved[:, 0] - moved[:, 0].mean())
+    moved[:, 0] += rate * (moved[:, 0] - rows[:, 0].mean())
     pair = replace(pair, rows=moved)
     other = refine(pair, best_corner(pair, fit.offset_s), 0.02)
     return (other, rate) if clearly_better(other, fit) else None
-
-
-def _in_piece(pair: Pair, fit: Fit, rows: Floats) -> tuple[float, float]:
-    """The middle of a piece (s), and its own clock offset (s) near the whole record's."""
-    first, last = rows[0, 0] + fit.offset_s - 2.0, rows[-1, 0] + fit.offset_s + 2.0
-    inside = (pair.samples[:, 0] >= first) & (pair.samples[:, 0] <= last)
-    piece = replace(pair, samples=pair.samples[inside], rows=rows)
-    found = refine(piece, evaluate(piece, fit.offset_s, fit.corner), PIECE_OFFSET_S)
-    return float(rows[:, 0].mean()), found.offset_s
