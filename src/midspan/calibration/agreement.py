@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from midspan.calibration.clock import Compared, line
+from midspan.calibration.clock import Compared, drift
 from midspan.calibration.fit import Fit, Pair, best_corner, refine
 from midspan.records import Floats
 
@@ -71,11 +71,9 @@ def _coloured(fit: Fit) -> bool:
 
 def noise_share(pair: Pair, fit: Fit, noise: float) -> float:
     """The share of the response's power that white accelerometer noise (m/s² per sample) alone would make."""
-    rate = (len(pair.samples) - 1) / float(pair.samples[-1, 0] - pair.samples[0, 0])
-    assumed = fit.corner**4 / pair.rate_hz
-    w = fit.whitened
-    power = float(np.sum(w.response**2 / w.variance))
-    return noise**2 / rate / assumed * float(np.sum(w.input_part / w.variance)) / max(power, 1e-300)
+    w, assumed = fit.whitened, fit.corner**4 / pair.rate_hz
+    power = max(w.product(w.response, w.response), 1e-300)
+    return noise**2 / pair.sample_rate_hz / assumed * w.input_share / power
 
 
 def straightened(pair: Pair, fit: Fit) -> tuple[Fit, float] | None:
@@ -85,7 +83,7 @@ def straightened(pair: Pair, fit: Fit) -> tuple[Fit, float] | None:
         return None
     samples = pair.samples * np.array([1.0, 1.0, fit.input_density])
     metres = rows / np.array([1.0, fit.ratio, fit.ratio**2 / fit.noise])
-    rate = line(Compared(samples, metres + np.array([fit.offset_s, 0.0, 0.0])), WINDOW_S).skew
+    rate = drift(Compared(samples, metres + np.array([fit.offset_s, 0.0, 0.0])), WINDOW_S).skew
     moved = pair.rows.copy()
     moved[:, 0] += rate * (moved[:, 0] - rows[:, 0].mean())
     pair = replace(pair, rows=moved)

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from midspan.calibration.fit import Fit, Pair, corner_range, evaluate
+from midspan.calibration.fit import Fit, Pair, aligned, corner_range, evaluate
 
-# Step of the logarithm of the corner frequency; values less likely by this much (logarithm) do not count any more.
-STEP, LEAST_LIKELY = 0.25, 8.0
+# Logarithms of the corner frequency, relative to the best fit's, that are averaged over: reach and step.
+REACH, STEP = 3.0, 0.25
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +30,9 @@ def bias_of(pair: Pair, fit: Fit, offset_std_s: float = 0.0) -> Bias:
 
     What is uncertain of the noise, of the ratio and of the clock offset (s) is in the deviation.
     """
-    fits = [fit, *_alternatives(pair, fit, STEP), *_alternatives(pair, fit, -STEP)]
+    here, (low, high) = aligned(pair, fit.offset_s), corner_range(pair)
+    corners = fit.corner * np.exp(np.arange(-REACH, REACH + STEP, STEP))
+    fits = [fit, *(here.fit(float(corner)) for corner in corners if low <= corner <= high and corner != fit.corner)]
     weight = np.array([np.exp(one.likelihood - fit.likelihood) for one in fits])
     value = np.array([_bias(pair, one) for one in fits])
     mean = float(np.average(value, weights=weight))
@@ -40,20 +42,6 @@ def bias_of(pair: Pair, fit: Fit, offset_std_s: float = 0.0) -> Bias:
         late = evaluate(pair, fit.offset_s + offset_std_s, fit.corner)
         variance += (_bias(pair, late) - _bias(pair, fit)) ** 2
     return Bias(pair.level_m_s2 + mean, float(np.sqrt(variance)))
-
-
-def _alternatives(pair: Pair, fit: Fit, step: float) -> list[Fit]:
-    """Fits with the corner frequency farther and farther from the best fit's, as long as they are likely."""
-    low, high = corner_range(pair)
-    found: list[Fit] = []
-    corner = fit.corner * float(np.exp(step))
-    while low <= corner <= high:
-        one = evaluate(pair, fit.offset_s, corner)
-        if one.likelihood < fit.likelihood - LEAST_LIKELY:
-            break
-        found.append(one)
-        corner *= float(np.exp(step))
-    return found
 
 
 def _bias(pair: Pair, fit: Fit) -> float:

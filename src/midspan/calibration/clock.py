@@ -155,48 +155,29 @@ class ClockCourse:
         return replace(displacement, time_ns=displacement.time_ns + late_ns)
 
 
-@dataclass(frozen=True, slots=True)
-class Line:
-    """A straight line through the knots of a clock: lateness offset_s + skew · (time − middle_s), s.
-
-    covariance (2, 2) of offset and skew; at_s (w,): middle of each window; lateness_s (w,): what its measurements alone
-    say, with their information (1/s²).
-    """
-
-    middle_s: float
-    offset_s: float
-    skew: float
-    covariance: Floats
-    at_s: Floats
-    lateness_s: Floats
-    information: Floats
-
-
-def line(one: Compared, window_s: float) -> Line:
-    """How a clock drifts, by Gauss-Newton steps; window_s: length of a window, s, longer is less noisy."""
-    time_s = one.rows[:, 0]
-    count = max(2, round((time_s[-1] - time_s[0]) / window_s))
-    bounds = np.linspace(time_s[0], time_s[-1], count + 1)
-    edges, kept = np.unique(np.searchsorted(time_s, bounds[:-1]), return_index=True)
-    at_s, middle, found = 0.5 * (bounds[:-1] + bounds[1:])[kept], 0.5 * float(time_s[0] + time_s[-1]), np.zeros(2)
-    columns = np.stack((np.ones_like(at_s), at_s - middle))
-    for _ in range(PASSES):
-        windows = knots(one, found[0] + found[1] * (time_s - middle), edges)
-        known = windows.information
-        covariance = np.asarray(np.linalg.pinv((columns * known) @ columns.T, hermitian=True), dtype=float)
-        lateness = found @ columns + windows.late_s
-        found = found + covariance @ (columns @ (known * windows.late_s))
-    return Line(middle, float(found[0]), float(found[1]), covariance, at_s, lateness, known)
-
-
 def clock_course(acceleration: Acceleration, displacement: Displacement, *, window_s: float = 60.0) -> ClockCourse:
     """Measure how the displacement's clock runs relative to the accelerometer's.
 
     acceleration, displacement: blocks on clocks that agree to a fraction of the motion's period, one sensor's
     measurements in time order; window_s: length of a window, s, longer is less noisy.
     """
-    found, first = line(compared(acceleration, displacement)[0], window_s), int(acceleration.time_ns[0])
-    known = found.information > NO_INFORMATION
-    std = np.where(known, 1.0 / np.sqrt(np.maximum(found.information, NO_INFORMATION)), np.inf)
-    at_ns, middle_ns = nanoseconds(found.at_s) + first, round(NANOSECONDS * found.middle_s) + first
-    return ClockCourse(at_ns, found.lateness_s, std, middle_ns, found.offset_s, found.skew, found.covariance)
+    return drift(compared(acceleration, displacement)[0], window_s, int(acceleration.time_ns[0]))
+
+
+def drift(one: Compared, window_s: float, first_ns: int = 0) -> ClockCourse:
+    """How a clock runs, by Gauss-Newton steps of the line; first_ns: the instant that times are counted from."""
+    time_s = one.rows[:, 0]
+    count = max(2, round((time_s[-1] - time_s[0]) / window_s))
+    bounds = np.linspace(time_s[0], time_s[-1], count + 1)
+    edges, kept = np.unique(np.searchsorted(time_s, bounds[:-1]), return_index=True)
+    at_s, middle, line = 0.5 * (bounds[:-1] + bounds[1:])[kept], 0.5 * float(time_s[0] + time_s[-1]), np.zeros(2)
+    columns = np.stack((np.ones_like(at_s), at_s - middle))
+    for _ in range(PASSES):
+        found = knots(one, line[0] + line[1] * (time_s - middle), edges)
+        known = np.maximum(found.information, NO_INFORMATION)
+        covariance = np.asarray(np.linalg.pinv((columns * known) @ columns.T, hermitian=True), dtype=float)
+        lateness = line @ columns + found.late_s
+        line = line + covariance @ (columns @ (known * found.late_s))
+    std = np.where(known > NO_INFORMATION, 1.0 / np.sqrt(known), np.inf)
+    at_ns, middle_ns = nanoseconds(at_s) + first_ns, round(NANOSECONDS * middle) + first_ns
+    return ClockCourse(at_ns, lateness, std, middle_ns, float(line[0]), float(line[1]), covariance)

@@ -12,7 +12,7 @@ many offsets, and D' (the velocity), by which the innovations change with the of
 to measurement, and D is known at any instant: nothing is resampled, an aliased camera is treated exactly.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
@@ -205,23 +205,6 @@ def whiten_columns(
     bias = _whiten(pieces, rows, density, states, found, longer, out)
     index = np.arange(SETTLING, len(rows))
     return Whitened(found[SETTLING:], out[SETTLING:, 0], out[SETTLING:, 1], index, bias, states[0][P22])
-
-
-def whiten(samples: Floats, rows: Floats, density: float, exposure_s: float = 0.0) -> Whitened:
-    """Run a translation and the response to an acceleration through the filter.
-
-    samples (n, 3): time (s), acceleration (m/s²), relative noise density (1 where nothing was missing).
-    rows (m, 3): time on the accelerometer's clock (s), translation (px), relative variance (infinite: not used).
-    density: noise density of the acceleration times s², in (px/s²)²/Hz, per unit of relative variance.
-    exposure_s: the translation is the mean over this time, which adds exposure²/24 of the acceleration to it.
-    """
-    response = integrated(samples)
-    index = usable(rows, 0.0, (response.begin_s, samples[-1, 0]))
-    used = rows[index]
-    moved = response.at(used[:, 0], exposure_s * exposure_s / 24.0)
-    values, parabola = levelled(used[:, 0], np.column_stack((used[:, 1], moved)))
-    w = whiten_columns(np.ascontiguousarray(used[:, [0, 2]]), values, response.pieces, density)
-    return replace(w, index=index[w.index], bias=w.bias - parabola)
 
 
 def usable(rows: Floats, offset_s: float, span_s: tuple[float, float]) -> NDArray[np.int64]:

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from midspan.calibration.agreement import noise_share
 from midspan.calibration.fit import Fit, Pair
 from midspan.calibration.noise import nearest, without_outliers
 from midspan.calibration.outliers import without_lonely_outliers
@@ -184,11 +185,7 @@ class _Compared:
 
     def tells(self, fit: Fit) -> bool:
         """Whether the accelerometer's own noise leaves the motion to tell the scale."""
-        whitened = fit.whitened
-        power = float(np.sum(whitened.response**2 / whitened.variance))
-        assumed = fit.corner**4 / self.pair.rate_hz
-        noise = self.density / assumed * float(np.sum(whitened.input_part / whitened.variance))
-        return noise < MOST_NOISE * power
+        return noise_share(self.pair, fit, float(np.sqrt(self.density * self.pair.sample_rate_hz))) < MOST_NOISE
 
 
 def _compared(inputs: FusionInputs, measured: Displacement) -> _Compared | None:
