@@ -139,6 +139,7 @@ class Lag:
     """
 
     def __init__(self, settings: EstimatorSettings, lag_samples: int) -> None:
+        self.settings = settings
         self.estimator = Estimator(settings, log=True)
         self._work = SecondPass(settings)
         self._lag, self._hop = lag_samples, max(1, lag_samples // HOPS)

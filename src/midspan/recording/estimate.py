@@ -81,12 +81,12 @@ def _estimate(
     point = measuring_point(sides, eyes, lag_s=recording.settings.fusion.lag_s if asked.method == "lag" else None)
     outcome = run(point, sides, eyes)
     progress(0, 1, "fusing")
-    settings = point.estimator.settings if asked.method != "lag" else point.estimator.estimator.settings
+    settings = point.estimator.settings
     if asked.method == "smoother":
-        log = point.estimator.log
-        if log is None:
+        assert isinstance(point.estimator, Estimator)
+        if point.estimator.log is None:
             raise DataError("No sensor measured anything within the acceleration.")
-        rows = smooth(log, settings)
+        rows = smooth(point.estimator.log, settings)
     else:
         rows = tuple(outcome.estimate(axis) for axis in range(len(sides)))
     used = span_of(outcome, rows[0])

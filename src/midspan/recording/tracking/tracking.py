@@ -146,8 +146,10 @@ class TargetTracking:
 
     def translation(self, number: int) -> PixelTranslation:
         """What was found in the frame of this number."""
-        row = self._columns.row(number)
-        return PixelTranslation(*row[: STRENGTH - 1], Status(row[STRENGTH - 1]), *row[STRENGTH:DARK])
+        time_ns, x, y, variance_x, variance_y, quality, status, strength, more_x, more_y, _ = self._columns.row(number)
+        return PixelTranslation(
+            time_ns, x, y, variance_x, variance_y, quality, Status(status), strength, more_x, more_y
+        )
 
     def with_codec_error(self, scale: ScaleFactor, direction: str) -> ScaleFactor:
         """A scale factor estimated along an image axis on the frames so far, with what compression may do to it."""
