@@ -54,8 +54,8 @@ class PlainState:
     """All that a `PlainChain` knows.
 
     newest_ns, finite_ns: the newest stamp, and that of the newest finite value; fault: what is wrong with the newest
-    stamp; run: of equal values; time_ns, acceleration, density (m,): of the samples that may still be needed; waiting_ns,
-    waiting_m (w,): values that wait for the samples that cover them.
+    stamp; run: of equal values; time_ns, acceleration, density (m,): of the samples that may still be needed;
+    waiting_ns, waiting_m (w,): values that wait for the samples that cover them.
     """
 
     newest_ns: int | None

@@ -7,6 +7,7 @@ import numpy as np
 
 from midspan.checks import option
 from midspan.errors import DataError, UsageError
+from midspan.fusion.estimator import Estimator
 from midspan.fusion.methods import LITERAL, METHODS, no_literal_form
 from midspan.fusion.second_pass import smooth
 from midspan.recording import estimate_whole
