@@ -18,24 +18,28 @@ class Outcome:
 
     rows: list[Rows] = field(default_factory=list)
     measured: dict[str, list[Measured]] = field(default_factory=dict)
-    events: list[Event] = field(default_factory=list)
+    sensor_events: list[Event] = field(default_factory=list)
 
     def take(self, outputs: Sequence[Output]) -> None:
         """Keep what a push gave."""
         for output in outputs:
             if isinstance(output, Rows):
                 self.rows.append(output)
-                self.events += output.events
             elif isinstance(output, Event):
-                self.events.append(output)
+                self.sensor_events.append(output)
             elif isinstance(output, Seen):
-                self.events += output.events
+                self.sensor_events += output.events
                 if output.measured is not None:
                     self.measured.setdefault(output.sensor, []).append(output.measured)
 
     def estimate(self, axis: int) -> Estimate:
         """The rows of an axis as one block."""
         return joined([rows.estimates[axis] for rows in self.rows if rows.estimates])
+
+    @property
+    def fusion_events(self) -> tuple[Event, ...]:
+        """What the estimator decided that is worth an event."""
+        return tuple(event for rows in self.rows for event in rows.events)
 
     def measured_by(self, sensor: str) -> Measured:
         """All that a sensor measured as one block."""
