@@ -39,11 +39,13 @@ _PLACES = {
     "calibrate_noise": "calibration.noise",
     "calibrate_scale": "calibration.scale",
     "choose_region": "vision.roi",
+    "compare": "evaluate.result_file",
     "estimate": "recording.estimate",
     "load_calibration": "recording.stored.calibration_file",
     "open_recording": "recording.streams.recording",
     "open_tracker": "vision.tracker",
     "smooth": "fusion.smoother",
+    "write_report": "report.report",
 }
 
 __all__ = ["__version__", *sorted(_PLACES)]

@@ -17,6 +17,7 @@ from midspan.recording.stored.calibration_file import load_calibration
 from midspan.records import Acceleration, Displacement, Source, Status
 from midspan.simulate.motion.motion import Sines, Window, random_motion
 from midspan.simulate.radar.signal import Reflector
+from plain_data import assert_plain
 from radar_recordings import PLATE, Case, true_mm, write
 
 WALL, PIER = Reflector(3.4, 900.0, ratio=1 / 1.27, azimuth_rad=0.2), Reflector(6.1, 700.0, ratio=-1 / 1.6)
@@ -56,6 +57,12 @@ def test_factor_and_clock_lie_within_three_of_their_standard_deviations(recordin
     assert abs(radar.offset.value_s - CASES[name].offset_s) < 3 * np.sqrt(radar.offset.variance) < 2e-4
 
 
+def test_the_result_is_plain_data(recordings):
+    for _, _, result in recordings.values():
+        assert_plain(result)
+        assert result.radar.targets
+
+
 @pytest.mark.parametrize("name", CASES)
 def test_the_error_is_micrometres_and_the_band_holds_it(recordings, name) -> None:
     folder, _, result = recordings[name]
@@ -70,7 +77,7 @@ def test_the_error_is_micrometres_and_the_band_holds_it(recordings, name) -> Non
 
 def test_every_method_is_better_than_the_radar_alone(recordings) -> None:
     folder, calibration, result = recordings["two targets"]
-    alone = result.radar.measured
+    (alone,) = result.measured
     apart = 1e3 * alone.value_m - true_mm(folder, alone.time_ns / 1e9)
     recording = midspan.open_recording(folder)
     for method in METHODS:

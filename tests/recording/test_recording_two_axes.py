@@ -11,7 +11,7 @@ from midspan.calibration.clock import ClockCourse
 from midspan.calibration.running_clock import RunningClock
 from midspan.engine.camera import WARM_UP_FRAMES
 from midspan.engine.camera_target import TargetChain
-from midspan.evaluate.result_file import compare_files
+from midspan.evaluate.result_file import compare
 from midspan.recording import estimate, inputs
 from midspan.recording.camera_calibration import camera
 from midspan.recording.fusing import one_clock
@@ -19,6 +19,7 @@ from midspan.recording.inspect import inspect_recording
 from midspan.simulate.motion.motion import Sum, random_motion
 from midspan.simulate.scenarios.table import sideways
 from midspan.sources.accelerometer.formats import list_channels
+from plain_data import assert_plain
 from recording_edits import frames, read_columns, set_keys, write_stack
 
 # As for one axis: a frame of these cameras is good for 0.006 mm, and the zero rests on the first frame.
@@ -65,6 +66,16 @@ def errors(folder, result):
 def assert_right(error):
     assert np.std(error) < FRAME_STD_MM
     assert abs(np.mean(error)) < 4 * FRAME_STD_MM
+
+
+def test_the_result_along_both_axes_is_plain_data(result):
+    assert_plain(result)
+    for one, along in ((result, "y"), (result.second, "x")):
+        (measured,) = one.measured
+        px = result.track.along(along)[0]
+        expected = one.calibration.camera.scale.value_m_per_px * px
+        # One target alone: what is drawn are its own pixels times the scale factor of the axis, to rounding.
+        np.testing.assert_allclose(measured.value_m, expected, atol=1e-15)
 
 
 def test_both_axes_are_right_with_their_own_scale_and_one_clock(site, result):
@@ -277,7 +288,7 @@ def test_compare_takes_the_axis_of_both_files(site, result, axis, suffix, tmp_pa
     path = result.save(tmp_path / f"result{suffix}")
     error = errors(site, result)[axis]
     for reference in (site, site / "truth.csv"):
-        found = compare_files(path, reference, axis=axis)
+        found = compare(path, reference, axis=axis)
         # The reference is interpolated by a spline there and by straight lines here: 0.3 % of 0.25 mm at 4.6 Hz.
         assert found.rmse_mm == pytest.approx(float(np.sqrt(np.mean(error**2))), rel=0.02)
 
@@ -285,7 +296,7 @@ def test_compare_takes_the_axis_of_both_files(site, result, axis, suffix, tmp_pa
 def test_an_axis_is_refused_where_there_is_only_one(footbridge, tmp_path):
     path = midspan.estimate(midspan.open_recording(footbridge)).save(tmp_path / "result.csv")
     with pytest.raises(midspan.UsageError, match="one axis only"):
-        compare_files(path, footbridge, axis="x")
+        compare(path, footbridge, axis="x")
 
 
 def test_a_calibration_from_its_file_gives_the_same_result(site, result, tmp_path):
@@ -312,5 +323,7 @@ def test_inspect_shows_both_columns(site):
 
 
 def test_a_result_draws_both_axes(result):
-    labels = [line.get_label() for line in result.plot().get_lines()]
+    from matplotlib.figure import Figure
+
+    labels = [line.get_label() for line in result.plot(Figure().subplots()).axes[0].get_lines()]
     assert labels == ["displacement along y", "displacement along x"]

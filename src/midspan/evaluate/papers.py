@@ -130,7 +130,6 @@ def fused(film: Film, folder: Path, *, tracker: str, methods: Sequence[str]) -> 
         name, _, literal = method.partition(" as ")
         asked = open_recording(folder, camera={"tracker": tracker}, fusion={"method": name, "literal": bool(literal)})
         result = estimate(asked, calibration, method=name, tracking=tracking)
-        tracking = result.tracking
         time_s = result.estimate.time_ns / 1e9
         error_mm = 1e3 * (result.estimate.displacement_m - film.truth_m(time_s))
         after = time_s >= film.spans[CALIBRATION][1]

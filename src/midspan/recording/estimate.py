@@ -1,30 +1,38 @@
 """`estimate`: the main job, from a recording to displacement at the accelerometer's rate with its error band."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from midspan.checks import option
-from midspan.errors import DataError, UsageError
+from midspan.errors import DataError, UntrustedError, UsageError
 from midspan.fusion.estimator import Estimator
 from midspan.fusion.methods import LITERAL, METHODS, no_literal_form
 from midspan.fusion.second_pass import smooth
 from midspan.recording import estimate_whole
 from midspan.recording.calibrate import calibrate_and_track
-from midspan.recording.cameras.tracked import Side, open_eyes, side_of
+from midspan.recording.camera_result import CameraResult, camera_result, camera_series
+from midspan.recording.cameras.lost_target import lost_events, lost_warnings
+from midspan.recording.cameras.tracked import Eye, Side, open_eyes, side_of
+from midspan.recording.displacement.sensor import displacement_series
+from midspan.recording.estimate_whole import rejected_share
 from midspan.recording.point import measuring_point
 from midspan.recording.result import Result
 from midspan.recording.run import Outcome, run
 from midspan.recording.second_axis import SecondAxis
+from midspan.recording.second_look import Offsets, clocks, on_its_clock, once_more, ran_apart, scales, with_scales
+from midspan.recording.sensor_series import SensorSeries
 from midspan.recording.stored.calibration import Calibration
 from midspan.recording.stored.calibration_file import load_calibration
 from midspan.recording.streams.progress import Progress, silent
 from midspan.recording.streams.recording import Recording, naming, open_recording
-from midspan.recording.streams.span import inside
+from midspan.recording.streams.span import inside, shown
 from midspan.recording.tracking.tracking import CameraTracking
 from midspan.recording.unsupported import unsupported_events
-from midspan.records import Estimate, Innovation, joined, part
+from midspan.records import NANOSECONDS, Channel, Estimate, Event, Innovation, Measured, joined, part
+from midspan.signals.health import Mask
 
 # Methods whose rows the engine gives.
 ENGINE = ("kalman", "lag", "smoother")
@@ -60,82 +68,249 @@ def estimate(
     if calibration is None:
         calibration, tracking = calibrate_and_track(recording, progress)
     with naming(recording):
-        return _estimate(recording, calibration, Asked(method, given), tracking, progress)
+        estimate_whole._require(recording, calibration)
+        return _estimate(Asked(recording, calibration, method, given), tracking, progress)
 
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """The method, and whether the calibration was given, not estimated on this recording just now."""
+    """The recording, its calibration and whether that was given (not estimated on this recording just now), method."""
 
+    recording: Recording
+    calibration: Calibration
     method: str
     given: bool
 
+    @property
+    def sides(self) -> tuple[Side, ...]:
+        """The axes, the main one first."""
+        sides = [side_of(self.recording, self.calibration)]
+        if self.recording.across is not None and self.calibration.across is not None:
+            sides.append(side_of(self.recording.across, self.calibration.across))
+        return tuple(sides)
 
-def _estimate(
-    recording: Recording, calibration: Calibration, asked: Asked, tracking: CameraTracking | None, progress: Progress
-) -> Result:
-    estimate_whole._require(recording, calibration)
-    sides = [side_of(recording, calibration)]
-    if recording.across is not None and calibration.across is not None:
-        sides.append(side_of(recording.across, calibration.across))
+
+@dataclass(slots=True)
+class Found:
+    """What the engine gave along all axes: rows and innovations of each, what the sensors measured along each, notes."""
+
+    rows: tuple[Estimate, ...]
+    innovations: tuple[Innovation, ...]
+    events: tuple[Event, ...]
+    zero_variance_m2: float
+    cameras: tuple[CameraResult, ...]
+    series: tuple[dict[str, SensorSeries], ...]
+    warnings: list[str] = field(default_factory=list)
+
+
+def _estimate(asked: Asked, tracking: CameraTracking | None, progress: Progress) -> Result:
+    sides = asked.sides
     eyes = open_eyes(sides, tracking, progress)
-    point = measuring_point(sides, eyes, lag_s=recording.settings.fusion.lag_s if asked.method == "lag" else None)
+    lag_s = asked.recording.settings.fusion.lag_s if asked.method == "lag" else None
+    point = measuring_point(sides, eyes, lag_s=lag_s)
     outcome = run(point, sides, eyes)
     progress(0, 1, "fusing")
-    settings = point.estimator.settings
+    if not any(rows.estimates for rows in outcome.rows):
+        raise DataError(_no_overlap(asked.recording, outcome))
+    cameras = tuple(_camera(eye) for eye in eyes)
+    series = tuple(_series(asked, cameras, outcome.estimate(axis), axis) for axis in range(len(sides)))
+    warnings: list[str] = []
+    estimator = point.estimator
+    settings = estimator.settings
+    widened = {}
+    if asked.given:
+        for axis, side in enumerate(sides):
+            fits = scales(series[axis], side, settings, axis, max_offset_s=asked.recording.max_offset_s)
+            warnings += fits.warnings
+            by_source = {error.source: error.relative_scale_std for error in fits.errors}
+            widened |= {(name, axis): by_source[one.source] for name, one in series[axis].items()}
+        warnings += estimate_whole._uncalibrated(asked.recording, asked.calibration)
+    ran = {}
     if asked.method == "smoother":
-        assert isinstance(point.estimator, Estimator)
-        if point.estimator.log is None:
-            raise DataError("No sensor measured anything within the acceleration.")
-        rows = smooth(point.estimator.log, settings)
+        assert isinstance(estimator, Estimator) and estimator.log is not None
+        ran = clocks(series[0], sides[0], _offsets(asked, eyes))
+        for clock in ran.values():
+            warnings += clock.warnings
+        again = with_scales(settings, widened)
+        apart = [name for name, clock in ran.items() if ran_apart(clock)]
+        if apart or again != settings:
+            measured = [
+                on_its_clock(outcome.measured_by(name), settings.channels, ran[name])
+                if name in apart
+                else outcome.measured_by(name)
+                for name in outcome.measured
+            ]
+            first = outcome
+            estimator, outcome = once_more(again, joined(estimator.log.samples), measured)
+            outcome.sensor_events, outcome.measured = first.sensor_events, first.measured
+        assert estimator.log is not None
+        rows = smooth(estimator.log, again)
     else:
         rows = tuple(outcome.estimate(axis) for axis in range(len(sides)))
     used = span_of(outcome, rows[0])
-    rows = tuple(part(one, used) for one in rows)
-    innovations = [
-        joined([outcome.innovation(k) for k, channel in enumerate(settings.channels) if channel.axis == axis])
-        for axis in range(len(sides))
-    ]
-    main = in_time(innovations[0])
-    estimate_whole._refuse_rejections(recording, main)
-    alone = unsupported_events(rows[0], outcome.events)
+    found = Found(
+        rows=tuple(part(one, used) for one in rows),
+        innovations=tuple(innovation_along(outcome, settings.channels, axis) for axis in range(len(sides))),
+        events=(
+            *outcome.sensor_events,
+            *outcome.fusion_events,
+            *(event for clock in ran.values() for event in clock.events),
+        ),
+        zero_variance_m2=outcome.zero_variance_m2[0],
+        cameras=cameras,
+        series=series,
+        warnings=warnings,
+    )
     progress(1, 1, "fusing")
+    return result_of(asked, sides, found, (eyes, outcome))
+
+
+def result_of(asked: Asked, sides: Sequence[Side], found: Found, seen: tuple[Sequence[Eye], Outcome]) -> Result:
+    """The result as plain data."""
+    recording, (eyes, outcome) = asked.recording, seen
+    estimate_whole._refuse_rejections(recording, found.innovations[0])
+    main = found.rows[0]
+    alone = unsupported_events(main, found.events)
+    lost = [event for camera in found.cameras for event in lost_events(*_blind(camera, found))]
+    across, more = _across(asked, sides, found)
+    warnings = (
+        *estimate_whole._channel_warnings(recording, asked.calibration),
+        *(line for camera in found.cameras for line in lost_warnings(*_blind(camera, found))),
+        *(line for eye in eyes for line in eye.tracking.warnings()),
+        *estimate_whole._told(outcome.fusion_events),
+        *estimate_whole._told(tuple(event for event in outcome.sensor_events if event.kind == "frozen")),
+        *late_start(recording, outcome, main),
+        *lost_end(recording, outcome, main),
+        *estimate_whole._shares(found.innovations[0], main),
+        *found.warnings,
+        *estimate_whole._told(alone),
+        *more,
+    )
     return Result(
-        estimate=rows[0],
-        calibration=calibration,
+        estimate=main,
+        calibration=asked.calibration,
         settings=recording.settings,
         method=asked.method,
-        innovation=main,
-        events=tuple(sorted((*outcome.events, *alone), key=lambda event: event.time_ns)),
-        warnings=(
-            *estimate_whole._channel_warnings(recording, calibration),
-            *(line for eye in eyes for line in eye.tracking.warnings()),
-            *estimate_whole._told(tuple(outcome.events)),
-            *estimate_whole._shares(main, rows[0]),
-        ),
-        track=eyes[0].track if eyes else None,
-        tracking=eyes[0].tracking if eyes else None,
-        recording=recording,
-        across=None if len(sides) < 2 else second_axis(sides[1], asked.method, rows[1], in_time(innovations[1])),
-        zero_std_m=float(np.sqrt(outcome.zero_variance_m2[0])),
-        eyes=eyes,
+        innovation=found.innovations[0],
+        events=tuple(sorted((*found.events, *lost, *alone), key=lambda event: event.time_ns)),
+        warnings=tuple(dict.fromkeys(warnings)),
+        cameras=found.cameras,
+        measured=tuple(found.series[0].values()),
+        across=across,
+        zero_std_m=float(np.sqrt(found.zero_variance_m2)),
+        file=recording.file,
+        name=recording.name,
     )
 
 
-def second_axis(side: Side, method: str, rows: Estimate, innovation: Innovation) -> SecondAxis:
-    """The second image axis at the rows of the first."""
-    camera = side.calibration.first_camera
+def _blind(camera: CameraResult, found: Found) -> tuple[SensorSeries, Mask]:
+    """What tells when a camera's target was lost: its series along the main axis, and which frames were black."""
+    return found.series[0][camera.sensor], camera.targets[camera.best].dark
+
+
+def _across(asked: Asked, sides: Sequence[Side], found: Found) -> tuple[SecondAxis | None, list[str]]:
+    """The second image axis at the rows of the first, and its warnings; left out where it is not to be trusted."""
+    if len(sides) < 2:
+        return None, []
+    view, rows, innovation = sides[1].recording, found.rows[1], found.innovations[1]
+    camera = sides[1].calibration.first_camera
     assert camera is not None
-    return SecondAxis(camera.direction, camera.fused, method, rows, innovation)
+    try:
+        estimate_whole._refuse_rejections(view, innovation)
+    except UntrustedError as error:
+        return None, [f"The second axis {view.axis} is left out of the result. {error}"]
+    along = f" along {view.axis}"
+    second = SecondAxis(
+        camera.direction,
+        camera.fused,
+        asked.method,
+        rows,
+        innovation,
+        measured=tuple(found.series[1].values()),
+    )
+    return second, estimate_whole._shares(innovation, rows, along)
 
 
-def in_time(innovation: Innovation) -> Innovation:
-    """Innovations of several channels in the order of time."""
-    return part(innovation, np.argsort(innovation.time_ns, kind="stable"))
+def _camera(eye: Eye) -> CameraResult:
+    settings = eye.view.settings.camera
+    assert settings is not None
+    return camera_result(eye.tracking, eye.sensor, settings, eye.calibrations)
+
+
+def _series(asked: Asked, cameras: Sequence[CameraResult], rows: Estimate, axis: int) -> dict[str, SensorSeries]:
+    """What each sensor measured along an axis."""
+    found = {camera.sensor: camera_series(camera, rows, axis) for camera in cameras}
+    known = asked.calibration.displacement
+    if axis == 0 and asked.recording.has("displacement") and known is not None:
+        found["displacement"] = displacement_series("displacement", asked.recording.displacement, known)
+    return found
+
+
+def _offsets(asked: Asked, eyes: Sequence[Eye]) -> dict[str, Offsets]:
+    """The calibrated clock offset of each sensor."""
+    found = {eye.sensor: Offsets(eye.calibrations[0].offset, estimated=True) for eye in eyes}
+    known = asked.calibration.displacement
+    if known is not None:
+        found["displacement"] = Offsets(known.offset, estimated=asked.recording.learns_offset)
+    return found
+
+
+def innovation_along(outcome: Outcome, channels: Sequence[Channel], axis: int) -> Innovation:
+    """Innovations of all channels along an axis in the order of time."""
+    numbers = [k for k, channel in enumerate(channels) if channel.axis == axis]
+    found = joined([outcome.innovation(k) for k in numbers])
+    return part(found, np.argsort(found.time_ns, kind="stable"))
+
+
+def measured_span(outcome: Outcome) -> tuple[int, int]:
+    """Stamps (ns) of the first and last measurement."""
+    blocks: list[Measured] = [block for listed in outcome.measured.values() for block in listed]
+    stamps = np.concatenate([block.time_ns[np.isfinite(block.value)] for block in blocks])
+    return int(stamps.min()), int(stamps.max())
 
 
 def span_of(outcome: Outcome, rows: Estimate) -> slice:
-    """The rows in the streams' common span: up to the last measurement."""
-    times = [block.time_ns[np.isfinite(block.value)] for blocks in outcome.measured.values() for block in blocks]
-    last = max((int(stamps[-1]) for stamps in times if len(stamps)), default=0)
-    return inside(rows.time_ns, int(rows.time_ns[0]), last)
+    """The rows in the streams' common span."""
+    return inside(rows.time_ns, *measured_span(outcome))
+
+
+def _no_overlap(recording: Recording, outcome: Outcome) -> str:
+    """Why there is no row."""
+    sampled = recording.acceleration.time_ns
+    stamps = [block.time_ns[np.isfinite(block.value)] for listed in outcome.measured.values() for block in listed]
+    known = np.concatenate(stamps) if stamps else np.empty(0, dtype=np.int64)
+    measured = f"measurements run from {shown(int(known[0]))} to {shown(int(known[-1]))}" if len(known) else "nothing"
+    return (
+        f"The streams do not overlap with the calibrated clock offset: {measured} on the accelerometer's clock, which "
+        f"runs from {shown(int(sampled[0]))} to {shown(int(sampled[-1]))}. Check the calibration's time_offset_s and "
+        "the start_s of both."
+    )
+
+
+def late_start(recording: Recording, outcome: Outcome, rows: Estimate) -> list[str]:
+    """A sentence when the first measurement comes long after both streams have begun."""
+    first = min(int(block.time_ns[0]) for listed in outcome.measured.values() for block in listed)
+    begun = max(first, int(recording.acceleration.time_ns[0]))
+    missed = (int(rows.time_ns[0]) - begun) / NANOSECONDS
+    if missed <= 1.0:
+        return []
+    return [
+        f"Nothing was measured from {shown(begun)} to {shown(int(rows.time_ns[0]))}; the result begins there, "
+        f"{missed:.1f} s late."
+    ]
+
+
+def lost_end(recording: Recording, outcome: Outcome, rows: Estimate) -> list[str]:
+    """A sentence when the measurements stop long before both streams do."""
+    last = max(int(block.time_ns[-1]) for listed in outcome.measured.values() for block in listed)
+    end = min(last, int(recording.acceleration.time_ns[-1]))
+    missed = (end - int(rows.time_ns[-1])) / NANOSECONDS
+    if missed <= 1.0:
+        return []
+    return [
+        f"The target was lost from {shown(int(rows.time_ns[-1]))} to the end; the result stops there, "
+        f"{missed:.1f} s early."
+    ]
+
+
+__all__ = ["estimate", "rejected_share"]

@@ -1,5 +1,6 @@
 """`estimate`: the main job, from a recording to displacement at the accelerometer's rate with its error band."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -12,12 +13,16 @@ from midspan.fusion.methods import LITERAL, METHODS, no_literal_form
 from midspan.fusion.runners import MethodSettings
 from midspan.fusion.smoother import Smoothed
 from midspan.recording.calibrate import calibrate_and_track
+from midspan.recording.camera_result import CameraResult, camera_result, camera_series
+from midspan.recording.cameras.tracked import Eye
+from midspan.recording.displacement.sensor import displacement_series
 from midspan.recording.fusing.fuse import FusionInputs, fuse
 from midspan.recording.fusing.scale_check import SCALED, Fitting, fitting
 from midspan.recording.inputs import Gathered, gather
 from midspan.recording.radar.literal import require_same_way
 from midspan.recording.result import Result
 from midspan.recording.second_axis import SecondAxis, second_axis
+from midspan.recording.sensor_series import SensorSeries, series_of
 from midspan.recording.stored.calibration import Calibration
 from midspan.recording.stored.calibration_file import load_calibration
 from midspan.recording.streams.progress import Progress, silent
@@ -35,6 +40,8 @@ NOTABLE_REJECTED = 0.02
 RUN_AWAY = 10.0
 # Events of one kind that are told in the warnings.
 MOST_TOLD = 3
+# The zero's drift is kept at so many even instants, besides those where it was measured.
+ZERO_DRIFT_INSTANTS = 800
 
 
 def estimate(
@@ -97,30 +104,89 @@ def _estimate(
     alone = unsupported_events(result, fused.events)
     across, more = _second(recording, calibration, gathered, (result, method), given=asked.given)
     progress(1, 1, "fusing")
+    warnings = (
+        *_channel_warnings(recording, calibration),
+        *_warnings(gathered, fused, result),
+        *scaled,
+        *_told(alone),
+        *_literal_warnings(recording, gathered, fused),
+        *more,
+    )
+    return result_of(recording, calibration, gathered, Fused(method, fused, result, across, alone, warnings))
+
+
+@dataclass(frozen=True, slots=True)
+class Fused:
+    """What the fusion left: the method, its output, the rows in the common span, the second axis, events, warnings."""
+
+    method: str
+    found: Smoothed
+    rows: Estimate
+    across: SecondAxis | None
+    events: tuple[Event, ...]
+    warnings: tuple[str, ...]
+
+
+def result_of(recording: Recording, calibration: Calibration, gathered: Gathered, fused: Fused) -> Result:
+    """The result as plain data, of what the sensors and the fusion left."""
+    cameras = tuple(_camera(eye) for eye in gathered.eyes)
+    events = (*(event for camera in cameras for event in camera.events), *fused.found.events, *fused.events)
+    across = fused.across
+    if across is not None:
+        along = tuple(camera_series(camera, across.estimate, axis=1) for camera in cameras)
+        across = replace(across, measured=along)
     return Result(
-        estimate=result,
+        estimate=fused.rows,
         calibration=calibration,
         settings=recording.settings,
-        method=method,
-        innovation=fused.innovation,
-        events=_events(recording, gathered, (*fused.events, *alone)),
-        warnings=(
-            *_channel_warnings(recording, calibration),
-            *_warnings(gathered, fused, result),
-            *scaled,
-            *_told(alone),
-            *_literal_warnings(recording, gathered, fused),
-            *more,
-        ),
-        track=gathered.track,
-        tracking=gathered.tracking,
-        recording=recording,
+        method=fused.method,
+        innovation=fused.found.innovation,
+        events=_events(recording, gathered, events),
+        warnings=fused.warnings,
+        cameras=cameras,
+        measured=_measured(recording, calibration, gathered, cameras, fused.rows),
+        radar=None if gathered.radar is None else gathered.radar.trace,
         across=across,
-        radar=gathered.radar,
-        zero_std_m=float(np.sqrt(fused.zero_variance_m2)),
-        eyes=gathered.eyes,
-        belief=gathered.belief,
+        zero_std_m=float(np.sqrt(fused.found.zero_variance_m2)),
+        zero_drift=_zero_drift(gathered),
+        file=recording.file,
+        name=recording.name,
     )
+
+
+def _camera(eye: Eye) -> CameraResult:
+    settings = eye.view.settings.camera
+    assert settings is not None
+    return camera_result(eye.tracking, eye.sensor, settings, eye.calibrations)
+
+
+def _measured(
+    recording: Recording,
+    calibration: Calibration,
+    gathered: Gathered,
+    cameras: Sequence[CameraResult],
+    rows: Estimate,
+) -> tuple[SensorSeries, ...]:
+    """What each sensor measured along the main axis."""
+    found = [camera_series(camera, rows) for camera in cameras]
+    if gathered.radar is not None:
+        found.append(series_of("radar", Source.RADAR, gathered.radar.measured))
+    if recording.has("displacement") and calibration.displacement is not None:
+        found.append(displacement_series("displacement", recording.displacement, calibration.displacement))
+    return tuple(found)
+
+
+def _zero_drift(gathered: Gathered) -> SensorSeries | None:
+    """How far the second camera's zero lies above the first one's; None where there is one camera."""
+    belief = gathered.belief
+    if belief is None or belief.course is None:
+        return None
+    known = belief.course.time_ns
+    # Between the instants where both see the level is a bridge, whose uncertainty grows towards its middle.
+    time_ns = np.union1d(known, np.linspace(int(known[0]), int(known[-1]), ZERO_DRIFT_INSTANTS).astype(np.int64))
+    level, variance = belief.course.at(time_ns)
+    second = gathered.eyes[1]
+    return SensorSeries(second.sensor, second.source, time_ns, level, np.sqrt(variance))
 
 
 def _given(recording: Recording, calibration: Calibration, gathered: Gathered) -> Fitting:
@@ -142,10 +208,9 @@ def _uncalibrated(recording: Recording, calibration: Calibration) -> list[str]:
 
 
 def _events(recording: Recording, gathered: Gathered, more: tuple[Event, ...]) -> tuple[Event, ...]:
-    """What happened to all sensors, and `more` of the fusion, in the order of time."""
+    """What happened to all sensors, and `more` of the cameras and the fusion, in the order of time."""
     found = (
         *recording.prepared.events,
-        *(event for eye in gathered.eyes for event in eye.events),
         *(() if gathered.belief is None else gathered.belief.events),
         *gathered.frozen,
         *(() if gathered.radar is None else gathered.radar.events),

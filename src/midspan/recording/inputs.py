@@ -13,6 +13,7 @@ from midspan.recording.fusing.fuse import CourseError, FusionInputs, SensorError
 from midspan.recording.fusing.one_clock import OneClock
 from midspan.recording.fusing.one_zero import merged
 from midspan.recording.radar.inputs import RadarInputs, radar_inputs
+from midspan.recording.sensor_series import SensorSeries, series_of
 from midspan.recording.stored.calibration import Calibration
 from midspan.recording.streams.acceleration import PreparedAcceleration
 from midspan.recording.streams.progress import Progress
@@ -23,11 +24,10 @@ from midspan.records import (
     Acceleration,
     Displacement,
     Event,
-    PixelTrack,
     joined,
 )
 from midspan.signals.bridging import unknown_density
-from midspan.signals.health import dominant_frequency
+from midspan.signals.health import Mask, dominant_frequency
 
 # Rows are `coasting` when the last accepted measurement is older than this many of the sensor's usual intervals.
 COASTING_INTERVALS = 2.5
@@ -35,15 +35,13 @@ COASTING_INTERVALS = 2.5
 
 @dataclass(frozen=True, slots=True)
 class Gathered:
-    """The inputs of the fusion, the camera's best track and its tracking (None without one), and warnings.
+    """The inputs of the fusion, and warnings.
 
     across: the inputs along the second image axis; eyes: all cameras; belief: which of two was believed when; radar:
     what it measured; frozen: what of [displacement] stood still; events: targets lost and seen again, clocks that jump.
     """
 
     inputs: FusionInputs
-    track: PixelTrack | None
-    tracking: CameraTracking | None
     warnings: tuple[str, ...]
     across: FusionInputs | None = None
     eyes: tuple[Eye, ...] = ()
@@ -68,22 +66,26 @@ def gather(
         radar = radar_inputs(recording, calibration, sides[0].acceleration, sides[0].kalman, progress)
     main = _inputs(sides[0], 0, eyes, radar=radar)
     across = None
-    warnings = (*main.warnings, *(line for one in main.seen for line in lost_warnings(one)))
+    warnings = (*main.warnings, *(line for one in main.seen for line in lost_warnings(*_blind(one))))
     if len(sides) > 1:
         beside = _inputs(sides[1], 1, eyes, {seen.eye.sensor: seen.clock for seen in main.seen})
         across, warnings = beside.inputs, (*warnings, *beside.warnings)
     return Gathered(
         inputs=main.inputs,
-        track=eyes[0].track if eyes else None,
-        tracking=eyes[0].tracking if eyes else None,
         warnings=warnings,
         across=across,
         eyes=eyes,
         belief=main.belief,
         radar=radar,
         frozen=main.frozen,
-        events=(*(event for one in main.seen for event in lost_events(one)), *main.events),
+        events=(*(event for one in main.seen for event in lost_events(*_blind(one))), *main.events),
     )
+
+
+def _blind(seen: Seen) -> tuple[SensorSeries, Mask]:
+    """What tells when a camera's target was lost."""
+    series = series_of(seen.eye.sensor, seen.eye.source, seen.measured)
+    return series, seen.eye.tracking.targets[seen.eye.best].dark
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,6 +7,7 @@ import numpy as np
 from midspan.errors import DataError
 from midspan.fusion.runners import MethodSettings
 from midspan.recording.fusing.fuse import FusionInputs, fuse
+from midspan.recording.sensor_series import SensorSeries
 from midspan.recording.stored.calibration import Calibration
 from midspan.records import Estimate, Event, Floats, Innovation, Nanoseconds, part
 
@@ -18,7 +19,8 @@ TRACKED_METHOD = "smoother"
 class SecondAxis:
     """Displacement along the second image axis at the rows of the first.
 
-    fused: whether with an accelerometer; method: of the fusion; events: what the gate and the sensors did along it.
+    fused: whether with an accelerometer; method: of the fusion; events: what the gate and the sensors did along it;
+    measured: what each sensor measured along it.
     """
 
     axis: str
@@ -27,6 +29,7 @@ class SecondAxis:
     estimate: Estimate
     innovation: Innovation
     events: tuple[Event, ...] = ()
+    measured: tuple[SensorSeries, ...] = ()
 
     @property
     def displacement_mm(self) -> Floats:

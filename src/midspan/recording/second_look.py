@@ -15,7 +15,7 @@ from midspan.recording.fusing.fuse import FusionInputs, SensorError
 from midspan.recording.fusing.one_clock import OneClock, one_clock
 from midspan.recording.fusing.scale_check import Fitting, fitting
 from midspan.recording.run import Outcome
-from midspan.recording.series import SensorSeries
+from midspan.recording.sensor_series import SensorSeries
 from midspan.records import Channel, Displacement, Measured, Samples, TimeOffset, joined, part
 
 

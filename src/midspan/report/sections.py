@@ -190,7 +190,7 @@ def radar(material: Material) -> str:
             "move."
         )
         pieces.append(page.figure(radar_figures.circle(found, found.diagnostics), "Circle of the phasors", caption))
-    trace = None if material.result.radar is None else material.result.radar.trace
+    trace = material.result.radar
     if trace is not None:
         pieces.append(_radar_phase(material, trace))
     return page.section("radar", "Radar", *pieces)

@@ -9,7 +9,7 @@ import numpy as np
 from midspan.evaluate.metrics import Comparison, normalised_innovation
 from midspan.fusion.gate import REJECTED
 from midspan.radar.target import Target
-from midspan.recording.cameras.tracked import Eye
+from midspan.recording.camera_result import CameraResult
 from midspan.recording.stored.calibration import Calibration
 from midspan.recording.stored.camera import CameraCalibration
 from midspan.recording.stored.displacement import DisplacementCalibration
@@ -252,22 +252,22 @@ def _offset(offset: TimeOffset) -> str:
 def settings(material: Material) -> list[Row]:
     """The settings used, flat, in the words of recording.toml; with what was taken for those that were left out."""
     tree = material.result.settings.model_dump(mode="json", exclude_none=True)
-    for eye in material.result.eyes:
-        own = tree.get(eye.sensor)
+    for camera in material.result.cameras:
+        own = tree.get(camera.sensor)
         if own is not None:
-            tree[eye.sensor] = own | {key: value for key, value in _taken(eye).items() if not own.get(key)}
+            tree[camera.sensor] = own | {key: value for key, value in _taken(camera).items() if not own.get(key)}
     return list(_flat(tree))
 
 
-def _taken(eye: Eye) -> dict[str, str]:
+def _taken(camera: CameraResult) -> dict[str, str]:
     """What a camera was tracked with where its settings do not say."""
-    camera, found = eye.view.settings.camera, {}
-    if camera is not None and camera.reference is None:
-        found["reference"] = f"{camera.reference_rule} (default)"
-    if camera is not None and camera.roi is None and not camera.target:
-        places = [f"{r.x}, {r.y}, {r.width}, {r.height}" for r in (target.region for target in eye.tracking.targets)]
-        found["roi"] = f"{'; '.join(places)} ({'chosen' if eye.tracking.choice is not None else 'of the calibration'})"
-    surface = eye.tracking.range_surface
+    settings, found = camera.settings, {}
+    if settings.reference is None:
+        found["reference"] = f"{settings.reference_rule} (default)"
+    if settings.roi is None and not settings.target:
+        places = [f"{r.x}, {r.y}, {r.width}, {r.height}" for r in (target.region for target in camera.targets)]
+        found["roi"] = f"{'; '.join(places)} ({'chosen' if camera.choice is not None else 'of the calibration'})"
+    surface = camera.range_surface
     if surface is not None:
         found["temperature_range_c"] = f"{surface.best.low_c:.2f}, {surface.best.high_c:.2f} (chosen)"
     return found

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from midspan.checks import option, refuse
 from midspan.errors import DataError, UsageError
 from midspan.records import Floats, Frame, PixelTranslation, Prediction, Region, Status
-from midspan.signals.health import Mask
+from midspan.vision.active_pixels import ActivePixels
 from midspan.vision.phase_flow import gradient_form, phase_change, phase_slopes
 from midspan.vision.phase_model import (
     INSET_PX,
@@ -137,14 +137,12 @@ class PhaseTracker(Tracker):
         """Translation by mean phase along x and y, px/rad, signed; times the scale factor: the phase scale factor."""
         return self.model.gains_px_per_rad
 
-    def active_pixels(self, axis: str) -> Mask:
-        """Active pixels along `axis` "x" or "y": (rows, columns) of `measured_region`."""
-        return self.model.mask(axis, (self._window.height, self._window.width))
-
     @property
-    def measured_region(self) -> Region:
-        """The part of the region whose phase is used: all but what lies too near to the image's border."""
-        return self._window
+    def active_pixels(self) -> ActivePixels:
+        """Active pixels in the part of the region whose phase is used: all but what lies too near to the border."""
+        shape = (self._window.height, self._window.width)
+        x, y = self.model.mask("x", shape), self.model.mask("y", shape)
+        return ActivePixels(self._window, x, y, self.model.r_squared)
 
     def push(self, frame: Frame, prediction: Prediction | None = None) -> PixelTranslation:
         """Measure the translation (px) of the target in `frame`; LOST with NaN where it cannot be found."""

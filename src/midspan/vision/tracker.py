@@ -4,12 +4,15 @@ import importlib
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from midspan.checks import option, refuse
 from midspan.errors import DataError
 from midspan.records import Frame, PixelTranslation, Prediction, Region
 from midspan.vision.region import check_region, clamp, shift
+
+if TYPE_CHECKING:
+    from midspan.vision.active_pixels import ActivePixels
 
 
 class Tracker(ABC):
@@ -70,6 +73,11 @@ class Tracker(ABC):
     @property
     def phase_gain_px_per_rad(self) -> tuple[float, float] | None:
         """Translation by mean phase along x and y, px/rad, signed; None for trackers that measure no phase."""
+        return None
+
+    @property
+    def active_pixels(self) -> "ActivePixels | None":
+        """The pixels whose phase is measured; None for trackers that measure no phase."""
         return None
 
 

@@ -26,9 +26,7 @@ from midspan.records import (
     NANOSECONDS,
     Acceleration,
     Displacement,
-    Event,
     Floats,
-    PixelTrack,
     Region,
     Source,
     TimeOffset,
@@ -77,25 +75,9 @@ class Eye:
         return regions.index(best_region(self.tracking, self.calibrations[0]))
 
     @property
-    def track(self) -> PixelTrack:
-        """The best target's track."""
-        return self.tracking.targets[self.best].track
-
-    @property
     def strength(self) -> Floats:
         """Good matches of the best target in each frame (n,), of trackers without matches the quality in percent."""
         return self.tracking.targets[self.best].strengths
-
-    @property
-    def events(self) -> list[Event]:
-        """What happened to its targets, on the accelerometer's clock."""
-        late_ns = round(NANOSECONDS * self.calibrations[0].offset.value_s)
-        several = len(self.tracking.targets) > 1
-        return [
-            Event(event.time_ns + late_ns, event.kind, f"{_whose(self, target.name, several)}: {event.text}")
-            for target in self.tracking.targets
-            for event in target.events
-        ]
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,10 +98,6 @@ class Seen:
     def measured(self) -> Displacement:
         """The measurements on the accelerometer's clock."""
         return self.clock.measured
-
-
-def _whose(eye: Eye, target: str, several: bool) -> str:
-    return f"{eye.sensor}, target {target}" if several else eye.sensor
 
 
 def side_of(recording: Recording, calibration: Calibration) -> Side:

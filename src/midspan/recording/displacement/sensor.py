@@ -12,6 +12,7 @@ from midspan.fusion.kalman import KalmanSettings
 from midspan.recording.displacement.learn import learn
 from midspan.recording.fusing.fuse import SensorError
 from midspan.recording.fusing.one_clock import OneClock, one_clock
+from midspan.recording.sensor_series import SensorSeries
 from midspan.recording.stored.calibration import Calibration
 from midspan.recording.stored.displacement import DisplacementCalibration
 from midspan.recording.streams.recording import Recording
@@ -167,6 +168,13 @@ def read_with(series: TimeSeries, learnt: DisplacementCalibration) -> TimeSeries
     """The channel in metres on the accelerometer's clock."""
     offset_ns = round(NANOSECONDS * learnt.offset.value_s)
     return replace(series, time_ns=series.time_ns + offset_ns, value=learnt.scale * series.value)
+
+
+def displacement_series(sensor: str, series: TimeSeries, learnt: DisplacementCalibration) -> SensorSeries:
+    """The whole channel as it was read, `series`, in metres on the accelerometer's clock."""
+    found = read_with(series, learnt)
+    std = np.where(np.isfinite(found.value), learnt.noise_std_m, np.nan)
+    return SensorSeries(sensor, Source.DISPLACEMENT, found.time_ns, found.value, std)
 
 
 def _known(recording: Recording, calibration: Calibration) -> DisplacementCalibration:
