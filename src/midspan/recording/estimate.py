@@ -1,7 +1,7 @@
 """`estimate`: the main job, from a recording to displacement at the accelerometer's rate with its error band."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +10,8 @@ from midspan.checks import option
 from midspan.errors import DataError, UntrustedError, UsageError
 from midspan.fusion.estimator import Estimator
 from midspan.fusion.methods import LITERAL, METHODS, no_literal_form
-from midspan.fusion.second_pass import smooth
+from midspan.fusion.model import EstimatorSettings
+from midspan.fusion.second_pass import Lag, smooth
 from midspan.recording import estimate_whole
 from midspan.recording.calibrate import calibrate_and_track
 from midspan.recording.camera_result import CameraResult, camera_result, camera_series
@@ -90,97 +91,121 @@ class Asked:
         return tuple(sides)
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
+class FirstPass:
+    """What the engine gave, record by record: the axes, the cameras, the estimator and what came out of it.
+
+    cameras: the same as plain data; series: what each sensor measured along each axis, by its name.
+    """
+
+    sides: tuple[Side, ...]
+    eyes: tuple[Eye, ...]
+    estimator: Estimator | Lag
+    outcome: Outcome
+    cameras: tuple[CameraResult, ...]
+    series: tuple[dict[str, SensorSeries], ...]
+
+
+@dataclass(frozen=True, slots=True)
 class Found:
-    """What the engine gave along all axes: rows and innovations of each, what the sensors measured along each, notes."""
+    """Rows and innovations along each axis, what the estimator and the sensors' clocks are worth reporting, warnings."""
 
     rows: tuple[Estimate, ...]
     innovations: tuple[Innovation, ...]
-    events: tuple[Event, ...]
     zero_variance_m2: float
-    cameras: tuple[CameraResult, ...]
-    series: tuple[dict[str, SensorSeries], ...]
-    warnings: list[str] = field(default_factory=list)
+    events: tuple[Event, ...]
+    warnings: tuple[str, ...]
 
 
 def _estimate(asked: Asked, tracking: CameraTracking | None, progress: Progress) -> Result:
+    first = first_pass(asked, tracking, progress)
+    progress(0, 1, "fusing")
+    settings, warnings = first.estimator.settings, []
+    if asked.given:
+        settings, warnings = fitted(asked, first)
+    found = smoothed(asked, first, settings) if asked.method == "smoother" else as_it_came(first)
+    progress(1, 1, "fusing")
+    return result_of(asked, first, replace(found, warnings=(*warnings, *found.warnings)))
+
+
+def first_pass(asked: Asked, tracking: CameraTracking | None, progress: Progress) -> FirstPass:
+    """All records of the recording through its point."""
     sides = asked.sides
     eyes = open_eyes(sides, tracking, progress)
     lag_s = asked.recording.settings.fusion.lag_s if asked.method == "lag" else None
     point = measuring_point(sides, eyes, lag_s=lag_s)
     outcome = run(point, sides, eyes)
-    progress(0, 1, "fusing")
-    if not any(rows.estimates for rows in outcome.rows):
+    if not any(len(rows.estimates[0].time_ns) for rows in outcome.rows if rows.estimates):
         raise DataError(_no_overlap(asked.recording, outcome))
     cameras = tuple(_camera(eye) for eye in eyes)
     series = tuple(_series(asked, cameras, outcome.estimate(axis), axis) for axis in range(len(sides)))
-    warnings: list[str] = []
-    estimator = point.estimator
-    settings = estimator.settings
-    widened = {}
-    if asked.given:
-        for axis, side in enumerate(sides):
-            fits = scales(series[axis], side, settings, axis, max_offset_s=asked.recording.max_offset_s)
-            warnings += fits.warnings
-            by_source = {error.source: error.relative_scale_std for error in fits.errors}
-            widened |= {(name, axis): by_source[one.source] for name, one in series[axis].items()}
-        warnings += estimate_whole._uncalibrated(asked.recording, asked.calibration)
-    ran = {}
-    if asked.method == "smoother":
-        assert isinstance(estimator, Estimator) and estimator.log is not None
-        ran = clocks(series[0], sides[0], _offsets(asked, eyes))
-        for clock in ran.values():
-            warnings += clock.warnings
-        again = with_scales(settings, widened)
-        apart = [name for name, clock in ran.items() if ran_apart(clock)]
-        if apart or again != settings:
-            measured = [
-                on_its_clock(outcome.measured_by(name), settings.channels, ran[name])
-                if name in apart
-                else outcome.measured_by(name)
-                for name in outcome.measured
-            ]
-            first = outcome
-            estimator, outcome = once_more(again, joined(estimator.log.samples), measured)
-            outcome.sensor_events, outcome.measured = first.sensor_events, first.measured
+    return FirstPass(sides, eyes, point.estimator, outcome, cameras, series)
+
+
+def fitted(asked: Asked, first: FirstPass) -> tuple[EstimatorSettings, list[str]]:
+    """The estimator's settings with scales as uncertain as a given calibration's turn out to be here, and warnings."""
+    settings, wider = first.estimator.settings, {}
+    warnings = estimate_whole._uncalibrated(asked.recording, asked.calibration)
+    for axis, (side, series) in enumerate(zip(first.sides, first.series, strict=True)):
+        fits = scales(series, side, settings, axis, max_offset_s=asked.recording.max_offset_s)
+        warnings += fits.warnings
+        found = {error.source: error.relative_scale_std for error in fits.errors}
+        wider |= {(name, axis): found[one.source] for name, one in series.items()}
+    return with_scales(settings, wider), warnings
+
+
+def as_it_came(first: FirstPass) -> Found:
+    """The rows that the engine gave."""
+    return _found(first, first.outcome, tuple(first.outcome.estimate(axis) for axis in range(len(first.sides))))
+
+
+def smoothed(asked: Asked, first: FirstPass, settings: EstimatorSettings) -> Found:
+    """The rows smoothed by the whole record, after what it tells of the sensors' clocks and scales."""
+    estimator, outcome = first.estimator, first.outcome
+    assert isinstance(estimator, Estimator)
+    assert estimator.log is not None
+    ran = clocks(first.series[0], first.sides[0], _offsets(asked, first.eyes))
+    apart = {name: clock for name, clock in ran.items() if ran_apart(clock)}
+    if apart or settings != estimator.settings:
+        blocks = {name: outcome.measured_by(name) for name in outcome.measured}
+        blocks |= {name: on_its_clock(blocks[name], settings.channels, clock) for name, clock in apart.items()}
+        estimator, outcome = once_more(settings, joined(estimator.log.samples), tuple(blocks.values()))
         assert estimator.log is not None
-        rows = smooth(estimator.log, again)
-    else:
-        rows = tuple(outcome.estimate(axis) for axis in range(len(sides)))
-    used = span_of(outcome, rows[0])
-    found = Found(
-        rows=tuple(part(one, used) for one in rows),
-        innovations=tuple(innovation_along(outcome, settings.channels, axis) for axis in range(len(sides))),
-        events=(
-            *outcome.sensor_events,
-            *outcome.fusion_events,
-            *(event for clock in ran.values() for event in clock.events),
-        ),
+    found = _found(first, outcome, smooth(estimator.log, settings))
+    events = tuple(event for clock in ran.values() for event in clock.events)
+    warnings = tuple(line for clock in ran.values() for line in clock.warnings)
+    return replace(found, events=(*found.events, *events), warnings=warnings)
+
+
+def _found(first: FirstPass, outcome: Outcome, rows: tuple[Estimate, ...]) -> Found:
+    """Rows in the streams' common span, with the innovations and events of the run that they rest on."""
+    span = inside(rows[0].time_ns, *measured_span(first.outcome))
+    channels = first.estimator.settings.channels
+    return Found(
+        rows=tuple(part(one, span) for one in rows),
+        innovations=tuple(innovation_along(outcome, channels, axis) for axis in range(len(rows))),
         zero_variance_m2=outcome.zero_variance_m2[0],
-        cameras=cameras,
-        series=series,
-        warnings=warnings,
+        events=outcome.fusion_events,
+        warnings=(),
     )
-    progress(1, 1, "fusing")
-    return result_of(asked, sides, found, (eyes, outcome))
 
 
-def result_of(asked: Asked, sides: Sequence[Side], found: Found, seen: tuple[Sequence[Eye], Outcome]) -> Result:
+def result_of(asked: Asked, first: FirstPass, found: Found) -> Result:
     """The result as plain data."""
-    recording, (eyes, outcome) = asked.recording, seen
+    recording, main = asked.recording, found.rows[0]
     estimate_whole._refuse_rejections(recording, found.innovations[0])
-    main = found.rows[0]
-    alone = unsupported_events(main, found.events)
-    lost = [event for camera in found.cameras for event in lost_events(*_blind(camera, found))]
-    across, more = _across(asked, sides, found)
+    sensors = first.outcome.sensor_events
+    alone = unsupported_events(main, (*sensors, *found.events))
+    lost = [event for camera in first.cameras for event in lost_events(*_blind(camera, first))]
+    across, more = _across(asked, first, found)
     warnings = (
         *estimate_whole._channel_warnings(recording, asked.calibration),
-        *(line for camera in found.cameras for line in lost_warnings(*_blind(camera, found))),
-        *(line for eye in eyes for line in eye.tracking.warnings()),
-        *estimate_whole._told(outcome.fusion_events),
-        *estimate_whole._told(tuple(event for event in outcome.sensor_events if event.kind == "frozen")),
-        *late_start(recording, outcome, main),
-        *lost_end(recording, outcome, main),
+        *(line for camera in first.cameras for line in lost_warnings(*_blind(camera, first))),
+        *(line for eye in first.eyes for line in eye.tracking.warnings()),
+        *estimate_whole._told(found.events),
+        *estimate_whole._told(tuple(event for event in sensors if event.kind == "frozen")),
+        *late_start(recording, first.outcome, main),
+        *lost_end(recording, first.outcome, main),
         *estimate_whole._shares(found.innovations[0], main),
         *found.warnings,
         *estimate_whole._told(alone),
@@ -192,10 +217,10 @@ def result_of(asked: Asked, sides: Sequence[Side], found: Found, seen: tuple[Seq
         settings=recording.settings,
         method=asked.method,
         innovation=found.innovations[0],
-        events=tuple(sorted((*found.events, *lost, *alone), key=lambda event: event.time_ns)),
+        events=tuple(sorted((*sensors, *found.events, *lost, *alone), key=lambda event: event.time_ns)),
         warnings=tuple(dict.fromkeys(warnings)),
-        cameras=found.cameras,
-        measured=tuple(found.series[0].values()),
+        cameras=first.cameras,
+        measured=tuple(first.series[0].values()),
         across=across,
         zero_std_m=float(np.sqrt(found.zero_variance_m2)),
         file=recording.file,
@@ -203,17 +228,17 @@ def result_of(asked: Asked, sides: Sequence[Side], found: Found, seen: tuple[Seq
     )
 
 
-def _blind(camera: CameraResult, found: Found) -> tuple[SensorSeries, Mask]:
+def _blind(camera: CameraResult, first: FirstPass) -> tuple[SensorSeries, Mask]:
     """What tells when a camera's target was lost: its series along the main axis, and which frames were black."""
-    return found.series[0][camera.sensor], camera.targets[camera.best].dark
+    return first.series[0][camera.sensor], camera.targets[camera.best].dark
 
 
-def _across(asked: Asked, sides: Sequence[Side], found: Found) -> tuple[SecondAxis | None, list[str]]:
+def _across(asked: Asked, first: FirstPass, found: Found) -> tuple[SecondAxis | None, list[str]]:
     """The second image axis at the rows of the first, and its warnings; left out where it is not to be trusted."""
-    if len(sides) < 2:
+    if len(first.sides) < 2:
         return None, []
-    view, rows, innovation = sides[1].recording, found.rows[1], found.innovations[1]
-    camera = sides[1].calibration.first_camera
+    view, rows, innovation = first.sides[1].recording, found.rows[1], found.innovations[1]
+    camera = first.sides[1].calibration.first_camera
     assert camera is not None
     try:
         estimate_whole._refuse_rejections(view, innovation)
@@ -226,7 +251,7 @@ def _across(asked: Asked, sides: Sequence[Side], found: Found) -> tuple[SecondAx
         asked.method,
         rows,
         innovation,
-        measured=tuple(found.series[1].values()),
+        measured=tuple(first.series[1].values()),
     )
     return second, estimate_whole._shares(innovation, rows, along)
 
@@ -267,11 +292,6 @@ def measured_span(outcome: Outcome) -> tuple[int, int]:
     blocks: list[Measured] = [block for listed in outcome.measured.values() for block in listed]
     stamps = np.concatenate([block.time_ns[np.isfinite(block.value)] for block in blocks])
     return int(stamps.min()), int(stamps.max())
-
-
-def span_of(outcome: Outcome, rows: Estimate) -> slice:
-    """The rows in the streams' common span."""
-    return inside(rows.time_ns, *measured_span(outcome))
 
 
 def _no_overlap(recording: Recording, outcome: Outcome) -> str:
