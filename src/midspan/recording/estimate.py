@@ -1,7 +1,7 @@
 """`estimate`: the main job, from a recording to displacement at the accelerometer's rate with its error band."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -108,7 +108,7 @@ class FirstPass:
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """Rows and innovations along each axis, what the estimator and the sensors' clocks are worth reporting, warnings."""
+    """Rows and innovations along each axis, events of the estimator and of the sensors' clocks, warnings."""
 
     rows: tuple[Estimate, ...]
     innovations: tuple[Innovation, ...]
@@ -120,7 +120,8 @@ class Found:
 def _estimate(asked: Asked, tracking: CameraTracking | None, progress: Progress) -> Result:
     first = first_pass(asked, tracking, progress)
     progress(0, 1, "fusing")
-    settings, warnings = first.estimator.settings, []
+    settings = first.estimator.settings
+    warnings: list[str] = []
     if asked.given:
         settings, warnings = fitted(asked, first)
     found = smoothed(asked, first, settings) if asked.method == "smoother" else as_it_came(first)
@@ -144,7 +145,8 @@ def first_pass(asked: Asked, tracking: CameraTracking | None, progress: Progress
 
 def fitted(asked: Asked, first: FirstPass) -> tuple[EstimatorSettings, list[str]]:
     """The estimator's settings with scales as uncertain as a given calibration's turn out to be here, and warnings."""
-    settings, wider = first.estimator.settings, {}
+    settings = first.estimator.settings
+    wider: dict[tuple[str, int], float] = {}
     warnings = estimate_whole._uncalibrated(asked.recording, asked.calibration)
     for axis, (side, series) in enumerate(zip(first.sides, first.series, strict=True)):
         fits = scales(series, side, settings, axis, max_offset_s=asked.recording.max_offset_s)
@@ -163,15 +165,15 @@ def smoothed(asked: Asked, first: FirstPass, settings: EstimatorSettings) -> Fou
     """The rows smoothed by the whole record, after what it tells of the sensors' clocks and scales."""
     estimator, outcome = first.estimator, first.outcome
     assert isinstance(estimator, Estimator)
-    assert estimator.log is not None
+    log = estimator.log
+    assert log is not None
     ran = clocks(first.series[0], first.sides[0], _offsets(asked, first.eyes))
     apart = {name: clock for name, clock in ran.items() if ran_apart(clock)}
     if apart or settings != estimator.settings:
         blocks = {name: outcome.measured_by(name) for name in outcome.measured}
         blocks |= {name: on_its_clock(blocks[name], settings.channels, clock) for name, clock in apart.items()}
-        estimator, outcome = once_more(settings, joined(estimator.log.samples), tuple(blocks.values()))
-        assert estimator.log is not None
-    found = _found(first, outcome, smooth(estimator.log, settings))
+        log, outcome = once_more(settings, joined(log.samples), tuple(blocks.values()))
+    found = _found(first, outcome, smooth(log, settings))
     events = tuple(event for clock in ran.values() for event in clock.events)
     warnings = tuple(line for clock in ran.values() for line in clock.warnings)
     return replace(found, events=(*found.events, *events), warnings=warnings)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from midspan.fusion.estimator import BLOCK, Estimator
+from midspan.fusion.estimator import BLOCK, Estimator, Log
 from midspan.fusion.model import EstimatorSettings, ParameterKind
 from midspan.recording.cameras.tracked import Side, clock_std_s
 from midspan.recording.fusing.fuse import FusionInputs, SensorError
@@ -99,7 +99,7 @@ def with_scales(settings: EstimatorSettings, found: Mapping[tuple[str, int], flo
     return replace(settings, parameters=tuple(parameters))
 
 
-def once_more(settings: EstimatorSettings, samples: Samples, measured: Sequence[Measured]) -> tuple[Estimator, Outcome]:
+def once_more(settings: EstimatorSettings, samples: Samples, measured: Sequence[Measured]) -> tuple[Log, Outcome]:
     """The estimator run again over the samples and measurements of a whole record."""
     estimator, outcome = Estimator(settings, log=True), Outcome()
     rows = joined(measured)
@@ -112,4 +112,5 @@ def once_more(settings: EstimatorSettings, samples: Samples, measured: Sequence[
         outcome.take(estimator.push(block))
         done = due
     outcome.take(estimator.finish())
-    return estimator, outcome
+    assert estimator.log is not None
+    return estimator.log, outcome
