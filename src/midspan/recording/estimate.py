@@ -11,19 +11,32 @@ from midspan.errors import DataError, UntrustedError, UsageError
 from midspan.fusion.estimator import Estimator
 from midspan.fusion.methods import LITERAL, METHODS, no_literal_form
 from midspan.fusion.model import EstimatorSettings
+from midspan.fusion.runners import MethodSettings
 from midspan.fusion.second_pass import Lag, smooth
 from midspan.recording import estimate_whole
 from midspan.recording.calibrate import calibrate_and_track
 from midspan.recording.camera_result import CameraResult, camera_result, camera_series
 from midspan.recording.cameras.lost_target import lost_events, lost_warnings
-from midspan.recording.cameras.tracked import Eye, Side, open_eyes, side_of
+from midspan.recording.cameras.tracked import Eye, Side, clock_std_s, open_eyes, side_of
 from midspan.recording.displacement.sensor import displacement_series
 from midspan.recording.estimate_whole import rejected_share
+from midspan.recording.fusing.one_clock import OneClock
+from midspan.recording.one_series import literal_warnings, one_series, run_on_series, with_uncertain
 from midspan.recording.point import measuring_point
 from midspan.recording.result import Result
 from midspan.recording.run import Outcome, run
 from midspan.recording.second_axis import SecondAxis
-from midspan.recording.second_look import Offsets, clocks, on_its_clock, once_more, ran_apart, scales, with_scales
+from midspan.recording.second_look import (
+    Offsets,
+    clocks,
+    on_clock,
+    on_its_clock,
+    once_more,
+    ran_apart,
+    scale_std_of,
+    scales,
+    with_scales,
+)
 from midspan.recording.sensor_series import SensorSeries
 from midspan.recording.stored.calibration import Calibration
 from midspan.recording.stored.calibration_file import load_calibration
@@ -35,8 +48,8 @@ from midspan.recording.unsupported import unsupported_events
 from midspan.records import NANOSECONDS, Channel, Estimate, Event, Innovation, Measured, joined, part
 from midspan.signals.health import Mask
 
-# Methods whose rows the engine gives.
-ENGINE = ("kalman", "lag", "smoother")
+# Methods that take one series of displacements; adaptive-kalman does so as printed.
+ON_SERIES = ("fir", "two-stage-fir")
 
 
 def estimate(
@@ -60,7 +73,7 @@ def estimate(
         calibration = load_calibration(calibration)
     # The method is checked first: tracking may take long.
     method = option("method", method or recording.settings.fusion.method, METHODS)
-    if method not in ENGINE or recording.has("radar"):
+    if recording.has("radar"):
         return estimate_whole.estimate(recording, calibration, method=method, tracking=tracking, progress=progress)
     recording.require_one_of_a_kind()
     if recording.settings.fusion.literal and method not in LITERAL:
@@ -81,6 +94,11 @@ class Asked:
     calibration: Calibration
     method: str
     given: bool
+
+    @property
+    def on_series(self) -> bool:
+        """Whether the method takes one series of displacements."""
+        return self.method in ON_SERIES or self.recording.settings.fusion.literal
 
     @property
     def sides(self) -> tuple[Side, ...]:
@@ -124,7 +142,7 @@ def _estimate(asked: Asked, tracking: CameraTracking | None, progress: Progress)
     warnings: list[str] = []
     if asked.given:
         settings, warnings = fitted(asked, first)
-    found = smoothed(asked, first, settings) if asked.method == "smoother" else as_it_came(first)
+    found = by_method(asked, first, settings)
     progress(1, 1, "fusing")
     return result_of(asked, first, replace(found, warnings=(*warnings, *found.warnings)))
 
@@ -134,7 +152,8 @@ def first_pass(asked: Asked, tracking: CameraTracking | None, progress: Progress
     sides = asked.sides
     eyes = open_eyes(sides, tracking, progress)
     lag_s = asked.recording.settings.fusion.lag_s if asked.method == "lag" else None
-    point = measuring_point(sides, eyes, lag_s=lag_s)
+    memory = 1.0 / (1.0 - asked.recording.settings.fusion.forgetting) if asked.method == "adaptive-kalman" else None
+    point = measuring_point(sides, eyes, lag_s=lag_s, noise_memory=memory)
     outcome = run(point, sides, eyes)
     if not any(len(rows.estimates[0].time_ns) for rows in outcome.rows if rows.estimates):
         raise DataError(_no_overlap(asked.recording, outcome))
@@ -161,8 +180,15 @@ def as_it_came(first: FirstPass) -> Found:
     return _found(first, first.outcome, tuple(first.outcome.estimate(axis) for axis in range(len(first.sides))))
 
 
-def smoothed(asked: Asked, first: FirstPass, settings: EstimatorSettings) -> Found:
-    """The rows smoothed by the whole record, after what it tells of the sensors' clocks and scales."""
+def by_method(asked: Asked, first: FirstPass, settings: EstimatorSettings) -> Found:
+    """The rows of the method that is asked for."""
+    if asked.on_series:
+        return on_series(asked, first, settings)
+    return smoothed(asked, first, settings)[0] if asked.method == "smoother" else as_it_came(first)
+
+
+def smoothed(asked: Asked, first: FirstPass, settings: EstimatorSettings) -> tuple[Found, dict[str, OneClock]]:
+    """The rows smoothed by the whole record, after what it shows of scales and clocks, and how clocks ran."""
     estimator, outcome = first.estimator, first.outcome
     assert isinstance(estimator, Estimator)
     log = estimator.log
@@ -176,7 +202,33 @@ def smoothed(asked: Asked, first: FirstPass, settings: EstimatorSettings) -> Fou
     found = _found(first, outcome, smooth(log, settings))
     events = tuple(event for clock in ran.values() for event in clock.events)
     warnings = tuple(line for clock in ran.values() for line in clock.warnings)
-    return replace(found, events=(*found.events, *events), warnings=warnings)
+    return replace(found, events=(*found.events, *events), warnings=warnings), ran
+
+
+def on_series(asked: Asked, first: FirstPass, settings: EstimatorSettings) -> Found:
+    """The rows of a method that takes one series; along an axis without an accelerometer those of the smoother."""
+    found, ran = smoothed(asked, first, settings)
+    fusion, rows, innovations = asked.recording.settings.fusion, list(found.rows), list(found.innovations)
+    method = MethodSettings(lag_s=fusion.lag_s, literal=fusion.literal, forgetting=fusion.forgetting)
+    warnings = list(found.warnings)
+    events: list[Event] = []
+    for axis, side in enumerate(first.sides):
+        if not side.recording.fused:
+            continue
+        named = {name: on_clock(one, ran[name]) for name, one in first.series[axis].items()}
+        measured = one_series(named, found.rows[axis])
+        done = run_on_series(side, measured, asked.method, method, found.rows[axis])
+        names = tuple(named)
+        scale_std = max(scale_std_of(settings, name, axis) for name in names)
+        clock_std = max(clock_std_s(one.offset) for one in _offsets(asked, first.eyes).values())
+        known = with_uncertain(done.estimate, found.zero_variance_m2, scale_std, clock_std)
+        rows[axis] = part(known, np.isin(known.time_ns, found.rows[axis].time_ns))
+        innovations[axis] = done.innovation
+        events += done.events
+        warnings += literal_warnings(measured, done) if fusion.literal else []
+    return replace(
+        found, rows=tuple(rows), innovations=tuple(innovations), events=tuple(events), warnings=tuple(warnings)
+    )
 
 
 def _found(first: FirstPass, outcome: Outcome, rows: tuple[Estimate, ...]) -> Found:

@@ -153,7 +153,6 @@ def _inputs(
         errors=tuple(errors),
         levels=(*together.levels, *_camera_levels(seen, belief), *(() if radar is None else radar.levels), *jumped),
         sampled=None if begun is side.acceleration else side.acceleration,
-        believed=None if belief is None else belief.at,
         cameras=() if belief is None else tuple(one.measured for one in seen),
     )
     events = tuple(event for clock in clocks_met for event in clock.events)

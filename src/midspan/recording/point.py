@@ -1,7 +1,7 @@
 """From a calibrated recording to its measuring point: channels, what is uncertain of each sensor, and the stages."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -150,8 +150,13 @@ def estimator_settings(table: Table, sides: Sequence[Side], zero_ns: int | None)
     )
 
 
-def measuring_point(sides: Sequence[Side], eyes: Sequence[Eye], *, lag_s: float | None = None) -> Point:
-    """The point of a recording's axes and sensors; lag_s: rows are given out so much later, smoothed."""
+def measuring_point(
+    sides: Sequence[Side], eyes: Sequence[Eye], *, lag_s: float | None = None, noise_memory: float | None = None
+) -> Point:
+    """The point of a recording's axes and sensors.
+
+    lag_s: rows are given out so much later, smoothed; noise_memory: measurements over which their noise is followed.
+    """
     main, table = sides[0], Table()
     sensors: dict[str, Sensor] = {}
     offsets: dict[str, TimeOffset] = {}
@@ -163,6 +168,7 @@ def measuring_point(sides: Sequence[Side], eyes: Sequence[Eye], *, lag_s: float 
         sensors["displacement"] = plain_channel(table, main.recording, known, first=not eyes)
         offsets["displacement"] = known.offset
     settings = estimator_settings(table, sides, zero_instant(eyes))
+    settings = settings if noise_memory is None else replace(settings, noise_memory=noise_memory)
     merge = Merge([ACCELEROMETER, *sensors], lateness_s=np.inf, silent_s=np.inf)
     for name, offset in offsets.items():
         merge.push(ClockOffset(name, round(NANOSECONDS * offset.value_s), FIRST_NS))

@@ -15,7 +15,7 @@ from midspan.recording.fusing.fuse import FusionInputs, SensorError
 from midspan.recording.fusing.one_clock import OneClock, one_clock
 from midspan.recording.fusing.scale_check import Fitting, fitting
 from midspan.recording.run import Outcome
-from midspan.recording.sensor_series import SensorSeries
+from midspan.recording.sensor_series import SensorSeries, series_of
 from midspan.records import Channel, Displacement, Measured, Samples, TimeOffset, joined, part
 
 
@@ -51,6 +51,11 @@ def ran_apart(clock: OneClock) -> bool:
     return bool(clock.jumps) or (clock.running is not None and clock.running.course is not None)
 
 
+def on_clock(series: SensorSeries, clock: OneClock) -> SensorSeries:
+    """A sensor's series with the jumps and the drift of its clock taken out."""
+    return series_of(series.sensor, series.source, clock.also(series.displacement).measured)
+
+
 def on_its_clock(measured: Measured, channels: Sequence[Channel], clock: OneClock) -> Measured:
     """A sensor's measurements with the jumps and the drift of its clock taken out, channel by channel."""
     blocks = []
@@ -67,7 +72,7 @@ def scales(
 ) -> Fitting:
     """How the calibrated scales and clocks fit the recording; UntrustedError where one is wrong beyond doubt."""
     blocks = [one.displacement for one in series.values()]
-    errors = [SensorError(one.source, scale_std(settings, name, axis)) for name, one in series.items()]
+    errors = [SensorError(one.source, scale_std_of(settings, name, axis)) for name, one in series.items()]
     both = joined(blocks)
     inputs = FusionInputs(
         side.acceleration,
@@ -79,7 +84,7 @@ def scales(
     return fitting(inputs, "" if axis == 0 else f" along {side.recording.axis}", max_offset_s=max_offset_s)
 
 
-def scale_std(settings: EstimatorSettings, sensor: str, axis: int) -> float:
+def scale_std_of(settings: EstimatorSettings, sensor: str, axis: int) -> float:
     """The relative standard deviation of a sensor's scale along an axis, as the estimator was given it."""
     for parameter in settings.parameters:
         channel = settings.channels[parameter.channels[0]]

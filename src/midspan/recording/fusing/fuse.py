@@ -15,7 +15,7 @@ from midspan.fusion.path import at, velocity_at
 from midspan.fusion.response import linear, places, standing_still, used_variance
 from midspan.fusion.runners import RUNNERS, MethodSettings, Runner, run_method
 from midspan.fusion.smoother import Smoothed, doubt_levels, smooth
-from midspan.recording.fusing.in_turn import Believed, in_turn
+from midspan.recording.in_turn import in_turn
 from midspan.recording.streams.span import inside, shown
 from midspan.records import (
     NANOSECONDS,
@@ -76,8 +76,7 @@ class FusionInputs:
     zero_ns: the instant that the displacement counts from (the first frame), None for a displacement sensor's own zero;
     level_m: taken off the displacement before fusing, so that a height of 123 m does not start the filter 123 m away;
     errors: what is uncertain of each sensor's calibration; levels: zeros that are uncertain, and errors that come back
-    with the motion and do not average out. believed: which of two cameras is believed when, None without a second one;
-    cameras: what each of two measured, with that by which they contradict each other.
+    with the motion and do not average out. cameras: what each of two measured, all of it.
     """
 
     acceleration: Acceleration
@@ -88,7 +87,6 @@ class FusionInputs:
     errors: tuple[SensorError, ...] = ()
     levels: tuple[LevelError | CourseError, ...] = ()
     sampled: Acceleration | None = None
-    believed: Believed | None = None
     cameras: tuple[Displacement, ...] = ()
 
 
@@ -101,7 +99,7 @@ def fuse(inputs: FusionInputs, method: str, settings: MethodSettings | None = No
     settings = replace(settings or MethodSettings(), kalman=inputs.kalman)
     runner = RUNNERS[method]
     if runner.one_series:
-        inputs = replace(inputs, displacement=in_turn(inputs.displacement, inputs.believed))
+        inputs = replace(inputs, displacement=in_turn(inputs.displacement))
     begun = judged_backwards(inputs.acceleration, inputs.displacement, inputs.kalman)
     told = _outliers_at_start(inputs, begun)
     if told:

@@ -1,47 +1,28 @@
 """One sensor at a time, for methods that were made for one series of displacements: the others fill its gaps."""
 
-from collections.abc import Callable
-
 import numpy as np
-from numpy.typing import NDArray
 
 from midspan.fusion.branches import LONGEST_STEPS
-from midspan.records import NANOSECONDS, Displacement, Nanoseconds, part
+from midspan.records import NANOSECONDS, Displacement, part
 from midspan.signals.health import Mask
 
-# For the stamps (n,) of measurements, the source (n,) that is believed of two that take turns.
-Believed = Callable[[Nanoseconds], NDArray[np.uint8]]
 
-
-def in_turn(measured: Displacement, believed: Believed | None = None) -> Displacement:
+def in_turn(measured: Displacement) -> Displacement:
     """The measurements (k,) of the sensor whose turn it is, in time order; those of one sensor as they are.
 
-    measured: (m,) of all sensors, in time order. The turn is that of the sensor whose measurements tell most in a
-    second, of two cameras that of the one `believed`; where it does not see, that of the next one. Measurements of
-    several sensors at uneven instants are no series that a linear filter can be made for: it would fold the motion.
+    measured: (m,) of all sensors, in time order. The turn is that of the sensor whose measurements say most in a
+    second; where it measures nothing, that of the next one. Measurements of several sensors at uneven instants are no
+    series that a linear filter can be made for: the motion would be aliased.
     """
     sources = [int(code) for code in np.unique(measured.source)]
     if len(sources) < 2:
         return measured
-    ranks = _ranks(measured, sources, believed)
+    order = np.argsort(np.argsort([_noise(measured, source) for source in sources]))
+    ranks = np.repeat(order[:, None], len(measured.time_ns), axis=1)
     sees = np.stack([_sees(measured, source) for source in sources])
     # Where nobody sees, the best one's frames stay: they tell when it did not.
     turn = np.argmin(np.where(sees, ranks, ranks + len(sources)), axis=0)
     return part(measured, measured.source == np.array(sources, dtype=np.uint8)[turn])
-
-
-def _ranks(measured: Displacement, sources: list[int], believed: Believed | None) -> NDArray[np.int64]:
-    """The place (sources, m) of each sensor in the order of preference, at each measurement's stamp."""
-    order = np.argsort(np.argsort([_noise(measured, source) for source in sources]))
-    ranks = np.repeat(order[:, None], len(measured.time_ns), axis=1)
-    if believed is None:
-        return ranks
-    first = believed(measured.time_ns)
-    cameras = [k for k, source in enumerate(sources) if (first == source).any()]
-    best = ranks[cameras].min(axis=0)
-    for k in cameras:
-        ranks[k] = np.where(first == sources[k], best, ranks[cameras].max(axis=0))
-    return ranks
 
 
 def _noise(measured: Displacement, source: int) -> float:

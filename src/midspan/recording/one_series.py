@@ -1,0 +1,101 @@
+"""Methods that take one series of displacements: the papers' filters, and adaptive-kalman as printed.
+
+The series is what the sensors measured along an axis, each in its turn, on the zero that the engine's estimator found.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from midspan.errors import UntrustedError
+from midspan.fusion.kalman import KalmanSettings
+from midspan.fusion.path import at
+from midspan.fusion.runners import RUNNERS, MethodSettings, run_method
+from midspan.fusion.smoother import Smoothed
+from midspan.recording.cameras.tracked import Side
+from midspan.recording.in_turn import in_turn
+from midspan.recording.inputs import from_first_measurement
+from midspan.recording.sensor_series import SensorSeries
+from midspan.recording.streams.span import shown
+from midspan.records import Displacement, Estimate, Floats, joined, part
+
+# A value that lies so many standard deviations from the smoothed path is an outlier to methods without a gate.
+OUTLIER_STD = 6.0
+# The first velocity lies within so many times its rms.
+VELOCITY_WITHIN = 3.0
+# Noise estimated by a method as printed, over the calibrated one, beyond which it is called a run-away.
+RUN_AWAY = 10.0
+
+
+def one_series(series: Mapping[str, SensorSeries], path: Estimate) -> Displacement:
+    """What the sensors measured, each in its turn, in time order and without outliers; path: smoothed displacement.
+
+    The zero of each sensor is moved onto the path's.
+    """
+    blocks = []
+    for one in series.values():
+        block = one.displacement
+        expected, variance = at(path, block.time_ns)
+        seen = np.isfinite(block.value_m) & np.isfinite(block.variance_m2)
+        apart = block.value_m - expected
+        apart = apart - (np.median(apart[seen]) if seen.any() else 0.0)
+        far = seen & (apart**2 > OUTLIER_STD**2 * (block.variance_m2 + variance))
+        blocks.append(replace(block, value_m=np.where(far, np.nan, expected + apart)))
+    both = joined(blocks)
+    return in_turn(part(both, np.argsort(both.time_ns, kind="stable")))
+
+
+def run_on_series(
+    side: Side, measured: Displacement, method: str, settings: MethodSettings, path: Estimate
+) -> Smoothed:
+    """The rows of a method over the acceleration of an axis and one series; UntrustedError where it ran away.
+
+    path: smoothed displacement; its velocities say how fast the motion may begin.
+    """
+    velocity_std = VELOCITY_WITHIN * float(np.sqrt(np.mean(path.velocity_m_s**2)))
+    kalman: KalmanSettings = replace(side.kalman, velocity_std=velocity_std)
+    acceleration = side.acceleration
+    if RUNNERS[method].has_state:
+        acceleration = from_first_measurement(acceleration, measured, side.prepared.rate_hz)
+    found = run_method(method, acceleration, measured, replace(settings, kalman=kalman))
+    rows = found.estimate
+    finite = np.isfinite(rows.displacement_m) & np.isfinite(rows.variance_m2)
+    if finite.all():
+        return found
+    begin = shown(int(rows.time_ns[np.argmin(finite)]))
+    raise UntrustedError(
+        f"{method} ran away: its rows must be finite numbers, and from {begin} on they are not. "
+        "Leave fusion.literal out, or choose another fusion.method."
+    )
+
+
+def with_uncertain(rows: Estimate, zero_variance_m2: float, scale_std: float, clock_std_s: float) -> Estimate:
+    """The rows with what zero, scale and clock of the calibration may be off by in their variance.
+
+    The whole displacement goes with the scale's error, and its velocity with the clock's: what these methods take from
+    the accelerometer does not, so this is the most that it can be.
+    """
+    more: Floats = (scale_std * rows.displacement_m) ** 2 + (clock_std_s * rows.velocity_m_s) ** 2
+    return replace(rows, variance_m2=rows.variance_m2 + zero_variance_m2 + more)
+
+
+def literal_warnings(measured: Displacement, done: Smoothed) -> list[str]:
+    """What to know of the adaptive filter as printed; the FIR methods need no such word."""
+    if done.variance_m2 is None or not len(done.variance_m2):
+        return []
+    found = [
+        "fusion.literal: the filter was run exactly as printed, without bias, gate and limits. Its own covariance does "
+        "not hold its error; the band was widened by what the innovations show."
+    ]
+    declared = float(np.median(measured.variance_m2[np.isfinite(measured.variance_m2)]))
+    grown = float(np.sqrt(np.max(done.variance_m2) / declared))
+    if grown > RUN_AWAY:
+        found.append(
+            f"fusion.literal: the learnt noise grew to {grown:.3g} times the calibrated one: it runs away, most often "
+            "under a bias of the accelerometer. Leave fusion.literal out."
+        )
+    share = float(np.mean(done.variance_m2 < 0.0))
+    if share > 0.0:
+        found.append(f"fusion.literal: equation 20 gave a negative variance in {100 * share:.2g} % of the frames.")
+    return found
