@@ -15,9 +15,6 @@ from midspan.vision.light import LightState, LightWatch
 from midspan.vision.picture_quality import PictureState, PictureWatch
 from midspan.vision.target import lost
 
-# This many equal pictures in a row are a frozen camera (or a codec that skipped them), not a structure at rest.
-FROZEN_FRAMES = 3
-
 
 @dataclass(frozen=True, slots=True)
 class Target:
@@ -43,8 +40,8 @@ class ChainSettings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TargetState:
-    """What a `TargetChain` remembers: its stages' states, the region's pixels in the frame before, how many frames
-    before the last have shown the same, and how many were lost to that.
+    """What a `TargetChain` remembers: its stages' states, the region's pixels in the frame before, and how
+    many frames only repeated them.
     """
 
     tracker: Any
@@ -52,7 +49,6 @@ class TargetState:
     picture: PictureState | None
     light: LightState | None
     seen: NDArray[np.generic] | None = None
-    repeats: int = 0
     frozen_frames: int = 0
 
 
@@ -76,7 +72,7 @@ class TargetChain:
             self.light = LightWatch(reference, target.region) if opening.reference == "first" else None
         self._fair = FairVariance()
         self._seen: NDArray[np.generic] | None = None
-        self._repeats = self.frozen_frames = 0
+        self.frozen_frames = 0
 
     @property
     def state(self) -> TargetState:
@@ -87,7 +83,6 @@ class TargetChain:
             None if self.picture is None else self.picture.state,
             None if self.light is None else self.light.state,
             self._seen,
-            self._repeats,
             self.frozen_frames,
         )
 
@@ -99,13 +94,13 @@ class TargetChain:
             self.picture.restore(state.picture)
         if self.light is not None and state.light is not None:
             self.light.restore(state.light)
-        self._seen, self._repeats, self.frozen_frames = state.seen, state.repeats, state.frozen_frames
+        self._seen, self.frozen_frames = state.seen, state.frozen_frames
 
     def push(self, frame: Frame, prediction: Prediction | None = None, *, dark: bool = False) -> PixelTranslation:
         """The translation in `frame` in pixels of the ideal camera, dated by the row that the target lies in.
 
         prediction: the same, of this frame. dark: that nothing is to be looked for. The target is LOST in the dark and
-        from the third equal picture on.
+        where the picture is the one before once more.
         """
         lens = self._settings.opening.lens
         found = lost(frame.time_ns)
@@ -130,16 +125,17 @@ class TargetChain:
         return math.hypot(exposure_s or 0.0, rows)
 
     def _frozen(self, frame: Frame) -> bool:
-        """Whether this is at least the third frame in a row with the same picture of the region."""
+        """Whether the region's picture is bit for bit the one before: a frozen camera, or a codec that skipped it.
+
+        Even the second equal picture tells nothing of its own time, by which the target has moved on.
+        """
         region = self.region
         now = frame.pixels[region.y : region.y + region.height, region.x : region.x + region.width]
-        same = self._seen is not None and bool(np.array_equal(now, self._seen))
-        self._repeats = self._repeats + 1 if same else 0
-        if not same:
-            self._seen = now.copy()
-        frozen = self._repeats + 1 >= FROZEN_FRAMES
-        self.frozen_frames += frozen
-        return frozen
+        if self._seen is not None and np.array_equal(now, self._seen):
+            self.frozen_frames += 1
+            return True
+        self._seen = now.copy()
+        return False
 
     def _late_ns(self, frame: Frame, found: PixelTranslation) -> int:
         """How long after a frame's stamp the row of the target's middle was read out, ns."""

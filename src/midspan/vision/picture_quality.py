@@ -163,14 +163,11 @@ class PictureWatch:
 
     def _frozen(self, pixels: NDArray[np.generic]) -> float:
         """Share of the texture in blocks that are bit for bit those of the frame before, where the target was then."""
-        if self._before is None:
+        if self._before is None or self._lossless:
             return 0.0
         then, cut = self._before
         frozen, whole = frozen_texture(_cut(pixels, then), cut, then.x, then.y)
-        # Without a codec single blocks stand still by chance; a whole picture is the one before once more.
-        if whole == 0.0 or (self._lossless and frozen < whole):
-            return 0.0
-        return frozen / whole
+        return frozen / whole if whole > 0.0 else 0.0
 
     def _sharpness(self, now: tuple[float, float, float]) -> tuple[float, float]:
         """Detail along x and y of a frame over the reference's, square and without noise; `now`: see `detail`."""
