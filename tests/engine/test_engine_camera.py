@@ -176,11 +176,11 @@ def test_of_raw_frames_only_the_reference_is_widened_to_its_noise():
 @pytest.mark.parametrize("crf", [18, 23, 28])
 def test_after_h264_every_frame_from_the_first_one_on_says_the_true_error_to_a_factor_of_two_and_a_half(crf):
     (track,) = tracked(compressed(film(seed=13), crf), targets=TARGETS[:1])[1]
-    true = np.sqrt(np.mean((track.y_px - PATH)[1:] ** 2))
+    true = np.sqrt(np.nanmean((track.y_px - PATH)[1:] ** 2))
     std = np.sqrt(track.variance_y_px2)
-    assert 0.4 < np.median(std) / true < 2.5
+    assert 0.4 < np.nanmedian(std) / true < 2.5
     # The first frames know what a codec does from having been gone through before.
-    assert std[:8].min() > 0.4 * np.median(std)
+    assert np.nanmin(std[:8]) > 0.4 * np.nanmedian(std)
 
 
 def test_a_frame_that_repeats_the_one_before_is_lost():
