@@ -423,7 +423,7 @@ def predict_value(time_s, c, motion, clock, hyps, tables):  # type: ignore[no-un
     walks, channels, kinds, _ = tables
     axes, n, columns = len(motion), xs.shape[1], xs.shape[2]
     x, p, ph, e = np.empty((n, columns)), np.empty((n, n)), np.empty(n), np.empty(columns)
-    still, ahead = np.zeros((axes, 3)), np.zeros(axes)
+    still = np.zeros((axes, 3))
     dt = max(time_s - clock[TIME], 0.0)
     a = int(channels[c, AXIS])
     whole = mean = square = 0.0
@@ -436,12 +436,12 @@ def predict_value(time_s, c, motion, clock, hyps, tables):  # type: ignore[no-un
                 held = motion[i, INPUT] if q == 0 else 0.0
                 x[3 * i, q] += dt * x[3 * i + 1, q] + 0.5 * dt * dt * (held - x[3 * i + 2, q])
                 x[3 * i + 1, q] += dt * (held - x[3 * i + 2, q])
-        predict_covariance(p, axes, dt, ahead, walks)
-        innovate(x, still, channels[c], kinds[c], motion[a, INPUT], 0.0, e)
+        predict_covariance(p, axes, dt, walks)
+        innovate(x, still, channels, kinds, c, motion[a, INPUT], 0.0, e)
         value = -e[0]
         for q in range(columns - 1):
             value -= e[1 + q] * thetas[b, q]
-        variance = project(p, channels[c], ph) + quadratic(e[1:], spreads[b])
+        variance = project(p, channels, c, ph) + quadratic(e[1:], spreads[b])
         if b == 0:
             first = value
         weight = np.exp(memory[b, WEIGHT])

@@ -52,6 +52,7 @@ from midspan.fusion.hypotheses import (
     become,
     look,
     meet_zero,
+    one_of,
     split,
 )
 from midspan.records import Status
@@ -76,65 +77,55 @@ LEAST_SHARE = 1e-12
 
 
 @njit(cache=True)
-def status_of(axis, time, marks, channels, found):  # type: ignore[no-untyped-def]
+def leave_status(axis, time, marks, channels, found, k):  # type: ignore[no-untyped-def]
     """Write source and status of an axis's row: of the channels that are not too old, the most informative one."""
-    found[FOUND_SOURCE], found[FOUND_STATUS] = 0.0, LOST_STATUS
-    best = np.inf
+    source, status, best = 0.0, LOST_STATUS, np.inf
     for c in range(len(channels)):
         if int(channels[c, AXIS]) != axis:
             continue
         age = time - marks[c, ACCEPTED_AT]
         if age <= channels[c, COASTING_S]:
-            found[FOUND_STATUS] = TRACKING
+            status = TRACKING
             if marks[c, ACCEPTED_VARIANCE] < best:
-                best, found[FOUND_SOURCE] = marks[c, ACCEPTED_VARIANCE], channels[c, SOURCE]
+                best, source = marks[c, ACCEPTED_VARIANCE], channels[c, SOURCE]
         elif age <= channels[c, LOST_S]:
-            found[FOUND_STATUS] = min(found[FOUND_STATUS], COASTING)
+            status = min(status, COASTING)
+    found[k, axis, FOUND_SOURCE], found[k, axis, FOUND_STATUS] = source, status
 
 
 @njit(cache=True)
-def row_of(b, a, hyps, datum, sensitivity):  # type: ignore[no-untyped-def]
-    """Displacement of axis `a` relative to its datum, and variance, in hypothesis `b`."""
-    xs, ps, _, _, thetas, spreads = hyps
-    x, p, i = xs[b], ps[b], 3 * a
-    value, variance = x[i, 0], p[i, i]
-    for q in range(len(sensitivity)):
-        sensitivity[q] = x[i, 1 + q]
+def row_of(x, p, theta, spread, a, datum):  # type: ignore[no-untyped-def]
+    """Displacement of axis `a` relative to its datum, its variance, and the velocity state, in one hypothesis."""
+    i, d = 3 * a, datum + a
+    value, variance, velocity = x[i, 0], p[i, i], x[i + 1, 0]
     if datum >= 0:
-        d = datum + a
         value -= x[d, 0]
         variance += p[d, d] - 2.0 * p[i, d]
-        for q in range(len(sensitivity)):
-            sensitivity[q] -= x[d, 1 + q]
-    for q in range(len(sensitivity)):
-        value += sensitivity[q] * thetas[b, q]
-    return value, max(variance, 0.0) + quadratic(sensitivity, spreads[b])
+    variance = max(variance, 0.0)
+    for q in range(len(theta)):
+        one = x[i, 1 + q] - (x[d, 1 + q] if datum >= 0 else 0.0)
+        value += one * theta[q]
+        velocity += x[i + 1, 1 + q] * theta[q]
+        for r in range(len(theta)):
+            variance += one * spread[q, r] * (x[i, 1 + r] - (x[d, 1 + r] if datum >= 0 else 0.0))
+    return value, variance, velocity
 
 
 @njit(cache=True)
-def leave_rows(hyps, count, motion, time, datum, channels, found, sensitivity):  # type: ignore[no-untyped-def]
-    """Write the rows of a sample (axes, 5): mean and variance over all hypotheses, by their weights."""
-    xs, _, marks, memory, thetas, _ = hyps
-    for a in range(len(motion)):
-        out = found[a]
-        whole = mean = square = velocity = 0.0
-        for b in range(count):
-            weight = np.exp(memory[b, WEIGHT]) if count > 1 else 1.0
-            value, variance = row_of(b, a, hyps, datum, sensitivity)
-            if b == 0:
-                out[FOUND_X] = value
-            off = value - out[FOUND_X]
-            speed = xs[b, 3 * a + 1, 0]
-            for q in range(len(sensitivity)):
-                speed += xs[b, 3 * a + 1, 1 + q] * thetas[b, q]
-            whole += weight
-            mean += weight * off
-            square += weight * (variance + off * off)
-            velocity += weight * speed
-        out[FOUND_X] += mean / whole
-        out[FOUND_VARIANCE] = square / whole - (mean / whole) ** 2
-        out[FOUND_VELOCITY] = velocity / whole - motion[a, LEAD] * motion[a, SLOPE]
-        status_of(a, time, marks[0], channels, out)
+def mixed_row(hyps, count, a, datum):  # type: ignore[no-untyped-def]
+    """The same over all hypotheses: mean and variance, by their weights."""
+    whole = mean = square = velocity = first = 0.0
+    for b in range(count):
+        weight = np.exp(hyps[3][b, WEIGHT])
+        x, p, _, _, theta, spread = one_of(hyps, b)
+        value, variance, speed = row_of(x, p, theta, spread, a, datum)
+        first = value if b == 0 else first
+        off = value - first
+        whole += weight
+        mean += weight * off
+        square += weight * (variance + off * off)
+        velocity += weight * speed
+    return first + mean / whole, square / whole - (mean / whole) ** 2, velocity / whole
 
 
 @njit(cache=True)
@@ -155,7 +146,7 @@ def leave_node(x, p, motion, datum, node):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def order_frame(rows, j, hyps, motion, now, tables, scratch):  # type: ignore[no-untyped-def]
+def order_frame(rows, j, best, motion, now, tables, scratch):  # type: ignore[no-untyped-def]
     """Put the measurements of the same instant as `rows[j]` in the order of how well they agree with the best
     hypothesis, so that what is found does not depend on the order of targets. Returns where they end.
     """
@@ -167,28 +158,29 @@ def order_frame(rows, j, hyps, motion, now, tables, scratch):  # type: ignore[no
     off = np.empty(end - j)
     for i in range(j, end):
         scene = (motion, now[int(tables[1][int(rows[i, CHANNEL]), AXIS])])
-        error, _, wider, own = look(0, hyps, rows[i], scene, tables, scratch)
+        error, _, wider, own = look(best, rows[i], scene, tables, scratch)
         off[i - j] = error * error / (wider + own)
     rows[j:end] = rows[j:end][np.argsort(off)]
     return end
 
 
 @njit(cache=True)
-def judge(hyps, clock, row, scene, tables, options, scratch, chances):  # type: ignore[no-untyped-def]
+def judge(hyps, best, clock, row, scene, tables, options, scratch, chances):  # type: ignore[no-untyped-def]
     """Let all hypotheses meet a measurement; the number of them in `clock` follows."""
-    _, _, marks, memory, _, _ = hyps
+    _, _, marks, memory, _, _ = best
     count, c = int(clock[COUNT]), int(row[CHANNEL])
     for b in range(count):
-        meet_zero((hyps[0][b], hyps[1][b], marks[b, c], hyps[4][b]), row, tables[1][c])
-    if count == 1 and clock[JUDGED] <= 0.0 and memory[0, DENSITY] == 0.0 and marks[0, c, DISTURBED] == 0.0:
-        seen = look(0, hyps, row, scene, tables, scratch)
+        meet_zero(one_of(hyps, b), row, tables[1][c])
+    if count == 1 and clock[JUDGED] <= 0.0 and memory[DENSITY] == 0.0 and marks[c, DISTURBED] == 0.0:
+        seen = look(best, row, scene, tables, scratch)
         if seen[0] * seen[0] <= GATE * GATE * (seen[2] + seen[3]):
-            accept(0, hyps, row, seen, tables, options, scratch)
-            marks[0, c, MET_AT] = row[AT]
-            memory[0, PARENT], memory[0, CODE] = 0.0, GOOD
+            accept(best, row, seen, tables, options, scratch)
+            marks[c, MET_AT] = row[AT]
+            memory[PARENT], memory[CODE] = 0.0, GOOD
             return
+    doubted = clock[JUDGED] > 0.0
     clock[JUDGED] -= 1.0
-    clock[COUNT] = split(hyps, count, row, scene, tables, options, scratch, chances)
+    clock[COUNT] = split(hyps, count, row, scene, tables, options, scratch, doubted, chances)
 
 
 @njit(cache=True)
@@ -202,27 +194,31 @@ def keep_survivors(hyps, count, survivors, errors, met):  # type: ignore[no-unty
 
 
 @njit(cache=True)
-def take_decided(code, hyps, row, scene, tables, options, scratch, out):  # type: ignore[no-untyped-def]
+def take_decided(code, best, row, scene, tables, options, scratch, out):  # type: ignore[no-untyped-def]
     """Take a measurement as was decided, and leave its record for the pass back."""
     gain, e = scratch
     c = int(row[CHANNEL])
     out[OF_CHANNEL] = c
-    out[REFERENCE_SCALED] = meet_zero((hyps[0][0], hyps[1][0], hyps[2][0, c], hyps[4][0]), row, tables[1][c])
-    out[TAKEN], out[SHIFT_SCALED] = become(code, 0, hyps, row, scene, tables, options, scratch)
+    out[REFERENCE_SCALED] = meet_zero(best, row, tables[1][c])
+    out[TAKEN], out[SHIFT_SCALED] = become(code, best, row, scene, tables, options, scratch)
     out[RECORD : RECORD + len(e)] = e
     out[RECORD + len(e) : RECORD + len(e) + len(gain)] = gain
 
 
 @njit(cache=True)
-def go(until, reached, begun, dt, sample, state, hyps, walks):  # type: ignore[no-untyped-def]
-    """Move all hypotheses from the instant reached to another one of the interval that began at `begun`."""
-    motion, clock = state
-    xs, ps, _, memory, _, _ = hyps
-    way = ((reached - begun) / dt, (until - begun) / dt, dt)
-    for b in range(int(clock[COUNT])):
-        predict(xs[b], ps[b], motion, sample, way, walks)
-        if memory[b, DENSITY] > 0.0:
-            add_noise(ps[b], 3 * int(memory[b, ALONG]), until - reached, memory[b, DENSITY])
+def move(x, p, memory, motion, samples, k, way, walks):  # type: ignore[no-untyped-def]
+    """Move one hypothesis within the interval that ends at sample `k`; way: as of `predict`."""
+    predict(x, p, motion, samples, k, way, walks)
+    if memory[DENSITY] > 0.0:
+        add_noise(p, 3 * int(memory[ALONG]), (way[1] - way[0]) * way[2], memory[DENSITY])
+
+
+@njit(cache=True)
+def move_others(hyps, count, motion, samples, k, way, walks):  # type: ignore[no-untyped-def]
+    """Move all hypotheses but the best."""
+    for b in range(1, count):
+        x, p, _, memory, _, _ = one_of(hyps, b)
+        move(x, p, memory, motion, samples, k, way, walks)
 
 
 @njit(cache=True)
@@ -233,32 +229,34 @@ def set_datum(hyps, axes, clock, j, out):  # type: ignore[no-untyped-def]
         copy_datum(hyps[0][b], hyps[1][b], axes)
         survivors[j, b] = b * PARENT_STEP + DATUM
     met[j, MET_CODE] = DATUM
-    if len(record) > 0:
-        record[j, OF_CHANNEL] = SET_DATUM
+    record[j, OF_CHANNEL] = SET_DATUM
 
 
 @njit(cache=True)
-def meet_row(j, ordered, place, rows, decided, state, hyps, tables, options, scratch, out):  # type: ignore[no-untyped-def]
-    """Take the measurement `rows[j]`, judged or as decided; returns up to where rows are in their order.
+def meet_row(j, ordered, place, block, state, hyps, best, tables, options, scratch, out):  # type: ignore[no-untyped-def]
+    """Take the measurement `j` of a block, judged or as decided; returns up to where rows are in their order.
 
-    place = (number of the sample, fraction of its interval, accelerations (axes,) at the instant).
+    place = (number of the sample that ends the interval, fraction of it); block = (samples, rows, decided).
     """
     motion, clock = state
+    samples, rows, decided = block
     _, met, survivors, errors, _, record = out
-    k, theta, now, chances = place
-    if len(record) > 0:
-        record[j, INTERVAL], record[j, THETA] = k, theta
+    k, theta = place
+    record[j, INTERVAL], record[j, THETA] = k, theta
     if rows[j, CHANNEL] == SET_DATUM:
         set_datum(hyps, len(motion), clock, j, out)
         return ordered
+    now, own = scratch[2], (scratch[0], scratch[1])
+    for a in range(len(motion)):
+        now[a] = motion[a, INPUT] + theta * (samples[k, 1 + a] - motion[a, INPUT])
     if decided[j] == OPEN and j >= ordered:
-        ordered = order_frame(rows, j, hyps, motion, now, tables, scratch)
+        ordered = order_frame(rows, j, best, motion, now, tables, own)
     scene = (motion, now[int(tables[1][int(rows[j, CHANNEL]), AXIS])])
     if decided[j] == OPEN:
-        judge(hyps, clock, rows[j], scene, tables, options, scratch, chances)
+        judge(hyps, best, clock, rows[j], scene, tables, options, own, scratch[3])
         keep_survivors(hyps, int(clock[COUNT]), survivors[j], errors[j], met[j])
     else:
-        take_decided(decided[j], hyps, rows[j], scene, tables, options, scratch, record[j])
+        take_decided(decided[j], best, rows[j], scene, tables, options, own, record[j])
     return ordered
 
 
@@ -270,36 +268,46 @@ def run_block(samples, rows, decided, state, hyps, tables, options, out):  # typ
     (m, 5): usable measurements, all within the samples, in time order; those of one instant are put in the order they
     are taken in. decided (m,): OPEN, or the code that was decided. hyps: see `estimator.Hypotheses`. tables = (walks
     (n,), channels (c, 9), kinds (c, k), first state of the datums or -1). out = (found (s, axes, 5), met (m, 3),
-    survivors (m, MOST), errors (m, MOST, 2), nodes (s or 0, axes, 2 (1 + k) + 2 n), record (m or 0, 7 + 1 + k + n)).
+    survivors (m, MOST), errors (m, MOST, 2), nodes (s or 0, axes, 2 (1 + k) + 2 n), record (m, 7 + 1 + k + n)).
     """
     motion, clock = state
-    walks, channels, datum = tables[0], tables[1], tables[3]
-    n, columns = hyps[0].shape[1:]
-    scratch = (np.zeros(n), np.zeros(columns))
-    sensitivity, chances, now = np.zeros(columns - 1), np.zeros((MOST, KINDS)), np.zeros(len(motion))
+    walks, channels, datum, found, nodes = tables[0], tables[1], tables[3], out[0], out[4]
+    best = one_of(hyps, 0)
+    x, p, marks, memory, theta, spread = best
+    scratch = (np.zeros(len(x)), np.zeros(x.shape[1]), np.zeros(len(motion)), np.zeros((MOST, KINDS)))
     j = ordered = 0
     for k in range(len(samples)):
         begun, end = clock[TIME], samples[k, 0]
-        dt = begin_interval(hyps[0], int(clock[COUNT]), clock, motion, samples[k])
+        dt = begin_interval(hyps[0], clock, motion, samples, k)
         reached = begun
-        while j < len(rows) and rows[j, AT] <= end:
-            if rows[j, AT] > reached:
-                go(rows[j, AT], reached, begun, dt, samples[k], state, hyps, walks)
-                reached = rows[j, AT]
-            theta = (reached - begun) / dt
-            for a in range(len(motion)):
-                now[a] = motion[a, INPUT] + theta * (samples[k, 1 + a] - motion[a, INPUT])
-            place = (k, theta, now, chances)
-            ordered = meet_row(j, ordered, place, rows, decided, state, hyps, tables, options, scratch, out)
+        while True:
+            due = j < len(rows) and rows[j, AT] <= end
+            until = rows[j, AT] if due else end
+            if until > reached:
+                way = ((reached - begun) / dt, (until - begun) / dt, dt)
+                move(x, p, memory, motion, samples, k, way, walks)
+                if clock[COUNT] > 1.0:
+                    move_others(hyps, int(clock[COUNT]), motion, samples, k, way, walks)
+                reached = until
+            if not due:
+                break
+            place = (k, (until - begun) / dt)
+            ordered = meet_row(
+                j, ordered, place, (samples, rows, decided), state, hyps, best, tables, options, scratch, out
+            )
             j += 1
-        if end > reached:
-            go(end, reached, begun, dt, samples[k], state, hyps, walks)
         clock[TIME] = end
         for a in range(len(motion)):
             motion[a, INPUT] = samples[k, 1 + a]
-        leave_rows(hyps, int(clock[COUNT]), motion, end, datum, channels, out[0][k], sensitivity)
-        if len(out[4]) > 0:
-            leave_node(hyps[0][0], hyps[1][0], motion, datum, out[4][k])
+            if clock[COUNT] > 1.0:
+                value, variance, velocity = mixed_row(hyps, int(clock[COUNT]), a, datum)
+            else:
+                value, variance, velocity = row_of(x, p, theta, spread, a, datum)
+            found[k, a, FOUND_X], found[k, a, FOUND_VARIANCE] = value, variance
+            found[k, a, FOUND_VELOCITY] = velocity - motion[a, LEAD] * motion[a, SLOPE]
+            leave_status(a, end, marks, channels, found, k)
+        if len(nodes) > 0:
+            leave_node(x, p, motion, datum, nodes[k])
 
 
 @njit(cache=True)

@@ -45,21 +45,20 @@ NOTHING, SCALE, CLOCK = range(3)
 
 
 @njit(cache=True)
-def predict_covariance(p, axes, dt, densities, walks):  # type: ignore[no-untyped-def]
-    """Phi P Phi' + Q over `dt` seconds; densities (axes,) of the acceleration's noise, walks (n,) of all states."""
-    n = len(p)
+def predict_covariance(p, axes, dt, walks):  # type: ignore[no-untyped-def]
+    """Phi P Phi' over `dt` seconds, and the walks (n,) of all states; the acceleration's noise is `add_noise`."""
+    n, moving = len(p), 3 * axes
     half = 0.5 * dt * dt
-    for a in range(axes):
-        i = 3 * a
+    for i in range(0, moving, 3):
         for j in range(n):
             p[i, j] += dt * p[i + 1, j] - half * p[i + 2, j]
             p[i + 1, j] -= dt * p[i + 2, j]
-    for a in range(axes):
-        i = 3 * a
-        for j in range(n):
+    for i in range(0, moving, 3):
+        for j in range(moving):
             p[j, i] += dt * p[j, i + 1] - half * p[j, i + 2]
             p[j, i + 1] -= dt * p[j, i + 2]
-        add_noise(p, i, dt, densities[a])
+        for j in range(moving, n):
+            p[j, i], p[j, i + 1] = p[i, j], p[i + 1, j]
     for j in range(n):
         p[j, j] += walks[j] * dt
 
@@ -86,34 +85,36 @@ def predict_mean(x, i, dt, before, after):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def predict(x, p, motion, sample, way, walks):  # type: ignore[no-untyped-def]
-    """Move mean and covariance from one fraction of the interval that ends at `sample` to another.
+def predict(x, p, motion, samples, k, way, walks):  # type: ignore[no-untyped-def]
+    """Move mean and covariance from one fraction of the interval that ends at sample `k` to another.
 
-    way = (fraction reached, fraction wanted, length of the interval in s); sample (1 + 2 axes): time, accelerations,
-    noise densities; walks (n,).
+    way = (fraction reached, fraction wanted, length of the interval in s); samples (s, 1 + 2 axes): time,
+    accelerations, noise densities; walks (n,).
     """
     was, theta, dt = way
     axes, step = len(motion), (theta - was) * dt
     for a in range(axes):
-        a0, a1, lead = motion[a, INPUT], sample[1 + a], motion[a, LEAD]
+        a0, a1, lead = motion[a, INPUT], samples[k, 1 + a], motion[a, LEAD]
         before, after = input_response(was, dt, a0, a1, lead), input_response(theta, dt, a0, a1, lead)
         predict_mean(x, 3 * a, step, before, after)
-    predict_covariance(p, axes, step, sample[1 + axes :], walks)
+    predict_covariance(p, axes, step, walks)
+    for a in range(axes):
+        add_noise(p, 3 * a, step, samples[k, 1 + axes + a])
 
 
 @njit(cache=True)
-def begin_interval(xs, count, clock, motion, sample):  # type: ignore[no-untyped-def]
-    """Bring the velocity states of all axes to the interval that ends at `sample`; see `state_space`.
+def begin_interval(xs, clock, motion, samples, k):  # type: ignore[no-untyped-def]
+    """Bring the velocity states of all axes to the interval that ends at sample `k`; see `state_space`.
 
-    xs (hypotheses, n, 1 + k), of which the first `count` are in use. Returns the interval's length in s.
+    xs (hypotheses, n, 1 + k), of which as many are in use as the clock says. Returns the interval's length in s.
     """
-    dt = sample[0] - clock[TIME]
+    dt = samples[k, 0] - clock[TIME]
     lead = dt * dt / 12.0 if dt <= GAP_STEPS * clock[STEP] else 0.0
     for a in range(len(motion)):
-        slope = (sample[1 + a] - motion[a, INPUT]) / dt
+        slope = (samples[k, 1 + a] - motion[a, INPUT]) / dt
         if lead != motion[a, LEAD]:
             moved = (lead - motion[a, LEAD]) * 0.5 * (motion[a, SLOPE] + slope)
-            for b in range(count):
+            for b in range(int(clock[COUNT])):
                 xs[b, 3 * a + 1, 0] += moved
         motion[a, LEAD], motion[a, SLOPE] = lead, slope
     clock[STEP] = min(dt, GAP_STEPS * clock[STEP])
@@ -121,27 +122,27 @@ def begin_interval(xs, count, clock, motion, sample):  # type: ignore[no-untyped
 
 
 @njit(cache=True)
-def innovate(x, motion, channel, kinds, acceleration, value, e):  # type: ignore[no-untyped-def]
-    """Innovation of a `value` of a channel and its sensitivities, to `e` (1 + k).
+def innovate(x, motion, channels, kinds, c, acceleration, value, e):  # type: ignore[no-untyped-def]
+    """Innovation of a `value` of channel `c` and its sensitivities, to `e` (1 + k).
 
-    channel: its row of the table; kinds (k,): what each parameter is to it; acceleration at the instant.
+    channels, kinds: the tables; acceleration at the instant.
     """
-    a, z, g = int(channel[AXIS]), int(channel[ZERO]), channel[UNITS_PER_M]
+    a, z, g, blur = int(channels[c, AXIS]), int(channels[c, ZERO]), channels[c, UNITS_PER_M], channels[c, BLUR]
     i = 3 * a
-    for c in range(len(e)):
-        e[c] = -g * (x[i, c] - channel[BLUR] * x[i + 2, c] + x[z, c] + x[z + 1, c] + x[z + 2, c])
-    e[0] += value - g * channel[BLUR] * acceleration
-    for q in range(len(kinds)):
-        if kinds[q] == SCALE:
+    for q in range(len(e)):
+        e[q] = -g * (x[i, q] - blur * x[i + 2, q] + x[z, q] + x[z + 1, q] + x[z + 2, q])
+    e[0] += value - g * blur * acceleration
+    for q in range(len(e) - 1):
+        if kinds[c, q] == SCALE:
             e[1 + q] += g * x[i, 0]
-        elif kinds[q] == CLOCK:
+        elif kinds[c, q] == CLOCK:
             e[1 + q] -= g * (x[i + 1, 0] - motion[a, LEAD] * motion[a, SLOPE])
 
 
 @njit(cache=True)
-def project(p, channel, ph):  # type: ignore[no-untyped-def]
-    """h' P h of a channel; P h goes to `ph` (n,)."""
-    i, z, g, blur = 3 * int(channel[AXIS]), int(channel[ZERO]), channel[UNITS_PER_M], channel[BLUR]
+def project(p, channels, c, ph):  # type: ignore[no-untyped-def]
+    """h' P h of channel `c`; P h goes to `ph` (n,)."""
+    i, z, g, blur = 3 * int(channels[c, AXIS]), int(channels[c, ZERO]), channels[c, UNITS_PER_M], channels[c, BLUR]
     for j in range(len(p)):
         ph[j] = g * (p[j, i] - blur * p[j, i + 2] + p[j, z] + p[j, z + 1] + p[j, z + 2])
     return g * (ph[i] - blur * ph[i + 2] + ph[z] + ph[z + 1] + ph[z + 2])

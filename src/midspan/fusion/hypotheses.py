@@ -38,7 +38,6 @@ from midspan.fusion.forward import (
     innovate,
     move_reference,
     project,
-    quadratic,
     scale_state,
     update,
 )
@@ -60,9 +59,10 @@ GATE = 4.0
 # Columns of what each hypothesis remembers besides its filter: logarithm of its weight; density of the error of the
 # acceleration that goes on (0: none) and along which axis; of the last measurement the hypothesis before it, what it
 # was taken for, its innovation (with the parameters as estimated) and its predicted variance; then what happened to
-# several targets of a sensor in the same frame: time and sensor of the last shift, and of the last outlier.
-WEIGHT, DENSITY, ALONG, PARENT, CODE, ERROR, TOTAL, SHIFT_AT, SHIFT_OF, OUTLIER_AT, OUTLIER_OF = range(11)
-MEMORY_COLUMNS = 11
+# several targets of a sensor in the same frame: time and sensor of the last shift, and of the last outlier; how many
+# measurements were good since anything else was.
+WEIGHT, DENSITY, ALONG, PARENT, CODE, ERROR, TOTAL, SHIFT_AT, SHIFT_OF, OUTLIER_AT, OUTLIER_OF, AGE = range(12)
+MEMORY_COLUMNS = 12
 # And for each channel: factor on its variance, and how many measurements it rests on; whether the last one was an
 # outlier, and its value; whether its zero has shifted; whether it was met; variance of its reference (m²); when it was
 # last met, when last accepted, and with which variance (m²).
@@ -80,6 +80,9 @@ UNKNOWN_ZERO = 1e6
 ANEW = 12.0
 # What goes on as an error of the acceleration is so often one of the bias, which a state led away holds too.
 BIAS_TOO = 0.05
+# After so many good measurements half the odds are enough to drop a hypothesis, after twice as many a third: what they
+# have not told apart they will not.
+SETTLES = 20.0
 # Iterations of the variance's fixed point: the third changes it by less than a thousandth.
 ITERATIONS = 3
 # Shortest time (s) that a rate is taken over.
@@ -99,12 +102,18 @@ def log_any_size(e, total):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
+def one_of(hyps, b):  # type: ignore[no-untyped-def]
+    """Hypothesis `b`: its states X (n, 1 + k), P (n, n), marks (c, ...), memory, parameters (k,), their covariance."""
+    return hyps[0][b], hyps[1][b], hyps[2][b], hyps[3][b], hyps[4][b], hyps[5][b]
+
+
+@njit(cache=True)
 def meet_zero(hyp, row, channel):  # type: ignore[no-untyped-def]
     """Before a channel's measurement: its zero begins with the first, and follows the reference; returns the factor
-    by which the reference's state was scaled. hyp: one hypothesis's (x, p, marks of the channel, theta).
+    by which the reference's state was scaled.
     """
-    x, p, mark, _ = hyp
-    z = int(channel[ZERO])
+    x, p, marks, _, _, _ = hyp
+    mark, z = marks[int(row[CHANNEL])], int(channel[ZERO])
     if mark[BEGUN] == 0.0:
         mark[BEGUN] = 1.0
         p[z, z] = channel[ZERO_VARIANCE]
@@ -119,85 +128,94 @@ def meet_zero(hyp, row, channel):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def look(b, hyps, row, scene, tables, scratch):  # type: ignore[no-untyped-def]
-    """Innovation of a measurement in hypothesis `b`, variance of its prediction, and of its own noise.
+def look(hyp, row, scene, tables, scratch):  # type: ignore[no-untyped-def]
+    """Innovation of a measurement in one hypothesis, variance of its prediction, and of its own noise.
 
     scene = (motion, acceleration at the instant); the sensitivities go to `scratch`, and P h with them. The variance
     of the prediction is (without, with) the parameters' part.
     """
-    xs, ps, marks, _, thetas, spreads = hyps
+    x, p, marks, _, theta, spread = hyp
     _, channels, kinds, _ = tables
     gain, e = scratch
     c = int(row[CHANNEL])
-    innovate(xs[b], scene[0], channels[c], kinds[c], scene[1], row[VALUE], e)
-    error, known = e[0], project(ps[b], channels[c], gain)
-    for q in range(len(e) - 1):
-        error += e[1 + q] * thetas[b, q]
-    return error, known, known + quadratic(e[1:], spreads[b]), row[VARIANCE] * marks[b, c, FACTOR]
+    innovate(x, scene[0], channels, kinds, c, scene[1], row[VALUE], e)
+    error, known = e[0], project(p, channels, c, gain)
+    wider = known
+    for q in range(len(theta)):
+        error += e[1 + q] * theta[q]
+        for r in range(len(theta)):
+            wider += e[1 + q] * spread[q, r] * e[1 + r]
+    return error, known, wider, row[VARIANCE] * marks[c, FACTOR]
 
 
 @njit(cache=True)
-def adapt(mark, error, known, own, memory):  # type: ignore[no-untyped-def]
+def adapt(marks, c, error, known, own, memory):  # type: ignore[no-untyped-def]
     """Follow the variance of a channel's noise after an accepted innovation; known, own: parts of its variance."""
-    rests = min(mark[RESTS_ON], memory - 1.0)
+    rests = min(marks[c, RESTS_ON], memory - 1.0)
     ratio = 1.0
     for _ in range(ITERATIONS):
         share = ratio * own / (known + ratio * own)
         left = (error * share) ** 2 / own + share * known / own
         ratio = (rests + left) / (rests + 1.0)
-    mark[FACTOR] *= ratio
-    mark[RESTS_ON] = rests + 1.0
+    marks[c, FACTOR] *= ratio
+    marks[c, RESTS_ON] = rests + 1.0
 
 
 @njit(cache=True)
-def accept(b, hyps, row, seen, tables, options, scratch):  # type: ignore[no-untyped-def]
-    """Update hypothesis `b` with a measurement; seen: what `look` returned, P h and sensitivities in `scratch`."""
-    xs, ps, marks, memory, _, _ = hyps
+def accept(hyp, row, seen, tables, options, scratch):  # type: ignore[no-untyped-def]
+    """Update one hypothesis with a measurement; seen: what `look` returned, P h and sensitivities in `scratch`."""
+    x, p, marks, memory, _, _ = hyp
     gain, e = scratch
     c = int(row[CHANNEL])
     error, known, wider, own = seen
-    mark, g = marks[b, c], tables[1][c, UNITS_PER_M]
-    memory[b, ERROR], memory[b, TOTAL] = error, wider + own
-    adapt(mark, error, wider, own, options[MEMORY])
-    own = row[VARIANCE] * mark[FACTOR]
-    update(xs[b], ps[b], gain, e, known + own)
-    mark[DISTURBED] = 0.0
-    mark[ACCEPTED_AT], mark[ACCEPTED_VARIANCE] = row[AT], own / (g * g)
+    g = tables[1][c, UNITS_PER_M]
+    memory[ERROR], memory[TOTAL] = error, wider + own
+    adapt(marks, c, error, wider, own, options[MEMORY])
+    own = row[VARIANCE] * marks[c, FACTOR]
+    update(x, p, gain, e, known + own)
+    marks[c, DISTURBED] = 0.0
+    marks[c, ACCEPTED_AT], marks[c, ACCEPTED_VARIANCE] = row[AT], own / (g * g)
     return known + own
 
 
 @njit(cache=True)
-def weigh(b, hyps, row, scene, tables, options, scratch, chances):  # type: ignore[no-untyped-def]
-    """Logarithms of the weights (7,) of what hypothesis `b` may become by a measurement; -inf: not looked at."""
-    xs, ps, marks, memory, _, _ = hyps
+def weigh(hyp, row, scene, tables, options, scratch, doubted, chances):  # type: ignore[no-untyped-def]
+    """Logarithms of the weights (7,) of what a hypothesis may become by a measurement; -inf: not looked at.
+
+    doubted: whether it may be an outlier even where it lies inside the gate.
+    """
+    x, p, marks, memory, _, _ = hyp
     channel = tables[1][int(row[CHANNEL])]
-    mark, prior = marks[b, int(row[CHANNEL])], memory[b, WEIGHT]
-    error, _, wider, own = look(b, hyps, row, scene, tables, scratch)
+    mark, prior = marks[int(row[CHANNEL])], memory[WEIGHT]
+    error, _, wider, own = look(hyp, row, scene, tables, scratch)
     total = wider + own
-    same_frame = memory[b, OUTLIER_AT] == row[AT] and memory[b, OUTLIER_OF] == channel[SENSOR_OF]
+    same_frame = memory[OUTLIER_AT] == row[AT] and memory[OUTLIER_OF] == channel[SENSOR_OF]
     p_out = options[P_STAYS] if mark[DISTURBED] > 0.0 or same_frame else options[P_OUTLIER]
     chances[:] = -np.inf
     chances[GOOD] = prior + log_normal(error, total) + np.log(1.0 - p_out)
     size = log_any_size(error, total)
-    if mark[DISTURBED] > 0.0:
+    inside = error * error <= GATE * GATE * total
+    if inside and not doubted and p_out == options[P_OUTLIER]:
+        pass
+    elif mark[DISTURBED] > 0.0:
         kept = np.log(0.5) + max(size, log_normal(row[VALUE] - mark[KEPT], 2.0 * own))
         chances[OUTLIER] = prior + kept + np.log(p_out)
     else:
         chances[OUTLIER] = prior + size + np.log(p_out)
-    if memory[b, DENSITY] > 0.0:
+    if memory[DENSITY] > 0.0:
         chances[LOST] = prior + np.log(BIAS_TOO) + log_normal(error, total)
-    if error * error <= GATE * GATE * total:
+    if inside:
         return
     lapse = max(row[AT] - mark[MET_AT], SHORTEST_S)
     shifts = options[SHIFT_RATE] * lapse
-    if memory[b, SHIFT_AT] == row[AT] and memory[b, SHIFT_OF] == channel[SENSOR_OF]:
+    if memory[SHIFT_AT] == row[AT] and memory[SHIFT_OF] == channel[SENSOR_OF]:
         shifts = options[P_STAYS]
     chances[SHIFT] = prior + np.log(shifts) + size
     if mark[SHIFTED] > 0.0:
         s, g = int(channel[ZERO]) + 1, channel[UNITS_PER_M]
         # Without the shift's state: its mean comes back to the innovation, its variance goes.
-        rest = wider - 2.0 * g * scratch[0][s] + g * g * ps[b, s, s]
-        returned = log_normal(error + g * xs[b, s, 0], max(rest, 0.0) + own)
+        rest = wider - 2.0 * g * scratch[0][s] + g * g * p[s, s]
+        returned = log_normal(error + g * x[s, 0], max(rest, 0.0) + own)
         chances[RETURN] = prior + np.log(options[RETURN_RATE] * lapse) + returned
     chances[WRONG] = prior + np.log(options[WRONG_RATE] * lapse) + size
     chances[LOST] = max(chances[LOST], prior + np.log(options[LOST_RATE] * lapse) + size)
@@ -205,52 +223,53 @@ def weigh(b, hyps, row, scene, tables, options, scratch, chances):  # type: igno
 
 
 @njit(cache=True)
-def become(code, b, hyps, row, scene, tables, options, scratch):  # type: ignore[no-untyped-def]
-    """Turn hypothesis `b` into what a measurement makes of it, as `code` says; returns the innovation's variance that
+def become(code, hyp, row, scene, tables, options, scratch):  # type: ignore[no-untyped-def]
+    """Turn a hypothesis into what a measurement makes of it, as `code` says; returns the innovation's variance that
     it was taken with (0: not at all) and the factor by which the shift's state was scaled.
     """
-    xs, ps, marks, memory, _, _ = hyps
+    x, p, marks, memory, _, _ = hyp
     c = int(row[CHANNEL])
-    channel, x, p, mark = tables[1][c], xs[b], ps[b], marks[b, c]
+    channel, mark = tables[1][c], marks[c]
     a, s, scaled = int(channel[AXIS]), int(channel[ZERO]) + 1, 1.0
     kind, lapse = code % KINDS, max(row[AT] - mark[MET_AT], SHORTEST_S)
-    memory[b, CODE] = code
+    memory[CODE] = code
+    memory[AGE] = memory[AGE] + 1.0 if code == GOOD else 0.0
     mark[MET_AT] = row[AT]
-    seen = look(b, hyps, row, scene, tables, scratch)
+    seen = look(hyp, row, scene, tables, scratch)
     if kind == OUTLIER:
         mark[DISTURBED], mark[KEPT] = 1.0, row[VALUE]
-        memory[b, OUTLIER_AT], memory[b, OUTLIER_OF] = row[AT], channel[SENSOR_OF]
-        memory[b, ERROR], memory[b, TOTAL] = seen[0], seen[2] + seen[3]
+        memory[OUTLIER_AT], memory[OUTLIER_OF] = row[AT], channel[SENSOR_OF]
+        memory[ERROR], memory[TOTAL] = seen[0], seen[2] + seen[3]
         if code >= ENDED:
-            memory[b, DENSITY] = 0.0
+            memory[DENSITY] = 0.0
         return 0.0, scaled
     error, total = seen[0], seen[2] + seen[3]
     size = error / channel[UNITS_PER_M]
     if kind == SHIFT:
         p[s, s] += size * size
         mark[SHIFTED] = 1.0
-        memory[b, SHIFT_AT], memory[b, SHIFT_OF] = row[AT], channel[SENSOR_OF]
+        memory[SHIFT_AT], memory[SHIFT_OF] = row[AT], channel[SENSOR_OF]
     elif kind == RETURN:
         scaled = 0.0
         scale_state(x, p, s, scaled)
         mark[SHIFTED] = 0.0
     elif kind == WRONG:
-        memory[b, DENSITY], memory[b, ALONG] = 3.0 * size * size / lapse**3, a
-        add_noise(p, 3 * a, lapse, memory[b, DENSITY])
+        memory[DENSITY], memory[ALONG] = 3.0 * size * size / lapse**3, a
+        add_noise(p, 3 * a, lapse, memory[DENSITY])
     elif kind == LOST:
         size = max(abs(size), np.sqrt(total) / abs(channel[UNITS_PER_M]))
         for i, std in ((3 * a, size), (3 * a + 1, size / lapse), (3 * a + 2, size / lapse**2)):
             p[i, i] += std * std
-        memory[b, DENSITY] = 0.0
+        memory[DENSITY] = 0.0
     elif kind == NOISE:
         mark[FACTOR] *= error * error / total
         mark[RESTS_ON] = min(mark[RESTS_ON], ANEW)
     if kind != GOOD:
-        seen = look(b, hyps, row, scene, tables, scratch)
-    taken = accept(b, hyps, row, seen, tables, options, scratch)
-    memory[b, ERROR], memory[b, TOTAL] = error, total
+        seen = look(hyp, row, scene, tables, scratch)
+    taken = accept(hyp, row, seen, tables, options, scratch)
+    memory[ERROR], memory[TOTAL] = error, total
     if code >= ENDED:
-        memory[b, DENSITY] = 0.0
+        memory[DENSITY] = 0.0
     return taken, scaled
 
 
@@ -296,7 +315,8 @@ def prune(hyps, count, odds):  # type: ignore[no-untyped-def]
         copy_hypothesis(hyps, best, 2 * MOST)
     top, left = memory[0, WEIGHT], 0
     for b in range(count):
-        keep = memory[b, WEIGHT] > top - odds
+        age = min(memory[b, AGE], memory[0, AGE])
+        keep = b == 0 or memory[b, WEIGHT] > top - odds / (1.0 + age / SETTLES)
         for o in range(left):
             if keep and alike(hyps, b, o):
                 keep = False
@@ -313,11 +333,11 @@ def prune(hyps, count, odds):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def split(hyps, count, row, scene, tables, options, scratch, chances):  # type: ignore[no-untyped-def]
-    """Split, weigh and prune all hypotheses by one measurement; returns how many are left."""
+def split(hyps, count, row, scene, tables, options, scratch, doubted, chances):  # type: ignore[no-untyped-def]
+    """Split, weigh and prune all hypotheses by one measurement; returns how many are left. doubted: as of `weigh`."""
     memory = hyps[3]
     for b in range(count):
-        weigh(b, hyps, row, scene, tables, options, scratch, chances[b])
+        weigh(one_of(hyps, b), row, scene, tables, options, scratch, doubted, chances[b])
         if memory[b, DENSITY] > 0.0:
             # The error of the acceleration may just have ended.
             chances[b] += np.log(options[P_STAYS])
@@ -329,7 +349,7 @@ def split(hyps, count, row, scene, tables, options, scratch, chances):  # type: 
             break
         b, kind = place // KINDS, place % KINDS
         copy_hypothesis(hyps, MOST + made, b)
-        become(kind, MOST + made, hyps, row, scene, tables, options, scratch)
+        become(kind, one_of(hyps, MOST + made), row, scene, tables, options, scratch)
         memory[MOST + made, WEIGHT], memory[MOST + made, PARENT] = flat[place], b
         made += 1
     for b in range(made):
