@@ -194,6 +194,7 @@ class Estimator:
         self._filter = None if state.filter is None else state.filter.resumed()
         self._first_s, self._undecided, self._told = state.first_s, state.undecided, state.told
         self._late, self._events = set(state.late), list(state.events)
+        self.tables = tables_of(self.settings, self._origin)
 
     @property
     def undecided(self) -> Undecided:
@@ -204,6 +205,13 @@ class Estimator:
     def count(self) -> int:
         """How many hypotheses there are."""
         return 0 if self._filter is None else self._filter.count
+
+    @property
+    def parameters(self) -> tuple[Floats, Floats]:
+        """The parameters as estimated (k,) and their variances (k,)."""
+        if self._filter is None:
+            return np.zeros(len(self.settings.parameters)), np.array([p.std**2 for p in self.settings.parameters])
+        return self._filter.hyps[4][0].copy(), np.diag(self._filter.hyps[5][0]).copy()
 
     @property
     def _origin(self) -> int:
@@ -275,6 +283,7 @@ class Estimator:
             self._waiting = in_order(np.concatenate((self._waiting, datum))) if zero_s > block[-1, 0] else self._waiting
             rows = in_order(rows)
         self._first_s = first_s
+        self.tables = tables_of(self.settings, self._origin)
         self._filter = Filter.begun(begin, self.settings)
         self.log = Log(begin, first_s, self._origin, [], []) if self._keep else None
         open_block = Block.open(block, rows)
@@ -420,7 +429,7 @@ def innovation_of(rows: Floats, met: Floats, channel: int, units_per_m: float, o
 def predict_value(time_s, c, motion, clock, hyps, tables):  # type: ignore[no-untyped-def]
     """Expected measurement of channel `c` at a time after the last sample and its variance, over all hypotheses."""
     xs, ps, _, memory, thetas, spreads = hyps
-    walks, channels, kinds, _ = tables
+    walks, channels, kinds, _, _ = tables
     axes, n, columns = len(motion), xs.shape[1], xs.shape[2]
     x, p, ph, e = np.empty((n, columns)), np.empty((n, n)), np.empty(n), np.empty(columns)
     still = np.zeros((axes, 3))

@@ -266,9 +266,9 @@ def run_block(samples, rows, decided, state, hyps, tables, options, out):  # typ
 
     samples (s, 1 + 2 axes): time in s, acceleration of each axis, its noise density, all after the state's time. rows
     (m, 5): usable measurements, all within the samples, in time order; those of one instant are put in the order they
-    are taken in. decided (m,): OPEN, or the code that was decided. hyps: see `estimator.Hypotheses`. tables = (walks
-    (n,), channels (c, 9), kinds (c, k), first state of the datums or -1). out = (found (s, axes, 5), met (m, 3),
-    survivors (m, MOST), errors (m, MOST, 2), nodes (s or 0, axes, 2 (1 + k) + 2 n), record (m, 7 + 1 + k + n)).
+    are taken in. decided (m,): OPEN, or the code that was decided. hyps: see `model.hypotheses_at`. tables = (walks
+    (n,), channels (c, 9), kinds (c, k), first state of the datums or -1, learning (k, 2)). out = (found (s, axes, 5),
+    met (m, 3), survivors (m, MOST), errors (m, MOST, 2), nodes (s or 0, axes, 2 (1 + k) + 2 n), record (m, 8 + k + n)).
     """
     motion, clock = state
     walks, channels, datum, found, nodes = tables[0], tables[1], tables[3], out[0], out[4]

@@ -59,10 +59,25 @@ GATE = 4.0
 # Columns of what each hypothesis remembers besides its filter: logarithm of its weight; density of the error of the
 # acceleration that goes on (0: none) and along which axis; of the last measurement the hypothesis before it, what it
 # was taken for, its innovation (with the parameters as estimated) and its predicted variance; then what happened to
-# several targets of a sensor in the same frame: time and sensor of the last shift, and of the last outlier; how many
-# measurements were good since anything else was.
-WEIGHT, DENSITY, ALONG, PARENT, CODE, ERROR, TOTAL, SHIFT_AT, SHIFT_OF, OUTLIER_AT, OUTLIER_OF, AGE = range(12)
-MEMORY_COLUMNS = 12
+# several targets of a sensor in the same frame: time, sensor and size (m) of the last shift, time and sensor of the
+# last outlier; how many measurements were good since anything else was; when the parameters were met last.
+(
+    WEIGHT,
+    DENSITY,
+    ALONG,
+    PARENT,
+    CODE,
+    ERROR,
+    TOTAL,
+    SHIFT_AT,
+    SHIFT_OF,
+    SHIFT_BY,
+    OUTLIER_AT,
+    OUTLIER_OF,
+    AGE,
+    LAST_AT,
+) = range(14)
+MEMORY_COLUMNS = 14
 # And for each channel: factor on its variance, and how many measurements it rests on; whether the last one was an
 # outlier, and its value; whether its zero has shifted; whether it was met; variance of its reference (m²); when it was
 # last met, when last accepted, and with which variance (m²).
@@ -135,7 +150,7 @@ def look(hyp, row, scene, tables, scratch):  # type: ignore[no-untyped-def]
     of the prediction is (without, with) the parameters' part.
     """
     x, p, marks, _, theta, spread = hyp
-    _, channels, kinds, _ = tables
+    _, channels, kinds, _, _ = tables
     gain, e = scratch
     c = int(row[CHANNEL])
     innovate(x, scene[0], channels, kinds, c, scene[1], row[VALUE], e)
@@ -162,9 +177,31 @@ def adapt(marks, c, error, known, own, memory):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
+def learn_parameters(theta, spread, e, error, total, times, learning):  # type: ignore[no-untyped-def]
+    """Estimate those parameters (k,) that are to be from an innovation, and let them walk since the last one.
+
+    e (1 + k): the innovation's sensitivities; total: its variance with all that is uncertain; times = (now, last, s);
+    learning (k, 2): time in s from which on each is estimated, density of its walk. The gain of the others is 0, and
+    the covariance stays that of the errors (S. F. Schmidt's consider parameters).
+    """
+    k = len(theta)
+    gain, mu = np.zeros(k), np.zeros(k)
+    for q in range(k):
+        spread[q, q] += learning[q, 1] * max(times[0] - times[1], 0.0)
+        for r in range(k):
+            mu[q] += spread[q, r] * e[1 + r]
+        if times[0] >= learning[q, 0]:
+            gain[q] = mu[q] / total
+    for q in range(k):
+        theta[q] -= gain[q] * error
+        for r in range(k):
+            spread[q, r] += gain[q] * gain[r] * total - gain[q] * mu[r] - mu[q] * gain[r]
+
+
+@njit(cache=True)
 def accept(hyp, row, seen, tables, options, scratch):  # type: ignore[no-untyped-def]
     """Update one hypothesis with a measurement; seen: what `look` returned, P h and sensitivities in `scratch`."""
-    x, p, marks, memory, _, _ = hyp
+    x, p, marks, memory, theta, spread = hyp
     gain, e = scratch
     c = int(row[CHANNEL])
     error, known, wider, own = seen
@@ -172,6 +209,9 @@ def accept(hyp, row, seen, tables, options, scratch):  # type: ignore[no-untyped
     memory[ERROR], memory[TOTAL] = error, wider + own
     adapt(marks, c, error, wider, own, options[MEMORY])
     own = row[VARIANCE] * marks[c, FACTOR]
+    if len(theta) > 0:
+        learn_parameters(theta, spread, e, error, wider + own, (row[AT], memory[LAST_AT]), tables[4])
+        memory[LAST_AT] = row[AT]
     update(x, p, gain, e, known + own)
     marks[c, DISTURBED] = 0.0
     marks[c, ACCEPTED_AT], marks[c, ACCEPTED_VARIANCE] = row[AT], own / (g * g)
@@ -207,10 +247,12 @@ def weigh(hyp, row, scene, tables, options, scratch, doubted, chances):  # type:
     if inside:
         return
     lapse = max(row[AT] - mark[MET_AT], SHORTEST_S)
-    shifts = options[SHIFT_RATE] * lapse
     if memory[SHIFT_AT] == row[AT] and memory[SHIFT_OF] == channel[SENSOR_OF]:
-        shifts = options[P_STAYS]
-    chances[SHIFT] = prior + np.log(shifts) + size
+        # The sensor moved: all its targets shift, mostly by the same.
+        alike_size = log_normal(error - channel[UNITS_PER_M] * memory[SHIFT_BY], 2.0 * own)
+        chances[SHIFT] = prior + np.log(0.5 * options[P_STAYS]) + max(size, alike_size)
+    else:
+        chances[SHIFT] = prior + np.log(options[SHIFT_RATE] * lapse) + size
     if mark[SHIFTED] > 0.0:
         s, g = int(channel[ZERO]) + 1, channel[UNITS_PER_M]
         # Without the shift's state: its mean comes back to the innovation, its variance goes.
@@ -248,7 +290,7 @@ def become(code, hyp, row, scene, tables, options, scratch):  # type: ignore[no-
     if kind == SHIFT:
         p[s, s] += size * size
         mark[SHIFTED] = 1.0
-        memory[SHIFT_AT], memory[SHIFT_OF] = row[AT], channel[SENSOR_OF]
+        memory[SHIFT_AT], memory[SHIFT_OF], memory[SHIFT_BY] = row[AT], channel[SENSOR_OF], size
     elif kind == RETURN:
         scaled = 0.0
         scale_state(x, p, s, scaled)

@@ -21,6 +21,7 @@ from midspan.fusion.forward import (
 from midspan.fusion.hypotheses import (
     ACCEPTED_AT,
     FACTOR,
+    LAST_AT,
     MARK_COLUMNS,
     MEMORY_COLUMNS,
     MET_AT,
@@ -29,7 +30,7 @@ from midspan.fusion.hypotheses import (
     RESTS_ON,
     SHIFT_AT,
 )
-from midspan.records import Channel, Floats
+from midspan.records import NANOSECONDS, Channel, Floats
 
 # The state starts this long before the first sample; the same however the record is cut.
 START_S = 0.01
@@ -46,8 +47,10 @@ class ParameterKind(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """A constant of unknown value that channels share: their numbers. It is estimated from an instant on, else only
-    its standard deviation counts, in the band.
+    """What is unknown of a group of channels (their numbers): a relative scale error, or a clock's offset in s.
+
+    std: standard deviation before. Only the band holds it, unless it is estimated from an instant on. walk: density of
+    its random walk, unit²/s: how it drifts.
     """
 
     kind: ParameterKind
@@ -116,11 +119,13 @@ class EstimatorSettings:
 
 
 Hyps = tuple[Floats, Floats, Floats, Floats, Floats, Floats]
-Tables = tuple[Floats, Floats, NDArray[np.int64], int]
+Tables = tuple[Floats, Floats, NDArray[np.int64], int, Floats]
 
 
-def tables_of(settings: EstimatorSettings) -> Tables:
-    """Walks (n,), channels (c, 9), kinds (c, k) and the first state of the datums, as `run_block` takes them."""
+def tables_of(settings: EstimatorSettings, origin_ns: int = 0) -> Tables:
+    """Walks (n,), channels (c, 9), kinds (c, k), the first state of the datums, and when each parameter is estimated
+    and how it walks (k, 2), as `run_block` takes them; origin_ns: what times in s count from.
+    """
     walks = np.zeros(settings.size)
     walks[2 : 3 * settings.axes : 3] = settings.bias_walk
     channels = np.zeros((len(settings.channels), CHANNEL_COLUMNS))
@@ -140,7 +145,11 @@ def tables_of(settings: EstimatorSettings) -> Tables:
     kinds = np.zeros((len(settings.channels), len(settings.parameters)), dtype=np.int64)
     for q, parameter in enumerate(settings.parameters):
         kinds[list(parameter.channels), q] = parameter.kind
-    return walks, channels, kinds, -1 if settings.zero_ns is None else 3 * settings.axes
+    learning = np.zeros((len(settings.parameters), 2))
+    for q, parameter in enumerate(settings.parameters):
+        begin = parameter.estimated_from_ns
+        learning[q] = (np.inf if begin is None else (begin - origin_ns) / NANOSECONDS, parameter.walk)
+    return walks, channels, kinds, -1 if settings.zero_ns is None else 3 * settings.axes, learning
 
 
 def options_of(settings: EstimatorSettings) -> Floats:
@@ -178,7 +187,7 @@ def hypotheses_at(begin: Beginning, settings: EstimatorSettings) -> tuple[Hyps, 
     marks[0, :, FACTOR] = [channel.variance_factor for channel in settings.channels]
     marks[0, :, RESTS_ON], marks[0, :, ACCEPTED_AT] = settings.noise_weight, -np.inf
     marks[0, :, MET_AT] = begin.time_s - START_S
-    memory[0, [SHIFT_AT, OUTLIER_AT]] = -np.inf
+    memory[0, [SHIFT_AT, OUTLIER_AT]], memory[0, LAST_AT] = -np.inf, begin.time_s
     spreads = np.zeros((count, k, k))
     given = settings.parameter_covariance
     spreads[0] = np.diag([p.std**2 for p in settings.parameters]) if given is None else given

@@ -37,8 +37,8 @@ Adjoint = tuple[Floats, Floats]
 class SecondPass:
     """Runs spans forward as decided and back, for one estimator's settings."""
 
-    def __init__(self, settings: EstimatorSettings) -> None:
-        self.settings, self.tables, self.options = settings, tables_of(settings), options_of(settings)
+    def __init__(self, settings: EstimatorSettings, origin_ns: int) -> None:
+        self.settings, self.tables, self.options = settings, tables_of(settings, origin_ns), options_of(settings)
 
     def forward(self, span: Span, *, back: bool) -> tuple[Filter, Left]:
         """The filter after a span, and what the run left."""
@@ -75,7 +75,7 @@ def joined_decisions(parts: list[Decided]) -> Decided:
 
 def smooth(log: Log, settings: EstimatorSettings) -> tuple[Estimate, ...]:
     """The rows of each axis, smoothed by the whole record; log: of an estimator that has finished."""
-    work, decided = SecondPass(settings), joined_decisions(log.decided)
+    work, decided = SecondPass(settings, log.origin_ns), joined_decisions(log.decided)
     samples = joined(log.samples)
     given = given_rows(samples, log.first_s, log.origin_ns)
     estimates = tuple(_empty(samples, given) for _ in range(settings.axes))
@@ -141,7 +141,6 @@ class Lag:
     def __init__(self, settings: EstimatorSettings, lag_samples: int) -> None:
         self.settings = settings
         self.estimator = Estimator(settings, log=True)
-        self._work = SecondPass(settings)
         self._lag, self._hop = lag_samples, max(1, lag_samples // HOPS)
         self._samples: Samples | None = None
         self._decided = Decided.none()
@@ -211,6 +210,7 @@ class Lag:
         due = len(samples.time_ns) - lag
         if log is None or due <= self._given:
             return []
+        work = SecondPass(self.estimator.settings, log.origin_ns)
         decided, open_ones = self._decided, self.estimator.undecided
         best, _ = open_ones.decided(self.estimator.count, all_of_them=True)
         both = joined_decisions([decided, best])
@@ -218,17 +218,16 @@ class Lag:
         settled = int(np.searchsorted(rows[:, 0], open_ones.rows[0, AT])) if len(open_ones.rows) else due
         anchor = min(due, settled)
         parts = [self._span(both, rows, slice(anchor), self._before)] if anchor else []
-        middle, left = self._work.forward(parts[0], back=True) if parts else (self._before, None)
+        middle, left = work.forward(parts[0], back=True) if parts else (self._before, None)
         lefts = [left] if left is not None else []
         last = middle
         if anchor < len(rows):
             parts.append(self._span(both, rows, slice(anchor, None), middle.saved()))
-            last, late = self._work.forward(parts[-1], back=True)
+            last, late = work.forward(parts[-1], back=True)
             lefts.append(late)
-        adjoint = self._work.nothing_later()
+        adjoint = work.nothing_later()
         found = [
-            self._work.backward(span, one, adjoint, last)
-            for span, one in zip(reversed(parts), reversed(lefts), strict=True)
+            work.backward(span, one, adjoint, last) for span, one in zip(reversed(parts), reversed(lefts), strict=True)
         ]
         own = part(samples, slice(self._given, due))
         smoothed = np.concatenate(found[::-1])[self._given : due]
