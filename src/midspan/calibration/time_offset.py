@@ -25,9 +25,11 @@ from midspan.calibration.outliers import MARKING_ROUNDS, mark_outliers, without_
 from midspan.calibration.whitening import levelled, whiten_columns
 from midspan.records import Floats, TimeOffset
 
-# Noise ratios tried at each offset, and offsets tried in one run of the filter. Offsets are tried at the rate of the
+# Noise ratios tried at each offset, and values whitened at once, for memory. Offsets are tried at the rate of the
 # accelerometer, at this one at most: 5 ms are an eighth of the period of 25 Hz.
-COARSE_CORNERS, AT_ONCE, MOST_RATE_HZ = 4, 64, 200.0
+COARSE_CORNERS, AT_ONCE, MOST_RATE_HZ = 4, 1_000_000, 200.0
+# At an offset this share of the measurements must lie within the acceleration.
+OVERLAP = 0.5
 # Maxima of the coarse curve that are refined, and of these the ones that are with a noise ratio sought anew.
 CANDIDATES, CONTENDERS = 6, 3
 # Rounds of searching anew without outliers and with a new reference, at most.
@@ -99,14 +101,20 @@ def _grid(pair: Pair, first_s: float, last_s: float) -> Floats:
 
 
 def scan(pair: Pair, offsets: Floats) -> tuple[Floats, Floats]:
-    """Likelihood (k,) at offsets (k,) with the best of a few corner frequencies, and that corner frequency (k,)."""
+    """Likelihood (k,) at offsets (k,) with the best of a few corner frequencies, and that corner frequency (k,).
+
+    Minus infinity where too little of both signals overlaps.
+    """
     low, high = corner_range(pair)
     corners = np.geomspace(max(3.0 * low, 0.3), high / 1.5, COARSE_CORNERS)
     index = np.intersect1d(pair.used(float(offsets[0])), pair.used(float(offsets[-1])))
-    rows = pair.rows[index if len(index) > len(pair.rows) // 2 else pair.used(float(np.mean(offsets)))]
-    parts = np.array_split(offsets, -(-len(offsets) // AT_ONCE))
+    middle = pair.used(float(np.mean(offsets)))
+    rows = pair.rows[index if len(index) > OVERLAP * len(middle) else middle]
+    parts = np.array_split(offsets, min(len(offsets), -(-len(offsets) * len(rows) // AT_ONCE)))
     table = np.concatenate([_likelihoods(pair, rows, part, corners) for part in parts], axis=1)
-    return table.max(axis=0), corners[np.argmax(table, axis=0)]
+    overlap = np.array([len(pair.used(float(offset))) for offset in offsets])
+    curve = np.where(overlap >= OVERLAP * len(middle), table.max(axis=0), -np.inf)
+    return curve, corners[np.argmax(table, axis=0)]
 
 
 def _likelihoods(pair: Pair, rows: Floats, offsets: Floats, corners: Floats) -> Floats:
