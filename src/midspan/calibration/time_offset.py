@@ -126,14 +126,11 @@ def _likelihoods(pair: Pair, rows: Floats, offsets: Floats, corners: Floats) -> 
     table = np.empty((len(corners), count))
     for k, corner in enumerate(corners):
         w = whiten_columns(at, values, pair.responses[0].pieces, corner**4 / pair.rate_hz)
-        weighted = w.columns / w.variance[:, None]
-        translation, response = w.columns[:, 0], w.columns[:, 1 : 1 + count]
-        total, cross = translation @ weighted[:, 0], translation @ weighted[:, 1 : 1 + count]
-        power = np.sum(response * weighted[:, 1 : 1 + count], axis=0)
+        standard = w.columns / np.sqrt(w.variance)[:, None]
+        translation, response, outside = np.split(standard, (1, 1 + count), axis=1)
+        total, cross, power = _sums(translation, translation), _sums(translation, response), _sums(response, response)
         if pair.outside is not None:
-            outside = weighted[:, 1 + count :]
-            own = np.maximum(np.sum(w.columns[:, 1 + count :] * outside, axis=0), 1e-300)
-            seen, shared = translation @ outside, np.sum(response * outside, axis=0)
+            own, seen, shared = _sums(outside, outside), _sums(translation, outside), _sums(response, outside)
             total, cross, power = total - seen**2 / own, cross - seen * shared / own, power - shared**2 / own
         ratio = cross / np.maximum(power, 1e-300) if pair.ratio is None else pair.ratio
         left = np.maximum(total - 2.0 * ratio * cross + ratio * ratio * power, 1e-300)
@@ -142,6 +139,11 @@ def _likelihoods(pair: Pair, rows: Floats, offsets: Floats, corners: Floats) -> 
         if pair.ratio is None and pair.reference is not None:
             table[k] += w.input_share * np.log(np.maximum(np.abs(ratio) / pair.reference, SMALLEST_RATIO))
     return table
+
+
+def _sums(first: Floats, second: Floats) -> Floats:
+    """Sums of the products of columns (m, c)."""
+    return np.asarray(np.einsum("mc,mc->c", *np.broadcast_arrays(first, second)))
 
 
 def _refined(pair: Pair, offsets: Floats, curve: Floats, corner: Floats) -> list[Fit]:

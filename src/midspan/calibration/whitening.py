@@ -121,7 +121,8 @@ class Whitened:
 
     def product(self, first: Floats, second: Floats) -> float:
         """Sum of the products of two innovations (k,) over their variance."""
-        return float(first @ (second / self.variance))
+        # Not by BLAS, whose threads cost more than these sums.
+        return float(np.sum(first * second / self.variance))
 
     @property
     def input_share(self) -> float:
@@ -186,8 +187,9 @@ def levelled(time_s: Floats, values: Floats) -> tuple[Floats, Floats]:
     middle, half = 0.5 * (time_s[0] + time_s[-1]), 0.5 * (time_s[-1] - time_s[0])
     u = (time_s - middle) / half
     basis, shape = np.linalg.qr(np.column_stack((np.ones(len(u)), u, u * u)))
-    share = basis.T @ values
-    return np.ascontiguousarray(values - basis @ share), 2.0 * share[2] / shape[2, 2] / half**2
+    share = np.einsum("mk,mc->kc", basis, values)
+    left = values - np.einsum("mk,kc->mc", basis, share)
+    return left, 2.0 * share[2] / shape[2, 2] / half**2
 
 
 def whiten_columns(
