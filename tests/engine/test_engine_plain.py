@@ -1,11 +1,13 @@
 """A sensor of displacement value by value: stuck values are found as in a whole record, and nothing else."""
 
+import itertools
+
 import numpy as np
 import pytest
 
 from midspan.engine.plain import PlainChain, PlainSettings
 from midspan.errors import UsageError
-from midspan.records import Event, Measured, Readings, Samples, joined
+from midspan.records import Event, Measured, Readings, Samples, joined, part
 from midspan.signals.stuck import resolution, stuck
 from midspan.simulate.motion.motion import Sines, Window, random_motion
 
@@ -24,24 +26,22 @@ def stamps(time_s):
     return np.rint(time_s * 1e9).astype(np.int64)
 
 
-def run(chain, samples, time_s, value, pieces=1):
-    """Push both in the order of time, the values in blocks of `pieces` between the samples that they fall between."""
-    time_ns, out, done = stamps(time_s), [], 0
-    for at in range(0, len(time_ns), pieces):
-        block = slice(at, at + pieces)
-        until = int(np.searchsorted(samples.time_ns, time_ns[block][0], side="right"))
-        chain.push(
-            Samples(
-                *(
-                    field[done:until]
-                    for field in (samples.time_ns, samples.value_m_s2, samples.noise_density, samples.kind)
-                )
-            )
-        )
-        other = PlainChain(chain.settings)
-        other.restore(chain.state)
-        chain, done = other, until
-        out += chain.push(Readings(time_ns[block], value[block, None]))
+def run(chain, samples, time_s, value, cuts=(), seed=0):
+    """All that the chain gives for both; cuts: numbers of samples that each push reaches to (none: one push), values
+    come in blocks of any size before the samples that reach them.
+    """
+    time_ns, out, done, rng = stamps(time_s), [], 0, np.random.default_rng(seed)
+    for start, stop in itertools.pairwise([0, *cuts, len(samples.time_ns)]):
+        due = max(int(np.searchsorted(time_ns, samples.time_ns[stop - 1], side="right")), done) if stop > start else done
+        # Some come early.
+        due = min(due + int(rng.integers(0, 20)), len(time_ns))
+        while done < due:
+            until = min(done + int(rng.integers(1, 30)), due)
+            out += chain.push(Readings(time_ns[done:until], value[done:until, None]))
+            done = until
+        chain, other = PlainChain(chain.settings), chain
+        chain.restore(other.state)
+        out += chain.push(part(samples, slice(start, stop)))
     return out
 
 
@@ -86,27 +86,48 @@ def test_coarse_resolution_at_rest_is_no_fault(step_m):
         assert used(run(PlainChain(settings(value, 0.1)), samples, time, value), time).all()
 
 
-def test_blocks_of_values_give_what_single_ones_give():
+def test_any_cutting_gives_the_same():
     motion = random_motion((0.3, 8.0), 3e-3, rng=np.random.default_rng(7), flat="velocity")
     samples = samples_of(motion, 7)
     time = np.arange(0.5, 59.5, 0.1)
     value = motion.displacement(time)
     value[100:140], value[300:303], value[400:590] = value[100], value[300], value[400]
     value[[110, 120, 500]] = np.nan
-    time[200:220] -= 0.55
-    # All samples first: blocks of any size then see the same.
+    rng = np.random.default_rng(3)
     found = []
-    for pieces in (1, 7, 600):
-        chain = PlainChain(settings(value, 0.1))
-        chain.push(samples)
-        found.append(run(chain, samples_of(motion, 7, 0.0), time, value, pieces))
+    for count in (0, 1, 40, 400):
+        cuts = np.sort(rng.integers(1, len(samples.time_ns), count)).tolist()
+        found.append(run(PlainChain(settings(value, 0.1)), samples, time, value, cuts, seed=count))
     for out in found:
         rows, expected = (joined([item for item in o if isinstance(item, Measured)]) for o in (out, found[0]))
-        np.testing.assert_array_equal(rows.time_ns, expected.time_ns)
-        np.testing.assert_array_equal(rows.value, expected.value)
+        for name in Measured.__slots__:
+            np.testing.assert_array_equal(getattr(rows, name), getattr(expected, name))
         told, before = (sorted((e.time_ns, e.text) for e in o if isinstance(e, Event)) for o in (out, found[0]))
         assert told == before
-    assert {event.kind for event in found[0] if isinstance(event, Event)} >= {"backwards"}
+    assert 200 < len(joined([item for item in found[0] if isinstance(item, Measured)]).value) < 400
+
+
+def test_what_is_out_of_order_is_left_out_with_an_event():
+    motion = random_motion((0.3, 8.0), 3e-3, rng=np.random.default_rng(7), flat="velocity")
+    time = np.arange(0.5, 59.5, 0.1)
+    shifted = time.copy()
+    shifted[200:220] -= 0.55
+    chain = PlainChain(settings(time, 0.1))
+    out = [*chain.push(Readings(stamps(shifted), motion.displacement(time)[:, None])), *chain.push(samples_of(motion, 7))]
+    assert [event.kind for event in out if isinstance(event, Event)] == ["backwards", "gap"]
+    # Five stamps lie before the newest, and the sixth is half an interval after it.
+    np.testing.assert_array_equal(np.flatnonzero(~used(out, shifted)), np.arange(200, 205))
+
+
+def test_a_value_waits_for_the_samples_that_reach_it():
+    motion = random_motion((0.3, 8.0), 3e-3, rng=np.random.default_rng(7), flat="velocity")
+    samples, time = samples_of(motion, 7), np.array([0.5, 1.0, 1.5])
+    chain = PlainChain(settings(np.zeros(3), 0.5))
+    assert chain.push(Readings(stamps(time), motion.displacement(time)[:, None])) == []
+    assert chain.push(part(samples, slice(0, 50))) == []
+    first = chain.push(part(samples, slice(50, 149)))
+    np.testing.assert_array_equal(joined(first).time_ns, stamps(time[:2]))
+    np.testing.assert_array_equal(joined(chain.push(part(samples, slice(149, 151)))).time_ns, stamps(time[2:]))
 
 
 def test_memory_is_bounded():
@@ -115,11 +136,7 @@ def test_memory_is_bounded():
     time = np.arange(0.5, 299.0, 0.01)
     chain = PlainChain(PlainSettings("displacement", 0, 1e-8, 0.01))
     for at in range(0, len(time), 100):
-        chain.push(
-            Samples(
-                *(f[at : at + 100] for f in (samples.time_ns, samples.value_m_s2, samples.noise_density, samples.kind))
-            )
-        )
+        chain.push(part(samples, slice(at, at + 100)))
         chain.push(Readings(stamps(time[at : at + 100]), np.zeros((len(time[at : at + 100]), 1))))
     assert len(chain.state.time_ns) <= 801
     assert len(chain.state.run.time_ns) <= 400
@@ -128,7 +145,8 @@ def test_memory_is_bounded():
 def test_measurements_carry_channel_scale_and_variance():
     chain = PlainChain(PlainSettings("displacement", 3, 4e-8, 0.1, scale=2.0))
     times = np.array([0, 100, 600]) * 1_000_000
-    block, event = chain.push(Readings(times, np.array([[1.0], [np.nan], [3.0]])))
+    (event,) = chain.push(Readings(times, np.array([[1.0], [np.nan], [3.0]])))
+    (block,) = chain.push(samples_of(Sines(np.array([1e-9]), np.array([1.0])), 0, 1.0))
     assert (event.kind, event.time_ns, event.text) == ("gap", 0, "displacement: no values for 0.6 s.")
     np.testing.assert_array_equal(block.value, [2.0, 6.0])
     np.testing.assert_array_equal(block.channel, 3)
