@@ -14,11 +14,17 @@ from hypothesis.extra import numpy as arrays
 
 from midspan.engine import checkpoint
 from midspan.engine.axis import AxisFigures
+from midspan.engine.camera import CameraChain, CameraState
+from midspan.engine.camera_target import ChainSettings, Target
 from midspan.engine.checkpoint import DTYPES, ENUMS, RECORDS, from_bytes, to_bytes
 from midspan.engine.guard import Guard, GuardSettings, GuardState
 from midspan.engine.merge import Merge, MergeState
+from midspan.engine.target_opening import Opening
 from midspan.errors import DataError
 from midspan.records import Arrival, Event, Frame, Readings, Region, Source, Tick
+from midspan.simulate.scene.camera import Camera
+from midspan.simulate.scene.texture import textured_scene
+from midspan.vision.tracker import TRACKERS
 
 KINDS = st.sampled_from(sorted(DTYPES)).map(np.dtype)
 ARRAYS = KINDS.flatmap(
@@ -217,3 +223,23 @@ def test_too_many_levels_are_refused_when_they_are_written():
 
 def test_each_name_stands_for_one_type():
     assert len({kind.__name__ for kind in (*RECORDS, *ENUMS)}) == len(RECORDS) + len(ENUMS)
+
+
+@pytest.mark.parametrize("reference", ["first", "key-frames", "updating"])
+@pytest.mark.parametrize("tracker", TRACKERS)
+def test_the_state_of_every_tracker_comes_back_and_goes_on(tracker, reference):
+    scene = textured_scene("natural", (96, 96), rng=np.random.default_rng(2), lens_px=0.6)
+    path = 0.8 * np.sin(0.4 * np.arange(70))
+    film = [
+        Frame(10**8 * k, Camera().expose(scene.render(0.0, y), rng=np.random.default_rng(k)))
+        for k, y in enumerate(path)
+    ]
+    made = ChainSettings(Opening(tracker, reference=reference))
+    chain, other = (CameraChain(film[0], (Target(Region(20, 20, 56, 56)),), made) for _ in range(2))
+    for frame in film[:60]:
+        chain.push(frame)
+    data = to_bytes(chain.state)
+    other.restore(from_bytes(data, CameraState))
+    assert to_bytes(other.state) == data
+    for frame in film[60:]:
+        assert same(other.push(frame), chain.push(frame))

@@ -32,7 +32,9 @@ def run(chain, samples, time_s, value, cuts=(), seed=0):
     """
     time_ns, out, done, rng = stamps(time_s), [], 0, np.random.default_rng(seed)
     for start, stop in itertools.pairwise([0, *cuts, len(samples.time_ns)]):
-        due = max(int(np.searchsorted(time_ns, samples.time_ns[stop - 1], side="right")), done) if stop > start else done
+        due = (
+            max(int(np.searchsorted(time_ns, samples.time_ns[stop - 1], side="right")), done) if stop > start else done
+        )
         # Some come early.
         due = min(due + int(rng.integers(0, 20)), len(time_ns))
         while done < due:
@@ -113,7 +115,10 @@ def test_what_is_out_of_order_is_left_out_with_an_event():
     shifted = time.copy()
     shifted[200:220] -= 0.55
     chain = PlainChain(settings(time, 0.1))
-    out = [*chain.push(Readings(stamps(shifted), motion.displacement(time)[:, None])), *chain.push(samples_of(motion, 7))]
+    out = [
+        *chain.push(Readings(stamps(shifted), motion.displacement(time)[:, None])),
+        *chain.push(samples_of(motion, 7)),
+    ]
     assert [event.kind for event in out if isinstance(event, Event)] == ["backwards", "gap"]
     # Five stamps lie before the newest, and the sixth is half an interval after it.
     np.testing.assert_array_equal(np.flatnonzero(~used(out, shifted)), np.arange(200, 205))

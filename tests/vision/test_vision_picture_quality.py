@@ -13,7 +13,7 @@ from midspan.simulate.scene.camera import Camera
 from midspan.simulate.scene.texture import TEXTURES, textured_scene
 from midspan.vision.picture_difference import (
     REACH_PX,
-    Sample,
+    Square,
     blockiness,
     cardinal_taps,
     difference,
@@ -90,7 +90,7 @@ def test_the_difference_of_two_noisy_pictures_tells_their_noise_wherever_they_li
     rng = np.random.default_rng(5)
     scene = textured_scene("natural", (84, 84), rng=rng)
     samples = [
-        Sample((scene.render(x, y) + rng.normal(0, noise_std, (84, 84))).astype(np.float32), (x, y))
+        Square((scene.render(x, y) + rng.normal(0, noise_std, (84, 84))).astype(np.float32), (x, y))
         for x, y in ((0.0, 0.0), (0.4, -0.3))
     ]
     found = difference(*samples)

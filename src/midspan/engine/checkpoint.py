@@ -18,11 +18,41 @@ from numpy.typing import NDArray
 
 from midspan import records
 from midspan.engine.axis import AxisFigures, AxisMemory, Bridged
+from midspan.engine.camera import CameraState
+from midspan.engine.camera_target import TargetState
 from midspan.engine.guard import GuardState, Stamps
 from midspan.engine.merge import MergeState, StreamMemory
 from midspan.engine.plain import EqualRun, PlainState
+from midspan.engine.point import PointState
+from midspan.engine.sensors import CameraSensorState
+from midspan.engine.thermal_target import ThermalTargetState
 from midspan.errors import DataError
+from midspan.fusion.decisions import Decided, Telling, Undecided
+from midspan.fusion.estimator import EstimatorState
+from midspan.fusion.model import Beginning, Filter
+from midspan.fusion.second_pass import LagState
+from midspan.thermal.cleaning import CleaningState
+from midspan.thermal.limits import LimitState
+from midspan.thermal.pattern import FixedPattern
+from midspan.thermal.shutter import ShutterState
 from midspan.trees import TreeError, json_tree
+from midspan.vision.bank import Plane
+from midspan.vision.compression import Check, CodecState, Comparison
+from midspan.vision.hybrid import PhaseState
+from midspan.vision.learning import KeptSamples, Sample
+from midspan.vision.light import LightState
+from midspan.vision.phase_model import PhaseAxis, PhaseModel
+from midspan.vision.picture_counts import AxisCounts, PictureCounts
+from midspan.vision.picture_difference import Difference, Square
+from midspan.vision.picture_quality import Lag, PictureState
+from midspan.vision.reference.light import Mix
+from midspan.vision.reference.pictures import Pictures
+from midspan.vision.reference.records import Chain, KeyFrame
+from midspan.vision.reference.state import Appearance, KeyFrameState, Overlap
+from midspan.vision.reference.updating import Reference, UpdatingState
+from midspan.vision.registration import Learnt, RegistrationState
+from midspan.vision.target import Motion
+from midspan.vision.template import TemplateState
 
 MAGIC, VERSION = b"midspan\0", 1
 # Version, length of the tree; the digest stands between them and the tree.
@@ -59,15 +89,61 @@ RECORDS: tuple[type, ...] = (
     records.ScaleFactor,
     records.Tick,
     records.TimeOffset,
+    records.Tracked,
+    Appearance,
+    AxisCounts,
     AxisFigures,
     AxisMemory,
+    Beginning,
     Bridged,
+    CameraSensorState,
+    CameraState,
+    Chain,
+    Check,
+    CleaningState,
+    CodecState,
+    Comparison,
+    Decided,
+    Difference,
     EqualRun,
+    EstimatorState,
+    Filter,
+    FixedPattern,
     GuardState,
+    KeyFrame,
+    KeyFrameState,
+    KeptSamples,
+    Lag,
+    LagState,
+    Learnt,
+    LightState,
+    LimitState,
     MergeState,
+    Mix,
+    Motion,
+    Overlap,
+    PhaseAxis,
+    PhaseModel,
+    PhaseState,
+    PictureCounts,
+    PictureState,
+    Pictures,
     PlainState,
+    Plane,
+    PointState,
+    Reference,
+    RegistrationState,
+    Sample,
+    ShutterState,
+    Square,
     Stamps,
     StreamMemory,
+    TargetState,
+    Telling,
+    TemplateState,
+    ThermalTargetState,
+    Undecided,
+    UpdatingState,
 )
 ENUMS: tuple[type[Enum], ...] = (records.SampleKind, records.Source, records.Status, records.StreamState)
 _RECORDS = {record.__name__: record for record in RECORDS}

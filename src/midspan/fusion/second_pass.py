@@ -13,7 +13,7 @@ from midspan.fusion.decisions import Decided
 from midspan.fusion.estimator import BLOCK, Estimator, EstimatorState, Log, Rows, estimate_of, given_rows, sample_rows
 from midspan.fusion.filtering import FOUND_VARIANCE, FOUND_VELOCITY, FOUND_X, backward_block
 from midspan.fusion.forward import AT, TIME
-from midspan.fusion.model import Block, EstimatorSettings, Filter, Left, options_of, run, tables_of
+from midspan.fusion.model import Beginning, Block, EstimatorSettings, Filter, Left, options_of, run, tables_of
 from midspan.records import Estimate, Floats, Measured, Samples, joined, part
 
 # Of the lag, the part by which the window moves on at once.
@@ -123,7 +123,7 @@ class LagState:
     """All that a fixed-lag stream remembers: the estimator's state, and its window with the filter before it."""
 
     estimator: EstimatorState
-    log: Log | None
+    begin: Beginning | None
     samples: Samples | None
     decided: Decided
     before: Filter | None
@@ -176,14 +176,15 @@ class Lag:
         """All that the stream remembers."""
         self._collect()
         log = self.estimator.log
-        return LagState(
-            self.estimator.state, log, self._samples, self._decided, self._before, self._pushed, self._given
-        )
+        begin = None if log is None else log.begin
+        own = (self._samples, self._decided, self._before, self._pushed, self._given)
+        return LagState(self.estimator.state, begin, *own)
 
     def restore(self, state: LagState) -> None:
         """Go on from a state of a stream with the same settings."""
         self.estimator.restore(state.estimator)
-        self.estimator.log = None if state.log is None else replace(state.log, samples=[], decided=[])
+        known = state.estimator
+        self.estimator.log = state.begin and Log(state.begin, known.first_s, known.origin_ns or 0, [], [])
         self._samples, self._decided, self._before = state.samples, state.decided, state.before
         self._pushed, self._given = state.pushed, state.held
 

@@ -21,7 +21,7 @@ from midspan.signals.running_median import RunningMedian
 from midspan.vision.picture_difference import (
     REACH_PX,
     Difference,
-    Sample,
+    Square,
     blockiness,
     difference,
     share_at_ends,
@@ -86,8 +86,8 @@ class Comparison:
     one and the reference.
     """
 
-    sample: Sample
-    partners: tuple[Sample, ...]
+    sample: Square
+    partners: tuple[Square, ...]
     found: tuple[Difference, ...]
     blockiness: float
     stairs: float
@@ -115,8 +115,8 @@ class CodecState:
     """
 
     frames: int
-    last: Sample | None
-    earlier: Sample | None
+    last: Square | None
+    earlier: Square | None
     under_way: Comparison | None
     checks: tuple[tuple[float, ...], ...]
     first_checks: tuple[tuple[float, ...], ...]
@@ -211,7 +211,7 @@ class CodecWatch:
         """The share that chance makes of raw frames in as many checks."""
         return CHANCE_SHARE + CHANCE_SHARE_ONCE * SAMPLE_PX / self._size / math.sqrt(checks)
 
-    def _begin(self, pixels: NDArray[np.generic], sample: Sample | None, seen: Region) -> None:
+    def _begin(self, pixels: NDArray[np.generic], sample: Square | None, seen: Region) -> None:
         """Begin to compare the square of a frame with those of the frame before, the last check and the reference."""
         last, earlier, reference = self._last, self._earlier, self._reference
         if sample is not None and last is not None and earlier is not None and reference is not None:
@@ -251,7 +251,7 @@ class CodecWatch:
         soon = len(self._first[0].state)
         self._soon_too = soon < LEAST_CHECKS or first.inherited > self._chance(soon)
 
-    def _sample(self, pixels: NDArray[np.generic], x_px: float, y_px: float) -> Sample | None:
+    def _sample(self, pixels: NDArray[np.generic], x_px: float, y_px: float) -> Square | None:
         """The square about the target's middle; None where it leaves the image or a pixel has no value."""
         if self._size < LEAST_SAMPLE_PX:
             return None
@@ -262,7 +262,7 @@ class CodecWatch:
         if left < 0 or top < 0 or left + n > pixels.shape[1] or top + n > pixels.shape[0]:
             return None
         square = np.array(pixels[top : top + n, left : left + n], dtype=np.float32, order="C")
-        return Sample(square, (x_px - dx, y_px - dy)) if np.isfinite(square).all() else None
+        return Square(square, (x_px - dx, y_px - dy)) if np.isfinite(square).all() else None
 
 
 def _sample_size(shape: tuple[int, ...], region: Region) -> int:

@@ -139,7 +139,7 @@ def _texture(pixels: NDArray[np.generic], row: int, column: int) -> float:
 
 
 @dataclass(frozen=True, slots=True)
-class Sample:
+class Square:
     """A square of a picture about the target: `pixels` (n, n) and where the target lies in it beyond whole pixels.
 
     shift: (x, y) of -0.5 to 0.5 px.
@@ -177,7 +177,7 @@ def cardinal_taps(shift_px: float) -> Floats:
     return np.asarray(taps / taps.sum(), dtype=np.float64)
 
 
-def difference(now: Sample, then: Sample) -> Difference:
+def difference(now: Square, then: Square) -> Difference:
     """The noise (grey levels) of `now` against `then`, moved to the same place and brought to the same contrast."""
     across = cardinal_taps(then.shift[0] - now.shift[0])
     down = cardinal_taps(then.shift[1] - now.shift[1])

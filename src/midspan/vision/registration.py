@@ -20,7 +20,7 @@ from midspan.errors import DataError
 from midspan.records import Floats, Frame, PixelTranslation, Prediction, Region, Status
 from midspan.vision.bank import COARSE, FINE, Plane, Store, best_smoothing_px, first_plane, make_bank
 from midspan.vision.climb import ALIKE, UNDISTURBED_SHARE, climb
-from midspan.vision.learning import PAD_PX, Samples, learn_plane, sample
+from midspan.vision.learning import PAD_PX, KeptSamples, learn_plane, sample
 from midspan.vision.matching import Fix, Matching, locate, make_template
 from midspan.vision.region import check_size
 from midspan.vision.search import Span, fine_patch
@@ -100,7 +100,7 @@ class RegistrationState(Motion):
     zoom: float = 0.0
     usual_noise: float = 0.0
     judged_frames: int = 0
-    samples: Samples | None = None
+    samples: KeptSamples | None = None
     learnt: Learnt | None = None
 
 
@@ -188,7 +188,7 @@ class RegistrationTracker(Tracker):
         option("direction", direction, ("x", "y"))
         step = max(1, math.ceil(len(frames) / MOST_LEARNT_FRAMES))
         other = RegistrationTracker(self.reference, self.region, replace(self.settings, learn_frames=0))
-        samples = Samples()
+        samples = KeptSamples()
         for frame in frames[::step]:
             check_size(frame, self.reference)
             found = other._find(frame, None)
@@ -206,12 +206,12 @@ class RegistrationTracker(Tracker):
         self._renew()
         return learnt
 
-    def _begun(self) -> Samples | None:
+    def _begun(self) -> KeptSamples | None:
         """The reference frame as the first to learn from; None where nothing is to be learnt."""
         if self.settings.learn_frames < 2:
             return None
         first = sample(self.reference.pixels, self._window, np.zeros(2), self._offset, None)
-        return None if first is None else Samples().plus(first)
+        return None if first is None else KeptSamples().plus(first)
 
     def _made(self, plane: Plane) -> tuple[Store, Store]:
         """Kernels in few large blocks, the most exact, and in many small ones, the most robust."""
@@ -220,7 +220,7 @@ class RegistrationTracker(Tracker):
         few, many = (make_bank(plane, self._window, smoothing_px, division) for division in (COARSE, FINE))
         return few, many
 
-    def _with(self, samples: Samples, frame: Frame, pose: Pose) -> Samples:
+    def _with(self, samples: KeptSamples, frame: Frame, pose: Pose) -> KeptSamples:
         """The samples with one more where it shows the target undisturbed, neither turned nor enlarged."""
         far = 0.5 * math.hypot(self._window.width, self._window.height)
         allowed = LEARN_TURN_PX + 3.0 * far * np.sqrt(np.diag(pose.covariance)[2:])
@@ -245,7 +245,7 @@ class RegistrationTracker(Tracker):
         self._state = replace(self._state, samples=None if varied else samples, learnt=self._learnt(samples))
         self._renew()
 
-    def _learnt(self, samples: Samples) -> Learnt:
+    def _learnt(self, samples: KeptSamples) -> Learnt:
         """The template of the samples, with zeros such that their mean place stays what the first template gave."""
         plane = learn_plane(samples)
         if len(samples.items) < FEWEST_PLACES:
@@ -377,7 +377,7 @@ class RegistrationTracker(Tracker):
         return Pose(found.pose, found.covariance, float(found.share), float(found.noise))
 
 
-def _moved(bank: Store, samples: Samples) -> Floats:
+def _moved(bank: Store, samples: KeptSamples) -> Floats:
     """How much farther (4,) the samples lie by the kernels of `bank` than they were put."""
     total, count = np.zeros(4), 0
     bank = bank._replace(origin=np.full(2, PAD_PX, dtype=np.int64))

@@ -1,0 +1,197 @@
+"""The number from the file is the number live: a point fed record by record gives the rows of `estimate`, bit for bit.
+
+Record by record means: each stream in its own order, the streams in any interleaving, blocks cut anywhere, and in the
+middle the state as bytes put into a point that was built anew.
+"""
+
+from dataclasses import replace
+
+import av
+import numpy as np
+import pytest
+
+import midspan
+from lively_recordings import Lively, write
+from midspan.engine.checkpoint import from_bytes, to_bytes
+from midspan.engine.point import ACCELEROMETER, PointState
+from midspan.recording.calibrate import calibrate_and_track
+from midspan.recording.cameras.tracked import open_eyes, side_of
+from midspan.recording.point import measuring_point
+from midspan.recording.run import Outcome
+from midspan.recording.streams.progress import silent
+from midspan.records import Arrival, Estimate, Readings, Tracked
+from recording_edits import append, set_keys
+
+LIVELY = Lively(duration_s=16.0, band_hz=(1.0, 3.0), rms_m=2e-3)
+METHODS = ("kalman", "lag")
+
+
+def plain(folder):
+    return write(folder, LIVELY, "camera")
+
+
+def compressed(crf):
+    """The film as H.264, as cameras store it."""
+
+    def make(folder):
+        film = np.load(write(folder, LIVELY, "camera") / "camera.npy")
+        with av.open(str(folder / "camera.mp4"), "w") as container:
+            stream = container.add_stream("libx264", rate=10, options={"crf": str(crf)})
+            stream.height, stream.width, stream.pix_fmt = *film.shape[1:], "yuv420p"
+            for picture in film:
+                for packet in stream.encode(av.VideoFrame.from_ndarray(picture, format="gray")):
+                    container.mux(packet)
+            for packet in stream.encode():
+                container.mux(packet)
+        set_keys(folder, "camera", file="camera.mp4")
+        return folder
+
+    return make
+
+
+def frozen(folder):
+    """Six equal frames while the structure moves, and two that are black."""
+    film = np.load(write(folder, LIVELY, "camera") / "camera.npy")
+    film[80:86], film[100:102] = film[80], 0
+    np.save(folder / "camera.npy", film)
+    return folder
+
+
+def two_targets(folder):
+    write(folder, LIVELY, "camera")
+    set_keys(folder, "camera", roi=None)
+    append(folder, "".join(f'[[camera.target]]\nname = "{k}"\nroi = [{x}, 18, 34, 48]\n' for k, x in ((1, 6), (2, 44))))
+    return folder
+
+
+def infrared(folder):
+    return write(folder, LIVELY, "infrared")
+
+
+def day_and_night(folder):
+    """A camera that sees nothing from 9 s to 12 s, and a thermal one half a picture later."""
+    film = np.load(write(folder, LIVELY, "camera") / "camera.npy")
+    film[80:110] = film[80:110] // 64
+    np.save(folder / "camera.npy", film)
+    lines = (write(folder.parent / "other", replace(LIVELY, first_s=1.05), "infrared") / "recording.toml").read_text()
+    (folder.parent / "other" / "infrared.npz").rename(folder / "infrared.npz")
+    append(folder, lines[lines.index("[infrared]") :])
+    return folder
+
+
+def slow_and_late(folder):
+    """Displacement twice a second, its clock 0.4 s late, a value that is missing and a gap in the acceleration."""
+    write(folder, replace(LIVELY, rate_hz=2.0, duration_s=30.0), "displacement")
+    set_keys(folder, "displacement", estimate_offset=True)
+    head, *rows = (folder / "slow.csv").read_text().splitlines()
+    rows = [f"{float(time) + 0.4:.9f},{value}" for time, value in (row.split(",") for row in rows)]
+    rows[20] = rows[20].split(",")[0] + ","
+    (folder / "slow.csv").write_text("\n".join([head, *rows]) + "\n")
+    head, *rows = (folder / "accel.csv").read_text().splitlines()
+    (folder / "accel.csv").write_text("\n".join([head, *rows[:1200], *rows[1260:]]) + "\n")
+    return folder
+
+
+CASES = {
+    "lossless": plain,
+    "crf 18": compressed(18),
+    "crf 23": compressed(23),
+    "crf 28": compressed(28),
+    "frozen": frozen,
+    "two targets": two_targets,
+    "infrared": infrared,
+    "day and night": day_and_night,
+    "displacement": slow_and_late,
+}
+
+
+class Site:
+    """A recording, its calibration, and points made of it again and again."""
+
+    def __init__(self, folder):
+        self.folder = folder
+        self.calibration, _ = calibrate_and_track(midspan.open_recording(folder), silent)
+
+    def sides(self):
+        recording = midspan.open_recording(self.folder)
+        sides = [side_of(recording, self.calibration)]
+        if recording.across is not None and self.calibration.across is not None:
+            sides.append(side_of(recording.across, self.calibration.across))
+        return sides
+
+    def opened(self, method, tracking=None):
+        """The point before its first record, and what it is made of."""
+        sides = self.sides()
+        eyes = open_eyes(sides, tracking, silent)
+        lag_s = sides[0].recording.settings.fusion.lag_s if method == "lag" else None
+        return measuring_point(sides, eyes, lag_s=lag_s), sides, eyes
+
+
+def records(sides, eyes, rng):
+    """The arrivals of each stream in their order, readings in blocks of any size."""
+    recording = sides[0].recording
+    value = np.column_stack([side.recording.acceleration.value for side in sides if side.recording.fused])
+    streams = {ACCELEROMETER: blocks(recording.acceleration.time_ns, value, rng)}
+    if recording.has("displacement"):
+        series = recording.displacement
+        streams["displacement"] = blocks(series.time_ns, series.value[:, None], rng)
+    for eye in eyes:
+        times = eye.tracking.time_ns[: eye.tracking.done].tolist()
+        found = [Tracked(t, t, tuple(one.translation(k) for one in eye.tracking.targets)) for k, t in enumerate(times)]
+        streams[eye.sensor] = [*found, *iter(eye.tracking.take, None)]
+    return {name: [Arrival(name, k, one) for k, one in enumerate(own)] for name, own in streams.items()}
+
+
+def blocks(time_ns, value, rng):
+    cuts = np.sort(rng.integers(0, len(time_ns) + 1, len(time_ns) // 15))
+    return [Readings(t, v) for t, v in zip(np.split(time_ns, cuts), np.split(value, cuts), strict=True) if len(t)]
+
+
+def interleaved(streams, rng):
+    """All arrivals in a random order that keeps that of each stream; some streams run far ahead for a while."""
+    left = {name: list(reversed(own)) for name, own in streams.items()}
+    while left:
+        name = list(left)[int(rng.integers(len(left)))]
+        for _ in range(int(rng.integers(1, 12))):
+            if left[name]:
+                yield left[name].pop()
+        if not left[name]:
+            del left[name]
+
+
+def live(site, method, seed, tracking=None):
+    """What a point gives that is fed in any order, and is put down and taken up again in the middle."""
+    rng = np.random.default_rng(seed)
+    point, sides, eyes = site.opened(method, tracking)
+    arrivals = list(interleaved(records(sides, eyes, rng), rng))
+    middle = int(rng.integers(len(arrivals) // 4, 3 * len(arrivals) // 4))
+    outcome = Outcome()
+    for number, arrival in enumerate(arrivals):
+        if number == middle:
+            kept = to_bytes(point.state)
+            point, _, _ = site.opened(method)
+            point.restore(from_bytes(kept, PointState))
+            assert to_bytes(point.state) == kept
+        outcome.take(point.push(arrival))
+    outcome.take(point.finish())
+    return outcome
+
+
+def assert_same(rows, expected):
+    """Rows of the same instants are the same, bit for bit."""
+    at = np.searchsorted(rows.time_ns, expected.time_ns)
+    for name in Estimate.__slots__:
+        np.testing.assert_array_equal(getattr(rows, name)[at], getattr(expected, name), err_msg=name)
+
+
+@pytest.fixture(scope="module", params=CASES)
+def site(request, tmp_path_factory):
+    return Site(CASES[request.param](tmp_path_factory.mktemp("live") / "site"))
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_rows_of_the_file_are_rows_of_the_point(site, method):
+    result = midspan.estimate(midspan.open_recording(site.folder), site.calibration, method=method)
+    assert len(result.estimate.time_ns) > 1000
+    for seed in (1, 2):
+        assert_same(live(site, method, seed).estimate(0), result.estimate)
