@@ -245,6 +245,35 @@ class RangeFrames:
 
 
 @dataclass(frozen=True, slots=True)
+class RangeFrame:
+    """One frame of `RangeFrames`: `phasors` (channels, bins), `valid` (channels,)."""
+
+    time_ns: int
+    phasors: NDArray[np.complex64]
+    valid: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class PhaseMeasurement:
+    """Phase of one radar target, counted from its first used frame, without jumps of a cycle, in rad, with variance.
+
+    variance_rad2: of what is new in every frame; reference_variance_rad2: of the phase's zero beside the first used
+    frame (cycles that may be lost, what else lies in the bin), common to frames that follow each other and not part of
+    `variance_rad2`. Where the target is not used the phase is NaN, its variance infinite and the status COASTING while
+    the cycle can still be predicted, else LOST. strength: amplitude over the calibrated one, 0 where nothing was
+    received. events: what happened in this frame.
+    """
+
+    time_ns: int
+    phase_rad: float
+    variance_rad2: float
+    reference_variance_rad2: float
+    status: Status
+    strength: float
+    events: tuple[Event, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
 class Channel:
     """One target of one sensor along one axis, as the estimator sees it; its measurements are in the sensor's own unit.
 
