@@ -226,7 +226,12 @@ CASES: dict[str, Case] = {
     "100 mm, calibrated on 100 mm with a plate of 10 %": Case(
         sine(0.1, 0.3), (*wall(), Reflector(WALL_M + 0.02, 0.1 * AMPLITUDE, 0.0))
     ),
-    "15 % of clutter, 2 mm": Case(swing(), (*wall(), Reflector(WALL_M + 0.02, 0.15 * AMPLITUDE, 0.5, 0.5))),
+    "10 % of clutter": Case(swing(4e-3), (*wall(), Reflector(WALL_M + 0.02, 0.1 * AMPLITUDE, 0.5, 0.5))),
+    "10 % of clutter, 1 mm": Case(swing(1e-3), (*wall(), Reflector(WALL_M + 0.02, 0.1 * AMPLITUDE, 0.5, 0.5))),
+    "20 % of clutter, 12 mm": Case(swing(12e-3), (*wall(), Reflector(WALL_M + 0.02, 0.2 * AMPLITUDE, 0.5, 0.5))),
+    "20 % of clutter, 12 mm, force balance": Case(
+        swing(12e-3), (*wall(), Reflector(WALL_M - 0.02, 0.2 * AMPLITUDE, -0.7, 0.5)), noise_m_s2=FORCE_BALANCE
+    ),
     "phase noise of 0.02 rad": Case(swing(), phase_noise_rad=0.02),
     "accelerometer dead from 20 s": Case(sine(0.05, 1.0), samples=dead),
     "two targets": Case(swing(), TWO, targets=2),

@@ -40,9 +40,9 @@ SPEED_GAIN = 2.0 * (2.0 - PHASE_GAIN) - 4.0 * math.sqrt(1.0 - PHASE_GAIN)
 MEMORY, FIRST_RAD2 = 50.0, 0.1
 # The first frames tell the speed, and are not judged.
 FIRST_COUNT = -2.0
-# The estimator is not followed while its innovations are so many times those of the target's own prediction (mean
-# squares), after so many frames: its accelerometer is dead, or of another event.
-DISTRUST, MIN_JUDGED = 2.0, 15.0
+# Frames after which the estimator is judged: it is not followed while its innovations are larger than those of the
+# target's own prediction, which are larger by the noise of two phases where the accelerometer tells anything.
+MIN_JUDGED = 15.0
 # The covariance of neighbouring bins of a Hann window, over the variance of one.
 NEIGHBOURS = 2.0 / 3.0
 # Shorter times without a target are no events, s.
@@ -242,7 +242,7 @@ def _better(state: TargetState, own: PhasePrediction, given: PhasePrediction) ->
     """The given prediction while it can name the cycle and is not refuted by the target's own; else the surer one."""
     if state.first is not None:
         return own
-    refuted = state.given_count >= MIN_JUDGED and state.given_rad2 > DISTRUST * state.own_rad2
+    refuted = state.given_count >= MIN_JUDGED and state.given_rad2 > state.own_rad2
     if own[1] < UNSURE_RAD2 and (refuted or not given[1] < UNSURE_RAD2):
         return own
     return given
@@ -357,9 +357,8 @@ def _measured(
 ) -> PhaseMeasurement:
     """A phase with what is uncertain of it."""
     (item, view, _), (time_ns, seen, phase) = known, met
-    bend = 2.0 * view.bent_rad**2 * (1.0 - math.cos(min(abs(phase), 0.5 * math.pi)))
     white = seen.variance_rad2 + item.target.phase_noise_rad2 + view.bent_rad**2
-    common = state.lost_rad2 + state.doubt_rad2 + bend
+    common = state.lost_rad2 + state.doubt_rad2
     return PhaseMeasurement(time_ns, phase, white, common, Status.TRACKING, seen.strength, events)
 
 

@@ -17,8 +17,9 @@ SURE_STD, NEAR_WHOLE = 4.0, 0.25
 # How much faster than the target's phase that of clutter may turn against it: half as much for what moves half as much
 # as the target, one for what stands still, more for what moves the other way.
 SLOPES = (0.5, 1.0, 1.7)
-# A target's speed at its first frames is accepted from this standard deviation on, and after so many frames in any case.
-SURE_SPEED_CYCLES, MAX_FIRST_FRAMES = 0.12, 64
+# A target's speed at its first frames, of which so many are needed, is accepted from this standard deviation on (cycles a
+# frame), and after so many frames in any case.
+MIN_FIRST_FRAMES, SURE_SPEED_CYCLES, MAX_FIRST_FRAMES = 10, 0.12, 64
 # What moves the range slowly without the phase is averaged as by so many independent parts.
 PARTS = 8
 
@@ -100,7 +101,7 @@ class FirstFrames:
     @property
     def cycles_per_frame(self) -> int | None:
         """Whole cycles a frame by which the speed is to be raised; None while more frames are needed."""
-        if self.count < 4:
+        if self.count < MIN_FIRST_FRAMES:
             return None
         n, g, nn, ng, gg = (total / self.count for total in self.sums)
         spread = nn - n * n
