@@ -126,7 +126,7 @@ def of_record(one: Drawn) -> tuple[Floats, Floats, str]:
 
 
 def of_chain(one: Drawn, **options: bool) -> tuple[Floats, Floats, str, int]:
-    """The same frame by frame, and the frame that it counts from."""
+    """The same frame by frame, NaN before the first row, and the frame that it counts from."""
     bin_m = float(one.axis.range_m[1])
     items = [
         FollowedTarget.of(target, one.axis.phase_per_m(target.range_m), bin_m, period_s=1 / RATE, bins=90)
@@ -138,7 +138,10 @@ def of_chain(one: Drawn, **options: bool) -> tuple[Floats, Floats, str, int]:
     kinds = [event.kind for event in found.events]
     counts = ", ".join(f"{kinds.count(kind)} {kind}" for kind in dict.fromkeys(kinds))
     begin = int(np.argmax(np.isfinite(found.phase_rad).any(axis=1)))
-    return found.value_m, found.std_m, f"{counts} ({found.hypotheses})", begin
+    value, std = np.full((2, len(one.samples)), np.nan)
+    rows = np.searchsorted(one.samples[:, 0], found.time_s - 1e-6)
+    value[rows], std[rows] = found.value_m, found.std_m
+    return value, std, f"{counts} ({found.hypotheses})", begin
 
 
 def judged(one: Drawn, value: Floats, std: Floats, first: int = 0) -> tuple[float, float, float]:

@@ -149,13 +149,15 @@ class RadarChain:
         """The phase of each target in a frame of phasors (channels, k) at `bins`.
 
         predictions: expected phase in rad and its variance in rad² of each target's channel at the frame's instant;
-        None before the target was first used, and where there is none.
+        None, or an infinite variance, where there is none.
         """
         if frame.phasors.shape[1] != len(self.bins):
             raise refuse("phasors", f"(channels, {len(self.bins)} bins)", frame.phasors.shape)
         found = []
         for k, item in enumerate(self._targets):
             given = None if predictions is None else predictions[k]
+            # Rounding may leave a variance below 0 where the channel's zero is hardly known.
+            given = None if given is None or not given[1] < math.inf else (given[0], max(given[1], 0.0))
             found.append(_met((item, self._views[k], self._blockage), self._states[k], frame, given))
         self._states = tuple(state for _, state in found)
         return tuple(measurement for measurement, _ in found)
@@ -183,7 +185,6 @@ def _view(item: FollowedTarget, bins: Floats, targets: int) -> _View:
     elif followed:
         # It was calibrated between two bins, where less of it is seen than at its peak.
         amplitude /= _between(target.place_bin - math.floor(target.place_bin))
-    share = 0.0 if math.isnan(target.clutter) or target.leak else target.clutter / math.sqrt(2.0)
     return _View(
         columns=slice(first, first + len(item.bins)),
         row=target.weights.conj() / math.sqrt(len(target.weights)),
@@ -191,9 +192,15 @@ def _view(item: FollowedTarget, bins: Floats, targets: int) -> _View:
         amplitude=amplitude,
         noise=target.noise_variance,
         cycles_per_bin=item.bin_m * item.phase_per_m / TURN if followed else 0.0,
-        bent_rad=max(share, 0.0 if math.isnan(target.modulation_rad) else target.modulation_rad),
+        bent_rad=bent_rad(target),
         name="radar: the target" if targets == 1 else f"radar: the target at {target.range_m:.2f} m",
     )
+
+
+def bent_rad(target: Target) -> float:
+    """Standard deviation of a target's phase by what else is in its bin, as it was calibrated, rad."""
+    share = 0.0 if math.isnan(target.clutter) or target.leak else target.clutter / math.sqrt(2.0)
+    return max(share, 0.0 if math.isnan(target.modulation_rad) else target.modulation_rad)
 
 
 def _response(distance_bins: float) -> float:

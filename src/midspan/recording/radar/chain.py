@@ -1,0 +1,53 @@
+"""The radar's stage and its channels from a calibration."""
+
+import math
+
+from midspan.engine.radar import FollowedTarget, RadarChain, bent_rad
+from midspan.radar.target import Target
+from midspan.recording.radar.frames import bin_m_of
+from midspan.recording.stored.radar import RadarCalibration
+from midspan.records import Channel, Source
+from midspan.sources.radar.radar_source import RadarInfo
+
+# Where the structure is when a target is first used, beside the best target's first frame, m: more than structures move
+# by, and little enough for the estimator's arithmetic beside variances of (1 µm)².
+OTHER_ZERO_STD_M = 0.1
+
+
+def radar_chain(
+    calibration: RadarCalibration, info: RadarInfo, sensor: str = "radar"
+) -> tuple[RadarChain, tuple[Channel, ...]]:
+    """The stage of the calibrated targets, best first, and one channel each, whose measurements are phases in rad.
+
+    The frames must hold the stage's `bins`: `source.slow_time(chain.bins)`.
+    """
+    bin_m = bin_m_of(info)
+    targets = tuple(
+        FollowedTarget.of(
+            target,
+            info.axis.phase_per_m(target.range_m),
+            bin_m,
+            period_s=1.0 / info.frame_rate_hz,
+            bins=info.bins,
+        )
+        for target in calibration.used
+    )
+    channels = tuple(
+        Channel(
+            sensor,
+            Source.RADAR,
+            units_per_m=item.phase_per_m / item.target.conversion_factor,
+            target=str(k + 1),
+            variance_factor=calibration.variance_factor,
+            zero_std_m=OTHER_ZERO_STD_M if k else first_zero_std_m(item),
+        )
+        for k, item in enumerate(targets)
+    )
+    return RadarChain(targets), channels
+
+
+def first_zero_std_m(item: FollowedTarget) -> float:
+    """Standard deviation of the zero that the best target's first frame gives, m of displacement."""
+    target: Target = item.target
+    bent_m = abs(target.conversion_factor) * bent_rad(target) / item.phase_per_m
+    return math.hypot(target.noise_m, bent_m)
