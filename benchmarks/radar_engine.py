@@ -97,9 +97,7 @@ def of_record(one: Drawn) -> tuple[Floats, Floats, str]:
     for target in one.targets:
         bin_m = float(one.axis.range_m[1])
         bins = target.bins(0.15 if one.case.chirp is SHORT_RANGE else 0.0, bin_m, 90)
-        frames = TargetFrames(
-            one.at, one.profiles[:, :, bins.astype(int)], one.valid, one.coarse, bins, bin_m
-        )
+        frames = TargetFrames(one.at, one.profiles[:, :, bins.astype(int)], one.valid, one.coarse, bins, bin_m)
         unit = one.axis.phase_per_m(target.range_m)
         series.append(displacement(frames, target, samples=one.samples, phase_per_m=unit))
     value, variance = np.stack([s.value_m for s in series]), np.stack([s.variance_m2 for s in series])
@@ -240,7 +238,9 @@ CASES: dict[str, Case] = {
     "two targets": Case(swing(), TWO, targets=2),
     "two, one hidden for 10 s": Case(swing(), (*wall((18.0, 28.0)), PIER), TWO, targets=2),
     "two, one drives off at 20 mm/s": Case(swing(), (*wall(own=Course(20.0, 0.02)), PIER), TWO, targets=2),
-    "two, one creeps at 3 mm/s for 3 s": Case(swing(), (*wall(own=Course(20.0, 3e-3, 0.0, 23.0)), PIER), TWO, targets=2),
+    "two, one creeps at 3 mm/s for 3 s": Case(
+        swing(), (*wall(own=Course(20.0, 3e-3, 0.0, 23.0)), PIER), TWO, targets=2
+    ),
     "two, one jumps by 0.4 mm": Case(swing(), (*wall(own=Course(20.0, 0.0, 4e-4)), PIER), TWO, targets=2),
     "one jumps by 0.4 mm": Case(swing(), wall(own=Course(20.0, 0.0, 4e-4)), wall()),
     "two, one a tree (0.3 mm)": Case(swing(), (*wall(own=TREE), PIER), TWO, targets=2),

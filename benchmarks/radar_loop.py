@@ -83,7 +83,9 @@ def run(
     at, profiles, valid = frames
     seen = profiles[:, :, chain.bins.astype(int)] if profiles.shape[2] != len(chain.bins) else profiles
     stamps, times = nanoseconds(at), nanoseconds(samples[:, 0])
-    zero_ns = first_used(RadarChain(targets), [RangeFrame(int(t), *one) for t, *one in zip(stamps, seen, valid, strict=True)])
+    zero_ns = first_used(
+        RadarChain(targets), [RangeFrame(int(t), *one) for t, *one in zip(stamps, seen, valid, strict=True)]
+    )
     estimator = estimator_for(targets, float(np.mean(samples[:200, 1])), clock_std_s, zero_ns)
     rows, met, events, most, f = [], [], [], 0, 0
     for k, time_ns in enumerate(times):

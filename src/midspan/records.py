@@ -4,7 +4,7 @@ Time is int64 nanoseconds of one declared clock (the accelerometer's, or the sen
 applied); seconds appear only as differences. A record that holds arrays is a block: field arrays of equal length n.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 from enum import IntEnum
 from typing import TypeVar
@@ -233,6 +233,15 @@ class ChirpFrame:
 
 
 @dataclass(frozen=True, slots=True)
+class RangeFrame:
+    """One frame of `RangeFrames`: `phasors` (channels, bins), `valid` (channels,)."""
+
+    time_ns: int
+    phasors: NDArray[np.complex64]
+    valid: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
 class RangeFrames:
     """A block of frames resolved in range: `phasors` (n, channels, bins) complex64 whose phase grows with the range.
 
@@ -243,25 +252,21 @@ class RangeFrames:
     phasors: NDArray[np.complex64]
     valid: NDArray[np.bool_]
 
-
-@dataclass(frozen=True, slots=True)
-class RangeFrame:
-    """One frame of `RangeFrames`: `phasors` (channels, bins), `valid` (channels,)."""
-
-    time_ns: int
-    phasors: NDArray[np.complex64]
-    valid: NDArray[np.bool_]
+    def __iter__(self) -> Iterator[RangeFrame]:
+        """Its frames, one by one."""
+        for row, stamp in enumerate(self.time_ns.tolist()):
+            yield RangeFrame(stamp, self.phasors[row], self.valid[row])
 
 
 @dataclass(frozen=True, slots=True)
 class PhaseMeasurement:
     """Phase of one radar target, counted from its first used frame, without jumps of a cycle, in rad, with variance.
 
-    variance_rad2: of what is new in every frame; reference_variance_rad2: of the phase's zero beside the first used
-    frame (cycles that may be lost, what else lies in the bin), common to frames that follow each other and not part of
-    `variance_rad2`. Where the target is not used the phase is NaN, its variance infinite and the status COASTING while
-    the cycle can still be predicted, else LOST. strength: amplitude over the calibrated one, 0 where nothing was
-    received. events: what happened in this frame.
+    variance_rad2: of what is new in every frame; reference_variance_rad2: of the phase's zero since the first used
+    frame (cycles that may have been lost), common to frames that follow each other and not part of `variance_rad2`.
+    Where the target is not used the phase is NaN, its variance infinite and the status COASTING while the cycle can
+    still be predicted, else LOST. strength: amplitude over the calibrated one, 0 where nothing was received. events:
+    what happened in this frame.
     """
 
     time_ns: int

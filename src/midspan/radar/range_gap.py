@@ -17,8 +17,8 @@ SURE_STD, NEAR_WHOLE = 4.0, 0.25
 # How much faster than the target's phase that of clutter may turn against it: half as much for what moves half as much
 # as the target, one for what stands still, more for what moves the other way.
 SLOPES = (0.5, 1.0, 1.7)
-# A target's speed at its first frames, of which so many are needed, is accepted from this standard deviation on (cycles a
-# frame), and after so many frames in any case.
+# A target's speed at its first frames, of which so many are needed, is accepted from this standard deviation on, cycles
+# a frame, and after so many frames in any case.
 MIN_FIRST_FRAMES, SURE_SPEED_CYCLES, MAX_FIRST_FRAMES = 10, 0.12, 64
 # What moves the range slowly without the phase is averaged as by so many independent parts.
 PARTS = 8
@@ -32,7 +32,7 @@ class RangeGap:
     the unit vectors that turn by `SLOPES` times the phase, 0 where it lies evenly.
     """
 
-    mean: float
+    mean: float = math.nan
     count: int = 0
     square: float = 0.0
     step: float = 0.0
