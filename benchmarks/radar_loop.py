@@ -27,13 +27,14 @@ from midspan.records import (
 class Run:
     """Rows (s,) in s, m and m (displacement since the first frame used and its standard deviation).
 
-    phase_rad, status (frames, targets): of the chain; events: of both; hypotheses: most at a time.
+    phase_rad, reference_rad2, status (frames, targets): of the chain; events: of both; hypotheses: most at a time.
     """
 
     time_s: Floats
     value_m: Floats
     std_m: Floats
     phase_rad: Floats
+    reference_rad2: Floats
     status: NDArray[np.uint8]
     events: tuple[Event, ...]
     hypotheses: int
@@ -114,7 +115,10 @@ def run(
         most = max(most, estimator.count)
     time_s = np.concatenate([row.time_ns for row in rows]) / 1e9
     value, variance = (np.concatenate([getattr(row, n) for row in rows]) for n in ("displacement_m", "variance_m2"))
-    phase = np.array([[one.phase_rad for one in found] for found in met])
+    phase, reference = (
+        np.array([[getattr(one, name) for one in found] for found in met])
+        for name in ("phase_rad", "reference_variance_rad2")
+    )
     status = np.array([[one.status for one in found] for found in met], dtype=np.uint8)
     assert Status.TRACKING in status
-    return Run(time_s, value, np.sqrt(variance), phase, status, tuple(events), most)
+    return Run(time_s, value, np.sqrt(variance), phase, reference, status, tuple(events), most)
