@@ -22,7 +22,8 @@ from numpy.typing import NDArray
 from midspan.checks import refuse
 from midspan.radar.blockage import BlockageSettings
 from midspan.radar.channels import Phasors
-from midspan.radar.following import LEAST_EXCURSION_BINS, bins_within
+from midspan.radar.following import bins_within
+from midspan.radar.lobe import between, fraction_between, looked_at, noise_between
 from midspan.radar.range_gap import MEMORY_FRAMES, MIN_FRAMES, FirstFrames, RangeGap, cycles_lost
 from midspan.radar.target import Target
 from midspan.radar.unwrap import BLIND_RAD, TURN, UNSURE_CYCLES
@@ -34,7 +35,8 @@ PhasePrediction = tuple[float, float]
 UNSURE_RAD2 = (UNSURE_CYCLES * TURN) ** 2
 # The variance of a zero that was lost, over that of the prediction: the estimator then keeps its own place, whose
 # variance falls by half a percent only.
-NEW_ZERO_RATIO = 100.0
+# No structure moves by more than so many cycles (2 m) in an outage; more would hurt the estimator's arithmetic.
+NEW_ZERO_RATIO, MAX_LOST_CYCLES = 100.0, 1000.0
 # Gains of the target's own prediction: of the phase, and of the speed of a critically damped filter.
 PHASE_GAIN = 0.8
 SPEED_GAIN = 2.0 * (2.0 - PHASE_GAIN) - 4.0 * math.sqrt(1.0 - PHASE_GAIN)
@@ -45,8 +47,6 @@ FIRST_COUNT = -2.0
 # Frames after which the estimator is judged: it is not followed while its innovations are larger than those of the
 # target's own prediction, which are larger by the noise of two phases where the accelerometer tells anything.
 MIN_JUDGED = 15.0
-# The covariance of neighbouring bins of a Hann window, over the variance of one.
-NEIGHBOURS = 2.0 / 3.0
 # Shorter times without a target are no events, s.
 MIN_TOLD_S = 0.1
 
@@ -177,7 +177,7 @@ class _Follower:
             self.still = target.background.at(item.bins)
         elif followed:
             # It was calibrated between two bins, where less of it is seen than at its peak.
-            self.amplitude /= _between(target.place_bin - math.floor(target.place_bin))
+            self.amplitude /= between(target.place_bin - math.floor(target.place_bin))
         self.white_rad2 = target.phase_noise_rad2 + bent_rad(target) ** 2
 
     def push(
@@ -239,12 +239,12 @@ class _Follower:
         z: list[complex] = (row @ mine - self.still).tolist()
         value, gain, at = z[0], 1.0, place[0]
         if len(z) > 1:
-            at = _looked_at(z, self.first_bin, place) - self.first_bin
+            at = looked_at(z, self.first_bin, place) - self.first_bin
             low = min(max(math.floor(at), 0), len(z) - 2)
             part = min(max(at - low, 0.0), 1.0)
-            value, gain = (1.0 - part) * z[low] + part * z[low + 1], _between(part)
-            noise *= 1.0 - 2.0 * (1.0 - NEIGHBOURS) * part * (1.0 - part)
-            at = self.first_bin + low + _fraction(z[low], z[low + 1], value)
+            value, gain = (1.0 - part) * z[low] + part * z[low + 1], between(part)
+            noise *= noise_between(part)
+            at = self.first_bin + low + fraction_between(z[low], z[low + 1], value)
         size = abs(value)
         if not 0.0 < size < math.inf:
             return _Seen(0.0, math.inf, 0.0, at)
@@ -334,7 +334,7 @@ class _Follower:
 
     def _doubt(self, variance_rad2: float) -> None:
         """The zero of the phase is a new one; where the range was known before, it may tell the cycle later."""
-        state, rise = self.state, NEW_ZERO_RATIO * variance_rad2
+        state, rise = self.state, min(NEW_ZERO_RATIO * variance_rad2, (MAX_LOST_CYCLES * TURN) ** 2)
         if state.before is None and state.gap.count < MIN_FRAMES:
             state.lost_rad2 += rise
             return
@@ -359,36 +359,6 @@ def bent_rad(target: Target) -> float:
     """Standard deviation of a target's phase by what else is in its bin, as it was calibrated, rad."""
     share = 0.0 if math.isnan(target.clutter) or target.leak else target.clutter / math.sqrt(2.0)
     return max(share, 0.0 if math.isnan(target.modulation_rad) else target.modulation_rad)
-
-
-def _response(distance_bins: float) -> float:
-    """`following.response` at one distance."""
-    d = abs(distance_bins)
-    if d < 1e-9 or abs(d - 1.0) < 1e-9:
-        return 1.0 if d < 0.5 else 0.5
-    return math.sin(math.pi * d) / (math.pi * d * (1.0 - d * d))
-
-
-def _between(share: float) -> float:
-    """Response of two neighbouring bins, weighed linearly, to a target that lies a share of a bin from the lower."""
-    return (1.0 - share) * _response(share) + share * _response(1.0 - share)
-
-
-def _looked_at(z: list[complex], first_bin: float, place: tuple[float, float]) -> float:
-    """Where the target is met: where it is expected, or at the strongest bin where that is not sure."""
-    expected, reach = place
-    if not reach > LEAST_EXCURSION_BINS:
-        return expected
-    near = [k for k in range(len(z)) if abs(first_bin + k - expected) <= reach + 0.5] or range(len(z))
-    k = max(near, key=lambda bin_: abs(z[bin_]))
-    low = k if k + 1 < len(z) and (k == 0 or abs(z[k + 1]) > abs(z[k - 1])) else k - 1
-    return first_bin + low + _fraction(z[low], z[low + 1], z[k])
-
-
-def _fraction(low: complex, high: complex, value: complex) -> float:
-    """Where between two bins of a Hann window a target of phasor `value` lies: its responses are as 2 − d to 1 + d."""
-    a, b = (low * value.conjugate()).real, (high * value.conjugate()).real
-    return min(max((2.0 * b - a) / (a + b), -0.5), 1.5) if a + b > 0.0 else 0.5
 
 
 def _slips(own_rad2: float) -> float:
