@@ -386,7 +386,7 @@ class Arrival:
 
     stream: str
     sequence: int
-    record: Readings | Frame | Tracked | ChirpFrame | Event
+    record: Readings | Frame | Tracked | RangeFrame | Event
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,12 +12,12 @@ from midspan.engine.order import AHEAD, GOOD, KINDS, LAST_NS, LATE, is_new, orde
 from midspan.records import (
     NANOSECONDS,
     Arrival,
-    ChirpFrame,
     ClockOffset,
     Event,
     Frame,
     Health,
     Nanoseconds,
+    RangeFrame,
     Readings,
     StreamState,
     Tick,
@@ -301,7 +301,7 @@ def _moved(time_ns: Nanoseconds, offset_ns: int) -> Nanoseconds:
     return np.where(np.abs(time_ns.astype(np.float64)) > LAST_NS, time_ns, time_ns + np.int64(offset_ns))
 
 
-def _stamps(record: Readings | Frame | Tracked | ChirpFrame | Event) -> Nanoseconds:
+def _stamps(record: Readings | Frame | Tracked | RangeFrame | Event) -> Nanoseconds:
     if isinstance(record, Readings):
         return np.asarray(record.time_ns, dtype=np.int64)
     return np.array([record.time_ns], dtype=np.int64)

@@ -12,7 +12,20 @@ import numpy as np
 
 from midspan.engine.camera import CameraChain, CameraState
 from midspan.engine.plain import PlainChain, PlainState
-from midspan.records import Event, Frame, Measured, PixelTranslation, Prediction, Readings, Samples, Tracked, joined
+from midspan.engine.radar import RadarChain, TargetState
+from midspan.records import (
+    Event,
+    Frame,
+    Measured,
+    PhaseMeasurement,
+    PixelTranslation,
+    Prediction,
+    RangeFrame,
+    Readings,
+    Samples,
+    Tracked,
+    joined,
+)
 
 # The prediction across the measured axis, where nothing predicts: the motion there is small, px.
 ACROSS_STD_PX = 2.0
@@ -27,11 +40,11 @@ Expect = Callable[[int, int], tuple[float, float]]
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """What a sensor made of one record: measurements for the estimator, translations of a camera's targets, events."""
+    """What a sensor made of one record: measurements for the estimator, what was found of each target, events."""
 
     sensor: str
     measured: Measured | None
-    translations: tuple[PixelTranslation, ...] = ()
+    found: tuple[PixelTranslation | PhaseMeasurement, ...] = ()
     events: tuple[Event, ...] = ()
 
 
@@ -131,6 +144,38 @@ class CameraSensor:
         return Measured(
             np.array(time_ns, dtype=np.int64), np.array(channel, dtype=np.int64), value, variance, reference
         )
+
+
+class RadarSensor:
+    """A radar: channels[target] are numbers in the estimator's table, in the order of the chain's targets."""
+
+    def __init__(self, name: str, chain: RadarChain, channels: Sequence[int]) -> None:
+        self.name, self.chain, self.channels = name, chain, tuple(channels)
+
+    @property
+    def state(self) -> tuple[TargetState, ...]:
+        """Everything that changes from frame to frame."""
+        return self.chain.state
+
+    def restore(self, state: tuple[TargetState, ...]) -> None:
+        """Go on from a `state` taken earlier."""
+        self.chain.restore(state)
+
+    def push(self, record: RangeFrame, expect: Expect) -> Seen:
+        """The phase of each target in a frame, unwrapped about the one that is expected."""
+        found = self.chain.push(record, [expect(channel, record.time_ns) for channel in self.channels])
+        events = tuple(event for one in found for event in one.events)
+        measured = Measured(
+            np.array([one.time_ns for one in found], dtype=np.int64),
+            np.array(self.channels, dtype=np.int64),
+            np.array([one.phase_rad for one in found]),
+            np.array([one.variance_rad2 for one in found]),
+            np.array([one.reference_variance_rad2 for one in found]),
+        )
+        return Seen(self.name, measured, found, events)
+
+    def reached(self, samples: Samples) -> None:
+        """A frame is measured when it comes; the estimator waits for the samples that cover it."""
 
 
 class PlainSensor:

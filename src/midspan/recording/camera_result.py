@@ -6,9 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from midspan.engine.targets import agreeing, combine, relative_zeros
-from midspan.fusion.path import at
-from midspan.recording.sensor_series import SensorSeries, series_of
+from midspan.recording.sensor_series import SensorSeries, agreed_series
 from midspan.recording.stored.camera import CameraCalibration
 from midspan.recording.tracking.tracking import CameraTracking, TargetTracking
 from midspan.records import (
@@ -138,12 +136,4 @@ def camera_series(camera: CameraResult, path: Estimate, axis: int = 0) -> Sensor
     """
     blocks = [camera.displacement(number, axis) for number in range(len(camera.targets))]
     best = best_target([target.region for target in camera.targets], camera.calibrations[axis])
-    if len(blocks) == 1:
-        return series_of(camera.sensor, camera.source, blocks[0])
-    residual = np.array([block.value_m - at(path, block.time_ns)[0] for block in blocks])
-    variance = np.array([block.variance_m2 for block in blocks])
-    residual -= relative_zeros(residual, variance)[:, None]
-    expected, spread = at(path, blocks[best].time_ns)
-    found = combine(residual, variance, agreeing(residual, variance, spread))
-    measured = replace(blocks[best], value_m=found.value + expected, variance_m2=found.variance)
-    return series_of(camera.sensor, camera.source, measured)
+    return agreed_series(camera.sensor, camera.source, (blocks, best), path)

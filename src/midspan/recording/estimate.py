@@ -37,7 +37,7 @@ from midspan.recording.second_look import (
     scales,
     with_scales,
 )
-from midspan.recording.sensor_series import SensorSeries
+from midspan.recording.sensor_series import SensorSeries, channel_series
 from midspan.recording.stored.calibration import Calibration
 from midspan.recording.stored.calibration_file import load_calibration
 from midspan.recording.streams.progress import Progress, silent
@@ -73,7 +73,7 @@ def estimate(
         calibration = load_calibration(calibration)
     # The method is checked first: tracking may take long.
     method = option("method", method or recording.settings.fusion.method, METHODS)
-    if recording.has("radar"):
+    if recording.has("radar") and recording.settings.fusion.literal:
         return estimate_whole.estimate(recording, calibration, method=method, tracking=tracking, progress=progress)
     recording.require_one_of_a_kind()
     if recording.settings.fusion.literal and method not in LITERAL:
@@ -158,8 +158,8 @@ def first_pass(asked: Asked, tracking: CameraTracking | None, progress: Progress
     if not any(len(rows.estimates[0].time_ns) for rows in outcome.rows if rows.estimates):
         raise DataError(_no_overlap(asked.recording, outcome))
     cameras = tuple(_camera(eye) for eye in eyes)
-    series = tuple(_series(asked, cameras, outcome.estimate(axis), axis) for axis in range(len(sides)))
-    return FirstPass(sides, eyes, point.estimator, outcome, cameras, series)
+    first = FirstPass(sides, eyes, point.estimator, outcome, cameras, ())
+    return replace(first, series=tuple(_series(asked, first, axis) for axis in range(len(sides))))
 
 
 def fitted(asked: Asked, first: FirstPass) -> tuple[EstimatorSettings, list[str]]:
@@ -316,9 +316,13 @@ def _camera(eye: Eye) -> CameraResult:
     return camera_result(eye.tracking, eye.sensor, settings, eye.calibrations)
 
 
-def _series(asked: Asked, cameras: Sequence[CameraResult], rows: Estimate, axis: int) -> dict[str, SensorSeries]:
+def _series(asked: Asked, first: FirstPass, axis: int) -> dict[str, SensorSeries]:
     """What each sensor measured along an axis."""
-    found = {camera.sensor: camera_series(camera, rows, axis) for camera in cameras}
+    rows = first.outcome.estimate(axis)
+    found = {camera.sensor: camera_series(camera, rows, axis) for camera in first.cameras}
+    if axis == 0 and "radar" in first.outcome.measured:
+        measured = first.outcome.measured_by("radar")
+        found["radar"] = channel_series(measured, first.estimator.settings.channels, "radar", rows)
     known = asked.calibration.displacement
     if axis == 0 and asked.recording.has("displacement") and known is not None:
         found["displacement"] = displacement_series("displacement", asked.recording.displacement, known)
@@ -328,7 +332,9 @@ def _series(asked: Asked, cameras: Sequence[CameraResult], rows: Estimate, axis:
 def _offsets(asked: Asked, eyes: Sequence[Eye]) -> dict[str, Offsets]:
     """The calibrated clock offset of each sensor."""
     found = {eye.sensor: Offsets(eye.calibrations[0].offset, estimated=True) for eye in eyes}
-    known = asked.calibration.displacement
+    radar, known = asked.calibration.radar, asked.calibration.displacement
+    if radar is not None:
+        found["radar"] = Offsets(radar.offset, estimated=True)
     if known is not None:
         found["displacement"] = Offsets(known.offset, estimated=asked.recording.learns_offset)
     return found

@@ -11,12 +11,15 @@ from midspan.engine.merge import Merge
 from midspan.engine.order import FIRST_NS
 from midspan.engine.plain import PlainChain, PlainSettings
 from midspan.engine.point import ACCELEROMETER, Point
-from midspan.engine.sensors import CameraSensor, PlainSensor, Sensor
+from midspan.engine.sensors import CameraSensor, PlainSensor, RadarSensor, Sensor
 from midspan.fusion.estimator import Estimator
 from midspan.fusion.model import EstimatorSettings, Parameter, ParameterKind
 from midspan.fusion.second_pass import Lag
 from midspan.recording.cameras.tracked import Eye, Side, clock_std_s
+from midspan.recording.radar.chain import radar_chain
 from midspan.recording.stored.displacement import DisplacementCalibration
+from midspan.recording.stored.radar import RadarCalibration
+from midspan.recording.streams.measured import frames_used
 from midspan.recording.streams.recording import Recording
 from midspan.records import NANOSECONDS, Channel, ClockOffset, Nanoseconds, Source, TimeOffset
 from midspan.signals.stuck import resolution
@@ -116,6 +119,21 @@ def plain_channel(table: Table, recording: Recording, known: DisplacementCalibra
     return PlainSensor("displacement", PlainChain(settings))
 
 
+def radar_channels(table: Table, recording: Recording, known: RadarCalibration, *, first: bool) -> RadarSensor:
+    """A radar's sensor, and its channels in the table; first: whether its zero is that of the displacement."""
+    coasting_s, lost_s = ages(recording.radar.times_ns())
+    chain, channels = radar_chain(known, recording.radar.info)
+    numbers = [
+        table.add(
+            replace(channel, coasting_s=coasting_s, lost_s=lost_s, zero_std_m=channel.zero_std_m if first else np.inf)
+        )
+        for channel in channels
+    ]
+    table.uncertain(ParameterKind.SCALE_ERROR, numbers, known.relative_std)
+    table.uncertain(ParameterKind.CLOCK_OFFSET, numbers, clock_std_s(known.offset))
+    return RadarSensor("radar", chain, numbers)
+
+
 def figures(side: Side) -> AxisFigures:
     """What is usual of an axis's acceleration."""
     density = side.calibration.noise_density(side.prepared.rate_hz)
@@ -130,12 +148,28 @@ def bias_std(side: Side) -> float:
     return float(np.hypot(np.hypot(noise, MIN_BIAS_STD), known if np.isfinite(known) else UNKNOWN_BIAS_STD))
 
 
-def zero_instant(eyes: Sequence[Eye]) -> int | None:
+def clock_offsets_ns(main: Side, eyes: Sequence[Eye]) -> dict[str, int]:
+    """What is added to each sensor's stamps (ns) to get the accelerometer's clock."""
+    known: dict[str, TimeOffset] = {eye.sensor: eye.calibrations[0].offset for eye in eyes}
+    parts = (("radar", main.calibration.radar), ("displacement", main.calibration.displacement))
+    known |= {name: one.offset for name, one in parts if one is not None}
+    return {name: round(NANOSECONDS * offset.value_s) for name, offset in known.items()}
+
+
+def radar_frames_used(recording: Recording) -> slice:
+    """The frames of the radar that are used."""
+    margin_ns = round(recording.max_offset_s * NANOSECONDS)
+    return frames_used(recording.radar.times_ns(), recording.prepared.time_ns, margin_ns)
+
+
+def zero_instant(main: Side, eyes: Sequence[Eye]) -> int | None:
     """The instant (ns) that the displacement counts from: the first frame used; None: the sensor's own zero."""
-    if not eyes:
-        return None
-    eye = eyes[0]
-    return int(eye.tracking.time_ns[0]) + round(NANOSECONDS * eye.calibrations[0].offset.value_s)
+    offsets_ns = clock_offsets_ns(main, eyes)
+    if eyes:
+        return int(eyes[0].tracking.time_ns[0]) + offsets_ns[eyes[0].sensor]
+    if main.recording.has("radar"):
+        return int(main.recording.radar.times_ns()[radar_frames_used(main.recording).start]) + offsets_ns["radar"]
+    return None
 
 
 def estimator_settings(table: Table, sides: Sequence[Side], zero_ns: int | None) -> EstimatorSettings:
@@ -158,20 +192,20 @@ def measuring_point(
     lag_s: rows are given out so much later, smoothed; noise_memory: measurements over which their noise is followed.
     """
     main, table = sides[0], Table()
+    recording, calibration = main.recording, main.calibration
     sensors: dict[str, Sensor] = {}
-    offsets: dict[str, TimeOffset] = {}
     for number, eye in enumerate(eyes):
         sensors[eye.sensor] = camera_channels(table, eye, first=number == 0)
-        offsets[eye.sensor] = eye.calibrations[0].offset
-    known = main.calibration.displacement
-    if main.recording.has("displacement") and known is not None:
-        sensors["displacement"] = plain_channel(table, main.recording, known, first=not eyes)
-        offsets["displacement"] = known.offset
-    settings = estimator_settings(table, sides, zero_instant(eyes))
+    if recording.has("radar") and calibration.radar is not None:
+        sensors["radar"] = radar_channels(table, recording, calibration.radar, first=not sensors)
+    if recording.has("displacement") and calibration.displacement is not None:
+        sensors["displacement"] = plain_channel(table, recording, calibration.displacement, first=not sensors)
+    offsets_ns = clock_offsets_ns(main, eyes)
+    settings = estimator_settings(table, sides, zero_instant(main, eyes))
     settings = settings if noise_memory is None else replace(settings, noise_memory=noise_memory)
     merge = Merge([ACCELEROMETER, *sensors], lateness_s=np.inf, silent_s=np.inf)
-    for name, offset in offsets.items():
-        merge.push(ClockOffset(name, round(NANOSECONDS * offset.value_s), FIRST_NS))
+    for name in sensors:
+        merge.push(ClockOffset(name, offsets_ns[name], FIRST_NS))
     measured = [side for side in sides if side.recording.fused]
     guard = Guard(GuardSettings(main.prepared.rate_hz, tuple(figures(side) for side in measured)))
     unmeasured = [side.calibration.noise_density(main.prepared.rate_hz) for side in sides if side not in measured]

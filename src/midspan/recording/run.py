@@ -1,15 +1,30 @@
 """A recording as a loop over its point's `push`: all records in, everything that came out of them back."""
 
-from collections.abc import Sequence
+import heapq
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from midspan.engine.point import ACCELEROMETER, Output, Point
-from midspan.engine.sensors import Seen
+from midspan.engine.sensors import RadarSensor, Seen
 from midspan.fusion.estimator import Rows
 from midspan.recording.cameras.tracked import Eye, Side
-from midspan.records import NANOSECONDS, Arrival, Estimate, Event, Innovation, Measured, Readings, Tracked, joined
+from midspan.recording.point import clock_offsets_ns, radar_frames_used
+from midspan.recording.streams.recording import Recording
+from midspan.records import (
+    NANOSECONDS,
+    Arrival,
+    Estimate,
+    Event,
+    Frame,
+    Innovation,
+    Measured,
+    RangeFrame,
+    Readings,
+    Tracked,
+    joined,
+)
 
 
 @dataclass(slots=True)
@@ -64,41 +79,70 @@ def run(point: Point, sides: Sequence[Side], eyes: Sequence[Eye]) -> Outcome:
     if "displacement" in point.sensors:
         series = sides[0].recording.displacement
         outcome.take(point.push(Arrival("displacement", 0, Readings(series.time_ns, series.value[:, None]))))
-    named = {eye.sensor: eye for eye in eyes}
-    counts = dict.fromkeys(named, 0)
-    for eye in eyes:
-        for k in range(eye.tracking.done):
-            stamp = int(eye.tracking.time_ns[k])
-            record = Tracked(stamp, stamp, tuple(target.translation(k) for target in eye.tracking.targets))
-            outcome.take(point.push(Arrival(eye.sensor, k, record)))
-        counts[eye.sensor] = eye.tracking.done
-    while (following := next_camera(eyes, counts)) is not None:
-        eye, frame = following, following.tracking.take()
-        if frame is None:
-            eye.tracking.ended = True
-            continue
-        outputs = point.push(Arrival(eye.sensor, counts[eye.sensor], frame))
-        counts[eye.sensor] += 1
-        for output in outputs:
-            if isinstance(output, Seen) and output.translations:
-                seen = named[output.sensor]
-                early_ns = -late_ns(seen)
-                seen.tracking.keep([replace(one, time_ns=one.time_ns + early_ns) for one in output.translations])
+    cameras = {eye.sensor: eye for eye in eyes}
+    feeds: dict[str, Iterator[Tracked | Frame | RangeFrame]] = {eye.sensor: frames_of(eye) for eye in eyes}
+    if isinstance(radar := point.sensors.get("radar"), RadarSensor):
+        feeds["radar"] = radar_frames(sides[0].recording, radar)
+    for arrival in in_time(feeds, clock_offsets_ns(sides[0], eyes)):
+        outputs = point.push(arrival)
+        keep(outputs, cameras)
         outcome.take(outputs)
-    outcome.take(point.finish())
+    outputs = point.finish()
+    keep(outputs, cameras)
+    outcome.take(outputs)
     return outcome
+
+
+def frames_of(eye: Eye) -> Iterator[Tracked | Frame]:
+    """A camera's frames: first those that were tracked while it was calibrated, with their translations."""
+    tracking = eye.tracking
+    for k in range(tracking.done):
+        stamp = int(tracking.time_ns[k])
+        yield Tracked(stamp, stamp, tuple(target.translation(k) for target in tracking.targets))
+    while (frame := tracking.take()) is not None:
+        yield frame
+
+
+def radar_frames(recording: Recording, radar: RadarSensor) -> Iterator[RangeFrame]:
+    """A radar's frames in the bins of its stage."""
+    used = radar_frames_used(recording)
+    for block in recording.radar.slow_time(radar.chain.bins, used.start, used.stop):
+        yield from block
+
+
+def in_time(
+    feeds: Mapping[str, Iterator[Tracked | Frame | RangeFrame]], offsets_ns: Mapping[str, int]
+) -> Iterator[Arrival]:
+    """The frames of all streams in the order of the common clock, one of each stream read ahead at most.
+
+    offsets_ns: what is added to the stamps of each to get that clock.
+    """
+    waiting: list[tuple[int, int, str, Tracked | Frame | RangeFrame]] = []
+    counts = dict.fromkeys(feeds, 0)
+
+    def read(name: str) -> None:
+        record = next(feeds[name], None)
+        if record is not None:
+            heapq.heappush(waiting, (record.time_ns + offsets_ns[name], list(feeds).index(name), name, record))
+
+    for name in feeds:
+        read(name)
+    while waiting:
+        _, _, name, record = heapq.heappop(waiting)
+        yield Arrival(name, counts[name], record)
+        counts[name] += 1
+        read(name)
+
+
+def keep(outputs: Sequence[Output], cameras: Mapping[str, Eye]) -> None:
+    """Let the cameras keep what was found in their frames, on their own clocks."""
+    for output in outputs:
+        if isinstance(output, Seen) and output.found and output.sensor in cameras:
+            eye = cameras[output.sensor]
+            early_ns = -late_ns(eye)
+            eye.tracking.keep([replace(one, time_ns=one.time_ns + early_ns) for one in output.found])
 
 
 def late_ns(eye: Eye) -> int:
     """What is added to a camera's stamps to get the accelerometer's clock."""
     return round(NANOSECONDS * eye.calibrations[0].offset.value_s)
-
-
-def next_camera(eyes: Sequence[Eye], counts: dict[str, int]) -> Eye | None:
-    """The camera with the earliest frame that has not been pushed, on one clock; None at the end."""
-    due = [
-        (int(eye.tracking.time_ns[counts[eye.sensor]]) + late_ns(eye), number)
-        for number, eye in enumerate(eyes)
-        if not eye.tracking.ended and counts[eye.sensor] < len(eye.tracking.time_ns)
-    ]
-    return eyes[min(due)[1]] if due else None

@@ -1,10 +1,13 @@
 """What one sensor measured over a record, in metres: what a report draws as points."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from midspan.records import Displacement, Floats, Nanoseconds, Source
+from midspan.engine.targets import agreeing, combine, relative_zeros
+from midspan.fusion.path import at
+from midspan.records import Channel, Displacement, Estimate, Floats, Measured, Nanoseconds, Source
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,3 +38,34 @@ def series_of(sensor: str, source: Source, measured: Displacement) -> SensorSeri
     value = np.where(seen, measured.value_m, np.nan)
     std = np.sqrt(np.where(seen, measured.variance_m2, np.nan))
     return SensorSeries(sensor, source, measured.time_ns, value, std)
+
+
+def agreed_series(
+    sensor: str, source: Source, targets: tuple[Sequence[Displacement], int], path: Estimate
+) -> SensorSeries:
+    """What a sensor's targets measured together: at each instant the mean of those that agree.
+
+    targets: the displacements of each, one row a frame, and the number of the best. path: the displacement; it bridges
+    the milliseconds between targets, and decides where two contradict each other. The stamps are the best target's.
+    """
+    blocks, best = targets
+    if len(blocks) == 1:
+        return series_of(sensor, source, blocks[0])
+    residual = np.array([block.value_m - at(path, block.time_ns)[0] for block in blocks])
+    variance = np.array([block.variance_m2 for block in blocks])
+    residual -= relative_zeros(residual, variance)[:, None]
+    expected, spread = at(path, blocks[best].time_ns)
+    found = combine(residual, variance, agreeing(residual, variance, spread))
+    measured = replace(blocks[best], value_m=found.value + expected, variance_m2=found.variance)
+    return series_of(sensor, source, measured)
+
+
+def channel_series(measured: Measured, channels: Sequence[Channel], sensor: str, path: Estimate) -> SensorSeries:
+    """What the channels of a sensor measured, each one row a frame, together; the first one is the best."""
+    blocks = []
+    for number in (k for k, channel in enumerate(channels) if channel.sensor == sensor):
+        own, per_m = measured.channel == number, channels[number].units_per_m
+        source = np.full(int(np.count_nonzero(own)), channels[number].source, dtype=np.uint8)
+        white = channels[number].variance_factor * measured.variance[own] + measured.reference_variance[own]
+        blocks.append(Displacement(measured.time_ns[own], measured.value[own] / per_m, white / per_m**2, source))
+    return agreed_series(sensor, Source(int(blocks[0].source[0])), (blocks, 0), path)
