@@ -5,19 +5,23 @@ wrong (see `hypotheses`). Rows are held back until the first few measurements ha
 judged by those after it.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from midspan.fusion.blocks import (
+    beginning,
+    estimate_of,
+    given_rows,
+    in_order,
+    innovation_of,
+    measured_rows,
+    sample_rows,
+    with_start,
+)
 from midspan.fusion.decisions import Decided, Telling, Undecided, events_of, runs_left
 from midspan.fusion.filtering import (
-    FOUND_SOURCE,
-    FOUND_STATUS,
-    FOUND_VARIANCE,
-    FOUND_VELOCITY,
-    FOUND_X,
     MET_CODE,
     MET_ERROR,
     MET_TOTAL,
@@ -33,13 +37,12 @@ from midspan.fusion.forward import (
     SET_DATUM,
     SLOPE,
     TIME,
-    VALUE,
     innovate,
     predict_covariance,
     project,
     quadratic,
 )
-from midspan.fusion.hypotheses import KINDS, LOST, OUTLIER, WEIGHT
+from midspan.fusion.hypotheses import WEIGHT
 from midspan.fusion.model import Beginning, Block, EstimatorSettings, Filter, Left, options_of, run, tables_of
 from midspan.records import (
     NANOSECONDS,
@@ -48,11 +51,8 @@ from midspan.records import (
     Floats,
     Innovation,
     Measured,
-    SampleKind,
     Samples,
-    Status,
     joined,
-    nanoseconds,
     part,
     seconds,
 )
@@ -65,10 +65,6 @@ BEFORE_SAMPLES_S = 2.0
 MAX_WAITING = 65536
 # Samples that are run at once: bounds the memory.
 BLOCK = 8192
-# The motion's first velocity lies within three times what the sensors say of its size; acceleration is taken to belong
-# to a motion of no less than 0.2 Hz.
-VELOCITY_WITHIN, SLOWEST_HZ = 3.0, 0.2
-ACCEPTED, REJECTED, REACQUIRED = 0, 1, 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -332,97 +328,6 @@ class Estimator:
         self._told, events = events_of(self._told, decided, self.settings.channels, self._origin)
         waited, self._events = self._events, []
         return [*waited, *events]
-
-
-def measured_rows(record: Measured, settings: EstimatorSettings, origin_ns: int) -> Floats:
-    """Rows (m, 5) of the usable measurements as the loop takes them."""
-    usable = np.isfinite(record.value) & np.isfinite(record.variance) & (record.variance > 0.0)
-    per_m = np.array([channel.units_per_m for channel in settings.channels])[record.channel]
-    reference = np.where(np.isfinite(record.reference_variance), record.reference_variance, 0.0) / per_m**2
-    time_s = seconds(record.time_ns, origin_ns)
-    rows = np.column_stack((time_s, record.channel, record.value, record.variance, reference))
-    return rows[usable]
-
-
-def in_order(rows: Floats) -> Floats:
-    """Measurements in time order; of one instant by channel."""
-    return rows[np.lexsort((rows[:, CHANNEL], rows[:, AT]))]
-
-
-def sample_rows(samples: Samples, origin_ns: int) -> Floats:
-    """Rows (s, 1 + 2 axes) of time in s, acceleration and noise density as the loop takes them."""
-    return np.column_stack((seconds(samples.time_ns, origin_ns), samples.value_m_s2, samples.noise_density))
-
-
-def with_start(samples: Samples, first_s: float, origin_ns: int) -> Samples:
-    """Put a sample at the first measurement where that comes before the first one: the zero may belong to it.
-
-    What the acceleration was until the first sample is not known: its noise is what it varies by later.
-    """
-    start_ns, first_ns = int(samples.time_ns[0]), origin_ns + round(first_s * NANOSECONDS)
-    if first_ns >= start_ns:
-        return samples
-    value = np.mean(samples.value_m_s2[:100], axis=0, keepdims=True)
-    unknown = np.var(samples.value_m_s2[:100], axis=0) / SLOWEST_HZ
-    density = samples.noise_density.copy()
-    density[0] += unknown
-    before = Samples(np.array([first_ns]), value, density[:1], np.array([SampleKind.INSERTED], dtype=np.uint8))
-    return joined([before, replace(samples, noise_density=density)])
-
-
-def beginning(samples: Floats, rows: Floats, settings: EstimatorSettings) -> Beginning:
-    """The state before the first sample, from the first samples (s, 1 + 2 axes) and measurements (m, 5)."""
-    displacement, velocity = np.zeros(settings.axes), np.zeros(settings.axes)
-    axis_of = np.array([channel.axis for channel in settings.channels])[rows[:, CHANNEL].astype(np.int64)]
-    per_m = np.array([channel.units_per_m for channel in settings.channels])
-    for a in range(settings.axes):
-        own = rows[axis_of == a]
-        first = own[own[:, AT] == own[0, AT]] if len(own) else own
-        displacement[a] = np.median(first[:, VALUE] / per_m[first[:, CHANNEL].astype(int)]) if len(own) else 0.0
-        speed = np.std(samples[:, 1 + a]) / (2.0 * np.pi * SLOWEST_HZ)
-        for c in np.unique(own[:, CHANNEL]):
-            one = own[own[:, CHANNEL] == c]
-            steps = np.diff(one[:, VALUE]) / per_m[int(c)] / np.maximum(np.diff(one[:, AT]), 1e-3)
-            speed = max(speed, np.sqrt(np.mean(steps**2))) if len(steps) else speed
-        velocity[a] = VELOCITY_WITHIN * speed
-    if settings.velocity_std_m_s is not None:
-        velocity[:] = settings.velocity_std_m_s[: settings.axes]
-    return Beginning(float(samples[0, 0]), samples[0, 1 : 1 + settings.axes], displacement, velocity, len(rows))
-
-
-def given_rows(samples: Samples, first_s: float, origin_ns: int) -> NDArray[np.bool_]:
-    """Samples (s,) that are rows: from the first measurement on, and not inserted ones."""
-    first_ns = origin_ns + round(first_s * NANOSECONDS)
-    given: NDArray[np.bool_] = (samples.time_ns >= first_ns) & (samples.kind != SampleKind.INSERTED)
-    return given
-
-
-def estimate_of(samples: Samples, found: Floats, given: NDArray[np.bool_]) -> Estimate:
-    """The rows of one axis from what the loop found (s, 5); bridged samples are coasting at best."""
-    found = found[given]
-    bridged = samples.kind[given] == SampleKind.BRIDGED
-    status = np.where(bridged, np.maximum(found[:, FOUND_STATUS], float(Status.COASTING)), found[:, FOUND_STATUS])
-    return Estimate(
-        samples.time_ns[given],
-        found[:, FOUND_X].copy(),
-        found[:, FOUND_VARIANCE].copy(),
-        found[:, FOUND_VELOCITY].copy(),
-        found[:, FOUND_SOURCE].astype(np.uint8),
-        status.astype(np.uint8),
-    )
-
-
-def innovation_of(rows: Floats, met: Floats, channel: int, units_per_m: float, origin_ns: int) -> Innovation:
-    """Innovations of one channel, in metres, from its measurements (m, 5) and how they were met (m, 3)."""
-    own = rows[:, CHANNEL] == channel
-    kinds = met[own, MET_CODE].astype(np.int64) % KINDS
-    verdict = np.where(kinds == OUTLIER, REJECTED, np.where(kinds == LOST, REACQUIRED, ACCEPTED))
-    return Innovation(
-        nanoseconds(rows[own, AT], origin_ns),
-        met[own, MET_ERROR] / units_per_m,
-        met[own, MET_TOTAL] / units_per_m**2,
-        verdict.astype(np.int8),
-    )
 
 
 @njit(cache=True)

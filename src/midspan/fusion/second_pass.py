@@ -9,8 +9,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from midspan.fusion.blocks import estimate_of, given_rows, sample_rows
 from midspan.fusion.decisions import Decided
-from midspan.fusion.estimator import BLOCK, Estimator, EstimatorState, Log, Rows, estimate_of, given_rows, sample_rows
+from midspan.fusion.estimator import BLOCK, Estimator, EstimatorState, Log, Rows
 from midspan.fusion.filtering import FOUND_VARIANCE, FOUND_VELOCITY, FOUND_X, backward_block
 from midspan.fusion.forward import AT, TIME
 from midspan.fusion.model import Beginning, Block, EstimatorSettings, Filter, Left, options_of, run, tables_of
