@@ -185,7 +185,8 @@ class Lag:
         """Go on from a state of a stream with the same settings."""
         self.estimator.restore(state.estimator)
         known = state.estimator
-        self.estimator.log = state.begin and Log(state.begin, known.first_s, known.origin_ns or 0, [], [])
+        begin = state.begin
+        self.estimator.log = None if begin is None else Log(begin, known.first_s, known.origin_ns or 0, [], [])
         self._samples, self._decided, self._before = state.samples, state.decided, state.before
         self._pushed, self._given = state.pushed, state.held
 

@@ -20,6 +20,7 @@ from midspan.records import (
     Frame,
     Innovation,
     Measured,
+    PixelTranslation,
     RangeFrame,
     Readings,
     Tracked,
@@ -140,7 +141,8 @@ def keep(outputs: Sequence[Output], cameras: Mapping[str, Eye]) -> None:
         if isinstance(output, Seen) and output.found and output.sensor in cameras:
             eye = cameras[output.sensor]
             early_ns = -late_ns(eye)
-            eye.tracking.keep([replace(one, time_ns=one.time_ns + early_ns) for one in output.found])
+            found = [one for one in output.found if isinstance(one, PixelTranslation)]
+            eye.tracking.keep([replace(one, time_ns=one.time_ns + early_ns) for one in found])
 
 
 def late_ns(eye: Eye) -> int:
