@@ -12,6 +12,7 @@ from midspan.errors import UsageError
 from midspan.evaluate.metrics import compare
 from midspan.recording.tracking.track import TrackRequest, track
 from midspan.records import Source, Status, TimeSeries, nanoseconds
+from midspan.report.report import report_html
 from midspan.simulate.motion.motion import Sum, random_motion
 from midspan.simulate.motion.sensors import AccelerometerModel
 from midspan.simulate.scene.camera import Camera
@@ -366,6 +367,7 @@ def test_the_pixels_of_a_phase_tracker_are_kept(footbridge):
     assert active.y.any()
     assert active.r_squared[1] > 0.99
     assert active.region.x >= target.region.x
+    assert 'alt="Active pixels"' in report_html(found)
 
 
 def test_a_result_is_compared_and_reported_by_itself(footbridge, result, tmp_path):
