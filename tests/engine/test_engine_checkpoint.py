@@ -90,7 +90,7 @@ def a_state():
 
 
 def test_the_state_of_a_stage_comes_back_and_goes_on():
-    figures = AxisFigures("a", 1e-8, 0.0, 1.0, 3.0)
+    figures = AxisFigures(0.0, 1.0, 3.0, noise_density=1e-8, name="a")
     guard, other = (Guard(GuardSettings(100.0, (figures,))) for _ in range(2))
     value = np.sin(np.arange(50.0))[:, None]
     value[40:45] = np.nan

@@ -1,6 +1,6 @@
 """Faults of sensors, clocks and networks through a whole point: an event, a band that holds, never decimetres."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -68,7 +68,7 @@ def journal(streams):
 
 def a_point():
     merge = Merge((ACCELEROMETER, "level"))
-    figures = usual_figures(SOUND, RATE_HZ, name="accel", noise_density=NOISE_A**2 / RATE_HZ)
+    figures = replace(usual_figures(SOUND, RATE_HZ), name="accel", noise_density=NOISE_A**2 / RATE_HZ)
     chain = PlainChain(PlainSettings("level", 0, NOISE_M**2, 1 / LEVEL_HZ))
     channel = Channel("level", Source.DISPLACEMENT, 1.0)
     settings = EstimatorSettings((channel,), bias_m_s2=(BIAS,), bias_std_m_s2=(0.01,))

@@ -1,5 +1,7 @@
 """The guard: today's bridging of whole records made causal, the same for every cutting, and cover for every fault."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -38,7 +40,7 @@ def run(guard, time_ns, value, cuts=()):
 
 def guard_of(*values, hold_s=1.0):
     """A guard that knows the usual figures of these channels (n,)."""
-    figures = [usual_figures(value, 100.0, name=NAME, noise_density=DENSITY) for value in values]
+    figures = [replace(usual_figures(value, 100.0), name=NAME, noise_density=DENSITY) for value in values]
     return Guard(GuardSettings(100.0, tuple(figures), hold_s))
 
 
@@ -181,7 +183,7 @@ def faulty(faults, seed):
 @settings(max_examples=30, deadline=None)
 def test_any_cutting_and_any_restart_give_the_same_samples(faults, seed, cuts):
     time_ns, value = faulty(faults, seed)
-    figures = AxisFigures(NAME, DENSITY, 0.0, 1.0, 25.0, -3.0, 3.0, 1e-9)
+    figures = AxisFigures(0.0, 1.0, 25.0, -3.0, 3.0, 1e-9, DENSITY, NAME)
     settings = GuardSettings(100.0, (figures, figures))
     samples, events = run(Guard(settings), time_ns, value)
     assert np.all(np.diff(samples.time_ns) > 0)
@@ -220,7 +222,7 @@ def test_a_step_back_of_the_clock_is_an_event_and_the_motion_may_be_anywhere():
     (raised,) = np.flatnonzero(found.noise_density[:, 0] > DENSITY)
     assert found.time_ns[raised] == TIME_NS[2999] + 7_000_000
     # Over 7 ms the density adds a variance of twice that of the motion, variance / (2 pi f)^4.
-    figures = usual_figures(channel(), 100.0, name=NAME, noise_density=DENSITY)
+    figures = replace(usual_figures(channel(), 100.0), name=NAME, noise_density=DENSITY)
     place = figures.variance / (2 * np.pi * figures.dominant_hz) ** 4
     assert found.noise_density[raised, 0] * 0.007**3 / 3.0 == pytest.approx(2.0 * place, rel=1e-3)
 

@@ -34,18 +34,18 @@ MAX_M_S2 = 1e7
 class AxisFigures:
     """What is usual of an axis, from its calibration.
 
-    name: file and channel, for messages; noise_density: (m/s²)²/Hz; mean_m_s2, variance (m²/s⁴), dominant_hz: of what
-    was measured; low_m_s2, high_m_s2: the smallest and largest value seen; resolution_m_s2: smallest step of values.
+    mean_m_s2, variance (m²/s⁴), dominant_hz: of what was measured; low_m_s2, high_m_s2: the smallest and largest value
+    seen; resolution_m_s2: smallest step of values. noise_density: (m/s²)²/Hz; name: file and channel, for messages.
     """
 
-    name: str
-    noise_density: float
     mean_m_s2: float
     variance: float
     dominant_hz: float
     low_m_s2: float = np.inf
     high_m_s2: float = -np.inf
     resolution_m_s2: float = 0.0
+    noise_density: float = 0.0
+    name: str = ""
 
     @property
     def frequency_hz(self) -> float:
@@ -69,14 +69,12 @@ class AxisFigures:
         return 6.0 * self.variance / ((2.0 * np.pi * self.frequency_hz) ** 4 * step_s**3)
 
 
-def usual_figures(value: Floats, rate_hz: float, *, name: str, noise_density: float) -> AxisFigures:
+def usual_figures(value: Floats, rate_hz: float) -> AxisFigures:
     """The figures of an axis from a record `value` (n,) of it, NaN where there was no number."""
     still = frozen(value, rate_hz)
     known = np.isfinite(value)
     seen = value[known & ~still & ~(clipped(value) & ~still)]
     return AxisFigures(
-        name=name,
-        noise_density=noise_density,
         mean_m_s2=float(np.mean(seen)),
         variance=float(np.var(seen)),
         dominant_hz=dominant_frequency(seen, rate_hz),

@@ -142,7 +142,7 @@ class Lag:
     def __init__(self, settings: EstimatorSettings, lag_samples: int) -> None:
         self.settings = settings
         self.estimator = Estimator(settings, log=True)
-        self._lag, self._hop = lag_samples, max(1, lag_samples // HOPS)
+        self.lag_samples, self._hop = lag_samples, max(1, lag_samples // HOPS)
         self._samples: Samples | None = None
         self._decided = Decided.none()
         self._before: Filter | None = None
@@ -160,7 +160,7 @@ class Lag:
             self._pushed += last - first
             first = last
             if self._pushed % self._hop == 0:
-                found += self._move_on(self._lag)
+                found += self._move_on(self.lag_samples)
         return found
 
     def finish(self) -> list[Rows]:
@@ -185,8 +185,8 @@ class Lag:
         """Go on from a state of a stream with the same settings."""
         self.estimator.restore(state.estimator)
         known = state.estimator
-        begin = state.begin
-        self.estimator.log = None if begin is None else Log(begin, known.first_s, known.origin_ns or 0, [], [])
+        begin, origin_ns = state.begin, known.origin_ns or 0
+        self.estimator.log = None if begin is None else Log(begin, known.first_s, origin_ns, [], [])
         self._samples, self._decided, self._before = state.samples, state.decided, state.before
         self._pushed, self._given = state.pushed, state.held
 

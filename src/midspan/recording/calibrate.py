@@ -7,6 +7,7 @@ import numpy as np
 from midspan.calibration.bias import Bias
 from midspan.calibration.noise import NoiseCalibration
 from midspan.calibration.scale import ScaleCalibration
+from midspan.engine.axis import AxisFigures, usual_figures
 from midspan.recording.camera_calibration.camera import CameraFit
 from midspan.recording.camera_calibration.cameras import calibrate_cameras, together
 from midspan.recording.displacement.sensor import (
@@ -21,6 +22,7 @@ from midspan.recording.stored.calibration import Calibration
 from midspan.recording.stored.displacement import DisplacementCalibration
 from midspan.recording.streams.progress import Progress, silent
 from midspan.recording.streams.recording import Recording, naming, open_recording
+from midspan.recording.streams.window import calibration_window
 from midspan.recording.tracking.tracking import CameraTracking
 
 
@@ -87,6 +89,7 @@ def _calibrate_and_track(recording: Recording, progress: Progress) -> tuple[Cali
         displacement=sensor,
         warnings=tuple(warnings),
         across=across,
+        usual=usual_in_window(recording),
         left_out=recording.across.axis if recording.across is not None and across is None else "",
         diagnostics=diagnostics,
     )
@@ -114,8 +117,14 @@ def _across(recording: Recording, part: CameraFit, warnings: list[str]) -> Calib
         bias_std_m_s2=part.bias.std_m_s2,
         camera=own,
         infrared=thermal,
+        usual=usual_in_window(view),
         diagnostics=part.diagnostics,
     )
+
+
+def usual_in_window(recording: Recording) -> AxisFigures:
+    """What is usual of the acceleration in the calibration window."""
+    return usual_figures(recording.acceleration.value[calibration_window(recording)], recording.prepared.rate_hz)
 
 
 def _acceleration_noise(recording: Recording, densities: list[float], warnings: list[str]) -> float:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from midspan.engine.axis import AxisFigures, usual_figures
+from midspan.engine.axis import AxisFigures
 from midspan.engine.guard import Guard, GuardSettings
 from midspan.engine.merge import Merge
 from midspan.engine.order import FIRST_NS
@@ -15,6 +15,7 @@ from midspan.engine.sensors import CameraSensor, PlainSensor, RadarSensor, Senso
 from midspan.fusion.estimator import Estimator
 from midspan.fusion.model import EstimatorSettings, Parameter, ParameterKind
 from midspan.fusion.second_pass import Lag
+from midspan.recording.calibrate import usual_in_window
 from midspan.recording.cameras.tracked import Eye, Side, clock_std_s
 from midspan.recording.radar.chain import radar_chain
 from midspan.recording.stored.displacement import DisplacementCalibration
@@ -27,6 +28,9 @@ from midspan.signals.stuck import resolution
 # Rows are coasting when the last accepted measurement is older than this many of the sensor's usual intervals; they
 # are lost after this many, and after this many seconds at least.
 COASTING_INTERVALS, LOST_INTERVALS, MIN_COASTING_S, MIN_LOST_S = 2.5, 10.0, 0.05, 10.0
+# The usual interval of a stream is the median between so many stamps at its beginning: jitter of a tenth of an interval
+# then changes it by a hundredth.
+FIRST_STAMPS = 100
 # Noise of a target's reference frame over the noise of a frame, as standard deviations (see `vision/usual.py`).
 REFERENCE_NOISE = 1.15
 # The bias is known to no better than this many samples' noise, m/s², and this (a tilt of 0.006°); unknown: this.
@@ -51,15 +55,19 @@ class Table:
             self.parameters.append(Parameter(kind, tuple(channels), std))
 
 
-def ages(times: Nanoseconds) -> tuple[float, float]:
-    """Ages (s) of the last accepted measurement from which on rows are coasting and lost, by a sensor's stamps (n,)."""
-    interval = float(np.median(np.diff(times))) / NANOSECONDS if len(times) > 1 else 0.0
+def interval_s(times: Nanoseconds) -> float:
+    """The usual interval (s) between stamps (n,): of the first ones, so that nothing depends on what comes later."""
+    return float(np.median(np.diff(times[:FIRST_STAMPS]))) / NANOSECONDS if len(times) > 1 else 0.0
+
+
+def ages(interval: float) -> tuple[float, float]:
+    """Ages (s) of the last accepted measurement from which on rows are coasting and lost, by the usual interval (s)."""
     return max(COASTING_INTERVALS * interval, MIN_COASTING_S), max(LOST_INTERVALS * interval, MIN_LOST_S)
 
 
 def camera_channels(table: Table, eye: Eye, *, first: bool) -> CameraSensor:
     """A camera's sensor, and its channels in the table; first: whether its zero is the zero of the displacement."""
-    coasting_s, lost_s = ages(eye.tracking.time_ns)
+    coasting_s, lost_s = ages(interval_s(eye.tracking.time_ns))
     rows: list[list[int]] = [[] for _ in eye.tracking.targets]
     along: list[list[int]] = []
     for axis, camera in enumerate(eye.calibrations):
@@ -94,8 +102,9 @@ def camera_channels(table: Table, eye: Eye, *, first: bool) -> CameraSensor:
 
 def plain_channel(table: Table, recording: Recording, known: DisplacementCalibration, *, first: bool) -> PlainSensor:
     """A displacement sensor, and its channel in the table; first: whether its zero is the zero of the displacement."""
-    times = recording.displacement.time_ns
-    coasting_s, lost_s = ages(times)
+    series = recording.displacement
+    step_s = interval_s(series.time_ns)
+    coasting_s, lost_s = ages(step_s)
     channel = table.add(
         Channel(
             sensor="displacement",
@@ -112,8 +121,8 @@ def plain_channel(table: Table, recording: Recording, known: DisplacementCalibra
         name="displacement",
         channel=channel,
         variance_m2=known.noise_std_m**2,
-        step_s=coasting_s / COASTING_INTERVALS,
-        resolution_m=resolution(known.scale * recording.displacement.value),
+        step_s=step_s,
+        resolution_m=resolution(known.scale * series.value) if known.resolution_m is None else known.resolution_m,
         scale=known.scale,
     )
     return PlainSensor("displacement", PlainChain(settings))
@@ -134,11 +143,11 @@ def radar_channels(table: Table, recording: Recording, known: RadarCalibration, 
     return RadarSensor("radar", chain, numbers)
 
 
-def figures(side: Side) -> AxisFigures:
-    """What is usual of an axis's acceleration."""
-    density = side.calibration.noise_density(side.prepared.rate_hz)
+def figures(side: Side, rate_hz: float) -> AxisFigures:
+    """What is usual of an axis's acceleration: as calibrated, where the calibration tells it."""
+    known = side.calibration.usual or usual_in_window(side.recording)
     name = f"accelerometer ({side.recording.accelerometer.file})"
-    return usual_figures(side.recording.acceleration.value, side.prepared.rate_hz, name=name, noise_density=density)
+    return replace(known, noise_density=side.calibration.noise_density(rate_hz), name=name)
 
 
 def bias_std(side: Side) -> float:
@@ -207,9 +216,10 @@ def measuring_point(
     for name in sensors:
         merge.push(ClockOffset(name, offsets_ns[name], FIRST_NS))
     measured = [side for side in sides if side.recording.fused]
-    guard = Guard(GuardSettings(main.prepared.rate_hz, tuple(figures(side) for side in measured)))
-    unmeasured = [side.calibration.noise_density(main.prepared.rate_hz) for side in sides if side not in measured]
+    rate_hz = 1.0 / interval_s(main.recording.acceleration.time_ns)
+    guard = Guard(GuardSettings(rate_hz, tuple(figures(side, rate_hz) for side in measured)))
+    unmeasured = [side.calibration.noise_density(rate_hz) for side in sides if side not in measured]
     estimator = Estimator(settings, log=True)
     if lag_s is not None:
-        return Point(merge, guard, sensors, Lag(settings, max(1, round(lag_s * main.prepared.rate_hz))), unmeasured)
+        return Point(merge, guard, sensors, Lag(settings, max(1, round(lag_s * rate_hz))), unmeasured)
     return Point(merge, guard, sensors, estimator, unmeasured)

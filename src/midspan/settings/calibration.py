@@ -87,6 +87,17 @@ class Stored(BaseModel):
     model_config = ConfigDict(extra="ignore", frozen=True, arbitrary_types_allowed=True)
 
 
+class StoredUsual(Stored):
+    """What is usual of the acceleration along one axis: from it holes are bridged and clipped samples are found."""
+
+    mean_m_s2: Bias
+    variance_m2_s4: Std
+    dominant_hz: Std
+    low_m_s2: Number
+    high_m_s2: Number
+    resolution_m_s2: StdOrInf = math.inf
+
+
 class StoredAccelerometer(Stored):
     """Noise and bias of the accelerometer, and its gain relative to a displacement sensor."""
 
@@ -95,6 +106,7 @@ class StoredAccelerometer(Stored):
     bias_std_m_s2: StdOrInf = math.inf
     scale: Factor = 1.0
     scale_std: Std = 0.0
+    usual: StoredUsual | None = None
 
 
 class StoredTarget(Stored):
@@ -140,6 +152,7 @@ class StoredAxis(StoredScale):
     accelerometer_noise_std_m_s2: AccelerationNoise
     accelerometer_bias_m_s2: Bias = 0.0
     accelerometer_bias_std_m_s2: StdOrInf = math.inf
+    accelerometer_usual: StoredUsual | None = None
 
 
 class StoredAxes(Stored):
@@ -255,6 +268,7 @@ class StoredDisplacement(StoredSensor):
     """A displacement sensor; its scale is 1 where it was not learnt."""
 
     noise_std_mm: Noise
+    resolution_m: Std | None = None
     scale: Factor = 1.0
     scale_std: Std = 0.0
 

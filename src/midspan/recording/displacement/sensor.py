@@ -60,7 +60,8 @@ def displacement_part(recording: Recording, learnt: NoiseCalibration) -> Displac
         std = own if std < MOST_OPTIMISTIC * own else std
     # A scale that seems wrong is left as it is, and the error band holds both.
     scale_std = float(np.hypot(learnt.factor_std, abs(learnt.factor) * _scale_error(learnt)))
-    return DisplacementCalibration(std, learnt.offset, learnt.factor, scale_std)
+    step_m = resolution(learnt.factor * recording.displacement.value)
+    return DisplacementCalibration(std, learnt.offset, learnt.factor, scale_std, resolution_m=step_m)
 
 
 def displacement_bias(learnt: NoiseCalibration) -> Bias:

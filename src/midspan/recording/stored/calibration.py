@@ -11,10 +11,18 @@ from typing import Any
 from midspan._version import __version__
 from midspan.calibration.noise import NoiseCalibration
 from midspan.calibration.scale import ScaleCalibration
+from midspan.engine.axis import AxisFigures
 from midspan.recording.stored.camera import CameraCalibration
 from midspan.recording.stored.displacement import DisplacementCalibration
 from midspan.recording.stored.radar import RadarCalibration
-from midspan.recording.stored.sections import camera_tree, displacement_tree, finite_or_none, radar_tree, scale_tree
+from midspan.recording.stored.sections import (
+    camera_tree,
+    displacement_tree,
+    finite_or_none,
+    radar_tree,
+    scale_tree,
+    usual_tree,
+)
 from midspan.settings.kinds import KINDS, sensor_names
 from midspan.writing import write_whole
 
@@ -39,7 +47,8 @@ class Calibration:
     the accelerometer relative to a displacement sensor, 1 where it cannot be learnt, with its standard deviation.
     across: the same along the second image axis, with camera.direction = "xy"; where that has no accelerometer, the
     noise is the motion's own acceleration. left_out: the second axis "x" or "y" where nothing could be learnt of it,
-    else empty. diagnostics: what the estimates rest on, for the report; not stored in the file.
+    else empty. usual: what is usual of the acceleration, None where the file does not tell it.
+    diagnostics: what the estimates rest on, for the report; not stored in the file.
     """
 
     noise_std_m_s2: float
@@ -57,6 +66,7 @@ class Calibration:
     others: tuple[SensorCalibration, ...] = ()
     accelerometer_scale: float = 1.0
     accelerometer_scale_std: float = 0.0
+    usual: AxisFigures | None = None
     diagnostics: "ScaleCalibration | NoiseCalibration | None" = field(default=None, compare=False, repr=False)
 
     @property
@@ -132,8 +142,9 @@ class Calibration:
         return path
 
 
-def _acceleration_tree(part: Calibration, prefix: str = "") -> dict[str, float | None]:
-    return {
+def _acceleration_tree(part: Calibration, prefix: str = "") -> dict[str, Any]:
+    usual = {} if part.usual is None else {f"{prefix}usual": usual_tree(part.usual)}
+    return usual | {
         f"{prefix}noise_std_m_s2": part.noise_std_m_s2,
         f"{prefix}bias_m_s2": part.bias_m_s2,
         f"{prefix}bias_std_m_s2": finite_or_none(part.bias_std_m_s2),

@@ -6,7 +6,7 @@ from typing import Any
 
 from midspan.errors import DataError
 from midspan.recording.stored.calibration import CALIBRATION_FILE, Calibration
-from midspan.recording.stored.sections import camera_across, camera_of, displacement_of, radar_of
+from midspan.recording.stored.sections import camera_across, camera_of, displacement_of, radar_of, usual_of
 from midspan.records import Source
 from midspan.settings.calibration import StoredCamera, validate_calibration
 from midspan.trees import TreeError, read_json
@@ -53,6 +53,7 @@ def calibration_from_dict(tree: Any, where: str = CALIBRATION_FILE) -> Calibrati
         others=tuple(sensor for sensors in listed.values() for sensor in sensors[1:]),
         accelerometer_scale=own.scale,
         accelerometer_scale_std=own.scale_std,
+        usual=usual_of(own.usual),
     )
     return found if first is None or first.direction != "xy" else _with_second_axis(found, first)
 
@@ -68,6 +69,7 @@ def _with_second_axis(found: Calibration, first: StoredCamera) -> Calibration:
         noise_std_m_s2=part.accelerometer_noise_std_m_s2,
         bias_m_s2=part.accelerometer_bias_m_s2,
         bias_std_m_s2=part.accelerometer_bias_std_m_s2,
+        usual=usual_of(part.accelerometer_usual),
         camera=camera if found.camera is not None else None,
         infrared=camera if found.camera is None else None,
         created=found.created,

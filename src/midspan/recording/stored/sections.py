@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from midspan.engine.axis import AxisFigures
 from midspan.radar.following import Background
 from midspan.radar.target import Target
 from midspan.recording.stored.camera import CameraCalibration, TargetCalibration
@@ -21,6 +22,7 @@ from midspan.settings.calibration import (
     StoredRadarTarget,
     StoredScale,
     StoredTarget,
+    StoredUsual,
 )
 
 MM = 1e3
@@ -81,7 +83,28 @@ def radar_tree(radar: RadarCalibration) -> dict[str, Any]:
 def displacement_tree(sensor: DisplacementCalibration) -> dict[str, Any]:
     """The section of a displacement sensor."""
     scale = {"scale": sensor.scale, "scale_std": sensor.scale_std} if sensor.scale_std > 0.0 else {}
-    return _sensor_tree(sensor) | {"noise_std_mm": MM * sensor.noise_std_m} | scale
+    resolution = _known({"resolution_m": sensor.resolution_m})
+    return _sensor_tree(sensor) | {"noise_std_mm": MM * sensor.noise_std_m} | resolution | scale
+
+
+def usual_tree(usual: AxisFigures) -> dict[str, float | None]:
+    """What is usual of an axis of acceleration."""
+    return {
+        "mean_m_s2": usual.mean_m_s2,
+        "variance_m2_s4": usual.variance,
+        "dominant_hz": usual.dominant_hz,
+        "low_m_s2": usual.low_m_s2,
+        "high_m_s2": usual.high_m_s2,
+        "resolution_m_s2": finite_or_none(usual.resolution_m_s2),
+    }
+
+
+def usual_of(part: StoredUsual | None) -> AxisFigures | None:
+    """What is usual of an axis of acceleration, as far as the file tells it."""
+    if part is None:
+        return None
+    low, high = part.low_m_s2, part.high_m_s2
+    return AxisFigures(part.mean_m_s2, part.variance_m2_s4, part.dominant_hz, low, high, part.resolution_m_s2)
 
 
 def camera_of(part: StoredCamera, source: Source) -> CameraCalibration:
