@@ -130,7 +130,7 @@ def plain_channel(table: Table, recording: Recording, known: DisplacementCalibra
 
 def radar_channels(table: Table, recording: Recording, known: RadarCalibration, *, first: bool) -> RadarSensor:
     """A radar's sensor, and its channels in the table; first: whether its zero is that of the displacement."""
-    coasting_s, lost_s = ages(recording.radar.times_ns())
+    coasting_s, lost_s = ages(interval_s(recording.radar.times_ns()))
     chain, channels = radar_chain(known, recording.radar.info)
     numbers = [
         table.add(
