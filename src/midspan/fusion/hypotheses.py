@@ -134,7 +134,8 @@ def meet_zero(hyp, row, channel):  # type: ignore[no-untyped-def]
         p[z, z] = channel[ZERO_VARIANCE]
         if not channel[ZERO_VARIANCE] < np.inf:
             g, i = channel[UNITS_PER_M], 3 * int(channel[AXIS])
-            p[z, z] = UNKNOWN_ZERO * ((row[VALUE] / g - x[i, 0]) ** 2 + row[VARIANCE] / (g * g) + p[i, i])
+            # Not times the motion's own variance: a wide start times a large factor is beyond double precision.
+            p[z, z] = UNKNOWN_ZERO * ((row[VALUE] / g - x[i, 0]) ** 2 + row[VARIANCE] / (g * g)) + p[i, i]
     was = mark[REFERENCE_NOW]
     if was == row[REFERENCE]:
         return 1.0
