@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import midspan
+from midspan.engine.axis import AxisFigures
 from midspan.radar.following import Background
 from midspan.radar.target import Target
 from midspan.recording.stored.calibration import Calibration
@@ -88,7 +89,9 @@ def radars(draw):
     )
 
 
+usual = st.one_of(st.none(), st.builds(AxisFigures, *[st.floats(-1e3, 1e3)], *[stds] * 2, *[signed] * 2, stds))
 displacements = st.one_of(
+    st.builds(DisplacementCalibration, noises, offsets, resolution_m=stds),
     st.builds(DisplacementCalibration, noises, offsets),
     st.builds(DisplacementCalibration, noises, offsets, signed, sized(1e-9, 1.0)),
 )
@@ -112,10 +115,11 @@ def calibrations(draw):
             draw(cameras(only[0].source, "x")),
             **{key: getattr(only[0], key) for key in ("offset", "tracker", "lens", "temperature_range_c", "region")},
         )
-        across = Calibration(draw(noises), draw(signed) * 1e-2, draw(stds), **{second.kind: second})
+        across = Calibration(draw(noises), draw(signed) * 1e-2, draw(stds), **{second.kind: second}, usual=draw(usual))
     return Calibration(
         draw(noises), draw(signed) * 1e-2, draw(st.just(math.inf) | stds), **first, others=others, across=across,
         warnings=("Check the mounting.",), accelerometer_scale=draw(signed), accelerometer_scale_std=draw(stds),
+        usual=draw(usual),
     )  # fmt: skip
 
 
