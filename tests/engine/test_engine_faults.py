@@ -66,8 +66,8 @@ def journal(streams):
     return [item for _, item in sorted(items, key=lambda pair: pair[0])]
 
 
-def a_point():
-    merge = Merge((ACCELEROMETER, "level"))
+def a_point(lateness_s=0.5):
+    merge = Merge((ACCELEROMETER, "level"), lateness_s)
     figures = replace(usual_figures(SOUND, RATE_HZ), name="accel", noise_density=NOISE_A**2 / RATE_HZ)
     chain = PlainChain(PlainSettings("level", 0, NOISE_M**2, 1 / LEVEL_HZ))
     channel = Channel("level", Source.DISPLACEMENT, 1.0)
@@ -184,3 +184,14 @@ def test_a_late_sensor_gives_what_one_in_time_gives():
     again, _, _ = run(late_by(0.4)(recorded()))
     for name in Estimate.__slots__:
         np.testing.assert_array_equal(getattr(again, name), getattr(first, name))
+
+
+def test_a_record_of_any_length_may_come_in_one_push():
+    time_ns = np.arange(70_000) * 50_000_000
+    motion = MOTION.displacement(time_ns / 1e9)
+    point, outputs = a_point(lateness_s=np.inf), []
+    for name, value in ((ACCELEROMETER, MOTION.acceleration(time_ns / 1e9) + BIAS), ("level", motion)):
+        outputs += point.push(Arrival(name, 0, Readings(time_ns, value[:, None])))
+    outputs += point.finish()
+    rows = joined([item.estimates[0] for item in outputs if isinstance(item, Rows) and item.estimates])
+    np.testing.assert_array_equal(rows.time_ns, time_ns)

@@ -25,12 +25,14 @@ def frame(time_ms):
 
 
 def flat(arrivals):
-    """One row for each reading, frame and event that was given out."""
-    rows = []
+    """One row for each reading, frame and event that was given out; readings between two others in order of time."""
+    rows, between = [], []
     for arrival in arrivals:
         record = arrival.record
+        if not isinstance(record, Readings):
+            rows, between = [*rows, *sorted(between, key=lambda row: row[1])], []
         if isinstance(record, Readings):
-            rows += [
+            between += [
                 (arrival.stream, int(t) // MS, float(v))
                 for t, v in zip(record.time_ns, record.value[:, 0], strict=True)
             ]
@@ -38,7 +40,7 @@ def flat(arrivals):
             rows.append((arrival.stream, record.time_ns // MS, record.kind))
         else:
             rows.append((arrival.stream, record.time_ns // MS, None))
-    return rows
+    return [*rows, *sorted(between, key=lambda row: row[1:2])]
 
 
 def pushed(merge, *records):

@@ -152,8 +152,6 @@ def bridge(
     """
     time_ns = np.concatenate((memory.time_ns, samples[0]))
     value = np.concatenate((memory.value, samples[1]))
-    if not end and len(samples[1]) and _is_sound(value, memory):
-        return _passed(memory, time_ns, value)
     value[~(np.abs(value) < MAX_M_S2)] = np.nan
     starts, equal = _equal(value, memory)
     still = equal >= limits.frozen
@@ -182,22 +180,20 @@ def bridge(
     return after, filled
 
 
-def _is_sound(value: Floats, memory: AxisMemory) -> bool:
-    """Whether new samples (all but the first `given` of n) are plainly good: the short way to the same result."""
-    fresh = value[memory.given :]
-    if memory.lost or memory.given < max(len(memory.value), 1):
+def is_sound(memory: AxisMemory, fresh: Floats) -> bool:
+    """Whether new samples (n,) are plainly good and nothing waits: then `passed` is the short way to the same."""
+    if memory.lost or not memory.given or memory.given < len(memory.value):
         return False
     within = max(memory.low, -MAX_M_S2) < fresh.min() and fresh.max() < min(memory.high, MAX_M_S2)
-    return bool(within and np.all(fresh != value[memory.given - 1 : -1]))
+    return bool(within and fresh[0] != memory.value[-1] and (fresh[1:] != fresh[:-1]).all())
 
 
-def _passed(memory: AxisMemory, time_ns: Nanoseconds, value: Floats) -> tuple[AxisMemory, Bridged]:
-    """Give out all samples as they are."""
-    first, fresh = max(len(value) - CONTEXT, 0), value[memory.given :]
-    given = len(value) - first
-    extremes = (memory.low, memory.high)
-    after = AxisMemory(time_ns[first:].copy(), value[first:].copy(), given, 1, False, *extremes, 0, 0)
-    return after, Bridged(fresh, np.zeros(len(fresh)), np.zeros(len(fresh), dtype=bool))
+def passed(memory: AxisMemory, time_ns: Nanoseconds, fresh: Floats) -> AxisMemory:
+    """The memory after sound samples (n,), which are given out as they are."""
+    if len(fresh) < CONTEXT:
+        time_ns, fresh = np.concatenate((memory.time_ns, time_ns)), np.concatenate((memory.value, fresh))
+    last_ns, last = time_ns[-CONTEXT:].copy(), fresh[-CONTEXT:].copy()
+    return AxisMemory(last_ns, last, len(last), 1, False, memory.low, memory.high, 0, 0)
 
 
 def _waiting(memory: AxisMemory, time_ns: Nanoseconds, value: Floats) -> AxisMemory:

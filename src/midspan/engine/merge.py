@@ -4,6 +4,7 @@ import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from midspan.records import (
     StreamState,
     Tick,
     Tracked,
+    joined,
     part,
 )
 
@@ -68,6 +70,7 @@ class MergeState:
 class Merge:
     """Takes arrivals of several streams and ticks, and gives the records out in the order of time.
 
+    Readings between two frames or events are one block a stream, that of the first stream last.
     streams: their names; the first one keeps the common clock (the accelerometer), at equal stamps the earlier named
     one comes first. lateness_s: the others are waited for until they are so far behind the first one. silent_s: a
     stream from which nothing comes for so long is out until it returns. For a file both are infinite and `finish`
@@ -140,7 +143,8 @@ class Merge:
             heard_ns = self._now_ns if stream.heard_ns is None else stream.heard_ns
             silent_ns = self._now_ns - heard_ns
             out = stream.out or (self._silent_ns is not None and silent_ns > self._silent_ns)
-            self._streams[number] = replace(stream, heard_ns=heard_ns, out=out)
+            if (heard_ns, out) != (stream.heard_ns, stream.out):
+                self._streams[number] = replace(stream, heard_ns=heard_ns, out=out)
             if out and not stream.out:
                 text = f"{stream.name}: nothing came for {silent_ns / NANOSECONDS:.3g} s; the others no longer wait."
                 self._tell(number, "silent", text)
@@ -151,12 +155,11 @@ class Merge:
             lost = arrival.sequence - stream.sequence - 1
             self._streams[number] = replace(stream, lost=stream.lost + lost)
             self._tell(number, "lost", f"{stream.name}: {lost} records were lost on their way.")
-        self._streams[number] = replace(self._streams[number], sequence=arrival.sequence)
+        self._streams[number] = stream = replace(self._streams[number], sequence=arrival.sequence)
         if isinstance(arrival.record, Event):
             self._tell(number, arrival.record.kind, arrival.record.text)
             return
-        own_ns = _stamps(arrival.record)
-        common_ns, self._streams[number] = on_common_clock(own_ns, self._streams[number])
+        common_ns, self._streams[number] = on_common_clock(_stamps(arrival.record), stream)
         codes, newest_ns = order(common_ns, stream.newest_ns, self._bound(number))
         if self._released_ns is not None:
             codes[(codes == GOOD) & (common_ns <= self._released_ns)] = LATE
@@ -171,11 +174,11 @@ class Merge:
         stream, record = self._streams[number], arrival.record
         time_ns = common_ns[slice(*rows)]
         if isinstance(record, Readings):
-            arrival = replace(arrival, record=replace(part(record, slice(*rows)), time_ns=time_ns))
-        else:
-            arrival = replace(arrival, record=replace(record, time_ns=int(time_ns[0])))
+            record = Readings(time_ns, record.value[slice(*rows)])
+        elif record.time_ns != time_ns[0]:
+            record = replace(record, time_ns=int(time_ns[0]))
         self._heard(number, int(time_ns[-1]), used=stream.used + len(time_ns))
-        self._held[number].append(arrival)
+        self._held[number].append(Arrival(arrival.stream, arrival.sequence, record))
 
     def _leave_out(self, number: int, code: int, common_ns: Nanoseconds, newest_ns: int) -> None:
         """Count readings (n,) with a fault; the first of a run of them is an event."""
@@ -193,13 +196,13 @@ class Merge:
             disordered = stream.disordered + len(common_ns)
             self._streams[number] = replace(stream, fault=code, disordered=disordered)
 
-    def _heard(self, number: int, newest_ns: int, *, fault: int = GOOD, **counts: int) -> None:
+    def _heard(self, number: int, newest_ns: int, *, fault: int = GOOD, **counts: Any) -> None:
         """Note a stream's newest stamp and new counts; one that was out is back."""
         stream = self._streams[number]
         if stream.out:
             self._tell(number, "returned", f"{stream.name}: records come again.")
-        stream = replace(stream, newest_ns=newest_ns, heard_ns=self._now_ns, out=False, fault=fault)
-        self._streams[number] = replace(stream, **counts)  # type: ignore[arg-type]
+        heard: dict[str, Any] = {"newest_ns": newest_ns, "heard_ns": self._now_ns, "out": False, "fault": fault}
+        self._streams[number] = replace(stream, **heard, **counts)
 
     def _words(self, code: int, time_ns: int, newest_ns: int) -> str:
         """What is wrong with a stamp, as a person should read it."""
@@ -247,28 +250,44 @@ class Merge:
             return []
         self._released_ns = limit_ns if self._released_ns is None else max(limit_ns, self._released_ns)
         due: list[Arrival] = []
-        while waiting := sorted((_stamp(held[0]), k) for k, held in enumerate(self._held) if held):
-            (time_ns, number), *others = waiting
-            if time_ns > self._released_ns:
-                break
-            # Readings up to the next record of another stream; one at the same stamp comes first if it is named first.
-            until_ns = self._released_ns
-            if others:
-                until_ns = min(until_ns, others[0][0] if number < others[0][1] else others[0][0] - 1)
-            due.append(self._take(number, max(until_ns, time_ns)))
-        return due
+        while (single := self._first_single()) is not None:
+            due += self._blocks(*single)
+            due.append(self._held[single[1]].popleft())
+        return due + self._blocks(self._released_ns, len(self._held))
 
-    def _take(self, number: int, until_ns: int) -> Arrival:
-        """The first waiting record of a stream, of readings those up to `until_ns`."""
-        arrival = self._held[number].popleft()
-        record = arrival.record
-        if not isinstance(record, Readings):
-            return arrival
-        count = int(np.searchsorted(record.time_ns, until_ns, side="right"))
-        if count == len(record.time_ns):
-            return arrival
-        self._held[number].appendleft(replace(arrival, record=part(record, slice(count, None))))
-        return replace(arrival, record=part(record, slice(count)))
+    def _first_single(self) -> tuple[int, int] | None:
+        """Stamp and stream's number of the first frame or event that is due, at equal stamps of the first stream's."""
+        found = []
+        for number, held in enumerate(self._held):
+            for arrival in held:
+                stamp = _stamp(arrival)
+                if stamp > (self._released_ns or 0):
+                    break
+                if not isinstance(arrival.record, Readings):
+                    found.append((stamp, number))
+                    break
+        return min(found, default=None)
+
+    def _blocks(self, until_ns: int, before: int) -> list[Arrival]:
+        """All readings up to a stamp as one block a stream; at the stamp itself of streams before a number only.
+
+        Those of the first stream come last.
+        """
+        numbers = [*range(1, len(self._held)), 0]
+        found = [self._block(number, until_ns if number < before else until_ns - 1) for number in numbers]
+        return [block for block in found if block is not None]
+
+    def _block(self, number: int, until_ns: int) -> Arrival | None:
+        """The readings that wait in a stream, up to a stamp and to the first event, as one block."""
+        held, records = self._held[number], []
+        while held and isinstance(record := held[0].record, Readings) and record.time_ns[0] <= until_ns:
+            arrival = held.popleft()
+            if record.time_ns[-1] > until_ns:
+                count = int(np.searchsorted(record.time_ns, until_ns, side="right"))
+                held.appendleft(Arrival(arrival.stream, arrival.sequence, part(record, slice(count, None))))
+                record = part(record, slice(count))
+            records.append(record)
+        return Arrival(arrival.stream, arrival.sequence, joined(records)) if records else None
 
     def _health(self, stream: StreamMemory) -> Health:
         state, reason = StreamState.LIVE, ""
@@ -298,6 +317,8 @@ def on_common_clock(own_ns: Nanoseconds, stream: StreamMemory) -> tuple[Nanoseco
 
 def _moved(time_ns: Nanoseconds, offset_ns: int) -> Nanoseconds:
     """Stamps (n,) plus an offset; those that are no times stay what they are, so that nothing runs over."""
+    if offset_ns == 0:
+        return time_ns
     return np.where(np.abs(time_ns.astype(np.float64)) > LAST_NS, time_ns, time_ns + np.int64(offset_ns))
 
 

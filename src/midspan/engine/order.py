@@ -25,9 +25,16 @@ def order(time_ns: Nanoseconds, newest_ns: int | None, bound_ns: int = LAST_NS) 
     newest_ns: the newest good stamp before the block; None: there is none. Stamps above `bound_ns` are AHEAD.
     """
     codes = np.zeros(len(time_ns), dtype=np.uint8)
+    before = FIRST_NS - 1 if newest_ns is None else newest_ns
+    if (
+        len(time_ns)
+        and before < time_ns[0]
+        and time_ns[-1] <= min(bound_ns, LAST_NS)
+        and (time_ns[1:] > time_ns[:-1]).all()
+    ):
+        return codes, np.concatenate(([before], time_ns[:-1]))
     codes[time_ns > bound_ns] = AHEAD
     codes[(time_ns < FIRST_NS) | (time_ns > LAST_NS)] = IMPOSSIBLE
-    before = FIRST_NS - 1 if newest_ns is None else newest_ns
     reached = np.where(codes == GOOD, time_ns, before)
     newest = np.maximum.accumulate(np.concatenate(([before], reached)))[:-1]
     codes[(codes == GOOD) & (time_ns < newest)] = BACKWARDS
@@ -38,6 +45,9 @@ def order(time_ns: Nanoseconds, newest_ns: int | None, bound_ns: int = LAST_NS) 
 def spans(codes: Codes) -> Iterator[tuple[int, int, int]]:
     """Start, end (exclusive) and code of each run of equal codes (n,)."""
     if not len(codes):
+        return
+    if not codes.any():
+        yield 0, len(codes), GOOD
         return
     edges = [0, *(np.flatnonzero(np.diff(codes)) + 1), len(codes)]
     for start, end in pairwise(edges):

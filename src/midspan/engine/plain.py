@@ -139,6 +139,8 @@ class PlainChain:
 
     def _judged(self, time_ns: Nanoseconds, value: Floats) -> list[Measured | Event]:
         """Values (n,) in metres as measurements, without those that are stuck, and events."""
+        if not len(value):
+            return []
         used, found = self._moving(time_ns, value)
         count = int(np.count_nonzero(used))
         block = Measured(
@@ -186,7 +188,7 @@ class PlainChain:
         # Short runs in between have no effect.
         lasting = np.diff(edges) >= LEAST_EQUAL
         lasting[[0, -1]] = True
-        for k in np.flatnonzero(lasting) if len(value) else ():
+        for k in np.flatnonzero(lasting):
             start, stop = int(edges[k]), int(edges[k + 1])
             if fresh[start]:
                 events += self._freed(run)

@@ -4,7 +4,7 @@ Everything that decides is a function of the records pushed: there is no clock, 
 recording is a loop over `push`, and a live point is the same loop.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,9 +13,9 @@ import numpy as np
 from midspan.engine.guard import Guard, GuardState
 from midspan.engine.merge import Merge, MergeState
 from midspan.engine.sensors import Seen, Sensor
-from midspan.fusion.estimator import Estimator, EstimatorState, Rows
+from midspan.fusion.estimator import BLOCK, Estimator, EstimatorState, Rows
 from midspan.fusion.second_pass import Lag, LagState
-from midspan.records import Arrival, ClockOffset, Event, Readings, Samples, Tick, joined
+from midspan.records import Arrival, ClockOffset, Event, Readings, Samples, Tick, part
 
 ACCELEROMETER = "accelerometer"
 
@@ -75,7 +75,7 @@ class Point:
     def _run(self, due: Sequence[Arrival]) -> list[Output]:
         """Give records, in the order of time, to what they are for."""
         out: list[Output] = []
-        for arrival in together(due):
+        for arrival in due:
             if arrival.stream == ACCELEROMETER:
                 assert isinstance(arrival.record, Readings | Event)
                 for found in self.guard.push(arrival.record):
@@ -92,8 +92,12 @@ class Point:
             return [found]
         if self.unmeasured:
             found = with_unmeasured(found, self.unmeasured)
-        out = [output for sensor in self.sensors.values() for output in self._seen(sensor.reached(found))]
-        return [*out, *self.estimator.push(found)]
+        out: list[Output] = []
+        for first in range(0, len(found.time_ns), BLOCK):
+            block = part(found, slice(first, first + BLOCK))
+            out += [output for sensor in self.sensors.values() for output in self._seen(sensor.reached(block))]
+            out += self.estimator.push(block)
+        return out
 
     def _seen(self, seen: Seen | None) -> list[Output]:
         """Give to the estimator what a sensor measured."""
@@ -102,28 +106,6 @@ class Point:
         if seen.measured is not None:
             self.estimator.push(seen.measured)
         return [seen]
-
-
-def together(due: Sequence[Arrival]) -> Iterator[Arrival]:
-    """The arrivals with the readings between two frames or events joined to one block a stream.
-
-    Those of the accelerometer come last: nothing is decided on readings before their samples are there.
-    """
-    held: dict[str, list[Arrival]] = {}
-    for arrival in due:
-        if isinstance(arrival.record, Readings):
-            held.setdefault(arrival.stream, []).append(arrival)
-        else:
-            yield from _blocks(held)
-            held.clear()
-            yield arrival
-    yield from _blocks(held)
-
-
-def _blocks(held: Mapping[str, Sequence[Arrival]]) -> Iterator[Arrival]:
-    for name in sorted(held, key=lambda name: name == ACCELEROMETER):
-        records = [arrival.record for arrival in held[name] if isinstance(arrival.record, Readings)]
-        yield replace(held[name][-1], record=joined(records))
 
 
 def with_unmeasured(samples: Samples, densities: Sequence[float]) -> Samples:

@@ -36,6 +36,8 @@ from midspan.records import (
 # to a motion of no less than 0.2 Hz.
 VELOCITY_WITHIN, SLOWEST_HZ = 3.0, 0.2
 ACCEPTED, REJECTED, REACQUIRED = 0, 1, 2
+# Comparing arrays with members of an enumeration is slow.
+BRIDGED, INSERTED, COASTING = int(SampleKind.BRIDGED), int(SampleKind.INSERTED), float(Status.COASTING)
 
 
 def measured_rows(record: Measured, settings: EstimatorSettings, origin_ns: int) -> Floats:
@@ -97,15 +99,15 @@ def beginning(samples: Floats, rows: Floats, settings: EstimatorSettings) -> Beg
 def given_rows(samples: Samples, first_s: float, origin_ns: int) -> NDArray[np.bool_]:
     """Samples (s,) that are rows: from the first measurement on, and not inserted ones."""
     first_ns = origin_ns + round(first_s * NANOSECONDS)
-    given: NDArray[np.bool_] = (samples.time_ns >= first_ns) & (samples.kind != SampleKind.INSERTED)
+    given: NDArray[np.bool_] = (samples.time_ns >= first_ns) & (samples.kind != INSERTED)
     return given
 
 
 def estimate_of(samples: Samples, found: Floats, given: NDArray[np.bool_]) -> Estimate:
     """The rows of one axis from what the loop found (s, 5); bridged samples are coasting at best."""
     found = found[given]
-    bridged = samples.kind[given] == SampleKind.BRIDGED
-    status = np.where(bridged, np.maximum(found[:, FOUND_STATUS], float(Status.COASTING)), found[:, FOUND_STATUS])
+    bridged = samples.kind[given] == BRIDGED
+    status = np.where(bridged, np.maximum(found[:, FOUND_STATUS], COASTING), found[:, FOUND_STATUS])
     return Estimate(
         samples.time_ns[given],
         found[:, FOUND_X].copy(),
@@ -118,6 +120,8 @@ def estimate_of(samples: Samples, found: Floats, given: NDArray[np.bool_]) -> Es
 
 def innovation_of(rows: Floats, met: Floats, channel: int, units_per_m: float, origin_ns: int) -> Innovation:
     """Innovations of one channel, in metres, from its measurements (m, 5) and how they were met (m, 3)."""
+    if not len(rows):
+        return Innovation(np.empty(0, dtype=np.int64), np.empty(0), np.empty(0), np.empty(0, dtype=np.int8))
     own = rows[:, CHANNEL] == channel
     kinds = met[own, MET_CODE].astype(np.int64) % KINDS
     verdict = np.where(kinds == OUTLIER, REJECTED, np.where(kinds == LOST, REACQUIRED, ACCEPTED))

@@ -47,6 +47,8 @@ class Undecided:
     def decided(self, count: int, *, all_of_them: bool = False) -> "tuple[Decided, Undecided]":
         """What is final, given so many hypotheses, or what the best one says of all; and what stays open."""
         m = len(self.rows)
+        if not m:
+            return Decided.none(), self
         codes, errors = np.empty(m, dtype=np.int64), np.empty((m, 2))
         final = max(int(trace(self.survivors, count, codes, self.errors, errors)), m - MAX_UNDECIDED)
         final = m if all_of_them else final
@@ -87,6 +89,8 @@ def events_of(
     told: Telling, decided: Decided, channels: tuple[Channel, ...], origin_ns: int
 ) -> tuple[Telling, list[Event]]:
     """Events that final decisions complete, in time order, one for each cause; and what to remember."""
+    if not len(decided.rows):
+        return told, []
     runs, causes, events = list(told.runs), told.causes, []
     kinds = decided.codes % KINDS
     running = np.array([run[2] > 0 for run in runs])
