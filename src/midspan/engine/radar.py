@@ -44,8 +44,9 @@ SPEED_GAIN = 2.0 * (2.0 - PHASE_GAIN) - 4.0 * math.sqrt(1.0 - PHASE_GAIN)
 MEMORY, FIRST_RAD2 = 50.0, 0.1
 # The first frames tell the speed, and are not judged.
 FIRST_COUNT = -2.0
-# Frames after which the estimator is judged: it is not followed while its innovations are larger than those of the
-# target's own prediction, which are larger by the noise of two phases where the accelerometer tells anything.
+# The estimator is not followed while its innovations, over so many frames at least, are larger than those of the
+# target's own prediction and than half of what names a cycle: the accelerometer is wrong.
+REFUTED_RAD2 = (0.5 * UNSURE_CYCLES * TURN) ** 2
 MIN_JUDGED = 15.0
 # Shorter times without a target are no events, s.
 MIN_TOLD_S = 0.1
@@ -80,8 +81,9 @@ class TargetState:
     afterwards; phase_rad, speed_rad_s: the target's own prediction at last_ns, the last used frame; own_rad2,
     given_rad2: mean squares of its innovations and of the given predictions'; own_count, given_count: over so many;
     clear: frames in a row that show the target; unseen_ns: the first frame since it was seen last, -1 while it is seen;
-    told: whether an event was given for that; gap: range less phase; before: the same before the cycle was lost, while
-    it is in doubt; doubt_rad2: variance of the zero while it is in doubt, lost_rad2: for good.
+    told: whether an event was given for that; refuted: whether the given predictions are wrong; gap: range less phase;
+    before: the same before the cycle was lost, while it is in doubt; doubt_rad2: variance of the zero while it is in
+    doubt, lost_rad2: for good.
     """
 
     clear: int
@@ -96,6 +98,7 @@ class TargetState:
     given_count: float = FIRST_COUNT
     unseen_ns: int = -1
     told: bool = False
+    refuted: bool = False
     gap: RangeGap = field(default_factory=RangeGap)
     before: RangeGap | None = None
     doubt_rad2: float = 0.0
@@ -212,7 +215,7 @@ class _Follower:
     def _better(self, own: PhasePrediction, given: PhasePrediction) -> PhasePrediction:
         """The given prediction while it can name the cycle and is the closer one; else the target's own if that can."""
         state = self.state
-        refuted = state.given_count >= MIN_JUDGED and state.given_rad2 > state.own_rad2
+        refuted = state.given_count >= MIN_JUDGED and state.given_rad2 > max(state.own_rad2, REFUTED_RAD2)
         return own if own[1] < UNSURE_RAD2 and (refuted or not given[1] < UNSURE_RAD2) else given
 
     def _place(self, base: PhasePrediction) -> tuple[float, float]:
@@ -304,9 +307,14 @@ class _Follower:
         state, (base, own, given), events = self.state, predicted, []
         wrapped = seen.phase_rad - state.first_rad
         phase = base[0] + math.remainder(wrapped - base[0], TURN)
-        if not base[1] < UNSURE_RAD2:
+        refuted = base is own and given is not None and given[1] < UNSURE_RAD2
+        # Before the estimator was found wrong, its predictions may have led the phase to another cycle.
+        lost = state.given_rad2 if refuted and not state.refuted else 0.0 if base[1] < UNSURE_RAD2 else base[1]
+        state.refuted = refuted
+        if lost > 0.0 and state.before is None:
             events.append(Event(time_ns, "new datum", f"{self.name}: its cycle was lost; its zero is a new one."))
-            self._doubt(base[1])
+        if lost > 0.0:
+            self._doubt(lost)
         self._follow(time_ns, phase, own)
         if base is not given:
             state.lost_rad2 += _slips(state.own_rad2)
