@@ -5,6 +5,7 @@ import pickle
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
 from enum import Enum
+from functools import cached_property
 from pathlib import PurePath
 from typing import Any
 
@@ -28,7 +29,10 @@ def leaves(thing: Any, place: str = "result") -> Iterator[tuple[str, Any]]:
     else:
         assert is_dataclass(thing) or isinstance(thing, BaseModel), f"{place}: {type(thing).__name__} is no plain data"
         names = [one.name for one in fields(thing)] if is_dataclass(thing) else list(type(thing).model_fields)
-        assert set(getattr(thing, "__dict__", {})) <= set(names), f"{place}: more than its fields"
+        derived = {
+            name for kind in type(thing).__mro__ for name, one in vars(kind).items() if isinstance(one, cached_property)
+        }
+        assert set(getattr(thing, "__dict__", {})) <= set(names) | derived, f"{place}: more than its fields"
         for name in names:
             yield from leaves(getattr(thing, name), f"{place}.{name}")
 

@@ -120,7 +120,7 @@ def test_a_frozen_channel_is_bridged_from_where_it_can_be_known():
     np.testing.assert_allclose(found.value_m_s2[3099:3400, 0], np.mean(channel()), atol=1e-12)
     assert [event.text for event in events] == [
         f"{NAME}: 301 samples bridged.",
-        f"{NAME}: samples are bridged from here on.",
+        f"{NAME}: samples are missing from here on.",
     ]
     _, expected = whole(value)
     # After the hole both are the same again.

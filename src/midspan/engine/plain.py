@@ -238,4 +238,4 @@ class PlainChain:
             return []
         text = f"{run.count} values are all {1e3 * run.value:.6g} mm while the structure moved"
         text = f"{self.settings.name}: {text}; {run.left_out} were left out."
-        return [Event(int(run.time_ns[-1]), "frozen", text)]
+        return [Event(int(run.time_ns[-1]), "released", text)]

@@ -25,6 +25,7 @@ from midspan.fusion.filtering import (
     MET_CODE,
     MET_ERROR,
     MET_TOTAL,
+    zero_variance,
 )
 from midspan.fusion.forward import (
     AT,
@@ -249,11 +250,7 @@ class Estimator:
             self._held = part(held, slice(-1, None))
             return []
         first_s = float(rows[0, AT])
-        held = with_start(
-            part(held, slice(max(int(np.searchsorted(time_s, first_s, side="right")) - 1, 0), None)),
-            first_s,
-            self._origin,
-        )
+        held = part(held, slice(max(int(np.searchsorted(time_s, first_s, side="right")) - 1, 0), None))
         self._held = held
         time_s = seconds(held.time_ns, self._origin)
         enough = rows[FIRST_MEASUREMENTS - 1, AT] if len(rows) >= FIRST_MEASUREMENTS else np.inf
@@ -264,7 +261,7 @@ class Estimator:
             last = len(time_s) - 1
         self._held = None
         rest = part(held, slice(last + 1, None))
-        begun = self._start(part(held, slice(last + 1)), first_s)
+        begun = self._start(with_start(part(held, slice(last + 1)), first_s, self._origin), first_s)
         return [begun, *([self._run(self._filter, rest)] if self._filter and len(rest.time_ns) else [])]
 
     def _start(self, samples: Samples, first_s: float) -> Rows:
@@ -317,8 +314,8 @@ class Estimator:
             innovation_of(rows, shown.met, c, channel.units_per_m, self._origin)
             for c, channel in enumerate(self.settings.channels)
         )
-        datum, p = self.tables[3], self._filter.hyps[1][0]
-        zero = tuple(float(p[datum + a, datum + a]) if datum >= 0 else 0.0 for a in range(self.settings.axes))
+        p, channels, datum = self._filter.hyps[1][0], self.tables[1], self.tables[3]
+        zero = tuple(zero_variance(p, channels, a, datum) for a in range(self.settings.axes))
         return Rows(estimates, innovations, tuple(events), zero)
 
     def _settle(self, decided: Decided) -> list[Event]:

@@ -47,6 +47,7 @@ from midspan.fusion.hypotheses import (
     MOST,
     PARENT,
     TOTAL,
+    VAGUE,
     WEIGHT,
     accept,
     become,
@@ -91,6 +92,19 @@ def leave_status(axis, time, marks, channels, found, k):  # type: ignore[no-unty
         elif age <= channels[c, LOST_S]:
             status = min(status, COASTING)
     found[k, axis, FOUND_SOURCE], found[k, axis, FOUND_STATUS] = source, status
+
+
+@njit(cache=True)
+def zero_variance(p, channels, a, datum):  # type: ignore[no-untyped-def]
+    """Variance (m²) that all rows of an axis have in common: of the datum as the first channel's values count it."""
+    if datum < 0:
+        return 0.0
+    d = datum + a
+    for c in range(len(channels)):
+        if int(channels[c, AXIS]) == a:
+            z = int(channels[c, ZERO])
+            return max(p[d, d] + 2.0 * p[d, z] + p[z, z], 0.0) if p[d, d] > 0.0 else 0.0
+    return p[d, d]
 
 
 @njit(cache=True)
@@ -173,7 +187,7 @@ def judge(hyps, best, clock, row, scene, tables, options, scratch, chances):  # 
         meet_zero(one_of(hyps, b), row, tables[1][c])
     if count == 1 and clock[JUDGED] <= 0.0 and memory[DENSITY] == 0.0 and marks[c, DISTURBED] == 0.0:
         seen = look(best, row, scene, tables, scratch)
-        if seen[0] * seen[0] <= GATE * GATE * (seen[2] + seen[3]):
+        if seen[0] * seen[0] <= GATE * GATE * (seen[2] + seen[3]) and seen[2] <= VAGUE * seen[3]:
             accept(best, row, seen, tables, options, scratch)
             marks[c, MET_AT] = row[AT]
             memory[PARENT], memory[CODE] = 0.0, GOOD
@@ -303,7 +317,8 @@ def run_block(samples, rows, decided, state, hyps, tables, options, out):  # typ
                 value, variance, velocity = mixed_row(hyps, int(clock[COUNT]), a, datum)
             else:
                 value, variance, velocity = row_of(x, p, theta, spread, a, datum)
-            found[k, a, FOUND_X], found[k, a, FOUND_VARIANCE] = value, variance
+            found[k, a, FOUND_X] = value
+            found[k, a, FOUND_VARIANCE] = max(variance, zero_variance(p, channels, a, datum))
             found[k, a, FOUND_VELOCITY] = velocity - motion[a, LEAD] * motion[a, SLOPE]
             leave_status(a, end, marks, channels, found, k)
         if len(nodes) > 0:

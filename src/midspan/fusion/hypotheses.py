@@ -88,6 +88,9 @@ P_OUTLIER, P_STAYS, SHIFT_RATE, RETURN_RATE, WRONG_RATE, NOISE_RATE, LOST_RATE, 
 LOG_2PI = np.log(2.0 * np.pi)
 # Errors of unknown size lie within this number of decades above the noise.
 DECADES = 4.0
+# A prediction whose variance is so many times the measurement's own cannot tell an outlier from a measurement inside
+# the gate: later ones decide. At 25 an outlier at the gate moves the state by five times what a sound one leaves.
+VAGUE = 25.0
 # A zero of which nothing is known is taken to lie within so many times (in variance) what the first measurement is off:
 # that measurement then says 1e-6 of what it would say of the displacement.
 UNKNOWN_ZERO = 1e6
@@ -236,10 +239,12 @@ def weigh(hyp, row, scene, tables, options, scratch, doubted, chances):  # type:
     chances[GOOD] = prior + log_normal(error, total) + np.log(1.0 - p_out)
     size = log_any_size(error, total)
     inside = error * error <= GATE * GATE * total
+    doubted = doubted or wider > VAGUE * own
     if inside and not doubted and p_out == options[P_OUTLIER]:
         pass
     elif mark[DISTURBED] > 0.0:
-        kept = np.log(0.5) + max(size, log_normal(row[VALUE] - mark[KEPT], 2.0 * own))
+        # Where the prediction is vague a value near the last one says nothing against the sensor.
+        kept = np.log(0.5) + max(size, log_normal(row[VALUE] - mark[KEPT], max(2.0 * own, total)))
         chances[OUTLIER] = prior + kept + np.log(p_out)
     else:
         chances[OUTLIER] = prior + size + np.log(p_out)

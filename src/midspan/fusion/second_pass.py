@@ -12,7 +12,7 @@ import numpy as np
 from midspan.fusion.blocks import estimate_of, given_rows, sample_rows
 from midspan.fusion.decisions import Decided
 from midspan.fusion.estimator import BLOCK, Estimator, EstimatorState, Log, Rows
-from midspan.fusion.filtering import FOUND_VARIANCE, FOUND_VELOCITY, FOUND_X, backward_block
+from midspan.fusion.filtering import FOUND_VARIANCE, FOUND_VELOCITY, FOUND_X, backward_block, zero_variance
 from midspan.fusion.forward import AT, TIME
 from midspan.fusion.model import Beginning, Block, EstimatorSettings, Filter, Left, options_of, run, tables_of
 from midspan.records import Estimate, Floats, Measured, Samples, joined, part
@@ -60,7 +60,9 @@ class SecondPass:
         backward_block(times, start_s, self.tables, left.nodes, left.record, adjoint, parameters, smoothed)
         found = left.found
         found[:, :, FOUND_X] = smoothed[:, :, SMOOTHED_X]
-        found[:, :, FOUND_VARIANCE] = smoothed[:, :, SMOOTHED_VARIANCE]
+        for a in range(self.settings.axes):
+            least = zero_variance(last.hyps[1][0], self.tables[1], a, self.tables[3])
+            found[:, a, FOUND_VARIANCE] = np.maximum(smoothed[:, a, SMOOTHED_VARIANCE], least)
         found[:, :, FOUND_VELOCITY] = smoothed[:, :, SMOOTHED_VELOCITY]
         return found
 

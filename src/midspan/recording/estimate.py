@@ -18,7 +18,7 @@ from midspan.recording.calibrate import calibrate_and_track
 from midspan.recording.camera_result import CameraResult, camera_result, camera_series
 from midspan.recording.cameras.lost_target import lost_events, lost_warnings
 from midspan.recording.cameras.tracked import Eye, Side, clock_std_s, open_eyes, side_of
-from midspan.recording.displacement.sensor import displacement_series
+from midspan.recording.displacement.sensor import displacement_series, require_known
 from midspan.recording.estimate_whole import rejected_share
 from midspan.recording.fusing.one_clock import OneClock
 from midspan.recording.one_series import literal_warnings, one_series, run_on_series, with_uncertain
@@ -83,6 +83,8 @@ def estimate(
         calibration, tracking = calibrate_and_track(recording, progress)
     with naming(recording):
         estimate_whole._require(recording, calibration)
+        if recording.has("displacement"):
+            require_known(recording, calibration)
         return _estimate(Asked(recording, calibration, method, given), tracking, progress)
 
 
@@ -162,13 +164,26 @@ def first_pass(asked: Asked, tracking: CameraTracking | None, progress: Progress
     return replace(first, series=tuple(_series(asked, first, axis) for axis in range(len(sides))))
 
 
+def left_out(side: Side, error: UntrustedError) -> str:
+    """Why the second axis is left out of the result."""
+    return f"The second axis {side.recording.axis} is left out of the result. {error}"
+
+
 def fitted(asked: Asked, first: FirstPass) -> tuple[EstimatorSettings, list[str]]:
     """The estimator's settings with scales as uncertain as a given calibration's turn out to be here, and warnings."""
     settings = first.estimator.settings
     wider: dict[tuple[str, int], float] = {}
     warnings = estimate_whole._uncalibrated(asked.recording, asked.calibration)
     for axis, (side, series) in enumerate(zip(first.sides, first.series, strict=True)):
-        fits = scales(series, side, settings, axis, max_offset_s=asked.recording.max_offset_s)
+        if axis and not side.recording.fused:
+            continue
+        try:
+            fits = scales(series, side, settings, axis, max_offset_s=asked.recording.max_offset_s)
+        except UntrustedError as error:
+            if axis == 0:
+                raise
+            warnings.append(left_out(side, error))
+            continue
         warnings += fits.warnings
         found = {error.source: error.relative_scale_std for error in fits.errors}
         wider |= {(name, axis): found[one.source] for name, one in series.items()}
@@ -249,7 +264,7 @@ def result_of(asked: Asked, first: FirstPass, found: Found) -> Result:
     recording, main = asked.recording, found.rows[0]
     estimate_whole._refuse_rejections(recording, found.innovations[0])
     sensors = first.outcome.sensor_events
-    alone = unsupported_events(main, (*sensors, *found.events))
+    alone = unsupported_events(main, found.events)
     lost = [event for camera in first.cameras for event in lost_events(*_blind(camera, first))]
     across, more = _across(asked, first, found)
     warnings = (
@@ -297,7 +312,9 @@ def _across(asked: Asked, first: FirstPass, found: Found) -> tuple[SecondAxis | 
     try:
         estimate_whole._refuse_rejections(view, innovation)
     except UntrustedError as error:
-        return None, [f"The second axis {view.axis} is left out of the result. {error}"]
+        return None, [left_out(first.sides[1], error)]
+    if any(line.startswith(left_out(first.sides[1], UntrustedError(""))) for line in found.warnings):
+        return None, []
     along = f" along {view.axis}"
     second = SecondAxis(
         camera.direction,

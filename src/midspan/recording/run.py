@@ -81,15 +81,16 @@ def run(point: Point, sides: Sequence[Side], eyes: Sequence[Eye]) -> Outcome:
         series = sides[0].recording.displacement
         outcome.take(point.push(Arrival("displacement", 0, Readings(series.time_ns, series.value[:, None]))))
     cameras = {eye.sensor: eye for eye in eyes}
+    kept = {eye.sensor: eye.tracking.done for eye in eyes}
     feeds: dict[str, Iterator[Tracked | Frame | RangeFrame]] = {eye.sensor: frames_of(eye) for eye in eyes}
     if isinstance(radar := point.sensors.get("radar"), RadarSensor):
         feeds["radar"] = radar_frames(sides[0].recording, radar)
     for arrival in in_time(feeds, clock_offsets_ns(sides[0], eyes)):
         outputs = point.push(arrival)
-        keep(outputs, cameras)
+        keep(outputs, cameras, kept)
         outcome.take(outputs)
     outputs = point.finish()
-    keep(outputs, cameras)
+    keep(outputs, cameras, kept)
     outcome.take(outputs)
     return outcome
 
@@ -135,10 +136,16 @@ def in_time(
         read(name)
 
 
-def keep(outputs: Sequence[Output], cameras: Mapping[str, Eye]) -> None:
-    """Let the cameras keep what was found in their frames, on their own clocks."""
+def keep(outputs: Sequence[Output], cameras: Mapping[str, Eye], kept: dict[str, int]) -> None:
+    """Let the cameras keep what was found in their frames, on their own clocks.
+
+    kept: how many of the following frames of each they have kept already.
+    """
     for output in outputs:
         if isinstance(output, Seen) and output.found and output.sensor in cameras:
+            kept[output.sensor] -= 1
+            if kept[output.sensor] >= 0:
+                continue
             eye = cameras[output.sensor]
             early_ns = -late_ns(eye)
             found = [one for one in output.found if isinstance(one, PixelTranslation)]

@@ -131,7 +131,7 @@ def displacement_inputs(
 
     With displacement.estimate_offset a clock that runs apart in a long record is corrected as a camera's is.
     """
-    learnt = _known(recording, calibration)
+    learnt = require_known(recording, calibration)
     require_overlap(recording.prepared.time_ns, recording.displacement.time_ns, "displacement")
     series = read_with(recording.displacement, learnt)
     held = frozen_values(recording, series)
@@ -178,7 +178,8 @@ def displacement_series(sensor: str, series: TimeSeries, learnt: DisplacementCal
     return SensorSeries(sensor, Source.DISPLACEMENT, found.time_ns, found.value, std)
 
 
-def _known(recording: Recording, calibration: Calibration) -> DisplacementCalibration:
+def require_known(recording: Recording, calibration: Calibration) -> DisplacementCalibration:
+    """The sensor's part of a calibration; UsageError where it has none, or none of the scale that is wanted."""
     learnt = calibration.displacement
     if learnt is None:
         raise UsageError(
