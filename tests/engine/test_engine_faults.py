@@ -1,6 +1,7 @@
 """Faults of sensors, clocks and networks through a whole point: an event, a band that holds, never decimetres."""
 
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -19,8 +20,13 @@ from midspan.simulate.motion.motion import random_motion
 NOISE_A, NOISE_M, BIAS = 2e-3, 1e-4, 0.03
 RATE_HZ, LEVEL_HZ, LENGTH_S = 100.0, 30.0, 45.0
 # Readings in one arrival.
-BLOCK = {ACCELEROMETER: 5, "level": 1}
-MOTION = random_motion((0.5, 6.0), 2e-3, rng=np.random.default_rng(5), flat="velocity")
+BLOCK = {ACCELEROMETER: 10, "level": 3}
+SEEDS = range(1, 7)
+
+
+@cache
+def motion(seed):
+    return random_motion((0.5, 6.0), 2e-3, rng=np.random.default_rng(seed), flat="velocity")
 
 
 @dataclass
@@ -41,8 +47,8 @@ def recorded(seed=1):
     """An accelerometer, which sends at once, and a displacement sensor, 20 ms late."""
     rng = np.random.default_rng(seed)
     times = [np.arange(0.0, LENGTH_S, 1 / rate) for rate in (RATE_HZ, LEVEL_HZ)]
-    acceleration = MOTION.acceleration(times[0]) + BIAS + rng.normal(0, NOISE_A, len(times[0]))
-    value = MOTION.displacement(times[1]) + rng.normal(0, NOISE_M, len(times[1]))
+    acceleration = motion(seed).acceleration(times[0]) + BIAS + rng.normal(0, NOISE_A, len(times[0]))
+    value = motion(seed).displacement(times[1]) + rng.normal(0, NOISE_M, len(times[1]))
     return {
         ACCELEROMETER: Stream(times[0], times[0].copy(), acceleration, np.zeros(len(times[0]))),
         "level": Stream(times[1], times[1].copy(), value, np.full(len(times[1]), 0.02)),
@@ -119,56 +125,55 @@ def clock_step(names, step_s):
     return spoil
 
 
-def errors(streams, rows, reference):
-    """Error (m) of each row, by the true time of the sample of `reference` with that stamp; NaN where two have it."""
-    stamps = np.rint(streams[reference].stamp_s * 1e9).astype(np.int64)
+def errors(streams, rows, seed):
+    """Error (m) of each row, by the true time of the sample with its stamp, the first one that has it."""
+    accel = streams[ACCELEROMETER]
+    stamps = np.rint(accel.stamp_s * 1e9).astype(np.int64)
     order = np.maximum.accumulate(np.concatenate(([-1], stamps[:-1]))) < stamps
     at = np.searchsorted(stamps[order], rows.time_ns)
-    return rows.displacement_m - MOTION.displacement(streams[reference].true_s[order][at])
+    return rows.displacement_m - motion(seed).displacement(accel.true_s[order][at])
 
 
 CASES = {
-    "level 0.1 s late": (late_by(0.1), set()),
-    "level 0.4 s late": (late_by(0.4), set()),
-    "level 0.5 s late": (late_by(0.5), set()),
-    "level 0.52 s late": (late_by(0.52), {"late"}),
+    "none": (lambda streams: streams, set()),
     "level 0.6 s late": (late_by(0.6), {"late"}),
     "accel not numbers": (not_numbers(ACCELEROMETER), {"bridged"}),
     "level not numbers": (not_numbers("level"), {"gap"}),
     "accel gap": (gap(ACCELEROMETER), {"gap"}),
     "level gap": (gap("level"), {"gap"}),
+    "both clocks +0.3 s": (clock_step([ACCELEROMETER, "level"], 0.3), {"gap"}),
+    "both clocks -0.3 s": (clock_step([ACCELEROMETER, "level"], -0.3), {"backwards"}),
     "accel clock +0.3 s": (clock_step([ACCELEROMETER], 0.3), {"gap"}),
     "accel clock -0.3 s": (clock_step([ACCELEROMETER], -0.3), {"backwards"}),
     "level clock +0.3 s": (clock_step(["level"], 0.3), {"gap"}),
     "level clock -0.3 s": (clock_step(["level"], -0.3), {"backwards"}),
-    "both clocks +0.3 s": (clock_step([ACCELEROMETER, "level"], 0.3), {"gap"}),
-    "both clocks -0.3 s": (clock_step([ACCELEROMETER, "level"], -0.3), {"backwards"}),
 }
-# The filter has no state for a clock that steps against the other one: its velocity comes out wrong, and it goes on.
-NO_CLOCK_STATE = {"accel clock +0.3 s", "accel clock -0.3 s"}
+# A clock that steps against the other one is no hypothesis of the estimator.
+STEPS_ALONE = {name for name in CASES if name.split()[0] != "both" and "clock" in name}
 MAX_ERROR_M = 0.1
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_a_fault_is_an_event_and_no_row_is_off_by_decimetres(name, request):
+def test_a_fault_is_an_event_and_the_band_holds_its_error(name, request):
+    if name in STEPS_ALONE:
+        request.applymarker(pytest.mark.xfail(strict=True, reason="the estimator does not know clocks that step"))
     spoil, kinds = CASES[name]
-    streams = spoil(recorded())
-    rows, events, health = run(streams)
-    assert {event.kind for event in events} == kinds
-    assert len(events) <= 4
-    assert np.all(np.diff(rows.time_ns) > 0)
-    assert np.all(np.isfinite(rows.displacement_m) & np.isfinite(rows.variance_m2))
-    late = len(streams["level"].value) if name == "level 0.6 s late" else 0
-    assert health[1].late >= late - 0.5 * LEVEL_HZ if late else (health[1].late > 0) == ("late" in kinds)
-    if name in NO_CLOCK_STATE:
-        request.applymarker(pytest.mark.xfail(strict=True, reason="the filter has no state for the clock"))
-    error = errors(streams, rows, ACCELEROMETER)
-    assert np.max(np.abs(error)) < MAX_ERROR_M
-    # Where the sensors agree on the time, the band holds as without a fault: 95 % within 1.96 sigma, within 5 at most.
-    if not name.startswith("level clock"):
-        ratio = np.abs(error) / np.sqrt(rows.variance_m2)
-        assert np.mean(ratio < 1.96) > 0.93
-        assert np.max(ratio) < 5.0
+    ratios = []
+    for seed in SEEDS:
+        streams = spoil(recorded(seed))
+        rows, events, health = run(streams)
+        assert {event.kind for event in events} >= kinds
+        assert len(events) <= 4
+        assert np.all(np.diff(rows.time_ns) > 0)
+        assert (health[1].late > 0) == ("late" in kinds)
+        error = errors(streams, rows, seed)
+        assert np.max(np.abs(error)) < MAX_ERROR_M
+        ratios.append(np.abs(error) / np.sqrt(rows.variance_m2))
+    # 95 % of the rows of all seeds lie within 1.96 sigma. Errors last for as long as the motion's slowest part: six
+    # times 45 s are some 200 independent ones, which scatter by 1.5 %.
+    ratio = np.concatenate(ratios)
+    assert np.mean(ratio < 1.96) >= 0.93
+    assert np.max(ratio) < 5.0
 
 
 def test_without_a_fault_there_is_no_event():
@@ -179,18 +184,26 @@ def test_without_a_fault_there_is_no_event():
     assert health[1].used == len(streams["level"].value)
 
 
-def test_a_late_sensor_gives_what_one_in_time_gives():
+@pytest.mark.parametrize("delay_s", [0.1, 0.4, 0.5])
+def test_a_late_sensor_gives_what_one_in_time_gives(delay_s):
     first, _, _ = run(recorded())
-    again, _, _ = run(late_by(0.4)(recorded()))
+    again, _, _ = run(late_by(delay_s)(recorded()))
     for name in Estimate.__slots__:
         np.testing.assert_array_equal(getattr(again, name), getattr(first, name))
 
 
+def test_one_that_is_later_than_is_waited_for_is_used_as_far_as_it_is_in_time():
+    streams = late_by(0.52)(recorded())
+    _, events, health = run(streams)
+    assert [event.kind for event in events] == ["late"]
+    assert 0 < health[1].late < 0.5 * len(streams["level"].value)
+
+
 def test_a_record_of_any_length_may_come_in_one_push():
     time_ns = np.arange(70_000) * 50_000_000
-    motion = MOTION.displacement(time_ns / 1e9)
+    moved = motion(1).displacement(time_ns / 1e9)
     point, outputs = a_point(lateness_s=np.inf), []
-    for name, value in ((ACCELEROMETER, MOTION.acceleration(time_ns / 1e9) + BIAS), ("level", motion)):
+    for name, value in ((ACCELEROMETER, motion(1).acceleration(time_ns / 1e9) + BIAS), ("level", moved)):
         outputs += point.push(Arrival(name, 0, Readings(time_ns, value[:, None])))
     outputs += point.finish()
     rows = joined([item.estimates[0] for item in outputs if isinstance(item, Rows) and item.estimates])
