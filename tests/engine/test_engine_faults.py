@@ -192,11 +192,14 @@ def test_a_late_sensor_gives_what_one_in_time_gives(delay_s):
         np.testing.assert_array_equal(getattr(again, name), getattr(first, name))
 
 
-def test_one_that_is_later_than_is_waited_for_is_used_as_far_as_it_is_in_time():
-    streams = late_by(0.52)(recorded())
+def test_one_that_comes_to_be_too_late_is_used_until_then():
+    streams = recorded()
+    streams["level"].delay_s[600:] = 0.7
     _, events, health = run(streams)
     assert [event.kind for event in events] == ["late"]
-    assert 0 < health[1].late < 0.5 * len(streams["level"].value)
+    # The last ones are in time: nothing is given out any more.
+    assert 700 < health[1].late <= 750
+    assert health[1].used == len(streams["level"].value) - health[1].late
 
 
 def test_a_record_of_any_length_may_come_in_one_push():

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from midspan.engine.axis import AxisFigures, usual_figures
+from midspan.engine.axis import AxisFigures, displacement_std, usual_figures
 from midspan.engine.guard import Guard, GuardSettings
 from midspan.errors import UsageError
 from midspan.recording.streams.acceleration import prepare_acceleration
@@ -183,7 +183,7 @@ def faulty(faults, seed):
 @settings(max_examples=30, deadline=None)
 def test_any_cutting_and_any_restart_give_the_same_samples(faults, seed, cuts):
     time_ns, value = faulty(faults, seed)
-    figures = AxisFigures(0.0, 1.0, 25.0, -3.0, 3.0, 1e-9, DENSITY, NAME)
+    figures = AxisFigures(0.0, 1.0, 25.0, -3.0, 3.0, 1e-9, 4e-5, DENSITY, NAME)
     settings = GuardSettings(100.0, (figures, figures))
     samples, events = run(Guard(settings), time_ns, value)
     assert np.all(np.diff(samples.time_ns) > 0)
@@ -221,9 +221,9 @@ def test_a_step_back_of_the_clock_is_an_event_and_the_motion_may_be_anywhere():
     assert len(found.time_ns) == 6000 - 30
     (raised,) = np.flatnonzero(found.noise_density[:, 0] > DENSITY)
     assert found.time_ns[raised] == TIME_NS[2999] + 7_000_000
-    # Over 7 ms the density adds a variance of twice that of the motion, variance / (2 pi f)^4.
+    # Over 7 ms the density adds a variance of twice that of the motion.
     figures = replace(usual_figures(channel(), 100.0), name=NAME, noise_density=DENSITY)
-    place = figures.variance / (2 * np.pi * figures.dominant_hz) ** 4
+    place = figures.moved_m**2
     assert found.noise_density[raised, 0] * 0.007**3 / 3.0 == pytest.approx(2.0 * place, rel=1e-3)
 
 
@@ -245,3 +245,14 @@ def test_wrong_shapes_are_refused():
         guard_of(channel()).restore(guard_of(channel(), channel()).state)
     with pytest.raises(UsageError, match="rate_hz"):
         Guard(GuardSettings(0.0, ()))
+
+
+def test_the_displacement_is_told_by_its_acceleration():
+    # Most of the acceleration is fast, and most of the displacement slow.
+    time = np.arange(0.0, 60.0, 0.01)
+    tones = ((4e-3, 0.5), (0.5e-3, 5.0))
+    value = sum(-m * (2 * np.pi * f) ** 2 * np.sin(2 * np.pi * f * time + f) for m, f in tones)
+    noise = 2e-3 * np.random.default_rng(0).standard_normal(len(time))
+    # Of sines the variance is half the amplitude squared; noise of this density adds 0.03 mm.
+    true_m = np.sqrt(sum(0.5 * m * m for m, _ in tones))
+    assert displacement_std(value + noise + 9.81, 100.0) == pytest.approx(true_m, rel=0.02)

@@ -89,7 +89,8 @@ def radars(draw):
     )
 
 
-usual = st.one_of(st.none(), st.builds(AxisFigures, *[st.floats(-1e3, 1e3)], *[stds] * 2, *[signed] * 2, stds))
+levels = st.floats(-1e3, 1e3)
+usual = st.one_of(st.none(), st.builds(AxisFigures, levels, stds, stds, signed, signed, stds, stds))
 displacements = st.one_of(
     st.builds(DisplacementCalibration, noises, offsets, resolution_m=stds),
     st.builds(DisplacementCalibration, noises, offsets),

@@ -35,7 +35,8 @@ class AxisFigures:
     """What is usual of an axis, from its calibration.
 
     mean_m_s2, variance (m²/s⁴), dominant_hz: of what was measured; low_m_s2, high_m_s2: the smallest and largest value
-    seen; resolution_m_s2: smallest step of values. noise_density: (m/s²)²/Hz; name: file and channel, for messages.
+    seen; resolution_m_s2: smallest step of values; moved_m: standard deviation of the displacement. noise_density:
+    (m/s²)²/Hz; name: file and channel, for messages.
     """
 
     mean_m_s2: float
@@ -44,6 +45,7 @@ class AxisFigures:
     low_m_s2: float = np.inf
     high_m_s2: float = -np.inf
     resolution_m_s2: float = 0.0
+    moved_m: float = 0.0
     noise_density: float = 0.0
     name: str = ""
 
@@ -64,9 +66,9 @@ class AxisFigures:
     def unmoved(self, step_s: float) -> float:
         """Noise density, (m/s²)²/Hz, after which nothing is known of the place in a motion, in a step of `step_s`.
 
-        Density S moves by a variance of S dt³/3; two instants of a motion far apart differ by 2 variance / (2 pi f)⁴.
+        Density S moves by a variance of S dt³/3; two instants of a motion far apart differ by twice its variance.
         """
-        return 6.0 * self.variance / ((2.0 * np.pi * self.frequency_hz) ** 4 * step_s**3)
+        return 6.0 * self.moved_m**2 / step_s**3
 
 
 def usual_figures(value: Floats, rate_hz: float) -> AxisFigures:
@@ -81,7 +83,20 @@ def usual_figures(value: Floats, rate_hz: float) -> AxisFigures:
         low_m_s2=float(value[known].min()),
         high_m_s2=float(value[known].max()),
         resolution_m_s2=float(np.min(np.diff(np.unique(value[known])), initial=np.inf)),
+        moved_m=displacement_std(seen, rate_hz),
     )
+
+
+def displacement_std(value: Floats, rate_hz: float) -> float:
+    """Standard deviation (m) of the displacement with the acceleration `value` (n,), of motion that is no slower than
+    `LOWEST_HZ`: each line of the spectrum over (2 pi f)⁴. The slowest motion makes most of it.
+    """
+    window = np.hanning(len(value))
+    lines = np.abs(np.fft.rfft(window * (value - np.mean(value)))) ** 2
+    hertz = np.fft.rfftfreq(len(value), 1.0 / rate_hz)
+    motion = hertz >= LOWEST_HZ
+    power = lines[motion] / (2.0 * np.pi * hertz[motion]) ** 4
+    return float(np.sqrt(2.0 * np.sum(power) / (len(value) * np.sum(window**2))))
 
 
 @dataclass(frozen=True, slots=True)

@@ -96,6 +96,7 @@ class StoredUsual(Stored):
     low_m_s2: Number
     high_m_s2: Number
     resolution_m_s2: StdOrInf = math.inf
+    moved_m: Std
 
 
 class StoredAccelerometer(Stored):

@@ -96,6 +96,7 @@ def usual_tree(usual: AxisFigures) -> dict[str, float | None]:
         "low_m_s2": usual.low_m_s2,
         "high_m_s2": usual.high_m_s2,
         "resolution_m_s2": finite_or_none(usual.resolution_m_s2),
+        "moved_m": usual.moved_m,
     }
 
 
@@ -103,8 +104,15 @@ def usual_of(part: StoredUsual | None) -> AxisFigures | None:
     """What is usual of an axis of acceleration, as far as the file tells it."""
     if part is None:
         return None
-    low, high = part.low_m_s2, part.high_m_s2
-    return AxisFigures(part.mean_m_s2, part.variance_m2_s4, part.dominant_hz, low, high, part.resolution_m_s2)
+    return AxisFigures(
+        mean_m_s2=part.mean_m_s2,
+        variance=part.variance_m2_s4,
+        dominant_hz=part.dominant_hz,
+        low_m_s2=part.low_m_s2,
+        high_m_s2=part.high_m_s2,
+        resolution_m_s2=part.resolution_m_s2,
+        moved_m=part.moved_m,
+    )
 
 
 def camera_of(part: StoredCamera, source: Source) -> CameraCalibration:
