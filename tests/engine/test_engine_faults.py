@@ -196,8 +196,8 @@ def test_one_that_comes_to_be_too_late_is_used_until_then():
     streams = recorded()
     streams["level"].delay_s[600:] = 0.7
     _, events, health = run(streams)
-    assert [event.kind for event in events] == ["late"]
-    # The last ones are in time: nothing is given out any more.
+    # The last ones are in time again: nothing is given out any more.
+    assert [event.kind for event in events] == ["late", "gap"]
     assert 700 < health[1].late <= 750
     assert health[1].used == len(streams["level"].value) - health[1].late
 

@@ -158,6 +158,23 @@ def test_what_is_learnt_of_the_sensor_is_what_its_section_says(gnss, footbridge)
     assert learns(gnss, estimate_scale=True) == (False, True)
 
 
+def test_frozen_heights_are_told_and_left_out(gnss_copy, result):
+    time, value = heights(gnss_copy)
+    held = (time >= 30.0) & (time < 50.0)
+    value[held] = value[held][0]
+    write_heights(gnss_copy, time, value)
+    found = midspan.estimate(midspan.open_recording(gnss_copy), result.calibration)
+    (begun,) = (event for event in found.events if event.kind == "frozen")
+    (ended,) = (event for event in found.events if event.kind == "released")
+    assert begun.text in found.warnings
+    # Five equal values are not judged yet; the last of them lies at 49 s.
+    assert 33.5 < begun.time_ns / 1e9 < 38.5
+    assert ended.time_ns / 1e9 == pytest.approx(49.0, abs=0.1)
+    assert "20 values are all" in ended.text
+    # Without heights the rows coast after 2.5 intervals, and are lost after 10 s.
+    assert set(found.to_pandas().loc[34.0:48.0, "status"].unique()) <= {"coasting", "lost"}
+
+
 def test_a_record_of_a_twentieth_of_a_second_is_fused(tmp_path):
     """A machine part: 200 Hz and 470 Hz, 0.1 mm, met 1000 times at 20 kHz."""
     rng = np.random.default_rng(1)
