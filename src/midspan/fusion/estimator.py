@@ -222,13 +222,14 @@ class Estimator:
         rows = measured_rows(record, self.settings, self._origin)
         done = -np.inf if self._filter is None else self._filter.clock[TIME]
         late = rows[:, AT] <= done
-        for c in np.unique(rows[late, CHANNEL]).astype(int).tolist():
-            if c not in self._late:
-                first = int(record.time_ns[0])
-                name = self.settings.channels[c].sensor
-                self._events.append(Event(first, "late", f"Measurements of {name} came too late and are left out."))
-        self._late |= set(rows[late, CHANNEL].astype(int).tolist())
-        self._late -= set(rows[~late, CHANNEL].astype(int).tolist())
+        if late.any() or self._late:
+            for c in np.unique(rows[late, CHANNEL]).astype(int).tolist():
+                if c not in self._late:
+                    first = int(record.time_ns[0])
+                    name = self.settings.channels[c].sensor
+                    self._events.append(Event(first, "late", f"Measurements of {name} came too late and are left out."))
+            self._late |= set(rows[late, CHANNEL].astype(int).tolist())
+            self._late -= set(rows[~late, CHANNEL].astype(int).tolist())
         self._waiting = in_order(np.concatenate((self._waiting, rows[~late])))[-MAX_WAITING:]
 
     def _push(self, samples: Samples) -> list[Rows]:
