@@ -223,10 +223,11 @@ def accept(hyp, row, seen, tables, options, scratch):  # type: ignore[no-untyped
 
 
 @njit(cache=True)
-def weigh(hyp, row, scene, tables, options, scratch, doubted, chances):  # type: ignore[no-untyped-def]
+def weigh(hyp, row, scene, tables, options, scratch, asked, chances):  # type: ignore[no-untyped-def]
     """Logarithms of the weights (7,) of what a hypothesis may become by a measurement; -inf: not looked at.
 
-    doubted: whether it may be an outlier even where it lies inside the gate.
+    asked = (whether it may be an outlier even where it lies inside the gate, variance of the sharpest prediction that
+    any hypothesis has of it).
     """
     x, p, marks, memory, _, _ = hyp
     channel = tables[1][int(row[CHANNEL])]
@@ -239,12 +240,12 @@ def weigh(hyp, row, scene, tables, options, scratch, doubted, chances):  # type:
     chances[GOOD] = prior + log_normal(error, total) + np.log(1.0 - p_out)
     size = log_any_size(error, total)
     inside = error * error <= GATE * GATE * total
-    doubted = doubted or wider > VAGUE * own
+    doubted = asked[0] or wider > VAGUE * own
     if inside and not doubted and p_out == options[P_OUTLIER]:
         pass
     elif mark[DISTURBED] > 0.0:
-        # Where the prediction is vague a value near the last one says nothing against the sensor.
-        kept = np.log(0.5) + max(size, log_normal(row[VALUE] - mark[KEPT], max(2.0 * own, total)))
+        # A value near the last one says nothing against the sensor where no hypothesis can tell the motion.
+        kept = np.log(0.5) + max(size, log_normal(row[VALUE] - mark[KEPT], max(2.0 * own, asked[1])))
         chances[OUTLIER] = prior + kept + np.log(p_out)
     else:
         chances[OUTLIER] = prior + size + np.log(p_out)
@@ -383,9 +384,12 @@ def prune(hyps, count, odds):  # type: ignore[no-untyped-def]
 @njit(cache=True)
 def split(hyps, count, row, scene, tables, options, scratch, doubted, chances):  # type: ignore[no-untyped-def]
     """Split, weigh and prune all hypotheses by one measurement; returns how many are left. doubted: as of `weigh`."""
-    memory = hyps[3]
+    memory, sharpest = hyps[3], np.inf
     for b in range(count):
-        weigh(one_of(hyps, b), row, scene, tables, options, scratch, doubted, chances[b])
+        seen = look(one_of(hyps, b), row, scene, tables, scratch)
+        sharpest = min(sharpest, seen[2] + seen[3])
+    for b in range(count):
+        weigh(one_of(hyps, b), row, scene, tables, options, scratch, (doubted, sharpest), chances[b])
         if memory[b, DENSITY] > 0.0:
             # The error of the acceleration may just have ended.
             chances[b] += np.log(options[P_STAYS])
