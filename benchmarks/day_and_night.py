@@ -9,7 +9,7 @@ import numpy as np
 
 import midspan
 from benchmarks.table import goal, show
-from midspan.engine.thermal_target import thermal_target
+from midspan.engine.thermal_target import ThermalTarget
 from midspan.errors import UsageError
 from midspan.recording.result import Result
 from midspan.records import Floats, Frame, PixelTrack, Region, Status
@@ -139,7 +139,7 @@ def by_range(frames: list[Frame]) -> PixelTrack | None:
 
 def ours(frames: list[Frame]) -> PixelTrack:
     """°C, cleaned, with the default tracker of pictures."""
-    tracker = thermal_target(frames[0], REGION, lambda frame: open_tracker("template", frame, REGION))
+    tracker = ThermalTarget(frames[0], REGION, lambda frame: open_tracker("template", frame, REGION))
     return PixelTrack.stack([tracker.push(frame) for frame in frames])
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from midspan.fusion.kalman import KalmanSettings
 from midspan.recording.fusing.fuse import FusionInputs, fuse
-from midspan.recording.fusing.in_turn import in_turn
+from midspan.recording.in_turn import in_turn
 from midspan.records import Acceleration, Displacement, Source, joined, nanoseconds, part
 
 PARTS = ((1.5e-3, 0.43), (0.75e-3, 1.13), (0.3e-3, 2.31))
