@@ -5,7 +5,7 @@ applied); seconds appear only as differences. A record that holds arrays is a bl
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from enum import IntEnum
 from typing import TypeVar
 
@@ -185,6 +185,11 @@ class PixelTranslation:
     reference_variance_x_px2: float = 0.0
     reference_variance_y_px2: float = 0.0
     events: tuple[Event, ...] = ()
+
+    def later(self, by_ns: int) -> "PixelTranslation":
+        """The same on a clock that shows so much more."""
+        events = tuple(replace(event, time_ns=event.time_ns + by_ns) for event in self.events)
+        return replace(self, time_ns=self.time_ns + by_ns, events=events)
 
 
 @dataclass(frozen=True, slots=True)

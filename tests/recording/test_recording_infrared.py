@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ from midspan.simulate.scene.texture import textured_scene
 from midspan.simulate.scene.thermal import Course, ThermalCamera, ThermalView, WarmBody
 from midspan.thermal.temperature_range import ROUGH, THINNED, band_error
 from plain_data import assert_plain
-from recording_edits import append, read_columns, replace_text, set_keys
+from recording_edits import read_columns, set_keys
 
 LENGTH_S, RATE_HZ = 40.0, 6.0
 DUSK_S, DAWN_S = 20.0, 30.0
@@ -113,10 +114,8 @@ def test_a_night_without_the_camera_leaves_no_gap_no_step_and_one_source_a_row(d
     assert abs(error.mean()) < 3.0 * np.median(result.displacement_std_mm)
     assert np.mean(np.abs(error - error.mean()) <= 1.96 * result.displacement_std_mm) > 0.9
     assert np.mean(rows.status == Status.TRACKING) > 0.98
-    told = [event for event in result.events if event.kind == "switch"]
-    assert told[0].text.startswith("camera → infrared")
-    for event in told:
-        at = event.time_ns / 1e9
+    assert not [event for event in result.events if event.kind == "switch"]
+    for at in (DUSK_S, DAWN_S):
         before, after = (error[(result.time_s > at + a) & (result.time_s < at + a + 3.0)] for a in (-3.0, 0.0))
         assert abs(after.mean() - before.mean()) < 0.05
     night = (result.time_s > DUSK_S + 3.0) & (result.time_s < DAWN_S - 0.5)
@@ -137,7 +136,6 @@ def test_each_camera_has_its_own_scale_factor_and_clock(result):
 def test_the_result_of_two_cameras_is_plain_data(result):
     assert_plain(result)
     assert len(result.cameras) == len(result.measured) == 2
-    assert result.zero_drift is not None
 
 
 def test_a_black_or_covered_camera_gives_lost_frames_and_never_wrong_ones(result, day):
@@ -283,6 +281,10 @@ def test_switching_by_matches_uses_one_camera_at_a_time(day, result):
         assert np.mean(rows.source[row[own]] == series.source) > 0.95
     seen = sum(np.count_nonzero(np.isfinite(series.value_m)) for series in result.measured)
     assert len(met) < 0.7 * seen
+    # The camera goes blind for a night: one switch there and one back at least, none of them to the same camera.
+    told = [event.text.split(":")[0] for event in found.events if event.kind == "switch"]
+    assert {"camera → infrared", "infrared → camera"} <= set(told)
+    assert all(one != other for one, other in pairwise(told))
     assert np.sqrt(np.mean(error_mm(day, found) ** 2)) < 0.03
 
 
@@ -425,8 +427,3 @@ def test_messages_name_the_section_and_the_key(alone, day_copy):
         midspan.open_recording(day_copy, infrared={"reference": "last"})
     with pytest.raises(DataError, match=r"infrared\.file = 'no\.npz'"):
         midspan.calibrate(midspan.open_recording(alone[0], infrared={"file": "no.npz"}))
-    append(day_copy, "[site]\nlatitude_deg = 98.0\nlongitude_deg = 11.0")
-    with pytest.raises(UsageError, match=r"site\.latitude_deg"):
-        midspan.open_recording(day_copy)
-    replace_text(day_copy, "98.0", "48.0")
-    assert midspan.open_recording(day_copy).settings.site.latitude_deg == 48.0

@@ -51,9 +51,9 @@ def section(text, name="cameras"):
     return re.search(rf'<section id="{name}">.*?</section>', text, re.DOTALL)[0]
 
 
-def test_the_section_shows_both_cameras_and_the_second_ones_zero(result):
+def test_the_section_shows_both_cameras(result):
     text = section(report_html(result, result.recording.reference))
-    assert re.findall(r'<img alt="([^"]*)"', text) == ["Cameras over the record", "Zero of the second camera"]
+    assert re.findall(r'<img alt="([^"]*)"', text) == ["Cameras over the record"]
 
 
 def test_each_camera_has_its_own_frame_tracking_and_calibration(result):
@@ -143,11 +143,6 @@ def test_the_stretches_of_the_sources_cover_the_record_once(result):
     assert covered == pytest.approx(float(result.time_s[-1] - result.time_s[0]), abs=2.0 * step)
 
 
-def test_the_second_ones_zero_is_drawn_only_where_there_is_one(result):
-    assert result.zero_drift.sensor == "infrared"
-    assert infrared_figures.zero(gather(replace(result, zero_drift=None), None)) is None
-
-
 @pytest.mark.parametrize(
     ("values", "texts"),
     [
@@ -186,7 +181,7 @@ def test_an_optimised_range_is_shown_with_its_limits(result):
 
 
 def test_one_camera_of_light_with_its_first_frame_has_no_such_section(result):
-    alone = replace(result, cameras=result.cameras[:1], zero_drift=None, events=())
+    alone = replace(result, cameras=result.cameras[:1], events=())
     assert cameras(gather(alone, None)) == ""
     # A reference frame that changed is worth showing.
     events = tuple(replace(event, kind="reference") for event in result.events[:1])

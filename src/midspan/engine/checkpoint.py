@@ -25,6 +25,7 @@ from midspan.engine.merge import MergeState, StreamMemory
 from midspan.engine.plain import EqualRun, PlainState
 from midspan.engine.point import PointState
 from midspan.engine.sensors import CameraSensorState
+from midspan.engine.switching import SwitchState
 from midspan.engine.thermal_target import ThermalTargetState
 from midspan.errors import DataError
 from midspan.fusion.decisions import Decided, Telling, Undecided
@@ -131,6 +132,7 @@ RECORDS: tuple[type, ...] = (
     PlainState,
     Plane,
     PointState,
+    SwitchState,
     Reference,
     RegistrationState,
     Sample,

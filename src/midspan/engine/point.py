@@ -13,9 +13,10 @@ import numpy as np
 from midspan.engine.guard import Guard, GuardState
 from midspan.engine.merge import Merge, MergeState
 from midspan.engine.sensors import Seen, Sensor
+from midspan.engine.switching import Switch, SwitchState
 from midspan.fusion.estimator import BLOCK, Estimator, EstimatorState, Rows
 from midspan.fusion.second_pass import Lag, LagState
-from midspan.records import Arrival, ClockOffset, Event, Readings, Samples, Tick, part
+from midspan.records import Arrival, ClockOffset, Event, PixelTranslation, Readings, Samples, Tick, part
 
 ACCELEROMETER = "accelerometer"
 
@@ -30,6 +31,7 @@ class PointState:
     guard: GuardState
     estimator: EstimatorState | LagState
     sensors: tuple[Any, ...]
+    switch: SwitchState | None = None
 
 
 class Point:
@@ -42,16 +44,22 @@ class Point:
         sensors: Mapping[str, Sensor],
         estimator: Estimator | Lag,
         unmeasured: Sequence[float] = (),
+        switch: Switch | None = None,
     ) -> None:
-        """unmeasured: noise density, (m/s²)²/Hz, of the motion along each further axis without an accelerometer."""
+        """unmeasured: noise density, (m/s²)²/Hz, of the motion along each further axis without an accelerometer.
+
+        switch: tells which of two cameras measures; None: both do.
+        """
         self.merge, self.guard, self.sensors, self.estimator = merge, guard, dict(sensors), estimator
         self.unmeasured = tuple(unmeasured)
+        self.switch = switch
 
     @property
     def state(self) -> PointState:
         """All that has an effect on what comes later."""
         own = tuple(self.sensors[name].state for name in sorted(self.sensors))
-        return PointState(self.merge.state, self.guard.state, self.estimator.state, own)
+        switch = None if self.switch is None else self.switch.state
+        return PointState(self.merge.state, self.guard.state, self.estimator.state, own, switch)
 
     def restore(self, state: PointState) -> None:
         """Go on from where `state` was read."""
@@ -60,6 +68,8 @@ class Point:
         self.estimator.restore(state.estimator)  # type: ignore[arg-type]
         for name, own in zip(sorted(self.sensors), state.sensors, strict=True):
             self.sensors[name].restore(own)
+        if self.switch is not None and state.switch is not None:
+            self.switch.state = state.switch
 
     def push(self, record: Arrival | Tick | ClockOffset) -> list[Output]:
         """Take a record; returns what is due: rows, what the sensors saw, and events."""
@@ -103,9 +113,19 @@ class Point:
         """Give to the estimator what a sensor measured."""
         if seen is None:
             return []
+        if self.switch is not None and seen.sensor in self.switch.sensors:
+            seen = switched(self.switch, seen)
         if seen.measured is not None:
             self.estimator.push(seen.measured)
         return [seen]
+
+
+def switched(switch: Switch, seen: Seen) -> Seen:
+    """What a camera saw, without measurements where the other one measures; a switch is among its events."""
+    found = [one for one in seen.found if isinstance(one, PixelTranslation)]
+    told = switch.push(seen.sensor, found[0].time_ns, max(one.strength for one in found))
+    measured = seen.measured if seen.sensor == switch.chosen else None
+    return replace(seen, measured=measured, events=seen.events if told is None else (*seen.events, told))
 
 
 def with_unmeasured(samples: Samples, densities: Sequence[float]) -> Samples:

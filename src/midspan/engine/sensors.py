@@ -4,7 +4,7 @@ A sensor knows which channels of the estimator its targets feed. What it measure
 target; nothing is merged here.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
@@ -101,18 +101,23 @@ class CameraSensor:
         """Find each target in a frame, where it is expected; a frame that was tracked before is taken as it is."""
         if isinstance(record, Tracked):
             late_ns = record.time_ns - record.own_ns
-            found = tuple(replace(one, time_ns=one.time_ns + late_ns) for one in record.translations)
+            found = tuple(one.later(late_ns) for one in record.translations)
         else:
             numbers = range(len(self.channels))
             found = self.chain.push(record, [self._prediction(k, record.time_ns, expect) for k in numbers])
         for k, one in enumerate(found):
             if np.isfinite(one.x_px) and np.isfinite(one.y_px):
                 self._seen_px[k] = (one.x_px, one.y_px)
-        events = tuple(event for one in found for event in one.events)
-        return Seen(self.name, self._measured(found), found, events)
+        return Seen(self.name, self._measured(found), found, tuple(self._told(found)))
 
     def reached(self, samples: Samples) -> None:
         """A frame is measured when it comes; the estimator waits for the samples that cover it."""
+
+    def _told(self, found: Sequence[PixelTranslation]) -> Iterator[Event]:
+        """What happened to the targets, with their names."""
+        for target, one in zip(self.chain.targets, found, strict=True):
+            whose = f"{self.name}, target {target.name}" if len(found) > 1 else self.name
+            yield from (replace(event, text=f"{whose}: {event.text}") for event in one.events)
 
     def _prediction(self, target: int, time_ns: int, expect: Expect) -> Prediction | None:
         """Where a target is expected; None while the main axis cannot tell."""

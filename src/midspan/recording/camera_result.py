@@ -10,7 +10,6 @@ from midspan.recording.sensor_series import SensorSeries, agreed_series
 from midspan.recording.stored.camera import CameraCalibration
 from midspan.recording.tracking.tracking import CameraTracking, TargetTracking
 from midspan.records import (
-    NANOSECONDS,
     Displacement,
     Estimate,
     Event,
@@ -84,11 +83,16 @@ class CameraResult:
 
 
 def camera_result(
-    tracking: CameraTracking, sensor: str, settings: CameraSettings, calibrations: Sequence[CameraCalibration]
+    tracking: CameraTracking,
+    sensor: str,
+    settings: CameraSettings,
+    calibrations: Sequence[CameraCalibration],
+    events: Sequence[Event] = (),
 ) -> CameraResult:
-    """What is kept of a camera that was tracked to its end; the targets are those that the calibrations use."""
-    late_ns = round(NANOSECONDS * calibrations[0].offset.value_s)
-    several = len(tracking.targets) > 1
+    """What is kept of a camera that was tracked to its end; the targets are those that the calibrations use.
+
+    events: what happened to them, on the accelerometer's clock.
+    """
     return CameraResult(
         sensor=sensor,
         source=calibrations[0].source,
@@ -99,11 +103,7 @@ def camera_result(
         best=best_target([target.region for target in tracking.targets], calibrations[0]),
         choice=tracking.choice,
         range_surface=tracking.range_surface,
-        events=tuple(
-            Event(event.time_ns + late_ns, event.kind, f"{_whose(sensor, target.name, several)}: {event.text}")
-            for target in tracking.targets
-            for event in target.events
-        ),
+        events=tuple(events),
     )
 
 
@@ -117,10 +117,6 @@ def _target_result(target: TargetTracking) -> TargetResult:
         dark=target.dark,
         active_pixels=target.tracker.active_pixels,
     )
-
-
-def _whose(sensor: str, target: str, several: bool) -> str:
-    return f"{sensor}, target {target}" if several else sensor
 
 
 def best_target(regions: Sequence[Region], camera: CameraCalibration) -> int:

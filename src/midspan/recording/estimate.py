@@ -159,7 +159,7 @@ def first_pass(asked: Asked, tracking: CameraTracking | None, progress: Progress
     outcome = run(point, sides, eyes)
     if not any(len(rows.estimates[0].time_ns) for rows in outcome.rows if rows.estimates):
         raise DataError(_no_overlap(asked.recording, outcome))
-    cameras = tuple(_camera(eye) for eye in eyes)
+    cameras = tuple(_camera(eye, outcome) for eye in eyes)
     first = FirstPass(sides, eyes, point.estimator, outcome, cameras, ())
     return replace(first, series=tuple(_series(asked, first, axis) for axis in range(len(sides))))
 
@@ -327,10 +327,10 @@ def _across(asked: Asked, first: FirstPass, found: Found) -> tuple[SecondAxis | 
     return second, estimate_whole._shares(innovation, rows, along)
 
 
-def _camera(eye: Eye) -> CameraResult:
+def _camera(eye: Eye, outcome: Outcome) -> CameraResult:
     settings = eye.view.settings.camera
     assert settings is not None
-    return camera_result(eye.tracking, eye.sensor, settings, eye.calibrations)
+    return camera_result(eye.tracking, eye.sensor, settings, eye.calibrations, outcome.events_of.get(eye.sensor, ()))
 
 
 def _series(asked: Asked, first: FirstPass, axis: int) -> dict[str, SensorSeries]:

@@ -40,8 +40,6 @@ NOTABLE_REJECTED = 0.02
 RUN_AWAY = 10.0
 # Events of one kind that are told in the warnings.
 MOST_TOLD = 3
-# The zero's drift is kept at so many even instants, besides those where it was measured.
-ZERO_DRIFT_INSTANTS = 800
 
 
 def estimate(
@@ -99,8 +97,6 @@ def _estimate(
     fused = fuse(gathered.inputs, method, _method_settings(recording))
     _refuse_rejections(recording, fused.innovation)
     result = _cut(recording, gathered.inputs, fused.estimate)
-    if gathered.belief is not None:
-        result = replace(result, source=gathered.belief.marked(result.time_ns, result.source))
     alone = unsupported_events(result, fused.events)
     across, more = _second(recording, calibration, gathered, (result, method), given=asked.given)
     progress(1, 1, "fusing")
@@ -148,7 +144,6 @@ def result_of(recording: Recording, calibration: Calibration, gathered: Gathered
         radar=None if gathered.radar is None else gathered.radar.trace,
         across=across,
         zero_std_m=float(np.sqrt(fused.found.zero_variance_m2)),
-        zero_drift=_zero_drift(gathered),
         file=recording.file,
         name=recording.name,
     )
@@ -176,19 +171,6 @@ def _measured(
     return tuple(found)
 
 
-def _zero_drift(gathered: Gathered) -> SensorSeries | None:
-    """How far the second camera's zero lies above the first one's; None where there is one camera."""
-    belief = gathered.belief
-    if belief is None or belief.course is None:
-        return None
-    known = belief.course.time_ns
-    # Between the instants where both see the level is a bridge, whose uncertainty grows towards its middle.
-    time_ns = np.union1d(known, np.linspace(int(known[0]), int(known[-1]), ZERO_DRIFT_INSTANTS).astype(np.int64))
-    level, variance = belief.course.at(time_ns)
-    second = gathered.eyes[1]
-    return SensorSeries(second.sensor, second.source, time_ns, level, np.sqrt(variance))
-
-
 def _given(recording: Recording, calibration: Calibration, gathered: Gathered) -> Fitting:
     """How a calibration that was given fits the recording; UntrustedError where it does not."""
     literal = calibration.radar is not None and calibration.radar.literal
@@ -211,7 +193,6 @@ def _events(recording: Recording, gathered: Gathered, more: tuple[Event, ...]) -
     """What happened to all sensors, and `more` of the cameras and the fusion, in the order of time."""
     found = (
         *recording.prepared.events,
-        *(() if gathered.belief is None else gathered.belief.events),
         *gathered.frozen,
         *(() if gathered.radar is None else gathered.radar.events),
         *gathered.events,

@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from midspan.fusion.kalman import KalmanSettings
-from midspan.recording.cameras.belief import Belief, believed
 from midspan.recording.cameras.lost_target import lost_events, lost_warnings
 from midspan.recording.cameras.tracked import Eye, Seen, Side, open_eyes, seen_along, side_of, track_all, zero_of
 from midspan.recording.displacement.sensor import displacement_inputs
@@ -37,15 +36,14 @@ COASTING_INTERVALS = 2.5
 class Gathered:
     """The inputs of the fusion, and warnings.
 
-    across: the inputs along the second image axis; eyes: all cameras; belief: which of two was believed when; radar:
-    what it measured; frozen: what of [displacement] stood still; events: targets lost and seen again, clocks that jump.
+    across: the inputs along the second image axis; eyes: all cameras, of which the first counts; radar: what it
+    measured; frozen: what of [displacement] stood still; events: targets lost and seen again, clocks that jump.
     """
 
     inputs: FusionInputs
     warnings: tuple[str, ...]
     across: FusionInputs | None = None
     eyes: tuple[Eye, ...] = ()
-    belief: Belief | None = None
     radar: RadarInputs | None = None
     frozen: tuple[Event, ...] = ()
     events: tuple[Event, ...] = ()
@@ -75,7 +73,6 @@ def gather(
         warnings=warnings,
         across=across,
         eyes=eyes,
-        belief=main.belief,
         radar=radar,
         frozen=main.frozen,
         events=(*(event for one in main.seen for event in lost_events(*_blind(one))), *main.events),
@@ -90,13 +87,12 @@ def _blind(seen: Seen) -> tuple[SensorSeries, Mask]:
 
 @dataclass(frozen=True, slots=True)
 class Along:
-    """What is fused along one axis, what each camera says along it, which of two is believed when, warnings, what of
+    """What is fused along one axis, what each camera says along it, warnings, what of
     [displacement] stood still, and what happened to the clocks.
     """
 
     inputs: FusionInputs
     seen: tuple[Seen, ...]
-    belief: Belief | None
     warnings: tuple[str, ...]
     frozen: tuple[Event, ...]
     events: tuple[Event, ...] = ()
@@ -114,16 +110,12 @@ def _inputs(
     clocks: of each camera, as learnt along the main axis; None learns them. radar: what it measured along this axis.
     """
     recording, calibration, blocks = side.recording, side.calibration, []
-    seen = tuple(seen_along(side, axis, eye, (clocks or {}).get(eye.sensor)) for eye in eyes)
+    seen = tuple(seen_along(side, axis, eye, (clocks or {}).get(eye.sensor)) for eye in eyes[:1])
     told = [line for one in seen for line in one.warnings]
     errors = [SensorError(one.eye.source, one.relative_std, one.clock_std_s) for one in seen]
     clocks_met = [one.clock for one in seen]
-    belief = None
-    if len(seen) == 2:
-        belief = believed(side, (seen[0], seen[1]))
-        told += belief.warnings
     if seen:
-        blocks.append(seen[0].measured if belief is None else belief.measured)
+        blocks.append(seen[0].measured)
     if radar is not None:
         blocks.append(radar.measured)
         errors.append(radar.error)
@@ -151,17 +143,16 @@ def _inputs(
         zero_ns=None if not from_first_frame else zero_of(seen, blocks[0]),
         level_m=level,
         errors=tuple(errors),
-        levels=(*together.levels, *_camera_levels(seen, belief), *(() if radar is None else radar.levels), *jumped),
+        levels=(*together.levels, *_camera_levels(seen), *(() if radar is None else radar.levels), *jumped),
         sampled=None if begun is side.acceleration else side.acceleration,
-        cameras=() if belief is None else tuple(one.measured for one in seen),
     )
     events = tuple(event for clock in clocks_met for event in clock.events)
-    return Along(inputs, seen, belief, (*together.warnings, *told), frozen, events)
+    return Along(inputs, seen, (*together.warnings, *told), frozen, events)
 
 
-def _camera_levels(seen: tuple[Seen, ...], belief: Belief | None) -> tuple[CourseError, ...]:
-    """What is uncertain of the zeros of cameras: what their reference frames are off by, and the second's zero."""
-    return tuple(one.wandering for one in seen if one.wandering is not None) if belief is None else belief.levels
+def _camera_levels(seen: tuple[Seen, ...]) -> tuple[CourseError, ...]:
+    """What is uncertain of the zeros of cameras: what their reference frames are off by."""
+    return tuple(one.wandering for one in seen if one.wandering is not None)
 
 
 def _with_ages(kalman: KalmanSettings, measured: Displacement) -> KalmanSettings:

@@ -12,6 +12,7 @@ from midspan.engine.order import FIRST_NS
 from midspan.engine.plain import PlainChain, PlainSettings
 from midspan.engine.point import ACCELEROMETER, Point
 from midspan.engine.sensors import CameraSensor, PlainSensor, RadarSensor, Sensor
+from midspan.engine.switching import Switch
 from midspan.fusion.estimator import Estimator
 from midspan.fusion.model import EstimatorSettings, Parameter, ParameterKind
 from midspan.fusion.second_pass import Lag
@@ -172,10 +173,14 @@ def radar_frames_used(recording: Recording) -> slice:
 
 
 def zero_instant(main: Side, eyes: Sequence[Eye]) -> int | None:
-    """The instant (ns) that the displacement counts from: the first frame used; None: the sensor's own zero."""
+    """The instant (ns) that the displacement counts from: the first frame used; None: the sensor's own zero.
+
+    Of two cameras the first one's; where that one was dark when it began, the first frame of either.
+    """
     offsets_ns = clock_offsets_ns(main, eyes)
     if eyes:
-        return int(eyes[0].tracking.time_ns[0]) + offsets_ns[eyes[0].sensor]
+        firsts = [int(eye.tracking.time_ns[0]) + offsets_ns[eye.sensor] for eye in eyes]
+        return min(firsts) if eyes[0].begins_dark else firsts[0]
     if main.recording.has("radar"):
         return int(main.recording.radar.times_ns()[radar_frames_used(main.recording).start]) + offsets_ns["radar"]
     return None
@@ -219,7 +224,8 @@ def measuring_point(
     rate_hz = 1.0 / interval_s(main.recording.acceleration.time_ns)
     guard = Guard(GuardSettings(rate_hz, tuple(figures(side, rate_hz) for side in measured)))
     unmeasured = [side.calibration.noise_density(rate_hz) for side in sides if side not in measured]
-    estimator = Estimator(settings, log=True)
-    if lag_s is not None:
-        return Point(merge, guard, sensors, Lag(settings, max(1, round(lag_s * rate_hz))), unmeasured)
-    return Point(merge, guard, sensors, estimator, unmeasured)
+    one_at_a_time = recording.settings.fusion.switching == "matches" and len(eyes) > 1
+    switch = Switch((eyes[0].sensor, eyes[1].sensor)) if one_at_a_time else None
+    lag = None if lag_s is None else max(1, round(lag_s * rate_hz))
+    estimator = Estimator(settings, log=True) if lag is None else Lag(settings, lag)
+    return Point(merge, guard, sensors, estimator, unmeasured, switch)

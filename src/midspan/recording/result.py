@@ -38,8 +38,7 @@ class Result:
     displacement; events, warnings: what is worth reporting; cameras: each camera's targets, frame by frame; measured:
     what each sensor measured, in metres; radar: what the best radar's targets showed, None without one; across: the
     second image axis, with camera.direction = "xy". zero_std_m: the part of every row's standard deviation that is the
-    zero's, common to the whole record; zero_drift: by how much the second camera's zero lies above the first one's over
-    time, None where there is one camera. file: the recording's settings file; name: the recording's name.
+    zero's, common to the whole record. file: the recording's settings file; name: the recording's name.
     """
 
     estimate: Estimate
@@ -54,7 +53,6 @@ class Result:
     radar: RadarTrace | None = field(default=None, repr=False)
     across: SecondAxis | None = field(default=None, repr=False)
     zero_std_m: float = 0.0
-    zero_drift: SensorSeries | None = field(default=None, repr=False)
     file: Path | None = None
     name: str = ""
 
@@ -90,7 +88,6 @@ class Result:
             measured=self.across.measured,
             radar=None,
             across=None,
-            zero_drift=None,
         )
 
     @property

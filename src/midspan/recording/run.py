@@ -2,7 +2,7 @@
 
 import heapq
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -35,6 +35,7 @@ class Outcome:
     rows: list[Rows] = field(default_factory=list)
     measured: dict[str, list[Measured]] = field(default_factory=dict)
     sensor_events: list[Event] = field(default_factory=list)
+    events_of: dict[str, list[Event]] = field(default_factory=dict)
 
     def take(self, outputs: Sequence[Output]) -> None:
         """Keep what a push gave."""
@@ -45,6 +46,7 @@ class Outcome:
                 self.sensor_events.append(output)
             elif isinstance(output, Seen):
                 self.sensor_events += output.events
+                self.events_of.setdefault(output.sensor, []).extend(output.events)
                 if output.measured is not None:
                     self.measured.setdefault(output.sensor, []).append(output.measured)
 
@@ -149,7 +151,7 @@ def keep(outputs: Sequence[Output], cameras: Mapping[str, Eye], kept: dict[str, 
             eye = cameras[output.sensor]
             early_ns = -late_ns(eye)
             found = [one for one in output.found if isinstance(one, PixelTranslation)]
-            eye.tracking.keep([replace(one, time_ns=one.time_ns + early_ns) for one in found])
+            eye.tracking.keep([one.later(early_ns) for one in found])
 
 
 def late_ns(eye: Eye) -> int:

@@ -82,15 +82,8 @@ def cameras(material: Material) -> str:
         "whose), and the source of each row."
     )
     if len(material.result.cameras) > 1:
-        caption += " The ground has the colour of the rows' source; dashed: the other camera tells more from there on."
+        caption += " The ground has the colour of the rows' source; dashed: the other camera measures from there on."
     pieces = [page.figure(infrared_figures.over_time(material), "Cameras over the record", caption)]
-    drawn = infrared_figures.zero(material)
-    if drawn is not None:
-        caption = (
-            "How far the second camera's zero lies from the first one's, learnt where both see and taken out. Shading "
-            "that moves and surfaces that warm make it wander; where only one sees it is bridged, with a wider band."
-        )
-        pieces.append(page.figure(drawn, "Zero of the second camera", caption))
     pieces += [_range(found.sensor, found.range_surface) for found in material.result.cameras]
     return page.section("cameras", "Cameras over the record", *pieces)
 

@@ -13,14 +13,12 @@ from midspan.report.drawing import (
     GREEN,
     ORANGE,
     PURPLE,
-    SKY,
     VERMILLION,
     Picture,
     draw_line,
     picture,
     sheet,
 )
-from midspan.report.figures import BAND
 from midspan.report.material import Material
 from midspan.signals.thinning import envelope, spans
 from midspan.thermal.temperature_range import RangeSurface
@@ -159,7 +157,7 @@ def shares(source: NDArray[np.uint8]) -> list[tuple[Source, float]]:
 
 
 def _switches(axes: "Axes", material: Material, labelled: bool) -> None:
-    """A line from where on the other camera tells more."""
+    """A line from where on the other camera measures."""
     found = places(material, [event for event in material.result.events if event.kind == "switch"])
     for number, place in enumerate(found):
         label = "switch" if labelled and number == 0 else None
@@ -174,25 +172,6 @@ def _sources(axes: "Axes", material: Material) -> None:
     for code, held in source_spans(material).items():
         if code in CAMERAS:
             axes.broken_barh(held, (0, 1), transform=over, color=COLOURS[code], alpha=0.09, linewidth=0.0)
-
-
-def zero(material: Material) -> Picture | None:
-    """How far the second camera's zero lies from the first one's; None where there is one camera."""
-    drift = material.result.zero_drift
-    if drift is None:
-        return None
-    t, middle, half = material.clock.at(drift.time_ns), 1e3 * drift.value_m, BAND * 1e3 * drift.std_m
-    figure = sheet(2.2)
-    axes = figure.subplots()
-    axes.fill_between(t, middle - half, middle + half, color=SKY, alpha=0.45, linewidth=0, label="±1.96 σ")
-    axes.plot(t, middle, color=BLUE, linewidth=1.0, label="zero")
-    _sources(axes, material)
-    _switches(axes, material, labelled=True)
-    axes.set_xlabel(material.clock.label)
-    axes.set_ylabel("second − first (mm)")
-    axes.margins(x=0.005)
-    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=5, borderaxespad=0.2)
-    return picture(figure)
 
 
 def chosen_place(found: RangeSurface) -> tuple[int, int]:

@@ -17,7 +17,6 @@ TAKEN = (
     "calibration",
     "fusion",
     "reference",
-    "site",
     "name",
     "overlap",
     "recording",

@@ -75,6 +75,12 @@ class Eye:
         return regions.index(best_region(self.tracking, self.calibrations[0]))
 
     @property
+    def begins_dark(self) -> bool:
+        """Whether frames before the first one used were dark or not usable."""
+        began_ns = self.view.sees_from_ns
+        return self.tracking.skipped > 0 or (began_ns is not None and began_ns > self.view.frames.times_ns()[0])
+
+    @property
     def strength(self) -> Floats:
         """Good matches of the best target in each frame (n,), of trackers without matches the quality in percent."""
         return self.tracking.targets[self.best].strengths
@@ -245,9 +251,7 @@ def zero_of(seen: Sequence[Seen], first: Displacement) -> int:
     """
     if not seen:
         return int(first.time_ns[0])
-    eye = seen[0].eye
-    began_ns = eye.view.sees_from_ns
-    dark = eye.tracking.skipped > 0 or (began_ns is not None and began_ns > eye.view.frames.times_ns()[0])
+    dark = seen[0].eye.begins_dark
     measured = first.time_ns[np.isfinite(first.value_m)] if dark else seen[0].measured.time_ns
     return int(measured[0] if len(measured) else first.time_ns[0])
 

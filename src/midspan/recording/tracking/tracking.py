@@ -91,7 +91,8 @@ class TargetTracking:
         # The fields of a track, how strong it was, the reference's variances along x and y, whether it was dark.
         self._columns = Columns("qdddddBdddB")
         self._track: PixelTrack | None = None
-        self.events: list[Event] = []
+        # What happened in frames, by their numbers.
+        self._events: dict[int, tuple[Event, ...]] = {}
 
     @property
     def name(self) -> str:
@@ -111,9 +112,15 @@ class TargetTracking:
     def add(self, found: PixelTranslation, *, dark: bool) -> None:
         """Keep what was found in a frame; dark: whether it was black."""
         reference = (found.reference_variance_x_px2, found.reference_variance_y_px2)
+        if found.events:
+            self._events[len(self._columns)] = found.events
         self._columns.append(*_track_row(found), found.strength, *reference, dark)
-        self.events += found.events
         self._track = None
+
+    @property
+    def events(self) -> list[Event]:
+        """What happened in the frames so far."""
+        return [event for told in self._events.values() for event in told]
 
     @property
     def rows(self) -> PixelTrack:
@@ -147,8 +154,9 @@ class TargetTracking:
     def translation(self, number: int) -> PixelTranslation:
         """What was found in the frame of this number."""
         time_ns, x, y, variance_x, variance_y, quality, status, strength, more_x, more_y, _ = self._columns.row(number)
+        told = self._events.get(number, ())
         return PixelTranslation(
-            time_ns, x, y, variance_x, variance_y, quality, Status(status), strength, more_x, more_y
+            time_ns, x, y, variance_x, variance_y, quality, Status(status), strength, more_x, more_y, told
         )
 
     def with_codec_error(self, scale: ScaleFactor, direction: str) -> ScaleFactor:
