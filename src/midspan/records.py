@@ -290,8 +290,9 @@ class Channel:
     sensor: name of the sensor, of which there may be several of a kind; source: how its rows are marked. axis: 0 for
     the main one. units_per_m: measured units (px, rad, m) per metre of displacement, signed. variance_factor: estimated
     variance over the one that comes with each measurement. exposure_s: the time over which one measurement averages.
-    zero_std_m: standard deviation of its zero at its first measurement; infinite: unknown. coasting_s, lost_s: age of
-    the last accepted measurement from which on rows are marked so.
+    zero_std_m: standard deviation of its zero at its first measurement; infinite: unknown. zero_walk_m2_s: density of
+    the random walk of its zero; the rows' own band grows by it where no other sensor's zero stays. coasting_s, lost_s: age
+    of the last accepted measurement from which on rows are marked so.
     """
 
     sensor: str
@@ -302,6 +303,7 @@ class Channel:
     variance_factor: float = 1.0
     exposure_s: float = 0.0
     zero_std_m: float = 0.0
+    zero_walk_m2_s: float = 0.0
     coasting_s: float = 0.25
     lost_s: float = 10.0
 

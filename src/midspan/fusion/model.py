@@ -89,9 +89,8 @@ class EstimatorSettings:
     bias_walk: density of its random walk, (m/s²)²/s. velocity_std_m_s: None to take it from the first measurements.
     displacement_std_m: how far from the first measurement the structure may be. noise_memory: measurements over which a
     channel's noise is followed; fewer follow it faster, and it then scatters by sqrt(2/noise_memory). noise_weight: how
-    many measurements the channels' variance factors rest on. zero_walk: density of a random walk of each channel's
-    zero, m²/s; 0 where sensors do not drift against each other; the rows' own band grows by it. zero_ns: instant that
-    rows count from; None: from the sensors' own zero.
+    many measurements the channels' variance factors rest on. zero_ns: instant that rows count from; None: from the
+    sensors' own zero.
     """
 
     channels: tuple[Channel, ...]
@@ -106,7 +105,6 @@ class EstimatorSettings:
     rates: Rates = field(default_factory=Rates)
     noise_memory: float = 100.0
     noise_weight: float = 20.0
-    zero_walk: float = 0.0
     zero_ns: int | None = None
 
     @property
@@ -130,7 +128,7 @@ def tables_of(settings: EstimatorSettings, origin_ns: int = 0) -> Tables:
     """
     walks = np.zeros(settings.size)
     walks[2 : 3 * settings.axes : 3] = settings.bias_walk
-    walks[settings.first_zero + 1 :: ZERO_STATES] = settings.zero_walk
+    walks[settings.first_zero + 1 :: ZERO_STATES] = [channel.zero_walk_m2_s for channel in settings.channels]
     channels = np.zeros((len(settings.channels), CHANNEL_COLUMNS))
     sensors = sorted({channel.sensor for channel in settings.channels})
     for i, channel in enumerate(settings.channels):

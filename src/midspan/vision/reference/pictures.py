@@ -65,9 +65,10 @@ def realigned(
     place, covariance = chain.place.copy(), chain.covariance.copy()
     # All of them lie as uncertainly as the first of them, which the others are measured from.
     covariance[np.ix_(range(2), numbers, numbers)] = found.covariance + chain.variance(numbers[0])[:, None, None]
-    # What is no mix of others may have moved with the light.
+    # What is no mix of others may have moved with the light; what is known at best no mean over pictures makes better.
     doubt = unmixed_px * (found.alone[0] + found.alone[1:])
-    covariance[:, later, later] += floor_px**2 + doubt**2
+    covariance[:, later, later] += doubt**2
+    covariance[np.ix_(range(2), later, later)] += floor_px**2
     aside = list(keys)
     for number, move in zip(numbers, found.moves, strict=True):
         before = keys[number].offset
