@@ -196,6 +196,7 @@ def test_overrides_win_over_the_file(tmp_path):
     ("section", "keys"),
     [
         ("radar", {"nonsense": 3}),
+        ("site", {"latitude_deg": 48.0}),
         ("infrared", {"tracker": "template"}),
         ("name", {"first": "footbridge"}),
     ],

@@ -17,6 +17,7 @@ TAKEN = (
     "calibration",
     "fusion",
     "reference",
+    "site",
     "name",
     "overlap",
     "recording",

@@ -62,6 +62,13 @@ class FusionSettings(Section):
         return self
 
 
+class SiteSettings(Section):
+    """Where the structure stands: kept with the result; no number depends on it."""
+
+    latitude_deg: Annotated[float, IsNumber, Field(ge=-90, le=90)] = Field(description="degrees, north positive")
+    longitude_deg: Annotated[float, IsNumber, Field(ge=-180, le=180)] = Field(description="degrees, east positive")
+
+
 SensorSettings = CameraSettings | RadarSettings | DisplacementSettings
 
 
@@ -86,6 +93,7 @@ class RecordingSettings(Section):
     calibration: CalibrationSettings = Field(default_factory=lambda: CalibrationSettings.model_validate({}))
     fusion: FusionSettings = Field(default_factory=lambda: FusionSettings.model_validate({}))
     reference: ReferenceSettings | None = None
+    site: SiteSettings | None = None
 
     @model_validator(mode="after")
     def _has_displacement(self) -> "RecordingSettings":
