@@ -157,11 +157,12 @@ class Prediction:
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """Something worth telling: when, of what kind, in one sentence."""
+    """Something worth reporting: when, of what kind, in one sentence; axis: the one that it concerns, 0 the main one."""
 
     time_ns: int
     kind: str
     text: str
+    axis: int = 0
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,7 @@ from midspan.calibration.running_clock import RunningClock
 from midspan.engine.camera import WARM_UP_FRAMES
 from midspan.engine.camera_target import TargetChain
 from midspan.evaluate.result_file import compare
-from midspan.recording import estimate, inputs
+from midspan.recording import estimate, estimate_whole, inputs
 from midspan.recording.camera_calibration import camera
 from midspan.recording.fusing import one_clock
 from midspan.recording.inspect import inspect_recording
@@ -194,8 +194,7 @@ def test_what_the_gate_did_along_the_second_axis_is_told(shaken):
     # The camera's clock is 0.137 s behind.
     assert event.time_ns / 1e9 == pytest.approx(18.137, abs=0.15)
     assert f"Along x: {event.text}" in found.warnings
-    for text in ("of the measurements along x were rejected", "of the rows along x are coasting"):
-        assert any(text in line for line in found.warnings)
+    assert any("of the measurements along x were rejected" in line for line in found.warnings)
     # Nothing of it happened along the main axis.
     assert not any("measurements were rejected" in line or "rows are" in line for line in found.warnings)
     assert found.events == ()
@@ -207,7 +206,7 @@ def test_a_second_axis_that_contradicts_its_acceleration_is_left_out_and_the_fir
     recording = midspan.open_recording(shaken)
     before = midspan.estimate(recording)
     share = estimate.rejected_share(before.across.innovation)
-    monkeypatch.setattr(estimate, "MOST_REJECTED", 0.5 * share)
+    monkeypatch.setattr(estimate_whole, "MOST_REJECTED", 0.5 * share)
     found = midspan.estimate(recording)
     assert found.across is None
     assert found.second is None

@@ -113,7 +113,8 @@ def events_of(
         causes = (*(one for one in causes if one[:3] != (kind, *group)), (kind, *group, time_s))
         if not known:
             time_ns = origin_ns + round(time_s * NANOSECONDS)
-            events.append(Event(time_ns, kind, _text(int(kinds[j]), channels[c], (size_mm, std_mm))))
+            text = _text(int(kinds[j]), channels[c], (size_mm, std_mm))
+            events.append(Event(time_ns, kind, text, channels[c].axis))
     return replace(told, runs=tuple(runs), causes=causes), sorted(events, key=lambda event: event.time_ns)
 
 
@@ -138,6 +139,7 @@ def _rejected(run: tuple[float, float, int, float], channel: Channel, origin_ns:
         f"{count} measurements in a row ({_named(channel)}) were rejected over {last_s - first_s:.2f} s, the first "
         f"{size_mm:.2f} mm off: they contradict the other sensors. Something may have stood in front of the target, or "
         "the tracker held on to something else.",
+        channel.axis,
     )
 
 

@@ -264,14 +264,15 @@ def result_of(asked: Asked, first: FirstPass, found: Found) -> Result:
     recording, main = asked.recording, found.rows[0]
     estimate_whole._refuse_rejections(recording, found.innovations[0])
     sensors = first.outcome.sensor_events
-    alone = unsupported_events(main, found.events)
+    fused = tuple(event for event in found.events if event.axis == 0)
+    alone = unsupported_events(main, fused)
     lost = [event for camera in first.cameras for event in lost_events(*_blind(camera, first))]
     across, more = _across(asked, first, found)
     warnings = (
         *estimate_whole._channel_warnings(recording, asked.calibration),
         *(line for camera in first.cameras for line in lost_warnings(*_blind(camera, first))),
         *(line for eye in first.eyes for line in eye.tracking.warnings()),
-        *estimate_whole._told(found.events),
+        *estimate_whole._told(fused),
         *estimate_whole._told(tuple(event for event in sensors if event.kind == "frozen")),
         *late_start(recording, first.outcome, main),
         *lost_end(recording, first.outcome, main),
@@ -286,7 +287,7 @@ def result_of(asked: Asked, first: FirstPass, found: Found) -> Result:
         settings=recording.settings,
         method=asked.method,
         innovation=found.innovations[0],
-        events=tuple(sorted((*sensors, *found.events, *lost, *alone), key=lambda event: event.time_ns)),
+        events=tuple(sorted((*sensors, *fused, *lost, *alone), key=lambda event: event.time_ns)),
         warnings=tuple(dict.fromkeys(warnings)),
         cameras=first.cameras,
         measured=tuple(first.series[0].values()),
@@ -316,15 +317,18 @@ def _across(asked: Asked, first: FirstPass, found: Found) -> tuple[SecondAxis | 
     if any(line.startswith(left_out(first.sides[1], UntrustedError(""))) for line in found.warnings):
         return None, []
     along = f" along {view.axis}"
+    events = tuple(event for event in found.events if event.axis == 1)
     second = SecondAxis(
         camera.direction,
         camera.fused,
         asked.method,
         rows,
         innovation,
+        events,
         measured=tuple(first.series[1].values()),
     )
-    return second, estimate_whole._shares(innovation, rows, along)
+    told = [f"Along {view.axis}: {line}" for line in estimate_whole._told(events)]
+    return second, [*told, *estimate_whole._shares(innovation, rows, along)]
 
 
 def _camera(eye: Eye, outcome: Outcome) -> CameraResult:

@@ -55,6 +55,9 @@ def run_on_series(
     """
     velocity_std = VELOCITY_WITHIN * float(np.sqrt(np.mean(path.velocity_m_s**2)))
     kalman: KalmanSettings = replace(side.kalman, velocity_std=velocity_std)
+    # As printed the filters begin at zero.
+    level_m = float(measured.value_m[np.argmax(np.isfinite(measured.value_m))])
+    measured = replace(measured, value_m=measured.value_m - level_m)
     acceleration = side.acceleration
     if RUNNERS[method].has_state:
         acceleration = from_first_measurement(acceleration, measured, side.prepared.rate_hz)
@@ -62,7 +65,7 @@ def run_on_series(
     rows = found.estimate
     finite = np.isfinite(rows.displacement_m) & np.isfinite(rows.variance_m2)
     if finite.all():
-        return found
+        return replace(found, estimate=replace(rows, displacement_m=rows.displacement_m + level_m))
     begin = shown(int(rows.time_ns[np.argmin(finite)]))
     raise UntrustedError(
         f"{method} ran away: its rows must be finite numbers, and from {begin} on they are not. "
