@@ -100,7 +100,8 @@ def test_the_result_is_plain_data_and_shows_the_targets_together(site, result):
     assert np.nanmedian(measured.std_m) == pytest.approx(np.sum(single**-2.0) ** -0.5, rel=0.1)
     error = 1e3 * measured.value_m - np.interp(measured.time_ns / 1e9, result.time_s, result.displacement_mm)
     alone = [1e3 * b.value_m - np.interp(b.time_ns / 1e9, result.time_s, result.displacement_mm) for b in blocks]
-    assert np.nanstd(error) <= min(np.nanstd(one) for one in alone)
+    # The result itself leans on the best target.
+    assert np.nanstd(error) <= 1.01 * min(np.nanstd(one) for one in alone)
 
 
 @pytest.mark.parametrize("listed", [("swinging", "wall"), ("wall", "swinging")])
@@ -164,7 +165,7 @@ def test_a_target_that_slips_for_good_is_left_out_from_then_on(site_copy):
     error = error_mm(site_copy, found.time_s, found.displacement_mm)
     late, early = found.time_s > 15.5, found.time_s < 14.5
     assert abs(np.mean(error[late]) - np.mean(error[early])) < 0.006
-    assert any("near" in line and "disagree" in line for line in found.warnings)
+    assert any("near" in line and "shifted" in line for line in found.warnings)
 
 
 def slid(folder, shift_px):
