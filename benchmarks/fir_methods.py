@@ -13,9 +13,9 @@ from benchmarks.table import goal, show
 from midspan.fusion.branches import StreamSettings
 from midspan.fusion.complementary import ComplementaryFilter, run
 from midspan.fusion.fir import FirFilter, FirSettings, fir
-from midspan.fusion.gate import NO_GATE, REJECTED
-from midspan.fusion.kalman import KalmanSettings
-from midspan.fusion.smoother import collected, smooth
+from midspan.fusion.blocks import NO_GATE, REJECTED
+from midspan.fusion.streams import KalmanSettings
+from midspan.fusion.streams import collected, smooth
 from midspan.fusion.two_stage import TwoStageFir, TwoStageSettings, two_stage_fir
 from midspan.records import Acceleration, Displacement, Estimate, Floats
 from midspan.simulate.motion.beam import Beam, respond

@@ -10,9 +10,9 @@ import numpy as np
 
 from benchmarks.cases import learnt, rms
 from benchmarks.table import goal, show
-from midspan.fusion.gate import REACQUIRED, REJECTED
-from midspan.fusion.kalman import KalmanSettings
-from midspan.fusion.smoother import Smoothed
+from midspan.fusion.blocks import REACQUIRED, REJECTED
+from midspan.fusion.streams import KalmanSettings
+from midspan.fusion.streams import Smoothed
 from midspan.recording.fusing.fuse import FusionInputs, fuse
 from midspan.records import Acceleration, Displacement, Floats, Source, TimeSeries, nanoseconds
 

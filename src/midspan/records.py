@@ -157,7 +157,7 @@ class Prediction:
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """Something worth reporting: when, of what kind, in one sentence; axis: the one that it concerns, 0 the main one."""
+    """Something worth reporting: when, of what kind, in one sentence; axis: that it concerns, 0 the main one."""
 
     time_ns: int
     kind: str
@@ -292,8 +292,8 @@ class Channel:
     the main one. units_per_m: measured units (px, rad, m) per metre of displacement, signed. variance_factor: estimated
     variance over the one that comes with each measurement. exposure_s: the time over which one measurement averages.
     zero_std_m: standard deviation of its zero at its first measurement; infinite: unknown. zero_walk_m2_s: density of
-    the random walk of its zero; the rows' own band grows by it where no other sensor's zero stays. coasting_s, lost_s: age
-    of the last accepted measurement from which on rows are marked so.
+    the random walk of its zero; the rows' own band grows by it where no other sensor's zero stays. coasting_s, lost_s:
+    age of the last accepted measurement from which on rows are marked so.
     """
 
     sensor: str

@@ -8,8 +8,7 @@ from calibration_cases import OFFSET, broadband, observed, spoilt, tones
 
 from midspan.calibration.fit import Pair, aligned
 from midspan.calibration.noise import calibrate_noise, learn_motion
-from midspan.fusion.kalman import KalmanSettings
-from midspan.fusion.smoother import smooth
+from midspan.fusion.streams import KalmanSettings, smooth
 from midspan.records import Acceleration, Displacement, nanoseconds
 
 

@@ -8,7 +8,7 @@ import pytest
 
 import midspan
 from midspan.errors import UntrustedError
-from midspan.fusion.kalman import KalmanSettings
+from midspan.fusion.streams import KalmanSettings
 from midspan.recording.fusing.one_clock import _refuse_contradiction, one_clock
 from midspan.records import Acceleration, Displacement, Floats, Source, nanoseconds
 from midspan.simulate.motion.motion import Sines

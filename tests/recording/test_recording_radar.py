@@ -8,8 +8,8 @@ import pytest
 
 import midspan
 from midspan.errors import UntrustedError, UsageError
-from midspan.fusion.kalman import KalmanSettings
 from midspan.fusion.methods import METHODS
+from midspan.fusion.streams import KalmanSettings
 from midspan.recording.fusing.one_zero import merged
 from midspan.recording.inspect import inspect_recording
 from midspan.recording.radar.frames import RadarFrames, even_places, without_holes

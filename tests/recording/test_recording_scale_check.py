@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import midspan
-from midspan.fusion.kalman import KalmanSettings
+from midspan.fusion.streams import KalmanSettings
 from midspan.recording.fusing.fuse import FusionInputs, SensorError, fuse
 from midspan.recording.fusing.scale_check import apparent_scales, fitting
 from midspan.records import Acceleration, Displacement, Source, joined, nanoseconds, part
@@ -69,7 +69,7 @@ def test_the_band_holds_a_scale_that_is_somewhat_off_and_stays_as_it_is_beside_a
     for given in (inputs(5), inputs(5, factor=factor)):
         given = replace(given, errors=(SensorError(Source.CAMERA, 1e-3),))
         found = fitting(given)
-        rows = fuse(replace(given, errors=found.errors), "smoother").estimate
+        rows = fuse(replace(given, errors=found.errors), "smoother")[0].estimate
         error = rows.displacement_m - np.interp(rows.time_ns / 1e9, TIME, inputs_motion(TIME))
         inside.append(np.mean(np.abs(error) < 1.96 * np.sqrt(rows.variance_m2)))
     assert fitting(inputs(5)).errors[0].relative_scale_std < 2e-3

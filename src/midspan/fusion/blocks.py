@@ -35,6 +35,7 @@ from midspan.records import (
 # The motion's first velocity lies within three times what the sensors say of its size; acceleration is taken to belong
 # to a motion of no less than 0.2 Hz.
 VELOCITY_WITHIN, SLOWEST_HZ = 3.0, 0.2
+# What became of a measurement, in its innovation.
 ACCEPTED, REJECTED, REACQUIRED = 0, 1, 2
 # Comparing arrays with members of an enumeration is slow.
 BRIDGED, INSERTED, COASTING = int(SampleKind.BRIDGED), int(SampleKind.INSERTED), float(Status.COASTING)
@@ -61,13 +62,17 @@ def sample_rows(samples: Samples, origin_ns: int) -> Floats:
 
 
 def with_start(samples: Samples, first_s: float, origin_ns: int) -> Samples:
-    """Put a sample at the first measurement where that comes before the first one: the zero may belong to it.
+    """Put a sample before the first one where a measurement comes before it: the zero may belong to that.
 
     What the acceleration was until the first sample is not known: its noise is what it varies by later.
     """
     start_ns, first_ns = int(samples.time_ns[0]), origin_ns + round(first_s * NANOSECONDS)
     if first_ns >= start_ns:
         return samples
+    # A whole interval at least: over nanoseconds the step to the first sample would be an endless slope.
+    first_ns = min(
+        first_ns, start_ns - int(np.median(np.diff(samples.time_ns))) if len(samples.time_ns) > 1 else first_ns
+    )
     value = np.mean(samples.value_m_s2[:100], axis=0, keepdims=True)
     unknown = np.var(samples.value_m_s2[:100], axis=0) / SLOWEST_HZ
     density = samples.noise_density.copy()

@@ -252,12 +252,14 @@ class Estimator:
             return []
         first_s = float(rows[0, AT])
         held = part(held, slice(max(int(np.searchsorted(time_s, first_s, side="right")) - 1, 0), None))
-        self._held = held
         time_s = seconds(held.time_ns, self._origin)
         enough = rows[FIRST_MEASUREMENTS - 1, AT] if len(rows) >= FIRST_MEASUREMENTS else np.inf
-        last = int(np.searchsorted(time_s, min(enough, first_s + FIRST_S)))
+        # What the acceleration was before its first sample, the samples of some time tell.
+        until_s = min(enough, first_s + FIRST_S) if first_s >= time_s[0] else time_s[0] + FIRST_S
+        last = int(np.searchsorted(time_s, until_s))
         if last >= len(time_s):
             if not ended:
+                self._held = held
                 return []
             last = len(time_s) - 1
         self._held = None

@@ -231,29 +231,39 @@ def back_through_time(adj, m, axes, dt):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def back_through_measurement(adj, m, channel, gain, e, total):  # type: ignore[no-untyped-def]
-    """Before an accepted measurement: (I − K h')' L − h e'/S and (I − K h')' M (I − K h') + h h'/S."""
+    """Before an accepted measurement: (I − K h')' L − h e'/S and (I − K h')' M (I − K h') + h h'/S.
+
+    1 − K h is taken first where a state is on both sides: behind a wide prior it is a small difference.
+    """
     n = len(m)
     i, z, g = 3 * int(channel[AXIS]), int(channel[ZERO]), channel[UNITS_PER_M]
     states = (i, i + 2, z, z + 1, z + 2)
     row = (g, -g * channel[BLUR], g, g, g)
-    km = np.zeros(n)
-    kmk = 1.0 / total
-    for j in range(n):
-        for q in range(n):
-            km[j] += gain[q] * m[q, j]
-        kmk += km[j] * gain[j]
     for c in range(adj.shape[1]):
-        kl = e[c] / total
-        for q in range(n):
-            kl += gain[q] * adj[q, c]
+        apply_row(adj[:, c], gain, states, row)
         for q in range(5):
-            adj[states[q], c] -= row[q] * kl
+            adj[states[q], c] -= row[q] * e[c] / total
+    for j in range(n):
+        apply_row(m[j], gain, states, row)
+    for j in range(n):
+        apply_row(m[:, j], gain, states, row)
     for q in range(5):
         for r in range(5):
-            m[states[q], states[r]] += row[q] * row[r] * kmk
-        for j in range(n):
-            m[states[q], j] -= row[q] * km[j]
-            m[j, states[q]] -= row[q] * km[j]
+            m[states[q], states[r]] += row[q] * row[r] / total
+
+
+@njit(cache=True)
+def apply_row(v, gain, states, row):  # type: ignore[no-untyped-def]
+    """(I − K h')' v in place, h having the entries `row` at `states`."""
+    moved = np.empty(5)
+    for q in range(5):
+        rest = 0.0
+        for j in range(len(v)):
+            if j != states[q]:
+                rest += gain[j] * v[j]
+        moved[q] = (1.0 - gain[states[q]] * row[q]) * v[states[q]] - row[q] * rest
+    for q in range(5):
+        v[states[q]] = moved[q]
 
 
 @njit(cache=True)

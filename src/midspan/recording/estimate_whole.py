@@ -8,10 +8,10 @@ import numpy as np
 
 from midspan.checks import option
 from midspan.errors import DataError, UntrustedError, UsageError
-from midspan.fusion.gate import REJECTED
+from midspan.fusion.blocks import REJECTED
 from midspan.fusion.methods import LITERAL, METHODS, no_literal_form
 from midspan.fusion.runners import MethodSettings
-from midspan.fusion.smoother import Smoothed
+from midspan.fusion.streams import Smoothed
 from midspan.recording.calibrate import calibrate_and_track
 from midspan.recording.camera_result import CameraResult, camera_result, camera_series
 from midspan.recording.cameras.tracked import Eye
@@ -94,7 +94,7 @@ def _estimate(
         fits = _given(recording, calibration, gathered)
         gathered, scaled = replace(gathered, inputs=replace(gathered.inputs, errors=fits.errors)), fits.warnings
         scaled += _uncalibrated(recording, calibration)
-    fused = fuse(gathered.inputs, method, _method_settings(recording))
+    fused, zero_variance = fuse(gathered.inputs, method, _method_settings(recording))
     _refuse_rejections(recording, fused.innovation)
     result = _cut(recording, gathered.inputs, fused.estimate)
     alone = unsupported_events(result, fused.events)
@@ -108,7 +108,9 @@ def _estimate(
         *_literal_warnings(recording, gathered, fused),
         *more,
     )
-    return result_of(recording, calibration, gathered, Fused(method, fused, result, across, alone, warnings))
+    return result_of(
+        recording, calibration, gathered, Fused(method, fused, zero_variance, result, across, alone, warnings)
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,6 +119,7 @@ class Fused:
 
     method: str
     found: Smoothed
+    zero_variance_m2: float
     rows: Estimate
     across: SecondAxis | None
     events: tuple[Event, ...]
@@ -143,7 +146,7 @@ def result_of(recording: Recording, calibration: Calibration, gathered: Gathered
         measured=_measured(recording, calibration, gathered, cameras, fused.rows),
         radar=None if gathered.radar is None else gathered.radar.trace,
         across=across,
-        zero_std_m=float(np.sqrt(fused.found.zero_variance_m2)),
+        zero_std_m=float(np.sqrt(fused.zero_variance_m2)),
         file=recording.file,
         name=recording.name,
     )

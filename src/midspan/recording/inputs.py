@@ -4,28 +4,25 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from midspan.fusion.kalman import KalmanSettings
+from midspan.fusion.streams import KalmanSettings
 from midspan.recording.cameras.lost_target import lost_events, lost_warnings
 from midspan.recording.cameras.tracked import Eye, Seen, Side, open_eyes, seen_along, side_of, track_all, zero_of
 from midspan.recording.displacement.sensor import displacement_inputs
-from midspan.recording.fusing.fuse import CourseError, FusionInputs, SensorError
+from midspan.recording.fusing.fuse import FusionInputs, SensorError
 from midspan.recording.fusing.one_clock import OneClock
 from midspan.recording.fusing.one_zero import merged
 from midspan.recording.radar.inputs import RadarInputs, radar_inputs
 from midspan.recording.sensor_series import SensorSeries, series_of
 from midspan.recording.stored.calibration import Calibration
-from midspan.recording.streams.acceleration import PreparedAcceleration
+from midspan.recording.streams.acceleration import PreparedAcceleration, from_first_measurement
 from midspan.recording.streams.progress import Progress
 from midspan.recording.streams.recording import Recording
 from midspan.recording.tracking.tracking import CameraTracking
 from midspan.records import (
     NANOSECONDS,
-    Acceleration,
     Displacement,
     Event,
-    joined,
 )
-from midspan.signals.bridging import unknown_density
 from midspan.signals.health import Mask, dominant_frequency
 
 # Rows are `coasting` when the last accepted measurement is older than this many of the sensor's usual intervals.
@@ -36,8 +33,8 @@ COASTING_INTERVALS = 2.5
 class Gathered:
     """The inputs of the fusion, and warnings.
 
-    across: the inputs along the second image axis; eyes: all cameras, of which the first counts; radar: what it
-    measured; frozen: what of [displacement] stood still; events: targets lost and seen again, clocks that jump.
+    across: the inputs along the second image axis; eyes: all cameras; radar: what it measured; frozen: what of
+    [displacement] stood still; events: targets lost and seen again, clocks that jump.
     """
 
     inputs: FusionInputs
@@ -58,7 +55,7 @@ def gather(
         sides.append(side_of(recording.across, calibration.across))
     eyes = open_eyes(sides, tracking, progress)
     if eyes:
-        track_all(eyes, sides)
+        track_all(eyes)
     radar = None
     if recording.has("radar"):
         radar = radar_inputs(recording, calibration, sides[0].acceleration, sides[0].kalman, progress)
@@ -87,8 +84,8 @@ def _blind(seen: Seen) -> tuple[SensorSeries, Mask]:
 
 @dataclass(frozen=True, slots=True)
 class Along:
-    """What is fused along one axis, what each camera says along it, warnings, what of
-    [displacement] stood still, and what happened to the clocks.
+    """What is fused along one axis, what each camera says along it, warnings, what of [displacement] stood still, and
+    what happened to the clocks.
     """
 
     inputs: FusionInputs
@@ -114,8 +111,7 @@ def _inputs(
     told = [line for one in seen for line in one.warnings]
     errors = [SensorError(one.eye.source, one.relative_std, one.clock_std_s) for one in seen]
     clocks_met = [one.clock for one in seen]
-    if seen:
-        blocks.append(seen[0].measured)
+    blocks += [one.measured for one in seen]
     if radar is not None:
         blocks.append(radar.measured)
         errors.append(radar.error)
@@ -143,16 +139,16 @@ def _inputs(
         zero_ns=None if not from_first_frame else zero_of(seen, blocks[0]),
         level_m=level,
         errors=tuple(errors),
-        levels=(*together.levels, *_camera_levels(seen), *(() if radar is None else radar.levels), *jumped),
+        levels=(
+            *together.levels,
+            *(one.wandering for one in seen if one.wandering is not None),
+            *(() if radar is None else radar.levels),
+            *jumped,
+        ),
         sampled=None if begun is side.acceleration else side.acceleration,
     )
     events = tuple(event for clock in clocks_met for event in clock.events)
     return Along(inputs, seen, (*together.warnings, *told), frozen, events)
-
-
-def _camera_levels(seen: tuple[Seen, ...]) -> tuple[CourseError, ...]:
-    """What is uncertain of the zeros of cameras: what their reference frames are off by."""
-    return tuple(one.wandering for one in seen if one.wandering is not None)
 
 
 def _with_ages(kalman: KalmanSettings, measured: Displacement) -> KalmanSettings:
@@ -177,17 +173,3 @@ def _velocity_std(prepared: PreparedAcceleration, measured: Displacement) -> flo
         else float(np.std(value)) / (2.0 * np.pi * max(dominant_frequency(value, prepared.rate_hz), 0.2))
     )
     return 3.0 * max(slow, fast)
-
-
-def from_first_measurement(acceleration: Acceleration, measured: Displacement, rate_hz: float) -> Acceleration:
-    """Put a sample before the first measurement where that comes first: the zero belongs to it."""
-    first, start = int(measured.time_ns[0]), int(acceleration.time_ns[0])
-    if first >= start or start - first > 2 * NANOSECONDS:
-        return acceleration
-    value = float(np.mean(acceleration.value_m_s2[:100]))
-    # A whole sample's interval at least: over nanoseconds the step to the first sample would be an endless slope.
-    begin = min(first - 1, start - round(NANOSECONDS / rate_hz))
-    before = Acceleration(np.array([begin]), np.array([value]), acceleration.noise_density[:1])
-    widened = acceleration.noise_density.copy()
-    widened[0] += unknown_density(acceleration.value_m_s2, rate_hz)
-    return joined([before, replace(acceleration, noise_density=widened)])

@@ -9,19 +9,20 @@ from dataclasses import replace
 import numpy as np
 
 from midspan.errors import UntrustedError
-from midspan.fusion.kalman import KalmanSettings
+from midspan.fusion.adaptive import AdaptiveSettings, adapt
+from midspan.fusion.complementary import OUTLIER_STD
+from midspan.fusion.fir import FirSettings, run_fir
 from midspan.fusion.path import at
-from midspan.fusion.runners import RUNNERS, MethodSettings, run_method
-from midspan.fusion.smoother import Smoothed
+from midspan.fusion.runners import MethodSettings
+from midspan.fusion.streams import Smoothed, no_innovation
+from midspan.fusion.two_stage import TwoStageSettings, run_two_stage
 from midspan.recording.cameras.tracked import Side
 from midspan.recording.in_turn import in_turn
-from midspan.recording.inputs import from_first_measurement
 from midspan.recording.sensor_series import SensorSeries
+from midspan.recording.streams.acceleration import from_first_measurement
 from midspan.recording.streams.span import shown
 from midspan.records import Displacement, Estimate, Floats, joined, part
 
-# A value that lies so many standard deviations from the smoothed path is an outlier to methods without a gate.
-OUTLIER_STD = 6.0
 # The first velocity lies within so many times its rms.
 VELOCITY_WITHIN = 3.0
 # Noise estimated by a method as printed, over the calibrated one, beyond which it is called a run-away.
@@ -54,18 +55,25 @@ def run_on_series(
     path: smoothed displacement; its velocities say how fast the motion may begin.
     """
     velocity_std = VELOCITY_WITHIN * float(np.sqrt(np.mean(path.velocity_m_s**2)))
-    kalman: KalmanSettings = replace(side.kalman, velocity_std=velocity_std)
-    # As printed the filters begin at zero.
-    level_m = float(measured.value_m[np.argmax(np.isfinite(measured.value_m))])
-    measured = replace(measured, value_m=measured.value_m - level_m)
-    acceleration = side.acceleration
-    if RUNNERS[method].has_state:
+    kalman = replace(side.kalman, velocity_std=velocity_std)
+    acceleration, literal = side.acceleration, settings.literal
+    if method == "adaptive-kalman":
         acceleration = from_first_measurement(acceleration, measured, side.prepared.rate_hz)
-    found = run_method(method, acceleration, measured, replace(settings, kalman=kalman))
+        # As printed the filter begins at zero.
+        level_m = float(measured.value_m[np.argmax(np.isfinite(measured.value_m))])
+        from_zero = replace(measured, value_m=measured.value_m - level_m)
+        found = adapt(acceleration, from_zero, AdaptiveSettings(literal, settings.forgetting, kalman))
+        raised = replace(found.estimate, displacement_m=found.estimate.displacement_m + level_m)
+        found = replace(found, estimate=raised)
+    elif method == "fir":
+        found = run_fir(acceleration, measured, FirSettings(literal), Smoothed(path, no_innovation(), ()))
+    else:
+        known = TwoStageSettings(literal=literal)
+        found = run_two_stage(acceleration, measured, known, Smoothed(path, no_innovation(), ()))
     rows = found.estimate
     finite = np.isfinite(rows.displacement_m) & np.isfinite(rows.variance_m2)
     if finite.all():
-        return replace(found, estimate=replace(rows, displacement_m=rows.displacement_m + level_m))
+        return found
     begin = shown(int(rows.time_ns[np.argmin(finite)]))
     raise UntrustedError(
         f"{method} ran away: its rows must be finite numbers, and from {begin} on they are not. "

@@ -56,7 +56,7 @@ def second_axis(
     """
     camera = calibration.first_camera
     assert camera is not None
-    fused = fuse(inputs, method, settings) if camera.fused else fuse(inputs, TRACKED_METHOD)
+    fused, _ = fuse(inputs, method, settings) if camera.fused else fuse(inputs, TRACKED_METHOD)
     place = np.minimum(np.searchsorted(fused.estimate.time_ns, rows_ns), len(fused.estimate.time_ns) - 1)
     if not np.array_equal(fused.estimate.time_ns[place], rows_ns):
         raise DataError(

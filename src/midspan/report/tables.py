@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from midspan.evaluate.metrics import Comparison, normalised_innovation
-from midspan.fusion.gate import REJECTED
+from midspan.fusion.blocks import REJECTED
 from midspan.radar.target import Target
 from midspan.recording.camera_result import CameraResult
 from midspan.recording.stored.calibration import Calibration

@@ -8,7 +8,7 @@ import numpy as np
 
 from midspan.errors import UntrustedError
 from midspan.fusion.path import at
-from midspan.fusion.smoother import smooth
+from midspan.fusion.streams import smooth
 from midspan.recording.camera_calibration.camera import CameraFit
 from midspan.recording.streams.recording import Recording
 from midspan.recording.streams.window import window_ends

@@ -1,14 +1,11 @@
 """The cameras of a calibrated recording: tracked to their end with one filter's predictions, each as a displacement."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from midspan.engine.monitor import AxisLoop, Monitor
-from midspan.fusion.kalman import KalmanFilter, KalmanSettings
-from midspan.fusion.path import at
-from midspan.fusion.smoother import smooth
+from midspan.fusion.streams import KalmanSettings
 from midspan.recording.fusing.fuse import CourseError
 from midspan.recording.fusing.one_clock import OneClock, one_clock
 from midspan.recording.stored.calibration import Calibration
@@ -30,13 +27,10 @@ from midspan.records import (
     Region,
     Source,
     TimeOffset,
-    part,
 )
 
 # A target left out of more than this share of its frames is worth telling.
 NOTABLE_DROPPED = 0.1
-# A second camera's zero beside the first is known from so many frames of both.
-LEAST_BOTH = 10
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,25 +133,16 @@ def best_region(tracking: CameraTracking, camera: CameraCalibration) -> Region:
     return camera.region if camera.region in regions else regions[0]
 
 
-def track_all(eyes: Sequence[Eye], sides: Sequence[Side]) -> None:
-    """Track the frames that are left of all cameras, in the order of their times, with the filters' predictions."""
-    monitors = _monitors(eyes, sides)
-    filters = [list({id(m.axes[k].kalman): m.axes[k].kalman for m in monitors}.values()) for k in range(len(sides))]
-    accelerations = [side.acceleration for side in sides]
-    pushed = [0] * len(sides)
+def track_all(eyes: Sequence[Eye]) -> None:
+    """Track the frames that are left of all cameras, in the order of their times."""
     while (number := _next(eyes)) is not None:
-        frame = eyes[number].tracking.take()
+        tracking = eyes[number].tracking
+        frame = tracking.take()
         if frame is None:
-            eyes[number].tracking.ended = True
+            tracking.ended = True
             continue
-        offset = monitors[number].axes[0].scales[0].time_offset_ns
-        for axis, acceleration in enumerate(accelerations):
-            due = int(np.searchsorted(acceleration.time_ns, frame.time_ns + offset, side="right"))
-            for kalman in filters[axis]:
-                kalman.push(part(acceleration, slice(pushed[axis], due)))
-            pushed[axis] = max(pushed[axis], due)
         with in_words_of(eyes[number].sensor):
-            monitors[number].push(frame)
+            tracking.push(frame)
     for eye in eyes:
         eye.tracking.close()
 
@@ -171,41 +156,6 @@ def _next(eyes: Sequence[Eye]) -> int | None:
             late_ns = round(NANOSECONDS * eye.calibrations[0].offset.value_s)
             due.append((int(tracking.time_ns[tracking.done]) + late_ns, number))
     return min(due)[1] if due else None
-
-
-def _monitors(eyes: Sequence[Eye], sides: Sequence[Side]) -> list[Monitor]:
-    """The loop of trackers and filters of each camera, which have been told what was tracked so far.
-
-    Cameras whose zeros are known beside each other share a filter, so that one that sees again is expected rightly.
-    """
-    loops: list[list[AxisLoop]] = [[] for _ in eyes]
-    for number, side in enumerate(sides):
-        first: tuple[KalmanFilter, Displacement] | None = None
-        for own, eye in zip(loops, eyes, strict=True):
-            kalman, zero_m = KalmanFilter(side.kalman), 0.0
-            found = _together(side, number, eye) if eye.tracking.done else None
-            if found is not None and first is not None:
-                apart = zero_beside(first[1], found.measured, side)
-                kalman, zero_m = (kalman, 0.0) if apart is None else (first[0], apart)
-            loop = AxisLoop(eye.calibrations[number].mappings(), kalman)
-            if found is not None:
-                moved = replace(found.measured, value_m=found.measured.value_m - zero_m)
-                loop.start(moved, found.zeros_m + zero_m)
-                first = first or (kalman, found.measured)
-            own.append(loop)
-    return [Monitor(eye.tracking.push, own) for eye, own in zip(eyes, loops, strict=True)]
-
-
-def zero_beside(first: Displacement, other: Displacement, side: Side) -> float | None:
-    """By how much (m) another camera's displacement lies above the first one's; None where both hardly overlap."""
-    usable = first.time_ns[np.isfinite(first.value_m)]
-    if len(usable) < LEAST_BOTH:
-        return None
-    inside = np.isfinite(other.value_m) & (other.time_ns >= usable[0]) & (other.time_ns <= usable[-1])
-    if np.count_nonzero(inside) < LEAST_BOTH:
-        return None
-    path = smooth(side.acceleration, first, side.kalman).estimate
-    return float(np.median(other.value_m[inside] - at(path, other.time_ns[inside])[0]))
 
 
 def _together(side: Side, number: int, eye: Eye) -> Together:

@@ -8,7 +8,7 @@ from midspan.calibration.bias import Bias, bias_of
 from midspan.calibration.noise import NoiseCalibration
 from midspan.calibration.scale import white_noise
 from midspan.errors import UntrustedError, UsageError
-from midspan.fusion.kalman import KalmanSettings
+from midspan.fusion.streams import KalmanSettings
 from midspan.recording.displacement.learn import learn
 from midspan.recording.fusing.fuse import SensorError
 from midspan.recording.fusing.one_clock import OneClock, one_clock

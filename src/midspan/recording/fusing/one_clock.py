@@ -9,10 +9,8 @@ from midspan.calibration.clock import compared
 from midspan.calibration.clock_jumps import LARGEST_S, ClockJump, clock_jumps, lateness
 from midspan.calibration.running_clock import RunningClock, on_one_clock
 from midspan.errors import UntrustedError
-from midspan.fusion.gate import ACCEPTED
-from midspan.fusion.kalman import KalmanSettings
 from midspan.fusion.path import at
-from midspan.fusion.smoother import smooth
+from midspan.fusion.streams import NO_ERRORS, KalmanSettings, filtered, smooth
 from midspan.recording.fusing.fuse import CourseError
 from midspan.recording.streams.span import inside, shown
 from midspan.records import (
@@ -27,8 +25,9 @@ from midspan.records import (
 
 # So much, s, either way of an instant is smoothed to tell what the structure did there.
 AROUND_S = 10.0
-# Of the measurements in a window of so many seconds at most this share may contradict the acceleration in the end.
-WINDOW_S, MOST_REJECTED = 8.0, 0.6
+# Of the measurements in a window of so many seconds at most this share may contradict the acceleration in the end: lie
+# so many predicted deviations off.
+WINDOW_S, MOST_REJECTED, CONTRADICTS = 8.0, 0.6, 4.0
 # Lost or doubled frames are named where a jump is so many intervals to this share of one.
 WHOLE = 0.1
 
@@ -107,8 +106,10 @@ def one_clock(
 
 def _refuse_contradiction(moved: Displacement, acceleration: Acceleration, kalman: KalmanSettings, sensor: str) -> None:
     """UntrustedError where measurements contradict the acceleration for long though jumps were taken out."""
-    found = smooth(acceleration, moved, kalman).innovation
-    rejected = np.concatenate(([0], np.cumsum(found.verdict != ACCEPTED)))
+    told = replace(kalman, rates=NO_ERRORS, noise_memory=np.inf)
+    found = filtered(acceleration, moved, told).innovation
+    far = found.value_m**2 > CONTRADICTS**2 * found.variance_m2
+    rejected = np.concatenate(([0], np.cumsum(far)))
     first = np.arange(len(found.time_ns))
     last = np.searchsorted(found.time_ns, found.time_ns + round(WINDOW_S * NANOSECONDS))
     whole = last < len(found.time_ns)

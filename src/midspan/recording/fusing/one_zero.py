@@ -6,9 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from midspan.errors import DataError
-from midspan.fusion.kalman import KalmanSettings
 from midspan.fusion.path import at
-from midspan.fusion.smoother import smooth
+from midspan.fusion.streams import KalmanSettings, smooth
 from midspan.recording.fusing.fuse import LevelError
 from midspan.recording.streams.span import inside
 from midspan.records import Acceleration, Displacement, Floats, Source, joined, part

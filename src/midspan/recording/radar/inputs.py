@@ -6,9 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from midspan.errors import DataError, UsageError
-from midspan.fusion.kalman import KalmanSettings
 from midspan.fusion.path import at
-from midspan.fusion.smoother import smooth
+from midspan.fusion.streams import KalmanSettings, smooth
 from midspan.radar.target import Target
 from midspan.recording.fusing.fuse import CourseError, LevelError, SensorError
 from midspan.recording.fusing.one_clock import one_clock

@@ -1,13 +1,24 @@
 """From a channel as it was read to acceleration that a filter can use: missing samples bridged, marked and told."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from midspan.errors import DataError
 from midspan.recording.streams.span import inside, shown
-from midspan.records import NANOSECONDS, Acceleration, Event, Floats, Nanoseconds, TimeSeries, part, seconds
+from midspan.records import (
+    NANOSECONDS,
+    Acceleration,
+    Displacement,
+    Event,
+    Floats,
+    Nanoseconds,
+    TimeSeries,
+    joined,
+    part,
+    seconds,
+)
 from midspan.signals.bridging import GAP_STEPS, LONG_SHARE, LOWEST_HZ, missed_share, unknown_density
 from midspan.signals.health import Clock, Mask, bridged, clipped, clock, dominant_frequency, frozen, runs
 
@@ -180,3 +191,17 @@ def _bridging_density(value: Floats, missing: Mask, gaps: Clock) -> Floats:
     for index, length_s in zip(gaps.gaps, gaps.gap_s, strict=True):
         density[index + 1] = max(density[index + 1], unseen(float(length_s)))
     return density
+
+
+def from_first_measurement(acceleration: Acceleration, measured: Displacement, rate_hz: float) -> Acceleration:
+    """Put a sample before the first measurement where that comes first: the zero belongs to it."""
+    first, start = int(measured.time_ns[0]), int(acceleration.time_ns[0])
+    if first >= start or start - first > 2 * NANOSECONDS:
+        return acceleration
+    value = float(np.mean(acceleration.value_m_s2[:100]))
+    # A whole sample's interval at least: over nanoseconds the step to the first sample would be an endless slope.
+    begin = min(first - 1, start - round(NANOSECONDS / rate_hz))
+    before = Acceleration(np.array([begin]), np.array([value]), acceleration.noise_density[:1])
+    widened = acceleration.noise_density.copy()
+    widened[0] += unknown_density(acceleration.value_m_s2, rate_hz)
+    return joined([before, replace(acceleration, noise_density=widened)])

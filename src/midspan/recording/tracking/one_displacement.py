@@ -6,11 +6,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from midspan.calibration.whitening import BIAS_WALK_RATIO
-from midspan.engine.monitor import CameraScale
+from midspan.engine.scale import CameraScale
 from midspan.engine.targets import AGREE_STD, Used, agreeing, combine, relative_zeros
-from midspan.fusion.kalman import KalmanSettings
 from midspan.fusion.path import at
-from midspan.fusion.smoother import smooth
+from midspan.fusion.streams import KalmanSettings, smooth
 from midspan.recording.stored.camera import CameraCalibration
 from midspan.recording.streams.acceleration import PreparedAcceleration
 from midspan.recording.tracking.tracking import TargetTracking
