@@ -181,7 +181,7 @@ class _Follower:
         elif followed:
             # It was calibrated between two bins, where less of it is seen than at its peak.
             self.amplitude /= between(target.place_bin - math.floor(target.place_bin))
-        self.white_rad2 = target.phase_noise_rad2 + bent_rad(target) ** 2
+        self.white_rad2 = target.phase_noise_rad2 + target.bent_rad**2
 
     def push(
         self, time_ns: int, phasors: Phasors, valid: NDArray[np.bool_] | None, given: PhasePrediction | None
@@ -310,6 +310,9 @@ class _Follower:
         refuted = base is own and given is not None and given[1] < UNSURE_RAD2
         # Before the estimator was found wrong, its predictions may have led the phase to another cycle.
         lost = state.given_rad2 if refuted and not state.refuted else 0.0 if base[1] < UNSURE_RAD2 else base[1]
+        if refuted and not state.refuted:
+            text = "the accelerometer does not explain its phase; it is unwrapped without it from here on."
+            events.append(Event(time_ns, "contradiction", f"{self.name}: {text} Cycles may be lost unseen."))
         state.refuted = refuted
         if lost > 0.0 and state.before is None:
             events.append(Event(time_ns, "new datum", f"{self.name}: its cycle was lost; its zero is a new one."))
@@ -361,12 +364,6 @@ class _Follower:
             state.lost_rad2 += state.doubt_rad2
             state.before, state.doubt_rad2 = None, 0.0
         return cycles
-
-
-def bent_rad(target: Target) -> float:
-    """Standard deviation of a target's phase by what else is in its bin, as it was calibrated, rad."""
-    share = 0.0 if math.isnan(target.clutter) or target.leak else target.clutter / math.sqrt(2.0)
-    return max(share, 0.0 if math.isnan(target.modulation_rad) else target.modulation_rad)
 
 
 def _slips(own_rad2: float) -> float:

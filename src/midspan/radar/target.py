@@ -101,6 +101,12 @@ class Target:
         """Variance of the complex noise of the receivers combined, in squared ADC counts."""
         return self.amplitude**2 / 10 ** (self.snr_db / 10)
 
+    @property
+    def bent_rad(self) -> float:
+        """Standard deviation of the phase by what else is in the bin, rad."""
+        share = 0.0 if np.isnan(self.clutter) or self.leak else self.clutter / np.sqrt(2.0)
+        return float(np.nanmax([share, self.modulation_rad]))
+
     def bins(self, range_change_m: Floats | float, bin_m: float, count: int | None = None) -> Floats:
         """Whole bins (k,) to fetch so that the target can be followed, for `measurement.TargetFrames.bins`.
 

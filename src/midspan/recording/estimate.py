@@ -23,6 +23,8 @@ from midspan.recording.estimate_whole import rejected_share
 from midspan.recording.fusing.one_clock import OneClock
 from midspan.recording.one_series import literal_warnings, one_series, run_on_series, with_uncertain
 from midspan.recording.point import measuring_point
+from midspan.recording.printed_radar import estimate_printed
+from midspan.recording.radar.messages import REPORTED, radar_warnings, with_levels
 from midspan.recording.result import Result
 from midspan.recording.run import Outcome, run
 from midspan.recording.second_axis import SecondAxis
@@ -74,7 +76,7 @@ def estimate(
     # The method is checked first: tracking may take long.
     method = option("method", method or recording.settings.fusion.method, METHODS)
     if recording.has("radar") and recording.settings.fusion.literal:
-        return estimate_whole.estimate(recording, calibration, method=method, tracking=tracking, progress=progress)
+        return estimate_printed(recording, calibration, method, progress)
     recording.require_one_of_a_kind()
     if recording.settings.fusion.literal and method not in LITERAL:
         raise UsageError(f"{recording.file}: fusion: {no_literal_form(method)}.")
@@ -263,7 +265,7 @@ def result_of(asked: Asked, first: FirstPass, found: Found) -> Result:
     """The result as plain data."""
     recording, main = asked.recording, found.rows[0]
     estimate_whole._refuse_rejections(recording, found.innovations[0])
-    sensors = first.outcome.sensor_events
+    sensors, log = with_levels(first.outcome.sensor_events, main), first.outcome.radar
     fused = tuple(event for event in found.events if event.axis == 0)
     alone = unsupported_events(main, fused)
     lost = [event for camera in first.cameras for event in lost_events(*_blind(camera, first))]
@@ -273,7 +275,8 @@ def result_of(asked: Asked, first: FirstPass, found: Found) -> Result:
         *(line for camera in first.cameras for line in lost_warnings(*_blind(camera, first))),
         *(line for eye in first.eyes for line in eye.tracking.warnings()),
         *estimate_whole._told(fused),
-        *estimate_whole._told(tuple(event for event in sensors if event.kind == "frozen")),
+        *estimate_whole._told(tuple(event for event in sensors if event.kind in ("frozen", *REPORTED))),
+        *([] if log is None else radar_warnings(log, recording.radar.info.warnings)),
         *late_start(recording, first.outcome, main),
         *lost_end(recording, first.outcome, main),
         *estimate_whole._shares(found.innovations[0], main),
@@ -291,6 +294,7 @@ def result_of(asked: Asked, first: FirstPass, found: Found) -> Result:
         warnings=tuple(dict.fromkeys(warnings)),
         cameras=first.cameras,
         measured=tuple(first.series[0].values()),
+        radar=None if log is None else log.trace(recording.radar.info.limit_speed_m_s),
         across=across,
         zero_std_m=float(np.sqrt(found.zero_variance_m2)),
         file=recording.file,

@@ -17,12 +17,12 @@ from midspan.recording.camera_result import CameraResult, camera_result, camera_
 from midspan.recording.cameras.tracked import Eye
 from midspan.recording.displacement.sensor import displacement_series
 from midspan.recording.fusing.fuse import FusionInputs, fuse
-from midspan.recording.fusing.scale_check import SCALED, Fitting, fitting
+from midspan.recording.fusing.scale_check import Fitting, fitting
 from midspan.recording.inputs import Gathered, gather
 from midspan.recording.radar.literal import require_same_way
 from midspan.recording.result import Result
 from midspan.recording.second_axis import SecondAxis, second_axis
-from midspan.recording.sensor_series import SensorSeries, series_of
+from midspan.recording.sensor_series import SensorSeries
 from midspan.recording.stored.calibration import Calibration
 from midspan.recording.stored.calibration_file import load_calibration
 from midspan.recording.streams.progress import Progress, silent
@@ -30,7 +30,7 @@ from midspan.recording.streams.recording import Recording, naming, open_recordin
 from midspan.recording.streams.span import inside, shown
 from midspan.recording.tracking.tracking import CameraTracking
 from midspan.recording.unsupported import unsupported_events
-from midspan.records import NANOSECONDS, Estimate, Event, Innovation, Source, Status, part
+from midspan.records import NANOSECONDS, Estimate, Event, Innovation, Status, part
 
 # Where more than half of the measurements contradict the prediction, the prediction or the calibration is wrong.
 MOST_REJECTED = 0.5
@@ -144,7 +144,6 @@ def result_of(recording: Recording, calibration: Calibration, gathered: Gathered
         warnings=fused.warnings,
         cameras=cameras,
         measured=_measured(recording, calibration, gathered, cameras, fused.rows),
-        radar=None if gathered.radar is None else gathered.radar.trace,
         across=across,
         zero_std_m=float(np.sqrt(fused.zero_variance_m2)),
         file=recording.file,
@@ -167,8 +166,6 @@ def _measured(
 ) -> tuple[SensorSeries, ...]:
     """What each sensor measured along the main axis."""
     found = [camera_series(camera, rows) for camera in cameras]
-    if gathered.radar is not None:
-        found.append(series_of("radar", Source.RADAR, gathered.radar.measured))
     if recording.has("displacement") and calibration.displacement is not None:
         found.append(displacement_series("displacement", recording.displacement, calibration.displacement))
     return tuple(found)
@@ -176,10 +173,7 @@ def _measured(
 
 def _given(recording: Recording, calibration: Calibration, gathered: Gathered) -> Fitting:
     """How a calibration that was given fits the recording; UntrustedError where it does not."""
-    literal = calibration.radar is not None and calibration.radar.literal
-    # The factor as printed is known to be off.
-    sources = [source for source in SCALED if not (literal and source == Source.RADAR)]
-    return fitting(gathered.inputs, max_offset_s=recording.max_offset_s, sources=sources)
+    return fitting(gathered.inputs, max_offset_s=recording.max_offset_s)
 
 
 def _uncalibrated(recording: Recording, calibration: Calibration) -> list[str]:
@@ -197,7 +191,6 @@ def _events(recording: Recording, gathered: Gathered, more: tuple[Event, ...]) -
     found = (
         *recording.prepared.events,
         *gathered.frozen,
-        *(() if gathered.radar is None else gathered.radar.events),
         *gathered.events,
         *more,
     )
@@ -405,8 +398,6 @@ def _warnings(gathered: Gathered, fused: Smoothed, rows: Estimate) -> tuple[str,
     found = [*gathered.warnings]
     for eye in gathered.eyes:
         found += eye.tracking.warnings()
-    if gathered.radar is not None:
-        found += _told(gathered.radar.events)
     found += _told(fused.events)
     found += _late_start(gathered.inputs, rows)
     found += _lost_end(gathered.inputs, rows)

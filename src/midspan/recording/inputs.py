@@ -11,7 +11,6 @@ from midspan.recording.displacement.sensor import displacement_inputs
 from midspan.recording.fusing.fuse import FusionInputs, SensorError
 from midspan.recording.fusing.one_clock import OneClock
 from midspan.recording.fusing.one_zero import merged
-from midspan.recording.radar.inputs import RadarInputs, radar_inputs
 from midspan.recording.sensor_series import SensorSeries, series_of
 from midspan.recording.stored.calibration import Calibration
 from midspan.recording.streams.acceleration import PreparedAcceleration, from_first_measurement
@@ -100,11 +99,10 @@ def _inputs(
     axis: int,
     eyes: tuple[Eye, ...],
     clocks: dict[str, OneClock] | None = None,
-    radar: RadarInputs | None = None,
 ) -> Along:
     """What is fused along the axis with this number (0: the main one).
 
-    clocks: of each camera, as learnt along the main axis; None learns them. radar: what it measured along this axis.
+    clocks: of each camera, as learnt along the main axis; None learns them.
     """
     recording, calibration, blocks = side.recording, side.calibration, []
     seen = tuple(seen_along(side, axis, eye, (clocks or {}).get(eye.sensor)) for eye in eyes[:1])
@@ -124,7 +122,7 @@ def _inputs(
         frozen = sensor.events
         told += sensor.warnings
         clocks_met.append(sensor.clock)
-    from_first_frame = bool(seen) or radar is not None
+    from_first_frame = bool(seen)
     level = 0.0 if from_first_frame else float(blocks[0].value_m[np.argmax(np.isfinite(blocks[0].value_m))])
     blocks[0] = replace(blocks[0], value_m=blocks[0].value_m - level)
     jumped = [level for clock in clocks_met for level in clock.levels]

@@ -13,7 +13,7 @@ from midspan.fusion.adaptive import AdaptiveSettings, adapt
 from midspan.fusion.complementary import OUTLIER_STD
 from midspan.fusion.fir import FirSettings, run_fir
 from midspan.fusion.path import at
-from midspan.fusion.runners import MethodSettings
+from midspan.fusion.runners import MethodSettings, run_method
 from midspan.fusion.streams import Smoothed, no_innovation
 from midspan.fusion.two_stage import TwoStageSettings, run_two_stage
 from midspan.recording.cameras.tracked import Side
@@ -21,7 +21,7 @@ from midspan.recording.in_turn import in_turn
 from midspan.recording.sensor_series import SensorSeries
 from midspan.recording.streams.acceleration import from_first_measurement
 from midspan.recording.streams.span import shown
-from midspan.records import Displacement, Estimate, Floats, joined, part
+from midspan.records import Acceleration, Displacement, Estimate, Floats, joined, part, seconds
 
 # The first velocity lies within so many times its rms.
 VELOCITY_WITHIN = 3.0
@@ -48,28 +48,25 @@ def one_series(series: Mapping[str, SensorSeries], path: Estimate) -> Displaceme
 
 
 def run_on_series(
-    side: Side, measured: Displacement, method: str, settings: MethodSettings, path: Estimate
+    side: Side, measured: Displacement, method: str, settings: MethodSettings, path: Estimate | None = None
 ) -> Smoothed:
     """The rows of a method over the acceleration of an axis and one series; UntrustedError where it ran away.
 
-    path: smoothed displacement; its velocities say how fast the motion may begin.
+    path: smoothed displacement; None: of the series itself, where it is needed.
     """
-    velocity_std = VELOCITY_WITHIN * float(np.sqrt(np.mean(path.velocity_m_s**2)))
-    kalman = replace(side.kalman, velocity_std=velocity_std)
+    speed_m_s = speed_of(measured) if path is None else rms(path.velocity_m_s)
+    kalman = replace(side.kalman, velocity_std=VELOCITY_WITHIN * speed_m_s)
     acceleration, literal = side.acceleration, settings.literal
+    known = None if path is None else Smoothed(path, no_innovation(), ())
     if method == "adaptive-kalman":
         acceleration = from_first_measurement(acceleration, measured, side.prepared.rate_hz)
-        # As printed the filter begins at zero.
-        level_m = float(measured.value_m[np.argmax(np.isfinite(measured.value_m))])
-        from_zero = replace(measured, value_m=measured.value_m - level_m)
-        found = adapt(acceleration, from_zero, AdaptiveSettings(literal, settings.forgetting, kalman))
-        raised = replace(found.estimate, displacement_m=found.estimate.displacement_m + level_m)
-        found = replace(found, estimate=raised)
+        found = from_zero(acceleration, measured, AdaptiveSettings(literal, settings.forgetting, kalman))
+    elif known is None:
+        found = run_method(method, acceleration, measured, replace(settings, kalman=kalman))
     elif method == "fir":
-        found = run_fir(acceleration, measured, FirSettings(literal), Smoothed(path, no_innovation(), ()))
+        found = run_fir(acceleration, measured, FirSettings(literal), known)
     else:
-        known = TwoStageSettings(literal=literal)
-        found = run_two_stage(acceleration, measured, known, Smoothed(path, no_innovation(), ()))
+        found = run_two_stage(acceleration, measured, TwoStageSettings(literal=literal), known)
     rows = found.estimate
     finite = np.isfinite(rows.displacement_m) & np.isfinite(rows.variance_m2)
     if finite.all():
@@ -79,6 +76,25 @@ def run_on_series(
         f"{method} ran away: its rows must be finite numbers, and from {begin} on they are not. "
         "Leave fusion.literal out, or choose another fusion.method."
     )
+
+
+def from_zero(acceleration: Acceleration, measured: Displacement, settings: AdaptiveSettings) -> Smoothed:
+    """The adaptive filter on a series that counts from its first value: as printed it begins at zero."""
+    level_m = float(measured.value_m[np.argmax(np.isfinite(measured.value_m))])
+    found = adapt(acceleration, replace(measured, value_m=measured.value_m - level_m), settings)
+    return replace(found, estimate=replace(found.estimate, displacement_m=found.estimate.displacement_m + level_m))
+
+
+def speed_of(measured: Displacement) -> float:
+    """Rms of the speed of a series, m/s."""
+    known = np.isfinite(measured.value_m)
+    time_s = seconds(measured.time_ns[known], int(measured.time_ns[0]))
+    return rms(np.diff(measured.value_m[known]) / np.diff(time_s))
+
+
+def rms(values: Floats) -> float:
+    """Root mean square of values (n,) that are finite."""
+    return float(np.sqrt(np.nanmean(values**2)))
 
 
 def with_uncertain(rows: Estimate, zero_variance_m2: float, scale_std: float, clock_std_s: float) -> Estimate:

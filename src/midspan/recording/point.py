@@ -18,7 +18,7 @@ from midspan.fusion.model import EstimatorSettings, Parameter, ParameterKind
 from midspan.fusion.second_pass import Lag
 from midspan.recording.calibrate import usual_in_window
 from midspan.recording.cameras.tracked import Eye, Side, clock_std_s
-from midspan.recording.radar.chain import radar_chain
+from midspan.recording.radar.chain import radar_chain, radar_part
 from midspan.recording.stored.displacement import DisplacementCalibration
 from midspan.recording.stored.radar import RadarCalibration
 from midspan.recording.streams.measured import frames_used
@@ -210,8 +210,8 @@ def measuring_point(
     sensors: dict[str, Sensor] = {}
     for number, eye in enumerate(eyes):
         sensors[eye.sensor] = camera_channels(table, eye, first=number == 0)
-    if recording.has("radar") and calibration.radar is not None:
-        sensors["radar"] = radar_channels(table, recording, calibration.radar, first=not sensors)
+    if recording.has("radar"):
+        sensors["radar"] = radar_channels(table, recording, radar_part(recording, calibration), first=not sensors)
     if recording.has("displacement") and calibration.displacement is not None:
         sensors["displacement"] = plain_channel(table, recording, calibration.displacement, first=not sensors)
     offsets_ns = clock_offsets_ns(main, eyes)

@@ -8,9 +8,11 @@ import numpy as np
 
 from midspan.engine.point import ACCELEROMETER, Output, Point
 from midspan.engine.sensors import RadarSensor, Seen
+from midspan.errors import DataError
 from midspan.fusion.estimator import Rows
 from midspan.recording.cameras.tracked import Eye, Side
 from midspan.recording.point import clock_offsets_ns, radar_frames_used
+from midspan.recording.radar.trace import RadarLog
 from midspan.recording.streams.recording import Recording
 from midspan.records import (
     NANOSECONDS,
@@ -20,6 +22,7 @@ from midspan.records import (
     Frame,
     Innovation,
     Measured,
+    PhaseMeasurement,
     PixelTranslation,
     RangeFrame,
     Readings,
@@ -27,15 +30,21 @@ from midspan.records import (
     joined,
 )
 
+NOTHING_SEEN = (
+    "radar: none of the calibrated targets is seen in any frame. Calibrate again, or check radar.file and that nothing "
+    "stands in front of the radar."
+)
+
 
 @dataclass(slots=True)
 class Outcome:
-    """What a point gave for a recording: rows, what each sensor measured, events."""
+    """What a point gave for a recording: rows, what each sensor measured, events; radar: what its stage found."""
 
     rows: list[Rows] = field(default_factory=list)
     measured: dict[str, list[Measured]] = field(default_factory=dict)
     sensor_events: list[Event] = field(default_factory=list)
     events_of: dict[str, list[Event]] = field(default_factory=dict)
+    radar: RadarLog | None = None
 
     def take(self, outputs: Sequence[Output]) -> None:
         """Keep what a push gave."""
@@ -47,6 +56,8 @@ class Outcome:
             elif isinstance(output, Seen):
                 self.sensor_events += output.events
                 self.events_of.setdefault(output.sensor, []).extend(output.events)
+                if self.radar is not None and output.sensor == "radar":
+                    self.radar.push([one for one in output.found if isinstance(one, PhaseMeasurement)])
                 if output.measured is not None:
                     self.measured.setdefault(output.sensor, []).append(output.measured)
 
@@ -87,6 +98,7 @@ def run(point: Point, sides: Sequence[Side], eyes: Sequence[Eye]) -> Outcome:
     feeds: dict[str, Iterator[Tracked | Frame | RangeFrame]] = {eye.sensor: frames_of(eye) for eye in eyes}
     if isinstance(radar := point.sensors.get("radar"), RadarSensor):
         feeds["radar"] = radar_frames(sides[0].recording, radar)
+        outcome.radar = RadarLog(radar.chain.targets)
     for arrival in in_time(feeds, clock_offsets_ns(sides[0], eyes)):
         outputs = point.push(arrival)
         keep(outputs, cameras, kept)
@@ -94,6 +106,8 @@ def run(point: Point, sides: Sequence[Side], eyes: Sequence[Eye]) -> Outcome:
     outputs = point.finish()
     keep(outputs, cameras, kept)
     outcome.take(outputs)
+    if outcome.radar is not None and not any(outcome.radar.used):
+        raise DataError(NOTHING_SEEN)
     return outcome
 
 

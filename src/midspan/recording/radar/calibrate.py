@@ -27,10 +27,10 @@ from midspan.recording.radar.frames import (
     TargetPhasors,
     bin_m_of,
     bins_of,
+    target_series,
     together,
     without_holes,
 )
-from midspan.recording.radar.track import target_series
 from midspan.recording.radar.window import LEAST_FRAMES, opened_window
 from midspan.recording.stored.radar import RadarCalibration, RadarDiagnostics, RadarTarget
 from midspan.recording.streams.measured import measured_rows

@@ -2,10 +2,14 @@
 
 import math
 
-from midspan.engine.radar import FollowedTarget, RadarChain, bent_rad
+from midspan.engine.radar import FollowedTarget, RadarChain
+from midspan.errors import UsageError
 from midspan.radar.target import Target
-from midspan.recording.radar.frames import bin_m_of
+from midspan.recording.radar.frames import bin_m_of, check_same_radar
+from midspan.recording.stored.calibration import Calibration
 from midspan.recording.stored.radar import RadarCalibration
+from midspan.recording.streams.recording import Recording
+from midspan.recording.streams.span import require_overlap
 from midspan.records import Channel, Source
 from midspan.sources.radar.radar_source import RadarInfo
 
@@ -46,8 +50,18 @@ def radar_chain(
     return RadarChain(targets), channels
 
 
+def radar_part(recording: Recording, calibration: Calibration) -> RadarCalibration:
+    """The radar's part of a calibration; UsageError where it has none or belongs to other settings of the radar."""
+    known = calibration.radar
+    if known is None:
+        raise UsageError("The calibration has no radar part, but the recording has [radar]. Calibrate again.")
+    require_overlap(recording.prepared.time_ns, recording.radar.times_ns(), "radar")
+    check_same_radar(recording.radar, known)
+    return known
+
+
 def first_zero_std_m(item: FollowedTarget) -> float:
     """Standard deviation of the zero that the best target's first frame gives, m of displacement."""
     target: Target = item.target
-    bent_m = abs(target.conversion_factor) * bent_rad(target) / item.phase_per_m
+    bent_m = abs(target.conversion_factor) * target.bent_rad / item.phase_per_m
     return math.hypot(target.noise_m, bent_m)
