@@ -11,7 +11,7 @@ from benchmarks.radar_chain import accelerometer, sine
 from benchmarks.radar_loop import run
 from benchmarks.radar_outages import RANGE_M, START_S, view
 from benchmarks.table import goal, show
-from midspan.engine.radar import FollowedTarget
+from midspan.engine.radar_target import FollowedTarget
 from midspan.radar.chirp import ChirpProfile, RangeAxis
 from midspan.radar.departures import departures
 from midspan.radar.measurement import TargetFrames, displacement

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from radar_cases import RATE, SHORT, UNIT, accelerometer
 
-from midspan.engine.radar import FollowedTarget, RadarChain
+from midspan.engine.radar import RadarChain
+from midspan.engine.radar_target import FollowedTarget
 from midspan.errors import UsageError
 from midspan.fusion.estimator import Estimator
 from midspan.fusion.model import EstimatorSettings

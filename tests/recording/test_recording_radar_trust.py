@@ -50,9 +50,9 @@ def test_one_of_two_that_sways_is_left_out_by_the_accelerometer(tmp_path) -> Non
     tree = Reflector(6.1, 2000.0, ratio=1.0, own=Sway(2e-4, 1.0))
     result, error = estimated(write(tmp_path, Case((tree, WALL, PLATE), seed=12)))
     assert any("6.1" in line and "left out" in line for line in result.warnings)
-    # The wall alone: 8 to 16 µm a frame, smoothed.
+    # The wall alone: 8 to 16 µm a frame, smoothed. The zero is one draw that all rows share.
     assert np.abs(error).max() < 0.03
-    assert np.mean(np.abs(error) < 1.96 * result.displacement_std_mm) > 0.9
+    assert np.sqrt(np.mean((error / result.displacement_std_mm) ** 2)) < 2.0
 
 
 def test_two_targets_that_part_slowly_widen_the_band_where_nobody_knows_which(tmp_path) -> None:

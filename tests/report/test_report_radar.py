@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import midspan
-from midspan.engine.radar import FollowedTarget
+from midspan.engine.radar_target import FollowedTarget
 from midspan.radar.target import Target
 from midspan.recording.radar.trace import MAX_SEGMENTS, RadarLog
 from midspan.records import Event, PhaseMeasurement, Status

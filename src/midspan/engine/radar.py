@@ -14,18 +14,17 @@ error. Common, the variance of the reference: cycles that may have been lost sin
 import cmath
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from midspan.checks import refuse
+from midspan.engine.radar_target import FollowedTarget, TargetState
 from midspan.radar.blockage import BlockageSettings
 from midspan.radar.channels import Phasors
-from midspan.radar.following import bins_within
 from midspan.radar.lobe import between, fraction_between, looked_at, noise_between
 from midspan.radar.range_gap import MEMORY_FRAMES, MIN_FRAMES, FirstFrames, RangeGap, cycles_lost
-from midspan.radar.target import Target
 from midspan.radar.unwrap import BLIND_RAD, TURN, UNSURE_CYCLES
 from midspan.records import NANOSECONDS, Event, Floats, PhaseMeasurement, RangeFrame, Status
 
@@ -40,69 +39,17 @@ NEW_ZERO_RATIO, MAX_LOST_CYCLES = 100.0, 1000.0
 # Gains of the target's own prediction: of the phase, and of the speed of a critically damped filter.
 PHASE_GAIN = 0.8
 SPEED_GAIN = 2.0 * (2.0 - PHASE_GAIN) - 4.0 * math.sqrt(1.0 - PHASE_GAIN)
-# Memory of the mean squares of innovations, frames; what the first of them is expected to be (0.05 cycles), rad².
-MEMORY, FIRST_RAD2 = 50.0, 0.1
-# The first frames tell the speed, and are not judged.
-FIRST_COUNT = -2.0
+# Memory of the mean squares of innovations, frames.
+MEMORY = 50.0
 # The estimator is not followed while its innovations, over so many frames at least, are larger than those of the
 # target's own prediction and than half of what names a cycle: the accelerometer is wrong.
 REFUTED_RAD2 = (0.5 * UNSURE_CYCLES * TURN) ** 2
 MIN_JUDGED = 15.0
 # Shorter times without a target are no events, s.
 MIN_TOLD_S = 0.1
-
-
-@dataclass(frozen=True, slots=True)
-class FollowedTarget:
-    """A calibrated target and where it is met.
-
-    phase_per_m: rad per m of range; bins (k,): whole bins in which it moves, or the one place (1,) where it stays;
-    bin_m: from bin to bin, m (NaN: it stays); period_s: from frame to frame.
-    """
-
-    target: Target
-    phase_per_m: float
-    bins: Floats
-    bin_m: float
-    period_s: float
-
-    @classmethod
-    def of(cls, target: Target, phase_per_m: float, bin_m: float, *, period_s: float, bins: int) -> "FollowedTarget":
-        """In the bins that a radar of so many `bins`, `bin_m` apart (NaN: single targets are stored), has around it."""
-        some = bins_within(target.place_bin, target.reach_bins, bins) if bin_m > 0 else np.array([target.place_bin])
-        return cls(target, phase_per_m, some, bin_m, period_s)
-
-
-@dataclass(slots=True)
-class TargetState:
-    """What a chain remembers of one target.
-
-    first_rad: wrapped phase that counts as zero; first: the frames before it, by which the speed is found, None
-    afterwards; phase_rad, speed_rad_s: the target's own prediction at last_ns, the last used frame; own_rad2,
-    given_rad2: mean squares of its innovations and of the given predictions'; own_count, given_count: over so many;
-    clear: frames in a row that show the target; unseen_ns: the first frame since it was seen last, -1 while it is seen;
-    told: whether an event was given for that; refuted: whether the given predictions are wrong; gap: range less phase;
-    before: the same before the cycle was lost, while it is in doubt; doubt_rad2: variance of the zero while it is in
-    doubt, lost_rad2: for good.
-    """
-
-    clear: int
-    first_rad: float = 0.0
-    first: FirstFrames | None = field(default_factory=FirstFrames)
-    phase_rad: float = 0.0
-    speed_rad_s: float = 0.0
-    last_ns: int = 0
-    own_rad2: float = FIRST_RAD2
-    own_count: float = FIRST_COUNT
-    given_rad2: float = 0.0
-    given_count: float = FIRST_COUNT
-    unseen_ns: int = -1
-    told: bool = False
-    refuted: bool = False
-    gap: RangeGap = field(default_factory=RangeGap)
-    before: RangeGap | None = None
-    doubt_rad2: float = 0.0
-    lost_rad2: float = 0.0
+# A target's swing has more power at its frequency than the process by which it is modelled: it is taken for so many
+# times as large, with its corner at this share of the frequency. Two deviations then hold a swing at one frequency.
+OWN_RATIO, OWN_CORNER = 2.0, 0.25
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,6 +129,9 @@ class _Follower:
             # It was calibrated between two bins, where less of it is seen than at its peak.
             self.amplitude /= between(target.place_bin - math.floor(target.place_bin))
         self.white_rad2 = target.phase_noise_rad2 + target.bent_rad**2
+        own_m = OWN_RATIO * target.own_m if target.own_hz > 0.0 else 0.0
+        self.own_rad2 = (own_m * item.phase_per_m / target.conversion_factor) ** 2
+        self.forgets_per_ns = 2.0 * TURN * OWN_CORNER * target.own_hz / NANOSECONDS
 
     def push(
         self, time_ns: int, phasors: Phasors, valid: NDArray[np.bool_] | None, given: PhasePrediction | None
@@ -272,8 +222,25 @@ class _Follower:
         if state.told:
             events.insert(0, Event(time_ns, "seen", f"{self.name}: is seen again."))
         state.unseen_ns, state.told = -1, False
-        white, common = seen.variance_rad2 + self.white_rad2, state.lost_rad2 + state.doubt_rad2
+        white = seen.variance_rad2 + self.white_rad2
+        common = state.lost_rad2 + state.doubt_rad2 + self._own_motion(time_ns)
         return PhaseMeasurement(time_ns, phase_rad, white, common, Status.TRACKING, seen.strength, tuple(events))
+
+    def _own_motion(self, time_ns: int) -> float:
+        """Variance of the target's own motion (rad²): stationary, and forgotten at the rate of its frequency.
+
+        In every second frame it falls to what is left of the last one, and in the next one it is whole again.
+        """
+        state = self.state
+        if not self.own_rad2:
+            return 0.0
+        state.fallen = not state.fallen
+        if not state.fallen:
+            state.forgotten_ns = state.forgotten_ns or time_ns
+            return self.own_rad2
+        left = math.exp(-self.forgets_per_ns * (time_ns - state.forgotten_ns))
+        state.forgotten_ns = time_ns
+        return self.own_rad2 * left
 
     def _begun(self, time_ns: int, seen: _Seen, own: PhasePrediction) -> PhaseMeasurement:
         """One of the first frames: none is used before range and phase tell the target's speed alike."""
@@ -308,11 +275,15 @@ class _Follower:
         wrapped = seen.phase_rad - state.first_rad
         phase = base[0] + math.remainder(wrapped - base[0], TURN)
         refuted = base is own and given is not None and given[1] < UNSURE_RAD2
-        # Before the estimator was found wrong, its predictions may have led the phase to another cycle.
-        lost = state.given_rad2 if refuted and not state.refuted else 0.0 if base[1] < UNSURE_RAD2 else base[1]
+        if base is given and own[1] < UNSURE_RAD2 and abs(phase - own[0]) > 0.5 * TURN:
+            state.astray_ns = time_ns
+        lost = 0.0 if base[1] < UNSURE_RAD2 else base[1]
         if refuted and not state.refuted:
             text = "the accelerometer does not explain its phase; it is unwrapped without it from here on."
             events.append(Event(time_ns, "contradiction", f"{self.name}: {text} Cycles may be lost unseen."))
+            # Before the estimator was found wrong, its predictions may have led the phase to another cycle.
+            if state.astray_ns >= 0 and time_ns - state.astray_ns < MEMORY * self.item.period_s * NANOSECONDS:
+                lost = state.given_rad2
         state.refuted = refuted
         if lost > 0.0 and state.before is None:
             events.append(Event(time_ns, "new datum", f"{self.name}: its cycle was lost; its zero is a new one."))

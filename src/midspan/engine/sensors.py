@@ -12,7 +12,8 @@ import numpy as np
 
 from midspan.engine.camera import CameraChain, CameraState
 from midspan.engine.plain import PlainChain, PlainState
-from midspan.engine.radar import RadarChain, TargetState
+from midspan.engine.radar import RadarChain
+from midspan.engine.radar_target import TargetState
 from midspan.records import (
     Event,
     Frame,

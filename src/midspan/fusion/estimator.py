@@ -37,6 +37,7 @@ from midspan.fusion.forward import (
     MEASUREMENT_COLUMNS,
     SET_DATUM,
     SLOPE,
+    STEP,
     TIME,
     innovate,
     predict_covariance,
@@ -45,6 +46,7 @@ from midspan.fusion.forward import (
 )
 from midspan.fusion.hypotheses import WEIGHT
 from midspan.fusion.model import Beginning, Block, EstimatorSettings, Filter, Left, options_of, run, tables_of
+from midspan.fusion.state_space import GAP_STEPS
 from midspan.records import (
     NANOSECONDS,
     Estimate,
@@ -159,12 +161,11 @@ class Estimator:
     def predict(self, channel: int, time_ns: int) -> tuple[float, float]:
         """Expected measurement of a channel at a time after the last sample, in its unit, and the variance of that.
 
-        The last acceleration is held. Infinite variance: nothing is known yet.
+        The last acceleration is held over a step or two. Infinite variance: nothing is known yet, or no samples come.
         """
-        if self._filter is None:
+        time_s, state = (time_ns - self._origin) / NANOSECONDS, self._filter
+        if state is None or time_s - state.clock[TIME] > GAP_STEPS * state.clock[STEP]:
             return 0.0, np.inf
-        time_s = (time_ns - self._origin) / NANOSECONDS
-        state = self._filter
         value, variance = predict_value(time_s, channel, state.motion, state.clock, state.hyps, self.tables)
         return float(value), float(variance)
 

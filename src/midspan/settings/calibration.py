@@ -226,6 +226,8 @@ class StoredRadarTarget(Stored):
     reach_bins: Annotated[Bin, _null(0.0)] = 0.0
     modulation_rad: NumberOrNan = math.nan
     phase_noise_rad2: NumberOrZero = 0.0
+    own_std_mm: NumberOrZero = 0.0
+    own_hz: NumberOrZero = 0.0
     leak: Complex = (0.0, 0.0)
     background: StoredBackground | None = None
     weights: Annotated[tuple[Complex, ...], Field(min_length=1)]

@@ -2,7 +2,8 @@
 
 import math
 
-from midspan.engine.radar import FollowedTarget, RadarChain
+from midspan.engine.radar import RadarChain
+from midspan.engine.radar_target import FollowedTarget
 from midspan.errors import UsageError
 from midspan.radar.target import Target
 from midspan.recording.radar.frames import bin_m_of, check_same_radar

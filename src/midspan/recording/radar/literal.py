@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from midspan.calibration.time_offset import OffsetSearch
-from midspan.engine.radar import FollowedTarget
+from midspan.engine.radar_target import FollowedTarget
 from midspan.errors import DataError, UsageError
 from midspan.radar.channels import Phasors
 from midspan.radar.chirp import SPEED_OF_LIGHT_M_S
@@ -26,16 +26,14 @@ from midspan.recording.radar.calibrate import (
     found_targets,
     nearest_peak,
     one_clock,
-    phasors_of,
     searched,
     searched_bias,
+    series_of,
 )
 from midspan.recording.radar.frames import (
-    bin_m_of,
     even_places,
     fetched,
     samples_of,
-    target_series,
     without_holes,
 )
 from midspan.recording.radar.trace import RadarLog
@@ -216,9 +214,7 @@ def _accelerometer_by_clean_target(
     """
     usable = tuple(peak for peak in peaks if not peak.objection)
     if usable:
-        clean, info = ranked(usable)[0], recording.radar.info
-        given = (info.axis.phase_per_m(clean.range_m), bin_m_of(info), window.samples)
-        series = target_series(phasors_of(window.frames, clean, info), clean, given)
+        series = series_of(window.frames, ranked(usable)[0], recording.radar.info, window.samples)
     return searched(recording, window.frames, series, window.clock)
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from midspan.engine.radar import FollowedTarget
+from midspan.engine.radar_target import FollowedTarget
 from midspan.records import NANOSECONDS, Floats, Nanoseconds, PhaseMeasurement, Status
 
 # A record is thinned to so many segments, or half as many.

@@ -32,6 +32,7 @@ OWN_KEYS = ("roi", "scale_mm_per_px", "scale_std_mm_per_px", "noise_std_px", "va
 SAME = (
     "place_bin", "range_m", "snr_db", "amplitude", "conversion_factor", "conversion_factor_std", "time_offset_s",
     "time_offset_std_s", "coherence", "clutter", "disagreement_rad", "reach_bins", "modulation_rad", "phase_noise_rad2",
+    "own_hz",
 )  # fmt: skip
 
 
@@ -211,6 +212,7 @@ def _radar_target_tree(item: RadarTarget) -> dict[str, Any]:
     background = None if still is None else {"bins": still.bins.tolist(), "phasors": _pairs(still.phasors)}
     return {key: finite_or_none(getattr(target, key)) for key in SAME} | {
         "noise_std_mm": finite_or_none(MM * target.noise_m),
+        "own_std_mm": MM * target.own_m,
         "leak": [target.leak.real, target.leak.imag],
         **_known({"background": background}),
         "weights": _pairs(target.weights),
@@ -226,6 +228,7 @@ def _radar_target(part: StoredRadarTarget, radar: StoredRadar) -> RadarTarget:
     still = part.background
     more = {
         "noise_m": part.noise_std_mm / MM,
+        "own_m": part.own_std_mm / MM,
         "leak": complex(*part.leak),
         "background": None if still is None else Background(np.array(still.bins), _complex(still.phasors)),
         "weights": _complex(part.weights),
