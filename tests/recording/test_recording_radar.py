@@ -5,12 +5,12 @@ import json
 import h5py
 import numpy as np
 import pytest
+from midspan.recording.fusing.one_zero import merged
 
 import midspan
 from midspan.errors import UntrustedError, UsageError
 from midspan.fusion.methods import METHODS
 from midspan.fusion.streams import KalmanSettings
-from midspan.recording.fusing.one_zero import merged
 from midspan.recording.inspect import inspect_recording
 from midspan.recording.radar.frames import RadarFrames, even_places, without_holes
 from midspan.recording.stored.calibration_file import load_calibration

@@ -7,14 +7,11 @@ import numpy as np
 import pytest
 
 import midspan
-from midspan.calibration.clock import ClockCourse
-from midspan.calibration.running_clock import RunningClock
 from midspan.engine.camera import WARM_UP_FRAMES
 from midspan.engine.camera_target import TargetChain
 from midspan.evaluate.result_file import compare
-from midspan.recording import estimate, estimate_whole, inputs
+from midspan.recording import messages
 from midspan.recording.camera_calibration import camera
-from midspan.recording.fusing import one_clock
 from midspan.recording.inspect import inspect_recording
 from midspan.simulate.motion.motion import Sum, random_motion
 from midspan.simulate.scenarios.table import sideways
@@ -205,8 +202,8 @@ def test_what_the_gate_did_along_the_second_axis_is_told(shaken):
 def test_a_second_axis_that_contradicts_its_acceleration_is_left_out_and_the_first_stays(shaken, monkeypatch):
     recording = midspan.open_recording(shaken)
     before = midspan.estimate(recording)
-    share = estimate.rejected_share(before.across.innovation)
-    monkeypatch.setattr(estimate_whole, "MOST_REJECTED", 0.5 * share)
+    share = messages.rejected_share(before.across.innovation)
+    monkeypatch.setattr(messages, "MAX_REJECTED", 0.5 * share)
     found = midspan.estimate(recording)
     assert found.across is None
     assert found.second is None
@@ -233,32 +230,6 @@ def test_a_second_axis_with_too_few_frames_is_left_out_and_they_are_counted(site
     # With the file the search begins at a prediction; where the picture is gone the path is only as good as its band.
     apart = np.abs(again.displacement_mm - found.displacement_mm)
     assert np.all(apart < np.maximum(2e-3, found.displacement_std_mm))
-
-
-@pytest.mark.parametrize("column", ["accel_x", None])
-def test_the_course_of_the_clock_is_learnt_once_and_moves_both_axes(site_copy, result, column, monkeypatch):
-    set_keys(site_copy, "accelerometer", value_x=column)
-    recording = midspan.open_recording(site_copy)
-    calibration = result.calibration if column else midspan.calibrate(recording)
-    before = inputs.gather(recording, calibration, None, lambda *_: None)
-    learnt = []
-
-    def drifting(measured, *_):
-        learnt.append(measured)
-        middle = np.array([int(measured.time_ns[0])])
-        late = np.array([2e-3 * len(learnt)])
-        course = ClockCourse(middle, late, 0.01 * late, int(middle[0]), float(late[0]), 1e-5, np.zeros((2, 2)))
-        return RunningClock(course.corrected(measured), 1e-4, ("its clock runs",), course)
-
-    monkeypatch.setattr(one_clock, "on_one_clock", drifting)
-    after = inputs.gather(recording, calibration, None, lambda *_: None)
-    assert len(learnt) == 1
-    assert after.warnings.count("its clock runs") == 1
-    for one, other in ((before.inputs, after.inputs), (before.across, after.across)):
-        late = (other.displacement.time_ns - one.displacement.time_ns) / 1e9
-        time = (one.displacement.time_ns - one.displacement.time_ns[0]) / 1e9
-        np.testing.assert_allclose(late, 2e-3 + 1e-5 * time, atol=2e-9)
-        assert [error.clock_std_s for error in other.errors] == [1e-4]
 
 
 def test_columns_metadata_and_data_frame_name_the_axes(result, tmp_path):

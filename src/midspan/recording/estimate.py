@@ -13,14 +13,20 @@ from midspan.fusion.methods import LITERAL, METHODS, no_literal_form
 from midspan.fusion.model import EstimatorSettings
 from midspan.fusion.runners import MethodSettings
 from midspan.fusion.second_pass import Lag, smooth
-from midspan.recording import estimate_whole
 from midspan.recording.calibrate import calibrate_and_track
 from midspan.recording.camera_result import CameraResult, camera_result, camera_series
 from midspan.recording.cameras.lost_target import lost_events, lost_warnings
 from midspan.recording.cameras.tracked import Eye, Side, clock_std_s, open_eyes, side_of
 from midspan.recording.displacement.sensor import displacement_series, require_known
-from midspan.recording.estimate_whole import rejected_share
 from midspan.recording.fusing.one_clock import OneClock
+from midspan.recording.messages import (
+    channel_warnings,
+    event_warnings,
+    refuse_rejections,
+    require_same_cameras,
+    shares,
+    uncalibrated,
+)
 from midspan.recording.one_series import literal_warnings, one_series, run_on_series, with_uncertain
 from midspan.recording.point import measuring_point
 from midspan.recording.printed_radar import estimate_printed
@@ -37,6 +43,7 @@ from midspan.recording.second_look import (
     ran_apart,
     scale_std_of,
     scales,
+    with_levels_of,
     with_scales,
 )
 from midspan.recording.sensor_series import SensorSeries, channel_series
@@ -44,7 +51,7 @@ from midspan.recording.stored.calibration import Calibration
 from midspan.recording.stored.calibration_file import load_calibration
 from midspan.recording.streams.progress import Progress, silent
 from midspan.recording.streams.recording import Recording, naming, open_recording
-from midspan.recording.streams.span import inside, shown
+from midspan.recording.streams.span import inside, require_overlap, shown
 from midspan.recording.tracking.tracking import CameraTracking
 from midspan.recording.unsupported import unsupported_events
 from midspan.records import NANOSECONDS, Channel, Estimate, Event, Innovation, Measured, joined, part
@@ -84,7 +91,7 @@ def estimate(
     if calibration is None:
         calibration, tracking = calibrate_and_track(recording, progress)
     with naming(recording):
-        estimate_whole._require(recording, calibration)
+        require_same_cameras(recording, calibration)
         if recording.has("displacement"):
             require_known(recording, calibration)
         return _estimate(Asked(recording, calibration, method, given), tracking, progress)
@@ -157,8 +164,12 @@ def first_pass(asked: Asked, tracking: CameraTracking | None, progress: Progress
     eyes = open_eyes(sides, tracking, progress)
     lag_s = asked.recording.settings.fusion.lag_s if asked.method == "lag" else None
     memory = 1.0 / (1.0 - asked.recording.settings.fusion.forgetting) if asked.method == "adaptive-kalman" else None
+    if asked.recording.has("displacement"):
+        require_overlap(sides[0].prepared.time_ns, asked.recording.displacement.time_ns, "displacement")
     point = measuring_point(sides, eyes, lag_s=lag_s, noise_memory=memory)
     outcome = run(point, sides, eyes)
+    for eye in eyes:
+        eye.tracking.close()
     if not any(len(rows.estimates[0].time_ns) for rows in outcome.rows if rows.estimates):
         raise DataError(_no_overlap(asked.recording, outcome))
     cameras = tuple(_camera(eye, outcome) for eye in eyes)
@@ -175,7 +186,7 @@ def fitted(asked: Asked, first: FirstPass) -> tuple[EstimatorSettings, list[str]
     """The estimator's settings with scales as uncertain as a given calibration's turn out to be here, and warnings."""
     settings = first.estimator.settings
     wider: dict[tuple[str, int], float] = {}
-    warnings = estimate_whole._uncalibrated(asked.recording, asked.calibration)
+    warnings = uncalibrated(asked.recording, asked.calibration)
     for axis, (side, series) in enumerate(zip(first.sides, first.series, strict=True)):
         if axis and not side.recording.fused:
             continue
@@ -217,9 +228,11 @@ def smoothed(asked: Asked, first: FirstPass, settings: EstimatorSettings) -> tup
         blocks |= {name: on_its_clock(blocks[name], settings.channels, clock) for name, clock in apart.items()}
         log, outcome = once_more(settings, joined(log.samples), tuple(blocks.values()))
     found = _found(first, outcome, smooth(log, settings))
+    levels = [level for clock in ran.values() for level in clock.levels]
+    rows = tuple(with_levels_of(one, levels) for one in found.rows)
     events = tuple(event for clock in ran.values() for event in clock.events)
     warnings = tuple(line for clock in ran.values() for line in clock.warnings)
-    return replace(found, events=(*found.events, *events), warnings=warnings), ran
+    return replace(found, rows=rows, events=(*found.events, *events), warnings=warnings), ran
 
 
 def on_series(asked: Asked, first: FirstPass, settings: EstimatorSettings) -> Found:
@@ -264,24 +277,24 @@ def _found(first: FirstPass, outcome: Outcome, rows: tuple[Estimate, ...]) -> Fo
 def result_of(asked: Asked, first: FirstPass, found: Found) -> Result:
     """The result as plain data."""
     recording, main = asked.recording, found.rows[0]
-    estimate_whole._refuse_rejections(recording, found.innovations[0])
+    refuse_rejections(recording, found.innovations[0])
     sensors, log = with_levels(first.outcome.sensor_events, main), first.outcome.radar
     fused = tuple(event for event in found.events if event.axis == 0)
     alone = unsupported_events(main, fused)
     lost = [event for camera in first.cameras for event in lost_events(*_blind(camera, first))]
     across, more = _across(asked, first, found)
     warnings = (
-        *estimate_whole._channel_warnings(recording, asked.calibration),
+        *channel_warnings(recording, asked.calibration),
         *(line for camera in first.cameras for line in lost_warnings(*_blind(camera, first))),
         *(line for eye in first.eyes for line in eye.tracking.warnings()),
-        *estimate_whole._told(fused),
-        *estimate_whole._told(tuple(event for event in sensors if event.kind in ("frozen", *REPORTED))),
+        *event_warnings(fused),
+        *event_warnings(tuple(event for event in sensors if event.kind in ("frozen", *REPORTED))),
         *([] if log is None else radar_warnings(log, recording.radar.info.warnings)),
         *late_start(recording, first.outcome, main),
         *lost_end(recording, first.outcome, main),
-        *estimate_whole._shares(found.innovations[0], main),
+        *shares(found.innovations[0], main),
         *found.warnings,
-        *estimate_whole._told(alone),
+        *event_warnings(alone),
         *more,
     )
     return Result(
@@ -315,7 +328,7 @@ def _across(asked: Asked, first: FirstPass, found: Found) -> tuple[SecondAxis | 
     camera = first.sides[1].calibration.first_camera
     assert camera is not None
     try:
-        estimate_whole._refuse_rejections(view, innovation)
+        refuse_rejections(view, innovation)
     except UntrustedError as error:
         return None, [left_out(first.sides[1], error)]
     if any(line.startswith(left_out(first.sides[1], UntrustedError(""))) for line in found.warnings):
@@ -331,8 +344,8 @@ def _across(asked: Asked, first: FirstPass, found: Found) -> tuple[SecondAxis | 
         events,
         measured=tuple(first.series[1].values()),
     )
-    told = [f"Along {view.axis}: {line}" for line in estimate_whole._told(events)]
-    return second, [*told, *estimate_whole._shares(innovation, rows, along)]
+    told = [f"Along {view.axis}: {line}" for line in event_warnings(events)]
+    return second, [*told, *shares(innovation, rows, along)]
 
 
 def _camera(eye: Eye, outcome: Outcome) -> CameraResult:
@@ -416,6 +429,3 @@ def lost_end(recording: Recording, outcome: Outcome, rows: Estimate) -> list[str
         f"The target was lost from {shown(int(rows.time_ns[-1]))} to the end; the result stops there, "
         f"{missed:.1f} s early."
     ]
-
-
-__all__ = ["estimate", "rejected_share"]

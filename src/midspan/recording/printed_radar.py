@@ -11,7 +11,7 @@ from midspan.fusion.methods import LITERAL, no_literal_form
 from midspan.fusion.runners import MethodSettings
 from midspan.recording.calibrate import calibrate_and_track
 from midspan.recording.cameras.tracked import clock_std_s, side_of
-from midspan.recording.estimate_whole import _channel_warnings, _shares, _told
+from midspan.recording.messages import channel_warnings, event_warnings, shares
 from midspan.recording.one_series import literal_warnings, run_on_series, with_uncertain
 from midspan.recording.radar.chain import radar_part
 from midspan.recording.radar.literal import RAN_AWAY, Printed, printed_displacement, require_same_way
@@ -58,11 +58,11 @@ def _fused(recording: Recording, calibration: Calibration, printed: Printed, met
     rows = _measured_rows(rows, printed.measured)
     alone = unsupported_events(rows, done.events)
     warnings = (
-        *_channel_warnings(recording, calibration),
-        *_told((*done.events, *alone)),
+        *channel_warnings(recording, calibration),
+        *event_warnings((*done.events, *alone)),
         *radar_warnings(printed.log, recording.radar.info.warnings),
         *([RAN_AWAY] if printed.ran_away else []),
-        *_shares(done.innovation, rows),
+        *shares(done.innovation, rows),
         *literal_warnings(printed.measured, done),
     )
     return Result(

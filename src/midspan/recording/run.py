@@ -14,6 +14,7 @@ from midspan.recording.cameras.tracked import Eye, Side
 from midspan.recording.point import clock_offsets_ns, radar_frames_used
 from midspan.recording.radar.trace import RadarLog
 from midspan.recording.streams.recording import Recording
+from midspan.recording.tracking.temperatures import in_words_of
 from midspan.records import (
     NANOSECONDS,
     Arrival,
@@ -100,7 +101,8 @@ def run(point: Point, sides: Sequence[Side], eyes: Sequence[Eye]) -> Outcome:
         feeds["radar"] = radar_frames(sides[0].recording, radar)
         outcome.radar = RadarLog(radar.chain.targets)
     for arrival in in_time(feeds, clock_offsets_ns(sides[0], eyes)):
-        outputs = point.push(arrival)
+        with in_words_of(arrival.stream):
+            outputs = point.push(arrival)
         keep(outputs, cameras, kept)
         outcome.take(outputs)
     outputs = point.finish()

@@ -11,12 +11,12 @@ import numpy as np
 from midspan.fusion.estimator import BLOCK, Estimator, Log
 from midspan.fusion.model import EstimatorSettings, ParameterKind
 from midspan.recording.cameras.tracked import Side, clock_std_s
-from midspan.recording.fusing.fuse import FusionInputs, SensorError
+from midspan.recording.fusing.fuse import CourseError, FusionInputs, SensorError
 from midspan.recording.fusing.one_clock import OneClock, one_clock
 from midspan.recording.fusing.scale_check import Fitting, fitting
 from midspan.recording.run import Outcome
 from midspan.recording.sensor_series import SensorSeries, series_of
-from midspan.records import Channel, Displacement, Measured, Samples, TimeOffset, joined, part
+from midspan.records import Channel, Displacement, Estimate, Measured, Samples, TimeOffset, joined, part
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +54,14 @@ def ran_apart(clock: OneClock) -> bool:
 def on_clock(series: SensorSeries, clock: OneClock) -> SensorSeries:
     """A sensor's series with the jumps and the drift of its clock taken out."""
     return series_of(series.sensor, series.source, clock.also(series.displacement).measured)
+
+
+def with_levels_of(rows: Estimate, levels: Sequence[CourseError]) -> Estimate:
+    """The rows with what the displacement may be off by where the motion does not tell which jump a clock made."""
+    variance = rows.variance_m2
+    for level in levels:
+        variance = variance + np.interp(rows.time_ns, level.time_ns, level.std_m) ** 2
+    return replace(rows, variance_m2=variance)
 
 
 def on_its_clock(measured: Measured, channels: Sequence[Channel], clock: OneClock) -> Measured:

@@ -1,6 +1,6 @@
 """The [displacement] sensor of a recording: its noise, clock offset and scale, and its measurements in metres."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -8,16 +8,13 @@ from midspan.calibration.bias import Bias, bias_of
 from midspan.calibration.noise import NoiseCalibration
 from midspan.calibration.scale import white_noise
 from midspan.errors import UntrustedError, UsageError
-from midspan.fusion.streams import KalmanSettings
 from midspan.recording.displacement.learn import learn
-from midspan.recording.fusing.fuse import SensorError
-from midspan.recording.fusing.one_clock import OneClock, one_clock
 from midspan.recording.sensor_series import SensorSeries
 from midspan.recording.stored.calibration import Calibration
 from midspan.recording.stored.displacement import DisplacementCalibration
 from midspan.recording.streams.recording import Recording
 from midspan.recording.streams.span import require_overlap, shown
-from midspan.records import NANOSECONDS, Acceleration, Displacement, Event, Source, TimeOffset, TimeSeries, seconds
+from midspan.records import NANOSECONDS, Event, Source, TimeSeries, seconds
 from midspan.signals.health import Mask, runs
 from midspan.signals.stuck import resolution, stuck
 
@@ -109,60 +106,6 @@ def displacement_warnings(recording: Recording, learnt: NoiseCalibration, part: 
     if abs(learnt.scale - 1.0) > REFUSED:
         raise UntrustedError(text)
     return [*found, f"{text} The error band holds the difference; displacement.estimate_scale = true takes it out."]
-
-
-@dataclass(frozen=True, slots=True)
-class DisplacementInputs:
-    """The sensor's measurements on the accelerometer's clock, what is uncertain of them, an event for each stretch of
-    frozen values that was left out, and what to tell that the calibration did not; clock: how it ran.
-    """
-
-    measured: Displacement
-    error: SensorError
-    events: tuple[Event, ...]
-    warnings: tuple[str, ...]
-    clock: OneClock
-
-
-def displacement_inputs(
-    recording: Recording, calibration: Calibration, *, acceleration: Acceleration, kalman: KalmanSettings
-) -> DisplacementInputs:
-    """Read the sensor of a calibrated recording.
-
-    With displacement.estimate_offset a clock that runs apart in a long record is corrected as a camera's is.
-    """
-    learnt = require_known(recording, calibration)
-    require_overlap(recording.prepared.time_ns, recording.displacement.time_ns, "displacement")
-    series = read_with(recording.displacement, learnt)
-    held = frozen_values(recording, series)
-    block, clock_std = _block(without(series, held), learnt), _finite_std(learnt.offset)
-    # Where the offset is not learnt the clock is the accelerometer's own, until it jumps.
-    free = recording.learns_offset
-    level = float(np.nanmedian(block.value_m))
-    levelled = replace(block, value_m=block.value_m - level)
-    clock = one_clock(levelled, acceleration, kalman, "displacement", std_s=clock_std, drifts=free, stays=not free)
-    block = replace(clock.measured, value_m=clock.measured.value_m + level)
-    clock_std = clock_std if clock.std_s is None else clock.std_s
-    events = frozen_events(series, held)
-    frozen = [line for line in frozen_warnings(events) if line not in calibration.warnings]
-    error = SensorError(Source.DISPLACEMENT, learnt.relative_std, clock_std)
-    return DisplacementInputs(block, error, events, (*clock.warnings, *frozen), clock)
-
-
-def _finite_std(offset: TimeOffset) -> float:
-    """Standard deviation (s) of a clock offset; one that the motion does not tell has no effect either."""
-    return float(np.sqrt(offset.variance)) if np.isfinite(offset.variance) else 0.0
-
-
-def _block(series: TimeSeries, learnt: DisplacementCalibration) -> Displacement:
-    """The channel, in metres on the accelerometer's clock, as measurements."""
-    count = len(series.time_ns)
-    return Displacement(
-        time_ns=series.time_ns,
-        value_m=series.value,
-        variance_m2=np.full(count, learnt.noise_std_m**2),
-        source=np.full(count, Source.DISPLACEMENT, dtype=np.uint8),
-    )
 
 
 def read_with(series: TimeSeries, learnt: DisplacementCalibration) -> TimeSeries:

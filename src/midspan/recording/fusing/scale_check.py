@@ -189,7 +189,7 @@ class _Compared:
 
 
 def _compared(inputs: FusionInputs, measured: Displacement) -> _Compared | None:
-    block = inputs.acceleration if inputs.sampled is None else inputs.sampled
+    block = inputs.acceleration
     usable = np.isfinite(measured.value_m) & np.isfinite(measured.variance_m2)
     usable &= (measured.time_ns >= block.time_ns[0]) & (measured.time_ns <= block.time_ns[-1])
     measured = part(measured, usable)
