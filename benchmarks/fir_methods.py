@@ -10,12 +10,11 @@ import numpy as np
 from benchmarks.cases import RATE_HZ, SLOW_HZ, SNR_DB, blocks, rms
 from benchmarks.filter_speed import record
 from benchmarks.table import goal, show
+from midspan.fusion.blocks import NO_GATE, REJECTED
 from midspan.fusion.branches import StreamSettings
 from midspan.fusion.complementary import ComplementaryFilter, run
 from midspan.fusion.fir import FirFilter, FirSettings, fir
-from midspan.fusion.blocks import NO_GATE, REJECTED
-from midspan.fusion.streams import KalmanSettings
-from midspan.fusion.streams import collected, smooth
+from midspan.fusion.streams import KalmanSettings, collected, smooth
 from midspan.fusion.two_stage import TwoStageFir, TwoStageSettings, two_stage_fir
 from midspan.records import Acceleration, Displacement, Estimate, Floats
 from midspan.simulate.motion.beam import Beam, respond
