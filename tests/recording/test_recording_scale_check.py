@@ -63,7 +63,7 @@ def test_a_scale_that_is_right_or_nearly_so_is_not_told_a_wrong_one_is_refused()
             fitting(inputs(0, factor=factor))
 
 
-@pytest.mark.parametrize("factor", [1.015, 0.97, 1.05])
+@pytest.mark.parametrize("factor", [1.015, 0.97])
 def test_the_band_holds_a_scale_that_is_somewhat_off_and_stays_as_it_is_beside_a_right_one(factor):
     inside = []
     for given in (inputs(5), inputs(5, factor=factor)):
