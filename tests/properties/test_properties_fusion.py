@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from midspan.fusion.forward import TIME
-from midspan.fusion.streams import NO_ERRORS, KalmanFilter, KalmanSettings, filtered, smooth
+from midspan.fusion.streams import NO_ERRORS, KalmanFilter, KalmanSettings, filtered, no_innovation, smooth
 from midspan.records import Acceleration, Displacement, Estimate, Event, Innovation, joined, part
 
 # Loose numbers in a short record; the outliers split the hypotheses.
@@ -35,7 +35,7 @@ def collected(outputs):
     innovations = [item for item in outputs if isinstance(item, Innovation)]
     return (
         joined([item for item in outputs if isinstance(item, Estimate)]),
-        joined(innovations),
+        joined([no_innovation(), *innovations]),
         # Of one push they are in the order of time.
         sorted((item for item in outputs if isinstance(item, Event)), key=lambda one: (one.time_ns, one.text)),
     )
