@@ -121,7 +121,10 @@ def test_a_night_without_the_camera_leaves_no_gap_no_step_and_one_source_a_row(d
     night = (result.time_s > DUSK_S + 3.0) & (result.time_s < DAWN_S - 0.5)
     # While the shutter is closed by day the camera goes on; at night only infrared is left.
     assert set(rows.source[night]) <= {Source.INFRARED, Source.PREDICTION}
-    assert np.all(rows.source[(result.time_s > 5.0) & (result.time_s < 17.0)] == Source.CAMERA)
+    # By day both see; the camera's frames are a little less noisy.
+    by_day = rows.source[(result.time_s > 5.0) & (result.time_s < 17.0)]
+    assert set(by_day) <= {Source.CAMERA, Source.INFRARED}
+    assert np.mean(by_day == Source.CAMERA) > 0.5
 
 
 def test_each_camera_has_its_own_scale_factor_and_clock(result):

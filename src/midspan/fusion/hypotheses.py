@@ -80,7 +80,7 @@ GATE = 4.0
 MEMORY_COLUMNS = 14
 # And for each channel: factor on its variance, and how many measurements it rests on; whether the last one was an
 # outlier, and its value; whether its zero has shifted; whether it was met; variance of its reference (m²); when it was
-# last met, when last accepted, and with which variance (m²).
+# last met, when last accepted, and with which variance (m²), its reference's included.
 FACTOR, RESTS_ON, DISTURBED, KEPT, SHIFTED, BEGUN, REFERENCE_NOW, MET_AT, ACCEPTED_AT, ACCEPTED_VARIANCE = range(10)
 MARK_COLUMNS = 10
 # Options, see `Rates`; MEMORY: as of `EstimatorSettings.noise_memory`.
@@ -218,7 +218,7 @@ def accept(hyp, row, seen, tables, options, scratch):  # type: ignore[no-untyped
         memory[LAST_AT] = row[AT]
     update(x, p, gain, e, known + own)
     marks[c, DISTURBED] = 0.0
-    marks[c, ACCEPTED_AT], marks[c, ACCEPTED_VARIANCE] = row[AT], own / (g * g)
+    marks[c, ACCEPTED_AT], marks[c, ACCEPTED_VARIANCE] = row[AT], own / (g * g) + marks[c, REFERENCE_NOW]
     return known + own
 
 

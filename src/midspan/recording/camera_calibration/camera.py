@@ -242,7 +242,9 @@ def _fit_of(tracking: CameraTracking, camera: CameraCalibration, fit: Fitted) ->
     )
     search = found.search
     bias = bias_of(search.pair, search.fit, float(np.sqrt(search.offset.variance)))
-    return CameraFit(camera, found.input_noise_density, bias, tuple(warnings), found)
+    # The integrated acceleration that the pair keeps beside its fields is no part of the result.
+    plain = replace(found, search=replace(search, pair=replace(search.pair)))
+    return CameraFit(camera, found.input_noise_density, bias, tuple(warnings), plain)
 
 
 def _target(target: TargetTracking, found: ScaleCalibration | None, reason: str, axis: str) -> TargetCalibration:
