@@ -61,7 +61,7 @@ def error_mm(result: Result, folder: Path) -> tuple[Floats, Floats]:
 
 
 def steps_mm(result: Result, error: Floats) -> Floats:
-    """The change of the mean error (k,) from two seconds before each time a camera goes blind or sees to two after it."""
+    """The change of the mean error (k,) from two seconds before a camera goes blind or sees to two after."""
     time, found = result.time_s, []
     for event in result.events:
         if event.kind in ("lost", "seen"):

@@ -1,4 +1,4 @@
-"""A camera and a thermal camera from noon to noon, on a simulated recording: which one the rows rest on when, and the error.
+"""A camera and a thermal camera from noon to noon, on a simulated recording: what the rows rest on, and the error.
 
 24 hours of sun are squeezed into 4.4 minutes here. At night the camera sees nothing but passing headlights, and the
 thermal camera carries on; at dusk and at dawn the sunlit surfaces lose their contrast of temperature, and turn it
