@@ -27,7 +27,13 @@ from midspan.recording.messages import (
     shares,
     uncalibrated,
 )
-from midspan.recording.one_series import literal_warnings, one_series, run_on_series, with_uncertain
+from midspan.recording.one_series import (
+    literal_warnings,
+    one_series,
+    run_on_series,
+    with_levels_since,
+    with_uncertain,
+)
 from midspan.recording.point import measuring_point
 from midspan.recording.printed_radar import estimate_printed
 from midspan.recording.radar.messages import REPORTED, radar_warnings, with_levels
@@ -187,9 +193,11 @@ def fitted(asked: Asked, first: FirstPass) -> tuple[EstimatorSettings, list[str]
     settings = first.estimator.settings
     wider: dict[tuple[str, int], float] = {}
     warnings = uncalibrated(asked.recording, asked.calibration)
-    for axis, (side, series) in enumerate(zip(first.sides, first.series, strict=True)):
+    ran = clocks(first.series[0], first.sides[0], _offsets(asked, first.eyes))
+    for axis, (side, own) in enumerate(zip(first.sides, first.series, strict=True)):
         if axis and not side.recording.fused:
             continue
+        series = {name: on_clock(one, ran[name]) if ran_apart(ran[name]) else one for name, one in own.items()}
         try:
             fits = scales(series, side, settings, axis, max_offset_s=asked.recording.max_offset_s)
         except UntrustedError as error:
@@ -246,18 +254,23 @@ def on_series(asked: Asked, first: FirstPass, settings: EstimatorSettings) -> Fo
         if not side.recording.fused:
             continue
         named = {name: on_clock(one, ran[name]) for name, one in first.series[axis].items()}
-        measured = one_series(named, found.rows[axis])
+        measured = one_series(named, found.rows[axis], first.outcome.restarts_ns)
         done = run_on_series(side, measured, asked.method, method, found.rows[axis])
         names = tuple(named)
         scale_std = max(scale_std_of(settings, name, axis) for name in names)
         clock_std = max(clock_std_s(one.offset) for one in _offsets(asked, first.eyes).values())
         known = with_uncertain(done.estimate, found.zero_variance_m2, scale_std, clock_std)
+        known = with_levels_since(known, found.rows[axis], first.outcome.restarts_ns)
         rows[axis] = part(known, np.isin(known.time_ns, found.rows[axis].time_ns))
-        innovations[axis] = done.innovation
+        innovations[axis] = done.innovation if len(done.innovation.time_ns) else innovations[axis]
         events += done.events
         warnings += literal_warnings(measured, done) if fusion.literal else []
     return replace(
-        found, rows=tuple(rows), innovations=tuple(innovations), events=tuple(events), warnings=tuple(warnings)
+        found,
+        rows=tuple(rows),
+        innovations=tuple(innovations),
+        events=(*found.events, *events),
+        warnings=tuple(warnings),
     )
 
 

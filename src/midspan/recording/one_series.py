@@ -5,6 +5,7 @@ The series is what the sensors measured along an axis, each in its turn, on the 
 
 from collections.abc import Mapping
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -21,7 +22,7 @@ from midspan.recording.in_turn import in_turn
 from midspan.recording.sensor_series import SensorSeries
 from midspan.recording.streams.acceleration import from_first_measurement
 from midspan.recording.streams.span import shown
-from midspan.records import Acceleration, Displacement, Estimate, Floats, joined, part, seconds
+from midspan.records import Acceleration, Displacement, Estimate, Floats, Nanoseconds, Source, joined, part, seconds
 
 # The first velocity lies within so many times its rms.
 VELOCITY_WITHIN = 3.0
@@ -29,10 +30,10 @@ VELOCITY_WITHIN = 3.0
 RUN_AWAY = 10.0
 
 
-def one_series(series: Mapping[str, SensorSeries], path: Estimate) -> Displacement:
+def one_series(series: Mapping[str, SensorSeries], path: Estimate, restarts_ns: Nanoseconds) -> Displacement:
     """What the sensors measured, each in its turn, in time order and without outliers; path: smoothed displacement.
 
-    The zero of each sensor is moved onto the path's.
+    The zero of each sensor is moved onto the path's; restarts_ns (k,): instants from which on the radar's is a new one.
     """
     blocks = []
     for one in series.values():
@@ -40,11 +41,22 @@ def one_series(series: Mapping[str, SensorSeries], path: Estimate) -> Displaceme
         expected, variance = at(path, block.time_ns)
         seen = np.isfinite(block.value_m) & np.isfinite(block.variance_m2)
         apart = block.value_m - expected
-        apart = apart - (np.median(apart[seen]) if seen.any() else 0.0)
+        starts = restarts_ns if one.source == Source.RADAR else restarts_ns[:0]
+        edges = [0, *np.searchsorted(block.time_ns, starts), len(apart)]
+        for span in (slice(first, last) for first, last in pairwise(edges)):
+            apart[span] -= np.median(apart[span][seen[span]]) if seen[span].any() else 0.0
         far = seen & (apart**2 > OUTLIER_STD**2 * (block.variance_m2 + variance))
         blocks.append(replace(block, value_m=np.where(far, np.nan, expected + apart)))
     both = joined(blocks)
     return in_turn(part(both, np.argsort(both.time_ns, kind="stable")))
+
+
+def with_levels_since(rows: Estimate, path: Estimate, restarts_ns: Nanoseconds) -> Estimate:
+    """The rows with the path's variance in theirs from the first restart on: their level there is the path's."""
+    if not len(restarts_ns):
+        return rows
+    level = np.where(rows.time_ns >= restarts_ns[0], at(path, rows.time_ns)[1], 0.0)
+    return replace(rows, variance_m2=rows.variance_m2 + level)
 
 
 def run_on_series(

@@ -34,6 +34,8 @@ COASTING_INTERVALS, LOST_INTERVALS, MIN_COASTING_S, MIN_LOST_S = 2.5, 10.0, 0.05
 FIRST_STAMPS = 100
 # Noise of a target's reference frame over the noise of a frame, as standard deviations (see `vision/usual.py`).
 REFERENCE_NOISE = 1.15
+# Density of the random walk of a radar's clock beside the accelerometer's, s²/s: it follows a drift of 60 ppm at once.
+CLOCK_WALK = 3.6e-9
 # The bias is known to no better than this many samples' noise, m/s², and this (a tilt of 0.006°); unknown: this.
 BIAS_SAMPLES, MIN_BIAS_STD, UNKNOWN_BIAS_STD = 10.0, 1e-3, 0.3
 
@@ -140,7 +142,8 @@ def radar_channels(table: Table, recording: Recording, known: RadarCalibration, 
         for channel in channels
     ]
     table.uncertain(ParameterKind.SCALE_ERROR, numbers, known.relative_std)
-    table.uncertain(ParameterKind.CLOCK_OFFSET, numbers, clock_std_s(known.offset))
+    clock = ParameterKind.CLOCK_OFFSET
+    table.parameters.append(Parameter(clock, tuple(numbers), clock_std_s(known.offset), 0, CLOCK_WALK))
     return RadarSensor("radar", chain, numbers)
 
 

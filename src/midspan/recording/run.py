@@ -23,6 +23,7 @@ from midspan.records import (
     Frame,
     Innovation,
     Measured,
+    Nanoseconds,
     PhaseMeasurement,
     PixelTranslation,
     RangeFrame,
@@ -65,6 +66,11 @@ class Outcome:
     def estimate(self, axis: int) -> Estimate:
         """The rows of an axis as one block."""
         return joined([rows.estimates[axis] for rows in self.rows if rows.estimates])
+
+    @property
+    def restarts_ns(self) -> Nanoseconds:
+        """Instants (k,) from which on the zero of a target of the radar is a new one."""
+        return np.empty(0, dtype=np.int64) if self.radar is None else self.radar.restarts_ns
 
     @property
     def fusion_events(self) -> tuple[Event, ...]:

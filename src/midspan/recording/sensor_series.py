@@ -7,7 +7,7 @@ import numpy as np
 
 from midspan.engine.targets import agreeing, combine, relative_zeros
 from midspan.fusion.path import at
-from midspan.records import Channel, Displacement, Estimate, Floats, Measured, Nanoseconds, Source
+from midspan.records import Channel, Displacement, Estimate, Floats, Measured, Nanoseconds, Source, part
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,11 +61,20 @@ def agreed_series(
 
 
 def channel_series(measured: Measured, channels: Sequence[Channel], sensor: str, path: Estimate) -> SensorSeries:
-    """What the channels of a sensor measured, each one row a frame, together; the first one is the best."""
+    """What the channels of a sensor measured, each one row a frame, together; the first one is the best.
+
+    What is uncertain of the zero of all of them is no noise of a frame; of one beside the others it takes its weight.
+    """
+    numbers = [k for k, channel in enumerate(channels) if channel.sensor == sensor]
+    rows = [part(measured, measured.channel == number) for number in numbers]
+    zeros = np.array(
+        [own.reference_variance / channels[number].units_per_m ** 2 for own, number in zip(rows, numbers, strict=True)]
+    )
+    zeros -= zeros.min(axis=0)
     blocks = []
-    for number in (k for k, channel in enumerate(channels) if channel.sensor == sensor):
-        own, per_m = measured.channel == number, channels[number].units_per_m
-        source = np.full(int(np.count_nonzero(own)), channels[number].source, dtype=np.uint8)
-        white = channels[number].variance_factor * measured.variance[own] + measured.reference_variance[own]
-        blocks.append(Displacement(measured.time_ns[own], measured.value[own] / per_m, white / per_m**2, source))
+    for own, number, zero in zip(rows, numbers, zeros, strict=True):
+        channel = channels[number]
+        source = np.full(len(own.time_ns), channel.source, dtype=np.uint8)
+        variance = channel.variance_factor * own.variance / channel.units_per_m**2 + zero
+        blocks.append(Displacement(own.time_ns, own.value / channel.units_per_m, variance, source))
     return agreed_series(sensor, Source(int(blocks[0].source[0])), (blocks, 0), path)

@@ -172,6 +172,11 @@ class RadarLog:
             self._restarts[k] += [event.time_ns for event in one.events if event.kind == "new datum"]
         self._fastest.push(found[0])
 
+    @property
+    def restarts_ns(self) -> Nanoseconds:
+        """Instants (k,) from which on the zero of any target is a new one."""
+        return np.array(sorted({stamp for own in self._restarts for stamp in own}), dtype=np.int64)
+
     def trace(self, limit_speed_m_s: float) -> RadarTrace:
         """What a report draws; limit_speed_m_s: line-of-sight speed from which plain unwrapping fails."""
         _, _, _, low, high, _, _ = self._segments[0].columns()
