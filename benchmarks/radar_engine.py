@@ -6,19 +6,16 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.cases import fused, rms
+from benchmarks.cases import rms
 from benchmarks.radar_chain import accelerometer, sine
 from benchmarks.radar_loop import run
 from benchmarks.radar_outages import RANGE_M, START_S, view
 from benchmarks.table import goal, show
 from midspan.engine.radar_target import FollowedTarget
 from midspan.radar.chirp import ChirpProfile, RangeAxis
-from midspan.radar.departures import departures
-from midspan.radar.measurement import TargetFrames, displacement
 from midspan.radar.range_profile import bin_kernel, coarse_range, half_kernel
-from midspan.radar.several import record_combined
 from midspan.radar.target import Target, find_targets
-from midspan.records import Acceleration, Displacement, Floats, Source, nanoseconds
+from midspan.records import Floats
 from midspan.simulate.motion.motion import Motion, Sines, random_motion
 from midspan.simulate.radar.signal import LONG_RANGE, SHORT_RANGE, RadarModel, Reflector, noise_for
 
@@ -90,38 +87,6 @@ def drawn(case: Case, seed: int) -> Drawn:
     if case.samples is not None:
         case.samples(samples)
     return Drawn(model.frame_s(FRAMES), profiles, coarse, valid, samples, targets, axis, case)
-
-
-def of_record(one: Drawn) -> tuple[Floats, Floats, str]:
-    """Displacement (s,) at the samples and its deviation by the whole-record path: causal filter, targets as one."""
-    series = []
-    for target in one.targets:
-        bin_m = float(one.axis.range_m[1])
-        bins = target.bins(0.15 if one.case.chirp is SHORT_RANGE else 0.0, bin_m, 90)
-        frames = TargetFrames(one.at, one.profiles[:, :, bins.astype(int)], one.valid, one.coarse, bins, bin_m)
-        unit = one.axis.phase_per_m(target.range_m)
-        series.append(displacement(frames, target, samples=one.samples, phase_per_m=unit))
-    value, variance = np.stack([s.value_m for s in series]), np.stack([s.variance_m2 for s in series])
-    relative = np.array([target.relative_std for target in one.targets])
-    guessed = np.stack([s.new_datum for s in series])
-    at = one.at + one.targets[0].time_offset_s
-    moved = departures(at, value, variance, samples=one.samples, relative_std=relative)
-    _, (total, spread, begins) = record_combined(value, variance, RATE, told=(guessed, moved), relative_std=relative)
-    seen = np.isfinite(total)
-    estimate = fused(
-        Acceleration(
-            nanoseconds(one.samples[:, 0] + 10.0),
-            one.samples[:, 1],
-            np.full(len(one.samples), one.case.noise_m_s2**2 / RATE),
-        ),
-        Displacement(
-            nanoseconds(at[seen] + 10.0), total[seen], spread[seen], np.full(seen.sum(), Source.RADAR, dtype=np.uint8)
-        ),
-        "kalman",
-    )
-    variance_m2 = estimate.variance_m2 + (relative.mean() * estimate.displacement_m) ** 2
-    said = [v.verdict for s in series for v in s.verdicts] + ["joined"] * int(begins.sum())
-    return estimate.displacement_m, np.sqrt(variance_m2), " ".join(said)
 
 
 def of_chain(one: Drawn, **options: bool) -> tuple[Floats, Floats, str, int]:
@@ -285,9 +250,8 @@ def main(names: tuple[str, ...] = tuple(CASES), seeds: int = 2) -> None:
     for name in names:
         for seed in range(seeds):
             one = drawn(CASES[name], seed)
-            old, new = of_record(one), of_chain(one)
-            rows.append([name, seed, *judged(one, *old[:2]), *judged(one, *new[:2], new[3]), old[2][:30], new[2]])
-    head = ["case", "seed", "record: mm", "largest", "inside %", "chain: mm", "largest", "inside %"]
-    show([*head, "record says", "chain says"], rows)
+            new = of_chain(one)
+            rows.append([name, seed, *judged(one, *new[:2], new[3]), new[2]])
+    show(["case", "seed", "mm", "largest", "inside %", "said"], rows)
     for chirp in (SHORT_RANGE, LONG_RANGE):
         goal("silently wrong cycles in 20 outages", float(outages(chirp)), 0.0)

@@ -260,7 +260,7 @@ def on_series(asked: Asked, first: FirstPass, settings: EstimatorSettings) -> Fo
         scale_std = max(scale_std_of(settings, name, axis) for name in names)
         clock_std = max(clock_std_s(one.offset) for one in _offsets(asked, first.eyes).values())
         known = with_uncertain(done.estimate, found.zero_variance_m2, scale_std, clock_std)
-        known = with_levels_since(known, found.rows[axis], first.outcome.restarts_ns)
+        known = with_levels_since(known, found.rows[axis], measured, first.outcome.restarts_ns)
         rows[axis] = part(known, np.isin(known.time_ns, found.rows[axis].time_ns))
         innovations[axis] = done.innovation if len(done.innovation.time_ns) else innovations[axis]
         events += done.events

@@ -51,11 +51,16 @@ def one_series(series: Mapping[str, SensorSeries], path: Estimate, restarts_ns: 
     return in_turn(part(both, np.argsort(both.time_ns, kind="stable")))
 
 
-def with_levels_since(rows: Estimate, path: Estimate, restarts_ns: Nanoseconds) -> Estimate:
-    """The rows with the path's variance in theirs from the first restart on: their level there is the path's."""
+def with_levels_since(rows: Estimate, path: Estimate, measured: Displacement, restarts_ns: Nanoseconds) -> Estimate:
+    """The rows with the path's variance in theirs from the outage before the first restart on: the level is the path's.
+
+    measured: the series that the rows rest on.
+    """
     if not len(restarts_ns):
         return rows
-    level = np.where(rows.time_ns >= restarts_ns[0], at(path, rows.time_ns)[1], 0.0)
+    before = measured.time_ns[np.isfinite(measured.value_m) & (measured.time_ns < restarts_ns[0])]
+    begin = before[-1] if len(before) else restarts_ns[0]
+    level = np.where(rows.time_ns > begin, at(path, rows.time_ns)[1], 0.0)
     return replace(rows, variance_m2=rows.variance_m2 + level)
 
 
