@@ -302,6 +302,6 @@ def fir_of(at: Floats, value: Floats, samples: Floats) -> Floats:
 
 def main() -> None:
     """All parts, each under its name."""
-    for part in (phase_noise, unwrapping, slips, factors, scene, large, hand_over, fusion):
+    for part in (phase_noise, unwrapping, slips, factors, scene, large, fusion):
         print(f"\n{part.__name__.replace('_', ' ')}: {(part.__doc__ or '').strip()}", flush=True)
         part()

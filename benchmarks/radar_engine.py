@@ -1,4 +1,4 @@
-"""The radar's stage frame by frame with the estimator, against the whole-record path: faults of all kinds."""
+"""The radar's stage frame by frame with the estimator: faults of all kinds."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 from benchmarks.cases import rms
 from benchmarks.radar_chain import accelerometer, sine
 from benchmarks.radar_loop import run
-from benchmarks.radar_outages import RANGE_M, START_S, view
-from benchmarks.table import goal, show
+from benchmarks.table import show
 from midspan.engine.radar_target import FollowedTarget
 from midspan.radar.chirp import ChirpProfile, RangeAxis
 from midspan.radar.range_profile import bin_kernel, coarse_range, half_kernel
@@ -213,39 +212,8 @@ CASES: dict[str, Case] = {
 }
 
 
-def outages(chirp: ChirpProfile, runs: int = 20) -> int:
-    """What is said of the cycle after the outages of `radar_outages`; returns how many were silently wrong."""
-    counts = dict.fromkeys(("sure", "by its range", "new datum", "wrong", "refused"), 0)
-    for seed in range(runs):
-        model, motion, length_s = view(seed, chirp)
-        rng = np.random.default_rng(seed)
-        kernel = bin_kernel(np.arange(chirp.bins), chirp)[: int(RANGE_M / chirp.bin_m) + 30].T.astype(np.complex64)
-        z = np.concatenate([cube[:, 0] @ kernel for cube in model.blocks(motion, FRAMES, rng=rng)])
-        at = model.frame_s(FRAMES)
-        samples = accelerometer(motion, 41.0, MEMS, seed, float(rng.uniform(-0.05, 0.05)))
-        axis = RangeAxis(np.arange(z.shape[2]) * chirp.bin_m, chirp.carrier_hz, chirp.slope_hz_s)
-        found = find_targets(z[:CALIBRATION], at[:CALIBRATION], samples=samples, axis=axis)
-        target = min(found, key=lambda one: abs(one.range_m - RANGE_M))
-        if target.objection:
-            counts["refused"] += 1
-            continue
-        unit = chirp.phase_per_m(RANGE_M)
-        item = FollowedTarget.of(target, unit, chirp.bin_m, period_s=1 / RATE, bins=z.shape[2])
-        frames = (at + target.time_offset_s, z, np.ones(z.shape[:2], dtype=np.bool_))
-        result = run([item], frames, samples, MEMS**2 / RATE)
-        count = len(result.phase_rad)
-        error = result.phase_rad[:, 0] / unit - motion.displacement(at[:count])
-        after = np.nanmedian(error[at[:count] > START_S + length_s + 5.0])
-        wrong = abs(after - np.nanmedian(error[at[:count] < START_S])) > 0.5 * chirp.cycle_m
-        open_ = result.reference_rad2[-1, 0] > 1.0
-        by_range = any(event.kind == "cycle" for event in result.events)
-        counts["new datum" if open_ else "wrong" if wrong else "by its range" if by_range else "sure"] += 1
-    show(list(counts), [list(counts.values())])
-    return counts["wrong"]
-
-
 def main(names: tuple[str, ...] = tuple(CASES), seeds: int = 2) -> None:
-    """Each case with some seeds, then the cycle after outages."""
+    """Each case with some seeds."""
     rows = []
     for name in names:
         for seed in range(seeds):
@@ -253,5 +221,3 @@ def main(names: tuple[str, ...] = tuple(CASES), seeds: int = 2) -> None:
             new = of_chain(one)
             rows.append([name, seed, *judged(one, *new[:2], new[3]), new[2]])
     show(["case", "seed", "mm", "largest", "inside %", "said"], rows)
-    for chirp in (SHORT_RANGE, LONG_RANGE):
-        goal("silently wrong cycles in 20 outages", float(outages(chirp)), 0.0)

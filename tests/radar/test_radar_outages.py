@@ -1,7 +1,5 @@
 """Blockage, the cycle after it, and several targets that stand in for each other."""
 
-from itertools import pairwise
-
 import numpy as np
 from radar_cases import RATE, UNIT
 
@@ -33,22 +31,3 @@ def record(jump: int, *, std_m: float, clutter_m: float = 0.0, seed: int = 0):
     coarse = 7.46 + moved + rng.normal(0, std_m, 2000) + clutter_m * np.sin(2 * UNIT * moved)
     coarse[rng.random(2000) < 0.1] = np.nan
     return moved, phase, coarse
-
-
-def several(sigma, blocked, *, seconds=60.0, seed=0, cuts=()):
-    """Truth, combined value and its variance of three targets with starting errors of their own noise."""
-    rng = np.random.default_rng(seed)
-    count = int(seconds * RATE)
-    true = 20e-3 * np.sin(2 * np.pi * 0.5 * np.arange(count) / RATE)
-    value = true + rng.normal(0, 1, (3, count)) * np.array(sigma)[:, None]
-    value -= value[:, :1]
-    variance = np.repeat(np.square(sigma)[:, None], count, axis=1)
-    for target, start, end in blocked:
-        variance[target, int(start * RATE) : int(end * RATE)] = np.inf
-    stream = SeveralTargets(3, RATE)
-    edges = [0, *cuts, count]
-    parts = [stream.push(value[:, a:b], variance[:, a:b]) for a, b in pairwise(edges)]
-    return true, *(np.concatenate(columns) for columns in zip(*parts, strict=True))
-
-
-SIGMA = (7e-6, 6e-6, 10e-6)
