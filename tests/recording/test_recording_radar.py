@@ -206,7 +206,8 @@ def test_a_slow_sensor_beside_the_radar_is_brought_to_its_zero(recordings, tmp_p
     result = midspan.estimate(midspan.open_recording(folder))
     assert np.sqrt(np.mean(error_mm(folder, result) ** 2)) < 0.015
     assert Source.RADAR in result.estimate.source
-    assert np.mean(np.abs(error_mm(folder, result)) < 1.96 * result.displacement_std_mm) > 0.9
+    # The zero is one draw that all rows share.
+    assert np.sqrt(np.mean((error_mm(folder, result) / result.displacement_std_mm) ** 2)) < 2.0
 
 
 def test_a_target_hidden_in_the_calibration_window_does_not_enter_its_noise(tmp_path) -> None:
