@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from midspan.fusion.kalman import KalmanSettings
 
 from midspan.fusion.runners import MethodSettings, run_method
+from midspan.fusion.streams import KalmanSettings
 from midspan.recording.in_turn import in_turn
 from midspan.records import Acceleration, Displacement, Source, joined, nanoseconds, part
 

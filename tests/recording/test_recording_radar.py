@@ -5,16 +5,14 @@ import json
 import h5py
 import numpy as np
 import pytest
-from midspan.recording.fusing.one_zero import merged
 
 import midspan
 from midspan.errors import UntrustedError, UsageError
 from midspan.fusion.methods import METHODS
-from midspan.fusion.streams import KalmanSettings
 from midspan.recording.inspect import inspect_recording
 from midspan.recording.radar.frames import RadarFrames, even_places, without_holes
 from midspan.recording.stored.calibration_file import load_calibration
-from midspan.records import Acceleration, Displacement, Source, Status
+from midspan.records import Source, Status
 from midspan.simulate.motion.motion import Sines, Window, random_motion
 from midspan.simulate.radar.signal import Reflector
 from plain_data import assert_plain
@@ -219,24 +217,6 @@ def test_a_target_hidden_in_the_calibration_window_does_not_enter_its_noise(tmp_
     assert abs(target.conversion_factor - 1.27) < 3 * target.conversion_factor_std < 0.005
     # The noise of a frame at 10 dB a sample of 64 and two receivers, with the window's loss: 8 µm.
     assert 1e3 * target.noise_m == pytest.approx(0.0095, rel=0.2)
-
-
-def test_the_merged_zero_is_as_uncertain_as_it_is_wrong() -> None:
-    # A camera of zero and a second sensor 5 mm higher with slow errors of its own: the zeros of many draws.
-    errors, stated = [], []
-    for seed in range(60):
-        rng = np.random.default_rng(seed)
-        time_ns = np.arange(0, 60 * 10**9, 10**8, dtype=np.int64)
-        n = len(time_ns)
-        still = Acceleration(time_ns, np.zeros(n), np.full(n, 1e-8))
-        first = Displacement(time_ns, np.zeros(n), np.full(n, 1e-12), np.full(n, Source.CAMERA, dtype=np.uint8))
-        slow = np.convolve(rng.normal(0, 1e-3, n + 19), np.ones(20) / np.sqrt(20), mode="valid")
-        other = Displacement(time_ns, 5e-3 + slow, np.full(n, 1e-6), np.full(n, Source.DISPLACEMENT, dtype=np.uint8))
-        found = merged([first, other], still, KalmanSettings())
-        moved = found.measured.value_m[found.measured.source == Source.DISPLACEMENT]
-        errors.append(float(np.mean(moved - slow)))
-        stated.append(found.levels[0].std_m)
-    assert 0.75 < np.sqrt(np.mean((np.array(errors) / np.array(stated)) ** 2)) < 1.35
 
 
 def test_absent_frames_leave_their_places_empty_and_holes_are_turned_with_the_other_channels() -> None:

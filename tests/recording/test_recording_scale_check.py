@@ -8,7 +8,7 @@ import pytest
 
 import midspan
 from midspan.fusion.streams import KalmanSettings
-from midspan.recording.fusing.fuse import FusionInputs, SensorError, fuse
+from midspan.recording.fusing.fuse import FusionInputs, SensorError
 from midspan.recording.fusing.scale_check import apparent_scales, fitting
 from midspan.records import Acceleration, Displacement, Source, joined, nanoseconds, part
 from midspan.simulate.scenarios.table import sideways
@@ -61,21 +61,6 @@ def test_a_scale_that_is_right_or_nearly_so_is_not_told_a_wrong_one_is_refused()
     for factor in (1.3, 0.7, -1.0):
         with pytest.raises(midspan.UntrustedError, match="does not belong to this recording"):
             fitting(inputs(0, factor=factor))
-
-
-@pytest.mark.parametrize("factor", [1.015, 0.97])
-def test_the_band_holds_a_scale_that_is_somewhat_off_and_stays_as_it_is_beside_a_right_one(factor):
-    inside = []
-    for given in (inputs(5), inputs(5, factor=factor)):
-        given = replace(given, errors=(SensorError(Source.CAMERA, 1e-3),))
-        found = fitting(given)
-        rows = fuse(replace(given, errors=found.errors), "smoother")[0].estimate
-        error = rows.displacement_m - np.interp(rows.time_ns / 1e9, TIME, inputs_motion(TIME))
-        inside.append(np.mean(np.abs(error) < 1.96 * np.sqrt(rows.variance_m2)))
-    assert fitting(inputs(5)).errors[0].relative_scale_std < 2e-3
-    assert found.errors[0].relative_scale_std == pytest.approx(abs(factor - 1.0), abs=5e-3)
-    # 0.03 to 0.1 mm off where a frame is good for 0.01 mm: without it 7 to 45 % of the rows lie inside.
-    assert min(inside) > 0.9
 
 
 def test_a_camera_turned_round_is_refused_though_the_other_one_has_crowded_it_out():
