@@ -58,11 +58,28 @@ def test_the_first_frames_tell_a_speed_of_whole_cycles_a_frame(slope: int) -> No
     while first.cycles_per_frame is None:
         cycles.append(1000.0 + (slope + 0.1) * len(cycles) + rng.normal(0, 1.2))
         first = first.met(cycles[-1])
-    assert first.cycles_per_frame == slope
+    assert first.cycles_per_frame == (slope, 0.0)
     # The line's deviation √12 σ / n^1.5 falls to 0.12 at 11 frames; the scatter of so few is known to a third.
     assert 10 <= len(cycles) <= 18
-    assert first.cycles_per_frame == round(float(np.polyfit(np.arange(len(cycles)), cycles, 1)[0]))
+    assert slope == round(float(np.polyfit(np.arange(len(cycles)), cycles, 1)[0]))
     noisy = FirstFrames()
     for _ in range(64):
         noisy = noisy.met(float(rng.normal(0, 100.0)))
-    assert noisy.cycles_per_frame == 0  # it cannot be told: the smallest speed is taken
+    # It cannot be told: the smallest speed is taken, which may well be a wrong one.
+    cycles_per_frame, wrong = noisy.cycles_per_frame
+    assert cycles_per_frame == 0
+    assert wrong > 0.4
+
+
+@pytest.mark.parametrize("slope", [-1, 0, 1])
+def test_where_the_range_is_not_measured_the_usual_motion_tells_the_speed(slope: int) -> None:
+    # A swing of 2 cycles rms whose period is longer than what is waited for; its phase turns whole cycles more a frame.
+    for start in np.linspace(0.0, 2.0 * np.pi, 12):
+        first, count = FirstFrames(moved=2.0), 0
+        while first.cycles_per_frame is None:
+            first = first.met(2.0 * np.sqrt(2.0) * np.sin(start + 2 * np.pi * count / 150.0) + slope * count)
+            count += 1
+        assert first.cycles_per_frame == (slope, 0.0)
+        # √12 · 2 cycles over n frames falls to 0.12 at 58.
+        assert count == 58
+    assert FirstFrames(moved=0.01).met(0.0).cycles_per_frame == (0, 0.0)

@@ -57,30 +57,28 @@ def frames_of(phasors, valid=None):
 
 
 def driven(chain: RadarChain, frames, moved=None, *, std_cycles=0.05, off_cycles=0.0):
-    """Measurements of the first target; predicted by the truth since the first used frame, to a deviation.
+    """Measurements of the first target; predicted by the truth since the first frame, to a deviation.
 
     A prediction is off by `off_cycles` (n,), and from then on by what the phase was off, as an estimator's would be.
     """
-    found, zero, count = [], None, 0.0
+    found, begun, count = [], False, 0.0
     unit = chain.targets[0].phase_per_m
     spread, off = (np.broadcast_to(np.asarray(x, dtype=float), len(frames)) for x in (std_cycles, off_cycles))
     for k, frame in enumerate(frames):
         given = None
-        if moved is not None and zero is not None:
-            given = (unit * (moved[k] - zero) + 2 * np.pi * (count + off[k]), (2 * np.pi * spread[k]) ** 2)
+        if begun:
+            given = (unit * (moved[k] - moved[0]) + 2 * np.pi * (count + off[k]), (2 * np.pi * spread[k]) ** 2)
         (one,) = chain.push(frame, [given])
         if one.status == Status.TRACKING and moved is not None:
-            zero = moved[k] if zero is None else zero
-            count = np.rint((one.phase_rad - unit * (moved[k] - zero)) / (2 * np.pi))
+            begun = True
+            count = np.rint((one.phase_rad - unit * (moved[k] - moved[0])) / (2 * np.pi))
         found.append(one)
     return found
 
 
 def errors(found, moved, unit):
-    """Error of the phase (n,) in rad since the first used frame, NaN where not used."""
-    phase = np.array([one.phase_rad for one in found])
-    first = int(np.argmax(np.isfinite(phase)))
-    return phase - unit * (moved - moved[first])
+    """Error of the phase (n,) in rad since the first frame, NaN where not used."""
+    return np.array([one.phase_rad for one in found]) - unit * (moved - moved[0])
 
 
 # Two bins weighed (1 − s, s) hold the noise 1 − 2 s (1 − s) / 3 and (1 − s) w(s) + s w(1 − s) of the target, with the

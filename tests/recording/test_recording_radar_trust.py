@@ -40,8 +40,10 @@ def estimated(folder, **options):
 def test_an_only_target_that_sways_is_told_and_the_band_holds_it(tmp_path) -> None:
     tree = Reflector(3.4, 900.0, ratio=1.0, own=Sway(3e-4, 0.4))
     result, error = estimated(write(tmp_path, Case((tree, PLATE), seed=11)))
-    # Nothing else sees the motion of 0.3 mm: it is in the result, and the band must say so.
-    assert 0.15 < np.std(error) < 0.25
+    # Nothing else sees the motion of 0.3 mm, 0.21 rms: what the acceleration does not take out of it is in the result,
+    # and the band must say so.
+    assert np.std(error) < 0.21
+    assert np.median(result.displacement_std_mm) < 0.21
     assert np.sqrt(np.mean((error / result.displacement_std_mm) ** 2)) < 2.0
     assert any("3.4" in line and "by itself" in line for line in result.warnings)
 

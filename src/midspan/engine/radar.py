@@ -121,6 +121,8 @@ class _Follower:
         self.first_bin, followed = float(item.bins[0]), len(item.bins) > 1
         # Of the phase; 0 where it is not followed.
         self.cycles_per_bin = item.bin_m * item.phase_per_m / TURN if followed else 0.0
+        # Of the displacement.
+        self.cycles_per_m = abs(item.phase_per_m / target.conversion_factor) / TURN
         self.amplitude, self.noise = target.amplitude, target.noise_variance
         self.still = np.full(len(item.bins), target.leak, dtype=np.complex128)
         if target.background is not None:
@@ -130,18 +132,20 @@ class _Follower:
             self.amplitude /= between(target.place_bin - math.floor(target.place_bin))
         self.white_rad2 = target.phase_noise_rad2 + target.bent_rad**2
         own_m = OWN_RATIO * target.own_m if target.own_hz > 0.0 else 0.0
-        self.own_rad2 = (own_m * item.phase_per_m / target.conversion_factor) ** 2
+        self.own_rad2 = (own_m * TURN * self.cycles_per_m) ** 2
         self.forgets_per_ns = 2.0 * TURN * OWN_CORNER * target.own_hz / NANOSECONDS
 
     def push(
         self, time_ns: int, phasors: Phasors, valid: NDArray[np.bool_] | None, given: PhasePrediction | None
     ) -> PhaseMeasurement:
         """The measurement of a frame; valid (channels,): None where all were received."""
-        state = self.state
-        own = self._own_prediction(time_ns)
+        state, alone_rad = self.state, math.nan
         if given is not None:
+            alone_rad = given[0] if math.isinf(given[1]) else math.nan
             # Rounding may leave a variance below 0 where a channel's zero is hardly known.
             given = (given[0], max(given[1], 0.0)) if given[1] < math.inf else None
+        self._moved_alone(time_ns, alone_rad)
+        own = self._own_prediction(time_ns)
         base = own if given is None else self._better(own, given)
         seen = self._seen(phasors, valid, self._place(base))
         if seen is None:
@@ -151,8 +155,24 @@ class _Follower:
         if state.clear < self.blockage.frames or not seen.variance_rad2 < BLIND_RAD**2:
             return self._unseen(time_ns, base, seen.strength, "blocked")
         if state.first is not None:
-            return self._begun(time_ns, seen, own)
+            return self._begun(time_ns, seen, own, alone_rad)
         return self._used(time_ns, seen, (base, own, given))
+
+    def _moved_alone(self, time_ns: int, alone_rad: float) -> None:
+        """Take what the acceleration alone tells of the phase; NaN: it does not, and the own prediction does without.
+
+        It is in use from the first frame on or not at all.
+        """
+        state = self.state
+        if math.isnan(state.alone_rad):
+            return
+        if math.isnan(alone_rad):
+            since_s = (state.alone_ns - state.last_ns) / NANOSECONDS
+            state.phase_rad += state.alone_rad - state.alone_rad_s * since_s
+            state.speed_rad_s += state.alone_rad_s
+        elif time_ns > state.alone_ns:
+            state.alone_rad_s = (alone_rad - state.alone_rad) / (time_ns - state.alone_ns) * NANOSECONDS
+        state.alone_rad, state.alone_ns = alone_rad, time_ns
 
     def _own_prediction(self, time_ns: int) -> PhasePrediction:
         """Phase and variance by what was measured up to the last used frame."""
@@ -160,7 +180,8 @@ class _Follower:
         late_s = (time_ns - state.last_ns) / NANOSECONDS
         frames = max(round(late_s / self.item.period_s), 1)
         # Innovations are second differences: over n frames n (n + 1) / 2 of them add up.
-        return state.phase_rad + late_s * state.speed_rad_s, state.own_rad2 * (0.5 * frames * (frames + 1.0)) ** 2
+        phase = state.phase_rad + late_s * state.speed_rad_s + (0.0 if math.isnan(state.alone_rad) else state.alone_rad)
+        return phase, state.own_rad2 * (0.5 * frames * (frames + 1.0)) ** 2
 
     def _better(self, own: PhasePrediction, given: PhasePrediction) -> PhasePrediction:
         """The given prediction while it can name the cycle and is the closer one; else the target's own if that can."""
@@ -242,27 +263,32 @@ class _Follower:
         state.forgotten_ns = time_ns
         return self.own_rad2 * left
 
-    def _begun(self, time_ns: int, seen: _Seen, own: PhasePrediction) -> PhaseMeasurement:
-        """One of the first frames: none is used before range and phase tell the target's speed alike."""
+    def _begun(self, time_ns: int, seen: _Seen, own: PhasePrediction, alone_rad: float) -> PhaseMeasurement:
+        """One of the first frames: none is used before range and phase tell the target's speed alike.
+
+        The phase counts from the first of them.
+        """
         state, first, phase = self.state, self.state.first, 0.0
         if first is None or not first.count or time_ns - state.last_ns > 1.5 * self.item.period_s * NANOSECONDS:
-            first = FirstFrames()
-            state.first_rad, state.phase_rad, state.speed_rad_s, state.last_ns = seen.phase_rad, 0.0, 0.0, time_ns
+            first = FirstFrames(math.nan if self.cycles_per_bin else self.item.moved_m * self.cycles_per_m)
+            state.first_rad, state.speed_rad_s, state.last_ns = seen.phase_rad, 0.0, time_ns
+            state.alone_rad, state.alone_ns, state.alone_rad_s = alone_rad, time_ns, 0.0
+            state.phase_rad = 0.0 if math.isnan(alone_rad) else -alone_rad
         else:
             phase = own[0] + math.remainder(seen.phase_rad - state.first_rad - own[0], TURN)
             self._follow(time_ns, phase, own)
-        cycles: int | None = 0
-        if self.cycles_per_bin:
-            place = seen.place_bin * self.cycles_per_bin
-            state.first = first.met(place - phase / TURN)
-            cycles = state.first.cycles_per_frame
-            state.gap = RangeGap().met(place, 0.0)
-        if cycles is None:
+        place = seen.place_bin * self.cycles_per_bin
+        state.first = first.met(place - phase / TURN)
+        speed = state.first.cycles_per_frame
+        if speed is None:
             return PhaseMeasurement(time_ns, math.nan, math.inf, 0.0, Status.LOST, seen.strength)
-        state.first, state.first_rad = None, seen.phase_rad
-        state.phase_rad -= phase
-        state.speed_rad_s += TURN * cycles / self.item.period_s
-        return self._measured(time_ns, 0.0, seen, [])
+        turns = TURN * (state.first.count - 1)
+        raised, state.lost_rad2 = turns * speed[0], turns**2 * speed[1]
+        state.first = None
+        phase, state.phase_rad = phase + raised, state.phase_rad + raised
+        state.speed_rad_s += TURN * speed[0] / self.item.period_s
+        state.gap = RangeGap().met(place - phase / TURN, phase)
+        return self._measured(time_ns, phase, seen, [])
 
     def _used(
         self,
@@ -308,7 +334,9 @@ class _Follower:
         state = self.state
         late_s = (time_ns - state.last_ns) / NANOSECONDS
         rest = math.remainder(phase_rad - own[0], TURN)
-        state.phase_rad = phase_rad - (1.0 - PHASE_GAIN) * rest
+        state.phase_rad = (
+            phase_rad - (1.0 - PHASE_GAIN) * rest - (0.0 if math.isnan(state.alone_rad) else state.alone_rad)
+        )
         state.speed_rad_s += SPEED_GAIN * rest / late_s
         state.last_ns = time_ns
         if late_s <= 1.5 * self.item.period_s:

@@ -1,5 +1,6 @@
 """A radar's calibrated target, where it is met, and what the radar's stage remembers of it."""
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -20,7 +21,8 @@ class FollowedTarget:
     """A calibrated target and where it is met.
 
     phase_per_m: rad per m of range; bins (k,): whole bins in which it moves, or the one place (1,) where it stays;
-    bin_m: from bin to bin, m (NaN: it stays); period_s: from frame to frame.
+    bin_m: from bin to bin, m (NaN: it stays); period_s: from frame to frame; moved_m: standard deviation of the
+    structure's usual displacement, 0 where it is far less than a cycle.
     """
 
     target: Target
@@ -28,20 +30,25 @@ class FollowedTarget:
     bins: Floats
     bin_m: float
     period_s: float
+    moved_m: float = 0.0
 
     @classmethod
-    def of(cls, target: Target, phase_per_m: float, bin_m: float, *, period_s: float, bins: int) -> "FollowedTarget":
+    def of(
+        cls, target: Target, phase_per_m: float, bin_m: float, *, period_s: float, bins: int, moved_m: float = 0.0
+    ) -> "FollowedTarget":
         """In the bins that a radar of so many `bins`, `bin_m` apart (NaN: single targets are stored), has around it."""
         some = bins_within(target.place_bin, target.reach_bins, bins) if bin_m > 0 else np.array([target.place_bin])
-        return cls(target, phase_per_m, some, bin_m, period_s)
+        return cls(target, phase_per_m, some, bin_m, period_s, moved_m)
 
 
 @dataclass(slots=True)
 class TargetState:
     """What a chain remembers of one target.
 
-    first_rad: wrapped phase that counts as zero; first: the frames before it, by which the speed is found, None
-    afterwards; phase_rad, speed_rad_s: the target's own prediction at last_ns, the last used frame; own_rad2,
+    first_rad: wrapped phase that counts as zero; first: the first frames, by which the speed is found, None afterwards;
+    phase_rad, speed_rad_s: the target's own prediction at last_ns, the last used frame, less what the acceleration
+    alone tells there, while nothing else predicts (alone_rad at alone_ns and its speed alone_rad_s; NaN: nothing);
+    own_rad2,
     given_rad2: mean squares of its innovations and of the given predictions'; own_count, given_count: over so many;
     clear: frames in a row that show the target; unseen_ns: the first frame since it was seen last, -1 while it is seen;
     told: whether an event was given for that; refuted: whether the given predictions are wrong; gap: range less phase;
@@ -57,6 +64,9 @@ class TargetState:
     phase_rad: float = 0.0
     speed_rad_s: float = 0.0
     last_ns: int = 0
+    alone_rad: float = math.nan
+    alone_rad_s: float = 0.0
+    alone_ns: int = 0
     own_rad2: float = FIRST_RAD2
     own_count: float = FIRST_COUNT
     given_rad2: float = 0.0

@@ -47,6 +47,7 @@ from midspan.fusion.forward import (
 from midspan.fusion.hypotheses import WEIGHT
 from midspan.fusion.model import Beginning, Block, EstimatorSettings, Filter, Left, options_of, run, tables_of
 from midspan.fusion.state_space import GAP_STEPS
+from midspan.fusion.unmeasured import Integrated, integrated
 from midspan.records import (
     NANOSECONDS,
     Estimate,
@@ -85,12 +86,13 @@ class Rows:
 
 @dataclass(frozen=True, slots=True)
 class EstimatorState:
-    """All that an estimator remembers; filter, begun_s: None while rows are held back."""
+    """All that an estimator remembers; filter: None while rows are held back, integrated: only until then."""
 
     origin_ns: int | None
     early: tuple[Measured, ...]
     held: Samples | None
     waiting: Floats
+    integrated: Integrated | None
     filter: Filter | None
     first_s: float
     undecided: Undecided
@@ -128,6 +130,7 @@ class Estimator:
         self._held: Samples | None = None
         self._waiting = np.empty((0, MEASUREMENT_COLUMNS))
         self._early: list[Measured] = []
+        self._integrated: Integrated | None = None
         self._filter: Filter | None = None
         self._first_s = np.nan
         self._undecided = Undecided.none()
@@ -161,11 +164,17 @@ class Estimator:
     def predict(self, channel: int, time_ns: int) -> tuple[float, float]:
         """Expected measurement of a channel at a time after the last sample, in its unit, and the variance of that.
 
-        The last acceleration is held over a step or two. Infinite variance: nothing is known yet, or no samples come.
+        The last acceleration is held over a step or two; NaN where no samples come. Infinite variance: only the
+        acceleration tells, see `Integrated`.
         """
-        time_s, state = (time_ns - self._origin) / NANOSECONDS, self._filter
-        if state is None or time_s - state.clock[TIME] > GAP_STEPS * state.clock[STEP]:
-            return 0.0, np.inf
+        time_s, state, alone = (time_ns - self._origin) / NANOSECONDS, self._filter, self._integrated
+        if state is None:
+            if alone is None or not time_s - alone.time_s <= GAP_STEPS * alone.step_s:
+                return np.nan, np.inf
+            known = self.settings.channels[channel]
+            return known.units_per_m * alone.at(time_s, known.axis), np.inf
+        if time_s - state.clock[TIME] > GAP_STEPS * state.clock[STEP]:
+            return np.nan, np.inf
         value, variance = predict_value(time_s, channel, state.motion, state.clock, state.hyps, self.tables)
         return float(value), float(variance)
 
@@ -177,6 +186,7 @@ class Estimator:
             tuple(self._early),
             self._held,
             self._waiting.copy(),
+            self._integrated,
             None if self._filter is None else self._filter.saved(),
             self._first_s,
             self._undecided,
@@ -189,6 +199,7 @@ class Estimator:
         """Go on from a state of an estimator with the same settings."""
         self._origin_ns, self._early = state.origin_ns, list(state.early)
         self._held, self._waiting = state.held, state.waiting.copy()
+        self._integrated = state.integrated
         self._filter = None if state.filter is None else state.filter.resumed()
         self._first_s, self._undecided, self._told = state.first_s, state.undecided, state.told
         self._late, self._events = set(state.late), list(state.events)
@@ -241,6 +252,8 @@ class Estimator:
                 self._wait(measured)
         if self._filter is not None:
             return [self._run(self._filter, samples)]
+        bias_m_s2 = np.array(self.settings.bias_m_s2[: self.settings.axes])
+        self._integrated = integrated(self._integrated, sample_rows(samples, self._origin), bias_m_s2)
         return self._begin(samples if self._held is None else joined([self._held, samples]))
 
     def _begin(self, held: Samples, *, ended: bool = False) -> list[Rows]:
@@ -279,7 +292,7 @@ class Estimator:
             rows = np.concatenate((rows, datum)) if zero_s <= block[-1, 0] else rows
             self._waiting = in_order(np.concatenate((self._waiting, datum))) if zero_s > block[-1, 0] else self._waiting
             rows = in_order(rows)
-        self._first_s = first_s
+        self._first_s, self._integrated = first_s, None
         self.tables = tables_of(self.settings, self._origin)
         self._filter = Filter.begun(begin, self.settings)
         self.log = Log(begin, first_s, self._origin, [], []) if self._keep else None

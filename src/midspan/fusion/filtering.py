@@ -97,14 +97,14 @@ def leave_status(axis, time, marks, channels, found, k):  # type: ignore[no-unty
 @njit(cache=True)
 def zero_variance(p, channels, a, datum):  # type: ignore[no-untyped-def]
     """Variance (m²) that all rows of an axis have in common: of the datum as the first channel's values count it."""
-    if datum < 0:
-        return 0.0
     d = datum + a
     for c in range(len(channels)):
         if int(channels[c, AXIS]) == a:
             z = int(channels[c, ZERO])
+            if datum < 0:
+                return p[z, z]
             return max(p[d, d] + 2.0 * p[d, z] + p[z, z], 0.0) if p[d, d] > 0.0 else 0.0
-    return p[d, d]
+    return p[d, d] if datum >= 0 else 0.0
 
 
 @njit(cache=True)

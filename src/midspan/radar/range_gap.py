@@ -85,10 +85,12 @@ def cycles_lost(before: RangeGap, after: RangeGap) -> int | None:
 class FirstFrames:
     """Straight line through the gap of a target's first frames, whose speed is not known yet.
 
-    A speed of one cycle a frame more turns the phase alike; range and phase then run apart by a cycle a frame.
-    sums: of frame numbers n, gaps g, n², n g and g².
+    A speed of one cycle a frame more turns the phase alike; range and phase then run apart by a cycle a frame. Where
+    the range is not measured it is known to stay within the usual motion: moved, its standard deviation in cycles; NaN
+    where the range is measured. sums: of frame numbers n, gaps g, n², n g and g².
     """
 
+    moved: float = math.nan
     count: int = 0
     sums: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
 
@@ -96,17 +98,32 @@ class FirstFrames:
         """With the gap of one frame more, cycles."""
         n, g = float(self.count), cycles
         new = (n, g, n * n, n * g, g * g)
-        return FirstFrames(self.count + 1, tuple(a + b for a, b in zip(self.sums, new, strict=True)))  # type: ignore[arg-type]
+        sums = tuple(a + b for a, b in zip(self.sums, new, strict=True))
+        return FirstFrames(self.moved, self.count + 1, sums)  # type: ignore[arg-type]
 
     @property
-    def cycles_per_frame(self) -> int | None:
-        """Whole cycles a frame by which the speed is to be raised; None while more frames are needed."""
-        if self.count < MIN_FIRST_FRAMES:
+    def cycles_per_frame(self) -> tuple[int, float] | None:
+        """Whole cycles a frame by which the speed is to be raised, and the chance that it is not by so many.
+
+        None while more frames are needed.
+        """
+        slope, std = self._line()
+        if std <= SURE_SPEED_CYCLES:
+            return round(slope), 0.0
+        if self.count < MAX_FIRST_FRAMES or math.isinf(std) or self.moved == self.moved:
             return None
+        return (round(slope) if std <= 2.0 * SURE_SPEED_CYCLES else 0), math.erfc(0.5 / (math.sqrt(2.0) * std))
+
+    def _line(self) -> tuple[float, float]:
+        """Slope of the gap, cycles a frame, and its standard deviation."""
+        measured = self.moved != self.moved
+        if self.count < (MIN_FIRST_FRAMES if measured else 2):
+            return 0.0, math.inf if measured or self.moved > 0.5 * SURE_SPEED_CYCLES else 0.0
         n, g, nn, ng, gg = (total / self.count for total in self.sums)
         spread = nn - n * n
         slope = (ng - n * g) / spread
+        if not measured:
+            # The motion is one piece over few frames: at worst a straight line itself, of the same deviation.
+            return slope, self.moved / math.sqrt(spread)
         rest = max(gg - g * g - slope * slope * spread, 0.0) / (self.count - 2)
-        if math.sqrt(rest / spread) > SURE_SPEED_CYCLES and self.count < MAX_FIRST_FRAMES:
-            return None
-        return round(slope) if math.sqrt(rest / spread) <= 2.0 * SURE_SPEED_CYCLES else 0
+        return slope, math.sqrt(rest / spread)

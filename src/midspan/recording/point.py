@@ -131,10 +131,15 @@ def plain_channel(table: Table, recording: Recording, known: DisplacementCalibra
     return PlainSensor("displacement", PlainChain(settings))
 
 
-def radar_channels(table: Table, recording: Recording, known: RadarCalibration, *, first: bool) -> RadarSensor:
-    """A radar's sensor, and its channels in the table; first: whether its zero is that of the displacement."""
+def radar_channels(
+    table: Table, recording: Recording, known: RadarCalibration, *, moved_m: float, first: bool
+) -> RadarSensor:
+    """A radar's sensor, and its channels in the table.
+
+    moved_m: standard deviation of the usual displacement; first: whether its zero is that of the displacement.
+    """
     coasting_s, lost_s = ages(interval_s(recording.radar.times_ns()))
-    chain, channels = radar_chain(known, recording.radar.info)
+    chain, channels = radar_chain(known, recording.radar.info, moved_m=moved_m)
     numbers = [
         table.add(
             replace(channel, coasting_s=coasting_s, lost_s=lost_s, zero_std_m=channel.zero_std_m if first else np.inf)
@@ -176,17 +181,16 @@ def radar_frames_used(recording: Recording) -> slice:
 
 
 def zero_instant(main: Side, eyes: Sequence[Eye]) -> int | None:
-    """The instant (ns) that the displacement counts from: the first frame used; None: the sensor's own zero.
+    """The instant (ns) that the displacement counts from: a camera's first frame; None: the sensor's own zero.
 
-    Of two cameras the first one's; where that one was dark when it began, the first frame of either.
+    Of two cameras the first one's; where that one was dark when it began, the first frame of either. A radar's phase
+    counts from its first frame, whose noise is in its zero.
     """
+    if not eyes:
+        return None
     offsets_ns = clock_offsets_ns(main, eyes)
-    if eyes:
-        firsts = [int(eye.tracking.time_ns[0]) + offsets_ns[eye.sensor] for eye in eyes]
-        return min(firsts) if eyes[0].begins_dark else firsts[0]
-    if main.recording.has("radar"):
-        return int(main.recording.radar.times_ns()[radar_frames_used(main.recording).start]) + offsets_ns["radar"]
-    return None
+    firsts = [int(eye.tracking.time_ns[0]) + offsets_ns[eye.sensor] for eye in eyes]
+    return min(firsts) if eyes[0].begins_dark else firsts[0]
 
 
 def estimator_settings(table: Table, sides: Sequence[Side], zero_ns: int | None) -> EstimatorSettings:
@@ -214,7 +218,8 @@ def measuring_point(
     for number, eye in enumerate(eyes):
         sensors[eye.sensor] = camera_channels(table, eye, first=number == 0)
     if recording.has("radar"):
-        sensors["radar"] = radar_channels(table, recording, radar_part(recording, calibration), first=not sensors)
+        known, moved_m = radar_part(recording, calibration), (calibration.usual or usual_in_window(recording)).moved_m
+        sensors["radar"] = radar_channels(table, recording, known, moved_m=moved_m, first=not sensors)
     if recording.has("displacement") and calibration.displacement is not None:
         sensors["displacement"] = plain_channel(table, recording, calibration.displacement, first=not sensors)
     offsets_ns = clock_offsets_ns(main, eyes)

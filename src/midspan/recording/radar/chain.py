@@ -20,11 +20,12 @@ OTHER_ZERO_STD_M = 0.1
 
 
 def radar_chain(
-    calibration: RadarCalibration, info: RadarInfo, sensor: str = "radar"
+    calibration: RadarCalibration, info: RadarInfo, sensor: str = "radar", moved_m: float = 0.0
 ) -> tuple[RadarChain, tuple[Channel, ...]]:
     """The stage of the calibrated targets, best first, and one channel each, whose measurements are phases in rad.
 
-    The frames must hold the stage's `bins`: `source.slow_time(chain.bins)`.
+    The frames must hold the stage's `bins`: `source.slow_time(chain.bins)`. moved_m: standard deviation of the
+    structure's usual displacement.
     """
     bin_m = bin_m_of(info)
     targets = tuple(
@@ -34,6 +35,7 @@ def radar_chain(
             bin_m,
             period_s=1.0 / info.frame_rate_hz,
             bins=info.bins,
+            moved_m=moved_m,
         )
         for target in calibration.used
     )
