@@ -21,7 +21,7 @@ from midspan.fusion.second_pass import Lag
 from midspan.recording.calibrate import calibrate_and_track
 from midspan.recording.cameras.tracked import open_eyes, side_of
 from midspan.recording.point import measuring_point
-from midspan.recording.run import Outcome, run
+from midspan.recording.run import Outcome, radar_frames, run
 from midspan.recording.streams.progress import silent
 from midspan.records import Arrival, Estimate, Readings, Tracked, part
 from midspan.simulate.scenarios.stage import CameraSetup
@@ -99,6 +99,15 @@ def slow_and_late(folder):
     return folder
 
 
+def radar(folder):
+    """Fifty frames a second of a motion that turns the phase by up to a cycle a frame, hidden for a second."""
+    write(folder, replace(LIVELY, rate_hz=50.0, band_hz=(2.0, 3.0), rms_m=4e-3), "radar")
+    frames = np.load(folder / "radar.npy")
+    frames[300:350] *= 0.01
+    np.save(folder / "radar.npy", frames)
+    return folder
+
+
 CASES = {
     "lossless": plain,
     "crf 18": compressed(18),
@@ -109,6 +118,7 @@ CASES = {
     "infrared": infrared,
     "day and night": day_and_night,
     "displacement": slow_and_late,
+    "radar": radar,
 }
 
 
@@ -134,7 +144,7 @@ class Site:
         return measuring_point(sides, eyes, lag_s=lag_s), sides, eyes
 
 
-def records(sides, eyes, rng):
+def records(point, sides, eyes, rng):
     """The arrivals of each stream in their order, readings in blocks of any size."""
     recording = sides[0].recording
     value = np.column_stack([side.recording.acceleration.value for side in sides if side.recording.fused])
@@ -146,6 +156,8 @@ def records(sides, eyes, rng):
         times = eye.tracking.time_ns[: eye.tracking.done].tolist()
         found = [Tracked(t, t, tuple(one.translation(k) for one in eye.tracking.targets)) for k, t in enumerate(times)]
         streams[eye.sensor] = [*found, *iter(eye.tracking.take, None)]
+    if recording.has("radar"):
+        streams["radar"] = list(radar_frames(recording, point.sensors["radar"]))
     return {name: [Arrival(name, k, one) for k, one in enumerate(own)] for name, own in streams.items()}
 
 
@@ -170,7 +182,7 @@ def live(site, method, seed, tracking=None):
     """What a point gives that is fed in any order, and is put down and taken up again in the middle."""
     rng = np.random.default_rng(seed)
     point, sides, eyes = site.opened(method, tracking)
-    arrivals = list(interleaved(records(sides, eyes, rng), rng))
+    arrivals = list(interleaved(records(point, sides, eyes, rng), rng))
     middle = int(rng.integers(len(arrivals) // 4, 3 * len(arrivals) // 4))
     outcome = Outcome()
     for number, arrival in enumerate(arrivals):
@@ -244,7 +256,7 @@ def test_the_start_of_time_has_no_effect(site, method):
     settings = replace(known, zero_ns=None if known.zero_ns is None else known.zero_ns + EPOCH_NS)
     point.estimator = Estimator(settings) if method == "kalman" else Lag(settings, point.estimator.lag_samples)
     outcome, rng = Outcome(), np.random.default_rng(0)
-    for arrival in interleaved(records(sides, eyes, rng), rng):
+    for arrival in interleaved(records(point, sides, eyes, rng), rng):
         outcome.take(point.push(replace(arrival, record=shifted(arrival.record))))
     outcome.take(point.finish())
     found = outcome.estimate(0)

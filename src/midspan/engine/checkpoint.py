@@ -24,6 +24,7 @@ from midspan.engine.guard import GuardState, Stamps
 from midspan.engine.merge import MergeState, StreamMemory
 from midspan.engine.plain import EqualRun, PlainState
 from midspan.engine.point import PointState
+from midspan.engine.radar_target import FollowedState
 from midspan.engine.sensors import CameraSensorState
 from midspan.engine.switching import SwitchState
 from midspan.engine.thermal_target import ThermalTargetState
@@ -32,6 +33,8 @@ from midspan.fusion.decisions import Decided, Telling, Undecided
 from midspan.fusion.estimator import EstimatorState
 from midspan.fusion.model import Beginning, Filter
 from midspan.fusion.second_pass import LagState
+from midspan.fusion.unmeasured import Integrated
+from midspan.radar.range_gap import FirstFrames, RangeGap
 from midspan.thermal.cleaning import CleaningState
 from midspan.thermal.limits import LimitState
 from midspan.thermal.pattern import FixedPattern
@@ -61,7 +64,7 @@ HEAD = struct.Struct("<IQ")
 DIGEST_BYTES = hashlib.sha256().digest_size
 # A record takes three levels of brackets, of which a tree may have 64.
 MAX_DEPTH = 20
-TUPLE, RECORD, ENUM, ARRAY, SCALAR, NOT_FINITE = "t", "r", "e", "a", "n", "f"
+TUPLE, RECORD, ENUM, ARRAY, SCALAR, NOT_FINITE, COMPLEX = "t", "r", "e", "a", "n", "f", "c"
 # The numbers that arrays may hold, always little-endian.
 DTYPES = frozenset(
     ("|b1", "|i1", "|u1", "<i2", "<u2", "<i4", "<u4", "<i8", "<u8", "<f2", "<f4", "<f8", "<c8", "<c16"),
@@ -109,8 +112,11 @@ RECORDS: tuple[type, ...] = (
     EqualRun,
     EstimatorState,
     Filter,
+    FirstFrames,
     FixedPattern,
+    FollowedState,
     GuardState,
+    Integrated,
     KeyFrame,
     KeyFrameState,
     KeptSamples,
@@ -136,6 +142,7 @@ RECORDS: tuple[type, ...] = (
     Reference,
     RegistrationState,
     Sample,
+    RangeGap,
     ShutterState,
     Square,
     Stamps,
@@ -219,6 +226,8 @@ def _tree(value: object, arrays: list[NDArray[Any]], depth: int) -> object:
         return value
     if type(value) is float:
         return value if math.isfinite(value) else [NOT_FINITE, str(value)]
+    if type(value) is complex:
+        return [COMPLEX, _tree(value.real, arrays, depth), _tree(value.imag, arrays, depth)]
     if type(value) is tuple:
         return [TUPLE, *(_tree(item, arrays, depth + 1) for item in value)]
     if _RECORDS.get(type(value).__name__) is type(value):
@@ -286,6 +295,10 @@ def _value(tree: object, arrays: list[NDArray[Any]]) -> object:
             return arrays[number][()]
         case ["f", str(word)] if word in _FLOATS:
             return _FLOATS[word]
+        case ["c", real, imaginary]:
+            one, other = _value(real, arrays), _value(imaginary, arrays)
+            if isinstance(one, float) and isinstance(other, float):
+                return complex(one, other)
         case ["t", *items]:
             return tuple(_value(item, arrays) for item in items)
         case ["e", str(name), value] if name in _ENUMS:

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from midspan.checks import refuse
-from midspan.engine.radar_target import FollowedTarget, TargetState
+from midspan.engine.radar_target import FollowedState, FollowedTarget
 from midspan.radar.blockage import BlockageSettings
 from midspan.radar.channels import Phasors
 from midspan.radar.lobe import between, fraction_between, looked_at, noise_between
@@ -96,11 +96,11 @@ class RadarChain:
         )
 
     @property
-    def state(self) -> tuple[TargetState, ...]:
+    def state(self) -> tuple[FollowedState, ...]:
         """A copy of what the chain remembers of each target."""
         return tuple(replace(one.state) for one in self._followers)
 
-    def restore(self, state: tuple[TargetState, ...]) -> None:
+    def restore(self, state: tuple[FollowedState, ...]) -> None:
         """Go on from a state of a chain of the same targets."""
         for one, own in zip(self._followers, state, strict=True):
             one.state = replace(own)
@@ -115,7 +115,7 @@ class _Follower:
     def __init__(self, item: FollowedTarget, column: int, blockage: BlockageSettings, where: str) -> None:
         target = item.target
         self.item, self.blockage, self.name = item, blockage, f"radar: the target{where}"
-        self.state = TargetState(clear=blockage.frames)  # calibrated means seen
+        self.state = FollowedState(clear=blockage.frames)  # calibrated means seen
         self.columns = slice(column, column + len(item.bins))
         self.row = target.weights.conj() / math.sqrt(len(target.weights))
         self.first_bin, followed = float(item.bins[0]), len(item.bins) > 1

@@ -42,7 +42,7 @@ class FollowedTarget:
 
 
 @dataclass(slots=True)
-class TargetState:
+class FollowedState:
     """What a chain remembers of one target.
 
     first_rad: wrapped phase that counts as zero; first: the first frames, by which the speed is found, None afterwards;

@@ -13,7 +13,7 @@ import numpy as np
 from midspan.engine.camera import CameraChain, CameraState
 from midspan.engine.plain import PlainChain, PlainState
 from midspan.engine.radar import RadarChain
-from midspan.engine.radar_target import TargetState
+from midspan.engine.radar_target import FollowedState
 from midspan.records import (
     Event,
     Frame,
@@ -159,11 +159,11 @@ class RadarSensor:
         self.name, self.chain, self.channels = name, chain, tuple(channels)
 
     @property
-    def state(self) -> tuple[TargetState, ...]:
+    def state(self) -> tuple[FollowedState, ...]:
         """Everything that changes from frame to frame."""
         return self.chain.state
 
-    def restore(self, state: tuple[TargetState, ...]) -> None:
+    def restore(self, state: tuple[FollowedState, ...]) -> None:
         """Go on from a `state` taken earlier."""
         self.chain.restore(state)
 
