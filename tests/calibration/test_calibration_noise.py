@@ -8,7 +8,7 @@ from calibration_cases import OFFSET, broadband, observed, spoilt, tones
 
 from midspan.calibration.fit import Pair, aligned
 from midspan.calibration.noise import calibrate_noise, learn_motion
-from midspan.fusion.streams import KalmanSettings, smooth
+from midspan.fusion.streams import NO_ERRORS, KalmanSettings, smooth
 from midspan.records import Acceleration, Displacement, nanoseconds
 
 
@@ -79,7 +79,14 @@ def test_whitened_innovations_are_those_of_the_filter():
     acceleration = Acceleration(time_ns, pair.samples[:, 1], np.full(len(time_ns), density))
     met = nanoseconds(pair.rows[:, 0])
     displacement = Displacement(met, pair.rows[:, 1], np.full(len(met), noise), np.full(len(met), 4, dtype=np.uint8))
-    settings = KalmanSettings(bias_walk=0.003 * density, displacement_std=3.0, velocity_std=3.0, bias_std=3.0)
+    settings = KalmanSettings(
+        bias_walk=0.003 * density,
+        displacement_std=3.0,
+        velocity_std=3.0,
+        bias_std=3.0,
+        rates=NO_ERRORS,
+        noise_memory=np.inf,
+    )
     innovation = smooth(acceleration, displacement, settings).innovation
     later = slice(100, None)
     ours = (w.translation - w.response)[later]
