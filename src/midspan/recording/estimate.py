@@ -293,7 +293,7 @@ def result_of(asked: Asked, first: FirstPass, found: Found) -> Result:
     refuse_rejections(recording, found.innovations[0])
     sensors, log = with_levels(first.outcome.sensor_events, main), first.outcome.radar
     fused = tuple(event for event in found.events if event.axis == 0)
-    alone = unsupported_events(main, fused)
+    alone = unsupported_events(main)
     lost = [event for camera in first.cameras for event in lost_events(*_blind(camera, first))]
     across, more = _across(asked, first, found)
     warnings = (

@@ -56,7 +56,7 @@ def _fused(recording: Recording, calibration: Calibration, printed: Printed, met
     zero_m2 = known.best.noise_m**2
     rows = with_uncertain(done.estimate, zero_m2, relative, clock_std_s(known.offset))
     rows = _measured_rows(rows, printed.measured)
-    alone = unsupported_events(rows, done.events)
+    alone = unsupported_events(rows)
     warnings = (
         *channel_warnings(recording, calibration),
         *event_warnings((*done.events, *alone)),
