@@ -69,7 +69,7 @@ def test_a_slow_sensor_that_stands_in_is_told_once_and_its_rows_are_the_smoother
     dark = measured(Source.CAMERA, 10.0, 2, dark=(12.0, 27.0))
     rms, inside, events = judged(together(dark, measured(Source.INFRARED, 2.0, 3, 0.21)), "fir")
     (event,) = events
-    assert event.kind == "gap"
+    assert event.kind == "rate"
     assert event.time_ns / 1e9 == pytest.approx(12.0, abs=0.6)
     assert "came every 0.49 s only, and not every 0.1 s" in event.text
     assert rms < 0.03

@@ -15,7 +15,7 @@ from midspan.fusion.path import at, rows_at
 from midspan.fusion.streams import KalmanSettings, Smoothed, smooth
 from midspan.records import NANOSECONDS, Acceleration, Displacement, Estimate, Event, Floats, Nanoseconds, part, seconds
 from midspan.signals.fir import FilterBank
-from midspan.signals.health import Mask
+from midspan.signals.health import Mask, runs
 from midspan.signals.resample import REACH_STEPS, filtered_at, spline_rows
 
 # A step of the acceleration outside these shares of the usual one ends a stretch.
@@ -25,6 +25,8 @@ LONGEST_STEPS = 2.5
 # Of the guarded forms: a gap of up to so many usual intervals is filled from the path, as long as the acceleration
 # alone carries it well.
 FILLED_STEPS = 10.0
+# So many such intervals in a row are a slower sensor: with one value in ten missing by chance, once in 10^10 values.
+MIN_SLOW = 5
 # Measurements closer than this share of the usual interval to the one before are left out: a spline through both would
 # swing.
 CLOSE_SHARE = 0.4
@@ -86,13 +88,28 @@ def fused(
     measured = without_outliers(measured, path) if fill else measured
     origin_ns = int(acceleration.time_ns[0])
     knots = _knots(measured, rates, origin_ns)
+    slow = slower_events(knots, rates, origin_ns)
     knots = _filled(knots, rates, path, origin_ns) if fill else knots
     branches = design(rates)
     method = Method.make(branches, rates, knots)
     for stretch in stretches(acceleration, rates.step_s):
         _overwrite(rows, _stretch(method, stretch, origin_ns))
     told = tuple(Event(origin_ns, "rate", text) for text in branches.warnings)
-    return replace(smoothed, estimate=rows, events=(*smoothed.events, *told))
+    return replace(smoothed, estimate=rows, events=(*smoothed.events, *told, *slow))
+
+
+def slower_events(knots: Floats, rates: Rates, origin_ns: int) -> list[Event]:
+    """An event for each stretch in which a slower sensor stands in: the filters are not made for it."""
+    found = []
+    for first, last in runs(np.diff(knots[:, 0]) > LONGEST_STEPS * rates.frame_s):
+        start_s, length_s = knots[first, 0], knots[last, 0] - knots[first, 0]
+        if last - first >= MIN_SLOW:
+            text = (
+                f"For {length_s:.3g} s displacement came every {length_s / (last - first):.2g} s only, and not every "
+                f"{rates.frame_s:.3g} s as the filters are made for: the rows there rest on the smoother."
+            )
+            found.append(Event(origin_ns + round(start_s * NANOSECONDS), "rate", text))
+    return found
 
 
 def without_outliers(measured: Displacement, path: Estimate) -> Displacement:
