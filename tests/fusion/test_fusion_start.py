@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from midspan.fusion.runners import MethodSettings, run_method
-from midspan.fusion.streams import KalmanSettings, smooth
+from midspan.fusion.runners import run_method
+from midspan.fusion.streams import KalmanSettings, MethodSettings, smooth
 from midspan.records import Acceleration, Displacement, Floats, Source, nanoseconds
 from midspan.simulate.motion.beam import paper_beam_motion
 

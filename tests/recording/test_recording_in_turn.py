@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from midspan.fusion.runners import MethodSettings, run_method
-from midspan.fusion.streams import KalmanSettings
+from midspan.fusion.runners import run_method
+from midspan.fusion.streams import KalmanSettings, MethodSettings
 from midspan.recording.in_turn import in_turn
 from midspan.records import Acceleration, Displacement, Source, joined, nanoseconds, part
 

@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from midspan.checks import option, positive
-from midspan.fusion.runners import MethodSettings, run_method
-from midspan.fusion.streams import NO_ERRORS, KalmanSettings
+from midspan.fusion.runners import run_method
+from midspan.fusion.streams import NO_ERRORS, KalmanSettings, MethodSettings
 from midspan.records import Acceleration, Displacement, Floats, Nanoseconds, Source, nanoseconds
 
 # The bound's stretch is left to settle by this many periods of the corner before it is called stationary.

@@ -14,7 +14,7 @@ from numba import njit
 
 from midspan.checks import refuse
 from midspan.fusion.blocks import ACCEPTED
-from midspan.fusion.streams import KalmanSettings, Smoothed, filtered
+from midspan.fusion.streams import KalmanSettings, MethodSettings, Smoothed, filtered
 from midspan.records import Acceleration, Displacement, Estimate, Floats, Innovation, Source, Status, part, seconds
 
 # The state vector: displacement, velocity, the bias that is taken off, covariance, time and the acceleration held; the
@@ -185,6 +185,16 @@ def adapt(acceleration: Acceleration, displacement: Displacement, settings: Adap
     if known.literal:
         return printed(acceleration, displacement, known)
     return filtered(acceleration, displacement, replace(known.kalman, noise_memory=1.0 / (1.0 - known.forgetting)))
+
+
+def run_adaptive(
+    acceleration: Acceleration, displacement: Displacement, settings: MethodSettings, path: Smoothed | None
+) -> Smoothed:
+    """The same as a row of METHODS; as printed it begins at zero, so the series is counted from its first value."""
+    own = AdaptiveSettings(literal=settings.literal, forgetting=settings.forgetting, kalman=settings.kalman)
+    level_m = float(displacement.value_m[np.argmax(np.isfinite(displacement.value_m))]) if own.literal else 0.0
+    found = adapt(acceleration, replace(displacement, value_m=displacement.value_m - level_m), own)
+    return replace(found, estimate=replace(found.estimate, displacement_m=found.estimate.displacement_m + level_m))
 
 
 def printed(acceleration: Acceleration, displacement: Displacement, settings: AdaptiveSettings) -> Smoothed:

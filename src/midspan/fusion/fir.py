@@ -24,7 +24,7 @@ import numpy as np
 from midspan.checks import positive, refuse
 from midspan.fusion.branches import AtFrames, Branches, Rates
 from midspan.fusion.complementary import fused, smoothed_record
-from midspan.fusion.streams import KalmanSettings, Smoothed
+from midspan.fusion.streams import KalmanSettings, MethodSettings, Smoothed
 from midspan.records import Acceleration, Displacement, Estimate, Floats
 from midspan.signals.fir import Transition, complement, kaiser_low_pass
 from midspan.signals.integrate import integrating, weights
@@ -133,13 +133,20 @@ def at_frames(low_pass: Floats, rates: Rates, rule: str) -> AtFrames:
 def fir(acceleration: Acceleration, displacement: Displacement, settings: FirSettings | None = None) -> Estimate:
     """Fuse a whole record: one row a sample, from acceleration (n samples) and displacement (m) in time order."""
     smoothed = smoothed_record(acceleration, displacement, KalmanSettings())
-    return run_fir(acceleration, displacement, settings or FirSettings(), smoothed).estimate
+    return _fused(acceleration, displacement, settings or FirSettings(), smoothed).estimate
 
 
 def run_fir(
+    acceleration: Acceleration, displacement: Displacement, settings: MethodSettings, path: Smoothed | None
+) -> Smoothed:
+    """The same as a row of METHODS, see `fused`."""
+    smoothed = path or smoothed_record(acceleration, displacement, settings.kalman)
+    return _fused(acceleration, displacement, FirSettings(literal=settings.literal), smoothed)
+
+
+def _fused(
     acceleration: Acceleration, displacement: Displacement, settings: FirSettings, smoothed: Smoothed
 ) -> Smoothed:
-    """The same beside the smoothed record, see `fused`."""
     record = (acceleration, displacement)
     return fused(lambda rates: design(rates, settings), record, smoothed, fill=not settings.literal)
 

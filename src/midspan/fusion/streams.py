@@ -85,6 +85,20 @@ class KalmanSettings:
 
 
 @dataclass(frozen=True, slots=True)
+class MethodSettings:
+    """What any method may need: the filter's settings, and the keys of [fusion] that single methods use.
+
+    lag_s: delay of `lag`, s. literal: a paper's method exactly as printed. forgetting: factor beta of
+    `adaptive-kalman`, above 0 and below 1.
+    """
+
+    kalman: KalmanSettings = field(default_factory=KalmanSettings)
+    lag_s: float = 0.5
+    literal: bool = False
+    forgetting: float = 0.95
+
+
+@dataclass(frozen=True, slots=True)
 class Smoothed:
     """What a method returns for a whole record: the estimate, the innovations of its forward pass, and events.
 
@@ -168,6 +182,27 @@ def filtered(
     lag_samples = round(lag_s / step_s)
     estimator = Lag(known, lag_samples) if lag_samples else Estimator(known)
     return whole(estimator, acceleration, with_prior(displacement, acceleration, settings))
+
+
+def run_smoother(
+    acceleration: Acceleration, displacement: Displacement, settings: MethodSettings, path: Smoothed | None
+) -> Smoothed:
+    """`smoother` as a row of METHODS."""
+    return path or smooth(acceleration, displacement, settings.kalman)
+
+
+def run_kalman(
+    acceleration: Acceleration, displacement: Displacement, settings: MethodSettings, path: Smoothed | None
+) -> Smoothed:
+    """`kalman` as a row of METHODS."""
+    return filtered(acceleration, displacement, settings.kalman)
+
+
+def run_lag(
+    acceleration: Acceleration, displacement: Displacement, settings: MethodSettings, path: Smoothed | None
+) -> Smoothed:
+    """`lag` as a row of METHODS."""
+    return filtered(acceleration, displacement, settings.kalman, lag_s=settings.lag_s)
 
 
 def whole(estimator: Estimator | Lag, acceleration: Acceleration, displacement: Displacement) -> Smoothed:

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from midspan.fusion.branches import Branches, Rates
 from midspan.fusion.complementary import fused, smoothed_record
 from midspan.fusion.fir import HIGHEST_NYQUIST, at_frames, folding_probe
-from midspan.fusion.streams import KalmanSettings, Smoothed
+from midspan.fusion.streams import KalmanSettings, MethodSettings, Smoothed
 from midspan.records import Acceleration, Displacement, Estimate
 from midspan.signals.fir import Transition, complement, equiripple_low_pass
 from midspan.signals.integrate import integrating
@@ -79,13 +79,20 @@ def two_stage_fir(
 ) -> Estimate:
     """Fuse a whole record: one row a sample, from acceleration (n samples) and displacement (m) in time order."""
     smoothed = smoothed_record(acceleration, displacement, KalmanSettings())
-    return run_two_stage(acceleration, displacement, settings or TwoStageSettings(), smoothed).estimate
+    return _fused(acceleration, displacement, settings or TwoStageSettings(), smoothed).estimate
 
 
 def run_two_stage(
+    acceleration: Acceleration, displacement: Displacement, settings: MethodSettings, path: Smoothed | None
+) -> Smoothed:
+    """The same as a row of METHODS, see `fused`."""
+    smoothed = path or smoothed_record(acceleration, displacement, settings.kalman)
+    return _fused(acceleration, displacement, TwoStageSettings(literal=settings.literal), smoothed)
+
+
+def _fused(
     acceleration: Acceleration, displacement: Displacement, settings: TwoStageSettings, smoothed: Smoothed
 ) -> Smoothed:
-    """The same beside the smoothed record, see `fused`."""
     record = (acceleration, displacement)
     return fused(lambda rates: design(rates, settings), record, smoothed, fill=not settings.literal)
 

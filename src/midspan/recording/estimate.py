@@ -9,10 +9,10 @@ import numpy as np
 from midspan.checks import option
 from midspan.errors import DataError, UntrustedError, UsageError
 from midspan.fusion.estimator import Estimator
-from midspan.fusion.methods import LITERAL, METHODS, no_literal_form
+from midspan.fusion.methods import METHODS, no_literal_form
 from midspan.fusion.model import EstimatorSettings
-from midspan.fusion.runners import MethodSettings
 from midspan.fusion.second_pass import Lag, smooth
+from midspan.fusion.streams import MethodSettings
 from midspan.recording.calibrate import calibrate_and_track
 from midspan.recording.camera_result import CameraResult, camera_result, camera_series
 from midspan.recording.cameras.lost_target import lost_events, lost_warnings
@@ -63,9 +63,6 @@ from midspan.recording.unsupported import unsupported_events
 from midspan.records import NANOSECONDS, Channel, Estimate, Event, Innovation, Measured, joined, part
 from midspan.signals.health import Mask
 
-# Methods that take one series of displacements; adaptive-kalman does so as printed.
-ON_SERIES = ("fir", "two-stage-fir")
-
 
 def estimate(
     recording: Recording | str | Path,
@@ -91,7 +88,7 @@ def estimate(
     if recording.has("radar") and recording.settings.fusion.literal:
         return estimate_printed(recording, calibration, method, progress)
     recording.require_one_of_a_kind()
-    if recording.settings.fusion.literal and method not in LITERAL:
+    if recording.settings.fusion.literal and not METHODS[method].literal:
         raise UsageError(f"{recording.file}: fusion: {no_literal_form(method)}.")
     given = calibration is not None and tracking is None
     if calibration is None:
@@ -114,8 +111,8 @@ class Asked:
 
     @property
     def on_series(self) -> bool:
-        """Whether the method takes one series of displacements."""
-        return self.method in ON_SERIES or self.recording.settings.fusion.literal
+        """Whether the method takes one series of displacements, as all do that are run as printed."""
+        return METHODS[self.method].on_series or self.recording.settings.fusion.literal
 
     @property
     def sides(self) -> tuple[Side, ...]:

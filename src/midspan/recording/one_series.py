@@ -10,19 +10,16 @@ from itertools import pairwise
 import numpy as np
 
 from midspan.errors import UntrustedError
-from midspan.fusion.adaptive import AdaptiveSettings, adapt
 from midspan.fusion.complementary import OUTLIER_STD
-from midspan.fusion.fir import FirSettings, run_fir
 from midspan.fusion.path import at
-from midspan.fusion.runners import MethodSettings, run_method
-from midspan.fusion.streams import Smoothed, no_innovation
-from midspan.fusion.two_stage import TwoStageSettings, run_two_stage
+from midspan.fusion.runners import run_method
+from midspan.fusion.streams import MethodSettings, Smoothed, no_innovation
 from midspan.recording.cameras.tracked import Side
 from midspan.recording.in_turn import in_turn
 from midspan.recording.sensor_series import SensorSeries
 from midspan.recording.streams.acceleration import from_first_measurement
 from midspan.recording.streams.span import shown
-from midspan.records import Acceleration, Displacement, Estimate, Floats, Nanoseconds, Source, joined, part, seconds
+from midspan.records import Displacement, Estimate, Floats, Nanoseconds, Source, joined, part, seconds
 
 # The first velocity lies within so many times its rms.
 VELOCITY_WITHIN = 3.0
@@ -73,17 +70,11 @@ def run_on_series(
     """
     speed_m_s = speed_of(measured) if path is None else rms(path.velocity_m_s)
     kalman = replace(side.kalman, velocity_std=VELOCITY_WITHIN * speed_m_s)
-    acceleration, literal = side.acceleration, settings.literal
+    acceleration = side.acceleration
     known = None if path is None else Smoothed(path, no_innovation(), ())
-    if method == "adaptive-kalman":
+    if settings.literal:
         acceleration = from_first_measurement(acceleration, measured, side.prepared.rate_hz)
-        found = from_zero(acceleration, measured, AdaptiveSettings(literal, settings.forgetting, kalman))
-    elif known is None:
-        found = run_method(method, acceleration, measured, replace(settings, kalman=kalman))
-    elif method == "fir":
-        found = run_fir(acceleration, measured, FirSettings(literal), known)
-    else:
-        found = run_two_stage(acceleration, measured, TwoStageSettings(literal=literal), known)
+    found = run_method(method, acceleration, measured, replace(settings, kalman=kalman), known)
     rows = found.estimate
     finite = np.isfinite(rows.displacement_m) & np.isfinite(rows.variance_m2)
     if finite.all():
@@ -93,13 +84,6 @@ def run_on_series(
         f"{method} ran away: its rows must be finite numbers, and from {begin} on they are not. "
         "Leave fusion.literal out, or choose another fusion.method."
     )
-
-
-def from_zero(acceleration: Acceleration, measured: Displacement, settings: AdaptiveSettings) -> Smoothed:
-    """The adaptive filter on a series that counts from its first value: as printed it begins at zero."""
-    level_m = float(measured.value_m[np.argmax(np.isfinite(measured.value_m))])
-    found = adapt(acceleration, replace(measured, value_m=measured.value_m - level_m), settings)
-    return replace(found, estimate=replace(found.estimate, displacement_m=found.estimate.displacement_m + level_m))
 
 
 def speed_of(measured: Displacement) -> float:

@@ -7,8 +7,8 @@ takes part.
 import numpy as np
 
 from midspan.errors import UsageError
-from midspan.fusion.methods import LITERAL, no_literal_form
-from midspan.fusion.runners import MethodSettings
+from midspan.fusion.methods import METHODS, no_literal_form
+from midspan.fusion.streams import MethodSettings
 from midspan.recording.calibrate import calibrate_and_track
 from midspan.recording.cameras.tracked import clock_std_s, side_of
 from midspan.recording.messages import channel_warnings, event_warnings, shares
@@ -28,7 +28,7 @@ from midspan.records import Displacement, Estimate, Source, part
 
 def estimate_printed(recording: Recording, calibration: Calibration | None, method: str, progress: Progress) -> Result:
     """The displacement of a recording whose radar, method and calibration are as printed."""
-    if method not in LITERAL:
+    if not METHODS[method].literal:
         raise UsageError(f"{recording.file}: fusion: {no_literal_form(method)}.")
     if recording.cameras or recording.has("displacement"):
         raise UsageError(

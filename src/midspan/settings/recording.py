@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Field, SerializationInfo, model_serializer, model_validator
 
 from midspan.checks import RATE_HZ
-from midspan.fusion.methods import LITERAL, METHODS, no_literal_form
+from midspan.fusion.methods import METHODS, no_literal_form
 from midspan.settings.camera import CameraSettings, InfraredSettings
 from midspan.settings.fields import (
     IsNumber,
@@ -57,7 +57,7 @@ class FusionSettings(Section):
 
     @model_validator(mode="after")
     def _has_a_literal_form(self) -> "FusionSettings":
-        if self.literal and self.method not in LITERAL:
+        if self.literal and not METHODS[self.method].literal:
             raise ValueError(no_literal_form(self.method))
         return self
 
