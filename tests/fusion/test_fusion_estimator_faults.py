@@ -85,10 +85,10 @@ CASES = {
     "8 mm off for good": (shifted(8e-3), 0.1),
     "1 mm off for good": (shifted(1e-3), 0.1),
     "noise times 5": (noisier(5.0), 0.45),
-    "10 % outliers": (outliers(0.1, 1e-3, 6e-3), 0.18),
+    "10 % outliers": (outliers(0.1, 1e-3, 6e-3), 0.12),
     "20 % outliers": (outliers(0.2, 5e-3, 5e-3), 0.3),
     "gain 0.7 for 1 s": (gain_for_1_s, 0.8),
-    "1 m/s² more for 0.5 s": (pushed, 2.5),
+    "1 m/s² more for 0.5 s": (pushed, 1.5),
     "no measurements for 3 s": (gap, 0.15),
     "noise told 10 times too large": (told(100.0), 0.08),
 }

@@ -79,8 +79,8 @@ GATE = 4.0
 ) = range(14)
 MEMORY_COLUMNS = 14
 # And for each channel: factor on its variance, and how many measurements it rests on; whether the last one was an
-# outlier, and its value; whether its zero has shifted; whether it was met; variance of its reference (m²); when it was
-# last met, when last accepted, and with which variance (m²), its reference's included.
+# outlier, and the value of the first of these in a row; whether its zero has shifted; whether it was met; variance of
+# its reference (m²); when it was last met, when last accepted, and with which variance (m²), its reference's included.
 FACTOR, RESTS_ON, DISTURBED, KEPT, SHIFTED, BEGUN, REFERENCE_NOW, MET_AT, ACCEPTED_AT, ACCEPTED_VARIANCE = range(10)
 MARK_COLUMNS = 10
 # Options, see `Rates`; MEMORY: as of `EstimatorSettings.noise_memory`.
@@ -244,7 +244,7 @@ def weigh(hyp, row, scene, tables, options, scratch, asked, chances):  # type: i
     if inside and not doubted and p_out == options[P_OUTLIER]:
         pass
     elif mark[DISTURBED] > 0.0:
-        # A value near the last one says nothing against the sensor where no hypothesis can tell the motion.
+        # A value near the first outlier's says nothing against the sensor where no hypothesis can tell the motion.
         kept = np.log(0.5) + max(size, log_normal(row[VALUE] - mark[KEPT], max(2.0 * own, asked[1])))
         chances[OUTLIER] = prior + kept + np.log(p_out)
     else:
@@ -286,7 +286,9 @@ def become(code, hyp, row, scene, tables, options, scratch):  # type: ignore[no-
     mark[MET_AT] = row[AT]
     seen = look(hyp, row, scene, tables, scratch)
     if kind == OUTLIER:
-        mark[DISTURBED], mark[KEPT] = 1.0, row[VALUE]
+        if mark[DISTURBED] == 0.0:
+            # From value to value a fast sensor always keeps its own; stuck is one that keeps the first.
+            mark[DISTURBED], mark[KEPT] = 1.0, row[VALUE]
         memory[OUTLIER_AT], memory[OUTLIER_OF] = row[AT], channel[SENSOR_OF]
         memory[ERROR], memory[TOTAL] = seen[0], seen[2] + seen[3]
         if code >= ENDED:
