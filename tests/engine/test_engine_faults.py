@@ -77,7 +77,7 @@ def a_point(lateness_s=0.5):
     figures = replace(usual_figures(SOUND, RATE_HZ), name="accel", noise_density=NOISE_A**2 / RATE_HZ)
     chain = PlainChain(PlainSettings("level", 0, NOISE_M**2, 1 / LEVEL_HZ))
     channel = Channel("level", Source.DISPLACEMENT, 1.0)
-    settings = EstimatorSettings((channel,), bias_m_s2=(BIAS,), bias_std_m_s2=(0.01,))
+    settings = EstimatorSettings((channel,), bias_m_s2=(BIAS,), bias_std_m_s2=(0.01,), motion=(figures.motion,))
     sensors = {"level": PlainSensor("level", chain)}
     return Point(merge, Guard(GuardSettings(RATE_HZ, (figures,))), sensors, Estimator(settings))
 
@@ -143,20 +143,19 @@ CASES = {
     "level gap": (gap("level"), {"gap"}),
     "both clocks +0.3 s": (clock_step([ACCELEROMETER, "level"], 0.3), {"gap"}),
     "both clocks -0.3 s": (clock_step([ACCELEROMETER, "level"], -0.3), {"backwards"}),
-    "accel clock +0.3 s": (clock_step([ACCELEROMETER], 0.3), {"gap"}),
-    "accel clock -0.3 s": (clock_step([ACCELEROMETER], -0.3), {"backwards"}),
-    "level clock +0.3 s": (clock_step(["level"], 0.3), {"gap"}),
-    "level clock -0.3 s": (clock_step(["level"], -0.3), {"backwards"}),
+    "accel clock +0.3 s": (clock_step([ACCELEROMETER], 0.3), {"gap", "clock"}),
+    "accel clock -0.3 s": (clock_step([ACCELEROMETER], -0.3), {"backwards", "clock"}),
+    "level clock +0.3 s": (clock_step(["level"], 0.3), {"gap", "clock"}),
+    "level clock -0.3 s": (clock_step(["level"], -0.3), {"backwards", "clock"}),
 }
-# A clock that steps against the other one is no hypothesis of the estimator.
-STEPS_ALONE = {name for name in CASES if name.split()[0] != "both" and "clock" in name}
-MAX_ERROR_M = 0.1
+MAX_ERROR_M = 0.05
+# Until measurements contradict the acceleration, a clock that has stepped against the others looks sound: that may take
+# a quarter of a second after the step.
+UNTOLD = 0.25 / LENGTH_S
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_a_fault_is_an_event_and_the_band_holds_its_error(name, request):
-    if name in STEPS_ALONE:
-        request.applymarker(pytest.mark.xfail(strict=True, reason="the estimator does not know clocks that step"))
+def test_a_fault_is_an_event_and_the_band_holds_its_error(name):
     spoil, kinds = CASES[name]
     ratios = []
     for seed in SEEDS:
@@ -173,7 +172,10 @@ def test_a_fault_is_an_event_and_the_band_holds_its_error(name, request):
     # times 45 s are some 200 independent ones, which scatter by 1.5 %.
     ratio = np.concatenate(ratios)
     assert np.mean(ratio < 1.96) >= 0.93
-    assert np.max(ratio) < 5.0
+    if "clock" in kinds:
+        assert np.mean(ratio > 5.0) < UNTOLD
+    else:
+        assert np.max(ratio) < 5.0
 
 
 def test_without_a_fault_there_is_no_event():

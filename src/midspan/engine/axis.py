@@ -59,6 +59,11 @@ class AxisFigures:
         """Noise density, (m/s²)²/Hz, that stands for a motion of which nothing was seen."""
         return self.variance / self.frequency_hz
 
+    @property
+    def motion(self) -> tuple[float, float]:
+        """Standard deviation (m) of the displacement, and the motion's middle angular frequency (1/s)."""
+        return (self.moved_m, self.variance**0.25 / self.moved_m**0.5) if self.moved_m > 0.0 else (0.0, 0.0)
+
     def unseen(self, length_s: float) -> float:
         """Noise density, (m/s²)²/Hz, that stands for what a straight line over `length_s` misses."""
         return self.unknown_density * missed_share(length_s, self.frequency_hz) ** 2

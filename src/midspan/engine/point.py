@@ -12,6 +12,7 @@ import numpy as np
 
 from midspan.engine.guard import Guard, GuardState
 from midspan.engine.merge import Merge, MergeState
+from midspan.engine.order import BACKWARDS, KINDS
 from midspan.engine.sensors import Seen, Sensor
 from midspan.engine.switching import Switch, SwitchState
 from midspan.fusion.estimator import BLOCK, Estimator, EstimatorState, Rows
@@ -86,6 +87,8 @@ class Point:
         """Give records, in the order of time, to what they are for."""
         out: list[Output] = []
         for arrival in due:
+            if isinstance(arrival.record, Event) and arrival.record.kind == KINDS[BACKWARDS]:
+                self.estimator.push(arrival.record)
             if arrival.stream == ACCELEROMETER:
                 assert isinstance(arrival.record, Readings | Event)
                 for found in self.guard.push(arrival.record):

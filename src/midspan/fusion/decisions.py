@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from midspan.fusion.filtering import trace
 from midspan.fusion.forward import AT, CHANNEL
-from midspan.fusion.hypotheses import DATUM, KINDS, LOST, MOST, NOISE, OUTLIER, RETURN, SHIFT, WRONG
+from midspan.fusion.hypotheses import CLOCK, DATUM, KINDS, LOST, MOST, NOISE, OUTLIER, RETURN, SHIFT, WRONG
 from midspan.records import NANOSECONDS, Channel, Event, Floats
 
 # So many measurements may be undecided; then the best hypothesis has decided the older half.
@@ -16,7 +16,14 @@ MAX_UNDECIDED = 2048
 MIN_RUN = 5
 # Causes of one kind that are closer (s) are one.
 ONE_CAUSE_S = 2.0
-EVENT_KINDS = {SHIFT: "level_shift", RETURN: "level_shift", WRONG: "acceleration", LOST: "reacquired", NOISE: "noise"}
+EVENT_KINDS = {
+    SHIFT: "level_shift",
+    RETURN: "level_shift",
+    WRONG: "acceleration",
+    LOST: "reacquired",
+    NOISE: "noise",
+    CLOCK: "clock",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,10 +155,13 @@ def _text(kind: int, channel: Channel, size: tuple[float, float]) -> str:
     return {
         SHIFT: f"The zero of {name} shifted by {off}; the displacement keeps its own. Check whether the target or the "
         "sensor has moved.",
-        RETURN: f"The zero of {name} went back to where it was before its shift.",
+        RETURN: f"The zero of {name} went back to where it was before its shift, or its clock to where it was.",
         WRONG: f"The predicted displacement was off by {off} where {name} measured: the acceleration was wrong, and "
         "its band is widened there. Check the accelerometer's range and mounting.",
         LOST: f"The predicted displacement had been led away: {name} measured {off} off, and the estimator started "
         "anew from it.",
         NOISE: f"The noise of {name} rose suddenly: a measurement lies {off} off, and its variance is raised.",
+        CLOCK: f"The clock of {channel.sensor} has stepped against the accelerometer's: its measurements (target "
+        f"{channel.target}) contradict the acceleration, the first by {off}. They bound only the slow motion from here "
+        "on. Calibrate the clock offset again.",
     }[kind]

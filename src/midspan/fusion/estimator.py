@@ -39,6 +39,7 @@ from midspan.fusion.forward import (
     SLOPE,
     STEP,
     TIME,
+    WENT_BACK,
     innovate,
     predict_covariance,
     project,
@@ -138,12 +139,15 @@ class Estimator:
         self._late: set[int] = set()
         self._events: list[Event] = []
 
-    def push(self, record: Samples | Measured) -> list[Rows]:
+    def push(self, record: Samples | Measured | Event) -> list[Rows]:
         """Take one block; returns for samples the rows that are due, if any.
 
         Times increase from block to block of samples. A measurement that is not later than the last sample is left out,
-        with an event.
+        with an event. An event stands for stamps that went back: from then on clocks may have stepped.
         """
+        if isinstance(record, Event):
+            self._doubt((record.time_ns - self._origin) / NANOSECONDS)
+            return []
         if isinstance(record, Measured):
             self._wait(record)
             return []
@@ -243,6 +247,12 @@ class Estimator:
             self._late |= set(rows[late, CHANNEL].astype(int).tolist())
             self._late -= set(rows[~late, CHANNEL].astype(int).tolist())
         self._waiting = in_order(np.concatenate((self._waiting, rows[~late])))[-MAX_WAITING:]
+
+    def _doubt(self, time_s: float) -> None:
+        """Let the clocks be in doubt from an instant on; before the filter has begun it knows of none."""
+        if self._filter is not None:
+            mark = np.array([[max(time_s, self._filter.clock[TIME]), WENT_BACK, 0.0, 0.0, 0.0]])
+            self._waiting = in_order(np.concatenate((self._waiting, mark)))
 
     def _push(self, samples: Samples) -> list[Rows]:
         if self._origin_ns is None:

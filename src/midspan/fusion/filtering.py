@@ -20,6 +20,7 @@ from midspan.fusion.forward import (
     SET_DATUM,
     SLOPE,
     SOURCE,
+    STEP,
     TIME,
     ZERO,
     add_noise,
@@ -39,6 +40,7 @@ from midspan.fusion.hypotheses import (
     DATUM,
     DENSITY,
     DISTURBED,
+    DOUBTED,
     ERROR,
     GATE,
     GOOD,
@@ -46,16 +48,19 @@ from midspan.fusion.hypotheses import (
     MET_AT,
     MOST,
     PARENT,
+    STEPPED,
     TOTAL,
     VAGUE,
     WEIGHT,
     accept,
     become,
+    follow_clock,
     look,
     meet_zero,
     one_of,
     split,
 )
+from midspan.fusion.state_space import GAP_STEPS
 from midspan.records import Status
 
 # What is left of each sample and axis: displacement relative to the datum, its variance, the true velocity, codes of
@@ -72,7 +77,7 @@ INTERVAL, THETA, TAKEN, OF_CHANNEL, SHIFT_SCALED, REFERENCE_SCALED, RECORD = ran
 TRACKING, COASTING, LOST_STATUS = float(Status.TRACKING), float(Status.COASTING), float(Status.LOST)
 # In `decided`: not decided, the hypotheses judge.
 OPEN = -1
-PARENT_STEP = 16
+PARENT_STEP = 32
 # A smoothed variance is no smaller than this share of the filtered one: beyond it rounding speaks.
 LEAST_SHARE = 1e-12
 
@@ -165,7 +170,7 @@ def order_frame(rows, j, best, motion, now, tables, scratch):  # type: ignore[no
     hypothesis, so that what is found does not depend on the order of targets. Returns where they end.
     """
     end = j + 1
-    while end < len(rows) and rows[end, AT] == rows[j, AT] and rows[end, CHANNEL] != SET_DATUM:
+    while end < len(rows) and rows[end, AT] == rows[j, AT] and rows[end, CHANNEL] >= 0.0:
         end += 1
     if end == j + 1:
         return end
@@ -183,9 +188,13 @@ def judge(hyps, best, clock, row, scene, tables, options, scratch, chances):  # 
     """Let all hypotheses meet a measurement; the number of them in `clock` follows."""
     _, _, marks, memory, _, _ = best
     count, c = int(clock[COUNT]), int(row[CHANNEL])
+    if row[AT] - marks[c, MET_AT] > tables[1][c, COASTING_S]:
+        hyps[2][:count, c, DOUBTED] = 1.0
     for b in range(count):
         meet_zero(one_of(hyps, b), row, tables[1][c])
-    if count == 1 and clock[JUDGED] <= 0.0 and memory[DENSITY] == 0.0 and marks[c, DISTURBED] == 0.0:
+        follow_clock(one_of(hyps, b), row, tables[1][c])
+    usual = memory[DENSITY] == 0.0 and marks[c, DISTURBED] == 0.0 and marks[c, STEPPED] + marks[c, DOUBTED] == 0.0
+    if count == 1 and clock[JUDGED] <= 0.0 and usual:
         seen = look(best, row, scene, tables, scratch)
         if seen[0] * seen[0] <= GATE * GATE * (seen[2] + seen[3]) and seen[2] <= VAGUE * seen[3]:
             accept(best, row, seen, tables, options, scratch)
@@ -214,7 +223,9 @@ def take_decided(code, best, row, scene, tables, options, scratch, out):  # type
     c = int(row[CHANNEL])
     out[OF_CHANNEL] = c
     out[REFERENCE_SCALED] = meet_zero(best, row, tables[1][c])
-    out[TAKEN], out[SHIFT_SCALED] = become(code, best, row, scene, tables, options, scratch)
+    followed = follow_clock(best, row, tables[1][c])
+    out[TAKEN], scaled = become(code, best, row, scene, tables, options, scratch)
+    out[SHIFT_SCALED] = followed * scaled
     out[RECORD : RECORD + len(e)] = e
     out[RECORD + len(e) : RECORD + len(e) + len(gain)] = gain
 
@@ -236,14 +247,17 @@ def move_others(hyps, count, motion, samples, k, way, walks):  # type: ignore[no
 
 
 @njit(cache=True)
-def set_datum(hyps, axes, clock, j, out):  # type: ignore[no-untyped-def]
-    """The rows count from here; each hypothesis goes on as it is."""
+def pass_mark(hyps, axes, clock, mark, j, out):  # type: ignore[no-untyped-def]
+    """The rows count from here, or clocks are in doubt; each hypothesis goes on as it is."""
     _, met, survivors, _, _, record = out
     for b in range(int(clock[COUNT])):
-        copy_datum(hyps[0][b], hyps[1][b], axes)
+        if mark == SET_DATUM:
+            copy_datum(hyps[0][b], hyps[1][b], axes)
+        else:
+            hyps[2][b, :, DOUBTED] = 1.0
         survivors[j, b] = b * PARENT_STEP + DATUM
     met[j, MET_CODE] = DATUM
-    record[j, OF_CHANNEL] = SET_DATUM
+    record[j, OF_CHANNEL] = mark
 
 
 @njit(cache=True)
@@ -257,8 +271,8 @@ def meet_row(j, ordered, place, block, state, hyps, best, tables, options, scrat
     _, met, survivors, errors, _, record = out
     k, theta = place
     record[j, INTERVAL], record[j, THETA] = k, theta
-    if rows[j, CHANNEL] == SET_DATUM:
-        set_datum(hyps, len(motion), clock, j, out)
+    if rows[j, CHANNEL] < 0.0:
+        pass_mark(hyps, len(motion), clock, rows[j, CHANNEL], j, out)
         return ordered
     now, own = scratch[2], (scratch[0], scratch[1])
     for a in range(len(motion)):
@@ -281,7 +295,7 @@ def run_block(samples, rows, decided, state, hyps, tables, options, out):  # typ
     samples (s, 1 + 2 axes): time in s, acceleration of each axis, its noise density, all after the state's time. rows
     (m, 5): usable measurements, all within the samples, in time order; those of one instant are put in the order they
     are taken in. decided (m,): OPEN, or the code that was decided. hyps: see `model.hypotheses_at`. tables = (walks
-    (n,), channels (c, 9), kinds (c, k), first state of the datums or -1, learning (k, 2)). out = (found (s, axes, 5),
+    (n,), channels (c, 11), kinds (c, k), first state of the datums or -1, learning (k, 2)). out = (found (s, axes, 5),
     met (m, 3), survivors (m, MOST), errors (m, MOST, 2), nodes (s or 0, axes, 2 (1 + k) + 2 n), record (m, 8 + k + n)).
     """
     motion, clock = state
@@ -292,6 +306,7 @@ def run_block(samples, rows, decided, state, hyps, tables, options, out):  # typ
     j = ordered = 0
     for k in range(len(samples)):
         begun, end = clock[TIME], samples[k, 0]
+        gap = end - begun > GAP_STEPS * clock[STEP]
         dt = begin_interval(hyps[0], clock, motion, samples, k)
         reached = begun
         while True:
@@ -311,6 +326,8 @@ def run_block(samples, rows, decided, state, hyps, tables, options, out):  # typ
             )
             j += 1
         clock[TIME] = end
+        if gap:
+            hyps[2][: int(clock[COUNT]), :, DOUBTED] = 1.0
         for a in range(len(motion)):
             motion[a, INPUT] = samples[k, 1 + a]
             if clock[COUNT] > 1.0:
@@ -356,8 +373,9 @@ def back_to(at, until, adj, m, axes):  # type: ignore[no-untyped-def]
 @njit(cache=True)
 def back_through_row(row, adj, m, axes, channels):  # type: ignore[no-untyped-def]
     """Carry the adjoint back through a decided measurement's record."""
-    if row[OF_CHANNEL] == SET_DATUM:
-        back_through_datum(adj, m, axes)
+    if row[OF_CHANNEL] < 0.0:
+        if row[OF_CHANNEL] == SET_DATUM:
+            back_through_datum(adj, m, axes)
         return
     n, columns = adj.shape
     channel = channels[int(row[OF_CHANNEL])]

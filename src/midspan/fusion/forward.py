@@ -33,13 +33,14 @@ TIME, STEP, COUNT, JUDGED = range(4)
 # Columns of the measurements; REFERENCE: reference variance in m².
 AT, CHANNEL, VALUE, VARIANCE, REFERENCE = range(5)
 MEASUREMENT_COLUMNS = 5
-# In the place of a channel: the datum of all axes is set at this instant.
-SET_DATUM = -1.0
+# In the place of a channel: the datum of all axes is set at this instant; a stream's stamps have gone back here.
+SET_DATUM, WENT_BACK = -1.0, -2.0
 # Columns of the channels: units per metre, blur (exposure²/24, s²), axis, the first of its three zero states (zero,
 # shift, reference), number of its sensor, variance of its zero in m² (infinite: unknown), code of its source, age of
-# its last accepted measurement from which on rows are coasting, lost.
-UNITS_PER_M, BLUR, AXIS, ZERO, SENSOR, ZERO_VARIANCE, SOURCE, COASTING_S, LOST_S = range(9)
-CHANNEL_COLUMNS = 9
+# its last accepted measurement from which on rows are coasting, lost; variance (m²) of the difference between two
+# instants of the motion that are far apart, and rate (1/s) at which the motion forgets where it was.
+UNITS_PER_M, BLUR, AXIS, ZERO, SENSOR, ZERO_VARIANCE, SOURCE, COASTING_S, LOST_S, APART, FORGETS = range(11)
+CHANNEL_COLUMNS = 11
 # What a parameter is to a channel: entries of the table (channels, parameters).
 NOTHING, SCALE, CLOCK = range(3)
 

@@ -6,10 +6,11 @@ splits each hypothesis by what may have happened just then:
     GOOD     it is one of the few that lie so far off by chance
     OUTLIER  it is wrong, by any amount; the next ones may be so too, and may keep its value
     SHIFT    the channel's zero has moved, and stays
-    RETURN   the channel's zero is back where it was before its shift
+    RETURN   the channel's zero is back where it was before its shift, or the sensor's clock is
     WRONG    the prediction is: the acceleration errs by more than its noise, and may go on to do so
     LOST     the motion's state is wrong, its bias too: an earlier measurement led it away
     NOISE    the channel's noise has risen
+    CLOCK    the sensor's clock has stepped against the accelerometer's: it measures the motion of another time
 
 Each goes on as a filter of its own; the likelihood of what is measured later, by any channel, decides. Hypotheses that
 fall behind the best by `ODDS` are dropped, those that have come to agree are one again, and no more than a fixed number
@@ -25,9 +26,11 @@ import numpy as np
 from numba import njit
 
 from midspan.fusion.forward import (
+    APART,
     AT,
     AXIS,
     CHANNEL,
+    FORGETS,
     REFERENCE,
     UNITS_PER_M,
     VALUE,
@@ -43,8 +46,8 @@ from midspan.fusion.forward import (
 )
 from midspan.fusion.forward import SENSOR as SENSOR_OF
 
-GOOD, OUTLIER, SHIFT, RETURN, WRONG, LOST, NOISE = range(7)
-KINDS = 7
+GOOD, OUTLIER, SHIFT, RETURN, WRONG, LOST, NOISE, CLOCK = range(8)
+KINDS = 8
 # In the code of what happened: the error of the acceleration has just ended.
 ENDED = KINDS
 # The setting of the datum.
@@ -60,7 +63,8 @@ GATE = 4.0
 # acceleration that goes on (0: none) and along which axis; of the last measurement the hypothesis before it, what it
 # was taken for, its innovation (with the parameters as estimated) and its predicted variance; then what happened to
 # several targets of a sensor in the same frame: time, sensor and size (m) of the last shift, time and sensor of the
-# last outlier; how many measurements were good since anything else was; when the parameters were met last.
+# last outlier; how many measurements were good since anything else was; when the parameters were met last; when the
+# record began.
 (
     WEIGHT,
     DENSITY,
@@ -76,15 +80,31 @@ GATE = 4.0
     OUTLIER_OF,
     AGE,
     LAST_AT,
-) = range(14)
-MEMORY_COLUMNS = 14
+    BEGAN_AT,
+) = range(15)
+MEMORY_COLUMNS = 15
 # And for each channel: factor on its variance, and how many measurements it rests on; whether the last one was an
 # outlier, and the value of the first of these in a row; whether its zero has shifted; whether it was met; variance of
-# its reference (m²); when it was last met, when last accepted, and with which variance (m²), its reference's included.
-FACTOR, RESTS_ON, DISTURBED, KEPT, SHIFTED, BEGUN, REFERENCE_NOW, MET_AT, ACCEPTED_AT, ACCEPTED_VARIANCE = range(10)
-MARK_COLUMNS = 10
+# its reference (m²); when it was last met, when last accepted, and with which variance (m²), its reference's included;
+# whether its clock has stepped, and whether that is in doubt: stamps were missing or went back since the last
+# measurement.
+(
+    FACTOR,
+    RESTS_ON,
+    DISTURBED,
+    KEPT,
+    SHIFTED,
+    BEGUN,
+    REFERENCE_NOW,
+    MET_AT,
+    ACCEPTED_AT,
+    ACCEPTED_VARIANCE,
+    STEPPED,
+    DOUBTED,
+) = range(12)
+MARK_COLUMNS = 12
 # Options, see `Rates`; MEMORY: as of `EstimatorSettings.noise_memory`.
-P_OUTLIER, P_STAYS, SHIFT_RATE, RETURN_RATE, WRONG_RATE, NOISE_RATE, LOST_RATE, ODDS, MEMORY = range(9)
+P_OUTLIER, P_STAYS, SHIFT_RATE, RETURN_RATE, WRONG_RATE, NOISE_RATE, LOST_RATE, CLOCK_RATE, ODDS, MEMORY = range(10)
 LOG_2PI = np.log(2.0 * np.pi)
 # Errors of unknown size lie within this number of decades above the noise.
 DECADES = 4.0
@@ -101,6 +121,8 @@ BIAS_TOO = 0.05
 # After so many good measurements half the odds are enough to drop a hypothesis, after twice as many a third: what they
 # have not told apart they will not.
 SETTLES = 20.0
+# Of the gaps and steps back in the stamps of a stream so many are one clock's step against the others.
+P_STEPPED = 0.1
 # Iterations of the variance's fixed point: the third changes it by less than a thousandth.
 ITERATIONS = 3
 # Shortest time (s) that a rate is taken over.
@@ -144,6 +166,31 @@ def meet_zero(hyp, row, channel):  # type: ignore[no-untyped-def]
         return 1.0
     mark[REFERENCE_NOW] = row[REFERENCE]
     return move_reference(x, p, z + 2, was, row[REFERENCE])
+
+
+@njit(cache=True)
+def follow_clock(hyp, row, channel):  # type: ignore[no-untyped-def]
+    """Where a sensor's clock has stepped, let the difference between its time's displacement and this one's go on to
+    change as the motion does (first-order Gauss-Markov), in the place of a shift; returns the factor on that state.
+    """
+    _, p, marks, _, _, _ = hyp
+    mark, s = marks[int(row[CHANNEL])], int(channel[ZERO]) + 1
+    if mark[STEPPED] == 0.0:
+        return 1.0
+    # The correlation of a smooth motion over so short a time.
+    factor = np.exp(-0.5 * (channel[FORGETS] * (row[AT] - mark[MET_AT])) ** 2)
+    scale_state(hyp[0], p, s, factor)
+    p[s, s] += (1.0 - factor * factor) * channel[APART]
+    return factor
+
+
+@njit(cache=True)
+def sensor_stepped(marks, channels, c):  # type: ignore[no-untyped-def]
+    """Whether the clock of a channel's sensor is known to have stepped by another channel of it."""
+    for o in range(len(channels)):
+        if channels[o, SENSOR_OF] == channels[c, SENSOR_OF] and marks[o, STEPPED] > 0.0:
+            return True
+    return False
 
 
 @njit(cache=True)
@@ -223,13 +270,32 @@ def accept(hyp, row, seen, tables, options, scratch):  # type: ignore[no-untyped
 
 
 @njit(cache=True)
+def weigh_return(hyp, row, seen, channel, options, scratch, chances):  # type: ignore[no-untyped-def]
+    """The weight of a return; seen = (innovation, variance of its prediction, of its noise), P h in `scratch`.
+
+    A shift is asked for its return outside the gate only; a clock that has stepped explains every measurement.
+    """
+    x, p, marks, memory, _, _ = hyp
+    mark, (error, wider, own) = marks[int(row[CHANNEL])], seen
+    if mark[STEPPED] == 0.0 and error * error <= GATE * GATE * (wider + own):
+        return
+    s, g = int(channel[ZERO]) + 1, channel[UNITS_PER_M]
+    # Without the shift's state: its mean comes back to the innovation, its variance goes.
+    rest = wider - 2.0 * g * scratch[0][s] + g * g * p[s, s]
+    returned = log_normal(error + g * x[s, 0], max(rest, 0.0) + own)
+    rate = options[CLOCK_RATE] if mark[STEPPED] > 0.0 else options[RETURN_RATE]
+    lapse = max(row[AT] - mark[MET_AT], SHORTEST_S)
+    chances[RETURN] = memory[WEIGHT] + np.log(rate * lapse) + returned
+
+
+@njit(cache=True)
 def weigh(hyp, row, scene, tables, options, scratch, asked, chances):  # type: ignore[no-untyped-def]
-    """Logarithms of the weights (7,) of what a hypothesis may become by a measurement; -inf: not looked at.
+    """Logarithms of the weights (8,) of what a hypothesis may become by a measurement; -inf: not looked at.
 
     asked = (whether it may be an outlier even where it lies inside the gate, variance of the sharpest prediction that
     any hypothesis has of it).
     """
-    x, p, marks, memory, _, _ = hyp
+    _, _, marks, memory, _, _ = hyp
     channel = tables[1][int(row[CHANNEL])]
     mark, prior = marks[int(row[CHANNEL])], memory[WEIGHT]
     error, _, wider, own = look(hyp, row, scene, tables, scratch)
@@ -251,21 +317,25 @@ def weigh(hyp, row, scene, tables, options, scratch, asked, chances):  # type: i
         chances[OUTLIER] = prior + size + np.log(p_out)
     if memory[DENSITY] > 0.0:
         chances[LOST] = prior + np.log(BIAS_TOO) + log_normal(error, total)
+    # Among outliers it may have happened at any time since the last measurement that was none.
+    lapse = max(row[AT] - max(mark[ACCEPTED_AT], memory[BEGAN_AT]), SHORTEST_S)
+    if mark[SHIFTED] > 0.0 or mark[STEPPED] > 0.0:
+        weigh_return(hyp, row, (error, wider, own), channel, options, scratch, chances)
+    if (not inside or mark[DOUBTED] > 0.0) and mark[STEPPED] == 0.0 and mark[SHIFTED] == 0.0 and channel[APART] > 0.0:
+        rate = P_STEPPED if mark[DOUBTED] > 0.0 else options[CLOCK_RATE] * lapse
+        rate = options[P_STAYS] if sensor_stepped(marks, tables[1], int(row[CHANNEL])) else rate
+        apart = channel[APART] * channel[UNITS_PER_M] ** 2
+        chances[CLOCK] = prior + np.log(rate) + log_normal(error, total + apart)
     if inside:
         return
-    lapse = max(row[AT] - mark[MET_AT], SHORTEST_S)
-    if memory[SHIFT_AT] == row[AT] and memory[SHIFT_OF] == channel[SENSOR_OF]:
+    if mark[STEPPED] > 0.0:
+        pass
+    elif memory[SHIFT_AT] == row[AT] and memory[SHIFT_OF] == channel[SENSOR_OF]:
         # The sensor moved: all its targets shift, mostly by the same.
         alike_size = log_normal(error - channel[UNITS_PER_M] * memory[SHIFT_BY], 2.0 * own)
         chances[SHIFT] = prior + np.log(0.5 * options[P_STAYS]) + max(size, alike_size)
     else:
         chances[SHIFT] = prior + np.log(options[SHIFT_RATE] * lapse) + size
-    if mark[SHIFTED] > 0.0:
-        s, g = int(channel[ZERO]) + 1, channel[UNITS_PER_M]
-        # Without the shift's state: its mean comes back to the innovation, its variance goes.
-        rest = wider - 2.0 * g * scratch[0][s] + g * g * p[s, s]
-        returned = log_normal(error + g * x[s, 0], max(rest, 0.0) + own)
-        chances[RETURN] = prior + np.log(options[RETURN_RATE] * lapse) + returned
     chances[WRONG] = prior + np.log(options[WRONG_RATE] * lapse) + size
     chances[LOST] = max(chances[LOST], prior + np.log(options[LOST_RATE] * lapse) + size)
     chances[NOISE] = prior + np.log(options[NOISE_RATE] * lapse) + size
@@ -283,7 +353,7 @@ def become(code, hyp, row, scene, tables, options, scratch):  # type: ignore[no-
     kind, lapse = code % KINDS, max(row[AT] - mark[MET_AT], SHORTEST_S)
     memory[CODE] = code
     memory[AGE] = memory[AGE] + 1.0 if code == GOOD else 0.0
-    mark[MET_AT] = row[AT]
+    mark[MET_AT], mark[DOUBTED] = row[AT], 0.0
     seen = look(hyp, row, scene, tables, scratch)
     if kind == OUTLIER:
         if mark[DISTURBED] == 0.0:
@@ -303,7 +373,10 @@ def become(code, hyp, row, scene, tables, options, scratch):  # type: ignore[no-
     elif kind == RETURN:
         scaled = 0.0
         scale_state(x, p, s, scaled)
-        mark[SHIFTED] = 0.0
+        mark[SHIFTED] = mark[STEPPED] = 0.0
+    elif kind == CLOCK:
+        p[s, s] += channel[APART]
+        mark[STEPPED] = 1.0
     elif kind == WRONG:
         memory[DENSITY], memory[ALONG] = 3.0 * size * size / lapse**3, a
         add_noise(p, 3 * a, lapse, memory[DENSITY])
@@ -339,7 +412,7 @@ def alike(hyps, b, o):  # type: ignore[no-untyped-def]
     if memory[o, DENSITY] != memory[b, DENSITY]:
         return False
     for c in range(marks.shape[1]):
-        if marks[o, c, DISTURBED] != marks[b, c, DISTURBED]:
+        if marks[o, c, DISTURBED] != marks[b, c, DISTURBED] or marks[o, c, STEPPED] != marks[b, c, STEPPED]:
             return False
         if abs(marks[o, c, FACTOR] / marks[b, c, FACTOR] - 1.0) > SAME_NOISE:
             return False

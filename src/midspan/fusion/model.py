@@ -20,6 +20,7 @@ from midspan.fusion.forward import (
 )
 from midspan.fusion.hypotheses import (
     ACCEPTED_AT,
+    BEGAN_AT,
     FACTOR,
     LAST_AT,
     MARK_COLUMNS,
@@ -66,8 +67,9 @@ class Rates:
 
     outlier: share of measurements that are wrong by any amount; stays: of those whose next one is wrong too, of errors
     of the acceleration that last from one measurement to the next, and of a sensor's targets that shift with one.
-    shift, wrong, lost, noise: a second, see `hypotheses`; once an hour each. back: of a shifted zero, a second. odds:
-    logarithm by which a hypothesis falls behind the best before it is dropped: at 12 it is 160 000 times less likely.
+    shift, wrong, lost, noise, clock: a second, see `hypotheses`; once an hour each. back: of a shifted zero, a second.
+    odds: logarithm by which a hypothesis falls behind the best before it is dropped: at 12 it is 160 000 times less
+    likely.
     """
 
     outlier: float = 0.01
@@ -77,6 +79,7 @@ class Rates:
     wrong: float = 1.0 / 3600.0
     noise: float = 1.0 / 3600.0
     lost: float = 1.0 / 3600.0
+    clock: float = 1.0 / 3600.0
     odds: float = 12.0
 
 
@@ -89,8 +92,9 @@ class EstimatorSettings:
     bias_walk: density of its random walk, (m/s²)²/s. velocity_std_m_s: None to take it from the first measurements.
     displacement_std_m: how far from the first measurement the structure may be. noise_memory: measurements over which a
     channel's noise is followed; fewer follow it faster, and it then scatters by sqrt(2/noise_memory). noise_weight: how
-    many measurements the channels' variance factors rest on. zero_ns: instant that rows count from; None: from the
-    sensors' own zero.
+    many measurements the channels' variance factors rest on. motion (one an axis): standard deviation (m) of
+    displacement and middle angular frequency (1/s): what a sensor measures whose clock has stepped; 0: clocks do not
+    step. zero_ns: instant that rows count from; None: from the sensors' own zero.
     """
 
     channels: tuple[Channel, ...]
@@ -105,6 +109,7 @@ class EstimatorSettings:
     rates: Rates = field(default_factory=Rates)
     noise_memory: float = 100.0
     noise_weight: float = 20.0
+    motion: tuple[tuple[float, float], ...] = ((0.0, 0.0), (0.0, 0.0))
     zero_ns: int | None = None
 
     @property
@@ -123,7 +128,7 @@ Tables = tuple[Floats, Floats, NDArray[np.int64], int, Floats]
 
 
 def tables_of(settings: EstimatorSettings, origin_ns: int = 0) -> Tables:
-    """Walks (n,), channels (c, 9), kinds (c, k), the first state of the datums, and when each parameter is estimated
+    """Walks (n,), channels (c, 11), kinds (c, k), the first state of the datums, and when each parameter is estimated
     and how it walks (k, 2), as `run_block` takes them; origin_ns: what times in s count from.
     """
     walks = np.zeros(settings.size)
@@ -142,6 +147,7 @@ def tables_of(settings: EstimatorSettings, origin_ns: int = 0) -> Tables:
             channel.source,
             channel.coasting_s,
             channel.lost_s,
+            *apart(settings, channel),
         )
     kinds = np.zeros((len(settings.channels), len(settings.parameters)), dtype=np.int64)
     for q, parameter in enumerate(settings.parameters):
@@ -153,12 +159,24 @@ def tables_of(settings: EstimatorSettings, origin_ns: int = 0) -> Tables:
     return walks, channels, kinds, -1 if settings.zero_ns is None else 3 * settings.axes, learning
 
 
+def apart(settings: EstimatorSettings, channel: Channel) -> tuple[float, float]:
+    """Variance (m²) of what a clock's step makes of a channel's measurements, and the rate (1/s) at which it changes.
+
+    Two instants far apart differ by twice the motion's variance. The targets of a sensor differ by the same, which is
+    told of each of them as if it were its own: their mean must not be more certain than one.
+    """
+    std_m, rate_s = settings.motion[channel.axis]
+    targets = sum((one.sensor, one.axis) == (channel.sensor, channel.axis) for one in settings.channels)
+    return 2.0 * std_m**2 * targets, rate_s
+
+
 def options_of(settings: EstimatorSettings) -> Floats:
     """The rates and the noise's memory as `hypotheses` takes them."""
     rates = settings.rates
     return np.array(
         [
-            *(rates.outlier, rates.stays, rates.shift, rates.back, rates.wrong, rates.noise, rates.lost, rates.odds),
+            *(rates.outlier, rates.stays, rates.shift, rates.back, rates.wrong, rates.noise, rates.lost),
+            *(rates.clock, rates.odds),
             settings.noise_memory,
         ]
     )
@@ -188,7 +206,7 @@ def hypotheses_at(begin: Beginning, settings: EstimatorSettings) -> tuple[Hyps, 
     marks[0, :, FACTOR] = [channel.variance_factor for channel in settings.channels]
     marks[0, :, RESTS_ON], marks[0, :, ACCEPTED_AT] = settings.noise_weight, -np.inf
     marks[0, :, MET_AT] = begin.time_s - START_S
-    memory[0, [SHIFT_AT, OUTLIER_AT]], memory[0, LAST_AT] = -np.inf, begin.time_s
+    memory[0, [SHIFT_AT, OUTLIER_AT]], memory[0, [LAST_AT, BEGAN_AT]] = -np.inf, begin.time_s
     spreads = np.zeros((count, k, k))
     given = settings.parameter_covariance
     spreads[0] = np.diag([p.std**2 for p in settings.parameters]) if given is None else given

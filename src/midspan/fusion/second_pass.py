@@ -15,7 +15,7 @@ from midspan.fusion.estimator import BLOCK, Estimator, EstimatorState, Log, Rows
 from midspan.fusion.filtering import FOUND_VARIANCE, FOUND_VELOCITY, FOUND_X, backward_block, zero_variance
 from midspan.fusion.forward import AT, TIME
 from midspan.fusion.model import Beginning, Block, EstimatorSettings, Filter, Left, options_of, run, tables_of
-from midspan.records import Estimate, Floats, Measured, Samples, joined, part
+from midspan.records import Estimate, Event, Floats, Measured, Samples, joined, part
 
 # Of the lag, the part by which the window moves on at once.
 HOPS = 4
@@ -151,9 +151,9 @@ class Lag:
         # Samples pushed, and those of the window that were given out already.
         self._pushed = self._given = 0
 
-    def push(self, record: Samples | Measured) -> list[Rows]:
+    def push(self, record: Samples | Measured | Event) -> list[Rows]:
         """Take one block, as `Estimator.push`."""
-        if isinstance(record, Measured):
+        if not isinstance(record, Samples):
             return self.estimator.push(record)
         found, first = [], 0
         while first < len(record.time_ns):

@@ -201,6 +201,7 @@ def estimator_settings(table: Table, sides: Sequence[Side], zero_ns: int | None)
         parameters=tuple(table.parameters),
         bias_m_s2=tuple(side.calibration.bias_m_s2 for side in sides),
         bias_std_m_s2=tuple(bias_std(side) for side in sides),
+        motion=tuple(figures(side, 1.0).motion if side.recording.fused else (0.0, 0.0) for side in sides),
         zero_ns=zero_ns,
     )
 
