@@ -181,3 +181,22 @@ def test_what_is_held_does_not_grow():
         sizes.append(len(state.samples.time_ns) + len(state.decided.rows) + len(state.estimator.undecided.rows))
     # The lag and a quarter of it, and what is not decided yet.
     assert max(sizes[3:]) < 1000
+
+
+@pytest.mark.parametrize("seed", [3, 7, 36, 45])
+def test_no_start_leaves_all_that_is_measured_later_rejected(seed):
+    # Four of the first eight values are 10 to 60 deviations off: no hypothesis may be right, and one must find back.
+    rng = np.random.default_rng(seed)
+    time, met, parts = np.arange(1000) / 100.0, np.arange(100) / 10.0 + 0.004, ((8e-3, 0.1), (3e-3, 3.3))
+
+    def moved(at):
+        return sum(size * np.sin(2 * np.pi * hz * at) for size, hz in parts)
+
+    value, wrong = moved(met) + rng.normal(0, NOISE_D, met.size), rng.choice(8, 4, replace=False)
+    value[wrong] += rng.choice([-1.0, 1.0], 4) * rng.uniform(1e-3, 6e-3, 4)
+    pushed = -sum(size * (2 * np.pi * hz) ** 2 * np.sin(2 * np.pi * hz * time) for size, hz in parts) + 5e-3
+    acceleration = acceleration_block(time, pushed + rng.normal(0, NOISE_A, time.size), NOISE_A**2 / 100.0)
+    found = filtered(acceleration, displacement_block(met, value, NOISE_D**2)).estimate
+    settled = found.time_ns > 7e9
+    # Six deviations of the causal band (0.06 mm).
+    assert np.abs(found.displacement_m - moved(found.time_ns / 1e9))[settled].max() < 4e-4

@@ -470,11 +470,16 @@ def split(hyps, count, row, scene, tables, options, scratch, doubted, chances): 
             chances[b] += np.log(options[P_STAYS])
     flat = chances[:count].ravel()
     order = np.argsort(-flat)
-    made = 0
-    for place in order[: MOST // 2]:
-        if not flat[place] > flat[order[0]] - options[ODDS]:
+    made = rejecting = 0
+    for place in order:
+        if made == MOST // 2 or not flat[place] > flat[order[0]] - options[ODDS]:
             break
         b, kind = place // KINDS, place % KINDS
+        if kind == OUTLIER:
+            # Those that reject are told nothing: all of them together would keep out for ever what could take it.
+            if rejecting == MOST // 4:
+                continue
+            rejecting += 1
         copy_hypothesis(hyps, MOST + made, b)
         become(kind, one_of(hyps, MOST + made), row, scene, tables, options, scratch)
         memory[MOST + made, WEIGHT], memory[MOST + made, PARENT] = flat[place], b

@@ -48,7 +48,6 @@ from midspan.vision.tracker import Tracker
 REACH_SHARE = 0.1  # of the region's side: how sure the last place is for a tracker that is new to the frame
 TURNED = 0.8  # share of the usual strength below which temperatures are looked at with bright and dark exchanged
 EXCHANGED_TURNS = 4  # every so many tries it is the first frame with bright and dark exchanged
-KNOWN_PX = 0.02  # a key frame known so well need not be found again
 COVERED = 0.03  # share of the target covered from which nothing is learnt
 LINK_PX = 0.5  # how well a frame's place must be known to go on from it without overlap
 LINK_FRAMES = 5  # frames that may have been lost since
@@ -341,7 +340,9 @@ class KeyFrameTracker(Tracker):
     def _tried_exchanged(self, frame: Frame, here: Prediction) -> None:
         """Back to what the first frame says with bright and dark exchanged, where that matches and is better known."""
         seen = self._aside(0, exchanged(frame), here)
-        better = self._state.chain.variance(self._state.current) > 4.0 * variance_of(seen) + KNOWN_PX**2
+        # One that is known as well as any can be need not be found again.
+        least = self.settings.link_floor_px**2
+        better = self._state.chain.variance(self._state.current) > 4.0 * variance_of(seen) + least
         if seen.status is Status.TRACKING and self._as_strong(0, seen) and better.any():
             self._adopted(0, seen, frame)
 
