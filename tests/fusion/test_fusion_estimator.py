@@ -189,6 +189,42 @@ def test_a_measurement_that_comes_too_late_is_told_once():
     assert [event.kind for one in found for event in one.events] == ["late"]
 
 
+@pytest.mark.parametrize("begun", [False, True])
+def test_measurements_that_wait_for_samples_are_bounded_and_an_overflow_is_told_once(begun, monkeypatch):
+    monkeypatch.setattr("midspan.fusion.estimator.MAX_WAITING", 100)
+    rng = np.random.default_rng(11)
+    truth = oscillating(rng, LENGTH_S)
+    samples = samples_of(truth, rng, length_s=LENGTH_S)
+    measured = measured_of([sensor_of(truth, rng, length_s=LENGTH_S)])
+    stream = Estimator(EstimatorSettings((camera(),)))
+    events, done = [], 0
+    if begun:
+        done = 30
+        stream.push(part(measured, slice(done)))
+        events += stream.push(part(samples, slice(300)))
+    for k in range(done, 300):
+        stream.push(part(measured, slice(k, k + 1)))
+        assert len(stream.state.waiting) <= 100
+        assert len(stream.state.early) <= 100
+    stream.restore(stream.state)
+    events += stream.push(part(samples, slice(300 if begun else 0, 2000)))
+    rest = stream.push(part(samples, slice(2000, None)))
+    told = [event for one in [*events, *rest] for event in one.events if event.kind == "overflow"]
+    assert [event.time_ns for event in told] == [measured.time_ns[done]]
+    # The newest hundred are used.
+    used = np.concatenate([one.innovations[0].time_ns for one in [*events, *rest] if one.innovations])
+    np.testing.assert_array_equal(used[done:], measured.time_ns[200:300])
+
+
+def test_an_overflow_is_told_where_samples_never_come():
+    rng = np.random.default_rng(11)
+    measured = measured_of([sensor_of(oscillating(rng, LENGTH_S), rng, length_s=LENGTH_S)])
+    stream = Estimator(EstimatorSettings((camera(),)))
+    for _ in range(65537):
+        stream.push(part(measured, slice(1)))
+    assert [event.kind for one in stream.finish() for event in one.events] == ["overflow"]
+
+
 def test_unusable_measurements_are_left_out():
     rng = np.random.default_rng(12)
     truth = oscillating(rng, LENGTH_S)

@@ -94,7 +94,8 @@ def beginning(samples: Floats, rows: Floats, settings: EstimatorSettings) -> Beg
         for c in np.unique(own[:, CHANNEL]):
             one = own[own[:, CHANNEL] == c]
             steps = np.diff(one[:, VALUE]) / per_m[int(c)] / np.maximum(np.diff(one[:, AT]), 1e-3)
-            speed = max(speed, np.sqrt(np.mean(steps**2))) if len(steps) else speed
+            # The median: outliers among the first ones would let the velocity be anything.
+            speed = max(speed, np.median(np.abs(steps))) if len(steps) else speed
         velocity[a] = VELOCITY_WITHIN * speed
     if settings.velocity_std_m_s is not None:
         velocity[:] = settings.velocity_std_m_s[: settings.axes]

@@ -87,7 +87,10 @@ class Rows:
 
 @dataclass(frozen=True, slots=True)
 class EstimatorState:
-    """All that an estimator remembers; filter: None while rows are held back, integrated: only until then."""
+    """All that an estimator remembers.
+
+    filter: None while rows are held back; integrated: only until then; overflown: measurements were dropped.
+    """
 
     origin_ns: int | None
     early: tuple[Measured, ...]
@@ -99,6 +102,7 @@ class EstimatorState:
     undecided: Undecided
     told: Telling
     late: tuple[int, ...]
+    overflown: bool
     events: tuple[Event, ...]
 
 
@@ -137,6 +141,7 @@ class Estimator:
         self._undecided = Undecided.none()
         self._told = Telling.nothing(settings.channels)
         self._late: set[int] = set()
+        self._overflown = False
         self._events: list[Event] = []
 
     def push(self, record: Samples | Measured | Event) -> list[Rows]:
@@ -160,7 +165,7 @@ class Estimator:
         """The rows that are held back still, and events that the record's end completes."""
         rows = [] if self._filter is not None or self._held is None else self._begin(self._held, ended=True)
         if self._filter is None:
-            return rows
+            return [*rows, Rows((), (), tuple(self._events))] if self._events else rows
         decided, self._undecided = self._undecided.decided(self._filter.count, all_of_them=True)
         events = [*self._settle(decided), *runs_left(self._told, self.settings.channels, self._origin)]
         return [*rows, Rows((), (), tuple(events))] if events else rows
@@ -196,6 +201,7 @@ class Estimator:
             self._undecided,
             self._told,
             tuple(sorted(self._late)),
+            self._overflown,
             tuple(self._events),
         )
 
@@ -206,7 +212,7 @@ class Estimator:
         self._integrated = state.integrated
         self._filter = None if state.filter is None else state.filter.resumed()
         self._first_s, self._undecided, self._told = state.first_s, state.undecided, state.told
-        self._late, self._events = set(state.late), list(state.events)
+        self._late, self._overflown, self._events = set(state.late), state.overflown, list(state.events)
         self.tables = tables_of(self.settings, self._origin)
 
     @property
@@ -234,6 +240,8 @@ class Estimator:
         if self._origin_ns is None:
             # Times are counted from the first sample, which is still to come.
             self._early.append(record)
+            if len(self._early) > MAX_WAITING:
+                self._overflow(int(self._early.pop(0).time_ns[0]))
             return
         rows = measured_rows(record, self.settings, self._origin)
         done = -np.inf if self._filter is None else self._filter.clock[TIME]
@@ -246,7 +254,17 @@ class Estimator:
                     self._events.append(Event(first, "late", f"Measurements of {name} came too late and are left out."))
             self._late |= set(rows[late, CHANNEL].astype(int).tolist())
             self._late -= set(rows[~late, CHANNEL].astype(int).tolist())
-        self._waiting = in_order(np.concatenate((self._waiting, rows[~late])))[-MAX_WAITING:]
+        waiting = in_order(np.concatenate((self._waiting, rows[~late])))
+        if len(waiting) > MAX_WAITING:
+            self._overflow(self._origin + round(float(waiting[0, AT]) * NANOSECONDS))
+        self._waiting = waiting[-MAX_WAITING:]
+
+    def _overflow(self, time_ns: int) -> None:
+        """Tell that measurements from an instant on are dropped: once, until half of what may wait is gone."""
+        if not self._overflown:
+            text = f"More than {MAX_WAITING} measurements wait for samples of acceleration; the oldest are left out."
+            self._events.append(Event(time_ns, "overflow", text))
+        self._overflown = True
 
     def _doubt(self, time_s: float) -> None:
         """Let the clocks be in doubt from an instant on; before the filter has begun it knows of none."""
@@ -325,6 +343,7 @@ class Estimator:
         """Waiting measurements up to an instant, which no longer wait."""
         due = int(np.searchsorted(self._waiting[:, AT], until_s, side="right"))
         rows, self._waiting = self._waiting[:due].copy(), self._waiting[due:]
+        self._overflown = self._overflown and len(self._waiting) > MAX_WAITING // 2
         return rows
 
     def _rows(self, samples: Samples, rows: Floats, left: Left, shown: Left) -> Rows:

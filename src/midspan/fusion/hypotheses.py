@@ -83,9 +83,9 @@ GATE = 4.0
     BEGAN_AT,
 ) = range(15)
 MEMORY_COLUMNS = 15
-# And for each channel: factor on its variance, and how many measurements it rests on; whether the last one was an
-# outlier, and the value of the first of these in a row; whether its zero has shifted; whether it was met; variance of
-# its reference (m²); when it was last met, when last accepted, and with which variance (m²), its reference's included;
+# And for each channel: factor on its variance, and how many measurements it rests on; how many outliers in a row the
+# last ones were, and the value of the first of these; whether its zero has shifted; whether it was met; variance of its
+# reference (m²); when it was last met, when last accepted, and with which variance (m²), its reference's included;
 # whether its clock has stepped, and whether that is in doubt: stamps were missing or went back since the last
 # measurement.
 (
@@ -292,7 +292,7 @@ def weigh_return(hyp, row, seen, channel, options, scratch, chances):  # type: i
 def weigh(hyp, row, scene, tables, options, scratch, asked, chances):  # type: ignore[no-untyped-def]
     """Logarithms of the weights (8,) of what a hypothesis may become by a measurement; -inf: not looked at.
 
-    asked = (whether it may be an outlier even where it lies inside the gate, variance of the sharpest prediction that
+    asked = (whether it is one of the first and may be an outlier even inside the gate, variance of the sharpest prediction that
     any hypothesis has of it).
     """
     _, _, marks, memory, _, _ = hyp
@@ -304,15 +304,15 @@ def weigh(hyp, row, scene, tables, options, scratch, asked, chances):  # type: i
     p_out = options[P_STAYS] if mark[DISTURBED] > 0.0 or same_frame else options[P_OUTLIER]
     chances[:] = -np.inf
     chances[GOOD] = prior + log_normal(error, total) + np.log(1.0 - p_out)
-    size = log_any_size(error, total)
+    size = kept = log_any_size(error, total)
     inside = error * error <= GATE * GATE * total
     doubted = asked[0] or wider > VAGUE * own
     if inside and not doubted and p_out == options[P_OUTLIER]:
         pass
     elif mark[DISTURBED] > 0.0:
         # A value near the first outlier's says nothing against the sensor where no hypothesis can tell the motion.
-        kept = np.log(0.5) + max(size, log_normal(row[VALUE] - mark[KEPT], max(2.0 * own, asked[1])))
-        chances[OUTLIER] = prior + kept + np.log(p_out)
+        kept = max(size, log_normal(row[VALUE] - mark[KEPT], max(2.0 * own, asked[1])))
+        chances[OUTLIER] = prior + np.log(0.5) + kept + np.log(p_out)
     else:
         chances[OUTLIER] = prior + size + np.log(p_out)
     if memory[DENSITY] > 0.0:
@@ -321,12 +321,14 @@ def weigh(hyp, row, scene, tables, options, scratch, asked, chances):  # type: i
     lapse = max(row[AT] - max(mark[ACCEPTED_AT], memory[BEGAN_AT]), SHORTEST_S)
     if mark[SHIFTED] > 0.0 or mark[STEPPED] > 0.0:
         weigh_return(hyp, row, (error, wider, own), channel, options, scratch, chances)
-    if (not inside or mark[DOUBTED] > 0.0) and mark[STEPPED] == 0.0 and mark[SHIFTED] == 0.0 and channel[APART] > 0.0:
+    may_step = mark[STEPPED] + mark[SHIFTED] == 0.0 and channel[APART] > 0.0 and not asked[0]
+    if may_step and (not inside or mark[DOUBTED] > 0.0):
         rate = P_STEPPED if mark[DOUBTED] > 0.0 else options[CLOCK_RATE] * lapse
         rate = options[P_STAYS] if sensor_stepped(marks, tables[1], int(row[CHANNEL])) else rate
         apart = channel[APART] * channel[UNITS_PER_M] ** 2
         chances[CLOCK] = prior + np.log(rate) + log_normal(error, total + apart)
-    if inside:
+    # Of the first measurements it is asked only which are outliers: what is met once an hour is not met just then.
+    if inside or asked[0]:
         return
     if mark[STEPPED] > 0.0:
         pass
@@ -337,8 +339,13 @@ def weigh(hyp, row, scene, tables, options, scratch, asked, chances):  # type: i
     else:
         chances[SHIFT] = prior + np.log(options[SHIFT_RATE] * lapse) + size
     chances[WRONG] = prior + np.log(options[WRONG_RATE] * lapse) + size
-    chances[LOST] = max(chances[LOST], prior + np.log(options[LOST_RATE] * lapse) + size)
     chances[NOISE] = prior + np.log(options[NOISE_RATE] * lapse) + size
+    led = np.log(options[LOST_RATE] * lapse)
+    if mark[DISTURBED] > 0.0:
+        # With each outlier it becomes more likely that the state was wrong before the first of them.
+        led = min(led - mark[DISTURBED] * np.log(0.5 * options[P_STAYS]), np.log(options[P_OUTLIER]))
+        size = kept
+    chances[LOST] = max(chances[LOST], prior + led + size)
 
 
 @njit(cache=True)
@@ -358,7 +365,8 @@ def become(code, hyp, row, scene, tables, options, scratch):  # type: ignore[no-
     if kind == OUTLIER:
         if mark[DISTURBED] == 0.0:
             # From value to value a fast sensor always keeps its own; stuck is one that keeps the first.
-            mark[DISTURBED], mark[KEPT] = 1.0, row[VALUE]
+            mark[KEPT] = row[VALUE]
+        mark[DISTURBED] += 1.0
         memory[OUTLIER_AT], memory[OUTLIER_OF] = row[AT], channel[SENSOR_OF]
         memory[ERROR], memory[TOTAL] = seen[0], seen[2] + seen[3]
         if code >= ENDED:
@@ -381,6 +389,7 @@ def become(code, hyp, row, scene, tables, options, scratch):  # type: ignore[no-
         memory[DENSITY], memory[ALONG] = 3.0 * size * size / lapse**3, a
         add_noise(p, 3 * a, lapse, memory[DENSITY])
     elif kind == LOST:
+        lapse = max(row[AT] - max(mark[ACCEPTED_AT], memory[BEGAN_AT]), SHORTEST_S)
         size = max(abs(size), np.sqrt(total) / abs(channel[UNITS_PER_M]))
         for i, std in ((3 * a, size), (3 * a + 1, size / lapse), (3 * a + 2, size / lapse**2)):
             p[i, i] += std * std
@@ -412,7 +421,9 @@ def alike(hyps, b, o):  # type: ignore[no-untyped-def]
     if memory[o, DENSITY] != memory[b, DENSITY]:
         return False
     for c in range(marks.shape[1]):
-        if marks[o, c, DISTURBED] != marks[b, c, DISTURBED] or marks[o, c, STEPPED] != marks[b, c, STEPPED]:
+        if (marks[o, c, DISTURBED] > 0.0) != (marks[b, c, DISTURBED] > 0.0) or marks[o, c, STEPPED] != marks[
+            b, c, STEPPED
+        ]:
             return False
         if abs(marks[o, c, FACTOR] / marks[b, c, FACTOR] - 1.0) > SAME_NOISE:
             return False
