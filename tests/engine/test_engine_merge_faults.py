@@ -50,7 +50,7 @@ def stamps_of(record):
 
 def in_order(out):
     """Each stream increases, and nothing comes after what belongs behind it."""
-    newest = {name: -(10**18) for name in RATES_HZ}
+    newest = dict.fromkeys(RATES_HZ, -(10**18))
     for arrival in out:
         if isinstance(arrival.record, Event):
             continue

@@ -292,8 +292,8 @@ def weigh_return(hyp, row, seen, channel, options, scratch, chances):  # type: i
 def weigh(hyp, row, scene, tables, options, scratch, asked, chances):  # type: ignore[no-untyped-def]
     """Logarithms of the weights (8,) of what a hypothesis may become by a measurement; -inf: not looked at.
 
-    asked = (whether it is one of the first and may be an outlier even inside the gate, variance of the sharpest prediction that
-    any hypothesis has of it).
+    asked = (whether it is one of the first and may be an outlier even inside the gate, variance of the sharpest
+    prediction that any hypothesis has of it).
     """
     _, _, marks, memory, _, _ = hyp
     channel = tables[1][int(row[CHANNEL])]
