@@ -161,7 +161,7 @@ def _text(kind: int, channel: Channel, size: tuple[float, float]) -> str:
         LOST: f"The predicted displacement had been led away: {name} measured {off} off, and the estimator started "
         "anew from it.",
         NOISE: f"The noise of {name} rose suddenly: a measurement lies {off} off, and its variance is raised.",
-        CLOCK: f"The clock of {channel.sensor} has stepped against the accelerometer's: its measurements (target "
-        f"{channel.target}) contradict the acceleration, the first by {off}. They bound only the slow motion from here "
-        "on. Calibrate the clock offset again.",
+        CLOCK: f"The clocks of {channel.sensor} and of the accelerometer have stepped against each other: measurements "
+        f"(target {channel.target}) contradict the acceleration, the first by {off}. They bound only the slow motion "
+        "from here on. Calibrate the clock offset again.",
     }[kind]
