@@ -187,16 +187,15 @@ def scale_state(x, p, i, factor):  # type: ignore[no-untyped-def]
 def move_reference(x, p, i, was, now):  # type: ignore[no-untyped-def]
     """Bring the reference's state `i` from one variance (m²) to another; returns the factor that it is scaled by.
 
-    A farther reference adds an error of its own. A nearer one, of q = now / was, has an error of which q (2 − q) is in
-    the old one: all where the variance falls little by little, which is the same reference seen better, and little
-    where it falls at once. So the first reference again is exact.
+    A farther reference adds an error of its own; a nearer one is without what was added since: of an error that is a
+    sum of independent steps, the part up to a variance `now` is now / was of it on the mean, and as uncertain as a
+    Brownian bridge there. So the first reference again is exact, and a variance that goes up and down tells nothing of
+    the error's size.
     """
     if now < was:
-        nearer = now / was
-        alike = nearer * (2.0 - nearer)
-        factor = np.sqrt(alike * nearer)
+        factor = now / was
         scale_state(x, p, i, factor)
-        p[i, i] += now * (1.0 - alike)
+        p[i, i] += now * (1.0 - factor)
         return factor
     p[i, i] += now - was
     return 1.0
