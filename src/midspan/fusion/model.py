@@ -65,8 +65,9 @@ class Parameter:
 class Rates:
     """How often each is met, and what decides.
 
-    outlier: share of measurements that are wrong by any amount; stays: of those whose next one is wrong too, of errors
-    of the acceleration that last from one measurement to the next, and of a sensor's targets that shift with one.
+    outlier: least share of measurements that are wrong by any amount; more is learnt. stays: of those whose next one
+    is wrong too, of errors of the acceleration that last from one measurement to the next, and of a sensor's targets
+    that shift with one.
     shift, wrong, lost, noise, clock: a second, see `hypotheses`; once an hour each. back: of a shifted zero, a second.
     odds: logarithm by which a hypothesis falls behind the best before it is dropped: at 12 it is 160 000 times less
     likely.
@@ -171,13 +172,14 @@ def apart(settings: EstimatorSettings, channel: Channel) -> tuple[float, float]:
 
 
 def options_of(settings: EstimatorSettings) -> Floats:
-    """The rates and the noise's memory as `hypotheses` takes them."""
+    """Rates, the noise's memory and the bias's deviation as `hypotheses` takes them."""
     rates = settings.rates
     return np.array(
         [
             *(rates.outlier, rates.stays, rates.shift, rates.back, rates.wrong, rates.noise, rates.lost),
             *(rates.clock, rates.odds),
             settings.noise_memory,
+            max(settings.bias_std_m_s2[: settings.axes]),
         ]
     )
 
