@@ -8,6 +8,7 @@ import pytest
 import midspan
 from midspan.cli.main import run
 from midspan.recording.inspect import inspect_recording
+from midspan.recording.stored.calibration_file import calibration_from_dict
 from midspan.recording.tracking.track import TrackRequest, track
 from midspan.records import Region
 
@@ -95,29 +96,37 @@ def test_inspect_shows_every_sensor_under_its_name(folder):
     assert tree["level"]["largest"] == pytest.approx(1e-3, rel=1e-2)
 
 
-@pytest.mark.parametrize("work", [midspan.calibrate, midspan.estimate, track])
-def test_what_takes_one_sensor_of_a_kind_names_the_sections(folder, work):
-    given = folder if work is track else midspan.open_recording(folder)
+def test_the_printed_forms_take_one_sensor_of_a_kind_and_name_the_sections(folder):
+    recording = midspan.open_recording(folder, fusion={"method": "adaptive-kalman", "literal": True})
     with pytest.raises(midspan.UsageError, match=r"\[\[camera\]\] must be one section here; received 2: left, right"):
-        work(given)
+        midspan.calibrate(recording)
 
 
-def test_track_asks_only_for_one_camera(folder):
-    text = (folder / "recording.toml").read_text()
-    start, end = text.index('[[camera]]\nname = "right"'), text.index("[[radar]]")
-    (folder / "recording.toml").write_text(text[:start] + text[end:])
-    assert len(track(folder, TrackRequest(region=Region(5, 5, 20, 20), tracker="template")).track.time_ns) == 12
+def test_track_follows_the_first_camera_and_tells_of_the_other(folder):
+    found = track(folder, TrackRequest(region=Region(5, 5, 20, 20), tracker="template"))
+    assert len(found.track.time_ns) == 12
+    assert "Only the [left] was tracked; for [right] give its file as SOURCE." in found.warnings
 
 
-def test_a_calibration_of_several_sensors_is_not_taken_for_one(folder):
-    text = (folder / "recording.toml").read_text()
+def test_a_sensor_takes_its_own_part_of_a_calibration_of_several(folder):
+    recording = midspan.open_recording(folder)
     tree = {"accelerometer": {"noise_std_m_s2": 0.01}}
-    tree["displacement"] = [{"name": name, "noise_std_mm": 1.0, "time_offset_s": 0.0} for name in ("gnss", "level")]
-    (folder / "calibration.json").write_text(json.dumps(tree))
+    tree["displacement"] = [
+        {"name": name, "noise_std_mm": n, "time_offset_s": 0.0} for n, name in ((1, "level"), (2, "gnss"))
+    ]
+    calibration = calibration_from_dict(tree)
+    known = {view.sensor: calibration.of_sensor(view.own, view.beside) for view in recording.views}
+    assert (known["gnss"].noise_std_m, known["level"].noise_std_m) == (2e-3, 1e-3)
+    assert known["left"] is known["near"] is None
+    # One without a name belongs to the only sensor of its kind, and to none of several.
+    tree["displacement"] = tree["displacement"][0] | {"name": None}
+    unnamed = calibration_from_dict(tree)
+    assert [unnamed.of_sensor(view.own, view.beside) for view in recording.views] == [None] * 6
+    text = (folder / "recording.toml").read_text()
     alone = text[: text.index("[[camera]]")] + text[text.index("[[displacement]]") : text.rindex("[[displacement]]")]
     (folder / "recording.toml").write_text(alone)
-    with pytest.raises(midspan.UsageError, match="one sensor of each kind here; received gnss, level"):
-        midspan.estimate(folder, folder / "calibration.json")
+    (gnss,) = midspan.open_recording(folder).views
+    assert unnamed.of_sensor(gnss.own, gnss.beside) is unnamed.displacement
 
 
 def test_check_config_shows_every_section_and_what_is_missing(folder, capsys):

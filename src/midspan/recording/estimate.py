@@ -1,6 +1,6 @@
 """`estimate`: the main job, from a recording to displacement at the accelerometer's rate with its error band."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -16,7 +16,16 @@ from midspan.fusion.streams import MethodSettings
 from midspan.recording.calibrate import calibrate_and_track
 from midspan.recording.camera_result import CameraResult, camera_result, camera_series
 from midspan.recording.cameras.lost_target import lost_events, lost_warnings
-from midspan.recording.cameras.tracked import Eye, Side, clock_std_s, open_eyes, side_of
+from midspan.recording.cameras.tracked import (
+    Eye,
+    Known,
+    Side,
+    clock_std_s,
+    known_sensors,
+    offsets_of,
+    open_eyes,
+    side_of,
+)
 from midspan.recording.displacement.sensor import displacement_series, require_known
 from midspan.recording.fusing.one_clock import OneClock
 from midspan.recording.messages import (
@@ -36,9 +45,10 @@ from midspan.recording.one_series import (
 )
 from midspan.recording.point import measuring_point
 from midspan.recording.printed_radar import estimate_printed
+from midspan.recording.radar.chain import radar_part
 from midspan.recording.radar.messages import REPORTED, radar_warnings, with_levels
 from midspan.recording.result import Result
-from midspan.recording.run import Outcome, run
+from midspan.recording.run import Outcome, run, used_when
 from midspan.recording.second_axis import SecondAxis
 from midspan.recording.second_look import (
     Offsets,
@@ -87,7 +97,6 @@ def estimate(
     method = option("method", method or recording.settings.fusion.method, METHODS)
     if recording.has("radar") and recording.settings.fusion.literal:
         return estimate_printed(recording, calibration, method, progress)
-    recording.require_one_of_a_kind()
     if recording.settings.fusion.literal and not METHODS[method].literal:
         raise UsageError(f"{recording.file}: fusion: {no_literal_form(method)}.")
     given = calibration is not None and tracking is None
@@ -95,8 +104,9 @@ def estimate(
         calibration, tracking = calibrate_and_track(recording, progress)
     with naming(recording):
         require_same_cameras(recording, calibration)
-        if recording.has("displacement"):
-            require_known(recording, calibration)
+        for view in recording.views:
+            if view.kind in REQUIRED:
+                REQUIRED[view.kind](view, calibration)
         return _estimate(Asked(recording, calibration, method, given), tracking, progress)
 
 
@@ -140,11 +150,12 @@ class FirstPass:
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """Rows and innovations along each axis, events of the estimator and of the sensors' clocks, warnings."""
+    """Rows and innovations along each axis, when each sensor was used, events of the estimator and clocks, warnings."""
 
     rows: tuple[Estimate, ...]
     innovations: tuple[Innovation, ...]
     zero_variance_m2: float
+    used: dict[str, list[tuple[int, int]]]
     events: tuple[Event, ...]
     warnings: tuple[str, ...]
 
@@ -167,8 +178,9 @@ def first_pass(asked: Asked, tracking: CameraTracking | None, progress: Progress
     eyes = open_eyes(sides, tracking, progress)
     lag_s = asked.recording.settings.fusion.lag_s if asked.method == "lag" else None
     memory = 1.0 / (1.0 - asked.recording.settings.fusion.forgetting) if asked.method == "adaptive-kalman" else None
-    if asked.recording.has("displacement"):
-        require_overlap(sides[0].prepared.time_ns, asked.recording.displacement.time_ns, "displacement")
+    for own in known_sensors(sides[0]):
+        if own.view.kind == "displacement":
+            require_overlap(sides[0].prepared.time_ns, own.view.displacement.time_ns, own.sensor)
     point = measuring_point(sides, eyes, lag_s=lag_s, noise_memory=memory)
     outcome = run(point, sides, eyes)
     for eye in eyes:
@@ -177,7 +189,7 @@ def first_pass(asked: Asked, tracking: CameraTracking | None, progress: Progress
         raise DataError(_no_overlap(asked.recording, outcome))
     cameras = tuple(_camera(eye, outcome) for eye in eyes)
     first = FirstPass(sides, eyes, point.estimator, outcome, cameras, ())
-    return replace(first, series=tuple(_series(asked, first, axis) for axis in range(len(sides))))
+    return replace(first, series=tuple(_series(first, axis) for axis in range(len(sides))))
 
 
 def left_out(side: Side, error: UntrustedError) -> str:
@@ -190,7 +202,7 @@ def fitted(asked: Asked, first: FirstPass) -> tuple[EstimatorSettings, list[str]
     settings = first.estimator.settings
     wider: dict[tuple[str, int], float] = {}
     warnings = uncalibrated(asked.recording, asked.calibration)
-    ran = clocks(first.series[0], first.sides[0], _offsets(asked, first.eyes))
+    ran = clocks(first.series[0], first.sides[0], _offsets(first))
     for axis, (side, own) in enumerate(zip(first.sides, first.series, strict=True)):
         if axis and not side.recording.fused:
             continue
@@ -203,8 +215,7 @@ def fitted(asked: Asked, first: FirstPass) -> tuple[EstimatorSettings, list[str]
             warnings.append(left_out(side, error))
             continue
         warnings += fits.warnings
-        found = {error.source: error.relative_scale_std for error in fits.errors}
-        wider |= {(name, axis): found[one.source] for name, one in series.items()}
+        wider |= {(name, axis): std for name, std in fits.scale_std.items()}
     return with_scales(settings, wider), warnings
 
 
@@ -226,7 +237,7 @@ def smoothed(asked: Asked, first: FirstPass, settings: EstimatorSettings) -> tup
     assert isinstance(estimator, Estimator)
     log = estimator.log
     assert log is not None
-    ran = clocks(first.series[0], first.sides[0], _offsets(asked, first.eyes))
+    ran = clocks(first.series[0], first.sides[0], _offsets(first))
     apart = {name: clock for name, clock in ran.items() if ran_apart(clock)}
     if apart or settings != estimator.settings:
         blocks = {name: outcome.measured_by(name) for name in outcome.measured}
@@ -255,7 +266,7 @@ def on_series(asked: Asked, first: FirstPass, settings: EstimatorSettings) -> Fo
         done = run_on_series(side, measured, asked.method, method, found.rows[axis])
         names = tuple(named)
         scale_std = max(scale_std_of(settings, name, axis) for name in names)
-        clock_std = max(clock_std_s(one.offset) for one in _offsets(asked, first.eyes).values())
+        clock_std = max(clock_std_s(one.offset) for one in _offsets(first).values())
         known = with_uncertain(done.estimate, found.zero_variance_m2, scale_std, clock_std)
         known = with_levels_since(known, found.rows[axis], measured, first.outcome.restarts_ns)
         rows[axis] = part(known, np.isin(known.time_ns, found.rows[axis].time_ns))
@@ -279,6 +290,7 @@ def _found(first: FirstPass, outcome: Outcome, rows: tuple[Estimate, ...]) -> Fo
         rows=tuple(part(one, span) for one in rows),
         innovations=tuple(innovation_along(outcome, channels, axis) for axis in range(len(rows))),
         zero_variance_m2=outcome.zero_variance_m2[0],
+        used={name: used_when(outcome, channels, name) for name in first.series[0]},
         events=outcome.fusion_events,
         warnings=(),
     )
@@ -288,7 +300,8 @@ def result_of(asked: Asked, first: FirstPass, found: Found) -> Result:
     """The result as plain data."""
     recording, main = asked.recording, found.rows[0]
     refuse_rejections(recording, found.innovations[0])
-    sensors, log = with_levels(first.outcome.sensor_events, main), first.outcome.radar
+    sensors, radars = with_levels(first.outcome.sensor_events, main), first.outcome.radars
+    info = {own.sensor: own.view.radar.info for own in known_sensors(first.sides[0]) if own.sensor in radars}
     fused = tuple(event for event in found.events if event.axis == 0)
     alone = unsupported_events(main)
     lost = [event for camera in first.cameras for event in lost_events(*_blind(camera, first))]
@@ -299,7 +312,7 @@ def result_of(asked: Asked, first: FirstPass, found: Found) -> Result:
         *(line for eye in first.eyes for line in eye.tracking.warnings()),
         *event_warnings(fused),
         *event_warnings(tuple(event for event in sensors if event.kind in ("frozen", *REPORTED))),
-        *([] if log is None else radar_warnings(log, recording.radar.info.warnings)),
+        *(line for name, log in radars.items() for line in radar_warnings(log, info[name].warnings, name)),
         *late_start(recording, first.outcome, main),
         *lost_end(recording, first.outcome, main),
         *shares(found.innovations[0], main),
@@ -317,9 +330,10 @@ def result_of(asked: Asked, first: FirstPass, found: Found) -> Result:
         warnings=tuple(dict.fromkeys(warnings)),
         cameras=first.cameras,
         measured=tuple(first.series[0].values()),
-        radar=None if log is None else log.trace(recording.radar.info.limit_speed_m_s),
+        radars={name: log.trace(info[name].limit_speed_m_s) for name, log in radars.items()},
         across=across,
         zero_std_m=float(np.sqrt(found.zero_variance_m2)),
+        used=found.used,
         file=recording.file,
         name=recording.name,
     )
@@ -364,28 +378,39 @@ def _camera(eye: Eye, outcome: Outcome) -> CameraResult:
     return camera_result(eye.tracking, eye.sensor, settings, eye.calibrations, outcome.events_of.get(eye.sensor, ()))
 
 
-def _series(asked: Asked, first: FirstPass, axis: int) -> dict[str, SensorSeries]:
+def _series(first: FirstPass, axis: int) -> dict[str, SensorSeries]:
     """What each sensor measured along an axis."""
     rows = first.outcome.estimate(axis)
     found = {camera.sensor: camera_series(camera, rows, axis) for camera in first.cameras}
-    if axis == 0 and "radar" in first.outcome.measured:
-        measured = first.outcome.measured_by("radar")
-        found["radar"] = channel_series(measured, first.estimator.settings.channels, "radar", rows)
-    known = asked.calibration.displacement
-    if axis == 0 and asked.recording.has("displacement") and known is not None:
-        found["displacement"] = displacement_series("displacement", asked.recording.displacement, known)
+    for own in known_sensors(first.sides[axis]) if axis == 0 else ():
+        found[own.sensor] = SERIES[own.view.kind](own, first, rows)
     return found
 
 
-def _offsets(asked: Asked, eyes: Sequence[Eye]) -> dict[str, Offsets]:
+def _radar_series(own: Known, first: FirstPass, rows: Estimate) -> SensorSeries:
+    """What a radar's targets measured together."""
+    channels = first.estimator.settings.channels
+    return channel_series(first.outcome.measured_by(own.sensor), channels, own.sensor, rows)
+
+
+def _displacement_series(own: Known, first: FirstPass, rows: Estimate) -> SensorSeries:
+    """What a displacement sensor measured."""
+    return displacement_series(own.view, own.calibration)
+
+
+# What sensors that are no cameras must be known of, and what each measured, by their kind.
+REQUIRED: dict[str, Callable[[Recording, Calibration], object]] = {"radar": radar_part, "displacement": require_known}
+SERIES: dict[str, Callable[[Known, FirstPass, Estimate], SensorSeries]] = {
+    "radar": _radar_series,
+    "displacement": _displacement_series,
+}
+
+
+def _offsets(first: FirstPass) -> dict[str, Offsets]:
     """The calibrated clock offset of each sensor."""
-    found = {eye.sensor: Offsets(eye.calibrations[0].offset, estimated=True) for eye in eyes}
-    radar, known = asked.calibration.radar, asked.calibration.displacement
-    if radar is not None:
-        found["radar"] = Offsets(radar.offset, estimated=True)
-    if known is not None:
-        found["displacement"] = Offsets(known.offset, estimated=asked.recording.learns_offset)
-    return found
+    taken = {own.sensor for own in known_sensors(first.sides[0]) if not own.view.learns_offset}
+    found = offsets_of(first.sides[0], first.eyes)
+    return {name: Offsets(offset, estimated=name not in taken) for name, offset in found.items()}
 
 
 def innovation_along(outcome: Outcome, channels: Sequence[Channel], axis: int) -> Innovation:

@@ -23,7 +23,7 @@ def uncalibrated(recording: Recording, calibration: Calibration) -> list[str]:
         f"[{view.sensor}] is left out of the result: the calibration that was given has no {view.sensor} part. Run "
         "`midspan calibrate` on a recording with both cameras."
         for view in recording.cameras
-        if calibration.camera_of(view.sensor) is None
+        if calibration.of_sensor(view.own, view.beside) is None
     ]
 
 
@@ -41,22 +41,17 @@ def event_warnings(events: tuple[Event, ...]) -> list[str]:
 
 def require_same_cameras(recording: Recording, calibration: Calibration) -> None:
     """UsageError for a calibration of other cameras, of another axis, or of a radar in another way."""
-    if calibration.others:
-        names = ", ".join(name for name, _, _ in calibration.sensors)
-        raise UsageError(
-            f"The calibration must be of one sensor of each kind here; received {names}. Keep those of the recording's "
-            "sensors in it, or run `midspan calibrate` on this recording."
-        )
-    if recording.has("radar") and calibration.radar is not None:
-        require_same_way(calibration.radar, recording.settings.fusion.literal)
+    for radar in (view for view in recording.views if view.kind == "radar"):
+        if (made := calibration.of_sensor(radar.own, radar.beside)) is not None:
+            require_same_way(made, recording.settings.fusion.literal)
     views = recording.cameras
-    if views and not any(calibration.camera_of(view.sensor) for view in views):
+    if views and not any(calibration.of_sensor(view.own, view.beside) for view in views):
         raise UsageError(
             f"The calibration has no {views[0].sensor} part, but the recording has a camera. Run `midspan calibrate` "
             "on a recording of this camera."
         )
     for view in views:
-        camera, known = view.settings.camera, calibration.camera_of(view.sensor)
+        camera, known = view.settings.camera, calibration.of_sensor(view.own, view.beside)
         if camera is None or known is None:
             continue
         made_for = calibration.direction if len(views) == 1 else known.direction

@@ -19,7 +19,7 @@ from midspan.recording.in_turn import in_turn
 from midspan.recording.sensor_series import SensorSeries
 from midspan.recording.streams.acceleration import from_first_measurement
 from midspan.recording.streams.span import shown
-from midspan.records import Displacement, Estimate, Floats, Nanoseconds, Source, joined, part, seconds
+from midspan.records import Displacement, Estimate, Floats, Nanoseconds, joined, part, seconds
 
 # The first velocity lies within so many times its rms.
 VELOCITY_WITHIN = 3.0
@@ -27,36 +27,43 @@ VELOCITY_WITHIN = 3.0
 RUN_AWAY = 10.0
 
 
-def one_series(series: Mapping[str, SensorSeries], path: Estimate, restarts_ns: Nanoseconds) -> Displacement:
+def one_series(
+    series: Mapping[str, SensorSeries], path: Estimate, restarts_ns: Mapping[str, Nanoseconds]
+) -> Displacement:
     """What the sensors measured, each in its turn, in time order and without outliers; path: smoothed displacement.
 
-    The zero of each sensor is moved onto the path's; restarts_ns (k,): instants from which on the radar's is a new one.
+    The zero of each sensor is moved onto the path's; restarts_ns (k,): instants from which on a radar's is a new one.
     """
     blocks = []
-    for one in series.values():
-        block = one.displacement
+    for number, (name, one) in enumerate(series.items()):
+        # The number stands for the sensor until it is known whose turn it is: there may be several of a kind.
+        block = replace(one.displacement, source=np.full(len(one.time_ns), number, dtype=np.uint8))
         expected, variance = at(path, block.time_ns)
         seen = np.isfinite(block.value_m) & np.isfinite(block.variance_m2)
         apart = block.value_m - expected
-        starts = restarts_ns if one.source == Source.RADAR else restarts_ns[:0]
-        edges = [0, *np.searchsorted(block.time_ns, starts), len(apart)]
+        edges = [0, *np.searchsorted(block.time_ns, restarts_ns.get(name, ())), len(apart)]
         for span in (slice(first, last) for first, last in pairwise(edges)):
             apart[span] -= np.median(apart[span][seen[span]]) if seen[span].any() else 0.0
         far = seen & (apart**2 > OUTLIER_STD**2 * (block.variance_m2 + variance))
         blocks.append(replace(block, value_m=np.where(far, np.nan, expected + apart)))
     both = joined(blocks)
-    return in_turn(part(both, np.argsort(both.time_ns, kind="stable")))
+    found = in_turn(part(both, np.argsort(both.time_ns, kind="stable")))
+    sources = np.array([one.source for one in series.values()], dtype=np.uint8)
+    return replace(found, source=sources[found.source])
 
 
-def with_levels_since(rows: Estimate, path: Estimate, measured: Displacement, restarts_ns: Nanoseconds) -> Estimate:
+def with_levels_since(
+    rows: Estimate, path: Estimate, measured: Displacement, restarts_ns: Mapping[str, Nanoseconds]
+) -> Estimate:
     """The rows with the path's variance in theirs from the outage before the first restart on: the level is the path's.
 
     measured: the series that the rows rest on.
     """
-    if not len(restarts_ns):
+    firsts = [int(stamps[0]) for stamps in restarts_ns.values() if len(stamps)]
+    if not firsts:
         return rows
-    before = measured.time_ns[np.isfinite(measured.value_m) & (measured.time_ns < restarts_ns[0])]
-    begin = before[-1] if len(before) else restarts_ns[0]
+    before = measured.time_ns[np.isfinite(measured.value_m) & (measured.time_ns < min(firsts))]
+    begin = before[-1] if len(before) else min(firsts)
     level = np.where(rows.time_ns > begin, at(path, rows.time_ns)[1], 0.0)
     return replace(rows, variance_m2=rows.variance_m2 + level)
 

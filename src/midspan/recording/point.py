@@ -1,6 +1,6 @@
 """From a calibrated recording to its measuring point: channels, what is uncertain of each sensor, and the stages."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -17,13 +17,13 @@ from midspan.fusion.estimator import Estimator
 from midspan.fusion.model import EstimatorSettings, Parameter, ParameterKind
 from midspan.fusion.second_pass import Lag
 from midspan.recording.calibrate import usual_in_window
-from midspan.recording.cameras.tracked import Eye, Side, clock_std_s
-from midspan.recording.radar.chain import radar_chain, radar_part
+from midspan.recording.cameras.tracked import Eye, Known, Side, clock_std_s, known_sensors, offsets_of
+from midspan.recording.radar.chain import radar_chain
 from midspan.recording.stored.displacement import DisplacementCalibration
 from midspan.recording.stored.radar import RadarCalibration
 from midspan.recording.streams.measured import frames_used
 from midspan.recording.streams.recording import Recording
-from midspan.records import NANOSECONDS, Channel, ClockOffset, Nanoseconds, Source, TimeOffset
+from midspan.records import NANOSECONDS, Channel, ClockOffset, Nanoseconds, Source
 from midspan.signals.stuck import resolution
 
 # Rows are coasting when the last accepted measurement is older than this many of the sensor's usual intervals; they
@@ -103,14 +103,15 @@ def camera_channels(table: Table, eye: Eye, *, first: bool) -> CameraSensor:
     return CameraSensor(eye.sensor, eye.tracking.chain, rows, [camera.direction for camera in eye.calibrations])
 
 
-def plain_channel(table: Table, recording: Recording, known: DisplacementCalibration, *, first: bool) -> PlainSensor:
+def plain_channel(table: Table, own: Known, *, moved_m: float, first: bool) -> PlainSensor:
     """A displacement sensor, and its channel in the table; first: whether its zero is the zero of the displacement."""
-    series = recording.displacement
+    known: DisplacementCalibration = own.calibration
+    series = own.view.displacement
     step_s = interval_s(series.time_ns)
     coasting_s, lost_s = ages(step_s)
     channel = table.add(
         Channel(
-            sensor="displacement",
+            sensor=own.sensor,
             source=Source.DISPLACEMENT,
             units_per_m=1.0,
             zero_std_m=0.0 if first else np.inf,
@@ -121,25 +122,24 @@ def plain_channel(table: Table, recording: Recording, known: DisplacementCalibra
     table.uncertain(ParameterKind.SCALE_ERROR, [channel], known.relative_std)
     table.uncertain(ParameterKind.CLOCK_OFFSET, [channel], clock_std_s(known.offset))
     settings = PlainSettings(
-        name="displacement",
+        name=own.sensor,
         channel=channel,
         variance_m2=known.noise_std_m**2,
         step_s=step_s,
         resolution_m=resolution(known.scale * series.value) if known.resolution_m is None else known.resolution_m,
         scale=known.scale,
     )
-    return PlainSensor("displacement", PlainChain(settings))
+    return PlainSensor(own.sensor, PlainChain(settings))
 
 
-def radar_channels(
-    table: Table, recording: Recording, known: RadarCalibration, *, moved_m: float, first: bool
-) -> RadarSensor:
+def radar_channels(table: Table, own: Known, *, moved_m: float, first: bool) -> RadarSensor:
     """A radar's sensor, and its channels in the table.
 
     moved_m: standard deviation of the usual displacement; first: whether its zero is that of the displacement.
     """
-    coasting_s, lost_s = ages(interval_s(recording.radar.times_ns()))
-    chain, channels = radar_chain(known, recording.radar.info, moved_m=moved_m)
+    known: RadarCalibration = own.calibration
+    coasting_s, lost_s = ages(interval_s(own.view.radar.times_ns()))
+    chain, channels = radar_chain(known, own.view.radar.info, own.sensor, moved_m)
     numbers = [
         table.add(
             replace(channel, coasting_s=coasting_s, lost_s=lost_s, zero_std_m=channel.zero_std_m if first else np.inf)
@@ -149,7 +149,11 @@ def radar_channels(
     table.uncertain(ParameterKind.SCALE_ERROR, numbers, known.relative_std)
     clock = ParameterKind.CLOCK_OFFSET
     table.parameters.append(Parameter(clock, tuple(numbers), clock_std_s(known.offset), 0, CLOCK_WALK))
-    return RadarSensor("radar", chain, numbers)
+    return RadarSensor(own.sensor, chain, numbers)
+
+
+# The stage of sensors that are no cameras, by their kind.
+STAGES: dict[str, Callable[..., Sensor]] = {"radar": radar_channels, "displacement": plain_channel}
 
 
 def figures(side: Side, rate_hz: float) -> AxisFigures:
@@ -168,14 +172,11 @@ def bias_std(side: Side) -> float:
 
 def clock_offsets_ns(main: Side, eyes: Sequence[Eye]) -> dict[str, int]:
     """What is added to each sensor's stamps (ns) to get the accelerometer's clock."""
-    known: dict[str, TimeOffset] = {eye.sensor: eye.calibrations[0].offset for eye in eyes}
-    parts = (("radar", main.calibration.radar), ("displacement", main.calibration.displacement))
-    known |= {name: one.offset for name, one in parts if one is not None}
-    return {name: round(NANOSECONDS * offset.value_s) for name, offset in known.items()}
+    return {name: round(NANOSECONDS * offset.value_s) for name, offset in offsets_of(main, eyes).items()}
 
 
 def radar_frames_used(recording: Recording) -> slice:
-    """The frames of the radar that are used."""
+    """The frames of a view's radar that are used."""
     margin_ns = round(recording.max_offset_s * NANOSECONDS)
     return frames_used(recording.radar.times_ns(), recording.prepared.time_ns, margin_ns)
 
@@ -214,15 +215,13 @@ def measuring_point(
     lag_s: rows are given out so much later, smoothed; noise_memory: measurements over which their noise is followed.
     """
     main, table = sides[0], Table()
-    recording, calibration = main.recording, main.calibration
+    recording = main.recording
+    moved_m = (main.calibration.usual or usual_in_window(recording)).moved_m
     sensors: dict[str, Sensor] = {}
     for number, eye in enumerate(eyes):
         sensors[eye.sensor] = camera_channels(table, eye, first=number == 0)
-    if recording.has("radar"):
-        known, moved_m = radar_part(recording, calibration), (calibration.usual or usual_in_window(recording)).moved_m
-        sensors["radar"] = radar_channels(table, recording, known, moved_m=moved_m, first=not sensors)
-    if recording.has("displacement") and calibration.displacement is not None:
-        sensors["displacement"] = plain_channel(table, recording, calibration.displacement, first=not sensors)
+    for own in known_sensors(main):
+        sensors[own.sensor] = STAGES[own.view.kind](table, own, moved_m=moved_m, first=not sensors)
     offsets_ns = clock_offsets_ns(main, eyes)
     settings = estimator_settings(table, sides, zero_instant(main, eyes))
     settings = settings if noise_memory is None else replace(settings, noise_memory=noise_memory)

@@ -74,7 +74,7 @@ def _fused(recording: Recording, calibration: Calibration, printed: Printed, met
         events=tuple(sorted((*recording.prepared.events, *done.events, *alone), key=lambda event: event.time_ns)),
         warnings=tuple(dict.fromkeys(warnings)),
         measured=(series_of("radar", Source.RADAR, printed.measured),),
-        radar=printed.log.trace(recording.radar.info.limit_speed_m_s),
+        radars={"radar": printed.log.trace(recording.radar.info.limit_speed_m_s)},
         zero_std_m=float(np.sqrt(zero_m2)),
         file=recording.file,
         name=recording.name,

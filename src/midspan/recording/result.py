@@ -1,6 +1,7 @@
 """The result of an estimate: rows, figures, and ways to look at them and keep them."""
 
 import html
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -36,9 +37,10 @@ class Result:
 
     estimate: the rows in SI; calibration, settings, method: how they came about; innovation: measured minus predicted
     displacement; events, warnings: what is worth reporting; cameras: each camera's targets, frame by frame; measured:
-    what each sensor measured, in metres; radar: what the best radar's targets showed, None without one; across: the
+    what each sensor measured, in metres; radars: what the targets of each showed, by its name; across: the
     second image axis, with camera.direction = "xy". zero_std_m: the part of every row's standard deviation that is the
-    zero's, common to the whole record. file: the recording's settings file; name: the recording's name.
+    zero's, common to the whole record. used: stretches (first and last stamp, ns) in which measurements
+    of each sensor, by its name, were used. file: the recording's settings file; name: the recording's name.
     """
 
     estimate: Estimate
@@ -50,9 +52,10 @@ class Result:
     warnings: tuple[str, ...]
     cameras: tuple[CameraResult, ...] = field(default=(), repr=False)
     measured: tuple[SensorSeries, ...] = field(default=(), repr=False)
-    radar: RadarTrace | None = field(default=None, repr=False)
+    radars: Mapping[str, RadarTrace] = field(default_factory=dict, repr=False)
     across: SecondAxis | None = field(default=None, repr=False)
     zero_std_m: float = 0.0
+    used: Mapping[str, Sequence[tuple[int, int]]] = field(default_factory=dict, repr=False)
     file: Path | None = None
     name: str = ""
 
@@ -65,6 +68,11 @@ class Result:
     def track(self) -> PixelTrack | None:
         """The track of the first camera's best target, on that camera's own clock; None without a camera."""
         return self.cameras[0].track if self.cameras else None
+
+    @property
+    def radar(self) -> RadarTrace | None:
+        """What the targets of the first radar showed; None without one."""
+        return next(iter(self.radars.values()), None)
 
     @property
     def axis(self) -> str:
@@ -86,7 +94,7 @@ class Result:
             events=self.across.events,
             cameras=(),
             measured=self.across.measured,
-            radar=None,
+            radars={},
             across=None,
         )
 
@@ -141,10 +149,27 @@ class Result:
             "method": self.method,
             "zero_std_mm": 1e3 * self.zero_std_m,
             **self._axes(),
+            **self._sensors(),
             "settings": self.settings.model_dump(mode="json", exclude_none=True),
             "calibration": self.calibration.to_dict(),
             "warnings": list(self.warnings),
             "events": _events(self.events),
+        }
+
+    def _sensors(self) -> dict[str, Any]:
+        """Which sensor stands behind `source` when; nothing where there is one of each kind."""
+        sensors = self.settings.sensors
+        if len({sensor.kind for sensor in sensors}) == len(sensors):
+            return {}
+        return {
+            "sensors": [
+                {
+                    "name": sensor.name,
+                    "source": sensor.kind,
+                    "used_s": [[first / 1e9, last / 1e9] for first, last in self.used.get(sensor.name, ())],
+                }
+                for sensor in sensors
+            ]
         }
 
     def _axes(self) -> dict[str, Any]:

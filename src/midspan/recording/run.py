@@ -9,15 +9,17 @@ import numpy as np
 from midspan.engine.point import ACCELEROMETER, Output, Point
 from midspan.engine.sensors import RadarSensor, Seen
 from midspan.errors import DataError
+from midspan.fusion.blocks import REJECTED
 from midspan.fusion.estimator import Rows
-from midspan.recording.cameras.tracked import Eye, Side
+from midspan.recording.cameras.tracked import Eye, Side, known_sensors
 from midspan.recording.point import clock_offsets_ns, radar_frames_used
 from midspan.recording.radar.trace import RadarLog
 from midspan.recording.streams.recording import Recording
-from midspan.recording.tracking.temperatures import in_words_of
+from midspan.recording.streams.sensor_words import in_words_of, worded
 from midspan.records import (
     NANOSECONDS,
     Arrival,
+    Channel,
     Estimate,
     Event,
     Frame,
@@ -40,13 +42,13 @@ NOTHING_SEEN = (
 
 @dataclass(slots=True)
 class Outcome:
-    """What a point gave for a recording: rows, what each sensor measured, events; radar: what its stage found."""
+    """What a point gave for a recording: rows, what each sensor measured, events; radars: what their stages found."""
 
     rows: list[Rows] = field(default_factory=list)
     measured: dict[str, list[Measured]] = field(default_factory=dict)
     sensor_events: list[Event] = field(default_factory=list)
     events_of: dict[str, list[Event]] = field(default_factory=dict)
-    radar: RadarLog | None = None
+    radars: dict[str, RadarLog] = field(default_factory=dict)
 
     def take(self, outputs: Sequence[Output]) -> None:
         """Keep what a push gave."""
@@ -58,8 +60,8 @@ class Outcome:
             elif isinstance(output, Seen):
                 self.sensor_events += output.events
                 self.events_of.setdefault(output.sensor, []).extend(output.events)
-                if self.radar is not None and output.sensor == "radar":
-                    self.radar.push([one for one in output.found if isinstance(one, PhaseMeasurement)])
+                if output.sensor in self.radars:
+                    self.radars[output.sensor].push([one for one in output.found if isinstance(one, PhaseMeasurement)])
                 if output.measured is not None:
                     self.measured.setdefault(output.sensor, []).append(output.measured)
 
@@ -68,9 +70,9 @@ class Outcome:
         return joined([rows.estimates[axis] for rows in self.rows if rows.estimates])
 
     @property
-    def restarts_ns(self) -> Nanoseconds:
-        """Instants (k,) from which on the zero of a target of the radar is a new one."""
-        return np.empty(0, dtype=np.int64) if self.radar is None else self.radar.restarts_ns
+    def restarts_ns(self) -> dict[str, Nanoseconds]:
+        """Instants (k,) from which on the zero of a target of each radar is a new one."""
+        return {name: log.restarts_ns for name, log in self.radars.items()}
 
     @property
     def fusion_events(self) -> tuple[Event, ...]:
@@ -91,21 +93,33 @@ class Outcome:
         return joined([rows.innovations[channel] for rows in self.rows if rows.innovations])
 
 
+def used_when(outcome: Outcome, channels: Sequence[Channel], sensor: str) -> list[tuple[int, int]]:
+    """First and last stamp (ns) of each stretch in which a sensor's measurements were accepted without a long pause."""
+    numbers = [k for k, channel in enumerate(channels) if channel.sensor == sensor]
+    met = [outcome.innovation(k) for k in numbers]
+    stamps = np.unique(np.concatenate([one.time_ns[one.verdict != REJECTED] for one in met]))
+    longest_ns = NANOSECONDS * channels[numbers[0]].coasting_s
+    parts = np.split(stamps, 1 + np.flatnonzero(np.diff(stamps) > longest_ns))
+    return [(int(own[0]), int(own[-1])) for own in parts if len(own)]
+
+
 def run(point: Point, sides: Sequence[Side], eyes: Sequence[Eye]) -> Outcome:
     """Push all records of a recording into its point."""
     outcome = Outcome()
     time_ns = sides[0].recording.acceleration.time_ns
     value = np.column_stack([side.recording.acceleration.value for side in sides if side.recording.fused])
     outcome.take(point.push(Arrival(ACCELEROMETER, 0, Readings(time_ns, value))))
-    if "displacement" in point.sensors:
-        series = sides[0].recording.displacement
-        outcome.take(point.push(Arrival("displacement", 0, Readings(series.time_ns, series.value[:, None]))))
     cameras = {eye.sensor: eye for eye in eyes}
     kept = {eye.sensor: eye.tracking.done for eye in eyes}
     feeds: dict[str, Iterator[Tracked | Frame | RangeFrame]] = {eye.sensor: frames_of(eye) for eye in eyes}
-    if isinstance(radar := point.sensors.get("radar"), RadarSensor):
-        feeds["radar"] = radar_frames(sides[0].recording, radar)
-        outcome.radar = RadarLog(radar.chain.targets)
+    for own in known_sensors(sides[0]):
+        sensor = point.sensors[own.sensor]
+        if isinstance(sensor, RadarSensor):
+            feeds[own.sensor] = radar_frames(own.view, sensor)
+            outcome.radars[own.sensor] = RadarLog(sensor.chain.targets)
+        else:
+            series = own.view.displacement
+            outcome.take(point.push(Arrival(own.sensor, 0, Readings(series.time_ns, series.value[:, None]))))
     for arrival in in_time(feeds, clock_offsets_ns(sides[0], eyes)):
         with in_words_of(arrival.stream):
             outputs = point.push(arrival)
@@ -114,8 +128,9 @@ def run(point: Point, sides: Sequence[Side], eyes: Sequence[Eye]) -> Outcome:
     outputs = point.finish()
     keep(outputs, cameras, kept)
     outcome.take(outputs)
-    if outcome.radar is not None and not any(outcome.radar.used):
-        raise DataError(NOTHING_SEEN)
+    for name, log in outcome.radars.items():
+        if not any(log.used):
+            raise DataError(worded(NOTHING_SEEN, name))
     return outcome
 
 

@@ -11,9 +11,9 @@ import numpy as np
 from midspan.fusion.estimator import BLOCK, Estimator, Log
 from midspan.fusion.model import EstimatorSettings, ParameterKind
 from midspan.recording.cameras.tracked import Side, clock_std_s
-from midspan.recording.fusing.fuse import CourseError, FusionInputs, SensorError
+from midspan.recording.fusing.fuse import CourseError
 from midspan.recording.fusing.one_clock import OneClock, one_clock
-from midspan.recording.fusing.scale_check import Fitting, fitting
+from midspan.recording.fusing.scale_check import Fitting, Sensed, fitting
 from midspan.recording.run import Outcome
 from midspan.recording.sensor_series import SensorSeries, series_of
 from midspan.records import Channel, Displacement, Estimate, Measured, Samples, TimeOffset, joined, part
@@ -79,17 +79,11 @@ def scales(
     series: Mapping[str, SensorSeries], side: Side, settings: EstimatorSettings, axis: int, *, max_offset_s: float
 ) -> Fitting:
     """How the calibrated scales and clocks fit the recording; UntrustedError where one is wrong beyond doubt."""
-    blocks = [one.displacement for one in series.values()]
-    errors = [SensorError(one.source, scale_std_of(settings, name, axis)) for name, one in series.items()]
-    both = joined(blocks)
-    inputs = FusionInputs(
-        side.acceleration,
-        part(both, np.argsort(both.time_ns, kind="stable")),
-        side.kalman,
-        errors=tuple(errors),
-        cameras=tuple(block for block in blocks if len(blocks) > 1),
-    )
-    return fitting(inputs, "" if axis == 0 else f" along {side.recording.axis}", max_offset_s=max_offset_s)
+    compared = [
+        Sensed(name, one.source, one.displacement, scale_std_of(settings, name, axis)) for name, one in series.items()
+    ]
+    along = "" if axis == 0 else f" along {side.recording.axis}"
+    return fitting(side.acceleration, compared, along, max_offset_s=max_offset_s)
 
 
 def scale_std_of(settings: EstimatorSettings, sensor: str, axis: int) -> float:

@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
 COLOURS = {Source.CAMERA: BLUE, Source.INFRARED: VERMILLION, Source.PREDICTION: ORANGE}
 OTHER = GREEN
+# Of further cameras of the same kind.
+FURTHER = (PURPLE, GREEN, BLACK)
 CAMERAS = (Source.CAMERA, Source.INFRARED)
 # Trackers whose strength is a number of matches; of the others it is the quality.
 MATCHING = ("features",)
@@ -72,12 +74,18 @@ def over_time(material: Material) -> Picture:
     return picture(figure)
 
 
+def colour_of(material: Material, camera: CameraResult) -> str:
+    """A camera's colour: that of its rows, of further ones of the same kind another."""
+    alike = [one.sensor for one in material.result.cameras if one.source is camera.source]
+    return (COLOURS[camera.source], *FURTHER)[alike.index(camera.sensor) % (1 + len(FURTHER))]
+
+
 def _strength(axes: "Axes", material: Material, camera: CameraResult) -> None:
     """Matches or quality of the best target; zero where it was lost."""
     t, value = _stamps(material, camera), camera.targets[camera.best].strength
     matching = camera.settings.tracker in MATCHING
-    draw_line(axes, envelope(t, value, value), COLOURS[camera.source], "", linewidth=0.8)
-    axes.set_title(camera.sensor, fontsize=9, loc="left", color=COLOURS[camera.source])
+    draw_line(axes, envelope(t, value, value), colour_of(material, camera), "", linewidth=0.8)
+    axes.set_title(camera.sensor, fontsize=9, loc="left", color=colour_of(material, camera))
     axes.set_ylabel("matches" if matching else "quality (%)")
     axes.set_ylim(0.0, 1.08 * max(float(np.max(value, initial=0.0)), 1.0))
     _marks(axes, material, camera, (0.0, 0.22))
@@ -118,7 +126,7 @@ def _deviations(axes: "Axes", material: Material) -> None:
         seen = np.isfinite(block.value_m) & np.isfinite(block.variance_m2)
         if seen.any():
             t, std = material.clock.at(block.time_ns[seen]), 1e3 * np.sqrt(block.variance_m2[seen])
-            draw_line(axes, envelope(t, std, std), COLOURS[camera.source], camera.sensor, linewidth=0.8)
+            draw_line(axes, envelope(t, std, std), colour_of(material, camera), camera.sensor, linewidth=0.8)
     std = material.result.displacement_std_mm
     draw_line(axes, envelope(material.t, std, std), BLACK, "result", linewidth=1.2)
     axes.set_yscale("log")
@@ -128,7 +136,7 @@ def _deviations(axes: "Axes", material: Material) -> None:
         low, high = MARK_HEIGHT * number, MARK_HEIGHT * (number + 0.8)
         _marks(axes, material, camera, (low, high))
         # Whose marks they are.
-        axes.plot((0.0, 0.0), (low, high), transform=axes.transAxes, color=COLOURS[camera.source], linewidth=6.0)
+        axes.plot((0.0, 0.0), (low, high), transform=axes.transAxes, color=colour_of(material, camera), linewidth=6.0)
 
 
 def _strip(axes: "Axes", material: Material) -> None:

@@ -8,6 +8,7 @@ from pydantic import AfterValidator, BeforeValidator
 
 # In the order in which they count: the first one of a recording gives the zero.
 KINDS = ("camera", "infrared", "radar", "displacement")
+CAMERAS = ("camera", "infrared")
 # Words of the files and of results that mean something else than one sensor.
 TAKEN = (
     *KINDS,

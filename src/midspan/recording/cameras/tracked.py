@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -11,10 +12,10 @@ from midspan.recording.stored.camera import CameraCalibration
 from midspan.recording.streams.acceleration import PreparedAcceleration, still
 from midspan.recording.streams.progress import Progress
 from midspan.recording.streams.recording import Recording
+from midspan.recording.streams.sensor_words import in_words_of
 from midspan.recording.tracking.daylight import where_it_sees
 from midspan.recording.tracking.one_displacement import filter_settings
 from midspan.recording.tracking.opening import open_tracking
-from midspan.recording.tracking.temperatures import in_words_of
 from midspan.recording.tracking.tracking import CameraTracking
 from midspan.records import (
     Acceleration,
@@ -23,6 +24,7 @@ from midspan.records import (
     Source,
     TimeOffset,
 )
+from midspan.settings.kinds import CAMERAS
 
 # A target left out of more than this share of its frames is worth telling.
 NOTABLE_DROPPED = 0.1
@@ -49,7 +51,7 @@ class Eye:
 
     @property
     def sensor(self) -> str:
-        """The section that the camera stands in."""
+        """The camera's name."""
         return self.view.sensor
 
     @property
@@ -75,6 +77,32 @@ class Eye:
         return self.tracking.targets[self.best].strengths
 
 
+@dataclass(frozen=True, slots=True)
+class Known:
+    """A sensor of a recording that is no camera, in its own view, and what was learnt of it."""
+
+    view: Recording
+    calibration: Any
+
+    @property
+    def sensor(self) -> str:
+        """Its name."""
+        return self.view.sensor
+
+
+def known_sensors(main: Side) -> tuple[Known, ...]:
+    """The calibrated sensors of a recording that are no cameras."""
+    views = [view for view in main.recording.views if view.kind not in CAMERAS]
+    known = [Known(view, main.calibration.of_sensor(view.own, view.beside)) for view in views]
+    return tuple(one for one in known if one.calibration is not None)
+
+
+def offsets_of(main: Side, eyes: Sequence[Eye]) -> dict[str, TimeOffset]:
+    """The calibrated clock offset of each sensor, by its name."""
+    found = {eye.sensor: eye.calibrations[0].offset for eye in eyes}
+    return found | {one.sensor: one.calibration.offset for one in known_sensors(main)}
+
+
 def side_of(recording: Recording, calibration: Calibration) -> Side:
     """A recording's axis with its calibration; without an accelerometer there its acceleration is zero."""
     camera = calibration.first_camera
@@ -87,12 +115,14 @@ def side_of(recording: Recording, calibration: Calibration) -> Side:
 def open_eyes(sides: Sequence[Side], tracking: CameraTracking | None, progress: Progress) -> tuple[Eye, ...]:
     """The calibrated cameras of a recording, the one whose zero counts first.
 
-    tracking: what calibrating left, with that of a second camera beside it; None: each is opened.
+    tracking: what calibrating left, with those of further cameras beside it; None: each is opened.
     """
-    opened = {one.settings.sensor: one for one in (tracking, tracking and tracking.beside) if one is not None}
+    opened = {} if tracking is None else {one.settings.sensor: one for one in (tracking, *tracking.beside)}
     eyes = []
     for view in sides[0].recording.cameras:
-        known = tuple(camera for side in sides if (camera := side.calibration.camera_of(view.sensor)) is not None)
+        known = tuple(
+            camera for side in sides if (camera := side.calibration.of_sensor(view.own, view.beside)) is not None
+        )
         if not known:
             continue
         view, _ = where_it_sees(view)

@@ -1,6 +1,6 @@
 """The [displacement] sensor of a recording: its noise, clock offset and scale, and its measurements in metres."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from midspan.recording.displacement.learn import learn
 from midspan.recording.sensor_series import SensorSeries
 from midspan.recording.stored.calibration import Calibration
 from midspan.recording.stored.displacement import DisplacementCalibration
+from midspan.recording.streams.progress import Progress
 from midspan.recording.streams.recording import Recording
 from midspan.recording.streams.span import require_overlap, shown
 from midspan.records import NANOSECONDS, Event, Source, TimeSeries, seconds
@@ -27,7 +28,31 @@ MOST_OPTIMISTIC = 1.5
 MOST_FROZEN = 0.5
 
 
-def calibrate_displacement(recording: Recording) -> NoiseCalibration:
+@dataclass(frozen=True, slots=True)
+class DisplacementFit:
+    """What was learnt of the sensor, what it implies of the accelerometer, warnings, and what all this rests on.
+
+    input_density: noise density of the acceleration, (m/s²)²/Hz; bias: the accelerometer's.
+    """
+
+    calibration: DisplacementCalibration
+    input_density: float
+    bias: Bias
+    warnings: tuple[str, ...]
+    diagnostics: NoiseCalibration
+
+
+def calibrate_displacement(recording: Recording, progress: Progress) -> DisplacementFit:
+    """Noise, clock offset and scale of the sensor, learnt beside the accelerometer, or a refusal."""
+    learnt = _learnt(recording)
+    assert learnt.findings is not None
+    part = displacement_part(recording, learnt)
+    warnings = tuple(displacement_warnings(recording, learnt, part))
+    bias = bias_of(learnt.findings.pair, learnt.findings.fit)
+    return DisplacementFit(part, learnt.input_noise_density, bias, warnings, learnt)
+
+
+def _learnt(recording: Recording) -> NoiseCalibration:
     """Noise, clock offset and scale of the sensor, learnt beside the accelerometer, or a refusal.
 
     The scale is learnt with displacement.estimate_scale only; else it is told where it seems wrong.
@@ -59,12 +84,6 @@ def displacement_part(recording: Recording, learnt: NoiseCalibration) -> Displac
     scale_std = float(np.hypot(learnt.factor_std, abs(learnt.factor) * _scale_error(learnt)))
     step_m = resolution(learnt.factor * recording.displacement.value)
     return DisplacementCalibration(std, learnt.offset, learnt.factor, scale_std, resolution_m=step_m)
-
-
-def displacement_bias(learnt: NoiseCalibration) -> Bias:
-    """The accelerometer's bias, estimated together with the sensor."""
-    assert learnt.findings is not None
-    return bias_of(learnt.findings.pair, learnt.findings.fit)
 
 
 def _scale_error(learnt: NoiseCalibration) -> float:
@@ -114,21 +133,21 @@ def read_with(series: TimeSeries, learnt: DisplacementCalibration) -> TimeSeries
     return replace(series, time_ns=series.time_ns + offset_ns, value=learnt.scale * series.value)
 
 
-def displacement_series(sensor: str, series: TimeSeries, learnt: DisplacementCalibration) -> SensorSeries:
-    """The whole channel as it was read, `series`, in metres on the accelerometer's clock."""
-    found = read_with(series, learnt)
+def displacement_series(view: Recording, learnt: DisplacementCalibration) -> SensorSeries:
+    """The whole channel as it was read, in metres on the accelerometer's clock."""
+    found = read_with(view.displacement, learnt)
     std = np.where(np.isfinite(found.value), learnt.noise_std_m, np.nan)
-    return SensorSeries(sensor, Source.DISPLACEMENT, found.time_ns, found.value, std)
+    return SensorSeries(view.sensor, Source.DISPLACEMENT, found.time_ns, found.value, std)
 
 
-def require_known(recording: Recording, calibration: Calibration) -> DisplacementCalibration:
+def require_known(view: Recording, calibration: Calibration) -> DisplacementCalibration:
     """The sensor's part of a calibration; UsageError where it has none, or none of the scale that is wanted."""
-    learnt = calibration.displacement
+    learnt: DisplacementCalibration | None = calibration.of_sensor(view.own, view.beside)
     if learnt is None:
         raise UsageError(
-            "The calibration has no displacement part, but the recording has [displacement]. Calibrate again."
+            f"The calibration has no {view.sensor} part, but the recording has [{view.sensor}]. Calibrate again."
         )
-    if recording.learns_scale and learnt.scale == 1.0:
+    if view.learns_scale and learnt.scale == 1.0:
         raise UsageError(
             "displacement.estimate_scale = true: the calibration was made without it and has no displacement.scale. "
             "Calibrate again."
@@ -182,7 +201,7 @@ def _zero_warnings(recording: Recording, part: DisplacementCalibration) -> list[
     """A sentence where the uncertain scale of a large reading hides the zero, which counts in the error band."""
     value = part.scale * recording.displacement.value
     level, moved = abs(float(np.nanmedian(value))), float(np.nanstd(value))
-    if recording.has("camera") or part.relative_std * level < max(moved, part.noise_std_m):
+    if not recording.gives_zero or part.relative_std * level < max(moved, part.noise_std_m):
         return []
     return [
         f"displacement: it reads about {1e3 * level:.4g} mm, of which the scale's deviation of "

@@ -10,6 +10,7 @@ from midspan.recording.radar.frames import bin_m_of, check_same_radar
 from midspan.recording.stored.calibration import Calibration
 from midspan.recording.stored.radar import RadarCalibration
 from midspan.recording.streams.recording import Recording
+from midspan.recording.streams.sensor_words import in_words_of
 from midspan.recording.streams.span import require_overlap
 from midspan.records import Channel, Source
 from midspan.sources.radar.radar_source import RadarInfo
@@ -53,13 +54,16 @@ def radar_chain(
     return RadarChain(targets), channels
 
 
-def radar_part(recording: Recording, calibration: Calibration) -> RadarCalibration:
+def radar_part(view: Recording, calibration: Calibration) -> RadarCalibration:
     """The radar's part of a calibration; UsageError where it has none or belongs to other settings of the radar."""
-    known = calibration.radar
+    known: RadarCalibration | None = calibration.of_sensor(view.own, view.beside)
     if known is None:
-        raise UsageError("The calibration has no radar part, but the recording has [radar]. Calibrate again.")
-    require_overlap(recording.prepared.time_ns, recording.radar.times_ns(), "radar")
-    check_same_radar(recording.radar, known)
+        raise UsageError(
+            f"The calibration has no {view.sensor} part, but the recording has [{view.sensor}]. Calibrate again."
+        )
+    with in_words_of(view.sensor):
+        require_overlap(view.prepared.time_ns, view.radar.times_ns(), "radar")
+        check_same_radar(view.radar, known)
     return known
 
 

@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -24,6 +24,7 @@ from midspan.recording.stored.sections import (
     usual_tree,
 )
 from midspan.settings.kinds import KINDS, sensor_names
+from midspan.settings.recording import Sensor
 from midspan.writing import write_whole
 
 CALIBRATION_FILE = "calibration.json"
@@ -35,6 +36,12 @@ TREES: dict[str, Callable[[Any], dict[str, Any]]] = {
     "radar": radar_tree,
     "displacement": displacement_tree,
 }
+
+
+def placed(sensors: Sequence[SensorCalibration]) -> dict[str, Any]:
+    """The fields of `Calibration` that hold sensors in the order of KINDS."""
+    first = {one.kind: one for one in reversed(sensors)}
+    return first | {"others": tuple(one for one in sensors if one is not first[one.kind])}
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,10 +81,6 @@ class Calibration:
         """The camera whose zero counts and whose axes the columns belong to, of light or infrared."""
         return self.camera or self.infrared
 
-    def camera_of(self, section: str) -> CameraCalibration | None:
-        """The first camera of the section "camera" or "infrared"."""
-        return self.infrared if section == "infrared" else self.camera
-
     def of_kind(self, kind: str) -> tuple[SensorCalibration, ...]:
         """All sensors of one kind: "camera", "infrared", "radar" or "displacement"."""
         first = getattr(self, kind)
@@ -93,6 +96,17 @@ class Calibration:
     def of(self, name: str) -> SensorCalibration | None:
         """The values of the sensor of this name (its kind where it has none); None where there is no such sensor."""
         return next((one for known, _, one in self.sensors if known == name), None)
+
+    def of_sensor(self, sensor: Sensor, beside: Sequence[Sensor] = ()) -> Any:
+        """The values of a recording's sensor, None where there are none; beside: the others of the recording.
+
+        They are those of its name, or where one of both has no name those of the only one of its kind.
+        """
+        named, own = self.of(sensor.name), self.of_kind(sensor.kind)
+        if named is not None and named.kind == sensor.kind:
+            return named
+        alone = len(own) == 1 and sensor.kind not in (other.kind for other in beside)
+        return own[0] if alone and (own[0].name is None or sensor.name == sensor.kind) else None
 
     @property
     def direction(self) -> str:

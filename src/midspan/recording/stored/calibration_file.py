@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from midspan.errors import DataError
-from midspan.recording.stored.calibration import CALIBRATION_FILE, Calibration
+from midspan.recording.stored.calibration import CALIBRATION_FILE, Calibration, SensorCalibration, placed
 from midspan.recording.stored.sections import camera_across, camera_of, displacement_of, radar_of, usual_of
 from midspan.records import Source
 from midspan.settings.calibration import StoredCamera, validate_calibration
@@ -35,12 +35,12 @@ def calibration_from_dict(tree: Any, where: str = CALIBRATION_FILE) -> Calibrati
     """
     stored = validate_calibration(tree, where)
     own, first = stored.accelerometer, (*stored.camera, *stored.infrared, None)[0]
-    listed: dict[str, Any] = {
-        "camera": [camera_of(part, Source.CAMERA) for part in stored.camera],
-        "infrared": [camera_of(part, Source.INFRARED) for part in stored.infrared],
-        "radar": [radar_of(part) for part in stored.radar],
-        "displacement": [displacement_of(part) for part in stored.displacement],
-    }
+    sensors: tuple[SensorCalibration, ...] = (
+        *(camera_of(part, Source.CAMERA) for part in stored.camera),
+        *(camera_of(part, Source.INFRARED) for part in stored.infrared),
+        *(radar_of(part) for part in stored.radar),
+        *(displacement_of(part) for part in stored.displacement),
+    )
     found = Calibration(
         noise_std_m_s2=own.noise_std_m_s2,
         bias_m_s2=own.bias_m_s2,
@@ -49,8 +49,7 @@ def calibration_from_dict(tree: Any, where: str = CALIBRATION_FILE) -> Calibrati
         left_out="" if first is None else first.left_out,
         created=stored.created,
         version=stored.version,
-        **{kind: sensors[0] for kind, sensors in listed.items() if sensors},
-        others=tuple(sensor for sensors in listed.values() for sensor in sensors[1:]),
+        **placed(sensors),
         accelerometer_scale=own.scale,
         accelerometer_scale_std=own.scale_std,
         usual=usual_of(own.usual),

@@ -8,9 +8,9 @@ from typing import Any
 
 from midspan.errors import DataError, MidspanError, UsageError
 from midspan.recording.streams.acceleration import PreparedAcceleration, prepare_acceleration, still
-from midspan.records import NANOSECONDS, TimeSeries
+from midspan.records import NANOSECONDS, Nanoseconds, TimeSeries
 from midspan.settings.camera import CameraSettings, InfraredSettings
-from midspan.settings.kinds import KINDS
+from midspan.settings.kinds import CAMERAS, KINDS
 from midspan.settings.load import load_settings, settings_file
 from midspan.settings.recording import RecordingSettings, Sensor
 from midspan.settings.sensors import AccelerometerSettings, ChannelSettings, DisplacementSettings, RadarSettings
@@ -45,7 +45,9 @@ class Recording:
     def __init__(self, file: Path, settings: RecordingSettings) -> None:
         self.file, self.settings = file, settings
         self._whole: Recording | None = None
+        # Of a view: what it is a view of, and its sensor.
         self._beside: Recording | None = None
+        self._own: Sensor | None = None
         # A camera that is dark before this instant is used from it on.
         self.sees_from_ns: int | None = None
 
@@ -100,9 +102,9 @@ class Recording:
 
     @property
     def learns_offset(self) -> bool:
-        """Whether the clock offset of [displacement] is to be learnt and applied."""
+        """Whether the clock offset of this view's sensor is to be learnt and applied, as that of a camera always is."""
         section = self.settings.displacement
-        return section is not None and section.estimate_offset
+        return section is None or section.estimate_offset
 
     @property
     def learns_scale(self) -> bool:
@@ -111,34 +113,60 @@ class Recording:
         return section is not None and section.estimate_scale
 
     @property
+    def own(self) -> Sensor:
+        """The sensor of this view, or the first one of all."""
+        return self._own or self.sensors[0]
+
+    @property
     def sensor(self) -> str:
-        """The section that the camera of this recording, or of this view of one, stands in."""
-        return "infrared" if isinstance(self.settings.camera, InfraredSettings) else "camera"
+        """The name of this view's sensor."""
+        return self.own.name
+
+    @property
+    def kind(self) -> str:
+        """The kind of this view's sensor, one of KINDS."""
+        return self.own.kind
+
+    @property
+    def beside(self) -> tuple[Sensor, ...]:
+        """The other sensors of the recording that this is a view of."""
+        every = self.sensors if self._beside is None else (*self._beside.beside, self._beside.own)
+        return tuple(sensor for sensor in every if sensor.name != self.sensor)
+
+    @property
+    def gives_zero(self) -> bool:
+        """Whether the zero of this view's sensor is that of the displacement: the first one's in the order of KINDS."""
+        return all(KINDS.index(self.kind) <= KINDS.index(sensor.kind) for sensor in self.beside)
 
     @cached_property
-    def infrared(self) -> "Recording | None":
-        """The same recording seen by its thermal camera alone, as if that were its camera; None without one."""
-        if self.settings.infrared is None:
-            return None
-        alone = {"cameras": self.settings.infrareds[:1], "infrareds": (), "radars": (), "displacements": ()}
-        changed = {**alone, "reference": None}
-        view = Recording(self.file, self.settings.model_copy(update=changed))
-        view._beside = self
-        return view
+    def views(self) -> "tuple[Recording, ...]":
+        """The recording as each of its sensors sees it, alone, the one whose zero counts first.
+
+        A thermal camera stands in its view as if it were the camera.
+        """
+        if self._own is not None or (len(self.sensors) == 1 and self.kind != "infrared"):
+            return (self,)
+        nothing: dict[str, Any] = {"cameras": (), "infrareds": (), "radars": (), "displacements": (), "reference": None}
+        found = []
+        for sensor in self.sensors:
+            place = "cameras" if sensor.kind in CAMERAS else f"{sensor.kind}s"
+            view = Recording(self.file, self.settings.model_copy(update=nothing | {place: (sensor.settings,)}))
+            view._beside, view._own = self, sensor
+            found.append(view)
+        return tuple(found)
 
     def seeing(self, first_ns: int, last_ns: int, from_ns: int) -> "Recording":
         """The same recording calibrated from `first_ns` to `last_ns`, its camera's frames used from `from_ns` on."""
         span = (first_ns / NANOSECONDS, last_ns / NANOSECONDS)
         window = self.settings.calibration.model_copy(update={"window_s": span})
-        view = Recording(self.file, self.settings.model_copy(update={"calibration": window, "infrareds": ()}))
-        view._beside, view.sees_from_ns = self, from_ns
+        view = Recording(self.file, self.settings.model_copy(update={"calibration": window}))
+        view._beside, view._own, view.sees_from_ns = self, self.own, from_ns
         return view
 
     @property
     def cameras(self) -> "tuple[Recording, ...]":
         """The recording as each of its cameras sees it, the one whose zero counts first."""
-        own = (self,) if self.settings.camera is not None else ()
-        return own if self.infrared is None else (*own, self.infrared)
+        return tuple(view for view in self.views if view.kind in CAMERAS) if self.sensors else ()
 
     @cached_property
     def across(self) -> "Recording | None":
@@ -148,17 +176,16 @@ class Recording:
         """
         if len(self.settings.axes) < 2 or self.settings.accelerometer is None:
             return None
-        if self.settings.camera is None and self.infrared is not None:
-            return self.infrared.across
+        if self.views[0] is not self:
+            return self.views[0].across
         axis, accelerometer = self.settings.axes[1], self.accelerometer
         column = accelerometer.value_x if axis == "x" else accelerometer.value_y
         assert self.settings.camera is not None
         sensor = accelerometer.model_copy(update={"value": column, "value_x": None, "value_y": None})
         camera = self.settings.camera.model_copy(update={"direction": axis})
-        alone = {"cameras": (camera,), "radars": (), "displacements": ()}
-        changed = {"accelerometer": sensor, **alone, "reference": None}
+        changed = {"accelerometer": sensor, "cameras": (camera,), "reference": None}
         view = Recording(self.file, self.settings.model_copy(update=changed))
-        view._whole = self
+        view._whole, view._own = self, self.own
         return view
 
     @property
@@ -206,19 +233,24 @@ class Recording:
         wanted = self.settings.calibration
         if "max_offset_s" in wanted.model_fields_set:
             return wanted.max_offset_s
-        streams = [self.prepared.time_ns]
-        streams += [self.frames.times_ns()] if self.has("camera") else []
-        streams += [self.radar.times_ns()] if self.has("radar") else []
+        streams = [self.prepared.time_ns, *self.frame_times]
         shortest = min((int(times[-1] - times[0]) for times in streams if len(times)), default=0)
         return min(wanted.max_offset_s, MAX_OFFSET_SHARE * shortest / NANOSECONDS)
 
     @property
+    def frame_times(self) -> tuple[Nanoseconds, ...]:
+        """Stamps (n,) of the frames of each camera and radar, ns on its own clock."""
+        cameras = [view.frames.times_ns() for view in self.cameras]
+        return (*cameras, *(view.radar.times_ns() for view in self.views if view.kind == "radar"))
+
+    @property
     def channel_warnings(self) -> tuple[str, ...]:
-        """What is wrong with the acceleration and with the file of [displacement], as they were read."""
-        sensor = self.settings.displacement
-        damage = () if sensor is None else self.displacement.damage
-        name = "" if sensor is None else sensor.file
-        return (*self.prepared.warnings, *(f"displacement ({name}): {line}." for line in damage))
+        """What is wrong with the acceleration and with the file of each [displacement], as they were read."""
+        told = list(self.prepared.warnings)
+        for view in self.views:
+            damage = view.displacement.damage if view.kind == "displacement" else ()
+            told += [f"{view.sensor} ({view.own.settings.file}): {line}." for line in damage]
+        return tuple(told)
 
     @cached_property
     def reference(self) -> TimeSeries:
@@ -295,6 +327,8 @@ class Recording:
                 )
 
     def _first(self, kind: str) -> Sensor:
+        if self._own is not None and (kind == self.kind or self.kind == "infrared"):
+            return self._own
         found = next((sensor for sensor in self.sensors if sensor.kind == kind), None)
         if found is None:
             raise DataError(f"{self.file}: has no [{kind}] section.")
@@ -302,9 +336,10 @@ class Recording:
 
     def _key(self, sensor: Sensor) -> str:
         """The section of a sensor as messages name it: with its number where there are several of its kind."""
-        kind = "infrared" if isinstance(sensor.settings, InfraredSettings) else sensor.kind
+        if self._beside is not None:
+            return self._beside._key(self.own)
         listed = self.settings.of_kind(sensor.kind)
-        return kind if len(listed) < 2 else f"{kind}[{1 + listed.index(sensor.settings)}]"
+        return sensor.kind if len(listed) < 2 else f"{sensor.kind}[{1 + listed.index(sensor.settings)}]"
 
     @property
     def own_files(self) -> set[Path]:

@@ -1,28 +1,15 @@
 """The temperatures that a thermal camera's trackers see: as they are, or a range of them in grey levels."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
-
 from midspan.engine.thermal_target import ThermalTarget
-from midspan.errors import MidspanError, UsageError
+from midspan.errors import UsageError
 from midspan.recording.stored.camera import CameraCalibration
 from midspan.recording.streams.recording import Recording
-from midspan.recording.streams.sensor_words import worded
 from midspan.recording.tracking.tracking import CameraTracking
 from midspan.settings.camera import InfraredSettings
 from midspan.thermal.limits import Limits
 
 # Trackers that were made for pictures of 256 grey levels: their thresholds are in them.
 IN_GREY = ("features",)
-
-
-@contextmanager
-def in_words_of(sensor: str) -> Iterator[None]:
-    """Let the messages of errors raised inside name the section `sensor`, "camera" or "infrared"."""
-    try:
-        yield
-    except MidspanError as error:
-        raise type(error)(worded(str(error), sensor)) from None
 
 
 def levels_of(view: Recording, known: CameraCalibration | None) -> Limits | None:

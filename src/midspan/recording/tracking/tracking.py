@@ -227,8 +227,8 @@ class CameraTracking:
         self._ahead = deque([self.reference])
         self._teach()
         self.done, self.ended = 0, False
-        # The tracking of a second camera of the same recording; how a thermal camera's range was found.
-        self.beside: CameraTracking | None = None
+        # The trackings of further cameras of the same recording; how a thermal camera's range was found.
+        self.beside: tuple[CameraTracking, ...] = ()
         self.range_surface: RangeSurface | None = None
 
     @property
@@ -270,10 +270,10 @@ class CameraTracking:
             target.add(translation, dark=self.chain.dark)
 
     def close(self) -> None:
-        """Let the file go, and that of a second camera."""
+        """Let the file go, and those of the cameras beside it."""
         self._frames.close()
-        if self.beside is not None:
-            self.beside.close()
+        for one in self.beside:
+            one.close()
 
     def warnings(self, axes: str | None = None) -> list[str]:
         """What of the frames tracked so far is worth telling, along the image `axes` (left out: the measured one)."""
