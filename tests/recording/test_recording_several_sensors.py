@@ -68,14 +68,14 @@ def folder(tmp_path):
 
 def test_each_sensor_is_opened_by_itself(folder):
     recording = midspan.open_recording(folder)
-    found = {sensor.name: sensor for sensor in recording.sensors}
+    found = {view.sensor: view for view in recording.views}
     assert list(found) == ["left", "right", "near", "far", "gnss", "level"]
-    left, right = (recording.frames_of(found[name]) for name in ("left", "right"))
+    left, right = (found[name].frames for name in ("left", "right"))
     assert (left.info.width, right.info.width) == (40, 50)
     assert (len(left.times_ns()), len(right.times_ns())) == (12, 6)
-    near, far = (recording.radar_of(found[name]).times_ns() for name in ("near", "far"))
+    near, far = (found[name].radar.times_ns() for name in ("near", "far"))
     assert (near[1] - near[0], far[1] - far[0]) == (50_000_000, 100_000_000)
-    gnss, level = (recording.series_of(found[name]) for name in ("gnss", "level"))
+    gnss, level = (found[name].displacement for name in ("gnss", "level"))
     # Metres and millimetres of the same numbers.
     np.testing.assert_allclose(gnss.value, 1e3 * level.value, rtol=1e-12)
     assert {path.name for path in recording.own_files} >= {"left.npz", "right.npz", "near.npy", "far.npy", "level.csv"}
@@ -85,7 +85,7 @@ def test_a_missing_file_is_named_with_its_section(folder):
     (folder / "right.npz").unlink()
     recording = midspan.open_recording(folder)
     with pytest.raises(midspan.DataError, match=r"camera\[2\]\.file = 'right\.npz': no such file"):
-        recording.frames_of(recording.sensors[1])
+        recording.views[1].frames.times_ns()
 
 
 def test_inspect_shows_every_sensor_under_its_name(folder):

@@ -1,6 +1,5 @@
 """`calibrate`: from an opened recording to scale factor, clock offset and noise levels."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,8 +9,9 @@ import numpy as np
 from midspan.engine.axis import AxisFigures, usual_figures
 from midspan.recording.camera_calibration.camera import CameraFit
 from midspan.recording.camera_calibration.cameras import calibrate_cameras, together
-from midspan.recording.displacement.sensor import DisplacementFit, calibrate_displacement
-from midspan.recording.radar.calibrate import RadarFit, calibrate_radar
+from midspan.recording.displacement.sensor import DisplacementFit
+from midspan.recording.kinds import ROWS
+from midspan.recording.radar.calibrate import RadarFit
 from midspan.recording.radar.literal import calibrate_radar_literal
 from midspan.recording.stored.calibration import Calibration, placed
 from midspan.recording.streams.progress import Progress, silent
@@ -19,12 +19,6 @@ from midspan.recording.streams.recording import Recording, naming, open_recordin
 from midspan.recording.streams.sensor_words import in_words_of, worded
 from midspan.recording.streams.window import calibration_window
 from midspan.recording.tracking.tracking import CameraTracking
-
-# How sensors are calibrated that are no cameras, by their kind.
-LEARN: dict[str, Callable[[Recording, Progress], RadarFit | DisplacementFit]] = {
-    "radar": calibrate_radar,
-    "displacement": calibrate_displacement,
-}
 
 
 def calibrate(recording: Recording | str | Path, progress: Progress = silent) -> Calibration:
@@ -52,7 +46,7 @@ def _calibrate_and_track(recording: Recording, progress: Progress) -> tuple[Cali
     if recording.settings.fusion.literal:
         recording.require_one_of_a_kind()
     seen = calibrate_cameras(recording, progress) if recording.cameras else ()
-    fits = [one.parts[0] for one in seen] + [_fitted(view, progress) for view in recording.views if view.kind in LEARN]
+    fits = [one.parts[0] for one in seen] + [_fitted(view, progress) for view in recording.views if view.kind in ROWS]
     warnings = [*recording.channel_warnings, *(line for one in seen for line in one.warnings)]
     warnings += [line for fit in fits[len(seen) :] for line in fit.warnings]
     # The accelerometer's noise is in each of them: they are no independent draws, and the surest one is taken.
@@ -75,7 +69,9 @@ def _calibrate_and_track(recording: Recording, progress: Progress) -> tuple[Cali
 
 def _fitted(view: Recording, progress: Progress) -> CameraFit | RadarFit | DisplacementFit:
     """What is learnt of a sensor that is no camera, in words with its name."""
-    learn = calibrate_radar_literal if view.kind == "radar" and view.settings.fusion.literal else LEARN[view.kind]
+    learn = (
+        calibrate_radar_literal if view.kind == "radar" and view.settings.fusion.literal else ROWS[view.kind].calibrate
+    )
     with in_words_of(view.sensor):
         fit = learn(view, progress)
     own: Any = replace(fit.calibration, name=view.own.settings.name)

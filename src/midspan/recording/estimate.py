@@ -1,6 +1,6 @@
 """`estimate`: the main job, from a recording to displacement at the accelerometer's rate with its error band."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -18,16 +18,15 @@ from midspan.recording.camera_result import CameraResult, camera_result, camera_
 from midspan.recording.cameras.lost_target import lost_events, lost_warnings
 from midspan.recording.cameras.tracked import (
     Eye,
-    Known,
     Side,
-    clock_std_s,
     known_sensors,
     offsets_of,
     open_eyes,
     side_of,
 )
-from midspan.recording.displacement.sensor import displacement_series, require_known
+from midspan.recording.channels import clock_std_s
 from midspan.recording.fusing.one_clock import OneClock
+from midspan.recording.kinds import ROWS
 from midspan.recording.messages import (
     channel_warnings,
     event_warnings,
@@ -45,7 +44,6 @@ from midspan.recording.one_series import (
 )
 from midspan.recording.point import measuring_point
 from midspan.recording.printed_radar import estimate_printed
-from midspan.recording.radar.chain import radar_part
 from midspan.recording.radar.messages import REPORTED, radar_warnings, with_levels
 from midspan.recording.result import Result
 from midspan.recording.run import Outcome, run, used_when
@@ -62,12 +60,12 @@ from midspan.recording.second_look import (
     with_levels_of,
     with_scales,
 )
-from midspan.recording.sensor_series import SensorSeries, channel_series
+from midspan.recording.sensor_series import SensorSeries
 from midspan.recording.stored.calibration import Calibration
 from midspan.recording.stored.calibration_file import load_calibration
 from midspan.recording.streams.progress import Progress, silent
 from midspan.recording.streams.recording import Recording, naming, open_recording
-from midspan.recording.streams.span import inside, require_overlap, shown
+from midspan.recording.streams.span import inside, shown
 from midspan.recording.tracking.tracking import CameraTracking
 from midspan.recording.unsupported import unsupported_events
 from midspan.records import NANOSECONDS, Channel, Estimate, Event, Innovation, Measured, joined, part
@@ -105,8 +103,8 @@ def estimate(
     with naming(recording):
         require_same_cameras(recording, calibration)
         for view in recording.views:
-            if view.kind in REQUIRED:
-                REQUIRED[view.kind](view, calibration)
+            if view.kind in ROWS:
+                ROWS[view.kind].known(view, calibration)
         return _estimate(Asked(recording, calibration, method, given), tracking, progress)
 
 
@@ -178,9 +176,6 @@ def first_pass(asked: Asked, tracking: CameraTracking | None, progress: Progress
     eyes = open_eyes(sides, tracking, progress)
     lag_s = asked.recording.settings.fusion.lag_s if asked.method == "lag" else None
     memory = 1.0 / (1.0 - asked.recording.settings.fusion.forgetting) if asked.method == "adaptive-kalman" else None
-    for own in known_sensors(sides[0]):
-        if own.view.kind == "displacement":
-            require_overlap(sides[0].prepared.time_ns, own.view.displacement.time_ns, own.sensor)
     point = measuring_point(sides, eyes, lag_s=lag_s, noise_memory=memory)
     outcome = run(point, sides, eyes)
     for eye in eyes:
@@ -301,7 +296,7 @@ def result_of(asked: Asked, first: FirstPass, found: Found) -> Result:
     recording, main = asked.recording, found.rows[0]
     refuse_rejections(recording, found.innovations[0])
     sensors, radars = with_levels(first.outcome.sensor_events, main), first.outcome.radars
-    info = {own.sensor: own.view.radar.info for own in known_sensors(first.sides[0]) if own.sensor in radars}
+    info = {view.sensor: view.radar.info for view, _ in known_sensors(first.sides[0]) if view.sensor in radars}
     fused = tuple(event for event in found.events if event.axis == 0)
     alone = unsupported_events(main)
     lost = [event for camera in first.cameras for event in lost_events(*_blind(camera, first))]
@@ -382,33 +377,15 @@ def _series(first: FirstPass, axis: int) -> dict[str, SensorSeries]:
     """What each sensor measured along an axis."""
     rows = first.outcome.estimate(axis)
     found = {camera.sensor: camera_series(camera, rows, axis) for camera in first.cameras}
-    for own in known_sensors(first.sides[axis]) if axis == 0 else ():
-        found[own.sensor] = SERIES[own.view.kind](own, first, rows)
+    for view, known in known_sensors(first.sides[axis]) if axis == 0 else ():
+        log = (first.outcome.measured_by(view.sensor), first.estimator.settings.channels, rows)
+        found[view.sensor] = ROWS[view.kind].series(view, known, log)
     return found
-
-
-def _radar_series(own: Known, first: FirstPass, rows: Estimate) -> SensorSeries:
-    """What a radar's targets measured together."""
-    channels = first.estimator.settings.channels
-    return channel_series(first.outcome.measured_by(own.sensor), channels, own.sensor, rows)
-
-
-def _displacement_series(own: Known, first: FirstPass, rows: Estimate) -> SensorSeries:
-    """What a displacement sensor measured."""
-    return displacement_series(own.view, own.calibration)
-
-
-# What sensors that are no cameras must be known of, and what each measured, by their kind.
-REQUIRED: dict[str, Callable[[Recording, Calibration], object]] = {"radar": radar_part, "displacement": require_known}
-SERIES: dict[str, Callable[[Known, FirstPass, Estimate], SensorSeries]] = {
-    "radar": _radar_series,
-    "displacement": _displacement_series,
-}
 
 
 def _offsets(first: FirstPass) -> dict[str, Offsets]:
     """The calibrated clock offset of each sensor."""
-    taken = {own.sensor for own in known_sensors(first.sides[0]) if not own.view.learns_offset}
+    taken = {view.sensor for view, _ in known_sensors(first.sides[0]) if not view.learns_offset}
     found = offsets_of(first.sides[0], first.eyes)
     return {name: Offsets(offset, estimated=name not in taken) for name, offset in found.items()}
 

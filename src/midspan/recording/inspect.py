@@ -16,7 +16,6 @@ from midspan.recording.streams.recording import Recording
 from midspan.recording.streams.span import shown
 from midspan.records import NANOSECONDS, Nanoseconds, TimeSeries
 from midspan.settings.load import RECORDING_FILE
-from midspan.settings.recording import Sensor
 from midspan.signals.health import clipped, clock, frozen
 from midspan.sources.accelerometer.channel import Channel, Stored
 from midspan.sources.accelerometer.clock import NOT_A_TIME
@@ -72,14 +71,14 @@ def _streams(recording: Recording, every_frame: bool, progress: Progress) -> Ite
         if across is not None and across.fused:
             # The column along the second image axis.
             yield f"accelerometer_{across.axis}", file, lambda: _acceleration(across.acceleration)
-    readers: dict[str, Callable[[Sensor], tuple[Tree, Nanoseconds]]] = {
-        "camera": lambda sensor: _frames(recording.frames_of(sensor), every_frame, progress),
-        "infrared": lambda sensor: _frames(recording.frames_of(sensor), every_frame, progress, thermal=True),
-        "radar": lambda sensor: _radar(recording.radar_of(sensor), every_frame, progress),
-        "displacement": lambda sensor: _series(recording.series_of(sensor), "m"),
+    readers: dict[str, Callable[[Recording], tuple[Tree, Nanoseconds]]] = {
+        "camera": lambda view: _frames(view.frames, every_frame, progress),
+        "infrared": lambda view: _frames(view.frames, every_frame, progress, thermal=True),
+        "radar": lambda view: _radar(view.radar, every_frame, progress),
+        "displacement": lambda view: _series(view.displacement, "m"),
     }
-    for sensor in recording.sensors:
-        yield sensor.name, sensor.settings.file, partial(readers[sensor.kind], sensor)
+    for view in recording.views:
+        yield view.sensor, view.own.settings.file, partial(readers[view.kind], view)
     if settings.reference is not None:
         yield "reference", settings.reference.file, lambda: _series(recording.reference, "m")
 

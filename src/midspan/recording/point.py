@@ -1,7 +1,7 @@
 """From a calibrated recording to its measuring point: channels, what is uncertain of each sensor, and the stages."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -9,63 +9,24 @@ from midspan.engine.axis import AxisFigures
 from midspan.engine.guard import Guard, GuardSettings
 from midspan.engine.merge import Merge
 from midspan.engine.order import FIRST_NS
-from midspan.engine.plain import PlainChain, PlainSettings
 from midspan.engine.point import ACCELEROMETER, Point
-from midspan.engine.sensors import CameraSensor, PlainSensor, RadarSensor, Sensor
+from midspan.engine.sensors import CameraSensor, Sensor
 from midspan.engine.switching import Switch
 from midspan.fusion.estimator import Estimator
-from midspan.fusion.model import EstimatorSettings, Parameter, ParameterKind
+from midspan.fusion.model import EstimatorSettings, ParameterKind
 from midspan.fusion.second_pass import Lag
 from midspan.recording.calibrate import usual_in_window
-from midspan.recording.cameras.tracked import Eye, Known, Side, clock_std_s, known_sensors, offsets_of
-from midspan.recording.radar.chain import radar_chain
-from midspan.recording.stored.displacement import DisplacementCalibration
-from midspan.recording.stored.radar import RadarCalibration
+from midspan.recording.cameras.tracked import Eye, Side, known_sensors, offsets_of
+from midspan.recording.channels import Table, ages, clock_std_s, interval_s
+from midspan.recording.kinds import ROWS
 from midspan.recording.streams.measured import frames_used
 from midspan.recording.streams.recording import Recording
-from midspan.records import NANOSECONDS, Channel, ClockOffset, Nanoseconds, Source
-from midspan.signals.stuck import resolution
+from midspan.records import NANOSECONDS, Channel, ClockOffset
 
-# Rows are coasting when the last accepted measurement is older than this many of the sensor's usual intervals; they
-# are lost after this many, and after this many seconds at least.
-COASTING_INTERVALS, LOST_INTERVALS, MIN_COASTING_S, MIN_LOST_S = 2.5, 10.0, 0.05, 10.0
-# The usual interval of a stream is the median between so many stamps at its beginning: jitter of a tenth of an interval
-# then changes it by a hundredth.
-FIRST_STAMPS = 100
 # Noise of a target's reference frame over the noise of a frame, as standard deviations (see `vision/usual.py`).
 REFERENCE_NOISE = 1.15
-# Density of the random walk of a radar's clock beside the accelerometer's, s²/s: it follows a drift of 60 ppm at once.
-CLOCK_WALK = 3.6e-9
 # The bias is known to no better than this many samples' noise, m/s², and this (a tilt of 0.006°); unknown: this.
 BIAS_SAMPLES, MIN_BIAS_STD, UNKNOWN_BIAS_STD = 10.0, 1e-3, 0.3
-
-
-@dataclass(slots=True)
-class Table:
-    """The estimator's channels and parameters as they are gathered, sensor by sensor."""
-
-    channels: list[Channel] = field(default_factory=list)
-    parameters: list[Parameter] = field(default_factory=list)
-
-    def add(self, channel: Channel) -> int:
-        """Put a channel to the table; returns its number."""
-        self.channels.append(channel)
-        return len(self.channels) - 1
-
-    def uncertain(self, kind: ParameterKind, channels: Sequence[int], std: float) -> None:
-        """Put an uncertain value that the channels share to the table, where there is any doubt of it."""
-        if 0.0 < std < np.inf:
-            self.parameters.append(Parameter(kind, tuple(channels), std))
-
-
-def interval_s(times: Nanoseconds) -> float:
-    """The usual interval (s) between stamps (n,): of the first ones, so that nothing depends on what comes later."""
-    return float(np.median(np.diff(times[:FIRST_STAMPS]))) / NANOSECONDS if len(times) > 1 else 0.0
-
-
-def ages(interval: float) -> tuple[float, float]:
-    """Ages (s) of the last accepted measurement from which on rows are coasting and lost, by the usual interval (s)."""
-    return max(COASTING_INTERVALS * interval, MIN_COASTING_S), max(LOST_INTERVALS * interval, MIN_LOST_S)
 
 
 def camera_channels(table: Table, eye: Eye, *, first: bool) -> CameraSensor:
@@ -101,59 +62,6 @@ def camera_channels(table: Table, eye: Eye, *, first: bool) -> CameraSensor:
     every = [number for numbers in along for number in numbers]
     table.uncertain(ParameterKind.CLOCK_OFFSET, every, clock_std_s(eye.calibrations[0].offset))
     return CameraSensor(eye.sensor, eye.tracking.chain, rows, [camera.direction for camera in eye.calibrations])
-
-
-def plain_channel(table: Table, own: Known, *, moved_m: float, first: bool) -> PlainSensor:
-    """A displacement sensor, and its channel in the table; first: whether its zero is the zero of the displacement."""
-    known: DisplacementCalibration = own.calibration
-    series = own.view.displacement
-    step_s = interval_s(series.time_ns)
-    coasting_s, lost_s = ages(step_s)
-    channel = table.add(
-        Channel(
-            sensor=own.sensor,
-            source=Source.DISPLACEMENT,
-            units_per_m=1.0,
-            zero_std_m=0.0 if first else np.inf,
-            coasting_s=coasting_s,
-            lost_s=lost_s,
-        )
-    )
-    table.uncertain(ParameterKind.SCALE_ERROR, [channel], known.relative_std)
-    table.uncertain(ParameterKind.CLOCK_OFFSET, [channel], clock_std_s(known.offset))
-    settings = PlainSettings(
-        name=own.sensor,
-        channel=channel,
-        variance_m2=known.noise_std_m**2,
-        step_s=step_s,
-        resolution_m=resolution(known.scale * series.value) if known.resolution_m is None else known.resolution_m,
-        scale=known.scale,
-    )
-    return PlainSensor(own.sensor, PlainChain(settings))
-
-
-def radar_channels(table: Table, own: Known, *, moved_m: float, first: bool) -> RadarSensor:
-    """A radar's sensor, and its channels in the table.
-
-    moved_m: standard deviation of the usual displacement; first: whether its zero is that of the displacement.
-    """
-    known: RadarCalibration = own.calibration
-    coasting_s, lost_s = ages(interval_s(own.view.radar.times_ns()))
-    chain, channels = radar_chain(known, own.view.radar.info, own.sensor, moved_m)
-    numbers = [
-        table.add(
-            replace(channel, coasting_s=coasting_s, lost_s=lost_s, zero_std_m=channel.zero_std_m if first else np.inf)
-        )
-        for channel in channels
-    ]
-    table.uncertain(ParameterKind.SCALE_ERROR, numbers, known.relative_std)
-    clock = ParameterKind.CLOCK_OFFSET
-    table.parameters.append(Parameter(clock, tuple(numbers), clock_std_s(known.offset), 0, CLOCK_WALK))
-    return RadarSensor(own.sensor, chain, numbers)
-
-
-# The stage of sensors that are no cameras, by their kind.
-STAGES: dict[str, Callable[..., Sensor]] = {"radar": radar_channels, "displacement": plain_channel}
 
 
 def figures(side: Side, rate_hz: float) -> AxisFigures:
@@ -220,8 +128,8 @@ def measuring_point(
     sensors: dict[str, Sensor] = {}
     for number, eye in enumerate(eyes):
         sensors[eye.sensor] = camera_channels(table, eye, first=number == 0)
-    for own in known_sensors(main):
-        sensors[own.sensor] = STAGES[own.view.kind](table, own, moved_m=moved_m, first=not sensors)
+    for view, known in known_sensors(main):
+        sensors[view.sensor] = ROWS[view.kind].stage(table, view, known, moved_m=moved_m, first=not sensors)
     offsets_ns = clock_offsets_ns(main, eyes)
     settings = estimator_settings(table, sides, zero_instant(main, eyes))
     settings = settings if noise_memory is None else replace(settings, noise_memory=noise_memory)

@@ -10,7 +10,8 @@ from midspan.errors import UsageError
 from midspan.fusion.methods import METHODS, no_literal_form
 from midspan.fusion.streams import MethodSettings
 from midspan.recording.calibrate import calibrate_and_track
-from midspan.recording.cameras.tracked import clock_std_s, side_of
+from midspan.recording.cameras.tracked import side_of
+from midspan.recording.channels import clock_std_s
 from midspan.recording.messages import channel_warnings, event_warnings, shares
 from midspan.recording.one_series import literal_warnings, run_on_series, with_uncertain
 from midspan.recording.radar.chain import radar_part

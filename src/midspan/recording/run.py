@@ -112,14 +112,14 @@ def run(point: Point, sides: Sequence[Side], eyes: Sequence[Eye]) -> Outcome:
     cameras = {eye.sensor: eye for eye in eyes}
     kept = {eye.sensor: eye.tracking.done for eye in eyes}
     feeds: dict[str, Iterator[Tracked | Frame | RangeFrame]] = {eye.sensor: frames_of(eye) for eye in eyes}
-    for own in known_sensors(sides[0]):
-        sensor = point.sensors[own.sensor]
+    for view, _ in known_sensors(sides[0]):
+        sensor = point.sensors[view.sensor]
         if isinstance(sensor, RadarSensor):
-            feeds[own.sensor] = radar_frames(own.view, sensor)
-            outcome.radars[own.sensor] = RadarLog(sensor.chain.targets)
+            feeds[view.sensor] = radar_frames(view, sensor)
+            outcome.radars[view.sensor] = RadarLog(sensor.chain.targets)
         else:
-            series = own.view.displacement
-            outcome.take(point.push(Arrival(own.sensor, 0, Readings(series.time_ns, series.value[:, None]))))
+            series = view.displacement
+            outcome.take(point.push(Arrival(view.sensor, 0, Readings(series.time_ns, series.value[:, None]))))
     for arrival in in_time(feeds, clock_offsets_ns(sides[0], eyes)):
         with in_words_of(arrival.stream):
             outputs = point.push(arrival)

@@ -7,9 +7,6 @@ import numpy as np
 from midspan.recording.sensor_series import SensorSeries
 from midspan.records import Estimate, Event, Floats, Innovation
 
-# Without an accelerometer only a smoother bridges the time between frames.
-TRACKED_METHOD = "smoother"
-
 
 @dataclass(frozen=True, slots=True)
 class SecondAxis:

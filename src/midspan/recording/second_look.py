@@ -10,9 +10,9 @@ import numpy as np
 
 from midspan.fusion.estimator import BLOCK, Estimator, Log
 from midspan.fusion.model import EstimatorSettings, ParameterKind
-from midspan.recording.cameras.tracked import Side, clock_std_s
-from midspan.recording.fusing.fuse import CourseError
-from midspan.recording.fusing.one_clock import OneClock, one_clock
+from midspan.recording.cameras.tracked import Side
+from midspan.recording.channels import clock_std_s
+from midspan.recording.fusing.one_clock import CourseError, OneClock, one_clock
 from midspan.recording.fusing.scale_check import Fitting, Sensed, fitting
 from midspan.recording.run import Outcome
 from midspan.recording.sensor_series import SensorSeries, series_of

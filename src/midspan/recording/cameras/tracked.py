@@ -4,8 +4,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from midspan.fusion.streams import KalmanSettings
 from midspan.recording.stored.calibration import Calibration
 from midspan.recording.stored.camera import CameraCalibration
@@ -19,15 +17,10 @@ from midspan.recording.tracking.opening import open_tracking
 from midspan.recording.tracking.tracking import CameraTracking
 from midspan.records import (
     Acceleration,
-    Floats,
-    Region,
     Source,
     TimeOffset,
 )
 from midspan.settings.kinds import CAMERAS
-
-# A target left out of more than this share of its frames is worth telling.
-NOTABLE_DROPPED = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,47 +53,23 @@ class Eye:
         return self.calibrations[0].source
 
     @property
-    def best(self) -> int:
-        """Number of the best target along the main axis, in the tracking's."""
-        regions = [target.region for target in self.tracking.targets]
-        return regions.index(best_region(self.tracking, self.calibrations[0]))
-
-    @property
     def begins_dark(self) -> bool:
         """Whether frames before the first one used were dark or not usable."""
         began_ns = self.view.sees_from_ns
         return self.tracking.skipped > 0 or (began_ns is not None and began_ns > self.view.frames.times_ns()[0])
 
-    @property
-    def strength(self) -> Floats:
-        """Good matches of the best target in each frame (n,), of trackers without matches the quality in percent."""
-        return self.tracking.targets[self.best].strengths
 
-
-@dataclass(frozen=True, slots=True)
-class Known:
-    """A sensor of a recording that is no camera, in its own view, and what was learnt of it."""
-
-    view: Recording
-    calibration: Any
-
-    @property
-    def sensor(self) -> str:
-        """Its name."""
-        return self.view.sensor
-
-
-def known_sensors(main: Side) -> tuple[Known, ...]:
-    """The calibrated sensors of a recording that are no cameras."""
+def known_sensors(main: Side) -> list[tuple[Recording, Any]]:
+    """The calibrated sensors of a recording that are no cameras: the view of each, and what was learnt of it."""
     views = [view for view in main.recording.views if view.kind not in CAMERAS]
-    known = [Known(view, main.calibration.of_sensor(view.own, view.beside)) for view in views]
-    return tuple(one for one in known if one.calibration is not None)
+    known = [(view, main.calibration.of_sensor(view.own, view.beside)) for view in views]
+    return [one for one in known if one[1] is not None]
 
 
 def offsets_of(main: Side, eyes: Sequence[Eye]) -> dict[str, TimeOffset]:
     """The calibrated clock offset of each sensor, by its name."""
     found = {eye.sensor: eye.calibrations[0].offset for eye in eyes}
-    return found | {one.sensor: one.calibration.offset for one in known_sensors(main)}
+    return found | {view.sensor: known.offset for view, known in known_sensors(main)}
 
 
 def side_of(recording: Recording, calibration: Calibration) -> Side:
@@ -130,14 +99,3 @@ def open_eyes(sides: Sequence[Side], tracking: CameraTracking | None, progress: 
             own = opened.get(view.sensor) or open_tracking(view, known[0], progress)
         eyes.append(Eye(view, own, known))
     return tuple(eyes)
-
-
-def best_region(tracking: CameraTracking, camera: CameraCalibration) -> Region:
-    """The region of the best target, as it is tracked: one alone may have been moved a little by the recording."""
-    regions = [target.region for target in tracking.targets]
-    return camera.region if camera.region in regions else regions[0]
-
-
-def clock_std_s(offset: TimeOffset) -> float:
-    """Standard deviation (s) of a clock offset; one that the motion does not tell has no effect either."""
-    return float(np.sqrt(offset.variance)) if np.isfinite(offset.variance) else 0.0

@@ -7,7 +7,11 @@ import numpy as np
 from midspan.calibration.bias import Bias, bias_of
 from midspan.calibration.noise import NoiseCalibration
 from midspan.calibration.scale import white_noise
+from midspan.engine.plain import PlainChain, PlainSettings
+from midspan.engine.sensors import PlainSensor
 from midspan.errors import UntrustedError, UsageError
+from midspan.fusion.model import ParameterKind
+from midspan.recording.channels import Table, ages, clock_std_s, interval_s
 from midspan.recording.displacement.learn import learn
 from midspan.recording.sensor_series import SensorSeries
 from midspan.recording.stored.calibration import Calibration
@@ -15,7 +19,7 @@ from midspan.recording.stored.displacement import DisplacementCalibration
 from midspan.recording.streams.progress import Progress
 from midspan.recording.streams.recording import Recording
 from midspan.recording.streams.span import require_overlap, shown
-from midspan.records import NANOSECONDS, Event, Source, TimeSeries, seconds
+from midspan.records import NANOSECONDS, Channel, Event, Source, TimeSeries, seconds
 from midspan.signals.health import Mask, runs
 from midspan.signals.stuck import resolution, stuck
 
@@ -133,7 +137,7 @@ def read_with(series: TimeSeries, learnt: DisplacementCalibration) -> TimeSeries
     return replace(series, time_ns=series.time_ns + offset_ns, value=learnt.scale * series.value)
 
 
-def displacement_series(view: Recording, learnt: DisplacementCalibration) -> SensorSeries:
+def displacement_series(view: Recording, learnt: DisplacementCalibration, log: object = None) -> SensorSeries:
     """The whole channel as it was read, in metres on the accelerometer's clock."""
     found = read_with(view.displacement, learnt)
     std = np.where(np.isfinite(found.value), learnt.noise_std_m, np.nan)
@@ -152,7 +156,38 @@ def require_known(view: Recording, calibration: Calibration) -> DisplacementCali
             "displacement.estimate_scale = true: the calibration was made without it and has no displacement.scale. "
             "Calibrate again."
         )
+    require_overlap(view.prepared.time_ns, view.displacement.time_ns, view.sensor)
     return learnt
+
+
+def plain_channel(
+    table: Table, view: Recording, known: DisplacementCalibration, *, moved_m: float, first: bool
+) -> PlainSensor:
+    """A displacement sensor, and its channel in the table; first: whether its zero is the zero of the displacement."""
+    series = view.displacement
+    step_s = interval_s(series.time_ns)
+    coasting_s, lost_s = ages(step_s)
+    channel = table.add(
+        Channel(
+            sensor=view.sensor,
+            source=Source.DISPLACEMENT,
+            units_per_m=1.0,
+            zero_std_m=0.0 if first else np.inf,
+            coasting_s=coasting_s,
+            lost_s=lost_s,
+        )
+    )
+    table.uncertain(ParameterKind.SCALE_ERROR, [channel], known.relative_std)
+    table.uncertain(ParameterKind.CLOCK_OFFSET, [channel], clock_std_s(known.offset))
+    settings = PlainSettings(
+        name=view.sensor,
+        channel=channel,
+        variance_m2=known.noise_std_m**2,
+        step_s=step_s,
+        resolution_m=resolution(known.scale * series.value) if known.resolution_m is None else known.resolution_m,
+        scale=known.scale,
+    )
+    return PlainSensor(view.sensor, PlainChain(settings))
 
 
 def without(series: TimeSeries, mask: Mask) -> TimeSeries:

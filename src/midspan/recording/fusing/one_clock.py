@@ -11,7 +11,6 @@ from midspan.calibration.running_clock import RunningClock, on_one_clock
 from midspan.errors import UntrustedError
 from midspan.fusion.path import at
 from midspan.fusion.streams import NO_ERRORS, KalmanSettings, filtered, smooth
-from midspan.recording.fusing.fuse import CourseError
 from midspan.recording.streams.span import inside, shown
 from midspan.records import (
     NANOSECONDS,
@@ -19,7 +18,7 @@ from midspan.records import (
     Displacement,
     Event,
     Floats,
-    Source,
+    Nanoseconds,
     part,
 )
 
@@ -30,6 +29,14 @@ AROUND_S = 10.0
 WINDOW_S, MOST_REJECTED, CONTRADICTS = 8.0, 0.6, 4.0
 # Lost or doubled frames are named where a jump is so many intervals to this share of one.
 WHOLE = 0.1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CourseError:
+    """A sensor's zero wanders, and is known at stamps (n,) to standard deviations (n,) in m only."""
+
+    time_ns: Nanoseconds
+    std_m: Floats
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,7 +180,7 @@ def _either_side(
             other_s = np.full(len(moved.time_ns) - jump.row, jump.rival_s - jump.late_s)
             std_m = np.zeros(len(moved.time_ns))
             std_m[after] = _apart(moved, after, other_s, acceleration, kalman)
-            levels += [CourseError(Source(int(source)), moved.time_ns, std_m) for source in np.unique(moved.source)]
+            levels.append(CourseError(moved.time_ns, std_m))
     return replace(moved, variance_m2=variance), tuple(levels)
 
 

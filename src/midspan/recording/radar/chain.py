@@ -1,23 +1,33 @@
 """The radar's stage and its channels from a calibration."""
 
 import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
 
 from midspan.engine.radar import RadarChain
 from midspan.engine.radar_target import FollowedTarget
+from midspan.engine.sensors import RadarSensor
 from midspan.errors import UsageError
+from midspan.fusion.model import Parameter, ParameterKind
 from midspan.radar.target import Target
+from midspan.recording.channels import Table, ages, clock_std_s, interval_s
 from midspan.recording.radar.frames import bin_m_of, check_same_radar
+from midspan.recording.sensor_series import SensorSeries, channel_series
 from midspan.recording.stored.calibration import Calibration
 from midspan.recording.stored.radar import RadarCalibration
 from midspan.recording.streams.recording import Recording
 from midspan.recording.streams.sensor_words import in_words_of
 from midspan.recording.streams.span import require_overlap
-from midspan.records import Channel, Source
+from midspan.records import Channel, Estimate, Measured, Source
 from midspan.sources.radar.radar_source import RadarInfo
 
 # Where the structure is when a target is first used, beside the best target's first frame, m: more than structures move
 # by, and little enough for the estimator's arithmetic beside variances of (1 µm)².
 OTHER_ZERO_STD_M = 0.1
+# Density of the random walk of a radar's clock beside the accelerometer's, s²/s: it follows a drift of 60 ppm at once.
+CLOCK_WALK = 3.6e-9
 
 
 def radar_chain(
@@ -54,6 +64,27 @@ def radar_chain(
     return RadarChain(targets), channels
 
 
+def radar_channels(
+    table: Table, view: Recording, known: RadarCalibration, *, moved_m: float, first: bool
+) -> RadarSensor:
+    """A radar's sensor, and its channels in the table.
+
+    moved_m: standard deviation of the usual displacement; first: whether its zero is that of the displacement.
+    """
+    coasting_s, lost_s = ages(interval_s(view.radar.times_ns()))
+    chain, channels = radar_chain(known, view.radar.info, view.sensor, moved_m)
+    numbers = [
+        table.add(
+            replace(channel, coasting_s=coasting_s, lost_s=lost_s, zero_std_m=channel.zero_std_m if first else np.inf)
+        )
+        for channel in channels
+    ]
+    table.uncertain(ParameterKind.SCALE_ERROR, numbers, known.relative_std)
+    clock = ParameterKind.CLOCK_OFFSET
+    table.parameters.append(Parameter(clock, tuple(numbers), clock_std_s(known.offset), 0, CLOCK_WALK))
+    return RadarSensor(view.sensor, chain, numbers)
+
+
 def radar_part(view: Recording, calibration: Calibration) -> RadarCalibration:
     """The radar's part of a calibration; UsageError where it has none or belongs to other settings of the radar."""
     known: RadarCalibration | None = calibration.of_sensor(view.own, view.beside)
@@ -72,3 +103,11 @@ def first_zero_std_m(item: FollowedTarget) -> float:
     target: Target = item.target
     bent_m = abs(target.conversion_factor) * target.bent_rad / item.phase_per_m
     return math.hypot(target.noise_m, bent_m)
+
+
+def radar_series(
+    view: Recording, known: RadarCalibration, log: tuple[Measured, Sequence[Channel], Estimate]
+) -> SensorSeries:
+    """What a radar's targets measured together; log: all that it measured, the estimator's channels, the rows."""
+    measured, channels, rows = log
+    return channel_series(measured, channels, view.sensor, rows)

@@ -1,6 +1,6 @@
 """A recording: its settings and its files, opened when they are first needed."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cached_property
 from pathlib import Path
@@ -9,11 +9,11 @@ from typing import Any
 from midspan.errors import DataError, MidspanError, UsageError
 from midspan.recording.streams.acceleration import PreparedAcceleration, prepare_acceleration, still
 from midspan.records import NANOSECONDS, Nanoseconds, TimeSeries
-from midspan.settings.camera import CameraSettings, InfraredSettings
+from midspan.settings.camera import InfraredSettings
 from midspan.settings.kinds import CAMERAS, KINDS
 from midspan.settings.load import load_settings, settings_file
 from midspan.settings.recording import RecordingSettings, Sensor
-from midspan.settings.sensors import AccelerometerSettings, ChannelSettings, DisplacementSettings, RadarSettings
+from midspan.settings.sensors import AccelerometerSettings, ChannelSettings
 from midspan.sources.accelerometer.formats import list_channels
 from midspan.sources.accelerometer.select import SeriesRequest, read_series
 from midspan.sources.camera.formats import open_frames
@@ -130,13 +130,18 @@ class Recording:
     @property
     def beside(self) -> tuple[Sensor, ...]:
         """The other sensors of the recording that this is a view of."""
-        every = self.sensors if self._beside is None else (*self._beside.beside, self._beside.own)
-        return tuple(sensor for sensor in every if sensor.name != self.sensor)
+        return tuple(sensor for sensor in self._root.sensors if sensor.name != self.sensor)
 
     @property
     def gives_zero(self) -> bool:
-        """Whether the zero of this view's sensor is that of the displacement: the first one's in the order of KINDS."""
-        return all(KINDS.index(self.kind) <= KINDS.index(sensor.kind) for sensor in self.beside)
+        """Whether the zero of this view's sensor is that of the displacement: the first one's."""
+        return self._root.sensors[0].name == self.sensor
+
+    @property
+    def _root(self) -> "Recording":
+        """The recording that this is a view of."""
+        above = self._beside or self._whole
+        return self if above is None else above._root
 
     @cached_property
     def views(self) -> "tuple[Recording, ...]":
@@ -222,7 +227,8 @@ class Recording:
     @cached_property
     def displacement(self) -> TimeSeries:
         """The channel of [displacement], m, on its own clock."""
-        return self.series_of(self._first("displacement"))
+        section, key = self._section("displacement")
+        return self._series(key, section, "displacement")
 
     @property
     def max_offset_s(self) -> float:
@@ -278,12 +284,7 @@ class Recording:
         """The camera's frames."""
         if self._whole is not None:
             return self._whole.frames
-        return self.frames_of(self._first("camera"))
-
-    def frames_of(self, sensor: Sensor) -> FrameSource:
-        """The frames of one of `sensors`, a camera of light or infrared."""
-        camera, key = sensor.settings, self._key(sensor)
-        assert isinstance(camera, CameraSettings)
+        camera, key = self._section(*CAMERAS)
         times = None if camera.times is None else self.path(camera.times, f"{key}.times")
         request = FrameRequest(times=times, rate_hz=camera.rate_hz, start_s=camera.start_s, every=camera.every)
         path = self.path(camera.file, f"{key}.file")
@@ -296,12 +297,7 @@ class Recording:
     @cached_property
     def radar(self) -> RadarSource:
         """The radar's frames."""
-        return self.radar_of(self._first("radar"))
-
-    def radar_of(self, sensor: Sensor) -> RadarSource:
-        """The frames of one of `sensors`, a radar."""
-        radar, key = sensor.settings, self._key(sensor)
-        assert isinstance(radar, RadarSettings)
+        radar, key = self._section("radar")
         request = RadarRequest(
             config=None if radar.config is None else self.path(radar.config, f"{key}.config"),
             iq_order=radar.iq_order,
@@ -311,35 +307,23 @@ class Recording:
         )
         return open_radar(self.path(radar.file, f"{key}.file"), request)
 
-    def series_of(self, sensor: Sensor) -> TimeSeries:
-        """The channel (m, on its own clock) of one of `sensors`, a displacement sensor."""
-        assert isinstance(sensor.settings, DisplacementSettings)
-        return self._series(self._key(sensor), sensor.settings, "displacement")
-
-    def require_one_of_a_kind(self, kinds: Sequence[str] = KINDS) -> None:
+    def require_one_of_a_kind(self) -> None:
         """UsageError naming the sections where there are several sensors of one kind, for what takes one of each."""
-        for kind in kinds:
+        for kind in KINDS:
             names = [sensor.name for sensor in self.sensors if sensor.kind == kind]
             if len(names) > 1:
                 raise UsageError(
                     f"{self.file}: [[{kind}]] must be one section here; received {len(names)}: {', '.join(names)}. "
-                    f"This version calibrates, tracks and estimates with one sensor of each kind: leave one [{kind}]."
+                    f"A printed method takes one sensor of each kind: leave one [{kind}], or fusion.literal out."
                 )
 
-    def _first(self, kind: str) -> Sensor:
-        if self._own is not None and (kind == self.kind or self.kind == "infrared"):
-            return self._own
-        found = next((sensor for sensor in self.sensors if sensor.kind == kind), None)
-        if found is None:
-            raise DataError(f"{self.file}: has no [{kind}] section.")
-        return found
-
-    def _key(self, sensor: Sensor) -> str:
-        """The section of a sensor as messages name it: with its number where there are several of its kind."""
-        if self._beside is not None:
-            return self._beside._key(self.own)
-        listed = self.settings.of_kind(sensor.kind)
-        return sensor.kind if len(listed) < 2 else f"{sensor.kind}[{1 + listed.index(sensor.settings)}]"
+    def _section(self, *kinds: str) -> tuple[Any, str]:
+        """The section of this view's sensor, or of the first one of these kinds, and how messages call it."""
+        own = self._own or next((sensor for sensor in self.sensors if sensor.kind in kinds), None)
+        if own is None:
+            raise DataError(f"{self.file}: has no [{kinds[0]}] section.")
+        listed = self._root.settings.of_kind(own.kind)
+        return own.settings, own.kind if len(listed) < 2 else f"{own.kind}[{1 + listed.index(own.settings)}]"
 
     @property
     def own_files(self) -> set[Path]:
