@@ -170,7 +170,9 @@ class RadarSensor:
     def push(self, record: RangeFrame, expect: Expect) -> Seen:
         """The phase of each target in a frame, unwrapped about the one that is expected."""
         found = self.chain.push(record, [expect(channel, record.time_ns) for channel in self.channels])
-        events = tuple(event for one in found for event in one.events)
+        # The chain calls its sensor by its kind.
+        told = [event for one in found for event in one.events]
+        events = tuple(replace(event, text=event.text.replace("radar", self.name, 1)) for event in told)
         measured = Measured(
             np.array([one.time_ns for one in found], dtype=np.int64),
             np.array(self.channels, dtype=np.int64),

@@ -95,8 +95,10 @@ def estimate(
     method = option("method", method or recording.settings.fusion.method, METHODS)
     if recording.has("radar") and recording.settings.fusion.literal:
         return estimate_printed(recording, calibration, method, progress)
-    if recording.settings.fusion.literal and not METHODS[method].literal:
-        raise UsageError(f"{recording.file}: fusion: {no_literal_form(method)}.")
+    if recording.settings.fusion.literal:
+        recording.require_one_of_a_kind()
+        if not METHODS[method].literal:
+            raise UsageError(f"{recording.file}: fusion: {no_literal_form(method)}.")
     given = calibration is not None and tracking is None
     if calibration is None:
         calibration, tracking = calibrate_and_track(recording, progress)
@@ -385,7 +387,8 @@ def _series(first: FirstPass, axis: int) -> dict[str, SensorSeries]:
 
 def _offsets(first: FirstPass) -> dict[str, Offsets]:
     """The calibrated clock offset of each sensor."""
-    taken = {view.sensor for view, _ in known_sensors(first.sides[0]) if not view.learns_offset}
+    known = known_sensors(first.sides[0])
+    taken = {view.sensor for view, _ in known if view.kind == "displacement" and not view.learns_offset}
     found = offsets_of(first.sides[0], first.eyes)
     return {name: Offsets(offset, estimated=name not in taken) for name, offset in found.items()}
 

@@ -102,9 +102,9 @@ class Recording:
 
     @property
     def learns_offset(self) -> bool:
-        """Whether the clock offset of this view's sensor is to be learnt and applied, as that of a camera always is."""
+        """Whether the clock offset of [displacement] is to be learnt and applied."""
         section = self.settings.displacement
-        return section is None or section.estimate_offset
+        return section is not None and section.estimate_offset
 
     @property
     def learns_scale(self) -> bool:
