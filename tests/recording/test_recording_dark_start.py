@@ -37,7 +37,7 @@ class Frames:
     ],
 )
 def test_frames_before_a_night_in_the_window_are_used(lit, used_from_s, monkeypatch):
-    recording = SimpleNamespace(sensor="camera", infrared=object(), frames=Frames(lit))
+    recording = SimpleNamespace(kind="camera", beside=(SimpleNamespace(kind="infrared"),), frames=Frames(lit))
     recording.seeing = lambda *stamps: stamps
     monkeypatch.setattr("midspan.recording.tracking.daylight.window_ends", lambda _: (0, 60 * NANOSECONDS))
     (begun, ended, used_from), (text,) = where_it_sees(recording)
@@ -56,7 +56,7 @@ def eye(sensor, first_s, sees_from_s=None):
 
 
 def test_the_zero_of_a_camera_that_begins_dark_is_the_first_frame_that_either_sees():
-    main = SimpleNamespace(calibration=SimpleNamespace(radar=None, displacement=None))
+    main = SimpleNamespace(recording=SimpleNamespace(views=()))
     infrared = eye("infrared", 2)
     assert zero_instant(main, (eye("camera", 34, sees_from_s=34), infrared)) == 3 * NANOSECONDS
     assert zero_instant(main, (eye("camera", 5), infrared)) == 6 * NANOSECONDS
