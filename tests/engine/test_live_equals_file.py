@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import midspan
-from lively_recordings import Lively, write
+from lively_recordings import Lively, write, write_several
 from midspan.engine.checkpoint import from_bytes, to_bytes
 from midspan.engine.point import ACCELEROMETER, PointState
 from midspan.fusion.estimator import Estimator
@@ -149,15 +149,16 @@ def records(point, sides, eyes, rng):
     recording = sides[0].recording
     value = np.column_stack([side.recording.acceleration.value for side in sides if side.recording.fused])
     streams = {ACCELEROMETER: blocks(recording.acceleration.time_ns, value, rng)}
-    if recording.has("displacement"):
-        series = recording.displacement
-        streams["displacement"] = blocks(series.time_ns, series.value[:, None], rng)
+    for view in recording.views:
+        if view.kind == "displacement":
+            series = view.displacement
+            streams[view.sensor] = blocks(series.time_ns, series.value[:, None], rng)
+        if view.kind == "radar":
+            streams[view.sensor] = list(radar_frames(view, point.sensors[view.sensor]))
     for eye in eyes:
         times = eye.tracking.time_ns[: eye.tracking.done].tolist()
         found = [Tracked(t, t, tuple(one.translation(k) for one in eye.tracking.targets)) for k, t in enumerate(times)]
         streams[eye.sensor] = [*found, *iter(eye.tracking.take, None)]
-    if recording.has("radar"):
-        streams["radar"] = list(radar_frames(recording, point.sensors["radar"]))
     return {name: [Arrival(name, k, one) for k, one in enumerate(own)] for name, own in streams.items()}
 
 
@@ -212,7 +213,14 @@ def two_axes(folder):
     return folder
 
 
+def two_radars(folder):
+    """Two radars whose clocks and rates differ."""
+    near = replace(LIVELY, rate_hz=50.0, late_s=0.05)
+    return write_several(folder, LIVELY, "radar", {"near": near, "far": replace(near, rate_hz=40.0, first_s=1.3)})
+
+
 CASES["two axes"] = two_axes
+CASES["two radars"] = two_radars
 
 
 @pytest.fixture(scope="module", params=CASES)

@@ -86,6 +86,7 @@ RECORDS: tuple[type, ...] = (
     records.PixelTrack,
     records.PixelTranslation,
     records.Prediction,
+    records.RangeFrame,
     records.RangeFrames,
     records.Readings,
     records.Region,
