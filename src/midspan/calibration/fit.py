@@ -13,7 +13,6 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize_scalar
 
 from midspan.calibration.whitening import Response, Whitened, integrated, levelled, usable, whiten_columns
 from midspan.records import Floats
@@ -210,6 +209,8 @@ def corner_range(pair: Pair) -> tuple[float, float]:
 
 def best_corner(pair: Pair, offset_s: float, corner: float | None = None) -> Fit:
     """The most likely noise ratio at a fixed time offset, near `corner` (rad/s) where one is given."""
+    from scipy.optimize import minimize_scalar
+
     here = aligned(pair, offset_s)
     low, high = np.log(corner_range(pair))
     if corner is None:

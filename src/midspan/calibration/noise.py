@@ -3,7 +3,6 @@
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from midspan.calibration.agreement import clearly_better, noise_share, straightened
 from midspan.calibration.fit import Fit, Pair, aligned, best_corner, corner_range, evaluate, refine
@@ -159,6 +158,8 @@ def learn_motion(pair: Pair) -> float:
     noise of the model. By maximum likelihood of the innovations; the noise is not fitted beside it, which would take a
     motion faster than the frames follow for noise.
     """
+    from scipy.optimize import minimize_scalar
+
     pair = without_lonely_outliers(pair)
     typical = float(np.median(pair.rows[np.isfinite(pair.rows[:, 2]), 2]))
     here = aligned(replace(pair, rows=pair.rows / np.array([1.0, 1.0, typical])), 0.0)

@@ -13,11 +13,11 @@ to measurement, and D is known at any instant: nothing is resampled, an aliased 
 """
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.interpolate import PPoly
 
 from midspan.fusion.state_space import (
     P00,
@@ -35,6 +35,9 @@ from midspan.fusion.state_space import (
     update_covariance,
 )
 from midspan.records import Floats
+
+if TYPE_CHECKING:
+    from scipy.interpolate import PPoly
 
 # Before the first measurements everything is unknown: variances far above any noise, in units of the noise variance.
 DIFFUSE = (1e9, 1e9, 1e9)
@@ -54,7 +57,7 @@ class Response:
     (g, 2): times until which the relative density of the acceleration's noise is constant, and that density.
     """
 
-    course: PPoly
+    course: "PPoly"
     begin_s: float
     pieces: Floats
 
@@ -84,6 +87,8 @@ def integrated(samples: Floats) -> Response:
 
     A sample's value holds for one interval before the first one.
     """
+    from scipy.interpolate import PPoly
+
     first = 2.0 * samples[0, 0] - samples[1, 0]
     time_s, value = np.r_[first, samples[:, 0]], np.r_[samples[0, 1], samples[:, 1]]
     out = np.empty((len(time_s) - 1, 4))

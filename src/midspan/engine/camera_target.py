@@ -12,6 +12,7 @@ from midspan.records import NANOSECONDS, Frame, PixelTranslation, Prediction, Re
 from midspan.vision.fair_variance import FairVariance, UsualVariances
 from midspan.vision.lens import ideal_translation, shown_prediction
 from midspan.vision.light import LightState, LightWatch
+from midspan.vision.picture_difference import same
 from midspan.vision.picture_quality import PictureState, PictureWatch
 from midspan.vision.target import lost
 
@@ -131,7 +132,7 @@ class TargetChain:
         """
         region = self.region
         now = frame.pixels[region.y : region.y + region.height, region.x : region.x + region.width]
-        if self._seen is not None and np.array_equal(now, self._seen):
+        if self._seen is not None and same(now, self._seen):
             self.frozen_frames += 1
             return True
         self._seen = now.copy()

@@ -43,8 +43,8 @@ class Store(NamedTuple):
 
     grids: fine coefficients (2 h + 7, 2 w + 7) of the template, plain and low-passed; weight (h, w); down, across:
     edges of the blocks; origin: row and column of the window in the reference; kernels (slots, 3 h w), in which each
-    block has slots of its own (see `project`); warp (blocks, slots, 2, 2): see `build`; slot_of (blocks, phases): where a block's
-    kernels of a phase are, -1: nowhere; phase_in, used (blocks, slots): what a slot holds and when it was last used;
+    block has slots of its own (see `project`); warp (blocks, slots, 2, 2): see `build`; slot_of (blocks, phases): where
+    a block's kernels of a phase are, -1: nowhere; phase_in, used (blocks, slots): what a slot holds, its last use;
     clock (1,); centres (blocks, 2) from the window's middle, px; information (blocks, 2, 2) and gain_information
     (blocks,): inverse variances.
     """

@@ -164,9 +164,9 @@ def project(
 ) -> Floats:
     """Products of every block with its kernels: (blocks, 3) for a dx, a dy and a.
 
-    `image` (rows, columns), of which `offset` is subtracted; `bank` (slots, 3 h w): three kernels of a block, then those
-    of the next; `edges` of the blocks in the window; `at`: for every block the row and column of the image where the
-    window would begin for it, and its slot of the bank. NaN where the block is not wholly inside the image.
+    `image` (rows, columns), of which `offset` is subtracted; `bank` (slots, 3 h w): three kernels of a block, then
+    those of the next; `edges` of the blocks in the window; `at`: for every block the row and column of the image where
+    the window would begin for it, and its slot of the bank. NaN where the block is not wholly inside the image.
     """
     down, across = edges
     top, left, slot = at

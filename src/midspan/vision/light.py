@@ -42,9 +42,19 @@ def is_dark(pixels: NDArray[Any]) -> bool:
     if pixels.dtype.kind == "f":
         return False
     scale = 255.0 if pixels.dtype.itemsize == 1 else 1023.0
-    if float(np.mean(pixels)) >= DARK_SHARE * scale:
+    if _mean(pixels) >= DARK_SHARE * scale:
         return False
     return float(np.percentile(pixels[::4, ::4], 99)) < 2.0 * DARK_SHARE * scale
+
+
+@njit(cache=True)
+def _mean(pixels: NDArray[np.generic]) -> float:
+    """The mean of whole numbers (rows, columns)."""
+    total = 0
+    for r in range(pixels.shape[0]):
+        for value in pixels[r]:
+            total += value
+    return total / pixels.size
 
 
 @dataclass(frozen=True, slots=True)

@@ -45,7 +45,7 @@ class Widening:
         return replace(found, variance_x_px2=x, variance_y_px2=y)
 
 
-NOTHING = Widening()
+NOTHING, LOSSLESS = Widening(), Compression()
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,26 +124,24 @@ class PictureWatch:
             self._before, self._lags, self.counts = None, (Lag(), Lag()), self.counts.lost()
             return NOTHING
         place = self._place(frame.pixels.shape, found)
-        frozen = self._frozen(frame.pixels)
-        cut = _cut(frame.pixels, place).copy()
-        self._before = place, cut
+        cut = _cut(frame.pixels, place)
+        if not self._lossless:
+            self._follow_frozen(frame.pixels, found, place, cut)
         self._codec.push(frame.pixels, found, place)
         sharp = self._sharpness(detail(cut, self._every))
         share = max(share_at_ends(cut), self._ends)
         saturated = share / max(1.0 - share, 0.02) if share > SATURATED_SHARE else 0.0
         self.counts = self.counts.plus(found, sharp, saturated)
-        self._frozen_share += (frozen - self._frozen_share) / min(self._codec.frames, FROZEN_MEAN_FRAMES)
-        self._lags = self._lags[0].after(found.x_px, frozen), self._lags[1].after(found.y_px, frozen)
         added = self.compression.std_px**2 + SATURATED_STD_PX**2 * saturated
-        x, y = (_blur_factor(value) for value in sharp)
-        more_x, more_y = (lag.lag_px**2 for lag in self._lags)
-        return Widening(x, y, x * more_x + added, y * more_y + added)
+        x, y = _blur_factor(sharp[0]), _blur_factor(sharp[1])
+        more_x, more_y = self._lags[0].lag_px, self._lags[1].lag_px
+        return Widening(x, y, x * more_x**2 + added, y * more_y**2 + added)
 
     @property
     def compression(self) -> Compression:
         """What a codec did to the frames so far."""
         if self._lossless:
-            return Compression()
+            return LOSSLESS
         return self._codec.compression(self._frozen_share, refocused=self._refocused)
 
     @property
@@ -161,9 +159,18 @@ class PictureWatch:
         """Whether the usual frame has another sharpness than the reference."""
         return any(_change(median.value) <= BLURRED for median in self._sharp)
 
+    def _follow_frozen(
+        self, pixels: NDArray[np.generic], found: PixelTranslation, place: Region, cut: NDArray[np.generic]
+    ) -> None:
+        """Follow what a codec left standing still."""
+        frozen = self._frozen(pixels)
+        self._before = place, cut.copy()
+        self._frozen_share += (frozen - self._frozen_share) / min(self._codec.frames + 1, FROZEN_MEAN_FRAMES)
+        self._lags = self._lags[0].after(found.x_px, frozen), self._lags[1].after(found.y_px, frozen)
+
     def _frozen(self, pixels: NDArray[np.generic]) -> float:
         """Share of the texture in blocks that are bit for bit those of the frame before, where the target was then."""
-        if self._before is None or self._lossless:
+        if self._before is None:
             return 0.0
         then, cut = self._before
         frozen, whole = frozen_texture(_cut(pixels, then), cut, then.x, then.y)
@@ -172,15 +179,15 @@ class PictureWatch:
     def _sharpness(self, now: tuple[float, float, float]) -> tuple[float, float]:
         """Detail along x and y of a frame over the reference's, square and without noise; `now`: see `detail`."""
         noise = self._codec.usual.noise**2
-        light, dark = (_without(of[2], noise) for of in (now, self._zero))
-        sharp = tuple(
-            _over(_without(now[axis], 2.0 * noise) * dark, _without(self._zero[axis], 2.0 * noise) * light)
-            for axis in (0, 1)
-        )
-        if math.isfinite(sharp[0] + sharp[1]):
-            for median, value in zip(self._sharp, sharp, strict=True):
+        light, dark = _without(now[2], noise), _without(self._zero[2], noise)
+        zero = self._zero
+        x = _over(_without(now[0], 2.0 * noise) * dark, _without(zero[0], 2.0 * noise) * light)
+        y = _over(_without(now[1], 2.0 * noise) * dark, _without(zero[1], 2.0 * noise) * light)
+        # They tell of what a codec did, see `compression`.
+        if not self._lossless and math.isfinite(x + y):
+            for median, value in zip(self._sharp, (x, y), strict=True):
                 median.push(value)
-        return sharp[0], sharp[1]
+        return x, y
 
     def _place(self, shape: tuple[int, ...], found: PixelTranslation) -> Region:
         """The region moved by whole pixels, inside the image."""

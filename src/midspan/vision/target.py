@@ -40,13 +40,17 @@ class Motion:
         x, y = self.expected(time_ns, None)
         return Prediction(x, y, UNPREDICTED_STD_PX, UNPREDICTED_STD_PX)
 
+    def speed_to(self, time_ns: int, x_px: float, y_px: float) -> tuple[float, float]:
+        """Speed (px/s) of a target that is now here; 0 where that is not known."""
+        if self.time_ns is None or self.lost_frames > 0 or time_ns <= self.time_ns:
+            return 0.0, 0.0
+        elapsed_s = (time_ns - self.time_ns) / NANOSECONDS
+        return (x_px - self.x_px) / elapsed_s, (y_px - self.y_px) / elapsed_s
+
     def seen(self, time_ns: int, translation: tuple[float, float], **more: Any) -> Self:
         """After a frame that shows the target; the speed is only known between two frames that both do."""
         x, y = translation
-        speed = (0.0, 0.0)
-        if self.time_ns is not None and self.lost_frames == 0 and time_ns > self.time_ns:
-            elapsed_s = (time_ns - self.time_ns) / NANOSECONDS
-            speed = ((x - self.x_px) / elapsed_s, (y - self.y_px) / elapsed_s)
+        speed = self.speed_to(time_ns, x, y)
         return replace(
             self,
             x_px=x,
