@@ -196,7 +196,7 @@ def test_no_start_leaves_all_that_is_measured_later_rejected(seed):
     value[wrong] += rng.choice([-1.0, 1.0], 4) * rng.uniform(1e-3, 6e-3, 4)
     pushed = -sum(size * (2 * np.pi * hz) ** 2 * np.sin(2 * np.pi * hz * time) for size, hz in parts) + 5e-3
     acceleration = acceleration_block(time, pushed + rng.normal(0, NOISE_A, time.size), NOISE_A**2 / 100.0)
-    found = filtered(acceleration, displacement_block(met, value, NOISE_D**2)).estimate
+    found = filtered(acceleration, displacement_block(met, value, NOISE_D**2))[0]
     settled = found.time_ns > 7e9
     # Six deviations of the causal band (0.06 mm).
     assert np.abs(found.displacement_m - moved(found.time_ns / 1e9))[settled].max() < 4e-4

@@ -43,8 +43,8 @@ def test_a_parked_car_that_drives_off_is_left_out_and_the_wall_goes_on(tmp_path)
     wall, car = sorted(result.calibration.radar.used, key=lambda target: target.range_m)
     assert car.noise_m < 0.5 * wall.noise_m
     told = [event for event in result.events if event.kind == "contradiction"]
-    assert [event.time_ns / 1e9 for event in told] == pytest.approx([LEAVES_S + 0.2], abs=0.2)
-    assert "6.1" in told[0].text
+    assert told[0].time_ns / 1e9 == pytest.approx(LEAVES_S + 0.2, abs=0.2)
+    assert all("6.1" in event.text for event in told)
     # Both targets before, the wall alone after: 8 to 16 µm a frame, smoothed; no step of the hand-over.
     assert np.abs(error).max() < 0.03
     assert np.mean(np.abs(error) < 1.96 * result.displacement_std_mm) > 0.9

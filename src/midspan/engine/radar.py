@@ -310,7 +310,8 @@ class _Follower:
             # Before the estimator was found wrong, its predictions may have led the phase to another cycle.
             if state.astray_ns >= 0 and time_ns - state.astray_ns < MEMORY * self.item.period_s * NANOSECONDS:
                 lost = state.given_rad2
-        state.refuted = refuted
+        if given is not None and given[1] < UNSURE_RAD2:
+            state.refuted = refuted
         if lost > 0.0 and state.before is None:
             events.append(Event(time_ns, "new datum", f"{self.name}: its cycle was lost; its zero is a new one."))
         if lost > 0.0:

@@ -191,12 +191,17 @@ def follow_clock(hyp, row, channel):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def sensor_stepped(marks, channels, c):  # type: ignore[no-untyped-def]
-    """Whether the clock of a channel's sensor is known to have stepped by another channel of it."""
+def step_rate(marks, channels, c, at, rates):  # type: ignore[no-untyped-def]
+    """How likely it is that the clock of a channel's sensor has stepped; rates: of itself, and where another channel of
+    the sensor has found it. 0 where another one of the same frame agrees with its prediction.
+    """
     for o in range(len(channels)):
-        if channels[o, SENSOR_OF] == channels[c, SENSOR_OF] and marks[o, STEPPED] > 0.0:
-            return True
-    return False
+        if o != c and channels[o, SENSOR_OF] == channels[c, SENSOR_OF]:
+            if marks[o, STEPPED] > 0.0:
+                return rates[1]
+            if marks[o, ACCEPTED_AT] == at:
+                return 0.0
+    return rates[0]
 
 
 @njit(cache=True)
@@ -332,10 +337,11 @@ def weigh(hyp, row, scene, tables, options, scratch, asked, chances):  # type: i
         weigh_return(hyp, row, (error, wider, own), channel, options, scratch, chances)
     may_step = mark[STEPPED] + mark[SHIFTED] == 0.0 and channel[APART] > 0.0 and not asked[0]
     if may_step and (not inside or mark[DOUBTED] > 0.0):
-        rate = P_STEPPED if mark[DOUBTED] > 0.0 else options[CLOCK_RATE] * lapse
-        rate = options[P_STAYS] if sensor_stepped(marks, tables[1], int(row[CHANNEL])) else rate
+        own_rate = P_STEPPED if mark[DOUBTED] > 0.0 else options[CLOCK_RATE] * lapse
+        rate = step_rate(marks, tables[1], int(row[CHANNEL]), row[AT], (own_rate, options[P_STAYS]))
         apart = channel[APART] * channel[UNITS_PER_M] ** 2
-        chances[CLOCK] = prior + np.log(rate) + log_normal(error, total + apart)
+        if rate > 0.0:
+            chances[CLOCK] = prior + np.log(rate) + log_normal(error, total + apart)
     # Of the first measurements it is asked only which are outliers: what is met once an hour is not met just then.
     if inside or asked[0]:
         return
