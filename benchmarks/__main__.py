@@ -5,7 +5,7 @@ import sys
 import time
 from pathlib import Path
 
-SUPPORT = {"__init__", "__main__", "cases", "table"}
+SUPPORT = {"__init__", "__main__", "cases", "radar_loop", "table"}
 
 
 def names() -> list[str]:

@@ -5,10 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from benchmarks.table import goal, show
-from midspan.calibration.fit import Pair
+from midspan.calibration.fit import Pair, aligned
 from midspan.calibration.scale import calibrate_scale
 from midspan.calibration.sensor_scale import calibrate_sensor_scale
-from midspan.calibration.whitening import whiten
 from midspan.records import Floats
 from midspan.simulate.motion.motion import Motion, Sines, random_motion
 from midspan.simulate.motion.sensors import AccelerometerModel, DisplacementSensorModel, simulate_pair
@@ -63,12 +62,11 @@ def cramer_rao(motion: Motion, rate_hz: float, noise_px: float) -> tuple[float, 
     time = np.arange(6000) / 100.0
     samples = np.column_stack((time, motion.acceleration(time), np.ones(6000)))
     met = np.arange(0.3, 59.7, 1 / rate_hz)
-    density = NOISE_A**2 / 100.0 / SCALE**2 / noise_px**2
+    pair = Pair(samples, np.column_stack((met, np.zeros(len(met)), np.ones(len(met)))))
+    corner = (NOISE_A**2 / 100.0 / SCALE**2 / noise_px**2 * pair.rate_hz) ** 0.25
 
     def innovations(shift: float) -> tuple[Floats, Floats]:
-        rows = np.column_stack((met, np.zeros(len(met)), np.ones(len(met))))
-        moved = np.add(rows, (shift, 0.0, 0.0))
-        w = whiten(samples, moved, density)
+        w = aligned(pair, shift).whitened(corner)
         return w.response / SCALE, w.variance * noise_px**2
 
     (before, _), (here, variance), (after, _) = (innovations(s) for s in (-1e-4, 0.0, 1e-4))

@@ -6,7 +6,8 @@ import numpy as np
 
 from midspan.calibration.fit import Pair
 from midspan.calibration.noise import NoiseCalibration, calibrate_noise
-from midspan.fusion.runners import MethodSettings, run_method
+from midspan.fusion.runners import run_method
+from midspan.fusion.streams import MethodSettings
 from midspan.records import Acceleration, Displacement, Estimate, Floats, Source, TimeSeries, nanoseconds
 from midspan.simulate.motion.beam import paper_beam_motion
 from midspan.simulate.motion.sensors import AccelerometerModel, DisplacementSensorModel, noise_std_for, simulate_pair

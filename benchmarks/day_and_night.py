@@ -9,7 +9,7 @@ import numpy as np
 
 import midspan
 from benchmarks.table import goal, show
-from midspan.engine.thermal_target import thermal_target
+from midspan.engine.thermal_target import ThermalTarget
 from midspan.errors import UsageError
 from midspan.recording.result import Result
 from midspan.records import Floats, Frame, PixelTrack, Region, Status
@@ -28,7 +28,7 @@ STEP_S = 2.0
 
 @dataclass(frozen=True)
 class Day:
-    """One day's figures in mm and shares; step: the largest change of the mean error over a switch.
+    """One day's figures in mm and shares; step: the largest change of the mean error where one goes blind or sees.
 
     inside, coasting: of the whole record; what the result lacks at its ends is neither inside nor tracked, and is in
     longest_s. missing: its share.
@@ -38,7 +38,7 @@ class Day:
     day: float
     night: float
     step: float
-    switches: int
+    changes: int
     inside: float
     coasting: float
     missing: float
@@ -47,7 +47,7 @@ class Day:
     def row(self) -> list[object]:
         """What is printed."""
         return [
-            self.rmse, self.day, self.night, self.step, self.switches,
+            self.rmse, self.day, self.night, self.step, self.changes,
             100 * self.inside, 100 * self.coasting, 100 * self.missing, self.longest_s,
         ]  # fmt: skip
 
@@ -61,10 +61,10 @@ def error_mm(result: Result, folder: Path) -> tuple[Floats, Floats]:
 
 
 def steps_mm(result: Result, error: Floats) -> Floats:
-    """The change of the mean error (k,) from two seconds before each switch to two seconds after it."""
+    """The change of the mean error (k,) from two seconds before a camera goes blind or sees to two after."""
     time, found = result.time_s, []
     for event in result.events:
-        if event.kind == "switch":
+        if event.kind in ("lost", "seen"):
             at = event.time_ns / 1e9
             before, after = (time >= at - STEP_S) & (time < at), (time >= at) & (time < at + STEP_S)
             found.append(float(error[after].mean() - error[before].mean()))
@@ -139,7 +139,7 @@ def by_range(frames: list[Frame]) -> PixelTrack | None:
 
 def ours(frames: list[Frame]) -> PixelTrack:
     """°C, cleaned, with the default tracker of pictures."""
-    tracker = thermal_target(frames[0], REGION, lambda frame: open_tracker("template", frame, REGION))
+    tracker = ThermalTarget(frames[0], REGION, lambda frame: open_tracker("template", frame, REGION))
     return PixelTrack.stack([tracker.push(frame) for frame in frames])
 
 
@@ -168,13 +168,13 @@ def main() -> None:
     warm_body()
     with tempfile.TemporaryDirectory() as name:
         found = days(Path(name))
-    head = ["seed", "rmse mm", "day mm", "night mm", "step mm", "switches", "in 1.96 σ %"]
+    head = ["seed", "rmse mm", "day mm", "night mm", "step mm", "changes", "in 1.96 σ %"]
     head += ["not tracked %", "missing %", "longest s"]
     for kind, rows in found.items():
         print(f"\n{kind}")
         show(head, [[seed, *row.row()] for seed, row in zip(SEEDS, rows, strict=True)])
     rows = found["as it is"]
     goal("day, night, day: rmse, worst seed", max(row.rmse for row in rows), 0.15, unit="mm")
-    goal("step at a switch, worst seed", max(row.step for row in rows), 0.05, unit="mm")
+    goal("step where a camera goes blind or sees, worst seed", max(row.step for row in rows), 0.05, unit="mm")
     goal("longest stretch without a measurement", max(row.longest_s for row in rows), 1.0, unit="s")
     goal("inside 1.96 standard deviations, least", 100 * min(r.inside for r in rows), 93, unit="%", at_least=True)

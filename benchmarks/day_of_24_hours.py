@@ -117,11 +117,11 @@ def recording_of(folder: Path, day_s: float, duration_s: float, seed: int = 0) -
     time = np.arange(int(duration_s * ACCELERATION_HZ)) / ACCELERATION_HZ
     value = in_pieces(motion.acceleration, time) + NOISE_M_S2 * rng_noise.standard_normal(len(time))
     recording = midspan.open_recording(folder)
-    assert recording.infrared is not None
+    camera, infrared = recording.cameras
     # What is read from files otherwise is put in its place.
     recording.acceleration = TimeSeries(nanoseconds(time), value, "acceleration", "m/s^2")
-    recording.frames = rendered(setup.camera, motion, duration_s, setup.day_camera(rng_camera))
-    recording.infrared.frames = rendered(setup.infrared, motion, duration_s, setup.day_infrared(rng_infrared))
+    camera.frames = rendered(setup.camera, motion, duration_s, setup.day_camera(rng_camera))
+    infrared.frames = rendered(setup.infrared, motion, duration_s, setup.day_infrared(rng_infrared))
     return recording, motion
 
 

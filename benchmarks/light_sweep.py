@@ -9,7 +9,8 @@ import numpy as np
 
 from benchmarks.table import goal, show
 from midspan.records import Event, Floats, Frame
-from midspan.vision.reference.tracker import KeyFrameSettings, KeyFrameTracker
+from midspan.vision.reference.policy import KeyFrameSettings
+from midspan.vision.reference.tracker import KeyFrameTracker
 from midspan.vision.tracker import Tracker, open_tracker
 
 FRAMES = 600  # 120 s at five frames a second
@@ -37,9 +38,9 @@ def sweep(seed: int, *, back: bool = False, **sky: Any) -> tuple[list[Frame], Fl
     return frames, np.asarray(truth)
 
 
-def follow(tracker: Tracker, frames: list[Frame]) -> tuple[Floats, Floats]:
-    """Translations and standard deviations (n, 2) in px."""
-    xy, std = scenes().track(tracker, frames)
+def follow(tracker: Tracker, frames: list[Frame], events: list[Event] | None = None) -> tuple[Floats, Floats]:
+    """Translations and standard deviations (n, 2) in px; what happened is added to `events`."""
+    xy, std = scenes().track(tracker, frames, events)
     return xy, std
 
 
@@ -74,9 +75,10 @@ def one(seed: int, **sky: Any) -> dict[str, float]:
     region = scenes().REGION
     lost = np.isnan(follow(open_tracker("template", frames[0], region), frames)[0][:, 0]).mean()
     tracker = KeyFrameTracker(frames[0], region)
-    xy, std = follow(tracker, frames)
+    events: list[Event] = []
+    xy, std = follow(tracker, frames, events)
     error = xy - truth
-    jumps = steps(tracker.take_events(), error)
+    jumps = steps(events, error)
     return {
         "fixed lost %": 100.0 * lost,
         "missing": float(np.isnan(xy[:, 0]).sum()),

@@ -103,18 +103,17 @@ class Run:
 def run(pictures: list[Pixels], path: Floats, name: str, region: Region = REGION, first: int = 1) -> Run:
     """Track with an accelerometer's prediction and watch; both axes, frames from `first` on."""
     frames = [Frame(round(1e9 * k / RATE_HZ), picture, k) for k, picture in enumerate(pictures)]
-    tracker, watch, rows = open_tracker(name, frames[0], region), PictureWatch(frames[0], region), []
+    tracker, watch, rows, wider = open_tracker(name, frames[0], region), PictureWatch(frames[0], region), [], []
     for frame, (x, y) in zip(frames, path, strict=True):
         rows.append(tracker.push(frame, Prediction(float(x), float(y), 0.3, 0.3)))
-        watch.push(frame, rows[-1])
-    track = PixelTrack.stack(rows)
-    wide = watch.widened(track)
+        wider.append(watch.push(frame, rows[-1]).of(rows[-1]))
+    track, wide = PixelTrack.stack(rows), PixelTrack.stack(wider)
     errors = np.column_stack((track.x_px, track.y_px))[first:] - path[first:]
 
     def usual(of: PixelTrack) -> float:
         return float(np.sqrt(np.nanmedian(np.concatenate((of.variance_x_px2[first:], of.variance_y_px2[first:])))))
 
-    return Run(float(np.sqrt(np.nanmean(errors**2))), usual(track), usual(wide), picture_warnings(watch, track, "y"))
+    return Run(float(np.sqrt(np.nanmean(errors**2))), usual(track), usual(wide), picture_warnings(watch, "y"))
 
 
 def clean() -> None:

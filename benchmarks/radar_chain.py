@@ -14,7 +14,6 @@ from midspan.radar.literal import grid_factor
 from midspan.radar.measurement import TargetFrames, displacement
 from midspan.radar.peaks import at_place
 from midspan.radar.range_profile import averaged, followed, noise_gain, range_profile
-from midspan.radar.several import SeveralTargets
 from midspan.radar.target import find_targets, ranked
 from midspan.radar.unwrap import unwrap_aided, unwrap_plain
 from midspan.records import Acceleration, Displacement, Floats, Source, nanoseconds
@@ -251,7 +250,7 @@ def large() -> None:
         valid, true = np.ones((3000, 4), dtype=bool), motion.displacement(at)
         one = TargetFrames(at, at_place(profiles, target.place_bin), valid)
         bins = target.bins(0.0, CHIRP.bin_m)
-        several = TargetFrames(at, profiles[:, :, bins.astype(int)], valid, None, bins, CHIRP.bin_m)
+        several = TargetFrames(at, profiles[:, :, bins.astype(int)], valid, bins, CHIRP.bin_m)
         row = [1e3 * amplitude, 100 * (target.conversion_factor - 1)]
         for frames in (one, several):
             series = displacement(frames, target, samples=samples, phase_per_m=CHIRP.phase_per_m(WALL_M))
@@ -260,19 +259,6 @@ def large() -> None:
         worst = max(worst, row[-1], 1.0 if row[-2] < 99.9 else 0.0)
     show(["mm", "factor less 1 %", "one bin: seen %", "mm", "followed: seen %", "mm"], rows)
     goal("large motions, followed", worst, 0.01, unit="mm")
-
-
-def hand_over() -> None:
-    """Two of three targets blocked for 10 s."""
-    rng, sigma = np.random.default_rng(7), np.array([7e-6, 6e-6, 10e-6])[:, None]
-    at = np.arange(0, 60, 1 / RATE)
-    true = 20e-3 * np.sin(np.pi * at)
-    value = true + sigma * rng.normal(size=(3, len(at)))
-    variance = np.repeat(sigma**2, len(at), axis=1)
-    variance[:2, 3000:4000] = np.inf
-    found, _, _ = SeveralTargets(3, RATE).push(value - value[:, :1], variance)
-    error = found - true
-    goal("two of three targets blocked for 10 s", 1e3 * rms(error - error[:1500].mean()), 0.02, unit="mm")
 
 
 def fusion() -> None:
@@ -316,6 +302,6 @@ def fir_of(at: Floats, value: Floats, samples: Floats) -> Floats:
 
 def main() -> None:
     """All parts, each under its name."""
-    for part in (phase_noise, unwrapping, slips, factors, scene, large, hand_over, fusion):
+    for part in (phase_noise, unwrapping, slips, factors, scene, large, fusion):
         print(f"\n{part.__name__.replace('_', ' ')}: {(part.__doc__ or '').strip()}", flush=True)
         part()

@@ -160,9 +160,10 @@ def ours(case: Case, profiles: Floats, at: Floats, samples: Floats, target: Targ
         bins = target.bins(excursion, case.chirp.bin_m, case.chirp.bins)
         some = profiles[:, :, bins.astype(int)]
         valid = np.ones(some.shape[:2], dtype=bool)
-        frames = TargetFrames(at, some, valid, None, bins, case.chirp.bin_m)
+        frames = TargetFrames(at, some, valid, bins, case.chirp.bin_m)
         series = displacement(frames, target, samples=samples, phase_per_m=case.chirp.phase_per_m(target.range_m))
-        excursion = series.excursion_m
+        known = series.range_change_m[np.isfinite(series.range_change_m)]
+        excursion = float(np.max(np.abs(known - np.median(known)), initial=0.0)) if len(known) else 0.0
     return series
 
 

@@ -10,11 +10,10 @@ import numpy as np
 
 from benchmarks.cases import learnt, rms
 from benchmarks.table import goal, show
-from midspan.fusion.gate import REACQUIRED, REJECTED
-from midspan.fusion.kalman import KalmanSettings
-from midspan.fusion.smoother import Smoothed
-from midspan.recording.fusing.fuse import FusionInputs, fuse
-from midspan.records import Acceleration, Displacement, Floats, Source, TimeSeries, nanoseconds
+from midspan.fusion.blocks import REACQUIRED, REJECTED
+from midspan.fusion.runners import run_method
+from midspan.fusion.streams import Smoothed
+from midspan.records import Acceleration, Displacement, Floats, Source, TimeSeries, nanoseconds, part
 
 METHODS = ("kalman", "lag", "smoother", "adaptive-kalman")
 # Never used while the filters were made.
@@ -42,7 +41,12 @@ class Case:
         acceleration = Acceleration(nanoseconds(TIME), self.acceleration, np.full(len(TIME), self.density))
         source = np.full(len(MET), Source.DISPLACEMENT, dtype=np.uint8)
         measured = Displacement(nanoseconds(MET), self.value, self.variance, source)
-        return fuse(FusionInputs(acceleration, measured, KalmanSettings()), method)
+        found = run_method(method, acceleration, measured)
+        rows = found.estimate
+        # A row for each sample: the estimator's begin with the first measurement.
+        first = len(TIME) - len(rows.time_ns)
+        place = np.maximum(np.arange(len(TIME)) - first, 0)
+        return replace(found, estimate=part(rows, place))
 
     def error(self, method: str, where: np.ndarray = INNER) -> Floats:
         """Error (m) of the rows `where`."""
@@ -155,7 +159,7 @@ def ridden_through() -> None:
 
 
 def jump() -> None:
-    """A permanent jump of 8 mm: when it is taken over and what is left."""
+    """A permanent jump of the sensor by 8 mm: the displacement keeps its datum; when it is reported, what is left."""
     rows = []
     for method in METHODS:
         waits, left, usual = [], [], []
@@ -166,12 +170,12 @@ def jump() -> None:
             told = any(event.time_ns > 60e9 for event in fused.events)
             waits.append(met_s[(met_s > 60.0) & believed][0] - 60.0 if told else np.inf)
             after = (TIME > 68.0) & (TIME < 110.0)
-            left.append((fused.estimate.displacement_m - case.truth - 8e-3)[after])
+            left.append((fused.estimate.displacement_m - case.truth)[after])
             usual.append(case.error(method, after))
         rows.append([method, min(waits), max(waits), rms(np.array(left)) / rms(np.array(usual))])
     show(["8 mm jump", "earliest s", "latest s", "RMSE 8 s after / clean"], rows)
     for method, _, latest, later in rows:
-        goal(f"jump of 8 mm, {method}: taken over and told after", float(latest), 7.0, unit="s")
+        goal(f"jump of 8 mm, {method}: reported after", float(latest), 7.0, unit="s")
         goal(f"jump of 8 mm, {method}: RMSE 8 s after over clean", float(later), 1.10)
 
 

@@ -9,7 +9,6 @@ import tempfile
 from pathlib import Path
 
 import midspan
-from midspan.evaluate.result_file import compare_files
 from midspan.simulate.scenarios.write import write
 
 with tempfile.TemporaryDirectory() as folder:
@@ -19,8 +18,8 @@ with tempfile.TemporaryDirectory() as folder:
     recording = midspan.open_recording(place)
     calibration = midspan.calibrate(recording)
     result = midspan.estimate(recording, calibration=calibration, method="smoother")
-    file = result.save(place / "result.csv")
-    figures = compare_files(file, place / "truth.csv")
+    result.save(place / "result.csv")
+    figures = midspan.compare(result, place / "truth.csv")
 
     camera = calibration.to_dict()["camera"]
     print(f"scale factor  {camera['scale_mm_per_px']:.4f} ± {camera['scale_std_mm_per_px']:.4f} mm/px")

@@ -46,7 +46,7 @@ displacement = Displacement(
 def report(name, estimate):
     """Print the error of an estimate beside the least that the noise allows."""
     middle = slice(1000, -1000)  # without ten seconds at each end, where the filter settles
-    error = (estimate.displacement_m - displacement_m(time_s))[middle]
+    error = (estimate.displacement_m - displacement_m(estimate.time_ns / 1e9))[middle]
     inside = np.mean(np.abs(error) <= 1.96 * np.sqrt(estimate.variance_m2[middle]))
     bound = closed_bound(noise, name)
     rms = np.sqrt(np.mean(error**2))
@@ -63,6 +63,7 @@ for start in range(0, len(time_s), 100):
     stream.push(Displacement(*(getattr(displacement, f)[due] for f in displacement.__slots__)))
     outputs = stream.push(Acceleration(*(getattr(acceleration, f)[rows] for f in acceleration.__slots__)))
     blocks += [item for item in outputs if isinstance(item, Estimate)]
+blocks += [item for item in stream.finish() if isinstance(item, Estimate)]
 causal = Estimate(*(np.concatenate([getattr(b, f) for b in blocks]) for f in Estimate.__slots__))
 report("kalman", causal)
 

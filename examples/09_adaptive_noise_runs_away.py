@@ -39,10 +39,14 @@ def at_rest(bias):
 
 
 def learnt(bias, *, literal):
-    """Learnt noise variance over the true one, frame by frame, and the rms error in mm of the second half."""
+    """What the innovations are taken to vary by over the true noise, frame by frame, and the rms error in mm.
+
+    As printed it is the learnt noise variance; the guarded form's innovations hold the prediction's variance too.
+    """
     found = adapt(*at_rest(bias), AdaptiveSettings(literal=literal, forgetting=0.98))
     error = found.estimate.displacement_m[len(found.estimate.displacement_m) // 2 :]
-    return found.variance_m2 / NOISE_D**2, 1e3 * np.sqrt(np.mean(error**2))
+    variance = found.variance_m2 if literal else found.innovation.variance_m2
+    return variance / NOISE_D**2, 1e3 * np.sqrt(np.mean(error**2))
 
 
 courses = {}

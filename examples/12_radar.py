@@ -25,12 +25,12 @@ with tempfile.TemporaryDirectory() as folder:
 
     result = midspan.estimate(recording, calibration=calibration)
     truth = np.genfromtxt(site / "truth.csv", delimiter=",", names=True)
-    trace = result.radar.trace
+    trace, (alone,) = result.radar, result.measured
     speed, limit = 1e3 * trace.speed_m_s, 1e3 * trace.limit_speed_m_s
     print()
     print(f"range to the best target: up to {speed:.0f} mm/s; plain unwrapping fails from {limit:.0f} mm/s on")
     for what, value, time_s in (
-        ("radar alone", 1e3 * result.radar.measured.value_m, result.radar.measured.time_ns / 1e9),
+        ("radar alone", 1e3 * alone.value_m, alone.time_ns / 1e9),
         ("radar and accelerometer", result.displacement_mm, result.time_s),
     ):
         error = value - np.interp(time_s, truth["time_s"], truth["displacement_mm"])

@@ -1,4 +1,4 @@
-"""A camera and a thermal camera from noon to noon, on a simulated recording: which one is believed when, and the error.
+"""A camera and a thermal camera from noon to noon, on a simulated recording: what the rows rest on, and the error.
 
 24 hours of sun are squeezed into 4.4 minutes here. At night the camera sees nothing but passing headlights, and the
 thermal camera carries on; at dusk and at dawn the sunlit surfaces lose their contrast of temperature, and turn it
@@ -42,5 +42,5 @@ with tempfile.TemporaryDirectory() as folder:
 
     print()
     for event in result.events:
-        if event.kind == "switch":
+        if event.kind in ("lost", "seen"):
             print(f"{event.time_ns / 1e9:6.1f} s  {event.text}")

@@ -23,7 +23,8 @@ class Lively:
     first_s, rate_hz: first instant and rate of the slow sensor, on the accelerometer's clock, which begins at 0;
     rms_m: of the motion, even over band_hz; tones: instead of that, pairs of amplitude (m) and Hz; noise_m_s2: of a
     sample of acceleration at 100 Hz, with the same density at other rates; noise_m: of a measurement of a
-    [displacement] sensor.
+    [displacement] sensor. late_s: to be added to the slow sensor's stamps; mm_per_px: of a camera; moved: instant (s)
+    from which on the slow sensor itself has moved by so much (m).
     """
 
     seed: int = 0
@@ -37,6 +38,9 @@ class Lively:
     noise_m_s2: float = 2e-3
     noise_m: float = 0.1e-3
     bias_m_s2: float = 0.02
+    late_s: float = 0.0
+    mm_per_px: float = SCALE_MM_PER_PX
+    moved: tuple[float, float] = (np.inf, 0.0)
 
     def motion(self, time_s, order=0):
         """Displacement of a sum of sines at times (n,) in s, or its derivative of that order; m, m/s, m/s²."""
@@ -56,6 +60,12 @@ class Lively:
         """The instants of the slow sensor, s."""
         return np.arange(self.first_s, self.duration_s - 0.3, 1.0 / self.rate_hz)
 
+    @property
+    def met_m(self):
+        """What the slow sensor sees at its instants, without noise, m."""
+        at_s, step_m = self.moved
+        return self.motion(self.met_s) + np.where(self.met_s < at_s, 0.0, step_m)
+
     def from_zero_mm(self, time_s):
         """The true displacement at times (n,), counted from the slow sensor's first instant, mm."""
         return 1e3 * (self.motion(time_s) - self.motion(self.met_s[:1]))
@@ -66,17 +76,36 @@ def write(folder: Path, case: Lively, sensor: str, more: str = "") -> Path:
 
     more: further lines of recording.toml.
     """
-    folder.mkdir(parents=True, exist_ok=True)
     rng = np.random.default_rng(case.seed)
+    head = _accelerometer(folder, case, rng)
+    section = SENSORS[sensor](folder, case, rng)
+    (folder / "recording.toml").write_text(f"{head}\n[{sensor}]\n{section}\n{more}\n", encoding="utf-8")
+    return folder
+
+
+def write_several(folder: Path, case: Lively, sensor: str, named: dict[str, Lively], more: str = "") -> Path:
+    """A recording of an accelerometer, as `case` says, and several sensors of one kind, each as its own case says.
+
+    named: their names in the order of the file; more: further lines of each section.
+    """
+    sections = [_accelerometer(folder, case, np.random.default_rng(case.seed))]
+    for number, (name, own) in enumerate(named.items()):
+        (folder / name).mkdir()
+        lines = SENSORS[sensor](folder / name, own, np.random.default_rng((case.seed, number)))
+        lines = lines.replace('file = "', f'file = "{name}/')
+        sections.append(f'[[{sensor}]]\nname = "{name}"\n{lines}\n{more}')
+    (folder / "recording.toml").write_text("\n".join(sections), encoding="utf-8")
+    return folder
+
+
+def _accelerometer(folder, case, rng):
+    folder.mkdir(parents=True, exist_ok=True)
     time_s = np.arange(round(case.duration_s * case.accelerometer_hz)) / case.accelerometer_hz
     noise = case.noise_m_s2 * np.sqrt(case.accelerometer_hz / 100.0)
     value = case.motion(time_s, 2) + case.bias_m_s2 + rng.normal(0.0, noise, len(time_s))
     table = np.column_stack((time_s, value))
     np.savetxt(folder / "accel.csv", table, delimiter=",", header="time_s,accel", comments="", fmt="%.9f")
-    section = SENSORS[sensor](folder, case, rng)
-    head = '[accelerometer]\nfile = "accel.csv"\ntime = "time_s"\nvalue = "accel"\nunit = "m/s^2"\n'
-    (folder / "recording.toml").write_text(f"{head}\n[{sensor}]\n{section}\n{more}\n", encoding="utf-8")
-    return folder
+    return '[accelerometer]\nfile = "accel.csv"\ntime = "time_s"\nvalue = "accel"\nunit = "m/s^2"\n'
 
 
 def _film(case, rng):
@@ -86,14 +115,14 @@ def _film(case, rng):
     across, down = 2.0 * np.pi * np.cos(heading) / length, 2.0 * np.pi * np.sin(heading) / length
     still = np.exp(1j * (np.multiply.outer(down, place)[:, :, None] + np.multiply.outer(across, place)[:, None, :]))
     still *= np.exp(1j * rng.uniform(0.0, 2.0 * np.pi, count))[:, None, None]
-    shifted_px = 1e3 * case.motion(case.met_s) / SCALE_MM_PER_PX
+    shifted_px = 1e3 * case.met_m / case.mm_per_px
     turn = np.exp(-1j * np.multiply.outer(shifted_px, down))
     waves = (turn @ still.reshape(count, -1)).real.reshape(-1, PIXELS, PIXELS)
     return 128.0 + 4.5 * waves
 
 
 def _times(case):
-    return f"rate_hz = {case.rate_hz!r}\nstart_s = {case.first_s!r}"
+    return f"rate_hz = {case.rate_hz!r}\nstart_s = {case.first_s - case.late_s!r}"
 
 
 def _camera(folder, case, rng):
@@ -112,15 +141,15 @@ def _infrared(folder, case, rng):
 
 
 def _radar(folder, case, rng):
-    phase = 4.0 * np.pi * CARRIER_HZ / SPEED_OF_LIGHT_M_S * case.motion(case.met_s) / CONVERSION
+    phase = 4.0 * np.pi * CARRIER_HZ / SPEED_OF_LIGHT_M_S * case.met_m / CONVERSION
     noise = rng.normal(0.0, 0.02, (2, len(phase)))
     np.save(folder / "radar.npy", (np.exp(1j * (phase + 0.7)) + noise[0] + 1j * noise[1]).astype(np.complex64))
     return f'file = "radar.npy"\n{_times(case)}\ncarrier_hz = {CARRIER_HZ!r}'
 
 
 def _displacement(folder, case, rng):
-    value = 1e3 * (case.motion(case.met_s) + rng.normal(0.0, case.noise_m, len(case.met_s)))
-    table = np.column_stack((case.met_s, value))
+    value = 1e3 * (case.met_m + rng.normal(0.0, case.noise_m, len(case.met_s)))
+    table = np.column_stack((case.met_s - case.late_s, value))
     np.savetxt(folder / "slow.csv", table, delimiter=",", header="time_s,height", comments="", fmt="%.9f")
     return 'file = "slow.csv"\ntime = "time_s"\nvalue = "height"\nunit = "mm"'
 

@@ -41,7 +41,7 @@ def snippets():
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """A folder with a recording `footbridge/`: 20 s of a small textured wall at 10 Hz beside an accelerometer."""
+    """A folder with a recording `footbridge/`: 20 s of a small textured wall at 10 Hz, an accelerometer, a laser."""
     from midspan.simulate.motion.motion import Sines
     from midspan.simulate.scene.camera import Camera
     from midspan.simulate.scene.texture import textured_scene
@@ -54,6 +54,8 @@ def folder(tmp_path_factory):
     time_s, frame_s = np.arange(0, 20, 0.01), np.arange(0, 19.8, 0.1)
     accel = motion.acceleration(time_s) + rng.normal(0, 2.5e-3, time_s.size)
     np.savetxt(place / "accel.csv", np.column_stack((time_s, accel)), delimiter=",", header="time_s,accel", comments="")
+    laser = np.column_stack((time_s, 1e3 * motion.displacement(time_s)))
+    np.savetxt(place / "laser.csv", laser, delimiter=",", header="time_s,displacement_mm", comments="")
     scene, camera = textured_scene("natural", (120, 160), rng=rng), Camera()
     shift = motion.displacement(frame_s) / -1.5e-3
     np.savez(
@@ -79,7 +81,8 @@ def test_every_python_block_is_marked_runnable():
 
 
 def sections(model=RecordingSettings, prefix=""):
-    for name, field in model.model_fields.items():
+    for attribute, field in model.model_fields.items():
+        name = field.alias or attribute
         options = (field.annotation, *getattr(field.annotation, "__args__", ()))
         inner = next((o for o in options if isinstance(o, type) and issubclass(o, BaseModel)), None)
         if inner is None:

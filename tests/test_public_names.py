@@ -36,8 +36,8 @@ def test_every_public_name_exists_and_explains_itself(name):
 
 
 def test_the_names_of_the_five_lines_are_there():
-    assert {"open_recording", "calibrate", "estimate"} <= set(midspan.__all__)
-    for method in ("to_pandas", "save", "plot", "_repr_html_"):
+    assert {"open_recording", "calibrate", "estimate", "compare"} <= set(midspan.__all__)
+    for method in ("to_pandas", "save", "plot", "report", "_repr_html_"):
         assert callable(getattr(midspan.Result, method))
 
 

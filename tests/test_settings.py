@@ -154,7 +154,8 @@ def test_whole_numbers_are_taken_where_a_number_is_asked_for():
 def test_no_message_shows_the_words_of_the_validation_library():
     trees = [
         tree_with(camera=3),
-        tree_with(camera=[{"file": "x"}]),
+        tree_with(camera=[3]),
+        tree_with(camera=[]),
         tree_with(accelerometer=ACCELEROMETER | {"unit": ""}),
         tree_with(calibration={"window_s": [20, 10]}),
         tree_with(camera=CAMERA | {"roi": [1, 2]}),
@@ -295,3 +296,89 @@ def test_another_tracker_on_the_command_line_leaves_the_settings_of_the_files_tr
     )
     assert load_settings(tmp_path, {"camera": {"tracker": "features"}}).camera.tracker_settings
     assert not load_settings(tmp_path, {"camera": {"tracker": "template"}}).camera.tracker_settings
+
+
+TWO = [{"name": "left", "file": "l.mkv"}, {"name": "right", "file": "r.mkv", "roi": [0, 0, 64, 64]}]
+
+
+def test_several_sensors_of_a_kind_are_kept_in_order_with_their_names():
+    tree = tree_with(
+        camera=TWO,
+        displacement=[{"name": "gnss", "file": "g.csv"}, {"name": "level-1", "file": "n.csv"}],
+        radar={"file": "r.npy"},
+        infrared=[{"file": "i.npz"}],
+    )
+    settings = validate(tree, "r")
+    named = [(sensor.name, sensor.kind) for sensor in settings.sensors]
+    assert named == [
+        ("left", "camera"), ("right", "camera"), ("infrared", "infrared"), ("radar", "radar"),
+        ("gnss", "displacement"), ("level-1", "displacement"),
+    ]  # fmt: skip
+    assert settings.sensors[1].settings.roi == (0, 0, 64, 64)
+    # What takes one of each kind gets the first.
+    assert (settings.camera.file, settings.displacement.file, settings.radar.file) == ("l.mkv", "g.csv", "r.npy")
+
+
+def test_a_single_sensor_is_the_same_as_a_section_and_as_a_list_of_one():
+    section, listed = (validate(tree_with(camera=camera), "r") for camera in (CAMERA, [CAMERA]))
+    assert section == listed
+    assert section.sensors[0].name == "camera"
+    assert validate(tree_with(camera={**CAMERA, "name": "deck"}), "r").sensors[0].name == "deck"
+
+
+@pytest.mark.parametrize("camera", [CAMERA, {**CAMERA, "name": "deck"}, TWO])
+def test_settings_are_told_as_the_file_has_them(camera):
+    settings = validate(tree_with(camera=camera), "r")
+    told = settings.model_dump(mode="json", exclude_none=True)
+    assert isinstance(told["camera"], list) == isinstance(camera, list)
+    assert "infrared" not in told
+    assert validate(told, "r") == settings
+    assert settings.model_dump(mode="json")["infrared"] is None
+
+
+@pytest.mark.parametrize(
+    ("tree", "words"),
+    [
+        (tree_with(camera=[TWO[0], {"file": "r.mkv"}]), ("[[camera]]", "a name of its own", "camera[2] has none")),
+        (tree_with(camera=[TWO[0], TWO[0]]), ("each sensor a name of its own", "'left'")),
+        (tree_with(camera=TWO, radar={"file": "r.npy", "name": "left"}), ("2 have the name 'left'",)),
+        (tree_with(camera={**CAMERA, "name": "radar"}), ("camera[1]", "'radar'", "something else")),
+        (tree_with(camera=[TWO[0], {**TWO[1], "name": "a.b"}]), ("camera[2].name = 'a.b'", "letters")),
+        (tree_with(camera=[TWO[0], {**TWO[1], "every": 0}]), ("camera[2].every = 0",)),
+        (tree_with(camera=[TWO[0], {**TWO[1], "rio": 0}]), ("camera[2].rio", "'roi'")),
+        (tree_with(camera=[TWO[0], {**TWO[1], "direction": "xy"}]), ('direction = "x" or "y"', "several")),
+        (tree_with(camera=[TWO[0], {"name": "right"}]), ("camera[2].file", "missing")),
+        (tree_with(cameras=TWO), ("cameras", "section", "'camera'")),
+        (tree_with(accelerometer=[ACCELEROMETER]), ("accelerometer: must be one section",)),
+        (tree_with(camera=[]), ("camera = []", "a list of such sections")),
+        (tree_with(reference=[KEYS["reference"]]), ("reference: must be one section",)),
+    ],
+)
+def test_wrong_lists_of_sensors_are_refused_with_their_place(tree, words):
+    message = message_of(tree)
+    for word in words:
+        assert word in message
+
+
+def test_overrides_of_a_kind_win_in_each_of_its_sections(tmp_path):
+    (tmp_path / "recording.toml").write_text(
+        '[accelerometer]\nfile = "a.csv"\n[[camera]]\nname = "left"\nfile = "l.mkv"\ntracker = "features"\n'
+        'tracker_settings = { technique = "existing" }\n[[camera]]\nname = "right"\nfile = "r.mkv"\n'
+        '[[camera.target]]\nroi = [1, 2, 30, 40]\n[camera.lens]\nfile = "lens.json"\n'
+    )
+    left, right = load_settings(tmp_path, {"camera": {"tracker": "template"}}).cameras
+    assert (left.tracker, right.tracker) == ("template", "template")
+    assert not left.tracker_settings
+    # Subsections belong to the section above them.
+    assert (left.target, left.lens) == ((), None)
+    assert (right.target[0].roi, right.lens.file) == ((1, 2, 30, 40), "lens.json")
+
+
+@pytest.mark.parametrize("kind", ["camera", "infrared", "radar", "displacement"])
+@pytest.mark.parametrize("value", [None, True, 3, "x", [], [1], [[]], [{}], [{}, {}], [None, {}], {"file": []}, [[{}]]])
+def test_nonsense_in_place_of_a_sensor_is_a_sentence(kind, value):
+    tree = {"accelerometer": ACCELEROMETER, kind: value}
+    message = message_of(tree)
+    assert kind in message
+    for word in ("Settings", "dictionary", "instance", "Value error", "Input", "pydantic"):
+        assert word not in message, message

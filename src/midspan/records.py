@@ -4,8 +4,8 @@ Time is int64 nanoseconds of one declared clock (the accelerometer's, or the sen
 applied); seconds appear only as differences. A record that holds arrays is a block: field arrays of equal length n.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields, replace
 from enum import IntEnum
 from typing import TypeVar
 
@@ -134,11 +134,15 @@ class Displacement:
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """One image: `pixels` (rows, columns) of luma or temperature, any integer or float type; `index` in its source."""
+    """One image: `pixels` (rows, columns) of luma or temperature, any integer or float type; `index` in its source.
+
+    covered: share (0 to 1) of the target that an earlier stage knows to be occluded; trackers do not learn from that.
+    """
 
     time_ns: int
     pixels: NDArray[np.generic]
     index: int = 0
+    covered: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,10 +156,23 @@ class Prediction:
 
 
 @dataclass(frozen=True, slots=True)
+class Event:
+    """Something worth reporting: when, of what kind, in one sentence; axis: that it concerns, 0 the main one."""
+
+    time_ns: int
+    kind: str
+    text: str
+    axis: int = 0
+
+
+@dataclass(frozen=True, slots=True)
 class PixelTranslation:
     """Translation of the target since the reference frame: x to the right, y down, in pixels, with variances.
 
     `quality` runs from 0 to 1 (for template matching the correlation coefficient). With status LOST the values are NaN.
+    strength: good matches, of trackers without matches the quality in percent; 0 where lost. reference_variance_x_px2,
+    reference_variance_y_px2: of the reference's own place, common to all frames that are compared with it; they are not
+    part of `variance_x_px2`, `variance_y_px2`. events: what happened in this frame.
     """
 
     time_ns: int
@@ -165,6 +182,15 @@ class PixelTranslation:
     variance_y_px2: float
     quality: float
     status: Status
+    strength: float = 0.0
+    reference_variance_x_px2: float = 0.0
+    reference_variance_y_px2: float = 0.0
+    events: tuple[Event, ...] = ()
+
+    def later(self, by_ns: int) -> "PixelTranslation":
+        """The same on a clock that shows so much more."""
+        events = tuple(replace(event, time_ns=event.time_ns + by_ns) for event in self.events)
+        return replace(self, time_ns=self.time_ns + by_ns, events=events)
 
 
 @dataclass(frozen=True, slots=True)
@@ -213,6 +239,15 @@ class ChirpFrame:
 
 
 @dataclass(frozen=True, slots=True)
+class RangeFrame:
+    """One frame of `RangeFrames`: `phasors` (channels, bins), `valid` (channels,)."""
+
+    time_ns: int
+    phasors: NDArray[np.complex64]
+    valid: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
 class RangeFrames:
     """A block of frames resolved in range: `phasors` (n, channels, bins) complex64 whose phase grows with the range.
 
@@ -222,6 +257,93 @@ class RangeFrames:
     time_ns: Nanoseconds
     phasors: NDArray[np.complex64]
     valid: NDArray[np.bool_]
+
+    def __iter__(self) -> Iterator[RangeFrame]:
+        """Its frames, one by one."""
+        for row, stamp in enumerate(self.time_ns.tolist()):
+            yield RangeFrame(stamp, self.phasors[row], self.valid[row])
+
+
+@dataclass(frozen=True, slots=True)
+class PhaseMeasurement:
+    """Phase of one radar target, counted from its first used frame, without jumps of a cycle, in rad, with variance.
+
+    variance_rad2: of what is new in every frame; reference_variance_rad2: of the phase's zero since the first used
+    frame (cycles that may have been lost), common to frames that follow each other and not part of `variance_rad2`.
+    Where the target is not used the phase is NaN, its variance infinite and the status COASTING while the cycle can
+    still be predicted, else LOST. strength: amplitude over the calibrated one, 0 where nothing was received. events:
+    what happened in this frame.
+    """
+
+    time_ns: int
+    phase_rad: float
+    variance_rad2: float
+    reference_variance_rad2: float
+    status: Status
+    strength: float
+    events: tuple[Event, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Channel:
+    """One target of one sensor along one axis, as the estimator sees it; its measurements are in the sensor's own unit.
+
+    sensor: name of the sensor, of which there may be several of a kind; source: how its rows are marked. axis: 0 for
+    the main one. units_per_m: measured units (px, rad, m) per metre of displacement, signed. variance_factor: estimated
+    variance over the one that comes with each measurement. exposure_s: the time over which one measurement averages.
+    zero_std_m: standard deviation of its zero at its first measurement; infinite: unknown. zero_walk_m2_s: density of
+    the random walk of its zero; the rows' own band grows by it where no other sensor's zero stays. coasting_s, lost_s:
+    age of the last accepted measurement from which on rows are marked so.
+    """
+
+    sensor: str
+    source: Source
+    units_per_m: float
+    target: str = "1"
+    axis: int = 0
+    variance_factor: float = 1.0
+    exposure_s: float = 0.0
+    zero_std_m: float = 0.0
+    zero_walk_m2_s: float = 0.0
+    coasting_s: float = 0.25
+    lost_s: float = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """A block of measurements, each in its channel's unit: arrays (n,), `channel` its number in the estimator's table.
+
+    reference_variance: of the channel's zero beside its variance at the first measurement, common to measurements that
+    follow each other. A value or variance that is not finite marks a measurement that must not be used.
+    """
+
+    time_ns: Nanoseconds
+    channel: NDArray[np.int64]
+    value: Floats
+    variance: Floats
+    reference_variance: Floats
+
+
+class SampleKind(IntEnum):
+    """What a sample of the acceleration rests on."""
+
+    MEASURED = 0
+    BRIDGED = 1
+    INSERTED = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Samples:
+    """A block of acceleration along all axes: time_ns (n,), value_m_s2 and noise_density (n, axes), kind (n,).
+
+    noise_density: as of `Acceleration`. kind: code of `SampleKind`; BRIDGED rows are marked coasting, INSERTED
+    ones (put into long gaps in time) are no rows of the result.
+    """
+
+    time_ns: Nanoseconds
+    value_m_s2: Floats
+    noise_density: Floats
+    kind: NDArray[np.uint8]
 
 
 @dataclass(frozen=True, slots=True)
@@ -246,16 +368,79 @@ class Innovation:
     verdict: NDArray[np.int8]
 
 
-Block = TypeVar("Block", Acceleration, Displacement, Estimate, Innovation, PixelTrack)
+@dataclass(frozen=True, slots=True)
+class Readings:
+    """A block of readings from outside, nothing of it checked: `time_ns` (n,), `value` (n, axes) in SI.
+
+    time_ns: on the stream's own clock until `Merge` has put it on the common one.
+    """
+
+    time_ns: Nanoseconds
+    value: Floats
 
 
 @dataclass(frozen=True, slots=True)
-class Event:
-    """Something worth telling: when, of what kind, in one sentence."""
+class Tracked:
+    """A frame whose targets have been found already: their translations, with the frame's stamp on their clock."""
 
     time_ns: int
-    kind: str
-    text: str
+    own_ns: int
+    translations: tuple[PixelTranslation, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Arrival:
+    """A record of the named stream; `sequence` counts the stream's records, so that lost ones show as a step."""
+
+    stream: str
+    sequence: int
+    record: Readings | Frame | Tracked | RangeFrame | Event
+
+
+@dataclass(frozen=True, slots=True)
+class Tick:
+    """The clock of what runs the engine, as data: `now_ns` never decreases. A replay makes ticks from stamps."""
+
+    now_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class ClockOffset:
+    """From stamp `from_ns` of the stream's own clock on, `offset_ns` is added to its stamps to get the common clock."""
+
+    stream: str
+    offset_ns: int
+    from_ns: int
+
+
+class StreamState(IntEnum):
+    """How a stream stands: nothing came yet; in time; later than the others wait; silent for too long."""
+
+    WAITING = 0
+    LIVE = 1
+    BEHIND = 2
+    OUT = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Health:
+    """How a stream stands, and why.
+
+    newest_ns: its newest stamp on the common clock. Counts of readings and frames: used; late; disordered (doubled,
+    backwards, outside the times that are possible); lost records, by their sequence numbers.
+    """
+
+    stream: str
+    state: StreamState
+    reason: str
+    newest_ns: int | None
+    used: int
+    late: int
+    disordered: int
+    lost: int
+
+
+Block = TypeVar("Block", Acceleration, Displacement, Estimate, Innovation, Measured, PixelTrack, Readings, Samples)
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from midspan.calibration.clock_jumps import Beside, clock_jumps, lateness
+from midspan.calibration.clock import Compared
+from midspan.calibration.clock_jumps import clock_jumps, lateness
 from midspan.records import Floats
 from midspan.simulate.motion.motion import Sines
 
@@ -14,7 +15,7 @@ TONE = Sines(np.array([4e-3]), np.array([2.0]))
 STILL = Sines(np.array([0.0]), np.array([1.0]))
 
 
-def beside(stamps: Floats, true_s: Floats, *, motion=BRIDGE, loud=lambda t: np.ones_like(t), extra=0.0) -> Beside:
+def beside(stamps: Floats, true_s: Floats, *, motion=BRIDGE, loud=lambda t: np.ones_like(t), extra=0.0) -> Compared:
     """Measurements of a motion at true instants (m,) with stamps (m,), beside 100 Hz of acceleration.
 
     loud: the motion's size, which changes slowly; extra (m,): added to the measurements, m.
@@ -29,7 +30,7 @@ def beside(stamps: Floats, true_s: Floats, *, motion=BRIDGE, loud=lambda t: np.o
     acceleration += rng.normal(0.0, NOISE[0], time.size)
     value = moved(true_s) + rng.normal(0.0, NOISE[1], true_s.size) + extra
     density, variance = np.full(time.size, NOISE[0] ** 2 / 100.0), np.full(true_s.size, NOISE[1] ** 2)
-    return Beside(np.column_stack((time, acceleration, density)), np.column_stack((stamps, value, variance)))
+    return Compared(np.column_stack((time, acceleration, density)), np.column_stack((stamps, value, variance)))
 
 
 def even(length_s: float = 40.0, rate_hz: float = 8.0) -> Floats:

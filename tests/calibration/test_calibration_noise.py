@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 from calibration_cases import OFFSET, broadband, observed, spoilt, tones
 
-from midspan.calibration.fit import Pair
+from midspan.calibration.fit import Pair, aligned
 from midspan.calibration.noise import calibrate_noise, learn_motion
-from midspan.calibration.whitening import whiten
-from midspan.fusion.kalman import KalmanSettings
-from midspan.fusion.smoother import smooth
+from midspan.fusion.streams import NO_ERRORS, KalmanSettings, smooth
 from midspan.records import Acceleration, Displacement, nanoseconds
 
 
@@ -76,12 +74,19 @@ def test_whitened_innovations_are_those_of_the_filter():
     # Second route: the fusion filter itself, on the scaled signals, with the same noise levels and no gate.
     pair = metres(broadband(9), 9, offset_s=0.0)
     density, noise = 2e-3**2 / 100.0, 1e-8
-    w = whiten(pair.samples, pair.rows, density / noise)
+    w = aligned(pair, 0.0).whitened((density / noise * pair.rate_hz) ** 0.25)
     time_ns = nanoseconds(pair.samples[:, 0])
     acceleration = Acceleration(time_ns, pair.samples[:, 1], np.full(len(time_ns), density))
     met = nanoseconds(pair.rows[:, 0])
     displacement = Displacement(met, pair.rows[:, 1], np.full(len(met), noise), np.full(len(met), 4, dtype=np.uint8))
-    settings = KalmanSettings(bias_walk=0.003 * density, displacement_std=3.0, velocity_std=3.0, bias_std=3.0)
+    settings = KalmanSettings(
+        bias_walk=0.003 * density,
+        displacement_std=3.0,
+        velocity_std=3.0,
+        bias_std=3.0,
+        rates=NO_ERRORS,
+        noise_memory=np.inf,
+    )
     innovation = smooth(acceleration, displacement, settings).innovation
     later = slice(100, None)
     ours = (w.translation - w.response)[later]

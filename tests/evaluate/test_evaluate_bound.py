@@ -5,7 +5,7 @@ import pytest
 
 from midspan.errors import UsageError
 from midspan.evaluate.bound import KnownNoise, closed_bound, exact_bound, still, variance_rows, zeroed_bound
-from midspan.fusion.kalman import KalmanSettings
+from midspan.fusion.streams import KalmanSettings
 
 CASES = [
     KnownNoise(2e-3, 100.0, 1e-4, 30.0),

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from midspan.errors import DataError, UsageError
-from midspan.evaluate.result_file import compare_files, read_reference, read_result
+from midspan.evaluate.result_file import compare, read_reference, read_result
 from midspan.records import Source, Status, nanoseconds
 from midspan.sinks.table import ResultTable
 from midspan.sinks.write import write_result
@@ -50,7 +50,7 @@ def test_every_format_of_a_result_comes_back_with_its_band_and_exact_times(suffi
 
 
 def test_two_files_compare(tmp_path, reference):
-    found = compare_files(write(tmp_path / "result.csv"), reference)
+    found = compare(write(tmp_path / "result.csv"), reference)
     # At the same instants the spline returns the samples, written with 18 digits.
     assert found.bias_mm == pytest.approx(0.1, abs=1e-8)
     assert found.rmse_without_bias_mm == pytest.approx(0.0, abs=1e-8)
@@ -66,7 +66,7 @@ def test_the_reference_may_be_a_recording(tmp_path, reference):
         '[accelerometer]\nfile = "a.csv"\n[displacement]\nfile = "d.csv"\n'
         f'[reference]\nfile = "{reference.name}"\ntime = "time_s"\nvalue = "displacement_mm"\nunit = "mm"\n'
     )
-    found = compare_files(write(tmp_path / "result.h5"), folder)
+    found = compare(write(tmp_path / "result.h5"), folder)
     assert found.bias_mm == pytest.approx(0.1, abs=1e-8)
     with pytest.raises(UsageError, match=r"reference\.unit"):
         read_reference(folder, "cm")
@@ -83,8 +83,8 @@ def test_a_unit_wins_and_its_absence_is_told(tmp_path, reference):
     bare = tmp_path / "bare.csv"
     np.savetxt(bare, np.column_stack((t, motion_mm(t) / 10.0)), delimiter=",", header="time_s,level", comments="")
     result = write(tmp_path / "result.csv")
-    assert compare_files(result, bare, unit="cm").bias_mm == pytest.approx(0.1, abs=1e-8)
-    assumed = compare_files(result, bare)
+    assert compare(result, bare, unit="cm").bias_mm == pytest.approx(0.1, abs=1e-8)
+    assumed = compare(result, bare)
     assert assumed.notes == ("bare.csv: no unit in the file; mm assumed.",)
     assert assumed.reference_peak_to_peak_mm == pytest.approx(assumed.peak_to_peak_mm / 10.0, rel=1e-9)
 
@@ -95,7 +95,7 @@ def test_missing_files_and_files_without_displacement_are_refused(tmp_path, refe
     pixels = tmp_path / "track.csv"
     pixels.write_text("time_s,x_px,y_px\n0,1,2\n1,2,3\n2,3,5\n")
     with pytest.raises(UsageError, match="value must name the channel of displacement"):
-        compare_files(pixels, reference)
+        compare(pixels, reference)
 
 
 def both_axes(path):
@@ -120,14 +120,14 @@ def test_the_second_axis_comes_back_from_every_format(suffix, tmp_path):
 
 def test_a_reference_of_one_axis_is_not_taken_for_the_second(tmp_path, reference):
     result = both_axes(tmp_path / "result.csv")
-    assert compare_files(result, reference, axis="y").rmse_mm == pytest.approx(0.0, abs=1e-8)
+    assert compare(result, reference, axis="y").rmse_mm == pytest.approx(0.0, abs=1e-8)
     with pytest.raises(DataError, match=r"laser\.csv: has displacement_mm but no column displacement_x_mm"):
-        compare_files(result, reference, axis="x")
+        compare(result, reference, axis="x")
     # Any other column is what the user says it is.
     t = np.arange(2000) / 100.0
     level = tmp_path / "level.csv"
     np.savetxt(level, np.column_stack((t, 0.5 * motion_mm(t))), delimiter=",", header="time_s,level", comments="")
-    assert compare_files(result, level, unit="mm", axis="x").rmse_mm == pytest.approx(0.0, abs=1e-8)
+    assert compare(result, level, unit="mm", axis="x").rmse_mm == pytest.approx(0.0, abs=1e-8)
 
 
 def test_a_recording_along_one_axis_is_no_reference_for_the_other(tmp_path, reference):
@@ -136,6 +136,6 @@ def test_a_recording_along_one_axis_is_no_reference_for_the_other(tmp_path, refe
         f'[reference]\nfile = "{reference.name}"\ntime = "time_s"\nvalue = "displacement_mm"\nunit = "mm"\n'
     )
     result = both_axes(tmp_path / "result.csv")
-    assert compare_files(result, tmp_path, axis="y").rmse_mm == pytest.approx(0.0, abs=1e-8)
+    assert compare(result, tmp_path, axis="y").rmse_mm == pytest.approx(0.0, abs=1e-8)
     with pytest.raises(DataError, match=r"displacement along y; .* column displacement_x_mm"):
-        compare_files(result, tmp_path, axis="x")
+        compare(result, tmp_path, axis="x")

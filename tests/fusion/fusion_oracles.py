@@ -3,9 +3,9 @@
 import numpy as np
 from scipy.linalg import block_diag, expm
 
-from midspan.fusion.kalman import KalmanFilter, KalmanSettings
-from midspan.fusion.state_space import TIME
-from midspan.records import Acceleration, Displacement, Estimate, nanoseconds
+from midspan.fusion import streams
+from midspan.fusion.model import START_S
+from midspan.records import Acceleration, Displacement, nanoseconds
 
 # x' = v, v' = −b (the input is kept apart), b' = 0; noise enters v and b.
 DRIFT = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [0.0, 0.0, 0.0]])
@@ -25,12 +25,9 @@ def displacement_block(time_s, value, variance, source=4):
 
 
 def filtered(acceleration, displacement, settings=None):
-    """The causal estimate of a whole record and everything else the filter gave."""
-    stream = KalmanFilter(settings or KalmanSettings())
-    stream.push(displacement)
-    outputs = [*stream.push(acceleration), *stream.finish()]
-    (estimate,) = [item for item in outputs if isinstance(item, Estimate)]
-    return estimate, outputs
+    """The causal estimate of a whole record, and all that came with it."""
+    found = streams.filtered(acceleration, displacement, settings)
+    return found.estimate, found
 
 
 def van_loan(dt, density, bias_walk):
@@ -69,13 +66,13 @@ def chain(acceleration, displacement, settings):
     first = acceleration.time_ns[0]
     t = (acceleration.time_ns - first) / 1e9
     td = (displacement.time_ns - first) / 1e9
-    samples = np.column_stack((t, acceleration.value_m_s2, acceleration.noise_density))
-    edges = np.concatenate(([settings.state_before(samples)[TIME]], t))
+    edges = np.concatenate(([t[0] - START_S], t))
     a = np.concatenate((acceleration.value_m_s2[:1], acceleration.value_m_s2))
     usable = np.flatnonzero(np.isfinite(displacement.variance_m2) & np.isfinite(displacement.value_m))
     events = [(td[i], 0, i) for i in usable] + [(t[k], 1, k) for k in range(len(t))]
     events = sorted(e for e in events if edges[0] <= e[0] <= t[-1])
-    mean = np.array([0.0, 0.0, settings.bias])
+    # Nothing better is known of the place than the first measurement.
+    mean = np.array([displacement.value_m[usable[0]], 0.0, settings.bias])
     noises = [np.diag([settings.displacement_std**2, settings.velocity_std**2, settings.bias_std**2])]
     rows, means, kinds = [np.eye(3)], [], []
     now, k = edges[0], 0

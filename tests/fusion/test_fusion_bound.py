@@ -9,8 +9,7 @@ from fusion_oracles import acceleration_block, displacement_block, filtered, ric
 
 from midspan.calibration.fit import Pair
 from midspan.calibration.noise import calibrate_noise
-from midspan.fusion.kalman import KalmanSettings
-from midspan.fusion.smoother import smooth
+from midspan.fusion.streams import KalmanSettings, smooth
 from midspan.simulate.motion.beam import paper_beam_motion
 from midspan.simulate.motion.sensors import AccelerometerModel, DisplacementSensorModel, noise_std_for, simulate_pair
 
@@ -165,7 +164,7 @@ def test_riccati_bound_agrees_with_the_filters_own_variance():
     case = beam(SEEDS[0])
     causal, both = riccati_bound(case.noise[0], RATE_HZ, case.noise[1], 10)
     for method, expected in (("kalman", causal), ("smoother", both)):
-        told = KalmanSettings(learn_noise=False)
+        told = KalmanSettings(noise_memory=np.inf)
         variance = estimated(method, *known_blocks(case), told).variance_m2[2000:8000]
         # The filter also estimates the bias, which the bound takes for known: at most 1 % more.
         assert 1.0 - 1e-6 <= np.sqrt(np.mean(variance)) / expected < 1.01

@@ -6,14 +6,12 @@ from fusion_oracles import acceleration_block, displacement_block, filtered
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from midspan.fusion.gate import GateSettings
-from midspan.fusion.kalman import KalmanFilter, KalmanSettings
-from midspan.fusion.state_space import P00, P11, P12, P22, B, V, X
-from midspan.records import Innovation
+from midspan.fusion.streams import NO_ERRORS, KalmanFilter, KalmanSettings
+from midspan.records import Innovation, joined
 
 REAL = st.floats(-10.0, 10.0)
 FRACTION = st.floats(0.02, 0.98)
-OPEN = KalmanSettings(gate=GateSettings(limit=1e9))
+OPEN = KalmanSettings(rates=NO_ERRORS, noise_memory=np.inf)
 
 
 def integrated(time, value):
@@ -66,14 +64,16 @@ def test_a_parabola_of_acceleration_is_integrated_exactly_on_the_grid():
 
 
 def states_at(theta, acceleration, dt=0.02, variance=1e30):
-    """Displacement predicted at fraction `theta` of the last interval, and the state at its end."""
+    """Displacement predicted at fraction `theta` of the last interval, and mean and covariance at its end."""
     time = np.arange(len(acceleration)) * dt
-    met = [] if theta is None else [(len(acceleration) - 2 + theta) * dt]
+    # The first measurement says nothing but that the rows begin.
+    met = [0.0] if theta is None else [0.0, (len(acceleration) - 2 + theta) * dt]
     stream = KalmanFilter(OPEN)
     stream.push(displacement_block(met, np.zeros(len(met)), variance))
-    outputs = stream.push(acceleration_block(time, acceleration, 2e-3))
-    innovations = [item for item in outputs if isinstance(item, Innovation)]
-    return (-innovations[0].value_m[0] if innovations else None), stream.state
+    outputs = [*stream.push(acceleration_block(time, acceleration, 2e-3)), *stream.finish()]
+    innovation = joined([item for item in outputs if isinstance(item, Innovation)])
+    hyps = stream.state.filter.hyps
+    return -innovation.value_m[-1], (hyps[0][0, :3, 0], hyps[1][0, :3, :3])
 
 
 @settings(deadline=None)
@@ -93,24 +93,21 @@ def test_a_measurement_that_says_nothing_splits_the_interval_without_a_trace(the
     acceleration = np.concatenate((np.full(10, a[0]), a))
     _, whole = states_at(None, acceleration)
     _, split = states_at(theta, acceleration)
-    np.testing.assert_allclose(split[: P22 + 1], whole[: P22 + 1], rtol=1e-9, atol=1e-12)
-    assert split[P00] > 0
-    assert split[P11] > split[P12]
+    for ours, theirs in zip(split, whole, strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-12)
 
 
 @settings(deadline=None)
 @given(bias=REAL, a=REAL)
 def test_a_bias_is_taken_off_the_measured_acceleration(bias, a):
     # a measured, of which `bias` is bias: the structure accelerates with a − bias.
-    known = KalmanSettings(bias=bias, bias_std=1e-9, gate=OPEN.gate)
-    time = np.arange(101) / 100.0
-    first, stream = KalmanFilter(known), KalmanFilter(known)
-    first.push(acceleration_block(time[:1], [a], 1e-6))
-    stream.push(acceleration_block(time, np.full(101, a), 1e-6))
-    moved, sped = stream.state[X] - first.state[X] - first.state[V], stream.state[V] - first.state[V]
+    known = KalmanSettings(bias=bias, bias_std=1e-9, rates=NO_ERRORS)
+    rows = filtered(
+        acceleration_block(np.arange(101) / 100.0, np.full(101, a), 1e-6), displacement_block([], [], 1.0), known
+    )[0]
+    moved = rows.displacement_m[-1] - rows.displacement_m[0] - rows.velocity_m_s[0]
     assert moved == pytest.approx(0.5 * (a - bias), rel=1e-9, abs=1e-9)
-    assert sped == pytest.approx(a - bias, rel=1e-9, abs=1e-9)
-    assert stream.state[B] == bias
+    assert rows.velocity_m_s[-1] - rows.velocity_m_s[0] == pytest.approx(a - bias, rel=1e-9, abs=1e-9)
 
 
 def moving(time):
@@ -132,9 +129,8 @@ def test_a_gap_in_the_acceleration_leaves_no_false_velocity(gap_s):
     density[np.flatnonzero(kept & (time > 30.0))[0]] = 0.1
     acceleration = acceleration_block(time[kept], moving(time)[2][kept], density[kept])
     met = np.arange(600) / 10.0 + 0.004
-    estimate, outputs = filtered(acceleration, displacement_block(met, moving(met)[0], 1e-8))
-    (innovation,) = [item for item in outputs if isinstance(item, Innovation)]
-    assert np.all(innovation.verdict == 0)
+    estimate, found = filtered(acceleration, displacement_block(met, moving(met)[0], 1e-8))
+    assert np.all(found.innovation.verdict == 0)
     after = np.flatnonzero(time[kept] > 30.0 + gap_s)[0]
     # From four frames after the gap on the velocity is known again to some millimetres per second.
     error = estimate.velocity_m_s - moving(time)[1][kept]

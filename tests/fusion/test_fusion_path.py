@@ -3,10 +3,8 @@
 import numpy as np
 import pytest
 
-from midspan.fusion.kalman import KalmanSettings
-from midspan.fusion.path import at
-from midspan.recording.fusing.one_zero import merged
-from midspan.records import Acceleration, Displacement, Estimate, Source, part
+from midspan.fusion.path import at, rows_at
+from midspan.records import Estimate, part
 
 RATE_HZ, EPOCH_NS = 100.0, 1_700_000_000_000_000_000
 
@@ -41,34 +39,14 @@ def test_at_the_rows_it_is_the_rows_and_beyond_the_ends_the_last_ones():
     np.testing.assert_array_equal(variance, path.variance_m2[[0, -1]])
 
 
+def test_the_rows_at_their_own_stamps_are_the_rows():
+    path = tone(5.0)
+    found = rows_at(path, path.time_ns[3:-2])
+    for name in Estimate.__slots__:
+        np.testing.assert_allclose(getattr(found, name), getattr(path, name)[3:-2], atol=1e-12, err_msg=name)
+
+
 def test_a_single_row_stands_everywhere():
     path = part(tone(5.0), slice(7, 8))
     found = at(path, path.time_ns[0] + np.array([-5, 0, 5]))[0]
     np.testing.assert_array_equal(found, np.full(3, path.displacement_m[0]))
-
-
-def test_a_zero_beside_another_sensor_is_as_sure_as_the_measurements_not_as_straight_lines():
-    # 5 Hz, 10 mm, twenty rows a period; the second sensor's stamps lie between the rows and its readings are true.
-    amplitude, hertz, noise = 0.01, 5.0, 1e-6
-    time_s = np.arange(3000) / RATE_HZ
-    angle = 2.0 * np.pi * hertz
-    rng = np.random.default_rng(3)
-    stamps = np.rint(1e9 * time_s).astype(np.int64)
-    shaken = -amplitude * angle**2 * np.sin(angle * time_s) + rng.normal(0.0, 1e-4, len(time_s))
-    acceleration = Acceleration(stamps, shaken, np.full(len(time_s), 1e-10))
-
-    def block(at_s, source, level):
-        value = level + amplitude * np.sin(angle * at_s) + rng.normal(0.0, noise, len(at_s))
-        codes = np.full(len(at_s), source, dtype=np.uint8)
-        return Displacement(np.rint(1e9 * at_s).astype(np.int64), value, np.full(len(at_s), noise**2), codes)
-
-    # Readings of the second one fall on the crest more often than on the trough.
-    later = np.arange(0.055, 29.0, 0.23)
-    found = merged(
-        [block(time_s, Source.CAMERA, 0.0), block(later, Source.RADAR, 0.003)], acceleration, KalmanSettings()
-    )
-    second = found.measured.source == Source.RADAR
-    straight = amplitude * (angle / RATE_HZ) ** 2 / 8.0
-    assert found.levels[0].std_m < 0.01 * straight
-    left = found.measured.value_m[second] - amplitude * np.sin(angle * found.measured.time_ns[second] / 1e9)
-    assert abs(float(np.median(left))) < 0.01 * straight

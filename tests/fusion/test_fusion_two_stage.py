@@ -6,17 +6,15 @@ from functools import cache
 import numpy as np
 import pytest
 from fusion_oracles import acceleration_block, displacement_block
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy.interpolate import CubicSpline
 
 from midspan.errors import UsageError
 from midspan.fusion.branches import Rates
-from midspan.fusion.complementary import run
 from midspan.fusion.fir import FirSettings, fir
-from midspan.fusion.smoother import smooth
-from midspan.fusion.two_stage import TwoStageFir, TwoStageSettings, design, least_rate_hz, two_stage_fir
-from midspan.records import Estimate, Event, Status, joined, part
+from midspan.fusion.runners import run_method
+from midspan.fusion.streams import smooth
+from midspan.fusion.two_stage import TwoStageSettings, design, least_rate_hz, two_stage_fir
+from midspan.records import Status, part
 from midspan.signals.fir import Transition, complement, equiripple_low_pass, response
 from midspan.signals.integrate import second_integral
 from midspan.simulate.motion.beam import paper_beam_motion
@@ -25,13 +23,6 @@ from midspan.simulate.motion.sensors import AccelerometerModel, DisplacementSens
 INNER = slice(600, -600)
 LITERAL = TwoStageSettings(literal=True)
 RATES = Rates(0.01, 0.1, 4e-8, 1e-8)
-
-
-def collected(outputs):
-    return (
-        joined([item for item in outputs if isinstance(item, Estimate)]),
-        [item for item in outputs if isinstance(item, Event)],
-    )
 
 
 def rms(values):
@@ -163,7 +154,7 @@ def test_the_least_rate_is_the_papers_and_below_it_the_same_high_pass_serves_wit
     assert below.removed is not None
     np.testing.assert_allclose(below.removed.bend, 1e-4 * complement(below.low), atol=1e-16)
     acceleration, displacement, _ = tones(1.5, 2.2)
-    _, events = collected(run(TwoStageFir(), acceleration, displacement))
+    events = run_method("two-stage-fir", acceleration, displacement).events
     assert [event.kind for event in events] == ["rate"]
 
 
@@ -214,16 +205,13 @@ def test_the_velocity_is_the_derivative_of_the_truth():
     assert rms(error) < 1.3 * rms(best)
 
 
-def test_a_gap_of_either_sensor_is_told_and_its_rows_have_a_wider_band():
+def test_the_rows_of_a_gap_of_either_sensor_have_a_wider_band():
     acceleration, displacement, truth, _ = beam(9)
     kept = np.ones(len(acceleration.time_ns), dtype=bool)
     kept[2000:2100] = False
     met = np.ones(len(displacement.time_ns), dtype=bool)
     met[400:440] = False
-    estimate, events = collected(run(TwoStageFir(), part(acceleration, kept), part(displacement, met)))
-    assert [event.kind for event in events] == ["gap", "gap"]
-    assert "No acceleration for 1.01 s" in events[0].text
-    assert "No displacement for 4.1 s" in events[1].text
+    estimate = two_stage_fir(part(acceleration, kept), part(displacement, met))
     np.testing.assert_array_equal(estimate.time_ns, acceleration.time_ns[kept])
     error, deviation = estimate.displacement_m - truth[kept], np.sqrt(estimate.variance_m2)
     assert np.mean(np.abs(error) <= 1.96 * deviation) > 0.9
@@ -262,49 +250,6 @@ def test_a_poor_stretch_of_the_displacement_widens_the_band_there():
     # Two seconds hold some three independent errors; sixty of them give the variance to a fifth, twice that is asked.
     assert np.mean(squares) / np.mean(told) == pytest.approx(1.0, abs=0.4)
     assert np.mean(told) > 20 * estimate.variance_m2[4000]
-
-
-def test_the_delay_is_that_of_the_filters_and_of_the_spline():
-    stream = TwoStageFir()
-    acceleration, displacement, _, _ = beam(5)
-    stream.push(displacement)
-    stream.push(part(acceleration, slice(2000)))
-    # 749 and 107 taps at 100 Hz, 5.9 intervals of 0.1 s, two steps.
-    assert stream.delay_s == pytest.approx(3.74 + 0.53 + 0.59 + 0.03, abs=0.02)
-    shorter = TwoStageFir(TwoStageSettings(Transition(0.25, 1.5, 5e-3)))
-    shorter.push(displacement)
-    shorter.push(acceleration)
-    assert shorter.delay_s < 0.6 * stream.delay_s
-
-
-CUTS = st.lists(st.integers(1, 5900), unique=True, max_size=8).map(sorted)
-
-
-@settings(max_examples=15, deadline=None)
-@given(cuts=CUTS, rate_hz=st.sampled_from([10.0, 2.0]))
-def test_any_cutting_equals_the_whole(cuts, rate_hz):
-    acceleration, displacement, _, _ = beam(8, rate_hz)
-    kept = np.ones(len(acceleration.time_ns), dtype=bool)
-    kept[3000:3100] = False
-    acceleration = part(acceleration, kept)
-    whole, told = collected(run(TwoStageFir(), acceleration, displacement))
-    stream, outputs, sent = TwoStageFir(), [], 0
-    for start, stop in zip([0, *cuts], [*cuts, 5900], strict=True):
-        block = part(acceleration, slice(start, stop))
-        if not len(block.time_ns):
-            continue
-        due = int(np.searchsorted(displacement.time_ns, block.time_ns[-1], side="right"))
-        stream.push(part(displacement, slice(sent, due)))
-        sent = due
-        outputs += stream.push(block)
-    pieces, events = collected([*outputs, *stream.finish()])
-    np.testing.assert_array_equal(pieces.time_ns, acceleration.time_ns)
-    np.testing.assert_array_equal(pieces.status, whole.status)
-    # Transforms of other lengths round differently: 1e-14 of some millimetres.
-    np.testing.assert_allclose(pieces.displacement_m, whole.displacement_m, atol=1e-13)
-    np.testing.assert_allclose(pieces.velocity_m_s, whole.velocity_m_s, atol=1e-11)
-    np.testing.assert_allclose(pieces.variance_m2, whole.variance_m2, rtol=1e-8)
-    assert sorted(e.time_ns for e in events) == sorted(e.time_ns for e in told)
 
 
 def test_a_band_beyond_the_accelerometers_rate_is_refused():

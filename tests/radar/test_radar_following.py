@@ -71,7 +71,7 @@ def test_a_motion_of_a_bin_and_more_is_measured_to_the_noise_in_spite_of_a_plate
     assert target.range_m == pytest.approx(WALL_M, abs=0.15 * SHORT.bin_m)
     assert target.reach_bins == pytest.approx(amplitude / FACTOR / SHORT.bin_m, rel=0.1)
     valid, bins = np.ones((FRAMES, 4), dtype=bool), target.bins(0.0, SHORT.bin_m)
-    frames = TargetFrames(at, profiles[:, :, bins.astype(int)], valid, None, bins, SHORT.bin_m)
+    frames = TargetFrames(at, profiles[:, :, bins.astype(int)], valid, bins, SHORT.bin_m)
     series = displacement(frames, target, samples=samples, phase_per_m=UNIT)
     assert np.isfinite(series.value_m).all()
     assert series.restarts == ()
@@ -82,14 +82,12 @@ def test_a_motion_of_a_bin_and_more_is_measured_to_the_noise_in_spite_of_a_plate
     assert np.std(error) < 1.6 * bound + 2e-5 * np.std(true)
 
 
-def test_without_following_a_large_motion_leaves_its_bin_and_tells_how_far_it_goes() -> None:
+def test_without_following_a_large_motion_leaves_its_bin() -> None:
     at, profiles, samples, true = scene(0.1, plate=0.0)
     target = ranked(find_targets(profiles, at, samples=samples, axis=SHORT.axis))[0]
     frames = TargetFrames(at, at_place(profiles, target.place_bin), np.ones((FRAMES, 4), dtype=bool))
     series = displacement(frames, target, samples=samples, phase_per_m=UNIT)
     assert np.mean(np.isfinite(series.value_m)) < 0.8
-    assert series.excursion_m == pytest.approx(0.1 / FACTOR, rel=0.1)
-    assert len(target.bins(series.excursion_m, SHORT.bin_m)) >= 2 * 0.1 / FACTOR / SHORT.bin_m
     assert np.ptp(true) > 0.19
 
 
@@ -99,9 +97,7 @@ def test_a_second_record_whose_calibration_moved_little_is_followed_all_the_same
     assert target.background is None
     at, profiles, samples, true = scene(0.05)
     bins = target.bins(0.05 / FACTOR, SHORT.bin_m)
-    frames = TargetFrames(
-        at, profiles[:, :, bins.astype(int)], np.ones((FRAMES, 4), dtype=bool), None, bins, SHORT.bin_m
-    )
+    frames = TargetFrames(at, profiles[:, :, bins.astype(int)], np.ones((FRAMES, 4), dtype=bool), bins, SHORT.bin_m)
     series = displacement(frames, target, samples=samples, phase_per_m=UNIT)
     error = series.value_m - true
     # The factor is known to 0.01 % from 2 mm: 3 µm of 35 mm rms.
@@ -115,6 +111,6 @@ def test_bins_that_do_not_fit_the_phasors_and_targets_without_a_factor_are_refus
     with pytest.raises(UntrustedError, match="does not follow the accelerometer"):
         displacement(frames, blank, samples=np.zeros((100, 2)), phase_per_m=UNIT)
     good = Target(20.0, 1.1, 1.0, 20.0, np.ones(1, dtype=complex), 0.0, conversion_factor=1.0)
-    wrong = TargetFrames(at, frames.phasors, frames.valid, None, np.arange(3.0), SHORT.bin_m)
+    wrong = TargetFrames(at, frames.phasors, frames.valid, np.arange(3.0), SHORT.bin_m)
     with pytest.raises(UsageError, match="bins"):
         displacement(wrong, good, samples=np.zeros((100, 2)), phase_per_m=UNIT)

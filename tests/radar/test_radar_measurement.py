@@ -6,9 +6,7 @@ from radar_cases import CYCLE, RATE, SHORT, accelerometer
 
 from midspan.radar.layout import Layout
 from midspan.radar.measurement import TargetFrames, displacement
-from midspan.radar.range_profile import coarse_range, half_kernel
 from midspan.radar.target import find_targets, ranked
-from midspan.records import Status
 from midspan.simulate.motion.motion import Sines
 from midspan.simulate.radar.files import Capture, demo_settings, write_capture
 from midspan.simulate.radar.signal import RadarModel, Reflector, noise_for, phase_bound_m
@@ -40,15 +38,10 @@ def chain(tmp_path_factory):
 
 def frames_of(source: RawCapture, place: float) -> TargetFrames:
     blocks = list(source.slow_time(np.array([place])))
-    halves = np.concatenate([block.phasors for block in source.products(half_kernel(place, SHORT))])
-    coarse = coarse_range(
-        (halves[..., 1] * halves[..., 0].conj()).mean(axis=1)[:, None] * [[0, 1]] + [[1, 0]], place, SHORT
-    )
     return TargetFrames(
         source.times_ns() / 1e9,
         np.concatenate([block.phasors[..., 0] for block in blocks]),
         np.concatenate([block.valid for block in blocks]),
-        coarse,
     )
 
 
@@ -73,7 +66,7 @@ def test_a_capture_gives_the_displacement_to_micrometres_through_holes_and_fast_
     assert not seen[holes].any()
 
 
-def test_blocked_frames_are_not_used_and_the_cycle_after_the_longer_outage_is_right_or_declared(chain) -> None:
+def test_blocked_frames_are_not_used(chain) -> None:
     source, samples, target, _ = chain
     frames = frames_of(source, target.place_bin)
     series = displacement(frames, target, samples=samples, phase_per_m=SHORT.phase_per_m(target.range_m))
@@ -82,10 +75,6 @@ def test_blocked_frames_are_not_used_and_the_cycle_after_the_longer_outage_is_ri
         inside = (time >= start) & (time < end)
         assert np.isnan(series.value_m[inside]).all()
         assert np.isinf(series.variance_m2[inside]).all()
-        assert set(series.status[inside]) <= {Status.COASTING, Status.LOST}
-    for restart, verdict in zip(series.restarts, series.verdicts, strict=True):
-        assert verdict.frame == restart
-        assert verdict.verdict in ("verified", "shifted", "new datum")
     # Five good frames must pass before the target counts as back.
     back = int(np.searchsorted(time, BLOCKED[0][1]))
     assert np.isnan(series.value_m[back : back + 4]).all()

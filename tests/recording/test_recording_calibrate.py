@@ -53,6 +53,8 @@ def test_the_file_has_the_keys_that_are_relied_on(calibration, tmp_path):
     again = midspan.load_calibration(tmp_path).to_dict()
     for name in ("scale_mm_per_px", "scale_std_mm_per_px", "time_offset_s", "time_offset_std_s", "roi"):
         assert again["camera"][name] == pytest.approx(tree["camera"][name], rel=1e-12)
+    usual, kept = again["accelerometer"].pop("usual"), tree["accelerometer"].pop("usual")
+    assert usual == pytest.approx(kept, rel=1e-12)
     assert again["accelerometer"] == pytest.approx(tree["accelerometer"], rel=1e-12)
     assert (again["version"], again["created"]) == (tree["version"], tree["created"])
 

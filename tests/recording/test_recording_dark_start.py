@@ -5,18 +5,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from midspan.recording.cameras.tracked import zero_of
-from midspan.recording.estimate import _late_start
+from midspan.recording.cameras.tracked import Eye
+from midspan.recording.estimate import late_start
+from midspan.recording.point import zero_instant
+from midspan.recording.run import Outcome
 from midspan.recording.tracking.daylight import where_it_sees
-from midspan.records import NANOSECONDS, Displacement, Source
-
-
-def blind_until(time_s):
-    """Displacement of zeros at 4 Hz for 60 s that is not seen before."""
-    stamps = np.arange(0.0, 60.0, 0.25)
-    source = np.full(len(stamps), Source.CAMERA, np.uint8)
-    value = np.where(stamps < time_s, np.nan, 0.0)
-    return Displacement(np.rint(1e9 * stamps).astype(np.int64), value, np.full(len(stamps), 1e-10), source)
+from midspan.records import NANOSECONDS, Measured, nanoseconds
 
 
 class Frames:
@@ -43,7 +37,7 @@ class Frames:
     ],
 )
 def test_frames_before_a_night_in_the_window_are_used(lit, used_from_s, monkeypatch):
-    recording = SimpleNamespace(sensor="camera", infrared=object(), frames=Frames(lit))
+    recording = SimpleNamespace(kind="camera", beside=(SimpleNamespace(kind="infrared"),), frames=Frames(lit))
     recording.seeing = lambda *stamps: stamps
     monkeypatch.setattr("midspan.recording.tracking.daylight.window_ends", lambda _: (0, 60 * NANOSECONDS))
     (begun, ended, used_from), (text,) = where_it_sees(recording)
@@ -52,23 +46,31 @@ def test_frames_before_a_night_in_the_window_are_used(lit, used_from_s, monkeypa
     assert "from 36.000 s to 59.750 s" in text
 
 
-def test_the_zero_of_a_camera_that_begins_dark_is_a_frame_that_saw_something():
-    both = blind_until(34.0)
-    view = SimpleNamespace(frames=Frames([]), sees_from_ns=34 * NANOSECONDS)
-    camera = SimpleNamespace(eye=SimpleNamespace(tracking=SimpleNamespace(skipped=0), view=view), measured=both)
-    assert zero_of((camera,), both) == 34 * NANOSECONDS
-    camera.eye.view.sees_from_ns = 0
-    assert zero_of((camera,), both) == 0
+def eye(sensor, first_s, sees_from_s=None):
+    """A camera whose first frame used is at `first_s`, out of frames from 0 s on; its clock is 1 s behind."""
+    stamps = Frames([]).times_ns()
+    view = SimpleNamespace(sensor=sensor, frames=Frames([]))
+    view.sees_from_ns = None if sees_from_s is None else sees_from_s * NANOSECONDS
+    tracking = SimpleNamespace(skipped=0, time_ns=stamps[stamps >= first_s * NANOSECONDS])
+    return Eye(view, tracking, (SimpleNamespace(offset=SimpleNamespace(value_s=1.0)),))
+
+
+def test_the_zero_of_a_camera_that_begins_dark_is_the_first_frame_that_either_sees():
+    main = SimpleNamespace(recording=SimpleNamespace(views=()))
+    infrared = eye("infrared", 2)
+    assert zero_instant(main, (eye("camera", 34, sees_from_s=34), infrared)) == 3 * NANOSECONDS
+    assert zero_instant(main, (eye("camera", 5), infrared)) == 6 * NANOSECONDS
+    assert zero_instant(main, (eye("camera", 0, sees_from_s=0), infrared)) == NANOSECONDS
 
 
 def test_a_result_that_begins_late_is_told():
-    inputs = SimpleNamespace(
-        displacement=blind_until(42.0),
-        acceleration=SimpleNamespace(time_ns=np.array([0, NANOSECONDS])),
-        kalman=SimpleNamespace(coasting_s=1.0),
-    )
+    stamps = nanoseconds(np.arange(0.0, 60.0, 0.25))
+    zeros = np.zeros(len(stamps))
+    measured = Measured(stamps, zeros.astype(np.int64), np.where(stamps < 42 * NANOSECONDS, np.nan, 0.0), zeros, zeros)
+    outcome = Outcome(measured={"camera": [measured]})
+    recording = SimpleNamespace(acceleration=SimpleNamespace(time_ns=np.array([0, NANOSECONDS])))
     rows = SimpleNamespace(time_ns=np.array([42 * NANOSECONDS]))
-    (line,) = _late_start(inputs, rows)
+    (line,) = late_start(recording, outcome, rows)
     assert "from 0.000 s to 42.000 s" in line
     assert "42.0 s late" in line
-    assert not _late_start(inputs, SimpleNamespace(time_ns=np.array([NANOSECONDS // 2])))
+    assert not late_start(recording, outcome, SimpleNamespace(time_ns=np.array([NANOSECONDS // 2])))

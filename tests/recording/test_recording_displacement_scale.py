@@ -75,7 +75,7 @@ def test_the_scale_is_stored_and_read_again(gnss_copy, tmp_path):
     np.testing.assert_allclose(again.displacement_std_mm, result.displacement_std_mm, rtol=1e-9)
     part["scale"] = 0.0
     file.write_text(json.dumps(json.loads(file.read_text()) | {"displacement": part}))
-    with pytest.raises(DataError, match=r"displacement\.scale must not be 0"):
+    with pytest.raises(DataError, match=r"displacement\.scale = 0\.0: must not be 0"):
         midspan.load_calibration(file)
 
 
@@ -149,12 +149,13 @@ def test_values_that_stand_still_are_left_out_and_told(factor, gnss_copy):
     found = midspan.estimate(midspan.open_recording(gnss_copy))
     frozen = [event for event in found.events if event.kind == "frozen"]
     assert len(frozen) == 1
-    assert "15 values" in frozen[0].text
-    assert [line for line in found.warnings if "15 values" in line] == [f"{frozen[0].text} Check the sensor."]
+    assert frozen[0].text in found.warnings
+    assert [event for event in found.events if event.kind == "released" and "15 values" in event.text]
     # They are missing, as in a gap: no innovation, and the rows say that nothing supports them.
     met = found.innovation.time_ns / 1e9
-    assert not np.any((met > time[30] - 0.1) & (met < time[44] + 0.1))
-    inside = (found.time_s > time[34]) & (found.time_s < time[44])
+    # It takes some equal values beside the acceleration to know.
+    assert not np.any((met > time[34] + 0.1) & (met < time[44] + 0.1))
+    inside = (found.time_s > time[36] + 2.5) & (found.time_s < time[44])
     assert set(found.estimate.status[inside].tolist()) <= {Status.COASTING, Status.LOST}
     error = np.abs(error_mm(gnss_copy, found.time_s, found.displacement_mm))
     assert np.mean(error < 1.96 * found.displacement_std_mm) > 0.88

@@ -1,18 +1,22 @@
 """The main job end to end: recordings rendered with a known truth, through calibration and fusion."""
 
 import json
+import pickle
 from itertools import pairwise
 
 import numpy as np
 import pytest
 
 import midspan
+from midspan.errors import UsageError
 from midspan.evaluate.metrics import compare
 from midspan.recording.tracking.track import TrackRequest, track
 from midspan.records import Source, Status, TimeSeries, nanoseconds
+from midspan.report.report import report_html
 from midspan.simulate.motion.motion import Sum, random_motion
 from midspan.simulate.motion.sensors import AccelerometerModel
 from midspan.simulate.scene.camera import Camera
+from plain_data import assert_plain
 from recording_edits import (
     acceleration,
     append,
@@ -346,8 +350,45 @@ def test_a_result_can_be_looked_at_and_kept(result, tmp_path):
     assert beside["calibration"]["camera"]["scale_mm_per_px"] == pytest.approx(-1.5, rel=3e-3)
 
 
+def test_a_result_is_plain_data_that_knows_where_it_came_from(footbridge, result):
+    assert_plain(result)
+    again = pickle.loads(pickle.dumps(result))
+    assert again.recording.file == footbridge / "recording.toml"
+    assert again.recording.settings == result.settings
+    assert again.name == midspan.open_recording(footbridge).name
+
+
+def test_the_pixels_of_a_phase_tracker_are_kept(footbridge):
+    found = midspan.estimate(midspan.open_recording(footbridge, camera={"tracker": "hybrid"}))
+    assert_plain(found)
+    active, target = found.cameras[0].targets[0].active_pixels, found.cameras[0].targets[0]
+    assert active.x.shape == active.y.shape == (active.region.height, active.region.width)
+    # They were learnt along the measured axis, where the phase of single frames follows the motion.
+    assert active.y.any()
+    assert active.r_squared[1] > 0.99
+    assert active.region.x >= target.region.x
+    assert 'alt="Active pixels"' in report_html(found)
+
+
+def test_a_result_is_compared_and_reported_by_itself(footbridge, result, tmp_path):
+    result.save(tmp_path / "result.csv")
+    by_file = midspan.compare(tmp_path / "result.csv", footbridge / "truth.csv")
+    direct = midspan.compare(result, footbridge / "truth.csv", unit="mm")
+    # The file keeps times to a nanosecond or so and values to a picometre.
+    assert direct.rmse_mm == pytest.approx(by_file.rmse_mm, rel=1e-4)
+    assert direct.coverage_95 == pytest.approx(by_file.coverage_95, abs=1e-3)
+    page = result.report(tmp_path / "report.html")
+    assert page == tmp_path / "report.html"
+    assert "RMSE against reference" in page.read_text(encoding="utf-8")
+    with pytest.raises(UsageError, match="one axis only"):
+        midspan.compare(result, footbridge / "truth.csv", axis="x")
+
+
 def test_a_result_shows_itself_in_a_notebook_and_on_axes(result):
-    axes = result.plot()
+    from matplotlib.figure import Figure
+
+    axes = Figure().subplots()
+    assert result.plot(axes) is axes.figure
     assert "mm" in axes.get_ylabel()
     assert "(s)" in axes.get_xlabel()
     drawn = axes.get_lines()[0].get_ydata()
@@ -357,11 +398,18 @@ def test_a_result_shows_itself_in_a_notebook_and_on_axes(result):
     assert f"{len(result.time_s)} rows" in shown
 
 
-def test_plot_draws_into_given_axes(result):
-    from matplotlib.figure import Figure
+def test_plot_gives_a_figure_that_pyplot_shows_and_a_notebook_shows_once(result, monkeypatch):
+    from matplotlib import pyplot
 
-    axes = Figure().subplots()
-    assert result.plot(axes) is axes
+    figure = result.plot()
+    # What pyplot knows is shown by `pyplot.show()`.
+    assert pyplot.fignum_exists(figure.number)
+    pyplot.close(figure)
+    before = pyplot.get_fignums()
+    # In a notebook open figures are shown at the end of a cell, and so is the figure that a cell returns.
+    monkeypatch.setattr(pyplot, "get_backend", lambda: "module://matplotlib_inline.backend_inline")
+    assert len(result.plot().axes) == 1
+    assert pyplot.get_fignums() == before
 
 
 def test_velocity_is_the_slope_of_the_displacement(result):

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -18,7 +19,8 @@ from midspan.simulate.motion.motion import Sines
 from midspan.simulate.scene.texture import textured_scene
 from midspan.simulate.scene.thermal import Course, ThermalCamera, ThermalView, WarmBody
 from midspan.thermal.temperature_range import ROUGH, THINNED, band_error
-from recording_edits import append, read_columns, replace_text, set_keys
+from plain_data import assert_plain
+from recording_edits import read_columns, set_keys
 
 LENGTH_S, RATE_HZ = 40.0, 6.0
 DUSK_S, DAWN_S = 20.0, 30.0
@@ -112,29 +114,35 @@ def test_a_night_without_the_camera_leaves_no_gap_no_step_and_one_source_a_row(d
     assert abs(error.mean()) < 3.0 * np.median(result.displacement_std_mm)
     assert np.mean(np.abs(error - error.mean()) <= 1.96 * result.displacement_std_mm) > 0.9
     assert np.mean(rows.status == Status.TRACKING) > 0.98
-    told = [event for event in result.events if event.kind == "switch"]
-    assert told[0].text.startswith("camera → infrared")
-    for event in told:
-        at = event.time_ns / 1e9
+    assert not [event for event in result.events if event.kind == "switch"]
+    for at in (DUSK_S, DAWN_S):
         before, after = (error[(result.time_s > at + a) & (result.time_s < at + a + 3.0)] for a in (-3.0, 0.0))
         assert abs(after.mean() - before.mean()) < 0.05
     night = (result.time_s > DUSK_S + 3.0) & (result.time_s < DAWN_S - 0.5)
     # While the shutter is closed by day the camera goes on; at night only infrared is left.
     assert set(rows.source[night]) <= {Source.INFRARED, Source.PREDICTION}
-    assert np.all(rows.source[(result.time_s > 5.0) & (result.time_s < 17.0)] == Source.CAMERA)
+    # By day both see; the camera's frames are a little less noisy.
+    by_day = rows.source[(result.time_s > 5.0) & (result.time_s < 17.0)]
+    assert set(by_day) <= {Source.CAMERA, Source.INFRARED}
+    assert np.mean(by_day == Source.CAMERA) > 0.5
 
 
 def test_each_camera_has_its_own_scale_factor_and_clock(result):
-    for eye, late_s in zip(result.eyes, (CAMERA_LATE_S, INFRARED_LATE_S), strict=True):
-        camera = eye.calibrations[0]
-        known = MM_PER_PX[eye.sensor]
+    for found, late_s in zip(result.cameras, (CAMERA_LATE_S, INFRARED_LATE_S), strict=True):
+        camera = found.calibrations[0]
+        known = MM_PER_PX[found.sensor]
         assert abs(1e3 * camera.scale.value_m_per_px - known) < 4.0 * 1e3 * np.sqrt(camera.scale.variance)
         assert 1e3 * camera.scale.value_m_per_px == pytest.approx(known, rel=0.01)
         assert camera.offset.value_s == pytest.approx(late_s, abs=2e-3)
 
 
+def test_the_result_of_two_cameras_is_plain_data(result):
+    assert_plain(result)
+    assert len(result.cameras) == len(result.measured) == 2
+
+
 def test_a_black_or_covered_camera_gives_lost_frames_and_never_wrong_ones(result, day):
-    camera, infrared = (eye.track for eye in result.eyes)
+    camera, infrared = (found.track for found in result.cameras)
     dark = light(camera.time_ns / 1e9 + CAMERA_LATE_S) == 0.0
     assert np.count_nonzero(dark) > 40
     assert np.all(camera.status[dark] == Status.LOST)
@@ -266,12 +274,20 @@ def test_where_no_range_can_be_chosen_for_features_the_calibration_tells_why(alo
 
 
 def test_switching_by_matches_uses_one_camera_at_a_time(day, result):
-    both = result.belief.measured
     recording = midspan.open_recording(day, fusion={"switching": "matches"})
     found = midspan.estimate(recording, result.calibration)
-    used = np.isfinite(found.belief.measured.value_m)
-    assert np.all(found.belief.measured.source[used] == found.belief.at(found.belief.measured.time_ns[used]))
-    assert np.count_nonzero(used) < 0.7 * np.count_nonzero(np.isfinite(both.value_m))
+    met, rows = found.innovation.time_ns, found.estimate
+    row = np.minimum(np.searchsorted(rows.time_ns, met), len(rows.time_ns) - 1)
+    for series in found.measured:
+        # Rows within a sample of a switch belong to the other camera.
+        own = np.isin(met, series.time_ns)
+        assert np.mean(rows.source[row[own]] == series.source) > 0.95
+    seen = sum(np.count_nonzero(np.isfinite(series.value_m)) for series in result.measured)
+    assert len(met) < 0.7 * seen
+    # The camera goes blind for a night: one switch there and one back at least, none of them to the same camera.
+    told = [event.text.split(":")[0] for event in found.events if event.kind == "switch"]
+    assert {"camera → infrared", "infrared → camera"} <= set(told)
+    assert all(one != other for one, other in pairwise(told))
     assert np.sqrt(np.mean(error_mm(day, found) ** 2)) < 0.03
 
 
@@ -414,8 +430,3 @@ def test_messages_name_the_section_and_the_key(alone, day_copy):
         midspan.open_recording(day_copy, infrared={"reference": "last"})
     with pytest.raises(DataError, match=r"infrared\.file = 'no\.npz'"):
         midspan.calibrate(midspan.open_recording(alone[0], infrared={"file": "no.npz"}))
-    append(day_copy, "[site]\nlatitude_deg = 98.0\nlongitude_deg = 11.0")
-    with pytest.raises(UsageError, match=r"site\.latitude_deg"):
-        midspan.open_recording(day_copy)
-    replace_text(day_copy, "98.0", "48.0")
-    assert midspan.open_recording(day_copy).settings.site.latitude_deg == 48.0

@@ -26,6 +26,6 @@ def test_a_run_away_of_the_printed_filter_is_told_also_where_a_frame_was_lost(fo
     write_stack(footbridge_copy, stack)
     set_keys(footbridge_copy, "fusion", method="adaptive-kalman", literal=True)
     found = midspan.estimate(midspan.open_recording(footbridge_copy), calibration=calibration)
-    lost = ~np.isfinite(found.tracking.targets[0].track.along(calibration.direction)[0])
+    lost = ~np.isfinite(found.track.along(calibration.direction)[0])
     assert lost[60]
     assert any("it runs away" in text for text in found.warnings)

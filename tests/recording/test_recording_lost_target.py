@@ -1,10 +1,9 @@
 """A camera that loses its target is told: when, for how long, and whether it was dark."""
 
-from types import SimpleNamespace
-
 import numpy as np
 
 from midspan.recording.cameras.lost_target import lost_events, lost_warnings
+from midspan.recording.sensor_series import series_of
 from midspan.records import NANOSECONDS, Displacement, Source
 
 
@@ -19,14 +18,14 @@ def measured(blind, length_s=60.0, rate_hz=4.0):
 
 
 def seen(block, dark=(0.0, 0.0)):
+    """The series of a camera, and which of its frames were black."""
     lit = (block.time_ns / NANOSECONDS < dark[0]) | (block.time_ns / NANOSECONDS >= dark[1])
-    tracking = SimpleNamespace(targets=[SimpleNamespace(dark=~lit)])
-    return SimpleNamespace(eye=SimpleNamespace(sensor="infrared", tracking=tracking, best=0), measured=block)
+    return series_of("infrared", Source.INFRARED, block), ~lit
 
 
 def test_a_target_lost_for_seconds_is_one_event_and_its_return_another():
     camera = seen(measured([(10.0, 15.0), (20.0, 22.0), (50.0, 60.0)]))
-    events = lost_events(camera)
+    events = lost_events(*camera)
     assert [(event.kind, event.time_ns / NANOSECONDS) for event in events] == [
         ("lost", 10.0),
         ("seen", 15.0),
@@ -34,7 +33,7 @@ def test_a_target_lost_for_seconds_is_one_event_and_its_return_another():
     ]
     assert "lost for 5.0 s" in events[0].text
     assert "to the end" in events[2].text
-    (line,) = lost_warnings(camera)
+    (line,) = lost_warnings(*camera)
     # From 50 s to the last frame at 59.75 s.
     assert line.startswith(
         "infrared: the target was lost for 14.8 s in 2 stretches, the longest from 50.000 s to the end"
@@ -43,14 +42,14 @@ def test_a_target_lost_for_seconds_is_one_event_and_its_return_another():
 
 def test_a_night_is_an_event_but_no_fault():
     camera = seen(measured([(10.0, 30.0)]), dark=(10.0, 30.0))
-    begun, back = lost_events(camera)
+    begun, back = lost_events(*camera)
     assert "it is dark for 20.0 s" in begun.text
     assert back.time_ns == 30 * NANOSECONDS
-    assert not lost_warnings(camera)
+    assert not lost_warnings(*camera)
 
 
 def test_short_losses_and_a_camera_that_is_left_out_are_not_told():
-    assert not lost_events(seen(measured([(10.0, 12.5)])))
+    assert not lost_events(*seen(measured([(10.0, 12.5)])))
     # One frame in two seconds: four of them are no loss yet.
-    assert not lost_events(seen(measured([(10.0, 18.0)], rate_hz=0.5)))
-    assert not lost_events(seen(measured([(0.0, 60.0)])))
+    assert not lost_events(*seen(measured([(10.0, 18.0)], rate_hz=0.5)))
+    assert not lost_events(*seen(measured([(0.0, 60.0)])))

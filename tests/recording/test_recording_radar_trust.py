@@ -40,8 +40,10 @@ def estimated(folder, **options):
 def test_an_only_target_that_sways_is_told_and_the_band_holds_it(tmp_path) -> None:
     tree = Reflector(3.4, 900.0, ratio=1.0, own=Sway(3e-4, 0.4))
     result, error = estimated(write(tmp_path, Case((tree, PLATE), seed=11)))
-    # Nothing else sees the motion of 0.3 mm: it is in the result, and the band must say so.
-    assert 0.15 < np.std(error) < 0.25
+    # Nothing else sees the motion of 0.3 mm, 0.21 rms: what the acceleration does not take out of it is in the result,
+    # and the band must say so.
+    assert np.std(error) < 0.21
+    assert np.median(result.displacement_std_mm) < 0.21
     assert np.sqrt(np.mean((error / result.displacement_std_mm) ** 2)) < 2.0
     assert any("3.4" in line and "by itself" in line for line in result.warnings)
 
@@ -50,9 +52,9 @@ def test_one_of_two_that_sways_is_left_out_by_the_accelerometer(tmp_path) -> Non
     tree = Reflector(6.1, 2000.0, ratio=1.0, own=Sway(2e-4, 1.0))
     result, error = estimated(write(tmp_path, Case((tree, WALL, PLATE), seed=12)))
     assert any("6.1" in line and "left out" in line for line in result.warnings)
-    # The wall alone: 8 to 16 µm a frame, smoothed.
+    # The wall alone: 8 to 16 µm a frame, smoothed. The zero is one draw that all rows share.
     assert np.abs(error).max() < 0.03
-    assert np.mean(np.abs(error) < 1.96 * result.displacement_std_mm) > 0.9
+    assert np.sqrt(np.mean((error / result.displacement_std_mm) ** 2)) < 2.0
 
 
 def test_two_targets_that_part_slowly_widen_the_band_where_nobody_knows_which(tmp_path) -> None:

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from midspan.fusion.kalman import KalmanSettings
-from midspan.fusion.running_clock import on_one_clock
+from midspan.calibration.running_clock import on_one_clock
 from midspan.records import Acceleration, Displacement, Floats, Source, nanoseconds
 from midspan.simulate.motion.beam import paper_beam_motion
 
@@ -36,7 +35,7 @@ def test_a_skew_of_a_cheap_quartz_is_taken_out_and_told() -> None:
     stamps = np.arange(1.0, 399.0, 0.1)
     late = 25e-6 * (stamps - 20.0)
     acceleration, measured = record(400.0, late, stamps)
-    found = on_one_clock(measured, acceleration, KalmanSettings(), "camera")
+    found = on_one_clock(measured, acceleration, "camera")
     moved = (found.measured.time_ns - measured.time_ns) / 1e9
     assert found.std_s is not None
     # Five of the standard deviations it promises, and 0.02 ms for what is not linear.
@@ -50,7 +49,7 @@ def test_a_skew_of_a_cheap_quartz_is_taken_out_and_told() -> None:
 def test_even_clocks_and_short_records_are_left_alone(length_s: float, skew: float) -> None:
     stamps = np.arange(1.0, length_s - 1.0, 0.1)
     acceleration, measured = record(length_s, skew * stamps, stamps)
-    found = on_one_clock(measured, acceleration, KalmanSettings(), "camera")
+    found = on_one_clock(measured, acceleration, "camera")
     assert found.measured is measured
     assert found.std_s is None
     assert found.warnings == ()
@@ -59,7 +58,7 @@ def test_even_clocks_and_short_records_are_left_alone(length_s: float, skew: flo
 def test_a_clock_that_was_set_in_the_middle_is_told() -> None:
     stamps = np.arange(1.0, 599.0, 0.1)
     acceleration, measured = record(600.0, np.where(stamps < 300.0, 0.0, 0.004), stamps)
-    found = on_one_clock(measured, acceleration, KalmanSettings(), "camera")
+    found = on_one_clock(measured, acceleration, "camera")
     assert any("does not run evenly" in text for text in found.warnings)
 
 
@@ -67,7 +66,7 @@ def test_two_minutes_are_enough_to_see_it() -> None:
     stamps = np.arange(1.0, 179.0, 0.1)
     late = 25e-6 * stamps
     acceleration, measured = record(180.0, late, stamps)
-    found = on_one_clock(measured, acceleration, KalmanSettings(), "camera")
+    found = on_one_clock(measured, acceleration, "camera")
     assert found.std_s is not None
     moved = (found.measured.time_ns - measured.time_ns) / 1e9
     assert np.abs(moved - late).max() < 5.0 * found.std_s + 2e-5

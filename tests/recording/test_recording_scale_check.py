@@ -7,10 +7,8 @@ import numpy as np
 import pytest
 
 import midspan
-from midspan.fusion.kalman import KalmanSettings
-from midspan.recording.fusing.fuse import FusionInputs, SensorError, fuse
-from midspan.recording.fusing.scale_check import apparent_scales, fitting
-from midspan.records import Acceleration, Displacement, Source, joined, nanoseconds, part
+from midspan.recording.fusing.scale_check import Sensed, apparent_scale, fitting
+from midspan.records import Acceleration, Displacement, Source, nanoseconds
 from midspan.simulate.scenarios.table import sideways
 
 TIME, MET = np.arange(6000) / 100.0, np.arange(599) / 10.0 + 0.004
@@ -31,20 +29,29 @@ def inputs(seed, *, factor=1.0, amplitude=1.0, source=Source.CAMERA):
 
     acceleration = motion(TIME, 2) + 0.05 + rng.normal(0, 2e-3, len(TIME))
     value = factor * motion(MET, 0) + rng.normal(0, 1e-5, len(MET))
-    return FusionInputs(
-        Acceleration(nanoseconds(TIME), acceleration, np.full(len(TIME), 4e-8)),
-        Displacement(
-            nanoseconds(MET), value, np.full(len(MET), 1e-10), np.full(len(MET), source.value, dtype=np.uint8)
-        ),
-        KalmanSettings(),
-    )
+    sources = np.full(len(MET), source.value, dtype=np.uint8)
+    measured = Displacement(nanoseconds(MET), value, np.full(len(MET), 1e-10), sources)
+    block = Acceleration(nanoseconds(TIME), acceleration, np.full(len(TIME), 4e-8))
+    return block, Sensed(source.word, source, measured)
+
+
+def judged(given, along="", **more):
+    """What is told of one sensor."""
+    acceleration, sensed = given
+    return fitting(acceleration, [sensed], along, **more)
+
+
+def changed(given, **fields):
+    """The same with other fields of the measurements."""
+    acceleration, sensed = given
+    return acceleration, replace(sensed, measured=replace(sensed.measured, **fields))
 
 
 @pytest.mark.parametrize("factor", [1.0, 1.04, 1.5, 0.7, -1.0])
 def test_the_apparent_scale_is_the_factor_that_the_camera_is_wrong_by(factor):
     ratio = []
     for seed in range(12):
-        (found,) = apparent_scales(inputs(seed, factor=factor))
+        found = apparent_scale(*inputs(seed, factor=factor))
         assert found.value == pytest.approx(factor, abs=4e-3)
         ratio.append((found.value - factor) / found.std)
     # Twelve draws: a deviation that is right within a third.
@@ -52,73 +59,57 @@ def test_the_apparent_scale_is_the_factor_that_the_camera_is_wrong_by(factor):
 
 
 def test_a_scale_that_is_right_or_nearly_so_is_not_told_a_wrong_one_is_refused():
-    assert fitting(inputs(0)).warnings == fitting(inputs(0, factor=1.003)).warnings == []
+    assert judged(inputs(0)).warnings == judged(inputs(0, factor=1.003)).warnings == []
     for factor in (1.02, 1.04, 1.1):
-        (text,) = fitting(inputs(0, factor=factor), " along x").warnings
+        (text,) = judged(inputs(0, factor=factor), " along x").warnings
         told = float(text.split("along x is ")[1].split(" ±")[0])
         assert told == pytest.approx(factor, abs=4e-3)
         assert "does not belong to this recording; the error band holds the" in text
     for factor in (1.3, 0.7, -1.0):
         with pytest.raises(midspan.UntrustedError, match="does not belong to this recording"):
-            fitting(inputs(0, factor=factor))
+            judged(inputs(0, factor=factor))
 
 
-@pytest.mark.parametrize("factor", [1.015, 0.97, 1.05])
-def test_the_band_holds_a_scale_that_is_somewhat_off_and_stays_as_it_is_beside_a_right_one(factor):
-    inside = []
-    for given in (inputs(5), inputs(5, factor=factor)):
-        given = replace(given, errors=(SensorError(Source.CAMERA, 1e-3),))
-        found = fitting(given)
-        rows = fuse(replace(given, errors=found.errors), "smoother").estimate
-        error = rows.displacement_m - np.interp(rows.time_ns / 1e9, TIME, inputs_motion(TIME))
-        inside.append(np.mean(np.abs(error) < 1.96 * np.sqrt(rows.variance_m2)))
-    assert fitting(inputs(5)).errors[0].relative_scale_std < 2e-3
-    assert found.errors[0].relative_scale_std == pytest.approx(abs(factor - 1.0), abs=5e-3)
-    # 0.03 to 0.1 mm off where a frame is good for 0.01 mm: without it 7 to 45 % of the rows lie inside.
-    assert min(inside) > 0.9
-
-
-def test_a_camera_turned_round_is_refused_though_the_other_one_has_crowded_it_out():
-    turned, right = inputs(7, factor=-1.0), inputs(8, source=Source.INFRARED)
-    left_out = replace(turned.displacement, value_m=np.full(len(MET), np.nan))
-    both = part(
-        joined([left_out, right.displacement]), np.repeat(np.arange(len(MET)), 2) + np.tile([0, len(MET)], len(MET))
-    )
-    given = replace(right, displacement=both)
-    assert fitting(given).warnings == []
-    with pytest.raises(midspan.UntrustedError, match=r"camera: its displacement is -.*The sign is reversed"):
-        fitting(replace(given, cameras=(turned.displacement, right.displacement)))
+def test_beside_another_sensor_less_is_refused_and_the_message_names_the_sensor():
+    acceleration, right = inputs(7)
+    _, wrong = inputs(8, factor=1.1)
+    with pytest.raises(midspan.UntrustedError, match=r"left: its displacement is 1\.1"):
+        fitting(acceleration, [right, replace(wrong, sensor="left")])
+    told = fitting(acceleration, [right, replace(inputs(8, factor=1.03)[1], sensor="left")])
+    assert [line[:5] for line in told.warnings] == ["left:"]
+    # What it is off by goes into the band of this one alone, though both are cameras.
+    assert told.scale_std["camera"] == 0.0
+    assert told.scale_std["left"] == pytest.approx(0.03, rel=0.1)
 
 
 @pytest.mark.parametrize("amplitude", [0.0, 1e-3, 1e-2])
 def test_a_quiet_record_says_nothing_of_the_scale(amplitude):
     # What the accelerometer's noise integrates to follows no camera: it must not be taken for a scale of nought.
     for seed in range(6):
-        assert fitting(inputs(seed, amplitude=amplitude)).warnings == []
+        assert judged(inputs(seed, amplitude=amplitude)).warnings == []
 
 
 def test_outliers_and_missing_frames_do_not_hide_or_feign_a_wrong_scale():
     rng = np.random.default_rng(1)
     for factor in (1.0, 1.1):
         found = inputs(3, factor=factor)
-        value = found.displacement.value_m + np.where(rng.random(len(MET)) < 0.05, 5e-3, 0.0)
+        value = found[1].measured.value_m + np.where(rng.random(len(MET)) < 0.05, 5e-3, 0.0)
         value[rng.random(len(MET)) < 0.1] = np.nan
-        (scale,) = apparent_scales(replace(found, displacement=replace(found.displacement, value_m=value)))
+        scale = apparent_scale(*changed(found, value_m=value))
         assert scale.value == pytest.approx(factor, abs=0.02)
 
 
 def late(seed, late_s, *, source, factor=1.0):
     """The measurements of `inputs` with stamps that are `late_s` too early."""
     found = inputs(seed, source=source, factor=factor)
-    stamps = found.displacement.time_ns - round(1e9 * late_s)
-    return replace(found, displacement=replace(found.displacement, time_ns=stamps))
+    return changed(found, time_ns=found[1].measured.time_ns - round(1e9 * late_s))
 
 
 @pytest.mark.parametrize("source", [Source.RADAR, Source.DISPLACEMENT])
 def test_scale_and_clock_of_sensors_whose_clock_is_taken_from_the_calibration_are_both_found(source):
     ratio = []
     for seed in range(6):
-        (found,) = apparent_scales(late(seed, 0.1, source=source, factor=1.5), 0.2)
+        found = apparent_scale(*late(seed, 0.1, source=source, factor=1.5), 0.2)
         assert found.value == pytest.approx(1.5, abs=5e-3)
         assert found.late_s == pytest.approx(0.1, abs=1e-3)
         ratio.append((found.late_s - 0.1) / found.late_std_s)
@@ -132,20 +123,19 @@ def test_scale_and_clock_of_sensors_whose_clock_is_taken_from_the_calibration_ar
 def test_a_clock_is_refused_where_it_moves_the_result_by_more_than_its_noise(source):
     # 15.6 mm/s rms and 0.01 mm of noise: a millisecond moves it by 1.6 deviations, 2 ms by 3, 5 ms by 8.
     for late_s, lines in ((0.0, 0), (1e-3, 0), (2e-3, 1)):
-        assert len(fitting(late(1, late_s, source=source), max_offset_s=0.2).warnings) == lines
+        assert len(judged(late(1, late_s, source=source), max_offset_s=0.2).warnings) == lines
     for late_s in (5e-3, -0.1):
         with pytest.raises(midspan.UntrustedError, match="its clock is"):
-            fitting(late(1, late_s, source=source), max_offset_s=0.2)
+            judged(late(1, late_s, source=source), max_offset_s=0.2)
     # What the calibration itself does not know is in the error band, and no contradiction.
-    unsure = replace(late(1, 5e-3, source=source), errors=(SensorError(source, 0.0, 2e-3),))
-    assert fitting(unsure, max_offset_s=0.2).warnings == []
+    acceleration, sensed = late(1, 5e-3, source=source)
+    assert fitting(acceleration, [replace(sensed, clock_std_s=2e-3)], max_offset_s=0.2).warnings == []
 
 
-def test_a_factor_of_the_radar_that_is_half_is_refused_and_the_printed_one_is_not_compared():
+def test_a_factor_of_the_radar_that_is_half_is_refused():
     wrong = inputs(0, factor=0.5, source=Source.RADAR)
     with pytest.raises(midspan.UntrustedError, match="conversion_factor does not belong"):
-        fitting(wrong, max_offset_s=0.2)
-    assert fitting(wrong, max_offset_s=0.2, sources=[Source.DISPLACEMENT]).warnings == []
+        judged(wrong, max_offset_s=0.2)
 
 
 @pytest.fixture(scope="module")

@@ -47,7 +47,7 @@ def test_a_target_that_moves_by_itself_along_one_axis_is_used_along_neither(site
         assert [target.name for target in camera.used] == ["near", "wall"]
         assert camera.region in [target.region for target in camera.used]
         assert camera.relative_scale_std is not None
-    assert [target.name for target in result.tracking.targets] == ["near", "wall"]
+    assert [target.name for target in result.cameras[0].targets] == ["near", "wall"]
     (own,) = [target for target in calibration.camera.targets if target.name == "swinging"]
     (other,) = [target for target in calibration.across.camera.targets if target.name == "swinging"]
     assert other.reason == f"not of use along y: {own.reason}"
@@ -102,8 +102,9 @@ def test_the_second_axis_goes_with_the_track_of_its_own_best_target(site, result
     loaded = midspan.load_calibration(calibration.save(tmp_path / "calibration.json"))
     assert loaded.across.camera.region == other.region
     found = midspan.estimate(midspan.open_recording(site), loaded)
-    (place,) = [k for k, target in enumerate(found.tracking.targets) if target.region == other.region]
-    np.testing.assert_array_equal(found.second.track.x_px, found.tracking.targets[place].track.x_px)
+    (best,) = [target for target in found.cameras[0].targets if target.region == other.region]
+    late_ns = round(1e9 * loaded.camera.offset.value_s)
+    np.testing.assert_array_equal(found.second.measured[0].time_ns, best.track.time_ns + late_ns)
     measured = gather(found, None).second.measured[0]
     apart = measured.value_mm - np.interp(measured.time_ns / 1e9, found.time_s, found.across.displacement_mm)
     # The frame's own noise; with the other target's pixels it would be half the motion.

@@ -8,7 +8,6 @@ import time
 from collections import Counter
 from dataclasses import replace
 from html.parser import HTMLParser
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,11 +16,12 @@ from scipy.ndimage import fourier_shift, gaussian_filter
 from midspan.errors import UsageError
 from midspan.recording.estimate import estimate
 from midspan.recording.result import Result
+from midspan.recording.sensor_series import SensorSeries
 from midspan.recording.stored.calibration import Calibration
 from midspan.recording.stored.calibration_file import load_calibration
 from midspan.recording.stored.displacement import DisplacementCalibration
 from midspan.recording.streams.recording import open_recording
-from midspan.records import Estimate, Event, Innovation, TimeOffset, TimeSeries
+from midspan.records import Estimate, Event, Innovation, Source, TimeOffset, TimeSeries
 from midspan.report.report import report_html, write_report
 from midspan.settings.load import validate
 
@@ -228,11 +228,12 @@ def long_result(count, events=0):
     noise = 1e-5 * np.random.default_rng(4).standard_normal(len(time_ns[met]))
     innovation = Innovation(time_ns[met], noise, np.full(len(noise), 1e-10), np.zeros(len(noise), dtype=np.int8))
     settings = validate({"accelerometer": {"file": "a.csv"}, "displacement": {"file": "d.csv"}}, "test")
-    sensor = TimeSeries(time_ns[met], value[met] + noise)
-    recording = SimpleNamespace(name="long", file="long/recording.toml", displacement=sensor, has=lambda name: True)
+    sensor = SensorSeries(
+        "displacement", Source.DISPLACEMENT, time_ns[met], value[met] + noise, np.full(len(noise), 1e-5)
+    )
     told = tuple(Event(int(time_ns[i]), "gap", f"event number {i}.") for i in range(events))
     calibration = Calibration(1e-3, 0.0, displacement=DisplacementCalibration(1e-5, TimeOffset(0.0, np.inf)))
-    return Result(block, calibration, settings, "smoother", innovation, told, (), recording=recording)
+    return Result(block, calibration, settings, "smoother", innovation, told, (), measured=(sensor,), name="long")
 
 
 def written_in_s(path, rows):

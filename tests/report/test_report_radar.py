@@ -2,14 +2,15 @@
 
 import re
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import midspan
+from midspan.engine.radar_target import FollowedTarget
 from midspan.radar.target import Target
-from midspan.recording.radar.trace import MOST_STRETCHES, Followed, SeenFrames, radar_trace
+from midspan.recording.radar.trace import MAX_SEGMENTS, RadarLog
+from midspan.records import Event, PhaseMeasurement, Status
 from midspan.report.material import gather
 from midspan.report.report import report_html
 from midspan.simulate.radar.setup import NEAR
@@ -25,17 +26,19 @@ FIGURES = ["Range profile", "Circle of the phasors", "Phase, measured and unwrap
 def traced(speed_m_s, frames=4000, hidden=slice(0, 0), restarts=(), places=None):
     """The trace of a sine of 0.5 Hz with a largest speed, from time 5 s on, as if it had been unwrapped rightly."""
     places = np.arange(frames) if places is None else places
-    t = places / RATE
-    moved = speed_m_s / np.pi * np.sin(np.pi * t)
-    z = 100.0 * np.exp(1j * UNIT * moved)
-    z[hidden] *= 0.05
-    known = np.full(int(places[-1]) + 1, np.nan)
-    known[places] = moved
-    known[places[hidden]] = np.nan
-    series = SimpleNamespace(range_change_m=known, restarts=restarts)
+    phase = UNIT * speed_m_s / np.pi * np.sin(np.pi * places / RATE)
+    strength = np.ones(len(places))
+    strength[hidden], phase[hidden] = 0.05, np.nan
     target = Target(30.0, 3.0, 100.0, 30.0, np.ones(1, dtype=np.complex128), 0.0)
-    seen = SeenFrames(np.rint(1e9 * (5.0 + t)).astype(np.int64), places, z[:, None, None], np.ones((len(t), 1), bool))
-    return radar_trace(seen, (Followed(target, series, UNIT),), limit_speed_m_s=NEAR.limit_speed_m_s)
+    log = RadarLog([FollowedTarget(target, UNIT, np.array([30.0]), np.nan, 1.0 / RATE)])
+    for k, place in enumerate(places):
+        time_ns = round(1e9 * (5.0 + place / RATE))
+        status = Status.TRACKING if np.isfinite(phase[k]) else Status.COASTING
+        # After a lost cycle the zero of the phase is another one.
+        phase[k:] += 5.0 if k in restarts else 0.0
+        events = (Event(time_ns, "new datum", "") if k in restarts else None,)
+        log.push([PhaseMeasurement(time_ns, phase[k], 1e-4, 0.0, status, strength[k], tuple(filter(None, events)))])
+    return log.trace(NEAR.limit_speed_m_s)
 
 
 @pytest.mark.parametrize(("speed_m_s", "slips"), [(0.08, False), (0.15, True)])
@@ -65,14 +68,17 @@ def test_a_blocked_stretch_is_low_and_unused_and_its_end_is_told_on_the_accelero
 def test_a_pause_or_a_cycle_found_anew_is_no_speed():
     places = np.concatenate((np.arange(1000), np.arange(1037, 2000)))
     assert traced(0.05, places=places).speed_m_s == pytest.approx(0.05, rel=1e-3)
-    # A frame whose cycle is a guess lies anywhere: the step to it must not count.
+    # A frame after which the zero is another one lies anywhere: the step to it must not count.
     assert traced(0.05, frames=1000, restarts=(500,)).speed_m_s == pytest.approx(0.05, rel=1e-3)
 
 
 def test_a_long_record_is_kept_in_few_numbers():
-    found = traced(0.05, frames=300_000)
-    assert len(found.low) == len(found.targets[0].used) == MOST_STRETCHES
-    assert len(found.excerpt.time_ns) == 250
+    found = traced(0.05, frames=30_000)
+    assert MAX_SEGMENTS / 2 <= len(found.low) == len(found.targets[0].used) <= MAX_SEGMENTS
+    assert len(found.excerpt.time_ns) == pytest.approx(250, abs=1)
+    # Nothing is lost of what the segments hold.
+    np.testing.assert_allclose(found.high.max(), UNIT * 0.05 / np.pi, rtol=1e-3)
+    assert found.targets[0].time_ns[[0, -1]] == pytest.approx([5.0e9, 305.0e9], abs=0.2e9)
 
 
 @pytest.fixture(name="result", scope="module")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from midspan.errors import DataError
-from midspan.fusion.smoother import smooth
+from midspan.fusion.streams import smooth
 from midspan.recording.streams.acceleration import prepare_acceleration
 from midspan.records import Displacement, TimeSeries
 from midspan.simulate.motion.motion import random_motion

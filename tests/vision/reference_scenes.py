@@ -73,11 +73,14 @@ def swept(seed, angles_deg, levels=None, amplitude_px=2.5, sky=OVERHEAD):
     return frames, moved
 
 
-def track(tracker, frames):
-    """Translations (n, 2), their standard deviations (n, 2)."""
+def track(tracker, frames, events=None):
+    """Translations (n, 2), their standard deviations (n, 2); what happened is added to the list `events`."""
     rows = [tracker.push(frame) for frame in frames]
+    if events is not None:
+        events += [event for row in rows for event in row.events]
     xy = np.array([(r.x_px, r.y_px) for r in rows])
-    return xy, np.sqrt([(r.variance_x_px2, r.variance_y_px2) for r in rows])
+    own = np.array([(r.variance_x_px2, r.variance_y_px2) for r in rows])
+    return xy, np.sqrt(own + [(r.reference_variance_x_px2, r.reference_variance_y_px2) for r in rows])
 
 
 @dataclass(frozen=True)

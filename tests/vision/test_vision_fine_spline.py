@@ -4,7 +4,7 @@ import pytest
 from midspan.records import Region
 from midspan.vision.bank import best_smoothing_px, first_plane
 from midspan.vision.fine_spline import fine_weights, planes, read, refined, spread
-from midspan.vision.learning import Sample, Samples, fit, learn_plane
+from midspan.vision.learning import KeptSamples, Sample, fit, learn_plane
 from midspan.vision.spline import coefficients, combine, weights
 
 SIZE = 64
@@ -62,7 +62,7 @@ def test_places_are_renewed_together_with_the_picture(make_scene):
     scene, rng = make_scene(6), np.random.default_rng(2)
     places = rng.uniform(-0.4, 0.4, (20, 2))
     wrong = places + rng.normal(0, 0.02, places.shape)
-    samples = Samples()
+    samples = KeptSamples()
     for place, put in zip(places, wrong, strict=True):
         samples = samples.plus(Sample(scene.image(SIZE, SIZE, *place).astype(np.float32), put))
     plane = learn_plane(samples)
@@ -76,7 +76,7 @@ def test_places_are_renewed_together_with_the_picture(make_scene):
 
 def test_frames_at_one_place_are_one_sample(make_scene):
     image = make_scene(7).image(SIZE, SIZE)
-    samples = Samples()
+    samples = KeptSamples()
     for value in (-2.0, 0.0, 2.0):
         samples = samples.plus(Sample((image + value).astype(np.float32), np.array([0.1, 0.1 + 0.005 * value])))
     (only,) = samples.items

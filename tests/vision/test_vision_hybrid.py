@@ -154,8 +154,7 @@ def test_an_axis_without_motion_keeps_its_gain_and_the_other_is_learnt(start, fi
 def test_active_pixels_keep_half_of_the_information_and_more_than_a_few(start, learning):
     tracker = start()
     tracker.learn(learning)
-    for axis in ("x", "y"):
-        mask = tracker.active_pixels(axis)
+    for mask in (tracker.active_pixels.x, tracker.active_pixels.y):
         assert mask.shape == (64, 64)
         assert mask.sum() > 0.1 * mask.size
 

@@ -1,4 +1,6 @@
-"""The lens: both models against formulas written here and against OpenCV, tracks, trackers behind a lens, refusals."""
+"""The lens: both models against formulas written here and against OpenCV, translations and predictions, refusals."""
+
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -6,21 +8,19 @@ import pytest
 
 from lens_cases import FISHEYE, IMAGES, PINHOLE, SIZE, Scene, places, poses
 from midspan.errors import DataError, UntrustedError, UsageError
-from midspan.records import Frame, PixelTrack, PixelTranslation, Prediction, Region, Status
+from midspan.records import Event, Frame, PixelTrack, PixelTranslation, Prediction, Region, Status
 from midspan.vision.checkerboard import Board, calibrate_lens, find_board, is_new
 from midspan.vision.lens import (
     Lens,
-    LensTracker,
-    as_shown,
-    bare,
     bent,
-    corrected,
+    check_lens,
+    ideal_gain,
+    ideal_translation,
     lens_warnings,
-    seen_translation,
+    shown_prediction,
     straight,
-    through,
 )
-from midspan.vision.tracker import Learner, PhaseGain, open_tracker
+from midspan.vision.tracker import open_tracker
 
 CASES = {"pinhole": PINHOLE, "fisheye": FISHEYE}
 # A wide action camera at 1920 x 1080 px: 90° across, k1 = -0.3.
@@ -33,17 +33,18 @@ def lens(name, **changed):
 
 
 def track(x, y, variance_x=1e-4, variance_y=4e-4):
-    x, y = np.atleast_1d(np.asarray(x, dtype=float)), np.atleast_1d(np.asarray(y, dtype=float))
-    n = len(x)
-    return PixelTrack(
-        time_ns=np.arange(n, dtype=np.int64),
-        x_px=x,
-        y_px=y,
-        variance_x_px2=np.full(n, variance_x),
-        variance_y_px2=np.full(n, variance_y),
-        quality=np.ones(n),
-        status=np.where(np.isfinite(x + y), Status.TRACKING, Status.LOST).astype(np.uint8),
-    )
+    """Translations as a tracker gives them, one for each pair of x and y; their references' variances are half."""
+    found = []
+    for k, (a, b) in enumerate(zip(np.atleast_1d(x).astype(float), np.atleast_1d(y).astype(float), strict=True)):
+        status = Status.TRACKING if np.isfinite(a + b) else Status.LOST
+        halves = {"reference_variance_x_px2": 0.5 * variance_x, "reference_variance_y_px2": 0.5 * variance_y}
+        found.append(PixelTranslation(k, a, b, variance_x, variance_y, 1.0, status, strength=100.0, **halves))
+    return found
+
+
+def corrected(found, region, lens):
+    """The block of the ideal translations."""
+    return PixelTrack.stack([ideal_translation(one, region, lens) for one in found])
 
 
 def ideal_of(model, x, y):
@@ -125,13 +126,15 @@ def test_a_track_is_corrected_to_the_motion_of_the_rays(model):
     seen = np.column_stack(places(model, CASES[model], *rays.T)) - middle
     found = corrected(track(*seen.T), region, own)
     assert np.column_stack((found.x_px, found.y_px)) == pytest.approx(ideal, abs=1e-8)
-    assert np.column_stack(seen_translation(found, region, own)) == pytest.approx(seen, abs=1e-8)
+    back = [shown_prediction(Prediction(x, y, 1.0, 1.0), region, own) for x, y in ideal]
+    assert np.array([(b.x_px, b.y_px) for b in back]) == pytest.approx(seen, abs=1e-8)
 
 
 def test_nothing_moves_without_distortion():
     plain = lens("pinhole", distortion=(0.0, 0.0, 0.0, 0.0))
     given = track([0.0, 3.5, -7.25], [0.0, -1.5, 12.0])
     found = corrected(given, Region(10, 400, 40, 40), plain)
+    given = PixelTrack.stack(given)
     assert found.x_px == pytest.approx(given.x_px, abs=1e-11)
     assert found.y_px == pytest.approx(given.y_px, abs=1e-11)
     assert found.variance_x_px2 == pytest.approx(given.variance_x_px2)
@@ -219,62 +222,43 @@ def test_a_fisheye_reaches_85_degrees(angle_deg):
     assert np.isnan(straight(np.array([beyond, 499.5]), wide)[0]).all()
 
 
-class Still:
-    """A tracker that finds what it is told, and remembers the prediction."""
-
-    def __init__(self, region, answer):
-        self.reference = Frame(0, np.zeros((1080, 1920), np.uint8))
-        self.region = self.region_now = region
-        self.state, self.answer, self.prediction = 0, answer, None
-
-    def restore(self, state):
-        self.state = state
-
-    def push(self, frame, prediction=None):
-        self.prediction = prediction
-        return PixelTranslation(frame.time_ns, *self.answer, 1e-4, 4e-4, 0.9, Status.TRACKING)
-
-
-def test_a_tracker_behind_a_lens_gets_and_gives_the_same_place():
-    inner = Still(RIM, (8.0, -5.0))
-    behind = through(inner, ACTION)
-    block = corrected(track(8.0, -5.0), RIM, ACTION)
-    found = behind.push(Frame(7, np.zeros((1080, 1920), np.uint8)))
-    assert (found.x_px, found.y_px, found.time_ns) == (block.x_px[0], block.y_px[0], 7)
-    assert as_shown(behind, found).x_px == 8.0
-    # Told where it is, the tracker itself looks where it was.
-    behind.push(Frame(8, np.zeros((1080, 1920), np.uint8)), Prediction(found.x_px, found.y_px, 1.3, 1.3))
-    assert (inner.prediction.x_px, inner.prediction.y_px) == pytest.approx((8.0, -5.0), abs=1e-9)
+def test_a_translation_and_its_prediction_are_the_same_place():
+    (seen,) = track(8.0, -5.0)
+    found = ideal_translation(seen, RIM, ACTION)
+    # Along an axis both variances grow by the same factor: the local scale of about 1.3, squared.
+    assert found.reference_variance_x_px2 / found.variance_x_px2 == pytest.approx(0.5)
+    assert found.reference_variance_y_px2 / found.variance_y_px2 == pytest.approx(0.5)
+    assert (found.time_ns, found.strength, found.status) == (seen.time_ns, seen.strength, seen.status)
+    there = shown_prediction(Prediction(found.x_px, found.y_px, 1.3, 1.3), RIM, ACTION)
+    assert (there.x_px, there.y_px) == pytest.approx((8.0, -5.0), abs=1e-9)
     # 1.3 ideal px are about one px of the frame at the rim.
-    assert (inner.prediction.std_x_px, inner.prediction.std_y_px) == pytest.approx((1.0, 1.0), abs=0.05)
-    behind.push(Frame(9, np.zeros((1080, 1920), np.uint8)), Prediction(np.nan, 0.0, 1.0, 1.0))
-    assert inner.prediction is None
-    assert bare(behind) is inner
-    assert through(inner, None) is inner
+    assert (there.std_x_px, there.std_y_px) == pytest.approx((1.0, 1.0), abs=0.05)
+    assert shown_prediction(Prediction(np.nan, 0.0, 1.0, 1.0), RIM, ACTION) is None
+    assert shown_prediction(None, RIM, ACTION) is None
+    assert ideal_translation(seen, RIM, None) is seen
 
 
-@pytest.mark.parametrize("name", ["template", "phase"])
-def test_what_a_tracker_can_do_it_can_do_behind_a_lens(name):
+def test_events_of_a_frame_are_kept_where_the_model_does_not_reach():
+    told = (Event(0, "reference", "new key frame"),)
+    found = ideal_translation(replace(track(200.0, 0.0)[0], events=told), RIM, ACTION)
+    assert (found.status, found.events, found.strength) == (Status.LOST, told, 0.0)
+
+
+def test_a_phase_gain_is_that_of_the_ideal_camera():
     rng = np.random.default_rng(6)
     frame = Frame(0, cv2.GaussianBlur(rng.uniform(0, 255, (480, 640)), (0, 0), 1.5).astype(np.uint8))
-    alone = open_tracker(name, frame, Region(500, 380, 64, 64))
-    behind = through(alone, lens("pinhole"))
-    assert isinstance(behind, LensTracker)
-    assert isinstance(behind, PhaseGain) == isinstance(alone, PhaseGain)
-    assert isinstance(behind, Learner) == isinstance(alone, Learner)
-    assert (behind.region, behind.region_now, behind.reference) == (alone.region, alone.region_now, alone.reference)
-    if isinstance(alone, PhaseGain):
-        slope = straight(np.array([531.5, 411.5]), lens("pinhole"))[1][0]
-        ratio = np.array(behind.phase_gain_px_per_rad) / np.array(alone.phase_gain_px_per_rad)
-        assert ratio == pytest.approx(np.diag(slope))
-    found = behind.push(frame)
-    assert (found.x_px, found.y_px) == pytest.approx((0.0, 0.0), abs=0.02)
+    region = Region(500, 380, 64, 64)
+    gain = open_tracker("phase", frame, region).phase_gain_px_per_rad
+    slope = straight(np.array([531.5, 411.5]), lens("pinhole"))[1][0]
+    ratio = np.array(ideal_gain(gain, region, lens("pinhole"))) / np.array(gain)
+    assert ratio == pytest.approx(np.diag(slope))
+    assert ideal_gain(gain, region, None) == gain
 
 
 def test_frames_of_another_size_are_refused_with_both_sizes():
     small = Lens("pinhole", (900.0, 900.0, 320.0, 240.0), (0.0, 0.0, 0.0, 0.0), (640, 480))
     with pytest.raises(UsageError, match=r"640x480 px.*1920x1080 px.*midspan lens"):
-        through(Still(RIM, (0.0, 0.0)), small)
+        check_lens(small, RIM, 1920, 1080)
 
 
 @pytest.mark.parametrize(
@@ -424,9 +408,9 @@ def test_a_picture_without_a_board_gives_nothing():
 def test_frames_that_change_size_stop_every_tracker_with_both_sizes():
     rng = np.random.default_rng(19)
     image = cv2.GaussianBlur(rng.uniform(0, 255, (480, 640)), (0, 0), 1.5).astype(np.uint8)
-    behind = through(open_tracker("template", Frame(0, image), Region(300, 200, 64, 64)), lens("pinhole"))
+    tracker = open_tracker("template", Frame(0, image), Region(300, 200, 64, 64))
     with pytest.raises(DataError, match=r"640x480.*320x240"):
-        behind.push(Frame(1, np.ascontiguousarray(image[::2, ::2]), 1))
+        tracker.push(Frame(1, np.ascontiguousarray(image[::2, ::2]), 1))
 
 
 def test_the_formulas_of_this_file_have_both_models():

@@ -8,7 +8,8 @@ from midspan.errors import UsageError
 from midspan.records import Frame
 from midspan.vision.reference.alignment import aligned
 from midspan.vision.reference.light import mixed, placed, sight, steadiness
-from midspan.vision.reference.tracker import KeyFrameSettings, KeyFrameTracker
+from midspan.vision.reference.policy import KeyFrameSettings
+from midspan.vision.reference.tracker import KeyFrameTracker
 from midspan.vision.tracker import open_tracker
 
 DAY_DEG = 60.0 * -np.cos(np.pi * np.arange(150) / 150)
@@ -20,8 +21,9 @@ DUSK = 1.0 - 0.65 * np.sin(np.pi * np.arange(150) / 150) ** 4
 def day():
     frames, moved = swept(1, DAY_DEG, DUSK)
     tracker = KeyFrameTracker(frames[0], REGION)
-    xy, std = track(tracker, frames)
-    return frames, moved, tracker, xy, std
+    events = []
+    xy, std = track(tracker, frames, events)
+    return frames, moved, tracker, xy, std, events
 
 
 def picture(seed, angle_deg, moved=(0.0, 0.0)):
@@ -85,16 +87,16 @@ def test_pixels_that_do_not_keep_to_the_mix_count_less() -> None:
 
 def test_in_steady_light_there_is_one_key_frame_and_the_track_is_the_inner_trackers() -> None:
     frames, _ = swept(2, np.full(40, 30.0))
-    tracker = KeyFrameTracker(frames[0], REGION)
+    tracker, events = KeyFrameTracker(frames[0], REGION), []
     np.testing.assert_array_equal(
-        track(tracker, frames)[0], track(open_tracker("template", frames[0], REGION), frames)[0]
+        track(tracker, frames, events)[0], track(open_tracker("template", frames[0], REGION), frames)[0]
     )
     assert tracker.key_frames == 1
-    assert tracker.take_events() == []
+    assert events == []
 
 
 def test_a_light_sweep_of_sixty_degrees_either_way_is_followed_without_a_gap(day) -> None:
-    frames, moved, tracker, xy, std = day
+    frames, moved, tracker, xy, std, _ = day
     fixed, _ = track(open_tracker("template", frames[0], REGION), frames)
     assert np.isnan(fixed[:, 0]).mean() > 0.4  # a fixed reference loses 40 % or more
     assert not np.isnan(xy).any()
@@ -116,8 +118,8 @@ def test_a_light_that_swings_across_as_well_is_followed_on_other_walls() -> None
 
 
 def test_a_hand_over_leaves_no_step(day) -> None:
-    _, moved, tracker, xy, _ = day
-    times = [round(event.time_ns / 1e9 * RATE_HZ) for event in tracker.take_events()]
+    _, moved, _, xy, _, events = day
+    times = [round(event.time_ns / 1e9 * RATE_HZ) for event in events]
     assert len(times) >= 2
     error = xy - moved
     steps = [error[k + 1 : k + 4].mean(axis=0) - error[k - 2 : k + 1].mean(axis=0) for k in times if k + 4 < len(xy)]
@@ -129,10 +131,11 @@ def test_when_the_light_comes_back_the_first_frame_takes_back_what_has_added_up(
     there = -50.0 + 80.0 * np.arange(60) / 60
     frames, moved = swept(3, np.concatenate([there, there[::-1], np.full(30, -50.0)]))
     tracker = KeyFrameTracker(frames[0], REGION)
-    xy, std = track(tracker, frames)
+    events = []
+    xy, std = track(tracker, frames, events)
     assert tracker.key_frames > 2
-    assert tracker.current == 0
-    assert any("back to the first frame" in event.text for event in tracker.take_events())
+    assert tracker.state.current == 0
+    assert any("back to the first frame" in event.text for event in events)
     assert np.abs((xy - moved)[-10:]).max() < 0.05
     assert std[-1].max() < 0.3 * std[60].max()
 
@@ -156,7 +159,7 @@ def test_no_more_key_frames_are_kept_than_were_asked_for(day) -> None:
     tracker = KeyFrameTracker(frames[0], REGION, KeyFrameSettings(most=3))
     xy, _ = track(tracker, frames)
     assert tracker.key_frames > 3
-    assert len(tracker.chain) <= 3
+    assert len(tracker.state.chain) <= 3
     assert not np.isnan(xy).any()
     assert np.sqrt(np.mean((xy - moved) ** 2)) < 0.2
 

@@ -5,8 +5,9 @@ import pytest
 
 from midspan.records import Frame, Prediction, Region, Status
 from midspan.simulate.scene.texture import textured_scene
+from midspan.vision.reference.policy import KeyFrameSettings
 from midspan.vision.reference.records import clear_share, contrast, exchanged
-from midspan.vision.reference.tracker import KeyFrameSettings, KeyFrameTracker
+from midspan.vision.reference.tracker import KeyFrameTracker
 
 REGION = Region(14, 12, 48, 44)
 FRAMES, RATE_HZ = 150, 5.0
@@ -35,14 +36,15 @@ def test_a_wall_that_fades_and_comes_back_inverted_is_found_where_it_was(tracker
     frames, moved = turning(seed, course)
     target = KeyFrameTracker(frames[0], REGION, KeyFrameSettings(tracker=tracker, heat=True))
     rows = [target.push(frame) for frame in frames]
-    events = [event.text for event in target.take_events()]
+    events = [event.text for row in rows for event in row.events]
     assert any("changed places" in text for text in events)
     error = np.array([(row.x_px, row.y_px) for row in rows]) - moved
     seen = np.isfinite(error[:, 0])
     # Less than noise in the picture: nobody could tell where it is. Else it is tracked.
     assert np.all(seen[np.abs(course) > 3.0 * NETD_K])
     # Never elsewhere, not even while it hardly shows: 0.4 px, or 2.5 of the deviation stated in a frame of mere noise.
-    std = np.sqrt([(row.variance_x_px2, row.variance_y_px2) for row in rows])
+    own = np.array([(row.variance_x_px2, row.variance_y_px2) for row in rows])
+    std = np.sqrt(own + [(row.reference_variance_x_px2, row.reference_variance_y_px2) for row in rows])
     assert np.all(np.abs(error[seen]) < np.fmax(0.4, 2.5 * std[seen]))
     # And exactly once it stands out again.
     assert np.sqrt(np.mean(error[course < -0.4] ** 2)) < 0.02

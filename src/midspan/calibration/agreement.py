@@ -9,9 +9,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from midspan.calibration.fit import Fit, Pair, best_corner, evaluate, refine
+from midspan.calibration.clock import Compared, drift
+from midspan.calibration.fit import Fit, Pair, best_corner, refine
 from midspan.records import Floats
-from midspan.signals.health import dominant_frequency
 
 # The less likely of two offsets must be so by this much, and its residual power larger by this share (a model never
 # fits to the last digit, and with a very quiet camera the likelihood alone would be over-confident).
@@ -26,16 +26,8 @@ MOST_FOLLOWING = 35.0
 MOST_CORRELATED = 0.15
 # Innovations beyond this many robust standard deviations count as that many.
 CLIPPED = 4.0
-# How much farther than the longest offset is looked, in s and as a share of it, and in so much of the record at most.
-FARTHER_S, FARTHER_SHARE, FARTHER_WINDOW_S = 5.0, 0.5, 120.0
-# Corner frequencies tried there, over the best one's: a wrong fit takes motion for the accelerometer's noise.
-FARTHER_CORNERS = (0.35, 0.7, 1.4)
-FARTHER_PEAKS = 3
-# Offsets tried per period of the main tone.
-PER_PERIOD = 20.0
-# In a record longer than this a clock may run apart, and shows it in pieces of this length with at least so many
-# measurements each, by an offset of this much at most.
-LONG_S, PIECE_S, LEAST_IN_PIECE, PIECE_OFFSET_S = 100.0, 40.0, 30, 0.1
+# In a record longer than this a clock may drift, which windows of this length show.
+LONG_S, WINDOW_S = 100.0, 40.0
 
 
 def clearly_better(fit: Fit, other: Fit) -> bool:
@@ -79,70 +71,21 @@ def _coloured(fit: Fit) -> bool:
 
 def noise_share(pair: Pair, fit: Fit, noise: float) -> float:
     """The share of the response's power that white accelerometer noise (m/s² per sample) alone would make."""
-    rate = (len(pair.samples) - 1) / float(pair.samples[-1, 0] - pair.samples[0, 0])
-    assumed = fit.corner**4 / pair.rate_hz
-    w = fit.whitened
-    power = float(np.sum(w.response**2 / w.variance))
-    return noise**2 / rate / assumed * float(np.sum(w.input_part / w.variance)) / max(power, 1e-300)
-
-
-def farther_s(max_offset_s: float) -> float:
-    """How far beyond the largest offset (s) `farther` looks."""
-    return max(FARTHER_S, FARTHER_SHARE * max_offset_s)
-
-
-def farther(pair: Pair, near: Fit, within_s: float, until_s: float) -> Fit | None:
-    """A clock offset between `within_s` and `until_s` that fits far better than the best one nearer, if there is one.
-
-    pair: measurements that keep `until_s` from both ends of the acceleration; near: the best fit within.
-    """
-    rate = (len(pair.samples) - 1) / float(pair.samples[-1, 0] - pair.samples[0, 0])
-    tone = max(dominant_frequency(pair.samples[:, 1], rate), 0.1)
-    step = float(np.clip(1.0 / (PER_PERIOD * tone), 1.0 / rate, 0.05))
-    if until_s - within_s < 3.0 * step:
-        return None
-    pair = replace(pair, ratio=None, reference=None)
-    side = np.arange(within_s, until_s, step)
-    starts = np.concatenate([_peaks(pair, sign * side, near.corner) for sign in (-1.0, 1.0)])
-    highest = starts[np.argsort(starts[:, 1])[::-1][:FARTHER_PEAKS], 0]
-    fits = [refine(pair, best_corner(pair, float(start)), step) for start in highest]
-    best = max(fits, key=lambda fit: fit.likelihood)
-    # Half a step off, a misfit looks like accelerometer noise; so the noise ratio is sought anew.
-    best = refine(pair, best_corner(pair, best.offset_s), step)
-    # A clock that runs apart has another offset here than in the whole record.
-    beside = [refine(pair, best_corner(pair, near.offset_s + aside), 0.05) for aside in (-0.1, 0.0, 0.1)]
-    own = max(beside, key=lambda fit: fit.likelihood)
-    return best if abs(best.offset_s) > within_s and clearly_better(best, own) else None
-
-
-def _peaks(pair: Pair, offsets: Floats, corner: float) -> Floats:
-    """Offset and likelihood (k, 2) of the maxima along offsets (n,)."""
-    curve = np.array([max(evaluate(pair, t, share * corner).likelihood for share in FARTHER_CORNERS) for t in offsets])
-    padded = np.concatenate(([-np.inf], curve, [-np.inf]))
-    peaks = (padded[1:-1] >= padded[:-2]) & (padded[1:-1] > padded[2:])
-    return np.column_stack((offsets[peaks], curve[peaks]))
+    w, assumed = fit.whitened, fit.corner**4 / pair.rate_hz
+    power = max(w.product(w.response, w.response), 1e-300)
+    return noise**2 / pair.sample_rate_hz / assumed * w.input_share / power
 
 
 def straightened(pair: Pair, fit: Fit) -> tuple[Fit, float] | None:
-    """The fit with a clock that runs apart evenly, and its rate (s/s); None where that is not clearly better."""
-    rows = pair.rows[np.isfinite(pair.rows[:, 2])]
-    count = min(int((rows[-1, 0] - rows[0, 0]) // PIECE_S), len(rows) // LEAST_IN_PIECE)
-    if count * PIECE_S < LONG_S:
+    """The fit with a clock that drifts evenly, and its rate (s/s); None where that is not clearly better."""
+    rows = pair.rows[pair.used(fit.offset_s)]
+    if rows[-1, 0] - rows[0, 0] < LONG_S:
         return None
-    found = np.array([_in_piece(pair, fit, piece) for piece in np.array_split(rows, count)])
-    first, second = np.triu_indices(count, 1)
-    rate = float(np.median((found[second, 1] - found[first, 1]) / (found[second, 0] - found[first, 0])))
+    samples = pair.samples * np.array([1.0, 1.0, fit.input_density])
+    metres = rows / np.array([1.0, fit.ratio, fit.ratio**2 / fit.noise])
+    rate = drift(Compared(samples, metres + np.array([fit.offset_s, 0.0, 0.0])), WINDOW_S).skew
     moved = pair.rows.copy()
-    moved[:, 0] += rate * (moved[:, 0] - moved[:, 0].mean())
+    moved[:, 0] += rate * (moved[:, 0] - rows[:, 0].mean())
     pair = replace(pair, rows=moved)
     other = refine(pair, best_corner(pair, fit.offset_s), 0.02)
     return (other, rate) if clearly_better(other, fit) else None
-
-
-def _in_piece(pair: Pair, fit: Fit, rows: Floats) -> tuple[float, float]:
-    """The middle of a piece (s), and its own clock offset (s) near the whole record's."""
-    first, last = rows[0, 0] + fit.offset_s - 2.0, rows[-1, 0] + fit.offset_s + 2.0
-    inside = (pair.samples[:, 0] >= first) & (pair.samples[:, 0] <= last)
-    piece = replace(pair, samples=pair.samples[inside], rows=rows)
-    found = refine(piece, evaluate(piece, fit.offset_s, fit.corner), PIECE_OFFSET_S)
-    return float(rows[:, 0].mean()), found.offset_s

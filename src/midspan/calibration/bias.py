@@ -3,20 +3,18 @@
 The mean over T seconds holds (v_end − v_start)/T of the motion, which in a lively start or end is more than the methods
 as printed bear. The filter of `whitening` has the bias as a state, and knows the displacement by the other sensor.
 
-A short window hardly shows the accelerometer's noise, and the likeliest value is often none at all. So the bias is
-averaged over the noise by how likely each value is, with an even prior on its standard deviation (Gelman 2006,
-doi:10.1214/06-BA117A), which is as the square of the corner frequency.
+A short window hardly shows the accelerometer's noise. So the bias is averaged over the noise by how likely each value
+is, with the prior of `fit`.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from midspan.calibration.fit import Fit, Pair, corner_range, evaluate
-from midspan.calibration.whitening import Whitened, whiten
+from midspan.calibration.fit import Fit, Pair, aligned, corner_range, evaluate
 
-# Step of the logarithm of the corner frequency; values less likely by this much (logarithm) do not count any more.
-STEP, LEAST_LIKELY = 0.25, 8.0
+# Logarithms of the corner frequency, relative to the best fit's, that are averaged over: reach and step.
+REACH, STEP = 3.0, 0.25
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,8 +30,10 @@ def bias_of(pair: Pair, fit: Fit, offset_std_s: float = 0.0) -> Bias:
 
     What is uncertain of the noise, of the ratio and of the clock offset (s) is in the deviation.
     """
-    fits = [fit, *_alternatives(pair, fit, STEP), *_alternatives(pair, fit, -STEP)]
-    weight = np.array([np.exp(one.likelihood - fit.likelihood) * one.corner**2 for one in fits])
+    here, (low, high) = aligned(pair, fit.offset_s), corner_range(pair)
+    corners = fit.corner * np.exp(np.arange(-REACH, REACH + STEP, STEP))
+    fits = [fit, *(here.fit(float(corner)) for corner in corners if low <= corner <= high and corner != fit.corner)]
+    weight = np.array([np.exp(one.likelihood - fit.likelihood) for one in fits])
     value = np.array([_bias(pair, one) for one in fits])
     mean = float(np.average(value, weights=weight))
     spread = (value - mean) ** 2 + np.array([_variance(pair, one) for one in fits])
@@ -44,39 +44,16 @@ def bias_of(pair: Pair, fit: Fit, offset_std_s: float = 0.0) -> Bias:
     return Bias(pair.level_m_s2 + mean, float(np.sqrt(variance)))
 
 
-def _alternatives(pair: Pair, fit: Fit, step: float) -> list[Fit]:
-    """Fits with the corner frequency farther and farther from the best fit's, as long as they are likely."""
-    low, high = corner_range(pair)
-    found: list[Fit] = []
-    corner = fit.corner * float(np.exp(step))
-    while low <= corner <= high:
-        one = evaluate(pair, fit.offset_s, corner)
-        if one.likelihood < fit.likelihood - LEAST_LIKELY:
-            break
-        found.append(one)
-        corner *= float(np.exp(step))
-    return found
-
-
 def _bias(pair: Pair, fit: Fit) -> float:
     """The filter's bias after the last sample, m/s² from the samples' level."""
-    last = _whole(pair, fit)
-    return last.bias / fit.ratio + last.response_bias
+    whole = fit.whitened.bias
+    # With the part of the acceleration outside a band, which does not decide the ratio.
+    own = whole[1] + (whole[3] if pair.outside is not None else 0.0)
+    return float(whole[0] / fit.ratio - own)
 
 
 def _variance(pair: Pair, fit: Fit) -> float:
     """Variance (m/s²)² of the bias with the noise levels of a fit."""
-    last = _whole(pair, fit)
-    own = fit.noise * last.bias_variance / fit.ratio**2
+    own = fit.noise * fit.whitened.bias_variance / fit.ratio**2
     # A ratio that is known is none of the unknowns; else the bias goes with it.
-    return own if pair.ratio is not None else own + (last.bias / fit.ratio**2) ** 2 * fit.ratio_variance
-
-
-def _whole(pair: Pair, fit: Fit) -> Whitened:
-    """The filter over all of the acceleration, with that outside a band which does not decide the ratio."""
-    if pair.outside is None:
-        return fit.whitened
-    samples, rows = pair.samples.copy(), pair.rows.copy()
-    samples[:, 1] += pair.outside[:, 1]
-    rows[:, 0] += fit.offset_s
-    return whiten(samples, rows, fit.corner**4 / pair.rate_hz, pair.exposure_s)
+    return own if pair.ratio is not None else own + (fit.whitened.bias[0] / fit.ratio**2) ** 2 * fit.ratio_variance

@@ -88,7 +88,7 @@ def _mean(used: Sequence[ScaleCalibration]) -> TimeOffset:
 def shared_part(found: ScaleCalibration) -> float:
     """Share (0 to 1) of the innovations' variance that comes from the accelerometer, which all targets share."""
     whitened = found.search.fit.whitened
-    return float(np.mean(whitened.input_part / whitened.variance))
+    return whitened.input_share / max(len(whitened.variance), 1)
 
 
 def pooled_variance(weight: Floats, variance: Floats, shared: float) -> float:

@@ -2,23 +2,37 @@
 
 Scale factor and noise variance are solved in closed form inside (see `whitening`). Regressing the translation on the
 response to the acceleration, not the other way round, keeps pixel noise from shrinking the scale factor.
+
+A short window hardly shows the accelerometer's noise: the likelihood is flat towards none at all. So its standard
+deviation has an even prior (Gelman 2006, doi:10.1214/06-BA117A), which is as the square of the corner frequency; where
+the motion is long enough to tell the noise, this changes nothing.
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
-from scipy.optimize import minimize
+from numpy.typing import NDArray
 
-from midspan.calibration.whitening import Whitened, whiten
+from midspan.calibration.whitening import Response, Whitened, integrated, levelled, usable, whiten_columns
 from midspan.records import Floats
 
 # Ratio, time offset and the ratio of the noise levels are fitted beside the noise itself.
 FITTED = 3
 # Ratios below this share of the reference are no explanation of the motion.
 SMALLEST_RATIO = 0.01
+# The prior of the corner frequency is its own power of this order.
+PRIOR_POWER = 2.0
+# Corner frequencies tried before the best one's neighbours are searched, and how well its logarithm is found.
+CORNERS, CORNER_TOLERANCE = 9, 0.02
+# A known corner is searched within this factor (logarithm).
+NEAR_CORNER = 0.6
+# Rounds of offset and noise ratio in turn, Gauss-Newton steps in each, and halvings of a step that overshoots, at most;
+# a likelihood that gains (logarithm) less than this is at its maximum.
+ROUNDS, STEPS, HALVINGS, LEAST_GAIN = 6, 12, 4, 1e-4
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Pair:
     """What is compared: translation (px, or m) and acceleration.
 
@@ -28,7 +42,7 @@ class Pair:
     exposure_s: time over which each translation is averaged.
     outside: samples (n, 3) with the part of the acceleration that must not decide the ratio (motion outside a band); it
     gets a factor of its own. None: all of the acceleration decides.
-    reference: the size of the ratio beside which other ratios are compared, None at first (see `shrinking`).
+    reference: the size of the ratio that other ratios are compared with, None at first (see `shrinking`).
     level_m_s2: the mean acceleration, which the samples are without.
     """
 
@@ -45,6 +59,25 @@ class Pair:
         """Mean rate of the translation."""
         return (len(self.rows) - 1) / float(self.rows[-1, 0] - self.rows[0, 0])
 
+    @property
+    def sample_rate_hz(self) -> float:
+        """Mean rate of the acceleration."""
+        return (len(self.samples) - 1) / float(self.samples[-1, 0] - self.samples[0, 0])
+
+    @property
+    def blur(self) -> float:
+        """What the exposure adds to the displacement, times the acceleration, s²."""
+        return self.exposure_s * self.exposure_s / 24.0
+
+    @cached_property
+    def responses(self) -> tuple[Response, ...]:
+        """The acceleration integrated twice, and what is outside a band where one is given."""
+        return tuple(integrated(samples) for samples in (self.samples, self.outside) if samples is not None)
+
+    def used(self, offset_s: float) -> NDArray[np.int64]:
+        """Which rows are compared at an offset."""
+        return usable(self.rows, offset_s, (self.responses[0].begin_s, float(self.samples[-1, 0])))
+
 
 @dataclass(frozen=True, slots=True)
 class Fit:
@@ -52,8 +85,7 @@ class Fit:
 
     ratio: translation per metre of displacement (the inverse scale factor), with its variance at this offset;
     noise: variance of the translation per unit of relative variance; input_density: noise density of the acceleration
-    in (m/s²)²/Hz; information: squared ratio over its variance, the number of standard deviations squared;
-    likelihood: logarithm, without constants; without: the same with the acceleration ignored.
+    in (m/s²)²/Hz; likelihood: logarithm, without constants; without: the same with the acceleration ignored.
     """
 
     offset_s: float
@@ -72,41 +104,86 @@ class Fit:
         w = self.whitened
         return (w.translation - self.ratio * w.response) / np.sqrt(self.noise * w.variance)
 
+    @property
+    def gain(self) -> float:
+        """By how much the acceleration makes the translation more likely (logarithm)."""
+        return self.likelihood - self.without
+
+    @property
+    def relative_std(self) -> float:
+        """Standard deviation of the ratio over its size."""
+        return float(np.sqrt(self.ratio_variance)) / max(abs(self.ratio), 1e-300)
+
+
+@dataclass(frozen=True, slots=True)
+class Aligned:
+    """A pair at a clock offset: the rows compared, and the columns that are whitened there.
+
+    rows (k, 2): time and relative variance; values (k, c): translation, response to the acceleration, its velocity and,
+    with a band, the response to what is outside it, without their parabolas of second derivative parabola (c,);
+    index (k,): which rows of the pair these are.
+    """
+
+    pair: Pair
+    offset_s: float
+    rows: Floats
+    values: Floats
+    parabola: Floats
+    index: NDArray[np.int64]
+
+    def whitened(self, corner: float) -> Whitened:
+        """The columns' innovations with a corner frequency (rad/s) where the two noise levels meet."""
+        pair = self.pair
+        density = corner**4 / pair.rate_hz
+        w = whiten_columns(self.rows, self.values, pair.responses[0].pieces, density)
+        return replace(w, index=self.index[w.index], bias=w.bias - self.parabola)
+
+    def fit(self, corner: float) -> Fit:
+        """The fit with a corner frequency (rad/s)."""
+        pair, whole = self.pair, self.whitened(corner)
+        w = whole if pair.outside is None else _without_last(whole)
+        n = max(len(w.variance), 1)
+        power, cross = w.product(w.response, w.response), w.product(w.response, w.translation)
+        total = w.product(w.translation, w.translation)
+        ratio = pair.ratio if pair.ratio is not None else cross / max(power, 1e-300)
+        left = max(total - 2.0 * ratio * cross + ratio * ratio * power, 1e-300)
+        noise = left / max(n - FITTED, 1)
+        favour = shrinking(w, ratio, pair.reference) if pair.ratio is None and pair.reference is not None else 0.0
+        if pair.ratio is None:
+            # Accelerometer noise in the response shrinks the regression; its expected share is known and taken back.
+            ratio *= 1.0 + min(noise * w.input_share / max(ratio * ratio * power, 1e-300), 0.1)
+        alike = PRIOR_POWER * float(np.log(corner)) - w.entropy
+        return Fit(
+            offset_s=self.offset_s,
+            corner=corner,
+            ratio=ratio,
+            ratio_variance=noise / max(power, 1e-300),
+            noise=noise,
+            input_density=corner**4 / pair.rate_hz * noise / max(ratio * ratio, 1e-300),
+            likelihood=-0.5 * n * np.log(left / n) + alike - favour,
+            without=-0.5 * n * np.log(max(total, 1e-300) / n) + alike,
+            whitened=w,
+        )
+
+
+def aligned(pair: Pair, offset_s: float) -> Aligned:
+    """A pair at a clock offset, s."""
+    index = pair.used(offset_s)
+    rows = pair.rows[index]
+    time_s = rows[:, 0] + offset_s
+    inside, *outside = pair.responses
+    columns = [rows[:, 1], inside.at(time_s, pair.blur), inside.velocity(time_s)]
+    columns += [response.at(time_s, pair.blur) for response in outside]
+    values, parabola = levelled(time_s, np.column_stack(columns))
+    return Aligned(pair, offset_s, np.column_stack((time_s, rows[:, 2])), values, parabola, index)
+
 
 def evaluate(pair: Pair, offset_s: float, corner: float) -> Fit:
     """The fit for a time offset (s) and a corner frequency (rad/s) where the two noise levels meet.
 
     The corner w of the optimum filter stands for the ratio of the noise levels: w⁴ = S_a · rate / R.
     """
-    rows = pair.rows.copy()
-    rows[:, 0] += offset_s
-    density = corner**4 / pair.rate_hz
-    w = whiten(pair.samples, rows, density, pair.exposure_s)
-    n = max(len(w.variance), 1)
-    if pair.outside is not None:
-        w = _without(w, whiten(pair.outside, rows, density, pair.exposure_s))
-    power = float(np.sum(w.response**2 / w.variance))
-    cross = float(np.sum(w.response * w.translation / w.variance))
-    total = float(np.sum(w.translation**2 / w.variance))
-    ratio = pair.ratio if pair.ratio is not None else cross / max(power, 1e-300)
-    left = max(total - 2.0 * ratio * cross + ratio * ratio * power, 1e-300)
-    noise = left / max(n - FITTED, 1)
-    entropy = 0.5 * float(np.sum(np.log(w.variance)))
-    favour = shrinking(w, ratio, pair.reference) if pair.ratio is None and pair.reference is not None else 0.0
-    if pair.ratio is None:
-        # Accelerometer noise in the response shrinks the regression; its expected share is known and taken back.
-        ratio *= 1.0 + min(noise * float(np.sum(w.input_part / w.variance)) / max(ratio * ratio * power, 1e-300), 0.1)
-    return Fit(
-        offset_s=offset_s,
-        corner=corner,
-        ratio=ratio,
-        ratio_variance=noise / max(power, 1e-300),
-        noise=noise,
-        input_density=density * noise / max(ratio * ratio, 1e-300),
-        likelihood=-0.5 * n * np.log(left / n) - entropy - favour,
-        without=-0.5 * n * np.log(max(total, 1e-300) / n) - entropy,
-        whitened=w,
-    )
+    return aligned(pair, offset_s).fit(corner)
 
 
 def shrinking(w: Whitened, ratio: float, reference: float) -> float:
@@ -115,18 +192,14 @@ def shrinking(w: Whitened, ratio: float, reference: float) -> float:
     The noise of the accelerometer is seen in the acceleration itself, multiplied by the ratio: where two offsets
     explain the motion alike with different ratios, the smaller ratio leaves less of it, whichever is true.
     """
-    share = float(np.sum(w.input_part / w.variance))
-    return share * float(np.log(reference / max(abs(ratio), SMALLEST_RATIO * reference)))
+    return w.input_share * float(np.log(reference / max(abs(ratio), SMALLEST_RATIO * reference)))
 
 
-def _without(inside: Whitened, outside: Whitened) -> Whitened:
-    """The innovations with the share of `outside`'s response taken out of translation and response alike."""
-    power = max(float(np.sum(outside.response**2 / inside.variance)), 1e-300)
-
-    def rest(values: Floats) -> Floats:
-        return values - float(np.sum(values * outside.response / inside.variance)) / power * outside.response
-
-    return replace(inside, translation=rest(inside.translation), response=rest(inside.response))
+def _without_last(w: Whitened) -> Whitened:
+    """The innovations with the share of the last column's taken out of all."""
+    outside = w.columns[:, -1] / w.variance
+    share = outside @ w.columns / max(float(outside @ w.columns[:, -1]), 1e-300)
+    return replace(w, columns=w.columns - np.outer(w.columns[:, -1], share))
 
 
 def corner_range(pair: Pair) -> tuple[float, float]:
@@ -135,37 +208,74 @@ def corner_range(pair: Pair) -> tuple[float, float]:
 
 
 def best_corner(pair: Pair, offset_s: float, corner: float | None = None) -> Fit:
-    """The most likely noise ratio at a fixed time offset."""
+    """The most likely noise ratio at a fixed time offset, near `corner` (rad/s) where one is given."""
+    from scipy.optimize import minimize_scalar
+
+    here = aligned(pair, offset_s)
     low, high = np.log(corner_range(pair))
-    starts = np.linspace(low, high, 9) if corner is None else [np.log(corner)]
-    first = max(starts, key=lambda value: evaluate(pair, offset_s, float(np.exp(value))).likelihood)
-
-    def cost(value: Floats) -> float:
-        return -evaluate(pair, offset_s, float(np.exp(np.clip(value[0], low, high)))).likelihood
-
-    found = minimize(
-        cost,
-        [first],
-        method="Nelder-Mead",
-        options={"xatol": 0.02, "fatol": 0.02, "initial_simplex": [[first], [first + 0.3]]},
+    if corner is None:
+        tried = np.linspace(low, high, CORNERS)
+        first = tried[int(np.argmax([here.fit(float(np.exp(value))).likelihood for value in tried]))]
+        near = tried[1] - tried[0]
+    else:
+        first, near = np.clip(np.log(corner), low, high), NEAR_CORNER
+    found = minimize_scalar(
+        lambda value: -here.fit(float(np.exp(value))).likelihood,
+        bounds=(max(low, first - near), min(high, first + near)),
+        method="bounded",
+        options={"xatol": CORNER_TOLERANCE},
     )
-    return evaluate(pair, offset_s, float(np.exp(np.clip(found.x[0], low, high))))
+    return here.fit(float(np.exp(found.x)))
 
 
 def refine(pair: Pair, fit: Fit, bound_s: float) -> Fit:
-    """The most likely offset and noise ratio near `fit`, the offset within `bound_s` of it."""
-    low, high = np.log(corner_range(pair))
+    """The most likely offset and noise ratio near `fit`, the offset within 1.5 `bound_s` of it.
 
-    def at(value: Floats) -> Fit:
-        offset = fit.offset_s + bound_s * float(np.clip(value[0], -1.5, 1.5))
-        return evaluate(pair, offset, float(np.exp(np.clip(value[1], low, high))))
+    A Gauss-Newton step is linear in the offset, so `fit` must lie within a fraction of the motion's period.
+    """
+    span = (fit.offset_s - 1.5 * bound_s, fit.offset_s + 1.5 * bound_s)
+    for _ in range(ROUNDS):
+        before = fit.likelihood
+        fit = _climb(pair, fit, span)
+        fit = max(fit, best_corner(pair, fit.offset_s, fit.corner), key=_likelihood)
+        if fit.likelihood - before < LEAST_GAIN:
+            break
+    return fit
 
-    start = np.array([0.0, np.log(fit.corner)])
-    simplex = start + np.array([[0.0, 0.0], [0.5, 0.0], [0.0, 0.3]])
-    found = minimize(
-        lambda value: -at(value).likelihood,
-        start,
-        method="Nelder-Mead",
-        options={"xatol": 1e-5, "fatol": 1e-4, "maxfev": 160, "initial_simplex": simplex},
-    )
-    return at(found.x)
+
+def _climb(pair: Pair, fit: Fit, span: tuple[float, float]) -> Fit:
+    """The most likely offset within a span (s) at the noise ratio of `fit`, by Gauss-Newton steps."""
+    for _ in range(STEPS):
+        (step, information), best = gauss_newton(pair, fit), fit
+        if 0.5 * step * step * information < LEAST_GAIN:
+            break
+        for _ in range(HALVINGS):
+            other = evaluate(pair, float(np.clip(fit.offset_s + step, *span)), fit.corner)
+            best = max(best, other, key=_likelihood)
+            if best is other:
+                break
+            step *= 0.5
+        if best is fit:
+            break
+        fit = best
+    return fit
+
+
+def _likelihood(fit: Fit) -> float:
+    return fit.likelihood
+
+
+def gauss_newton(pair: Pair, fit: Fit) -> tuple[float, float]:
+    """Step (s) towards the most likely offset and its information (1/s²), the ratio going along where it is unknown."""
+    w, s = fit.whitened, fit.ratio
+    velocity, response = w.columns[:, 2], w.response
+    left = w.translation - s * response
+    pulled = 0.0
+    if pair.ratio is None:
+        power = max(w.product(response, response), 1e-300)
+        if pair.reference is not None:
+            change = (w.product(left, velocity) - s * w.product(response, velocity)) / power
+            pulled = w.input_share * change / s
+        velocity = velocity - w.product(velocity, response) / power * response
+    information = max(s * s * w.product(velocity, velocity) / fit.noise, 1e-300)
+    return (s * w.product(left, velocity) / fit.noise + pulled) / information, information

@@ -3,22 +3,13 @@
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from midspan.calibration.agreement import clearly_better, noise_share, straightened
-from midspan.calibration.fit import Fit, Pair, best_corner, corner_range, evaluate, refine
+from midspan.calibration.fit import Fit, Pair, aligned, best_corner, corner_range, evaluate, refine
+from midspan.calibration.outliers import without_lonely_outliers
 from midspan.calibration.scale import LEAST_GAIN as LEAST_AGREEMENT
 from midspan.calibration.scale import white_noise
-from midspan.calibration.time_offset import (
-    BEYOND,
-    MARKING_ROUNDS,
-    OffsetSearch,
-    curvature,
-    mark_outliers,
-    search_offset,
-    without_lonely_outliers,
-)
-from midspan.calibration.whitening import whiten
+from midspan.calibration.time_offset import BEYOND, OffsetSearch, cleaned, curvature, search_offset
 from midspan.records import TimeOffset
 
 # A clock offset is only applied when it is this certain and the likelihood gains this much over none.
@@ -81,8 +72,8 @@ def calibrate_noise(
     """Learn noise levels of a displacement sensor of known unit, and its clock offset where the motion tells it.
 
     pair: displacement in m (ratio 1) with relative variances, and the acceleration. max_offset_s: 0 leaves the clocks
-    be. one_clock: the clocks are one, so that the offset is only reported. length_s: of the record, see `edge_s`.
-    Nothing is refused here: see `Findings`.
+    be. one_clock: the clocks are one, so that the offset is only told. length_s: of the record, see `edge_s`. Nothing
+    is refused here: see `Findings`.
     """
     pair, still = without_outliers(without_lonely_outliers(replace(pair, ratio=1.0)))
     fit, offset, search = still, TimeOffset(0.0, np.inf), None
@@ -155,13 +146,8 @@ def applied(search: OffsetSearch, fit: Fit, variance: float, max_offset_s: float
 
 
 def without_outliers(pair: Pair) -> tuple[Pair, Fit]:
-    """The pair without outliers and its fit at no offset; each round takes out the largest, which hid the smaller."""
-    fit = best_corner(pair, 0.0)
-    for _ in range(MARKING_ROUNDS):
-        cleaned = mark_outliers(pair, fit)
-        if cleaned is pair:
-            break
-        pair, fit = cleaned, best_corner(cleaned, 0.0, fit.corner)
+    """The pair without outliers and its fit at no offset."""
+    pair = cleaned(pair, best_corner(pair, 0.0))
     return pair, best_corner(pair, 0.0)
 
 
@@ -172,21 +158,18 @@ def learn_motion(pair: Pair) -> float:
     noise of the model. By maximum likelihood of the innovations; the noise is not fitted beside it, which would take a
     motion faster than the frames follow for noise.
     """
+    from scipy.optimize import minimize_scalar
+
     pair = without_lonely_outliers(pair)
     typical = float(np.median(pair.rows[np.isfinite(pair.rows[:, 2]), 2]))
-    rows = pair.rows / np.array([1.0, 1.0, typical])
-    low, high = corner_range(pair)
-
-    def density(corner: float) -> float:
-        return float(np.exp(4.0 * corner)) / pair.rate_hz
+    here = aligned(replace(pair, rows=pair.rows / np.array([1.0, 1.0, typical])), 0.0)
+    low, high = np.log(corner_range(pair))
 
     def cost(corner: float) -> float:
-        w = whiten(pair.samples, rows, density(corner), pair.exposure_s)
-        return float(np.sum(np.log(w.variance) + w.translation**2 / (typical * w.variance)))
+        w = here.whitened(float(np.exp(corner)))
+        return 2.0 * w.entropy + w.product(w.translation, w.translation) / typical
 
-    bounds = (np.log(low), np.log(FASTEST * high))
-    grid = np.linspace(*bounds, 25)
-    best = grid[int(np.argmin([cost(corner) for corner in grid]))]
-    step = grid[1] - grid[0]
+    grid = np.linspace(low, high + np.log(FASTEST), 25)
+    best, step = grid[int(np.argmin([cost(corner) for corner in grid]))], grid[1] - grid[0]
     found = minimize_scalar(cost, bounds=(best - step, best + step), method="bounded")
-    return typical * density(float(found.x))
+    return typical * float(np.exp(4.0 * found.x)) / pair.rate_hz

@@ -67,7 +67,7 @@ def calibrate_scale(pair: Pair, max_offset_s: float) -> ScaleCalibration:
     pair = replace(pair, rows=pair.rows / np.array([1.0, 1.0, typical]))
     search = search_offset(pair, max_offset_s)
     fit = search.fit
-    relative = float(np.sqrt(fit.ratio_variance)) / max(abs(fit.ratio), 1e-300)
+    relative = fit.relative_std
     _refuse_no_motion(pair, fit, relative, float(np.sqrt(typical)))
     _refuse_disagreement(search.pair, fit, float(np.sqrt(typical)))
     _refuse_ambiguity(search, max_offset_s)
@@ -83,7 +83,7 @@ def calibrate_scale(pair: Pair, max_offset_s: float) -> ScaleCalibration:
 
 
 def _refuse_no_motion(pair: Pair, fit: Fit, relative: float, noise: float) -> None:
-    gain = fit.likelihood - fit.without
+    gain = fit.gain
     if gain >= LEAST_GAIN and relative <= REFUSED_ABOVE:
         return
     rows = pair.rows[np.isfinite(pair.rows[:, 2])]
@@ -105,8 +105,6 @@ def _refuse_no_motion(pair: Pair, fit: Fit, relative: float, noise: float) -> No
 
 
 def _refuse_disagreement(pair: Pair, fit: Fit, usual: float) -> None:
-    rate = (len(pair.samples) - 1) / float(pair.samples[-1, 0] - pair.samples[0, 0])
-    implied, measured = float(np.sqrt(fit.input_density * rate)), float(np.std(pair.samples[:, 1]))
     rows = pair.rows[np.isfinite(pair.rows[:, 2])]
     moved, left = float(np.std(rows[:, 1])), float(np.sqrt(fit.noise))
     if left > max(UNEXPLAINED_NOISE * usual, UNEXPLAINED_SHARE * moved):
@@ -115,15 +113,25 @@ def _refuse_disagreement(pair: Pair, fit: Fit, usual: float) -> None:
             f"unexplained, where a frame's own noise is {usual:.2g} px. Where the clocks may differ by more, raise "
             "calibration.max_offset_s or set camera.start_s; else check camera.direction and camera.roi."
         )
-    own = white_noise(pair.samples[:, 1])
-    if implied > measured or (implied > IMPLIED_SHARE * measured and implied > IMPLIED_NOISE * own):
+    if needed := noise_needed(pair, fit):
         raise NoAgreementError(
-            f"No agreement between image and accelerometer: their difference would need accelerometer noise of "
-            f"{1e3 * implied:.3g} mm/s² per sample where the signal has {1e3 * measured:.3g} mm/s² rms and noise of "
-            f"about {1e3 * own:.2g} mm/s². Check that both files are of the same event, camera.direction, camera.roi "
-            "and accelerometer.unit; where the clocks may differ by more, raise calibration.max_offset_s or set "
-            "camera.start_s."
+            f"No agreement between image and accelerometer: {needed} and noise of about "
+            f"{1e3 * white_noise(pair.samples[:, 1]):.2g} mm/s². Check that both files are of the same event, "
+            "camera.direction, camera.roi and accelerometer.unit; where the clocks may differ by more, raise "
+            "calibration.max_offset_s or set camera.start_s."
         )
+
+
+def noise_needed(pair: Pair, fit: Fit) -> str:
+    """What to tell where only a noise that the accelerometer does not have explains its difference; else empty."""
+    implied, own = float(np.sqrt(fit.input_density * pair.sample_rate_hz)), white_noise(pair.samples[:, 1])
+    measured = float(np.std(pair.samples[:, 1]))
+    if implied <= measured and (implied <= IMPLIED_SHARE * measured or implied <= IMPLIED_NOISE * own):
+        return ""
+    return (
+        f"their difference would need accelerometer noise of {1e3 * implied:.3g} mm/s² per sample where the signal "
+        f"has {1e3 * measured:.3g} mm/s² rms"
+    )
 
 
 def white_noise(value: Floats) -> float:
@@ -134,8 +142,7 @@ def white_noise(value: Floats) -> float:
 
 def alias_in_words(pair: Pair) -> str:
     """A sentence where the motion's main tone nearly stands still in the slower sensor's samples, else empty."""
-    rate = (len(pair.samples) - 1) / float(pair.samples[-1, 0] - pair.samples[0, 0])
-    tone = dominant_frequency(pair.samples[:, 1], rate)
+    tone = dominant_frequency(pair.samples[:, 1], pair.sample_rate_hz)
     alias = abs(tone - pair.rate_hz * round(tone / pair.rate_hz))
     if tone < 0.5 * pair.rate_hz or alias > SLOW_ALIAS_HZ:
         return ""

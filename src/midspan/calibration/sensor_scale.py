@@ -12,16 +12,10 @@ import numpy as np
 from midspan.calibration.agreement import straightened, unexplained
 from midspan.calibration.fit import Fit, Pair
 from midspan.calibration.noise import Findings, NoiseCalibration, applied, edge_s, nearest, without_outliers
-from midspan.calibration.scale import (
-    IMPLIED_NOISE,
-    IMPLIED_SHARE,
-    REFUSED_ABOVE,
-    alias_in_words,
-    is_ambiguous,
-    white_noise,
-)
+from midspan.calibration.outliers import without_lonely_outliers
 from midspan.calibration.scale import LEAST_GAIN as LEAST_AGREEMENT
-from midspan.calibration.time_offset import OffsetSearch, search_offset, without_lonely_outliers
+from midspan.calibration.scale import REFUSED_ABOVE, alias_in_words, is_ambiguous, noise_needed
+from midspan.calibration.time_offset import OffsetSearch, search_offset
 from midspan.errors import UntrustedError
 from midspan.records import TimeOffset
 
@@ -88,13 +82,12 @@ def _clocks_differ(offset: TimeOffset) -> UntrustedError:
 
 def _scaled(pair: Pair, fit: Fit, offset: TimeOffset, search: OffsetSearch | None) -> NoiseCalibration:
     """The calibration of readings that are multiplied by the factor found."""
-    factor, relative = 1.0 / fit.ratio, float(np.sqrt(fit.ratio_variance)) / abs(fit.ratio)
+    factor, relative = 1.0 / fit.ratio, fit.relative_std
     straight = straightened(pair, fit)
     if straight is not None:
         # A clock that runs apart takes from the scale: how much is known only as well as it runs evenly.
         even, rate = straight
-        relative = float(np.sqrt(even.ratio_variance)) / abs(even.ratio)
-        relative = float(np.hypot(relative, UNEVEN * (even.ratio / fit.ratio - 1.0)))
+        relative = float(np.hypot(even.relative_std, UNEVEN * (even.ratio / fit.ratio - 1.0)))
         factor = 1.0 / even.ratio
         if relative > REFUSED_ABOVE:
             raise UntrustedError(
@@ -123,7 +116,7 @@ def _refuse(pair: Pair, fit: Fit) -> None:
 
 def _objection(pair: Pair, fit: Fit) -> str:
     """Why the scale of a fit is not to be trusted; empty where it is."""
-    gain, relative = fit.likelihood - fit.without, float(np.sqrt(fit.ratio_variance)) / max(abs(fit.ratio), 1e-300)
+    gain, relative = fit.gain, fit.relative_std
     rows = pair.rows[np.isfinite(pair.rows[:, 2])]
     seen, shaken = float(np.std(rows[:, 1])), float(np.std(pair.samples[:, 1]))
     figures = f"({1e3 * seen:.3g} mm rms as read, acceleration {1e3 * shaken:.3g} mm/s² rms)"
@@ -134,14 +127,11 @@ def _objection(pair: Pair, fit: Fit) -> str:
             f"{alias_in_words(pair)}Record livelier motion, check that both sensors measure the same axis and event, "
             "or leave estimate_scale out and set displacement.unit."
         )
-    rate = (len(pair.samples) - 1) / float(pair.samples[-1, 0] - pair.samples[0, 0])
-    implied, own = float(np.sqrt(fit.input_density * rate)), white_noise(pair.samples[:, 1])
-    if implied > shaken or (implied > IMPLIED_SHARE * shaken and implied > IMPLIED_NOISE * own):
+    if needed := noise_needed(pair, fit):
         return (
-            "no agreement between the displacement and the accelerometer: their "
-            f"difference would need accelerometer noise of {1e3 * implied:.3g} mm/s² per sample where the signal has "
-            f"{1e3 * shaken:.3g} mm/s² rms. Check that both measure the same axis and event; where the clocks may "
-            "differ by more, raise calibration.max_offset_s, with displacement.estimate_offset = true."
+            f"no agreement between the displacement and the accelerometer: {needed}. Check that both measure the same "
+            "axis and event; where the clocks may differ by more, raise calibration.max_offset_s, with "
+            "displacement.estimate_offset = true."
         )
     return ""
 

@@ -8,31 +8,42 @@ refined and compared, and the runner-up is reported so that an ambiguity can be 
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
 
 from midspan.calibration.agreement import clearly_better
-from midspan.calibration.fit import Fit, Pair, best_corner, corner_range, evaluate, refine
+from midspan.calibration.fit import (
+    PRIOR_POWER,
+    SMALLEST_RATIO,
+    Fit,
+    Pair,
+    best_corner,
+    corner_range,
+    evaluate,
+    gauss_newton,
+    refine,
+)
+from midspan.calibration.outliers import MARKING_ROUNDS, mark_outliers, without_lonely_outliers
+from midspan.calibration.whitening import levelled, whiten_columns
 from midspan.records import Floats, TimeOffset
 
-COARSE_CORNERS = 4
-CANDIDATES = 6
-# An innovation this many robust standard deviations out is left out of the fit; the rest is fitted again.
-OUTLIER_LIMIT = 5.0
-# A measurement is lonely when it leaves its neighbours by this many times their own range.
-LONELY_LIMIT = 2.0
-# Rounds of marking outliers and fitting again, at most.
-MARKING_ROUNDS = 12
-# Rounds of comparing ratios with the best one's, at most; and the pull towards smaller ratios, in standard deviations
-# of the offset, that is left as it is.
-REFERENCE_ROUNDS = 4
+# Noise ratios tried at each offset, and values whitened at once, for memory. Offsets are tried at the rate of the
+# accelerometer, at this one at most: 5 ms are an eighth of the period of 25 Hz.
+COARSE_CORNERS, AT_ONCE, MOST_RATE_HZ = 4, 1_000_000, 200.0
+# At an offset this share of the measurements must lie within the acceleration.
+OVERLAP = 0.5
+# Maxima of the coarse curve that are refined, and of these the ones that are with a noise ratio sought anew.
+CANDIDATES, CONTENDERS = 6, 3
+# Rounds of searching anew without outliers and with a new reference, at most.
+ROUNDS = 6
+# The pull towards smaller ratios, in standard deviations of the offset, that is left as it is.
 MOST_PULLED = 0.1
 # Where the accelerometer's noise would be this share of its signal, the sensors do not agree.
 EXPLAINED_BY_NOISE = 0.3
 # An offset beyond the largest by less than so many of its standard deviations, of so many s at most, is within.
 BEYOND, MOST_BEYOND = 3.0, 0.02
-# Above this rate the coarse search runs on averages of neighbouring samples; the refinement always on all samples.
-COARSE_RATE_HZ = 250.0
+# How much farther than the longest offset is looked, in s and as a share of it, and in so much of the record at most.
+FARTHER_S, FARTHER_SHARE, FARTHER_WINDOW_S = 5.0, 0.5, 120.0
+# A clock that drifts has another offset in a part of the record than in the whole: by so much, s.
+DRIFTED_S = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,42 +68,103 @@ def search_offset(pair: Pair, max_offset_s: float, edge_s: float = 0.0) -> Offse
     where it is clearly better than all within.
     """
     pair = without_lonely_outliers(pair)
-    limit_s, max_offset_s = max_offset_s, max_offset_s + edge_s
-    offsets, curve = scan(pair, max_offset_s)
-    step = float(offsets[1] - offsets[0]) if len(offsets) > 1 else 0.0
-    fits = _refined(pair, offsets, curve)
-    best = max(fits, key=lambda fit: fit.likelihood)
-    cleaned = _cleaned(pair, best, step)
-    if cleaned is not pair:
-        # What the outliers have hidden shows now: the search starts again without them.
-        pair = cleaned
-        offsets, curve = scan(pair, max_offset_s)
-        fits = _refined(pair, offsets, curve)
-        best = max(fits, key=lambda fit: fit.likelihood)
-        cleaned = _cleaned(pair, best, step)
-        fits = [refine(cleaned, fit, step) for fit in fits] if cleaned is not pair else fits
-        pair, best = cleaned, max(fits, key=lambda fit: fit.likelihood)
-    for _ in range(REFERENCE_ROUNDS):
-        if not _may_shrink(pair, _apart(fits, best, step), best):
+    offsets = _grid(pair, -max_offset_s - edge_s, max_offset_s + edge_s)
+    step = float(offsets[1] - offsets[0])
+    for _ in range(ROUNDS):
+        curve, corner = scan(pair, offsets)
+        fits = _refined(pair, offsets, curve, corner)
+        best = max(fits, key=_likelihood)
+        # What outliers have hidden shows in a search without them.
+        again = cleaned(pair, best, step)
+        if _may_shrink(pair, _apart(fits, best, step), best):
+            again = replace(again, reference=abs(best.ratio))
+        if again is pair:
             break
-        pair = replace(pair, reference=abs(best.ratio))
-        offsets, curve = scan(pair, max_offset_s)
-        fits = _refined(pair, offsets, curve)
-        best = max(fits, key=lambda fit: fit.likelihood)
+        pair = again
     if edge_s > 0.0:
-        fits = _within(pair, fits, limit_s)
-        best = max(fits, key=lambda fit: fit.likelihood)
-    runner_up = max(_apart(fits, best, step), key=lambda fit: fit.likelihood, default=None)
+        fits = _within(pair, fits, max_offset_s)
+        best = max(fits, key=_likelihood)
+    runner_up = max(_apart(fits, best, step), key=_likelihood, default=None)
     variance, drag = curvature(pair, best)
     best = replace(best, ratio_variance=best.ratio_variance + drag * drag * variance)
     return OffsetSearch(best, TimeOffset(best.offset_s, variance), runner_up, offsets, curve, pair)
 
 
+def _likelihood(fit: Fit) -> float:
+    return fit.likelihood
+
+
+def _grid(pair: Pair, first_s: float, last_s: float) -> Floats:
+    """Offsets (k,) from the first to the last, a sample apart."""
+    count = int(np.ceil((last_s - first_s) * min(pair.sample_rate_hz, MOST_RATE_HZ))) + 1
+    return np.linspace(first_s, last_s, max(count, 3))
+
+
+def scan(pair: Pair, offsets: Floats) -> tuple[Floats, Floats]:
+    """Likelihood (k,) at offsets (k,) with the best of a few corner frequencies, and that corner frequency (k,).
+
+    Minus infinity where too little of both signals overlaps.
+    """
+    low, high = corner_range(pair)
+    corners = np.geomspace(max(3.0 * low, 0.3), high / 1.5, COARSE_CORNERS)
+    index = np.intersect1d(pair.used(float(offsets[0])), pair.used(float(offsets[-1])))
+    middle = pair.used(float(np.mean(offsets)))
+    rows = pair.rows[index if len(index) > OVERLAP * len(middle) else middle]
+    parts = np.array_split(offsets, min(len(offsets), -(-len(offsets) * len(rows) // AT_ONCE)))
+    table = np.concatenate([_likelihoods(pair, rows, part, corners) for part in parts], axis=1)
+    overlap = np.array([len(pair.used(float(offset))) for offset in offsets])
+    curve = np.where(overlap >= OVERLAP * len(middle), table.max(axis=0), -np.inf)
+    return curve, corners[np.argmax(table, axis=0)]
+
+
+def _likelihoods(pair: Pair, rows: Floats, offsets: Floats, corners: Floats) -> Floats:
+    """Likelihood (corners, offsets), all offsets in one run of the filter for each corner frequency (rad/s)."""
+    count, time_s = len(offsets), rows[:, :1] + offsets
+    responses = [response.at(time_s, pair.blur) for response in pair.responses]
+    values = levelled(rows[:, 0], np.column_stack((rows[:, 1], *responses)))[0]
+    at = np.column_stack((rows[:, 0] + float(np.mean(offsets)), rows[:, 2]))
+    table = np.empty((len(corners), count))
+    for k, corner in enumerate(corners):
+        w = whiten_columns(at, values, pair.responses[0].pieces, corner**4 / pair.rate_hz)
+        standard = w.columns / np.sqrt(w.variance)[:, None]
+        translation, response, outside = np.split(standard, (1, 1 + count), axis=1)
+        total, cross, power = _sums(translation, translation), _sums(translation, response), _sums(response, response)
+        if pair.outside is not None:
+            own, seen, shared = _sums(outside, outside), _sums(translation, outside), _sums(response, outside)
+            total, cross, power = total - seen**2 / own, cross - seen * shared / own, power - shared**2 / own
+        ratio = cross / np.maximum(power, 1e-300) if pair.ratio is None else pair.ratio
+        left = np.maximum(total - 2.0 * ratio * cross + ratio * ratio * power, 1e-300)
+        n = len(w.variance)
+        table[k] = -0.5 * n * np.log(left / n) - w.entropy + PRIOR_POWER * np.log(corner)
+        if pair.ratio is None and pair.reference is not None:
+            table[k] += w.input_share * np.log(np.maximum(np.abs(ratio) / pair.reference, SMALLEST_RATIO))
+    return table
+
+
+def _sums(first: Floats, second: Floats) -> Floats:
+    """Sums of the products of columns (m, c)."""
+    return np.asarray(np.einsum("mc,mc->c", *np.broadcast_arrays(first, second)))
+
+
+def _refined(pair: Pair, offsets: Floats, curve: Floats, corner: Floats) -> list[Fit]:
+    """The highest maxima of the scanned curve, each refined.
+
+    Half a step off, a misfit looks like accelerometer noise; so the noise ratio is sought anew at the refined offset.
+    """
+    padded = np.concatenate(([-np.inf], curve, [-np.inf]))
+    peaks = np.flatnonzero((padded[1:-1] >= padded[:-2]) & (padded[1:-1] > padded[2:]))
+    step = float(offsets[1] - offsets[0])
+    best = peaks[np.argsort(curve[peaks])[::-1][:CANDIDATES]]
+    near = [refine(pair, evaluate(pair, float(offsets[i]), float(corner[i])), step) for i in best]
+    near = sorted(near, key=_likelihood, reverse=True)[:CONTENDERS]
+    return [refine(pair, best_corner(pair, fit.offset_s), step) for fit in near]
+
+
 def _within(pair: Pair, fits: list[Fit], limit_s: float) -> list[Fit]:
     """The fits within ±`limit_s`, give or take their deviation; the others where one is clearly better than these."""
     near = [f for f in fits if abs(f.offset_s) < limit_s + BEYOND * np.sqrt(min(curvature(pair, f)[0], MOST_BEYOND**2))]
-    best = max(fits, key=lambda fit: fit.likelihood)
-    inner = max(near, key=lambda fit: fit.likelihood, default=None)
+    best = max(fits, key=_likelihood)
+    inner = max(near, key=_likelihood, default=None)
     return fits if inner is None or (inner is not best and clearly_better(best, inner)) else near
 
 
@@ -105,127 +177,56 @@ def _may_shrink(pair: Pair, others: list[Fit], best: Fit) -> bool:
     """Whether the noise of the accelerometer can have led to an offset with too small a ratio (see `shrinking`)."""
     if pair.ratio is not None or (pair.reference is not None and abs(best.ratio) > 0.99 * pair.reference):
         return False
-    rate = (len(pair.samples) - 1) / float(pair.samples[-1, 0] - pair.samples[0, 0])
-    if np.sqrt(best.input_density * rate) > EXPLAINED_BY_NOISE * np.std(pair.samples[:, 1]):
+    if np.sqrt(best.input_density * pair.sample_rate_hz) > EXPLAINED_BY_NOISE * np.std(pair.samples[:, 1]):
         # Nothing agrees here, and all of the acceleration counts as noise.
         return False
-    share = float(np.sum(best.whitened.input_part / best.whitened.variance))
+    share = best.whitened.input_share
     if any(fit.likelihood + share * np.log(abs(fit.ratio / best.ratio)) > best.likelihood for fit in others):
         return True
     variance, drag = curvature(pair, best)
     return bool(share * abs(drag / best.ratio) * np.sqrt(variance) > MOST_PULLED)
 
 
-def scan(pair: Pair, max_offset_s: float) -> tuple[Floats, Floats]:
-    """Offsets tried (k,), and the likelihood at the best of a few noise ratios (k,)."""
-    outside = None if pair.outside is None else thinned(pair.outside, COARSE_RATE_HZ)
-    coarse = replace(pair, samples=thinned(pair.samples, COARSE_RATE_HZ), outside=outside)
-    rate = (len(coarse.samples) - 1) / float(coarse.samples[-1, 0] - coarse.samples[0, 0])
-    count = 2 * int(np.ceil(max_offset_s * min(rate, 200.0))) + 1
-    offsets = np.linspace(-max_offset_s, max_offset_s, max(count, 3))
-    low, high = corner_range(pair)
-    corners = np.geomspace(max(3.0 * low, 0.3), high / 1.5, COARSE_CORNERS)
-    table = np.array([[evaluate(coarse, t, w).likelihood for w in corners] for t in offsets])
-    return offsets, table.max(axis=1)
+def cleaned(pair: Pair, fit: Fit, bound_s: float = 0.0) -> Pair:
+    """The pair without outliers; each round takes out the largest, which had hidden the smaller ones.
 
-
-def _refined(pair: Pair, offsets: Floats, curve: Floats) -> list[Fit]:
-    """The highest maxima of the scanned curve, each refined.
-
-    Half a step off, a misfit looks like accelerometer noise; so the noise ratio is sought anew at the refined offset.
+    bound_s: how far the offset may move from the fit's meanwhile. The same object where there are none.
     """
-    padded = np.concatenate(([-np.inf], curve, [-np.inf]))
-    peaks = np.flatnonzero((padded[1:-1] >= padded[:-2]) & (padded[1:-1] > padded[2:]))
-    step = float(offsets[1] - offsets[0])
-    best = peaks[np.argsort(curve[peaks])[::-1][:CANDIDATES]]
-    near = [refine(pair, best_corner(pair, float(offsets[i])), step) for i in best]
-    return [refine(pair, best_corner(pair, fit.offset_s), step) for fit in near]
-
-
-def _cleaned(pair: Pair, fit: Fit, bound_s: float) -> Pair:
-    """The pair without outliers; each round takes out the largest, which had hidden the smaller ones."""
     for _ in range(MARKING_ROUNDS):
-        cleaned = mark_outliers(pair, fit)
-        if cleaned is pair:
+        marked = mark_outliers(pair, fit)
+        if marked is pair:
             break
-        pair = cleaned
-        fit = refine(pair, fit, bound_s)
+        pair = marked
+        fit = best_corner(pair, fit.offset_s, fit.corner)
+        fit = refine(pair, fit, bound_s) if bound_s > 0.0 else fit
     return pair
 
 
 def curvature(pair: Pair, fit: Fit) -> tuple[float, float]:
     """Variance of the time offset (s²) from the curvature of the likelihood, and d(ratio)/d(offset) there."""
-    step = 1e-4
-    while True:
-        before, after = (evaluate(pair, fit.offset_s + sign * step, fit.corner) for sign in (-1.0, 1.0))
-        middle = evaluate(pair, fit.offset_s, fit.corner)
-        drop = middle.likelihood - 0.5 * (before.likelihood + after.likelihood)
-        # A drop of about one is far above rounding and still near the summit.
-        if drop > 0.5 or step > 0.05:
-            break
-        step *= 2.0
+    # One expected standard deviation is far above rounding and still near the summit.
+    step = float(np.clip(1.0 / np.sqrt(gauss_newton(pair, fit)[1]), 1e-6, 0.05))
+    before, middle, after = (evaluate(pair, fit.offset_s + k * step, fit.corner) for k in (-1.0, 0.0, 1.0))
+    drop = middle.likelihood - 0.5 * (before.likelihood + after.likelihood)
     variance = step * step / (2.0 * drop) if drop > 0 else np.inf
     return float(variance), float((after.ratio - before.ratio) / (2.0 * step))
 
 
-def mark_outliers(pair: Pair, fit: Fit) -> Pair:
-    """The pair with measurements far outside the fit marked unusable; the same object when there are none.
+def farther_s(max_offset_s: float) -> float:
+    """How far beyond the largest offset (s) `farther` looks."""
+    return max(FARTHER_S, FARTHER_SHARE * max_offset_s)
 
-    A wrong measurement kicks the filter, and the next innovations with it: only the largest of neighbours is marked.
+
+def farther(pair: Pair, near: Fit, within_s: float, until_s: float) -> Fit | None:
+    """A clock offset between `within_s` and `until_s` that fits far better than the best one nearer, if there is one.
+
+    pair: measurements that keep `until_s` from both ends of the acceleration; near: the best fit within.
     """
-    residual = fit.residual
-    spread = 1.4826 * float(np.median(np.abs(residual - np.median(residual))))
-    size = np.abs(residual)
-    largest = sliding_window_view(np.pad(size, 2), 5).max(axis=1) if len(size) else size
-    bad = (size > OUTLIER_LIMIT * max(spread, 1e-12)) & (size == largest)
-    if not bad.any() or spread == 0.0:
-        return pair
-    rows = pair.rows.copy()
-    rows[fit.whitened.index[bad].astype(np.int64), 2] = np.inf
-    return replace(pair, rows=rows)
-
-
-def without_lonely_outliers(pair: Pair) -> Pair:
-    """Mark single measurements that leave their three neighbours on each side far more than these differ.
-
-    What the neighbours do is the measure, not the whole record: a passing vehicle in a quiet minute is no outlier.
-    """
-    return replace(pair, rows=without_lonely(pair.rows))
-
-
-def without_lonely(rows: Floats) -> Floats:
-    """Rows (m, 3) of time, value and variance with the lonely outliers' variance made infinite."""
-    rows = rows.copy()
-    for _ in range(MARKING_ROUNDS):
-        bad = _lonely(rows)
-        rows[bad, 2] = np.inf
-        if not len(bad):
-            break
-    return rows
-
-
-def _lonely(rows: Floats) -> NDArray[np.int64]:
-    index = np.flatnonzero(np.isfinite(rows[:, 2]))
-    if len(index) < 8:
-        return np.empty(0, dtype=np.int64)
-    place, value = np.arange(len(index)), rows[index, 1]
-    # At both ends the neighbours are the six nearest: the filter starts from the first ones, they must be right.
-    first = np.clip(place - 3, 0, len(index) - 7)
-    near = first[:, None] + np.arange(7)
-    around = np.sort(value[near[near != place[:, None]].reshape(-1, 6)], axis=1)
-    # One more outlier among the six neighbours does no harm.
-    low, high = around[:, 1], around[:, -2]
-    excess = np.maximum(value - high, low - value)
-    lonely: NDArray[np.int64] = index[excess > LONELY_LIMIT * np.maximum(high - low, np.median(high - low))]
-    return lonely
-
-
-def thinned(samples: Floats, rate_hz: float) -> Floats:
-    """Averages of neighbouring samples (n/k, 3) so that their rate stays near `rate_hz`."""
-    rate = (len(samples) - 1) / float(samples[-1, 0] - samples[0, 0])
-    group = int(rate // rate_hz)
-    if group < 2:
-        return samples
-    count = len(samples) // group
-    means: Floats = samples[: count * group].reshape(count, group, 3).mean(axis=1)
-    return means
+    pair = replace(pair, ratio=None, reference=None)
+    if until_s - within_s < 3.0 / pair.sample_rate_hz:
+        return None
+    sides = [_grid(pair, -until_s, -within_s), _grid(pair, within_s, until_s)]
+    best = max((fit for side in sides for fit in _refined(pair, side, *scan(pair, side))), key=_likelihood)
+    beside = [best_corner(pair, near.offset_s + aside) for aside in (-DRIFTED_S, 0.0, DRIFTED_S)]
+    own = max((refine(pair, fit, 0.5 * DRIFTED_S) for fit in beside), key=_likelihood)
+    return best if abs(best.offset_s) > within_s and clearly_better(best, own) else None

@@ -1,28 +1,30 @@
-"""Innovations of a measured translation and of the acceleration's response, through one and the same filter.
+"""Innovations of a measured translation and of the acceleration integrated twice, through one and the same filter.
 
-The translation p of the image (px) follows the displacement divided by the scale factor. In the filter's state-space
-model, written in pixels, the translation is driven by s · acceleration with s the inverse scale factor, so the
-innovations of the whole are linear in s:
+The translation p of the image (px) follows the displacement divided by the scale factor. The acceleration integrated
+twice, D, is the displacement but for what integration leaves open and what the accelerometer's bias b and white noise w
+add to it:
 
-    e_k(s) = e_k[p, no input] − s · e_k[0, acceleration as input]
+    p(t) = s · (D(t + offset) + x) + noise,   x' = v,   v' = −b − w
 
-Both parts share the gains. Scale factor and noise variance therefore follow in closed form for any time offset and any
-ratio of the noise levels, whatever the frame rate: nothing is resampled, an aliased camera is treated exactly.
+with s the inverse scale factor. So a filter with the states x, v, b and no input whitens p − s D, and its innovations
+are linear in s. Gains and covariance depend on neither signal: one run whitens any number of columns, such as p, D at
+many offsets, and D' (the velocity), by which the innovations change with the offset. The filter steps from measurement
+to measurement, and D is known at any instant: nothing is resampled, an aliased camera is treated exactly.
 """
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from midspan.fusion.state_space import (
-    INPUT,
     P00,
     P01,
     P02,
     P22,
     TIME,
-    B,
     V,
     X,
     advance_covariance,
@@ -34,115 +36,185 @@ from midspan.fusion.state_space import (
 )
 from midspan.records import Floats
 
+if TYPE_CHECKING:
+    from scipy.interpolate import PPoly
+
 # Before the first measurements everything is unknown: variances far above any noise, in units of the noise variance.
 DIFFUSE = (1e9, 1e9, 1e9)
 # The first innovations only settle the unknown start and say nothing about the noise.
 SETTLING = 3
 # The bias walk that belongs to an acceleration noise, (rad/s)²: bias errors below 0.01 Hz are left to the displacement.
 BIAS_WALK_RATIO = 0.003
+# Longest step of the covariance, s: within it the walk of the bias reaches the displacement by 1 % of the noise's part.
+MAX_STEP_S = 5.0
+
+
+@dataclass(frozen=True, slots=True)
+class Response:
+    """An acceleration integrated twice.
+
+    course: displacement in m as a function of time in s, a cubic in each interval; begin_s: where it begins; pieces
+    (g, 2): times until which the relative density of the acceleration's noise is constant, and that density.
+    """
+
+    course: "PPoly"
+    begin_s: float
+    pieces: Floats
+
+    def at(self, time_s: Floats, blur: float = 0.0) -> Floats:
+        """Displacement (...,) in m at instants (...,); blur: exposure²/24, s², of the acceleration in addition."""
+        moved = np.asarray(self.course(time_s))
+        return moved + blur * np.asarray(self.course(time_s, 2)) if blur else moved
+
+    def velocity(self, time_s: Floats) -> Floats:
+        """Velocity (...,) in m/s at instants (...,)."""
+        return np.asarray(self.course(time_s, 1))
+
+
+@njit(cache=True)
+def _integrate(time_s, value, state, out):  # type: ignore[no-untyped-def]
+    """Coefficients (n - 1, 4) of the displacement in each interval, of the third power first."""
+    for k in range(len(time_s) - 1):
+        dt = time_s[k + 1] - time_s[k]
+        slope = (value[k + 1] - value[k]) / dt
+        lead = begin_interval(state, dt, value[k], value[k + 1])
+        out[k, 0], out[k, 1], out[k, 2], out[k, 3] = slope / 6.0, 0.5 * value[k], state[V] - lead * slope, state[X]
+        advance_mean(state, dt, (0.0, 0.0), input_response(1.0, dt, value[k], value[k + 1], lead))
+
+
+def integrated(samples: Floats) -> Response:
+    """Samples (n, 3) of time (s), acceleration (m/s²) and relative noise density, integrated twice as in the filters.
+
+    A sample's value holds for one interval before the first one.
+    """
+    from scipy.interpolate import PPoly
+
+    first = 2.0 * samples[0, 0] - samples[1, 0]
+    time_s, value = np.r_[first, samples[:, 0]], np.r_[samples[0, 1], samples[:, 1]]
+    out = np.empty((len(time_s) - 1, 4))
+    _integrate(time_s, value, initial_state(first, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), out)
+    last = np.r_[np.flatnonzero(np.diff(samples[:, 2])), len(samples) - 1]
+    return Response(PPoly(np.ascontiguousarray(out.T), time_s), first, samples[last][:, [0, 2]].copy())
 
 
 @dataclass(frozen=True, slots=True)
 class Whitened:
-    """Innovations of the translation and of the response to the acceleration, (k,), after the settling ones.
+    """Innovations of columns of measurements, (k, c), without the first ones, which only settle the unknown start.
 
-    variance: of the innovation, in units of the noise variance of the translation; input_part: its share that comes
-    from accelerometer noise; index: which measurement each belongs to. bias, response_bias: the filter's bias after the
-    last sample out of the translation alone (px/s²) and out of the acceleration alone (m/s²); bias_variance: of their
-    sum in px/s², in units of the noise variance.
+    Columns as whitened: the translation, the response to the acceleration, and others. variance (k,): of the
+    innovations, in units of the noise variance of the translation; input_part (k,): its share that comes from
+    accelerometer noise; index (k,): which measurement each belongs to. bias (c,): the filter's bias after the last
+    sample out of each column, in its unit/s²; bias_variance: in units of the noise variance / s⁴.
     """
 
-    translation: Floats
-    response: Floats
+    columns: Floats
     variance: Floats
     input_part: Floats
-    index: Floats
-    bias: float
-    response_bias: float
+    index: NDArray[np.int64]
+    bias: Floats
     bias_variance: float
 
+    @property
+    def translation(self) -> Floats:
+        """Innovations (k,) of the first column."""
+        return self.columns[:, 0]
 
-@njit(cache=True, inline="always")
-def _meet(state, driven, noise, p, variance, blur):  # type: ignore[no-untyped-def]
-    """Innovations of both means at one measurement `p`, and the update of means and covariances by it.
+    @property
+    def response(self) -> Floats:
+        """Innovations (k,) of the second column."""
+        return self.columns[:, 1]
 
-    blur: what the exposure's averaging adds to the response to the acceleration.
-    """
-    total = state[P00] + variance
-    gain = (state[P00] / total, state[P01] / total, state[P02] / total)
-    first, second = p - state[X], -(driven[X] + blur)
-    input_part = noise[P00]
-    for mean, innovation in ((state, first), (driven, second)):
-        mean[X] += gain[0] * innovation
-        mean[V] += gain[1] * innovation
-        mean[B] += gain[2] * innovation
-    update_covariance(state, gain, variance)
-    update_covariance(noise, gain, 0.0)
-    return first, -second, total, input_part
+    def product(self, first: Floats, second: Floats) -> float:
+        """Sum of the products of two innovations (k,) over their variance."""
+        # Not by BLAS, whose threads cost more than these sums.
+        return float(np.sum(first * second / self.variance))
+
+    @property
+    def input_share(self) -> float:
+        """The number of innovations that are accelerometer noise: their shares summed up."""
+        return float(np.sum(self.input_part / self.variance))
+
+    @property
+    def entropy(self) -> float:
+        """Half the sum of the logarithms of the variances."""
+        return 0.5 * float(np.sum(np.log(self.variance)))
 
 
 @njit(cache=True)
-def _whiten(samples, rows, density, blur, states, out):  # type: ignore[no-untyped-def]
-    state, driven, noise = states
-    walk = density * BIAS_WALK_RATIO
-    j = 0
-    while j < len(rows) and rows[j, 0] < state[TIME]:
-        j += 1
-    count = 0
-    for k in range(len(samples)):
-        t0, a0 = driven[TIME], driven[INPUT]
-        t1, a1 = samples[k, 0], samples[k, 1]
-        dt = t1 - t0
-        lead = begin_interval(driven, dt, a0, a1)
-        reached, response = t0, (0.0, 0.0)
-        while True:
-            due = j < len(rows) and rows[j, 0] <= t1
-            if due and not rows[j, 2] < np.inf:
-                j += 1
-                continue
-            until = rows[j, 0] if due else t1
-            ahead = input_response((until - t0) / dt, dt, a0, a1, lead)
-            step = until - reached
-            advance_mean(state, step, (0.0, 0.0), (0.0, 0.0))
-            advance_mean(driven, step, response, ahead)
-            advance_covariance(state, step, density * samples[k, 2], walk)
-            advance_covariance(noise, step, density * samples[k, 2], walk)
-            reached, response = until, ahead
-            if not due:
-                break
-            now = a0 + (until - t0) / dt * (a1 - a0)
-            out[count, 0], out[count, 1], out[count, 2], out[count, 3] = _meet(
-                state, driven, noise, rows[j, 1], rows[j, 2], blur * now
-            )
-            out[count, 4] = j
-            count += 1
-            j += 1
-        driven[TIME], driven[INPUT] = t1, a1
-    return count
+def _whiten(pieces, rows, density, states, values, longer, out):  # type: ignore[no-untyped-def]
+    """Innovations take the place of `values` (m, c); out (m, 2): their variances and what accelerometer noise makes.
 
-
-def whiten(samples: Floats, rows: Floats, density: float, exposure_s: float = 0.0) -> Whitened:
-    """Run both signals through the filter.
-
-    samples (n, 3): time (s), acceleration (m/s²), relative noise density (1 where nothing was missing).
-    rows (m, 3): time on the accelerometer's clock (s), translation (px), relative variance (infinite: not used).
-    density: noise density of the acceleration times s², in (px/s²)²/Hz, per unit of relative variance.
-    exposure_s: the translation is the mean over this time, which adds exposure²/24 of the acceleration to it.
+    rows (m, 2): time and relative variance; states: covariance and that of the accelerometer noise alone; longer (m, c)
+    or (0, 0): what is added to a column's step up to a row, s. Returns the bias (c,) at the end of the pieces.
     """
-    start = samples[0, 0] - (samples[1, 0] - samples[0, 0])
-    states = tuple(initial_state(start, (0.0, 0.0, 0.0), DIFFUSE) for _ in range(3))
-    states[1][INPUT] = samples[0, 1]
-    states[2][P00:TIME] = 0.0
-    out = np.empty((len(rows), 5))
-    count = _whiten(samples, rows, density, exposure_s * exposure_s / 24.0, states, out)
-    kept = out[SETTLING:count]
-    return Whitened(
-        translation=kept[:, 0],
-        response=kept[:, 1],
-        variance=kept[:, 2],
-        input_part=kept[:, 3],
-        index=kept[:, 4],
-        bias=float(states[0][B]),
-        response_bias=float(states[1][B]),
-        bias_variance=float(states[0][P22]),
-    )
+    state, noise = states
+    walk, reached = density * BIAS_WALK_RATIO, rows[0, 0]
+    x, v, b = np.zeros(values.shape[1]), np.zeros(values.shape[1]), np.zeros(values.shape[1])
+    g, end = 0, pieces[-1, 0]
+    for j in range(len(rows) + 1):
+        until = rows[j, 0] if j < len(rows) else max(end, reached)
+        for c in range(len(x)):
+            step = until - reached
+            if j < len(longer):
+                step += longer[j, c]
+            x[c] += step * (v[c] - 0.5 * step * b[c])
+            v[c] -= step * b[c]
+        while reached < until:
+            while g < len(pieces) - 1 and pieces[g, 0] <= reached:
+                g += 1
+            ahead = min(until, reached + MAX_STEP_S)
+            if g < len(pieces) - 1:
+                ahead = min(ahead, pieces[g, 0])
+            advance_covariance(state, ahead - reached, density * pieces[g, 1], walk)
+            advance_covariance(noise, ahead - reached, density * pieces[g, 1], walk)
+            reached = ahead
+        if j == len(rows):
+            break
+        total = state[P00] + rows[j, 1]
+        gain = (state[P00] / total, state[P01] / total, state[P02] / total)
+        out[j, 0], out[j, 1] = total, noise[P00]
+        for c in range(len(x)):
+            e = values[j, c] - x[c]
+            values[j, c] = e
+            x[c] += gain[0] * e
+            v[c] += gain[1] * e
+            b[c] += gain[2] * e
+        update_covariance(state, gain, rows[j, 1])
+        update_covariance(noise, gain, 0.0)
+    return b
+
+
+def levelled(time_s: Floats, values: Floats) -> tuple[Floats, Floats]:
+    """Columns (m, c) of values without their parabolas, and these parabolas' second derivatives (c,).
+
+    A parabola is what the filter's unknown start leaves open: taken out first, it need not pass the filter.
+    """
+    middle, half = 0.5 * (time_s[0] + time_s[-1]), 0.5 * (time_s[-1] - time_s[0])
+    u = (time_s - middle) / half
+    basis, shape = np.linalg.qr(np.column_stack((np.ones(len(u)), u, u * u)))
+    share = np.einsum("mk,mc->kc", basis, values)
+    left = values - np.einsum("mk,kc->mc", basis, share)
+    return left, 2.0 * share[2] / shape[2, 2] / half**2
+
+
+def whiten_columns(
+    rows: Floats, values: Floats, pieces: Floats, density: float, *, late_s: Floats | None = None
+) -> Whitened:
+    """Run columns (m, c) of levelled values at rows (m, 2) of time (s) and relative variance through the filter.
+
+    pieces: as of `Response`; density: noise density of the acceleration times s² in units of the noise variance; late_s
+    (m, c): where the lateness of a column's stamps changes, so does the time that its states move on.
+    """
+    states = tuple(initial_state(rows[0, 0], (0.0, 0.0, 0.0), DIFFUSE) for _ in range(2))
+    states[1][P00:TIME] = 0.0
+    out, found = np.empty((len(rows), 2)), values.copy()
+    longer = np.empty((0, 0)) if late_s is None else np.diff(late_s, axis=0, prepend=late_s[:1])
+    bias = _whiten(pieces, rows, density, states, found, longer, out)
+    index = np.arange(SETTLING, len(rows))
+    return Whitened(found[SETTLING:], out[SETTLING:, 0], out[SETTLING:, 1], index, bias, states[0][P22])
+
+
+def usable(rows: Floats, offset_s: float, span_s: tuple[float, float]) -> NDArray[np.int64]:
+    """Which rows (m, 3) of time, value and variance are used and, so much later, lie within the acceleration."""
+    time_s = rows[:, 0] + offset_s
+    return np.flatnonzero(np.isfinite(rows[:, 2]) & (time_s >= span_s[0]) & (time_s <= span_s[1]))

@@ -32,17 +32,11 @@ def command(recording: str, output: str | None, tracker: str | None, quiet: bool
 
 def describe(console: Console, tree: dict) -> None:  # type: ignore[type-arg]
     """Print a calibration's values with their standard deviations."""
-    rows = []
-    displacement, acceleration = tree.get("displacement"), tree["accelerometer"]
-    for name in ("camera", "infrared"):
-        rows += _camera(tree[name], name) if name in tree else []
-    rows += _radar(tree["radar"]) if "radar" in tree else []
-    if displacement:
-        rows += [
-            ("displacement noise", f"{displacement['noise_std_mm']:.3g} mm per measurement"),
-            ("displacement clock offset", _offset(displacement)),
-            *_sensor_scale(displacement),
-        ]
+    rows, acceleration = [], tree["accelerometer"]
+    for kind, described in DESCRIBED.items():
+        listed = tree.get(kind, [])
+        for part in listed if isinstance(listed, list) else [listed]:
+            rows += described(part, part.get("name") or kind)
     rows += [
         ("accelerometer noise", f"{1e3 * acceleration['noise_std_m_s2']:.3g} mm/s² per sample"),
         ("accelerometer bias", _bias(acceleration)),
@@ -55,18 +49,22 @@ def _bias(acceleration: dict) -> str:  # type: ignore[type-arg]
     return f"{1e3 * value:.4g}" + (" mm/s²" if std is None else f" ± {1e3 * std:.2g} mm/s²")
 
 
-def _sensor_scale(displacement: dict) -> list[tuple[str, str]]:  # type: ignore[type-arg]
-    """The scale of a displacement sensor, where it was learnt."""
+def _displacement(displacement: dict, name: str) -> list[tuple[str, str]]:  # type: ignore[type-arg]
+    """The rows of a displacement sensor; its scale where it was learnt."""
+    rows = [
+        (f"{name} noise", f"{displacement['noise_std_mm']:.3g} mm per measurement"),
+        (f"{name} clock offset", _offset(displacement)),
+    ]
     if "scale" not in displacement:
-        return []
+        return rows
     scale, std = displacement["scale"], displacement["scale_std"]
-    return [("displacement scale", f"{scale:.5g} ± {std:.2g} ({100 * std / abs(scale):.2g} %)")]
+    return [*rows, (f"{name} scale", f"{scale:.5g} ± {std:.2g} ({100 * std / abs(scale):.2g} %)")]
 
 
 def _camera(camera: dict, name: str) -> list[tuple[str, str]]:  # type: ignore[type-arg]
     """The rows of a camera of light or infrared."""
     scale, std = camera["scale_mm_per_px"], camera["scale_std_mm_per_px"]
-    whose = "infrared " if name == "infrared" else ""
+    whose = "" if name == "camera" else f"{name} "
     seen = camera.get("temperature_range_c")
     return [
         (f"{whose}scale factor", f"{scale:.5g} ± {std:.2g} mm/px ({100 * std / abs(scale):.2g} %)"),
@@ -82,17 +80,17 @@ def _camera(camera: dict, name: str) -> list[tuple[str, str]]:  # type: ignore[t
     ]
 
 
-def _radar(radar: dict) -> list[tuple[str, str]]:  # type: ignore[type-arg]
+def _radar(radar: dict, name: str) -> list[tuple[str, str]]:  # type: ignore[type-arg]
     """The rows of a radar: what holds for all its targets, then one row for each that was found."""
     factor, std = radar["conversion_factor"], radar["conversion_factor_std"]
     rows = [
-        ("radar conversion factor", f"{factor:.5g} ± {std:.2g} ({100 * std / abs(factor):.2g} %)"),
-        ("radar clock offset", _offset(radar)),
-        ("radar noise", f"{radar['noise_std_mm']:.2g} mm per frame"),
+        (f"{name} conversion factor", f"{factor:.5g} ± {std:.2g} ({100 * std / abs(factor):.2g} %)"),
+        (f"{name} clock offset", _offset(radar)),
+        (f"{name} noise", f"{radar['noise_std_mm']:.2g} mm per frame"),
     ]
     for number, target in enumerate(radar["targets"], start=1):
         place = f"at {target['range_m']:.2f} m" if target["range_m"] is not None else f"{number}"
-        rows.append((f"radar target {place}", _radar_target(target)))
+        rows.append((f"{name} target {place}", _radar_target(target)))
     return rows
 
 
@@ -129,3 +127,7 @@ def _offset(tree: dict) -> str:  # type: ignore[type-arg]
     std = tree["time_offset_std_s"]
     known = "not determined by the motion" if std is None or not math.isfinite(std) else f"± {1e3 * std:.2g} ms"
     return f"{1e3 * tree['time_offset_s']:+.2f} ms {known}"
+
+
+# How the part of each kind of sensor is printed.
+DESCRIBED = {"camera": _camera, "infrared": _camera, "radar": _radar, "displacement": _displacement}

@@ -1,5 +1,7 @@
 """`midspan check-config FILE`."""
 
+from typing import Any
+
 import click
 
 from midspan.cli.console import Console, common_options
@@ -15,13 +17,18 @@ def command(file: str, quiet: bool, as_json: bool) -> None:
     console = Console(quiet, as_json)
     path, settings = settings_file(file), load_settings(file)
     missing = []
-    for section in ("accelerometer", "camera", "infrared", "radar", "displacement", "reference"):
-        part = getattr(settings, section)
-        if part is not None and not any(sign in part.file for sign in "*?[") and not (path.parent / part.file).exists():
-            missing.append(f"{path}: {section}.file = {part.file!r}: no such file yet.")
-    radar = settings.radar
-    if radar is not None and radar.config is not None and not (path.parent / radar.config).exists():
-        missing.append(f"{path}: radar.config = {radar.config!r}: no such file yet.")
+    sections = (
+        ("accelerometer", settings.accelerometer),
+        *((sensor.name, sensor.settings) for sensor in settings.sensors),
+        ("reference", settings.reference),
+    )
+    for name, part in sections:
+        for key in ("file", "config"):
+            file_name = getattr(part, key, None)
+            if file_name is None or any(sign in file_name for sign in "*?["):
+                continue
+            if not (path.parent / file_name).exists():
+                missing.append(f"{path}: {name}.{key} = {file_name!r}: no such file yet.")
     console.say(f"{path}: valid.")
     console.table((key, str(value)) for key, value in _flat(settings.model_dump(exclude_none=True)))
     console.warn(missing)
@@ -30,8 +37,13 @@ def command(file: str, quiet: bool, as_json: bool) -> None:
     )
 
 
-def _flat(tree: dict[str, object], prefix: str = "") -> list[tuple[str, object]]:
-    rows: list[tuple[str, object]] = []
+def _flat(tree: dict[str, Any], prefix: str = "") -> list[tuple[str, Any]]:
+    rows: list[tuple[str, Any]] = []
     for key, value in tree.items():
-        rows += _flat(value, f"{prefix}{key}.") if isinstance(value, dict) else [(prefix + key, value)]
+        if isinstance(value, dict):
+            rows += _flat(value, f"{prefix}{key}.")
+        elif isinstance(value, list | tuple) and any(isinstance(one, dict) for one in value):
+            rows += _flat({f"{key}[{count}]": one for count, one in enumerate(value, start=1)}, prefix)
+        else:
+            rows.append((prefix + key, value))
     return rows

@@ -20,10 +20,10 @@ def command(result: str, reference: str, quiet: bool, as_json: bool, **options: 
     REFERENCE is a file with time and displacement, or a recording with a [reference] section. Both must be on the
     accelerometer's clock. The error is result minus reference.
     """
-    from midspan.evaluate.result_file import compare_files
+    from midspan.evaluate.result_file import compare as compare_results
 
     console = Console(quiet, as_json)
-    figures = compare_files(result, reference, unit=options["unit"], axis=options["axis"]).to_dict()
+    figures = compare_results(result, reference, unit=options["unit"], axis=options["axis"]).to_dict()
     show(console, figures)
     console.document(figures)
 

@@ -18,7 +18,7 @@ def command(output: str, seed: int, quiet: bool, as_json: bool) -> None:
     from midspan.cli import compare, estimate, inspect
     from midspan.cli.calibrate import describe
     from midspan.cli.targets import check_result
-    from midspan.evaluate.result_file import compare_files
+    from midspan.evaluate.result_file import compare as compare_results
     from midspan.evaluate.simulated import least_error_mm
     from midspan.recording.calibrate import calibrate_and_track
     from midspan.recording.estimate import estimate as run_estimate
@@ -46,10 +46,10 @@ def command(output: str, seed: int, quiet: bool, as_json: bool) -> None:
     console.say("\n4. estimate")
     result = run_estimate(recording, calibration, tracking=tracking, progress=console.progress)
     result.save(folder / "result.csv")
-    estimate.write_report(result, folder / "report.html", recording.reference, console)
+    estimate.write_report(result, folder / "report.html", (recording.reference, None), console)
     estimate.show(Console(quiet or as_json, False), result, [str(folder / "result.csv"), str(folder / "report.html")])
     console.say("\n5. compare with the truth")
-    figures = compare_files(folder / "result.csv", place / "truth.csv").to_dict()
+    figures = compare_results(folder / "result.csv", place / "truth.csv").to_dict()
     compare.show(console, figures)
     bound = least_error_mm(result)
     ratio = figures["rmse_mm"] / bound

@@ -37,14 +37,15 @@ def command(recording: str, quiet: bool, as_json: bool, **options: Any) -> None:
     output = check_result(options["output"] or opened.folder / "result.csv", opened)
     check_target(output)
     report = report_path(options["report"])
-    reference = opened.reference if report and opened.has("reference") else None
+    compared = report is not None and opened.has("reference")
+    references = (opened.reference, opened.reference_across) if compared else (None, None)
     calibration = load_calibration(options["calibration_file"]) if options["calibration_file"] else None
     result = estimate(opened, calibration, progress=console.progress)
     console.done()
     written = [str(output)]
     if report is not None:
         # The report comes first: should it fail, no result stands under its final name.
-        write_report(result, report, reference, console)
+        write_report(result, report, references, console)
         written.append(str(report))
     result.save(output)
     show(console, result, written)
@@ -69,12 +70,14 @@ def open_with(recording: str, tracker: str | None, method: str | None = None, li
     return opened
 
 
-def write_report(result: "Result", path: Path, reference: "TimeSeries | None", console: Console) -> None:
-    """The HTML report."""
+def write_report(
+    result: "Result", path: Path, references: "tuple[TimeSeries | None, TimeSeries | None]", console: Console
+) -> None:
+    """The HTML report; references: along the main and the second axis."""
     from midspan.report.report import write_report as write
 
     console.progress(0, 1, "writing the report")
-    write(result, path, reference)
+    write(result, path, *references)
     console.done()
 
 

@@ -8,17 +8,6 @@ import click
 
 from midspan.cli.console import Console, common_options
 
-STREAMS = (
-    "accelerometer",
-    "accelerometer_x",
-    "accelerometer_y",
-    "camera",
-    "infrared",
-    "radar",
-    "displacement",
-    "reference",
-)
-
 
 @click.command("inspect")
 @click.argument("recording", type=click.Path())
@@ -47,9 +36,9 @@ def command(recording: str, all_frames: bool, quiet: bool, as_json: bool) -> Non
 def show(console: Console, tree: dict[str, Any]) -> None:
     """Print what `inspect_recording` found."""
     console.say(f"{tree['name']} ({tree['recording']})")
-    for section in STREAMS:
-        if section in tree:
-            _show_stream(console, section, tree[section])
+    for section, branch in tree.items():
+        if isinstance(branch, dict) and "file" in branch:
+            _show_stream(console, section, branch)
     _show_overlap(console, tree["overlap"])
 
 

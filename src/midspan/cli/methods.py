@@ -14,7 +14,8 @@ def command(quiet: bool, as_json: bool) -> None:
 
     console = Console(quiet, as_json)
     trackers = {name: entry.use for name, entry in TRACKERS.items()}
-    for title, table, default in (("trackers", trackers, DEFAULT_TRACKER), ("fusion methods", METHODS, DEFAULT_METHOD)):
+    methods = {name: row.use for name, row in METHODS.items()}
+    for title, table, default in (("trackers", trackers, DEFAULT_TRACKER), ("fusion methods", methods, DEFAULT_METHOD)):
         console.say(f"{title} (default: {default}):")
         console.table(table.items())
         console.say()
@@ -22,7 +23,7 @@ def command(quiet: bool, as_json: bool) -> None:
         {
             "trackers": trackers,
             "default_tracker": DEFAULT_TRACKER,
-            "methods": METHODS,
+            "methods": methods,
             "default_method": DEFAULT_METHOD,
         }
     )

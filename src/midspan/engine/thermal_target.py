@@ -8,12 +8,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from midspan.records import Event, Frame, PixelTranslation, Prediction, Region
+from midspan.records import Frame, PixelTranslation, Prediction, Region, Status
 from midspan.thermal.cleaning import Cleaned, CleaningState, ThermalCleaner
 from midspan.thermal.limits import Limits
 from midspan.thermal.temperature_range import grey
 from midspan.vision.target import lost
-from midspan.vision.tracker import Coverable, Learner, PhaseGain, Telling, Tracker
+from midspan.vision.tracker import Tracker
 
 # Temperatures of another kind on more than this share of the target are a thing in front (one in a hundred pixels is
 # its own tail); it pulls by its share of so many px: 0.17 to 0.3 px were seen with a tenth to a half covered.
@@ -31,29 +31,19 @@ class ThermalTargetState:
     tracker: Any
 
 
-class ThermalTarget:
+class ThermalTarget(Tracker):
     """A tracker behind a cleaner of temperatures; its `reference` is the frame in °C as the camera gave it.
 
     Frames with the shutter closed are LOST. levels: the range shown in 256 grey levels; None: temperatures as they are.
     """
 
     def __init__(self, reference: Frame, region: Region, opener: Opener, levels: Limits | None = None) -> None:
-        self._reference, self.levels = reference, levels
+        super().__init__(reference, region)
+        self.levels = levels
         # The reference is tracked once more as the first frame: a watch that had seen it would call it frozen.
         ready = self._ready(ThermalCleaner(reference, region), reference, region)
         self.tracker = opener(reference if ready is None else ready)
         self._cleaner = ThermalCleaner(reference, region)
-        self._events: list[Event] = []
-
-    @property
-    def reference(self) -> Frame:
-        """The frame that the translation counts from, in °C."""
-        return self._reference
-
-    @property
-    def region(self) -> Region:
-        """The target's region in the reference frame."""
-        return self.tracker.region
 
     @property
     def region_now(self) -> Region:
@@ -79,29 +69,43 @@ class ThermalTarget:
         self._cleaner.restore(state.cleaner)
         self.tracker.restore(state.tracker)
 
-    def take_events(self) -> list[Event]:
-        """What happened since this was last called: shutters, steps of the level, reference frames."""
-        told, self._events = self._events, []
-        if isinstance(self.tracker, Telling):
-            told += self.tracker.take_events()
-        return told
-
     def push(self, frame: Frame, prediction: Prediction | None = None) -> PixelTranslation:
-        """Measure the translation (px) in `frame`, which is in °C; LOST while the shutter is closed."""
+        """Measure the translation (px) in `frame`, which is in °C; LOST while the shutter is closed.
+
+        Its events tell of shutters and steps of the level besides the tracker's own. What a thing in front pulls the
+        result by stays the same for many frames: it is part of the reference's variance.
+        """
         cleaned = self._cleaner.push(frame, self.tracker.region_now)
-        self._events += cleaned.events
         ready = self._shown(cleaned, frame)
         if ready is None:
-            return lost(frame.time_ns)
+            return lost(frame.time_ns, tuple(cleaned.events))
         covered = max(cleaned.foreign - USUAL_SHARE, 0.0)
-        if isinstance(self.tracker, Coverable):
-            self.tracker.covered = covered
-        found = self.tracker.push(ready, prediction)
+        found = self.tracker.push(replace(ready, covered=covered), prediction)
         if covered == 0.0:
             self._cleaner.tracked(found)
-            return found
-        more = (COVERED_PX * covered) ** 2
-        return replace(found, variance_x_px2=found.variance_x_px2 + more, variance_y_px2=found.variance_y_px2 + more)
+        more = (COVERED_PX * covered) ** 2 if found.status is Status.TRACKING else 0.0
+        return replace(
+            found,
+            reference_variance_x_px2=found.reference_variance_x_px2 + more,
+            reference_variance_y_px2=found.reference_variance_y_px2 + more,
+            events=(*cleaned.events, *found.events),
+        )
+
+    @property
+    def frames_to_learn(self) -> int:
+        """How many frames the tracker can learn from."""
+        return self.tracker.frames_to_learn
+
+    def learn(self, frames: Sequence[Frame]) -> Any:
+        """Let the tracker learn from frames in °C, in the order of their times; closed ones are left out."""
+        cleaner = ThermalCleaner(self.reference, self.region)
+        ready = [self._ready(cleaner, frame, self.region) for frame in frames]
+        return self.tracker.learn([frame for frame in ready if frame is not None])
+
+    @property
+    def phase_gain_px_per_rad(self) -> tuple[float, float] | None:
+        """The tracker's translation by mean phase along x and y, px/rad."""
+        return self.tracker.phase_gain_px_per_rad
 
     def _ready(self, cleaner: ThermalCleaner, frame: Frame, region: Region) -> Frame | None:
         """The frame as the tracker gets it, None with the shutter closed."""
@@ -112,46 +116,3 @@ class ThermalTarget:
         if cleaned.frame is None or self.levels is None:
             return cleaned.frame
         return Frame(frame.time_ns, grey(frame.pixels, self.levels), frame.index)
-
-
-class ThermalLearner(ThermalTarget):
-    """A tracker of temperatures that knows its target better from frames in which it moves."""
-
-    tracker: Any
-
-    @property
-    def frames_to_learn(self) -> int:
-        """How many frames are worth learning from."""
-        return int(self.tracker.frames_to_learn)
-
-    def learn(self, frames: Sequence[Frame]) -> Any:
-        """Let the tracker learn from frames in °C, in the order of their times; closed ones are left out."""
-        cleaner = ThermalCleaner(self._reference, self.region)
-        ready = [self._ready(cleaner, frame, self.region) for frame in frames]
-        return self.tracker.learn([frame for frame in ready if frame is not None])
-
-
-class ThermalPhaseTarget(ThermalLearner):
-    """A tracker of phase in temperatures."""
-
-    @property
-    def phase_gain_px_per_rad(self) -> tuple[float, float]:
-        """Translation by mean phase along x and y, px/rad, signed."""
-        x, y = self.tracker.phase_gain_px_per_rad
-        return float(x), float(y)
-
-
-def thermal_target(reference: Frame, region: Region, opener: Opener, levels: Limits | None = None) -> ThermalTarget:
-    """The target of `region` (px) in the frame `reference` in °C, tracked by what `opener` opens on it.
-
-    levels: see `ThermalTarget`. What is returned learns, or measures phase, where the tracker does.
-    """
-    made = ThermalTarget(reference, region, opener, levels)
-    kind = ThermalTarget
-    if isinstance(made.tracker, PhaseGain):
-        kind = ThermalPhaseTarget
-    elif isinstance(made.tracker, Learner):
-        kind = ThermalLearner
-    # The tracker may have cost seconds to open.
-    inner = made.tracker
-    return made if kind is ThermalTarget else kind(reference, region, lambda _: inner, levels)

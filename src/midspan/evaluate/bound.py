@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from midspan.checks import option, positive
-from midspan.fusion.kalman import KalmanSettings
-from midspan.fusion.runners import MethodSettings, run_method
+from midspan.fusion.runners import run_method
+from midspan.fusion.streams import NO_ERRORS, KalmanSettings, MethodSettings
 from midspan.records import Acceleration, Displacement, Floats, Nanoseconds, Source, nanoseconds
 
 # The bound's stretch is left to settle by this many periods of the corner before it is called stationary.
@@ -96,15 +96,19 @@ def variance_rows(
 ) -> Floats:
     """Least variance (n,) in m² at each of the n samples, for the stamps, densities and variances of these blocks.
 
-    The values do not matter: the recursion is run on zeros, so that nothing is rejected. A measurement whose value or
-    variance is not finite stays unused. settings: what is known of bias and start; left out: the filter's own.
+    Infinite before the first measurement. The values do not matter: the recursion is run on zeros, with the noise as
+    declared. A measurement whose value or variance is not finite stays unused. settings: what is known of bias and
+    start; left out: the filter's own.
     """
     option("method", method, OPTIMAL)
     usable = np.isfinite(displacement.value_m)
     zero = replace(displacement, value_m=np.where(usable, 0.0, np.nan))
     quiet = replace(acceleration, value_m_s2=np.zeros(len(acceleration.time_ns)))
-    settings = replace(settings or KalmanSettings(), bias=0.0)
-    return run_method(method, quiet, zero, MethodSettings(kalman=settings, lag_s=lag_s)).estimate.variance_m2
+    settings = replace(settings or KalmanSettings(), bias=0.0, rates=NO_ERRORS, noise_memory=np.inf)
+    rows = run_method(method, quiet, zero, MethodSettings(kalman=settings, lag_s=lag_s)).estimate
+    variance = np.full(len(acceleration.time_ns), np.inf)
+    variance[np.searchsorted(acceleration.time_ns, rows.time_ns)] = rows.variance_m2
+    return variance
 
 
 def zeroed_bound(

@@ -9,7 +9,7 @@ from midspan.checks import positive, same_length
 from midspan.errors import DataError, UsageError
 from midspan.evaluate.interpolation import Piecewise, piecewise, step_of
 from midspan.evaluate.lag import correlation, find_lag
-from midspan.fusion.gate import REJECTED
+from midspan.fusion.blocks import REJECTED
 from midspan.recording.streams.span import shown
 from midspan.records import Floats, Innovation, Nanoseconds, TimeSeries, seconds
 

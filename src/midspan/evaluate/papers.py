@@ -12,19 +12,22 @@ from typing import Any
 
 import numpy as np
 
-from midspan.engine.monitor import AxisLoop, CameraScale, Monitor
-from midspan.fusion.kalman import KalmanFilter, KalmanSettings
+from midspan.engine.scale import CameraScale
+from midspan.fusion.streams import KalmanFilter, KalmanSettings
 from midspan.recording.calibrate import calibrate_and_track
 from midspan.recording.estimate import estimate
 from midspan.recording.streams.recording import open_recording
-from midspan.records import Acceleration, Floats, Frame, PixelTrack, PixelTranslation, part
+from midspan.records import Acceleration, Floats, Frame, PixelTrack, PixelTranslation, Prediction, part
 from midspan.simulate.scenarios.papers import ACCELEROMETER, CALIBRATION, Film
 from midspan.sources.camera.formats import open_frames
 from midspan.sources.camera.frames import FrameRequest
-from midspan.vision.tracker import Learner, Tracker, open_tracker
+from midspan.vision.tracker import Tracker, open_tracker
 
 # What the displacement that the scale factor is fitted to is off by, as a share of its size; as of an accelerometer.
 REFERENCE_NOISE = 0.0015
+# A prediction is trusted to no better than this, so that the search never narrows to nothing; across the measured axis
+# nothing predicts, and the motion there is small.
+LEAST_STD_PX, ACROSS_STD_PX = 0.5, 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +69,7 @@ def camera_alone(film: Film, frames: Sequence[Frame], *, tracker: str, settings:
     """
     count = int(np.searchsorted(film.stamps_s + film.time_offset_s, film.spans[CALIBRATION][1]))
     follower = open_tracker(tracker, frames[0], film.region, settings)
-    if isinstance(follower, Learner):
+    if follower.frames_to_learn:
         follower.learn(frames[:count])
     begun = PixelTrack.stack([follower.push(frame) for frame in frames[:count]])
     scale = _fitted_scale(film, begun)
@@ -89,23 +92,37 @@ def _fitted_scale(film: Film, track: PixelTrack) -> float:
 
 def _with_predictions(film: Film, frames: Sequence[Frame], tracker: Tracker, begun: tuple[PixelTrack, float]) -> Floats:
     """Translation (n,) in px in frames that are looked for where the filter expects it; `begun`: track and scale."""
-    offset_ns = round(1e9 * film.time_offset_s)
-    scale = CameraScale(begun[1], film.scene.direction, offset_ns)
+    track, scale_m_per_px = begun
+    along = film.scene.direction
+    scale = CameraScale(scale_m_per_px, along, round(1e9 * film.time_offset_s))
     series = film.acceleration
-    kalman = KalmanFilter(KalmanSettings(bias=float(np.mean(series.value))))
-    loop = AxisLoop((scale,), kalman)
-    loop.start(scale.displacement(begun[0]), np.zeros(1))
-    monitor = Monitor((tracker,), (loop,))
     density = ACCELEROMETER.noise_std_m_s2**2 / ACCELEROMETER.rate_hz
     acceleration = Acceleration(series.time_ns, series.value, np.full(len(series.time_ns), density))
+    kalman = KalmanFilter(KalmanSettings(bias=float(np.mean(series.value))))
+    kalman.push(scale.displacement(track))
     found: list[PixelTranslation] = []
-    pushed = 0
+    pushed, across_px = 0, 0.0
     for frame in frames:
-        due = int(np.searchsorted(series.time_ns, frame.time_ns + offset_ns, side="right"))
-        monitor.push(part(acceleration, slice(pushed, due)))
+        at_ns = frame.time_ns + scale.time_offset_ns
+        due = int(np.searchsorted(series.time_ns, at_ns, side="right"))
+        kalman.push(part(acceleration, slice(pushed, due)))
         pushed = due
-        found += [item for item in monitor.push(frame) if isinstance(item, PixelTranslation)]
-    return PixelTrack.stack(found).along(film.scene.direction)[0]
+        found.append(tracker.push(frame, _expected(kalman.predict(at_ns), scale, across_px)))
+        kalman.push(scale.displacement(PixelTrack.stack(found[-1:])))
+        across = found[-1].y_px if along == "x" else found[-1].x_px
+        across_px = across if np.isfinite(across) else across_px
+    return PixelTrack.stack(found).along(along)[0]
+
+
+def _expected(predicted: tuple[float, float], scale: CameraScale, across_px: float) -> Prediction | None:
+    """Where a displacement (m, with its variance) is in the picture; across its axis where it was last."""
+    std = max(float(np.sqrt(predicted[1])) / abs(scale.scale_m_per_px), LEAST_STD_PX)
+    if not np.isfinite(std):
+        return None
+    value = predicted[0] / scale.scale_m_per_px
+    if scale.direction == "x":
+        return Prediction(value, across_px, std, ACROSS_STD_PX)
+    return Prediction(across_px, value, ACROSS_STD_PX, std)
 
 
 def by_excitation(film: Film, time_s: Floats, error_mm: Floats) -> dict[str, float]:
@@ -130,7 +147,6 @@ def fused(film: Film, folder: Path, *, tracker: str, methods: Sequence[str]) -> 
         name, _, literal = method.partition(" as ")
         asked = open_recording(folder, camera={"tracker": tracker}, fusion={"method": name, "literal": bool(literal)})
         result = estimate(asked, calibration, method=name, tracking=tracking)
-        tracking = result.tracking
         time_s = result.estimate.time_ns / 1e9
         error_mm = 1e3 * (result.estimate.displacement_m - film.truth_m(time_s))
         after = time_s >= film.spans[CALIBRATION][1]

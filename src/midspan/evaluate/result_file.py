@@ -1,4 +1,4 @@
-"""Results and references from files, and their comparison."""
+"""Results and references, of files or in memory, and their comparison."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -8,7 +8,9 @@ import numpy as np
 
 from midspan.checks import option
 from midspan.errors import DataError, UsageError
-from midspan.evaluate.metrics import MAX_LAG_S, Comparison, compare
+from midspan.evaluate import metrics
+from midspan.evaluate.metrics import MAX_LAG_S, Comparison
+from midspan.recording.result import Result
 from midspan.records import Floats, TimeSeries
 from midspan.settings.load import RECORDING_FILE
 from midspan.sinks.pair import mismatch
@@ -59,6 +61,16 @@ def column_of(names: Sequence[str], axis: str | None) -> str | None:
         return main
     own = _own(option("axis", axis, ("x", "y")))
     return own if own in names else main
+
+
+def _of_result(result: Result, axis: str | None) -> StoredResult:
+    """The displacement of a result in memory along an image axis; None: the main one."""
+    if axis is not None and result.across is None:
+        raise UsageError(f"axis = {axis!r}: the result has one axis only. Leave the axis out.")
+    rows = result.estimate
+    if result.across is not None and option("axis", axis or result.axis, ("x", "y")) == result.across.axis:
+        rows = result.across.estimate
+    return StoredResult(TimeSeries(rows.time_ns, rows.displacement_m), np.sqrt(rows.variance_m2))
 
 
 def _own(axis: str) -> str:
@@ -129,26 +141,31 @@ def read_reference(path: str | Path, unit: str | None = None, axis: str | None =
     return across
 
 
-def compare_files(
-    result: str | Path,
+def compare(
+    result: Result | str | Path,
     reference: str | Path,
     *,
     unit: str | None = None,
     axis: str | None = None,
     max_lag_s: float = MAX_LAG_S,
 ) -> Comparison:
-    """Compare the displacement of a result file with a reference's.
+    """Compare the displacement of a result with a reference over their common span, as `midspan compare` does.
 
-    result: any file of `read_result`; reference: a file, or a recording with [reference]; unit: of the displacement of
-    files that do not say it; axis: "x" or "y", of a result with both; max_lag_s: largest lag looked for, s. Raises as
-    `read_result` and `compare` do.
+    result: what `estimate` returned, or any file of `read_result`; reference: a file, or a recording with [reference];
+    unit: of the displacement of files that do not say it; axis: "x" or "y", of a result with both; max_lag_s: largest
+    lag looked for, s. Raises UsageError for an axis that there is not, DataError for files that cannot be read or have
+    no instants in common.
     """
-    stored = read_result(result, axis=_of_both(Path(result), axis))
-    if axis is not None and _own(axis) in list_channels(Path(result)).names:
+    if isinstance(result, Result):
+        stored, second = _of_result(result, axis), result.across is not None and result.across.axis == axis
+    else:
+        stored = read_result(result, axis=_of_both(Path(result), axis))
+        second = axis is not None and _own(axis) in list_channels(Path(result)).names
+    if axis is not None and second:
         _refuse_other_axis(Path(reference), axis)
     wanted = read_reference(reference, unit, axis)
-    found = compare(stored.series, wanted, std_m=stored.std_m, max_lag_s=max_lag_s)
+    found = metrics.compare(stored.series, wanted, std_m=stored.std_m, max_lag_s=max_lag_s)
     assumed = [line for line in (*stored.series.notes, *wanted.notes) if line.endswith("assumed.")]
     assumed += [f"{line}." for line in (*stored.series.damage, *wanted.damage)]
-    apart = [line for path in (result, reference) if (line := mismatch(Path(path)))]
+    apart = [line for path in (result, reference) if not isinstance(path, Result) and (line := mismatch(Path(path)))]
     return replace(found, notes=(*apart, *assumed, *found.notes))

@@ -22,12 +22,13 @@ def least_error_mm(result: Result) -> float:
     """
     recording, camera = result.recording, result.calibration.first_camera
     file = None if recording is None else recording.folder / KNOWN_FILE
-    if recording is None or file is None or not file.is_file() or camera is None or result.track is None:
+    track = result.track
+    if recording is None or file is None or not file.is_file() or camera is None or track is None:
         raise UsageError("The least error is only known for a simulated recording with a camera (with its known.json).")
     known: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
     bounds = pixel_bound(known["scenario"], camera.region, seed=known["seed"])
     std_m = bounds["xy".index(camera.direction)] * abs(known["camera"]["scale_mm_per_px"]) / 1e3
-    camera_ns = result.track.time_ns + round(1e9 * known["camera"]["time_offset_s"])
+    camera_ns = track.time_ns + round(1e9 * known["camera"]["time_offset_s"])
     prepared = recording.prepared
     density = known["accelerometer"]["noise_std_m_s2"] ** 2 / prepared.rate_hz
     n, m = len(prepared.time_ns), len(camera_ns)

@@ -1,55 +1,159 @@
-"""`adaptive-kalman`: the noise of the displacement is learnt from measurement to measurement.
+"""`adaptive-kalman` exactly as printed: the noise of the displacement is learnt from frame to frame.
 
-The literal form is the adaptive multirate filter of Ma, Choi and Sohn, Computer-Aided Civil and Infrastructure
-Engineering 37 (2022) 688-703, doi 10.1111/mice.12767, equations 7 to 26: displacement and velocity, the acceleration
-held over each sample, and the noise variance by equation 20, which can become negative and runs away under a bias
-(docs/methods.md). The guarded form, the default, is the filter of `kalman` (Numerov input, bias, gate) with the
-variance learnt in the residual form of Mohamed and Schwarz (1999, doi 10.1007/s001900050236) within limits that
-successive differences of the innovations set.
+The adaptive multirate filter of Ma, Choi and Sohn, Computer-Aided Civil and Infrastructure Engineering 37 (2022)
+688-703, doi 10.1111/mice.12767, equations 7 to 26: displacement and velocity, the acceleration held over each sample,
+and the noise variance by equation 20, which can become negative and runs away under a bias (docs/methods.md). Letters
+as there: G the covariance before a frame, K the gain, R the noise variance of a frame, beta the forgetting factor.
+The guarded form is the estimator with a memory of as many measurements.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numba import njit
 
 from midspan.checks import refuse
-from midspan.fusion.adaptive_printed import printed_block
-from midspan.fusion.adaptive_recursion import (
-    ADAPTIVE_SIZE,
-    BEYOND,
-    LAST,
-    MEDIAN_STEP,
-    MET_COLUMNS,
-    MET_INNOVATION,
-    MET_NOISE,
-    MET_TOTAL,
-    MET_VERDICT,
-    NOISE,
-    SPREAD,
-    SQUARED,
-    UNUSED,
-    guarded_block,
-)
-from midspan.fusion.events import GateEvents, gate_events
-from midspan.fusion.gate import NORMAL_MEDIAN
-from midspan.fusion.kalman import KalmanSettings, Output, due_rows
-from midspan.fusion.smoother import Smoothed, empty_estimate
-from midspan.fusion.state_space import P11, TIME, B
-from midspan.fusion.waiting import Waiting
-from midspan.records import (
-    Acceleration,
-    Displacement,
-    Estimate,
-    Floats,
-    Innovation,
-    joined,
-    nanoseconds,
-    part,
-)
+from midspan.fusion.blocks import ACCEPTED
+from midspan.fusion.streams import KalmanSettings, MethodSettings, Smoothed, filtered
+from midspan.records import Acceleration, Displacement, Estimate, Floats, Innovation, Source, Status, part, seconds
 
-BLOCK = 131072
-# The frames' noise is first taken for half of this many times the declared one; it falls by a tenth a frame.
-FIRST_STEP = 8.0
+# The state vector: displacement, velocity, the bias that is taken off, covariance, time and the acceleration held; the
+# noise variance R of a frame, the running mean of the innovation's square beyond the declared noise (m²); how many
+# frames were used, when the last one, and its source.
+X, V, B, P00, P01, P11, TIME, INPUT, NOISE, BEYOND, COUNT, LAST_ACCEPTED, SOURCE = range(13)
+STATE_SIZE = 13
+# What is left for each frame.
+MET_INNOVATION, MET_TOTAL, MET_NOISE, MET_USED = range(4)
+MET_COLUMNS = 4
+# And of each sample.
+ROW_X, ROW_VARIANCE, ROW_VELOCITY, ROW_ACCEPTED, ROW_SOURCE = range(5)
+# Memory of the error beyond the noise: 20 frames.
+MEMORY = 0.95
+# Equation 20 as printed begins with this frame: while the start is settling, its variance is many times the noise's.
+FIRST_FRAMES = 10.0
+
+
+@njit(cache=True, inline="always")
+def _held(s, dt, a):  # type: ignore[no-untyped-def]
+    """Equation 7: A(dt) x + B(dt) a."""
+    s[X] += dt * s[V] + 0.5 * dt * dt * a
+    s[V] += dt * a
+
+
+@njit(cache=True, inline="always")
+def _moved(p, dt, noise):  # type: ignore[no-untyped-def]
+    """Equation 8: A(dt) P A(dt)' + noise B(dt) B(dt)' of P = (P11, P12, P22)."""
+    half = 0.5 * dt * dt
+    p01 = p[1] + dt * p[2]
+    return (
+        p[0] + dt * (p[1] + p01) + noise * half * half,
+        p01 + noise * half * dt,
+        p[2] + noise * dt * dt,
+    )
+
+
+@njit(cache=True, error_model="numpy")
+def _declare(s, frames, j):  # type: ignore[no-untyped-def]
+    """The first usable frame's declared variance starts the noise; the first position is known no better than that."""
+    for i in range(j, len(frames)):
+        if frames[i, 2] < np.inf:
+            s[NOISE] = frames[i, 2]
+            s[P00] += frames[i, 2]
+            return
+
+
+@njit(cache=True, inline="always")
+def _follow_beyond(s, eta, g00, declared):  # type: ignore[no-untyped-def]
+    """Follow how far innovations exceed what G and the declared noise explain.
+
+    The mean of all so far until the memory is full: what the first frame finds is the start's own error. While the
+    start settles, the variance G is too wide to be taken off.
+    """
+    beyond = eta * eta - declared - g00
+    if s[COUNT] <= FIRST_FRAMES:
+        beyond = max(beyond, -declared)
+    kept = min(MEMORY, 1.0 - 1.0 / s[COUNT])
+    s[BEYOND] = kept * s[BEYOND] + (1.0 - kept) * beyond
+
+
+@njit(cache=True, error_model="numpy")
+def _frames_as_printed(s, frames, j, met, interval, beta):  # type: ignore[no-untyped-def]
+    """Type II and III: the frames of an interval (its end, a_k, q), then on to the end by equations 21 to 26.
+
+    W1 and W2 carry what state and acceleration noise at the interval's start have become, N what the frames' own noise
+    has; for one frame they are equations 23 to 25, and more frames in one interval go on from there.
+    """
+    t1, a, q = interval
+    if np.isnan(s[NOISE]):
+        _declare(s, frames, j)
+    p00, p01, p11 = s[P00], s[P01], s[P11]
+    w00, w01, w10, w11 = 1.0, 0.0, 0.0, 1.0
+    b0, b1 = 0.0, 0.0
+    n = (0.0, 0.0, 0.0)
+    reached = s[TIME]
+    while True:
+        frame = j < len(frames) and frames[j, 0] <= t1
+        if frame and (frames[j, 0] < reached or not frames[j, 2] < np.inf):
+            j += 1
+            continue
+        until = frames[j, 0] if frame else t1
+        dt = until - reached
+        _held(s, dt, a)
+        w00, w01 = w00 + dt * w10, w01 + dt * w11
+        b0, b1 = b0 + dt * b1 + 0.5 * dt * dt, b1 + dt
+        n = _moved(n, dt, 0.0)
+        g00 = w00 * w00 * p00 + 2.0 * w00 * w01 * p01 + w01 * w01 * p11 + q * b0 * b0 + n[0]
+        g01 = w00 * w10 * p00 + (w00 * w11 + w01 * w10) * p01 + w01 * w11 * p11 + q * b0 * b1 + n[1]
+        g11 = w10 * w10 * p00 + 2.0 * w10 * w11 * p01 + w11 * w11 * p11 + q * b1 * b1 + n[2]
+        reached = until
+        if not frame:
+            s[P00], s[P01], s[P11] = g00, g01, g11
+            return j
+        eta = frames[j, 1] - s[X]
+        s[COUNT] += 1.0
+        r = s[NOISE]
+        if s[COUNT] > FIRST_FRAMES:
+            r = beta * r + (1.0 - beta) * (eta * eta - g00)
+        s[NOISE] = r
+        k0, k1 = g00 / (g00 + r), g01 / (g00 + r)
+        s[X] += k0 * eta
+        s[V] += k1 * eta
+        w10, w11, w00, w01 = w10 - k1 * w00, w11 - k1 * w01, (1.0 - k0) * w00, (1.0 - k0) * w01
+        b1, b0 = b1 - k1 * b0, (1.0 - k0) * b0
+        rest = 1.0 - k0
+        n = (
+            rest * rest * n[0] + r * k0 * k0,
+            rest * (n[1] - k1 * n[0]) + r * k0 * k1,
+            n[2] - 2.0 * k1 * n[1] + k1 * k1 * n[0] + r * k1 * k1,
+        )
+        _follow_beyond(s, eta, max(g00, 0.0), frames[j, 2])
+        s[LAST_ACCEPTED], s[SOURCE] = frames[j, 0], frames[j, 3]
+        met[j, MET_INNOVATION], met[j, MET_TOTAL], met[j, MET_NOISE] = eta, max(g00, 0.0) + max(r, 0.0), r
+        met[j, MET_USED] = 1.0
+        j += 1
+
+
+@njit(cache=True, error_model="numpy")
+def printed_block(samples, frames, s, beta, rows, met):  # type: ignore[no-untyped-def]
+    """Equations 7 to 26 over one block, as printed; the state vector `s` carries over to the next block.
+
+    samples (n, 3): time in s, acceleration and its noise density; the state's bias is taken off the acceleration.
+    frames (m, 4): time in s, displacement, declared variance (infinite: ignored), source, in time order. rows (n, 5)
+    and met (m, 4), see the column names, take the result.
+    """
+    j = 0
+    for k in range(len(samples)):
+        t1 = samples[k, 0]
+        dt = t1 - s[TIME]
+        q = samples[k, 2] / dt if dt > 0.0 else 0.0
+        if j < len(frames) and frames[j, 0] <= t1:
+            j = _frames_as_printed(s, frames, j, met, (t1, s[INPUT], q), beta)
+        else:
+            _held(s, dt, s[INPUT])
+            s[P00], s[P01], s[P11] = _moved((s[P00], s[P01], s[P11]), dt, q)
+        s[TIME], s[INPUT] = t1, samples[k, 1] - s[B]
+        rows[k, ROW_X], rows[k, ROW_VARIANCE] = s[X], max(s[P00], 0.0) + max(s[BEYOND], 0.0)
+        rows[k, ROW_VELOCITY], rows[k, ROW_ACCEPTED], rows[k, ROW_SOURCE] = s[V], s[LAST_ACCEPTED], s[SOURCE]
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,137 +163,74 @@ class AdaptiveSettings:
     literal: equations 7 to 26 exactly as printed, without bias, gate and limits; only the expected bias is taken off
     the acceleration. The paper leaves the start open: here it is at zero, with the first declared variance for the
     position and as R, kept through ten frames, and velocity_std for the velocity. forgetting: the factor beta of
-    equation 20, above 0 and below 1; nearer to 1 is steadier and slower: at 10 Hz 0.95 remembers 2 s. floor, ceiling:
-    least and largest noise deviation over the declared one; not used by the literal form.
+    equation 20, above 0 and below 1; nearer to 1 is steadier and slower: at 10 Hz 0.95 remembers 2 s.
     """
 
     literal: bool = False
     forgetting: float = 0.95
-    floor: float = 0.1
-    ceiling: float = 30.0
     kalman: KalmanSettings = field(default_factory=KalmanSettings)
 
     def __post_init__(self) -> None:
         if not 0.0 < self.forgetting < 1.0:
             raise refuse("forgetting", "above 0 and below 1", self.forgetting)
-        if not 0.0 < self.floor <= 1.0 <= self.ceiling < np.inf:
-            raise refuse("floor and ceiling", "such that 0 < floor <= 1 <= ceiling", (self.floor, self.ceiling))
-
-    @property
-    def options(self) -> tuple[float, tuple[float, float], tuple[float, float, float]]:
-        """What the guarded recursion takes: the bias's walk, the gate's numbers, and how the noise is learnt."""
-        return self.kalman.bias_walk, self.kalman.limits, (self.forgetting, self.floor**2, self.ceiling**2)
-
-
-class AdaptiveFilter:
-    """The adaptive filter as a stream: push blocks of displacement and acceleration in time order, take estimates.
-
-    As with `KalmanFilter`, displacement waits for the acceleration that covers its time, and any cutting of the input
-    gives the same output.
-    """
-
-    def __init__(self, settings: AdaptiveSettings | None = None) -> None:
-        self.settings = settings or AdaptiveSettings()
-        self.state: Floats | None = None
-        self._origin_ns = 0
-        self._declared = np.nan
-        self._waiting = Waiting()
-        self._events = GateEvents()
-
-    @property
-    def noise_std_m(self) -> float:
-        """The learnt standard deviation of a displacement, m; NaN before the first, or where eq. 20 went negative."""
-        if self.state is None:
-            return np.nan
-        variance = float(self.state[NOISE]) * (1.0 if self.settings.literal else self._declared)
-        return float(np.sqrt(variance)) if variance >= 0.0 else np.nan
-
-    def push(self, record: Acceleration | Displacement) -> list[Output]:
-        """Take one block; returns for acceleration its Estimate, and Innovation and Event records where there are any.
-
-        Times within a block and from block to block must increase; a displacement older than the last acceleration
-        already pushed, and in the literal form one before the first, is ignored.
-        """
-        if isinstance(record, Displacement):
-            self._waiting.push(record)
-            return []
-        if not len(record.time_ns):
-            return []
-        estimate, innovation, _ = self.run(record)
-        met = [innovation] if len(innovation.time_ns) else []
-        return [estimate, *met, *self._events.push(innovation)]
-
-    def finish(self) -> list[Output]:
-        """What is left to tell at the end of the record: a run of rejections that it cut off."""
-        return list(self._events.finish())
-
-    def run(self, record: Acceleration) -> tuple[Estimate, Innovation, Floats]:
-        """Estimate (n), innovations (m) and the noise variance (m,) in m² that each measurement was taken with."""
-        if self.state is None:
-            self._origin_ns = int(record.time_ns[0])
-            self.state = state_before(record, self.settings)
-        estimate = empty_estimate(record.time_ns)
-        told, noise = [], []
-        for start in range(0, len(record.time_ns), BLOCK):
-            rows = slice(start, start + BLOCK)
-            frames = due_rows(self._waiting, int(record.time_ns[rows][-1]), self._origin_ns)
-            met = np.zeros((len(frames), MET_COLUMNS))
-            self._recursion(part(record, rows), frames, self.state, part(estimate, rows), met)
-            used = met[:, MET_VERDICT] != UNUSED
-            if not np.all(used):
-                frames, met = frames[used], met[used]
-            told.append(_innovation(frames, met, self._origin_ns))
-            noise.append(met[:, MET_NOISE])
-            self._declared = float(frames[-1, 2]) if len(frames) else self._declared
-        return estimate, joined(told), np.concatenate(noise)
-
-    def _recursion(self, block: Acceleration, frames: Floats, state: Floats, into: Estimate, met: Floats) -> None:
-        settings = self.settings
-        samples = (block.time_ns, self._origin_ns, block.value_m_s2, block.noise_density)
-        rows = (into.displacement_m, into.variance_m2, into.velocity_m_s)
-        labels = (into.source, into.status, settings.kalman.coasting_s, settings.kalman.lost_s)
-        if settings.literal:
-            printed_block(samples, frames, state, settings.forgetting, rows, labels, met)
-            return
-        guarded_block(samples, frames, state, settings.options, rows, labels, met)
 
 
 def adapt(acceleration: Acceleration, displacement: Displacement, settings: AdaptiveSettings | None = None) -> Smoothed:
     """Run the adaptive filter over a whole record.
 
     acceleration: block of n samples; displacement: block of m measurements on the same clock, in time order. The
-    estimate has one row a sample and uses what came before it; `variance_m2` tells the noise each measurement was
-    taken with.
+    estimate uses what came before each row; `variance_m2` tells the noise that each measurement was taken with.
     """
-    stream = AdaptiveFilter(settings)
-    stream.push(displacement)
-    estimate, innovation, noise = stream.run(acceleration)
-    return Smoothed(estimate, innovation, tuple(gate_events(innovation)), noise)
+    known = settings or AdaptiveSettings()
+    if known.literal:
+        return printed(acceleration, displacement, known)
+    return filtered(acceleration, displacement, replace(known.kalman, noise_memory=1.0 / (1.0 - known.forgetting)))
 
 
-def state_before(first: Acceleration, settings: AdaptiveSettings) -> Floats:
-    """The state vector before the first sample; the literal form starts at the first sample."""
-    samples = np.array([[0.0, first.value_m_s2[0], first.noise_density[0]]])
-    state = np.zeros(ADAPTIVE_SIZE)
-    before = settings.kalman.state_before(samples)
-    state[: len(before)] = before
-    state[[NOISE, SQUARED, SPREAD, LAST]] = 1.0, 1.0, 1.0, np.nan
-    # Wide: the first frames with the noise taken too large costs less than a gate that shuts the truth out.
-    state[MEDIAN_STEP] = FIRST_STEP * NORMAL_MEDIAN * np.sqrt(2.0)
-    if settings.literal:
-        # The printed equations know no bias: what is known of it is taken off the acceleration, gravity above all.
-        state[: TIME + 1] = 0.0
-        state[B], state[NOISE] = settings.kalman.bias, np.nan
-        state[P11] = settings.kalman.velocity_std**2
-        # Until the first frame nothing is known of the position that the printed start puts to zero.
-        state[BEYOND] = settings.kalman.displacement_std**2
+def run_adaptive(
+    acceleration: Acceleration, displacement: Displacement, settings: MethodSettings, path: Smoothed | None
+) -> Smoothed:
+    """The same as a row of METHODS; as printed it begins at zero, so the series is counted from its first value."""
+    own = AdaptiveSettings(literal=settings.literal, forgetting=settings.forgetting, kalman=settings.kalman)
+    level_m = float(displacement.value_m[np.argmax(np.isfinite(displacement.value_m))]) if own.literal else 0.0
+    found = adapt(acceleration, replace(displacement, value_m=displacement.value_m - level_m), own)
+    return replace(found, estimate=replace(found.estimate, displacement_m=found.estimate.displacement_m + level_m))
+
+
+def printed(acceleration: Acceleration, displacement: Displacement, settings: AdaptiveSettings) -> Smoothed:
+    """Equations 7 to 26 over a whole record: one row a sample; a displacement before the first one is ignored."""
+    origin_ns = int(acceleration.time_ns[0])
+    time_s = seconds(acceleration.time_ns, origin_ns)
+    samples = np.column_stack((time_s, acceleration.value_m_s2, acceleration.noise_density))
+    usable = np.isfinite(displacement.value_m) & np.isfinite(displacement.variance_m2)
+    met_by = part(displacement, usable)
+    frames = np.column_stack(
+        (seconds(met_by.time_ns, origin_ns), met_by.value_m, met_by.variance_m2, met_by.source.astype(np.float64))
+    )
+    rows, met = np.empty((len(samples), 5)), np.zeros((len(frames), MET_COLUMNS))
+    printed_block(samples, frames, state_before(settings.kalman), settings.forgetting, rows, met)
+    used = met[:, MET_USED] > 0.0
+    verdict = np.full(int(np.count_nonzero(used)), ACCEPTED, dtype=np.int8)
+    innovation = Innovation(met_by.time_ns[used], met[used, MET_INNOVATION], met[used, MET_TOTAL], verdict)
+    estimate = _estimate(acceleration, rows, time_s - rows[:, ROW_ACCEPTED], settings.kalman)
+    return Smoothed(estimate, innovation, (), met[used, MET_NOISE])
+
+
+def state_before(kalman: KalmanSettings) -> Floats:
+    """The state vector at the first sample."""
+    state = np.zeros(STATE_SIZE)
+    # The printed equations know no bias: what is known of it is taken off the acceleration, gravity above all.
+    state[B], state[NOISE], state[LAST_ACCEPTED] = kalman.bias, np.nan, -np.inf
+    state[P11] = kalman.velocity_std**2
+    # Until the first frame nothing is known of the position that the printed start puts to zero.
+    state[BEYOND] = kalman.displacement_std**2
     return state
 
 
-def _innovation(frames: Floats, met: Floats, origin_ns: int) -> Innovation:
-    return Innovation(
-        time_ns=nanoseconds(frames[:, 0], origin_ns),
-        value_m=met[:, MET_INNOVATION].copy(),
-        variance_m2=met[:, MET_TOTAL].copy(),
-        verdict=met[:, MET_VERDICT].astype(np.int8),
-    )
+def _estimate(acceleration: Acceleration, rows: Floats, age_s: Floats, kalman: KalmanSettings) -> Estimate:
+    """The rows; `coasting` or `lost` by the age (n,) of their last frame."""
+    status = np.where(age_s <= kalman.coasting_s, np.uint8(Status.TRACKING), np.uint8(Status.COASTING))
+    status = np.where(age_s <= kalman.lost_s, status, np.uint8(Status.LOST))
+    source = np.where(status == Status.TRACKING, rows[:, ROW_SOURCE], Source.PREDICTION).astype(np.uint8)
+    displacement, variance, velocity = rows[:, [ROW_X, ROW_VARIANCE, ROW_VELOCITY]].T.copy()
+    return Estimate(acceleration.time_ns, displacement, variance, velocity, source, status)

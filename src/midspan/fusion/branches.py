@@ -4,61 +4,27 @@ The result is the sum of two branches on the accelerometer's grid: the displacem
 spline, through a low-pass, and the acceleration through a filter that integrates twice and passes the rest.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
-from midspan.fusion.even import BEHIND
-from midspan.fusion.kalman import KalmanSettings
 from midspan.records import Floats
 from midspan.signals.fir import FilterSum
 from midspan.signals.integrate import RULES
-from midspan.signals.resample import REACH_STEPS, spline_kernel
+from midspan.signals.resample import spline_kernel
 
-# A displacement interval longer than this many usual ones is a gap and not interpolated.
-LONGEST_STEPS = 2.5
 # Its own error counts as none: 0.07 % at a tenth of the rate, 1.1 % at a fifth.
 EXACT_RULE = "numerov"
-# Measurements closer than this share of the usual interval count as one: a spline through both would swing.
-MERGED_SHARE = 0.4
-
-
-@dataclass(frozen=True, slots=True)
-class StreamSettings:
-    """What the stream cannot know from the data.
-
-    rate_hz, displacement_rate_hz: nominal rates, Hz; None: learnt from the first 100 steps and 8 intervals.
-    longest_steps: a displacement interval of more usual ones than this is a gap.
-    edges: the state-space model for rows without a full window (ends, gaps); its densities come with the data. Its gate
-    judges the displacement, except in the literal forms; NO_GATE: every measurement is used.
-    """
-
-    rate_hz: float | None = None
-    displacement_rate_hz: float | None = None
-    longest_steps: float = LONGEST_STEPS
-    edges: KalmanSettings = field(default_factory=KalmanSettings)
 
 
 @dataclass(frozen=True, slots=True)
 class Rates:
-    """Steps of both series in s, noise density of the acceleration ((m/s²)²/Hz), variance of a displacement (m²).
-
-    jittered: whether the acceleration's stamps are too uneven to be taken as even; even_frames: whether the
-    displacement's are so even that a missing one shows; longest_steps: frame steps above which an interval is a gap.
-    """
+    """Steps of both series in s, noise density of the acceleration ((m/s²)²/Hz), variance of a displacement (m²)."""
 
     step_s: float
     frame_s: float
     noise_density: float
     variance_m2: float
-    jittered: bool = False
-    even_frames: bool = False
-    longest_steps: float = LONGEST_STEPS
-
-    @property
-    def every_s(self) -> float:
-        """Interval after which the next displacement is due, s; infinite where that is not known."""
-        return self.frame_s if self.even_frames and self.frame_s >= 2.0 * self.step_s else float("inf")
 
     @property
     def corner_rad_s(self) -> float:
@@ -102,30 +68,6 @@ class Branches:
         return max((item.half for item in (self.removed, self.probe) if item is not None), default=0)
 
 
-@dataclass(frozen=True, slots=True)
-class Window:
-    """Lengths that follow from branches and rates: in samples `half` of the filters, `wide` with what tells folding,
-    `reach` of the preparation of a displacement, `delay` from a sample to its row; in s `longest` bridged interval,
-    `ahead` that the spline looks."""
-
-    half: int
-    wide: int
-    reach: int
-    delay: int
-    longest_s: float
-    ahead_s: float
-
-
-def window_of(branches: Branches, rates: Rates) -> Window:
-    """The lengths of a method at given rates."""
-    half = max(len(branches.low), len(branches.high)) // 2
-    ahead_s = (REACH_STEPS + MERGED_SHARE) * rates.frame_s
-    delay = half + branches.reach + int(np.ceil(ahead_s / rates.step_s)) + 3
-    delay += BEHIND if rates.jittered else 0
-    wide = half + (branches.probe.half if branches.probe is not None else 0)
-    return Window(half, wide, branches.reach, delay, rates.longest_steps * rates.frame_s, ahead_s)
-
-
 class NoiseGain:
     """Variance of a row from the noise of both series, through the squares of the method's own responses.
 
@@ -143,6 +85,7 @@ class NoiseGain:
         self._low = inner * (np.sum(power) / np.sum(inner))
         self._high = branches.high**2 / rates.step_s
         self._sum = FilterSum(self._low, self._high)
+        self.half = self._sum.half
 
     def rows(self, variance_m2: Floats, density: Floats) -> Floats:
         """Variance (n − 2 half,) from the displacement's variance and the acceleration's density on the grid (n,)."""

@@ -1,215 +1,284 @@
-"""The stream that the complementary FIR methods share: rates learnt at the start, gaps, rows in time order."""
+"""A record through the two branches of a complementary FIR method, stretch by stretch of even samples.
+
+Rows whose filters would reach over an end or a gap are those of the smoothed path, which the estimator makes.
+"""
 
 from collections.abc import Callable
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
-from midspan.fusion.branches import Branches, Rates, StreamSettings, window_of
-from midspan.fusion.even import LEAST_JITTER
-from midspan.fusion.events import GateEvents
-from midspan.fusion.gate import NO_GATE
-from midspan.fusion.kalman import Output
-from midspan.fusion.missing import is_even
-from midspan.fusion.screen import Screen, unscreened
-from midspan.fusion.stretch import Method, Stretch
-from midspan.records import NANOSECONDS, Acceleration, Displacement, Event, joined, part
+from midspan.fusion.branches import EXACT_RULE, AtFrames, Branches, NoiseGain, Rates, integration_error, velocity
+from midspan.fusion.path import at, rows_at
+from midspan.fusion.streams import KalmanSettings, Smoothed, smooth
+from midspan.records import NANOSECONDS, Acceleration, Displacement, Estimate, Event, Floats, Nanoseconds, part, seconds
+from midspan.signals.fir import FilterBank
+from midspan.signals.health import Mask, runs
+from midspan.signals.resample import REACH_STEPS, filtered_at, spline_rows
 
-# Rates and noise levels are taken from so many first steps and intervals, or from what came within the patience.
-STEPS, INTERVALS = 100, 8
-PATIENCE_S = 60.0
 # A step of the acceleration outside these shares of the usual one ends a stretch.
 SHORTEST_STEP, LONGEST_STEP = 0.5, 1.5
-# Longer inputs are taken in blocks, so that memory does not grow with them.
-BLOCK = 65536
+# A displacement interval longer than this many usual ones is a gap and not interpolated.
+LONGEST_STEPS = 2.5
+# Of the guarded forms: a gap of up to so many usual intervals is filled from the path, as long as the acceleration
+# alone carries it well.
+FILLED_STEPS = 10.0
+# So many such intervals in a row are a slower sensor: with one value in ten missing by chance, once in 10^10 values.
+MIN_SLOW = 5
+# Measurements closer than this share of the usual interval to the one before are left out: a spline through both would
+# swing.
+CLOSE_SHARE = 0.4
+# A value that lies so many standard deviations from the path is an outlier.
+OUTLIER_STD = 6.0
+# Stamps that scatter by less than this share of a step about an even clock are taken for even.
+EVEN_SHARE = 1e-4
+# Over so many samples jitter averages out, and a clock's wander does not.
+CLOCK_SAMPLES = 2001
 # Where no noise density or variance is given: 1 mg in 100 Hz, 0.1 mm.
 USUAL_DENSITY, USUAL_VARIANCE = 1e-6, 1e-8
 
 
-class ComplementaryFilter:
-    """Push blocks of displacement and acceleration in time order, take estimates `delay_s` later; `finish` at the end.
+@dataclass(frozen=True, slots=True)
+class Method:
+    """The branches with their rates, and the filters' transforms; knots (m, 3): time in s, displacement, variance."""
 
-    Displacement must be pushed before the acceleration that covers its time; what comes later is ignored. Any cutting
-    of the input into blocks gives the same rows up to rounding. A gap in the acceleration resets the memory and is told
-    by an Event, as is a gap of the displacement; rows without a full window (ends, gaps) come from least squares over
-    what there is, with its own wider variance. With `gate`, each displacement is judged first (see `Screen`): the
-    verdicts come as Innovation records, and a new level that was taken over begins with empty memory.
+    branches: Branches
+    rates: Rates
+    bank: FilterBank
+    noise: NoiseGain
+    knots: Floats
+
+    @classmethod
+    def make(cls, branches: Branches, rates: Rates, knots: Floats) -> "Method":
+        """Prepare the transforms: of displacement and acceleration the row, of probe and acceleration the folding."""
+        bank = FilterBank((branches.low, branches.high))
+        if branches.probe is not None:
+            unfolded = -np.convolve(branches.low, branches.probe.wanted)
+            bank = FilterBank((branches.low, branches.high, None), (None, unfolded, branches.low))
+        return cls(branches, rates, bank, NoiseGain(branches, rates), knots)
+
+
+def smoothed_record(acceleration: Acceleration, displacement: Displacement, kalman: KalmanSettings) -> Smoothed:
+    """The smoothed record; the filters know no bias, so that its mean is as good as any."""
+    return smooth(acceleration, displacement, replace(kalman, bias=float(np.mean(acceleration.value_m_s2))))
+
+
+def fused(
+    design: Callable[[Rates], Branches],
+    record: tuple[Acceleration, Displacement],
+    smoothed: Smoothed,
+    *,
+    fill: bool,
+) -> Smoothed:
+    """The smoothed record with the rows (n) of the branches that are designed for its rates.
+
+    Its path gives the rows of ends and gaps and tells outliers; a row for each sample within it. fill: the path also
+    stands for outliers and missing measurements in short gaps.
     """
-
-    def __init__(self, design: Callable[[Rates], Branches], settings: StreamSettings, *, gate: bool = True) -> None:
-        self._design, self._settings = design, settings
-        self._screen = Screen(settings.edges) if gate and settings.edges.gate != NO_GATE else None
-        self._events = GateEvents()
-        self._method: Method | None = None
-        self._stretch: Stretch | None = None
-        self._waiting: list[Acceleration] = []
-        self._measured: list[Displacement] = []
-        self._last_ns: int | None = None
-        self._first_ns = 0
-
-    @property
-    def delay_s(self) -> float:
-        """Seconds from a sample to its row away from ends and gaps; NaN until the rates are known."""
-        if self._method is None:
-            return float("nan")
-        return window_of(self._method.branches, self._method.rates).delay * self._method.rates.step_s
-
-    def push(self, record: Acceleration | Displacement) -> list[Output]:
-        """Take one block; returns the Estimate blocks that are due, and Events."""
-        if isinstance(record, Displacement):
-            if len(record.time_ns):
-                self._measured.append(record)
-            return []
-        outputs: list[Output] = []
-        for start in range(0, len(record.time_ns), BLOCK):
-            self._waiting.append(part(record, slice(start, start + BLOCK)))
-            outputs.extend(self._run(final=False))
-        return outputs
-
-    def finish(self) -> list[Output]:
-        """The rows still due. Nothing may be pushed afterwards."""
-        outputs = self._run(final=True)
-        if self._stretch is not None:
-            outputs.extend(self._stretch.finish())
-        return [*outputs, *self._events.finish()]
-
-    def _run(self, *, final: bool) -> list[Output]:
-        if not self._waiting:
-            return []
-        outputs: list[Output] = []
-        if self._method is None:
-            self._waiting = [joined(self._waiting)]
-            rates = self._rates(self._waiting[0], final=final)
-            if rates is None:
-                return []
-            self._first_ns = int(self._waiting[0].time_ns[0])
-            self._method = Method.make(self._design(rates), rates, self._settings.edges)
-            if self._screen is not None:
-                self._screen.begin(part(self._waiting[0], slice(STEPS + 1)), rates.every_s)
-            told = self._method.branches.warnings
-            outputs.extend(Event(self._first_ns, "rate", text) for text in told)
-        block, self._waiting = joined(self._waiting), []
-        return [*outputs, *self._cut(block, self._method)]
-
-    def _cut(self, block: Acceleration, method: Method) -> list[Output]:
-        """Feed a block to the stretch it continues, and to new ones after each gap in it."""
-        outputs: list[Output] = []
-        before = block.time_ns[0] if self._last_ns is None else self._last_ns
-        steps = np.diff(block.time_ns, prepend=before) / (method.rates.step_s * NANOSECONDS)
-        odd = (steps < SHORTEST_STEP) | (steps > LONGEST_STEP)
-        if self._last_ns is None:
-            odd[0] = False
-        starts = np.flatnonzero(odd)
-        edges = np.unique(np.concatenate(([0], starts, [len(odd)])))
-        for start, stop in pairwise(edges):
-            piece = part(block, slice(start, stop))
-            if odd[start] and self._stretch is not None:
-                outputs.extend(self._stretch.finish())
-                outputs.append(_gap_event(self._last_ns or 0, float(steps[start]) * method.rates.step_s))
-                self._stretch = None
-                if self._screen is not None:
-                    self._screen.begin(piece, method.rates.every_s)
-            outputs.extend(self._judged(piece, self._due(int(piece.time_ns[-1])), method))
-            self._last_ns = int(piece.time_ns[-1])
-        return outputs
-
-    def _judged(self, piece: Acceleration, due: Displacement, method: Method) -> list[Output]:
-        """Feed a piece without gaps and its judged measurements to the stretch, and to a new one from each jump on."""
-        screened = unscreened(due) if self._screen is None else self._screen.judge(piece, due)
-        told = screened.innovation
-        outputs: list[Output] = [told, *self._events.push(told)] if len(told.time_ns) else []
-        jumps_ns = due.time_ns[screened.reacquired]
-        # Two levels have no common low-frequency branch: what was before a jump is forgotten.
-        rows = [0, *np.searchsorted(piece.time_ns, jumps_ns), len(piece.time_ns)]
-        for i, ((start, stop), measured) in enumerate(zip(pairwise(rows), screened.pieces(), strict=True)):
-            if i > 0 and self._stretch is not None:
-                outputs.extend(self._stretch.finish())
-                self._stretch = None
-            if self._stretch is None:
-                self._stretch = Stretch(method, int(piece.time_ns[min(start, len(piece.time_ns) - 1)]))
-            outputs.extend(self._stretch.push(part(piece, slice(start, stop)), measured))
-        return outputs
-
-    def _due(self, until_ns: int) -> Displacement:
-        """The measurements up to `until_ns` in time order; older ones than the last acceleration are left out."""
-        measured = joined(self._measured) if self._measured else _nothing()
-        if len(self._measured) > 1:
-            measured = part(measured, np.argsort(measured.time_ns, kind="stable"))
-        due = int(np.searchsorted(measured.time_ns, until_ns, side="right"))
-        self._measured = [part(measured, slice(due, None))] if due < len(measured.time_ns) else []
-        late = 0 if self._last_ns is None else int(np.searchsorted(measured.time_ns, self._last_ns, side="right"))
-        return part(measured, slice(min(late, due), due))
-
-    def _rates(self, block: Acceleration, *, final: bool) -> Rates | None:
-        """Rates and noise levels from the start; None while there is too little of it."""
-        measured = joined(self._measured) if self._measured else _nothing()
-        measured = part(measured, np.isfinite(measured.value_m) & np.isfinite(measured.variance_m2))
-        measured = part(measured, np.argsort(measured.time_ns, kind="stable"))
-        patient_ns = int(block.time_ns[0]) + round(PATIENCE_S * NANOSECONDS)
-        known_ns = min(int(block.time_ns[-1]), patient_ns)
-        measured = part(measured, slice(min(INTERVALS + 1, int(np.sum(measured.time_ns <= known_ns)))))
-        enough = len(block.time_ns) > STEPS and len(measured.time_ns) > INTERVALS
-        if not (enough or final or block.time_ns[-1] >= patient_ns):
-            return None
-        first = part(block, slice(STEPS + 1))
-        step_s = _usual_step(first.time_ns, self._settings.rate_hz, 0.01)
-        step_s, jitter_s = _even_step(first.time_ns, step_s, given=self._settings.rate_hz is not None)
-        frame_s = _usual_step(measured.time_ns, self._settings.displacement_rate_hz, 1.0)
-        return Rates(
-            step_s=step_s,
-            frame_s=frame_s,
-            noise_density=_usual(first.noise_density, USUAL_DENSITY),
-            variance_m2=_usual(measured.variance_m2, USUAL_VARIANCE),
-            jittered=jitter_s > LEAST_JITTER * step_s,
-            even_frames=is_even(measured.time_ns, frame_s),
-            longest_steps=self._settings.longest_steps,
-        )
+    (acceleration, displacement), path = record, smoothed.estimate
+    within = (acceleration.time_ns >= path.time_ns[0]) & (acceleration.time_ns <= path.time_ns[-1])
+    rows = rows_at(path, acceleration.time_ns[within])
+    usable = np.isfinite(displacement.value_m) & np.isfinite(displacement.variance_m2)
+    measured = part(displacement, usable)
+    rates = rates_of(acceleration, measured)
+    if rates is None:
+        return replace(smoothed, estimate=rows)
+    measured = without_outliers(measured, path) if fill else measured
+    origin_ns = int(acceleration.time_ns[0])
+    knots = _knots(measured, rates, origin_ns)
+    slow = slower_events(knots, rates, origin_ns)
+    knots = _filled(knots, rates, path, origin_ns) if fill else knots
+    branches = design(rates)
+    method = Method.make(branches, rates, knots)
+    for stretch in stretches(acceleration, rates.step_s):
+        _overwrite(rows, _stretch(method, stretch, origin_ns))
+    told = tuple(Event(origin_ns, "rate", text) for text in branches.warnings)
+    return replace(smoothed, estimate=rows, events=(*smoothed.events, *told, *slow))
 
 
-def run(stream: ComplementaryFilter, acceleration: Acceleration, displacement: Displacement) -> list[Output]:
-    """Everything that a stream gives for a whole record."""
-    stream.push(displacement)
-    return [*stream.push(acceleration), *stream.finish()]
+def slower_events(knots: Floats, rates: Rates, origin_ns: int) -> list[Event]:
+    """An event for each stretch in which a slower sensor stands in: the filters are not made for it."""
+    found = []
+    for first, last in runs(np.diff(knots[:, 0]) > LONGEST_STEPS * rates.frame_s):
+        start_s, length_s = knots[first, 0], knots[last, 0] - knots[first, 0]
+        if last - first >= MIN_SLOW:
+            text = (
+                f"For {length_s:.3g} s displacement came every {length_s / (last - first):.2g} s only, and not every "
+                f"{rates.frame_s:.3g} s as the filters are made for: the rows there rest on the smoother."
+            )
+            found.append(Event(origin_ns + round(start_s * NANOSECONDS), "rate", text))
+    return found
 
 
-def _nothing() -> Displacement:
-    empty = np.empty(0)
-    return Displacement(empty.astype(np.int64), empty, empty, empty.astype(np.uint8))
+def without_outliers(measured: Displacement, path: Estimate) -> Displacement:
+    """The measurements but those that lie far from the path."""
+    expected, variance = at(path, measured.time_ns)
+    apart = (measured.value_m - expected) ** 2
+    return part(measured, apart <= OUTLIER_STD**2 * (measured.variance_m2 + variance))
 
 
-def _usual_step(
-    time_ns: "np.ndarray[tuple[int], np.dtype[np.int64]]", rate_hz: float | None, otherwise: float
-) -> float:
-    """The usual step in s: from the nominal rate, else the mean of the steps that are no gaps."""
-    if rate_hz is not None:
-        return 1.0 / rate_hz
+def rates_of(acceleration: Acceleration, measured: Displacement) -> Rates | None:
+    """Usual steps and noise levels; None where there are too few of either to tell."""
+    if len(acceleration.time_ns) < 3 or len(measured.time_ns) < 3:
+        return None
+    # Of several sensors the one that measures most.
+    main = np.bincount(measured.source).argmax()
+    return Rates(
+        step_s=_usual_step(acceleration.time_ns),
+        frame_s=_usual_step(measured.time_ns[measured.source == main]),
+        noise_density=_usual(acceleration.noise_density, USUAL_DENSITY),
+        variance_m2=_usual(measured.variance_m2, USUAL_VARIANCE),
+    )
+
+
+def stretches(acceleration: Acceleration, step_s: float) -> list[Acceleration]:
+    """The samples between the gaps."""
+    steps = np.diff(acceleration.time_ns) / (step_s * NANOSECONDS)
+    gaps = np.flatnonzero((steps < SHORTEST_STEP) | (steps > LONGEST_STEP)) + 1
+    edges = [0, *gaps.tolist(), len(acceleration.time_ns)]
+    return [part(acceleration, slice(first, last)) for first, last in pairwise(edges)]
+
+
+def _stretch(method: Method, block: Acceleration, origin_ns: int) -> Estimate:
+    """The rows of a stretch that have full windows, at its stamps."""
+    time_s = seconds(block.time_ns, origin_ns)
+    even_s = even_clock(time_s)
+    value = block.value_m_s2 if even_s is time_s else _resampled(even_s, time_s, block.value_m_s2)
+    displacement, folded, sound = _on_grid(method, even_s, value, block.noise_density)
+    branches, half = method.branches, method.bank.half
+    full = _full(sound, half + 1)
+    if not full.any():
+        return part(_rows_of(block.time_ns, np.zeros((3, len(even_s)))), full)
+    series = [displacement, value, *([folded] if branches.probe is not None else [])]
+    found, *folding = method.bank(*series)
+    own = method.noise.half
+    variance = np.full(len(even_s), np.inf)
+    variance[own : len(even_s) - own] = method.noise.rows(_variance(method.knots, even_s), block.noise_density)
+    inner = slice(half + 1, len(even_s) - half - 1)
+    if branches.rule != EXACT_RULE:
+        variance[inner] += integration_error(found, branches.rule) ** 2
+    for error in folding:
+        variance[inner] += error[1:-1] ** 2
+    rows = np.zeros((3, len(even_s)))
+    rows[0, inner], rows[1] = found[1:-1], variance
+    rows[2, inner] = velocity(found, value[half : len(value) - half], method.rates.step_s)
+    if even_s is time_s:
+        return part(_rows_of(block.time_ns, rows), full)
+    # What the stamps are off the even clock is less than a step.
+    late_s = time_s - even_s
+    change = np.gradient(rows[2], method.rates.step_s)
+    rows[0] += late_s * (rows[2] + 0.5 * late_s * change)
+    rows[2] += late_s * change
+    return part(_rows_of(block.time_ns, rows), full)
+
+
+def _rows_of(time_ns: Nanoseconds, rows: Floats) -> Estimate:
+    codes = np.zeros(len(time_ns), dtype=np.uint8)
+    return Estimate(time_ns, rows[0], rows[1], rows[2], codes, codes)
+
+
+def _overwrite(rows: Estimate, own: Estimate) -> None:
+    """Write a stretch's displacement, variance and velocity to their rows; source and status stay the path's."""
+    place = np.searchsorted(rows.time_ns, own.time_ns)
+    known = place < len(rows.time_ns)
+    known[known] &= rows.time_ns[place[known]] == own.time_ns[known]
+    for name in ("displacement_m", "variance_m2", "velocity_m_s"):
+        getattr(rows, name)[place[known]] = getattr(own, name)[known]
+
+
+def even_clock(time_s: Floats) -> Floats:
+    """The stamps (n,) themselves where they are even; else those of an even clock that follows them slowly."""
+    from scipy.ndimage import uniform_filter1d
+
+    steps = np.diff(time_s)
+    if len(steps) < 2 or np.std(steps) <= EVEN_SHARE * np.median(steps):
+        return time_s
+    number = np.arange(len(time_s))
+    line = np.polynomial.Polynomial.fit(number, time_s, 1)(number)
+    even_s: Floats = line + uniform_filter1d(time_s - line, CLOCK_SAMPLES, mode="reflect")
+    return even_s
+
+
+def _resampled(at_s: Floats, time_s: Floats, value: Floats) -> Floats:
+    """A series at other instants by a cubic spline; at its ends by straight lines."""
+    rows, sound = np.empty((2, len(at_s))), np.empty(len(at_s), dtype=np.bool_)
+    step_s = float(np.median(np.diff(time_s)))
+    spline_rows(at_s, time_s, np.column_stack((value, value)), (3.0 * step_s, REACH_STEPS * step_s), rows, sound)
+    return np.where(sound, rows[0], np.interp(at_s, time_s, value))
+
+
+def _knots(measured: Displacement, rates: Rates, origin_ns: int) -> Floats:
+    """The measurements (m, 3) that a spline is laid through."""
+    time_s = seconds(measured.time_ns, origin_ns)
+    apart = np.diff(time_s, prepend=-np.inf) >= CLOSE_SHARE * rates.frame_s
+    return np.column_stack((time_s, measured.value_m, measured.variance_m2))[apart]
+
+
+def _filled(knots: Floats, rates: Rates, path: Estimate, origin_ns: int) -> Floats:
+    """With values of the path in short gaps; their errors have everything in common, which their variance holds."""
+    steps = np.rint(np.diff(knots[:, 0]) / rates.frame_s).astype(int)
+    more = []
+    for i in np.flatnonzero((steps > 1) & (steps <= FILLED_STEPS)):
+        time_s = np.linspace(knots[i, 0], knots[i + 1, 0], steps[i] + 1)[1:-1]
+        value, variance = at(path, origin_ns + np.rint(time_s * NANOSECONDS).astype(np.int64))
+        more.append(np.column_stack((time_s, value, len(time_s) * variance)))
+    whole = np.concatenate((knots, *more))
+    return whole[np.argsort(whole[:, 0], kind="stable")]
+
+
+def _on_grid(method: Method, even_s: Floats, value: Floats, density: Floats) -> tuple[Floats, Floats, Mask]:
+    """Anti-aliased displacement, what folding leaves of the probe, and whether both are sound, at instants (n,)."""
+    branches, rates, knots = method.branches, method.rates, method.knots
+    index = np.searchsorted(even_s, knots[:, 0], side="right") - 1
+    removed = _at_knots(branches.removed, (even_s, value), index, knots[:, 0])
+    probe = _at_knots(branches.probe, (even_s, value), index, knots[:, 0])
+    columns = np.column_stack((knots[:, 1] - removed, probe - removed))
+    rows, sound = np.empty((2, len(even_s))), np.empty(len(even_s), dtype=np.bool_)
+    limits = (LONGEST_STEPS * rates.frame_s, REACH_STEPS * rates.frame_s)
+    spline_rows(even_s, np.ascontiguousarray(knots[:, 0]), columns, limits, rows, sound)
+    return rows[0], rows[1], sound
+
+
+def _at_knots(taps: AtFrames | None, grid: tuple[Floats, Floats], index: NDArray[np.int64], time_s: Floats) -> Floats:
+    """What a filter makes of the acceleration at the knots (m,); NaN where it reaches too far, 0 without a filter."""
+    if taps is None:
+        return np.zeros(len(time_s))
+    even_s, value = grid
+    inside = (index >= taps.half) & (index + taps.half + 1 < len(even_s))
+    result = np.full(len(time_s), np.nan)
+    first = index[inside]
+    fraction = (time_s[inside] - even_s[first]) / (even_s[first + 1] - even_s[first])
+    result[inside] = filtered_at(value, first, fraction, (taps.wanted, taps.bend))
+    return result
+
+
+def _variance(knots: Floats, even_s: Floats) -> Floats:
+    """Variance (n,) in m² of the knots around instants (n,)."""
+    if np.ptp(knots[:, 2]) == 0.0:
+        return np.full(len(even_s), knots[0, 2])
+    return np.interp(even_s, knots[:, 0], knots[:, 2])
+
+
+def _full(sound: Mask, margin: int) -> Mask:
+    """Whether rows (n,) have nothing but sound ones within so many samples on each side."""
+    count = np.concatenate(([0], np.cumsum(sound)))
+    full = np.zeros(len(sound), dtype=bool)
+    if len(sound) > 2 * margin:
+        full[margin : len(sound) - margin] = count[2 * margin + 1 :] - count[: -2 * margin - 1] == 2 * margin + 1
+    return full
+
+
+def _usual_step(time_ns: Nanoseconds) -> float:
+    """The mean of the steps that are no gaps, s."""
     steps = np.diff(time_ns) / NANOSECONDS
-    if not len(steps):
-        return otherwise
     median = float(np.median(steps))
     near = steps[(steps > SHORTEST_STEP * median) & (steps < LONGEST_STEP * median)]
-    return float(np.mean(near)) if len(near) else max(median, 1e-9)
+    return float(np.mean(near)) if len(near) else max(median, 1.0 / NANOSECONDS)
 
 
-def _even_step(
-    time_ns: "np.ndarray[tuple[int], np.dtype[np.int64]]", step_s: float, *, given: bool
-) -> tuple[float, float]:
-    """The step in s by a straight line through the stamps, gaps counted as whole steps, and the rms jitter about it."""
-    time_s = (time_ns - time_ns[0]) / NANOSECONDS
-    if len(time_s) < 3:
-        return step_s, 0.0
-    number = np.cumsum(np.concatenate(([0.0], np.maximum(np.rint(np.diff(time_s) / step_s), 1.0))))
-    slope, start = np.polyfit(number, time_s, 1)
-    jitter_s = float(np.std(time_s - slope * number - start))
-    return (step_s if given else float(slope)), jitter_s
-
-
-def _usual(values: "np.ndarray[tuple[int], np.dtype[np.float64]]", otherwise: float) -> float:
+def _usual(values: Floats, otherwise: float) -> float:
     """The median of what is finite and above zero."""
     known = values[np.isfinite(values) & (values > 0.0)]
     return float(np.median(known)) if len(known) else otherwise
-
-
-def _gap_event(time_ns: int, length_s: float) -> Event:
-    text = f"No acceleration for {length_s:.3g} s: the filters' memory was reset and fills again."
-    return Event(time_ns, "gap", text)

@@ -17,14 +17,15 @@ millimeter wave radar, Mech. Syst. Signal Process. 182 (2023) 109582, doi 10.101
 21.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
 from midspan.checks import positive, refuse
-from midspan.fusion.branches import AtFrames, Branches, Rates, StreamSettings
-from midspan.fusion.complementary import ComplementaryFilter, run
-from midspan.records import Acceleration, Displacement, Estimate, Floats, joined
+from midspan.fusion.branches import AtFrames, Branches, Rates
+from midspan.fusion.complementary import fused, smoothed_record
+from midspan.fusion.streams import KalmanSettings, MethodSettings, Smoothed
+from midspan.records import Acceleration, Displacement, Estimate, Floats
 from midspan.signals.fir import Transition, complement, kaiser_low_pass
 from midspan.signals.integrate import integrating, weights
 
@@ -58,7 +59,6 @@ class FirSettings:
     accuracy: float = 0.97
     half_window: int | None = None
     free_bias: bool = True
-    stream: StreamSettings = field(default_factory=StreamSettings)
 
     def __post_init__(self) -> None:
         positive("target_hz", self.target_hz, "Hz")
@@ -130,19 +130,25 @@ def at_frames(low_pass: Floats, rates: Rates, rule: str) -> AtFrames:
     return AtFrames(integrating(high_pass, rates.step_s, rule=rule), rates.step_s**2 * high_pass)
 
 
-class FirFilter(ComplementaryFilter):
-    """`fir` as a stream; see `ComplementaryFilter` for how to push and finish."""
-
-    def __init__(self, settings: FirSettings | None = None) -> None:
-        self.settings = settings or FirSettings()
-        gate = not self.settings.literal
-        super().__init__(lambda rates: design(rates, self.settings), self.settings.stream, gate=gate)
-
-
 def fir(acceleration: Acceleration, displacement: Displacement, settings: FirSettings | None = None) -> Estimate:
     """Fuse a whole record: one row a sample, from acceleration (n samples) and displacement (m) in time order."""
-    outputs = run(FirFilter(settings), acceleration, displacement)
-    return joined([item for item in outputs if isinstance(item, Estimate)])
+    smoothed = smoothed_record(acceleration, displacement, KalmanSettings())
+    return _fused(acceleration, displacement, settings or FirSettings(), smoothed).estimate
+
+
+def run_fir(
+    acceleration: Acceleration, displacement: Displacement, settings: MethodSettings, path: Smoothed | None
+) -> Smoothed:
+    """The same as a row of METHODS, see `fused`."""
+    smoothed = path or smoothed_record(acceleration, displacement, settings.kalman)
+    return _fused(acceleration, displacement, FirSettings(literal=settings.literal), smoothed)
+
+
+def _fused(
+    acceleration: Acceleration, displacement: Displacement, settings: FirSettings, smoothed: Smoothed
+) -> Smoothed:
+    record = (acceleration, displacement)
+    return fused(lambda rates: design(rates, settings), record, smoothed, fill=not settings.literal)
 
 
 def _corner(rates: Rates) -> float:

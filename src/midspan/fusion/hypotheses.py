@@ -6,66 +6,133 @@ splits each hypothesis by what may have happened just then:
     GOOD     it is one of the few that lie so far off by chance
     OUTLIER  it is wrong, by any amount; the next ones may be so too, and may keep its value
     SHIFT    the channel's zero has moved, and stays
-    RETURN   the channel's zero is back where it was before its last shift
+    RETURN   the channel's zero is back where it was before its shift, or the sensor's clock is
     WRONG    the prediction is: the acceleration errs by more than its noise, and may go on to do so
     LOST     the motion's state is wrong, its bias too: an earlier measurement led it away
     NOISE    the channel's noise has risen
+    CLOCK    the sensor's clock has stepped against the accelerometer's: it measures the motion of another time
 
 Each goes on as a filter of its own; the likelihood of what is measured later, by any channel, decides. Hypotheses that
 fall behind the best by `ODDS` are dropped, those that have come to agree are one again, and no more than a fixed number
 is kept. The priors are rates: how often each is met in the field.
-"""
 
-from dataclasses import dataclass
+The variance of each channel's noise is followed in each hypothesis by the variational Bayes filter (S. Särkkä, A.
+Nummenmaa, Recursive noise adaptive Kalman filtering by variational Bayesian approximations, IEEE Trans. Automat.
+Contr. 54 (2009) 596-600, doi 10.1109/TAC.2008.2008348): a mean, over so many measurements as are remembered, of what
+is left of each innovation after its update and of what the updated state's variance adds to it.
+"""
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from midspan.fusion.forward import (
+    APART,
     AT,
     AXIS,
     CHANNEL,
-    INPUT,
-    LEAD,
-    LIMIT,
-    MOTION_COLUMNS,
-    SET_DATUM,
-    SLOPE,
-    STEP,
-    TIME,
+    FORGETS,
+    REFERENCE,
     UNITS_PER_M,
     VALUE,
     VARIANCE,
     ZERO,
-    begin_interval,
-    copy_datum,
-    innovations,
-    leave,
-    predict,
-    row_variance,
+    ZERO_VARIANCE,
+    add_noise,
+    innovate,
+    move_reference,
+    project,
+    scale_state,
     update,
 )
-from midspan.fusion.kalman import START_S
-from midspan.fusion.state_space import GAP_STEPS
-from midspan.records import Floats
+from midspan.fusion.forward import SENSOR as SENSOR_OF
 
-GOOD, OUTLIER, SHIFT, RETURN, WRONG, LOST, NOISE = range(7)
-KINDS = 7
+GOOD, OUTLIER, SHIFT, RETURN, WRONG, LOST, NOISE, CLOCK = range(8)
+KINDS = 8
+# In the code of what happened: the error of the acceleration has just ended.
+ENDED = KINDS
+# The setting of the datum.
+DATUM = 2 * KINDS
 # How many hypotheses are kept.
 MOST = 16
 # Two are one again where every state agrees to a fifth of its standard deviation, its variance to a tenth and the
 # noise to a fifth: what is lost by that is below a hundredth of the band.
 SAME_MEAN, SAME_VARIANCE, SAME_NOISE, TINY = 0.05, 0.1, 0.2, 1e-24
+# Innovations beyond so many standard deviations are asked what happened: one in 16 000 is by chance.
+GATE = 4.0
+# The share of outliers is what it was of so many measurements, and never more than this: a sensor that is mostly wrong
+# cannot be told from one that has shifted.
+OUTLIER_MEMORY, MOST_OUTLIERS = 20.0, 0.3
 # Columns of what each hypothesis remembers besides its filter: logarithm of its weight; density of the error of the
-# acceleration that goes on (0: none) and along which axis; of the channel in disturbance number (-1: none), last value.
-WEIGHT, DENSITY, ALONG, DISTURBED, KEPT = range(5)
-MEMORY_COLUMNS = 5
-# Options, see `Rates`.
-P_OUTLIER, P_STAYS, SHIFT_RATE, RETURN_RATE, WRONG_RATE, NOISE_RATE, LOST_RATE, ODDS = range(8)
+# acceleration that goes on (0: none) and along which axis; of the last measurement the hypothesis before it, what it
+# was taken for, its innovation (with the parameters as estimated) and its predicted variance; then what happened to
+# several targets of a sensor in the same frame: time, sensor and size (m) of the last shift, time and sensor of the
+# last outlier; how many measurements were good since anything else was; when the parameters were met last; when the
+# record began.
+(
+    WEIGHT,
+    DENSITY,
+    ALONG,
+    PARENT,
+    CODE,
+    ERROR,
+    TOTAL,
+    SHIFT_AT,
+    SHIFT_OF,
+    SHIFT_BY,
+    OUTLIER_AT,
+    OUTLIER_OF,
+    AGE,
+    LAST_AT,
+    BEGAN_AT,
+) = range(15)
+MEMORY_COLUMNS = 15
+# And for each channel: factor on its variance, and how many measurements it rests on; how many outliers in a row the
+# last ones were, and the value of the first of these; whether its zero has shifted; whether it was met; variance of its
+# reference (m²); when it was last met, when last accepted, and with which variance (m²), its reference's included;
+# whether its clock has stepped, and whether that is in doubt: stamps were missing or went back since the last
+# measurement; share of its last measurements that were outliers.
+(
+    FACTOR,
+    RESTS_ON,
+    DISTURBED,
+    KEPT,
+    SHIFTED,
+    BEGUN,
+    REFERENCE_NOW,
+    MET_AT,
+    ACCEPTED_AT,
+    ACCEPTED_VARIANCE,
+    STEPPED,
+    DOUBTED,
+    SHARE,
+) = range(13)
+MARK_COLUMNS = 13
+# Options, see `Rates`; MEMORY: as of `EstimatorSettings.noise_memory`; BIAS_STD: of the bias at the start, m/s².
+P_OUTLIER, P_STAYS, SHIFT_RATE, RETURN_RATE, WRONG_RATE, NOISE_RATE, LOST_RATE, CLOCK_RATE, ODDS, MEMORY, BIAS_STD = (
+    range(11)
+)
 LOG_2PI = np.log(2.0 * np.pi)
 # Errors of unknown size lie within this number of decades above the noise.
 DECADES = 4.0
+# A prediction whose variance is so many times the measurement's own cannot tell an outlier from a measurement inside
+# the gate: later ones decide. At 25 an outlier at the gate moves the state by five times what a sound one leaves.
+VAGUE = 25.0
+# A zero of which nothing is known is taken to lie within so many times (in variance) what the first measurement is off:
+# that measurement then says 1e-6 of what it would say of the displacement.
+UNKNOWN_ZERO = 1e6
+# What the noise's factor rests on after a sudden rise, in measurements.
+ANEW = 12.0
+# What goes on as an error of the acceleration is so often one of the bias, which a state led away holds too.
+BIAS_TOO = 0.05
+# After so many good measurements half the odds are enough to drop a hypothesis, after twice as many a third: what they
+# have not told apart they will not.
+SETTLES = 20.0
+# Of the gaps and steps back in the stamps of a stream so many are one clock's step against the others.
+P_STEPPED = 0.1
+# Iterations of the variance's fixed point: the third changes it by less than a thousandth.
+ITERATIONS = 3
+# Shortest time (s) that a rate is taken over.
+SHORTEST_S = 1e-3
 
 
 @njit(cache=True)
@@ -81,119 +148,315 @@ def log_any_size(e, total):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def copy_state(p, x, to, of):  # type: ignore[no-untyped-def]
-    """The state `to` becomes a copy of the state `of`."""
-    x[to] = x[of]
-    p[to] = p[of]
-    p[:, to] = p[:, of]
-    p[to, to] = p[of, of]
+def one_of(hyps, b):  # type: ignore[no-untyped-def]
+    """Hypothesis `b`: its states X (n, 1 + k), P (n, n), marks (c, ...), memory, parameters (k,), their covariance."""
+    return hyps[0][b], hyps[1][b], hyps[2][b], hyps[3][b], hyps[4][b], hyps[5][b]
 
 
 @njit(cache=True)
-def noisier(p, i, dt, density):  # type: ignore[no-untyped-def]
-    """More noise of the acceleration over `dt` seconds, along the axis whose displacement is state `i`."""
-    p[i, i] += density * dt * dt * dt / 3.0
-    p[i, i + 1] += density * 0.5 * dt * dt
-    p[i + 1, i] += density * 0.5 * dt * dt
-    p[i + 1, i + 1] += density * dt
+def meet_zero(hyp, row, channel):  # type: ignore[no-untyped-def]
+    """Before a channel's measurement: its zero begins with the first, and follows the reference; returns the factor
+    by which the reference's state was scaled.
+    """
+    x, p, marks, _, _, _ = hyp
+    mark, z = marks[int(row[CHANNEL])], int(channel[ZERO])
+    if mark[BEGUN] == 0.0:
+        mark[BEGUN] = 1.0
+        p[z, z] = channel[ZERO_VARIANCE]
+        if not channel[ZERO_VARIANCE] < np.inf:
+            g, i = channel[UNITS_PER_M], 3 * int(channel[AXIS])
+            # Not times the motion's own variance: a wide start times a large factor is beyond double precision.
+            p[z, z] = UNKNOWN_ZERO * ((row[VALUE] / g - x[i, 0]) ** 2 + row[VARIANCE] / (g * g)) + p[i, i]
+    was = mark[REFERENCE_NOW]
+    if was == row[REFERENCE]:
+        return 1.0
+    mark[REFERENCE_NOW] = row[REFERENCE]
+    return move_reference(x, p, z + 2, was, row[REFERENCE])
 
 
 @njit(cache=True)
-def alike(x, p, y, q):  # type: ignore[no-untyped-def]
-    """Whether two hypotheses have come to say the same of every state but the zeros' past."""
-    for i in range(len(p)):
-        if (x[i, 0] - y[i, 0]) ** 2 > SAME_MEAN * (p[i, i] + q[i, i]) + TINY:
-            return False
-        if abs(p[i, i] - q[i, i]) > SAME_VARIANCE * max(p[i, i], q[i, i]) + TINY:
-            return False
-    return True
+def follow_clock(hyp, row, channel):  # type: ignore[no-untyped-def]
+    """Where a sensor's clock has stepped, let the difference between its time's displacement and this one's go on to
+    change as the motion does (first-order Gauss-Markov), in the place of a shift; returns the factor on that state.
+    """
+    _, p, marks, _, _, _ = hyp
+    mark, s = marks[int(row[CHANNEL])], int(channel[ZERO]) + 1
+    if mark[STEPPED] == 0.0:
+        return 1.0
+    # The correlation of a smooth motion over so short a time.
+    factor = np.exp(-0.5 * (channel[FORGETS] * (row[AT] - mark[MET_AT])) ** 2)
+    scale_state(hyp[0], p, s, factor)
+    p[s, s] += (1.0 - factor * factor) * channel[APART]
+    return factor
 
 
 @njit(cache=True)
-def weigh(b, hyps, row, motion, now, tables, options, last, scratch, chances):  # type: ignore[no-untyped-def]
-    """Logarithms of the weights (6,) of what hypothesis `b` may become by a measurement; -inf: not looked at."""
-    xs, ps, factors, memory, shifted = hyps
-    _, channels, kinds = tables
-    h, gain, e = scratch
-    c, a = int(row[CHANNEL]), int(row[AXIS])
-    channel = channels[c]
-    innovations(xs[b], motion, a, now, row[VALUE], channel, kinds[c], h, e)
-    own = row[VARIANCE] * factors[b, c]
-    total = own + row_variance(ps[b], h, gain)
-    disturbed = int(memory[b, DISTURBED]) == c
-    p_out = options[P_STAYS] if disturbed else options[P_OUTLIER]
-    prior = memory[b, WEIGHT]
+def step_rate(marks, channels, c, at, rates):  # type: ignore[no-untyped-def]
+    """How likely it is that the clock of a channel's sensor has stepped; rates: of itself, and where another channel of
+    the sensor has found it. 0 where another one of the same frame agrees with its prediction.
+    """
+    for o in range(len(channels)):
+        if o != c and channels[o, SENSOR_OF] == channels[c, SENSOR_OF]:
+            if marks[o, STEPPED] > 0.0:
+                return rates[1]
+            if marks[o, ACCEPTED_AT] == at:
+                return 0.0
+    return rates[0]
+
+
+@njit(cache=True)
+def look(hyp, row, scene, tables, scratch):  # type: ignore[no-untyped-def]
+    """Innovation of a measurement in one hypothesis, variance of its prediction, and of its own noise.
+
+    scene = (motion, acceleration at the instant); the sensitivities go to `scratch`, and P h with them. The variance
+    of the prediction is (without, with) the parameters' part.
+    """
+    x, p, marks, _, theta, spread = hyp
+    _, channels, kinds, _, _ = tables
+    gain, e = scratch
+    c = int(row[CHANNEL])
+    innovate(x, scene[0], channels, kinds, c, scene[1], row[VALUE], e)
+    error, known = e[0], project(p, channels, c, gain)
+    wider = known
+    for q in range(len(theta)):
+        error += e[1 + q] * theta[q]
+        for r in range(len(theta)):
+            wider += e[1 + q] * spread[q, r] * e[1 + r]
+    return error, known, wider, row[VARIANCE] * marks[c, FACTOR]
+
+
+@njit(cache=True)
+def adapt(marks, c, error, known, own, memory):  # type: ignore[no-untyped-def]
+    """Follow the variance of a channel's noise after an accepted innovation; known, own: parts of its variance."""
+    rests = min(marks[c, RESTS_ON], memory - 1.0)
+    ratio = 1.0
+    for _ in range(ITERATIONS):
+        share = ratio * own / (known + ratio * own)
+        left = (error * share) ** 2 / own + share * known / own
+        ratio = (rests + left) / (rests + 1.0)
+    marks[c, FACTOR] *= ratio
+    marks[c, RESTS_ON] = rests + 1.0
+
+
+@njit(cache=True)
+def learn_parameters(theta, spread, e, error, total, times, learning):  # type: ignore[no-untyped-def]
+    """Estimate those parameters (k,) that are to be from an innovation, and let them walk since the last one.
+
+    e (1 + k): the innovation's sensitivities; total: its variance with all that is uncertain; times = (now, last, s);
+    learning (k, 2): time in s from which on each is estimated, density of its walk. The gain of the others is 0, and
+    the covariance stays that of the errors (S. F. Schmidt's consider parameters).
+    """
+    k = len(theta)
+    gain, mu = np.zeros(k), np.zeros(k)
+    for q in range(k):
+        spread[q, q] += learning[q, 1] * max(times[0] - times[1], 0.0)
+        for r in range(k):
+            mu[q] += spread[q, r] * e[1 + r]
+        if times[0] >= learning[q, 0]:
+            gain[q] = mu[q] / total
+    for q in range(k):
+        theta[q] -= gain[q] * error
+        for r in range(k):
+            spread[q, r] += gain[q] * gain[r] * total - gain[q] * mu[r] - mu[q] * gain[r]
+
+
+@njit(cache=True)
+def accept(hyp, row, seen, tables, options, scratch):  # type: ignore[no-untyped-def]
+    """Update one hypothesis with a measurement; seen: what `look` returned, P h and sensitivities in `scratch`."""
+    x, p, marks, memory, theta, spread = hyp
+    gain, e = scratch
+    c = int(row[CHANNEL])
+    error, known, wider, own = seen
+    g = tables[1][c, UNITS_PER_M]
+    memory[ERROR], memory[TOTAL] = error, wider + own
+    adapt(marks, c, error, wider, own, options[MEMORY])
+    own = row[VARIANCE] * marks[c, FACTOR]
+    if len(theta) > 0:
+        learn_parameters(theta, spread, e, error, wider + own, (row[AT], memory[LAST_AT]), tables[4])
+        memory[LAST_AT] = row[AT]
+    update(x, p, gain, e, known + own)
+    marks[c, DISTURBED] = 0.0
+    marks[c, SHARE] -= marks[c, SHARE] / OUTLIER_MEMORY
+    marks[c, ACCEPTED_AT], marks[c, ACCEPTED_VARIANCE] = row[AT], own / (g * g) + marks[c, REFERENCE_NOW]
+    return known + own
+
+
+@njit(cache=True)
+def weigh_return(hyp, row, seen, channel, options, scratch, chances):  # type: ignore[no-untyped-def]
+    """The weight of a return; seen = (innovation, variance of its prediction, of its noise), P h in `scratch`.
+
+    A shift is asked for its return outside the gate only; a clock that has stepped explains every measurement.
+    """
+    x, p, marks, memory, _, _ = hyp
+    mark, (error, wider, own) = marks[int(row[CHANNEL])], seen
+    if mark[STEPPED] == 0.0 and error * error <= GATE * GATE * (wider + own):
+        return
+    s, g = int(channel[ZERO]) + 1, channel[UNITS_PER_M]
+    # Without the shift's state: its mean comes back to the innovation, its variance goes.
+    rest = wider - 2.0 * g * scratch[0][s] + g * g * p[s, s]
+    returned = log_normal(error + g * x[s, 0], max(rest, 0.0) + own)
+    rate = options[CLOCK_RATE] if mark[STEPPED] > 0.0 else options[RETURN_RATE]
+    lapse = max(row[AT] - mark[MET_AT], SHORTEST_S)
+    chances[RETURN] = memory[WEIGHT] + np.log(rate * lapse) + returned
+
+
+@njit(cache=True)
+def weigh(hyp, row, scene, tables, options, scratch, asked, chances):  # type: ignore[no-untyped-def]
+    """Logarithms of the weights (8,) of what a hypothesis may become by a measurement; -inf: not looked at.
+
+    asked = (whether it is one of the first and may be an outlier even inside the gate, variance of the sharpest
+    prediction that any hypothesis has of it).
+    """
+    _, _, marks, memory, _, _ = hyp
+    channel = tables[1][int(row[CHANNEL])]
+    mark, prior = marks[int(row[CHANNEL])], memory[WEIGHT]
+    error, _, wider, own = look(hyp, row, scene, tables, scratch)
+    total = wider + own
+    same_frame = memory[OUTLIER_AT] == row[AT] and memory[OUTLIER_OF] == channel[SENSOR_OF]
+    runs = mark[DISTURBED] > 0.0 or same_frame
+    p_out = max(options[P_OUTLIER], min(mark[SHARE], MOST_OUTLIERS))
+    p_out = options[P_STAYS] if runs else p_out
     chances[:] = -np.inf
-    chances[GOOD] = prior + log_normal(e[0], total) + np.log(1.0 - p_out)
-    size = log_any_size(e[0], total)
-    if disturbed:
-        size = np.log(0.5) + max(size, log_normal(row[VALUE] - memory[b, KEPT], 2.0 * own))
-    chances[OUTLIER] = prior + size + np.log(p_out)
-    if e[0] * e[0] <= channel[LIMIT] ** 2 * total:
+    chances[GOOD] = prior + log_normal(error, total) + np.log(1.0 - p_out)
+    size = kept = log_any_size(error, total)
+    inside = error * error <= GATE * GATE * total
+    doubted = asked[0] or wider > VAGUE * own
+    if inside and not doubted and not runs:
+        pass
+    elif mark[DISTURBED] > 0.0:
+        # A value near the first outlier's says nothing against the sensor where no hypothesis can tell the motion.
+        kept = max(size, log_normal(row[VALUE] - mark[KEPT], max(2.0 * own, asked[1])))
+        chances[OUTLIER] = prior + np.log(0.5) + kept + np.log(p_out)
+    else:
+        chances[OUTLIER] = prior + size + np.log(p_out)
+    if memory[DENSITY] > 0.0:
+        chances[LOST] = prior + np.log(BIAS_TOO) + log_normal(error, total)
+    # Among outliers it may have happened at any time since the last measurement that was none.
+    lapse = max(row[AT] - max(mark[ACCEPTED_AT], memory[BEGAN_AT]), SHORTEST_S)
+    if mark[SHIFTED] > 0.0 or mark[STEPPED] > 0.0:
+        weigh_return(hyp, row, (error, wider, own), channel, options, scratch, chances)
+    may_step = mark[STEPPED] + mark[SHIFTED] == 0.0 and channel[APART] > 0.0 and not asked[0]
+    if may_step and (not inside or mark[DOUBTED] > 0.0):
+        own_rate = P_STEPPED if mark[DOUBTED] > 0.0 else options[CLOCK_RATE] * lapse
+        rate = step_rate(marks, tables[1], int(row[CHANNEL]), row[AT], (own_rate, options[P_STAYS]))
+        apart = channel[APART] * channel[UNITS_PER_M] ** 2
+        if rate > 0.0:
+            chances[CLOCK] = prior + np.log(rate) + log_normal(error, total + apart)
+    # Of the first measurements it is asked only which are outliers: what is met once an hour is not met just then.
+    if inside or asked[0]:
         return
-    lapse = max(row[AT] - last[c], 1e-3)
-    z = int(channel[ZERO])
-    if z >= 0:
-        chances[SHIFT] = prior + np.log(options[SHIFT_RATE] * lapse) + log_any_size(e[0], total)
-        if shifted[b, c]:
-            x, p, g = xs[b], ps[b], channel[UNITS_PER_M]
-            back = e[0] + g * (x[z, 0] - x[z + 1, 0])
-            h[z], h[z + 1] = 0.0, g
-            chances[RETURN] = (
-                prior + np.log(options[RETURN_RATE] * lapse) + log_normal(back, own + row_variance(p, h, gain))
-            )
-    chances[WRONG] = prior + np.log(options[WRONG_RATE] * lapse) + log_any_size(e[0], total)
-    chances[LOST] = prior + np.log(options[LOST_RATE] * lapse) + log_any_size(e[0], total)
-    chances[NOISE] = prior + np.log(options[NOISE_RATE] * lapse) + log_any_size(e[0], total)
+    if mark[STEPPED] > 0.0:
+        pass
+    elif memory[SHIFT_AT] == row[AT] and memory[SHIFT_OF] == channel[SENSOR_OF]:
+        # The sensor moved: all its targets shift, mostly by the same.
+        alike_size = log_normal(error - channel[UNITS_PER_M] * memory[SHIFT_BY], 2.0 * own)
+        chances[SHIFT] = prior + np.log(0.5 * options[P_STAYS]) + max(size, alike_size)
+    else:
+        chances[SHIFT] = prior + np.log(options[SHIFT_RATE] * lapse) + size
+    chances[WRONG] = prior + np.log(options[WRONG_RATE] * lapse) + size
+    chances[NOISE] = prior + np.log(options[NOISE_RATE] * lapse) + size
+    led = np.log(options[LOST_RATE] * lapse)
+    if mark[DISTURBED] > 0.0:
+        # With each outlier it becomes more likely that the state was wrong before the first of them.
+        led = min(led - mark[DISTURBED] * np.log(0.5 * options[P_STAYS]), np.log(options[P_OUTLIER]))
+        size = kept
+    chances[LOST] = max(chances[LOST], prior + led + size)
 
 
 @njit(cache=True)
-def become(kind, b, hyps, row, motion, now, tables, last, scratch):  # type: ignore[no-untyped-def]
-    """Turn hypothesis `b` into what a measurement makes of it, as `kind` says."""
-    xs, ps, factors, memory, shifted = hyps
-    _, channels, kinds = tables
-    h, gain, e = scratch
-    c, a = int(row[CHANNEL]), int(row[AXIS])
-    channel, x, p = channels[c], xs[b], ps[b]
-    z, g = int(channel[ZERO]), channel[UNITS_PER_M]
+def become(code, hyp, row, scene, tables, options, scratch):  # type: ignore[no-untyped-def]
+    """Turn a hypothesis into what a measurement makes of it, as `code` says; returns the innovation's variance that
+    it was taken with (0: not at all) and the factor by which the shift's state was scaled.
+    """
+    x, p, marks, memory, _, _ = hyp
+    c = int(row[CHANNEL])
+    channel, mark = tables[1][c], marks[c]
+    a, s, scaled = int(channel[AXIS]), int(channel[ZERO]) + 1, 1.0
+    kind, lapse = code % KINDS, max(row[AT] - mark[MET_AT], SHORTEST_S)
+    memory[CODE] = code
+    memory[AGE] = memory[AGE] + 1.0 if code == GOOD else 0.0
+    mark[MET_AT], mark[DOUBTED] = row[AT], 0.0
+    seen = look(hyp, row, scene, tables, scratch)
     if kind == OUTLIER:
-        memory[b, DISTURBED], memory[b, KEPT] = c, row[VALUE]
-        return
-    if int(memory[b, DISTURBED]) == c:
-        memory[b, DISTURBED] = -1.0
-    innovations(x, motion, a, now, row[VALUE], channel, kinds[c], h, e)
-    size, lapse = e[0] / g, max(row[AT] - last[c], 1e-3)
+        if mark[DISTURBED] == 0.0:
+            # From value to value a fast sensor always keeps its own; stuck is one that keeps the first.
+            mark[KEPT] = row[VALUE]
+        mark[DISTURBED] += 1.0
+        mark[SHARE] += (1.0 - mark[SHARE]) / OUTLIER_MEMORY
+        memory[OUTLIER_AT], memory[OUTLIER_OF] = row[AT], channel[SENSOR_OF]
+        memory[ERROR], memory[TOTAL] = seen[0], seen[2] + seen[3]
+        if code >= ENDED:
+            memory[DENSITY] = 0.0
+        return 0.0, scaled
+    error, total = seen[0], seen[2] + seen[3]
+    size = error / channel[UNITS_PER_M]
     if kind == SHIFT:
-        copy_state(p, x, z + 1, z)
-        p[z, z] += size * size
-        shifted[b, c] = True
+        p[s, s] += size * size
+        mark[SHIFTED] = 1.0
+        memory[SHIFT_AT], memory[SHIFT_OF], memory[SHIFT_BY] = row[AT], channel[SENSOR_OF], size
     elif kind == RETURN:
-        copy_state(p, x, z, z + 1)
+        scaled = 0.0
+        scale_state(x, p, s, scaled)
+        mark[SHIFTED] = mark[STEPPED] = 0.0
+    elif kind == CLOCK:
+        p[s, s] += channel[APART]
+        mark[STEPPED] = 1.0
     elif kind == WRONG:
-        memory[b, DENSITY], memory[b, ALONG] = 3.0 * size * size / lapse**3, a
-        noisier(p, 3 * a, lapse, memory[b, DENSITY])
+        memory[DENSITY], memory[ALONG] = 3.0 * size * size / lapse**3, a
+        add_noise(p, 3 * a, lapse, memory[DENSITY])
     elif kind == LOST:
-        i = 3 * a
-        p[i, i] += size * size
-        p[i + 1, i + 1] += (size / lapse) ** 2
-        p[i + 2, i + 2] += (size / lapse**2) ** 2
+        lapse = max(row[AT] - max(mark[ACCEPTED_AT], memory[BEGAN_AT]), SHORTEST_S)
+        size = max(abs(size), np.sqrt(total) / abs(channel[UNITS_PER_M]))
+        bias = min(size / lapse**2, options[BIAS_STD])
+        for i, std in ((3 * a, size), (3 * a + 1, size / lapse), (3 * a + 2, bias)):
+            p[i, i] += std * std
+        memory[DENSITY] = 0.0
     elif kind == NOISE:
-        factors[b, c] *= e[0] * e[0] / (row[VARIANCE] * factors[b, c] + row_variance(p, h, gain))
-    innovations(x, motion, a, now, row[VALUE], channel, kinds[c], h, e)
-    update(x, p, gain, e, row[VARIANCE] * factors[b, c] + row_variance(p, h, gain))
+        mark[FACTOR] *= error * error / total
+        mark[RESTS_ON] = min(mark[RESTS_ON], ANEW)
+    if kind != GOOD:
+        seen = look(hyp, row, scene, tables, scratch)
+    taken = accept(hyp, row, seen, tables, options, scratch)
+    memory[ERROR], memory[TOTAL] = error, total
+    if code >= ENDED:
+        memory[DENSITY] = 0.0
+    return taken, scaled
 
 
 @njit(cache=True)
 def copy_hypothesis(hyps, to, of):  # type: ignore[no-untyped-def]
     """Hypothesis `to` becomes a copy of `of`."""
-    xs, ps, factors, memory, shifted = hyps
-    xs[to], ps[to], factors[to], memory[to], shifted[to] = xs[of], ps[of], factors[of], memory[of], shifted[of]
+    xs, ps, marks, memory, thetas, spreads = hyps
+    xs[to], ps[to], marks[to], memory[to] = xs[of], ps[of], marks[of], memory[of]
+    thetas[to], spreads[to] = thetas[of], spreads[of]
+
+
+@njit(cache=True)
+def alike(hyps, b, o):  # type: ignore[no-untyped-def]
+    """Whether two hypotheses have come to say the same of every state, of the noise and of what goes on."""
+    xs, ps, marks, memory, _, _ = hyps
+    if memory[o, DENSITY] != memory[b, DENSITY]:
+        return False
+    for c in range(marks.shape[1]):
+        if (marks[o, c, DISTURBED] > 0.0) != (marks[b, c, DISTURBED] > 0.0) or marks[o, c, STEPPED] != marks[
+            b, c, STEPPED
+        ]:
+            return False
+        if abs(marks[o, c, FACTOR] / marks[b, c, FACTOR] - 1.0) > SAME_NOISE:
+            return False
+    for i in range(ps.shape[1]):
+        mine, other = ps[b, i, i], ps[o, i, i]
+        if (xs[b, i, 0] - xs[o, i, 0]) ** 2 > SAME_MEAN * (mine + other) + TINY:
+            return False
+        if abs(mine - other) > SAME_VARIANCE * max(mine, other) + TINY:
+            return False
+    return True
 
 
 @njit(cache=True)
 def prune(hyps, count, odds):  # type: ignore[no-untyped-def]
     """Drop what fell behind or repeats a better one; the best comes first. Returns how many are left."""
-    xs, ps, factors, memory, _ = hyps
+    memory = hyps[3]
     best = 0
     for b in range(1, count):
         if memory[b, WEIGHT] > memory[best, WEIGHT]:
@@ -204,11 +467,10 @@ def prune(hyps, count, odds):  # type: ignore[no-untyped-def]
         copy_hypothesis(hyps, best, 2 * MOST)
     top, left = memory[0, WEIGHT], 0
     for b in range(count):
-        keep = memory[b, WEIGHT] > top - odds
+        age = min(memory[b, AGE], memory[0, AGE])
+        keep = b == 0 or memory[b, WEIGHT] > top - odds / (1.0 + age / SETTLES)
         for o in range(left):
-            same = memory[o, DENSITY] == memory[b, DENSITY] and memory[o, DISTURBED] == memory[b, DISTURBED]
-            same = same and np.all(np.abs(factors[o] / factors[b] - 1.0) < SAME_NOISE)
-            if keep and same and alike(xs[o], ps[o], xs[b], ps[b]):
+            if keep and alike(hyps, b, o):
                 keep = False
                 high, low = max(memory[o, WEIGHT], memory[b, WEIGHT]), min(memory[o, WEIGHT], memory[b, WEIGHT])
                 memory[o, WEIGHT] = high + np.log1p(np.exp(low - high))
@@ -216,175 +478,46 @@ def prune(hyps, count, odds):  # type: ignore[no-untyped-def]
             if left != b:
                 copy_hypothesis(hyps, left, b)
             left += 1
+    top = memory[0, WEIGHT]
     for b in range(left):
         memory[b, WEIGHT] -= top
     return left
 
 
 @njit(cache=True)
-def meet(hyps, count, row, motion, now, tables, options, last, scratch, chances):  # type: ignore[no-untyped-def]
-    """Split, weigh and prune all hypotheses by one measurement; returns how many are left."""
-    memory = hyps[3]
+def split(hyps, count, row, scene, tables, options, scratch, doubted, chances):  # type: ignore[no-untyped-def]
+    """Split, weigh and prune all hypotheses by one measurement; returns how many are left. doubted: as of `weigh`."""
+    memory, sharpest = hyps[3], np.inf
     for b in range(count):
-        weigh(b, hyps, row, motion, now, tables, options, last, scratch, chances[b])
+        seen = look(one_of(hyps, b), row, scene, tables, scratch)
+        sharpest = min(sharpest, seen[2] + seen[3])
+    for b in range(count):
+        weigh(one_of(hyps, b), row, scene, tables, options, scratch, (doubted, sharpest), chances[b])
         if memory[b, DENSITY] > 0.0:
             # The error of the acceleration may just have ended.
             chances[b] += np.log(options[P_STAYS])
-    if count == 1 and chances[0, GOOD] == np.max(chances[0]) and np.sum(chances[0] > -np.inf) == 2:
-        become(GOOD, 0, hyps, row, motion, now, tables, last, scratch)
-        memory[0, WEIGHT] = 0.0
-        return 1
     flat = chances[:count].ravel()
     order = np.argsort(-flat)
-    made = 0
-    for place in order[: MOST // 2]:
-        if not flat[place] > flat[order[0]] - options[ODDS]:
+    made = rejecting = 0
+    for place in order:
+        if made == MOST // 2 or not flat[place] > flat[order[0]] - options[ODDS]:
             break
         b, kind = place // KINDS, place % KINDS
+        if kind == OUTLIER:
+            # Those that reject are told nothing: all of them together would keep out for ever what could take it.
+            if rejecting == MOST // 4:
+                continue
+            rejecting += 1
         copy_hypothesis(hyps, MOST + made, b)
-        become(kind, MOST + made, hyps, row, motion, now, tables, last, scratch)
-        memory[MOST + made, WEIGHT] = flat[place]
+        become(kind, one_of(hyps, MOST + made), row, scene, tables, options, scratch)
+        memory[MOST + made, WEIGHT], memory[MOST + made, PARENT] = flat[place], b
         made += 1
     for b in range(made):
         copy_hypothesis(hyps, b, MOST + b)
     for b in range(made):
         if memory[b, DENSITY] > 0.0 and made < MOST:
             copy_hypothesis(hyps, made, b)
-            memory[made, DENSITY] = 0.0
+            memory[made, DENSITY], memory[made, CODE] = 0.0, memory[b, CODE] + ENDED
             memory[made, WEIGHT] += np.log(1.0 - options[P_STAYS]) - np.log(options[P_STAYS])
             made += 1
     return prune(hyps, made, options[ODDS])
-
-
-@njit(cache=True)
-def decide_block(samples, rows, state, hyps, count, last, tables, options, nodes, covariances):  # type: ignore[no-untyped-def]
-    """Run all hypotheses over one block; nodes and covariances take the best one's. Returns how many are left.
-
-    state = (motion, clock); hyps = (xs (33, n, 1 + k), ps (33, n, n), factors (33, c), memory (33, 5), shifted (33,c)).
-    """
-    motion, clock = state
-    xs, ps, _, memory, _ = hyps
-    walks = tables[0]
-    n, axes, columns = xs.shape[1], len(motion), xs.shape[2]
-    scratch = (np.zeros(n), np.zeros(n), np.zeros(columns))
-    chances = np.zeros((MOST, KINDS))
-    j = 0
-    for k in range(len(samples)):
-        t0, t1 = clock[TIME], samples[k, 0]
-        dt = t1 - t0
-        for a in range(axes):
-            old_lead, old_slope = motion[a, LEAD], motion[a, SLOPE]
-            for b in range(count):
-                motion[a, LEAD], motion[a, SLOPE] = old_lead, old_slope
-                begin_interval(xs[b], clock, motion, a, dt, samples[k, 1 + a])
-        clock[STEP] = min(dt, GAP_STEPS * clock[STEP])
-        reached = t0
-        while True:
-            due = j < len(rows) and rows[j, AT] <= t1
-            if due and (rows[j, AT] < reached or not rows[j, VARIANCE] < np.inf):
-                j += 1
-                continue
-            until = rows[j, AT] if due else t1
-            was, theta = (reached - t0) / dt, (until - t0) / dt
-            if until > reached:
-                for b in range(count):
-                    predict(xs[b], ps[b], motion, samples[k], (was, theta, dt), walks)
-                    if memory[b, DENSITY] > 0.0:
-                        noisier(ps[b], 3 * int(memory[b, ALONG]), until - reached, memory[b, DENSITY])
-                reached = until
-            if not due:
-                break
-            row = rows[j]
-            j += 1
-            if row[CHANNEL] == SET_DATUM:
-                for b in range(count):
-                    copy_datum(xs[b], ps[b], axes)
-                continue
-            a, c = int(row[AXIS]), int(row[CHANNEL])
-            now = motion[a, INPUT] + theta * (samples[k, 1 + a] - motion[a, INPUT])
-            count = meet(hyps, count, row, motion, now, tables, options, last, scratch, chances)
-            last[c] = row[AT]
-        clock[TIME] = t1
-        for a in range(axes):
-            motion[a, INPUT] = samples[k, 1 + a]
-        leave(xs[0], motion, nodes[k])
-        covariances[k] = ps[0]
-    return count
-
-
-@dataclass(frozen=True, slots=True)
-class Rates:
-    """How often each is met, and what decides.
-
-    outlier: share of measurements that are wrong by any amount; stays: of those whose next one is wrong too, and of
-    errors of the acceleration that last from one measurement to the next. shift, wrong, lost, noise: a second, see the
-    module; once an hour each. back: of a shifted zero, a second. odds: logarithm by which a hypothesis falls behind the
-    best before it is dropped: at 12 it is 160 000 times less likely.
-    """
-
-    outlier: float = 0.01
-    stays: float = 0.6
-    shift: float = 1.0 / 3600.0
-    back: float = 0.1
-    wrong: float = 1.0 / 3600.0
-    noise: float = 1.0 / 3600.0
-    lost: float = 1.0 / 3600.0
-    odds: float = 12.0
-
-    @property
-    def row(self) -> Floats:
-        """As the recursion takes them."""
-        return np.array([self.outlier, self.stays, self.shift, self.back, self.wrong, self.noise, self.lost, self.odds])
-
-
-class Hypotheses:
-    """The estimator of one point along one axis as a stream of samples and measurements, cut anywhere.
-
-    start: standard deviations of displacement (m), velocity (m/s) and bias (m/s²) before the first measurement.
-    channels (c, 4), kinds (c, k): see `forward`; the zero of channel c is state 4 + 2 c, what it was before a shift the
-    state after it. bias_walk: density of the bias's random walk, (m/s²)²/s. bias: expected, m/s².
-    """
-
-    def __init__(
-        self,
-        start: tuple[float, float, float],
-        channels: Floats,
-        kinds: NDArray[np.int64],
-        rates: Rates,
-        *,
-        bias_walk: float,
-        bias: float = 0.0,
-    ) -> None:
-        n, count = 4 + 2 * len(channels), 2 * MOST + 1
-        self._hyps = (
-            np.zeros((count, n, 1 + kinds.shape[1])),
-            np.zeros((count, n, n)),
-            np.ones((count, len(channels))),
-            np.zeros((count, MEMORY_COLUMNS)),
-            np.zeros((count, len(channels)), dtype=np.bool_),
-        )
-        self._hyps[0][0, 2, 0] = bias
-        self._hyps[1][0, :3, :3] = np.diag(np.square(start))
-        self._hyps[3][:, DISTURBED] = -1.0
-        walks = np.zeros(n)
-        walks[2] = bias_walk
-        self._tables, self._options = (walks, channels, kinds), rates.row
-        self._motion, self._clock = np.zeros((1, MOTION_COLUMNS)), np.array([np.nan, np.inf])
-        self._last = np.full(len(channels), np.nan)
-        self.count = 1
-
-    def push(self, samples: Floats, rows: Floats) -> tuple[Floats, Floats]:
-        """Take samples (s, 3) and the measurements (m, 5) up to the last of them, as of `forward`'s columns.
-
-        Returns the best hypothesis's states and true velocity (s, n + 1, 1 + k), and covariance (s, n, n) at each.
-        """
-        if np.isnan(self._clock[TIME]):
-            self._clock[TIME], self._motion[0, INPUT] = samples[0, 0] - START_S, samples[0, 1]
-            self._last[:] = self._clock[TIME]
-        n, columns = self._hyps[0].shape[1:]
-        nodes, covariances = np.empty((len(samples), n + 1, columns)), np.empty((len(samples), n, n))
-        state = (self._motion, self._clock)
-        self.count = decide_block(
-            samples, rows, state, self._hyps, self.count, self._last, self._tables, self._options, nodes, covariances
-        )
-        return nodes, covariances

@@ -41,3 +41,10 @@ def _cubic(t: Floats, path: Estimate, at_s: Floats) -> Floats:
         - u * u * (1 - u) * h * v[k + 1]
     )
     return between
+
+
+def rows_at(path: Estimate, time_ns: Nanoseconds) -> Estimate:
+    """The rows of an estimate at other stamps (n,); source and status are those of its last row before each."""
+    displacement, variance = at(path, time_ns)
+    last = np.maximum(np.searchsorted(path.time_ns, time_ns, side="right") - 1, 0)
+    return Estimate(time_ns, displacement, variance, velocity_at(path, time_ns), path.source[last], path.status[last])

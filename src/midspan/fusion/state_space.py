@@ -1,4 +1,4 @@
-"""The state-space model shared by filter, smoother and calibration, as compiled scalar algebra.
+"""The state-space model of one axis alone, as compiled scalar algebra: for the calibration and for many points.
 
 State: displacement x (m), velocity v (m/s), accelerometer bias b (m/s²). The measured acceleration is the input:
 
@@ -19,20 +19,9 @@ from numba import njit
 
 from midspan.records import Floats
 
-X, V, B, P00, P01, P02, P11, P12, P22, TIME, INPUT = range(11)
-LAST_ACCEPTED, FIRST_REJECTED, REJECTIONS, SOURCE, AGREEMENTS = range(11, 16)
-STEP, LEAD, SLOPE = range(16, 19)
-# What the gate remembers: how many measurements were accepted, the last innovation and its predicted variance, how
-# large the steps between innovations are for what is predicted, and of the rejections in a row the farthest (squared,
-# in predicted variances), the variance predicted for the first, and how many of the last ones were near. Then the last
-# innovation judged and its time, and of the rejections in a row the first one, the noise's variance at it, and 0 or,
-# where they keep to a level that they began with a step to, 1 and the sum of their squared steps since.
-ACCEPTED_COUNT, LAST_INNOVATION, LAST_TOTAL, ROUGHNESS, FARTHEST, FIRST_TOTAL, NEAR_ONES = range(19, 26)
-JUDGED, JUDGED_AT, FIRST_INNOVATION, FIRST_NOISE, LEVEL = range(26, 31)
-STATE_SIZE = 31
+X, V, B, P00, P01, P02, P11, P12, P22, TIME, INPUT, STEP, LEAD, SLOPE = range(14)
+STATE_SIZE = 14
 
-# The gate starts twice as wide, for noise levels that are wrong, and narrows within a dozen measurements.
-FIRST_ROUGHNESS = 3.0
 # An interval this many times as long as the one before is a gap: its slope says nothing about the motion inside.
 GAP_STEPS = 2.0
 
@@ -46,9 +35,7 @@ def initial_state(time_s: float, mean: tuple[float, float, float], variance: tup
     state[[X, V, B]] = mean
     state[[P00, P11, P22]] = variance
     state[TIME] = time_s
-    state[LAST_ACCEPTED] = -np.inf
     state[STEP] = np.inf
-    state[LAST_INNOVATION], state[ROUGHNESS] = np.nan, FIRST_ROUGHNESS
     return state
 
 

@@ -11,10 +11,11 @@ and 2.3.
 
 from dataclasses import dataclass, field
 
-from midspan.fusion.branches import Branches, Rates, StreamSettings
-from midspan.fusion.complementary import ComplementaryFilter, run
+from midspan.fusion.branches import Branches, Rates
+from midspan.fusion.complementary import fused, smoothed_record
 from midspan.fusion.fir import HIGHEST_NYQUIST, at_frames, folding_probe
-from midspan.records import Acceleration, Displacement, Estimate, joined
+from midspan.fusion.streams import KalmanSettings, MethodSettings, Smoothed
+from midspan.records import Acceleration, Displacement, Estimate
 from midspan.signals.fir import Transition, complement, equiripple_low_pass
 from midspan.signals.integrate import integrating
 
@@ -35,7 +36,6 @@ class TwoStageSettings:
     band: Transition = field(default_factory=lambda: Transition(0.5, 1.0))
     anti_alias_ripple: float = 1e-3
     literal: bool = False
-    stream: StreamSettings = field(default_factory=StreamSettings)
 
     def __post_init__(self) -> None:
         Transition(1.0, 2.0, self.anti_alias_ripple)
@@ -74,21 +74,27 @@ def design(rates: Rates, settings: TwoStageSettings) -> Branches:
     return Branches(low, high, settings.rule, at_frames(anti_alias, rates, settings.rule), probe)
 
 
-class TwoStageFir(ComplementaryFilter):
-    """`two-stage-fir` as a stream; see `ComplementaryFilter` for how to push and finish."""
-
-    def __init__(self, settings: TwoStageSettings | None = None) -> None:
-        self.settings = settings or TwoStageSettings()
-        gate = not self.settings.literal
-        super().__init__(lambda rates: design(rates, self.settings), self.settings.stream, gate=gate)
-
-
 def two_stage_fir(
     acceleration: Acceleration, displacement: Displacement, settings: TwoStageSettings | None = None
 ) -> Estimate:
     """Fuse a whole record: one row a sample, from acceleration (n samples) and displacement (m) in time order."""
-    outputs = run(TwoStageFir(settings), acceleration, displacement)
-    return joined([item for item in outputs if isinstance(item, Estimate)])
+    smoothed = smoothed_record(acceleration, displacement, KalmanSettings())
+    return _fused(acceleration, displacement, settings or TwoStageSettings(), smoothed).estimate
+
+
+def run_two_stage(
+    acceleration: Acceleration, displacement: Displacement, settings: MethodSettings, path: Smoothed | None
+) -> Smoothed:
+    """The same as a row of METHODS, see `fused`."""
+    smoothed = path or smoothed_record(acceleration, displacement, settings.kalman)
+    return _fused(acceleration, displacement, TwoStageSettings(literal=settings.literal), smoothed)
+
+
+def _fused(
+    acceleration: Acceleration, displacement: Displacement, settings: TwoStageSettings, smoothed: Smoothed
+) -> Smoothed:
+    record = (acceleration, displacement)
+    return fused(lambda rates: design(rates, settings), record, smoothed, fill=not settings.literal)
 
 
 def _too_slow(rates: Rates, settings: TwoStageSettings) -> str:

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from midspan.radar.alignment import Alignment, align
-from midspan.radar.phase_filter import BLIND_RAD, PhaseFilterSettings, Unwrapped, unwrap_filtered
-from midspan.radar.unwrap import TURN, inertial_steps
+from midspan.radar.phase_filter import PhaseFilterSettings, Unwrapped, unwrap_filtered
+from midspan.radar.unwrap import BLIND_RAD, TURN, inertial_steps
 from midspan.records import Floats
 
 # Errors of the alignment that are allowed for where it has been found, at least.

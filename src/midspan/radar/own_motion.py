@@ -32,9 +32,6 @@ LEAST_RELATIVE, LEAST_CLOCK_S = 3e-4, 5e-5
 # A filter takes this much off the variance of white noise, but nothing off a motion; one target is left out beside
 # another whose error is this many times less (variances).
 AVERAGED, LEFT_OUT_RATIO = 25.0, 4.0
-# Frequencies that an error is put at, at most: each costs four runs of the filter. It is spread about each, for no
-# motion comes back to where it was at the zero after every period.
-MOST_COURSES, SPREAD = 3, (0.89, 1.13)
 # Frames that two targets must both be seen in; the smallest motions that count, and for which a target is left out, m.
 LEAST_FRAMES, LEAST_M, LEAST_LEFT_OUT_M = 400, 1e-6, 1e-5
 
@@ -69,26 +66,6 @@ class OwnMotions:
     frequency_hz: Floats
     left_out: NDArray[np.bool_]
     undecided: NDArray[np.bool_]
-
-    def courses_m(self, frame_s: Floats, variance_m2: Floats) -> tuple[Floats, ...]:
-        """Errors (n,) of one standard deviation each that the targets' motions make of their displacement together.
-
-        frame_s (n,); variance_m2 (targets, n): infinite where a target is not used. A motion of known frequency and
-        unknown phase is a cosine and a sine.
-        """
-        weight = np.where(np.isfinite(variance_m2), 1.0 / variance_m2, 0.0)
-        weight /= np.maximum(weight.sum(axis=0), 1e-300)
-        used = weight.any(axis=1)
-        found: list[Floats] = []
-        for k in np.argsort(-self.power_m2[used].sum(axis=0))[:MOST_COURSES] if used.any() else ():
-            if not self.power_m2[used, k].any():
-                continue
-            # The weights are not squared: which targets have a say changes with the time.
-            size = np.sqrt(self.power_m2[:, k] @ weight / len(SPREAD))
-            for share in SPREAD:
-                turn = 2.0 * np.pi * share * self.frequency_hz[k] * frame_s
-                found += [size * np.cos(turn), size * np.sin(turn)]
-        return tuple(found)
 
     def std_m(self, target: int) -> float:
         """Standard deviation of a target's own motion, m."""

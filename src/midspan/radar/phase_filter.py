@@ -13,15 +13,13 @@ from numba import njit
 from numpy.typing import NDArray
 
 from midspan.checks import positive, same_length
-from midspan.radar.unwrap import TURN
+from midspan.radar.unwrap import BLIND_RAD, TURN, UNSURE_CYCLES
 from midspan.records import Floats, Status
 
 U, V, B, P00, P01, P02, P11, P12, P22, MISFIT, SEEN, ENERGY_A, ENERGY_D, MIXED = range(14)
 LAST, BEFORE, AGE, LAST_A, ORIGIN, WATCHED = range(14, 20)
 STATE_SIZE = 20
 
-# The phase of a target whose noise reaches this (rad) says nothing about its cycle.
-BLIND_RAD = 0.77
 # Innovations beyond so many standard deviations get a larger variance instead of a full say.
 HUBER = 2.5
 # The noise of the acceleration is raised and lowered until innovations are as large as predicted: the logarithm of its
@@ -36,8 +34,6 @@ WATCH_FRAMES = 100.0
 # The accelerometer counts as dead when it explains less than this share of the phase's second differences, while these
 # are this many times what noise makes.
 DEAD_SHARE, DEAD_EXCESS = 0.1, 3.0
-# A prediction whose standard deviation exceeds this share of a cycle cannot name the cycle any more.
-UNSURE_CYCLES = 0.2
 
 
 @dataclass(frozen=True, slots=True)

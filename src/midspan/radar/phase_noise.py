@@ -19,8 +19,6 @@ LEAST_FRAMES, LEAST_TURN = 50, 2.0
 MIGRATING_TURN = 40.0
 # A modulation below this share of the receiver's own is none: its level is known no better.
 LEAST_EXCESS = 0.05
-# Frames whose innovations are taken together for the chance of a slip.
-SLIP_FRAMES = 200
 
 
 def measured_variance(phase_rad: Floats, expected_rad: Floats) -> float:
@@ -55,35 +53,6 @@ def modulation(phasors: NDArray[np.complexfloating], phase_rad: Floats, noise: f
     excess = np.mean((amplitude - level) ** 2) - receiver
     firm = excess > max(LEAST_EXCESS, 4.0 * np.sqrt(2.0 / len(phase))) * receiver
     return float(np.sqrt(excess) / np.median(amplitude)) if firm else 0.0
-
-
-def bending(modulation_rad: float, phase_rad: Floats) -> float:
-    """Variance in rad² of an unwrapped phase (n,) against any of its frames, that something else in the bin makes.
-
-    modulation_rad: its standard deviation where the phase turns. Both frames are bent: twice the variance, and less in
-    a record whose phase turns by less than a quarter of a cycle.
-    """
-    known = phase_rad[np.isfinite(phase_rad)]
-    turned = min(float(np.ptp(known)), 0.5 * np.pi) if len(known) else 0.0
-    return 2.0 * modulation_rad**2 * (1.0 - float(np.cos(turned)))
-
-
-def slip_variance(innovation_rad: Floats) -> Floats:
-    """Variance (n,) in rad² of the cycles that may have been lost up to each frame, one where another is expected.
-
-    innovation_rad (n,): wrapped phase less prediction, NaN where not used. Their scatter, unwrapped as that of a normal
-    distribution, tells how often half a cycle is passed.
-    """
-    from math import erfc
-
-    chance = np.zeros(len(innovation_rad))
-    known = np.flatnonzero(np.isfinite(innovation_rad))
-    for part in np.array_split(known, max(1, len(known) // SLIP_FRAMES)):
-        if len(part):
-            together = float(np.abs(np.mean(np.exp(1j * innovation_rad[part]))))
-            spread = np.sqrt(max(-2.0 * np.log(max(together, 1e-12)), 1e-12))
-            chance[part] = erfc(np.pi / (spread * np.sqrt(2.0)))
-    return np.asarray((2.0 * np.pi) ** 2 * np.cumsum(chance))
 
 
 def factor_spread(modulation_rad: float, leak_share: float, turn_rad: float) -> float:

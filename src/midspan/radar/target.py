@@ -68,7 +68,8 @@ class Target:
     background: what stands still in every bin that the target moves through, where it moves so far that it must be
     followed; reach_bins: how far it moved; modulation_rad: standard deviation of the phase from what else turns in the
     bin, NaN where it turned too little to tell; phase_noise_rad2: variance of the phase beyond the receiver's noise;
-    own_m: standard deviation of the displacement that the target's own motion makes, above about 0.3 Hz.
+    own_m: standard deviation of the displacement that the target's own motion makes, about the frequency own_hz; where
+    that is 0, above about 0.3 Hz.
     """
 
     place_bin: float
@@ -90,6 +91,7 @@ class Target:
     modulation_rad: float = np.nan
     phase_noise_rad2: float = 0.0
     own_m: float = 0.0
+    own_hz: float = 0.0
 
     @property
     def relative_std(self) -> float:
@@ -100,6 +102,18 @@ class Target:
     def noise_variance(self) -> float:
         """Variance of the complex noise of the receivers combined, in squared ADC counts."""
         return self.amplitude**2 / 10 ** (self.snr_db / 10)
+
+    @property
+    def bent_rad(self) -> float:
+        """Standard deviation of the phase by what else is in the bin, rad."""
+        share = 0.0 if np.isnan(self.clutter) or self.leak else self.clutter / np.sqrt(2.0)
+        return float(np.nanmax([share, self.modulation_rad]))
+
+    @property
+    def bent_m(self) -> float:
+        """Standard deviation of the displacement by what else is in the bin, m."""
+        receiver = 0.5 * 10 ** (-self.snr_db / 10)
+        return self.bent_rad * self.noise_m / float(np.sqrt(receiver + self.phase_noise_rad2))
 
     def bins(self, range_change_m: Floats | float, bin_m: float, count: int | None = None) -> Floats:
         """Whole bins (k,) to fetch so that the target can be followed, for `measurement.TargetFrames.bins`.

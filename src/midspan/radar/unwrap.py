@@ -7,6 +7,10 @@ from midspan.checks import finite, increasing, same_length
 from midspan.records import Floats
 
 TURN = 2.0 * np.pi
+# The phase of a target whose noise reaches this (rad) says nothing about its cycle.
+BLIND_RAD = 0.77
+# A prediction whose standard deviation exceeds this share of a cycle cannot name the cycle any more.
+UNSURE_CYCLES = 0.2
 
 
 def wrapped(angle: Floats) -> Floats:

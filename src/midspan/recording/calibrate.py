@@ -1,26 +1,23 @@
 """`calibrate`: from an opened recording to scale factor, clock offset and noise levels."""
 
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from midspan.calibration.bias import Bias
-from midspan.calibration.noise import NoiseCalibration
-from midspan.calibration.scale import ScaleCalibration
+from midspan.engine.axis import AxisFigures, usual_figures
 from midspan.recording.camera_calibration.camera import CameraFit
 from midspan.recording.camera_calibration.cameras import calibrate_cameras, together
-from midspan.recording.displacement.sensor import (
-    calibrate_displacement,
-    displacement_bias,
-    displacement_part,
-    displacement_warnings,
-)
-from midspan.recording.radar.calibrate import calibrate_radar
+from midspan.recording.displacement.sensor import DisplacementFit
+from midspan.recording.kinds import ROWS
+from midspan.recording.radar.calibrate import RadarFit
 from midspan.recording.radar.literal import calibrate_radar_literal
-from midspan.recording.stored.calibration import Calibration
-from midspan.recording.stored.displacement import DisplacementCalibration
+from midspan.recording.stored.calibration import Calibration, placed
 from midspan.recording.streams.progress import Progress, silent
 from midspan.recording.streams.recording import Recording, naming, open_recording
+from midspan.recording.streams.sensor_words import in_words_of, worded
+from midspan.recording.streams.window import calibration_window
 from midspan.recording.tracking.tracking import CameraTracking
 
 
@@ -46,75 +43,66 @@ def calibrate_and_track(recording: Recording, progress: Progress = silent) -> tu
 
 
 def _calibrate_and_track(recording: Recording, progress: Progress) -> tuple[Calibration, CameraTracking | None]:
-    settings = recording.settings
-    sensor: DisplacementCalibration | None = None
-    warnings = list(recording.channel_warnings)
-    densities: list[float] = []
-    biases: list[Bias] = []
-    diagnostics: ScaleCalibration | NoiseCalibration | None = None
-    seen = calibrate_cameras(recording, progress) if settings.first_camera is not None else ()
-    parts = seen[0].parts if seen else ()
-    for one in seen:
-        diagnostics = diagnostics or one.parts[0].diagnostics
-        warnings += one.warnings
-        densities.append(one.parts[0].input_density)
-        biases += [] if one.parts[0].bias is None else [one.parts[0].bias]
-    learnt_of = {one.view.sensor: one.parts[0].calibration for one in seen}
-    learn = calibrate_radar_literal if settings.fusion.literal else calibrate_radar
-    radar = None if settings.radar is None else learn(recording, progress)
-    if radar is not None:
-        warnings += radar.warnings
-        densities.append(radar.input_density)
-        biases.append(radar.bias)
-    if settings.displacement is not None:
-        learnt = calibrate_displacement(recording)
-        sensor = displacement_part(recording, learnt)
-        warnings += displacement_warnings(recording, learnt, sensor)
-        densities.append(learnt.input_noise_density)
-        biases.append(displacement_bias(learnt))
-        diagnostics = diagnostics or learnt
+    if recording.settings.fusion.literal:
+        recording.require_one_of_a_kind()
+    seen = calibrate_cameras(recording, progress) if recording.cameras else ()
+    fits = [one.parts[0] for one in seen] + [_fitted(view, progress) for view in recording.views if view.kind in ROWS]
+    warnings = [*recording.channel_warnings, *(line for one in seen for line in one.warnings)]
+    warnings += [line for fit in fits[len(seen) :] for line in fit.warnings]
     # The accelerometer's noise is in each of them: they are no independent draws, and the surest one is taken.
-    bias = min(biases, key=lambda one: one.std_m_s2)
+    bias = min((fit.bias for fit in fits if fit.bias is not None), key=lambda one: one.std_m_s2)
+    parts = seen[0].parts if seen else ()
     across = _across(recording, parts[1], warnings) if len(parts) > 1 else None
     calibration = Calibration(
-        noise_std_m_s2=_acceleration_noise(recording, densities, warnings),
+        noise_std_m_s2=_acceleration_noise(recording, [fit.input_density for fit in fits], warnings),
         bias_m_s2=bias.value_m_s2,
         bias_std_m_s2=bias.std_m_s2,
-        camera=learnt_of.get("camera"),
-        infrared=learnt_of.get("infrared"),
-        radar=None if radar is None else radar.calibration,
-        displacement=sensor,
+        **placed([fit.calibration for fit in fits]),
         warnings=tuple(warnings),
         across=across,
+        usual=usual_in_window(recording),
         left_out=recording.across.axis if recording.across is not None and across is None else "",
-        diagnostics=diagnostics,
+        diagnostics=next((fit.diagnostics for fit in fits if not isinstance(fit, RadarFit)), None),
     )
     return calibration, together(seen)
+
+
+def _fitted(view: Recording, progress: Progress) -> CameraFit | RadarFit | DisplacementFit:
+    """What is learnt of a sensor that is no camera, in words with its name."""
+    learn = (
+        calibrate_radar_literal if view.kind == "radar" and view.settings.fusion.literal else ROWS[view.kind].calibrate
+    )
+    with in_words_of(view.sensor):
+        fit = learn(view, progress)
+    own: Any = replace(fit.calibration, name=view.own.settings.name)
+    return replace(fit, calibration=own, warnings=tuple(worded(line, view.sensor) for line in fit.warnings))
 
 
 def _across(recording: Recording, part: CameraFit, warnings: list[str]) -> Calibration:
     """The calibration along the second image axis; without an accelerometer there, the motion itself is its noise."""
     view = recording.across
     assert view is not None
-    thermal = part.calibration if recording.settings.camera is None else None
-    own = None if thermal else part.calibration
     if part.bias is None:
         return Calibration(
             noise_std_m_s2=float(np.sqrt(part.input_density * recording.prepared.rate_hz)),
             bias_m_s2=0.0,
             bias_std_m_s2=0.0,
-            camera=own,
-            infrared=thermal,
+            **placed([part.calibration]),
         )
     warnings += [line for line in view.prepared.warnings if line not in warnings]
     return Calibration(
         noise_std_m_s2=_acceleration_noise(view, [part.input_density], warnings),
         bias_m_s2=part.bias.value_m_s2,
         bias_std_m_s2=part.bias.std_m_s2,
-        camera=own,
-        infrared=thermal,
+        **placed([part.calibration]),
+        usual=usual_in_window(view),
         diagnostics=part.diagnostics,
     )
+
+
+def usual_in_window(recording: Recording) -> AxisFigures:
+    """What is usual of the acceleration in the calibration window."""
+    return usual_figures(recording.acceleration.value[calibration_window(recording)], recording.prepared.rate_hz)
 
 
 def _acceleration_noise(recording: Recording, densities: list[float], warnings: list[str]) -> float:

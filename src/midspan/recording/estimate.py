@@ -1,5 +1,6 @@
 """`estimate`: the main job, from a recording to displacement at the accelerometer's rate with its error band."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -7,17 +8,59 @@ import numpy as np
 
 from midspan.checks import option
 from midspan.errors import DataError, UntrustedError, UsageError
-from midspan.fusion.gate import REJECTED
-from midspan.fusion.methods import LITERAL, METHODS, no_literal_form
-from midspan.fusion.runners import MethodSettings
-from midspan.fusion.smoother import Smoothed
+from midspan.fusion.estimator import Estimator
+from midspan.fusion.methods import METHODS, no_literal_form
+from midspan.fusion.model import EstimatorSettings
+from midspan.fusion.second_pass import Lag, smooth
+from midspan.fusion.streams import MethodSettings
 from midspan.recording.calibrate import calibrate_and_track
-from midspan.recording.fusing.fuse import FusionInputs, fuse
-from midspan.recording.fusing.scale_check import SCALED, Fitting, fitting
-from midspan.recording.inputs import Gathered, gather
-from midspan.recording.radar.literal import require_same_way
+from midspan.recording.camera_result import CameraResult, camera_result, camera_series
+from midspan.recording.cameras.lost_target import lost_events, lost_warnings
+from midspan.recording.cameras.tracked import (
+    Eye,
+    Side,
+    known_sensors,
+    offsets_of,
+    open_eyes,
+    side_of,
+)
+from midspan.recording.channels import clock_std_s
+from midspan.recording.fusing.one_clock import OneClock
+from midspan.recording.kinds import ROWS
+from midspan.recording.messages import (
+    channel_warnings,
+    event_warnings,
+    refuse_rejections,
+    require_same_cameras,
+    shares,
+    uncalibrated,
+)
+from midspan.recording.one_series import (
+    literal_warnings,
+    one_series,
+    run_on_series,
+    with_levels_since,
+    with_uncertain,
+)
+from midspan.recording.point import measuring_point
+from midspan.recording.printed_radar import estimate_printed
+from midspan.recording.radar.messages import REPORTED, radar_warnings, with_levels
 from midspan.recording.result import Result
-from midspan.recording.second_axis import SecondAxis, second_axis
+from midspan.recording.run import Outcome, run, used_when
+from midspan.recording.second_axis import SecondAxis
+from midspan.recording.second_look import (
+    Offsets,
+    clocks,
+    on_clock,
+    on_its_clock,
+    once_more,
+    ran_apart,
+    scale_std_of,
+    scales,
+    with_levels_of,
+    with_scales,
+)
+from midspan.recording.sensor_series import SensorSeries
 from midspan.recording.stored.calibration import Calibration
 from midspan.recording.stored.calibration_file import load_calibration
 from midspan.recording.streams.progress import Progress, silent
@@ -25,16 +68,8 @@ from midspan.recording.streams.recording import Recording, naming, open_recordin
 from midspan.recording.streams.span import inside, shown
 from midspan.recording.tracking.tracking import CameraTracking
 from midspan.recording.unsupported import unsupported_events
-from midspan.records import NANOSECONDS, Estimate, Event, Innovation, Source, Status, part
-
-# Where more than half of the measurements contradict the prediction, the prediction or the calibration is wrong.
-MOST_REJECTED = 0.5
-# Rejections above this share are worth telling.
-NOTABLE_REJECTED = 0.02
-# Learnt noise of a method run as printed, over the calibrated one, beyond which it is called a run-away.
-RUN_AWAY = 10.0
-# Events of one kind that are told in the warnings.
-MOST_TOLD = 3
+from midspan.records import NANOSECONDS, Channel, Estimate, Event, Innovation, Measured, joined, part
+from midspan.signals.health import Mask
 
 
 def estimate(
@@ -58,243 +93,339 @@ def estimate(
         calibration = load_calibration(calibration)
     # The method is checked first: tracking may take long.
     method = option("method", method or recording.settings.fusion.method, METHODS)
-    if recording.settings.fusion.literal and method not in LITERAL:
-        raise UsageError(f"{recording.file}: fusion: {no_literal_form(method)}.")
-    # What was learnt on this recording a moment ago fits it.
-    asked = _Asked(method, given=calibration is not None and tracking is None)
+    if recording.has("radar") and recording.settings.fusion.literal:
+        return estimate_printed(recording, calibration, method, progress)
+    if recording.settings.fusion.literal:
+        recording.require_one_of_a_kind()
+        if not METHODS[method].literal:
+            raise UsageError(f"{recording.file}: fusion: {no_literal_form(method)}.")
+    given = calibration is not None and tracking is None
     if calibration is None:
         calibration, tracking = calibrate_and_track(recording, progress)
     with naming(recording):
-        return _estimate(recording, calibration, asked, tracking, progress)
+        require_same_cameras(recording, calibration)
+        for view in recording.views:
+            if view.kind in ROWS:
+                ROWS[view.kind].known(view, calibration)
+        return _estimate(Asked(recording, calibration, method, given), tracking, progress)
 
 
 @dataclass(frozen=True, slots=True)
-class _Asked:
-    """The method, and whether the calibration was given, not learnt on this recording just now."""
+class Asked:
+    """The recording, its calibration and whether that was given (not estimated on this recording just now), method."""
 
+    recording: Recording
+    calibration: Calibration
     method: str
     given: bool
 
+    @property
+    def on_series(self) -> bool:
+        """Whether the method takes one series of displacements, as all do that are run as printed."""
+        return METHODS[self.method].on_series or self.recording.settings.fusion.literal
 
-def _estimate(
-    recording: Recording, calibration: Calibration, asked: _Asked, tracking: CameraTracking | None, progress: Progress
-) -> Result:
-    method = asked.method
-    _require(recording, calibration)
-    gathered = gather(recording, calibration, tracking, progress)
+    @property
+    def sides(self) -> tuple[Side, ...]:
+        """The axes, the main one first."""
+        sides = [side_of(self.recording, self.calibration)]
+        if self.recording.across is not None and self.calibration.across is not None:
+            sides.append(side_of(self.recording.across, self.calibration.across))
+        return tuple(sides)
+
+
+@dataclass(frozen=True, slots=True)
+class FirstPass:
+    """What the engine gave, record by record: the axes, the cameras, the estimator and what came out of it.
+
+    cameras: the same as plain data; series: what each sensor measured along each axis, by its name.
+    """
+
+    sides: tuple[Side, ...]
+    eyes: tuple[Eye, ...]
+    estimator: Estimator | Lag
+    outcome: Outcome
+    cameras: tuple[CameraResult, ...]
+    series: tuple[dict[str, SensorSeries], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """Rows and innovations along each axis, when each sensor was used, events of the estimator and clocks, warnings."""
+
+    rows: tuple[Estimate, ...]
+    innovations: tuple[Innovation, ...]
+    zero_variance_m2: float
+    used: dict[str, list[tuple[int, int]]]
+    events: tuple[Event, ...]
+    warnings: tuple[str, ...]
+
+
+def _estimate(asked: Asked, tracking: CameraTracking | None, progress: Progress) -> Result:
+    first = first_pass(asked, tracking, progress)
     progress(0, 1, "fusing")
-    scaled: list[str] = []
+    settings = first.estimator.settings
+    warnings: list[str] = []
     if asked.given:
-        fits = _given(recording, calibration, gathered)
-        gathered, scaled = replace(gathered, inputs=replace(gathered.inputs, errors=fits.errors)), fits.warnings
-        scaled += _uncalibrated(recording, calibration)
-    fused = fuse(gathered.inputs, method, _method_settings(recording))
-    _refuse_rejections(recording, fused.innovation)
-    result = _cut(recording, gathered.inputs, fused.estimate)
-    if gathered.belief is not None:
-        result = replace(result, source=gathered.belief.marked(result.time_ns, result.source))
-    alone = unsupported_events(result, fused.events)
-    across, more = _second(recording, calibration, gathered, (result, method), given=asked.given)
+        settings, warnings = fitted(asked, first)
+    found = by_method(asked, first, settings)
     progress(1, 1, "fusing")
-    return Result(
-        estimate=result,
-        calibration=calibration,
-        settings=recording.settings,
-        method=method,
-        innovation=fused.innovation,
-        events=_events(recording, gathered, (*fused.events, *alone)),
-        warnings=(
-            *_channel_warnings(recording, calibration),
-            *_warnings(gathered, fused, result),
-            *scaled,
-            *_told(alone),
-            *_literal_warnings(recording, gathered, fused),
-            *more,
-        ),
-        track=gathered.track,
-        tracking=gathered.tracking,
-        recording=recording,
-        across=across,
-        radar=gathered.radar,
-        zero_std_m=float(np.sqrt(fused.zero_variance_m2)),
-        eyes=gathered.eyes,
-        belief=gathered.belief,
+    return result_of(asked, first, replace(found, warnings=(*warnings, *found.warnings)))
+
+
+def first_pass(asked: Asked, tracking: CameraTracking | None, progress: Progress) -> FirstPass:
+    """All records of the recording through its point."""
+    sides = asked.sides
+    eyes = open_eyes(sides, tracking, progress)
+    lag_s = asked.recording.settings.fusion.lag_s if asked.method == "lag" else None
+    memory = 1.0 / (1.0 - asked.recording.settings.fusion.forgetting) if asked.method == "adaptive-kalman" else None
+    point = measuring_point(sides, eyes, lag_s=lag_s, noise_memory=memory)
+    outcome = run(point, sides, eyes)
+    for eye in eyes:
+        eye.tracking.close()
+    if not any(len(rows.estimates[0].time_ns) for rows in outcome.rows if rows.estimates):
+        raise DataError(_no_overlap(asked.recording, outcome))
+    cameras = tuple(_camera(eye, outcome) for eye in eyes)
+    first = FirstPass(sides, eyes, point.estimator, outcome, cameras, ())
+    return replace(first, series=tuple(_series(first, axis) for axis in range(len(sides))))
+
+
+def left_out(side: Side, error: UntrustedError) -> str:
+    """Why the second axis is left out of the result."""
+    return f"The second axis {side.recording.axis} is left out of the result. {error}"
+
+
+def fitted(asked: Asked, first: FirstPass) -> tuple[EstimatorSettings, list[str]]:
+    """The estimator's settings with scales as uncertain as a given calibration's turn out to be here, and warnings."""
+    settings = first.estimator.settings
+    wider: dict[tuple[str, int], float] = {}
+    warnings = uncalibrated(asked.recording, asked.calibration)
+    ran = clocks(first.series[0], first.sides[0], _offsets(first))
+    for axis, (side, own) in enumerate(zip(first.sides, first.series, strict=True)):
+        if axis and not side.recording.fused:
+            continue
+        series = {name: on_clock(one, ran[name]) if ran_apart(ran[name]) else one for name, one in own.items()}
+        try:
+            fits = scales(series, side, settings, axis, max_offset_s=asked.recording.max_offset_s)
+        except UntrustedError as error:
+            if axis == 0:
+                raise
+            warnings.append(left_out(side, error))
+            continue
+        warnings += fits.warnings
+        wider |= {(name, axis): std for name, std in fits.scale_std.items()}
+    return with_scales(settings, wider), warnings
+
+
+def as_it_came(first: FirstPass) -> Found:
+    """The rows that the engine gave."""
+    return _found(first, first.outcome, tuple(first.outcome.estimate(axis) for axis in range(len(first.sides))))
+
+
+def by_method(asked: Asked, first: FirstPass, settings: EstimatorSettings) -> Found:
+    """The rows of the method that is asked for."""
+    if asked.on_series:
+        return on_series(asked, first, settings)
+    return smoothed(asked, first, settings)[0] if asked.method == "smoother" else as_it_came(first)
+
+
+def smoothed(asked: Asked, first: FirstPass, settings: EstimatorSettings) -> tuple[Found, dict[str, OneClock]]:
+    """The rows smoothed by the whole record, after what it shows of scales and clocks, and how clocks ran."""
+    estimator, outcome = first.estimator, first.outcome
+    assert isinstance(estimator, Estimator)
+    log = estimator.log
+    assert log is not None
+    ran = clocks(first.series[0], first.sides[0], _offsets(first))
+    apart = {name: clock for name, clock in ran.items() if ran_apart(clock)}
+    if apart or settings != estimator.settings:
+        blocks = {name: outcome.measured_by(name) for name in outcome.measured}
+        blocks |= {name: on_its_clock(blocks[name], settings.channels, clock) for name, clock in apart.items()}
+        log, outcome = once_more(settings, joined(log.samples), tuple(blocks.values()))
+    found = _found(first, outcome, smooth(log, settings))
+    levels = [level for clock in ran.values() for level in clock.levels]
+    rows = tuple(with_levels_of(one, levels) for one in found.rows)
+    events = tuple(event for clock in ran.values() for event in clock.events)
+    warnings = tuple(line for clock in ran.values() for line in clock.warnings)
+    return replace(found, rows=rows, events=(*found.events, *events), warnings=warnings), ran
+
+
+def on_series(asked: Asked, first: FirstPass, settings: EstimatorSettings) -> Found:
+    """The rows of a method that takes one series; along an axis without an accelerometer those of the smoother."""
+    found, ran = smoothed(asked, first, settings)
+    fusion, rows, innovations = asked.recording.settings.fusion, list(found.rows), list(found.innovations)
+    method = MethodSettings(lag_s=fusion.lag_s, literal=fusion.literal, forgetting=fusion.forgetting)
+    warnings = list(found.warnings)
+    events: list[Event] = []
+    for axis, side in enumerate(first.sides):
+        if not side.recording.fused:
+            continue
+        named = {name: on_clock(one, ran[name]) for name, one in first.series[axis].items()}
+        measured = one_series(named, found.rows[axis], first.outcome.restarts_ns)
+        done = run_on_series(side, measured, asked.method, method, found.rows[axis])
+        names = tuple(named)
+        scale_std = max(scale_std_of(settings, name, axis) for name in names)
+        clock_std = max(clock_std_s(one.offset) for one in _offsets(first).values())
+        known = with_uncertain(done.estimate, found.zero_variance_m2, scale_std, clock_std)
+        known = with_levels_since(known, found.rows[axis], measured, first.outcome.restarts_ns)
+        rows[axis] = part(known, np.isin(known.time_ns, found.rows[axis].time_ns))
+        innovations[axis] = done.innovation if len(done.innovation.time_ns) else innovations[axis]
+        events += done.events
+        warnings += literal_warnings(measured, done) if fusion.literal else []
+    return replace(
+        found,
+        rows=tuple(rows),
+        innovations=tuple(innovations),
+        events=(*found.events, *events),
+        warnings=tuple(warnings),
     )
 
 
-def _given(recording: Recording, calibration: Calibration, gathered: Gathered) -> Fitting:
-    """How a calibration that was given fits the recording; UntrustedError where it does not."""
-    literal = calibration.radar is not None and calibration.radar.literal
-    # The factor as printed is known to be off.
-    sources = [source for source in SCALED if not (literal and source == Source.RADAR)]
-    return fitting(gathered.inputs, max_offset_s=recording.max_offset_s, sources=sources)
+def _found(first: FirstPass, outcome: Outcome, rows: tuple[Estimate, ...]) -> Found:
+    """Rows in the streams' common span, with the innovations and events of the run that they rest on."""
+    span = inside(rows[0].time_ns, *measured_span(first.outcome))
+    channels = first.estimator.settings.channels
+    return Found(
+        rows=tuple(part(one, span) for one in rows),
+        innovations=tuple(innovation_along(outcome, channels, axis) for axis in range(len(rows))),
+        zero_variance_m2=outcome.zero_variance_m2[0],
+        used={name: used_when(outcome, channels, name) for name in first.series[0]},
+        events=outcome.fusion_events,
+        warnings=(),
+    )
 
 
-def _uncalibrated(recording: Recording, calibration: Calibration) -> list[str]:
-    """What to tell of a camera that the recording has and the calibration that was given has not."""
-    return [
-        f"[{view.sensor}] is left out of the result: the calibration that was given has no {view.sensor} part. Run "
-        "`midspan calibrate` on a recording with both cameras."
-        for view in recording.cameras
-        if calibration.of(view.sensor) is None
-    ]
-
-
-def _events(recording: Recording, gathered: Gathered, more: tuple[Event, ...]) -> tuple[Event, ...]:
-    """What happened to all sensors, and `more` of the fusion, in the order of time."""
-    found = (
-        *recording.prepared.events,
-        *(event for eye in gathered.eyes for event in eye.events),
-        *(() if gathered.belief is None else gathered.belief.events),
-        *gathered.frozen,
-        *(() if gathered.radar is None else gathered.radar.events),
-        *gathered.events,
+def result_of(asked: Asked, first: FirstPass, found: Found) -> Result:
+    """The result as plain data."""
+    recording, main = asked.recording, found.rows[0]
+    refuse_rejections(recording, found.innovations[0])
+    sensors, radars = with_levels(first.outcome.sensor_events, main), first.outcome.radars
+    info = {view.sensor: view.radar.info for view, _ in known_sensors(first.sides[0]) if view.sensor in radars}
+    fused = tuple(event for event in found.events if event.axis == 0)
+    alone = unsupported_events(main)
+    lost = [event for camera in first.cameras for event in lost_events(*_blind(camera, first))]
+    across, more = _across(asked, first, found)
+    warnings = (
+        *channel_warnings(recording, asked.calibration),
+        *(line for camera in first.cameras for line in lost_warnings(*_blind(camera, first))),
+        *(line for eye in first.eyes for line in eye.tracking.warnings()),
+        *event_warnings(fused),
+        *event_warnings(tuple(event for event in sensors if event.kind in ("frozen", *REPORTED))),
+        *(line for name, log in radars.items() for line in radar_warnings(log, info[name].warnings, name)),
+        *late_start(recording, first.outcome, main),
+        *lost_end(recording, first.outcome, main),
+        *shares(found.innovations[0], main),
+        *found.warnings,
+        *event_warnings(alone),
         *more,
     )
-    return tuple(sorted(found, key=lambda event: event.time_ns))
+    return Result(
+        estimate=main,
+        calibration=asked.calibration,
+        settings=recording.settings,
+        method=asked.method,
+        innovation=found.innovations[0],
+        events=tuple(sorted((*sensors, *fused, *lost, *alone), key=lambda event: event.time_ns)),
+        warnings=tuple(dict.fromkeys(warnings)),
+        cameras=first.cameras,
+        measured=tuple(first.series[0].values()),
+        radars={name: log.trace(info[name].limit_speed_m_s) for name, log in radars.items()},
+        across=across,
+        zero_std_m=float(np.sqrt(found.zero_variance_m2)),
+        used=found.used,
+        file=recording.file,
+        name=recording.name,
+    )
 
 
-def _second(
-    recording: Recording, calibration: Calibration, gathered: Gathered, main: tuple[Estimate, str], *, given: bool
-) -> tuple[SecondAxis | None, list[str]]:
-    """The second image axis and its warnings; left out where it is not to be trusted: the main one stands without.
+def _blind(camera: CameraResult, first: FirstPass) -> tuple[SensorSeries, Mask]:
+    """What tells when a camera's target was lost: its series along the main axis, and which frames were black."""
+    return first.series[0][camera.sensor], camera.targets[camera.best].dark
 
-    given: whether the calibration was not learnt on this recording just now.
-    """
-    view, scaled = recording.across, []
-    try:
-        if given and view is not None and gathered.across is not None and _fused_across(calibration):
-            fits = fitting(gathered.across, f" along {view.axis}")
-            gathered = replace(gathered, across=replace(gathered.across, errors=fits.errors))
-            scaled = fits.warnings
-        found = _across(recording, calibration, gathered, main)
-    except UntrustedError as error:
-        return None, [f"The second axis {'' if view is None else view.axis} is left out of the result. {error}"]
-    if view is None or found is None:
+
+def _across(asked: Asked, first: FirstPass, found: Found) -> tuple[SecondAxis | None, list[str]]:
+    """The second image axis at the rows of the first, and its warnings; left out where it is not to be trusted."""
+    if len(first.sides) < 2:
         return None, []
-    sensor = view.prepared.events if found.fused else ()
-    events = tuple(sorted((*sensor, *found.events), key=lambda event: event.time_ns))
-    return replace(found, events=events), [*scaled, *_second_warnings(found)]
+    view, rows, innovation = first.sides[1].recording, found.rows[1], found.innovations[1]
+    camera = first.sides[1].calibration.first_camera
+    assert camera is not None
+    try:
+        refuse_rejections(view, innovation)
+    except UntrustedError as error:
+        return None, [left_out(first.sides[1], error)]
+    if any(line.startswith(left_out(first.sides[1], UntrustedError(""))) for line in found.warnings):
+        return None, []
+    along = f" along {view.axis}"
+    events = tuple(event for event in found.events if event.axis == 1)
+    second = SecondAxis(
+        camera.direction,
+        camera.fused,
+        asked.method,
+        rows,
+        innovation,
+        events,
+        measured=tuple(first.series[1].values()),
+    )
+    told = [f"Along {view.axis}: {line}" for line in event_warnings(events)]
+    return second, [*told, *shares(innovation, rows, along)]
 
 
-def _fused_across(calibration: Calibration) -> bool:
-    """Whether the second axis is fused with an accelerometer of its own."""
-    camera = None if calibration.across is None else calibration.across.first_camera
-    return camera is not None and camera.fused
+def _camera(eye: Eye, outcome: Outcome) -> CameraResult:
+    settings = eye.view.settings.camera
+    assert settings is not None
+    return camera_result(eye.tracking, eye.sensor, settings, eye.calibrations, outcome.events_of.get(eye.sensor, ()))
 
 
-def _across(
-    recording: Recording, calibration: Calibration, gathered: Gathered, main: tuple[Estimate, str]
-) -> SecondAxis | None:
-    """The second image axis at the rows of the first; None without one."""
-    view, (rows, method) = recording.across, main
-    if view is None or gathered.across is None or calibration.across is None:
-        return None
-    found = second_axis(gathered.across, calibration.across, rows.time_ns, method, _method_settings(recording))
-    _refuse_rejections(view, found.innovation)
-    missing = view.prepared.time_ns[view.prepared.missing]
-    bridged = np.isin(rows.time_ns, missing) & (found.estimate.status == Status.TRACKING)
-    status = np.where(bridged, np.uint8(Status.COASTING), found.estimate.status)
-    return replace(found, estimate=replace(found.estimate, status=status))
-
-
-def _second_warnings(across: SecondAxis) -> list[str]:
-    """What the gate did along the second axis."""
-    along = f" along {across.axis}"
-    told = [f"Along {across.axis}: {line}" for line in _told(across.events)]
-    return [*told, *_shares(across.innovation, across.estimate, along)]
-
-
-def _method_settings(recording: Recording) -> MethodSettings:
-    """What [fusion] says of single methods."""
-    fusion = recording.settings.fusion
-    return MethodSettings(lag_s=fusion.lag_s, literal=fusion.literal, forgetting=fusion.forgetting)
-
-
-def _literal_warnings(recording: Recording, gathered: Gathered, fused: Smoothed) -> list[str]:
-    """What to know of the adaptive filter as printed; the FIR methods need no such word."""
-    if not recording.settings.fusion.literal or fused.variance_m2 is None or not len(fused.variance_m2):
-        return []
-    found = [
-        "fusion.literal: the filter was run exactly as printed, without bias, gate and limits. Its own covariance does "
-        "not hold its error; the band was widened by what the innovations show."
-    ]
-    known = gathered.inputs.displacement.variance_m2
-    declared = float(np.median(known[np.isfinite(known)]))
-    grown = float(np.sqrt(np.max(fused.variance_m2) / declared))
-    if grown > RUN_AWAY:
-        found.append(
-            f"fusion.literal: the learnt noise grew to {grown:.3g} times the calibrated one: it runs away, most often "
-            "under a bias of the accelerometer. Leave fusion.literal out."
-        )
-    share = float(np.mean(fused.variance_m2 < 0.0))
-    if share > 0.0:
-        found.append(f"fusion.literal: equation 20 gave a negative variance in {100 * share:.2g} % of the frames.")
+def _series(first: FirstPass, axis: int) -> dict[str, SensorSeries]:
+    """What each sensor measured along an axis."""
+    rows = first.outcome.estimate(axis)
+    found = {camera.sensor: camera_series(camera, rows, axis) for camera in first.cameras}
+    for view, known in known_sensors(first.sides[axis]) if axis == 0 else ():
+        log = (first.outcome.measured_by(view.sensor), first.estimator.settings.channels, rows)
+        found[view.sensor] = ROWS[view.kind].series(view, known, log)
     return found
 
 
-def _told(events: tuple[Event, ...]) -> list[str]:
-    """The texts of the events; of a kind that comes often only how often."""
-    found = []
-    for kind in dict.fromkeys(event.kind for event in events):
-        texts = [event.text for event in events if event.kind == kind]
-        rest = [f"{len(texts) - MOST_TOLD} more such stretches stand in the events."] if len(texts) > MOST_TOLD else []
-        found += [*texts[:MOST_TOLD], *rest]
-    return found
+def _offsets(first: FirstPass) -> dict[str, Offsets]:
+    """The calibrated clock offset of each sensor."""
+    known = known_sensors(first.sides[0])
+    taken = {view.sensor for view, _ in known if view.kind == "displacement" and not view.learns_offset}
+    found = offsets_of(first.sides[0], first.eyes)
+    return {name: Offsets(offset, estimated=name not in taken) for name, offset in found.items()}
 
 
-def _require(recording: Recording, calibration: Calibration) -> None:
-    if recording.has("radar") and calibration.radar is not None:
-        require_same_way(calibration.radar, recording.settings.fusion.literal)
-    views = recording.cameras
-    if views and not any(calibration.of(view.sensor) for view in views):
-        raise UsageError(
-            f"The calibration has no {views[0].sensor} part, but the recording has a camera. Run `midspan calibrate` "
-            "on a recording of this camera."
-        )
-    for view in views:
-        camera, known = view.settings.camera, calibration.of(view.sensor)
-        if camera is None or known is None:
-            continue
-        made_for = calibration.direction if len(views) == 1 else known.direction
-        if camera.direction != made_for:
-            raise UsageError(
-                f"{recording.file}: {view.sensor}.direction = {camera.direction!r}: the calibration was made for "
-                f"{made_for!r}. Calibrate again."
-            )
-        if view.axis != known.direction:
-            raise UsageError(
-                f"{recording.file}: the main axis is {view.axis!r}: the calibration's is {known.direction!r}. "
-                "Calibrate again."
-            )
+def innovation_along(outcome: Outcome, channels: Sequence[Channel], axis: int) -> Innovation:
+    """Innovations of all channels along an axis in the order of time."""
+    numbers = [k for k, channel in enumerate(channels) if channel.axis == axis]
+    found = joined([outcome.innovation(k) for k in numbers])
+    return part(found, np.argsort(found.time_ns, kind="stable"))
 
 
-def _cut(recording: Recording, inputs: FusionInputs, rows: Estimate) -> Estimate:
-    """The rows in the common span; those whose sample had to be bridged are marked coasting."""
-    usable = np.flatnonzero(np.isfinite(inputs.displacement.value_m))
-    first, last = (int(inputs.displacement.time_ns[i]) for i in (usable[0], usable[-1]))
-    # Samples that were put in before the start or into gaps are no rows of the result.
-    sampled = recording.prepared.time_ns
-    if len(rows.time_ns) > len(sampled):
-        place = np.minimum(np.searchsorted(sampled, rows.time_ns), len(sampled) - 1)
-        rows = part(rows, sampled[place] == rows.time_ns)
-    missing = recording.prepared.missing
-    status = np.where(missing & (rows.status == Status.TRACKING), np.uint8(Status.COASTING), rows.status)
-    span = inside(rows.time_ns, first, last)
-    if span.stop - span.start < 2:
-        raise DataError(
-            f"The streams do not overlap with the calibrated clock offset: measurements run from {shown(first)} to "
-            f"{shown(last)} on the accelerometer's clock, which runs from {shown(int(rows.time_ns[0]))} to "
-            f"{shown(int(rows.time_ns[-1]))}. Check the calibration's time_offset_s and the start_s of both."
-        )
-    return part(replace(rows, status=status), span)
+def measured_span(outcome: Outcome) -> tuple[int, int]:
+    """Stamps (ns) of the first and last measurement."""
+    blocks: list[Measured] = [block for listed in outcome.measured.values() for block in listed]
+    stamps = np.concatenate([block.time_ns[np.isfinite(block.value)] for block in blocks])
+    return int(stamps.min()), int(stamps.max())
 
 
-def _late_start(inputs: FusionInputs, rows: Estimate) -> list[str]:
+def _no_overlap(recording: Recording, outcome: Outcome) -> str:
+    """Why there is no row."""
+    sampled = recording.acceleration.time_ns
+    stamps = [block.time_ns[np.isfinite(block.value)] for listed in outcome.measured.values() for block in listed]
+    known = np.concatenate(stamps) if stamps else np.empty(0, dtype=np.int64)
+    measured = f"measurements run from {shown(int(known[0]))} to {shown(int(known[-1]))}" if len(known) else "nothing"
+    return (
+        f"The streams do not overlap with the calibrated clock offset: {measured} on the accelerometer's clock, which "
+        f"runs from {shown(int(sampled[0]))} to {shown(int(sampled[-1]))}. Check the calibration's time_offset_s and "
+        "the start_s of both."
+    )
+
+
+def late_start(recording: Recording, outcome: Outcome, rows: Estimate) -> list[str]:
     """A sentence when the first measurement comes long after both streams have begun."""
-    begun = max(int(inputs.displacement.time_ns[0]), int(inputs.acceleration.time_ns[0]))
+    first = min(int(block.time_ns[0]) for listed in outcome.measured.values() for block in listed)
+    begun = max(first, int(recording.acceleration.time_ns[0]))
     missed = (int(rows.time_ns[0]) - begun) / NANOSECONDS
-    if missed <= max(1.0, inputs.kalman.coasting_s):
+    if missed <= 1.0:
         return []
     return [
         f"Nothing was measured from {shown(begun)} to {shown(int(rows.time_ns[0]))}; the result begins there, "
@@ -302,69 +433,14 @@ def _late_start(inputs: FusionInputs, rows: Estimate) -> list[str]:
     ]
 
 
-def _lost_end(inputs: FusionInputs, rows: Estimate) -> list[str]:
+def lost_end(recording: Recording, outcome: Outcome, rows: Estimate) -> list[str]:
     """A sentence when the measurements stop long before both streams do."""
-    end = min(int(inputs.displacement.time_ns[-1]), int(inputs.acceleration.time_ns[-1]))
+    last = max(int(block.time_ns[-1]) for listed in outcome.measured.values() for block in listed)
+    end = min(last, int(recording.acceleration.time_ns[-1]))
     missed = (end - int(rows.time_ns[-1])) / NANOSECONDS
-    if missed <= max(1.0, inputs.kalman.coasting_s):
+    if missed <= 1.0:
         return []
     return [
         f"The target was lost from {shown(int(rows.time_ns[-1]))} to the end; the result stops there, "
         f"{missed:.1f} s early."
     ]
-
-
-def rejected_share(innovation: Innovation) -> float:
-    """Share of the measurements that were met and rejected."""
-    return float(np.mean(innovation.verdict == REJECTED)) if len(innovation.verdict) else 0.0
-
-
-def _refuse_rejections(recording: Recording, innovation: Innovation) -> None:
-    """UntrustedError when most measurements contradict the prediction."""
-    share = rejected_share(innovation)
-    if share > MOST_REJECTED:
-        raise UntrustedError(
-            f"{100 * share:.0f} % of the measurements contradict the acceleration; at most "
-            f"{100 * MOST_REJECTED:g} % may. "
-            "Scale factor, clock offset or direction belong to another recording, or the sensors do not measure "
-            f"the same motion. Calibrate this recording, and look at {_looked_at(recording)}."
-        )
-
-
-def _looked_at(recording: Recording) -> str:
-    """What may be wrong of the sensors that there are, as an instruction's last words."""
-    found = [f"its {view.sensor}.roi" for view in recording.cameras]
-    found += ["what the radar sees (`midspan inspect` lists it)"] if recording.has("radar") else []
-    found += ["the unit and sign of its displacement file"] if recording.has("displacement") else []
-    return " and ".join(found)
-
-
-def _channel_warnings(recording: Recording, calibration: Calibration) -> tuple[str, ...]:
-    """What the calibration says, and what is wrong with this recording's channels where it is another's."""
-    own = recording.channel_warnings
-    return (*calibration.warnings, *(line for line in own if line not in calibration.warnings))
-
-
-def _warnings(gathered: Gathered, fused: Smoothed, rows: Estimate) -> tuple[str, ...]:
-    found = [*gathered.warnings]
-    for eye in gathered.eyes:
-        found += eye.tracking.warnings()
-    if gathered.radar is not None:
-        found += _told(gathered.radar.events)
-    found += _told(fused.events)
-    found += _late_start(gathered.inputs, rows)
-    found += _lost_end(gathered.inputs, rows)
-    return (*found, *_shares(fused.innovation, rows))
-
-
-def _shares(innovation: Innovation, rows: Estimate, along: str = "") -> list[str]:
-    """A sentence for many rejected measurements, and for rows that none supports; along: a second axis in words."""
-    found = []
-    rejected = rejected_share(innovation)
-    if rejected > NOTABLE_REJECTED:
-        found.append(f"{100 * rejected:.1f} % of the measurements{along} were rejected as outliers.")
-    for status in (Status.COASTING, Status.LOST):
-        share = float(np.mean(rows.status == status))
-        if share > 0.0:
-            found.append(f"{100 * share:.2g} % of the rows{along} are {status.word}: no measurement supports them.")
-    return found

@@ -1,7 +1,8 @@
 """`inspect`: what is in a recording, stream by stream, without changing or judging anything."""
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,6 @@ from midspan.recording.streams.acceleration import unusable_samples
 from midspan.recording.streams.progress import Progress, silent
 from midspan.recording.streams.recording import Recording
 from midspan.recording.streams.span import shown
-from midspan.recording.tracking.first_frame import is_dark
 from midspan.records import NANOSECONDS, Nanoseconds, TimeSeries
 from midspan.settings.load import RECORDING_FILE
 from midspan.signals.health import clipped, clock, frozen
@@ -23,8 +23,10 @@ from midspan.sources.accelerometer.formats import list_channels
 from midspan.sources.camera.formats import is_stack, is_table, open_frames, require_readable
 from midspan.sources.camera.frames import FrameRequest, FrameSource
 from midspan.sources.declared_size import available_bytes, shown_bytes
+from midspan.sources.radar.radar_source import RadarSource
 from midspan.sources.thermal.formats import is_thermal, open_pictures, open_thermal
 from midspan.sources.thermal.request import ThermalRequest
+from midspan.vision.light import is_dark
 
 # Frames looked at for frozen, black or saturated pictures unless all are asked for.
 LOOKED_AT = 600
@@ -46,23 +48,7 @@ def inspect_recording(recording: Recording, every_frame: bool = False, progress:
     """
     tree: Tree = {"recording": str(recording.file), "name": recording.name}
     spans: dict[str, tuple[int, int]] = {}
-    readers: dict[str, Callable[[], tuple[Tree, Nanoseconds]]] = {
-        "accelerometer": lambda: _acceleration(recording.acceleration),
-        "camera": lambda: _frames(recording.frames, every_frame, progress),
-        "infrared": lambda: _frames(_thermal(recording), every_frame, progress, thermal=True),
-        "radar": lambda: _radar(recording, every_frame, progress),
-        "displacement": lambda: _series(recording.displacement, "m"),
-        "reference": lambda: _series(recording.reference, "m"),
-    }
-    across = recording.across
-    if across is not None and across.fused:
-        # The column along the second image axis.
-        readers[f"accelerometer_{across.axis}"] = lambda: _acceleration(across.acceleration)
-    for section, read in readers.items():
-        stream = section.split("_")[0]
-        if not recording.has(stream):
-            continue
-        file = getattr(recording.settings, stream).file
+    for section, file, read in _streams(recording, every_frame, progress):
         try:
             branch, time_ns = read()
             tree[section] = {"file": file, **branch}
@@ -71,6 +57,30 @@ def inspect_recording(recording: Recording, every_frame: bool = False, progress:
             tree[section] = {"file": file, "error": str(error), "exit_code": error.exit_code}
     tree["overlap"] = _overlap({name: span for name, span in spans.items() if name != "reference"})
     return tree
+
+
+Reader = Callable[[], tuple[Tree, Nanoseconds]]
+
+
+def _streams(recording: Recording, every_frame: bool, progress: Progress) -> Iterator[tuple[str, str, Reader]]:
+    """Name, file and reader of each stream; a sensor's name is its section where there is one of its kind."""
+    settings, across = recording.settings, recording.across
+    if settings.accelerometer is not None:
+        file = settings.accelerometer.file
+        yield "accelerometer", file, lambda: _acceleration(recording.acceleration)
+        if across is not None and across.fused:
+            # The column along the second image axis.
+            yield f"accelerometer_{across.axis}", file, lambda: _acceleration(across.acceleration)
+    readers: dict[str, Callable[[Recording], tuple[Tree, Nanoseconds]]] = {
+        "camera": lambda view: _frames(view.frames, every_frame, progress),
+        "infrared": lambda view: _frames(view.frames, every_frame, progress, thermal=True),
+        "radar": lambda view: _radar(view.radar, every_frame, progress),
+        "displacement": lambda view: _series(view.displacement, "m"),
+    }
+    for view in recording.views:
+        yield view.sensor, view.own.settings.file, partial(readers[view.kind], view)
+    if settings.reference is not None:
+        yield "reference", settings.reference.file, lambda: _series(recording.reference, "m")
 
 
 def is_single(path: Path) -> bool:
@@ -274,14 +284,8 @@ def _frames(
     return branch, times
 
 
-def _thermal(recording: Recording) -> FrameSource:
-    """The frames of a recording's thermal camera."""
-    assert recording.infrared is not None
-    return recording.infrared.frames
-
-
-def _radar(recording: Recording, every_frame: bool, progress: Progress) -> tuple[Tree, Nanoseconds]:
-    branch, times = inspect_radar(recording.radar, every_frame, progress)
+def _radar(source: RadarSource, every_frame: bool, progress: Progress) -> tuple[Tree, Nanoseconds]:
+    branch, times = inspect_radar(source, every_frame, progress)
     return {**branch, **_clock(times)}, times
 
 

@@ -1,6 +1,7 @@
 """The result of an estimate: rows, figures, and ways to look at them and keep them."""
 
 import html
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -8,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from midspan._version import __version__
-from midspan.recording.cameras.belief import Belief
-from midspan.recording.cameras.tracked import Eye
-from midspan.recording.radar.inputs import RadarInputs
+from midspan.recording.camera_result import CameraResult
+from midspan.recording.radar.trace import RadarTrace
 from midspan.recording.second_axis import SecondAxis
+from midspan.recording.sensor_series import SensorSeries
 from midspan.recording.stored.calibration import Calibration
-from midspan.recording.tracking.tracking import CameraTracking
-from midspan.records import Estimate, Event, Floats, Innovation, PixelTrack, Source, Status, seconds
+from midspan.recording.streams.recording import Recording
+from midspan.records import Estimate, Event, Floats, Innovation, PixelTrack, Source, Status, TimeSeries, seconds
 from midspan.settings.recording import RecordingSettings
 from midspan.signals.thinning import envelope
 from midspan.sinks.table import ResultTable
@@ -23,22 +24,23 @@ from midspan.sinks.write import check_target, write_result
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
-
-    from midspan.recording.streams.recording import Recording
+    from matplotlib.figure import Figure
 
 # Stretches drawn by `plot`; a longer record is thinned to the extremes of each.
 MOST_STRETCHES = 4000
+FIGURE_INCHES = (9.0, 3.0)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Result:
-    """Displacement at the accelerometer's rate with its error band, and everything it rests on.
+    """Displacement at the accelerometer's rate with its error band, and everything it rests on: plain data.
 
     estimate: the rows in SI; calibration, settings, method: how they came about; innovation: measured minus predicted
-    displacement; events, warnings: what is worth telling; track, tracking: the first camera's, None without one (of
-    several targets the best one's track); eyes: all cameras; belief: which of two was believed when; across: the second
-    image axis, with camera.direction = "xy"; radar: what a radar measured and met, None without one. zero_std_m: the
-    part of every row's standard deviation that is the zero's, common to the whole record.
+    displacement; events, warnings: what is worth reporting; cameras: each camera's targets, frame by frame; measured:
+    what each sensor measured, in metres; radars: what the targets of each showed, by its name; across: the
+    second image axis, with camera.direction = "xy". zero_std_m: the part of every row's standard deviation that is the
+    zero's, common to the whole record. used: stretches (first and last stamp, ns) in which measurements
+    of each sensor, by its name, were used. file: the recording's settings file; name: the recording's name.
     """
 
     estimate: Estimate
@@ -48,14 +50,29 @@ class Result:
     innovation: Innovation
     events: tuple[Event, ...]
     warnings: tuple[str, ...]
-    track: PixelTrack | None = field(default=None, repr=False)
-    tracking: CameraTracking | None = field(default=None, repr=False)
-    recording: "Recording | None" = field(default=None, repr=False)
+    cameras: tuple[CameraResult, ...] = field(default=(), repr=False)
+    measured: tuple[SensorSeries, ...] = field(default=(), repr=False)
+    radars: Mapping[str, RadarTrace] = field(default_factory=dict, repr=False)
     across: SecondAxis | None = field(default=None, repr=False)
-    eyes: tuple[Eye, ...] = field(default=(), repr=False)
-    belief: Belief | None = field(default=None, repr=False)
-    radar: RadarInputs | None = field(default=None, repr=False)
     zero_std_m: float = 0.0
+    used: Mapping[str, Sequence[tuple[int, int]]] = field(default_factory=dict, repr=False)
+    file: Path | None = None
+    name: str = ""
+
+    @property
+    def recording(self) -> Recording | None:
+        """The recording that the result was made of, opened anew with the same settings; None where it has no file."""
+        return None if self.file is None else Recording(self.file, self.settings)
+
+    @property
+    def track(self) -> PixelTrack | None:
+        """The track of the first camera's best target, on that camera's own clock; None without a camera."""
+        return self.cameras[0].track if self.cameras else None
+
+    @property
+    def radar(self) -> RadarTrace | None:
+        """What the targets of the first radar showed; None without one."""
+        return next(iter(self.radars.values()), None)
 
     @property
     def axis(self) -> str:
@@ -75,20 +92,11 @@ class Result:
             method=self.across.method,
             innovation=self.across.innovation,
             events=self.across.events,
-            track=self._track_along(self.calibration.across),
+            cameras=(),
+            measured=self.across.measured,
+            radars={},
             across=None,
-            eyes=(),
-            belief=None,
-            radar=None,
         )
-
-    def _track_along(self, calibration: Calibration) -> PixelTrack | None:
-        """The track of an axis's best target."""
-        if self.tracking is None or calibration.first_camera is None:
-            return self.track
-        regions = [target.region for target in self.tracking.targets]
-        best = calibration.first_camera.region
-        return self.tracking.targets[regions.index(best)].track if best in regions else self.track
 
     @property
     def time_s(self) -> Floats:
@@ -141,10 +149,27 @@ class Result:
             "method": self.method,
             "zero_std_mm": 1e3 * self.zero_std_m,
             **self._axes(),
+            **self._sensors(),
             "settings": self.settings.model_dump(mode="json", exclude_none=True),
             "calibration": self.calibration.to_dict(),
             "warnings": list(self.warnings),
             "events": _events(self.events),
+        }
+
+    def _sensors(self) -> dict[str, Any]:
+        """Which sensor stands behind `source` when; nothing where there is one of each kind."""
+        sensors = self.settings.sensors
+        if len({sensor.kind for sensor in sensors}) == len(sensors):
+            return {}
+        return {
+            "sensors": [
+                {
+                    "name": sensor.name,
+                    "source": sensor.kind,
+                    "used_s": [[first / 1e9, last / 1e9] for first, last in self.used.get(sensor.name, ())],
+                }
+                for sensor in sensors
+            ]
         }
 
     def _axes(self) -> dict[str, Any]:
@@ -209,13 +234,18 @@ class Result:
         write_result(Path(path), self.table())
         return Path(path)
 
-    def plot(self, axes: "Axes | None" = None) -> "Axes":
-        """Draw the time history with its ±1.96 standard deviations into `axes` (made when left out); returns them."""
-        if axes is None:
-            from matplotlib.figure import Figure
+    def plot(self, axes: "Axes | None" = None) -> "Figure":
+        """Draw the time history with its ±1.96 standard deviations; returns the figure.
 
-            figure = Figure(figsize=(9, 3), layout="constrained")
-            axes = figure.subplots()
+        axes: where to draw; left out: in a new figure of pyplot, which `matplotlib.pyplot.show()` shows in a script.
+        """
+        if axes is None:
+            from matplotlib import pyplot
+
+            figure, axes = pyplot.subplots(figsize=FIGURE_INCHES, layout="constrained")
+            if "inline" in pyplot.get_backend():
+                # A notebook shows the figure that a cell returns; it would show one that is still open once more.
+                pyplot.close(figure)
         if self.across is None:
             self._draw(axes, (self.displacement_mm, self.displacement_std_mm), "displacement")
         else:
@@ -226,7 +256,26 @@ class Result:
         axes.set_ylabel("displacement (mm)")
         axes.legend(loc="upper right", frameon=False)
         axes.grid(alpha=0.3)
-        return axes
+        return axes.get_figure(root=True)  # type: ignore[return-value]
+
+    def report(self, path: str | Path) -> Path:
+        """Write a self-contained HTML report, compared with the recording's [reference] where it has one.
+
+        Returns `path`. Raises UsageError where the file cannot be written, DataError where the reference cannot be
+        read.
+        """
+        # Reports are made in a room above this one, which the package's name leads to.
+        import midspan
+
+        written: Path = midspan.write_report(self, path, *self.references())
+        return written
+
+    def references(self) -> tuple[TimeSeries | None, TimeSeries | None]:
+        """The recording's [reference] along the main axis and along the second one, m; read from its file."""
+        recording = self.recording
+        if recording is None or not recording.has("reference"):
+            return None, None
+        return recording.reference, recording.reference_across
 
     def _draw(self, axes: "Axes", rows_mm: tuple[Floats, Floats], label: str) -> None:
         """One displacement with its band."""
@@ -240,9 +289,12 @@ class Result:
         import base64
         import io
 
-        axes = self.plot()
+        from matplotlib.figure import Figure
+
+        figure = Figure(figsize=FIGURE_INCHES, layout="constrained")
+        self.plot(figure.subplots())
         picture = io.BytesIO()
-        axes.figure.savefig(picture, format="png", dpi=96)  # type: ignore[union-attr]
+        figure.savefig(picture, format="png", dpi=96)
         f = self.figures()
         text = (
             f"{f['rows']} rows, {f['start_s']:.2f} … {f['end_s']:.2f} s, "

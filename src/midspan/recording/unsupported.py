@@ -1,7 +1,5 @@
 """Stretches of a result that no measurement supports for so long that they are `lost`, told as events."""
 
-from collections.abc import Iterable
-
 import numpy as np
 
 from midspan.recording.streams.span import shown
@@ -9,13 +7,8 @@ from midspan.records import Estimate, Event, Status
 from midspan.signals.health import runs
 
 
-def unsupported_events(rows: Estimate, told: Iterable[Event]) -> tuple[Event, ...]:
-    """An event for each stretch of rows (n,) without measurements that comes to be lost.
-
-    told: the fusion's own events; a method that tells its gaps is not repeated.
-    """
-    if any(event.kind == "gap" for event in told):
-        return ()
+def unsupported_events(rows: Estimate) -> tuple[Event, ...]:
+    """An event for each stretch of rows (n,) without measurements that comes to be lost."""
     return tuple(
         _unsupported(rows, start, stop)
         for start, stop in runs(rows.status != Status.TRACKING)

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from midspan.calibration.scale import ScaleCalibration
-from midspan.recording.cameras.tracked import Eye
+from midspan.recording.camera_result import CameraResult
 from midspan.records import PixelTrack, Region, Status
 from midspan.report.drawing import (
     BLACK,
@@ -33,12 +33,11 @@ LARGEST_FRAME_PX = 960
 MOST_PATH_POINTS = 3000
 
 
-def frame(eye: Eye) -> Picture:
+def frame(camera: CameraResult) -> Picture:
     """A camera's first frame with the regions, the best target's region itself, and the path of that target."""
-    tracking, camera = eye.tracking, eye.calibrations[0]
-    pixels = tracking.reference.pixels
-    regions = {target.name: target.region for target in tracking.targets}
-    region = tracking.targets[eye.best].region
+    pixels = camera.reference
+    regions = {target.name: target.region for target in camera.targets}
+    region = camera.targets[camera.best].region
     figure = sheet(3.5)
     whole, close, path = figure.subplots(1, 3, width_ratios=(1.5, 1, 1))
     _image(whole, pixels)
@@ -46,7 +45,7 @@ def frame(eye: Eye) -> Picture:
         _box(whole, place, color=VERMILLION, linewidth=1.6)
         if len(regions) > 1:
             _label(whole, place, name)
-    for target in camera.targets:
+    for target in camera.calibrations[0].targets:
         if not target.used:
             _box(whole, target.region, color=ORANGE, linewidth=1.2, linestyle="--")
             _label(whole, target.region, target.name)
@@ -55,7 +54,7 @@ def frame(eye: Eye) -> Picture:
     close.set_xlim(region.x - 0.5, region.x + region.width - 0.5)
     close.set_ylim(region.y + region.height - 0.5, region.y - 0.5)
     close.set_title(f"region, {region.width} × {region.height} px", fontsize=9)
-    _path(path, eye.track)
+    _path(path, camera.track)
     return picture(figure, dots=True)
 
 
@@ -147,15 +146,15 @@ def _edges(centres: Any) -> tuple[float, float]:
     return float(centres[0]) - half, float(centres[-1]) + half
 
 
-def tracker(eye: Eye, clock: Clock) -> Picture:
+def tracker(camera: CameraResult, clock: Clock) -> Picture:
     """The tracker's quality and standard deviation frame by frame, lost frames marked."""
-    track, camera = eye.track, eye.calibrations[0]
-    t = clock.at(track.time_ns + round(1e9 * camera.offset.value_s))
-    _, variance = track.along(camera.direction)
-    std = np.sqrt(camera.variance_factor * variance)
+    track, learnt = camera.track, camera.calibrations[0]
+    t = clock.at(track.time_ns + round(1e9 * learnt.offset.value_s))
+    _, variance = track.along(learnt.direction)
+    std = np.sqrt(learnt.variance_factor * variance)
     figure = sheet(3.2)
     upper, lower = figure.subplots(2, 1, sharex=True)
-    for axes, value, label in ((upper, track.quality, "quality"), (lower, std, f"σ along {camera.direction} (px)")):
+    for axes, value, label in ((upper, track.quality, "quality"), (lower, std, f"σ along {learnt.direction} (px)")):
         known = np.isfinite(value)
         if known.any():
             draw_line(axes, envelope(t[known], value[known], value[known]), BLUE, label, linewidth=0.8)

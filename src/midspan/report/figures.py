@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from midspan.evaluate.metrics import normalised_innovation
-from midspan.fusion.gate import REJECTED
+from midspan.fusion.blocks import REJECTED
 from midspan.recording.streams.span import inside
 from midspan.records import Floats, Innovation, Nanoseconds, Status, part, seconds
 from midspan.report.drawing import (

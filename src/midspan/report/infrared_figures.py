@@ -1,20 +1,18 @@
-"""The figures of cameras over a long record: how well each sees, which one counts, and the temperature range."""
+"""The figures of cameras over a long record: how well each sees, what the rows rest on, the temperature range."""
 
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from midspan.recording.cameras.tracked import Eye
+from midspan.recording.camera_result import CameraResult
 from midspan.records import Event, Floats, Source
 from midspan.report.drawing import (
     BLACK,
     BLUE,
     GREEN,
-    GREY,
     ORANGE,
     PURPLE,
-    SKY,
     VERMILLION,
     Picture,
     draw_line,
@@ -30,6 +28,9 @@ if TYPE_CHECKING:
 
 COLOURS = {Source.CAMERA: BLUE, Source.INFRARED: VERMILLION, Source.PREDICTION: ORANGE}
 OTHER = GREEN
+# Of further cameras of the same kind.
+FURTHER = (PURPLE, GREEN, BLACK)
+CAMERAS = (Source.CAMERA, Source.INFRARED)
 # Trackers whose strength is a number of matches; of the others it is the quality.
 MATCHING = ("features",)
 # A strip of sources needs no more stretches than it has dots.
@@ -42,24 +43,24 @@ LEAST_DIGITS, MOST_DIGITS = 2, 4
 
 def worth_showing(material: Material) -> bool:
     """Whether there are two cameras, a thermal one, or reference frames that changed."""
-    eyes = material.result.eyes
+    cameras = material.result.cameras
     changed = any(event.kind == "reference" for event in material.result.events)
-    return bool(eyes) and (len(eyes) > 1 or eyes[0].source is Source.INFRARED or changed)
+    return bool(cameras) and (len(cameras) > 1 or cameras[0].source is Source.INFRARED or changed)
 
 
 def over_time(material: Material) -> Picture:
-    """Strength and standard deviation of each camera, its reference changes and shutters, and what was believed."""
-    eyes = material.result.eyes
-    figure = sheet(1.5 + 1.3 * (len(eyes) + 1))
+    """Strength and standard deviation of each camera, its reference changes and shutters, the rows' source."""
+    cameras = material.result.cameras
+    figure = sheet(1.5 + 1.3 * (len(cameras) + 1))
     *strengths, deviation, strip = figure.subplots(
-        len(eyes) + 2, 1, sharex=True, height_ratios=(*(1.0 for _ in eyes), 1.4, 0.35)
+        len(cameras) + 2, 1, sharex=True, height_ratios=(*(1.0 for _ in cameras), 1.4, 0.35)
     )
-    for axes, eye in zip(strengths, eyes, strict=True):
-        _strength(axes, material, eye)
+    for axes, camera in zip(strengths, cameras, strict=True):
+        _strength(axes, material, camera)
     _deviations(deviation, material)
     _strip(strip, material)
     for axes in (*strengths, deviation):
-        _believed(axes, material)
+        _sources(axes, material)
         _switches(axes, material, axes is strengths[0])
     drawn = {
         label: handle for axes in strengths for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
@@ -73,34 +74,40 @@ def over_time(material: Material) -> Picture:
     return picture(figure)
 
 
-def _strength(axes: "Axes", material: Material, eye: Eye) -> None:
+def colour_of(material: Material, camera: CameraResult) -> str:
+    """A camera's colour: that of its rows, of further ones of the same kind another."""
+    alike = [one.sensor for one in material.result.cameras if one.source is camera.source]
+    return (COLOURS[camera.source], *FURTHER)[alike.index(camera.sensor) % (1 + len(FURTHER))]
+
+
+def _strength(axes: "Axes", material: Material, camera: CameraResult) -> None:
     """Matches or quality of the best target; zero where it was lost."""
-    t, value = _stamps(material, eye), eye.strength
-    matching = eye.view.settings.camera is not None and eye.view.settings.camera.tracker in MATCHING
-    draw_line(axes, envelope(t, value, value), COLOURS[eye.source], "", linewidth=0.8)
-    axes.set_title(eye.sensor, fontsize=9, loc="left", color=COLOURS[eye.source])
+    t, value = _stamps(material, camera), camera.targets[camera.best].strength
+    matching = camera.settings.tracker in MATCHING
+    draw_line(axes, envelope(t, value, value), colour_of(material, camera), "", linewidth=0.8)
+    axes.set_title(camera.sensor, fontsize=9, loc="left", color=colour_of(material, camera))
     axes.set_ylabel("matches" if matching else "quality (%)")
     axes.set_ylim(0.0, 1.08 * max(float(np.max(value, initial=0.0)), 1.0))
-    _marks(axes, material, eye, (0.0, 0.22))
+    _marks(axes, material, camera, (0.0, 0.22))
 
 
-def _marks(axes: "Axes", material: Material, eye: Eye, height: tuple[float, float]) -> None:
+def _marks(axes: "Axes", material: Material, camera: CameraResult, height: tuple[float, float]) -> None:
     """What happened to a camera's targets, between two heights (0 to 1) of the axes."""
     over = axes.get_xaxis_transform()
-    hidden = hidden_spans(material, eye)
+    hidden = hidden_spans(material, camera)
     if hidden:
         place = (height[0], height[1] - height[0])
         axes.broken_barh(hidden, place, transform=over, color=ORANGE, alpha=0.6, label="something in front")
     for kind, colour, label in (("reference", PURPLE, "another reference frame"), ("shutter", BLACK, "shutter")):
-        found = places(material, [event for event in eye.events if event.kind == kind])
+        found = places(material, [event for event in camera.events if event.kind == kind])
         if len(found):
             axes.vlines(found, *height, transform=over, color=colour, linewidth=1.3, label=label)
 
 
-def hidden_spans(material: Material, eye: Eye) -> list[tuple[float, float]]:
+def hidden_spans(material: Material, camera: CameraResult) -> list[tuple[float, float]]:
     """Start and length (s) of the stretches in which something stood in front of a camera's targets."""
     found, since = [], None
-    for event in sorted(eye.events, key=lambda event: event.time_ns):
+    for event in sorted(camera.events, key=lambda event: event.time_ns):
         if event.kind == "hidden" and since is None:
             since = event.time_ns
         if event.kind == "seen" and since is not None:
@@ -114,31 +121,29 @@ def hidden_spans(material: Material, eye: Eye) -> list[tuple[float, float]]:
 
 def _deviations(axes: "Axes", material: Material) -> None:
     """Standard deviation of each camera's single frames and of the result, on a logarithmic axis."""
-    for eye in material.result.eyes:
-        block = eye.calibrations[0].mapping().displacement(eye.track)
+    for camera in material.result.cameras:
+        block = camera.displacement(camera.best)
         seen = np.isfinite(block.value_m) & np.isfinite(block.variance_m2)
         if seen.any():
             t, std = material.clock.at(block.time_ns[seen]), 1e3 * np.sqrt(block.variance_m2[seen])
-            draw_line(axes, envelope(t, std, std), COLOURS[eye.source], eye.sensor, linewidth=0.8)
+            draw_line(axes, envelope(t, std, std), colour_of(material, camera), camera.sensor, linewidth=0.8)
     std = material.result.displacement_std_mm
     draw_line(axes, envelope(material.t, std, std), BLACK, "result", linewidth=1.2)
     axes.set_yscale("log")
     axes.set_ylabel("σ (mm)")
     axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4, borderaxespad=0.2)
-    for number, eye in enumerate(material.result.eyes[::-1]):
+    for number, camera in enumerate(material.result.cameras[::-1]):
         low, high = MARK_HEIGHT * number, MARK_HEIGHT * (number + 0.8)
-        _marks(axes, material, eye, (low, high))
+        _marks(axes, material, camera, (low, high))
         # Whose marks they are.
-        axes.plot((0.0, 0.0), (low, high), transform=axes.transAxes, color=COLOURS[eye.source], linewidth=6.0)
+        axes.plot((0.0, 0.0), (low, high), transform=axes.transAxes, color=colour_of(material, camera), linewidth=6.0)
 
 
 def _strip(axes: "Axes", material: Material) -> None:
     """Which source each row of the result has."""
-    source = material.result.estimate.source
-    known = shares(source)
-    for code, _ in known:
-        held = spans(material.t, source == code, STRIP_STRETCHES)
+    for code, held in source_spans(material).items():
         axes.broken_barh(held, (0, 1), color=COLOURS.get(code, OTHER), linewidth=0.0)
+    known = shares(material.result.estimate.source)
     axes.set_ylim(0, 1)
     axes.set_yticks([])
     axes.grid(False)
@@ -148,65 +153,33 @@ def _strip(axes: "Axes", material: Material) -> None:
     axes.legend(handles, told, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=5, borderaxespad=0.2)
 
 
+def source_spans(material: Material) -> dict[Source, list[tuple[float, float]]]:
+    """Start and length (s) of the stretches in which the rows rest on each source."""
+    source = material.result.estimate.source
+    return {code: spans(material.t, source == code, STRIP_STRETCHES) for code, _ in shares(source)}
+
+
 def shares(source: NDArray[np.uint8]) -> list[tuple[Source, float]]:
     """The sources of rows (n,) that occur, each with its share of them."""
     return [(Source(int(code)), float(np.mean(source == code))) for code in np.unique(source)]
 
 
 def _switches(axes: "Axes", material: Material, labelled: bool) -> None:
-    """A line where another camera is believed from."""
+    """A line from where on the other camera measures."""
     found = places(material, [event for event in material.result.events if event.kind == "switch"])
     for number, place in enumerate(found):
         label = "switch" if labelled and number == 0 else None
         axes.axvline(float(place), color=GREEN, linewidth=1.1, linestyle="--", label=label)
 
 
-def _believed(axes: "Axes", material: Material) -> None:
-    """The ground in the colour of the camera that is believed; none where there is one camera."""
-    for source, found in believed_spans(material).items():
-        over = axes.get_xaxis_transform()
-        axes.broken_barh(found, (0, 1), transform=over, color=COLOURS.get(source, OTHER), alpha=0.09, linewidth=0.0)
-
-
-def believed_spans(material: Material) -> dict[Source, list[tuple[float, float]]]:
-    """Start and length (s) of the stretches in which each of two cameras is believed; empty where there is one."""
-    belief = material.result.belief
-    if belief is None:
-        return {}
-    rows = material.result.estimate.time_ns
-    edges = np.append(np.clip(belief.switched_ns, rows[0], rows[-1]), rows[-1])
-    edges[0] = rows[0]
-    t = material.clock.at(edges)
-    found: dict[Source, list[tuple[float, float]]] = {}
-    for code, start, end in zip(belief.believed, t, t[1:], strict=False):
-        if end > start:
-            found.setdefault(Source(int(code)), []).append((float(start), float(end - start)))
-    return found
-
-
-def zero(material: Material) -> Picture | None:
-    """How far the second camera's zero lies beside the first one's; None where there is one camera."""
-    belief = material.result.belief
-    if belief is None or belief.course is None:
-        return None
-    rows = material.result.estimate.time_ns
-    # Between the instants where both see the level is a bridge, whose uncertainty grows towards its middle.
-    times = np.linspace(int(rows[0]), int(rows[-1]), 800).astype(np.int64)
-    level, variance = belief.course.at(times)
-    t, middle, half = material.clock.at(times), 1e3 * level, 1.96e3 * np.sqrt(variance)
-    figure = sheet(2.2)
-    axes = figure.subplots()
-    axes.fill_between(t, middle - half, middle + half, color=SKY, alpha=0.45, linewidth=0, label="±1.96 σ")
-    axes.plot(t, middle, color=GREY, linewidth=1.0, label="bridged")
-    both = material.clock.at(belief.course.time_ns)
-    axes.plot(both, 1e3 * belief.course.level_m, ".", color=BLUE, markersize=3.0, label="both see")
-    _believed(axes, material)
-    _switches(axes, material, labelled=True)
-    axes.set_xlabel(material.clock.label)
-    axes.set_ylabel("second − first (mm)")
-    axes.margins(x=0.005)
-    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=5, borderaxespad=0.2)
-    return picture(figure)
+def _sources(axes: "Axes", material: Material) -> None:
+    """The ground in the colour of the camera that the rows rest on; none where there is one camera."""
+    if len(material.result.cameras) < 2:
+        return
+    over = axes.get_xaxis_transform()
+    for code, held in source_spans(material).items():
+        if code in CAMERAS:
+            axes.broken_barh(held, (0, 1), transform=over, color=COLOURS[code], alpha=0.09, linewidth=0.0)
 
 
 def chosen_place(found: RangeSurface) -> tuple[int, int]:
@@ -245,9 +218,9 @@ def surface(found: RangeSurface) -> Picture:
     return picture(figure)
 
 
-def _stamps(material: Material, eye: Eye) -> Floats:
-    late_ns = round(1e9 * eye.calibrations[0].offset.value_s)
-    return material.clock.at(eye.track.time_ns + np.int64(late_ns))
+def _stamps(material: Material, camera: CameraResult) -> Floats:
+    late_ns = round(1e9 * camera.calibrations[0].offset.value_s)
+    return material.clock.at(camera.track.time_ns + np.int64(late_ns))
 
 
 def places(material: Material, events: list[Event]) -> Floats:

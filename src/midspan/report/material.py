@@ -8,10 +8,10 @@ import numpy as np
 from midspan.errors import DataError
 from midspan.evaluate.interpolation import step_of
 from midspan.evaluate.metrics import Comparison, compare
-from midspan.recording.displacement.sensor import read_with
 from midspan.recording.result import Result
+from midspan.recording.sensor_series import SensorSeries
 from midspan.recording.streams.span import EPOCH_FROM_NS, inside
-from midspan.records import Displacement, Floats, Nanoseconds, Source, TimeSeries, part, seconds
+from midspan.records import Floats, Nanoseconds, TimeSeries, seconds
 
 # A reference whose zero is off by more than this share of its motion is drawn moved, and the caption says so.
 MOVED_SHARE = 0.2
@@ -72,17 +72,13 @@ class Material:
     @property
     def name(self) -> str:
         """The recording's name."""
-        recording = self.result.recording
-        return recording.name if recording is not None else self.result.settings.name or "recording"
+        return self.result.name or self.result.settings.name or "recording"
 
 
-def gather(result: Result, reference: TimeSeries | None) -> Material:
-    """The material of a result and a reference (m, on the accelerometer's clock); None: without one."""
-    second = None
-    if result.second is not None:
-        known = None if reference is None or result.recording is None else result.recording.reference_across
-        second = gather(result.second, known)
-    measured = tuple(_measured(result))
+def gather(result: Result, reference: TimeSeries | None, across: TimeSeries | None = None) -> Material:
+    """The material of a result and its references along the main and the second axis (m); None: without one."""
+    second = None if result.second is None else gather(result.second, across)
+    measured = tuple(_aligned(result, series) for series in result.measured)
     material = Material(result, clock_of(int(result.estimate.time_ns[0])), measured, second=second)
     if reference is None:
         return material
@@ -105,50 +101,20 @@ def clock_of(first_ns: int) -> Clock:
     return Clock(int(start.timestamp()) * 1_000_000_000, f"time after {start:%Y-%m-%d %H:%M:%S} UTC (s)")
 
 
-def _measured(result: Result) -> list[Measured]:
-    found = []
-    camera = result.calibration.first_camera
-    if result.belief is not None:
-        found += _of_cameras(result, result.belief.measured)
-    elif camera is not None and result.track is not None:
-        block = camera.mapping().displacement(result.track)
-        std = np.sqrt(block.variance_m2)
-        name = camera.source.word
-        found.append(_aligned(result, Measured(name, block.time_ns, 1e3 * block.value_m, 1e3 * std)))
-    if result.radar is not None:
-        block = result.radar.measured
-        # Blocked frames are NaN and of infinite variance.
-        std = np.where(np.isfinite(block.value_m), np.sqrt(block.variance_m2), np.nan)
-        found.append(_aligned(result, Measured("radar", block.time_ns, 1e3 * block.value_m, 1e3 * std)))
-    learnt = result.calibration.displacement
-    # A second axis has none of its own.
-    if learnt is not None and result.recording is not None and result.recording.has("displacement"):
-        series = read_with(result.recording.displacement, learnt)
-        std = np.full(len(series.time_ns), 1e3 * learnt.noise_std_m)
-        found.append(_aligned(result, Measured("displacement sensor", series.time_ns, 1e3 * series.value, std)))
-    return found
-
-
-def _of_cameras(result: Result, both: Displacement) -> list[Measured]:
-    """What each of two cameras said, the second on the zero of the first."""
-    found = []
-    for code in np.unique(both.source):
-        block = part(both, both.source == code)
-        std = np.where(np.isfinite(block.value_m), np.sqrt(block.variance_m2), np.nan)
-        name = Source(int(code)).word
-        found.append(_aligned(result, Measured(name, block.time_ns, 1e3 * block.value_m, 1e3 * std)))
-    return found
-
-
-def _aligned(result: Result, measured: Measured) -> Measured:
+def _aligned(result: Result, series: SensorSeries) -> Measured:
     """Measurements inside the result's span, moved by the median of their difference: the result has its own zero."""
     rows = result.estimate
-    which = inside(measured.time_ns, int(rows.time_ns[0]), int(rows.time_ns[-1]))
-    time_ns, value = measured.time_ns[which], measured.value_mm[which]
+    which = inside(series.time_ns, int(rows.time_ns[0]), int(rows.time_ns[-1]))
+    time_ns, value = series.time_ns[which], 1e3 * series.value_m[which]
     fused = np.interp(
         seconds(time_ns, int(rows.time_ns[0])), seconds(rows.time_ns, int(rows.time_ns[0])), rows.displacement_m
     )
     difference = value - 1e3 * fused
     known = np.isfinite(difference)
     moved = float(np.median(difference[known])) if known.any() else 0.0
-    return Measured(measured.name, time_ns, value - moved, measured.std_mm[which])
+    return Measured(_shown(series), time_ns, value - moved, 1e3 * series.std_m[which])
+
+
+def _shown(series: SensorSeries) -> str:
+    """What a sensor is called: "displacement" alone could be the result's."""
+    return "displacement sensor" if series.sensor == "displacement" else series.sensor

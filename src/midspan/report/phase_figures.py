@@ -3,34 +3,40 @@
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from midspan.report.drawing import ORANGE, SKY, Picture, picture, sheet
-from midspan.vision.hybrid import PhaseTracker
+from midspan.signals.health import Mask
+from midspan.vision.active_pixels import ActivePixels
 
 TINT = 0.45  # of the colour over an active pixel
 
 
-def active_pixels(tracker: PhaseTracker) -> Picture:
-    """The region in the reference frame, and its active pixels along x and y tinted."""
-    region = tracker.measured_region
-    pixels = np.asarray(tracker.reference.pixels, dtype=np.float64)
+def active_pixels(found: ActivePixels, reference: NDArray[Any]) -> Picture:
+    """The region in the `reference` frame (rows, columns), and its active pixels along x and y tinted."""
+    region = found.region
+    pixels = np.asarray(reference, dtype=np.float64)
     cut = pixels[region.y : region.y + region.height, region.x : region.x + region.width]
     low, high = np.nanpercentile(cut, (0.5, 99.5))
     grey = np.clip((cut - low) / max(high - low, 1e-9), 0.0, 1.0)
     figure = sheet(3.2)
-    for axes, axis, colour in zip(figure.subplots(1, 3), ("", "x", "y"), ("", ORANGE, SKY), strict=True):
-        axes.set_title(_title(tracker, axis) if axis else f"region, {region.width} × {region.height} px", fontsize=9)
-        axes.imshow(_tinted(grey, tracker.active_pixels(axis), colour) if axis else _tinted(grey, None, ""))
+    whole, *others = figure.subplots(1, 3)
+    whole.set_title(f"region, {region.width} × {region.height} px", fontsize=9)
+    whole.imshow(_tinted(grey, None, ""))
+    for axes, axis, mask, fit, colour in zip(
+        others, "xy", (found.x, found.y), found.r_squared, (ORANGE, SKY), strict=True
+    ):
+        axes.set_title(_title(axis, mask, fit), fontsize=9)
+        axes.imshow(_tinted(grey, mask, colour))
+    for axes in (whole, *others):
         axes.grid(False)
         axes.set_xlabel("x in the region (px)")
     return picture(figure, dots=True)
 
 
-def _title(tracker: PhaseTracker, axis: str) -> str:
-    k = "xy".index(axis)
-    share, fit = 100.0 * float(np.mean(tracker.active_pixels(axis))), tracker.model.r_squared[k]
+def _title(axis: str, mask: Mask, fit: float) -> str:
     how = f"learnt, R² = {fit:.4f}" if np.isfinite(fit) else "by amplitude"
-    return f"active along {axis}: {share:.0f} % ({how})"
+    return f"active along {axis}: {100.0 * float(np.mean(mask)):.0f} % ({how})"
 
 
 def _tinted(grey: Any, active: Any, colour: str) -> Any:

@@ -13,22 +13,25 @@ from midspan.report.material import Material, gather
 from midspan.writing import write_whole
 
 
-def write_report(result: Result, path: str | Path, reference: TimeSeries | None = None) -> Path:
+def write_report(
+    result: Result, path: str | Path, reference: TimeSeries | None = None, across: TimeSeries | None = None
+) -> Path:
     """Write the report of a result as one self-contained HTML file; returns its path.
 
-    path: the file, whole or not at all; reference: displacement in m on the accelerometer's clock, compared and drawn.
-    Needs no network to be read. Raises UsageError where the file cannot be written.
+    path: the file, whole or not at all; reference: displacement in m on the accelerometer's clock, compared and drawn;
+    across: the same along the second image axis. Needs no network to be read. Raises UsageError where the file cannot
+    be written.
     """
     path = Path(path)
     with style():
-        text = report_html(result, reference)
+        text = report_html(result, reference, across)
     write_whole(path, text.encode())
     return path
 
 
-def report_html(result: Result, reference: TimeSeries | None = None) -> str:
-    """The page's text."""
-    material = gather(result, reference)
+def report_html(result: Result, reference: TimeSeries | None = None, across: TimeSeries | None = None) -> str:
+    """The page's text; reference, across: as for `write_report`."""
+    material = gather(result, reference, across)
     body = [
         page.heading(material.name, _lines(material)),
         sections.summary(material),
@@ -51,7 +54,7 @@ def _lines(material: Material) -> list[str]:
     result = material.result
     rows = result.estimate.time_ns
     sensors = " and ".join(["accelerometer", *(m.name for m in material.measured)])
-    where = "" if result.recording is None else f" · {result.recording.file}"
+    where = "" if result.file is None else f" · {result.file}"
     return [
         f"Displacement from {sensors} · method {result.method}{where}",
         f"From {shown(int(rows[0]))} to {shown(int(rows[-1]))} on the accelerometer's clock",

@@ -5,6 +5,8 @@ import json
 from midspan._version import __version__
 from midspan.recording.radar.trace import RadarTrace
 from midspan.recording.stored.calibration import Calibration
+from midspan.recording.stored.camera import CameraCalibration
+from midspan.recording.stored.radar import RadarCalibration
 from midspan.records import NANOSECONDS
 from midspan.report import camera_figures, figures, page, radar_figures, tables
 from midspan.report.history_data import history_attributes
@@ -119,9 +121,9 @@ def calibration(material: Material) -> str:
     """What was learnt about the sensors, and what it rests on."""
     found = material.result.calibration
     pieces = [page.table(tables.calibration(material))]
-    cameras = [camera for camera in (found.camera, found.infrared) if camera is not None]
-    shown = [(camera.source.word, camera.diagnostics) for camera in cameras if camera.diagnostics is not None]
-    first = cameras[0].source.word if cameras else ""
+    cameras = [(name, camera) for name, _, camera in found.sensors if isinstance(camera, CameraCalibration)]
+    shown = [(name, camera.diagnostics) for name, camera in cameras if camera.diagnostics is not None]
+    first = cameras[0][0] if cameras else ""
     for sensor, diagnostics in shown:
         share = camera_figures.explained(diagnostics)
         caption = (
@@ -168,10 +170,13 @@ def innovations(material: Material) -> str:
 
 
 def radar(material: Material) -> str:
-    """Range profile, targets, circle, phase and amplitudes; empty without a radar."""
-    found = material.result.calibration.radar
-    if found is None:
-        return ""
+    """Range profile, targets, circle, phase and amplitudes of each radar; empty without one."""
+    sensors, traces = material.result.calibration.sensors, material.result.radars
+    radars = [(name, known) for name, _, known in sensors if isinstance(known, RadarCalibration)]
+    return "\n".join(_one_radar(material, name, known, traces.get(name)) for name, known in radars)
+
+
+def _one_radar(material: Material, name: str, found: RadarCalibration, trace: RadarTrace | None) -> str:
     pieces = []
     if found.diagnostics is not None:
         caption = (
@@ -190,10 +195,9 @@ def radar(material: Material) -> str:
             "move."
         )
         pieces.append(page.figure(radar_figures.circle(found, found.diagnostics), "Circle of the phasors", caption))
-    trace = None if material.result.radar is None else material.result.radar.trace
     if trace is not None:
         pieces.append(_radar_phase(material, trace))
-    return page.section("radar", "Radar", *pieces)
+    return page.section(name, name.capitalize(), *pieces)
 
 
 def _radar_phase(material: Material, trace: RadarTrace) -> str:

@@ -1,15 +1,15 @@
 """The report's numbers as rows of text: cards, figures, calibration, settings, events."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
 
 from midspan.evaluate.metrics import Comparison, normalised_innovation
-from midspan.fusion.gate import REJECTED
+from midspan.fusion.blocks import REJECTED
 from midspan.radar.target import Target
-from midspan.recording.cameras.tracked import Eye
+from midspan.recording.camera_result import CameraResult
 from midspan.recording.stored.calibration import Calibration
 from midspan.recording.stored.camera import CameraCalibration
 from midspan.recording.stored.displacement import DisplacementCalibration
@@ -116,13 +116,8 @@ def calibration(material: Material) -> list[Row]:
     """The calibration's values with their standard deviations."""
     found = material.result.calibration
     rows: list[Row] = []
-    for camera in (found.camera, found.infrared):
-        if camera is not None:
-            rows += _camera(camera)
-    if found.radar is not None:
-        rows += _radar(found.radar)
-    if found.displacement is not None:
-        rows += _displacement(found.displacement)
+    for name, kind, sensor in found.sensors:
+        rows += [(f"{name}: {label}", value) for label, value in CALIBRATED[kind](sensor)]
     rows += [
         ("accelerometer: noise", f"{1e3 * found.noise_std_m_s2:.4g} mm/s² per sample"),
         ("accelerometer: bias", _bias(found)),
@@ -138,14 +133,14 @@ def _bias(found: Calibration) -> str:
 
 def _camera(camera: CameraCalibration) -> list[Row]:
     value, std = 1e3 * camera.scale.value_m_per_px, 1e3 * math.sqrt(camera.scale.variance)
-    region, sensor = camera.region, camera.source.word
+    region = camera.region
     return [
-        (f"{sensor}: scale factor", f"{value:.6g} ± {std:.2g} mm/px ({100 * std / abs(value):.2g} %)"),
-        (f"{sensor}: clock offset", _offset(camera.offset)),
-        (f"{sensor}: noise", f"{camera.noise_std_px:.3g} px a frame, {abs(value) * camera.noise_std_px:.3g} mm"),
-        (f"{sensor}: learnt variance over the tracker's own", f"{camera.variance_factor:.3g}"),
-        (f"{sensor}: region", f"x {region.x}, y {region.y}, {region.width} × {region.height} px"),
-        (f"{sensor}: direction, tracker", f"{camera.direction}, {camera.tracker}"),
+        ("scale factor", f"{value:.6g} ± {std:.2g} mm/px ({100 * std / abs(value):.2g} %)"),
+        ("clock offset", _offset(camera.offset)),
+        ("noise", f"{camera.noise_std_px:.3g} px a frame, {abs(value) * camera.noise_std_px:.3g} mm"),
+        ("learnt variance over the tracker's own", f"{camera.variance_factor:.3g}"),
+        ("region", f"x {region.x}, y {region.y}, {region.width} × {region.height} px"),
+        ("direction, tracker", f"{camera.direction}, {camera.tracker}"),
     ]
 
 
@@ -171,12 +166,12 @@ def _radar(radar: RadarCalibration) -> list[Row]:
     best = radar.best
     value, std = best.conversion_factor, best.conversion_factor_std
     return [
-        ("radar: conversion factor of the best target", f"{value:.6g} ± {std:.2g} ({100 * std / abs(value):.2g} %)"),
-        ("radar: range to it", f"{best.range_m:.3f} m" if math.isfinite(best.range_m) else "not known"),
-        ("radar: clock offset", _offset(radar.offset)),
-        ("radar: noise", f"{1e3 * best.noise_m:.3g} mm a frame of displacement"),
-        ("radar: learnt variance over that of the signal-to-noise ratio", f"{radar.variance_factor:.3g}"),
-        ("radar: carrier", f"{radar.carrier_hz / 1e9:.5f} GHz"),
+        ("conversion factor of the best target", f"{value:.6g} ± {std:.2g} ({100 * std / abs(value):.2g} %)"),
+        ("range to it", f"{best.range_m:.3f} m" if math.isfinite(best.range_m) else "not known"),
+        ("clock offset", _offset(radar.offset)),
+        ("noise", f"{1e3 * best.noise_m:.3g} mm a frame of displacement"),
+        ("learnt variance over that of the signal-to-noise ratio", f"{radar.variance_factor:.3g}"),
+        ("carrier", f"{radar.carrier_hz / 1e9:.5f} GHz"),
     ]
 
 
@@ -237,10 +232,19 @@ def _place(region: Region) -> str:
 def _displacement(sensor: DisplacementCalibration) -> list[Row]:
     learnt = f"{sensor.scale:.5g} ± {sensor.scale_std:.2g} ({100 * sensor.relative_std:.2g} %), learnt"
     return [
-        ("displacement: noise", f"{1e3 * sensor.noise_std_m:.4g} mm a measurement"),
-        ("displacement: clock offset", _offset(sensor.offset)),
-        *([("displacement: scale", learnt)] if sensor.scale_std > 0.0 else []),
+        ("noise", f"{1e3 * sensor.noise_std_m:.4g} mm a measurement"),
+        ("clock offset", _offset(sensor.offset)),
+        *([("scale", learnt)] if sensor.scale_std > 0.0 else []),
     ]
+
+
+# The rows of a sensor of each kind, without its name.
+CALIBRATED: dict[str, Callable[[Any], list[Row]]] = {
+    "camera": _camera,
+    "infrared": _camera,
+    "radar": _radar,
+    "displacement": _displacement,
+}
 
 
 def _offset(offset: TimeOffset) -> str:
@@ -252,22 +256,23 @@ def _offset(offset: TimeOffset) -> str:
 def settings(material: Material) -> list[Row]:
     """The settings used, flat, in the words of recording.toml; with what was taken for those that were left out."""
     tree = material.result.settings.model_dump(mode="json", exclude_none=True)
-    for eye in material.result.eyes:
-        own = tree.get(eye.sensor)
-        if own is not None:
-            tree[eye.sensor] = own | {key: value for key, value in _taken(eye).items() if not own.get(key)}
+    for camera in material.result.cameras:
+        listed = tree[camera.source.word]
+        for own in listed if isinstance(listed, list) else [listed]:
+            if own.get("name", camera.sensor) == camera.sensor:
+                own |= {key: value for key, value in _taken(camera).items() if not own.get(key)}
     return list(_flat(tree))
 
 
-def _taken(eye: Eye) -> dict[str, str]:
+def _taken(camera: CameraResult) -> dict[str, str]:
     """What a camera was tracked with where its settings do not say."""
-    camera, found = eye.view.settings.camera, {}
-    if camera is not None and camera.reference is None:
-        found["reference"] = f"{camera.reference_rule} (default)"
-    if camera is not None and camera.roi is None and not camera.target:
-        places = [f"{r.x}, {r.y}, {r.width}, {r.height}" for r in (target.region for target in eye.tracking.targets)]
-        found["roi"] = f"{'; '.join(places)} ({'chosen' if eye.tracking.choice is not None else 'of the calibration'})"
-    surface = eye.tracking.range_surface
+    settings, found = camera.settings, {}
+    if settings.reference is None:
+        found["reference"] = f"{settings.reference_rule} (default)"
+    if settings.roi is None and not settings.target:
+        places = [f"{r.x}, {r.y}, {r.width}, {r.height}" for r in (target.region for target in camera.targets)]
+        found["roi"] = f"{'; '.join(places)} ({'chosen' if camera.choice is not None else 'of the calibration'})"
+    surface = camera.range_surface
     if surface is not None:
         found["temperature_range_c"] = f"{surface.best.low_c:.2f}, {surface.best.high_c:.2f} (chosen)"
     return found
@@ -277,6 +282,9 @@ def _flat(tree: dict[str, Any], prefix: str = "") -> Iterable[Row]:
     for key, value in tree.items():
         if isinstance(value, dict):
             yield from _flat(value, f"{prefix}{key}.")
+        elif isinstance(value, list) and value and isinstance(value[0], dict):
+            for number, one in enumerate(value, start=1):
+                yield from _flat(one, f"{prefix}{key}[{number}].")
         elif value != []:
             yield prefix + key, ", ".join(str(x) for x in value) if isinstance(value, list) else str(value)
 

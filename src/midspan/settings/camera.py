@@ -14,12 +14,12 @@ from midspan.settings.fields import (
     Section,
     Time,
     has_four,
-    is_a_word,
     known,
     limited,
     region_is_positive,
     second_is_larger,
 )
+from midspan.settings.kinds import SensorName
 from midspan.vision.lens import MODELS as LENS_MODELS
 from midspan.vision.lens import Lens
 from midspan.vision.tracker import DEFAULT_TRACKER, TRACKERS, tracker_settings
@@ -35,9 +35,7 @@ class TargetSettings(Section):
     roi: Annotated[tuple[int, int, int, int], AfterValidator(region_is_positive)] = Field(
         description="x, y, width, height, px"
     )
-    name: Annotated[str | None, AfterValidator(is_a_word)] = Field(
-        None, description="what reports and columns call it; left out: its number"
-    )
+    name: SensorName | None = Field(None, description="what reports and columns call it; left out: its number")
 
 
 class LensSettings(Section):
@@ -76,6 +74,7 @@ class LensSettings(Section):
 class CameraSettings(Section):
     """A camera on the structure that looks at fixed surroundings."""
 
+    name: SensorName | None = Field(None, description="what it is called where there are several of a kind")
     file: FileName
     times: FileName | None = Field(None, description="file with a column time_s, one row a frame")
     rate_hz: Rate | None = Field(None, description="frames a second, where the file has no time stamps")

@@ -71,13 +71,6 @@ def region_is_positive(value: tuple[int, int, int, int] | None) -> tuple[int, in
     return value
 
 
-def is_a_word(value: str | None) -> str | None:
-    """A text that can become part of a column's name."""
-    if value is not None and not (value.isascii() and value.replace("-", "_").replace("_", "a").isalnum()):
-        raise ValueError("must be a word of letters, digits, _ or -, as it becomes part of columns' names")
-    return value
-
-
 def has_four(value: tuple[float, ...] | None) -> tuple[float, ...] | None:
     """Four numbers, as a camera matrix has."""
     if value is not None and len(value) != 4:

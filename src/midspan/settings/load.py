@@ -14,7 +14,6 @@ from midspan.trees import TreeError, read_toml
 RECORDING_FILE = "recording.toml"
 # Sections that every recording has, written or not.
 OPTIONAL_SECTIONS = ("calibration", "fusion")
-CAMERAS = ("camera", "infrared")
 
 
 def settings_file(path: str | Path) -> Path:
@@ -35,8 +34,9 @@ def settings_file(path: str | Path) -> Path:
 def load_settings(path: str | Path, overrides: dict[str, dict[str, Any]] | None = None) -> RecordingSettings:
     """Read and validate a `recording.toml` (a folder or the file).
 
-    overrides: section → key → value, from the command line; they win over the file. Raises UsageError for anything the
-    file may not say and for overrides of a section that it lacks, DataError where there is no file.
+    overrides: section → key → value, from the command line; they win over the file, in each of several sections of a
+    kind. Raises UsageError for anything the file may not say and for overrides of a section that it lacks, DataError
+    where there is no file.
     """
     file = settings_file(path)
     try:
@@ -46,19 +46,26 @@ def load_settings(path: str | Path, overrides: dict[str, dict[str, Any]] | None 
     except OSError as error:
         raise DataError(f"{file}: cannot be read ({error.strerror}).") from None
     for section, keys in (overrides or {}).items():
-        option("section", section, [name for name in RecordingSettings.model_fields if name != "name"])
+        known = [field.alias or name for name, field in RecordingSettings.model_fields.items() if name != "name"]
+        option("section", section, known)
         if section not in tree and section not in OPTIONAL_SECTIONS:
             raise UsageError(
                 f"{file}: has no [{section}] section, so {', '.join(keys) or 'nothing'} of it cannot be changed. "
                 f"Write [{section}] into the file, or leave these settings out."
             )
         given = tree.get(section, {})
-        if isinstance(given, dict):
-            if section in CAMERAS and "tracker" in given and keys.get("tracker", given["tracker"]) != given["tracker"]:
-                # They belong to the file's own tracker.
-                given = {key: value for key, value in given.items() if key != "tracker_settings"}
-            tree[section] = {**given, **keys}
+        tree[section] = [_changed(one, keys) for one in given] if isinstance(given, list) else _changed(given, keys)
     return validate(tree, str(file))
+
+
+def _changed(section: Any, keys: dict[str, Any]) -> Any:
+    """A section with other values of some keys; what is no section stays for the validation to refuse."""
+    if not isinstance(section, dict):
+        return section
+    if "tracker" in section and keys.get("tracker", section["tracker"]) != section["tracker"]:
+        # They belong to the file's own tracker.
+        section = {key: value for key, value in section.items() if key != "tracker_settings"}
+    return {**section, **keys}
 
 
 def validate(tree: dict[str, Any], where: str) -> RecordingSettings:
@@ -66,5 +73,5 @@ def validate(tree: dict[str, Any], where: str) -> RecordingSettings:
     try:
         return RecordingSettings.model_validate(tree)
     except ValidationError as error:
-        lines = [explain(item) for item in error.errors()]
+        lines = [explain(item, tree, RecordingSettings) for item in error.errors()]
         raise UsageError("\n".join(f"{where}: {line}" for line in lines)) from None

@@ -1,31 +1,45 @@
-"""What is wrong with a settings tree, in words: the key, the rule with its unit, the value received, the remedy."""
+"""What is wrong with a tree of settings, in words: the key, the rule with its unit, the value received, the remedy."""
 
 from typing import Any
 
+from pydantic import BaseModel
+
 from midspan.checks import nearest, shown
-from midspan.settings.recording import RecordingSettings
+
+# The validation library's words, and what stands for them.
+PLAIN = {
+    "Input should": "must",
+    "String should": "must",
+    "a valid boolean": "true or false",
+    "a valid number": "a number",
+    "a valid integer": "a whole number",
+}
 
 
-def explain(item: Any) -> str:
-    """One sentence for one of pydantic's errors."""
-    place, kind, value = list(item["loc"]), item["type"], item["input"]
-    if place and isinstance(place[-1], int) and kind in ("missing", "int_type", "float_type"):
+def explain(item: Any, tree: dict[str, Any], model: type[BaseModel]) -> str:
+    """One sentence for one of pydantic's errors about `tree`, which `model` validated."""
+    place, kind, value = _place(item["loc"], tree), item["type"], item["input"]
+    last = place[-1] if place else None
+    if isinstance(last, int) and kind in ("missing", "int_type", "float_type"):
         place = place[:-1]
     key = _key(place)
     if kind == "extra_forbidden":
-        return _unknown(key, [str(part) for part in place if not isinstance(part, int)], value)
-    if kind == "too_long" or (kind == "missing" and isinstance(item["loc"][-1], int)):
+        return _unknown(key, [str(part) for part in place if not isinstance(part, int)], value, model)
+    if kind == "too_long" or (kind == "missing" and isinstance(last, int)):
         return f"{key}: must have {4 if key.endswith('roi') else 2} numbers; received {shown(list(value))}."
     if kind == "missing":
-        return f"{key}: is missing. Add it; `midspan check-config` shows what a file says."
-    if kind == "tuple_type" and key in ("camera.target", "infrared.target"):
-        return f"{key}: must be a list, one [[{key}]] for each target; received {shown(value)}."
+        return f"{key}: is missing. Add it."
+    if kind == "tuple_type" and key.endswith(".target"):
+        return f"{key}: must be a list, one [[{place[0]}.target]] for each target; received {shown(value)}."
+    if kind == "tuple_type":
+        return f"{key}: must be a list; received {shown(value)}."
     if kind.startswith(("model_type", "model_attributes", "dict_type")):
-        return f"{key}: must be one section, [{key}]; received {shown(value)}."
+        return f"{key}: must be one section with keys, [{key}]; received {shown(value)}."
     if kind == "string_too_short":
         return f"{key} = {shown(value)}: must not be empty; leave the key out instead."
     text = str(item["msg"]).removeprefix("Value error, ")
-    text = text.replace("Input should", "must").replace("String should", "must")
+    for words, plain in PLAIN.items():
+        text = text.replace(words, plain)
     if place and place[0] == "infrared":
         text = text.replace("[[camera.", "[[infrared.")
     return (
@@ -33,6 +47,13 @@ def explain(item: Any) -> str:
         if key == "settings" or isinstance(value, dict)
         else f"{key} = {_plain(value)}: {text}.".replace("..", ".").replace("?.", "?")
     )
+
+
+def _place(loc: tuple[Any, ...], tree: dict[str, Any]) -> list[Any]:
+    """The place of an error as the file has it: a section that is not written as a list has no number."""
+    if len(loc) > 1 and isinstance(loc[1], int) and isinstance(tree.get(loc[0]), dict):
+        return [loc[0], *loc[2:]]
+    return list(loc)
 
 
 def _key(place: list[Any]) -> str:
@@ -45,20 +66,20 @@ def _plain(value: Any) -> str:
     return shown(list(value)) if isinstance(value, tuple) else shown(value)
 
 
-def _unknown(key: str, place: list[str], value: Any) -> str:
-    known = _keys_at(place[:-1])
+def _unknown(key: str, place: list[str], value: Any, model: type[BaseModel]) -> str:
+    known = _keys_at(place[:-1], model)
+    section = isinstance(value, dict) or (isinstance(value, list) and any(isinstance(one, dict) for one in value))
     if len(place) == 1:
-        known = [name for name in known if name != "name"] if isinstance(value, dict) else ["name"]
-    what = "section" if isinstance(value, dict) else "key"
-    hint = nearest(place[-1], known)
+        known = [name for name in known if name != "name"] if section else ["name"]
+    hint, what = nearest(place[-1], known), "section" if section else "key"
     return f"{key}: is not a known {what}. {hint + ' ' if hint else ''}Known: {', '.join(known)}."
 
 
-def _keys_at(place: list[str]) -> list[str]:
+def _keys_at(place: list[str], model: Any) -> list[str]:
     """The keys that are known at a place of the tree."""
-    model: Any = RecordingSettings
     for name in place:
-        annotation = model.model_fields[name].annotation
+        fields = {field.alias or key: field for key, field in model.model_fields.items()}
+        annotation = fields[name].annotation
         options = [annotation, *getattr(annotation, "__args__", ())]
         model = next(option for option in options if hasattr(option, "model_fields"))
-    return list(model.model_fields)
+    return [field.alias or key for key, field in model.model_fields.items()]

@@ -1,11 +1,13 @@
 """The whole tree of `recording.toml`: its sensors, the calibration and the fusion."""
 
-from typing import Annotated, Literal
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, Field, SerializationInfo, model_serializer, model_validator
 
 from midspan.checks import RATE_HZ
-from midspan.fusion.methods import LITERAL, METHODS, no_literal_form
+from midspan.fusion.methods import METHODS, no_literal_form
 from midspan.settings.camera import CameraSettings, InfraredSettings
 from midspan.settings.fields import (
     IsNumber,
@@ -15,6 +17,7 @@ from midspan.settings.fields import (
     limited,
     second_is_larger,
 )
+from midspan.settings.kinds import KINDS, Listed, sensor_names
 from midspan.settings.sensors import AccelerometerSettings, DisplacementSettings, RadarSettings, ReferenceSettings
 
 Frequency = Annotated[float, IsNumber, limited(0.0, RATE_HZ.high, "Hz")]
@@ -54,27 +57,39 @@ class FusionSettings(Section):
 
     @model_validator(mode="after")
     def _has_a_literal_form(self) -> "FusionSettings":
-        if self.literal and self.method not in LITERAL:
+        if self.literal and not METHODS[self.method].literal:
             raise ValueError(no_literal_form(self.method))
         return self
 
 
 class SiteSettings(Section):
-    """Where the structure stands: tells day from night where stamps are dates."""
+    """Where the structure stands: kept with the result; no number depends on it."""
 
     latitude_deg: Annotated[float, IsNumber, Field(ge=-90, le=90)] = Field(description="degrees, north positive")
     longitude_deg: Annotated[float, IsNumber, Field(ge=-180, le=180)] = Field(description="degrees, east positive")
 
 
+SensorSettings = CameraSettings | RadarSettings | DisplacementSettings
+
+
+@dataclass(frozen=True, slots=True)
+class Sensor:
+    """One sensor of a recording: its name (its kind where it has none), its kind of KINDS and its section."""
+
+    name: str
+    kind: str
+    settings: SensorSettings
+
+
 class RecordingSettings(Section):
-    """The whole of `recording.toml`."""
+    """The whole of `recording.toml`; of each kind of sensor there may be several."""
 
     name: str = Field("", description="what reports call the recording; left out: its folder's name")
     accelerometer: AccelerometerSettings | None = None
-    camera: CameraSettings | None = None
-    infrared: InfraredSettings | None = None
-    radar: RadarSettings | None = None
-    displacement: DisplacementSettings | None = None
+    cameras: Annotated[tuple[CameraSettings, ...], Listed] = Field((), alias="camera")
+    infrareds: Annotated[tuple[InfraredSettings, ...], Listed] = Field((), alias="infrared")
+    radars: Annotated[tuple[RadarSettings, ...], Listed] = Field((), alias="radar")
+    displacements: Annotated[tuple[DisplacementSettings, ...], Listed] = Field((), alias="displacement")
     calibration: CalibrationSettings = Field(default_factory=lambda: CalibrationSettings.model_validate({}))
     fusion: FusionSettings = Field(default_factory=lambda: FusionSettings.model_validate({}))
     reference: ReferenceSettings | None = None
@@ -112,15 +127,66 @@ class RecordingSettings(Section):
         return self
 
     @model_validator(mode="after")
-    def _two_cameras_measure_one_axis(self) -> "RecordingSettings":
-        if self.camera is None or self.infrared is None:
-            return self
-        if "xy" in (self.camera.direction, self.infrared.direction):
+    def _several_cameras_measure_one_axis(self) -> "RecordingSettings":
+        cameras = (*self.cameras, *self.infrareds)
+        if len(cameras) > 1 and "xy" in (camera.direction for camera in cameras):
             raise ValueError(
-                'must have direction = "x" or "y" in [camera] and [infrared] where there are both; "xy" is for one of '
-                "them alone"
+                'must have direction = "x" or "y" in each [camera] and [infrared] where there are several; "xy" is for '
+                "one of them alone"
             )
         return self
+
+    @model_validator(mode="after")
+    def _sensors_are_told_apart(self) -> "RecordingSettings":
+        sensor_names({kind: [section.name for section in self.of_kind(kind)] for kind in KINDS})
+        return self
+
+    @model_serializer(mode="wrap")
+    def _as_written(self, plain: Callable[[Any], dict[str, Any]], info: SerializationInfo) -> dict[str, Any]:
+        """The tree as the file has it: a single section of a kind is no list."""
+        tree = {type(self).model_fields[key].alias or key: value for key, value in plain(self).items()}
+        for kind in KINDS:
+            listed = tree.pop(kind)
+            if listed or not info.exclude_none:
+                tree[kind] = listed if len(listed) > 1 else (*listed, None)[0]
+        return tree
+
+    def of_kind(self, kind: str) -> tuple[SensorSettings, ...]:
+        """The sections of one of KINDS."""
+        kinds: dict[str, tuple[SensorSettings, ...]] = {
+            "camera": self.cameras,
+            "infrared": self.infrareds,
+            "radar": self.radars,
+            "displacement": self.displacements,
+        }
+        return kinds[kind]
+
+    @property
+    def sensors(self) -> tuple[Sensor, ...]:
+        """All sensors beside the accelerometer: cameras, thermal cameras, radars, displacement sensors."""
+        listed = {kind: self.of_kind(kind) for kind in KINDS}
+        names = iter(sensor_names({kind: [section.name for section in listed[kind]] for kind in KINDS}))
+        return tuple(Sensor(next(names), kind, section) for kind in KINDS for section in listed[kind])
+
+    @property
+    def camera(self) -> CameraSettings | None:
+        """The first [camera]."""
+        return (*self.cameras, None)[0]
+
+    @property
+    def infrared(self) -> InfraredSettings | None:
+        """The first [infrared]."""
+        return (*self.infrareds, None)[0]
+
+    @property
+    def radar(self) -> RadarSettings | None:
+        """The first [radar]."""
+        return (*self.radars, None)[0]
+
+    @property
+    def displacement(self) -> DisplacementSettings | None:
+        """The first [displacement]."""
+        return (*self.displacements, None)[0]
 
     @property
     def first_camera(self) -> CameraSettings | None:

@@ -5,6 +5,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from midspan.settings.fields import Carrier, FileName, IsNumber, Name, Noise, Rate, Section, Time, limited
+from midspan.settings.kinds import SensorName
 
 
 class ChannelSettings(Section):
@@ -41,6 +42,7 @@ class AccelerometerSettings(ChannelSettings):
 class RadarSettings(Section):
     """A chirp radar on the structure that looks at fixed surroundings."""
 
+    name: SensorName | None = Field(None, description="what it is called where there are several of a kind")
     file: FileName
     config: FileName | None = Field(None, description=".cfg of the mmWave demo or .json of mmWave Studio")
     iq_order: Literal["auto", "IIQQ", "QQII", "IQIQ", "QIQI"] = Field(
@@ -64,6 +66,7 @@ class RadarSettings(Section):
 class DisplacementSettings(ChannelSettings):
     """Any other displacement: GNSS, total station, LVDT, level."""
 
+    name: SensorName | None = Field(None, description="what it is called where there are several of a kind")
     estimate_offset: bool = Field(
         False, strict=True, description="learn and apply the clock offset to the accelerometer; false: one clock"
     )

@@ -24,6 +24,10 @@ class Columns:
         for column, value in zip(self._columns, row, strict=True):
             column.append(value)
 
+    def row(self, number: int) -> tuple[Any, ...]:
+        """The row of this number, from 0."""
+        return tuple(column[number] for column in self._columns)
+
     def column(self, number: int) -> NDArray[Any]:
         """The rows so far (n,) of the column with this number, a copy."""
         return np.array(self._columns[number])

@@ -95,11 +95,11 @@ def clipped(value: Floats) -> Mask:
             if end - start < CLIPPED_RUN:
                 continue
             resolution = resolution or float(np.min(np.diff(np.unique(finite)), initial=np.inf))
-            mask[start:end] = _overshoot(value, start, end) > CREST_STEPS * resolution
+            mask[start:end] = overshoot(value, start, end) > CREST_STEPS * resolution
     return mask
 
 
-def _overshoot(value: Floats, start: int, end: int) -> float:
+def overshoot(value: Floats, start: int, end: int) -> float:
     """How far the slopes on both sides of a run would carry the signal beyond it, were it not held."""
     before = abs(value[start - 1] - value[start - 2]) if start >= 2 else np.inf
     after = abs(value[end + 1] - value[end]) if end + 1 < len(value) else np.inf

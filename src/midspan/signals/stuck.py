@@ -35,7 +35,7 @@ def stuck(time_s: Floats, value: Floats, samples: Floats, *, resolution_m: float
     for start, end in equal[equal[:, 1] - equal[:, 0] + 1 >= LEAST_EQUAL]:
         held = known[start - 1 : end]
         pieces = _pieces(time_s[held])
-        if any(_moved(time_s[held[a:b]], samples, least) for a, b in pieces):
+        if any(moved(time_s[held[a:b]], samples, least) for a, b in pieces):
             mask[held] = True
     return mask
 
@@ -48,27 +48,34 @@ def resolution(value: Floats) -> float:
     return float(clear.min()) if len(clear) else 0.0
 
 
+def piece_length(step_s: float) -> int:
+    """How many values, `step_s` apart, are judged together."""
+    return max(LEAST_EQUAL, int(np.ceil(PIECE_S / step_s)))
+
+
 def _pieces(time_s: Floats) -> list[tuple[int, int]]:
     """Start and end (exclusive) of pieces long enough to be judged, overlapping by half."""
-    usual = float(np.median(np.diff(time_s)))
-    count = max(LEAST_EQUAL, int(np.ceil(PIECE_S / usual)))
+    count = piece_length(float(np.median(np.diff(time_s))))
     if len(time_s) <= count:
         return [(0, len(time_s))]
     starts = [*range(0, len(time_s) - count, max(count // 2, 1)), len(time_s) - count]
     return [(a, a + count) for a in starts]
 
 
-def _moved(time_s: Floats, samples: Floats, least_m: float) -> bool:
-    """Whether the acceleration tells a motion at these instants (k,) that no parabola and no noise explains."""
+def moved(time_s: Floats, samples: Floats, least_m: float) -> bool:
+    """Whether the acceleration tells a motion at these instants (k,) that no parabola and no noise explains.
+
+    samples (m, 3): as of `stuck`; they must reach from the first instant to the last. least_m: what it must exceed.
+    """
     first, last = np.searchsorted(samples[:, 0], (time_s[0], time_s[-1]))
     near = samples[max(first - 1, 0) : last + 1]
     if len(near) < LEAST_EQUAL or near[-1, 0] < time_s[-1] or near[0, 0] > time_s[0]:
         return False
     velocity = _integral(near[:, 0], near[:, 1] - np.mean(near[:, 1]))
-    moved = np.interp(time_s, near[:, 0], _integral(near[:, 0], velocity))
+    path = np.interp(time_s, near[:, 0], _integral(near[:, 0], velocity))
     length = float(time_s[-1] - time_s[0])
     powers = np.vander((time_s - time_s[0]) / length, 3)
-    left = moved - powers @ np.linalg.lstsq(powers, moved, rcond=None)[0]
+    left = path - powers @ np.linalg.lstsq(powers, path, rcond=None)[0]
     return bool(np.ptp(left) > max(least_m, NOISE_SPAN * np.sqrt(np.max(near[:, 2]) * length**3)))
 
 

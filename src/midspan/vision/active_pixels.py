@@ -10,13 +10,26 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from midspan.records import Floats
+from midspan.records import Floats, Region
 from midspan.signals.health import Mask
 from midspan.vision.spline import Floats32
 
 STRONGEST = 30
 AMPLITUDE_SHARE = 0.2
 THRESHOLDS = 64
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ActivePixels:
+    """The pixels whose phase tells a target's translation: x and y, (rows, columns) of `region` in the reference frame.
+
+    r_squared: of the regressions along x and y that chose them; NaN where the amplitude did.
+    """
+
+    region: Region
+    x: Mask
+    y: Mask
+    r_squared: tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True)

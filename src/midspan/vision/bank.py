@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from midspan.records import Floats, Region
 from midspan.vision.fine_spline import FINE_TAPS, PER_PX, fine_weights, read, refined
-from midspan.vision.kernels import PHASES, Integers, build, phase_shift
+from midspan.vision.kernels import PHASES, Integers, block_part, build, phase_shift
 from midspan.vision.matching import CONTEXT_PX
 from midspan.vision.spline import Floats32
 from midspan.vision.texture import gaussian_taps, lowpass_taps, noise_gains, noise_std, values
@@ -42,9 +42,9 @@ class Store(NamedTuple):
     """A bank as compiled code takes it.
 
     grids: fine coefficients (2 h + 7, 2 w + 7) of the template, plain and low-passed; weight (h, w); down, across:
-    edges of the blocks; origin: row and column of the window in the reference; kernels (slots, 3, h, w), in which each
-    block has slots of its own; warp (blocks, slots, 2, 2): see `build`; slot_of (blocks, phases): where a block's
-    kernels of a phase are, -1: nowhere; phase_in, used (blocks, slots): what a slot holds and when it was last used;
+    edges of the blocks; origin: row and column of the window in the reference; kernels (slots, 3 h w), in which each
+    block has slots of its own (see `project`); warp (blocks, slots, 2, 2): see `build`; slot_of (blocks, phases): where
+    a block's kernels of a phase are, -1: nowhere; phase_in, used (blocks, slots): what a slot holds, its last use;
     clock (1,); centres (blocks, 2) from the window's middle, px; information (blocks, 2, 2) and gain_information
     (blocks,): inverse variances.
     """
@@ -87,7 +87,9 @@ def slots(store: Store, phase: Integers) -> Integers:
             if store.phase_in[b, slot] >= 0:
                 store.slot_of[b, store.phase_in[b, slot]] = -1
             box = block_box(store.down, store.across, b)
-            made = build(store.grids, store.weight, box, phase_shift(phase[b]), store.kernels[slot])
+            first, size = block_part(box, store.weight.shape[1])
+            into = store.kernels[slot, 3 * first : 3 * (first + size)]
+            made = build(store.grids, store.weight, box, phase_shift(phase[b]), into)
             store.warp[b, slot] = made[1]
             store.slot_of[b, phase[b]], store.phase_in[b, slot] = slot, phase[b]
         store.used[b, slot] = store.clock[0]
@@ -133,9 +135,9 @@ def make_bank(plane: Plane, window: Region, smoothing_px: float, division: tuple
     x, y = np.meshgrid(0.5 * (across[1:] + across[:-1] - window.width), 0.5 * (down[1:] + down[:-1] - window.height))
     count, size = x.size, window.height * window.width
     held = int(np.clip(BANK_BYTES // (12 * size), 4, PHASES**2))
-    kernels = np.empty((held, 3, window.height, window.width), dtype=np.float32)
+    kernels = np.empty((held, 3 * size), dtype=np.float32)
     boxes = [block_box(down, across, b) for b in range(count)]
-    covariance = np.array([build((grids[0], grids[1]), plane.weight, box, (0.0, 0.0), kernels[0])[0] for box in boxes])
+    covariance = np.array([_covariance((grids[0], grids[1]), plane.weight, box) for box in boxes])
     noise = plane.noise_std**2 * noise_gains(smoothing_px)[1] * 2.0
     share = np.clip(1.0 - noise / np.maximum(_gradient_squares(grids[1], boxes), 1e-30), 0.0, 1.0)
     information = _information(covariance, share)
@@ -156,6 +158,12 @@ def make_bank(plane: Plane, window: Region, smoothing_px: float, division: tuple
         information=information,
         gain_information=np.where(information[:, 0, 0] > 0, 1.0 / np.maximum(spread, 1e-300), 0.0),
     )
+
+
+def _covariance(grids: tuple[Floats32, Floats32], weight: Floats32, box: tuple[int, int, int, int]) -> Floats:
+    """Noise covariance (3, 3) of the kernels of a block, see `build`."""
+    scratch = np.empty(3 * block_part(box, weight.shape[1])[1], dtype=np.float32)
+    return build(grids, weight, box, (0.0, 0.0), scratch)[0]
 
 
 def _edges(size: int, division: tuple[int, int]) -> Integers:

@@ -2,8 +2,11 @@
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from midspan.records import Floats
+
+Mask = NDArray[np.bool_]
 
 CUT = 6.0  # Tukey's weight is 0 beyond this many standard deviations
 # What Tukey's weights do to a mean square of two normal components (m exponential of mean 2, cut at 6), and to the
@@ -17,15 +20,10 @@ _PASSES = 12
 
 
 @njit(cache=True)
-def _median(value: Floats, weight: Floats) -> float:
-    """Weighted median; 0 without weight."""
-    order = np.argsort(value)
-    half, total = 0.5 * weight.sum(), 0.0
-    for k in order:
-        total += weight[k]
-        if total >= half:
-            return float(value[k])
-    return 0.0
+def _median(value: Floats, counted: Mask) -> float:
+    """The median of the values that are counted, of two middle ones the lower; 0 where none is."""
+    among = np.sort(value[counted])
+    return float(among[(len(among) - 1) // 2]) if len(among) else 0.0
 
 
 @njit(cache=True)
@@ -44,19 +42,52 @@ def _distances(found: Floats, information: Floats, levers: Floats, pose: Floats)
 def _normal(found: Floats, information: Floats, levers: Floats, weight: Floats) -> tuple[Floats, Floats]:
     """Normal matrix (4, 4) and right side (4,) of the weighted fit of x, y, roll, zoom."""
     matrix, right = np.zeros((4, 4)), np.zeros(4)
-    a = np.zeros((2, 4))
+    a, pa = np.zeros((2, 4)), np.empty((2, 4))
+    a[0, 0], a[1, 1] = 1.0, 1.0
     for b in range(found.shape[0]):
         if weight[b] <= 0.0:
             continue
-        a[0, 0], a[1, 1] = 1.0, 1.0
-        a[:, 2:] = levers[b]
+        for k in range(2):
+            a[k, 2], a[k, 3] = levers[b, k, 0], levers[b, k, 1]
         for i in range(4):
             for k in range(2):
-                pa = weight[b] * (information[b, 0, k] * a[0, i] + information[b, 1, k] * a[1, i])
-                right[i] += pa * found[b, k]
-                for j in range(4):
-                    matrix[i, j] += pa * a[k, j]
+                pa[k, i] = weight[b] * (information[b, 0, k] * a[0, i] + information[b, 1, k] * a[1, i])
+            right[i] += pa[0, i] * found[b, 0] + pa[1, i] * found[b, 1]
+            for j in range(i + 1):
+                matrix[i, j] += pa[0, i] * a[0, j] + pa[1, i] * a[1, j]
+    for i in range(4):
+        for j in range(i):
+            matrix[j, i] = matrix[i, j]
     return matrix, right
+
+
+@njit(cache=True)
+def _inverse(matrix: Floats) -> Floats:
+    """The inverse of a symmetric positive matrix, which needs no pivots."""
+    n = len(matrix)
+    out = matrix.copy()
+    for k in range(n):
+        pivot = 1.0 / out[k, k]
+        out[k, k] = 1.0
+        for j in range(n):
+            out[k, j] *= pivot
+        for i in range(n):
+            if i != k:
+                factor = out[i, k]
+                out[i, k] = 0.0
+                for j in range(n):
+                    out[i, j] -= factor * out[k, j]
+    return out
+
+
+@njit(cache=True)
+def _times(matrix: Floats, vector: Floats) -> Floats:
+    """Their product; so small ones are not worth a call of BLAS."""
+    out = np.zeros(len(vector))
+    for i in range(len(vector)):
+        for j in range(len(vector)):
+            out[i] += matrix[i, j] * vector[j]
+    return out
 
 
 @njit(cache=True)
@@ -119,20 +150,21 @@ def fuse(
     most 1.3 times the usual one, so that more than half of them may say anything. Roll and zoom are drawn to zero as
     far as they may be noise.
     """
-    counted = np.where(information[:, 0, 0] + information[:, 1, 1] > 0, 1.0, 0.0)
+    shown = information[:, 0, 0] + information[:, 1, 1] > 0
+    counted = shown.astype(np.float64)
     pose, covariance = begin.copy(), np.full((4, 4), np.inf)
     weight, scale = counted.copy(), 1.0
     if counted.sum() < 4:
         return pose, covariance, np.zeros(len(counted)), np.inf
     most = MOST_SQUARE * usual * usual if usual > 0.0 else np.inf
-    seed = np.array([_median(found[:, 0], counted), _median(found[:, 1], counted), begin[2], begin[3]])
+    seed = np.array([_median(found[:, 0], shown), _median(found[:, 1], shown), begin[2], begin[3]])
     distance = _distances(found, information, levers, seed)
-    square = min(max(_median(distance, counted) / 1.386, 1e-12), most)
+    square = min(max(_median(distance, shown) / 1.386, 1e-12), most)
     near = (counted * (distance < CUT**2 * square)).sum() / counted.sum()
     pose = seed if near > AGREED else _seed(found, information, levers, begin, square)
     for step in range(_PASSES):
         distance = _distances(found, information, levers, pose)
-        square = min(max(_median(distance, counted) / 1.386, 1e-12), most)
+        square = min(max(_median(distance, shown) / 1.386, 1e-12), most)
         before = pose.copy()
         # Where no block stands out none needs to count less: equal weights are the more exact.
         plain = (counted * distance).max() < PLAIN_SQUARE * square
@@ -145,14 +177,14 @@ def fuse(
         scale = np.sqrt(factors[0] * (weight * distance).sum() / max(2.0 * total - 4.0, 1.0))
         for k in range(4):
             matrix[k, k] = matrix[k, k] * (1.0 + 1e-9) + 1e-12
-        inverse = np.linalg.inv(matrix)
-        pose = inverse @ right
+        inverse = _inverse(matrix)
+        pose = _times(inverse, right)
         for k in range(2, 4):
             own = factors[1] * scale**2 * inverse[k, k]
             matrix[k, k] += max(scale, 1e-9) ** 2 / (max(pose[k] ** 2 - own, 1e-3 * own) + 1e-300)
-        inverse = np.linalg.inv(matrix)
+        inverse = _inverse(matrix)
         covariance = inverse * (factors[1] * scale**2)
-        pose = inverse @ right
+        pose = _times(inverse, right)
         if step > 0 and np.abs(pose[:2] - before[:2]).max() < 1e-5:
             break
     return pose, covariance, weight, scale

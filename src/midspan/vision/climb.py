@@ -55,7 +55,9 @@ def _levers(store: Store, slot: Integers) -> Floats:
     out = np.empty((len(slot), 2, 2))
     for b in range(len(slot)):
         x, y = store.centres[b, 0], store.centres[b, 1]
-        out[b] = store.warp[b, slot[b]] + np.array([[-y, x], [x, y]])
+        warp = store.warp[b, slot[b]]
+        out[b, 0, 0], out[b, 0, 1] = warp[0, 0] - y, warp[0, 1] + x
+        out[b, 1, 0], out[b, 1, 1] = warp[1, 0] + x, warp[1, 1] + y
     return out
 
 
@@ -65,7 +67,7 @@ def climb(image: NDArray[np.generic], level: float, store: Store, begin: Floats,
 
     `usual`: the noise to be expected of a pixel, 0 where it is not known.
     """
-    pose, covariance = begin.copy(), np.ascontiguousarray(np.full((4, 4), np.inf))
+    pose, covariance = begin.copy(), np.full((4, 4), np.inf)
     share, noise, found = 0.0, np.inf, False
     total = store.information[:, 0, 0] + store.information[:, 1, 1]
     for turn in range(MOST_PASSES):
@@ -79,8 +81,7 @@ def climb(image: NDArray[np.generic], level: float, store: Store, begin: Floats,
         levers = _levers(store, slot)
         # Far from the kernels' phase the steps are not linear: only then may the blocks differ by more than noise.
         expected = usual if turn > 1 else 0.0
-        pose, spread, weight, noise = fuse(at + step, information, levers, pose, expected)
-        covariance = np.ascontiguousarray(spread)
+        pose, covariance, weight, noise = fuse(at + step, information, levers, pose, expected)
         if not np.isfinite(noise) or abs(pose[2]) > LARGEST_ROLL_RAD or abs(pose[3]) > LARGEST_ZOOM:
             found = False
             break

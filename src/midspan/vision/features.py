@@ -30,9 +30,10 @@ from midspan.vision.rejection import (
 from midspan.vision.search import Span, coarse_factor, coarse_positions, coarse_span
 from midspan.vision.spline import Floats32
 from midspan.vision.surf import SurfSettings
-from midspan.vision.target import LONGEST_DISTANCE_PX, Motion, TargetTracker, lost
+from midspan.vision.target import LONGEST_DISTANCE_PX, Motion, lost
 from midspan.vision.template import TemplateSettings, TemplateTracker
 from midspan.vision.texture import check_texture, full_scale, noise_std, values
+from midspan.vision.tracker import Tracker
 
 TECHNIQUES = {
     "proposed": "region shifted by the prediction, rejection I and II",
@@ -109,7 +110,7 @@ class Matched:
     all: int
 
 
-class FeatureTracker(TargetTracker):
+class FeatureTracker(Tracker):
     """Follows a target by its features; see `midspan.vision.tracker.Tracker` for its interface."""
 
     _state: Motion
@@ -133,18 +134,9 @@ class FeatureTracker(TargetTracker):
         return clamp(shift(self._region, self._state.x_px, self._state.y_px), columns, rows)
 
     @property
-    def state(self) -> Motion:
-        """Everything that changes from frame to frame."""
-        return self._state
-
-    @property
     def features(self) -> Keypoints:
         """The features of the region in the reference frame."""
         return self._features
-
-    def restore(self, state: Motion) -> None:
-        """Continue from a `state` taken earlier."""
-        self._state = state
 
     def push(self, frame: Frame, prediction: Prediction | None = None) -> PixelTranslation:
         """Measure the translation (px) of the target in `frame`; LOST with NaN when fewer than three matches agree."""
@@ -161,7 +153,8 @@ class FeatureTracker(TargetTracker):
             return lost(frame.time_ns)
         (x, y), (var_x, var_y) = found.translation.tolist(), found.variance.tolist()
         self._state = self._state.seen(frame.time_ns, (x, y))
-        return PixelTranslation(frame.time_ns, x, y, var_x, var_y, found.good / found.all, Status.TRACKING)
+        quality = found.good / found.all
+        return PixelTranslation(frame.time_ns, x, y, var_x, var_y, quality, Status.TRACKING, strength=float(found.good))
 
     def _find(self, frame: Frame, prediction: Prediction | None) -> Matched | None:
         """Match where the target is expected; without success and a sharp prediction, where the picture looks alike."""

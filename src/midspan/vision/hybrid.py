@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from midspan.checks import option, refuse
 from midspan.errors import DataError, UsageError
 from midspan.records import Floats, Frame, PixelTranslation, Prediction, Region, Status
-from midspan.signals.health import Mask
+from midspan.vision.active_pixels import ActivePixels
 from midspan.vision.phase_flow import gradient_form, phase_change, phase_slopes
 from midspan.vision.phase_model import (
     INSET_PX,
@@ -33,8 +33,9 @@ from midspan.vision.phase_model import (
 from midspan.vision.region import SMALLEST_SIDE_PX, check_size
 from midspan.vision.spline import Floats32
 from midspan.vision.steerable import AXES, MARGIN_PX, quadrature, responses
-from midspan.vision.target import Motion, TargetTracker, lost
+from midspan.vision.target import FULL_QUALITY, Motion, lost
 from midspan.vision.texture import values
+from midspan.vision.tracker import Tracker, open_tracker
 
 MOST_LEARNT_FRAMES = 240
 MOST_LEARNT_VALUES = 30_000_000  # phases of all pixels in all frames: 120 MB
@@ -91,7 +92,7 @@ class PhaseState(Motion):
     model: PhaseModel | None = field(default=None, compare=False)
 
 
-class PhaseTracker(TargetTracker):
+class PhaseTracker(Tracker):
     """Local phase about the predicted or the last place; see `midspan.vision.tracker.Tracker` for its interface.
 
     Motion between frames, or the prediction's error, must stay well below π times the gain: about 2 px. Only a target
@@ -121,11 +122,6 @@ class PhaseTracker(TargetTracker):
         self._first = first_model(self._fields, weighted=settings.weighted)
         self._state = PhaseState(matcher=self._matcher.state)
 
-    @property
-    def state(self) -> PhaseState:
-        """Everything that changes from frame to frame, and what was learnt."""
-        return self._state
-
     def restore(self, state: PhaseState) -> None:
         """Continue from a `state` taken earlier."""
         self._state = state
@@ -141,14 +137,12 @@ class PhaseTracker(TargetTracker):
         """Translation by mean phase along x and y, px/rad, signed; times the scale factor: the phase scale factor."""
         return self.model.gains_px_per_rad
 
-    def active_pixels(self, axis: str) -> Mask:
-        """Active pixels along `axis` "x" or "y": (rows, columns) of `measured_region`."""
-        return self.model.mask(axis, (self._window.height, self._window.width))
-
     @property
-    def measured_region(self) -> Region:
-        """The part of the region whose phase is used: all but what lies too near to the image's border."""
-        return self._window
+    def active_pixels(self) -> ActivePixels:
+        """Active pixels in the part of the region whose phase is used: all but what lies too near to the border."""
+        shape = (self._window.height, self._window.width)
+        x, y = self.model.mask("x", shape), self.model.mask("y", shape)
+        return ActivePixels(self._window, x, y, self.model.r_squared)
 
     def push(self, frame: Frame, prediction: Prediction | None = None) -> PixelTranslation:
         """Measure the translation (px) of the target in `frame`; LOST with NaN where it cannot be found."""
@@ -160,7 +154,8 @@ class PhaseTracker(TargetTracker):
         x, y = (float(v) for v in fix.shift_px)
         self._state = self._state.seen(frame.time_ns, (x, y))
         var_x, var_y = (float(v) + self.settings.bias_floor_px**2 for v in fix.variance_px2)
-        return PixelTranslation(frame.time_ns, x, y, var_x, var_y, fix.coherence, Status.TRACKING)
+        strength = FULL_QUALITY * fix.coherence
+        return PixelTranslation(frame.time_ns, x, y, var_x, var_y, fix.coherence, Status.TRACKING, strength=strength)
 
     @property
     def frames_to_learn(self) -> int:
@@ -296,9 +291,7 @@ class PhaseTracker(TargetTracker):
             out.append(gradient_form(change, slope))
         return np.array(out)
 
-    def _open_matcher(self) -> Any:
-        from midspan.vision.tracker import open_tracker
-
+    def _open_matcher(self) -> Tracker:
         return open_tracker(self.settings.matcher, self._reference, self._region)
 
     def _check_size(self, frame: Frame) -> None:

@@ -74,7 +74,7 @@ def build(
     shift: tuple[float, float],
     out: Floats32,
 ) -> tuple[Floats, Floats]:
-    """Fill the part `box` of `out` (3, h, w) with the kernels of a block for the template moved by `shift` (x, y px).
+    """Fill `out` (3 pixels,) with the kernels of the block `box` for the template moved by `shift` (x, y px).
 
     `grids`: fine spline coefficients (2 h + 7, 2 w + 7) of the template and of the low-passed one; `weight` (h, w) one
     over the noise variance; `box`: first row, row after the last, first column, column after the last of the block in
@@ -92,13 +92,10 @@ def build(
     weighted = instrument * part
     inverse = weighted @ model.T
     if not _invert(inverse):
-        out[:, top:bottom, left:right] = np.float32(0.0)
+        out[:] = np.float32(0.0)
         return np.full((3, 3), np.inf), np.zeros((2, 2))
     kernels = np.ascontiguousarray(inverse[:3]) @ weighted
-    for n in range(3):
-        for r in range(rows):
-            for c in range(columns):
-                out[n, top + r, left + c] = kernels[n, r * columns + c]
+    out[:] = kernels.reshape(3 * rows * columns)
     return (kernels / part) @ kernels.T, kernels[:2] @ _warps(moved)
 
 
@@ -150,6 +147,13 @@ def phase_shift(phase: int) -> tuple[float, float]:
     return (phase // PHASES - PHASES // 2) / PHASES, (phase % PHASES - PHASES // 2) / PHASES
 
 
+@njit(cache=True)
+def block_part(box: tuple[int, int, int, int], columns: int) -> tuple[int, int]:
+    """First number and size of a block's pixels among those of a window of so many `columns`, block after block."""
+    top, bottom, left, right = box
+    return top * columns + (bottom - top) * left, (bottom - top) * (right - left)
+
+
 @njit(cache=True, fastmath=True)
 def project(
     image: NDArray[np.generic],
@@ -160,15 +164,15 @@ def project(
 ) -> Floats:
     """Products of every block with its kernels: (blocks, 3) for a dx, a dy and a.
 
-    `image` (rows, columns), of which `offset` is subtracted; `bank` (slots, 3, h, w); `edges` of the blocks in the
-    window; `at`: for every block the row and column of the image where the window would begin for it, and its slot
-    of the bank. NaN where the block is not wholly inside the image.
+    `image` (rows, columns), of which `offset` is subtracted; `bank` (slots, 3 h w): three kernels of a block, then
+    those of the next; `edges` of the blocks in the window; `at`: for every block the row and column of the image where
+    the window would begin for it, and its slot of the bank. NaN where the block is not wholly inside the image.
     """
     down, across = edges
     top, left, slot = at
     out = np.zeros((top.shape[0], 3))
     level = np.float32(offset)
-    acc = np.empty((3, bank.shape[3]), dtype=np.float32)
+    pixels = np.empty((np.diff(down).max() * np.diff(across).max()), dtype=np.float32)
     for b in range(top.shape[0]):
         j, i = divmod(b, len(across) - 1)
         r0, r1, c0, c1 = down[j], down[j + 1], across[i], across[i + 1]
@@ -176,20 +180,18 @@ def project(
         if y + r0 < 0 or x + c0 < 0 or y + r1 > image.shape[0] or x + c1 > image.shape[1]:
             out[b] = np.nan
             continue
-        width = c1 - c0
-        acc[:, :width] = np.float32(0.0)
-        p = slot[b]
+        # Long runs without gaps are what processor and memory are fast with: first the block's pixels, then a sum each.
         for r in range(r0, r1):
-            line = image[y + r, x + c0 : x + c1]
-            k0, k1, k2 = bank[p, 0, r, c0:c1], bank[p, 1, r, c0:c1], bank[p, 2, r, c0:c1]
-            for c in range(width):
-                value = np.float32(line[c]) - level
-                acc[0, c] += k0[c] * value
-                acc[1, c] += k1[c] * value
-                acc[2, c] += k2[c] * value
-        for n in range(3):
-            total = 0.0
-            for c in range(width):
-                total += acc[n, c]
-            out[b, n] = total
+            line, part = image[y + r, x + c0 : x + c1], pixels[(r - r0) * (c1 - c0) : (r + 1 - r0) * (c1 - c0)]
+            for c in range(c1 - c0):
+                part[c] = np.float32(line[c]) - level
+        first, size = block_part((r0, r1, c0, c1), across[-1])
+        kernels = bank[slot[b], 3 * first : 3 * (first + size)]
+        k0, k1, k2 = kernels[:size], kernels[size : 2 * size], kernels[2 * size :]
+        t0, t1, t2 = np.float32(0.0), np.float32(0.0), np.float32(0.0)
+        for n in range(size):
+            t0 += k0[n] * pixels[n]
+            t1 += k1[n] * pixels[n]
+            t2 += k2[n] * pixels[n]
+        out[b, 0], out[b, 1], out[b, 2] = t0, t1, t2
     return out

@@ -47,13 +47,13 @@ class Sample:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Samples:
+class KeptSamples:
     """What has been kept to learn from: samples at different places, and the frames they are made of."""
 
     items: tuple[Sample, ...] = ()
     frames: int = 0
 
-    def plus(self, new: Sample) -> "Samples":
+    def plus(self, new: Sample) -> "KeptSamples":
         """With one more; frames at the place of another are averaged with it."""
         items = list(self.items)
         apart = [float(np.abs(item.shift - new.shift).max()) for item in items]
@@ -63,7 +63,7 @@ class Samples:
                 items[nearest] = items[nearest].plus(new)
         else:
             items.append(new)
-        return Samples(tuple(items), self.frames + 1)
+        return KeptSamples(tuple(items), self.frames + 1)
 
 
 def sample(
@@ -87,7 +87,7 @@ def sample(
     return Sample(np.array(cut, dtype=np.float32), np.array([translation[0] - x, translation[1] - y]))
 
 
-def learn_plane(samples: Samples) -> Plane:
+def learn_plane(samples: KeptSamples) -> Plane:
     """The template that the samples show together, with the weight of each pixel of the window."""
     items = list(samples.items)
     grid = refined(items[0].pixels.astype(np.float64))

@@ -6,7 +6,6 @@ principal point, so that one scale factor holds over the whole picture for targe
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
@@ -15,8 +14,8 @@ import numpy as np
 
 from midspan.checks import ValueRange, finite, option, positive, refuse, within
 from midspan.errors import UsageError
-from midspan.records import Floats, Frame, PixelTrack, PixelTranslation, Prediction, Region, Status
-from midspan.vision.tracker import Learner, PhaseGain, Tracker
+from midspan.records import Floats, PixelTranslation, Prediction, Region
+from midspan.vision.target import lost
 
 # Numbers of coefficients that each model can have, as OpenCV orders them.
 MODELS: dict[str, tuple[int, ...]] = {"pinhole": (4, 5, 8, 12), "fisheye": (4,)}
@@ -116,37 +115,67 @@ def bent(places: Floats, lens: Lens) -> tuple[Floats, Floats]:
     return found[:, :2], found[:, 2:].reshape(-1, 2, 2)
 
 
-def corrected(track: PixelTrack, region: Region, lens: Lens) -> PixelTrack:
-    """The track (n rows) of the target in `region` (px of the reference frame) in pixels of the ideal pinhole camera.
+def check_lens(lens: Lens, region: Region, columns: int, rows: int) -> None:
+    """UsageError unless the lens is for frames of `columns` by `rows` px and reaches the middle of `region` (px)."""
+    check_size(lens, columns, rows)
+    _middle(region, lens)
+
+
+def ideal_translation(found: PixelTranslation, region: Region, lens: Lens | None) -> PixelTranslation:
+    """What was `found` of the target in `region` (px of the reference frame) in pixels of the ideal pinhole camera.
 
     Translation = ideal place of the region's middle now − its ideal place in the reference frame. Variances pass
-    through the derivatives, the errors along x and y taken as independent. Frames whose place the model does not reach
-    are LOST. Raises UsageError where it does not even reach the region.
+    through the derivatives, the errors along x and y taken as independent. LOST where the model does not reach the
+    target. lens: None changes nothing. Raises UsageError where it does not even reach the region.
     """
+    if lens is None:
+        return found
     middle, origin, _ = _middle(region, lens)
-    seen = np.column_stack((track.x_px, track.y_px))
-    place, slope = straight(middle + seen, lens)
-    found = place - origin
-    with np.errstate(invalid="ignore"):
-        variance = np.einsum("nij,nj->ni", slope**2, np.column_stack((track.variance_x_px2, track.variance_y_px2)))
-    missed = ~np.isfinite(found).all(axis=1)
-    variance[missed], found[missed] = np.nan, np.nan
+    place, slope = straight(middle + np.array([found.x_px, found.y_px]), lens)
+    x, y = (float(value) for value in place[0] - origin)
+    if not math.isfinite(x + y):
+        return lost(found.time_ns, found.events)
+    variances = [
+        [found.variance_x_px2, found.reference_variance_x_px2],
+        [found.variance_y_px2, found.reference_variance_y_px2],
+    ]
+    (own_x, reference_x), (own_y, reference_y) = (slope[0] ** 2 @ np.array(variances)).tolist()
     return replace(
-        track,
-        x_px=found[:, 0],
-        y_px=found[:, 1],
-        variance_x_px2=variance[:, 0],
-        variance_y_px2=variance[:, 1],
-        quality=np.where(missed, 0.0, track.quality),
-        status=np.where(missed, np.uint8(Status.LOST), track.status),
+        found,
+        x_px=x,
+        y_px=y,
+        variance_x_px2=own_x,
+        variance_y_px2=own_y,
+        reference_variance_x_px2=reference_x,
+        reference_variance_y_px2=reference_y,
     )
 
 
-def seen_translation(track: PixelTrack, region: Region, lens: Lens) -> tuple[Floats, Floats]:
-    """Translations x, y (n,) in px of the frames themselves, from a corrected track: the inverse of `corrected`."""
+def shown_prediction(prediction: Prediction | None, region: Region, lens: Lens | None) -> Prediction | None:
+    """A prediction in pixels of the ideal camera as the frames show it: the inverse of `ideal_translation`.
+
+    None where the model does not reach. lens: None changes nothing.
+    """
+    if prediction is None or lens is None:
+        return prediction
     middle, origin, _ = _middle(region, lens)
-    place, _ = bent(origin + np.column_stack((track.x_px, track.y_px)), lens)
-    return place[:, 0] - middle[0], place[:, 1] - middle[1]
+    place, slope = bent(origin + np.array([prediction.x_px, prediction.y_px]), lens)
+    (x, y), ((xx, xy), (yx, yy)) = place[0] - middle, slope[0]
+    if not math.isfinite(x + y):
+        return None
+    std_x = math.hypot(xx * prediction.std_x_px, xy * prediction.std_y_px)
+    return Prediction(float(x), float(y), std_x, math.hypot(yx * prediction.std_x_px, yy * prediction.std_y_px))
+
+
+def ideal_gain(gain: tuple[float, float], region: Region, lens: Lens | None) -> tuple[float, float]:
+    """Translation by mean phase along x and y in px of the ideal camera by rad, at the region's middle.
+
+    gain: the same in px of the frames, see `Tracker.phase_gain_px_per_rad`. lens: None changes nothing.
+    """
+    if lens is None:
+        return gain
+    slope = _middle(region, lens)[2]
+    return float(slope[0, 0] * gain[0]), float(slope[1, 1] * gain[1])
 
 
 def lens_warnings(region: Region, lens: Lens) -> list[str]:
@@ -162,115 +191,7 @@ def lens_warnings(region: Region, lens: Lens) -> list[str]:
     ]
 
 
-def through(tracker: Tracker, lens: Lens | None) -> Tracker:
-    """The tracker as if the camera had no distortion: predictions and translations in pixels of the ideal camera.
-
-    None leaves it as it is. Raises UsageError where the lens is for frames of another size, or does not reach the
-    tracker's region.
-    """
-    if lens is None:
-        return tracker
-    if isinstance(tracker, PhaseGain):
-        return LensPhaseTracker(tracker, lens)
-    return LensLearner(tracker, lens) if isinstance(tracker, Learner) else LensTracker(tracker, lens)
-
-
-def bare(tracker: Tracker) -> Tracker:
-    """The tracker itself where it stands behind a lens, else what was given."""
-    return tracker.tracker if isinstance(tracker, LensTracker) else tracker
-
-
-def as_shown(tracker: Tracker, found: PixelTranslation) -> PixelTranslation:
-    """What a tracker has just `found`, in pixels of the frame itself, whether or not it stands behind a lens."""
-    return tracker.shown if isinstance(tracker, LensTracker) and tracker.shown is not None else found
-
-
-class LensTracker:
-    """A tracker behind a lens; `reference`, `region` and `region_now` stay those of the frames as they are.
-
-    `shown` is what the tracker itself found last, in pixels of the frame.
-    """
-
-    def __init__(self, tracker: Tracker, lens: Lens) -> None:
-        rows, columns = tracker.reference.pixels.shape
-        check_size(lens, columns, rows)
-        self.tracker, self.lens = tracker, lens
-        self.shown: PixelTranslation | None = None
-        self._middle, self._origin, self._slope = _middle(tracker.region, lens)
-
-    @property
-    def reference(self) -> Frame:
-        """The frame that the translation counts from."""
-        return self.tracker.reference
-
-    @property
-    def region(self) -> Region:
-        """The target's region in the reference frame."""
-        return self.tracker.region
-
-    @property
-    def region_now(self) -> Region:
-        """Where the target was last seen in the frames."""
-        return self.tracker.region_now
-
-    @property
-    def state(self) -> Any:
-        """The state of the tracker itself."""
-        return self.tracker.state
-
-    def restore(self, state: Any) -> None:
-        """Continue from a `state` taken earlier."""
-        self.tracker.restore(state)
-
-    def push(self, frame: Frame, prediction: Prediction | None = None) -> PixelTranslation:
-        """Measure the translation in pixels of the ideal camera; LOST where the model does not reach the target."""
-        self.shown = found = self.tracker.push(frame, None if prediction is None else self._expected(prediction))
-        track = corrected(PixelTrack.stack([found]), self.region, self.lens)
-        return PixelTranslation(
-            time_ns=found.time_ns,
-            x_px=float(track.x_px[0]),
-            y_px=float(track.y_px[0]),
-            variance_x_px2=float(track.variance_x_px2[0]),
-            variance_y_px2=float(track.variance_y_px2[0]),
-            quality=float(track.quality[0]),
-            status=Status(int(track.status[0])),
-        )
-
-    def _expected(self, prediction: Prediction) -> Prediction | None:
-        """A prediction of the ideal camera as the frames show it; None where the model does not reach."""
-        place, slope = bent(self._origin + np.array([prediction.x_px, prediction.y_px]), self.lens)
-        (x, y), ((xx, xy), (yx, yy)) = place[0] - self._middle, slope[0]
-        if not math.isfinite(x + y):
-            return None
-        std_x = math.hypot(xx * prediction.std_x_px, xy * prediction.std_y_px)
-        return Prediction(float(x), float(y), std_x, math.hypot(yx * prediction.std_x_px, yy * prediction.std_y_px))
-
-
-class LensLearner(LensTracker):
-    """A tracker behind a lens that knows its target better from frames in which it moves."""
-
-    tracker: Any
-
-    @property
-    def frames_to_learn(self) -> int:
-        """How many frames are worth learning from."""
-        return int(self.tracker.frames_to_learn)
-
-    def learn(self, frames: Sequence[Frame]) -> Any:
-        """Let the tracker itself learn from frames, in the order of their times."""
-        return self.tracker.learn(frames)
-
-
-class LensPhaseTracker(LensLearner):
-    """A tracker of phase behind a lens."""
-
-    @property
-    def phase_gain_px_per_rad(self) -> tuple[float, float]:
-        """Translation by mean phase along x and y, px of the ideal camera by rad, at the region's middle."""
-        x, y = self.tracker.phase_gain_px_per_rad
-        return float(self._slope[0, 0] * x), float(self._slope[1, 1] * y)
-
-
+@lru_cache(maxsize=64)
 def _middle(region: Region, lens: Lens) -> tuple[Floats, Floats, Floats]:
     """The region's middle (2,) in px as shown and as ideal, and the derivatives (2, 2) there."""
     middle = np.array([region.x + 0.5 * (region.width - 1), region.y + 0.5 * (region.height - 1)])

@@ -50,11 +50,34 @@ def share_at_ends(pixels: NDArray[np.generic]) -> float:
     """
     if pixels.size == 0 or pixels.dtype.kind == "f":
         return 0.0
-    low, high = int(pixels.min()), int(pixels.max())
-    highest, lowest = (235, 16) if pixels.dtype.itemsize == 1 else (0, high)
-    lows = int(np.count_nonzero(pixels == low)) if low <= lowest else 0
-    highs = int(np.count_nonzero(pixels == high)) if high >= highest else 0
-    return max(lows, highs) / pixels.size
+    lowest, highest = (16, 235) if pixels.dtype.itemsize == 1 else (np.iinfo(np.int64).max, 0)
+    return _at_ends(pixels, lowest, highest) / pixels.size
+
+
+@njit(cache=True)
+def _at_ends(pixels: NDArray[np.generic], lowest: int, highest: int) -> int:
+    """How many pixels have the least value, where that is `lowest` or less, or the largest from `highest` on."""
+    low = high = pixels[0, 0]
+    for r in range(pixels.shape[0]):
+        for value in pixels[r]:
+            low, high = min(low, value), max(high, value)
+    lows, highs = 0, 0
+    if low <= lowest or high >= highest:
+        for r in range(pixels.shape[0]):
+            for value in pixels[r]:
+                lows += value == low
+                highs += value == high
+    return max(lows if low <= lowest else 0, highs if high >= highest else 0)
+
+
+@njit(cache=True)
+def same(one: NDArray[np.generic], other: NDArray[np.generic]) -> bool:
+    """Whether two pictures of one size are equal to the last bit; the first pixel that differs ends it."""
+    for r in range(one.shape[0]):
+        for c in range(one.shape[1]):
+            if one[r, c] != other[r, c]:
+                return False
+    return True
 
 
 @njit(cache=True)
@@ -139,7 +162,7 @@ def _texture(pixels: NDArray[np.generic], row: int, column: int) -> float:
 
 
 @dataclass(frozen=True, slots=True)
-class Sample:
+class Square:
     """A square of a picture about the target: `pixels` (n, n) and where the target lies in it beyond whole pixels.
 
     shift: (x, y) of -0.5 to 0.5 px.
@@ -177,7 +200,7 @@ def cardinal_taps(shift_px: float) -> Floats:
     return np.asarray(taps / taps.sum(), dtype=np.float64)
 
 
-def difference(now: Sample, then: Sample) -> Difference:
+def difference(now: Square, then: Square) -> Difference:
     """The noise (grey levels) of `now` against `then`, moved to the same place and brought to the same contrast."""
     across = cardinal_taps(then.shift[0] - now.shift[0])
     down = cardinal_taps(then.shift[1] - now.shift[1])
@@ -192,6 +215,7 @@ def difference(now: Sample, then: Sample) -> Difference:
     )
 
 
+@njit(cache=True)
 def _spread(values: Floats32) -> float:
     """Standard deviation of a normal variable whose median distance from 0 is that of `values`."""
     return float(np.median(np.abs(values))) / _NORMAL_MEDIAN

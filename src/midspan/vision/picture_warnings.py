@@ -2,46 +2,28 @@
 
 import math
 
-import numpy as np
-
-from midspan.records import Floats, PixelTrack
+from midspan.vision.picture_counts import AxisCounts
 from midspan.vision.picture_quality import SATURATED_SHARE, PictureWatch
 
 TELLING_STD_PX = 0.003  # below this, compression does less than the noise of a usual frame
 SWALLOWED = 3.0  # motion below so many standard deviations of the codec loses half of its size, or all
-BLURRED = 0.5  # of the first frame's detail (square)
 TOLD_SHARE, TOLD_FRAMES = 0.02, 3  # of the frames; and not less than so many
 MOST_FRAMES = 0.5
-COARSE_STD_PX = 0.06
 
 
-def picture_warnings(watch: PictureWatch, track: PixelTrack, axes: str) -> list[str]:
-    """What `watch` found, for the `track` before it was widened and the measured image axes "x", "y" or "xy"."""
-    values, variances = zip(*(track.along(axis) for axis in axes), strict=True)
-    most = max(values, key=_moved)
-    least_known = max(variances, key=_typical)
-    found = (_compression(watch, most), _blur(watch), _saturation(watch), _texture(least_known))
+def picture_warnings(watch: PictureWatch, axes: str) -> list[str]:
+    """What `watch` found in the frames so far, measured along the image axes "x", "y" or "xy"."""
+    along = [watch.counts.x if axis == "x" else watch.counts.y for axis in axes]
+    found = (_compression(watch, along), _blur(watch), _saturation(watch), _texture(along))
     return [text for text in found if text]
 
 
-def _moved(value_px: Floats) -> float:
-    """Standard deviation (px) of a translation (n,) with NaN where it is not known."""
-    known = value_px[np.isfinite(value_px)]
-    return float(np.std(known)) if len(known) else 0.0
-
-
-def _typical(variance: Floats) -> float:
-    """Median of variances (n,) with NaN where they are not known."""
-    known = variance[np.isfinite(variance)]
-    return float(np.median(known)) if len(known) else 0.0
-
-
-def _compression(watch: PictureWatch, value_px: Floats) -> str:
+def _compression(watch: PictureWatch, along: list[AxisCounts]) -> str:
     found = watch.compression
     if found.std_px < TELLING_STD_PX:
         return ""
-    moved, limit = _moved(value_px), SWALLOWED * found.std_px
-    scale = 100.0 * watch.relative_scale_std(value_px)
+    moved, limit = max(one.moved_px for one in along), SWALLOWED * found.std_px
+    scale = 100.0 * found.relative_scale_std(moved)
     small = (
         f"The motion measured here, {moved:.2g} px rms, is not larger: much of it may be missing."
         if moved < limit
@@ -58,11 +40,7 @@ def _compression(watch: PictureWatch, value_px: Floats) -> str:
 
 
 def _blur(watch: PictureWatch) -> str:
-    sharp = watch.sharpness
-    count = len(sharp)
-    with np.errstate(invalid="ignore"):
-        blurred = int(np.count_nonzero((sharp < BLURRED).any(axis=1)))
-        sharper = int(np.count_nonzero((sharp > 1.0 / BLURRED).any(axis=1)))
+    count, blurred, sharper = watch.counts.frames, watch.counts.blurred, watch.counts.sharper
     least = max(TOLD_SHARE * count, TOLD_FRAMES)
     # One frame out of focus at the start leaves all others sharper; a few sharper ones are brighter, or covered.
     if sharper > MOST_FRAMES * count:
@@ -79,12 +57,11 @@ def _blur(watch: PictureWatch) -> str:
 
 
 def _saturation(watch: PictureWatch) -> str:
-    share, single = watch.saturated_share, watch.saturated
-    some = int(np.count_nonzero(single))
-    if share <= SATURATED_SHARE and some > max(TOLD_SHARE * len(single), TOLD_FRAMES):
-        most = 100.0 * float(single.max() / (1.0 + single.max()))
+    share, count, some = watch.saturated_share, watch.counts.frames, watch.counts.saturated
+    if share <= SATURATED_SHARE and some > max(TOLD_SHARE * count, TOLD_FRAMES):
+        most = 100.0 * watch.counts.most_saturated / (1.0 + watch.counts.most_saturated)
         return (
-            f"camera: in {some} of {len(single)} frames pixels of the region are at the end of the scale, up to "
+            f"camera: in {some} of {count} frames pixels of the region are at the end of the scale, up to "
             f"{most:.0f} % of them; their standard deviations are widened. Fix the exposure, and keep glare out."
         )
     if share <= SATURATED_SHARE:
@@ -95,11 +72,12 @@ def _saturation(watch: PictureWatch) -> str:
     )
 
 
-def _texture(variance: Floats) -> str:
-    std_px = math.sqrt(_typical(variance))
-    if std_px <= COARSE_STD_PX:
+def _texture(along: list[AxisCounts]) -> str:
+    coarse = [one.variance_px2 for one in along if one.coarse > MOST_FRAMES * one.seen]
+    if not coarse:
         return ""
     return (
-        f"camera: the region has little texture for its noise: a frame is known to ±{std_px:.2g} px (one standard "
-        "deviation). Choose a larger region or one with more edges, or give it more light."
+        "camera: the region has little texture for its noise: a frame is known to "
+        f"±{math.sqrt(max(coarse)):.2g} px (one standard deviation). Choose a larger region or one with more edges, or "
+        "give it more light."
     )

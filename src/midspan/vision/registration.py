@@ -11,6 +11,7 @@ the template tracker looks for it.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,13 +21,14 @@ from midspan.errors import DataError
 from midspan.records import Floats, Frame, PixelTranslation, Prediction, Region, Status
 from midspan.vision.bank import COARSE, FINE, Plane, Store, best_smoothing_px, first_plane, make_bank
 from midspan.vision.climb import ALIKE, UNDISTURBED_SHARE, climb
-from midspan.vision.learning import PAD_PX, Samples, learn_plane, sample
+from midspan.vision.learning import PAD_PX, KeptSamples, learn_plane, sample
 from midspan.vision.matching import Fix, Matching, locate, make_template
 from midspan.vision.region import check_size
 from midspan.vision.search import Span, fine_patch
-from midspan.vision.target import Motion, TargetTracker, lost
+from midspan.vision.target import FULL_QUALITY, Motion, lost
 from midspan.vision.template import TemplateSettings, TemplateState, TemplateTracker
 from midspan.vision.texture import values
+from midspan.vision.tracker import Tracker
 
 _AT_REST, _CERTAIN = np.zeros(4), np.zeros((4, 4))
 SEED_CORRELATION = 0.4  # with four tenths of the target covered the correlation falls to about a half
@@ -99,12 +101,11 @@ class RegistrationState(Motion):
     zoom: float = 0.0
     usual_noise: float = 0.0
     judged_frames: int = 0
-    samples: Samples | None = None
+    samples: KeptSamples | None = None
     learnt: Learnt | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Pose:
+class Pose(NamedTuple):
     """What one frame gives: x, y (px), roll (rad), zoom and their covariance (4, 4); share of the information used;
     noise of a pixel as the blocks' scatter shows it.
     """
@@ -129,7 +130,7 @@ class Pose:
         return (max(1.0, UNDISTURBED_SHARE / self.share) * max(1.0, usual / max(self.noise, 1e-300))) ** 2
 
 
-class RegistrationTracker(TargetTracker):
+class RegistrationTracker(Tracker):
     """Follows a target through frames; see `midspan.vision.tracker.Tracker` for its interface."""
 
     _state: RegistrationState
@@ -158,11 +159,6 @@ class RegistrationTracker(TargetTracker):
         shown = self._state.usual_noise
         return max(shown, LEAST_NOISE * self._first.noise_std) if shown > 0.0 else 0.0
 
-    @property
-    def state(self) -> RegistrationState:
-        """Everything that changes from frame to frame."""
-        return self._state
-
     def restore(self, state: RegistrationState) -> None:
         """Continue from a `state` taken earlier."""
         self._state = state
@@ -176,10 +172,11 @@ class RegistrationTracker(TargetTracker):
             self._state = self._state.missed(confused=self._seed.state.confused)
             return lost(frame.time_ns)
         self._state = _after(self._state, frame.time_ns, pose, self._first.noise_std)
-        x, y = (float(v) for v in pose.value[:2])
-        var_x, var_y = (float(pose.covariance[k, k]) + self.settings.bias_floor_px**2 for k in range(2))
+        x, y, floor_px2 = self._state.x_px, self._state.y_px, self.settings.bias_floor_px**2
+        var_x, var_y = float(pose.covariance[0, 0]) + floor_px2, float(pose.covariance[1, 1]) + floor_px2
         self._keep(frame, pose)
-        return PixelTranslation(frame.time_ns, x, y, var_x, var_y, pose.share, Status.TRACKING)
+        strength = FULL_QUALITY * pose.share
+        return PixelTranslation(frame.time_ns, x, y, var_x, var_y, pose.share, Status.TRACKING, strength=strength)
 
     def learn(self, frames: Sequence[Frame], translation_px: Floats | None = None, *, direction: str = "y") -> Learnt:
         """Make the template anew from frames that show the target, best at many sub-pixel places.
@@ -191,7 +188,7 @@ class RegistrationTracker(TargetTracker):
         option("direction", direction, ("x", "y"))
         step = max(1, math.ceil(len(frames) / MOST_LEARNT_FRAMES))
         other = RegistrationTracker(self.reference, self.region, replace(self.settings, learn_frames=0))
-        samples = Samples()
+        samples = KeptSamples()
         for frame in frames[::step]:
             check_size(frame, self.reference)
             found = other._find(frame, None)
@@ -209,12 +206,12 @@ class RegistrationTracker(TargetTracker):
         self._renew()
         return learnt
 
-    def _begun(self) -> Samples | None:
+    def _begun(self) -> KeptSamples | None:
         """The reference frame as the first to learn from; None where nothing is to be learnt."""
         if self.settings.learn_frames < 2:
             return None
         first = sample(self.reference.pixels, self._window, np.zeros(2), self._offset, None)
-        return None if first is None else Samples().plus(first)
+        return None if first is None else KeptSamples().plus(first)
 
     def _made(self, plane: Plane) -> tuple[Store, Store]:
         """Kernels in few large blocks, the most exact, and in many small ones, the most robust."""
@@ -223,7 +220,7 @@ class RegistrationTracker(TargetTracker):
         few, many = (make_bank(plane, self._window, smoothing_px, division) for division in (COARSE, FINE))
         return few, many
 
-    def _with(self, samples: Samples, frame: Frame, pose: Pose) -> Samples:
+    def _with(self, samples: KeptSamples, frame: Frame, pose: Pose) -> KeptSamples:
         """The samples with one more where it shows the target undisturbed, neither turned nor enlarged."""
         far = 0.5 * math.hypot(self._window.width, self._window.height)
         allowed = LEARN_TURN_PX + 3.0 * far * np.sqrt(np.diag(pose.covariance)[2:])
@@ -248,7 +245,7 @@ class RegistrationTracker(TargetTracker):
         self._state = replace(self._state, samples=None if varied else samples, learnt=self._learnt(samples))
         self._renew()
 
-    def _learnt(self, samples: Samples) -> Learnt:
+    def _learnt(self, samples: KeptSamples) -> Learnt:
         """The template of the samples, with zeros such that their mean place stays what the first template gave."""
         plane = learn_plane(samples)
         if len(samples.items) < FEWEST_PLACES:
@@ -275,9 +272,10 @@ class RegistrationTracker(TargetTracker):
         Motion blur moves the two sides of a thing in opposite directions: single blocks contradict each other then,
         and the most consistent of them err, but the window as a whole does not.
         """
-        pose = self._of_blocks(image, offset, begin)
+        noise = self._usual
+        pose = self._of_blocks(image, offset, begin, noise)
         # Blocks may also disagree in all frames, so that this is their usual noise.
-        usual = min(self._usual or math.inf, math.sqrt(2.0) * self._first.noise_std)
+        usual = min(noise or math.inf, math.sqrt(2.0) * self._first.noise_std)
         if pose is None or (pose.share > ALL_SHARE and pose.noise < DISTURBED * usual):
             return pose
         fix = self._whole_at(image, offset, pose)
@@ -285,7 +283,7 @@ class RegistrationTracker(TargetTracker):
             return pose
         covariance = pose.covariance.copy()
         covariance[0, 0], covariance[1, 1] = fix.variance_x_px2, fix.variance_y_px2
-        return replace(pose, value=np.array([fix.x_px, fix.y_px, *pose.value[2:]]), covariance=covariance)
+        return pose._replace(value=np.array([fix.x_px, fix.y_px, *pose.value[2:]]), covariance=covariance)
 
     def _whole_at(self, image: NDArray[np.generic], offset: float, pose: Pose) -> Fix | None:
         """The peak of the template as a whole next to a pose of the blocks."""
@@ -304,15 +302,15 @@ class RegistrationTracker(TargetTracker):
             return None
         return fix
 
-    def _of_blocks(self, image: NDArray[np.generic], offset: float, begin: Floats) -> Pose | None:
+    def _of_blocks(self, image: NDArray[np.generic], offset: float, begin: Floats, usual: float) -> Pose | None:
         """The pose since the reference frame, from large blocks or, where they disagree, from small ones."""
-        learnt, usual = self._state.learnt, self._usual
+        learnt = self._state.learnt
         zeros = (_AT_REST, _AT_REST) if learnt is None else learnt.zeros
         unsure = _CERTAIN if learnt is None else learnt.covariance
-        few = self._climb(0, image, offset, begin + zeros[0])
+        few = self._climb(0, image, offset, begin + zeros[0], usual)
         if few is not None and few.share > UNDISTURBED_SHARE and few.noise < DISTURBED * usual:
             return few.since(zeros[0], unsure, few.averaged(usual))
-        many = self._climb(1, image, offset, begin + zeros[1])
+        many = self._climb(1, image, offset, begin + zeros[1], usual)
         both = ((few, zeros[0]), (many, zeros[1]))
         found = [pose.since(zero, unsure, pose.disturbed(usual)) for pose, zero in both if pose is not None]
         if len(found) < 2:
@@ -328,15 +326,16 @@ class RegistrationTracker(TargetTracker):
 
     def _find(self, frame: Frame, prediction: Prediction | None) -> Pose | None:
         """Climb from the expected place; where that does not lead to the target, from where the template is found."""
-        self._seed.restore(TemplateState(**{f.name: getattr(self._state, f.name) for f in fields(Motion)}))
         image, offset = self._usable(frame.pixels)
         if image is None:
+            self._remind()
             return None
         begin = np.array([*self._state.expected(frame.time_ns, prediction), self._state.roll_rad, self._state.zoom])
         pose = self._look(image, offset, begin) if self._state.lost_frames == 0 else None
         pose = pose if pose is not None and self._is_target(pose, frame, prediction) else None
         if pose is not None and pose.share > MAJORITY and self._trusted(pose):
             return pose
+        self._remind()
         found = self._seed.push(frame, prediction)
         if found.status is Status.LOST:
             return pose if pose is not None and self._trusted(pose) else None
@@ -345,6 +344,10 @@ class RegistrationTracker(TargetTracker):
             return self._whole(found)
         few = pose is not None and pose.share < MAJORITY < other.share
         return pose if pose is not None and pose.noise < other.noise and not few else other
+
+    def _remind(self) -> None:
+        """Let the template tracker know of the motion so far."""
+        self._seed.restore(TemplateState(**{f.name: getattr(self._state, f.name) for f in fields(Motion)}))
 
     def _is_target(self, pose: Pose, frame: Frame, prediction: Prediction | None) -> bool:
         """Whether a pose is that of the target, and not of a place that looks like it."""
@@ -372,15 +375,15 @@ class RegistrationTracker(TargetTracker):
             return pixels, self._offset
         return values(pixels, self._offset), 0.0
 
-    def _climb(self, which: int, image: NDArray[np.generic], offset: float, begin: Floats) -> Pose | None:
+    def _climb(self, which: int, image: NDArray[np.generic], offset: float, begin: Floats, usual: float) -> Pose | None:
         """The pose that the kernels of bank `which` lead to from `begin` (4,)."""
-        found = climb(image, offset, self._banks[which], begin, self._usual)
+        found = climb(image, offset, self._banks[which], begin, usual)
         if not found.found or found.share < self.settings.min_share:
             return None
-        return Pose(found.pose, found.covariance, float(found.share), float(found.noise))
+        return Pose(found.pose, found.covariance, found.share, found.noise)
 
 
-def _moved(bank: Store, samples: Samples) -> Floats:
+def _moved(bank: Store, samples: KeptSamples) -> Floats:
     """How much farther (4,) the samples lie by the kernels of `bank` than they were put."""
     total, count = np.zeros(4), 0
     bank = bank._replace(origin=np.full(2, PAD_PX, dtype=np.int64))
@@ -395,9 +398,12 @@ def _moved(bank: Store, samples: Samples) -> Floats:
 
 def _after(state: RegistrationState, time_ns: int, pose: Pose, noise_std: float) -> RegistrationState:
     """The state after a frame that shows the target."""
-    x, y, roll, zoom = (float(v) for v in pose.value)
+    x, y, roll, zoom = pose.value.tolist()
     usual, judged = _judged(state, pose.noise, noise_std)
-    return state.seen(time_ns, (x, y), roll_rad=roll, zoom=zoom, usual_noise=usual, judged_frames=judged)
+    speed_x, speed_y = state.speed_to(time_ns, x, y)
+    return RegistrationState(
+        x, y, time_ns, speed_x, speed_y, 0, False, roll, zoom, usual, judged, state.samples, state.learnt
+    )
 
 
 def _judged(state: RegistrationState, noise: float, noise_std: float) -> tuple[float, int]:

@@ -1,13 +1,13 @@
-"""What all trackers share: the target in the reference frame, and the memory of its motion."""
+"""The memory of a target's motion, which all trackers share, and the record of a frame that does not show it."""
 
 import math
 from dataclasses import dataclass, replace
 from typing import Any, Self
 
-from midspan.records import NANOSECONDS, Frame, PixelTranslation, Prediction, Region, Status
-from midspan.vision.region import clamp, shift
+from midspan.records import NANOSECONDS, Event, PixelTranslation, Prediction, Status
 
 LONGEST_DISTANCE_PX = 1_000_000
+FULL_QUALITY = 100.0  # strength of a quality of 1, so that a minimum number of matches is a minimum percentage too
 UNPREDICTED_STD_PX = 1.0  # of the place that a target at its last speed reaches by the next frame
 
 
@@ -40,13 +40,17 @@ class Motion:
         x, y = self.expected(time_ns, None)
         return Prediction(x, y, UNPREDICTED_STD_PX, UNPREDICTED_STD_PX)
 
+    def speed_to(self, time_ns: int, x_px: float, y_px: float) -> tuple[float, float]:
+        """Speed (px/s) of a target that is now here; 0 where that is not known."""
+        if self.time_ns is None or self.lost_frames > 0 or time_ns <= self.time_ns:
+            return 0.0, 0.0
+        elapsed_s = (time_ns - self.time_ns) / NANOSECONDS
+        return (x_px - self.x_px) / elapsed_s, (y_px - self.y_px) / elapsed_s
+
     def seen(self, time_ns: int, translation: tuple[float, float], **more: Any) -> Self:
         """After a frame that shows the target; the speed is only known between two frames that both do."""
         x, y = translation
-        speed = (0.0, 0.0)
-        if self.time_ns is not None and self.lost_frames == 0 and time_ns > self.time_ns:
-            elapsed_s = (time_ns - self.time_ns) / NANOSECONDS
-            speed = ((x - self.x_px) / elapsed_s, (y - self.y_px) / elapsed_s)
+        speed = self.speed_to(time_ns, x, y)
         return replace(
             self,
             x_px=x,
@@ -70,32 +74,7 @@ class Motion:
         )
 
 
-class TargetTracker:
-    """The part of `midspan.vision.tracker.Tracker` that is the same for all: where the target was and is."""
-
-    _state: Any
-
-    def __init__(self, reference: Frame, region: Region) -> None:
-        self._reference, self._region = reference, region
-
-    @property
-    def reference(self) -> Frame:
-        """The frame that the translation counts from."""
-        return self._reference
-
-    @property
-    def region(self) -> Region:
-        """The target's region in the reference frame."""
-        return self._region
-
-    @property
-    def region_now(self) -> Region:
-        """Where the target was last seen, inside the image."""
-        rows, columns = self._reference.pixels.shape
-        return clamp(shift(self._region, self._state.x_px, self._state.y_px), columns, rows)
-
-
-def lost(time_ns: int) -> PixelTranslation:
-    """What a frame gives that does not show the target: NaN, LOST."""
+def lost(time_ns: int, events: tuple[Event, ...] = ()) -> PixelTranslation:
+    """What a frame gives that does not show the target: NaN, LOST; `events`: what happened in it."""
     nan = math.nan
-    return PixelTranslation(time_ns, nan, nan, nan, nan, 0.0, Status.LOST)
+    return PixelTranslation(time_ns, nan, nan, nan, nan, 0.0, Status.LOST, events=events)

@@ -22,7 +22,8 @@ from midspan.vision.alternatives import MIN_LIKENESS, Alternatives, find_alterna
 from midspan.vision.matching import Fix, Matching, locate, make_template
 from midspan.vision.region import check_size
 from midspan.vision.search import Span, best_position, coarse_positions, coarse_span, fine_patch
-from midspan.vision.target import LONGEST_DISTANCE_PX, Motion, TargetTracker, lost
+from midspan.vision.target import FULL_QUALITY, LONGEST_DISTANCE_PX, Motion, lost
+from midspan.vision.tracker import Tracker
 
 DIRECT_RADIUS_PX = 8  # up to here every position is tried, beyond it the search is decimated first
 PATIENCE_FRAMES = 5  # lost frames after which a sharp prediction is no longer believed
@@ -64,7 +65,7 @@ class TemplateState(Motion):
     correlation: float = 1.0
 
 
-class TemplateTracker(TargetTracker):
+class TemplateTracker(Tracker):
     """Follows a template through frames; see `midspan.vision.tracker.Tracker` for its interface."""
 
     _state: TemplateState
@@ -76,15 +77,6 @@ class TemplateTracker(TargetTracker):
             reference.pixels, region, Matching(settings.smoothing_px, settings.min_correlation)
         )
         self._state = TemplateState(correlation=self._template.expected_correlation)
-
-    @property
-    def state(self) -> TemplateState:
-        """Everything that changes from frame to frame."""
-        return self._state
-
-    def restore(self, state: TemplateState) -> None:
-        """Continue from a `state` taken earlier."""
-        self._state = state
 
     @property
     def expected_correlation(self) -> float:
@@ -108,7 +100,14 @@ class TemplateTracker(TargetTracker):
         correlation = 0.9 * self._state.correlation + 0.1 * fix.quality
         self._state = self._state.seen(frame.time_ns, (fix.x_px, fix.y_px), correlation=correlation)
         return PixelTranslation(
-            frame.time_ns, fix.x_px, fix.y_px, fix.variance_x_px2, fix.variance_y_px2, fix.quality, Status.TRACKING
+            time_ns=frame.time_ns,
+            x_px=fix.x_px,
+            y_px=fix.y_px,
+            variance_x_px2=fix.variance_x_px2,
+            variance_y_px2=fix.variance_y_px2,
+            quality=fix.quality,
+            status=Status.TRACKING,
+            strength=FULL_QUALITY * fix.quality,
         )
 
     def _find(self, frame: Frame, prediction: Prediction | None) -> Fix | None:

@@ -1,115 +1,84 @@
-"""The interface that all trackers share, and the table of their names."""
+"""What all trackers share, and the table of their names."""
 
 import importlib
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any
 
 from midspan.checks import option, refuse
 from midspan.errors import DataError
-from midspan.records import Event, Frame, PixelTranslation, Prediction, Region
-from midspan.vision.region import check_region
+from midspan.records import Frame, PixelTranslation, Prediction, Region
+from midspan.vision.region import check_region, clamp, shift
+
+if TYPE_CHECKING:
+    from midspan.vision.active_pixels import ActivePixels
 
 
-class Tracker(Protocol):
+class Tracker(ABC):
     """Follows one target through frames; the translation counts from the reference frame.
 
-    A checkpoint needs `reference`, `region`, the settings and `state`: a tracker built anew from the first three gives
-    the same values as the old one after `restore(state)`.
+    A new tracker is a class with `push` and, in `_state`, everything that changes from frame to frame: a frozen record
+    with the translation `x_px`, `y_px`. A checkpoint needs `reference`, `region`, the settings and `state`: a tracker
+    built anew from the first three gives the same values as the old one after `restore(state)`.
     """
+
+    _state: Any = None
+
+    def __init__(self, reference: Frame, region: Region) -> None:
+        self._reference, self._region = reference, region
 
     @property
     def reference(self) -> Frame:
         """The frame that the translation counts from."""
-        ...
+        return self._reference
 
     @property
     def region(self) -> Region:
         """The target's region in the reference frame."""
-        ...
+        return self._region
 
     @property
     def region_now(self) -> Region:
         """Where the target was last seen or, when it is lost, is looked for; always inside the image."""
-        ...
+        rows, columns = self._reference.pixels.shape
+        return clamp(shift(self._region, self._state.x_px, self._state.y_px), columns, rows)
 
     @property
     def state(self) -> Any:
         """Everything that changes from frame to frame, as a frozen record."""
-        ...
+        return self._state
 
     def restore(self, state: Any) -> None:
         """Continue from a `state` taken earlier."""
-        ...
+        self._state = state
 
+    @abstractmethod
     def push(self, frame: Frame, prediction: Prediction | None = None) -> PixelTranslation:
         """Measure the translation (px; x right, y down) in `frame`, looked for around `prediction` where there is one.
 
         Frames come in the order of their times. A target that cannot be found gives status LOST and NaN.
         Raises DataError when the frame's size is not the reference's.
         """
-        ...
-
-
-@runtime_checkable
-class PhaseGain(Protocol):
-    """What trackers that measure phase have besides."""
-
-    @property
-    def phase_gain_px_per_rad(self) -> tuple[float, float]:
-        """Translation by mean phase along x and y, px/rad, signed."""
-        ...
-
-
-@runtime_checkable
-class Learner(Protocol):
-    """What trackers have besides that know their target better from frames in which it moves."""
 
     @property
     def frames_to_learn(self) -> int:
-        """How many frames are worth learning from."""
-        ...
+        """How many frames are worth learning from before the first is tracked; 0: none."""
+        return 0
 
     def learn(self, frames: Sequence[Frame]) -> Any:
         """Learn from frames, in the order of their times, that begin with the reference frame; the zero stays there."""
-        ...
-
-
-@runtime_checkable
-class Telling(Protocol):
-    """What trackers have besides to which things happen that are worth telling."""
-
-    def take_events(self) -> list[Event]:
-        """What happened since this was last called."""
-        ...
-
-
-@runtime_checkable
-class Wandering(Protocol):
-    """What trackers have besides whose reference changes: part of their variance stays for many frames."""
+        return None
 
     @property
-    def own_variance_px2(self) -> tuple[float, float]:
-        """Variances along x and y (px²) of the last frame alone; the rest of what was told is the reference's."""
-        ...
-
-
-@runtime_checkable
-class Coverable(Protocol):
-    """What trackers have besides that learn from frames: what others know to stand in front is not learnt from."""
-
-    covered: float
-    """Share of the target that is covered in the next frame, 0 to 1."""
-
-
-@runtime_checkable
-class Counting(Protocol):
-    """What trackers have besides that know how well the target still resembles its reference."""
+    def phase_gain_px_per_rad(self) -> tuple[float, float] | None:
+        """Translation by mean phase along x and y, px/rad, signed; None for trackers that measure no phase."""
+        return None
 
     @property
-    def strength(self) -> float:
-        """Good matches in the last frame, or its quality in percent; 0 where the target was lost."""
-        ...
+    def active_pixels(self) -> "ActivePixels | None":
+        """The pixels whose phase is measured; None for trackers that measure no phase."""
+        return None
 
 
 @dataclass(frozen=True, slots=True)

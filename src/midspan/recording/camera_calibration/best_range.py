@@ -8,7 +8,7 @@ import numpy as np
 
 from midspan.errors import UntrustedError
 from midspan.fusion.path import at
-from midspan.fusion.smoother import smooth
+from midspan.fusion.streams import smooth
 from midspan.recording.camera_calibration.camera import CameraFit
 from midspan.recording.streams.recording import Recording
 from midspan.recording.streams.window import window_ends
@@ -18,7 +18,7 @@ from midspan.recording.tracking.tracking import CameraTracking
 from midspan.records import NANOSECONDS, Floats, Frame, Nanoseconds, PixelTrack, Region
 from midspan.settings.camera import InfraredSettings
 from midspan.thermal.temperature_range import ROUGH, THINNED, Expected, RangeSurface, optimise_range
-from midspan.vision.reference.strength import open_counting
+from midspan.vision.tracker import open_tracker
 
 # So many frames of the calibration are compared; displacement is let in so much more weakly than it is known, that the
 # accelerometer makes what is compared.
@@ -85,7 +85,7 @@ def compared_band(given: tuple[float, float] | None, rate: float) -> tuple[tuple
 
 
 def _followed(frames: Sequence[Frame], region: Region, name: str, settings: object) -> PixelTrack:
-    tracker = open_counting(name, frames[0], region, settings)
+    tracker = open_tracker(name, frames[0], region, settings)
     return PixelTrack.stack([tracker.push(frame) for frame in frames])
 
 

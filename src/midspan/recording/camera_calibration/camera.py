@@ -20,8 +20,7 @@ from midspan.recording.tracking.one_displacement import camera_blocks, filter_se
 from midspan.recording.tracking.region_choice import USELESS, Agreement
 from midspan.recording.tracking.tracking import CameraTracking, TargetTracking
 from midspan.records import NANOSECONDS, Floats, PixelTrack, ScaleFactor, TimeOffset
-from midspan.vision.lens import bare
-from midspan.vision.tracker import PhaseGain
+from midspan.vision.lens import ideal_gain
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +117,7 @@ def _fitted(recording: Recording, tracking: CameraTracking) -> Fitted:
     reasons: list[str] = []
     for target in tracking.targets:
         try:
-            pair = camera_pair(recording, target.quick, target.blur_s(recording.exposure_s))
+            pair = camera_pair(recording, target.rows, target.chain.blur_s(recording.exposure_s))
             own = calibrate_scale(pair, recording.max_offset_s)
             _refuse_compression(target.with_codec_error(own.scale, recording.axis), own.scale)
             found.append(own)
@@ -243,7 +242,9 @@ def _fit_of(tracking: CameraTracking, camera: CameraCalibration, fit: Fitted) ->
     )
     search = found.search
     bias = bias_of(search.pair, search.fit, float(np.sqrt(search.offset.variance)))
-    return CameraFit(camera, found.input_noise_density, bias, tuple(warnings), found)
+    # The integrated acceleration that the pair keeps beside its fields is no part of the result.
+    plain = replace(found, search=replace(search, pair=replace(search.pair)))
+    return CameraFit(camera, found.input_noise_density, bias, tuple(warnings), plain)
 
 
 def _target(target: TargetTracking, found: ScaleCalibration | None, reason: str, axis: str) -> TargetCalibration:
@@ -291,8 +292,9 @@ def _camera(
     place = _best(targets)
     best = targets[place]
     assert best.scale is not None
-    tracker = bare(tracking.targets[place].tracker)
-    gains = tracker.phase_gain_px_per_rad if isinstance(tracker, PhaseGain) else None
+    tracker, lens = tracking.targets[place].tracker, tracking.settings.lens
+    gain = tracker.phase_gain_px_per_rad
+    gains = None if gain is None else ideal_gain(gain, tracker.region, lens)
     return CameraCalibration(
         scale=best.scale,
         offset=offset,
@@ -303,7 +305,7 @@ def _camera(
         variance_factor=best.variance_factor,
         phase_scale_m_per_rad=None if gains is None else best.scale.value_m_per_px * gains["xy".index(direction)],
         targets=tuple(targets),
-        lens=tracking.settings.lens,
+        lens=lens,
     )
 
 
@@ -359,7 +361,7 @@ def _tracked_only(recording: Recording, tracking: CameraTracking, main: CameraCa
     axis = "x" if main.direction == "y" else "y"
     targets, densities = [], []
     for target, tracked in zip(main.used, tracking.targets, strict=True):
-        track = tracked.quick
+        track = tracked.rows
         assert target.scale is not None
         value = -abs(target.scale.value_m_per_px)
         first, last = window_ends(recording)

@@ -5,13 +5,12 @@ from dataclasses import dataclass, replace
 from midspan.errors import UntrustedError
 from midspan.recording.camera_calibration.best_range import best_range, wants_range
 from midspan.recording.camera_calibration.camera import CameraFit, calibrate_camera, judged_by
-from midspan.recording.stored.camera import CameraCalibration
 from midspan.recording.streams.progress import Progress
 from midspan.recording.streams.recording import Recording
-from midspan.recording.streams.sensor_words import worded
+from midspan.recording.streams.sensor_words import in_words_of, worded
 from midspan.recording.tracking.daylight import where_it_sees
 from midspan.recording.tracking.opening import open_tracking
-from midspan.recording.tracking.temperatures import in_words_of, is_grey, range_seen
+from midspan.recording.tracking.temperatures import is_grey, range_seen
 from midspan.recording.tracking.tracking import CameraTracking
 from midspan.records import Source
 from midspan.sources.thermal.pictures import AGC_NOTE
@@ -32,7 +31,8 @@ class SeenBy:
 def calibrate_cameras(recording: Recording, progress: Progress) -> tuple[SeenBy, ...]:
     """Calibrate every camera of a recording, the one whose zero counts first.
 
-    One of two that cannot be trusted is left out, and the other's warnings tell why; UntrustedError where none is left.
+    One of several that cannot be trusted is left out, and the first one's warnings tell why; UntrustedError where none
+    is left.
     """
     found: list[SeenBy] = []
     refused: list[tuple[Recording, UntrustedError]] = []
@@ -51,11 +51,11 @@ def calibrate_cameras(recording: Recording, progress: Progress) -> tuple[SeenBy,
 
 
 def together(seen: tuple[SeenBy, ...]) -> CameraTracking | None:
-    """The tracking of the first camera, with that of the second one beside it; None without a camera."""
+    """The tracking of the first camera, with those of the others beside it; None without a camera."""
     if not seen:
         return None
     first, *others = (one.tracking for one in seen)
-    first.beside = others[0] if others else None
+    first.beside = tuple(others)
     return first
 
 
@@ -96,18 +96,19 @@ def _named(view: Recording, tracking: CameraTracking, part: CameraFit) -> Camera
     """What was learnt along one axis, with the camera's name, the temperatures seen, and what the values rest on."""
     regions = [target.region for target in tracking.targets]
     place = regions.index(part.calibration.region) if part.calibration.region in regions else 0
-    own = named(part.calibration, view.sensor, range_seen(tracking, place))
-    return replace(part, calibration=replace(own, diagnostics=part.diagnostics))
-
-
-def named(camera: CameraCalibration, sensor: str, range_c: tuple[float, float] | None = None) -> CameraCalibration:
-    """A calibration as that of the section `sensor`; range_c: what a thermal camera's tracker sees, °C."""
-    return replace(camera, source=SOURCES[sensor], temperature_range_c=range_c)
+    own = replace(
+        part.calibration,
+        source=SOURCES[view.kind],
+        name=view.own.settings.name,
+        temperature_range_c=range_seen(tracking, place),
+        diagnostics=part.diagnostics,
+    )
+    return replace(part, calibration=own)
 
 
 def _codec_warnings(view: Recording) -> list[str]:
     info = view.frames.info
-    if view.sensor == "infrared" and is_grey(view):
+    if view.kind == "infrared" and is_grey(view):
         return [f"infrared: {AGC_NOTE}."]
     if info.lossless is not False:
         return []

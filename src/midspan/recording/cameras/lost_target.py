@@ -2,24 +2,27 @@
 
 import numpy as np
 
-from midspan.recording.cameras.tracked import Seen
+from midspan.recording.sensor_series import SensorSeries
 from midspan.recording.streams.span import shown
 from midspan.records import NANOSECONDS, Event
-from midspan.signals.health import runs
+from midspan.signals.health import Mask, runs
 
 # So many seconds, and so many usual intervals, without a measurement are worth an event.
 LOST_S, LOST_INTERVALS = 3.0, 5.0
 
 
-def lost_events(seen: Seen) -> tuple[Event, ...]:
-    """An event `lost` where a camera's target is lost for more than a few seconds, and one `seen` where it is back."""
+def lost_events(seen: SensorSeries, dark: Mask) -> tuple[Event, ...]:
+    """An event `lost` where a camera's target is lost for more than a few seconds, and one `seen` where it is back.
+
+    dark (n,): frames that were black.
+    """
     found = []
-    for start, end, dark in _stretches(seen):
-        sensor, time_ns = seen.eye.sensor, seen.measured.time_ns
+    for start, end, black in _stretches(seen, dark):
+        sensor, time_ns = seen.sensor, seen.time_ns
         since = int(time_ns[start])
         back = end < len(time_ns)
         lasting = (int(time_ns[end if back else -1]) - since) / NANOSECONDS
-        why = "it is dark" if dark else "the target is lost"
+        why = "it is dark" if black else "the target is lost"
         until = f"for {lasting:.1f} s" if back else f"to the end, {lasting:.1f} s later"
         found.append(Event(since, "lost", f"{sensor}: {why} {until}"))
         if back:
@@ -27,10 +30,10 @@ def lost_events(seen: Seen) -> tuple[Event, ...]:
     return tuple(found)
 
 
-def lost_warnings(seen: Seen) -> tuple[str, ...]:
+def lost_warnings(seen: SensorSeries, dark: Mask) -> tuple[str, ...]:
     """A sentence where the target was lost in the light, for all such stretches together; the night is no fault."""
-    time_ns = seen.measured.time_ns
-    stretches = [(start, end) for start, end, dark in _stretches(seen) if not dark]
+    time_ns = seen.time_ns
+    stretches = [(start, end) for start, end, black in _stretches(seen, dark) if not black]
     lost = [(int(time_ns[start]), int(time_ns[min(end, len(time_ns) - 1)]), end) for start, end in stretches]
     if not lost:
         return ()
@@ -39,23 +42,21 @@ def lost_warnings(seen: Seen) -> tuple[str, ...]:
     end = "the end" if last == len(time_ns) else shown(to)
     many = f" in {len(lost)} stretches, the longest" if len(lost) > 1 else ""
     return (
-        f"{seen.eye.sensor}: the target was lost for {total:.1f} s{many} from {shown(since)} to {end}; nothing was "
+        f"{seen.sensor}: the target was lost for {total:.1f} s{many} from {shown(since)} to {end}; nothing was "
         "measured with this camera then. Look at what stood in front of it, and at its region.",
     )
 
 
-def _stretches(seen: Seen) -> list[tuple[int, int, bool]]:
-    """First row, the row after the last one, and whether it is dark, of each long stretch without a measurement."""
-    measured = seen.measured
-    blind = ~np.isfinite(measured.value_m)
+def _stretches(seen: SensorSeries, dark: Mask) -> list[tuple[int, int, bool]]:
+    """First row, the row after the last one, and whether it is dark, of each long segment without a measurement."""
+    time_ns, blind = seen.time_ns, ~np.isfinite(seen.value_m)
     if not blind.any() or blind.all():
         return []
-    usual = float(np.median(np.diff(measured.time_ns))) / NANOSECONDS
+    usual = float(np.median(np.diff(time_ns))) / NANOSECONDS
     least_ns = round(max(LOST_S, LOST_INTERVALS * usual) * NANOSECONDS)
-    dark = seen.eye.tracking.targets[seen.eye.best].dark
     found = []
     for start, end in runs(blind):
-        lasting = int(measured.time_ns[min(end, len(blind) - 1)]) - int(measured.time_ns[start])
+        lasting = int(time_ns[min(end, len(blind) - 1)]) - int(time_ns[start])
         if lasting > least_ns:
             found.append((start, end, bool(np.mean(dark[start:end]) > 0.5)))
     return found

@@ -1,45 +1,26 @@
 """The cameras of a calibrated recording: tracked to their end with one filter's predictions, each as a displacement."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import Any
 
-import numpy as np
-
-from midspan.engine.monitor import AxisLoop, Monitor
-from midspan.fusion.kalman import KalmanFilter, KalmanSettings
-from midspan.fusion.path import at
-from midspan.fusion.smoother import smooth
-from midspan.recording.fusing.fuse import CourseError
-from midspan.recording.fusing.one_clock import OneClock, one_clock
+from midspan.fusion.streams import KalmanSettings
 from midspan.recording.stored.calibration import Calibration
 from midspan.recording.stored.camera import CameraCalibration
 from midspan.recording.streams.acceleration import PreparedAcceleration, still
 from midspan.recording.streams.progress import Progress
 from midspan.recording.streams.recording import Recording
-from midspan.recording.streams.window import window_ends
+from midspan.recording.streams.sensor_words import in_words_of
 from midspan.recording.tracking.daylight import where_it_sees
-from midspan.recording.tracking.one_displacement import Together, camera_blocks, filter_settings, together
+from midspan.recording.tracking.one_displacement import filter_settings
 from midspan.recording.tracking.opening import open_tracking
-from midspan.recording.tracking.temperatures import in_words_of
 from midspan.recording.tracking.tracking import CameraTracking
 from midspan.records import (
-    NANOSECONDS,
     Acceleration,
-    Displacement,
-    Event,
-    Floats,
-    PixelTrack,
-    PixelTranslation,
-    Region,
     Source,
     TimeOffset,
-    part,
 )
-
-# A target left out of more than this share of its frames is worth telling.
-NOTABLE_DROPPED = 0.1
-# A second camera's zero beside the first is known from so many frames of both.
-LEAST_BOTH = 10
+from midspan.settings.kinds import CAMERAS
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +44,7 @@ class Eye:
 
     @property
     def sensor(self) -> str:
-        """The section that the camera stands in."""
+        """The camera's name."""
         return self.view.sensor
 
     @property
@@ -72,55 +53,23 @@ class Eye:
         return self.calibrations[0].source
 
     @property
-    def best(self) -> int:
-        """Number of the best target along the main axis, in the tracking's."""
-        regions = [target.region for target in self.tracking.targets]
-        return regions.index(best_region(self.tracking, self.calibrations[0]))
-
-    @property
-    def track(self) -> PixelTrack:
-        """The best target's track."""
-        return self.tracking.targets[self.best].track
-
-    @property
-    def strength(self) -> Floats:
-        """Good matches of the best target in each frame (n,), of trackers without matches the quality in percent."""
-        return self.tracking.targets[self.best].strengths
-
-    @property
-    def events(self) -> list[Event]:
-        """What happened to its targets, on the accelerometer's clock."""
-        late_ns = round(NANOSECONDS * self.calibrations[0].offset.value_s)
-        several = len(self.tracking.targets) > 1
-        return [
-            Event(event.time_ns + late_ns, event.kind, f"{_whose(self, target.name, several)}: {event.text}")
-            for target in self.tracking.targets
-            for event in target.events
-        ]
+    def begins_dark(self) -> bool:
+        """Whether frames before the first one used were dark or not usable."""
+        began_ns = self.view.sees_from_ns
+        return self.tracking.skipped > 0 or (began_ns is not None and began_ns > self.view.frames.times_ns()[0])
 
 
-@dataclass(frozen=True, slots=True)
-class Seen:
-    """One camera's displacement along an axis: how its targets agreed, its clock, what its reference frames may be off
-    by, and warnings.
-    """
-
-    eye: Eye
-    together: Together
-    clock: OneClock
-    clock_std_s: float
-    relative_std: float
-    wandering: CourseError | None
-    warnings: tuple[str, ...]
-
-    @property
-    def measured(self) -> Displacement:
-        """The measurements on the accelerometer's clock."""
-        return self.clock.measured
+def known_sensors(main: Side) -> list[tuple[Recording, Any]]:
+    """The calibrated sensors of a recording that are no cameras: the view of each, and what was learnt of it."""
+    views = [view for view in main.recording.views if view.kind not in CAMERAS]
+    known = [(view, main.calibration.of_sensor(view.own, view.beside)) for view in views]
+    return [one for one in known if one[1] is not None]
 
 
-def _whose(eye: Eye, target: str, several: bool) -> str:
-    return f"{eye.sensor}, target {target}" if several else eye.sensor
+def offsets_of(main: Side, eyes: Sequence[Eye]) -> dict[str, TimeOffset]:
+    """The calibrated clock offset of each sensor, by its name."""
+    found = {eye.sensor: eye.calibrations[0].offset for eye in eyes}
+    return found | {view.sensor: known.offset for view, known in known_sensors(main)}
 
 
 def side_of(recording: Recording, calibration: Calibration) -> Side:
@@ -135,12 +84,14 @@ def side_of(recording: Recording, calibration: Calibration) -> Side:
 def open_eyes(sides: Sequence[Side], tracking: CameraTracking | None, progress: Progress) -> tuple[Eye, ...]:
     """The calibrated cameras of a recording, the one whose zero counts first.
 
-    tracking: what calibrating left, with that of a second camera beside it; None: each is opened.
+    tracking: what calibrating left, with those of further cameras beside it; None: each is opened.
     """
-    opened = {one.settings.sensor: one for one in (tracking, tracking and tracking.beside) if one is not None}
+    opened = {} if tracking is None else {one.settings.sensor: one for one in (tracking, *tracking.beside)}
     eyes = []
     for view in sides[0].recording.cameras:
-        known = tuple(camera for side in sides if (camera := side.calibration.of(view.sensor)) is not None)
+        known = tuple(
+            camera for side in sides if (camera := side.calibration.of_sensor(view.own, view.beside)) is not None
+        )
         if not known:
             continue
         view, _ = where_it_sees(view)
@@ -148,148 +99,3 @@ def open_eyes(sides: Sequence[Side], tracking: CameraTracking | None, progress: 
             own = opened.get(view.sensor) or open_tracking(view, known[0], progress)
         eyes.append(Eye(view, own, known))
     return tuple(eyes)
-
-
-def best_region(tracking: CameraTracking, camera: CameraCalibration) -> Region:
-    """The region of the best target, as it is tracked: one alone may have been moved a little by the recording."""
-    regions = [target.region for target in tracking.targets]
-    return camera.region if camera.region in regions else regions[0]
-
-
-def track_all(eyes: Sequence[Eye], sides: Sequence[Side]) -> None:
-    """Track the frames that are left of all cameras, in the order of their times, with the filters' predictions."""
-    monitors = _monitors(eyes, sides)
-    filters = [list({id(m.axes[k].kalman): m.axes[k].kalman for m in monitors}.values()) for k in range(len(sides))]
-    accelerations = [side.acceleration for side in sides]
-    pushed = [0] * len(sides)
-    while (number := _next(eyes)) is not None:
-        frame = eyes[number].tracking.take()
-        if frame is None:
-            eyes[number].tracking.ended = True
-            continue
-        offset = monitors[number].axes[0].scales[0].time_offset_ns
-        for axis, acceleration in enumerate(accelerations):
-            due = int(np.searchsorted(acceleration.time_ns, frame.time_ns + offset, side="right"))
-            for kalman in filters[axis]:
-                kalman.push(part(acceleration, slice(pushed[axis], due)))
-            pushed[axis] = max(pushed[axis], due)
-        with in_words_of(eyes[number].sensor):
-            translations = [item for item in monitors[number].push(frame) if isinstance(item, PixelTranslation)]
-        eyes[number].tracking.add(frame, translations)
-    for eye in eyes:
-        eye.tracking.close()
-
-
-def _next(eyes: Sequence[Eye]) -> int | None:
-    """Number of the camera with the earliest frame that has not been tracked, on one clock; None at the end."""
-    due = []
-    for number, eye in enumerate(eyes):
-        tracking = eye.tracking
-        if not tracking.ended and tracking.done < len(tracking.time_ns):
-            late_ns = round(NANOSECONDS * eye.calibrations[0].offset.value_s)
-            due.append((int(tracking.time_ns[tracking.done]) + late_ns, number))
-    return min(due)[1] if due else None
-
-
-def _monitors(eyes: Sequence[Eye], sides: Sequence[Side]) -> list[Monitor]:
-    """The loop of trackers and filters of each camera, which have been told what was tracked so far.
-
-    Cameras whose zeros are known beside each other share a filter, so that one that sees again is expected rightly.
-    """
-    loops: list[list[AxisLoop]] = [[] for _ in eyes]
-    for number, side in enumerate(sides):
-        first: tuple[KalmanFilter, Displacement] | None = None
-        for own, eye in zip(loops, eyes, strict=True):
-            kalman, zero_m = KalmanFilter(side.kalman), 0.0
-            found = _together(side, number, eye) if eye.tracking.done else None
-            if found is not None and first is not None:
-                apart = zero_beside(first[1], found.measured, side)
-                kalman, zero_m = (kalman, 0.0) if apart is None else (first[0], apart)
-            loop = AxisLoop(eye.calibrations[number].mappings(), kalman)
-            if found is not None:
-                moved = replace(found.measured, value_m=found.measured.value_m - zero_m)
-                loop.start(moved, found.zeros_m + zero_m)
-                first = first or (kalman, found.measured)
-            own.append(loop)
-    return [Monitor(eye.tracking.targets, own) for eye, own in zip(eyes, loops, strict=True)]
-
-
-def zero_beside(first: Displacement, other: Displacement, side: Side) -> float | None:
-    """By how much (m) another camera's displacement lies above the first one's; None where both hardly overlap."""
-    usable = first.time_ns[np.isfinite(first.value_m)]
-    if len(usable) < LEAST_BOTH:
-        return None
-    inside = np.isfinite(other.value_m) & (other.time_ns >= usable[0]) & (other.time_ns <= usable[-1])
-    if np.count_nonzero(inside) < LEAST_BOTH:
-        return None
-    path = smooth(side.acceleration, first, side.kalman).estimate
-    return float(np.median(other.value_m[inside] - at(path, other.time_ns[inside])[0]))
-
-
-def _together(side: Side, number: int, eye: Eye) -> Together:
-    """The camera's displacement along one axis, out of what was tracked so far."""
-    camera = eye.calibrations[number]
-    blocks = camera_blocks(eye.tracking.targets, camera, eye.view.exposure_s, side.acceleration)
-    return together(blocks, camera.mappings(), side.acceleration, side.kalman, window_ends(eye.view))
-
-
-def seen_along(side: Side, number: int, eye: Eye, clock: OneClock | None = None) -> Seen:
-    """What a camera says along the axis with this number, all frames tracked.
-
-    clock: as it was learnt along the main axis; None learns it.
-    """
-    camera = eye.calibrations[number]
-    found = _together(side, number, eye)
-    clock = (
-        one_clock(found.measured, side.acceleration, side.kalman, eye.sensor, std_s=clock_std_s(camera.offset))
-        if clock is None
-        else clock.also(found.measured)
-    )
-    warnings = (*_drops(found, eye.tracking, camera.direction), *clock.warnings)
-    clock_std = clock_std_s(camera.offset) if clock.std_s is None else clock.std_s
-    return Seen(eye, found, clock, clock_std, camera.relative_std, _wandering(eye, camera, clock.measured), warnings)
-
-
-def _wandering(eye: Eye, camera: CameraCalibration, measured: Displacement) -> CourseError | None:
-    """What the reference frames may be off by, by the best target's tracker; None where the reference is the first."""
-    target = eye.tracking.targets[eye.best]
-    variance = target.wandering_px2[:, "xy".index(camera.direction)]
-    if not variance.any():
-        return None
-    seen = np.isfinite(measured.value_m)
-    std_m = abs(camera.scale.value_m_per_px) * np.sqrt(variance[seen])
-    return CourseError(eye.source, measured.time_ns[seen], std_m)
-
-
-def zero_of(seen: Sequence[Seen], first: Displacement) -> int:
-    """The instant (ns) that the displacement counts from: the first frame used of the first sensor, else of `first`.
-
-    Of two cameras the first one's; where that one was dark when it began, the earliest frame of `first`, which holds
-    both, in which a target was seen.
-    """
-    if not seen:
-        return int(first.time_ns[0])
-    eye = seen[0].eye
-    began_ns = eye.view.sees_from_ns
-    dark = eye.tracking.skipped > 0 or (began_ns is not None and began_ns > eye.view.frames.times_ns()[0])
-    measured = first.time_ns[np.isfinite(first.value_m)] if dark else seen[0].measured.time_ns
-    return int(measured[0] if len(measured) else first.time_ns[0])
-
-
-def _drops(found: Together, tracking: CameraTracking, direction: str) -> list[str]:
-    """A sentence for each target that was left out of many frames in which it was seen."""
-    told = []
-    for target, used in zip(tracking.targets, found.used, strict=True):
-        seen = np.isfinite(target.track.along(direction)[0])
-        share = float(np.mean(~used[seen])) if seen.any() else 0.0
-        if share > NOTABLE_DROPPED:
-            told.append(
-                f"Target {target.name}: {100 * share:.2g} % of its frames disagree with the other targets along "
-                f"{direction} and were left out; look at its region."
-            )
-    return told
-
-
-def clock_std_s(offset: TimeOffset) -> float:
-    """Standard deviation (s) of a clock offset; one that the motion does not tell has no effect either."""
-    return float(np.sqrt(offset.variance)) if np.isfinite(offset.variance) else 0.0

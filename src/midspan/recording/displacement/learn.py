@@ -4,12 +4,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from midspan.calibration.agreement import FARTHER_WINDOW_S, clearly_better, farther, farther_s, unexplained
+from midspan.calibration.agreement import clearly_better, unexplained
 from midspan.calibration.fit import Fit, Pair
 from midspan.calibration.noise import CERTAIN_S, Findings, NoiseCalibration, calibrate_noise, edge_s
 from midspan.calibration.scale import LEAST_GAIN, is_ambiguous
 from midspan.calibration.sensor_scale import calibrate_sensor_scale, unexplained_text
-from midspan.calibration.time_offset import BEYOND, OffsetSearch
+from midspan.calibration.time_offset import BEYOND, FARTHER_WINDOW_S, OffsetSearch, farther, farther_s
 from midspan.errors import DataError, UntrustedError
 from midspan.recording.streams.measured import measured_rows
 from midspan.recording.streams.recording import Recording

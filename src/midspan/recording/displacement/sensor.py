@@ -7,16 +7,19 @@ import numpy as np
 from midspan.calibration.bias import Bias, bias_of
 from midspan.calibration.noise import NoiseCalibration
 from midspan.calibration.scale import white_noise
+from midspan.engine.plain import PlainChain, PlainSettings
+from midspan.engine.sensors import PlainSensor
 from midspan.errors import UntrustedError, UsageError
-from midspan.fusion.kalman import KalmanSettings
+from midspan.fusion.model import ParameterKind
+from midspan.recording.channels import Table, ages, clock_std_s, interval_s
 from midspan.recording.displacement.learn import learn
-from midspan.recording.fusing.fuse import SensorError
-from midspan.recording.fusing.one_clock import OneClock, one_clock
+from midspan.recording.sensor_series import SensorSeries
 from midspan.recording.stored.calibration import Calibration
 from midspan.recording.stored.displacement import DisplacementCalibration
+from midspan.recording.streams.progress import Progress
 from midspan.recording.streams.recording import Recording
 from midspan.recording.streams.span import require_overlap, shown
-from midspan.records import NANOSECONDS, Acceleration, Displacement, Event, Source, TimeOffset, TimeSeries, seconds
+from midspan.records import NANOSECONDS, Channel, Event, Source, TimeSeries, seconds
 from midspan.signals.health import Mask, runs
 from midspan.signals.stuck import resolution, stuck
 
@@ -29,7 +32,31 @@ MOST_OPTIMISTIC = 1.5
 MOST_FROZEN = 0.5
 
 
-def calibrate_displacement(recording: Recording) -> NoiseCalibration:
+@dataclass(frozen=True, slots=True)
+class DisplacementFit:
+    """What was learnt of the sensor, what it implies of the accelerometer, warnings, and what all this rests on.
+
+    input_density: noise density of the acceleration, (m/s²)²/Hz; bias: the accelerometer's.
+    """
+
+    calibration: DisplacementCalibration
+    input_density: float
+    bias: Bias
+    warnings: tuple[str, ...]
+    diagnostics: NoiseCalibration
+
+
+def calibrate_displacement(recording: Recording, progress: Progress) -> DisplacementFit:
+    """Noise, clock offset and scale of the sensor, learnt beside the accelerometer, or a refusal."""
+    learnt = _learnt(recording)
+    assert learnt.findings is not None
+    part = displacement_part(recording, learnt)
+    warnings = tuple(displacement_warnings(recording, learnt, part))
+    bias = bias_of(learnt.findings.pair, learnt.findings.fit)
+    return DisplacementFit(part, learnt.input_noise_density, bias, warnings, learnt)
+
+
+def _learnt(recording: Recording) -> NoiseCalibration:
     """Noise, clock offset and scale of the sensor, learnt beside the accelerometer, or a refusal.
 
     The scale is learnt with displacement.estimate_scale only; else it is told where it seems wrong.
@@ -59,13 +86,8 @@ def displacement_part(recording: Recording, learnt: NoiseCalibration) -> Displac
         std = own if std < MOST_OPTIMISTIC * own else std
     # A scale that seems wrong is left as it is, and the error band holds both.
     scale_std = float(np.hypot(learnt.factor_std, abs(learnt.factor) * _scale_error(learnt)))
-    return DisplacementCalibration(std, learnt.offset, learnt.factor, scale_std)
-
-
-def displacement_bias(learnt: NoiseCalibration) -> Bias:
-    """The accelerometer's bias, estimated together with the sensor."""
-    assert learnt.findings is not None
-    return bias_of(learnt.findings.pair, learnt.findings.fit)
+    step_m = resolution(learnt.factor * recording.displacement.value)
+    return DisplacementCalibration(std, learnt.offset, learnt.factor, scale_std, resolution_m=step_m)
 
 
 def _scale_error(learnt: NoiseCalibration) -> float:
@@ -109,78 +131,63 @@ def displacement_warnings(recording: Recording, learnt: NoiseCalibration, part: 
     return [*found, f"{text} The error band holds the difference; displacement.estimate_scale = true takes it out."]
 
 
-@dataclass(frozen=True, slots=True)
-class DisplacementInputs:
-    """The sensor's measurements on the accelerometer's clock, what is uncertain of them, an event for each stretch of
-    frozen values that was left out, and what to tell that the calibration did not; clock: how it ran.
-    """
-
-    measured: Displacement
-    error: SensorError
-    events: tuple[Event, ...]
-    warnings: tuple[str, ...]
-    clock: OneClock
-
-
-def displacement_inputs(
-    recording: Recording, calibration: Calibration, *, acceleration: Acceleration, kalman: KalmanSettings
-) -> DisplacementInputs:
-    """Read the sensor of a calibrated recording.
-
-    With displacement.estimate_offset a clock that runs apart in a long record is corrected as a camera's is.
-    """
-    learnt = _known(recording, calibration)
-    require_overlap(recording.prepared.time_ns, recording.displacement.time_ns, "displacement")
-    series = read_with(recording.displacement, learnt)
-    held = frozen_values(recording, series)
-    block, clock_std = _block(without(series, held), learnt), _finite_std(learnt.offset)
-    # Where the offset is not learnt the clock is the accelerometer's own, until it jumps.
-    free = recording.learns_offset
-    level = float(np.nanmedian(block.value_m))
-    levelled = replace(block, value_m=block.value_m - level)
-    clock = one_clock(levelled, acceleration, kalman, "displacement", std_s=clock_std, drifts=free, stays=not free)
-    block = replace(clock.measured, value_m=clock.measured.value_m + level)
-    clock_std = clock_std if clock.std_s is None else clock.std_s
-    events = frozen_events(series, held)
-    frozen = [line for line in frozen_warnings(events) if line not in calibration.warnings]
-    error = SensorError(Source.DISPLACEMENT, learnt.relative_std, clock_std)
-    return DisplacementInputs(block, error, events, (*clock.warnings, *frozen), clock)
-
-
-def _finite_std(offset: TimeOffset) -> float:
-    """Standard deviation (s) of a clock offset; one that the motion does not tell has no effect either."""
-    return float(np.sqrt(offset.variance)) if np.isfinite(offset.variance) else 0.0
-
-
-def _block(series: TimeSeries, learnt: DisplacementCalibration) -> Displacement:
-    """The channel, in metres on the accelerometer's clock, as measurements."""
-    count = len(series.time_ns)
-    return Displacement(
-        time_ns=series.time_ns,
-        value_m=series.value,
-        variance_m2=np.full(count, learnt.noise_std_m**2),
-        source=np.full(count, Source.DISPLACEMENT, dtype=np.uint8),
-    )
-
-
 def read_with(series: TimeSeries, learnt: DisplacementCalibration) -> TimeSeries:
     """The channel in metres on the accelerometer's clock."""
     offset_ns = round(NANOSECONDS * learnt.offset.value_s)
     return replace(series, time_ns=series.time_ns + offset_ns, value=learnt.scale * series.value)
 
 
-def _known(recording: Recording, calibration: Calibration) -> DisplacementCalibration:
-    learnt = calibration.displacement
+def displacement_series(view: Recording, learnt: DisplacementCalibration, log: object = None) -> SensorSeries:
+    """The whole channel as it was read, in metres on the accelerometer's clock."""
+    found = read_with(view.displacement, learnt)
+    std = np.where(np.isfinite(found.value), learnt.noise_std_m, np.nan)
+    return SensorSeries(view.sensor, Source.DISPLACEMENT, found.time_ns, found.value, std)
+
+
+def require_known(view: Recording, calibration: Calibration) -> DisplacementCalibration:
+    """The sensor's part of a calibration; UsageError where it has none, or none of the scale that is wanted."""
+    learnt: DisplacementCalibration | None = calibration.of_sensor(view.own, view.beside)
     if learnt is None:
         raise UsageError(
-            "The calibration has no displacement part, but the recording has [displacement]. Calibrate again."
+            f"The calibration has no {view.sensor} part, but the recording has [{view.sensor}]. Calibrate again."
         )
-    if recording.learns_scale and learnt.scale == 1.0:
+    if view.learns_scale and learnt.scale == 1.0:
         raise UsageError(
             "displacement.estimate_scale = true: the calibration was made without it and has no displacement.scale. "
             "Calibrate again."
         )
+    require_overlap(view.prepared.time_ns, view.displacement.time_ns, view.sensor)
     return learnt
+
+
+def plain_channel(
+    table: Table, view: Recording, known: DisplacementCalibration, *, moved_m: float, first: bool
+) -> PlainSensor:
+    """A displacement sensor, and its channel in the table; first: whether its zero is the zero of the displacement."""
+    series = view.displacement
+    step_s = interval_s(series.time_ns)
+    coasting_s, lost_s = ages(step_s)
+    channel = table.add(
+        Channel(
+            sensor=view.sensor,
+            source=Source.DISPLACEMENT,
+            units_per_m=1.0,
+            zero_std_m=0.0 if first else np.inf,
+            coasting_s=coasting_s,
+            lost_s=lost_s,
+        )
+    )
+    table.uncertain(ParameterKind.SCALE_ERROR, [channel], known.relative_std)
+    table.uncertain(ParameterKind.CLOCK_OFFSET, [channel], clock_std_s(known.offset))
+    settings = PlainSettings(
+        name=view.sensor,
+        channel=channel,
+        variance_m2=known.noise_std_m**2,
+        step_s=step_s,
+        resolution_m=resolution(known.scale * series.value) if known.resolution_m is None else known.resolution_m,
+        scale=known.scale,
+    )
+    return PlainSensor(view.sensor, PlainChain(settings))
 
 
 def without(series: TimeSeries, mask: Mask) -> TimeSeries:
@@ -229,7 +236,7 @@ def _zero_warnings(recording: Recording, part: DisplacementCalibration) -> list[
     """A sentence where the uncertain scale of a large reading hides the zero, which counts in the error band."""
     value = part.scale * recording.displacement.value
     level, moved = abs(float(np.nanmedian(value))), float(np.nanstd(value))
-    if recording.has("camera") or part.relative_std * level < max(moved, part.noise_std_m):
+    if not recording.gives_zero or part.relative_std * level < max(moved, part.noise_std_m):
         return []
     return [
         f"displacement: it reads about {1e3 * level:.4g} mm, of which the scale's deviation of "

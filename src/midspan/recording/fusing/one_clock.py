@@ -5,14 +5,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from midspan.calibration.clock_jumps import LARGEST_S, Beside, ClockJump, clock_jumps, lateness
+from midspan.calibration.clock import compared
+from midspan.calibration.clock_jumps import LARGEST_S, ClockJump, clock_jumps, lateness
+from midspan.calibration.running_clock import RunningClock, on_one_clock
 from midspan.errors import UntrustedError
-from midspan.fusion.gate import ACCEPTED
-from midspan.fusion.kalman import KalmanSettings
 from midspan.fusion.path import at
-from midspan.fusion.running_clock import RunningClock, on_one_clock
-from midspan.fusion.smoother import smooth
-from midspan.recording.fusing.fuse import CourseError
+from midspan.fusion.streams import NO_ERRORS, KalmanSettings, filtered, smooth
 from midspan.recording.streams.span import inside, shown
 from midspan.records import (
     NANOSECONDS,
@@ -20,17 +18,25 @@ from midspan.records import (
     Displacement,
     Event,
     Floats,
-    Source,
+    Nanoseconds,
     part,
-    seconds,
 )
 
 # So much, s, either way of an instant is smoothed to tell what the structure did there.
 AROUND_S = 10.0
-# Of the measurements in a window of so many seconds at most this share may contradict the acceleration in the end.
-WINDOW_S, MOST_REJECTED = 8.0, 0.6
+# Of the measurements in a window of so many seconds at most this share may contradict the acceleration in the end: lie
+# so many predicted deviations off.
+WINDOW_S, MOST_REJECTED, CONTRADICTS = 8.0, 0.6, 4.0
 # Lost or doubled frames are named where a jump is so many intervals to this share of one.
 WHOLE = 0.1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CourseError:
+    """A sensor's zero wanders, and is known at stamps (n,) to standard deviations (n,) in m only."""
+
+    time_ns: Nanoseconds
+    std_m: Floats
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,11 +86,11 @@ def one_clock(
     drifts: whether its drift is looked for; stays: up to the first jump the stamps are left as they are.
     """
     jumps = _jumps(measured, acceleration, stays=stays)
-    running = on_one_clock(_moved(measured, jumps), acceleration, kalman, sensor) if drifts else None
+    running = on_one_clock(_moved(measured, jumps), acceleration, sensor) if drifts else None
     if running is not None and running.course is not None and not jumps:
         # Beside a clock that runs apart a small jump shows only now.
         jumps = _jumps(running.measured, acceleration, stays=True)
-        running = on_one_clock(_moved(measured, jumps), acceleration, kalman, sensor) if jumps else running
+        running = on_one_clock(_moved(measured, jumps), acceleration, sensor) if jumps else running
     moved = _moved(measured, jumps) if running is None else running.measured
     told = () if running is None else running.warnings
     known = None if running is None else running.std_s
@@ -107,8 +113,10 @@ def one_clock(
 
 def _refuse_contradiction(moved: Displacement, acceleration: Acceleration, kalman: KalmanSettings, sensor: str) -> None:
     """UntrustedError where measurements contradict the acceleration for long though jumps were taken out."""
-    found = smooth(acceleration, moved, kalman).innovation
-    rejected = np.concatenate(([0], np.cumsum(found.verdict != ACCEPTED)))
+    told = replace(kalman, rates=NO_ERRORS, noise_memory=np.inf)
+    found = filtered(acceleration, moved, told).innovation
+    far = found.value_m**2 > CONTRADICTS**2 * found.variance_m2
+    rejected = np.concatenate(([0], np.cumsum(far)))
     first = np.arange(len(found.time_ns))
     last = np.searchsorted(found.time_ns, found.time_ns + round(WINDOW_S * NANOSECONDS))
     whole = last < len(found.time_ns)
@@ -131,11 +139,11 @@ def _jumps(measured: Displacement, acceleration: Acceleration, *, stays: bool) -
     inner = usable & (measured.time_ns >= first) & (measured.time_ns <= last)
     if np.count_nonzero(inner) < 2 or not acceleration.value_m_s2.any():
         return ()
-    value = np.where(usable, measured.value_m - measured.value_m[np.argmax(inner)], 0.0)
-    rows = np.column_stack((seconds(measured.time_ns, first), value, np.where(inner, measured.variance_m2, np.inf)))
-    pushed = acceleration.value_m_s2 - np.mean(acceleration.value_m_s2)
-    samples = np.column_stack((seconds(acceleration.time_ns, first), pushed, acceleration.noise_density))
-    found = clock_jumps(Beside(samples, rows))
+    one, index = compared(acceleration, measured)
+    found = [
+        replace(jump, row=int(index[jump.row]), first=int(index[jump.first]), last=int(index[jump.last]))
+        for jump in clock_jumps(one)
+    ]
     if stays and found:
         found[0] = replace(found[0], before_s=0.0)
     return tuple(found)
@@ -172,7 +180,7 @@ def _either_side(
             other_s = np.full(len(moved.time_ns) - jump.row, jump.rival_s - jump.late_s)
             std_m = np.zeros(len(moved.time_ns))
             std_m[after] = _apart(moved, after, other_s, acceleration, kalman)
-            levels += [CourseError(Source(int(source)), moved.time_ns, std_m) for source in np.unique(moved.source)]
+            levels.append(CourseError(moved.time_ns, std_m))
     return replace(moved, variance_m2=variance), tuple(levels)
 
 

@@ -1,19 +1,20 @@
 """Whether a calibration that was given fits the recording: each sensor's scale and clock beside the accelerometer."""
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from midspan.calibration.agreement import noise_share
 from midspan.calibration.fit import Fit, Pair
 from midspan.calibration.noise import nearest, without_outliers
-from midspan.calibration.time_offset import search_offset, without_lonely_outliers
+from midspan.calibration.outliers import without_lonely_outliers
+from midspan.calibration.time_offset import search_offset
 from midspan.errors import UntrustedError
-from midspan.recording.fusing.fuse import FusionInputs, SensorError
 from midspan.recording.streams.measured import measured_rows
 from midspan.recording.streams.span import inside
 from midspan.recording.streams.window import LEAST_MEASUREMENTS
-from midspan.records import NANOSECONDS, Displacement, Floats, Source, part, seconds
+from midspan.records import NANOSECONDS, Acceleration, Displacement, Floats, Source, part, seconds
 
 # So much of the recording is compared at most, for speed.
 COMPARED_S = 300.0
@@ -42,6 +43,20 @@ SCALED = {
 CLOCKED = (Source.RADAR, Source.DISPLACEMENT)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Sensed:
+    """What a sensor measured, all of it, and what is uncertain of its calibration: its scale (relative), its clock (s).
+
+    sensor: its name in messages.
+    """
+
+    sensor: str
+    source: Source
+    measured: Displacement
+    relative_scale_std: float = 0.0
+    clock_std_s: float = 0.0
+
+
 @dataclass(frozen=True, slots=True)
 class ApparentScale:
     """Displacement of a sensor per displacement of the accelerometer (1 when both are right), with its deviation.
@@ -50,7 +65,6 @@ class ApparentScale:
     moved_m: what this does to the displacement, rms; noise_m: standard deviation of one measurement.
     """
 
-    source: Source
     value: float
     std: float
     late_s: float = 0.0
@@ -59,45 +73,33 @@ class ApparentScale:
     noise_m: float = 0.0
 
 
-def apparent_scales(
-    inputs: FusionInputs, max_offset_s: float = 0.0, sources: Iterable[Source] = SCALED
-) -> list[ApparentScale]:
-    """The scale of each sensor against the accelerometer, where the motion tells it; clocks up to an offset, s."""
-    measured = inputs.displacement
-    found = (_apparent(inputs, part(measured, measured.source == source), source, max_offset_s) for source in sources)
-    return [one for one in found if one is not None]
-
-
 @dataclass(frozen=True, slots=True)
 class Fitting:
-    """What to tell of a calibration that was given, and what is uncertain of each sensor with what it is off by."""
+    """What to tell of a calibration that was given, and how uncertain the scale of each sensor is, with what it is off.
+
+    scale_std: relative standard deviations by the sensors' names.
+    """
 
     warnings: list[str]
-    errors: tuple[SensorError, ...]
+    scale_std: dict[str, float]
 
 
 def fitting(
-    inputs: FusionInputs, along: str = "", *, max_offset_s: float = 0.0, sources: Iterable[Source] = SCALED
+    acceleration: Acceleration, sensors: Sequence[Sensed], along: str = "", *, max_offset_s: float = 0.0
 ) -> Fitting:
     """How the calibrated scales and clocks fit the recording; along: a second axis in words.
 
-    max_offset_s: largest clock offset looked for; sources: the sensors compared. Raises UntrustedError where one is
-    wrong beyond doubt.
+    max_offset_s: largest clock offset looked for. Raises UntrustedError where one is wrong beyond doubt.
     """
-    sources, told = tuple(sources), []
-    errors = {error.source: error for error in inputs.errors}
-    refused = REFUSED if len(np.unique(inputs.displacement.source)) < 2 else REFUSED_BESIDE
-    # A camera that contradicts another one has lost these measurements: turned round it would seem to have none.
-    for block in inputs.cameras:
-        whole = [source for source in sources if source == block.source[0]]
-        for scale in apparent_scales(replace(inputs, displacement=block), max_offset_s, whole):
-            known = errors.get(scale.source, SensorError(scale.source))
-            _scale_warnings(scale, known.relative_scale_std, along, refused)
-    for scale in apparent_scales(inputs, max_offset_s, sources):
-        known = errors.get(scale.source, SensorError(scale.source))
-        told += [*_clock_warnings(scale, known), *_scale_warnings(scale, known.relative_scale_std, along, refused)]
-        errors[scale.source] = replace(known, relative_scale_std=_with_surplus(scale, known.relative_scale_std))
-    return Fitting(told, tuple(errors.values()))
+    found = Fitting([], {})
+    refused = REFUSED if len(sensors) < 2 else REFUSED_BESIDE
+    for sensed in sensors:
+        found.scale_std[sensed.sensor] = sensed.relative_scale_std
+        scale = apparent_scale(acceleration, sensed, max_offset_s)
+        if scale is not None:
+            found.warnings.extend((*_clock_warnings(scale, sensed), *_scale_warnings(scale, sensed, along, refused)))
+            found.scale_std[sensed.sensor] = _with_surplus(scale, sensed.relative_scale_std)
+    return found
 
 
 def _with_surplus(scale: ApparentScale, known: float) -> float:
@@ -106,13 +108,14 @@ def _with_surplus(scale: ApparentScale, known: float) -> float:
     return float(np.sqrt(known**2 + max((scale.value - 1.0) ** 2 - expected**2, 0.0)))
 
 
-def _scale_warnings(scale: ApparentScale, known: float, along: str, refused: float) -> list[str]:
+def _scale_warnings(scale: ApparentScale, sensed: Sensed, along: str, refused: float) -> list[str]:
+    known = sensed.relative_scale_std
     off, least = abs(scale.value - 1.0), CERTAIN * float(np.hypot(scale.std, known))
     if off <= max(TOLD, least):
         return []
     text = (
-        f"{scale.source.word}: its displacement{along} is {scale.value:.4g} ± {float(np.hypot(scale.std, known)):.2g} "
-        f"times the accelerometer's where 1 is expected: the calibration's {SCALED[scale.source]} does not belong to "
+        f"{sensed.sensor}: its displacement{along} is {scale.value:.4g} ± {float(np.hypot(scale.std, known)):.2g} "
+        f"times the accelerometer's where 1 is expected: the calibration's {SCALED[sensed.source]} does not belong to "
         "this recording"
     )
     if off <= max(refused, least):
@@ -121,12 +124,12 @@ def _scale_warnings(scale: ApparentScale, known: float, along: str, refused: flo
     raise UntrustedError(f"{text}.{turned} Calibrate this recording.")
 
 
-def _clock_warnings(scale: ApparentScale, known: SensorError) -> list[str]:
+def _clock_warnings(scale: ApparentScale, known: Sensed) -> list[str]:
     std = float(np.hypot(scale.late_std_s, known.clock_std_s))
     if not abs(scale.late_s) > CERTAIN * std or scale.moved_m <= CLOCK_TOLD * scale.noise_m:
         return []
     text = (
-        f"{scale.source.word}: its clock is {1e3 * scale.late_s:+.3g} ± {1e3 * std:.2g} ms off beside the "
+        f"{known.sensor}: its clock is {1e3 * scale.late_s:+.3g} ± {1e3 * std:.2g} ms off beside the "
         f"accelerometer's with the calibration's time_offset_s, which is {1e3 * scale.moved_m:.2g} mm of displacement "
         f"(rms; its noise is {1e3 * scale.noise_m:.2g} mm): it does not belong to this recording. Calibrate this "
         "recording."
@@ -136,16 +139,15 @@ def _clock_warnings(scale: ApparentScale, known: SensorError) -> list[str]:
     return [text]
 
 
-def _apparent(
-    inputs: FusionInputs, measured: Displacement, source: Source, max_offset_s: float
-) -> ApparentScale | None:
-    found = _compared(inputs, measured)
+def apparent_scale(acceleration: Acceleration, sensed: Sensed, max_offset_s: float = 0.0) -> ApparentScale | None:
+    """The scale of a sensor against the accelerometer, where the motion tells it; clocks up to an offset, s."""
+    found = _compared(acceleration, sensed.measured)
     if found is None:
         return None
-    if source not in CLOCKED or max_offset_s == 0.0:
+    if sensed.source not in CLOCKED or max_offset_s == 0.0:
         pair, fit = without_outliers(found.pair)
         found = replace(found, pair=pair)
-        return ApparentScale(source, fit.ratio, float(np.sqrt(fit.ratio_variance))) if found.tells(fit) else None
+        return ApparentScale(fit.ratio, float(np.sqrt(fit.ratio_variance))) if found.tells(fit) else None
     rows = found.pair.rows
     thinned = replace(found.pair, rows=rows[:: max(1, -(-len(rows) // MOST_ROWS))])
     search = search_offset(thinned, max_offset_s)
@@ -153,7 +155,6 @@ def _apparent(
     if not replace(found, pair=search.pair).tells(fit):
         return None
     return ApparentScale(
-        source,
         fit.ratio,
         float(np.sqrt(fit.ratio_variance)),
         fit.offset_s,
@@ -183,15 +184,10 @@ class _Compared:
 
     def tells(self, fit: Fit) -> bool:
         """Whether the accelerometer's own noise leaves the motion to tell the scale."""
-        whitened = fit.whitened
-        power = float(np.sum(whitened.response**2 / whitened.variance))
-        assumed = fit.corner**4 / self.pair.rate_hz
-        noise = self.density / assumed * float(np.sum(whitened.input_part / whitened.variance))
-        return noise < MOST_NOISE * power
+        return noise_share(self.pair, fit, float(np.sqrt(self.density * self.pair.sample_rate_hz))) < MOST_NOISE
 
 
-def _compared(inputs: FusionInputs, measured: Displacement) -> _Compared | None:
-    block = inputs.acceleration if inputs.sampled is None else inputs.sampled
+def _compared(block: Acceleration, measured: Displacement) -> _Compared | None:
     usable = np.isfinite(measured.value_m) & np.isfinite(measured.variance_m2)
     usable &= (measured.time_ns >= block.time_ns[0]) & (measured.time_ns <= block.time_ns[-1])
     measured = part(measured, usable)

@@ -27,10 +27,11 @@ from midspan.recording.radar.frames import (
     TargetPhasors,
     bin_m_of,
     bins_of,
+    target_series,
     together,
     without_holes,
 )
-from midspan.recording.radar.track import target_series
+from midspan.recording.radar.own_motion import judged
 from midspan.recording.radar.window import LEAST_FRAMES, opened_window
 from midspan.recording.stored.radar import RadarCalibration, RadarDiagnostics, RadarTarget
 from midspan.recording.streams.measured import measured_rows
@@ -88,9 +89,12 @@ def calibrate_radar(recording: Recording, progress: Progress) -> RadarFit:
     found, frames = _at_one_pace(found, frames, samples, (source.info, max_offset))
     whole = without_holes(frames)
     targets, offset = _chosen(found, section.targets, section.target_range_m)
+    seen = [series_of(frames, item.target, source.info, samples) for item in targets if item.used]
+    frame_s = whole.time_ns / NANOSECONDS + offset.value_s
+    targets, moving = judged(targets, seen, frame_s, samples)
     best = next(item.target for item in targets if item.used)
     unit = source.info.axis.phase_per_m(best.range_m)
-    series = target_series(phasors_of(frames, best, source.info), best, (unit, bin_m_of(source.info), samples))
+    series = series_of(frames, best, source.info, samples)
     search = searched(recording, whole, series, (origin, max_offset))
     _refuse_ambiguity(search, max_offset)
     targets, told_factor = _widened(targets, search)
@@ -104,7 +108,7 @@ def calibrate_radar(recording: Recording, progress: Progress) -> RadarFit:
         channels=source.info.channels,
         diagnostics=diagnostics_of(source.info.axis.range_m, source.info.limit_speed_m_s, whole, (best, series, unit)),
     )
-    warnings = (*source.info.warnings, *told, *hidden, *told_factor, *_warnings(calibration))
+    warnings = (*source.info.warnings, *told, *hidden, *moving, *told_factor, *_warnings(calibration))
     return RadarFit(calibration, search.fit.input_density, searched_bias(search), tuple(warnings))
 
 
@@ -191,6 +195,12 @@ def phasors_of(frames: RadarFrames, target: Target, info: RadarInfo) -> TargetPh
     single = len(bins) == 1
     some = at_place(frames.phasors, bins[0])[..., None] if single else frames.phasors[..., bins.astype(np.int64)]
     return TargetPhasors(frames.time_ns, bins, together(some, target, frames.valid))
+
+
+def series_of(frames: RadarFrames, target: Target, info: RadarInfo, samples: Floats) -> TargetSeries:
+    """The displacement at a target in the frames of the window."""
+    given = (info.axis.phase_per_m(target.range_m), bin_m_of(info), samples)
+    return target_series(phasors_of(frames, target, info), target, given)
 
 
 def _chosen(found: tuple[Target, ...], most: int, range_m: float | None) -> tuple[tuple[RadarTarget, ...], TimeOffset]:
@@ -287,7 +297,12 @@ def _refuse_ambiguity(search: OffsetSearch, max_offset_s: float) -> None:
 
 
 def _variance_factor(search: OffsetSearch, best: Target, series: TargetSeries) -> float:
-    """Learnt variance over the stated one, of a frame's displacement; what is stated is never lowered."""
+    """Estimated variance over the stated one, of a frame's displacement; what is stated is never lowered.
+
+    A target's own motion is no noise of its frames.
+    """
+    if best.own_m > best.noise_m:
+        return 1.0
     stated = float(np.median(series.variance_m2[np.isfinite(series.variance_m2)]))
     return max(1.0, best.conversion_factor**2 * search.fit.noise / stated)
 

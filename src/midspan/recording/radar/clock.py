@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from midspan.fusion.running_clock import SIGNIFICANT
+from midspan.calibration.running_clock import SIGNIFICANT
 from midspan.radar.alignment import align
 from midspan.radar.blockage import BlockageMonitor
 from midspan.recording.radar.frames import even_places

@@ -1,7 +1,7 @@
 """The frames of a recording's radar as they are read: on an even grid, receivers combined, holes known."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from midspan.errors import DataError, UsageError
 from midspan.radar.channels import LEAST_BINS, Phasors, combined
 from midspan.radar.following import LEAST_EXCURSION_BINS
+from midspan.radar.measurement import TargetFrames, TargetSeries, displacement
 from midspan.radar.target import Target
 from midspan.recording.stored.radar import RadarCalibration
 from midspan.recording.streams.acceleration import PreparedAcceleration
@@ -120,6 +121,29 @@ def fetched(
     progress(1, 1, "reading the radar")
     time_ns = np.concatenate(times)
     return [TargetPhasors(time_ns, bins, np.concatenate(part)) for (_, bins), part in zip(wanted, parts, strict=True)]
+
+
+def target_series(own: TargetPhasors, target: Target, given: tuple[float, float, Floats]) -> TargetSeries:
+    """The displacement at one target, on the even grid of `even_places`.
+
+    given: rad per m of range, from bin to bin in m, and `samples_of` with the stamps' own origin.
+    """
+    phase_per_m, bin_m, samples = given
+    places = even_places(own.time_ns)
+    count = int(places[-1]) + 1
+    several = len(own.bins) > 1
+    phasors = np.full((count, 1, len(own.bins)), np.nan, dtype=np.complex64)
+    phasors[places, 0] = own.phasors
+    frames = TargetFrames(
+        frame_s=np.interp(np.arange(count), places, seconds(own.time_ns, 0)),
+        phasors=phasors if several else phasors[..., 0],
+        valid=np.asarray(np.isfinite(phasors).all(axis=2)),
+        bins=own.bins if several else None,
+        bin_m=bin_m,
+    )
+    # The receivers are together already.
+    alone = replace(target, weights=np.ones(1, dtype=np.complex128))
+    return displacement(frames, alone, samples=samples, phase_per_m=phase_per_m)
 
 
 def together(phasors: Phasors, target: Target, valid: NDArray[np.bool_]) -> NDArray[np.complex64]:

@@ -7,11 +7,12 @@ Ma et al., "Structural displacement estimation using accelerometer and FMCW mill
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from midspan.calibration.time_offset import OffsetSearch
+from midspan.engine.radar_target import FollowedTarget
 from midspan.errors import DataError, UsageError
 from midspan.radar.channels import Phasors
 from midspan.radar.chirp import SPEED_OF_LIGHT_M_S
@@ -25,27 +26,31 @@ from midspan.recording.radar.calibrate import (
     found_targets,
     nearest_peak,
     one_clock,
-    phasors_of,
     searched,
     searched_bias,
+    series_of,
 )
-from midspan.recording.radar.frames import bin_m_of, check_same_radar, even_places, samples_of, without_holes
-from midspan.recording.radar.trace import Followed, SeenFrames, radar_trace
-from midspan.recording.radar.track import RadarTrack, read_targets, target_series
+from midspan.recording.radar.frames import (
+    even_places,
+    fetched,
+    samples_of,
+    without_holes,
+)
+from midspan.recording.radar.trace import RadarLog
 from midspan.recording.radar.window import OpenedWindow, opened_window
 from midspan.recording.stored.radar import RadarCalibration, RadarTarget
-from midspan.recording.streams.acceleration import PreparedAcceleration
+from midspan.recording.streams.measured import frames_used
 from midspan.recording.streams.progress import Progress
 from midspan.recording.streams.recording import Recording
-from midspan.records import NANOSECONDS, Displacement, Floats, Source, Status, TimeOffset, seconds
-from midspan.sources.radar.radar_source import RadarInfo, RadarSource
+from midspan.records import NANOSECONDS, Displacement, Floats, PhaseMeasurement, Source, Status, TimeOffset, seconds
+from midspan.sources.radar.radar_source import RadarInfo
 
 # A range that goes on at half a cycle a frame for this long, s, has lost cycles: no structure moves so.
 RUN_AWAY_S = 2.0
 # The window without its ends must be at least this long, s, and the frames at least this frequent, Hz.
 LEAST_INNER_S, LEAST_RATE_HZ = 4.0, 2.0
 RAN_AWAY = (
-    "the printed unwrapping (fusion.literal) lost cycles and ran away (equations 12 to 15 do not return): the "
+    "radar: the printed unwrapping (fusion.literal) lost cycles and ran away (equations 12 to 15 do not return): the "
     "displacement is wrong from there on. Leave fusion.literal out."
 )
 ONE_CLOCK = "fusion.literal: no target's phase tells the radar's clock offset; the clocks are taken for one."
@@ -85,26 +90,30 @@ def calibrate_radar_literal(recording: Recording, progress: Progress) -> RadarFi
     return RadarFit(calibration, search.fit.input_density, searched_bias(search), warnings)
 
 
-def literal_track(
-    source: RadarSource,
-    calibration: RadarCalibration,
-    prepared: PreparedAcceleration,
-    used: slice,
-    progress: Progress,
-) -> RadarTrack:
-    """Displacement at the chosen target through the frames `used` of a source, by equations 10 and 12 to 16.
+@dataclass(frozen=True, slots=True)
+class Printed:
+    """The displacement as printed, a row a frame on the accelerometer's clock; whether it ran away; the frames' log."""
 
-    A frame that never arrived takes the predicted phase and is no measurement. Raises UsageError where the calibration
-    belongs to other settings of the radar.
+    measured: Displacement
+    ran_away: bool
+    log: RadarLog
+
+
+def printed_displacement(recording: Recording, calibration: RadarCalibration, progress: Progress) -> Printed:
+    """Displacement at the chosen target through a recording, by equations 10 and 12 to 16.
+
+    A frame that never arrived takes the predicted phase and is no measurement.
     """
-    check_same_radar(source, calibration)
-    best = calibration.best
-    own = read_targets(source, [(best, np.array([best.place_bin]))], used, progress)[0]
+    source, best = recording.radar, calibration.best
+    used = frames_used(source.times_ns(), recording.prepared.time_ns, round(recording.max_offset_s * NANOSECONDS))
+    bins = np.array([best.place_bin])
+    blocks = source.slow_time(bins, used.start, used.stop)
+    own = fetched(blocks, [(best, bins)], used.stop - used.start, progress)[0]
     places, origin = even_places(own.time_ns), int(own.time_ns[0])
     z = np.full(int(places[-1]) + 1, np.nan, dtype=np.complex64)
     z[places] = own.phasors[:, 0]
     frame_s = np.interp(np.arange(len(z)), places, seconds(own.time_ns, origin))
-    level = _level(samples_of(prepared, origin), frame_s + calibration.offset.value_s)
+    level = _level(samples_of(recording.prepared, origin), frame_s + calibration.offset.value_s)
     unit = printed_phase_per_m(source.info)
     series = _series(z, frame_s, level, (best, unit))
     measured = Displacement(
@@ -113,20 +122,15 @@ def literal_track(
         variance_m2=series.variance_m2[places],
         source=np.full(len(places), Source.RADAR, dtype=np.uint8),
     )
-    gone = np.nan_to_num(series.value_m[places])
-    lost = np.asarray(~np.isfinite(own.phasors[:, 0]))
-    alone = replace(best, weights=np.ones(1, dtype=np.complex128))
-    frames = SeenFrames(measured.time_ns, places, own.phasors[:, None, :], ~lost[:, None])
-    return RadarTrack(
-        measured=measured,
-        targets=(series,),
-        places=places,
-        lost=lost,
-        datums=(),
-        # What ran away is as uncertain as it is large.
-        bent_m=np.stack((0.0 * gone, 0.0 * gone if series.explained else gone)),
-        trace=radar_trace(frames, (Followed(alone, series, unit),), limit_speed_m_s=source.info.limit_speed_m_s),
-    )
+    period_s = 1.0 / source.info.frame_rate_hz
+    log = RadarLog([FollowedTarget(best, unit, bins, np.nan, period_s)])
+    for k, strength in enumerate(np.abs(np.nan_to_num(own.phasors[:, 0])) / best.amplitude):
+        phase = unit * series.range_change_m[places[k]]
+        status = Status.TRACKING if np.isfinite(phase) else Status.COASTING
+        one = PhaseMeasurement(int(measured.time_ns[k]), float(phase), 0.0, 0.0, status, float(strength))
+        log.push([one])
+    gone = ran_away(series.range_change_m, period_s=period_s, phase_per_m=unit)
+    return Printed(measured, gone, log)
 
 
 def require_same_way(calibration: RadarCalibration, literal: bool) -> None:
@@ -210,9 +214,7 @@ def _accelerometer_by_clean_target(
     """
     usable = tuple(peak for peak in peaks if not peak.objection)
     if usable:
-        clean, info = ranked(usable)[0], recording.radar.info
-        given = (info.axis.phase_per_m(clean.range_m), bin_m_of(info), window.samples)
-        series = target_series(phasors_of(window.frames, clean, info), clean, given)
+        series = series_of(window.frames, ranked(usable)[0], recording.radar.info, window.samples)
     return searched(recording, window.frames, series, window.clock)
 
 
@@ -276,23 +278,8 @@ def _series(z: Phasors, frame_s: Floats, level: Floats, given: tuple[Target, flo
     factor = target.conversion_factor
     change = printed_change(z, level / factor, period_s=period_s, phase_per_m=unit)
     seen = np.isfinite(z) & np.isfinite(change)
-    runs_away = ran_away(change, period_s=period_s, phase_per_m=unit)
-    variance = np.where(seen, target.noise_m**2, np.inf)
-    return TargetSeries(
-        value_m=np.where(seen, factor * change, np.nan),
-        variance_m2=variance,
-        range_change_m=np.where(seen, change, np.nan),
-        status=np.where(seen, np.uint8(Status.TRACKING), np.uint8(Status.COASTING)),
-        restarts=(),
-        verdicts=(),
-        alignment=None,
-        noise_variance_m2=variance,
-        predicted_m=change,
-        predicted_variance_m2=np.full(len(z), np.inf),
-        clutter_m=0.0,
-        explained=not runs_away,
-        warnings=(RAN_AWAY,) if runs_away else (),
-    )
+    change = np.where(seen, change, np.nan)
+    return TargetSeries(factor * change, np.where(seen, target.noise_m**2, np.inf), change)
 
 
 def _warnings(best: Target, series: TargetSeries) -> list[str]:

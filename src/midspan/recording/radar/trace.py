@@ -1,28 +1,28 @@
-"""What is kept of a radar's whole record for the report: thinned arrays of bounded size, however long it is."""
+"""What is kept of a radar's frames while a record runs: thinned arrays of bounded size, however long it is."""
 
-from dataclasses import dataclass
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
-from midspan.radar.channels import Phasors, combined
-from midspan.radar.measurement import TargetSeries
-from midspan.radar.target import Target
-from midspan.records import NANOSECONDS, Floats, Nanoseconds
-from midspan.signals.thinning import starts
+from midspan.engine.radar_target import FollowedTarget
+from midspan.records import NANOSECONDS, Floats, Nanoseconds, PhaseMeasurement, Status
 
-# Stretches that a record is thinned to.
-MOST_STRETCHES = 2000
-# Length of the stretch of phase that is kept whole, s, and the time over which its speed is taken, s.
+# A record is thinned to so many segments, or half as many.
+MAX_SEGMENTS = 2000
+# Length of the part of the phase that is kept whole, s, and the time over which its speed is taken, s.
 EXCERPT_S, SPEED_S = 2.5, 0.03
+# Events after which the phase goes on from another place.
+STEPS = ("new datum", "cycle")
 
 
 @dataclass(frozen=True, slots=True)
 class TargetTrace:
-    """One target over the record, in stretches (k,) from time_ns on the accelerometer's clock.
+    """One target over the record, in segments (k,) from time_ns on the accelerometer's clock.
 
     low, high: amplitude as a share of the calibrated one, NaN where no frame was received; used: share of the frames
-    that told the displacement; restarts_ns: frames from which on the cycle had to be found anew.
+    that gave a phase; restarts_ns: frames from which on the zero of the phase is a new one.
     """
 
     range_m: float
@@ -37,8 +37,8 @@ class TargetTrace:
 class PhaseExcerpt:
     """The fastest seconds of the best target's phase, rad, arrays (n,) at time_ns on the accelerometer's clock.
 
-    wrapped: as measured, −π … π; plain: unwrapped by the nearest cycle from frame to frame; unwrapped: as it was used,
-    NaN where it was not.
+    wrapped: −π … π, counted from the first used frame; plain: unwrapped by the nearest cycle from frame to frame;
+    unwrapped: as it was used, NaN where it was not.
     """
 
     time_ns: Nanoseconds
@@ -51,7 +51,7 @@ class PhaseExcerpt:
 class RadarTrace:
     """The radar over the whole record.
 
-    targets: best first; low, high (k,): unwrapped phase of the best one, rad, in the stretches of its trace;
+    targets: best first; low, high (k,): unwrapped phase of the best one, rad, in the segments of its trace;
     speed_m_s: largest in the line of sight; limit_speed_m_s: where plain unwrapping fails; excerpt: None where
     nothing was seen.
     """
@@ -64,92 +64,134 @@ class RadarTrace:
     excerpt: PhaseExcerpt | None
 
 
-@dataclass(frozen=True, slots=True)
-class SeenFrames:
-    """The frames of a record that were received, whole or in part.
+@dataclass(slots=True)
+class _Segments:
+    """One target's segments, each of so many frames (`length`) but the last: a list of numbers for each.
 
-    time_ns (n,): on the accelerometer's clock; places (n,): on an even grid from 0 on; phasors (n, channels, targets)
-    and valid (n, channels).
+    rows: first stamp (ns), lowest and highest strength, lowest and highest phase (rad), used frames, frames.
     """
 
-    time_ns: Nanoseconds
-    places: NDArray[np.int64]
-    phasors: Phasors
-    valid: NDArray[np.bool_]
+    rows: list[list[float]] = field(default_factory=list)
+    length: int = 1
+
+    def push(self, one: PhaseMeasurement) -> None:
+        """Take the next frame."""
+        strength = one.strength if one.strength > 0.0 else np.nan
+        used = float(one.status == Status.TRACKING)
+        row = [one.time_ns, strength, strength, one.phase_rad, one.phase_rad, used, 1.0]
+        if self.rows and self.rows[-1][6] < self.length:
+            self.rows[-1] = _joined(self.rows[-1], row)
+            return
+        if len(self.rows) == MAX_SEGMENTS:
+            self.rows = [_joined(*self.rows[k : k + 2]) for k in range(0, MAX_SEGMENTS, 2)]
+            self.length *= 2
+        self.rows.append(row)
+
+    def columns(self) -> list[Floats]:
+        """The seven columns (k,) of all segments but the stamps, which come from `stamps`."""
+        return list(np.array(self.rows, dtype=np.float64).reshape(-1, 7).T)
+
+    def stamps(self) -> Nanoseconds:
+        """First stamps (k,) of the segments."""
+        return np.array([row[0] for row in self.rows], dtype=np.int64)
 
 
-@dataclass(frozen=True, slots=True)
-class Followed:
-    """A calibrated target as it was followed: its series on an even grid of frames, and rad per m of its range."""
-
-    target: Target
-    series: TargetSeries
-    phase_per_m: float
+def _joined(a: list[float], b: list[float]) -> list[float]:
+    """Two segments that follow each other as one; NaN is left out of the extremes."""
+    lows = [b[k] if a[k] != a[k] or b[k] < a[k] else a[k] for k in (1, 3)]
+    highs = [b[k] if a[k] != a[k] or b[k] > a[k] else a[k] for k in (2, 4)]
+    return [a[0], lows[0], highs[0], lows[1], highs[1], a[5] + b[5], a[6] + b[6]]
 
 
-def radar_trace(frames: SeenFrames, followed: tuple[Followed, ...], *, limit_speed_m_s: float) -> RadarTrace:
-    """Thin what the targets showed; followed: in the order of the phasors, best first.
+class _Fastest:
+    """The fastest part of a phase: of the last frames the place that moved by the most in SPEED_S, and about it."""
 
-    limit_speed_m_s: line-of-sight speed from which plain unwrapping fails.
-    """
-    time_ns, places = frames.time_ns, frames.places
-    seen = [
-        combined(frames.phasors[..., k], one.target.weights, frames.valid) - one.target.leak
-        for k, one in enumerate(followed)
-    ]
-    best = followed[0]
-    phase_rad = best.phase_per_m * best.series.range_change_m[places]
-    at = starts(len(time_ns), MOST_STRETCHES)
-    step_s = float(np.median(np.diff(time_ns))) / NANOSECONDS
-    lag = max(1, round(SPEED_S / step_s))
-    speed = np.abs(phase_rad[lag:] - phase_rad[:-lag]) / (best.phase_per_m * lag * step_s)
-    # Across a pause, or where the cycle was found anew, the difference is no speed.
-    speed[(places[lag:] - places[:-lag] > lag) | _restarted(best.series, places, lag)] = np.nan
-    fastest = int(np.nanargmax(speed)) if np.isfinite(speed).any() else -1
-    return RadarTrace(
-        targets=tuple(_target(frames, np.abs(z), one) for z, one in zip(seen, followed, strict=True)),
-        low=np.fmin.reduceat(phase_rad, at),
-        high=np.fmax.reduceat(phase_rad, at),
-        speed_m_s=float(speed[fastest]) if fastest >= 0 else np.nan,
-        limit_speed_m_s=limit_speed_m_s,
-        excerpt=_excerpt(fastest, time_ns, phase_rad, np.angle(seen[0])) if fastest >= 0 else None,
-    )
+    def __init__(self, period_s: float) -> None:
+        self._lag = max(1, round(SPEED_S / period_s))
+        self._lag_ns = (self._lag + 0.5) * period_s * NANOSECONDS
+        self._half_ns = round(0.5 * EXCERPT_S * NANOSECONDS)
+        self._near: deque[tuple[int, float]] = deque()
+        self._since: deque[tuple[int, float]] = deque(maxlen=self._lag + 1)
+        self._at_ns: int | None = None
+        self.rate_rad_s = np.nan
+        self._kept: list[tuple[int, float]] = []
 
+    def push(self, one: PhaseMeasurement) -> None:
+        """Take the next frame."""
+        if any(event.kind in STEPS for event in one.events):
+            self._since.clear()
+        frame = (one.time_ns, one.phase_rad)
+        self._near.append(frame)
+        self._since.append(frame)
+        while self._near[0][0] < one.time_ns - 2 * self._half_ns:
+            self._near.popleft()
+        first = self._since[0]
+        passed_ns = one.time_ns - first[0]
+        if len(self._since) > self._lag and passed_ns < self._lag_ns:
+            rate = abs(one.phase_rad - first[1]) * NANOSECONDS / passed_ns
+            if rate > self.rate_rad_s or (np.isnan(self.rate_rad_s) and np.isfinite(rate)):
+                self.rate_rad_s, self._at_ns = rate, one.time_ns
+        if self._at_ns is not None and one.time_ns >= self._at_ns + self._half_ns:
+            self._kept, self._at_ns = list(self._near), None
 
-def _restarted(series: TargetSeries, places: NDArray[np.int64], lag: int) -> NDArray[np.bool_]:
-    """Whether the cycle was found anew within the `lag` frames after each frame (n − lag,)."""
-    count = np.zeros(int(places[-1]) + 2, dtype=np.int64)
-    count[np.array(series.restarts, dtype=np.int64)] = 1
-    before = np.cumsum(count)
-    return np.asarray(before[places[lag:]] > before[places[:-lag]])
-
-
-def _target(frames: SeenFrames, amplitude: Floats, followed: Followed) -> TargetTrace:
-    time_ns, places = frames.time_ns, frames.places
-    at = starts(len(time_ns), MOST_STRETCHES)
-    share = np.asarray(amplitude, dtype=np.float64) / followed.target.amplitude
-    used = np.isfinite(followed.series.range_change_m[places]).astype(np.float64)
-    again = np.searchsorted(places, np.array(followed.series.restarts, dtype=np.int64))
-    return TargetTrace(
-        range_m=followed.target.range_m,
-        time_ns=time_ns[at],
-        low=np.fmin.reduceat(share, at),
-        high=np.fmax.reduceat(share, at),
-        used=np.add.reduceat(used, at) / np.diff(np.append(at, len(time_ns))),
-        restarts_ns=time_ns[np.minimum(again, len(time_ns) - 1)],
-    )
+    def excerpt(self) -> PhaseExcerpt | None:
+        """The seconds about the fastest frame."""
+        frames = self._kept if self._at_ns is None else list(self._near)
+        if not frames:
+            return None
+        time_ns = np.array([time for time, _ in frames], dtype=np.int64)
+        unwrapped = np.array([phase for _, phase in frames])
+        wrapped = np.angle(np.exp(1j * unwrapped))
+        known = np.isfinite(wrapped)
+        plain = np.full(len(wrapped), np.nan)
+        plain[known] = np.unwrap(wrapped[known])
+        # Both ways of unwrapping begin at the same place.
+        first = int(np.argmax(known))
+        return PhaseExcerpt(time_ns, wrapped, plain + (unwrapped[first] - plain[first]), unwrapped)
 
 
-def _excerpt(fastest: int, time_ns: Nanoseconds, phase_rad: Floats, wrapped_rad: Floats) -> PhaseExcerpt:
-    """The stretch about the fastest frame."""
-    half = round(0.5 * EXCERPT_S * NANOSECONDS)
-    middle = int(time_ns[fastest])
-    first, last = (int(k) for k in np.searchsorted(time_ns, (middle - half, middle + half)))
-    cut = slice(first, last)
-    known = np.isfinite(wrapped_rad[cut])
-    plain = np.full(last - first, np.nan)
-    plain[known] = np.unwrap(wrapped_rad[cut][known])
-    # Both ways of unwrapping begin at the same place.
-    both = np.flatnonzero(known & np.isfinite(phase_rad[cut]))
-    shift = phase_rad[cut][both[0]] - plain[both[0]] if len(both) else 0.0
-    return PhaseExcerpt(time_ns[cut].copy(), wrapped_rad[cut].copy(), plain + shift, phase_rad[cut].copy())
+class RadarLog:
+    """Takes what a radar's stage found in each frame; targets: in its order, best first."""
+
+    def __init__(self, targets: Sequence[FollowedTarget]) -> None:
+        self.targets = tuple(targets)
+        self.frames = 0
+        self.lost = 0
+        self.used = [0] * len(self.targets)
+        self._segments = [_Segments() for _ in self.targets]
+        self._restarts: list[list[int]] = [[] for _ in self.targets]
+        self._fastest = _Fastest(self.targets[0].period_s)
+
+    def push(self, found: Sequence[PhaseMeasurement]) -> None:
+        """Take the measurements of one frame, one a target."""
+        self.frames += 1
+        self.lost += all(one.strength == 0.0 for one in found)
+        for k, one in enumerate(found):
+            self.used[k] += one.status == Status.TRACKING
+            self._segments[k].push(one)
+            self._restarts[k] += [event.time_ns for event in one.events if event.kind == "new datum"]
+        self._fastest.push(found[0])
+
+    @property
+    def restarts_ns(self) -> Nanoseconds:
+        """Instants (k,) from which on the zero of any target is a new one."""
+        return np.array(sorted({stamp for own in self._restarts for stamp in own}), dtype=np.int64)
+
+    def trace(self, limit_speed_m_s: float) -> RadarTrace:
+        """What a report draws; limit_speed_m_s: line-of-sight speed from which plain unwrapping fails."""
+        _, _, _, low, high, _, _ = self._segments[0].columns()
+        return RadarTrace(
+            targets=tuple(self._target(k) for k in range(len(self.targets))),
+            low=low,
+            high=high,
+            speed_m_s=self._fastest.rate_rad_s / self.targets[0].phase_per_m,
+            limit_speed_m_s=limit_speed_m_s,
+            excerpt=self._fastest.excerpt(),
+        )
+
+    def _target(self, number: int) -> TargetTrace:
+        segments = self._segments[number]
+        _, low, high, _, _, used, frames = segments.columns()
+        restarts = np.array(self._restarts[number], dtype=np.int64)
+        place = self.targets[number].target.range_m
+        return TargetTrace(place, segments.stamps(), low, high, used / frames, restarts)

@@ -2,6 +2,7 @@
 
 import json
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -10,13 +11,37 @@ from typing import Any
 from midspan._version import __version__
 from midspan.calibration.noise import NoiseCalibration
 from midspan.calibration.scale import ScaleCalibration
+from midspan.engine.axis import AxisFigures
 from midspan.recording.stored.camera import CameraCalibration
 from midspan.recording.stored.displacement import DisplacementCalibration
-from midspan.recording.stored.json_values import finite_or_none
 from midspan.recording.stored.radar import RadarCalibration
+from midspan.recording.stored.sections import (
+    camera_tree,
+    displacement_tree,
+    finite_or_none,
+    radar_tree,
+    scale_tree,
+    usual_tree,
+)
+from midspan.settings.kinds import KINDS, sensor_names
+from midspan.settings.recording import Sensor
 from midspan.writing import write_whole
 
 CALIBRATION_FILE = "calibration.json"
+SensorCalibration = CameraCalibration | RadarCalibration | DisplacementCalibration
+# How the section of each kind is written.
+TREES: dict[str, Callable[[Any], dict[str, Any]]] = {
+    "camera": camera_tree,
+    "infrared": camera_tree,
+    "radar": radar_tree,
+    "displacement": displacement_tree,
+}
+
+
+def placed(sensors: Sequence[SensorCalibration]) -> dict[str, Any]:
+    """The fields of `Calibration` that hold sensors in the order of KINDS."""
+    first = {one.kind: one for one in reversed(sensors)}
+    return first | {"others": tuple(one for one in sensors if one is not first[one.kind])}
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,10 +49,13 @@ class Calibration:
     """Everything `calibrate` learns about a recording's sensors.
 
     noise_std_m_s2: white noise of the acceleration per sample; bias_m_s2, bias_std_m_s2: the accelerometer's bias at
-    the end of the window and its standard deviation, infinite where that is not known. across: the same along the
-    second image axis, with camera.direction = "xy"; where that has no accelerometer, the noise is the motion's own
-    acceleration. left_out: the second axis "x" or "y" where nothing could be learnt of it, else empty. diagnostics:
-    what the estimates rest on, for the report; not stored in the file.
+    the end of the window and its standard deviation, infinite where that is not known. camera, infrared, radar,
+    displacement: the first sensor of each kind; others: further ones, each with its name. accelerometer_scale: gain of
+    the accelerometer relative to a displacement sensor, 1 where it cannot be learnt, with its standard deviation.
+    across: the same along the second image axis, with camera.direction = "xy"; where that has no accelerometer, the
+    noise is the motion's own acceleration. left_out: the second axis "x" or "y" where nothing could be learnt of it,
+    else empty. usual: what is usual of the acceleration, None where the file does not tell it.
+    diagnostics: what the estimates rest on, for the report; not stored in the file.
     """
 
     noise_std_m_s2: float
@@ -42,6 +70,10 @@ class Calibration:
     left_out: str = ""
     created: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds"))
     version: str = __version__
+    others: tuple[SensorCalibration, ...] = ()
+    accelerometer_scale: float = 1.0
+    accelerometer_scale_std: float = 0.0
+    usual: AxisFigures | None = None
     diagnostics: "ScaleCalibration | NoiseCalibration | None" = field(default=None, compare=False, repr=False)
 
     @property
@@ -49,9 +81,32 @@ class Calibration:
         """The camera whose zero counts and whose axes the columns belong to, of light or infrared."""
         return self.camera or self.infrared
 
-    def of(self, sensor: str) -> CameraCalibration | None:
-        """The part of the section "camera" or "infrared"."""
-        return self.infrared if sensor == "infrared" else self.camera
+    def of_kind(self, kind: str) -> tuple[SensorCalibration, ...]:
+        """All sensors of one kind: "camera", "infrared", "radar" or "displacement"."""
+        first = getattr(self, kind)
+        return (*(() if first is None else (first,)), *(one for one in self.others if one.kind == kind))
+
+    @property
+    def sensors(self) -> tuple[tuple[str, str, SensorCalibration], ...]:
+        """Name, kind and values of all sensors, in the order camera, infrared, radar, displacement."""
+        listed = {kind: self.of_kind(kind) for kind in KINDS}
+        names = iter(sensor_names({kind: [one.name for one in listed[kind]] for kind in KINDS}))
+        return tuple((next(names), kind, one) for kind in KINDS for one in listed[kind])
+
+    def of(self, name: str) -> SensorCalibration | None:
+        """The values of the sensor of this name (its kind where it has none); None where there is no such sensor."""
+        return next((one for known, _, one in self.sensors if known == name), None)
+
+    def of_sensor(self, sensor: Sensor, beside: Sequence[Sensor] = ()) -> Any:
+        """The values of a recording's sensor, None where there are none; beside: the others of the recording.
+
+        They are those of its name, or where one of both has no name those of the only one of its kind.
+        """
+        named, own = self.of(sensor.name), self.of_kind(sensor.kind)
+        if named is not None and named.kind == sensor.kind:
+            return named
+        alone = len(own) == 1 and sensor.kind not in (other.kind for other in beside)
+        return own[0] if alone and (own[0].name is None or sensor.name == sensor.kind) else None
 
     @property
     def direction(self) -> str:
@@ -65,32 +120,33 @@ class Calibration:
         return self.noise_std_m_s2**2 / rate_hz
 
     def to_dict(self) -> dict[str, Any]:
-        """The contents of `calibration.json`: mm, px, s and m/s²."""
+        """The contents of `calibration.json`: mm, px, s and m/s²; of a kind with several sensors a list."""
         tree: dict[str, Any] = {
             "version": self.version,
             "created": self.created,
             "warnings": list(self.warnings),
             "accelerometer": {
-                "noise_std_m_s2": self.noise_std_m_s2,
-                "bias_m_s2": self.bias_m_s2,
-                "bias_std_m_s2": finite_or_none(self.bias_std_m_s2),
+                **_acceleration_tree(self),
+                "scale": self.accelerometer_scale,
+                "scale_std": self.accelerometer_scale_std,
             },
         }
-        first = self.first_camera
-        if first:
-            own = first.to_dict() | ({"left_out": self.left_out} if self.left_out else {})
-            if self.across is not None and self.across.first_camera is not None:
-                sides = ((part.first_camera, part) for part in (self, self.across))
-                both = {camera.direction: _axis_dict(part) for camera, part in sides if camera is not None}
-                own |= {"direction": "xy", "axis": first.direction, "axes": both}
-            tree["infrared" if self.camera is None else "camera"] = own
-        if self.camera and self.infrared:
-            tree["infrared"] = self.infrared.to_dict()
-        if self.radar:
-            tree["radar"] = self.radar.to_dict()
-        if self.displacement:
-            tree["displacement"] = self.displacement.to_dict()
+        for kind, written in TREES.items():
+            listed = [
+                written(one) | (self._second_axis() if one is self.first_camera else {}) for one in self.of_kind(kind)
+            ]
+            if listed:
+                tree[kind] = listed if len(listed) > 1 else listed[0]
         return tree
+
+    def _second_axis(self) -> dict[str, Any]:
+        """What the first camera's section has besides where both image axes are measured, or one was left out."""
+        first, other = self.first_camera, None if self.across is None else self.across.first_camera
+        left_out = {"left_out": self.left_out} if self.left_out else {}
+        if self.across is None or first is None or other is None:
+            return left_out
+        both = {first.direction: _axis_tree(first, self), other.direction: _axis_tree(other, self.across)}
+        return left_out | {"direction": "xy", "axis": first.direction, "axes": both}
 
     def save(self, path: str | Path) -> Path:
         """Write `calibration.json`; a folder gets a file of that name."""
@@ -100,17 +156,15 @@ class Calibration:
         return path
 
 
-def _axis_dict(part: Calibration) -> dict[str, Any]:
-    """What belongs to one image axis where both are measured."""
-    camera = part.first_camera
-    assert camera is not None
-    return {
-        "fused": camera.fused,
-        **camera.scale_dict(),
-        "noise_std_px": camera.noise_std_px,
-        "variance_factor": camera.variance_factor,
-        "accelerometer_noise_std_m_s2": part.noise_std_m_s2,
-        "accelerometer_bias_m_s2": part.bias_m_s2,
-        "accelerometer_bias_std_m_s2": finite_or_none(part.bias_std_m_s2),
-        "targets": [target.to_dict() for target in camera.targets],
+def _acceleration_tree(part: Calibration, prefix: str = "") -> dict[str, Any]:
+    usual = {} if part.usual is None else {f"{prefix}usual": usual_tree(part.usual)}
+    return usual | {
+        f"{prefix}noise_std_m_s2": part.noise_std_m_s2,
+        f"{prefix}bias_m_s2": part.bias_m_s2,
+        f"{prefix}bias_std_m_s2": finite_or_none(part.bias_std_m_s2),
     }
+
+
+def _axis_tree(camera: CameraCalibration, part: Calibration) -> dict[str, Any]:
+    """What belongs to one image axis where both are measured."""
+    return {"fused": camera.fused, **scale_tree(camera), **_acceleration_tree(part, "accelerometer_")}

@@ -2,11 +2,9 @@
 
 import math
 from dataclasses import dataclass, field
-from typing import Any
 
 from midspan.calibration.scale import ScaleCalibration
-from midspan.engine.monitor import CameraScale
-from midspan.recording.stored.json_values import finite_or_none
+from midspan.engine.scale import CameraScale
 from midspan.records import Region, ScaleFactor, Source, TimeOffset
 from midspan.vision.lens import Lens
 
@@ -26,20 +24,6 @@ class TargetCalibration:
     used: bool = True
     reason: str = ""
 
-    def to_dict(self) -> dict[str, Any]:
-        """One of `targets` in `calibration.json`: px and mm."""
-        region, scale = self.region, self.scale
-        return {
-            "name": self.name,
-            "roi": [region.x, region.y, region.width, region.height],
-            "scale_mm_per_px": None if scale is None else 1e3 * scale.value_m_per_px,
-            "scale_std_mm_per_px": None if scale is None else 1e3 * math.sqrt(scale.variance),
-            "noise_std_px": finite_or_none(self.noise_std_px),
-            "variance_factor": finite_or_none(self.variance_factor),
-            "used": self.used,
-            "reason": self.reason,
-        }
-
 
 @dataclass(frozen=True, slots=True)
 class CameraCalibration:
@@ -49,8 +33,8 @@ class CameraCalibration:
     active pixels' mean phase, with the trackers that use it. targets: all of them. fused: whether this axis has an
     accelerometer; without one the scale factor is the other axis's. relative_scale_std: of all targets together.
     lens: what the pixels were corrected by; the scale factor holds for that lens only. source: which camera it is.
-    temperature_range_c: of a thermal camera what its tracker saw, °C. diagnostics: what the best target's values rest
-    on, for the report; not stored in the file.
+    temperature_range_c: of a thermal camera what its tracker saw, °C. name: where there are several sensors
+    of a kind. diagnostics: what the best target's values rest on, for the report; not stored in the file.
     """
 
     scale: ScaleFactor
@@ -67,7 +51,13 @@ class CameraCalibration:
     lens: Lens | None = None
     source: Source = Source.CAMERA
     temperature_range_c: tuple[float, float] | None = None
+    name: str | None = None
     diagnostics: ScaleCalibration | None = field(default=None, compare=False, repr=False)
+
+    @property
+    def kind(self) -> str:
+        """The section that it stands in, "camera" or "infrared"."""
+        return self.source.word
 
     @property
     def used(self) -> tuple[TargetCalibration, ...]:
@@ -101,30 +91,3 @@ class CameraCalibration:
             relative_std=math.sqrt(target.scale.variance) / abs(value),
             source=self.source,
         )
-
-    def to_dict(self) -> dict[str, Any]:
-        """The section `camera` or `infrared` of `calibration.json`: px, mm and s."""
-        region = self.region
-        return {
-            **self.scale_dict(),
-            "time_offset_s": self.offset.value_s,
-            "time_offset_std_s": finite_or_none(math.sqrt(self.offset.variance)),
-            "roi": [region.x, region.y, region.width, region.height],
-            "direction": self.direction,
-            "tracker": self.tracker,
-            "noise_std_px": self.noise_std_px,
-            "variance_factor": self.variance_factor,
-            "targets": [target.to_dict() for target in self.targets],
-            **({} if self.lens is None else {"lens": self.lens.to_dict()}),
-            **({} if self.temperature_range_c is None else {"temperature_range_c": list(self.temperature_range_c)}),
-        }
-
-    def scale_dict(self) -> dict[str, Any]:
-        """What of it is the scale's, in mm."""
-        phase, relative = self.phase_scale_m_per_rad, self.relative_scale_std
-        return {
-            **({} if phase is None else {"phase_scale_mm_per_rad": 1e3 * phase}),
-            "scale_mm_per_px": 1e3 * self.scale.value_m_per_px,
-            "scale_std_mm_per_px": 1e3 * math.sqrt(self.scale.variance),
-            **({} if relative is None else {"relative_scale_std": relative}),
-        }

@@ -1,16 +1,12 @@
 """The radar's part of a calibration: which fixed targets are used, their conversion factors, one clock offset."""
 
-import math
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from midspan.radar.following import Background
 from midspan.radar.target import Target
-from midspan.recording.stored.json_values import finite_or_none
-from midspan.records import Floats, TimeOffset
+from midspan.records import Floats, Source, TimeOffset
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +44,7 @@ class RadarCalibration:
     targets: all that were found, the used ones first and of these the best one first; offset: of the radar's clock,
     shared by all; variance_factor: learnt variance over what the signal-to-noise ratio says; relative_std: of the
     conversion factors of the used targets together; carrier_hz, channels: of the radar that it was made with; literal:
-    target, factor and unwrapping as printed (`recording/radar/literal.py`).
+    target, factor and unwrapping as printed (`recording/radar/literal.py`); name: where there are several radars.
     """
 
     targets: tuple[RadarTarget, ...]
@@ -58,7 +54,13 @@ class RadarCalibration:
     carrier_hz: float
     channels: int
     literal: bool = False
+    name: str | None = None
     diagnostics: RadarDiagnostics | None = field(default=None, compare=False, repr=False)
+
+    @property
+    def kind(self) -> str:
+        """The section that it stands in."""
+        return Source.RADAR.word
 
     @property
     def used(self) -> tuple[Target, ...]:
@@ -69,55 +71,3 @@ class RadarCalibration:
     def best(self) -> Target:
         """The target that gives the zero."""
         return self.used[0]
-
-    def to_dict(self) -> dict[str, Any]:
-        """The section `radar` of calibration.json; complex numbers as [real, imaginary]."""
-        best = self.best
-        return {
-            "conversion_factor": best.conversion_factor,
-            "conversion_factor_std": best.conversion_factor_std,
-            "relative_std": self.relative_std,
-            "target_range_m": finite_or_none(best.range_m),
-            "time_offset_s": self.offset.value_s,
-            "time_offset_std_s": finite_or_none(math.sqrt(self.offset.variance)),
-            "noise_std_mm": 1e3 * best.noise_m,
-            "variance_factor": self.variance_factor,
-            "carrier_hz": self.carrier_hz,
-            "channels": self.channels,
-            "literal": self.literal,
-            "targets": [_target_dict(item) for item in self.targets],
-        }
-
-
-def _target_dict(item: RadarTarget) -> dict[str, Any]:
-    target = item.target
-    return {
-        "place_bin": target.place_bin,
-        "range_m": finite_or_none(target.range_m),
-        "snr_db": finite_or_none(target.snr_db),
-        "amplitude": target.amplitude,
-        "conversion_factor": finite_or_none(target.conversion_factor),
-        "conversion_factor_std": finite_or_none(target.conversion_factor_std),
-        "time_offset_s": finite_or_none(target.time_offset_s),
-        "time_offset_std_s": finite_or_none(target.time_offset_std_s),
-        "coherence": target.coherence,
-        "clutter": finite_or_none(target.clutter),
-        "disagreement_rad": target.disagreement_rad,
-        "noise_std_mm": finite_or_none(1e3 * target.noise_m),
-        "reach_bins": target.reach_bins,
-        "modulation_rad": finite_or_none(target.modulation_rad),
-        "phase_noise_rad2": target.phase_noise_rad2,
-        "leak": _pair(target.leak),
-        **({} if target.background is None else {"background": _background_dict(target.background)}),
-        "weights": [_pair(weight) for weight in target.weights],
-        "used": item.used,
-        "reason": item.reason,
-    }
-
-
-def _background_dict(background: Background) -> dict[str, Any]:
-    return {"bins": background.bins.tolist(), "phasors": [_pair(phasor) for phasor in background.phasors]}
-
-
-def _pair(value: complex) -> list[float]:
-    return [float(value.real), float(value.imag)]

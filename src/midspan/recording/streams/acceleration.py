@@ -1,23 +1,29 @@
 """From a channel as it was read to acceleration that a filter can use: missing samples bridged, marked and told."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from midspan.errors import DataError
 from midspan.recording.streams.span import inside, shown
-from midspan.records import NANOSECONDS, Acceleration, Event, Floats, Nanoseconds, TimeSeries, part, seconds
+from midspan.records import (
+    NANOSECONDS,
+    Acceleration,
+    Displacement,
+    Event,
+    Floats,
+    Nanoseconds,
+    TimeSeries,
+    joined,
+    part,
+    seconds,
+)
+from midspan.signals.bridging import GAP_STEPS, LONG_SHARE, LOWEST_HZ, missed_share, unknown_density
 from midspan.signals.health import Clock, Mask, bridged, clipped, clock, dominant_frequency, frozen, runs
 
-# Steps up to this many usual ones are jitter or a single lost sample, which the filter takes as they are.
-GAP_STEPS = 2.5
-# A gap is long when its density is above this share of that of a wholly unknown motion.
-LONG_SHARE = 0.1
 # Above this share of the rate the motion is so fast that integration errs by 1 % and more.
 FASTEST_SHARE = 0.2
-# Motion is not taken to be slower than this when something has to be bridged.
-LOWEST_HZ = 0.2
 # Share of samples that may be missing, frozen or clipped before the channel is refused.
 MOST_MISSING = 0.2
 MOST_CLIPPED = 0.05
@@ -155,16 +161,6 @@ def _refuse(where: str, mask: Mask, kind: str, rule: tuple[float, str]) -> None:
         )
 
 
-def missed_share(length_s: float, frequency_hz: float) -> float:
-    """Share of a motion's amplitude that a straight line over `length_s` misses, (2 pi f T)²/8, at most 1."""
-    return min(1.0, (2.0 * np.pi * frequency_hz * length_s) ** 2 / 8.0)
-
-
-def unknown_density(value: Floats, rate_hz: float) -> float:
-    """Noise density, (m/s²)²/Hz, for a motion like `value` (n,) that was not seen: its variance over its bandwidth."""
-    return float(np.var(value)) / max(dominant_frequency(value, rate_hz), LOWEST_HZ)
-
-
 def towards_mean(value: Floats, missing: Mask, rate_hz: float) -> Floats:
     """`value` (n,) with long bridged stretches drawn from their straight line to the mean of what was seen."""
     if not missing.any():
@@ -195,3 +191,17 @@ def _bridging_density(value: Floats, missing: Mask, gaps: Clock) -> Floats:
     for index, length_s in zip(gaps.gaps, gaps.gap_s, strict=True):
         density[index + 1] = max(density[index + 1], unseen(float(length_s)))
     return density
+
+
+def from_first_measurement(acceleration: Acceleration, measured: Displacement, rate_hz: float) -> Acceleration:
+    """Put a sample before the first measurement where that comes first: the zero belongs to it."""
+    first, start = int(measured.time_ns[0]), int(acceleration.time_ns[0])
+    if first >= start or start - first > 2 * NANOSECONDS:
+        return acceleration
+    value = float(np.mean(acceleration.value_m_s2[:100]))
+    # A whole sample's interval at least: over nanoseconds the step to the first sample would be an endless slope.
+    begin = min(first - 1, start - round(NANOSECONDS / rate_hz))
+    before = Acceleration(np.array([begin]), np.array([value]), acceleration.noise_density[:1])
+    widened = acceleration.noise_density.copy()
+    widened[0] += unknown_density(acceleration.value_m_s2, rate_hz)
+    return joined([before, replace(acceleration, noise_density=widened)])

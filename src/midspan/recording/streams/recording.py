@@ -8,10 +8,11 @@ from typing import Any
 
 from midspan.errors import DataError, MidspanError, UsageError
 from midspan.recording.streams.acceleration import PreparedAcceleration, prepare_acceleration, still
-from midspan.records import NANOSECONDS, TimeSeries
+from midspan.records import NANOSECONDS, Nanoseconds, TimeSeries
 from midspan.settings.camera import InfraredSettings
+from midspan.settings.kinds import CAMERAS, KINDS
 from midspan.settings.load import load_settings, settings_file
-from midspan.settings.recording import RecordingSettings
+from midspan.settings.recording import RecordingSettings, Sensor
 from midspan.settings.sensors import AccelerometerSettings, ChannelSettings
 from midspan.sources.accelerometer.formats import list_channels
 from midspan.sources.accelerometer.select import SeriesRequest, read_series
@@ -24,8 +25,6 @@ from midspan.sources.thermal.request import ThermalRequest
 
 # Share of the shortest stream by which its clock may be off where nothing else is said.
 MAX_OFFSET_SHARE = 0.2
-# The sections that name a file.
-SECTIONS = ("accelerometer", "camera", "infrared", "radar", "displacement", "reference")
 
 
 @contextmanager
@@ -46,13 +45,16 @@ class Recording:
     def __init__(self, file: Path, settings: RecordingSettings) -> None:
         self.file, self.settings = file, settings
         self._whole: Recording | None = None
+        # Of a view: what it is a view of, and its sensor.
         self._beside: Recording | None = None
+        self._own: Sensor | None = None
         # A camera that is dark before this instant is used from it on.
         self.sees_from_ns: int | None = None
 
     def __repr__(self) -> str:
-        sensors = [name for name in SECTIONS if self.has(name)]
-        return f"Recording({str(self.file)!r}, {self.name!r}: {', '.join(sensors)})"
+        names = ["accelerometer", *(sensor.name for sensor in self.sensors), "reference"]
+        shown = [name for name in names if name not in ("accelerometer", "reference") or self.has(name)]
+        return f"Recording({str(self.file)!r}, {self.name!r}: {', '.join(shown)})"
 
     @property
     def folder(self) -> Path:
@@ -63,6 +65,11 @@ class Recording:
     def name(self) -> str:
         """The recording's name, or its folder's."""
         return self.settings.name or self.folder.resolve().name
+
+    @property
+    def sensors(self) -> tuple[Sensor, ...]:
+        """All sensors beside the accelerometer, in the order camera, infrared, radar, displacement."""
+        return self.settings.sensors
 
     def has(self, section: str) -> bool:
         """Whether the settings have a section of this name."""
@@ -106,35 +113,65 @@ class Recording:
         return section is not None and section.estimate_scale
 
     @property
+    def own(self) -> Sensor:
+        """The sensor of this view, or the first one of all."""
+        return self._own or self.sensors[0]
+
+    @property
     def sensor(self) -> str:
-        """The section that the camera of this recording, or of this view of one, stands in."""
-        return "infrared" if isinstance(self.settings.camera, InfraredSettings) else "camera"
+        """The name of this view's sensor."""
+        return self.own.name
+
+    @property
+    def kind(self) -> str:
+        """The kind of this view's sensor, one of KINDS."""
+        return self.own.kind
+
+    @property
+    def beside(self) -> tuple[Sensor, ...]:
+        """The other sensors of the recording that this is a view of."""
+        return tuple(sensor for sensor in self._root.sensors if sensor.name != self.sensor)
+
+    @property
+    def gives_zero(self) -> bool:
+        """Whether the zero of this view's sensor is that of the displacement: the first one's."""
+        return self._root.sensors[0].name == self.sensor
+
+    @property
+    def _root(self) -> "Recording":
+        """The recording that this is a view of."""
+        above = self._beside or self._whole
+        return self if above is None else above._root
 
     @cached_property
-    def infrared(self) -> "Recording | None":
-        """The same recording seen by its thermal camera alone, as if that were its camera; None without one."""
-        if self.settings.infrared is None:
-            return None
-        known = type(self.settings).model_fields
-        others: dict[str, Any] = {name: None for name in ("displacement", "radar", "reference") if name in known}
-        changed = {"camera": self.settings.infrared, "infrared": None, **others}
-        view = Recording(self.file, self.settings.model_copy(update=changed))
-        view._beside = self
-        return view
+    def views(self) -> "tuple[Recording, ...]":
+        """The recording as each of its sensors sees it, alone, the one whose zero counts first.
+
+        A thermal camera stands in its view as if it were the camera.
+        """
+        if self._own is not None or (len(self.sensors) == 1 and self.kind != "infrared"):
+            return (self,)
+        nothing: dict[str, Any] = {"cameras": (), "infrareds": (), "radars": (), "displacements": (), "reference": None}
+        found = []
+        for sensor in self.sensors:
+            place = "cameras" if sensor.kind in CAMERAS else f"{sensor.kind}s"
+            view = Recording(self.file, self.settings.model_copy(update=nothing | {place: (sensor.settings,)}))
+            view._beside, view._own = self, sensor
+            found.append(view)
+        return tuple(found)
 
     def seeing(self, first_ns: int, last_ns: int, from_ns: int) -> "Recording":
         """The same recording calibrated from `first_ns` to `last_ns`, its camera's frames used from `from_ns` on."""
         span = (first_ns / NANOSECONDS, last_ns / NANOSECONDS)
         window = self.settings.calibration.model_copy(update={"window_s": span})
-        view = Recording(self.file, self.settings.model_copy(update={"calibration": window, "infrared": None}))
-        view._beside, view.sees_from_ns = self, from_ns
+        view = Recording(self.file, self.settings.model_copy(update={"calibration": window}))
+        view._beside, view._own, view.sees_from_ns = self, self.own, from_ns
         return view
 
     @property
     def cameras(self) -> "tuple[Recording, ...]":
         """The recording as each of its cameras sees it, the one whose zero counts first."""
-        own = (self,) if self.settings.camera is not None else ()
-        return own if self.infrared is None else (*own, self.infrared)
+        return tuple(view for view in self.views if view.kind in CAMERAS) if self.sensors else ()
 
     @cached_property
     def across(self) -> "Recording | None":
@@ -144,16 +181,16 @@ class Recording:
         """
         if len(self.settings.axes) < 2 or self.settings.accelerometer is None:
             return None
-        if self.settings.camera is None and self.infrared is not None:
-            return self.infrared.across
+        if self.views[0] is not self:
+            return self.views[0].across
         axis, accelerometer = self.settings.axes[1], self.accelerometer
         column = accelerometer.value_x if axis == "x" else accelerometer.value_y
         assert self.settings.camera is not None
         sensor = accelerometer.model_copy(update={"value": column, "value_x": None, "value_y": None})
         camera = self.settings.camera.model_copy(update={"direction": axis})
-        changed = {"accelerometer": sensor, "camera": camera, "radar": None, "displacement": None, "reference": None}
+        changed = {"accelerometer": sensor, "cameras": (camera,), "reference": None}
         view = Recording(self.file, self.settings.model_copy(update=changed))
-        view._whole = self
+        view._whole, view._own = self, self.own
         return view
 
     @property
@@ -190,7 +227,8 @@ class Recording:
     @cached_property
     def displacement(self) -> TimeSeries:
         """The channel of [displacement], m, on its own clock."""
-        return self._series("displacement", self.settings.displacement, "displacement")
+        section, key = self._section("displacement")
+        return self._series(key, section, "displacement")
 
     @property
     def max_offset_s(self) -> float:
@@ -201,19 +239,24 @@ class Recording:
         wanted = self.settings.calibration
         if "max_offset_s" in wanted.model_fields_set:
             return wanted.max_offset_s
-        streams = [self.prepared.time_ns]
-        streams += [self.frames.times_ns()] if self.has("camera") else []
-        streams += [self.radar.times_ns()] if self.has("radar") else []
+        streams = [self.prepared.time_ns, *self.frame_times]
         shortest = min((int(times[-1] - times[0]) for times in streams if len(times)), default=0)
         return min(wanted.max_offset_s, MAX_OFFSET_SHARE * shortest / NANOSECONDS)
 
     @property
+    def frame_times(self) -> tuple[Nanoseconds, ...]:
+        """Stamps (n,) of the frames of each camera and radar, ns on its own clock."""
+        cameras = [view.frames.times_ns() for view in self.cameras]
+        return (*cameras, *(view.radar.times_ns() for view in self.views if view.kind == "radar"))
+
+    @property
     def channel_warnings(self) -> tuple[str, ...]:
-        """What is wrong with the acceleration and with the file of [displacement], as they were read."""
-        sensor = self.settings.displacement
-        damage = () if sensor is None else self.displacement.damage
-        name = "" if sensor is None else sensor.file
-        return (*self.prepared.warnings, *(f"displacement ({name}): {line}." for line in damage))
+        """What is wrong with the acceleration and with the file of each [displacement], as they were read."""
+        told = list(self.prepared.warnings)
+        for view in self.views:
+            damage = view.displacement.damage if view.kind == "displacement" else ()
+            told += [f"{view.sensor} ({view.own.settings.file}): {line}." for line in damage]
+        return tuple(told)
 
     @cached_property
     def reference(self) -> TimeSeries:
@@ -241,12 +284,10 @@ class Recording:
         """The camera's frames."""
         if self._whole is not None:
             return self._whole.frames
-        camera = self.settings.camera
-        if camera is None:
-            raise DataError(f"{self.file}: has no [camera] section.")
-        times = None if camera.times is None else self.path(camera.times, f"{self.sensor}.times")
+        camera, key = self._section(*CAMERAS)
+        times = None if camera.times is None else self.path(camera.times, f"{key}.times")
         request = FrameRequest(times=times, rate_hz=camera.rate_hz, start_s=camera.start_s, every=camera.every)
-        path = self.path(camera.file, f"{self.sensor}.file")
+        path = self.path(camera.file, f"{key}.file")
         if isinstance(camera, InfraredSettings):
             return open_thermal(
                 path, ThermalRequest(request, camera.kelvin_per_count, camera.zero_k, camera.emissivity)
@@ -256,25 +297,41 @@ class Recording:
     @cached_property
     def radar(self) -> RadarSource:
         """The radar's frames."""
-        radar = self.settings.radar
-        if radar is None:
-            raise DataError(f"{self.file}: has no [radar] section.")
+        radar, key = self._section("radar")
         request = RadarRequest(
-            config=None if radar.config is None else self.path(radar.config, "radar.config"),
+            config=None if radar.config is None else self.path(radar.config, f"{key}.config"),
             iq_order=radar.iq_order,
             start_s=radar.start_s,
             rate_hz=radar.rate_hz,
             carrier_hz=radar.carrier_hz,
         )
-        return open_radar(self.path(radar.file, "radar.file"), request)
+        return open_radar(self.path(radar.file, f"{key}.file"), request)
+
+    def require_one_of_a_kind(self) -> None:
+        """UsageError naming the sections where there are several sensors of one kind, for what takes one of each."""
+        for kind in KINDS:
+            names = [sensor.name for sensor in self.sensors if sensor.kind == kind]
+            if len(names) > 1:
+                raise UsageError(
+                    f"{self.file}: [[{kind}]] must be one section here; received {len(names)}: {', '.join(names)}. "
+                    f"A printed method takes one sensor of each kind: leave one [{kind}], or fusion.literal out."
+                )
+
+    def _section(self, *kinds: str) -> tuple[Any, str]:
+        """The section of this view's sensor, or of the first one of these kinds, and how messages call it."""
+        own = self._own or next((sensor for sensor in self.sensors if sensor.kind in kinds), None)
+        if own is None:
+            raise DataError(f"{self.file}: has no [{kinds[0]}] section.")
+        listed = self._root.settings.of_kind(own.kind)
+        return own.settings, own.kind if len(listed) < 2 else f"{own.kind}[{1 + listed.index(own.settings)}]"
 
     @property
     def own_files(self) -> set[Path]:
         """The files that make up the recording, resolved: results must not be written over them."""
-        parts = [part for name in SECTIONS if (part := getattr(self.settings, name)) is not None]
-        names = [name for part in parts for key in ("file", "times", "config") if (name := getattr(part, key, None))]
-        lenses = (camera.lens for camera in (self.settings.camera, self.settings.infrared) if camera is not None)
-        names += [lens.file for lens in lenses if lens is not None and lens.file]
+        parts = [self.settings.accelerometer, self.settings.reference, *(one.settings for one in self.sensors)]
+        lenses = [getattr(part, "lens", None) for part in parts]
+        keys = ("file", "times", "config")
+        names = [name for part in (*parts, *lenses) for key in keys if (name := getattr(part, key, None))]
         return {self.file.resolve(), *((self.folder / name).resolve() for name in names)}
 
     def _own_axis(self, channel: ChannelSettings) -> str | None:

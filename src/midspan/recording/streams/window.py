@@ -14,7 +14,10 @@ def calibration_window(recording: Recording) -> slice:
     time_ns = recording.prepared.time_ns
     wanted = recording.settings.calibration.window_s
     if wanted is None:
-        start = max((int(time_ns[0]), *_first_frames(recording)))
+        # Before the first frames there is nothing to compare. A stream of another day is refused where it is read, with
+        # better words.
+        firsts = [int(times[0]) for times in recording.frame_times if len(times) and times[0] < time_ns[-1]]
+        start = max(int(time_ns[0]), *firsts) if firsts else int(time_ns[0])
         return inside(time_ns, start, start + round(DEFAULT_WINDOW_S * NANOSECONDS))
     window = inside(time_ns, round(wanted[0] * NANOSECONDS), round(wanted[1] * NANOSECONDS))
     if window.stop - window.start < LEAST_MEASUREMENTS:
@@ -29,15 +32,3 @@ def window_ends(recording: Recording) -> tuple[int, int]:
     """First and last stamp (ns) of the calibration window."""
     window, time_ns = calibration_window(recording), recording.prepared.time_ns
     return int(time_ns[window.start]), int(time_ns[window.stop - 1])
-
-
-def _first_frames(recording: Recording) -> tuple[int, ...]:
-    """Stamps of the first frames of camera and radar, before which there is nothing to compare."""
-    streams = []
-    if recording.has("camera"):
-        streams.append(recording.frames.times_ns())
-    if recording.has("radar"):
-        streams.append(recording.radar.times_ns())
-    # A stream of another day is refused where it is read, with better words.
-    end = recording.prepared.time_ns[-1]
-    return tuple(int(times[0]) for times in streams if len(times) and times[0] < end)

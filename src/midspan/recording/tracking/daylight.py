@@ -7,9 +7,10 @@ from midspan.errors import UntrustedError
 from midspan.recording.streams.recording import Recording
 from midspan.recording.streams.span import shown
 from midspan.recording.streams.window import DEFAULT_WINDOW_S, window_ends
-from midspan.recording.tracking.first_frame import is_dark
 from midspan.records import NANOSECONDS, Floats
+from midspan.settings.kinds import CAMERAS
 from midspan.signals.health import runs
+from midspan.vision.light import is_dark
 
 # So many frames are looked at in the window, and in the whole recording where that is dark.
 LOOKED_AT, SEARCHED = 16, 240
@@ -24,9 +25,9 @@ def where_it_sees(recording: Recording) -> tuple[Recording, list[str]]:
     """The view with a window in which its camera sees, and a sentence where that is another than the recording's.
 
     The window is the longest stretch of light; the frames are used from the first one on. Only a camera of light beside
-    a thermal one is looked at. Raises UntrustedError where it is dark all the time.
+    another camera is looked at. Raises UntrustedError where it is dark all the time.
     """
-    if recording.sensor != "camera" or recording.infrared is None:
+    if recording.kind != "camera" or not any(sensor.kind in CAMERAS for sensor in recording.beside):
         return recording, []
     times = recording.frames.times_ns()
     first, last = window_ends(recording)

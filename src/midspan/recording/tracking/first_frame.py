@@ -13,9 +13,9 @@ from midspan.errors import DataError
 from midspan.records import NANOSECONDS, Floats, Frame, Nanoseconds, Region
 from midspan.sources.camera.frames import FrameSource
 from midspan.thermal.shutter import ShutterSettings
+from midspan.vision.light import is_dark
 
-# A frame whose mean is below this share of full scale is dark; at most this many are skipped at the start.
-DARK_SHARE = 0.02
+# At most this many dark frames are skipped at the start.
 MOST_SKIPPED = 1000
 # What a thermal camera usually sees is taken from so many frames of its first minutes.
 LOOKED_AT = 16
@@ -59,19 +59,6 @@ def begun(source: FrameSource, first: int, last: int | None, regions: Sequence[R
             told = f"the first {skipped} frames are dark and were skipped; the zero is at the first lit one"
             return Begun(skipped, told if skipped else "", _chained(frame, rest))
     return Begun(0, "", _chained(None, source.frames(first, last)))
-
-
-def is_dark(pixels: NDArray[Any]) -> bool:
-    """Whether an integer frame (rows, columns) is black: neither its mean nor its brightest pixels leave the bottom.
-
-    Cameras put 10 or 12 bits into files of 16, so full scale is not known; a dark frame also has no contrast.
-    """
-    if pixels.dtype.kind == "f":
-        return False
-    scale = 255.0 if pixels.dtype.itemsize == 1 else 1023.0
-    if float(np.mean(pixels)) >= DARK_SHARE * scale:
-        return False
-    return float(np.percentile(pixels[::4, ::4], 99)) < 2.0 * DARK_SHARE * scale
 
 
 def _unusable_temperatures(

@@ -6,15 +6,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from midspan.calibration.whitening import BIAS_WALK_RATIO
-from midspan.engine.monitor import CameraScale
-from midspan.engine.targets import AGREE_STD, Used, agreeing, combine, relative_zeros
-from midspan.fusion.kalman import KalmanSettings
+from midspan.engine.scale import CameraScale
+from midspan.engine.targets import AGREE_STD
 from midspan.fusion.path import at
-from midspan.fusion.smoother import smooth
+from midspan.fusion.streams import KalmanSettings, smooth
 from midspan.recording.stored.camera import CameraCalibration
 from midspan.recording.streams.acceleration import PreparedAcceleration
 from midspan.recording.tracking.tracking import TargetTracking
-from midspan.records import NANOSECONDS, Acceleration, Displacement, Estimate, Floats, Innovation, joined, part
+from midspan.records import NANOSECONDS, Acceleration, Displacement, Estimate, Floats, Innovation, part
 
 # A target whose displacement leaves the others' by this many times what noise and scale explain moves by itself.
 DISAGREES = 2.5
@@ -27,18 +26,6 @@ TELLING_POWER = 1.3
 TELLING_NOISE = 2.0
 # Less than this of the zero's own standard deviation is no disagreement: no model fits to the last digit.
 LEAST_APART_M = 1e-5
-
-
-@dataclass(frozen=True, slots=True)
-class Together:
-    """One displacement out of several targets'.
-
-    measured: one row a frame; zeros_m (k,): the targets' relative zeros; used (k, n): who stands behind each frame.
-    """
-
-    measured: Displacement
-    zeros_m: Floats
-    used: Used
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,43 +42,6 @@ class Contradiction:
     undecided: bool
 
 
-def together(
-    blocks: Sequence[Displacement],
-    scales: Sequence[CameraScale],
-    acceleration: Acceleration,
-    kalman: KalmanSettings,
-    window_ns: tuple[int, int],
-) -> Together:
-    """Fuse the displacements of several targets of one camera, frame by frame, by inverse variance.
-
-    blocks: one a target, the same frames, on the accelerometer's clock; scales: their mappings. window_ns: the zeros
-    are learnt from the frames between these stamps. A frame's targets that disagree with the others, or with the path,
-    by more than four standard deviations are left out there.
-    """
-    count = len(blocks)
-    if count == 1:
-        used = np.isfinite(blocks[0].value_m)[None, :]
-        return Together(blocks[0], np.zeros(1), used)
-    best = min(range(count), key=lambda k: _usual(blocks[k]))
-    path = smooth(acceleration, blocks[best], kalman).estimate
-    residual, slack, variance = _beside(blocks, scales, path)
-    window = _window(blocks[0], window_ns)
-    zeros = relative_zeros(residual[:, window], variance[:, window])
-    moved = [replace(block, value_m=block.value_m - zero) for block, zero in zip(blocks, zeros, strict=True)]
-    merged = joined(moved)
-    path = smooth(acceleration, part(merged, np.argsort(merged.time_ns, kind="stable")), kalman).estimate
-    residual, slack, variance = _beside(moved, scales, path)
-    used = agreeing(residual, variance + slack**2, at(path, blocks[0].time_ns)[1])
-    found = combine(residual, variance, used)
-    stamps = np.array([block.time_ns for block in blocks])
-    late = np.sum(found.weight * (stamps - stamps[0]), axis=0)
-    time_ns = stamps[0] + np.rint(late).astype(np.int64)
-    expected = np.array([at(path, block.time_ns)[0] for block in blocks])
-    value = found.value + np.where(found.used.any(axis=0), np.sum(found.weight * expected, axis=0), np.nan)
-    measured = Displacement(time_ns, value, np.where(np.isfinite(value), found.variance, np.nan), blocks[0].source)
-    return Together(measured, zeros, used)
-
-
 def camera_blocks(
     targets: Sequence[TargetTracking],
     camera: CameraCalibration,
@@ -100,9 +50,9 @@ def camera_blocks(
 ) -> list[Displacement]:
     """The displacement that each target in use says, on the accelerometer's clock, without the exposure's averaging."""
     pairs = list(zip(targets, camera.mappings(), strict=True))
-    blocks = [unblurred(m.displacement(t.quick), t.blur_s(exposure_s), acceleration) for t, m in pairs]
+    blocks = [unblurred(m.displacement(t.rows), t.chain.blur_s(exposure_s), acceleration) for t, m in pairs]
     # What the reference frame makes is not among what the learnt factor was learnt from.
-    more = [m.scale_m_per_px**2 * t.wandering_px2[:, "xy".index(m.direction)] for t, m in pairs]
+    more = [m.scale_m_per_px**2 * t.reference_px2[:, "xy".index(m.direction)] for t, m in pairs]
     return [replace(b, variance_m2=b.variance_m2 + v) for b, v in zip(blocks, more, strict=True)]
 
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from midspan.engine.camera_target import Target
 from midspan.errors import DataError, UsageError
 from midspan.recording.stored.camera import CameraCalibration
 from midspan.recording.streams.measured import frames_used
@@ -12,7 +13,7 @@ from midspan.recording.streams.window import window_ends
 from midspan.recording.tracking.lens import check_same_lens, lens_of
 from midspan.recording.tracking.region_choice import Judge
 from midspan.recording.tracking.temperatures import levels_of
-from midspan.recording.tracking.tracking import CameraTracking, Target, TrackingSettings
+from midspan.recording.tracking.tracking import CameraTracking, TrackingSettings
 from midspan.records import NANOSECONDS, Nanoseconds, Region
 from midspan.settings.camera import CameraSettings, InfraredSettings
 from midspan.thermal.limits import Limits

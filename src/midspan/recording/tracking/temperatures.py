@@ -1,28 +1,15 @@
 """The temperatures that a thermal camera's trackers see: as they are, or a range of them in grey levels."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
-
-from midspan.errors import MidspanError, UsageError
+from midspan.engine.thermal_target import ThermalTarget
+from midspan.errors import UsageError
 from midspan.recording.stored.camera import CameraCalibration
 from midspan.recording.streams.recording import Recording
-from midspan.recording.streams.sensor_words import worded
-from midspan.recording.tracking.target_opening import thermal_part
 from midspan.recording.tracking.tracking import CameraTracking
 from midspan.settings.camera import InfraredSettings
 from midspan.thermal.limits import Limits
 
 # Trackers that were made for pictures of 256 grey levels: their thresholds are in them.
 IN_GREY = ("features",)
-
-
-@contextmanager
-def in_words_of(sensor: str) -> Iterator[None]:
-    """Let the messages of errors raised inside name the section `sensor`, "camera" or "infrared"."""
-    try:
-        yield
-    except MidspanError as error:
-        raise type(error)(worded(str(error), sensor)) from None
 
 
 def levels_of(view: Recording, known: CameraCalibration | None) -> Limits | None:
@@ -53,5 +40,5 @@ def is_grey(view: Recording) -> bool:
 
 def range_seen(tracking: CameraTracking, place: int) -> tuple[float, float] | None:
     """Temperatures (°C) that the tracker of the target with this number sees; None where it gets pictures."""
-    thermal = thermal_part(tracking.targets[place].tracker)
-    return None if thermal is None else (thermal.limits.low_c, thermal.limits.high_c)
+    tracker = tracking.targets[place].tracker
+    return (tracker.limits.low_c, tracker.limits.high_c) if isinstance(tracker, ThermalTarget) else None

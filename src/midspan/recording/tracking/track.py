@@ -8,13 +8,15 @@ from typing import Any
 import numpy as np
 
 from midspan._version import __version__
+from midspan.engine.camera_target import Target
 from midspan.errors import UsageError
 from midspan.recording.streams.progress import Progress, silent
 from midspan.recording.streams.recording import open_with_cameras
+from midspan.recording.streams.sensor_words import in_words_of
 from midspan.recording.tracking.lens import lens_of
 from midspan.recording.tracking.opening import given_targets
-from midspan.recording.tracking.temperatures import in_words_of, levels_of
-from midspan.recording.tracking.tracking import CameraTracking, Target, TrackingSettings
+from midspan.recording.tracking.temperatures import levels_of
+from midspan.recording.tracking.tracking import CameraTracking, TrackingSettings
 from midspan.records import PixelTrack, Region, Status, seconds
 from midspan.settings.load import RECORDING_FILE
 from midspan.sinks.table import ResultTable
@@ -116,7 +118,7 @@ def track(source: str | Path, request: TrackRequest | None = None, progress: Pro
 
 def _all_rows(tracking: CameraTracking) -> tuple[PixelTrack, ...]:
     while (frame := tracking.take()) is not None:
-        tracking.add(frame, [target.push(frame) for target in tracking.targets])
+        tracking.push(frame)
     tracking.close()
     return tracking.tracks
 
@@ -136,7 +138,7 @@ def _of_recording(path: Path, request: TrackRequest) -> tuple[FrameSource, Track
             f"{recording.file}: has no [camera] or [infrared] section, so there is nothing to track.{hint}"
         )
     view = views[0]
-    others = ["Only the [camera] was tracked; for [infrared] give its file as SOURCE."] if len(views) > 1 else []
+    others = [f"Only the [{view.sensor}] was tracked; for [{one.sensor}] give its file as SOURCE." for one in views[1:]]
     settings = TrackingSettings(
         tracker=camera.tracker,
         direction=view.axis,
@@ -146,7 +148,7 @@ def _of_recording(path: Path, request: TrackRequest) -> tuple[FrameSource, Track
         tracker_settings=tracker_settings(camera.tracker, **camera.tracker_settings),
         lens=lens_of(view),
         reference=camera.reference_rule,
-        thermal=view.sensor == "infrared",
+        thermal=view.kind == "infrared",
         levels=levels_of(view, None),
         sensor=view.sensor,
     )

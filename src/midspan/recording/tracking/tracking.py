@@ -1,31 +1,24 @@
 """Tracking a recording's camera: the reference frame, the targets, and the frames in their order."""
 
+import math
 from collections import deque
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from operator import attrgetter
 from typing import Any
 
 import numpy as np
 
+from midspan.engine.camera import CameraChain
+from midspan.engine.camera_target import ChainSettings, Target, TargetChain
+from midspan.engine.target_opening import Opening, refuse_empty_range
 from midspan.errors import DataError
 from midspan.recording.streams.progress import Progress, silent
 from midspan.recording.streams.sensor_words import worded
-from midspan.recording.tracking.fair_variance import lost_where, more_variance, with_fair_variance
-from midspan.recording.tracking.first_frame import begun, is_dark
-from midspan.recording.tracking.light import LightWatch, light_warnings
+from midspan.recording.streams.span import shown
+from midspan.recording.tracking.first_frame import begun
 from midspan.recording.tracking.region_choice import ChoiceRequest, Judge, choose_targets
-from midspan.recording.tracking.target_opening import (
-    Opening,
-    events_of,
-    refuse_empty_range,
-    strength_of,
-    thermal_part,
-    wandering_px2,
-)
 from midspan.records import (
-    NANOSECONDS,
     Event,
     Floats,
     Frame,
@@ -38,35 +31,22 @@ from midspan.records import (
     Status,
 )
 from midspan.signals.growing import Columns
-from midspan.signals.health import Mask, runs
+from midspan.signals.health import Mask
 from midspan.sources.camera.frames import FrameSource
 from midspan.thermal.limits import Limits
 from midspan.thermal.temperature_range import RangeSurface
-from midspan.vision.lens import Lens, as_shown, bare, lens_warnings
-from midspan.vision.picture_quality import PictureWatch
+from midspan.vision.lens import Lens, lens_warnings
+from midspan.vision.light import LightState
 from midspan.vision.picture_warnings import picture_warnings
 from midspan.vision.region import check_region
 from midspan.vision.roi import RegionChoice
-from midspan.vision.target import lost
-from midspan.vision.tracker import Learner, Tracker, Wandering
+from midspan.vision.tracker import Tracker
 
-# This many equal pictures in a row are a frozen camera (or a codec that skipped them), not a structure at rest.
-FROZEN_FRAMES = 3
-# The column that tells them, after those of a translation.
-REPEATS = 7
-_numbers = attrgetter(*(field.name for field in fields(PixelTranslation)))
-# Every so many rows and columns tell a black frame from a lit one.
-THINNED = 4
-# Frames that trackers learn from are kept until they are tracked; so much memory at most.
+# Frames that are learnt from are kept until they are tracked; so much memory at most.
 MOST_AHEAD_BYTES = 200_000_000
-
-
-@dataclass(frozen=True, slots=True)
-class Target:
-    """A target to be tracked: its region in the reference frame and what it is called."""
-
-    region: Region
-    name: str = "1"
+# The first columns of a target's rows.
+_track_row = attrgetter(*(field.name for field in fields(PixelTrack)))
+STRENGTH, REFERENCE_X, REFERENCE_Y, DARK = range(len(fields(PixelTrack)), len(fields(PixelTrack)) + 4)
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,139 +84,110 @@ class TrackingSettings:
 
 
 class TargetTracking:
-    """One target: its tracker, and the rows found so far, one a frame."""
+    """One target: its part of the camera's chain, and the rows found so far, one a frame, as they came."""
 
-    def __init__(self, tracker: Tracker, name: str, readout_s: float, *, lossless: bool = False) -> None:
-        self.tracker, self.name, self._readout_s = tracker, name, readout_s
-        # A frame's time, translation along x and y, their variances, quality, status; whether its picture repeats.
-        self._rows = Columns("qdddddBB")
-        # How strong it was, the part of its variances along x and y that the reference makes, whether it was dark.
-        self._pushed = Columns("dddB")
+    def __init__(self, chain: TargetChain) -> None:
+        self.chain = chain
+        # The fields of a track, how strong it was, the reference's variances along x and y, whether it was dark.
+        self._columns = Columns("qdddddBdddB")
         self._track: PixelTrack | None = None
-        self._quick: PixelTrack | None = None
-        self._seen = np.empty((0, 0))
-        self.events: list[Event] = []
-        self._lit = not is_dark(tracker.reference.pixels)
-        # Temperatures are stored as they are: no codec, no full scale.
-        self._watch = (
-            None if thermal_part(tracker) else PictureWatch(tracker.reference, tracker.region, lossless=lossless)
-        )
-        # Trackers whose reference changes know themselves what it is off by; temperatures throw no shadows.
-        self._light: LightWatch | None = None
-        if self._watch is not None and not isinstance(bare(tracker), Wandering):
-            self._light = LightWatch(tracker.reference, tracker.region)
+        # What happened in frames, by their numbers.
+        self._events: dict[int, tuple[Event, ...]] = {}
+
+    @property
+    def name(self) -> str:
+        """What the target is called."""
+        return self.chain.name
 
     @property
     def region(self) -> Region:
         """The target's region in the reference frame."""
-        return self.tracker.region
+        return self.chain.region
 
-    def push(self, frame: Frame, prediction: Prediction | None = None) -> PixelTranslation:
-        """Find the target in `frame`; the translation is dated by the row that the target's middle was read out at."""
-        dark = self._in_the_dark(frame)
-        found = lost(frame.time_ns) if dark else self.tracker.push(frame, prediction)
-        self.events += events_of(self.tracker)
-        strength = strength_of(self.tracker, found)
-        found, more = self._in_this_light(frame, found)
-        self._pushed.append(strength, *more, dark)
-        self._track = self._quick = None
-        down_px = as_shown(self.tracker, found).y_px
-        row = self.region.y + 0.5 * (self.region.height - 1) + (down_px if np.isfinite(down_px) else 0.0)
-        last_row = max(frame.pixels.shape[0] - 1, 1)
-        late_ns = round(self._readout_s * NANOSECONDS * row / last_row)
-        return replace(found, time_ns=frame.time_ns + late_ns)
+    @property
+    def tracker(self) -> Tracker:
+        """What it is tracked with."""
+        return self.chain.tracker
 
-    def _in_this_light(self, frame: Frame, found: PixelTranslation) -> tuple[PixelTranslation, tuple[float, float]]:
-        """What was found, and the part of its variances (px²) that the reference makes: beside a fixed one by light."""
-        if self._light is None:
-            return found, wandering_px2(self.tracker, found)
-        more = self._light.push(frame, as_shown(self.tracker, found))
-        if found.status is not Status.TRACKING or not more:
-            return found, (0.0, 0.0)
-        x, y = found.variance_x_px2 + more, found.variance_y_px2 + more
-        return replace(found, variance_x_px2=x, variance_y_px2=y), (more, more)
+    def add(self, found: PixelTranslation, *, dark: bool) -> None:
+        """Keep what was found in a frame; dark: whether it was black."""
+        reference = (found.reference_variance_x_px2, found.reference_variance_y_px2)
+        if found.events:
+            self._events[len(self._columns)] = found.events
+        self._columns.append(*_track_row(found), found.strength, *reference, dark)
+        self._track = None
 
-    def _in_the_dark(self, frame: Frame) -> bool:
-        """Whether a frame is black, which the reference is not: what a tracker found in its noise would be wrong."""
-        return self._lit and is_dark(frame.pixels[::THINNED, ::THINNED])
+    @property
+    def events(self) -> list[Event]:
+        """What happened in the frames so far."""
+        return [event for told in self._events.values() for event in told]
 
-    def add(self, frame: Frame, translation: PixelTranslation) -> None:
-        """Keep what was found in `frame`: the one place where a frame's picture and its translation meet."""
-        region = self.region
-        seen = np.asarray(frame.pixels[region.y : region.y + region.height, region.x : region.x + region.width])
-        self._rows.append(*_numbers(translation), bool(np.array_equal(seen, self._seen)))
-        self._seen = seen.copy()
-        self._track = self._quick = None
-        if self._watch is not None:
-            self._watch.push(frame, as_shown(self.tracker, translation))
+    @property
+    def rows(self) -> PixelTrack:
+        """The rows so far as one block, with the variances of the single frames, without what the reference makes."""
+        return PixelTrack(*(self._columns.column(number) for number in range(STRENGTH)))
 
     @property
     def track(self) -> PixelTrack:
-        """The rows so far as one block, finished: frames of a frozen picture are lost, the variances fair."""
+        """The rows so far with their whole variances."""
         if self._track is None:
-            self._track = more_variance(self.quick, self.wandering_px2)
+            rows, (more_x, more_y) = self.rows, self.reference_px2.T
+            x, y = rows.variance_x_px2 + more_x, rows.variance_y_px2 + more_y
+            self._track = replace(rows, variance_x_px2=x, variance_y_px2=y)
         return self._track
-
-    @property
-    def quick(self) -> PixelTrack:
-        """The same with the variances of the single frames only, without what the reference frame makes."""
-        if self._quick is None:
-            self._quick = self._narrow if self._watch is None else self._watch.widened(self._narrow)
-        return self._quick
 
     @property
     def strengths(self) -> Floats:
         """Good matches in each frame (n,), of trackers without matches the quality in percent."""
-        return self._pushed.column(0)
+        return self._columns.column(STRENGTH)
 
     @property
-    def wandering_px2(self) -> Floats:
+    def reference_px2(self) -> Floats:
         """The part of the variances (n, 2) along x and y that the reference frame makes, for many frames alike."""
-        return np.column_stack((self._pushed.column(1), self._pushed.column(2)))
+        return np.column_stack((self._columns.column(REFERENCE_X), self._columns.column(REFERENCE_Y)))
 
     @property
     def dark(self) -> Mask:
         """Which frames (n,) were black, so that nothing was looked for."""
-        return self._pushed.column(3).astype(bool)
+        return self._columns.column(DARK).astype(bool)
 
-    @property
-    def _narrow(self) -> PixelTrack:
-        """The rows with the variances of the single frames that the tracker believes in."""
-        rows = PixelTrack(*(self._rows.column(number) for number in range(REPEATS)))
-        own = more_variance(rows, -self.wandering_px2)
-        return with_fair_variance(lost_where(own, self.frozen))
-
-    @property
-    def frozen(self) -> Mask:
-        """Frames (n,) so far that only repeat the picture before them, in runs of at least `FROZEN_FRAMES`."""
-        repeats = self._rows.column(REPEATS).astype(bool)
-        mask = np.zeros(len(repeats), dtype=bool)
-        for start, end in runs(repeats):
-            mask[start:end] = end - start + 1 >= FROZEN_FRAMES
-        return mask
-
-    def blur_s(self, exposure_s: float | None) -> float:
-        """The time a measured translation is averaged over: the exposure, and the read-out of the region's rows.
-
-        Both are box averages; their widths add as squares.
-        """
-        rows = self._readout_s * self.region.height / max(self.tracker.reference.pixels.shape[0], 1)
-        return float(np.hypot(exposure_s or 0.0, rows))
+    def translation(self, number: int) -> PixelTranslation:
+        """What was found in the frame of this number."""
+        time_ns, x, y, variance_x, variance_y, quality, status, strength, more_x, more_y, _ = self._columns.row(number)
+        told = self._events.get(number, ())
+        return PixelTranslation(
+            time_ns, x, y, variance_x, variance_y, quality, Status(status), strength, more_x, more_y, told
+        )
 
     def with_codec_error(self, scale: ScaleFactor, direction: str) -> ScaleFactor:
-        """A scale factor learnt along an image axis from the frames so far, with what compression may do to it."""
-        if self._watch is None:
+        """A scale factor estimated along an image axis on the frames so far, with what compression may do to it."""
+        if self.chain.picture is None:
             return scale
-        relative = self._watch.relative_scale_std(self._narrow.along(direction)[0])
+        relative = self.chain.picture.relative_scale_std(direction)
         return replace(scale, variance=scale.variance + (relative * scale.value_m_per_px) ** 2)
 
     def warnings(self, axes: str) -> list[str]:
         """What of the frames tracked so far is worth telling, measured along the image axes "x", "y" or "xy"."""
-        frozen = int(np.count_nonzero(self.frozen))
-        told = [f"camera: {frozen} frames only repeat the picture before them (frozen); they were not used."]
-        seen = picture_warnings(self._watch, self._narrow, axes) if len(self._rows) and self._watch else []
-        lit = light_warnings(self.wandering_px2, self._rows.column(0)) if self._light else []
-        return (told if frozen else []) + seen + lit
+        found, chain = [], self.chain
+        if chain.frozen_frames:
+            found.append(
+                f"camera: {chain.frozen_frames} frames only repeat the picture before them (frozen); they were not "
+                "used."
+            )
+        if chain.picture is not None:
+            found += picture_warnings(chain.picture, axes)
+        return found + (light_warnings(chain.light.state) if chain.light is not None else [])
+
+
+def light_warnings(light: LightState) -> list[str]:
+    """A sentence where light may have moved a target with a fixed reference."""
+    if light.notable_ns is None:
+        return []
+    return [
+        f"camera: from {shown(light.notable_ns)} on light has changed the target beside its reference frame; its "
+        f"shading may have moved the result by up to {math.sqrt(light.largest_px2):.2g} px (standard deviation), which "
+        'the band holds. Take camera.reference = "key-frames".'
+    ]
 
 
 class CameraTracking:
@@ -270,12 +221,14 @@ class CameraTracking:
             if settings.thermal and settings.levels is not None:
                 refuse_empty_range(self.reference, target.region, settings.levels)
         self.chosen = tuple(targets)
-        self.targets = tuple(self._opened(target) for target in targets)
+        chain = ChainSettings(settings.opening, settings.readout_s, source.info.lossless is True)
+        self.chain = CameraChain(self.reference, targets, chain)
+        self.targets = tuple(TargetTracking(target) for target in self.chain.targets)
         self._ahead = deque([self.reference])
         self._teach()
         self.done, self.ended = 0, False
-        # The tracking of a second camera of the same recording; how a thermal camera's range was found.
-        self.beside: CameraTracking | None = None
+        # The trackings of further cameras of the same recording; how a thermal camera's range was found.
+        self.beside: tuple[CameraTracking, ...] = ()
         self.range_surface: RangeSurface | None = None
 
     @property
@@ -285,6 +238,7 @@ class CameraTracking:
 
     def leave_out(self, places: Sequence[int]) -> None:
         """Track the targets of these numbers (from 0) no further."""
+        self.chain.leave_out(places)
         self.targets = tuple(target for k, target in enumerate(self.targets) if k not in places)
 
     def until(self, time_ns: int) -> tuple[PixelTrack, ...]:
@@ -293,7 +247,7 @@ class CameraTracking:
             frame = self.take()
             if frame is None:
                 break
-            self.add(frame, [target.push(frame) for target in self.targets])
+            self.push(frame)
         return self.tracks
 
     def take(self) -> Frame | None:
@@ -301,17 +255,25 @@ class CameraTracking:
         self.progress(self.done, len(self.time_ns), "tracking")
         return self._ahead.popleft() if self._ahead else next(self._frames, None)
 
-    def add(self, frame: Frame, translations: Sequence[PixelTranslation]) -> None:
-        """Keep what was found in `frame`, one translation a target."""
+    def push(
+        self, frame: Frame, predictions: Sequence[Prediction | None] | None = None
+    ) -> tuple[PixelTranslation, ...]:
+        """The translation of each target in the `frame` that was taken; it is kept. predictions: of each target."""
+        found = self.chain.push(frame, predictions)
+        self.keep(found)
+        return found
+
+    def keep(self, found: Sequence[PixelTranslation]) -> None:
+        """Keep what the chain found in a frame that was taken."""
         self.done += 1
-        for target, translation in zip(self.targets, translations, strict=True):
-            target.add(frame, translation)
+        for target, translation in zip(self.targets, found, strict=True):
+            target.add(translation, dark=self.chain.dark)
 
     def close(self) -> None:
-        """Let the file go, and that of a second camera."""
+        """Let the file go, and those of the cameras beside it."""
         self._frames.close()
-        if self.beside is not None:
-            self.beside.close()
+        for one in self.beside:
+            one.close()
 
     def warnings(self, axes: str | None = None) -> list[str]:
         """What of the frames tracked so far is worth telling, along the image `axes` (left out: the measured one)."""
@@ -326,26 +288,16 @@ class CameraTracking:
             found += own if len(self.targets) == 1 else [f"target {target.name}: {line}" for line in own]
         return [worded(line, self.settings.sensor) for line in found]
 
-    def _opened(self, target: Target) -> TargetTracking:
-        tracker = self.settings.opening.opened(self.reference, target.region)
-        lossless = self.source.info.lossless is True
-        return TargetTracking(tracker, target.name, self.settings.readout_s, lossless=lossless)
-
     def _teach(self) -> None:
-        """Show the first frames to the trackers that learn from them; they are kept to be tracked afterwards."""
-        learners = [tracker for target in self.targets if isinstance(tracker := bare(target.tracker), Learner)]
-        wanted = max((learner.frames_to_learn for learner in learners), default=0)
-        wanted = min(wanted, MOST_AHEAD_BYTES // self.reference.pixels.nbytes)
+        """Show the first frames to the chain, which learns from them; they are kept to be tracked afterwards."""
+        wanted = min(self.chain.frames_to_learn, MOST_AHEAD_BYTES // self.reference.pixels.nbytes)
         while len(self._ahead) < wanted:
             self.progress(len(self._ahead), wanted, "learning the target")
             frame = next(self._frames, None)
             if frame is None:
                 break
             self._ahead.append(frame)
-        for learner in learners:
-            # Frames that do not show the target teach nothing; the tracker then stays with its reference.
-            with suppress(DataError):
-                learner.learn(list(self._ahead))
+        self.chain.learn(list(self._ahead))
 
     def _next_frame(self) -> Frame:
         frame = next(self._frames, None)

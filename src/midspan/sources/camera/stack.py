@@ -84,16 +84,17 @@ class StackFrames(FrameSource):
         return time_ns + np.int64(round(self._request.start_s * 1e9))
 
     def frames(self, start: int = 0, stop: int | None = None) -> Iterator[Frame]:
-        """The frames' luma, copied out of the file one at a time."""
-        times = self.times_ns()
+        """The frames' luma; grey ones of 8 or 16 bits are read from the mapped file where they are looked at."""
+        times, stack = self.times_ns(), np.asarray(self._array)
         for index in range(*slice(start, stop).indices(times.size)):
-            image = np.array(self._array[index * self._request.every])
+            image = stack[index * self._request.every]
             yield Frame(int(times[index]), luma(image, reversed_colours=False), index)
 
 
 def _load(path: Path) -> tuple[NDArray[np.generic], NDArray[np.float64] | None, str]:
     if path.suffix.lower() == ".npy":
-        return np.lib.format.open_memmap(path, mode="r"), None, ""
+        # Copy on write: what is changed in memory never reaches the file.
+        return np.lib.format.open_memmap(path, mode="c"), None, ""
     with zipfile.ZipFile(path) as archive:
         members = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
         name = _stack_name(path, archive, members)
@@ -144,7 +145,7 @@ def _mapped(path: Path, member: zipfile.ZipInfo) -> NDArray[np.generic]:
         file.seek(member.header_offset + _LOCAL_HEADER_BYTES + name_bytes + extra_bytes)
         header = read_npy_header(file)
         order: Literal["F", "C"] = "F" if header.fortran else "C"
-        return np.memmap(path, dtype=header.dtype, mode="r", offset=file.tell(), shape=header.shape, order=order)
+        return np.memmap(path, dtype=header.dtype, mode="c", offset=file.tell(), shape=header.shape, order=order)
 
 
 def _check_sum(path: Path, archive: zipfile.ZipFile, member: zipfile.ZipInfo, array: NDArray[np.generic]) -> None:

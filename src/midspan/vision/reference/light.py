@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from midspan.records import Floats, Region
-from midspan.vision.reference.kernels import agreement, block_scores, picture_shares, settled, spline_grid
+from midspan.vision.reference.kernels import Explained, agreement, explained
 from midspan.vision.spline import REACH, Floats32, coefficients, combine, translated, weights
 from midspan.vision.texture import lowpass_taps, values
 from midspan.vision.zncc import smooth
@@ -28,6 +28,8 @@ TRUST = 0.05  # standard deviation of a mix that pictures leave open, as a share
 ROUNDS = 6
 ENOUGH_PX = 0.01  # a search that steps less has come to rest: what is left is a tenth of the step
 ROBUST = 5.0  # residuals of more standard deviations than this count half or less: shadows' edges, things in front
+SINGULAR = 1e-6  # determinant of the information over its diagonal below which a texture has one direction
+SIGMA_OF_MEDIAN = 1.4826  # standard deviation over median deviation of a normal variable
 FARTHEST_PX = 1.0  # from where a search begins
 
 
@@ -64,8 +66,8 @@ def sight(pixels: NDArray[np.generic], region: Region, place: Floats) -> Sight |
     raw = values(cut, float(finite.mean())) if finite.size else None
     if raw is None:
         return None
-    grid = spline_grid(smooth(raw, TAPS))[CONTEXT_PX:-CONTEXT_PX, CONTEXT_PX:-CONTEXT_PX]
-    return Sight(np.ascontiguousarray(grid), whole)
+    grid = coefficients(smooth(raw, TAPS).astype(np.float64))[CONTEXT_PX:-CONTEXT_PX, CONTEXT_PX:-CONTEXT_PX]
+    return Sight(grid.astype(np.float32), whole)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -174,20 +176,37 @@ def placed(mix: Mix, frame: Sight, start: Floats, shown: Floats32 | None = None)
     shown (pixels,): 0 where something stands in front.
     """
     base = mix.weight if shown is None else mix.weight * shown
-    limits = (EDGE_PX, ROUNDS, ENOUGH_PX, ROBUST)
-    rounds, place, seen, told = settled(
-        frame.grid, (frame.whole, start), (mix.columns, mix.slopes, mix.ridge), base, limits
+    weight, place = base, start
+    for _ in range(ROUNDS):
+        window = frame.window(place)
+        if window is None:
+            return None
+        seen = inside(window)
+        told = explained(mix.columns, mix.slopes, weight, seen, mix.ridge)
+        squares, spread = np.prod(np.diag(told.information)), np.linalg.det(told.information)
+        if not (squares > 0.0 and spread > SINGULAR * squares):
+            return None
+        step = np.linalg.solve(told.information, told.force)
+        place = place - step
+        if np.abs(step).max() < ENOUGH_PX:
+            return _judged(mix, place, seen, told)
+        limit = np.float32(max(ROBUST * SIGMA_OF_MEDIAN * float(np.median(np.abs(told.left[base > 0.0]))), 1e-12))
+        weight = base / (np.float32(1.0) + (told.left / limit) ** 2)
+    return None
+
+
+def _judged(mix: Mix, place: Floats, seen: Floats32, told: Explained) -> Placed:
+    """The place (2,) px with its variance from what blocks contradict each other by."""
+    inverse = np.linalg.inv(told.information)
+    scores: Floats = np.array(
+        [np.bincount(mix.block, own * told.left, BLOCKS**2) for own in told.own], dtype=np.float64
     )
-    if not rounds:
-        return None
-    amount, left, own, information, _ = told
-    inverse: Floats = np.asarray(np.linalg.inv(information), dtype=np.float64)
-    scores = block_scores(own, left, mix.block, BLOCKS**2)
     # Two numbers for the place and one for the level are taken from the blocks.
     spread = inverse @ (scores @ scores.T) @ inverse.T * _few(scores)
-    shares = picture_shares(inverse, own, mix.slopes, amount)
-    agreed = agreement(seen, left, mix.cell, CELLS**2)
-    return Placed(place, np.diag(spread).copy(), shares, seen - left, agreed)
+    pull = (inverse @ told.own).astype(np.float32)
+    shares = np.einsum("ap,aip->ai", pull, mix.slopes) * told.amount[:-1]
+    agreed = agreement(seen, told.left, mix.cell, CELLS**2)
+    return Placed(place, np.diag(spread).copy(), shares.astype(np.float64), seen - told.left, agreed)
 
 
 def _few(scores: Floats) -> float:

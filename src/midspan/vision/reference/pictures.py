@@ -1,7 +1,7 @@
 """The pictures of the key frames taken together: their mix, and where the key frames lie that they belong to."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -50,24 +50,29 @@ def pictures_of(keys: Sequence[KeyFrame]) -> Pictures | None:
     return Pictures(tuple(numbers), mixed(made, [keys[k].offset for k in numbers], shown))
 
 
-def realigned(keys: Sequence[KeyFrame], chain: Chain, floor_px: float, unmixed_px: float) -> Chain:
-    """The places of the key frames from all pictures anew, each known to `floor_px` at best; sets their offsets.
+def realigned(
+    keys: tuple[KeyFrame, ...], chain: Chain, floor_px: float, unmixed_px: float
+) -> tuple[tuple[KeyFrame, ...], Chain]:
+    """Key frames with their offsets and places from all pictures anew, each known to `floor_px` at best.
 
     unmixed_px: standard deviation of a picture's place if nothing in it were a mix of others.
     """
     known = pictures_of(keys)
     if known is None or not known.several:
-        return chain
+        return keys, chain
     found = aligned(known.mix)
     numbers, later = list(known.numbers), list(known.numbers[1:])
     place, covariance = chain.place.copy(), chain.covariance.copy()
     # All of them lie as uncertainly as the first of them, which the others are measured from.
     covariance[np.ix_(range(2), numbers, numbers)] = found.covariance + chain.variance(numbers[0])[:, None, None]
-    # What is no mix of others may have moved with the light.
+    # What is no mix of others may have moved with the light; what is known at best no mean over pictures makes better.
     doubt = unmixed_px * (found.alone[0] + found.alone[1:])
-    covariance[:, later, later] += floor_px**2 + doubt**2
+    covariance[:, later, later] += doubt**2
+    covariance[np.ix_(range(2), later, later)] += floor_px**2
+    aside = list(keys)
     for number, move in zip(numbers, found.moves, strict=True):
         before = keys[number].offset
-        keys[number].offset = np.clip(before + move, -FARTHEST_PX, FARTHEST_PX)
-        place[number] += keys[number].offset - before
-    return Chain(place, covariance)
+        offset = np.clip(before + move, -FARTHEST_PX, FARTHEST_PX)
+        aside[number] = replace(keys[number], offset=offset)
+        place[number] += offset - before
+    return tuple(aside), Chain(place, covariance)

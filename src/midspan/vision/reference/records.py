@@ -1,4 +1,4 @@
-"""What the key-frame tracker keeps: key frames, where they lie, a hand-over, what one of them says of a frame."""
+"""A key frame, the places of all of them, and short functions of frames and translations."""
 
 import math
 from collections.abc import Sequence
@@ -8,25 +8,24 @@ from typing import Any
 
 import numpy as np
 
-from midspan.records import Event, Floats, Frame, PixelTranslation, Region, Status
+from midspan.records import Floats, Frame, PixelTranslation, Prediction, Region, Status
 from midspan.vision.reference.cover import ALL_SEEN, Cells
 from midspan.vision.spline import Floats32
-from midspan.vision.tracker import Tracker
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class KeyFrame:
-    """A key frame, the tracker that follows from it, and how strong it usually is; `picture`: the mean of the first
-    frames after it, laid over each other, and how much farther on (2,) px it is to be read; `hidden` (cells,): where
-    something stood in front; `contrast`: its standard deviation; `clear`: whether little of that is noise.
+    """A key frame with the target's region in it; `inner`: state of the tracker that follows from it; `contrast`: the
+    target's standard deviation; `strengths`: the first ones after it; `picture`: the mean of the first frames after
+    it, laid over each other, and how much farther on (2,) px it is to be read (`offset`); `hidden` (cells,): where
+    something stood in front; `clear`: whether little of the contrast is noise.
     """
 
     frame: Frame
     region: Region
-    tracker: Tracker
-    at_rest: Any
+    inner: Any
     contrast: float
-    strengths: list[float] = field(default_factory=list)
+    strengths: tuple[float, ...] = ()
     picture: Floats32 | None = None
     offset: Floats = field(default_factory=lambda: np.zeros(2))
     hidden: Cells = field(default_factory=lambda: ALL_SEEN)
@@ -36,21 +35,6 @@ class KeyFrame:
     def usual(self) -> float:
         """Median strength in the first frames after it, 0 while there are none."""
         return median(self.strengths) if self.strengths else 0.0
-
-
-@dataclass(slots=True)
-class Overlap:
-    """Frames that make the picture of the key frame `to`: how many so far, their windows; `new`: it is tracked beside
-    the one in use, to take over from it, and `places` (2,) px are where each frame says that it lies;
-    `hidden` (cells,): where something stands in front in one of them.
-    """
-
-    to: int
-    new: bool
-    frames: int = 0
-    windows: list[Floats32] = field(default_factory=list)
-    places: list[Floats] = field(default_factory=list)
-    hidden: Cells = field(default_factory=lambda: ALL_SEEN)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,51 +78,27 @@ def first_chain() -> Chain:
     return Chain(np.zeros((1, 2)), np.zeros((2, 1, 1)))
 
 
-@dataclass(frozen=True, slots=True)
-class Seen:
-    """What one key frame says of a frame: its tracker's translation and strength."""
-
-    found: PixelTranslation
-    strength: float
-
-    @property
-    def place(self) -> Floats:
-        """Translation (2,) from the key frame, px."""
-        return np.array([self.found.x_px, self.found.y_px])
-
-    @property
-    def variance(self) -> Floats:
-        """Variances (2,), px²."""
-        return np.array([self.found.variance_x_px2, self.found.variance_y_px2])
+def place_of(found: PixelTranslation) -> Floats:
+    """Translation (2,), px."""
+    return np.array([found.x_px, found.y_px])
 
 
-def unmoved(frame: Frame) -> Seen:
-    """What a key frame says of itself: no translation, without error."""
-    return Seen(PixelTranslation(frame.time_ns, 0.0, 0.0, 0.0, 0.0, 1.0, Status.TRACKING), math.nan)
+def variance_of(found: PixelTranslation) -> Floats:
+    """Variances (2,) with those of the reference's place, px²."""
+    x, y = found.variance_x_px2 + found.reference_variance_x_px2, found.variance_y_px2 + found.reference_variance_y_px2
+    return np.array([x, y])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class KeyFrameState:
-    """What the tracker remembers, for `restore` of a tracker of the same first frame, region and settings."""
+def unmoved(frame: Frame) -> PixelTranslation:
+    """What a key frame says of itself: no translation, without error, of no known strength."""
+    return PixelTranslation(frame.time_ns, 0.0, 0.0, 0.0, 0.0, 1.0, Status.TRACKING, strength=math.nan)
 
-    keys: tuple[tuple[Any, ...], ...]
-    chain: Chain
-    current: int
-    health: tuple[float, ...]
-    last: tuple[Frame, Floats, Floats] | None
-    overlap: tuple[Any, ...] | None
-    carried: Floats
-    expected: Floats32 | None
-    hidden: Cells
-    since_ns: int | None
-    likeness: float
-    lately: tuple[Floats, int]
-    recent: tuple[Floats, ...]
-    doubtful: Cells
-    own: Floats
-    events: tuple[Event, ...]
-    frames: int
-    made: int
+
+def relative(prediction: Prediction | None, x_px: float, y_px: float) -> Prediction | None:
+    """A prediction counted from a frame that lies x, y px from the one it counts from now."""
+    if prediction is None:
+        return None
+    return Prediction(prediction.x_px - x_px, prediction.y_px - y_px, prediction.std_x_px, prediction.std_y_px)
 
 
 def crowded(keys: Sequence[KeyFrame], used: int) -> int:

@@ -10,122 +10,219 @@ Something in front of the target is no light: it hides cells of it from one fram
 there the target is measured by the rest; where light goes on changing, key frames are made of the rest alone.
 """
 
-from statistics import fmean
+import math
+from dataclasses import replace
 
 import numpy as np
 
 from midspan.errors import UsageError
-from midspan.records import Event, Floats, Frame, PixelTranslation, Prediction, Status
-from midspan.vision.reference.cover import completed, likeness
-from midspan.vision.reference.keys import KeyFrameSettings as KeyFrameSettings
+from midspan.records import Event, Floats, Frame, PixelTranslation, Prediction, Region, Status
+from midspan.vision.reference.cover import LATELY, completed
+from midspan.vision.reference.inner import InnerTrackers
 from midspan.vision.reference.light import Sight, inside, placed, sight
-from midspan.vision.reference.pictures import LEAST_SHOWN
-from midspan.vision.reference.records import (
-    Overlap,
-    Seen,
-    contrast,
-    exchanged,
-    nearest,
-    unmoved,
+from midspan.vision.reference.policy import (
+    HEALTH_FRAMES,
+    NEAR_PX,
+    KeyFrameSettings,
+    cleared,
+    near,
+    paled,
+    to_try,
 )
-from midspan.vision.reference.seeing import HEALTH_FRAMES, SeeingKeyFrames, Told
-from midspan.vision.region import check_size
+from midspan.vision.reference.records import (
+    crowded,
+    exchanged,
+    first_chain,
+    nearest,
+    place_of,
+    relative,
+    unmoved,
+    variance_of,
+)
+from midspan.vision.reference.seeing import Told, measured
+from midspan.vision.reference.state import Appearance, KeyFrameState, Overlap
+from midspan.vision.region import check_size, clamp, shift
 from midspan.vision.target import lost
+from midspan.vision.tracker import Tracker
 
-USUAL_FRAMES = 5  # frames after a key frame whose strength is its usual one
 REACH_SHARE = 0.1  # of the region's side: how sure the last place is for a tracker that is new to the frame
-ANYWHERE_TURNS = 20  # every so many tries the first frame is looked for everywhere
-CLEARER = 1.5  # times the contrast of a key frame that is mostly noise: time for another
-LEAST_SEEN = 0.35  # share of the target that must be seen to learn from it
 TURNED = 0.8  # share of the usual strength below which temperatures are looked at with bright and dark exchanged
 EXCHANGED_TURNS = 4  # every so many tries it is the first frame with bright and dark exchanged
-KNOWN_PX = 0.02  # a key frame known so well need not be found again
 COVERED = 0.03  # share of the target covered from which nothing is learnt
 LINK_PX = 0.5  # how well a frame's place must be known to go on from it without overlap
 LINK_FRAMES = 5  # frames that may have been lost since
 
 
-class KeyFrameTracker(SeeingKeyFrames):
+class KeyFrameTracker(Tracker):
     """Follows a target through changing light; see `midspan.vision.tracker.Tracker` for its interface.
 
-    `take_events` tells of key frames, of returns, and of things that come in front of the target and go.
+    Its events tell of key frames, of returns, and of things that come in front of the target and go. The trackers
+    inside are opened once for each key frame; all that changes is in the state.
     """
+
+    _state: KeyFrameState
+
+    def __init__(self, reference: Frame, region: Region, settings: KeyFrameSettings | None = None) -> None:
+        super().__init__(reference, region)
+        self.settings = settings or KeyFrameSettings()
+        self._inside = InnerTrackers(self.settings.tracker, self.settings.tracker_settings)
+        self._events: list[Event] = []
+        first = self._inside.key(reference, region)
+        self._state = KeyFrameState((first,), first_chain(), Appearance((LATELY, reference.time_ns)))
+
+    @property
+    def region_now(self) -> Region:
+        """Where the target was last seen, inside the image."""
+        return self._inside.region_now(self._state.key)
+
+    @property
+    def key_frames(self) -> int:
+        """How many key frames have been made, the first one counted."""
+        return self._state.made
+
+    def restore(self, state: KeyFrameState) -> None:
+        """Continue from a `state` taken earlier."""
+        self._state = state
+        self._inside.keep(state.keys)
 
     def push(self, frame: Frame, prediction: Prediction | None = None) -> PixelTranslation:
         """Measure the translation (px) since the first frame in `frame`; LOST with NaN where no key frame is found."""
         check_size(frame, self.reference)
-        self._frames += 1
-        told = self._remembered(frame, prediction, front=False) if self._hidden.any() else None
-        told = told or self._result(frame, self._look(self._current, frame, prediction))
-        told = told or self._remembered(frame, prediction, front=True)
-        told = self._turned(frame, prediction, 0.0 if told is None else told[2]) or told
+        self._events = []
+        self._state = replace(self._state, frames=self._state.frames + 1)
+        told = self._found(frame, prediction)
         if told is None:
-            self._ended_early()
-            told = self._recovered(frame, prediction) or self._remembered(frame, prediction, front=False)
-        if told is None:
-            self._recent, self._lately = [], (self._lately[0], frame.time_ns)
-            return lost(frame.time_ns)
-        result, view, strength_now = told
+            looks = replace(self._state.appearance, lately=(self._state.appearance.lately[0], frame.time_ns))
+            self._state = replace(self._state, recent=(), appearance=looks)
+            return lost(frame.time_ns, tuple(self._events))
+        found, view = told
         self._front(frame)
-        place = np.array([result.x_px, result.y_px])
-        if self.covered > COVERED:
-            self._recent = [*self._recent, place][-2:]
-            return result
-        if not self._hidden.any():
-            self._counted(strength_now)
-            self._last = (frame, place, np.array([result.variance_x_px2, result.variance_y_px2]))
-        self._compare(frame, result, view)
-        self._recent = [*self._recent, place][-2:]
-        return result
+        place = place_of(found)
+        if frame.covered <= COVERED:
+            self._counted(frame, found)
+            self._compare(frame, found, view)
+        state = self._state = replace(self._state, recent=(*self._state.recent, place)[-2:])
+        strength = state.health[-1] if state.health else state.key.usual
+        return replace(found, strength=strength, events=tuple(self._events))
 
-    def _counted(self, strength_now: float) -> None:
-        """The strength of a frame that shows all of the target."""
-        key = self._keys[self._current]
-        if len(key.strengths) < USUAL_FRAMES:
-            key.strengths.append(strength_now)
-        self._health = [*self._health, strength_now][-HEALTH_FRAMES:]
+    def _found(self, frame: Frame, prediction: Prediction | None) -> Told | None:
+        """The result by the key frame in use, by where the target must be, or by another key frame."""
+        number = self._state.current
+        told = self._remembered(frame, prediction, front=False) if self._state.appearance.hidden.any() else None
+        told = told or self._measured(number, frame, self._look(number, frame, prediction))
+        told = told or self._remembered(frame, prediction, front=True)
+        told = self._turned(frame, prediction, 0.0 if told is None else told[0].strength) or told
+        if told is None:
+            self._hand_over()
+            told = self._recovered(frame, prediction) or self._remembered(frame, prediction, front=False)
+        return told
+
+    def _look(
+        self, number: int, frame: Frame, prediction: Prediction | None, *, afresh: bool = False
+    ) -> PixelTranslation:
+        """What a key frame says; `prediction` counts from the first frame. afresh: one that has not been tracked
+        lately, whose memory of the motion is old.
+        """
+        x, y = (float(v) for v in self._state.chain.place[number])
+        expected = relative(prediction, x, y)
+        found, inner = self._inside.look(self._state.keys[number], frame, expected, afresh=afresh)
+        self._state = self._state.with_key(number, inner=inner)
+        return found
+
+    def _aside(self, number: int, frame: Frame, prediction: Prediction | None) -> PixelTranslation:
+        """What a key frame says of another picture, without a trace in the state."""
+        before = self._state
+        found = self._look(number, frame, prediction, afresh=True)
+        self._state = before
+        return found
+
+    def _measured(self, number: int, frame: Frame, found: PixelTranslation, *, remembered: bool = False) -> Told | None:
+        """The result of what the key frame `number` says, see `measured`."""
+        looks, told = measured(self._state, self.settings, frame, (number, found), remembered=remembered)
+        self._state = replace(self._state, appearance=looks)
+        return told
+
+    def _remembered(self, frame: Frame, prediction: Prediction | None, *, front: bool) -> Told | None:
+        """The result from where the target must be by now, where its key frame does not find it; `front`: only if
+        something stands in front.
+        """
+        recent = self._state.recent
+        if not recent or self._state.pictures is None or self.settings.heat:
+            return None
+        if prediction is not None:
+            return self._remembered_at(frame, np.array([prediction.x_px, prediction.y_px]), front=front)
+        onward = 2.0 * recent[-1] - recent[0]  # as far as before; the last place itself where there is no other
+        told = self._remembered_at(frame, onward, front=front)
+        return told or (self._remembered_at(frame, recent[-1], front=front) if len(recent) > 1 else None)
+
+    def _remembered_at(self, frame: Frame, place: Floats, *, front: bool) -> Told | None:
+        """The result with the target looked for at `place` (2,) px from the first frame."""
+        number, looks = self._state.current, self._state.appearance
+        x, y = (float(v) for v in place)
+        seen = self._look(number, frame, Prediction(x, y, 1.0, 1.0))
+        since = place - self._state.chain.place[number]
+        lost_it = seen.status is not Status.TRACKING or float(np.abs(place_of(seen) - since).max()) > NEAR_PX
+        # The key frame may follow what stands in front: it only says how strong the target is.
+        unsure, strength = self.settings.light_px**2, 0.0 if lost_it else seen.strength
+        x, y = (float(v) for v in since)
+        found = PixelTranslation(frame.time_ns, x, y, unsure, unsure, seen.quality, Status.TRACKING, strength=strength)
+        told = self._measured(number, frame, found, remembered=True)
+        if told is None or (front and not self._state.appearance.hidden.any()):
+            self._state = replace(self._state, appearance=looks)
+            return None
+        return told
+
+    def _counted(self, frame: Frame, found: PixelTranslation) -> None:
+        """Remember a frame that shows all of the target, and its strength; the key frame itself has none."""
+        if self._state.appearance.hidden.any():
+            return
+        self._state = replace(self._state, last=(frame, place_of(found), variance_of(found)))
+        if math.isfinite(found.strength):
+            self._state = self._state.counted(self._state.current, found.strength)
+            self._state = replace(self._state, health=(*self._state.health, found.strength)[-HEALTH_FRAMES:])
 
     def _front(self, frame: Frame) -> None:
         """Tell when something comes in front of the target and when it has gone; nothing is learnt meanwhile."""
-        share = float(self._hidden.mean())
-        if share > 0.0 and self._since_ns is None:
-            self._since_ns = frame.time_ns
-            text = f"something in front of the target hides {100.0 * share:.0f} % of it"
-            self._events.append(Event(frame.time_ns, "hidden", text))
-            if self._overlap is not None:
-                self._finish(self._overlap, frame)
-        elif share == 0.0 and self._since_ns is not None:
-            text = f"all of the target is seen again after {(frame.time_ns - self._since_ns) / 1e9:.1f} s"
-            self._events.append(Event(frame.time_ns, "seen", text))
-            self._since_ns = None
+        share, since_ns = float(self._state.appearance.hidden.mean()), self._state.since_ns
+        if share > 0.0 and since_ns is None:
+            self._state = replace(self._state, since_ns=frame.time_ns)
+            self._tell(frame, f"something in front of the target hides {100.0 * share:.0f} % of it", "hidden")
+            self._finish(frame)
+        elif share == 0.0 and since_ns is not None:
+            self._tell(frame, f"all of the target is seen again after {(frame.time_ns - since_ns) / 1e9:.1f} s", "seen")
+            self._state = replace(self._state, since_ns=None)
 
     def _recovered(self, frame: Frame, prediction: Prediction | None) -> Told | None:
         """The frame by another key frame, else by the last one that was tracked, which then becomes one."""
-        if prediction is None and self._last is not None:
-            x, y = (float(v) for v in self._last[1])
+        last = self._state.last
+        if prediction is None and last is not None:
+            x, y = (float(v) for v in last[1])
             reach = REACH_SHARE * min(self.region.width, self.region.height)
             prediction = Prediction(x, y, reach, reach)
-        for number in nearest(self._current, self._keys, self.settings.related):
-            told = self._tried_on(number, frame, self._afresh(number, frame, prediction))
+        for number in nearest(self._state.current, self._state.keys, self.settings.related):
+            told = self._measured(number, frame, self._look(number, frame, prediction, afresh=True))
             if told is not None:
                 self._switch(number, frame, "the key frame in use was lost")
                 return told
-        if self._last is None or self._hidden.any() or self._last[0] is self._keys[self._current].frame:
+        hidden = self._state.appearance.hidden.any()
+        if last is None or hidden or last[0].time_ns == self._state.key.frame.time_ns:
             return None
-        before, place, variance = self._last
-        if self.covered > COVERED or variance.max() > LINK_PX**2 or frame.index - before.index > LINK_FRAMES:
+        before, place, variance = last
+        if frame.covered > COVERED or variance.max() > LINK_PX**2 or frame.index - before.index > LINK_FRAMES:
             return None
-        try:
-            number = self._added(before, place, variance + self.settings.link_floor_px**2)
-        except UsageError:
-            return None
-        told = self._tried_on(number, frame, self._look(number, frame, prediction))
+        new = self._added(before, place, variance + self.settings.link_floor_px**2)
+        why = "new key frame without overlap: the one in use was lost"
+        return None if new is None else self._linked(new, frame, self._look(new, frame, prediction), why)
+
+    def _linked(self, number: int, frame: Frame, found: PixelTranslation, why: str) -> Told | None:
+        """The result by a new key frame that takes over at once; without one it goes again."""
+        told = self._measured(number, frame, found)
         if told is None:
-            self._dropped(number)
+            self._state = self._state.without(number)
             return None
-        self._made += 1
-        self._switch(number, frame, "new key frame without overlap: the one in use was lost")
-        self._overlap = Overlap(number, new=False)
+        self._state = replace(self._state, made=self._state.made + 1)
+        self._switch(number, frame, why)
+        self._state = replace(self._state, overlap=Overlap(number, new=False))
         return told
 
     def _turned(self, frame: Frame, prediction: Prediction | None, strength_now: float) -> Told | None:
@@ -133,167 +230,169 @@ class KeyFrameTracker(SeeingKeyFrames):
 
         What was warmer than the rest by day may be colder by night.
         """
-        if not self.settings.heat or self.covered > COVERED or strength_now >= TURNED * self._keys[self._current].usual:
+        state = self._state
+        if not self.settings.heat or frame.covered > COVERED or strength_now >= TURNED * state.key.usual:
             return None
         other = exchanged(frame)
-        numbers = [self._current, *nearest(self._current, self._keys, self.settings.related)]
+        numbers = [state.current, *nearest(state.current, state.keys, self.settings.related)]
         best, found = strength_now, None
         for number in numbers if strength_now == 0.0 else numbers[:1]:
             seen = self._aside(number, other, prediction)
-            near = self._near(self._chain.place[number] + seen.place, prediction)
-            if seen.found.status is Status.TRACKING and seen.strength > best and near:
+            likely = near(state.chain.place[number] + place_of(seen), prediction, state)
+            if seen.status is Status.TRACKING and seen.strength > best and likely:
                 best, found = seen.strength, (number, seen)
         return None if found is None else self._adopted(*found, frame)
 
-    def _adopted(self, number: int, seen: Seen, frame: Frame) -> Told | None:
+    def _adopted(self, number: int, seen: PixelTranslation, frame: Frame) -> Told | None:
         """A new key frame where an earlier one was `seen` with bright and dark exchanged."""
-        variance = self._chain.variance(number) + seen.variance + self.settings.link_floor_px**2
-        self._ended_early()
-        try:
-            new = self._added(frame, self._chain.place[number] + seen.place, variance)
-        except UsageError:
-            return None
-        told = self._tried_on(new, frame, unmoved(frame))
-        if told is None:
-            self._dropped(new)
-            return None
-        self._made += 1
-        self._switch(new, frame, "bright and dark have changed places")
-        self._overlap = Overlap(new, new=False)
-        return told
+        chain = self._state.chain
+        place, variance = chain.place[number] + place_of(seen), chain.variance(number) + variance_of(seen)
+        self._hand_over()
+        new = self._added(frame, place, variance + self.settings.link_floor_px**2)
+        return None if new is None else self._linked(new, frame, unmoved(frame), "bright and dark have changed places")
 
-    def _compare(self, frame: Frame, result: PixelTranslation, view: Sight | None) -> None:
+    def _compare(self, frame: Frame, found: PixelTranslation, view: Sight | None) -> None:
         """Go on with an overlap, or begin one with a new key frame; without one, try an earlier key frame."""
-        here = Prediction(result.x_px, result.y_px, 1.0, 1.0)
-        place = np.array([result.x_px, result.y_px])
-        if self._overlap is None:
-            self._overlap = self._begun(frame, result, self._paled(frame, view, place))
-            view = view or (sight(frame.pixels, self.region, place) if self._overlap else None)
-        lap = self._overlap
+        place = place_of(found)
+        if self._state.overlap is None:
+            self._begin(frame, found, view)
+            view = view or (sight(frame.pixels, self.region, place) if self._state.overlap else None)
+        lap = self._state.overlap
         if lap is None:
-            if not self._hidden.any():
-                self._tried(frame, here)
+            if not self._state.appearance.hidden.any():
+                self._tried(frame, Prediction(found.x_px, found.y_px, 1.0, 1.0))
             return
-        lap.frames += 1
-        window = None if view is None else view.window(place)
-        if window is not None:
-            if self._hidden.any() and self._pictures is not None and self._expected is not None:
-                window = completed(window, self._expected, self._pictures.mix.cell, self._doubtful)
-                lap.hidden = lap.hidden | self._doubtful
-            lap.windows.append(window)
-        if lap.new and not lap.hidden.any():
-            key = self._keys[lap.to]
-            target = unmoved(frame) if frame is key.frame else self._look(lap.to, frame, here)
-            if target.found.status is Status.TRACKING:
-                lap.places.append(place - target.place)
-                if frame is not key.frame and len(key.strengths) < USUAL_FRAMES:
-                    key.strengths.append(target.strength)
+        lap = self._tracked_along(self._with_window(lap, view, place), frame, place)
+        self._state = replace(self._state, overlap=lap)
         if lap.frames >= self.settings.overlap_frames:
-            self._finish(lap, frame)
-            again = (
-                placed(self._pictures.mix, view, place) if self._pictures and self._pictures.several and view else None
-            )
-            self._carried = self._carried if again is None else place - again.place
+            self._finish(frame)
+            known = self._state.pictures
+            again = placed(known.mix, view, place) if known and known.several and view else None
+            if again is not None:
+                looks = replace(self._state.appearance, carried=place - again.place)
+                self._state = replace(self._state, appearance=looks)
 
-    def _paled(self, frame: Frame, view: Sight | None, place: Floats) -> bool:
-        """Whether light has changed the target: by the strength or, where something stands in front, by the rest."""
-        usual = self._keys[self._current].usual
-        share = fmean(self._health) / usual if self._health and usual > 0.0 else 1.0
-        if not self._hidden.any() or self._pictures is None:
-            self._likeness = 0.0
-            return share < self.settings.renew_share or self._cleared(frame)
+    def _with_window(self, lap: Overlap, view: Sight | None, place: Floats) -> Overlap:
+        """The overlap with one more frame; what something hides is taken from what was expected there."""
+        lap = replace(lap, frames=lap.frames + 1)
         window = None if view is None else view.window(place)
-        seen_share = float(np.mean(~self._hidden)), float(np.mean(~self._doubtful))
-        if window is None or seen_share[0] < LEAST_SEEN or seen_share[1] < LEAST_SHOWN:
-            return False
-        alike = likeness(self._pictures.mix, inside(window), self._doubtful)
-        if self._likeness == 0.0:
-            self._likeness = min(alike / max(share, self.settings.renew_share), 1.0)
-        elif self._likeness < 0.0:
-            self._likeness = alike
-        # The middle cell loses three quarters of what the whole loses.
-        return alike < (1.0 - 0.75 * (1.0 - self.settings.renew_share)) * self._likeness
+        if window is None:
+            return lap
+        looks, known = self._state.appearance, self._state.pictures
+        if looks.hidden.any() and known is not None and looks.expected is not None:
+            window = completed(window, looks.expected, known.mix.cell, looks.doubtful)
+            lap = replace(lap, hidden=lap.hidden | looks.doubtful)
+        return replace(lap, windows=(*lap.windows, window))
 
-    def _cleared(self, frame: Frame) -> bool:
-        """Whether the target stands out much better than in the key frame, which is mostly noise."""
-        key = self._keys[self._current]
-        return not key.clear and contrast(frame, self.region_now) > CLEARER * key.contrast
+    def _tracked_along(self, lap: Overlap, frame: Frame, place: Floats) -> Overlap:
+        """The overlap with where a new key frame lies by this frame, in which the target is at `place` (2,) px."""
+        if not lap.new or lap.hidden.any():
+            return lap
+        if lap.frames == 1:
+            return replace(lap, places=(place,))
+        x, y = (float(v) for v in place)
+        seen = self._look(lap.to, frame, Prediction(x, y, 1.0, 1.0))
+        if seen.status is not Status.TRACKING:
+            return lap
+        self._state = self._state.counted(lap.to, seen.strength)
+        return replace(lap, places=(*lap.places, place - place_of(seen)))
 
-    def _begun(self, frame: Frame, result: PixelTranslation, paled: bool) -> Overlap | None:
-        """A new key frame where light has changed the target."""
-        if not paled:
-            return None if self._keys[self._current].picture is not None else Overlap(self._current, new=False)
-        variance = np.array([result.variance_x_px2, result.variance_y_px2])
-        try:
-            number = self._added(frame, np.array([result.x_px, result.y_px]), variance)
-        except UsageError:  # too little texture is left for a reference
-            return None
-        return Overlap(number, new=True, hidden=self._doubtful)
+    def _begin(self, frame: Frame, found: PixelTranslation, view: Sight | None) -> None:
+        """Begin a new key frame where light has changed the target, else the picture of the one in use."""
+        place = place_of(found)
+        clear = cleared(self._state, frame, self.region_now)
+        faded, likeness = paled(self._state, self.settings.renew_share, view, place, cleared=clear)
+        self._state = replace(self._state, likeness=likeness)
+        if not faded:
+            lap = None if self._state.key.picture is not None else Overlap(self._state.current, new=False)
+            self._state = replace(self._state, overlap=lap)
+            return
+        number = self._added(frame, place, variance_of(found))
+        if number is not None:
+            lap = Overlap(number, new=True, hidden=self._state.appearance.doubtful)
+            self._state = replace(self._state, overlap=lap)
 
     def _tried(self, frame: Frame, here: Prediction) -> None:
         """Now and then: back to an earlier key frame that is better known and matches again."""
-        if self._current == 0 or self._frames % self.settings.try_every:
+        state = self._state
+        if state.current == 0 or state.frames % self.settings.try_every:
             return
-        turn = self._frames // self.settings.try_every
-        if self.settings.heat and turn % EXCHANGED_TURNS == 0:
+        if self.settings.heat and state.frames // self.settings.try_every % EXCHANGED_TURNS == 0:
             self._tried_exchanged(frame, here)
             return
-        anywhere = turn % ANYWHERE_TURNS == 0
-        # Every other try is for the first frame, the rest for the others in turn.
-        number = 0 if turn % 2 == 0 else (turn // 2) % len(self._keys)
-        if self._keys[number].hidden.any() or (self._unlike(number) and not anywhere):
+        chosen = to_try(state, self.settings)
+        if chosen is None:
             return
-        if self._chain.variance(number).sum() >= self._chain.variance(self._current).sum():
+        number, anywhere = chosen
+        tried = self._look(number, frame, None if anywhere else here, afresh=True)
+        if tried.status is not Status.TRACKING or not self._as_strong(number, tried):
             return
-        tried = self._afresh(number, frame, None if anywhere else here)
-        usual = self._keys[number].usual
-        if tried.found.status is not Status.TRACKING or tried.strength < self.settings.return_share * usual:
-            return
-        off = float(np.abs(self._chain.place[number] + tried.place - np.array([here.x_px, here.y_px])).max())
+        off = float(np.abs(state.chain.place[number] + place_of(tried) - np.array([here.x_px, here.y_px])).max())
         if off < 1.0:
             self._switch(number, frame, "back to the first frame" if number == 0 else "back to an earlier key frame")
         elif number == 0:
             self._begun_again(frame, off)
 
+    def _as_strong(self, number: int, found: PixelTranslation) -> bool:
+        """Whether a key frame matches again."""
+        return found.strength >= self.settings.return_share * self._state.keys[number].usual
+
     def _tried_exchanged(self, frame: Frame, here: Prediction) -> None:
         """Back to what the first frame says with bright and dark exchanged, where that matches and is better known."""
         seen = self._aside(0, exchanged(frame), here)
-        known = self._chain.variance(self._current)
-        strong = seen.strength >= self.settings.return_share * self._keys[0].usual
-        if seen.found.status is Status.TRACKING and strong and (known > 4.0 * seen.variance + KNOWN_PX**2).any():
+        # One that is known as well as any can be need not be found again.
+        least = self.settings.link_floor_px**2
+        better = self._state.chain.variance(self._state.current) > 4.0 * variance_of(seen) + least
+        if seen.status is Status.TRACKING and self._as_strong(0, seen) and better.any():
             self._adopted(0, seen, frame)
 
     def _begun_again(self, frame: Frame, off_px: float) -> None:
         """Back to the first frame, which contradicts all later key frames."""
-        count = len(self._keys) - 1
-        self._current = 0
+        count = len(self._state.keys) - 1
+        state = self._state.using(0)
         for number in range(count, 0, -1):
-            self._dropped(number)
-        self._health, self._recent, self._carried = [], [], np.zeros(2)
-        picture = self._keys[0].picture
-        self._expected = None if picture is None else inside(picture)
-        text = f"back to the first frame; {count} later key frames lay {off_px:.1f} px off and are dropped"
-        self._events.append(Event(frame.time_ns, "reference", text))
+            state = state.without(number)
+        expected = None if state.key.picture is None else inside(state.key.picture)
+        looks = replace(state.appearance, expected=expected, carried=np.zeros(2))
+        self._state = replace(state, recent=(), appearance=looks)
+        self._tell(frame, f"back to the first frame; {count} later key frames lay {off_px:.1f} px off and are dropped")
 
-    def _unlike(self, number: int) -> bool:
-        """Whether a key frame's picture shows that it cannot match again."""
-        known, expected = self._pictures, self._expected
-        if known is None or expected is None or number not in known.numbers:
-            return False
-        picture = known.mix.pictures[known.numbers.index(number)]
-        return float(picture @ expected) < self.settings.renew_share * float(np.linalg.norm(expected))
+    def _added(self, frame: Frame, place: Floats, variance: Floats) -> int | None:
+        """Number of a new key frame, its target at `place` (2,) px from the first frame, with variance (2,) in px²;
+        None where too little texture is left for a reference.
+        """
+        rows, columns = frame.pixels.shape
+        try:
+            key = self._inside.key(frame, clamp(shift(self.region, float(place[0]), float(place[1])), columns, rows))
+        except UsageError:
+            return None
+        state = self._state
+        if len(state.keys) >= self.settings.most:
+            state = state.without(crowded(state.keys, state.current))
+        self._state = state.plus(key, place, variance)
+        self._inside.keep(self._state.keys)
+        return len(self._state.keys) - 1
 
-    def _finish(self, lap: Overlap, frame: Frame) -> None:
+    def _hand_over(self) -> bool:
+        """End an overlap; False where there was none, or a new key frame has not been tracked."""
+        self._state, kept = self._state.handed_over(self.settings.link_floor_px, self.settings.unmixed_px)
+        return kept
+
+    def _finish(self, frame: Frame) -> None:
         """Keep what an overlap gave, and hand over to a new key frame that shows all of the target."""
-        if not self._kept(lap) or not lap.new:
+        lap = self._state.overlap
+        if not self._hand_over() or lap is None or not lap.new:
             return
         if not lap.hidden.any():
             self._switch(lap.to, frame, "new key frame")
             return
-        text = f"new key frame of the {100.0 * np.mean(~lap.hidden):.0f} % of the target that are seen"
-        self._events.append(Event(frame.time_ns, "reference", text))
+        self._tell(frame, f"new key frame of the {100.0 * np.mean(~lap.hidden):.0f} % of the target that are seen")
 
-    def _ended_early(self) -> None:
-        """The key frame in use was lost during an overlap: keep a new one if it has been tracked."""
-        if self._overlap is not None:
-            self._kept(self._overlap)
+    def _switch(self, number: int, frame: Frame, why: str) -> None:
+        """Use another key frame from now on."""
+        state = self._state = self._state.using(number)
+        spread = float(np.sqrt(state.chain.variance(number).max()))
+        self._tell(frame, f"{why}: number {number} of {len(state.keys)}, its place known to {spread:.3f} px")
+
+    def _tell(self, frame: Frame, text: str, kind: str = "reference") -> None:
+        self._events.append(Event(frame.time_ns, kind, text))

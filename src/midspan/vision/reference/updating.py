@@ -16,7 +16,8 @@ import numpy as np
 from midspan.checks import option, refuse
 from midspan.errors import UsageError
 from midspan.records import Event, Floats, Frame, PixelTranslation, Prediction, Region, Status
-from midspan.vision.reference.strength import open_counting, relative, strength
+from midspan.vision.reference.inner import InnerTrackers
+from midspan.vision.reference.records import KeyFrame, place_of, relative, variance_of
 from midspan.vision.region import check_size, clamp, shift
 from midspan.vision.tracker import TRACKERS, Tracker
 
@@ -69,185 +70,138 @@ def match_threshold(matches: list[float], settings: UpdatingSettings) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reference:
-    """A reference frame: its place in the first frame's pixels with variances (px, px²), its number among the frames,
-    the matches since, and the threshold once it is known.
+    """A reference frame: its place (2,) in the first frame's pixels with variances (2,) (px, px²), its number among the
+    frames, the matches since, and the threshold once it is known.
     """
 
-    frame: Frame
-    x_px: float = 0.0
-    y_px: float = 0.0
-    variance_x_px2: float = 0.0
-    variance_y_px2: float = 0.0
+    key: KeyFrame
+    place: Floats
+    variance: Floats
     number: int = 0
     matches: tuple[float, ...] = ()
     threshold: float | None = None
 
+    def counted(self, matches: float, settings: UpdatingSettings) -> "Reference":
+        """With one more number of matches; with the D-th its threshold is set (case 2)."""
+        counts = (*self.matches, matches)[-max(settings.threshold_frames, settings.average_frames) :]
+        threshold = self.threshold
+        if threshold is None and len(counts) >= settings.threshold_frames:
+            threshold = match_threshold(list(counts), settings)
+        return replace(self, matches=counts, threshold=threshold)
+
+    def too_few(self, since: int, settings: UpdatingSettings) -> bool:
+        """Whether it is to be replaced; since: k, frames after it (case 3: k > D)."""
+        known = self.threshold if since > settings.threshold_frames else None
+        if known is not None and moving_average(list(self.matches), settings.average_frames) <= known:
+            return True
+        # The published rule waits for D frames whatever happens; a target that is nearly lost cannot.
+        return not settings.literal and self.matches[-1] < settings.least_matches
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UpdatingState:
-    """What the tracker remembers: the reference in use, the first frame's threshold, the last frame that was tracked
-    with its place, the number of frames so far and of updates, and the inner tracker's state.
+    """What the tracker remembers: the first reference, with its threshold once known, and the one in use, the last
+    frame that was tracked with its translation and number, the number of frames so far and of updates.
     """
 
+    first: Reference
     current: Reference
-    first_threshold: float | None = None
-    last: Reference | None = None
+    last: tuple[Frame, PixelTranslation, int] | None = None
     frames: int = 0
     updates: int = 0
-    inner: Any = None
 
 
-class UpdatingTracker:
+class UpdatingTracker(Tracker):
     """Follows a target through changing light; see `midspan.vision.tracker.Tracker` for its interface."""
 
+    _state: UpdatingState
+
     def __init__(self, reference: Frame, region: Region, settings: UpdatingSettings | None = None) -> None:
+        super().__init__(reference, region)
         self.settings = settings or UpdatingSettings()
-        self._first = open_counting(self.settings.tracker, reference, region, self.settings.tracker_settings)
-        self._tracker: Tracker = self._first
-        self._at_rest = self._first.state
-        self._state = UpdatingState(Reference(reference))
-        self._events: list[Event] = []
-        self._own = (0.0, 0.0)
-
-    @property
-    def reference(self) -> Frame:
-        """The frame that the translation counts from: the first."""
-        return self._first.reference
-
-    @property
-    def region(self) -> Region:
-        """The target's region in the first frame."""
-        return self._first.region
+        self._inside = InnerTrackers(self.settings.tracker, self.settings.tracker_settings)
+        first = Reference(self._inside.key(reference, region), np.zeros(2), np.zeros(2))
+        self._state = UpdatingState(first, first)
 
     @property
     def region_now(self) -> Region:
         """Where the target was last seen, inside the image."""
-        return self._tracker.region_now
-
-    @property
-    def own_variance_px2(self) -> tuple[float, float]:
-        """Variances along x and y (px²) of the last frame alone, without the reference's."""
-        return self._own
-
-    @property
-    def strength(self) -> float:
-        """Matches of the last frame with the reference in use, or quality in percent."""
-        counts = self._state.current.matches
-        return counts[-1] if counts else 0.0
-
-    def take_events(self) -> list[Event]:
-        """What happened since this was last called: new reference frames, returns to the first."""
-        told, self._events = self._events, []
-        return told
-
-    @property
-    def state(self) -> UpdatingState:
-        """Everything that changes from frame to frame."""
-        return replace(self._state, inner=self._tracker.state)
+        return self._inside.region_now(self._state.current.key)
 
     def restore(self, state: UpdatingState) -> None:
         """Continue from a `state` taken earlier."""
         self._state = state
-        self._use(state.current)
-        self._tracker.restore(state.inner if state.inner is not None else self._at_rest)
+        self._inside.keep((state.first.key, state.current.key))
 
     def push(self, frame: Frame, prediction: Prediction | None = None) -> PixelTranslation:
-        """Measure the translation (px) since the first frame in `frame`; the variance grows with each new reference."""
+        """Measure the translation (px) since the first frame in `frame`; the variance grows with each new reference.
+
+        Its events tell of new reference frames and of returns to the first.
+        """
         check_size(frame, self.reference)
-        state = self._state
-        number = state.frames + 1
-        found, matches = self._measure(self._tracker, frame, prediction, state.current)
-        current = self._counted(state.current, matches)
-        state = replace(state, current=current, frames=number)
-        if current.number == 0 and current.threshold is not None:
-            state = replace(state, first_threshold=current.threshold)
-        self._state = state
-        if self._too_few(current, number - current.number, matches):
-            found = self._renewed(frame, prediction, found)
+        state, number = self._state, self._state.frames + 1
+        found, current = self._measured(state.current, frame, prediction)
+        first = replace(state.first, threshold=current.threshold) if current.number == 0 else state.first
+        self._state = state = replace(state, first=first, current=current, frames=number)
+        if current.too_few(number - current.number, self.settings):
+            found = self._renewed(frame, prediction) or found
         if found.status is Status.TRACKING:
-            place = (found.x_px, found.y_px, found.variance_x_px2, found.variance_y_px2)
-            self._state = replace(self._state, last=Reference(frame, *place, number=number))
+            self._state = replace(self._state, last=(frame, found, number))
         return found
 
-    def _measure(
-        self, tracker: Tracker, frame: Frame, prediction: Prediction | None, since: Reference
-    ) -> tuple[PixelTranslation, float]:
-        """Translation since the first frame (equation 11; 13 where `since` is the first) and the number of matches."""
-        found = tracker.push(frame, relative(prediction, since.x_px, since.y_px))
-        matches = strength(tracker, found)
+    def _measured(
+        self, since: Reference, frame: Frame, prediction: Prediction | None, *, afresh: bool = False
+    ) -> tuple[PixelTranslation, Reference]:
+        """Translation since the first frame (equation 11; 13 where `since` is the first), and `since` after it."""
+        x, y = (float(v) for v in since.place)
+        found, inner = self._inside.look(since.key, frame, relative(prediction, x, y), afresh=afresh)
+        since = replace(since, key=replace(since.key, inner=inner)).counted(found.strength, self.settings)
         if found.status is not Status.TRACKING:
-            return found, matches
-        self._own = (found.variance_x_px2, found.variance_y_px2)
+            return found, since
+        reference_x, reference_y = (float(v) for v in since.variance)
         return replace(
             found,
-            x_px=found.x_px + since.x_px,
-            y_px=found.y_px + since.y_px,
-            variance_x_px2=found.variance_x_px2 + since.variance_x_px2,
-            variance_y_px2=found.variance_y_px2 + since.variance_y_px2,
-        ), matches
+            x_px=found.x_px + x,
+            y_px=found.y_px + y,
+            reference_variance_x_px2=reference_x,
+            reference_variance_y_px2=reference_y,
+        ), since
 
-    def _counted(self, current: Reference, matches: float) -> Reference:
-        """The reference with one more number of matches; with the D-th its threshold is set (case 2)."""
-        settings = self.settings
-        kept = max(settings.threshold_frames, settings.average_frames)
-        counts = (*current.matches, matches)[-kept:]
-        threshold = current.threshold
-        if threshold is None and len(counts) >= settings.threshold_frames:
-            threshold = match_threshold(list(counts), settings)
-        return replace(current, matches=counts, threshold=threshold)
-
-    def _too_few(self, current: Reference, since: int, matches: float) -> bool:
-        """Whether the reference is to be replaced; since: k, frames after the reference (case 3: k > D)."""
-        settings = self.settings
-        known = current.threshold if since > settings.threshold_frames else None
-        if known is not None and moving_average(list(current.matches), settings.average_frames) <= known:
-            return True
-        # The published rule waits for D frames whatever happens; a target that is nearly lost cannot.
-        return not settings.literal and matches < settings.least_matches
-
-    def _renewed(self, frame: Frame, prediction: Prediction | None, found: PixelTranslation) -> PixelTranslation:
+    def _renewed(self, frame: Frame, prediction: Prediction | None) -> PixelTranslation | None:
         """Back to the first frame where it matches again, else on from the last frame tracked (case 3)."""
-        state = self._state
+        state, here = self._state, prediction or self._guess()
         if state.current.number != 0:
-            self._first.restore(self._at_rest)
-            here = prediction or self._guess()
-            again, matches = self._measure(self._first, frame, here, Reference(self.reference))
-            least = state.first_threshold
-            if again.status is Status.TRACKING and least is not None and matches > least:
-                self._tracker = self._first
-                current = Reference(self.reference, matches=(matches,), threshold=least)
-                self._state = replace(state, current=current, updates=state.updates + 1)
-                self._events.append(Event(frame.time_ns, "reference", "back to the first frame"))
-                return again
-        last = state.last
-        if last is None or last.number == state.current.number:
-            return found
-        before = self._tracker
+            least = state.first.threshold
+            found, first = self._measured(replace(state.first, matches=()), frame, here, afresh=True)
+            if found.status is Status.TRACKING and least is not None and found.strength > least:
+                return self._renewed_by(first, frame, found, "back to the first frame")
+        if state.last is None or state.last[2] == state.current.number:
+            return None
         try:
-            self._use(last)
+            last = self._reference_of(*state.last)
         except UsageError:  # too little texture is left for a reference
-            self._tracker = before
-            return found
-        renewed, matches = self._measure(self._tracker, frame, prediction or self._guess(), last)
-        if renewed.status is not Status.TRACKING:
-            self._tracker = before
-            return found
-        self._state = replace(state, current=self._counted(last, matches), updates=state.updates + 1)
-        text = f"new reference frame, number {self._state.updates}: too few matches with the one in use"
-        self._events.append(Event(frame.time_ns, "reference", text))
-        return renewed
+            return None
+        found, current = self._measured(last, frame, here)
+        if found.status is not Status.TRACKING:
+            return None
+        text = f"new reference frame, number {state.updates + 1}: too few matches with the one in use"
+        return self._renewed_by(current, frame, found, text)
+
+    def _renewed_by(self, current: Reference, frame: Frame, found: PixelTranslation, text: str) -> PixelTranslation:
+        """Go on with another reference, and tell it with what it has `found`."""
+        self._state = replace(self._state, current=current, updates=self._state.updates + 1)
+        self._inside.keep((self._state.first.key, current.key))
+        return replace(found, events=(Event(frame.time_ns, "reference", text),))
+
+    def _reference_of(self, frame: Frame, found: PixelTranslation, number: int) -> Reference:
+        """The frame in which the target was `found` as a reference."""
+        rows, columns = frame.pixels.shape
+        region = clamp(shift(self.region, found.x_px, found.y_px), columns, rows)
+        return Reference(self._inside.key(frame, region), place_of(found), variance_of(found), number)
 
     def _guess(self) -> Prediction | None:
         """Where the target was last seen: what a tracker that is new to the frame starts from."""
-        last = self._state.last
-        reach = 0.1 * min(self.region.width, self.region.height)
-        return None if last is None else Prediction(last.x_px, last.y_px, reach, reach)
-
-    def _use(self, current: Reference) -> None:
-        """Track from `current` on."""
-        if current.number == 0:
-            self._tracker = self._first
-            return
-        rows, columns = current.frame.pixels.shape
-        region = clamp(shift(self.region, current.x_px, current.y_px), columns, rows)
-        self._tracker = open_counting(self.settings.tracker, current.frame, region, self.settings.tracker_settings)
+        if self._state.last is None:
+            return None
+        found, reach = self._state.last[1], 0.1 * min(self.region.width, self.region.height)
+        return Prediction(found.x_px, found.y_px, reach, reach)

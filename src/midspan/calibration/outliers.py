@@ -1,0 +1,69 @@
+"""Measurements that are wrong by far: single ones that leave their neighbours, and innovations beyond all noise."""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+from midspan.calibration.fit import Fit, Pair
+from midspan.records import Floats
+
+# An innovation this many robust standard deviations out is left out of the fit; the rest is fitted again.
+OUTLIER_LIMIT = 5.0
+# A measurement is lonely when it leaves its neighbours by this many times their own range.
+LONELY_LIMIT = 2.0
+# Rounds of marking outliers, at most.
+MARKING_ROUNDS = 12
+
+
+def mark_outliers(pair: Pair, fit: Fit) -> Pair:
+    """The pair with measurements far outside the fit marked unusable; the same object when there are none.
+
+    A wrong measurement kicks the filter, and the next innovations with it: only the largest of neighbours is marked.
+    """
+    residual = fit.residual
+    spread = 1.4826 * float(np.median(np.abs(residual - np.median(residual))))
+    size = np.abs(residual)
+    largest = sliding_window_view(np.pad(size, 2), 5).max(axis=1) if len(size) else size
+    bad = (size > OUTLIER_LIMIT * max(spread, 1e-12)) & (size == largest)
+    if not bad.any() or spread == 0.0:
+        return pair
+    rows = pair.rows.copy()
+    rows[fit.whitened.index[bad], 2] = np.inf
+    return replace(pair, rows=rows)
+
+
+def without_lonely_outliers(pair: Pair) -> Pair:
+    """Mark single measurements that leave their three neighbours on each side far more than these differ.
+
+    What the neighbours do is the measure, not the whole record: a passing vehicle in a quiet minute is no outlier.
+    """
+    return replace(pair, rows=without_lonely(pair.rows))
+
+
+def without_lonely(rows: Floats) -> Floats:
+    """Rows (m, 3) of time, value and variance with the lonely outliers' variance made infinite."""
+    rows = rows.copy()
+    for _ in range(MARKING_ROUNDS):
+        bad = _lonely(rows)
+        rows[bad, 2] = np.inf
+        if not len(bad):
+            break
+    return rows
+
+
+def _lonely(rows: Floats) -> NDArray[np.int64]:
+    index = np.flatnonzero(np.isfinite(rows[:, 2]))
+    if len(index) < 8:
+        return np.empty(0, dtype=np.int64)
+    place, value = np.arange(len(index)), rows[index, 1]
+    # At both ends the neighbours are the six nearest: the filter starts from the first ones, they must be right.
+    first = np.clip(place - 3, 0, len(index) - 7)
+    near = first[:, None] + np.arange(7)
+    around = np.sort(value[near[near != place[:, None]].reshape(-1, 6)], axis=1)
+    # One more outlier among the six neighbours does no harm.
+    low, high = around[:, 1], around[:, -2]
+    excess = np.maximum(value - high, low - value)
+    lonely: NDArray[np.int64] = index[excess > LONELY_LIMIT * np.maximum(high - low, np.median(high - low))]
+    return lonely

@@ -1,0 +1,97 @@
+"""The camera's stage: a frame and what is expected of it in, a translation of each target with final variances out."""
+
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+
+from midspan.engine.camera_target import ChainSettings, Target, TargetChain, TargetState
+from midspan.errors import DataError
+from midspan.records import Frame, PixelTranslation, Prediction
+from midspan.vision.light import is_dark
+
+# Every so many rows and columns, or so many rows where a frame has more, tell a black frame from a lit one.
+THINNED, DARK_ROWS = 4, 60
+# What is usual is learnt up to the frame that completes the third check of the codec, see vision/compression.py.
+WARM_UP_FRAMES = 28
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CameraState:
+    """What a `CameraChain` remembers: its targets' states, and whether the last frame was black."""
+
+    targets: tuple[TargetState, ...]
+    dark: bool = False
+
+
+class CameraChain:
+    """Tracks a camera's targets from the reference frame on; `targets` hold what is worth reporting of each.
+
+    Before the first push, `learn` may be given the first `frames_to_learn` frames: the variances of the very first
+    frames then know of the codec and of the noise, which no single frame shows. Everything after that is a function of
+    the frames pushed. dark: whether the last frame was black, so that nothing was looked for.
+    """
+
+    def __init__(self, reference: Frame, targets: Sequence[Target], settings: ChainSettings) -> None:
+        """Raises UsageError for a target that cannot be tracked, or is out of the lens model's reach."""
+        self.targets = tuple(TargetChain(reference, target, settings) for target in targets)
+        self._lit = not is_dark(reference.pixels)
+        self.dark = False
+
+    @property
+    def state(self) -> CameraState:
+        """Everything that changes from frame to frame."""
+        return CameraState(tuple(target.state for target in self.targets), self.dark)
+
+    def restore(self, state: CameraState) -> None:
+        """Continue from a `state` taken earlier."""
+        for target, own in zip(self.targets, state.targets, strict=True):
+            target.restore(own)
+        self.dark = state.dark
+
+    def push(
+        self, frame: Frame, predictions: Sequence[Prediction | None] | None = None
+    ) -> tuple[PixelTranslation, ...]:
+        """The translation of each target in `frame`; predictions: of each target, in pixels of the ideal camera."""
+        self.dark = self._lit and self._black(frame)
+        expected = predictions or (None,) * len(self.targets)
+        return tuple(
+            target.push(frame, prediction, dark=self.dark)
+            for target, prediction in zip(self.targets, expected, strict=True)
+        )
+
+    @property
+    def frames_to_learn(self) -> int:
+        """How many frames are worth learning from, the reference frame among them."""
+        return max(WARM_UP_FRAMES, *(target.tracker.frames_to_learn for target in self.targets))
+
+    def learn(self, frames: Sequence[Frame]) -> None:
+        """Learn from the first frames, in the order of their times from the reference on; they are pushed afterwards.
+
+        The trackers are taught; then the frames are gone through once, and of that only the usual variances, the usual
+        sharpness and what the codec does are kept.
+        """
+        for target in self.targets:
+            # Frames that do not show the target teach nothing; the tracker then stays with its reference.
+            with suppress(DataError):
+                if target.tracker.frames_to_learn:
+                    target.tracker.learn(frames)
+        begun = self.state
+        for frame in frames[:WARM_UP_FRAMES]:
+            self.push(frame)
+        taught = self.state
+        self.restore(CameraState(tuple(map(_usual_kept, begun.targets, taught.targets))))
+
+    def leave_out(self, places: Sequence[int]) -> None:
+        """Track the targets of these numbers (from 0) no further."""
+        self.targets = tuple(target for k, target in enumerate(self.targets) if k not in places)
+
+    def _black(self, frame: Frame) -> bool:
+        """Whether a frame is black, which the reference is not: what a tracker found in its noise would be wrong."""
+        step = max(THINNED, frame.pixels.shape[0] // DARK_ROWS)
+        return is_dark(frame.pixels[::step, ::step])
+
+
+def _usual_kept(begun: TargetState, taught: TargetState) -> TargetState:
+    """The first state with what of the second one is usual."""
+    picture = None if taught.picture is None else taught.picture.at_the_start()
+    return replace(begun, usual=taught.usual, picture=picture)

@@ -1,0 +1,254 @@
+"""Acceleration from outside made fit for the estimator, sample by sample: in order, finite, its holes covered."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from midspan.checks import positive, refuse
+from midspan.engine.axis import AxisFigures, AxisLimits, AxisMemory, Bridged, bridge, is_sound, passed
+from midspan.engine.order import BACKWARDS, FIRST_NS, GOOD, KINDS, LAST_NS, is_new, order, place_ns, spans, words
+from midspan.records import NANOSECONDS, Event, Floats, Nanoseconds, Readings, SampleKind, Samples
+from midspan.signals.bridging import GAP_STEPS, LONG_SHARE
+from midspan.signals.health import Mask
+
+MEASURED = int(SampleKind.MEASURED)
+
+
+@dataclass(frozen=True, slots=True)
+class GuardSettings:
+    """rate_hz of the samples, the usual figures of each axis, and for how long (s) samples are held back at most.
+
+    hold_s: a hole that lasts longer is bridged by the mean, as one of which nothing is known; longer waits for its end.
+    """
+
+    rate_hz: float
+    axes: tuple[AxisFigures, ...]
+    hold_s: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Stamps:
+    """Samples that not all axes have decided: time_ns, step_s before each, broken: the clock ran back there, (n,)."""
+
+    time_ns: Nanoseconds
+    step_s: Floats
+    broken: Mask
+
+
+@dataclass(frozen=True, slots=True)
+class GuardState:
+    """All that a `Guard` knows.
+
+    newest_ns, used_ns: stamp of the newest sample, and of the newest one that is used; fault: code of what is wrong
+    with the newest stamp; broken: the clock ran back since the newest sample; stamps: of the samples that wait; axes,
+    decided: what each axis knows and has decided.
+    """
+
+    newest_ns: int | None
+    used_ns: int | None
+    fault: int
+    broken: bool
+    stamps: Stamps
+    axes: tuple[AxisMemory, ...]
+    decided: tuple[Bridged, ...]
+
+
+class Guard:
+    """Takes readings of an accelerometer, which may hold anything, and gives samples for the estimator, with events.
+
+    What is not finite, frozen or clipped is held back until the next good sample and bridged by a straight line, the
+    longer the hole the more by the mean, and the noise density is raised by the motion that was not seen; after a
+    second at most the hole is given out as wholly unknown. Gaps in time are covered in the same way, long ones with two
+    inserted samples. Where the clock ran back, the density lets the motion be anywhere.
+    """
+
+    def __init__(self, settings: GuardSettings) -> None:
+        positive("rate_hz", settings.rate_hz, "Hz")
+        positive("hold_s", settings.hold_s, "s")
+        self.settings = settings
+        self._noise = np.array([axis.noise_density for axis in settings.axes])
+        self._limits = [AxisLimits.of(axis, settings.rate_hz, settings.hold_s) for axis in settings.axes]
+        nothing = Bridged(np.empty(0), np.empty(0), np.empty(0, dtype=bool))
+        none = Stamps(np.empty(0, dtype=np.int64), np.empty(0), np.empty(0, dtype=bool))
+        memories = tuple(AxisMemory.before(axis) for axis in settings.axes)
+        self._state = GuardState(None, None, GOOD, False, none, memories, tuple(nothing for _ in settings.axes))
+
+    @property
+    def state(self) -> GuardState:
+        """All that has an effect on what comes later."""
+        return self._state
+
+    def restore(self, state: GuardState) -> None:
+        """Go on from where `state` was read."""
+        if len(state.axes) != len(self.settings.axes):
+            raise refuse("state", f"of {len(self.settings.axes)} axes", len(state.axes))
+        self._state = state
+
+    def push(self, record: Readings | Event) -> list[Samples | Event]:
+        """Take readings, time_ns (n,) and value (n, axes), or what was found wrong with the stream before it came here.
+
+        Returns Samples, where any are decided, and events. An event of kind `backwards` counts as the clock's step.
+        """
+        if isinstance(record, Event):
+            self._state = replace(self._state, broken=self._state.broken or record.kind == KINDS[BACKWARDS])
+            return [record]
+        count = len(self.settings.axes)
+        if record.value.shape != (len(record.time_ns), count):
+            raise refuse("value", f"of shape ({len(record.time_ns)}, {count})", record.value.shape)
+        if self._is_sound(record):
+            return [self._passed(record)]
+        kept, events = self._in_order(record.time_ns)
+        return self._join(record.time_ns[kept], record.value[kept], events, end=False)
+
+    def _is_sound(self, record: Readings) -> bool:
+        """Whether readings are plainly good and nothing waits, which is the usual case."""
+        state, time_ns = self._state, record.time_ns
+        if (
+            not len(time_ns)
+            or state.used_ns is None
+            or state.broken
+            or state.fault != GOOD
+            or len(state.stamps.time_ns)
+        ):
+            return False
+        steps = np.diff(time_ns, prepend=state.used_ns)
+        if state.newest_ns != state.used_ns or steps.min() <= 0 or time_ns[-1] > LAST_NS:
+            return False
+        if self._is_gap(steps.max() / NANOSECONDS):
+            return False
+        return all(is_sound(memory, record.value[:, k]) for k, memory in enumerate(state.axes))
+
+    def _passed(self, record: Readings) -> Samples:
+        """Sound readings as they are: the short way to what the others go through."""
+        state, count, newest_ns = self._state, len(record.time_ns), int(record.time_ns[-1])
+        axes = tuple(passed(memory, record.time_ns, record.value[:, k]) for k, memory in enumerate(state.axes))
+        self._state = GuardState(newest_ns, newest_ns, GOOD, False, state.stamps, axes, state.decided)
+        noise = np.tile(self._noise, (count, 1))
+        return Samples(record.time_ns, record.value, noise, np.full(count, MEASURED, dtype=np.uint8))
+
+    def finish(self) -> list[Samples | Event]:
+        """What still waits; the record ends here."""
+        none = np.empty((0, len(self.settings.axes)))
+        return self._join(np.empty(0, dtype=np.int64), none, [], end=True)
+
+    def _in_order(self, time_ns: Nanoseconds) -> tuple[Mask, list[Event]]:
+        """Which stamps (n,) are used, and events; those used are put to the ones that wait."""
+        state, name = self._state, self.settings.axes[0].name
+        codes, newest_ns = order(time_ns, state.newest_ns)
+        rising = time_ns[codes == GOOD]
+        fault, broken, used_ns, events = state.fault, state.broken, state.used_ns, []
+        marks = np.zeros(len(time_ns), dtype=bool)
+        for start, stop, code in spans(codes):
+            if code == GOOD:
+                # After a step of the clock, of an interval much shorter than usual no motion could be told.
+                least_ns = self._least_ns(used_ns) if broken else FIRST_NS
+                first = start + int(np.searchsorted(time_ns[start:stop], least_ns))
+                codes[start:first] = BACKWARDS
+                marks[first:stop][:1] = broken and used_ns is not None
+                if first < stop:
+                    broken, used_ns = False, int(time_ns[stop - 1])
+            elif is_new(code, fault):
+                text = words(code, int(time_ns[start]), int(newest_ns[start]), "sample")
+                events.append(Event(place_ns(int(newest_ns[start])), KINDS[code], f"{name}: {text}"))
+            broken, fault = broken or code == BACKWARDS, code
+        kept = codes == GOOD
+        events += self._wait(time_ns[kept], marks[kept])
+        newest = int(rising[-1]) if len(rising) else state.newest_ns
+        state = replace(self._state, newest_ns=newest, used_ns=used_ns, fault=fault, broken=broken)
+        self._state = state
+        return kept, events
+
+    def _least_ns(self, used_ns: int | None) -> int:
+        """The earliest stamp that is used after the clock ran back."""
+        return FIRST_NS if used_ns is None else used_ns + round(0.5 * NANOSECONDS / self.settings.rate_hz)
+
+    def _wait(self, time_ns: Nanoseconds, broken: Mask) -> list[Event]:
+        """Put stamps (n,) to those that wait; returns an event for each gap before them."""
+        state, name = self._state, self.settings.axes[0].name
+        if not len(time_ns):
+            return []
+        first_ns = int(time_ns[0]) if state.used_ns is None else state.used_ns
+        before_ns = np.concatenate(([first_ns], time_ns[:-1]))
+        step_s = (time_ns - before_ns) / NANOSECONDS
+        wait = state.stamps
+        stamps = Stamps(
+            np.concatenate((wait.time_ns, time_ns)),
+            np.concatenate((wait.step_s, step_s)),
+            np.concatenate((wait.broken, broken)),
+        )
+        self._state = replace(state, stamps=stamps)
+        return [
+            Event(int(before_ns[k]), "gap", f"{name}: no samples for {step_s[k]:.3g} s.")
+            for k in np.flatnonzero(self._is_gap(step_s))
+        ]
+
+    def _is_gap(self, step_s: Any) -> Any:
+        return step_s > GAP_STEPS / self.settings.rate_hz
+
+    def _join(self, time_ns: Nanoseconds, value: Floats, events: list[Event], *, end: bool) -> list[Samples | Event]:
+        """Give out what all axes have decided, after new samples: time_ns (n,), value (n, axes)."""
+        state, memories, decided = self._state, [], []
+        for number, figures in enumerate(self.settings.axes):
+            new = (time_ns, value[:, number])
+            memory, found = bridge(state.axes[number], new, figures, self._limits[number], end=end)
+            memories.append(memory)
+            events += found.events
+            decided.append(_after(state.decided[number], found))
+        count = min(len(axis.value) for axis in decided)
+        block = self._samples(decided, count)
+        wait = state.stamps
+        left = Stamps(wait.time_ns[count:], wait.step_s[count:], wait.broken[count:])
+        rest = tuple(_rows(axis, slice(count, None)) for axis in decided)
+        self._state = replace(state, stamps=left, axes=tuple(memories), decided=rest)
+        return [block, *events] if count else [*events]
+
+    def _samples(self, decided: Sequence[Bridged], count: int) -> Samples:
+        """The first `count` samples of all axes, with the density that gaps and steps of the clock add."""
+        stamps, axes = self._state.stamps, self.settings.axes
+        value = np.column_stack([axis.value[:count] for axis in decided])
+        extra = np.column_stack([axis.density[:count] for axis in decided])
+        step_s, broken = stamps.step_s[:count], stamps.broken[:count]
+        gap = self._is_gap(step_s)
+        for k in np.flatnonzero(gap | broken):
+            for number, axis in enumerate(axes):
+                unseen = axis.unseen(float(step_s[k])) if gap[k] else 0.0
+                unmoved = axis.unmoved(float(step_s[k])) if broken[k] else 0.0
+                extra[k, number] = max(extra[k, number], unseen, unmoved)
+        kind = np.where(
+            np.any([axis.bridged[:count] for axis in decided], axis=0), SampleKind.BRIDGED, SampleKind.MEASURED
+        )
+        block = Samples(stamps.time_ns[:count], value, self._noise + extra, kind.astype(np.uint8))
+        unknown = np.array([axis.unknown_density for axis in axes])
+        long = np.flatnonzero(gap & np.any(extra > LONG_SHARE * unknown, axis=1))
+        return self._inserted(block, long, step_s) if len(long) else block
+
+    def _inserted(self, block: Samples, long: Nanoseconds, step_s: Floats) -> Samples:
+        """With two samples of the mean in each long gap that ends at the samples `long` (g,).
+
+        A straight line between the values on both sides of a long gap would move the structure by metres.
+        """
+        step_ns = round(NANOSECONDS / self.settings.rate_hz)
+        start_ns = block.time_ns[long] - np.rint(NANOSECONDS * step_s[long]).astype(np.int64)
+        mean = np.array([axis.mean_m_s2 for axis in self.settings.axes])
+        twice = np.repeat(long, 2)
+        time_ns = np.column_stack((start_ns + step_ns, block.time_ns[long] - step_ns)).ravel()
+        return Samples(
+            np.insert(block.time_ns, twice, time_ns),
+            np.insert(block.value_m_s2, twice, mean, axis=0),
+            np.insert(block.noise_density, twice, block.noise_density[twice], axis=0),
+            np.insert(block.kind, twice, np.uint8(SampleKind.INSERTED)),
+        )
+
+
+def _after(first: Bridged, second: Bridged) -> Bridged:
+    return Bridged(
+        np.concatenate((first.value, second.value)),
+        np.concatenate((first.density, second.density)),
+        np.concatenate((first.bridged, second.bridged)),
+    )
+
+
+def _rows(axis: Bridged, which: slice) -> Bridged:
+    return Bridged(axis.value[which].copy(), axis.density[which].copy(), axis.bridged[which].copy())

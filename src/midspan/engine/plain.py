@@ -1,0 +1,241 @@
+"""A sensor of displacement, value by value: in order, finite, and not stuck while the structure moves."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from midspan.checks import positive, refuse
+from midspan.engine.order import GOOD, KINDS, is_new, order, place_ns, spans, words
+from midspan.records import NANOSECONDS, Event, Floats, Measured, Nanoseconds, Readings, Samples, seconds
+from midspan.signals.bridging import GAP_STEPS
+from midspan.signals.health import Mask
+from midspan.signals.stuck import LEAST_EQUAL, RESOLUTIONS, moved, piece_length
+
+# A run of equal values is judged again when it is longer by this share: the work per value stays the same.
+LOOK_SHARE = 0.25
+
+
+@dataclass(frozen=True, slots=True)
+class PlainSettings:
+    """How a sensor is read, from its calibration.
+
+    name: for messages; channel: its number in the estimator's table; axis: of the acceleration along it; variance_m2:
+    of a value; scale: on its values; step_s: its usual interval; resolution_m: what its values, scaled, are rounded to.
+    """
+
+    name: str
+    channel: int
+    variance_m2: float
+    step_s: float
+    resolution_m: float = 0.0
+    scale: float = 1.0
+    axis: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class EqualRun:
+    """The run of equal values that the newest one ends, m.
+
+    time_ns (k,): of its newest values, as many as are judged together; count: of all; next_look: the count at which it
+    is judged next; since_ns: its first stamp; stuck: whether it is left out; left_out: how many values were.
+    """
+
+    value: float
+    time_ns: Nanoseconds
+    count: int
+    next_look: int
+    since_ns: int
+    stuck: bool = False
+    left_out: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class PlainState:
+    """All that a `PlainChain` knows.
+
+    newest_ns, finite_ns: the newest stamp, and that of the newest finite value; fault: what is wrong with the newest
+    stamp; run: of equal values; time_ns, acceleration, density (m,): of the samples that may still be needed;
+    waiting_ns, waiting_m (w,): values that wait for the samples that cover them.
+    """
+
+    newest_ns: int | None
+    finite_ns: int | None
+    fault: int
+    run: EqualRun
+    time_ns: Nanoseconds
+    acceleration: Floats
+    density: Floats
+    waiting_ns: Nanoseconds
+    waiting_m: Floats
+
+
+class PlainChain:
+    """Takes the values of a displacement sensor, and the samples of acceleration before them; gives measurements.
+
+    Values that are not finite, doubled or backwards in time are left out. A value that stays exactly the same is
+    left out from where the acceleration shows that the structure moved, until it changes.
+    """
+
+    def __init__(self, settings: PlainSettings) -> None:
+        positive("step_s", settings.step_s, "s")
+        positive("variance_m2", settings.variance_m2, "m²")
+        self.settings = settings
+        self._piece = piece_length(settings.step_s)
+        nothing = np.empty(0, dtype=np.int64)
+        run = EqualRun(np.nan, nothing, 0, LEAST_EQUAL, 0)
+        self._state = PlainState(None, None, GOOD, run, nothing, np.empty(0), np.empty(0), nothing, np.empty(0))
+
+    @property
+    def state(self) -> PlainState:
+        """All that has an effect on what comes later."""
+        return self._state
+
+    def restore(self, state: PlainState) -> None:
+        """Go on from where `state` was read."""
+        self._state = state
+
+    def push(self, record: Samples | Readings | Event) -> list[Measured | Event]:
+        """Take samples, or readings of time_ns (n,) and value (n, 1) in metres; returns measurements and events.
+
+        A value is given out with the samples that reach its time, and judged by those up to it.
+        """
+        if isinstance(record, Event):
+            return [record]
+        if isinstance(record, Samples):
+            return self._reached(record)
+        if record.value.shape != (len(record.time_ns), 1):
+            raise refuse("value", f"of shape ({len(record.time_ns)}, 1)", record.value.shape)
+        kept, events = self._in_order(record.time_ns)
+        kept &= np.isfinite(record.value[:, 0])
+        value = self.settings.scale * record.value[kept, 0]
+        events += self._gaps(record.time_ns[kept])
+        state = self._state
+        waiting_ns = np.concatenate((state.waiting_ns, record.time_ns[kept]))
+        self._state = replace(state, waiting_ns=waiting_ns, waiting_m=np.concatenate((state.waiting_m, value)))
+        return list(events)
+
+    def _reached(self, samples: Samples) -> list[Measured | Event]:
+        """Take samples, and judge the values that they reach; what no later value may need is forgotten."""
+        state, axis = self._state, self.settings.axis
+        if not len(samples.time_ns):
+            return []
+        time_ns = np.concatenate((state.time_ns, samples.time_ns))
+        acceleration = np.concatenate((state.acceleration, samples.value_m_s2[:, axis]))
+        density = np.concatenate((state.density, samples.noise_density[:, axis]))
+        self._state = replace(state, time_ns=time_ns, acceleration=acceleration, density=density)
+        due = int(np.searchsorted(state.waiting_ns, time_ns[-1], side="right"))
+        found = self._judged(state.waiting_ns[:due], state.waiting_m[:due])
+        reach_ns = round(2.0 * self._piece * self.settings.step_s * NANOSECONDS)
+        first = int(np.searchsorted(time_ns, int(time_ns[-1]) - reach_ns))
+        self._state = replace(
+            self._state,
+            time_ns=time_ns[first:].copy(),
+            acceleration=acceleration[first:].copy(),
+            density=density[first:].copy(),
+            waiting_ns=state.waiting_ns[due:],
+            waiting_m=state.waiting_m[due:],
+        )
+        return found
+
+    def _judged(self, time_ns: Nanoseconds, value: Floats) -> list[Measured | Event]:
+        """Values (n,) in metres as measurements, without those that are stuck, and events."""
+        if not len(value):
+            return []
+        used, found = self._moving(time_ns, value)
+        count = int(np.count_nonzero(used))
+        block = Measured(
+            time_ns=time_ns[used],
+            channel=np.full(count, self.settings.channel, dtype=np.int64),
+            value=value[used],
+            variance=np.full(count, self.settings.variance_m2),
+            reference_variance=np.zeros(count),
+        )
+        return [block, *found] if count else [*found]
+
+    def _in_order(self, time_ns: Nanoseconds) -> tuple[Mask, list[Event]]:
+        """Which stamps (n,) are newer than all before, and an event for each run of others."""
+        codes, newest_ns = order(time_ns, self._state.newest_ns)
+        fault, events = self._state.fault, []
+        for start, _, code in spans(codes):
+            if is_new(code, fault):
+                text = words(code, int(time_ns[start]), int(newest_ns[start]), "value")
+                events.append(Event(place_ns(int(newest_ns[start])), KINDS[code], f"{self.settings.name}: {text}"))
+            fault = code
+        kept = codes == GOOD
+        newest = int(time_ns[kept][-1]) if kept.any() else self._state.newest_ns
+        self._state = replace(self._state, newest_ns=newest, fault=fault)
+        return kept, events
+
+    def _gaps(self, time_ns: Nanoseconds) -> list[Event]:
+        """An event for each gap before the stamps (n,) of finite values."""
+        if not len(time_ns):
+            return []
+        state, first_ns = self._state, int(time_ns[0])
+        before_ns = np.concatenate(([first_ns if state.finite_ns is None else state.finite_ns], time_ns[:-1]))
+        step_s = (time_ns - before_ns) / NANOSECONDS
+        self._state = replace(state, finite_ns=int(time_ns[-1]))
+        return [
+            Event(int(before_ns[k]), "gap", f"{self.settings.name}: no values for {step_s[k]:.3g} s.")
+            for k in np.flatnonzero(step_s > GAP_STEPS * self.settings.step_s)
+        ]
+
+    def _moving(self, time_ns: Nanoseconds, value: Floats) -> tuple[Mask, list[Event]]:
+        """Which finite values (n,) are used, and events where the sensor gets stuck and where it is free again."""
+        run, events = self._state.run, []
+        used = np.ones(len(value), dtype=bool)
+        fresh = np.concatenate(([run.value], value))[: len(value)] != value
+        edges = np.concatenate(([0], np.flatnonzero(fresh[1:]) + 1, [len(value)]))
+        # Short runs in between have no effect.
+        lasting = np.diff(edges) >= LEAST_EQUAL
+        lasting[[0, -1]] = True
+        for k in np.flatnonzero(lasting):
+            start, stop = int(edges[k]), int(edges[k + 1])
+            if fresh[start]:
+                events += self._freed(run)
+                run = EqualRun(float(value[start]), time_ns[:0], 0, LEAST_EQUAL, int(time_ns[start]))
+            run, found = self._prolonged(run, time_ns[start:stop])
+            events += found
+            used[stop - min(run.left_out, stop - start) : stop] = False
+        self._state = replace(self._state, run=run)
+        return used, events
+
+    def _prolonged(self, run: EqualRun, time_ns: Nanoseconds) -> tuple[EqualRun, list[Event]]:
+        """The run with more equal values, at the stamps (n,), and an event where it turns out to be stuck."""
+        known = np.concatenate((run.time_ns, time_ns))
+        count, next_look, is_stuck, left_out = run.count, run.next_look, run.stuck, run.left_out
+        for k in range(len(run.time_ns) + 1, len(known) + 1):
+            count += 1
+            if not is_stuck and count >= next_look:
+                is_stuck = self._moved(known[max(k - self._piece, 0) : k])
+                next_look = count + max(1, int(LOOK_SHARE * min(count, self._piece)))
+            left_out += is_stuck
+        newly = is_stuck and not run.stuck
+        run = EqualRun(run.value, known[-self._piece :].copy(), count, next_look, run.since_ns, is_stuck, left_out)
+        return run, [self._told(run, int(time_ns[-left_out]))] if newly else []
+
+    def _moved(self, time_ns: Nanoseconds) -> bool:
+        """Whether the acceleration shows a motion at the stamps (k,) that it has reached."""
+        state = self._state
+        if not len(state.time_ns):
+            return False
+        met = time_ns[: int(np.searchsorted(time_ns, state.time_ns[-1], side="right"))]
+        if len(met) < LEAST_EQUAL:
+            return False
+        origin_ns, end = int(met[0]), int(np.searchsorted(state.time_ns, met[-1], side="right"))
+        samples = np.column_stack(
+            (seconds(state.time_ns[:end], origin_ns), state.acceleration[:end], state.density[:end])
+        )
+        return moved(seconds(met, origin_ns), samples, RESOLUTIONS * self.settings.resolution_m)
+
+    def _told(self, run: EqualRun, time_ns: int) -> Event:
+        length_s = (time_ns - run.since_ns) / NANOSECONDS
+        text = f"the value has been {1e3 * run.value:.6g} mm for {length_s:.3g} s while the structure moved"
+        return Event(time_ns, "frozen", f"{self.settings.name}: {text}; it is left out until it changes.")
+
+    def _freed(self, run: EqualRun) -> list[Event]:
+        """An event for a run that was left out, at its end."""
+        if not run.stuck:
+            return []
+        text = f"{run.count} values are all {1e3 * run.value:.6g} mm while the structure moved"
+        text = f"{self.settings.name}: {text}; {run.left_out} were left out."
+        return [Event(int(run.time_ns[-1]), "released", text)]

@@ -1,0 +1,139 @@
+"""Records to the arrays that the loop takes, and back: measurements, samples, the beginning, rows, innovations."""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from midspan.fusion.filtering import (
+    FOUND_SOURCE,
+    FOUND_STATUS,
+    FOUND_VARIANCE,
+    FOUND_VELOCITY,
+    FOUND_X,
+    MET_CODE,
+    MET_ERROR,
+    MET_TOTAL,
+)
+from midspan.fusion.forward import AT, CHANNEL, VALUE
+from midspan.fusion.hypotheses import KINDS, LOST, OUTLIER
+from midspan.fusion.model import Beginning, EstimatorSettings
+from midspan.records import (
+    NANOSECONDS,
+    Estimate,
+    Floats,
+    Innovation,
+    Measured,
+    SampleKind,
+    Samples,
+    Status,
+    joined,
+    nanoseconds,
+    seconds,
+)
+
+# The motion's first velocity lies within three times what the sensors say of its size; acceleration is taken to belong
+# to a motion of no less than 0.2 Hz.
+VELOCITY_WITHIN, SLOWEST_HZ = 3.0, 0.2
+# What became of a measurement, in its innovation.
+ACCEPTED, REJECTED, REACQUIRED = 0, 1, 2
+# Comparing arrays with members of an enumeration is slow.
+BRIDGED, INSERTED, COASTING = int(SampleKind.BRIDGED), int(SampleKind.INSERTED), float(Status.COASTING)
+
+
+def measured_rows(record: Measured, settings: EstimatorSettings, origin_ns: int) -> Floats:
+    """Rows (m, 5) of the usable measurements as the loop takes them."""
+    usable = np.isfinite(record.value) & np.isfinite(record.variance) & (record.variance > 0.0)
+    per_m = np.array([channel.units_per_m for channel in settings.channels])[record.channel]
+    reference = np.where(np.isfinite(record.reference_variance), record.reference_variance, 0.0) / per_m**2
+    time_s = seconds(record.time_ns, origin_ns)
+    rows = np.column_stack((time_s, record.channel, record.value, record.variance, reference))
+    return rows[usable]
+
+
+def in_order(rows: Floats) -> Floats:
+    """Measurements in time order; of one instant by channel."""
+    return rows[np.lexsort((rows[:, CHANNEL], rows[:, AT]))]
+
+
+def sample_rows(samples: Samples, origin_ns: int) -> Floats:
+    """Rows (s, 1 + 2 axes) of time in s, acceleration and noise density as the loop takes them."""
+    return np.column_stack((seconds(samples.time_ns, origin_ns), samples.value_m_s2, samples.noise_density))
+
+
+def with_start(samples: Samples, first_s: float, origin_ns: int) -> Samples:
+    """Put a sample before the first one where a measurement comes before it: the zero may belong to that.
+
+    What the acceleration was until the first sample is not known: its noise is what it varies by later.
+    """
+    start_ns, first_ns = int(samples.time_ns[0]), origin_ns + round(first_s * NANOSECONDS)
+    if first_ns >= start_ns:
+        return samples
+    # A whole interval at least: over nanoseconds the step to the first sample would be an endless slope.
+    first_ns = min(
+        first_ns, start_ns - int(np.median(np.diff(samples.time_ns))) if len(samples.time_ns) > 1 else first_ns
+    )
+    value = np.mean(samples.value_m_s2[:100], axis=0, keepdims=True)
+    unknown = np.var(samples.value_m_s2[:100], axis=0) / SLOWEST_HZ
+    density = samples.noise_density.copy()
+    density[0] += unknown
+    before = Samples(np.array([first_ns]), value, density[:1], np.array([SampleKind.INSERTED], dtype=np.uint8))
+    return joined([before, replace(samples, noise_density=density)])
+
+
+def beginning(samples: Floats, rows: Floats, settings: EstimatorSettings) -> Beginning:
+    """The state before the first sample, from the first samples (s, 1 + 2 axes) and measurements (m, 5)."""
+    displacement, velocity = np.zeros(settings.axes), np.zeros(settings.axes)
+    axis_of = np.array([channel.axis for channel in settings.channels])[rows[:, CHANNEL].astype(np.int64)]
+    per_m = np.array([channel.units_per_m for channel in settings.channels])
+    for a in range(settings.axes):
+        own = rows[axis_of == a]
+        first = own[own[:, AT] == own[0, AT]] if len(own) else own
+        displacement[a] = np.median(first[:, VALUE] / per_m[first[:, CHANNEL].astype(int)]) if len(own) else 0.0
+        speed = np.std(samples[:, 1 + a]) / (2.0 * np.pi * SLOWEST_HZ)
+        for c in np.unique(own[:, CHANNEL]):
+            one = own[own[:, CHANNEL] == c]
+            steps = np.diff(one[:, VALUE]) / per_m[int(c)] / np.maximum(np.diff(one[:, AT]), 1e-3)
+            # The median: outliers among the first ones would let the velocity be anything.
+            speed = max(speed, np.median(np.abs(steps))) if len(steps) else speed
+        velocity[a] = VELOCITY_WITHIN * speed
+    if settings.velocity_std_m_s is not None:
+        velocity[:] = settings.velocity_std_m_s[: settings.axes]
+    return Beginning(float(samples[0, 0]), samples[0, 1 : 1 + settings.axes], displacement, velocity, len(rows))
+
+
+def given_rows(samples: Samples, first_s: float, origin_ns: int) -> NDArray[np.bool_]:
+    """Samples (s,) that are rows: from the first measurement on, and not inserted ones."""
+    first_ns = origin_ns + round(first_s * NANOSECONDS)
+    given: NDArray[np.bool_] = (samples.time_ns >= first_ns) & (samples.kind != INSERTED)
+    return given
+
+
+def estimate_of(samples: Samples, found: Floats, given: NDArray[np.bool_]) -> Estimate:
+    """The rows of one axis from what the loop found (s, 5); bridged samples are coasting at best."""
+    found = found[given]
+    bridged = samples.kind[given] == BRIDGED
+    status = np.where(bridged, np.maximum(found[:, FOUND_STATUS], COASTING), found[:, FOUND_STATUS])
+    return Estimate(
+        samples.time_ns[given],
+        found[:, FOUND_X].copy(),
+        found[:, FOUND_VARIANCE].copy(),
+        found[:, FOUND_VELOCITY].copy(),
+        found[:, FOUND_SOURCE].astype(np.uint8),
+        status.astype(np.uint8),
+    )
+
+
+def innovation_of(rows: Floats, met: Floats, channel: int, units_per_m: float, origin_ns: int) -> Innovation:
+    """Innovations of one channel, in metres, from its measurements (m, 5) and how they were met (m, 3)."""
+    if not len(rows):
+        return Innovation(np.empty(0, dtype=np.int64), np.empty(0), np.empty(0), np.empty(0, dtype=np.int8))
+    own = rows[:, CHANNEL] == channel
+    kinds = met[own, MET_CODE].astype(np.int64) % KINDS
+    verdict = np.where(kinds == OUTLIER, REJECTED, np.where(kinds == LOST, REACQUIRED, ACCEPTED))
+    return Innovation(
+        nanoseconds(rows[own, AT], origin_ns),
+        met[own, MET_ERROR] / units_per_m,
+        met[own, MET_TOTAL] / units_per_m**2,
+        verdict.astype(np.int8),
+    )

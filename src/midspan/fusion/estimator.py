@@ -1,0 +1,408 @@
+"""The estimator of one measuring point: samples and measurements in, displacement with its band out, one row a sample.
+
+The filter holds all that is uncertain as states and parameters (see `forward`) and decides by hypotheses what went
+wrong (see `hypotheses`). Rows are held back until the first few measurements have come: the first of them is then
+judged by those after it.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from midspan.fusion.blocks import (
+    beginning,
+    estimate_of,
+    given_rows,
+    in_order,
+    innovation_of,
+    measured_rows,
+    sample_rows,
+    with_start,
+)
+from midspan.fusion.decisions import Decided, Telling, Undecided, events_of, runs_left
+from midspan.fusion.filtering import (
+    MET_CODE,
+    MET_ERROR,
+    MET_TOTAL,
+    zero_variance,
+)
+from midspan.fusion.forward import (
+    AT,
+    AXIS,
+    CHANNEL,
+    COUNT,
+    INPUT,
+    LEAD,
+    MEASUREMENT_COLUMNS,
+    SET_DATUM,
+    SLOPE,
+    STEP,
+    TIME,
+    WENT_BACK,
+    innovate,
+    predict_covariance,
+    project,
+    quadratic,
+)
+from midspan.fusion.hypotheses import WEIGHT
+from midspan.fusion.model import Beginning, Block, EstimatorSettings, Filter, Left, options_of, run, tables_of
+from midspan.fusion.state_space import GAP_STEPS
+from midspan.fusion.unmeasured import Integrated, integrated
+from midspan.records import (
+    NANOSECONDS,
+    Estimate,
+    Event,
+    Floats,
+    Innovation,
+    Measured,
+    Samples,
+    joined,
+    part,
+    seconds,
+)
+
+# So many measurements, or so long (s) after the first one, are waited for before rows are given out.
+FIRST_MEASUREMENTS, FIRST_S = 8, 2.0
+# A first measurement before the first sample counts when it is no more than this (s) before it.
+BEFORE_SAMPLES_S = 2.0
+# So many measurements may wait for the samples that cover them; older ones are dropped.
+MAX_WAITING = 65536
+# Samples that are run at once: bounds the memory.
+BLOCK = 8192
+
+
+@dataclass(frozen=True, slots=True)
+class Rows:
+    """What a push gave: rows of each axis, innovations of each channel as the best hypothesis saw them, events.
+
+    zero_variance_m2 (axes,): variance of the datum at the last row, the part that all rows have in common.
+    """
+
+    estimates: tuple[Estimate, ...]
+    innovations: tuple[Innovation, ...]
+    events: tuple[Event, ...]
+    zero_variance_m2: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class EstimatorState:
+    """All that an estimator remembers.
+
+    filter: None while rows are held back; integrated: only until then; overflown: measurements were dropped.
+    """
+
+    origin_ns: int | None
+    early: tuple[Measured, ...]
+    held: Samples | None
+    waiting: Floats
+    integrated: Integrated | None
+    filter: Filter | None
+    first_s: float
+    undecided: Undecided
+    told: Telling
+    late: tuple[int, ...]
+    overflown: bool
+    events: tuple[Event, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Log:
+    """Samples, measurements and final decisions as they were met, from the filter's beginning on.
+
+    first_s: time of the first measurement, from which on rows are given; origin_ns: what times in s count from.
+    """
+
+    begin: Beginning
+    first_s: float
+    origin_ns: int
+    samples: list[Samples]
+    decided: list[Decided]
+
+
+class Estimator:
+    """The estimator as a stream: any cutting of the input into pushes gives the same rows.
+
+    Measurements wait for the samples that cover their time. log: keep all that a second pass needs.
+    """
+
+    def __init__(self, settings: EstimatorSettings, *, log: bool = False) -> None:
+        self.settings = settings
+        self.log: Log | None = None
+        self.tables, self.options = tables_of(settings), options_of(settings)
+        self._keep = log
+        self._origin_ns: int | None = None
+        self._held: Samples | None = None
+        self._waiting = np.empty((0, MEASUREMENT_COLUMNS))
+        self._early: list[Measured] = []
+        self._integrated: Integrated | None = None
+        self._filter: Filter | None = None
+        self._first_s = np.nan
+        self._undecided = Undecided.none()
+        self._told = Telling.nothing(settings.channels)
+        self._late: set[int] = set()
+        self._overflown = False
+        self._events: list[Event] = []
+
+    def push(self, record: Samples | Measured | Event) -> list[Rows]:
+        """Take one block; returns for samples the rows that are due, if any.
+
+        Times increase from block to block of samples. A measurement that is not later than the last sample is left out,
+        with an event. An event stands for stamps that went back: from then on clocks may have stepped.
+        """
+        if isinstance(record, Event):
+            self._doubt((record.time_ns - self._origin) / NANOSECONDS)
+            return []
+        if isinstance(record, Measured):
+            self._wait(record)
+            return []
+        found = []
+        for first in range(0, len(record.time_ns), BLOCK):
+            found.extend(self._push(part(record, slice(first, first + BLOCK))))
+        return found
+
+    def finish(self) -> list[Rows]:
+        """The rows that are held back still, and events that the record's end completes."""
+        rows = [] if self._filter is not None or self._held is None else self._begin(self._held, ended=True)
+        if self._filter is None:
+            return [*rows, Rows((), (), tuple(self._events))] if self._events else rows
+        decided, self._undecided = self._undecided.decided(self._filter.count, all_of_them=True)
+        events = [*self._settle(decided), *runs_left(self._told, self.settings.channels, self._origin)]
+        return [*rows, Rows((), (), tuple(events))] if events else rows
+
+    def predict(self, channel: int, time_ns: int) -> tuple[float, float]:
+        """Expected measurement of a channel at a time after the last sample, in its unit, and the variance of that.
+
+        The last acceleration is held over a step or two; NaN where no samples come. Infinite variance: only the
+        acceleration tells, see `Integrated`.
+        """
+        time_s, state, alone = (time_ns - self._origin) / NANOSECONDS, self._filter, self._integrated
+        if state is None:
+            if alone is None or not time_s - alone.time_s <= GAP_STEPS * alone.step_s:
+                return np.nan, np.inf
+            known = self.settings.channels[channel]
+            return known.units_per_m * alone.at(time_s, known.axis), np.inf
+        if time_s - state.clock[TIME] > GAP_STEPS * state.clock[STEP]:
+            return np.nan, np.inf
+        value, variance = predict_value(time_s, channel, state.motion, state.clock, state.hyps, self.tables)
+        return float(value), float(variance)
+
+    @property
+    def state(self) -> EstimatorState:
+        """All that the estimator remembers besides its log."""
+        return EstimatorState(
+            self._origin_ns,
+            tuple(self._early),
+            self._held,
+            self._waiting.copy(),
+            self._integrated,
+            None if self._filter is None else self._filter.saved(),
+            self._first_s,
+            self._undecided,
+            self._told,
+            tuple(sorted(self._late)),
+            self._overflown,
+            tuple(self._events),
+        )
+
+    def restore(self, state: EstimatorState) -> None:
+        """Go on from a state of an estimator with the same settings."""
+        self._origin_ns, self._early = state.origin_ns, list(state.early)
+        self._held, self._waiting = state.held, state.waiting.copy()
+        self._integrated = state.integrated
+        self._filter = None if state.filter is None else state.filter.resumed()
+        self._first_s, self._undecided, self._told = state.first_s, state.undecided, state.told
+        self._late, self._overflown, self._events = set(state.late), state.overflown, list(state.events)
+        self.tables = tables_of(self.settings, self._origin)
+
+    @property
+    def undecided(self) -> Undecided:
+        """The measurements of which the hypotheses do not say the same yet."""
+        return self._undecided
+
+    @property
+    def count(self) -> int:
+        """How many hypotheses there are."""
+        return 0 if self._filter is None else self._filter.count
+
+    @property
+    def parameters(self) -> tuple[Floats, Floats]:
+        """The parameters as estimated (k,) and their variances (k,)."""
+        if self._filter is None:
+            return np.zeros(len(self.settings.parameters)), np.array([p.std**2 for p in self.settings.parameters])
+        return self._filter.hyps[4][0].copy(), np.diag(self._filter.hyps[5][0]).copy()
+
+    @property
+    def _origin(self) -> int:
+        return self._origin_ns or 0
+
+    def _wait(self, record: Measured) -> None:
+        if self._origin_ns is None:
+            # Times are counted from the first sample, which is still to come.
+            self._early.append(record)
+            if len(self._early) > MAX_WAITING:
+                self._overflow(int(self._early.pop(0).time_ns[0]))
+            return
+        rows = measured_rows(record, self.settings, self._origin)
+        done = -np.inf if self._filter is None else self._filter.clock[TIME]
+        late = rows[:, AT] <= done
+        if late.any() or self._late:
+            for c in np.unique(rows[late, CHANNEL]).astype(int).tolist():
+                if c not in self._late:
+                    first = int(record.time_ns[0])
+                    name = self.settings.channels[c].sensor
+                    self._events.append(Event(first, "late", f"Measurements of {name} came too late and are left out."))
+            self._late |= set(rows[late, CHANNEL].astype(int).tolist())
+            self._late -= set(rows[~late, CHANNEL].astype(int).tolist())
+        waiting = in_order(np.concatenate((self._waiting, rows[~late])))
+        if len(waiting) > MAX_WAITING:
+            self._overflow(self._origin + round(float(waiting[0, AT]) * NANOSECONDS))
+        self._waiting = waiting[-MAX_WAITING:]
+
+    def _overflow(self, time_ns: int) -> None:
+        """Tell that measurements from an instant on are dropped: once, until half of what may wait is gone."""
+        if not self._overflown:
+            text = f"More than {MAX_WAITING} measurements wait for samples of acceleration; the oldest are left out."
+            self._events.append(Event(time_ns, "overflow", text))
+        self._overflown = True
+
+    def _doubt(self, time_s: float) -> None:
+        """Let the clocks be in doubt from an instant on; before the filter has begun it knows of none."""
+        if self._filter is not None:
+            mark = np.array([[max(time_s, self._filter.clock[TIME]), WENT_BACK, 0.0, 0.0, 0.0]])
+            self._waiting = in_order(np.concatenate((self._waiting, mark)))
+
+    def _push(self, samples: Samples) -> list[Rows]:
+        if self._origin_ns is None:
+            self._origin_ns = int(samples.time_ns[0])
+            early, self._early = self._early, []
+            for measured in early:
+                self._wait(measured)
+        if self._filter is not None:
+            return [self._run(self._filter, samples)]
+        bias_m_s2 = np.array(self.settings.bias_m_s2[: self.settings.axes])
+        self._integrated = integrated(self._integrated, sample_rows(samples, self._origin), bias_m_s2)
+        return self._begin(samples if self._held is None else joined([self._held, samples]))
+
+    def _begin(self, held: Samples, *, ended: bool = False) -> list[Rows]:
+        """Start once enough measurements are there; until then hold the samples from before the first one on."""
+        time_s = seconds(held.time_ns, self._origin)
+        self._waiting = self._waiting[self._waiting[:, AT] >= time_s[0] - BEFORE_SAMPLES_S]
+        rows = self._waiting[self._waiting[:, AT] <= time_s[-1]]
+        if not len(rows):
+            self._held = part(held, slice(-1, None))
+            return []
+        first_s = float(rows[0, AT])
+        held = part(held, slice(max(int(np.searchsorted(time_s, first_s, side="right")) - 1, 0), None))
+        time_s = seconds(held.time_ns, self._origin)
+        enough = rows[FIRST_MEASUREMENTS - 1, AT] if len(rows) >= FIRST_MEASUREMENTS else np.inf
+        # What the acceleration was before its first sample, the samples of some time tell.
+        until_s = min(enough, first_s + FIRST_S) if first_s >= time_s[0] else time_s[0] + FIRST_S
+        last = int(np.searchsorted(time_s, until_s))
+        if last >= len(time_s):
+            if not ended:
+                self._held = held
+                return []
+            last = len(time_s) - 1
+        self._held = None
+        rest = part(held, slice(last + 1, None))
+        begun = self._start(with_start(part(held, slice(last + 1)), first_s, self._origin), first_s)
+        return [begun, *([self._run(self._filter, rest)] if self._filter and len(rest.time_ns) else [])]
+
+    def _start(self, samples: Samples, first_s: float) -> Rows:
+        """Judge the first measurements, and take the rows from a second run with what was decided."""
+        block = sample_rows(samples, self._origin)
+        rows = self._due(block[-1, 0])
+        begin = beginning(block, rows, self.settings)
+        if self.settings.zero_ns is not None:
+            zero_s = max((self.settings.zero_ns - self._origin) / NANOSECONDS, block[0, 0])
+            datum = np.array([[zero_s, SET_DATUM, 0.0, 0.0, 0.0]])
+            rows = np.concatenate((rows, datum)) if zero_s <= block[-1, 0] else rows
+            self._waiting = in_order(np.concatenate((self._waiting, datum))) if zero_s > block[-1, 0] else self._waiting
+            rows = in_order(rows)
+        self._first_s, self._integrated = first_s, None
+        self.tables = tables_of(self.settings, self._origin)
+        self._filter = Filter.begun(begin, self.settings)
+        self.log = Log(begin, first_s, self._origin, [], []) if self._keep else None
+        open_block = Block.open(block, rows)
+        left = run(self._filter, open_block, self.tables, self.options)
+        best, _ = Undecided(rows, left.survivors, left.errors).decided(self._filter.count, all_of_them=True)
+        again = Filter.begun(begin, self.settings)
+        judged = run(again, open_block.taken_as(best.codes), self.tables, self.options)
+        judged.met[:, MET_ERROR], judged.met[:, MET_TOTAL] = best.errors.T
+        judged.met[:, MET_CODE] = best.codes
+        return self._rows(samples, rows, left, judged)
+
+    def _run(self, state: Filter, samples: Samples) -> Rows:
+        block = sample_rows(samples, self._origin)
+        rows = self._due(block[-1, 0])
+        left = run(state, Block.open(block, rows), self.tables, self.options)
+        return self._rows(samples, rows, left, left)
+
+    def _due(self, until_s: float) -> Floats:
+        """Waiting measurements up to an instant, which no longer wait."""
+        due = int(np.searchsorted(self._waiting[:, AT], until_s, side="right"))
+        rows, self._waiting = self._waiting[:due].copy(), self._waiting[due:]
+        self._overflown = self._overflown and len(self._waiting) > MAX_WAITING // 2
+        return rows
+
+    def _rows(self, samples: Samples, rows: Floats, left: Left, shown: Left) -> Rows:
+        """The outputs of a run; left: what the hypotheses left; shown: where rows and innovations are taken from."""
+        assert self._filter is not None
+        self._undecided = self._undecided.after(rows, left.survivors, left.errors)
+        decided, self._undecided = self._undecided.decided(self._filter.count)
+        events = self._settle(decided)
+        if self.log is not None:
+            self.log.samples.append(samples)
+        given = given_rows(samples, self._first_s, self._origin)
+        estimates = tuple(estimate_of(samples, shown.found[:, a], given) for a in range(self.settings.axes))
+        innovations = tuple(
+            innovation_of(rows, shown.met, c, channel.units_per_m, self._origin)
+            for c, channel in enumerate(self.settings.channels)
+        )
+        p, channels, datum = self._filter.hyps[1][0], self.tables[1], self.tables[3]
+        zero = tuple(zero_variance(p, channels, a, datum) for a in range(self.settings.axes))
+        return Rows(estimates, innovations, tuple(events), zero)
+
+    def _settle(self, decided: Decided) -> list[Event]:
+        """Log what is final, and return its events with those that waited."""
+        if self.log is not None:
+            self.log.decided.append(decided)
+        self._told, events = events_of(self._told, decided, self.settings.channels, self._origin)
+        waited, self._events = self._events, []
+        return [*waited, *events]
+
+
+@njit(cache=True)
+def predict_value(time_s, c, motion, clock, hyps, tables):  # type: ignore[no-untyped-def]
+    """Expected measurement of channel `c` at a time after the last sample and its variance, over all hypotheses."""
+    xs, ps, _, memory, thetas, spreads = hyps
+    walks, channels, kinds, _, _ = tables
+    axes, n, columns = len(motion), xs.shape[1], xs.shape[2]
+    x, p, ph, e = np.empty((n, columns)), np.empty((n, n)), np.empty(n), np.empty(columns)
+    still = np.zeros((axes, 3))
+    dt = max(time_s - clock[TIME], 0.0)
+    a = int(channels[c, AXIS])
+    whole = mean = square = 0.0
+    first = 0.0
+    for b in range(int(clock[COUNT])):
+        x[:], p[:] = xs[b], ps[b]
+        for i in range(axes):
+            x[3 * i + 1, 0] -= motion[i, LEAD] * motion[i, SLOPE]
+            for q in range(columns):
+                held = motion[i, INPUT] if q == 0 else 0.0
+                x[3 * i, q] += dt * x[3 * i + 1, q] + 0.5 * dt * dt * (held - x[3 * i + 2, q])
+                x[3 * i + 1, q] += dt * (held - x[3 * i + 2, q])
+        predict_covariance(p, axes, dt, walks)
+        innovate(x, still, channels, kinds, c, motion[a, INPUT], 0.0, e)
+        value = -e[0]
+        for q in range(columns - 1):
+            value -= e[1 + q] * thetas[b, q]
+        variance = project(p, channels, c, ph) + quadratic(e[1:], spreads[b])
+        if b == 0:
+            first = value
+        weight = np.exp(memory[b, WEIGHT])
+        whole += weight
+        mean += weight * (value - first)
+        square += weight * (variance + (value - first) ** 2)
+    return first + mean / whole, square / whole - (mean / whole) ** 2

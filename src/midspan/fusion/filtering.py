@@ -1,0 +1,444 @@
+"""The one loop of the estimator over a block of samples and measurements, what it leaves, and the pass back over that.
+
+Measurements are either judged as they come, by hypotheses (see `hypotheses`), or taken as was decided before: then one
+hypothesis is enough, and what the pass back needs is left behind.
+"""
+
+import numpy as np
+from numba import njit
+
+from midspan.fusion.forward import (
+    AT,
+    AXIS,
+    CHANNEL,
+    COASTING_S,
+    COUNT,
+    INPUT,
+    JUDGED,
+    LEAD,
+    LOST_S,
+    SET_DATUM,
+    SLOPE,
+    SOURCE,
+    STEP,
+    TIME,
+    ZERO,
+    add_noise,
+    back_through_datum,
+    back_through_measurement,
+    back_through_time,
+    begin_interval,
+    copy_datum,
+    predict,
+    quadratic,
+)
+from midspan.fusion.hypotheses import (
+    ACCEPTED_AT,
+    ACCEPTED_VARIANCE,
+    ALONG,
+    CODE,
+    DATUM,
+    DENSITY,
+    DISTURBED,
+    DOUBTED,
+    ERROR,
+    GATE,
+    GOOD,
+    KINDS,
+    MET_AT,
+    MOST,
+    PARENT,
+    STEPPED,
+    TOTAL,
+    VAGUE,
+    WEIGHT,
+    accept,
+    become,
+    follow_clock,
+    look,
+    meet_zero,
+    one_of,
+    split,
+)
+from midspan.fusion.state_space import GAP_STEPS
+from midspan.records import Status
+
+# What is left of each sample and axis: displacement relative to the datum, its variance, the true velocity, codes of
+# source and status.
+FOUND_X, FOUND_VARIANCE, FOUND_VELOCITY, FOUND_SOURCE, FOUND_STATUS = range(5)
+FOUND_COLUMNS = 5
+# Of each measurement as the best hypothesis saw it then: innovation, its predicted variance, code of what it was.
+MET_ERROR, MET_TOTAL, MET_CODE = range(3)
+MET_COLUMNS = 3
+# Of each decided measurement, for the pass back: number of its sample in the block, fraction of the interval, variance
+# it was taken with (0: not at all), channel, factors that scaled the states of shift and reference; then its
+# sensitivities (1 + k) and gain (n).
+INTERVAL, THETA, TAKEN, OF_CHANNEL, SHIFT_SCALED, REFERENCE_SCALED, RECORD = range(7)
+TRACKING, COASTING, LOST_STATUS = float(Status.TRACKING), float(Status.COASTING), float(Status.LOST)
+# In `decided`: not decided, the hypotheses judge.
+OPEN = -1
+PARENT_STEP = 32
+# A smoothed variance is no smaller than this share of the filtered one: beyond it rounding speaks.
+LEAST_SHARE = 1e-12
+
+
+@njit(cache=True)
+def leave_status(axis, time, marks, channels, found, k):  # type: ignore[no-untyped-def]
+    """Write source and status of an axis's row: of the channels that are not too old, the most informative one."""
+    source, status, best = 0.0, LOST_STATUS, np.inf
+    for c in range(len(channels)):
+        if int(channels[c, AXIS]) != axis:
+            continue
+        age = time - marks[c, ACCEPTED_AT]
+        if age <= channels[c, COASTING_S]:
+            status = TRACKING
+            if marks[c, ACCEPTED_VARIANCE] < best:
+                best, source = marks[c, ACCEPTED_VARIANCE], channels[c, SOURCE]
+        elif age <= channels[c, LOST_S]:
+            status = min(status, COASTING)
+    found[k, axis, FOUND_SOURCE], found[k, axis, FOUND_STATUS] = source, status
+
+
+@njit(cache=True)
+def zero_variance(p, channels, a, datum):  # type: ignore[no-untyped-def]
+    """Variance (m²) that all rows of an axis have in common: of the datum as the first channel's values count it."""
+    d = datum + a
+    for c in range(len(channels)):
+        if int(channels[c, AXIS]) == a:
+            z = int(channels[c, ZERO])
+            if datum < 0:
+                return p[z, z]
+            return max(p[d, d] + 2.0 * p[d, z] + p[z, z], 0.0) if p[d, d] > 0.0 else 0.0
+    return p[d, d] if datum >= 0 else 0.0
+
+
+@njit(cache=True)
+def row_of(x, p, theta, spread, a, datum):  # type: ignore[no-untyped-def]
+    """Displacement of axis `a` relative to its datum, its variance, and the velocity state, in one hypothesis."""
+    i, d = 3 * a, datum + a
+    value, variance, velocity = x[i, 0], p[i, i], x[i + 1, 0]
+    if datum >= 0:
+        value -= x[d, 0]
+        variance += p[d, d] - 2.0 * p[i, d]
+    variance = max(variance, 0.0)
+    for q in range(len(theta)):
+        one = x[i, 1 + q] - (x[d, 1 + q] if datum >= 0 else 0.0)
+        value += one * theta[q]
+        velocity += x[i + 1, 1 + q] * theta[q]
+        for r in range(len(theta)):
+            variance += one * spread[q, r] * (x[i, 1 + r] - (x[d, 1 + r] if datum >= 0 else 0.0))
+    return value, variance, velocity
+
+
+@njit(cache=True)
+def mixed_row(hyps, count, a, datum):  # type: ignore[no-untyped-def]
+    """The same over all hypotheses: mean and variance, by their weights."""
+    whole = mean = square = velocity = first = 0.0
+    for b in range(count):
+        weight = np.exp(hyps[3][b, WEIGHT])
+        x, p, _, _, theta, spread = one_of(hyps, b)
+        value, variance, speed = row_of(x, p, theta, spread, a, datum)
+        first = value if b == 0 else first
+        off = value - first
+        whole += weight
+        mean += weight * off
+        square += weight * (variance + off * off)
+        velocity += weight * speed
+    return first + mean / whole, square / whole - (mean / whole) ** 2, velocity / whole
+
+
+@njit(cache=True)
+def leave_node(x, p, motion, datum, node):  # type: ignore[no-untyped-def]
+    """Write what the pass back needs of a sample, for each axis: displacement relative to the datum (1 + k), true
+    velocity (1 + k), and the covariances (n) of both with all states.
+    """
+    n, columns = x.shape
+    for a in range(len(motion)):
+        i, d, out = 3 * a, datum + a, node[a]
+        for c in range(columns):
+            out[c] = x[i, c] - (x[d, c] if datum >= 0 else 0.0)
+            out[columns + c] = x[i + 1, c]
+        out[columns] -= motion[a, LEAD] * motion[a, SLOPE]
+        for q in range(n):
+            out[2 * columns + q] = p[q, i] - (p[q, d] if datum >= 0 else 0.0)
+            out[2 * columns + n + q] = p[q, i + 1]
+
+
+@njit(cache=True)
+def order_frame(rows, j, best, motion, now, tables, scratch):  # type: ignore[no-untyped-def]
+    """Put the measurements of the same instant as `rows[j]` in the order of how well they agree with the best
+    hypothesis, so that what is found does not depend on the order of targets. Returns where they end.
+    """
+    end = j + 1
+    while end < len(rows) and rows[end, AT] == rows[j, AT] and rows[end, CHANNEL] >= 0.0:
+        end += 1
+    if end == j + 1:
+        return end
+    off = np.empty(end - j)
+    for i in range(j, end):
+        scene = (motion, now[int(tables[1][int(rows[i, CHANNEL]), AXIS])])
+        error, _, wider, own = look(best, rows[i], scene, tables, scratch)
+        off[i - j] = error * error / (wider + own)
+    rows[j:end] = rows[j:end][np.argsort(off)]
+    return end
+
+
+@njit(cache=True)
+def judge(hyps, best, clock, row, scene, tables, options, scratch, chances):  # type: ignore[no-untyped-def]
+    """Let all hypotheses meet a measurement; the number of them in `clock` follows."""
+    _, _, marks, memory, _, _ = best
+    count, c = int(clock[COUNT]), int(row[CHANNEL])
+    if row[AT] - marks[c, MET_AT] > tables[1][c, COASTING_S]:
+        hyps[2][:count, c, DOUBTED] = 1.0
+    for b in range(count):
+        meet_zero(one_of(hyps, b), row, tables[1][c])
+        follow_clock(one_of(hyps, b), row, tables[1][c])
+    usual = memory[DENSITY] == 0.0 and marks[c, DISTURBED] == 0.0 and marks[c, STEPPED] + marks[c, DOUBTED] == 0.0
+    if count == 1 and clock[JUDGED] <= 0.0 and usual:
+        seen = look(best, row, scene, tables, scratch)
+        if seen[0] * seen[0] <= GATE * GATE * (seen[2] + seen[3]) and seen[2] <= VAGUE * seen[3]:
+            accept(best, row, seen, tables, options, scratch)
+            marks[c, MET_AT] = row[AT]
+            memory[PARENT], memory[CODE] = 0.0, GOOD
+            return
+    doubted = clock[JUDGED] > 0.0
+    clock[JUDGED] -= 1.0
+    clock[COUNT] = split(hyps, count, row, scene, tables, options, scratch, doubted, chances)
+
+
+@njit(cache=True)
+def keep_survivors(hyps, count, survivors, errors, met):  # type: ignore[no-untyped-def]
+    """Write what each hypothesis took the last measurement for, and of which hypothesis it came."""
+    memory = hyps[3]
+    for b in range(count):
+        survivors[b] = int(memory[b, PARENT]) * PARENT_STEP + int(memory[b, CODE])
+        errors[b, 0], errors[b, 1] = memory[b, ERROR], memory[b, TOTAL]
+    met[MET_ERROR], met[MET_TOTAL], met[MET_CODE] = memory[0, ERROR], memory[0, TOTAL], memory[0, CODE]
+
+
+@njit(cache=True)
+def take_decided(code, best, row, scene, tables, options, scratch, out):  # type: ignore[no-untyped-def]
+    """Take a measurement as was decided, and leave its record for the pass back."""
+    gain, e = scratch
+    c = int(row[CHANNEL])
+    out[OF_CHANNEL] = c
+    out[REFERENCE_SCALED] = meet_zero(best, row, tables[1][c])
+    followed = follow_clock(best, row, tables[1][c])
+    out[TAKEN], scaled = become(code, best, row, scene, tables, options, scratch)
+    out[SHIFT_SCALED] = followed * scaled
+    out[RECORD : RECORD + len(e)] = e
+    out[RECORD + len(e) : RECORD + len(e) + len(gain)] = gain
+
+
+@njit(cache=True)
+def move(x, p, memory, motion, samples, k, way, walks):  # type: ignore[no-untyped-def]
+    """Move one hypothesis within the interval that ends at sample `k`; way: as of `predict`."""
+    predict(x, p, motion, samples, k, way, walks)
+    if memory[DENSITY] > 0.0:
+        add_noise(p, 3 * int(memory[ALONG]), (way[1] - way[0]) * way[2], memory[DENSITY])
+
+
+@njit(cache=True)
+def move_others(hyps, count, motion, samples, k, way, walks):  # type: ignore[no-untyped-def]
+    """Move all hypotheses but the best."""
+    for b in range(1, count):
+        x, p, _, memory, _, _ = one_of(hyps, b)
+        move(x, p, memory, motion, samples, k, way, walks)
+
+
+@njit(cache=True)
+def pass_mark(hyps, axes, clock, mark, j, out):  # type: ignore[no-untyped-def]
+    """The rows count from here, or clocks are in doubt; each hypothesis goes on as it is."""
+    _, met, survivors, _, _, record = out
+    for b in range(int(clock[COUNT])):
+        if mark == SET_DATUM:
+            copy_datum(hyps[0][b], hyps[1][b], axes)
+        else:
+            hyps[2][b, :, DOUBTED] = 1.0
+        survivors[j, b] = b * PARENT_STEP + DATUM
+    met[j, MET_CODE] = DATUM
+    record[j, OF_CHANNEL] = mark
+
+
+@njit(cache=True)
+def meet_row(j, ordered, place, block, state, hyps, best, tables, options, scratch, out):  # type: ignore[no-untyped-def]
+    """Take the measurement `j` of a block, judged or as decided; returns up to where rows are in their order.
+
+    place = (number of the sample that ends the interval, fraction of it); block = (samples, rows, decided).
+    """
+    motion, clock = state
+    samples, rows, decided = block
+    _, met, survivors, errors, _, record = out
+    k, theta = place
+    record[j, INTERVAL], record[j, THETA] = k, theta
+    if rows[j, CHANNEL] < 0.0:
+        pass_mark(hyps, len(motion), clock, rows[j, CHANNEL], j, out)
+        return ordered
+    now, own = scratch[2], (scratch[0], scratch[1])
+    for a in range(len(motion)):
+        now[a] = motion[a, INPUT] + theta * (samples[k, 1 + a] - motion[a, INPUT])
+    if decided[j] == OPEN and j >= ordered:
+        ordered = order_frame(rows, j, best, motion, now, tables, own)
+    scene = (motion, now[int(tables[1][int(rows[j, CHANNEL]), AXIS])])
+    if decided[j] == OPEN:
+        judge(hyps, best, clock, rows[j], scene, tables, options, own, scratch[3])
+        keep_survivors(hyps, int(clock[COUNT]), survivors[j], errors[j], met[j])
+    else:
+        take_decided(decided[j], best, rows[j], scene, tables, options, own, record[j])
+    return ordered
+
+
+@njit(cache=True)
+def run_block(samples, rows, decided, state, hyps, tables, options, out):  # type: ignore[no-untyped-def]
+    """Run over one block; `state` = (motion (axes, 3), clock (4,)) and `hyps` are changed in place and carry on.
+
+    samples (s, 1 + 2 axes): time in s, acceleration of each axis, its noise density, all after the state's time. rows
+    (m, 5): usable measurements, all within the samples, in time order; those of one instant are put in the order they
+    are taken in. decided (m,): OPEN, or the code that was decided. hyps: see `model.hypotheses_at`. tables = (walks
+    (n,), channels (c, 11), kinds (c, k), first state of the datums or -1, learning (k, 2)). out = (found (s, axes, 5),
+    met (m, 3), survivors (m, MOST), errors (m, MOST, 2), nodes (s or 0, axes, 2 (1 + k) + 2 n), record (m, 8 + k + n)).
+    """
+    motion, clock = state
+    walks, channels, datum, found, nodes = tables[0], tables[1], tables[3], out[0], out[4]
+    best = one_of(hyps, 0)
+    x, p, marks, memory, theta, spread = best
+    scratch = (np.zeros(len(x)), np.zeros(x.shape[1]), np.zeros(len(motion)), np.zeros((MOST, KINDS)))
+    j = ordered = 0
+    for k in range(len(samples)):
+        begun, end = clock[TIME], samples[k, 0]
+        gap = end - begun > GAP_STEPS * clock[STEP]
+        dt = begin_interval(hyps[0], clock, motion, samples, k)
+        reached = begun
+        while True:
+            due = j < len(rows) and rows[j, AT] <= end
+            until = rows[j, AT] if due else end
+            if until > reached:
+                way = ((reached - begun) / dt, (until - begun) / dt, dt)
+                move(x, p, memory, motion, samples, k, way, walks)
+                if clock[COUNT] > 1.0:
+                    move_others(hyps, int(clock[COUNT]), motion, samples, k, way, walks)
+                reached = until
+            if not due:
+                break
+            place = (k, (until - begun) / dt)
+            ordered = meet_row(
+                j, ordered, place, (samples, rows, decided), state, hyps, best, tables, options, scratch, out
+            )
+            j += 1
+        clock[TIME] = end
+        if gap:
+            hyps[2][: int(clock[COUNT]), :, DOUBTED] = 1.0
+        for a in range(len(motion)):
+            motion[a, INPUT] = samples[k, 1 + a]
+            if clock[COUNT] > 1.0:
+                value, variance, velocity = mixed_row(hyps, int(clock[COUNT]), a, datum)
+            else:
+                value, variance, velocity = row_of(x, p, theta, spread, a, datum)
+            found[k, a, FOUND_X] = value
+            found[k, a, FOUND_VARIANCE] = max(variance, zero_variance(p, channels, a, datum))
+            found[k, a, FOUND_VELOCITY] = velocity - motion[a, LEAD] * motion[a, SLOPE]
+            leave_status(a, end, marks, channels, found, k)
+        if len(nodes) > 0:
+            leave_node(x, p, motion, datum, nodes[k])
+
+
+@njit(cache=True)
+def trace(survivors, count, codes, errors, kept):  # type: ignore[no-untyped-def]
+    """Follow the hypotheses back: what the best one took each measurement for, to `codes` (m,), and innovation and
+    predicted variance, from `errors` to `kept` (m, 2). Returns up to which measurement all hypotheses have one past.
+    """
+    at = np.arange(count)
+    final = len(survivors) if count == 1 else 0
+    for j in range(len(survivors) - 1, -1, -1):
+        codes[j] = survivors[j, at[0]] % PARENT_STEP
+        kept[j] = errors[j, at[0]]
+        one = True
+        for b in range(count):
+            at[b] = survivors[j, at[b]] // PARENT_STEP
+            one = one and at[b] == at[0]
+        if one and final == 0:
+            final = j
+    return final
+
+
+@njit(cache=True)
+def back_to(at, until, adj, m, axes):  # type: ignore[no-untyped-def]
+    """Carry the adjoint back from one instant to another; returns the instant it has reached."""
+    if at > until:
+        back_through_time(adj, m, axes, at - until)
+        return until
+    return at
+
+
+@njit(cache=True)
+def back_through_row(row, adj, m, axes, channels):  # type: ignore[no-untyped-def]
+    """Carry the adjoint back through a decided measurement's record."""
+    if row[OF_CHANNEL] < 0.0:
+        if row[OF_CHANNEL] == SET_DATUM:
+            back_through_datum(adj, m, axes)
+        return
+    n, columns = adj.shape
+    channel = channels[int(row[OF_CHANNEL])]
+    if row[TAKEN] > 0.0:
+        e, gain = row[RECORD : RECORD + columns], row[RECORD + columns : RECORD + columns + n]
+        back_through_measurement(adj, m, channel, gain, e, row[TAKEN])
+    for i, factor in ((int(channel[ZERO]) + 1, row[SHIFT_SCALED]), (int(channel[ZERO]) + 2, row[REFERENCE_SCALED])):
+        if factor != 1.0:
+            adj[i] *= factor
+            m[i] *= factor
+            m[:, i] *= factor
+
+
+@njit(cache=True)
+def smooth_node(node, adj, m, own, parameters, out):  # type: ignore[no-untyped-def]
+    """Smoothed displacement, its variance and the velocity of one axis, to `out` (3,), from what `leave_node` wrote.
+
+    own = (state of the axis's displacement, of its datum or -1); parameters = (theta (k,), covariance (k, k)).
+    """
+    theta, spread = parameters
+    n, columns = adj.shape
+    pc, pv = node[2 * columns : 2 * columns + n], node[2 * columns + n :]
+    sensitivity = np.zeros(columns - 1)
+    value, velocity = 0.0, 0.0
+    for c in range(columns):
+        moved, faster = node[c], node[columns + c]
+        for q in range(n):
+            moved -= pc[q] * adj[q, c]
+            faster -= pv[q] * adj[q, c]
+        if c == 0:
+            value, velocity = moved, faster
+        else:
+            sensitivity[c - 1] = moved
+            value += moved * theta[c - 1]
+            velocity += faster * theta[c - 1]
+    filtered = pc[own[0]] - (pc[own[1]] if own[1] >= 0 else 0.0)
+    known = 0.0
+    for q in range(n):
+        for r in range(n):
+            known += pc[q] * m[q, r] * pc[r]
+    out[0], out[2] = value, velocity
+    out[1] = max(filtered - known, LEAST_SHARE * filtered) + quadratic(sensitivity, spread)
+
+
+@njit(cache=True)
+def backward_block(time_s, start_s, tables, nodes, record, adjoint, parameters, rows):  # type: ignore[no-untyped-def]
+    """Run the pass back over one block; `adjoint` = (L (n, 1 + k), M (n, n)) is changed in place and carries on.
+
+    time_s (s,): the samples, start_s: time of the state before them; nodes, record: what `run_block` left of decided
+    measurements; tables: as of `run_block`; parameters = (theta (k,), covariance (k, k)). rows (s, axes, 3) take
+    displacement relative to the datum, its variance, and velocity.
+    """
+    adj, m = adjoint
+    channels, datum = tables[1], tables[3]
+    axes, j = nodes.shape[1], len(record) - 1
+    for k in range(len(time_s) - 1, -1, -1):
+        for a in range(axes):
+            own = (3 * a, datum + a if datum >= 0 else -1)
+            smooth_node(nodes[k, a], adj, m, own, parameters, rows[k, a])
+        before = time_s[k - 1] if k > 0 else start_s
+        at, dt = time_s[k], time_s[k] - before
+        while j >= 0 and record[j, INTERVAL] == k:
+            at = back_to(at, before + record[j, THETA] * dt, adj, m, axes)
+            back_through_row(record[j], adj, m, axes, channels)
+            j -= 1
+        back_to(at, before, adj, m, axes)

@@ -1,0 +1,300 @@
+"""What the estimator is told of its channels and parameters, and the filter's arrays made from it."""
+
+from dataclasses import dataclass, field, replace
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from midspan.fusion.filtering import FOUND_COLUMNS, MET_COLUMNS, OPEN, RECORD, run_block
+from midspan.fusion.forward import (
+    CHANNEL_COLUMNS,
+    CLOCK,
+    COUNT,
+    INPUT,
+    JUDGED,
+    MOTION_COLUMNS,
+    SCALE,
+    STEP,
+    TIME,
+)
+from midspan.fusion.hypotheses import (
+    ACCEPTED_AT,
+    BEGAN_AT,
+    FACTOR,
+    LAST_AT,
+    MARK_COLUMNS,
+    MEMORY_COLUMNS,
+    MET_AT,
+    MOST,
+    OUTLIER_AT,
+    RESTS_ON,
+    SHIFT_AT,
+)
+from midspan.records import NANOSECONDS, Channel, Floats
+
+# The state starts this long before the first sample; the same however the record is cut.
+START_S = 0.01
+# States of each channel's zero: as calibrated, its shift since, the reference's error.
+ZERO_STATES = 3
+
+
+class ParameterKind(IntEnum):
+    """What a parameter is: the relative error of a scale, or a clock's offset in s (measured late by so much)."""
+
+    SCALE_ERROR = SCALE
+    CLOCK_OFFSET = CLOCK
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """What is unknown of a group of channels (their numbers): a relative scale error, or a clock's offset in s.
+
+    std: standard deviation before. Only the band holds it, unless it is estimated from an instant on. walk: density of
+    its random walk, unit²/s: how it drifts.
+    """
+
+    kind: ParameterKind
+    channels: tuple[int, ...]
+    std: float
+    estimated_from_ns: int | None = None
+    walk: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Rates:
+    """How often each is met, and what decides.
+
+    outlier: least share of measurements that are wrong by any amount; more is learnt. stays: of those whose next one
+    is wrong too, of errors of the acceleration that last from one measurement to the next, and of a sensor's targets
+    that shift with one.
+    shift, wrong, lost, noise, clock: a second, see `hypotheses`; once an hour each. back: of a shifted zero, a second.
+    odds: logarithm by which a hypothesis falls behind the best before it is dropped: at 12 it is 160 000 times less
+    likely.
+    """
+
+    outlier: float = 0.01
+    stays: float = 0.6
+    shift: float = 1.0 / 3600.0
+    back: float = 0.1
+    wrong: float = 1.0 / 3600.0
+    noise: float = 1.0 / 3600.0
+    lost: float = 1.0 / 3600.0
+    clock: float = 1.0 / 3600.0
+    odds: float = 12.0
+
+
+@dataclass(frozen=True, slots=True)
+class EstimatorSettings:
+    """The estimator's table of channels, and what is known before the first measurement.
+
+    channels: each is named by its number here. axes: 1 or 2. parameters: see `Parameter`; parameter_covariance (k, k):
+    of all, None where they are independent. bias_m_s2, bias_std_m_s2 (one an axis): expected bias of the acceleration.
+    bias_walk: density of its random walk, (m/s²)²/s. velocity_std_m_s: None to take it from the first measurements.
+    displacement_std_m: how far from the first measurement the structure may be. noise_memory: measurements over which a
+    channel's noise is followed; fewer follow it faster, and it then scatters by sqrt(2/noise_memory). noise_weight: how
+    many measurements the channels' variance factors rest on. motion (one an axis): standard deviation (m) of
+    displacement and middle angular frequency (1/s): what a sensor measures whose clock has stepped; 0: clocks do not
+    step. zero_ns: instant that rows count from; None: from the sensors' own zero.
+    """
+
+    channels: tuple[Channel, ...]
+    axes: int = 1
+    parameters: tuple[Parameter, ...] = ()
+    parameter_covariance: Floats | None = None
+    bias_m_s2: tuple[float, ...] = (0.0, 0.0)
+    bias_std_m_s2: tuple[float, ...] = (0.3, 0.3)
+    bias_walk: float = 1e-8
+    velocity_std_m_s: tuple[float, ...] | None = None
+    displacement_std_m: float = 1.0
+    rates: Rates = field(default_factory=Rates)
+    noise_memory: float = 100.0
+    noise_weight: float = 20.0
+    motion: tuple[tuple[float, float], ...] = ((0.0, 0.0), (0.0, 0.0))
+    zero_ns: int | None = None
+
+    @property
+    def first_zero(self) -> int:
+        """The first state of the channels' zeros."""
+        return (3 if self.zero_ns is None else 4) * self.axes
+
+    @property
+    def size(self) -> int:
+        """How many states there are."""
+        return self.first_zero + ZERO_STATES * len(self.channels)
+
+
+Hyps = tuple[Floats, Floats, Floats, Floats, Floats, Floats]
+Tables = tuple[Floats, Floats, NDArray[np.int64], int, Floats]
+
+
+def tables_of(settings: EstimatorSettings, origin_ns: int = 0) -> Tables:
+    """Walks (n,), channels (c, 11), kinds (c, k), the first state of the datums, and when each parameter is estimated
+    and how it walks (k, 2), as `run_block` takes them; origin_ns: what times in s count from.
+    """
+    walks = np.zeros(settings.size)
+    walks[2 : 3 * settings.axes : 3] = settings.bias_walk
+    walks[settings.first_zero + 1 :: ZERO_STATES] = [channel.zero_walk_m2_s for channel in settings.channels]
+    channels = np.zeros((len(settings.channels), CHANNEL_COLUMNS))
+    sensors = sorted({channel.sensor for channel in settings.channels})
+    for i, channel in enumerate(settings.channels):
+        channels[i] = (
+            channel.units_per_m,
+            channel.exposure_s**2 / 24.0,
+            channel.axis,
+            settings.first_zero + ZERO_STATES * i,
+            sensors.index(channel.sensor),
+            channel.zero_std_m**2,
+            channel.source,
+            channel.coasting_s,
+            channel.lost_s,
+            *apart(settings, channel),
+        )
+    kinds = np.zeros((len(settings.channels), len(settings.parameters)), dtype=np.int64)
+    for q, parameter in enumerate(settings.parameters):
+        kinds[list(parameter.channels), q] = parameter.kind
+    learning = np.zeros((len(settings.parameters), 2))
+    for q, parameter in enumerate(settings.parameters):
+        begin = parameter.estimated_from_ns
+        learning[q] = (np.inf if begin is None else (begin - origin_ns) / NANOSECONDS, parameter.walk)
+    return walks, channels, kinds, -1 if settings.zero_ns is None else 3 * settings.axes, learning
+
+
+def apart(settings: EstimatorSettings, channel: Channel) -> tuple[float, float]:
+    """Variance (m²) of what a clock's step makes of a channel's measurements, and the rate (1/s) at which it changes.
+
+    Two instants far apart differ by twice the motion's variance. The targets of a sensor differ by the same, which is
+    told of each of them as if it were its own: their mean must not be more certain than one.
+    """
+    std_m, rate_s = settings.motion[channel.axis]
+    targets = sum((one.sensor, one.axis) == (channel.sensor, channel.axis) for one in settings.channels)
+    return 2.0 * std_m**2 * targets, rate_s
+
+
+def options_of(settings: EstimatorSettings) -> Floats:
+    """Rates, the noise's memory and the bias's deviation as `hypotheses` takes them."""
+    rates = settings.rates
+    return np.array(
+        [
+            *(rates.outlier, rates.stays, rates.shift, rates.back, rates.wrong, rates.noise, rates.lost),
+            *(rates.clock, rates.odds),
+            settings.noise_memory,
+            max(settings.bias_std_m_s2[: settings.axes]),
+        ]
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Beginning:
+    """The state before the first sample: its time (s), acceleration, displacement and velocity's deviation (axes,)."""
+
+    time_s: float
+    acceleration: Floats
+    displacement_m: Floats
+    velocity_std_m_s: Floats
+    judged: int
+
+
+def hypotheses_at(begin: Beginning, settings: EstimatorSettings) -> tuple[Hyps, Floats, Floats]:
+    """Arrays of all hypotheses of which the first one is in use, motion (axes, 3) and clock (4,), at the beginning."""
+    n, c, k, count = settings.size, len(settings.channels), len(settings.parameters), 2 * MOST + 1
+    xs, ps = np.zeros((count, n, 1 + k)), np.zeros((count, n, n))
+    marks, memory = np.zeros((count, c, MARK_COLUMNS)), np.zeros((count, MEMORY_COLUMNS))
+    for a in range(settings.axes):
+        i = 3 * a
+        xs[0, i, 0], xs[0, i + 2, 0] = begin.displacement_m[a], settings.bias_m_s2[a]
+        stds = (settings.displacement_std_m, begin.velocity_std_m_s[a], settings.bias_std_m_s2[a])
+        ps[0, range(i, i + 3), range(i, i + 3)] = np.square(stds)
+    marks[0, :, FACTOR] = [channel.variance_factor for channel in settings.channels]
+    marks[0, :, RESTS_ON], marks[0, :, ACCEPTED_AT] = settings.noise_weight, -np.inf
+    marks[0, :, MET_AT] = begin.time_s - START_S
+    memory[0, [SHIFT_AT, OUTLIER_AT]], memory[0, [LAST_AT, BEGAN_AT]] = -np.inf, begin.time_s
+    spreads = np.zeros((count, k, k))
+    given = settings.parameter_covariance
+    spreads[0] = np.diag([p.std**2 for p in settings.parameters]) if given is None else given
+    motion, clock = np.zeros((settings.axes, MOTION_COLUMNS)), np.zeros(4)
+    motion[:, INPUT] = begin.acceleration
+    clock[[TIME, STEP, COUNT, JUDGED]] = (begin.time_s - START_S, np.inf, 1, begin.judged)
+    return (xs, ps, marks, memory, np.zeros((count, k)), spreads), motion, clock
+
+
+@dataclass(frozen=True, slots=True)
+class Left:
+    """What a run over s samples and m measurements left, see `filtering.run_block`."""
+
+    found: Floats
+    met: Floats
+    survivors: NDArray[np.int16]
+    errors: Floats
+    nodes: Floats
+    record: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class Filter:
+    """The estimator's hypotheses, motion and clock as arrays that a run changes in place."""
+
+    hyps: Hyps
+    motion: Floats
+    clock: Floats
+
+    @classmethod
+    def begun(cls, begin: Beginning, settings: EstimatorSettings) -> "Filter":
+        """The filter before its first sample."""
+        return cls(*hypotheses_at(begin, settings))
+
+    @property
+    def count(self) -> int:
+        """How many hypotheses there are."""
+        return int(self.clock[COUNT])
+
+    def saved(self) -> "Filter":
+        """A copy of the hypotheses that are in use."""
+        hyps = [array[: self.count].copy() for array in self.hyps]
+        return Filter(tuple(hyps), self.motion.copy(), self.clock.copy())  # type: ignore[arg-type]
+
+    def resumed(self, most: int = 2 * MOST + 1) -> "Filter":
+        """A copy of a saved filter with room for so many hypotheses: 1 is enough for measurements that are decided."""
+        hyps = []
+        for array in self.hyps:
+            whole = np.zeros((most, *array.shape[1:]))
+            whole[: min(most, self.count)] = array[:most]
+            hyps.append(whole)
+        clock = self.clock.copy()
+        clock[COUNT] = min(most, self.count)
+        return Filter(tuple(hyps), self.motion.copy(), clock)  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """Samples (s, 1 + 2 axes) and the measurements (m, 5) within them, decided (m,) or open."""
+
+    samples: Floats
+    rows: Floats
+    decided: NDArray[np.int64]
+
+    @classmethod
+    def open(cls, samples: Floats, rows: Floats) -> "Block":
+        """Measurements of which nothing is decided."""
+        return cls(samples, rows, np.full(len(rows), OPEN))
+
+    def taken_as(self, codes: NDArray[np.int64]) -> "Block":
+        """The same with what was decided."""
+        return replace(self, decided=codes)
+
+
+def run(state: Filter, block: Block, tables: Tables, options: Floats, *, back: bool = False) -> Left:
+    """Run over a block; back: also leave what the pass back needs."""
+    axes, s, m = len(state.motion), len(block.samples), len(block.rows)
+    n, columns = state.hyps[0].shape[1:]
+    left = Left(
+        np.empty((s, axes, FOUND_COLUMNS)),
+        np.zeros((m, MET_COLUMNS)),
+        np.zeros((m, MOST), dtype=np.int16),
+        np.zeros((m, MOST, 2)),
+        np.empty((s if back else 0, axes, 2 * columns + 2 * n)),
+        np.zeros((m, RECORD + columns + n)),
+    )
+    out = (left.found, left.met, left.survivors, left.errors, left.nodes, left.record)
+    run_block(block.samples, block.rows, block.decided, (state.motion, state.clock), state.hyps, tables, options, out)
+    return left

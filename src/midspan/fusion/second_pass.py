@@ -1,0 +1,263 @@
+"""The second pass over what the estimator decided: `smoother` over a whole log, `lag` over a sliding window.
+
+Both run the filter again with the decisions of the best hypothesis, and then back in time. Memory stays bounded: the
+smoother keeps the filter at every block's start only and runs each block once more on its way back (G. J. Bierman,
+Fixed interval smoothing with discrete measurements, Int. J. Control 18 (1973) 65-75).
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from midspan.fusion.blocks import estimate_of, given_rows, sample_rows
+from midspan.fusion.decisions import Decided
+from midspan.fusion.estimator import BLOCK, Estimator, EstimatorState, Log, Rows
+from midspan.fusion.filtering import FOUND_VARIANCE, FOUND_VELOCITY, FOUND_X, backward_block, zero_variance
+from midspan.fusion.forward import AT, TIME
+from midspan.fusion.model import Beginning, Block, EstimatorSettings, Filter, Left, options_of, run, tables_of
+from midspan.records import Estimate, Event, Floats, Measured, Samples, joined, part
+
+# Of the lag, the part by which the window moves on at once.
+HOPS = 4
+# Columns of smoothed rows as `backward_block` writes them.
+SMOOTHED_X, SMOOTHED_VARIANCE, SMOOTHED_VELOCITY = range(3)
+
+
+@dataclass(frozen=True, slots=True)
+class Span:
+    """Samples with the measurements within them, what they were taken for, and the filter before the first sample."""
+
+    samples: Samples
+    block: Block
+    before: Filter
+
+
+Adjoint = tuple[Floats, Floats]
+
+
+class SecondPass:
+    """Runs spans forward as decided and back, for one estimator's settings."""
+
+    def __init__(self, settings: EstimatorSettings, origin_ns: int) -> None:
+        self.settings, self.tables, self.options = settings, tables_of(settings, origin_ns), options_of(settings)
+
+    def forward(self, span: Span, *, back: bool) -> tuple[Filter, Left]:
+        """The filter after a span, and what the run left."""
+        state = span.before.resumed(1)
+        return state, run(state, span.block, self.tables, self.options, back=back)
+
+    def nothing_later(self) -> Adjoint:
+        """The adjoint at the end of the record."""
+        n = self.settings.size
+        return np.zeros((n, 1 + len(self.settings.parameters))), np.zeros((n, n))
+
+    def backward(self, span: Span, left: Left, adjoint: Adjoint, last: Filter) -> Floats:
+        """What was found (s, axes, 5), smoothed by what came later; the adjoint moves to the span's beginning."""
+        smoothed = np.empty((len(span.block.samples), self.settings.axes, 3))
+        parameters = (last.hyps[4][0], last.hyps[5][0])
+        start_s = float(span.before.clock[TIME])
+        times = span.block.samples[:, 0].copy()
+        backward_block(times, start_s, self.tables, left.nodes, left.record, adjoint, parameters, smoothed)
+        found = left.found
+        found[:, :, FOUND_X] = smoothed[:, :, SMOOTHED_X]
+        for a in range(self.settings.axes):
+            least = zero_variance(last.hyps[1][0], self.tables[1], a, self.tables[3])
+            found[:, a, FOUND_VARIANCE] = np.maximum(smoothed[:, a, SMOOTHED_VARIANCE], least)
+        found[:, :, FOUND_VELOCITY] = smoothed[:, :, SMOOTHED_VELOCITY]
+        return found
+
+
+def joined_decisions(parts: list[Decided]) -> Decided:
+    """Decisions in their order as one."""
+    return Decided(
+        np.concatenate([one.rows for one in parts]),
+        np.concatenate([one.codes for one in parts]),
+        np.concatenate([one.errors for one in parts]),
+    )
+
+
+def smooth(log: Log, settings: EstimatorSettings) -> tuple[Estimate, ...]:
+    """The rows of each axis, smoothed by the whole record; log: of an estimator that has finished."""
+    work, decided = SecondPass(settings, log.origin_ns), joined_decisions(log.decided)
+    samples = joined(log.samples)
+    given = given_rows(samples, log.first_s, log.origin_ns)
+    estimates = tuple(_empty(samples, given) for _ in range(settings.axes))
+    spans, done, state = [], 0, Filter.begun(log.begin, settings).saved()
+    for first in range(0, len(samples.time_ns), BLOCK):
+        block = part(samples, slice(first, first + BLOCK))
+        rows = sample_rows(block, log.origin_ns)
+        due = int(np.searchsorted(decided.rows[:, AT], rows[-1, 0], side="right"))
+        spans.append((block, slice(done, due), state))
+        after, _ = work.forward(_span(spans[-1], decided, log), back=False)
+        state, done = after.saved(), due
+    adjoint, place = work.nothing_later(), int(np.count_nonzero(given))
+    for one in reversed(spans):
+        span = _span(one, decided, log)
+        _, left = work.forward(span, back=True)
+        found = work.backward(span, left, adjoint, state)
+        own = given_rows(span.samples, log.first_s, log.origin_ns)
+        place -= int(np.count_nonzero(own))
+        for a, estimate in enumerate(estimates):
+            _fill(estimate, place, estimate_of(span.samples, found[:, a], own))
+    return estimates
+
+
+def _span(one: tuple[Samples, slice, Filter], decided: Decided, log: Log) -> Span:
+    samples, own, before = one
+    rows, codes = decided.rows[own].copy(), decided.codes[own]
+    return Span(samples, Block(sample_rows(samples, log.origin_ns), rows, codes), before)
+
+
+def _empty(samples: Samples, given: np.ndarray) -> Estimate:
+    """Rows to be filled: a day of them must not exist twice."""
+    n = int(np.count_nonzero(given))
+    codes = np.empty(n, dtype=np.uint8), np.empty(n, dtype=np.uint8)
+    return Estimate(samples.time_ns[given], np.empty(n), np.empty(n), np.empty(n), *codes)
+
+
+def _fill(whole: Estimate, place: int, rows: Estimate) -> None:
+    own = slice(place, place + len(rows.time_ns))
+    for name in ("displacement_m", "variance_m2", "velocity_m_s", "source", "status"):
+        getattr(whole, name)[own] = getattr(rows, name)
+
+
+@dataclass(frozen=True, slots=True)
+class LagState:
+    """All that a fixed-lag stream remembers: the estimator's state, and its window with the filter before it."""
+
+    estimator: EstimatorState
+    begin: Beginning | None
+    samples: Samples | None
+    decided: Decided
+    before: Filter | None
+    pushed: int
+    held: int
+
+
+class Lag:
+    """The estimator's rows given out `lag_samples` or up to a quarter more later, smoothed by what came until then.
+
+    The window moves on in hops of a quarter of the lag, counted in samples from the first one, so that any cutting of
+    the input gives the same rows. Innovations and events are those of the estimator, as they come.
+    """
+
+    def __init__(self, settings: EstimatorSettings, lag_samples: int) -> None:
+        self.settings = settings
+        self.estimator = Estimator(settings, log=True)
+        self.lag_samples, self._hop = lag_samples, max(1, lag_samples // HOPS)
+        self._samples: Samples | None = None
+        self._decided = Decided.none()
+        self._before: Filter | None = None
+        # Samples pushed, and those of the window that were given out already.
+        self._pushed = self._given = 0
+
+    def push(self, record: Samples | Measured | Event) -> list[Rows]:
+        """Take one block, as `Estimator.push`."""
+        if not isinstance(record, Samples):
+            return self.estimator.push(record)
+        found, first = [], 0
+        while first < len(record.time_ns):
+            last = min(len(record.time_ns), first + self._hop - self._pushed % self._hop)
+            found += [_without_rows(one) for one in self.estimator.push(part(record, slice(first, last)))]
+            self._pushed += last - first
+            first = last
+            if self._pushed % self._hop == 0:
+                found += self._move_on(self.lag_samples)
+        return found
+
+    def finish(self) -> list[Rows]:
+        """The rows that are held still, and what the estimator says at the end."""
+        ended = [_without_rows(one) for one in self.estimator.finish()]
+        return [*ended, *self._move_on(0)]
+
+    def predict(self, channel: int, time_ns: int) -> tuple[float, float]:
+        """As `Estimator.predict`."""
+        return self.estimator.predict(channel, time_ns)
+
+    @property
+    def state(self) -> LagState:
+        """All that the stream remembers."""
+        self._collect()
+        log = self.estimator.log
+        begin = None if log is None else log.begin
+        own = (self._samples, self._decided, self._before, self._pushed, self._given)
+        return LagState(self.estimator.state, begin, *own)
+
+    def restore(self, state: LagState) -> None:
+        """Go on from a state of a stream with the same settings."""
+        self.estimator.restore(state.estimator)
+        known = state.estimator
+        begin, origin_ns = state.begin, known.origin_ns or 0
+        self.estimator.log = None if begin is None else Log(begin, known.first_s, origin_ns, [], [])
+        self._samples, self._decided, self._before = state.samples, state.decided, state.before
+        self._pushed, self._given = state.pushed, state.held
+
+    def _collect(self) -> bool:
+        """Take over what the estimator has logged; whether there is anything."""
+        log = self.estimator.log
+        if log is None:
+            return False
+        if self._before is None:
+            self._before = Filter.begun(log.begin, self.estimator.settings).saved()
+        if log.samples:
+            own = [] if self._samples is None else [self._samples]
+            self._samples = joined([*own, *log.samples])
+            self._decided = joined_decisions([self._decided, *log.decided])
+        log.samples.clear()
+        log.decided.clear()
+        return self._samples is not None
+
+    def _move_on(self, lag: int) -> list[Rows]:
+        """Give out the rows that are older than the lag, and let go of what is decided and not needed any more."""
+        if not self._collect() or self._samples is None or self._before is None:
+            return []
+        samples, log = self._samples, self.estimator.log
+        due = len(samples.time_ns) - lag
+        if log is None or due <= self._given:
+            return []
+        work = SecondPass(self.estimator.settings, log.origin_ns)
+        decided, open_ones = self._decided, self.estimator.undecided
+        best, _ = open_ones.decided(self.estimator.count, all_of_them=True)
+        both = joined_decisions([decided, best])
+        rows = sample_rows(samples, log.origin_ns)
+        settled = int(np.searchsorted(rows[:, 0], open_ones.rows[0, AT])) if len(open_ones.rows) else due
+        anchor = min(due, settled)
+        parts = [self._span(both, rows, slice(anchor), self._before)] if anchor else []
+        middle, left = work.forward(parts[0], back=True) if parts else (self._before, None)
+        lefts = [left] if left is not None else []
+        last = middle
+        if anchor < len(rows):
+            parts.append(self._span(both, rows, slice(anchor, None), middle.saved()))
+            last, late = work.forward(parts[-1], back=True)
+            lefts.append(late)
+        adjoint = work.nothing_later()
+        found = [
+            work.backward(span, one, adjoint, last) for span, one in zip(reversed(parts), reversed(lefts), strict=True)
+        ]
+        own = part(samples, slice(self._given, due))
+        smoothed = np.concatenate(found[::-1])[self._given : due]
+        self._let_go(anchor, rows, middle.saved())
+        self._given = due - anchor
+        shown = given_rows(own, log.first_s, log.origin_ns)
+        axes = range(self.estimator.settings.axes)
+        return [Rows(tuple(estimate_of(own, smoothed[:, a], shown) for a in axes), (), ())]
+
+    def _span(self, decided: Decided, rows: Floats, which: slice, before: Filter) -> Span:
+        assert self._samples is not None
+        block = rows[which]
+        within = (decided.rows[:, AT] <= block[-1, 0]) & (decided.rows[:, AT] > before.clock[TIME])
+        own = Block(block, decided.rows[within], decided.codes[within])
+        return Span(part(self._samples, which), own, before)
+
+    def _let_go(self, anchor: int, rows: Floats, before: Filter) -> None:
+        assert self._samples is not None
+        if not anchor:
+            return
+        self._before, self._samples = before, part(self._samples, slice(anchor, None))
+        kept = self._decided.rows[:, AT] > rows[anchor - 1, 0]
+        own = self._decided
+        self._decided = Decided(own.rows[kept], own.codes[kept], own.errors[kept])
+
+
+def _without_rows(rows: Rows) -> Rows:
+    return replace(rows, estimates=())

@@ -1,0 +1,286 @@
+"""The estimator for plain arrays: one channel for each source of displacement, in metres, whose zero is known.
+
+For displacement that comes ready made; everything else about the estimator is in `estimator` and `second_pass`.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from midspan.fusion.estimator import BLOCK, Estimator, EstimatorState, Rows
+from midspan.fusion.model import EstimatorSettings, Rates
+from midspan.fusion.second_pass import Lag, LagState
+from midspan.fusion.second_pass import smooth as smooth_log
+from midspan.records import (
+    NANOSECONDS,
+    Acceleration,
+    Channel,
+    Displacement,
+    Estimate,
+    Event,
+    Floats,
+    Innovation,
+    Measured,
+    SampleKind,
+    Samples,
+    Source,
+    joined,
+    part,
+)
+
+Output = Estimate | Innovation | Event
+# Every measurement is as good as its variance says: none is rejected.
+NO_ERRORS = Rates(outlier=0.0, stays=0.0, shift=0.0, back=0.0, wrong=0.0, noise=0.0, lost=0.0, clock=0.0)
+# Measurements that a channel's noise rests on where it is not to be followed: one more then is lost in rounding.
+AS_DECLARED = 1e30
+# A measurement this many times as uncertain as what is known without it adds a millionth.
+VAGUE = 1e3
+
+
+@dataclass(frozen=True, slots=True)
+class KalmanSettings:
+    """How the filter behaves besides the noise levels, which come with the measurements.
+
+    bias_walk: density of the accelerometer bias's random walk, (m/s²)²/s; higher follows faster drift. The default lets
+    the bias wander by about 0.8 mm/s² in a minute and costs below 1 % where it is constant.
+    displacement_std, velocity_std, bias_std: uncertainty before the first measurement, m, m/s, m/s².
+    bias: expected bias before the first measurement, m/s² (the mean of the first samples is good).
+    coasting_s: age of the last accepted measurement beyond which a row is `coasting`; lost_s: beyond which it is
+    `lost`. rates: how often measurements are wrong in which way. noise_memory: measurements over which each source's
+    noise is followed where it is other than declared; infinite: it is taken as declared.
+    """
+
+    bias_walk: float = 1e-8
+    displacement_std: float = 1.0
+    velocity_std: float = 1.0
+    bias_std: float = 0.3
+    bias: float = 0.0
+    coasting_s: float = 0.5
+    lost_s: float = 10.0
+    rates: Rates = field(default_factory=Rates)
+    noise_memory: float = 100.0
+
+    def estimator(self, sources: Sequence[int]) -> EstimatorSettings:
+        """The estimator's settings for measurements of these sources: their channels in this order.
+
+        The channel of the prediction stands for what is known before anything is measured; no row rests on it.
+        """
+        ages = {Source.PREDICTION: (-1.0, -1.0)}
+        channels = []
+        for code in map(Source, sources):
+            coasting_s, lost_s = ages.get(code, (self.coasting_s, self.lost_s))
+            channels.append(Channel(code.word, code, 1.0, coasting_s=coasting_s, lost_s=lost_s))
+        settings = EstimatorSettings(
+            channels=tuple(channels),
+            bias_m_s2=(self.bias,),
+            bias_std_m_s2=(self.bias_std,),
+            bias_walk=self.bias_walk,
+            velocity_std_m_s=(self.velocity_std,),
+            displacement_std_m=self.displacement_std,
+            rates=self.rates,
+            noise_memory=self.noise_memory,
+        )
+        return replace(settings, noise_weight=AS_DECLARED) if np.isinf(self.noise_memory) else settings
+
+
+@dataclass(frozen=True, slots=True)
+class MethodSettings:
+    """What any method may need: the filter's settings, and the keys of [fusion] that single methods use.
+
+    lag_s: delay of `lag`, s. literal: a paper's method exactly as printed. forgetting: factor beta of
+    `adaptive-kalman`, above 0 and below 1.
+    """
+
+    kalman: KalmanSettings = field(default_factory=KalmanSettings)
+    lag_s: float = 0.5
+    literal: bool = False
+    forgetting: float = 0.95
+
+
+@dataclass(frozen=True, slots=True)
+class Smoothed:
+    """What a method returns for a whole record: the estimate, the innovations of its forward pass, and events.
+
+    innovation: of each measurement that was met, in time order. variance_m2 (m,): what each of them was taken to vary
+    by, of the adaptive filter as printed alone.
+    """
+
+    estimate: Estimate
+    innovation: Innovation
+    events: tuple[Event, ...]
+    variance_m2: Floats | None = None
+
+
+class KalmanFilter:
+    """The causal filter as a stream: push blocks of displacement and acceleration in time order, take estimates.
+
+    Displacement pushed before the acceleration that covers its time waits for it; any cutting of the input into blocks
+    gives the same rows. They begin with the first measurement, and are held back until the first few have come: the
+    first is judged by those after it. lag_samples: each row comes so many samples, or up to a quarter more, later,
+    smoothed by what was measured until then.
+    """
+
+    def __init__(self, settings: KalmanSettings | None = None, *, lag_samples: int = 0) -> None:
+        self.settings = settings or KalmanSettings()
+        known = self.settings.estimator(tuple(Source))
+        self._estimator: Estimator | Lag = Lag(known, lag_samples) if lag_samples else Estimator(known)
+
+    def push(self, record: Acceleration | Displacement) -> list[Output]:
+        """Take one block; returns for acceleration an Estimate, an Innovation and Events, each where there are any.
+
+        Times of the acceleration increase from block to block; a displacement that is not later than the last
+        acceleration already pushed is left out, with an Event.
+        """
+        if isinstance(record, Displacement):
+            self._estimator.push(measured(record, tuple(Source)))
+            return []
+        return outputs(self._estimator.push(samples(record)))
+
+    def finish(self) -> list[Output]:
+        """What is left at the end of the record."""
+        return outputs(self._estimator.finish())
+
+    def predict(self, time_ns: int) -> tuple[float, float]:
+        """Displacement (m) and variance (m²) at a time after the last sample, whose acceleration is held."""
+        return self._estimator.predict(Source.PREDICTION, time_ns)
+
+    @property
+    def state(self) -> EstimatorState | LagState:
+        """All that the filter remembers."""
+        return self._estimator.state
+
+    def restore(self, state: EstimatorState | LagState) -> None:
+        """Go on from the state of a filter with the same settings."""
+        self._estimator.restore(state)  # type: ignore[arg-type]
+
+
+def smooth(acceleration: Acceleration, displacement: Displacement, settings: KalmanSettings | None = None) -> Smoothed:
+    """Smooth a whole record.
+
+    acceleration: block of n samples; displacement: block of m measurements on the same clock, in time order. The
+    estimate has one row a sample; its standard deviation is that of the smoother.
+    """
+    settings = settings or KalmanSettings()
+    estimator = Estimator(settings.estimator(sources_of(displacement)), log=True)
+    found = whole(estimator, acceleration, with_prior(displacement, acceleration, settings))
+    assert estimator.log is not None
+    return replace(found, estimate=smooth_log(estimator.log, estimator.settings)[0])
+
+
+def filtered(
+    acceleration: Acceleration,
+    displacement: Displacement,
+    settings: KalmanSettings | None = None,
+    *,
+    lag_s: float = 0.0,
+) -> Smoothed:
+    """Filter a whole record, as `smooth`; each row rests on what came before it, and on what came `lag_s` after it."""
+    settings = settings or KalmanSettings()
+    known = settings.estimator(sources_of(displacement))
+    step_s = float(np.median(np.diff(acceleration.time_ns))) / NANOSECONDS if lag_s else np.inf
+    lag_samples = round(lag_s / step_s)
+    estimator = Lag(known, lag_samples) if lag_samples else Estimator(known)
+    return whole(estimator, acceleration, with_prior(displacement, acceleration, settings))
+
+
+def run_smoother(
+    acceleration: Acceleration, displacement: Displacement, settings: MethodSettings, path: Smoothed | None
+) -> Smoothed:
+    """`smoother` as a row of METHODS."""
+    return path or smooth(acceleration, displacement, settings.kalman)
+
+
+def run_kalman(
+    acceleration: Acceleration, displacement: Displacement, settings: MethodSettings, path: Smoothed | None
+) -> Smoothed:
+    """`kalman` as a row of METHODS."""
+    return filtered(acceleration, displacement, settings.kalman)
+
+
+def run_lag(
+    acceleration: Acceleration, displacement: Displacement, settings: MethodSettings, path: Smoothed | None
+) -> Smoothed:
+    """`lag` as a row of METHODS."""
+    return filtered(acceleration, displacement, settings.kalman, lag_s=settings.lag_s)
+
+
+def whole(estimator: Estimator | Lag, acceleration: Acceleration, displacement: Displacement) -> Smoothed:
+    """All that an estimator with one channel for each of `sources_of` gives for a whole record."""
+    sources, found, done = sources_of(displacement), [], 0
+    for block in blocks(acceleration):
+        due = int(np.searchsorted(displacement.time_ns, block.time_ns[-1], side="right"))
+        estimator.push(measured(part(displacement, slice(done, due)), sources))
+        found += estimator.push(samples(block))
+        done = due
+    estimate, innovation, events = gathered([*found, *estimator.finish()])
+    assert estimate is not None
+    return Smoothed(estimate, no_innovation() if innovation is None else innovation, tuple(events))
+
+
+def with_prior(displacement: Displacement, acceleration: Acceleration, settings: KalmanSettings) -> Displacement:
+    """In time order, and where it begins after the first sample with a measurement there that tells nothing."""
+    displacement = part(displacement, np.argsort(displacement.time_ns, kind="stable"))
+    usable = np.isfinite(displacement.value_m) & np.isfinite(displacement.variance_m2)
+    first = int(np.argmax(usable)) if usable.any() else 0
+    if usable.any() and displacement.time_ns[first] <= acceleration.time_ns[0]:
+        return displacement
+    known = Displacement(
+        acceleration.time_ns[:1],
+        displacement.value_m[first : first + 1] if usable.any() else np.zeros(1),
+        np.array([(VAGUE * settings.displacement_std) ** 2]),
+        np.array([Source.PREDICTION], dtype=np.uint8),
+    )
+    return joined([known, part(displacement, displacement.time_ns > acceleration.time_ns[0])])
+
+
+def no_innovation() -> Innovation:
+    """Of no measurement."""
+    return Innovation(np.empty(0, dtype=np.int64), np.empty(0), np.empty(0), np.empty(0, dtype=np.int8))
+
+
+def blocks(acceleration: Acceleration) -> Iterator[Acceleration]:
+    """The samples in pieces, so that the measurements within each never are too many to wait."""
+    for first in range(0, len(acceleration.time_ns), BLOCK):
+        yield part(acceleration, slice(first, first + BLOCK))
+
+
+def gathered(rows: Sequence[Rows]) -> tuple[Estimate | None, Innovation | None, list[Event]]:
+    """Rows, innovations in the order of time, and events; None where there are none."""
+    estimates = [one.estimates[0] for one in rows if one.estimates and len(one.estimates[0].time_ns)]
+    # The first channel's are not of anything measured.
+    innovations = [block for one in rows for block in one.innovations[1:] if len(block.time_ns)]
+    met = joined(innovations) if innovations else None
+    return (
+        joined(estimates) if estimates else None,
+        None if met is None else part(met, np.argsort(met.time_ns, kind="stable")),
+        [event for one in rows for event in one.events],
+    )
+
+
+def outputs(rows: Sequence[Rows]) -> list[Output]:
+    """What a push gave as single records."""
+    estimate, innovation, events = gathered(rows)
+    return [*(one for one in (estimate, innovation) if one is not None), *events]
+
+
+def sources_of(displacement: Displacement) -> tuple[int, ...]:
+    """The prediction and the sources that occur, in the order of their codes."""
+    return tuple(np.union1d(displacement.source, [int(Source.PREDICTION)]).tolist())
+
+
+def measured(displacement: Displacement, sources: Sequence[int]) -> Measured:
+    """Displacement as measurements of the channels of these sources, in the order of their codes."""
+    channel = np.searchsorted(np.asarray(sources), displacement.source).astype(np.int64)
+    nothing = np.zeros(len(channel))
+    return Measured(displacement.time_ns, channel, displacement.value_m, displacement.variance_m2, nothing)
+
+
+def samples(acceleration: Acceleration) -> Samples:
+    """Acceleration as the samples of one axis, all of them measured."""
+    return Samples(
+        acceleration.time_ns,
+        acceleration.value_m_s2[:, None],
+        acceleration.noise_density[:, None],
+        np.full(len(acceleration.time_ns), SampleKind.MEASURED, dtype=np.uint8),
+    )

@@ -1,0 +1,43 @@
+"""The kinds of sensors that are no cameras, one row each: how they are calibrated, checked, staged and drawn.
+
+Each works on the view of one sensor of the recording. Cameras have targets, tracked ahead of the engine, and rooms of
+their own.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from midspan.engine.sensors import PlainSensor, RadarSensor
+from midspan.recording.displacement.sensor import (
+    DisplacementFit,
+    calibrate_displacement,
+    displacement_series,
+    plain_channel,
+    require_known,
+)
+from midspan.recording.radar.calibrate import RadarFit, calibrate_radar
+from midspan.recording.radar.chain import radar_channels, radar_part, radar_series
+from midspan.recording.sensor_series import SensorSeries
+from midspan.recording.stored.calibration import Calibration
+from midspan.recording.streams.progress import Progress
+from midspan.recording.streams.recording import Recording
+
+
+@dataclass(frozen=True, slots=True)
+class Kind:
+    """calibrate: what is learnt of the sensor; known: its part of a calibration, or a refusal; stage: its part of the
+
+    engine, and its channels in the table; series: what it measured over the record.
+    """
+
+    calibrate: Callable[[Recording, Progress], RadarFit | DisplacementFit]
+    known: Callable[[Recording, Calibration], Any]
+    stage: Callable[..., PlainSensor | RadarSensor]
+    series: Callable[..., SensorSeries]
+
+
+ROWS = {
+    "radar": Kind(calibrate_radar, radar_part, radar_channels, radar_series),
+    "displacement": Kind(calibrate_displacement, require_known, plain_channel, displacement_series),
+}

@@ -1,0 +1,111 @@
+"""What an estimate refuses and what it warns of, in sentences."""
+
+import numpy as np
+
+from midspan.errors import UntrustedError, UsageError
+from midspan.fusion.blocks import REJECTED
+from midspan.recording.radar.literal import require_same_way
+from midspan.recording.stored.calibration import Calibration
+from midspan.recording.streams.recording import Recording
+from midspan.records import Estimate, Event, Innovation, Status
+
+# Where more than half of the measurements contradict the prediction, the prediction or the calibration is wrong.
+MAX_REJECTED = 0.5
+# A share of rejections above this is worth a warning.
+NOTABLE_REJECTED = 0.02
+# Events of one kind that are warnings.
+MAX_WARNED = 3
+
+
+def uncalibrated(recording: Recording, calibration: Calibration) -> list[str]:
+    """What to tell of a camera that the recording has and the calibration that was given has not."""
+    return [
+        f"[{view.sensor}] is left out of the result: the calibration that was given has no {view.sensor} part. Run "
+        "`midspan calibrate` on a recording with both cameras."
+        for view in recording.cameras
+        if calibration.of_sensor(view.own, view.beside) is None
+    ]
+
+
+def event_warnings(events: tuple[Event, ...]) -> list[str]:
+    """The texts of the events; of a kind that comes often only how often."""
+    found = []
+    for kind in dict.fromkeys(event.kind for event in events):
+        texts = [event.text for event in events if event.kind == kind]
+        rest = (
+            [f"{len(texts) - MAX_WARNED} more such stretches stand in the events."] if len(texts) > MAX_WARNED else []
+        )
+        found += [*texts[:MAX_WARNED], *rest]
+    return found
+
+
+def require_same_cameras(recording: Recording, calibration: Calibration) -> None:
+    """UsageError for a calibration of other cameras, of another axis, or of a radar in another way."""
+    for radar in (view for view in recording.views if view.kind == "radar"):
+        if (made := calibration.of_sensor(radar.own, radar.beside)) is not None:
+            require_same_way(made, recording.settings.fusion.literal)
+    views = recording.cameras
+    if views and not any(calibration.of_sensor(view.own, view.beside) for view in views):
+        raise UsageError(
+            f"The calibration has no {views[0].sensor} part, but the recording has a camera. Run `midspan calibrate` "
+            "on a recording of this camera."
+        )
+    for view in views:
+        camera, known = view.settings.camera, calibration.of_sensor(view.own, view.beside)
+        if camera is None or known is None:
+            continue
+        made_for = calibration.direction if len(views) == 1 else known.direction
+        if camera.direction != made_for:
+            raise UsageError(
+                f"{recording.file}: {view.sensor}.direction = {camera.direction!r}: the calibration was made for "
+                f"{made_for!r}. Calibrate again."
+            )
+        if view.axis != known.direction:
+            raise UsageError(
+                f"{recording.file}: the main axis is {view.axis!r}: the calibration's is {known.direction!r}. "
+                "Calibrate again."
+            )
+
+
+def rejected_share(innovation: Innovation) -> float:
+    """Share of the measurements that were met and rejected."""
+    return float(np.mean(innovation.verdict == REJECTED)) if len(innovation.verdict) else 0.0
+
+
+def refuse_rejections(recording: Recording, innovation: Innovation) -> None:
+    """UntrustedError when most measurements contradict the prediction."""
+    share = rejected_share(innovation)
+    if share > MAX_REJECTED:
+        raise UntrustedError(
+            f"{100 * share:.0f} % of the measurements contradict the acceleration; at most "
+            f"{100 * MAX_REJECTED:g} % may. "
+            "Scale factor, clock offset or direction belong to another recording, or the sensors do not measure "
+            f"the same motion. Calibrate this recording, and look at {_looked_at(recording)}."
+        )
+
+
+def _looked_at(recording: Recording) -> str:
+    """What may be wrong of the sensors that there are, as an instruction's last words."""
+    found = [f"its {view.sensor}.roi" for view in recording.cameras]
+    found += ["what the radar sees (`midspan inspect` lists it)"] if recording.has("radar") else []
+    found += ["the unit and sign of its displacement file"] if recording.has("displacement") else []
+    return " and ".join(found)
+
+
+def channel_warnings(recording: Recording, calibration: Calibration) -> tuple[str, ...]:
+    """What the calibration says, and what is wrong with this recording's channels where it is another's."""
+    own = recording.channel_warnings
+    return (*calibration.warnings, *(line for line in own if line not in calibration.warnings))
+
+
+def shares(innovation: Innovation, rows: Estimate, along: str = "") -> list[str]:
+    """A sentence for many rejected measurements, and for rows that none supports; along: a second axis in words."""
+    found = []
+    rejected = rejected_share(innovation)
+    if rejected > NOTABLE_REJECTED:
+        found.append(f"{100 * rejected:.1f} % of the measurements{along} were rejected as outliers.")
+    for status in (Status.COASTING, Status.LOST):
+        share = float(np.mean(rows.status == status))
+        if share > 0.0:
+            found.append(f"{100 * share:.2g} % of the rows{along} are {status.word}: no measurement supports them.")
+    return found

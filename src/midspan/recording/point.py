@@ -1,0 +1,147 @@
+"""From a calibrated recording to its measuring point: channels, what is uncertain of each sensor, and the stages."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from midspan.engine.axis import AxisFigures
+from midspan.engine.guard import Guard, GuardSettings
+from midspan.engine.merge import Merge
+from midspan.engine.order import FIRST_NS
+from midspan.engine.point import ACCELEROMETER, Point
+from midspan.engine.sensors import CameraSensor, Sensor
+from midspan.engine.switching import Switch
+from midspan.fusion.estimator import Estimator
+from midspan.fusion.model import EstimatorSettings, ParameterKind
+from midspan.fusion.second_pass import Lag
+from midspan.recording.calibrate import usual_in_window
+from midspan.recording.cameras.tracked import Eye, Side, known_sensors, offsets_of
+from midspan.recording.channels import Table, ages, clock_std_s, interval_s
+from midspan.recording.kinds import ROWS
+from midspan.recording.streams.measured import frames_used
+from midspan.recording.streams.recording import Recording
+from midspan.records import NANOSECONDS, Channel, ClockOffset
+
+# Noise of a target's reference frame over the noise of a frame, as standard deviations (see `vision/usual.py`).
+REFERENCE_NOISE = 1.15
+# The bias is known to no better than this many samples' noise, m/s², and this (a tilt of 0.006°); unknown: this.
+BIAS_SAMPLES, MIN_BIAS_STD, UNKNOWN_BIAS_STD = 10.0, 1e-3, 0.3
+
+
+def camera_channels(table: Table, eye: Eye, *, first: bool) -> CameraSensor:
+    """A camera's sensor, and its channels in the table; first: whether its zero is the zero of the displacement."""
+    coasting_s, lost_s = ages(interval_s(eye.tracking.time_ns))
+    rows: list[list[int]] = [[] for _ in eye.tracking.targets]
+    along: list[list[int]] = []
+    for axis, camera in enumerate(eye.calibrations):
+        along.append([])
+        mappings = camera.mappings()
+        noise = [abs(m.scale_m_per_px) * camera.used[k].noise_std_px for k, m in enumerate(mappings)]
+        best = int(np.argmin(noise))
+        for k, (target, mapping) in enumerate(zip(eye.tracking.targets, mappings, strict=True)):
+            zero_std_m = 0.0 if k == best else REFERENCE_NOISE * float(np.hypot(noise[k], noise[best]))
+            channel = Channel(
+                sensor=eye.sensor,
+                source=eye.source,
+                units_per_m=1.0 / mapping.scale_m_per_px,
+                target=target.name,
+                axis=axis,
+                variance_factor=mapping.variance_factor,
+                exposure_s=target.chain.blur_s(eye.view.exposure_s),
+                zero_std_m=zero_std_m if first else np.inf,
+                coasting_s=coasting_s,
+                lost_s=lost_s,
+            )
+            rows[k].append(table.add(channel))
+            along[axis].append(rows[k][-1])
+    for numbers, camera in zip(along, eye.calibrations, strict=True):
+        # An axis without an accelerometer has the other's scale factor.
+        shared = numbers if camera.fused else []
+        table.uncertain(ParameterKind.SCALE_ERROR, shared or [*numbers, *along[-1]], camera.relative_std)
+    every = [number for numbers in along for number in numbers]
+    table.uncertain(ParameterKind.CLOCK_OFFSET, every, clock_std_s(eye.calibrations[0].offset))
+    return CameraSensor(eye.sensor, eye.tracking.chain, rows, [camera.direction for camera in eye.calibrations])
+
+
+def figures(side: Side, rate_hz: float) -> AxisFigures:
+    """What is usual of an axis's acceleration: as calibrated, where the calibration tells it."""
+    known = side.calibration.usual or usual_in_window(side.recording)
+    name = f"accelerometer ({side.recording.accelerometer.file})"
+    return replace(known, noise_density=side.calibration.noise_density(rate_hz), name=name)
+
+
+def bias_std(side: Side) -> float:
+    """How well the bias is known at the start, m/s²."""
+    known = side.calibration.bias_std_m_s2
+    noise = BIAS_SAMPLES * side.calibration.noise_std_m_s2
+    return float(np.hypot(np.hypot(noise, MIN_BIAS_STD), known if np.isfinite(known) else UNKNOWN_BIAS_STD))
+
+
+def clock_offsets_ns(main: Side, eyes: Sequence[Eye]) -> dict[str, int]:
+    """What is added to each sensor's stamps (ns) to get the accelerometer's clock."""
+    return {name: round(NANOSECONDS * offset.value_s) for name, offset in offsets_of(main, eyes).items()}
+
+
+def radar_frames_used(recording: Recording) -> slice:
+    """The frames of a view's radar that are used."""
+    margin_ns = round(recording.max_offset_s * NANOSECONDS)
+    return frames_used(recording.radar.times_ns(), recording.prepared.time_ns, margin_ns)
+
+
+def zero_instant(main: Side, eyes: Sequence[Eye]) -> int | None:
+    """The instant (ns) that the displacement counts from: a camera's first frame; None: the sensor's own zero.
+
+    Of two cameras the first one's; where that one was dark when it began, the first frame of either. A radar's phase
+    counts from its first frame, whose noise is in its zero.
+    """
+    if not eyes:
+        return None
+    offsets_ns = clock_offsets_ns(main, eyes)
+    firsts = [int(eye.tracking.time_ns[0]) + offsets_ns[eye.sensor] for eye in eyes]
+    return min(firsts) if eyes[0].begins_dark else firsts[0]
+
+
+def estimator_settings(table: Table, sides: Sequence[Side], zero_ns: int | None) -> EstimatorSettings:
+    """What the estimator is given of a recording's axes and sensors."""
+    return EstimatorSettings(
+        channels=tuple(table.channels),
+        axes=len(sides),
+        parameters=tuple(table.parameters),
+        bias_m_s2=tuple(side.calibration.bias_m_s2 for side in sides),
+        bias_std_m_s2=tuple(bias_std(side) for side in sides),
+        motion=tuple(figures(side, 1.0).motion if side.recording.fused else (0.0, 0.0) for side in sides),
+        zero_ns=zero_ns,
+    )
+
+
+def measuring_point(
+    sides: Sequence[Side], eyes: Sequence[Eye], *, lag_s: float | None = None, noise_memory: float | None = None
+) -> Point:
+    """The point of a recording's axes and sensors.
+
+    lag_s: rows are given out so much later, smoothed; noise_memory: measurements over which their noise is followed.
+    """
+    main, table = sides[0], Table()
+    recording = main.recording
+    moved_m = (main.calibration.usual or usual_in_window(recording)).moved_m
+    sensors: dict[str, Sensor] = {}
+    for number, eye in enumerate(eyes):
+        sensors[eye.sensor] = camera_channels(table, eye, first=number == 0)
+    for view, known in known_sensors(main):
+        sensors[view.sensor] = ROWS[view.kind].stage(table, view, known, moved_m=moved_m, first=not sensors)
+    offsets_ns = clock_offsets_ns(main, eyes)
+    settings = estimator_settings(table, sides, zero_instant(main, eyes))
+    settings = settings if noise_memory is None else replace(settings, noise_memory=noise_memory)
+    merge = Merge([ACCELEROMETER, *sensors], lateness_s=np.inf, silent_s=np.inf)
+    for name in sensors:
+        merge.push(ClockOffset(name, offsets_ns[name], FIRST_NS))
+    measured = [side for side in sides if side.recording.fused]
+    rate_hz = 1.0 / interval_s(main.recording.acceleration.time_ns)
+    guard = Guard(GuardSettings(rate_hz, tuple(figures(side, rate_hz) for side in measured)))
+    unmeasured = [side.calibration.noise_density(rate_hz) for side in sides if side not in measured]
+    one_at_a_time = recording.settings.fusion.switching == "matches" and len(eyes) > 1
+    switch = Switch((eyes[0].sensor, eyes[1].sensor)) if one_at_a_time else None
+    lag = None if lag_s is None else max(1, round(lag_s * rate_hz))
+    estimator = Estimator(settings, log=True) if lag is None else Lag(settings, lag)
+    return Point(merge, guard, sensors, estimator, unmeasured, switch)

@@ -1,0 +1,88 @@
+"""`estimate` with a radar as printed (Ma et al., doi:10.1016/j.ymssp.2022.109582): its displacement is one series.
+
+The series goes to a method that is run as printed as well. Nothing is judged and nothing is left out; no other sensor
+takes part.
+"""
+
+import numpy as np
+
+from midspan.errors import UsageError
+from midspan.fusion.methods import METHODS, no_literal_form
+from midspan.fusion.streams import MethodSettings
+from midspan.recording.calibrate import calibrate_and_track
+from midspan.recording.cameras.tracked import side_of
+from midspan.recording.channels import clock_std_s
+from midspan.recording.messages import channel_warnings, event_warnings, shares
+from midspan.recording.one_series import literal_warnings, run_on_series, with_uncertain
+from midspan.recording.radar.chain import radar_part
+from midspan.recording.radar.literal import RAN_AWAY, Printed, printed_displacement, require_same_way
+from midspan.recording.radar.messages import radar_warnings
+from midspan.recording.result import Result
+from midspan.recording.sensor_series import series_of
+from midspan.recording.stored.calibration import Calibration
+from midspan.recording.streams.progress import Progress
+from midspan.recording.streams.recording import Recording, naming
+from midspan.recording.streams.span import inside
+from midspan.recording.unsupported import unsupported_events
+from midspan.records import Displacement, Estimate, Source, part
+
+
+def estimate_printed(recording: Recording, calibration: Calibration | None, method: str, progress: Progress) -> Result:
+    """The displacement of a recording whose radar, method and calibration are as printed."""
+    if not METHODS[method].literal:
+        raise UsageError(f"{recording.file}: fusion: {no_literal_form(method)}.")
+    if recording.cameras or recording.has("displacement"):
+        raise UsageError(
+            f"{recording.file}: fusion.literal = true with [radar]: the printed radar takes no other sensor. Leave "
+            "[camera], [infrared] and [displacement] out, or leave fusion.literal out."
+        )
+    recording.require_one_of_a_kind()
+    if calibration is None:
+        calibration, _ = calibrate_and_track(recording, progress)
+    with naming(recording):
+        known = radar_part(recording, calibration)
+        require_same_way(known, literal=True)
+        printed = printed_displacement(recording, known, progress)
+        return _fused(recording, calibration, printed, method)
+
+
+def _fused(recording: Recording, calibration: Calibration, printed: Printed, method: str) -> Result:
+    """The printed displacement fused by a method."""
+    fusion, side, known = recording.settings.fusion, side_of(recording, calibration), calibration.radar
+    assert known is not None
+    settings = MethodSettings(lag_s=fusion.lag_s, literal=True, forgetting=fusion.forgetting)
+    done = run_on_series(side, printed.measured, method, settings)
+    # What ran away is as uncertain as it is large.
+    relative = float(np.hypot(known.relative_std, 1.0 if printed.ran_away else 0.0))
+    zero_m2 = known.best.noise_m**2
+    rows = with_uncertain(done.estimate, zero_m2, relative, clock_std_s(known.offset))
+    rows = _measured_rows(rows, printed.measured)
+    alone = unsupported_events(rows)
+    warnings = (
+        *channel_warnings(recording, calibration),
+        *event_warnings((*done.events, *alone)),
+        *radar_warnings(printed.log, recording.radar.info.warnings),
+        *([RAN_AWAY] if printed.ran_away else []),
+        *shares(done.innovation, rows),
+        *literal_warnings(printed.measured, done),
+    )
+    return Result(
+        estimate=rows,
+        calibration=calibration,
+        settings=recording.settings,
+        method=method,
+        innovation=done.innovation,
+        events=tuple(sorted((*recording.prepared.events, *done.events, *alone), key=lambda event: event.time_ns)),
+        warnings=tuple(dict.fromkeys(warnings)),
+        measured=(series_of("radar", Source.RADAR, printed.measured),),
+        radars={"radar": printed.log.trace(recording.radar.info.limit_speed_m_s)},
+        zero_std_m=float(np.sqrt(zero_m2)),
+        file=recording.file,
+        name=recording.name,
+    )
+
+
+def _measured_rows(rows: Estimate, measured: Displacement) -> Estimate:
+    """The rows from the first measurement to the last."""
+    stamps = measured.time_ns[np.isfinite(measured.value_m)]
+    return part(rows, inside(rows.time_ns, int(stamps[0]), int(stamps[-1])))

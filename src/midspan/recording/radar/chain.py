@@ -1,0 +1,113 @@
+"""The radar's stage and its channels from a calibration."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from midspan.engine.radar import RadarChain
+from midspan.engine.radar_target import FollowedTarget
+from midspan.engine.sensors import RadarSensor
+from midspan.errors import UsageError
+from midspan.fusion.model import Parameter, ParameterKind
+from midspan.radar.target import Target
+from midspan.recording.channels import Table, ages, clock_std_s, interval_s
+from midspan.recording.radar.frames import bin_m_of, check_same_radar
+from midspan.recording.sensor_series import SensorSeries, channel_series
+from midspan.recording.stored.calibration import Calibration
+from midspan.recording.stored.radar import RadarCalibration
+from midspan.recording.streams.recording import Recording
+from midspan.recording.streams.sensor_words import in_words_of
+from midspan.recording.streams.span import require_overlap
+from midspan.records import Channel, Estimate, Measured, Source
+from midspan.sources.radar.radar_source import RadarInfo
+
+# Where the structure is when a target is first used, beside the best target's first frame, m: more than structures move
+# by, and little enough for the estimator's arithmetic beside variances of (1 µm)².
+OTHER_ZERO_STD_M = 0.1
+# Density of the random walk of a radar's clock beside the accelerometer's, s²/s: it follows a drift of 60 ppm at once.
+CLOCK_WALK = 3.6e-9
+
+
+def radar_chain(
+    calibration: RadarCalibration, info: RadarInfo, sensor: str = "radar", moved_m: float = 0.0
+) -> tuple[RadarChain, tuple[Channel, ...]]:
+    """The stage of the calibrated targets, best first, and one channel each, whose measurements are phases in rad.
+
+    The frames must hold the stage's `bins`: `source.slow_time(chain.bins)`. moved_m: standard deviation of the
+    structure's usual displacement.
+    """
+    bin_m = bin_m_of(info)
+    targets = tuple(
+        FollowedTarget.of(
+            target,
+            info.axis.phase_per_m(target.range_m),
+            bin_m,
+            period_s=1.0 / info.frame_rate_hz,
+            bins=info.bins,
+            moved_m=moved_m,
+        )
+        for target in calibration.used
+    )
+    channels = tuple(
+        Channel(
+            sensor,
+            Source.RADAR,
+            units_per_m=item.phase_per_m / item.target.conversion_factor,
+            target=str(k + 1),
+            variance_factor=calibration.variance_factor,
+            zero_std_m=OTHER_ZERO_STD_M if k else first_zero_std_m(item),
+        )
+        for k, item in enumerate(targets)
+    )
+    return RadarChain(targets), channels
+
+
+def radar_channels(
+    table: Table, view: Recording, known: RadarCalibration, *, moved_m: float, first: bool
+) -> RadarSensor:
+    """A radar's sensor, and its channels in the table.
+
+    moved_m: standard deviation of the usual displacement; first: whether its zero is that of the displacement.
+    """
+    coasting_s, lost_s = ages(interval_s(view.radar.times_ns()))
+    chain, channels = radar_chain(known, view.radar.info, view.sensor, moved_m)
+    numbers = [
+        table.add(
+            replace(channel, coasting_s=coasting_s, lost_s=lost_s, zero_std_m=channel.zero_std_m if first else np.inf)
+        )
+        for channel in channels
+    ]
+    table.uncertain(ParameterKind.SCALE_ERROR, numbers, known.relative_std)
+    clock = ParameterKind.CLOCK_OFFSET
+    table.parameters.append(Parameter(clock, tuple(numbers), clock_std_s(known.offset), 0, CLOCK_WALK))
+    return RadarSensor(view.sensor, chain, numbers)
+
+
+def radar_part(view: Recording, calibration: Calibration) -> RadarCalibration:
+    """The radar's part of a calibration; UsageError where it has none or belongs to other settings of the radar."""
+    known: RadarCalibration | None = calibration.of_sensor(view.own, view.beside)
+    if known is None:
+        raise UsageError(
+            f"The calibration has no {view.sensor} part, but the recording has [{view.sensor}]. Calibrate again."
+        )
+    with in_words_of(view.sensor):
+        require_overlap(view.prepared.time_ns, view.radar.times_ns(), "radar")
+        check_same_radar(view.radar, known)
+    return known
+
+
+def first_zero_std_m(item: FollowedTarget) -> float:
+    """Standard deviation of the zero that the best target's first frame gives, m of displacement."""
+    target: Target = item.target
+    bent_m = abs(target.conversion_factor) * target.bent_rad / item.phase_per_m
+    return math.hypot(target.noise_m, bent_m)
+
+
+def radar_series(
+    view: Recording, known: RadarCalibration, log: tuple[Measured, Sequence[Channel], Estimate]
+) -> SensorSeries:
+    """What a radar's targets measured together; log: all that it measured, the estimator's channels, the rows."""
+    measured, channels, rows = log
+    return channel_series(measured, channels, view.sensor, rows)

@@ -1,0 +1,196 @@
+"""A recording as a loop over its point's `push`: all records in, everything that came out of them back."""
+
+import heapq
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from midspan.engine.point import ACCELEROMETER, Output, Point
+from midspan.engine.sensors import RadarSensor, Seen
+from midspan.errors import DataError
+from midspan.fusion.blocks import REJECTED
+from midspan.fusion.estimator import Rows
+from midspan.recording.cameras.tracked import Eye, Side, known_sensors
+from midspan.recording.point import clock_offsets_ns, radar_frames_used
+from midspan.recording.radar.trace import RadarLog
+from midspan.recording.streams.recording import Recording
+from midspan.recording.streams.sensor_words import in_words_of, worded
+from midspan.records import (
+    NANOSECONDS,
+    Arrival,
+    Channel,
+    Estimate,
+    Event,
+    Frame,
+    Innovation,
+    Measured,
+    Nanoseconds,
+    PhaseMeasurement,
+    PixelTranslation,
+    RangeFrame,
+    Readings,
+    Tracked,
+    joined,
+)
+
+NOTHING_SEEN = (
+    "radar: none of the calibrated targets is seen in any frame. Calibrate again, or check radar.file and that nothing "
+    "stands in front of the radar."
+)
+
+
+@dataclass(slots=True)
+class Outcome:
+    """What a point gave for a recording: rows, what each sensor measured, events; radars: what their stages found."""
+
+    rows: list[Rows] = field(default_factory=list)
+    measured: dict[str, list[Measured]] = field(default_factory=dict)
+    sensor_events: list[Event] = field(default_factory=list)
+    events_of: dict[str, list[Event]] = field(default_factory=dict)
+    radars: dict[str, RadarLog] = field(default_factory=dict)
+
+    def take(self, outputs: Sequence[Output]) -> None:
+        """Keep what a push gave."""
+        for output in outputs:
+            if isinstance(output, Rows):
+                self.rows.append(output)
+            elif isinstance(output, Event):
+                self.sensor_events.append(output)
+            elif isinstance(output, Seen):
+                self.sensor_events += output.events
+                self.events_of.setdefault(output.sensor, []).extend(output.events)
+                if output.sensor in self.radars:
+                    self.radars[output.sensor].push([one for one in output.found if isinstance(one, PhaseMeasurement)])
+                if output.measured is not None:
+                    self.measured.setdefault(output.sensor, []).append(output.measured)
+
+    def estimate(self, axis: int) -> Estimate:
+        """The rows of an axis as one block."""
+        return joined([rows.estimates[axis] for rows in self.rows if rows.estimates])
+
+    @property
+    def restarts_ns(self) -> dict[str, Nanoseconds]:
+        """Instants (k,) from which on the zero of a target of each radar is a new one."""
+        return {name: log.restarts_ns for name, log in self.radars.items()}
+
+    @property
+    def fusion_events(self) -> tuple[Event, ...]:
+        """What the estimator decided that is worth an event."""
+        return tuple(event for rows in self.rows for event in rows.events)
+
+    def measured_by(self, sensor: str) -> Measured:
+        """All that a sensor measured as one block."""
+        return joined(self.measured[sensor])
+
+    @property
+    def zero_variance_m2(self) -> tuple[float, ...]:
+        """Variance of the zero of each axis at the end."""
+        return next((rows.zero_variance_m2 for rows in reversed(self.rows) if rows.zero_variance_m2), (0.0, 0.0))
+
+    def innovation(self, channel: int) -> Innovation:
+        """The innovations of a channel as one block."""
+        return joined([rows.innovations[channel] for rows in self.rows if rows.innovations])
+
+
+def used_when(outcome: Outcome, channels: Sequence[Channel], sensor: str) -> list[tuple[int, int]]:
+    """First and last stamp (ns) of each stretch in which a sensor's measurements were accepted without a long pause."""
+    numbers = [k for k, channel in enumerate(channels) if channel.sensor == sensor]
+    met = [outcome.innovation(k) for k in numbers]
+    stamps = np.unique(np.concatenate([one.time_ns[one.verdict != REJECTED] for one in met]))
+    longest_ns = NANOSECONDS * channels[numbers[0]].coasting_s
+    parts = np.split(stamps, 1 + np.flatnonzero(np.diff(stamps) > longest_ns))
+    return [(int(own[0]), int(own[-1])) for own in parts if len(own)]
+
+
+def run(point: Point, sides: Sequence[Side], eyes: Sequence[Eye]) -> Outcome:
+    """Push all records of a recording into its point."""
+    outcome = Outcome()
+    time_ns = sides[0].recording.acceleration.time_ns
+    value = np.column_stack([side.recording.acceleration.value for side in sides if side.recording.fused])
+    outcome.take(point.push(Arrival(ACCELEROMETER, 0, Readings(time_ns, value))))
+    cameras = {eye.sensor: eye for eye in eyes}
+    kept = {eye.sensor: eye.tracking.done for eye in eyes}
+    feeds: dict[str, Iterator[Tracked | Frame | RangeFrame]] = {eye.sensor: frames_of(eye) for eye in eyes}
+    for view, _ in known_sensors(sides[0]):
+        sensor = point.sensors[view.sensor]
+        if isinstance(sensor, RadarSensor):
+            feeds[view.sensor] = radar_frames(view, sensor)
+            outcome.radars[view.sensor] = RadarLog(sensor.chain.targets)
+        else:
+            series = view.displacement
+            outcome.take(point.push(Arrival(view.sensor, 0, Readings(series.time_ns, series.value[:, None]))))
+    for arrival in in_time(feeds, clock_offsets_ns(sides[0], eyes)):
+        with in_words_of(arrival.stream):
+            outputs = point.push(arrival)
+        keep(outputs, cameras, kept)
+        outcome.take(outputs)
+    outputs = point.finish()
+    keep(outputs, cameras, kept)
+    outcome.take(outputs)
+    for name, log in outcome.radars.items():
+        if not any(log.used):
+            raise DataError(worded(NOTHING_SEEN, name))
+    return outcome
+
+
+def frames_of(eye: Eye) -> Iterator[Tracked | Frame]:
+    """A camera's frames: first those that were tracked while it was calibrated, with their translations."""
+    tracking = eye.tracking
+    for k in range(tracking.done):
+        stamp = int(tracking.time_ns[k])
+        yield Tracked(stamp, stamp, tuple(target.translation(k) for target in tracking.targets))
+    while (frame := tracking.take()) is not None:
+        yield frame
+
+
+def radar_frames(recording: Recording, radar: RadarSensor) -> Iterator[RangeFrame]:
+    """A radar's frames in the bins of its stage."""
+    used = radar_frames_used(recording)
+    for block in recording.radar.slow_time(radar.chain.bins, used.start, used.stop):
+        yield from block
+
+
+def in_time(
+    feeds: Mapping[str, Iterator[Tracked | Frame | RangeFrame]], offsets_ns: Mapping[str, int]
+) -> Iterator[Arrival]:
+    """The frames of all streams in the order of the common clock, one of each stream read ahead at most.
+
+    offsets_ns: what is added to the stamps of each to get that clock.
+    """
+    waiting: list[tuple[int, int, str, Tracked | Frame | RangeFrame]] = []
+    counts = dict.fromkeys(feeds, 0)
+
+    def read(name: str) -> None:
+        record = next(feeds[name], None)
+        if record is not None:
+            heapq.heappush(waiting, (record.time_ns + offsets_ns[name], list(feeds).index(name), name, record))
+
+    for name in feeds:
+        read(name)
+    while waiting:
+        _, _, name, record = heapq.heappop(waiting)
+        yield Arrival(name, counts[name], record)
+        counts[name] += 1
+        read(name)
+
+
+def keep(outputs: Sequence[Output], cameras: Mapping[str, Eye], kept: dict[str, int]) -> None:
+    """Let the cameras keep what was found in their frames, on their own clocks.
+
+    kept: how many of the following frames of each they have kept already.
+    """
+    for output in outputs:
+        if isinstance(output, Seen) and output.found and output.sensor in cameras:
+            kept[output.sensor] -= 1
+            if kept[output.sensor] >= 0:
+                continue
+            eye = cameras[output.sensor]
+            early_ns = -late_ns(eye)
+            found = [one for one in output.found if isinstance(one, PixelTranslation)]
+            eye.tracking.keep([one.later(early_ns) for one in found])
+
+
+def late_ns(eye: Eye) -> int:
+    """What is added to a camera's stamps to get the accelerometer's clock."""
+    return round(NANOSECONDS * eye.calibrations[0].offset.value_s)

@@ -1,0 +1,310 @@
+"""The number from the file is the number live: a point fed record by record gives the rows of `estimate`, bit for bit.
+
+Record by record means: each stream in its own order, the streams in any interleaving, blocks cut anywhere, and in the
+middle the state as bytes put into a point that was built anew.
+"""
+
+import itertools
+import shutil
+from dataclasses import replace
+
+import av
+import numpy as np
+import pytest
+
+import midspan
+from lively_recordings import Lively, write, write_several
+from midspan.engine.checkpoint import from_bytes, to_bytes
+from midspan.engine.point import ACCELEROMETER, PointState
+from midspan.fusion.estimator import Estimator
+from midspan.fusion.second_pass import Lag
+from midspan.recording.calibrate import calibrate_and_track
+from midspan.recording.cameras.tracked import open_eyes, side_of
+from midspan.recording.point import measuring_point
+from midspan.recording.run import Outcome, radar_frames, run
+from midspan.recording.streams.progress import silent
+from midspan.records import Arrival, Estimate, Readings, Tracked, part
+from midspan.simulate.scenarios.stage import CameraSetup
+from midspan.simulate.scenarios.table import SCENARIOS
+from midspan.simulate.scenarios.write import write as write_scenario
+from recording_edits import append, set_keys
+
+LIVELY = Lively(duration_s=14.0, band_hz=(1.0, 3.0), rms_m=2e-3)
+METHODS = ("kalman", "lag")
+
+
+def plain(folder):
+    return write(folder, LIVELY, "camera")
+
+
+def compressed(crf):
+    """The film as H.264, as cameras store it."""
+
+    def make(folder):
+        film = np.load(write(folder, LIVELY, "camera") / "camera.npy")
+        with av.open(str(folder / "camera.mp4"), "w") as container:
+            stream = container.add_stream("libx264", rate=10, options={"crf": str(crf), "bf": "0"})
+            stream.height, stream.width, stream.pix_fmt = *film.shape[1:], "yuv420p"
+            for picture in film:
+                for packet in stream.encode(av.VideoFrame.from_ndarray(picture, format="gray")):
+                    container.mux(packet)
+            for packet in stream.encode():
+                container.mux(packet)
+        set_keys(folder, "camera", file="camera.mp4")
+        return folder
+
+    return make
+
+
+def frozen(folder):
+    """Six equal frames while the structure moves, and two that are black."""
+    film = np.load(write(folder, LIVELY, "camera") / "camera.npy")
+    film[80:86], film[100:102] = film[80], 0
+    np.save(folder / "camera.npy", film)
+    return folder
+
+
+def two_targets(folder):
+    write(folder, LIVELY, "camera")
+    set_keys(folder, "camera", roi=None)
+    append(folder, "".join(f'[[camera.target]]\nname = "{k}"\nroi = [{x}, 18, 34, 48]\n' for k, x in ((1, 6), (2, 44))))
+    return folder
+
+
+def infrared(folder):
+    return write(folder, LIVELY, "infrared")
+
+
+def day_and_night(folder):
+    """A camera that sees nothing from 8 s to 10.5 s, and a thermal one half a picture later."""
+    film = np.load(write(folder, LIVELY, "camera") / "camera.npy")
+    film[70:95] = film[70:95] // 64
+    np.save(folder / "camera.npy", film)
+    lines = (write(folder.parent / "other", replace(LIVELY, first_s=1.05), "infrared") / "recording.toml").read_text()
+    (folder.parent / "other" / "infrared.npz").rename(folder / "infrared.npz")
+    append(folder, lines[lines.index("[infrared]") :])
+    return folder
+
+
+def slow_and_late(folder):
+    """Displacement twice a second, its clock 0.4 s late, a value that is missing and a gap in the acceleration."""
+    write(folder, replace(LIVELY, rate_hz=2.0, duration_s=30.0), "displacement")
+    set_keys(folder, "displacement", estimate_offset=True)
+    head, *rows = (folder / "slow.csv").read_text().splitlines()
+    rows = [f"{float(time) + 0.4:.9f},{value}" for time, value in (row.split(",") for row in rows)]
+    rows[20] = rows[20].split(",")[0] + ","
+    (folder / "slow.csv").write_text("\n".join([head, *rows]) + "\n")
+    head, *rows = (folder / "accel.csv").read_text().splitlines()
+    (folder / "accel.csv").write_text("\n".join([head, *rows[:400], *rows[460:]]) + "\n")
+    return folder
+
+
+def radar(folder):
+    """Fifty frames a second of a motion that turns the phase by up to a cycle a frame, hidden for a second."""
+    write(folder, replace(LIVELY, rate_hz=50.0, band_hz=(2.0, 3.0), rms_m=4e-3), "radar")
+    frames = np.load(folder / "radar.npy")
+    frames[300:350] *= 0.01
+    np.save(folder / "radar.npy", frames)
+    return folder
+
+
+CASES = {
+    "lossless": plain,
+    "crf 18": compressed(18),
+    "crf 23": compressed(23),
+    "crf 28": compressed(28),
+    "frozen": frozen,
+    "two targets": two_targets,
+    "infrared": infrared,
+    "day and night": day_and_night,
+    "displacement": slow_and_late,
+    "radar": radar,
+}
+
+
+class Site:
+    """A recording, its calibration, and points made of it again and again."""
+
+    def __init__(self, folder):
+        self.folder = folder
+        self.calibration, _ = calibrate_and_track(midspan.open_recording(folder), silent)
+
+    def sides(self):
+        recording = midspan.open_recording(self.folder)
+        sides = [side_of(recording, self.calibration)]
+        if recording.across is not None and self.calibration.across is not None:
+            sides.append(side_of(recording.across, self.calibration.across))
+        return sides
+
+    def opened(self, method, tracking=None):
+        """The point before its first record, and what it is made of."""
+        sides = self.sides()
+        eyes = open_eyes(sides, tracking, silent)
+        lag_s = sides[0].recording.settings.fusion.lag_s if method == "lag" else None
+        return measuring_point(sides, eyes, lag_s=lag_s), sides, eyes
+
+
+def records(point, sides, eyes, rng):
+    """The arrivals of each stream in their order, readings in blocks of any size."""
+    recording = sides[0].recording
+    value = np.column_stack([side.recording.acceleration.value for side in sides if side.recording.fused])
+    streams = {ACCELEROMETER: blocks(recording.acceleration.time_ns, value, rng)}
+    for view in recording.views:
+        if view.kind == "displacement":
+            series = view.displacement
+            streams[view.sensor] = blocks(series.time_ns, series.value[:, None], rng)
+        if view.kind == "radar":
+            streams[view.sensor] = list(radar_frames(view, point.sensors[view.sensor]))
+    for eye in eyes:
+        times = eye.tracking.time_ns[: eye.tracking.done].tolist()
+        found = [Tracked(t, t, tuple(one.translation(k) for one in eye.tracking.targets)) for k, t in enumerate(times)]
+        streams[eye.sensor] = [*found, *iter(eye.tracking.take, None)]
+    return {name: [Arrival(name, k, one) for k, one in enumerate(own)] for name, own in streams.items()}
+
+
+def blocks(time_ns, value, rng):
+    cuts = np.sort(rng.integers(0, len(time_ns) + 1, len(time_ns) // 15))
+    return [Readings(t, v) for t, v in zip(np.split(time_ns, cuts), np.split(value, cuts), strict=True) if len(t)]
+
+
+def interleaved(streams, rng):
+    """All arrivals in a random order that keeps that of each stream; some streams run far ahead for a while."""
+    left = {name: list(reversed(own)) for name, own in streams.items()}
+    while left:
+        name = list(left)[int(rng.integers(len(left)))]
+        for _ in range(int(rng.integers(1, 12))):
+            if left[name]:
+                yield left[name].pop()
+        if not left[name]:
+            del left[name]
+
+
+def live(site, method, seed, tracking=None):
+    """What a point gives that is fed in any order, and is put down and taken up again in the middle."""
+    rng = np.random.default_rng(seed)
+    point, sides, eyes = site.opened(method, tracking)
+    arrivals = list(interleaved(records(point, sides, eyes, rng), rng))
+    middle = int(rng.integers(len(arrivals) // 4, 3 * len(arrivals) // 4))
+    outcome = Outcome()
+    for number, arrival in enumerate(arrivals):
+        if number == middle:
+            kept = to_bytes(point.state)
+            point, _, _ = site.opened(method)
+            point.restore(from_bytes(kept, PointState))
+            assert to_bytes(point.state) == kept
+        outcome.take(point.push(arrival))
+    outcome.take(point.finish())
+    return outcome
+
+
+def assert_same(rows, expected):
+    """Rows of the same instants are the same, bit for bit."""
+    at = np.searchsorted(rows.time_ns, expected.time_ns)
+    for name in Estimate.__slots__:
+        np.testing.assert_array_equal(getattr(rows, name)[at], getattr(expected, name), err_msg=name)
+
+
+def two_axes(folder):
+    """A camera that measures along both axes of its image, and an accelerometer with two."""
+    scenario = replace(SCENARIOS["two-axes"], duration_s=16.0, camera=CameraSetup(size_px=(96, 96), time_offset_s=0.09))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(SCENARIOS, "small", scenario)
+        write_scenario("small", folder, seed=1)
+    return folder
+
+
+def two_radars(folder):
+    """Two radars whose clocks and rates differ."""
+    near = replace(LIVELY, rate_hz=50.0, late_s=0.05)
+    return write_several(folder, LIVELY, "radar", {"near": near, "far": replace(near, rate_hz=40.0, first_s=1.3)})
+
+
+CASES["two axes"] = two_axes
+CASES["two radars"] = two_radars
+
+
+@pytest.fixture(scope="module", params=CASES)
+def site(request, tmp_path_factory):
+    return Site(CASES[request.param](tmp_path_factory.mktemp("live") / "site"))
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_rows_of_the_file_are_rows_of_the_point(site, method):
+    result = midspan.estimate(midspan.open_recording(site.folder), site.calibration, method=method)
+    assert len(result.estimate.time_ns) > 1000
+    outcome = live(site, method, 1)
+    assert_same(outcome.estimate(0), result.estimate)
+    if result.across is not None:
+        assert_same(outcome.estimate(1), result.across.estimate)
+
+
+@pytest.mark.parametrize(("case", "method"), [("two targets", "lag"), ("day and night", "kalman")])
+def test_a_point_goes_on_from_what_the_calibration_has_tracked(case, method, tmp_path):
+    site = Site(CASES[case](tmp_path / "site"))
+    result = midspan.estimate(midspan.open_recording(site.folder), method=method)
+    _, tracking = calibrate_and_track(midspan.open_recording(site.folder), silent)
+    assert_same(live(site, method, 1, tracking).estimate(0), result.estimate)
+
+
+EPOCH_NS = 1_700_000_000 * 10**9
+
+
+def shifted(record):
+    """The same from clocks that started at another time."""
+    return replace(record, time_ns=record.time_ns + EPOCH_NS)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_the_start_of_time_has_no_effect(site, method):
+    """Times in s are differences: what is left is their rounding to ns."""
+    point, sides, eyes = site.opened(method)
+    expected = run(point, sides, eyes).estimate(0)
+    point, sides, eyes = site.opened(method)
+    known = point.estimator.settings
+    settings = replace(known, zero_ns=None if known.zero_ns is None else known.zero_ns + EPOCH_NS)
+    point.estimator = Estimator(settings) if method == "kalman" else Lag(settings, point.estimator.lag_samples)
+    outcome, rng = Outcome(), np.random.default_rng(0)
+    for arrival in interleaved(records(point, sides, eyes, rng), rng):
+        outcome.take(point.push(replace(arrival, record=shifted(arrival.record))))
+    outcome.take(point.finish())
+    found = outcome.estimate(0)
+    np.testing.assert_array_equal(found.time_ns - EPOCH_NS, expected.time_ns)
+    np.testing.assert_allclose(found.displacement_m, expected.displacement_m, rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(found.variance_m2, expected.variance_m2, rtol=1e-6)
+
+
+def cut(folder, to, stop_s):
+    """The recording as it was when it had gone on until `stop_s`."""
+    shutil.copytree(folder, to)
+    for file in ("accel.csv", "slow.csv"):
+        if (to / file).exists():
+            head, *rows = (to / file).read_text().splitlines()
+            kept = [row for row in rows if float(row.split(",")[0]) < stop_s]
+            (to / file).write_text("\n".join([head, *kept]) + "\n")
+    frames = int((stop_s - LIVELY.first_s) * LIVELY.rate_hz)
+    if (folder / "camera.mp4").exists():
+        with av.open(str(folder / "camera.mp4")) as old, av.open(str(to / "camera.mp4"), "w") as new:
+            stream = new.add_stream_from_template(old.streams.video[0])
+            for packet in itertools.islice(old.demux(video=0), frames):
+                packet.stream = stream
+                new.mux(packet)
+    for file, name in (("camera.npy", None), ("infrared.npz", "celsius")):
+        if (to / file).exists():
+            film = np.load(to / file) if name is None else np.load(to / file)[name]
+            film = film[:frames]
+            np.save(to / file, film) if name is None else np.savez(to / file, **{name: film})
+    return to
+
+
+@pytest.mark.parametrize(("method", "stop_s"), [("kalman", 6.37), ("lag", 11.02)])
+@pytest.mark.parametrize("case", ["crf 23", "frozen", "two targets", "day and night", "displacement"])
+def test_what_comes_later_changes_no_row(case, method, stop_s, tmp_path):
+    site = Site(CASES[case](tmp_path / "site"))
+    whole = midspan.estimate(midspan.open_recording(site.folder), site.calibration, method=method).estimate
+    folder = cut(site.folder, tmp_path / "cut", stop_s)
+    found = midspan.estimate(midspan.open_recording(folder), site.calibration, method=method).estimate
+    # The rows of `lag` that were due: the last ones are given out with what came until then.
+    last_ns = found.time_ns[-1] - (10**9 if method == "lag" else 0)
+    found = part(found, found.time_ns <= last_ns)
+    assert len(found.time_ns) > 300
+    assert_same(whole, found)

@@ -1,0 +1,66 @@
+"""Many points in one loop against the estimator of one, and any cutting."""
+
+import numpy as np
+from estimator_cases import BIAS, NOISE_A, NOISE_D, camera, oscillating, samples_of, sensor_of
+
+from midspan.fusion.bank import MET_AT, POINT, VALUE, VARIANCE, Bank
+from midspan.fusion.model import Beginning, Block, EstimatorSettings, Filter, options_of, run, tables_of
+from midspan.records import seconds
+
+LENGTH_S, POINTS = 20.0, 3
+
+
+def points():
+    rng = np.random.default_rng(4)
+    truths = [oscillating(rng, LENGTH_S) for _ in range(POINTS)]
+    samples = [samples_of(truth, rng, length_s=LENGTH_S) for truth in truths]
+    time_s = seconds(samples[0].time_ns, 0)
+    acceleration = np.array([one.value_m_s2[:, 0] for one in samples])
+    rows = []
+    for i, truth in enumerate(truths):
+        sensor = sensor_of(truth, rng, length_s=LENGTH_S)
+        rows.append(np.column_stack((np.full(len(sensor.time), i), sensor.time, sensor.value, sensor.variance)))
+    measured = np.concatenate(rows)
+    return time_s, acceleration, np.full(POINTS, NOISE_A**2 / 100.0), measured[np.argsort(measured[:, MET_AT])]
+
+
+def test_each_point_is_the_plain_filter():
+    time_s, acceleration, density, measured = points()
+    found = Bank(POINTS).push(time_s, acceleration, density, measured)
+    # The estimator with one channel, nothing decided and its noise as told.
+    settings = EstimatorSettings((camera(),), noise_memory=1e15, noise_weight=1e15)
+    for i in range(POINTS):
+        own = measured[measured[:, POINT] == i]
+        rows = np.zeros((len(own), 5))
+        rows[:, 0], rows[:, 2], rows[:, 3] = own[:, MET_AT], own[:, VALUE], own[:, VARIANCE]
+        samples = np.column_stack((time_s, acceleration[i], np.full(len(time_s), density[i])))
+        begin = Beginning(float(time_s[0]), acceleration[i, :1], np.zeros(1), np.ones(1), 0)
+        block = Block(samples, rows, np.zeros(len(rows), dtype=np.int64))
+        left = run(Filter.begun(begin, settings), block, tables_of(settings), options_of(settings))
+        # Picometres: the same algebra in another order.
+        assert np.allclose(found[i, :, 0], left.found[:, 0, 0], atol=1e-10)
+        assert np.allclose(found[i, :, 1], left.found[:, 0, 1], rtol=1e-6)
+        assert np.allclose(found[i, :, 2], left.found[:, 0, 2], atol=1e-8)
+
+
+def test_any_cutting_gives_the_same_bits():
+    time_s, acceleration, density, measured = points()
+    whole = Bank(POINTS).push(time_s, acceleration, density, measured)
+    stream, found = Bank(POINTS), []
+    for first, last in ((0, 1), (1, 400), (400, len(time_s))):
+        due = measured[:, MET_AT] <= time_s[last - 1]
+        due &= measured[:, MET_AT] > (time_s[first - 1] if first else -1.0)
+        found.append(stream.push(time_s[first:last], acceleration[:, first:last], density, measured[due]))
+        saved = stream.state.copy()
+        stream = Bank(POINTS)
+        stream.restore(saved)
+    assert np.array_equal(np.concatenate(found, axis=1), whole)
+
+
+def test_the_band_is_that_of_the_truth():
+    time_s, acceleration, density, measured = points()
+    bank = Bank(POINTS)
+    bank.push(time_s, acceleration, density, measured)
+    # 20 s at 0.1 mm: the bias is known to a few hundredths of what it may be.
+    assert np.allclose(bank.state[:, 2], BIAS, atol=2e-3)
+    assert np.all(np.sqrt(bank.state[:, 3]) < NOISE_D)
