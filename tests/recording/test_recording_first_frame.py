@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from midspan.recording.tracking.first_frame import begun
+from midspan.engine.first_frame import begun
 from midspan.records import Region
 from midspan.sources.camera.frames import FrameRequest
 from midspan.sources.thermal.formats import open_thermal

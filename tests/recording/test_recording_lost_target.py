@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from midspan.recording.cameras.lost_target import lost_events, lost_warnings
-from midspan.recording.sensor_series import series_of
+from midspan.engine.lost_target import lost_events, lost_warnings
+from midspan.engine.sensor_series import series_of
 from midspan.records import NANOSECONDS, Displacement, Source
 
 

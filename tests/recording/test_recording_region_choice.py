@@ -10,12 +10,12 @@ import midspan
 from midspan.errors import NoAgreementError, UntrustedError
 from midspan.recording.calibrate import calibrate_and_track
 from midspan.recording.camera_calibration.camera import judged_by
-from midspan.recording.tracking.region_choice import TRIAL_PLACES, Agreement, judged, trial_places
 from midspan.recording.tracking.track import track
 from midspan.records import PixelTrack, PixelTranslation, Region, Status
 from midspan.report.report import report_html
 from midspan.simulate.scene.disturbances import Car, Foliage, Water
 from midspan.vision.candidates import Candidate
+from midspan.vision.region_choice import TRIAL_PLACES, Agreement, judged, trial_places
 from midspan.vision.roi import RegionChoice
 from recording_edits import acceleration, append, set_keys, write_acceleration
 

@@ -30,7 +30,7 @@ def command(recording: str, quiet: bool, as_json: bool, **options: Any) -> None:
     console = Console(quiet, as_json)
     from midspan.cli.targets import check_result, report_path
     from midspan.recording.estimate import estimate
-    from midspan.recording.stored.calibration_file import load_calibration
+    from midspan.settings.stored.calibration_file import load_calibration
     from midspan.sinks.write import check_target
 
     opened = open_with(recording, options["tracker"], options["method"], options["literal"])

@@ -6,16 +6,21 @@ from pathlib import Path
 
 import numpy as np
 
+from midspan.calibration.one_clock import OneClock
 from midspan.checks import option
+from midspan.engine.channels import clock_std_s
+from midspan.engine.lost_target import lost_events, lost_warnings
+from midspan.engine.sensor_series import SensorSeries
+from midspan.engine.unsupported import unsupported_events
 from midspan.errors import DataError, UntrustedError, UsageError
 from midspan.fusion.estimator import Estimator
 from midspan.fusion.methods import METHODS, no_literal_form
 from midspan.fusion.model import EstimatorSettings
 from midspan.fusion.second_pass import Lag, smooth
 from midspan.fusion.streams import MethodSettings
+from midspan.progress import Progress, silent
 from midspan.recording.calibrate import calibrate_and_track
 from midspan.recording.camera_result import CameraResult, camera_result, camera_series
-from midspan.recording.cameras.lost_target import lost_events, lost_warnings
 from midspan.recording.cameras.tracked import (
     Eye,
     Side,
@@ -24,8 +29,6 @@ from midspan.recording.cameras.tracked import (
     open_eyes,
     side_of,
 )
-from midspan.recording.channels import clock_std_s
-from midspan.recording.fusing.one_clock import OneClock
 from midspan.recording.kinds import ROWS
 from midspan.recording.messages import (
     channel_warnings,
@@ -60,16 +63,13 @@ from midspan.recording.second_look import (
     with_levels_of,
     with_scales,
 )
-from midspan.recording.sensor_series import SensorSeries
-from midspan.recording.stored.calibration import Calibration
-from midspan.recording.stored.calibration_file import load_calibration
-from midspan.recording.streams.progress import Progress, silent
 from midspan.recording.streams.recording import Recording, naming, open_recording
-from midspan.recording.streams.span import inside, shown
 from midspan.recording.tracking.tracking import CameraTracking
-from midspan.recording.unsupported import unsupported_events
 from midspan.records import NANOSECONDS, Channel, Estimate, Event, Innovation, Measured, joined, part
+from midspan.settings.stored.calibration import Calibration
+from midspan.settings.stored.calibration_file import load_calibration
 from midspan.signals.health import Mask
+from midspan.signals.stamps import inside, shown
 
 
 def estimate(

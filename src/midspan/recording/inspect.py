@@ -9,23 +9,24 @@ from typing import Any
 import numpy as np
 
 from midspan.errors import DataError, MidspanError, UsageError
+from midspan.progress import Progress, silent
 from midspan.recording.radar.inspect import inspect_radar
-from midspan.recording.streams.acceleration import unusable_samples
-from midspan.recording.streams.progress import Progress, silent
 from midspan.recording.streams.recording import Recording
-from midspan.recording.streams.span import shown
 from midspan.records import NANOSECONDS, Nanoseconds, TimeSeries
 from midspan.settings.load import RECORDING_FILE
+from midspan.signals.acceleration import unusable_samples
 from midspan.signals.health import clipped, clock, frozen
+from midspan.signals.stamps import shown
 from midspan.sources.accelerometer.channel import Channel, Stored
 from midspan.sources.accelerometer.clock import NOT_A_TIME
 from midspan.sources.accelerometer.formats import list_channels
 from midspan.sources.camera.formats import is_stack, is_table, open_frames, require_readable
-from midspan.sources.camera.frames import FrameRequest, FrameSource
+from midspan.sources.camera.frames import FrameRequest
 from midspan.sources.declared_size import available_bytes, shown_bytes
 from midspan.sources.radar.radar_source import RadarSource
 from midspan.sources.thermal.formats import is_thermal, open_pictures, open_thermal
 from midspan.sources.thermal.request import ThermalRequest
+from midspan.vision.frame_source import FrameSource
 from midspan.vision.light import is_dark
 
 # Frames looked at for frozen, black or saturated pictures unless all are asked for.

@@ -8,7 +8,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from midspan.calibration.radar.calibrate import RadarFit
+from midspan.engine.sensor_series import SensorSeries
 from midspan.engine.sensors import PlainSensor, RadarSensor
+from midspan.progress import Progress
 from midspan.recording.displacement.sensor import (
     DisplacementFit,
     calibrate_displacement,
@@ -16,12 +19,10 @@ from midspan.recording.displacement.sensor import (
     plain_channel,
     require_known,
 )
-from midspan.recording.radar.calibrate import RadarFit, calibrate_radar
+from midspan.recording.radar.calibrate import calibrate_radar
 from midspan.recording.radar.chain import radar_channels, radar_part, radar_series
-from midspan.recording.sensor_series import SensorSeries
-from midspan.recording.stored.calibration import Calibration
-from midspan.recording.streams.progress import Progress
 from midspan.recording.streams.recording import Recording
+from midspan.settings.stored.calibration import Calibration
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,12 +2,12 @@
 
 import numpy as np
 
+from midspan.calibration.sensors.radar import RadarCalibration
 from midspan.errors import UntrustedError, UsageError
 from midspan.fusion.blocks import REJECTED
-from midspan.recording.radar.literal import require_same_way
-from midspan.recording.stored.calibration import Calibration
 from midspan.recording.streams.recording import Recording
 from midspan.records import Estimate, Event, Innovation, Status
+from midspan.settings.stored.calibration import Calibration
 
 # Where more than half of the measurements contradict the prediction, the prediction or the calibration is wrong.
 MAX_REJECTED = 0.5
@@ -65,6 +65,18 @@ def require_same_cameras(recording: Recording, calibration: Calibration) -> None
                 f"{recording.file}: the main axis is {view.axis!r}: the calibration's is {known.direction!r}. "
                 "Calibrate again."
             )
+
+
+def require_same_way(calibration: RadarCalibration, literal: bool) -> None:
+    """UsageError where a calibration as printed would be followed otherwise, or the other way round."""
+    if calibration.literal == literal:
+        return
+    made, asked = (str(value).lower() for value in (calibration.literal, literal))
+    raise UsageError(
+        f"radar: the calibration was made with fusion.literal = {made}, this estimate has fusion.literal = {asked}; "
+        f"both must be the same. Write literal = {asked} under [fusion] of recording.toml and run `midspan calibrate` "
+        "again, or leave the calibration out."
+    )
 
 
 def rejected_share(innovation: Innovation) -> float:

@@ -9,17 +9,17 @@ from itertools import pairwise
 
 import numpy as np
 
+from midspan.engine.sensor_series import SensorSeries
 from midspan.errors import UntrustedError
 from midspan.fusion.complementary import OUTLIER_STD
+from midspan.fusion.in_turn import in_turn
 from midspan.fusion.path import at
 from midspan.fusion.runners import run_method
 from midspan.fusion.streams import MethodSettings, Smoothed, no_innovation
 from midspan.recording.cameras.tracked import Side
-from midspan.recording.in_turn import in_turn
-from midspan.recording.sensor_series import SensorSeries
-from midspan.recording.streams.acceleration import from_first_measurement
-from midspan.recording.streams.span import shown
 from midspan.records import Displacement, Estimate, Floats, Nanoseconds, joined, part, seconds
+from midspan.signals.acceleration import from_first_measurement
+from midspan.signals.stamps import shown
 
 # The first velocity lies within so many times its rms.
 VELOCITY_WITHIN = 3.0

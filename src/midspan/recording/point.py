@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from midspan.engine.axis import AxisFigures
+from midspan.engine.channels import Table, ages, clock_std_s, interval_s
 from midspan.engine.guard import Guard, GuardSettings
 from midspan.engine.merge import Merge
 from midspan.engine.order import FIRST_NS
@@ -17,11 +18,10 @@ from midspan.fusion.model import EstimatorSettings, ParameterKind
 from midspan.fusion.second_pass import Lag
 from midspan.recording.calibrate import usual_in_window
 from midspan.recording.cameras.tracked import Eye, Side, known_sensors, offsets_of
-from midspan.recording.channels import Table, ages, clock_std_s, interval_s
 from midspan.recording.kinds import ROWS
-from midspan.recording.streams.measured import frames_used
 from midspan.recording.streams.recording import Recording
 from midspan.records import NANOSECONDS, Channel, ClockOffset
+from midspan.signals.stamps import frames_used
 
 # Noise of a target's reference frame over the noise of a frame, as standard deviations (see `vision/usual.py`).
 REFERENCE_NOISE = 1.15

@@ -8,14 +8,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from midspan.calibration.one_clock import CourseError, OneClock, one_clock
+from midspan.calibration.scale_check import Fitting, Sensed, fitting
+from midspan.engine.channels import clock_std_s
+from midspan.engine.sensor_series import SensorSeries, series_of
 from midspan.fusion.estimator import BLOCK, Estimator, Log
 from midspan.fusion.model import EstimatorSettings, ParameterKind
 from midspan.recording.cameras.tracked import Side
-from midspan.recording.channels import clock_std_s
-from midspan.recording.fusing.one_clock import CourseError, OneClock, one_clock
-from midspan.recording.fusing.scale_check import Fitting, Sensed, fitting
 from midspan.recording.run import Outcome
-from midspan.recording.sensor_series import SensorSeries, series_of
 from midspan.records import Channel, Displacement, Estimate, Measured, Samples, TimeOffset, joined, part
 
 

@@ -8,19 +8,19 @@ import numpy as np
 from midspan.calibration.bias import Bias, bias_of
 from midspan.calibration.common_offset import Fitted, common_offset, one_offset, pooled_variance, shared_part
 from midspan.calibration.fit import Pair
+from midspan.calibration.measured import measured_rows
 from midspan.calibration.noise import learn_motion
 from midspan.calibration.scale import LEAST_FRAMES, REFUSED_ABOVE, ScaleCalibration, calibrate_scale
+from midspan.calibration.sensors.camera import CameraCalibration, TargetCalibration
 from midspan.errors import NoAgreementError, UntrustedError, UsageError
-from midspan.recording.stored.camera import CameraCalibration, TargetCalibration
-from midspan.recording.streams.measured import measured_rows
 from midspan.recording.streams.recording import Recording
-from midspan.recording.streams.span import inside
 from midspan.recording.streams.window import calibration_window, window_ends
 from midspan.recording.tracking.one_displacement import camera_blocks, filter_settings, moves_by_itself
-from midspan.recording.tracking.region_choice import USELESS, Agreement
 from midspan.recording.tracking.tracking import CameraTracking, TargetTracking
 from midspan.records import NANOSECONDS, Floats, PixelTrack, ScaleFactor, TimeOffset
+from midspan.signals.stamps import inside
 from midspan.vision.lens import ideal_gain
+from midspan.vision.region_choice import USELESS, Agreement
 
 
 @dataclass(frozen=True, slots=True)

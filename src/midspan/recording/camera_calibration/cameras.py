@@ -3,16 +3,16 @@
 from dataclasses import dataclass, replace
 
 from midspan.errors import UntrustedError
+from midspan.progress import Progress
 from midspan.recording.camera_calibration.best_range import best_range, wants_range
 from midspan.recording.camera_calibration.camera import CameraFit, calibrate_camera, judged_by
-from midspan.recording.streams.progress import Progress
 from midspan.recording.streams.recording import Recording
-from midspan.recording.streams.sensor_words import in_words_of, worded
 from midspan.recording.tracking.daylight import where_it_sees
 from midspan.recording.tracking.opening import open_tracking
 from midspan.recording.tracking.temperatures import is_grey, range_seen
 from midspan.recording.tracking.tracking import CameraTracking
 from midspan.records import Source
+from midspan.settings.sensor_words import in_words_of, worded
 from midspan.sources.thermal.pictures import AGC_NOTE
 
 SOURCES = {"camera": Source.CAMERA, "infrared": Source.INFRARED}

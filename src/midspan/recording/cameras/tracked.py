@@ -4,13 +4,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from midspan.calibration.sensors.camera import CameraCalibration
 from midspan.fusion.streams import KalmanSettings
-from midspan.recording.stored.calibration import Calibration
-from midspan.recording.stored.camera import CameraCalibration
-from midspan.recording.streams.acceleration import PreparedAcceleration, still
-from midspan.recording.streams.progress import Progress
+from midspan.progress import Progress
 from midspan.recording.streams.recording import Recording
-from midspan.recording.streams.sensor_words import in_words_of
 from midspan.recording.tracking.daylight import where_it_sees
 from midspan.recording.tracking.one_displacement import filter_settings
 from midspan.recording.tracking.opening import open_tracking
@@ -21,6 +18,9 @@ from midspan.records import (
     TimeOffset,
 )
 from midspan.settings.kinds import CAMERAS
+from midspan.settings.sensor_words import in_words_of
+from midspan.settings.stored.calibration import Calibration
+from midspan.signals.acceleration import PreparedAcceleration, still
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,17 +6,16 @@ import numpy as np
 
 from midspan.calibration.agreement import clearly_better, unexplained
 from midspan.calibration.fit import Fit, Pair
+from midspan.calibration.measured import LEAST_MEASUREMENTS, measured_rows
 from midspan.calibration.noise import CERTAIN_S, Findings, NoiseCalibration, calibrate_noise, edge_s
 from midspan.calibration.scale import LEAST_GAIN, is_ambiguous
 from midspan.calibration.sensor_scale import calibrate_sensor_scale, unexplained_text
 from midspan.calibration.time_offset import BEYOND, FARTHER_WINDOW_S, OffsetSearch, farther, farther_s
 from midspan.errors import DataError, UntrustedError
-from midspan.recording.streams.measured import measured_rows
 from midspan.recording.streams.recording import Recording
-from midspan.recording.streams.span import inside
-from midspan.recording.streams.window import LEAST_MEASUREMENTS
 from midspan.records import NANOSECONDS, TimeOffset, TimeSeries
 from midspan.signals.health import dominant_frequency
+from midspan.signals.stamps import inside
 
 # Noise levels of a displacement sensor are learnt from this much at most, in one piece, for speed.
 NOISE_WINDOW_S = 1800.0

@@ -7,20 +7,21 @@ import numpy as np
 from midspan.calibration.bias import Bias, bias_of
 from midspan.calibration.noise import NoiseCalibration
 from midspan.calibration.scale import white_noise
+from midspan.calibration.sensors.displacement import DisplacementCalibration
+from midspan.engine.channels import Table, ages, clock_std_s, interval_s
 from midspan.engine.plain import PlainChain, PlainSettings
+from midspan.engine.sensor_series import SensorSeries
 from midspan.engine.sensors import PlainSensor
 from midspan.errors import UntrustedError, UsageError
 from midspan.fusion.model import ParameterKind
-from midspan.recording.channels import Table, ages, clock_std_s, interval_s
+from midspan.progress import Progress
 from midspan.recording.displacement.learn import learn
-from midspan.recording.sensor_series import SensorSeries
-from midspan.recording.stored.calibration import Calibration
-from midspan.recording.stored.displacement import DisplacementCalibration
-from midspan.recording.streams.progress import Progress
 from midspan.recording.streams.recording import Recording
-from midspan.recording.streams.span import require_overlap, shown
+from midspan.recording.streams.window import require_overlap
 from midspan.records import NANOSECONDS, Channel, Event, Source, TimeSeries, seconds
+from midspan.settings.stored.calibration import Calibration
 from midspan.signals.health import Mask, runs
+from midspan.signals.stamps import shown
 from midspan.signals.stuck import resolution, stuck
 
 # A scale that was not learnt is told when it is off by this share and so many deviations, and refused beyond the second

@@ -6,28 +6,30 @@ from dataclasses import replace
 
 import numpy as np
 
+from midspan.calibration.sensors.radar import RadarCalibration
+from midspan.engine.channels import Table, ages, clock_std_s, interval_s
 from midspan.engine.radar import RadarChain
 from midspan.engine.radar_target import FollowedTarget
+from midspan.engine.sensor_series import SensorSeries, channel_series
 from midspan.engine.sensors import RadarSensor
 from midspan.errors import UsageError
 from midspan.fusion.model import Parameter, ParameterKind
+from midspan.radar.frames import bin_m_of
+from midspan.radar.info import RadarInfo
 from midspan.radar.target import Target
-from midspan.recording.channels import Table, ages, clock_std_s, interval_s
-from midspan.recording.radar.frames import bin_m_of, check_same_radar
-from midspan.recording.sensor_series import SensorSeries, channel_series
-from midspan.recording.stored.calibration import Calibration
-from midspan.recording.stored.radar import RadarCalibration
 from midspan.recording.streams.recording import Recording
-from midspan.recording.streams.sensor_words import in_words_of
-from midspan.recording.streams.span import require_overlap
+from midspan.recording.streams.window import require_overlap
 from midspan.records import Channel, Estimate, Measured, Source
-from midspan.sources.radar.radar_source import RadarInfo
+from midspan.settings.sensor_words import in_words_of
+from midspan.settings.stored.calibration import Calibration
 
 # Where the structure is when a target is first used, beside the best target's first frame, m: more than structures move
 # by, and little enough for the estimator's arithmetic beside variances of (1 µm)².
 OTHER_ZERO_STD_M = 0.1
 # Density of the random walk of a radar's clock beside the accelerometer's, s²/s: it follows a drift of 60 ppm at once.
 CLOCK_WALK = 3.6e-9
+# A target calibrated for another radar, or moved since, differs in carrier by this share or in range by so many bins.
+SAME_CARRIER, SAME_BINS = 1e-5, 0.5
 
 
 def radar_chain(
@@ -94,8 +96,35 @@ def radar_part(view: Recording, calibration: Calibration) -> RadarCalibration:
         )
     with in_words_of(view.sensor):
         require_overlap(view.prepared.time_ns, view.radar.times_ns(), "radar")
-        check_same_radar(view.radar, known)
+        require_same_radar(view.radar.info, known)
     return known
+
+
+def require_same_radar(info: RadarInfo, calibration: RadarCalibration) -> None:
+    """UsageError where the calibration belongs to other settings of the radar."""
+    if abs(info.carrier_hz / calibration.carrier_hz - 1.0) > SAME_CARRIER:
+        raise UsageError(
+            f"radar: the calibration was made at a carrier of {calibration.carrier_hz / 1e9:.6g} GHz, this recording "
+            f"has {info.carrier_hz / 1e9:.6g} GHz. Calibrate again."
+        )
+    if info.channels != calibration.channels:
+        raise UsageError(
+            f"radar: the calibration was made with {calibration.channels} channels, this recording has "
+            f"{info.channels}. Calibrate again."
+        )
+    bin_m = float(np.median(np.diff(info.range_m))) if info.bins > 1 else np.nan
+    for target in calibration.used:
+        if target.place_bin > info.bins - 1:
+            raise UsageError(
+                f"radar: the calibration's target is at bin {target.place_bin:.1f}, this recording has {info.bins} "
+                "bins. Calibrate again."
+            )
+        apart = abs(info.axis.range_at(target.place_bin) - target.range_m)
+        if apart > SAME_BINS * bin_m:
+            raise UsageError(
+                f"radar: the calibration's target at {target.range_m:.3f} m would be at "
+                f"{info.axis.range_at(target.place_bin):.3f} m with this recording's settings. Calibrate again."
+            )
 
 
 def first_zero_std_m(item: FollowedTarget) -> float:

@@ -5,11 +5,11 @@ from typing import Any
 import numpy as np
 
 from midspan.errors import DataError
+from midspan.progress import Progress
 from midspan.radar.channels import noise_variance
 from midspan.radar.chirp import ChirpProfile
+from midspan.radar.frames import RadarFrames, collected, without_holes
 from midspan.radar.target import peaks
-from midspan.recording.radar.frames import RadarFrames, collected, without_holes
-from midspan.recording.streams.progress import Progress
 from midspan.records import Nanoseconds
 from midspan.sources.radar.radar_source import RadarSource
 

@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from midspan.recording.radar.trace import RadarLog
-from midspan.recording.streams.sensor_words import worded
+from midspan.engine.radar_trace import RadarLog
 from midspan.records import Estimate, Event
+from midspan.settings.sensor_words import worded
 
 # A target that is seen in a smaller share of the frames is reported.
 MIN_SEEN = 0.9

@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 from midspan._version import __version__
 from midspan.checks import option
 from midspan.errors import DataError, UntrustedError, UsageError
-from midspan.recording.streams.progress import Progress, silent
+from midspan.progress import Progress, silent
 from midspan.recording.streams.recording import Recording
 from midspan.records import Floats
 from midspan.sources.camera.formats import open_frames
-from midspan.sources.camera.frames import FrameRequest, FrameSource
+from midspan.sources.camera.frames import FrameRequest
 from midspan.trees import read_json
 from midspan.vision.checkerboard import Board, LensFit, calibrate_lens, find_board, is_new
+from midspan.vision.frame_source import FrameSource
 from midspan.vision.lens import MODELS, Lens
 from midspan.writing import write_whole
 

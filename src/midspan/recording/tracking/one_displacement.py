@@ -5,15 +5,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from midspan.calibration.sensors.camera import CameraCalibration
+from midspan.calibration.sensors.camera_scale import CameraScale
 from midspan.calibration.whitening import BIAS_WALK_RATIO
-from midspan.engine.scale import CameraScale
-from midspan.engine.targets import AGREE_STD
 from midspan.fusion.path import at
 from midspan.fusion.streams import KalmanSettings, smooth
-from midspan.recording.stored.camera import CameraCalibration
-from midspan.recording.streams.acceleration import PreparedAcceleration
+from midspan.fusion.targets import AGREE_STD
 from midspan.recording.tracking.tracking import TargetTracking
 from midspan.records import NANOSECONDS, Acceleration, Displacement, Estimate, Floats, Innovation, part
+from midspan.signals.acceleration import PreparedAcceleration
 
 # A target whose displacement leaves the others' by this many times what noise and scale explain moves by itself.
 DISAGREES = 2.5

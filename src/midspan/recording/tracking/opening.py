@@ -2,21 +2,20 @@
 
 import numpy as np
 
+from midspan.calibration.sensors.camera import CameraCalibration
 from midspan.engine.camera_target import Target
 from midspan.errors import DataError, UsageError
-from midspan.recording.stored.camera import CameraCalibration
-from midspan.recording.streams.measured import frames_used
-from midspan.recording.streams.progress import Progress
+from midspan.progress import Progress
 from midspan.recording.streams.recording import Recording
-from midspan.recording.streams.span import require_overlap, shown
-from midspan.recording.streams.window import window_ends
+from midspan.recording.streams.window import require_overlap, window_ends
 from midspan.recording.tracking.lens import check_same_lens, lens_of
-from midspan.recording.tracking.region_choice import Judge
 from midspan.recording.tracking.temperatures import levels_of
 from midspan.recording.tracking.tracking import CameraTracking, TrackingSettings
 from midspan.records import NANOSECONDS, Nanoseconds, Region
 from midspan.settings.camera import CameraSettings, InfraredSettings
+from midspan.signals.stamps import frames_used, shown
 from midspan.thermal.limits import Limits
+from midspan.vision.region_choice import Judge
 from midspan.vision.tracker import tracker_settings
 
 LEAST_FRAMES = 2

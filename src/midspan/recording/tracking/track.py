@@ -10,18 +10,19 @@ import numpy as np
 from midspan._version import __version__
 from midspan.engine.camera_target import Target
 from midspan.errors import UsageError
-from midspan.recording.streams.progress import Progress, silent
+from midspan.progress import Progress, silent
 from midspan.recording.streams.recording import open_with_cameras
-from midspan.recording.streams.sensor_words import in_words_of
 from midspan.recording.tracking.lens import lens_of
 from midspan.recording.tracking.opening import given_targets
 from midspan.recording.tracking.temperatures import levels_of
 from midspan.recording.tracking.tracking import CameraTracking, TrackingSettings
 from midspan.records import PixelTrack, Region, Status, seconds
 from midspan.settings.load import RECORDING_FILE
+from midspan.settings.sensor_words import in_words_of
 from midspan.sinks.table import ResultTable
-from midspan.sources.camera.frames import FrameRequest, FrameSource
+from midspan.sources.camera.frames import FrameRequest
 from midspan.sources.thermal.formats import is_thermal, open_pictures
+from midspan.vision.frame_source import FrameSource
 from midspan.vision.tracker import DEFAULT_TRACKER, tracker_settings
 
 # Images without any time get one second a frame, so that time_s counts them.

@@ -11,13 +11,10 @@ import numpy as np
 
 from midspan.engine.camera import CameraChain
 from midspan.engine.camera_target import ChainSettings, Target, TargetChain
+from midspan.engine.first_frame import begun
 from midspan.engine.target_opening import Opening, refuse_empty_range
 from midspan.errors import DataError
-from midspan.recording.streams.progress import Progress, silent
-from midspan.recording.streams.sensor_words import worded
-from midspan.recording.streams.span import shown
-from midspan.recording.tracking.first_frame import begun
-from midspan.recording.tracking.region_choice import ChoiceRequest, Judge, choose_targets
+from midspan.progress import Progress, silent
 from midspan.records import (
     Event,
     Floats,
@@ -30,15 +27,18 @@ from midspan.records import (
     ScaleFactor,
     Status,
 )
+from midspan.settings.sensor_words import worded
 from midspan.signals.growing import Columns
 from midspan.signals.health import Mask
-from midspan.sources.camera.frames import FrameSource
+from midspan.signals.stamps import shown
 from midspan.thermal.limits import Limits
 from midspan.thermal.temperature_range import RangeSurface
+from midspan.vision.frame_source import FrameSource
 from midspan.vision.lens import Lens, lens_warnings
 from midspan.vision.light import LightState
 from midspan.vision.picture_warnings import picture_warnings
 from midspan.vision.region import check_region
+from midspan.vision.region_choice import ChoiceRequest, Judge, choose_targets
 from midspan.vision.roi import RegionChoice
 from midspan.vision.tracker import Tracker
 

@@ -9,12 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from midspan.errors import DataError, UsageError
+from midspan.radar.info import RadarInfo
 from midspan.radar.iq_order import LEAST_DB, decide_order, swapped, weigh_orders
 from midspan.radar.layout import WORD_BYTES, Layout, Words, block_words, sign_extended, unpack, word_weights
 from midspan.radar.range_profile import averaged, bin_kernel, range_profile, weighted_products
 from midspan.records import ChirpFrame, Floats, Nanoseconds, RangeFrames
 from midspan.sources.radar.capture_bytes import Bytes, CaptureBytes, missing_files, open_bytes
-from midspan.sources.radar.radar_source import RadarInfo, RadarRequest, RadarSource, stamps
+from midspan.sources.radar.radar_source import RadarRequest, RadarSource, stamps
 from midspan.sources.radar.ti_config import TiSettings, read_settings
 
 FRAMES_AT_A_TIME = 256

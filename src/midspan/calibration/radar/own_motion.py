@@ -5,10 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from midspan.calibration.sensors.radar import RadarTarget
 from midspan.radar.measurement import TargetSeries
 from midspan.radar.own_motion import OwnMotions, Shown, own_motions
 from midspan.radar.target import Target
-from midspan.recording.stored.radar import RadarTarget
 from midspan.records import Floats
 
 # Motions that are reported: from this on, m, and from this share of one frame's noise on.

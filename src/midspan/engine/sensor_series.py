@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from midspan.engine.targets import agreeing, combine, relative_zeros
 from midspan.fusion.path import at
+from midspan.fusion.targets import agreeing, combine, relative_zeros
 from midspan.records import Channel, Displacement, Estimate, Floats, Measured, Nanoseconds, Source, part
 
 

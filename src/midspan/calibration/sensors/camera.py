@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass, field
 
 from midspan.calibration.scale import ScaleCalibration
-from midspan.engine.scale import CameraScale
+from midspan.calibration.sensors.camera_scale import CameraScale
 from midspan.records import Region, ScaleFactor, Source, TimeOffset
 from midspan.vision.lens import Lens
 

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from midspan.errors import MidspanError
-from midspan.recording.streams.progress import Progress
+from midspan.progress import Progress
 from midspan.records import NANOSECONDS, Frame, Nanoseconds, PixelTrack, PixelTranslation, Region
-from midspan.sources.camera.frames import FrameSource
 from midspan.vision.candidates import Candidate
+from midspan.vision.frame_source import FrameSource
 from midspan.vision.roi import RegionChoice, RoiSettings, choose_region, further_places
 from midspan.vision.template import TemplateSettings, TemplateTracker
 

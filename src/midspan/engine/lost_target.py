@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from midspan.recording.sensor_series import SensorSeries
-from midspan.recording.streams.span import shown
+from midspan.engine.sensor_series import SensorSeries
 from midspan.records import NANOSECONDS, Event
 from midspan.signals.health import Mask, runs
+from midspan.signals.stamps import shown
 
 # So many seconds, and so many usual intervals, without a measurement are worth an event.
 LOST_S, LOST_INTERVALS = 3.0, 5.0

@@ -11,7 +11,7 @@ import numpy as np
 from midspan.calibration.running_clock import SIGNIFICANT
 from midspan.radar.alignment import align
 from midspan.radar.blockage import BlockageMonitor
-from midspan.recording.radar.frames import even_places
+from midspan.radar.frames import even_places
 from midspan.records import NANOSECONDS, Floats, Nanoseconds, seconds
 
 # Windows have this length, s, or so many go into the record; those of a long one are spread over it.

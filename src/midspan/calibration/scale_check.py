@@ -7,14 +7,13 @@ import numpy as np
 
 from midspan.calibration.agreement import noise_share
 from midspan.calibration.fit import Fit, Pair
+from midspan.calibration.measured import LEAST_MEASUREMENTS, measured_rows
 from midspan.calibration.noise import nearest, without_outliers
 from midspan.calibration.outliers import without_lonely_outliers
 from midspan.calibration.time_offset import search_offset
 from midspan.errors import UntrustedError
-from midspan.recording.streams.measured import measured_rows
-from midspan.recording.streams.span import inside
-from midspan.recording.streams.window import LEAST_MEASUREMENTS
 from midspan.records import NANOSECONDS, Acceleration, Displacement, Floats, Source, part, seconds
+from midspan.signals.stamps import inside
 
 # So much of the recording is compared at most, for speed.
 COMPARED_S = 300.0

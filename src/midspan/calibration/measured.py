@@ -1,9 +1,11 @@
-"""A sensor's measurements beside the acceleration: as rows for calibration, and the frames that are used."""
+"""A sensor's measurements as the rows that calibration compares with the acceleration."""
 
 import numpy as np
 
-from midspan.recording.streams.span import inside
 from midspan.records import NANOSECONDS, Floats, Nanoseconds
+
+# Fewer measurements than this are not calibrated on.
+LEAST_MEASUREMENTS = 20
 
 
 def measured_rows(time_ns: Nanoseconds, value: Floats, variance: Floats, origin_ns: int) -> Floats:
@@ -13,11 +15,3 @@ def measured_rows(time_ns: Nanoseconds, value: Floats, variance: Floats, origin_
         return np.empty((0, 3))
     filled = np.where(usable, value - value[np.argmax(usable)], 0.0)
     return np.column_stack(((time_ns - origin_ns) / NANOSECONDS, filled, np.where(usable, variance, np.inf)))
-
-
-def frames_used(times_ns: Nanoseconds, acceleration_ns: Nanoseconds, margin_ns: int) -> slice:
-    """Frames from the first one used: the file's first where the streams start together, else the first in both."""
-    overlapping = inside(times_ns, int(acceleration_ns[0]), int(acceleration_ns[-1]) + margin_ns)
-    if times_ns[0] >= acceleration_ns[0] - margin_ns:
-        return slice(0, overlapping.stop)
-    return overlapping

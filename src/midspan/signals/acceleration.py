@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from midspan.errors import DataError
-from midspan.recording.streams.span import inside, shown
 from midspan.records import (
     NANOSECONDS,
     Acceleration,
@@ -21,6 +20,7 @@ from midspan.records import (
 )
 from midspan.signals.bridging import GAP_STEPS, LONG_SHARE, LOWEST_HZ, missed_share, unknown_density
 from midspan.signals.health import Clock, Mask, bridged, clipped, clock, dominant_frequency, frozen, runs
+from midspan.signals.stamps import inside, shown
 
 # Above this share of the rate the motion is so fast that integration errs by 1 % and more.
 FASTEST_SHARE = 0.2

@@ -1,14 +1,14 @@
-"""Reading `calibration.json` back; `recording/stored/calibration.py` writes it."""
+"""Reading `calibration.json` back; `settings/stored/calibration.py` writes it."""
 
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from midspan.errors import DataError
-from midspan.recording.stored.calibration import CALIBRATION_FILE, Calibration, SensorCalibration, placed
-from midspan.recording.stored.sections import camera_across, camera_of, displacement_of, radar_of, usual_of
 from midspan.records import Source
 from midspan.settings.calibration import StoredCamera, validate_calibration
+from midspan.settings.stored.calibration import CALIBRATION_FILE, Calibration, SensorCalibration, placed
+from midspan.settings.stored.sections import camera_across, camera_of, displacement_of, radar_of, usual_of
 from midspan.trees import TreeError, read_json
 
 

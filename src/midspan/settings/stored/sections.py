@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 
+from midspan.calibration.sensors.camera import CameraCalibration, TargetCalibration
+from midspan.calibration.sensors.displacement import DisplacementCalibration
+from midspan.calibration.sensors.radar import RadarCalibration, RadarTarget
 from midspan.engine.axis import AxisFigures
 from midspan.radar.following import Background
 from midspan.radar.target import Target
-from midspan.recording.stored.camera import CameraCalibration, TargetCalibration
-from midspan.recording.stored.displacement import DisplacementCalibration
-from midspan.recording.stored.radar import RadarCalibration, RadarTarget
 from midspan.records import Region, ScaleFactor, Source
 from midspan.settings.calibration import (
     Stored,

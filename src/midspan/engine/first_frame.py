@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from midspan.errors import DataError
 from midspan.records import NANOSECONDS, Floats, Frame, Nanoseconds, Region
-from midspan.sources.camera.frames import FrameSource
 from midspan.thermal.shutter import ShutterSettings
+from midspan.vision.frame_source import FrameSource
 from midspan.vision.light import is_dark
 
 # At most this many dark frames are skipped at the start.

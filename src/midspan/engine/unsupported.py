@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from midspan.recording.streams.span import shown
 from midspan.records import Estimate, Event, Status
 from midspan.signals.health import runs
+from midspan.signals.stamps import shown
 
 
 def unsupported_events(rows: Estimate) -> tuple[Event, ...]:

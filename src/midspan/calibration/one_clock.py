@@ -11,7 +11,6 @@ from midspan.calibration.running_clock import RunningClock, on_one_clock
 from midspan.errors import UntrustedError
 from midspan.fusion.path import at
 from midspan.fusion.streams import NO_ERRORS, KalmanSettings, filtered, smooth
-from midspan.recording.streams.span import inside, shown
 from midspan.records import (
     NANOSECONDS,
     Acceleration,
@@ -21,6 +20,7 @@ from midspan.records import (
     Nanoseconds,
     part,
 )
+from midspan.signals.stamps import inside, shown
 
 # So much, s, either way of an instant is smoothed to tell what the structure did there.
 AROUND_S = 10.0

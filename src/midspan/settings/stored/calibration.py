@@ -11,11 +11,13 @@ from typing import Any
 from midspan._version import __version__
 from midspan.calibration.noise import NoiseCalibration
 from midspan.calibration.scale import ScaleCalibration
+from midspan.calibration.sensors.camera import CameraCalibration
+from midspan.calibration.sensors.displacement import DisplacementCalibration
+from midspan.calibration.sensors.radar import RadarCalibration
 from midspan.engine.axis import AxisFigures
-from midspan.recording.stored.camera import CameraCalibration
-from midspan.recording.stored.displacement import DisplacementCalibration
-from midspan.recording.stored.radar import RadarCalibration
-from midspan.recording.stored.sections import (
+from midspan.settings.kinds import KINDS, sensor_names
+from midspan.settings.recording import Sensor
+from midspan.settings.stored.sections import (
     camera_tree,
     displacement_tree,
     finite_or_none,
@@ -23,8 +25,6 @@ from midspan.recording.stored.sections import (
     scale_tree,
     usual_tree,
 )
-from midspan.settings.kinds import KINDS, sensor_names
-from midspan.settings.recording import Sensor
 from midspan.writing import write_whole
 
 CALIBRATION_FILE = "calibration.json"

@@ -1,26 +1,23 @@
 """The frames of a recording's radar as they are read: on an even grid, receivers combined, holes known."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from midspan.errors import DataError, UsageError
+from midspan.errors import DataError
+from midspan.progress import Progress
 from midspan.radar.channels import LEAST_BINS, Phasors, combined
-from midspan.radar.following import LEAST_EXCURSION_BINS
+from midspan.radar.following import LEAST_EXCURSION_BINS, bins_within
+from midspan.radar.info import RadarInfo
 from midspan.radar.measurement import TargetFrames, TargetSeries, displacement
 from midspan.radar.target import Target
-from midspan.recording.stored.radar import RadarCalibration
-from midspan.recording.streams.acceleration import PreparedAcceleration
-from midspan.recording.streams.progress import Progress
 from midspan.records import NANOSECONDS, Floats, Nanoseconds, RangeFrames, seconds
-from midspan.sources.radar.radar_source import RadarInfo, RadarSource
+from midspan.signals.acceleration import PreparedAcceleration
 
 # Of an even grid the frames fill one in so many places or more, of a short record these places at most.
 MAX_GRID, MAX_GRID_FRAMES = 100, 100_000
-# A target calibrated for another radar, or moved since, differs in carrier by this share or in range by so many bins.
-SAME_CARRIER, SAME_BINS = 1e-5, 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,36 +88,27 @@ def bin_m_of(info: RadarInfo) -> float:
     return float(np.median(np.diff(info.range_m)))
 
 
-def bins_of(target: Target, info: RadarInfo, excursion_m: float = 0.0) -> Floats:
-    """The bins to fetch of a target that moves by `excursion_m` or as the calibration saw; its place if by little."""
-    bin_m = bin_m_of(info)
-    reach = max(target.reach_bins, excursion_m / bin_m) if bin_m > 0 else 0.0
-    if reach <= LEAST_EXCURSION_BINS:
-        return np.array([target.place_bin])
-    return target.bins(excursion_m, bin_m, info.bins)
+def bins_of(target: Target, info: RadarInfo) -> Floats:
+    """The bins to fetch of a target that moves as the calibration saw; its place if by little."""
+    followed = bin_m_of(info) > 0 and target.reach_bins > LEAST_EXCURSION_BINS
+    return bins_within(target.place_bin, target.reach_bins, info.bins) if followed else np.array([target.place_bin])
 
 
 def fetched(
-    blocks: Iterable[RangeFrames], wanted: Sequence[tuple[Target, Floats]], total: int, progress: Progress
-) -> list[TargetPhasors]:
-    """The phasors of several targets out of one pass; blocks: the bins of all of them in their order.
+    blocks: Iterable[RangeFrames], target: Target, total: int, progress: Progress
+) -> tuple[Nanoseconds, NDArray[np.complex64]]:
+    """Stamps (n,) and phasors (n,) of a target that stays in its place; blocks: of the one bin of it.
 
-    wanted: targets and their bins; total: frames that are expected, for the progress.
+    total: frames that are expected, for the progress.
     """
-    times: list[Nanoseconds] = []
-    parts: list[list[Phasors]] = [[] for _ in wanted]
-    done = 0
+    times, parts, done = [], [], 0
     for block in blocks:
         times.append(block.time_ns)
-        first = 0
-        for (target, bins), part in zip(wanted, parts, strict=True):
-            part.append(together(block.phasors[..., first : first + len(bins)], target, block.valid))
-            first += len(bins)
+        parts.append(together(block.phasors, target, block.valid)[:, 0])
         done += len(block.time_ns)
         progress(done, total, "reading the radar")
     progress(1, 1, "reading the radar")
-    time_ns = np.concatenate(times)
-    return [TargetPhasors(time_ns, bins, np.concatenate(part)) for (_, bins), part in zip(wanted, parts, strict=True)]
+    return np.concatenate(times), np.concatenate(parts)
 
 
 def target_series(own: TargetPhasors, target: Target, given: tuple[float, float, Floats]) -> TargetSeries:
@@ -150,34 +138,6 @@ def together(phasors: Phasors, target: Target, valid: NDArray[np.bool_]) -> NDAr
     """Phasors (n, k) of phasors (n, channels, k), receivers combined as the target was calibrated."""
     each = [combined(phasors[..., k], target.weights, valid) for k in range(phasors.shape[2])]
     return np.stack(each, axis=1).astype(np.complex64)
-
-
-def check_same_radar(source: RadarSource, calibration: RadarCalibration) -> None:
-    """UsageError where the calibration belongs to other settings of the radar."""
-    info = source.info
-    if abs(info.carrier_hz / calibration.carrier_hz - 1.0) > SAME_CARRIER:
-        raise UsageError(
-            f"radar: the calibration was made at a carrier of {calibration.carrier_hz / 1e9:.6g} GHz, this recording "
-            f"has {info.carrier_hz / 1e9:.6g} GHz. Calibrate again."
-        )
-    if info.channels != calibration.channels:
-        raise UsageError(
-            f"radar: the calibration was made with {calibration.channels} channels, this recording has "
-            f"{info.channels}. Calibrate again."
-        )
-    bin_m = float(np.median(np.diff(info.range_m))) if info.bins > 1 else np.nan
-    for target in calibration.used:
-        if target.place_bin > info.bins - 1:
-            raise UsageError(
-                f"radar: the calibration's target is at bin {target.place_bin:.1f}, this recording has {info.bins} "
-                "bins. Calibrate again."
-            )
-        apart = abs(info.axis.range_at(target.place_bin) - target.range_m)
-        if apart > SAME_BINS * bin_m:
-            raise UsageError(
-                f"radar: the calibration's target at {target.range_m:.3f} m would be at "
-                f"{info.axis.range_at(target.place_bin):.3f} m with this recording's settings. Calibrate again."
-            )
 
 
 def without_holes(frames: RadarFrames) -> RadarFrames:
