@@ -5,8 +5,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from midspan.calibration.sensors.displacement import DisplacementCalibration
+from midspan.engine.plain import PlainChain, PlainSettings
+from midspan.engine.sensors import PlainSensor
 from midspan.fusion.model import Parameter, ParameterKind
-from midspan.records import NANOSECONDS, Channel, Nanoseconds, TimeOffset
+from midspan.records import NANOSECONDS, Channel, Nanoseconds, Source, TimeOffset, TimeSeries
+from midspan.signals.stuck import resolution
 
 # Rows are coasting when the last accepted measurement is older than this many of the sensor's usual intervals; they
 # are lost after this many, and after this many seconds at least.
@@ -47,3 +51,36 @@ def ages(interval: float) -> tuple[float, float]:
 def clock_std_s(offset: TimeOffset) -> float:
     """Standard deviation (s) of a clock offset; one that the motion does not tell has no effect either."""
     return float(np.sqrt(offset.variance)) if np.isfinite(offset.variance) else 0.0
+
+
+def plain_channel(
+    table: Table, calibration: DisplacementCalibration, series: TimeSeries, sensor: str, *, first: bool
+) -> PlainSensor:
+    """A displacement sensor, and its channel in the table.
+
+    series: its values as read; first: whether its zero is the zero of the displacement.
+    """
+    step_s = interval_s(series.time_ns)
+    coasting_s, lost_s = ages(step_s)
+    channel = table.add(
+        Channel(
+            sensor=sensor,
+            source=Source.DISPLACEMENT,
+            units_per_m=1.0,
+            zero_std_m=0.0 if first else np.inf,
+            coasting_s=coasting_s,
+            lost_s=lost_s,
+        )
+    )
+    table.uncertain(ParameterKind.SCALE_ERROR, [channel], calibration.relative_std)
+    table.uncertain(ParameterKind.CLOCK_OFFSET, [channel], clock_std_s(calibration.offset))
+    step_m = calibration.resolution_m
+    settings = PlainSettings(
+        name=sensor,
+        channel=channel,
+        variance_m2=calibration.noise_std_m**2,
+        step_s=step_s,
+        resolution_m=resolution(calibration.scale * series.value) if step_m is None else step_m,
+        scale=calibration.scale,
+    )
+    return PlainSensor(sensor, PlainChain(settings))

@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 
+from midspan.calibration.displacement.sensor import DisplacementFit
 from midspan.calibration.radar.calibrate import RadarFit
 from midspan.engine.axis import AxisFigures, usual_figures
 from midspan.progress import Progress, silent
 from midspan.recording.camera_calibration.camera import CameraFit
 from midspan.recording.camera_calibration.cameras import calibrate_cameras, together
-from midspan.recording.displacement.sensor import DisplacementFit
 from midspan.recording.kinds import ROWS
 from midspan.recording.streams.recording import Recording, naming, open_recording
 from midspan.recording.streams.window import calibration_window

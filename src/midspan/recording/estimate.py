@@ -47,7 +47,7 @@ from midspan.recording.one_series import (
 )
 from midspan.recording.point import measuring_point
 from midspan.recording.printed_radar import estimate_printed
-from midspan.recording.radar.messages import REPORTED, radar_warnings, with_levels
+from midspan.recording.radar_messages import REPORTED, radar_warnings, with_levels
 from midspan.recording.result import Result
 from midspan.recording.run import Outcome, run, used_when
 from midspan.recording.second_axis import SecondAxis

@@ -10,7 +10,6 @@ import numpy as np
 
 from midspan.errors import DataError, MidspanError, UsageError
 from midspan.progress import Progress, silent
-from midspan.recording.radar.inspect import inspect_radar
 from midspan.recording.streams.recording import Recording
 from midspan.records import NANOSECONDS, Nanoseconds, TimeSeries
 from midspan.settings.load import RECORDING_FILE
@@ -23,6 +22,7 @@ from midspan.sources.accelerometer.formats import list_channels
 from midspan.sources.camera.formats import is_stack, is_table, open_frames, require_readable
 from midspan.sources.camera.frames import FrameRequest
 from midspan.sources.declared_size import available_bytes, shown_bytes
+from midspan.sources.radar.inspect import inspect_radar
 from midspan.sources.radar.radar_source import RadarSource
 from midspan.sources.thermal.formats import is_thermal, open_pictures, open_thermal
 from midspan.sources.thermal.request import ThermalRequest

@@ -1,25 +1,17 @@
-"""The [displacement] sensor of a recording: its noise, clock offset and scale, and its measurements in metres."""
+"""What is learnt of a displacement sensor, what to know of it, and its measurements in metres."""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from midspan.calibration.bias import Bias, bias_of
+from midspan.calibration.displacement.learn import Given, learn
 from midspan.calibration.noise import NoiseCalibration
 from midspan.calibration.scale import white_noise
 from midspan.calibration.sensors.displacement import DisplacementCalibration
-from midspan.engine.channels import Table, ages, clock_std_s, interval_s
-from midspan.engine.plain import PlainChain, PlainSettings
-from midspan.engine.sensor_series import SensorSeries
-from midspan.engine.sensors import PlainSensor
-from midspan.errors import UntrustedError, UsageError
-from midspan.fusion.model import ParameterKind
-from midspan.progress import Progress
-from midspan.recording.displacement.learn import learn
-from midspan.recording.streams.recording import Recording
-from midspan.recording.streams.window import require_overlap
-from midspan.records import NANOSECONDS, Channel, Event, Source, TimeSeries, seconds
-from midspan.settings.stored.calibration import Calibration
+from midspan.errors import UntrustedError
+from midspan.records import NANOSECONDS, Event, TimeSeries, seconds
+from midspan.signals.acceleration import PreparedAcceleration
 from midspan.signals.health import Mask, runs
 from midspan.signals.stamps import shown
 from midspan.signals.stuck import resolution, stuck
@@ -47,47 +39,45 @@ class DisplacementFit:
     diagnostics: NoiseCalibration
 
 
-def calibrate_displacement(recording: Recording, progress: Progress) -> DisplacementFit:
+def fit_displacement(given: Given) -> DisplacementFit:
     """Noise, clock offset and scale of the sensor, learnt beside the accelerometer, or a refusal."""
-    learnt = _learnt(recording)
+    learnt = _learnt(given)
     assert learnt.findings is not None
-    part = displacement_part(recording, learnt)
-    warnings = tuple(displacement_warnings(recording, learnt, part))
+    part = displacement_part(given, learnt)
+    warnings = tuple(displacement_warnings(given, learnt, part))
     bias = bias_of(learnt.findings.pair, learnt.findings.fit)
     return DisplacementFit(part, learnt.input_noise_density, bias, warnings, learnt)
 
 
-def _learnt(recording: Recording) -> NoiseCalibration:
+def _learnt(given: Given) -> NoiseCalibration:
     """Noise, clock offset and scale of the sensor, learnt beside the accelerometer, or a refusal.
 
     The scale is learnt with displacement.estimate_scale only; else it is told where it seems wrong.
     """
-    series = recording.displacement
-    require_overlap(recording.prepared.time_ns, series.time_ns, "displacement")
-    if not recording.learns_scale:
-        return learn(recording, without(series, frozen_values(recording, series)))
+    series, prepared = given.series, given.prepared
+    if not given.learns_scale:
+        return learn(given, without(series, frozen_values(prepared, series)))
     # What the values are rounded to is known in metres only with the scale: at first none of it is granted.
-    crude = frozen_values(recording, series, resolution_m=0.0)
+    crude = frozen_values(prepared, series, resolution_m=0.0)
     known = np.isfinite(series.value)
     first = without(series, crude if np.mean(crude[known]) < MOST_FROZEN else np.zeros_like(crude))
-    learnt = learn(recording, first)
+    learnt = learn(given, first)
     scaled = replace(series, value=learnt.factor * series.value)
     offset_ns = round(NANOSECONDS * learnt.offset.value_s)
-    held = frozen_values(recording, replace(scaled, time_ns=series.time_ns + offset_ns))
-    return learnt if np.array_equal(held, np.isnan(first.value) & known) else learn(recording, without(series, held))
+    held = frozen_values(prepared, replace(scaled, time_ns=series.time_ns + offset_ns))
+    return learnt if np.array_equal(held, np.isnan(first.value) & known) else learn(given, without(series, held))
 
 
-def displacement_part(recording: Recording, learnt: NoiseCalibration) -> DisplacementCalibration:
+def displacement_part(given: Given, learnt: NoiseCalibration) -> DisplacementCalibration:
     """What the measurements are read with: noise, clock offset, scale."""
-    given = recording.settings.displacement.noise_std if recording.settings.displacement else None
     std = float(np.sqrt(learnt.variance_factor))
-    if given is not None:
-        own = given * unit_in_metres(recording) * abs(learnt.factor)
+    if given.noise_std_m is not None:
+        own = given.noise_std_m * abs(learnt.factor)
         # A given noise far below what the sensors differ by would only make the gate reject right measurements.
         std = own if std < MOST_OPTIMISTIC * own else std
     # A scale that seems wrong is left as it is, and the error band holds both.
     scale_std = float(np.hypot(learnt.factor_std, abs(learnt.factor) * _scale_error(learnt)))
-    step_m = resolution(learnt.factor * recording.displacement.value)
+    step_m = resolution(learnt.factor * given.series.value)
     return DisplacementCalibration(std, learnt.offset, learnt.factor, scale_std, resolution_m=step_m)
 
 
@@ -99,22 +89,13 @@ def _scale_error(learnt: NoiseCalibration) -> float:
     return float(np.hypot(1.0 / learnt.scale - 1.0, learnt.scale_std))
 
 
-def unit_in_metres(recording: Recording) -> float:
-    """Metres in one unit of the [displacement] channel."""
-    from midspan.sources.accelerometer.units import si_factor
-
-    section = recording.settings.displacement
-    unit = (section.unit if section else None) or recording.displacement.unit
-    return si_factor(unit, "displacement", None)
-
-
-def displacement_warnings(recording: Recording, learnt: NoiseCalibration, part: DisplacementCalibration) -> list[str]:
+def displacement_warnings(given: Given, learnt: NoiseCalibration, part: DisplacementCalibration) -> list[str]:
     """What to know of the displacement sensor; UntrustedError where its unit is wrong beyond doubt."""
-    series = read_with(recording.displacement, part)
-    frozen = frozen_events(series, frozen_values(recording, series))
-    found = [*frozen_warnings(frozen), *_zero_warnings(recording, part)]
+    series = read_with(given.series, part)
+    frozen = frozen_events(series, frozen_values(given.prepared, series))
+    found = [*frozen_warnings(frozen), *_zero_warnings(given, part)]
     found += learnt.warnings
-    if not recording.learns_offset and 0.0 < learnt.offset.variance < np.inf:
+    if not given.learns_offset and 0.0 < learnt.offset.variance < np.inf:
         found.append(
             "displacement: its clock seems to differ from the accelerometer's by "
             f"{1e3 * np.sqrt(learnt.offset.variance):.3g} ms. Set "
@@ -138,70 +119,17 @@ def read_with(series: TimeSeries, learnt: DisplacementCalibration) -> TimeSeries
     return replace(series, time_ns=series.time_ns + offset_ns, value=learnt.scale * series.value)
 
 
-def displacement_series(view: Recording, learnt: DisplacementCalibration, log: object = None) -> SensorSeries:
-    """The whole channel as it was read, in metres on the accelerometer's clock."""
-    found = read_with(view.displacement, learnt)
-    std = np.where(np.isfinite(found.value), learnt.noise_std_m, np.nan)
-    return SensorSeries(view.sensor, Source.DISPLACEMENT, found.time_ns, found.value, std)
-
-
-def require_known(view: Recording, calibration: Calibration) -> DisplacementCalibration:
-    """The sensor's part of a calibration; UsageError where it has none, or none of the scale that is wanted."""
-    learnt: DisplacementCalibration | None = calibration.of_sensor(view.own, view.beside)
-    if learnt is None:
-        raise UsageError(
-            f"The calibration has no {view.sensor} part, but the recording has [{view.sensor}]. Calibrate again."
-        )
-    if view.learns_scale and learnt.scale == 1.0:
-        raise UsageError(
-            "displacement.estimate_scale = true: the calibration was made without it and has no displacement.scale. "
-            "Calibrate again."
-        )
-    require_overlap(view.prepared.time_ns, view.displacement.time_ns, view.sensor)
-    return learnt
-
-
-def plain_channel(
-    table: Table, view: Recording, known: DisplacementCalibration, *, moved_m: float, first: bool
-) -> PlainSensor:
-    """A displacement sensor, and its channel in the table; first: whether its zero is the zero of the displacement."""
-    series = view.displacement
-    step_s = interval_s(series.time_ns)
-    coasting_s, lost_s = ages(step_s)
-    channel = table.add(
-        Channel(
-            sensor=view.sensor,
-            source=Source.DISPLACEMENT,
-            units_per_m=1.0,
-            zero_std_m=0.0 if first else np.inf,
-            coasting_s=coasting_s,
-            lost_s=lost_s,
-        )
-    )
-    table.uncertain(ParameterKind.SCALE_ERROR, [channel], known.relative_std)
-    table.uncertain(ParameterKind.CLOCK_OFFSET, [channel], clock_std_s(known.offset))
-    settings = PlainSettings(
-        name=view.sensor,
-        channel=channel,
-        variance_m2=known.noise_std_m**2,
-        step_s=step_s,
-        resolution_m=resolution(known.scale * series.value) if known.resolution_m is None else known.resolution_m,
-        scale=known.scale,
-    )
-    return PlainSensor(view.sensor, PlainChain(settings))
-
-
 def without(series: TimeSeries, mask: Mask) -> TimeSeries:
     """The channel with some values (n,) missing."""
     return replace(series, value=np.where(mask, np.nan, series.value)) if mask.any() else series
 
 
-def frozen_values(recording: Recording, series: TimeSeries, *, resolution_m: float | None = None) -> Mask:
+def frozen_values(prepared: PreparedAcceleration, series: TimeSeries, *, resolution_m: float | None = None) -> Mask:
     """Values (n,) of the sensor that stand still while the accelerometer says that the structure moves.
 
     series: in metres on the accelerometer's clock; resolution_m: what its values are rounded to; left out: as they are.
     """
-    prepared, origin = recording.prepared, int(series.time_ns[0])
+    origin = int(series.time_ns[0])
     noise = white_noise(prepared.value_m_s2) ** 2 / prepared.rate_hz
     shaken = prepared.with_noise(noise)
     samples = np.column_stack((seconds(shaken.time_ns, origin), shaken.value_m_s2, shaken.noise_density))
@@ -233,11 +161,11 @@ def frozen_warnings(events: tuple[Event, ...]) -> list[str]:
     return [f"{events[0].text} {more}Check the sensor."]
 
 
-def _zero_warnings(recording: Recording, part: DisplacementCalibration) -> list[str]:
+def _zero_warnings(given: Given, part: DisplacementCalibration) -> list[str]:
     """A sentence where the uncertain scale of a large reading hides the zero, which counts in the error band."""
-    value = part.scale * recording.displacement.value
+    value = part.scale * given.series.value
     level, moved = abs(float(np.nanmedian(value))), float(np.nanstd(value))
-    if not recording.gives_zero or part.relative_std * level < max(moved, part.noise_std_m):
+    if not given.gives_zero or part.relative_std * level < max(moved, part.noise_std_m):
         return []
     return [
         f"displacement: it reads about {1e3 * level:.4g} mm, of which the scale's deviation of "

@@ -12,8 +12,8 @@ from midspan.calibration.scale import LEAST_GAIN, is_ambiguous
 from midspan.calibration.sensor_scale import calibrate_sensor_scale, unexplained_text
 from midspan.calibration.time_offset import BEYOND, FARTHER_WINDOW_S, OffsetSearch, farther, farther_s
 from midspan.errors import DataError, UntrustedError
-from midspan.recording.streams.recording import Recording
 from midspan.records import NANOSECONDS, TimeOffset, TimeSeries
+from midspan.signals.acceleration import PreparedAcceleration
 from midspan.signals.health import dominant_frequency
 from midspan.signals.stamps import inside
 
@@ -39,14 +39,35 @@ WRONG_SCALE = 0.5
 
 
 @dataclass(frozen=True, slots=True)
-class _Beside:
-    """What is compared: a recording's displacement from `first_ns` to `last_ns`, and the largest clock offset (s)."""
+class Given:
+    """A displacement sensor beside the accelerometer, and what is to be learnt of it.
 
-    recording: Recording
+    series: its values as read; wanted_s: the largest clock offset looked for; learns_offset, learns_scale: whether
+    these are applied; noise_std_m: of its values as read, None where it is not given; gives_zero: whether its zero is
+    that of the displacement.
+    """
+
+    prepared: PreparedAcceleration
+    series: TimeSeries
+    wanted_s: float
+    learns_offset: bool = False
+    learns_scale: bool = False
+    noise_std_m: float | None = None
+    gives_zero: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class _Beside:
+    """What is compared: a sensor's displacement from `first_ns` to `last_ns`, and the acceleration."""
+
+    given: Given
     series: TimeSeries
     first_ns: int
     last_ns: int
-    one_clock: bool
+
+    @property
+    def one_clock(self) -> bool:
+        return not self.given.learns_offset
 
     @property
     def overlap_s(self) -> float:
@@ -54,7 +75,7 @@ class _Beside:
 
     @property
     def wanted_s(self) -> float:
-        return self.recording.settings.calibration.max_offset_s
+        return self.given.wanted_s
 
     @property
     def max_offset_s(self) -> float:
@@ -68,7 +89,7 @@ class _Beside:
 
     def pair(self, margin_s: float, until_s: float = np.inf) -> Pair:
         """Both signals, the displacement without a margin at both ends, of `until_s` at most."""
-        prepared, series, margin = self.recording.prepared, self.series, round(margin_s * NANOSECONDS)
+        prepared, series, margin = self.given.prepared, self.series, round(margin_s * NANOSECONDS)
         last = self.last_ns if np.isinf(until_s) else min(self.last_ns, self.first_ns + round(until_s * NANOSECONDS))
         used = inside(series.time_ns, self.first_ns + margin, last - margin)
         _refuse_poor_displacement(series, used)
@@ -83,17 +104,17 @@ class _Beside:
         return Pair(prepared.rows(self.first_ns, window), rows, 1.0, level_m_s2=prepared.level(window))
 
 
-def learn(recording: Recording, series: TimeSeries) -> NoiseCalibration:
-    """Noise, clock offset and scale of the sensor whose values are given, or a refusal."""
-    prepared = recording.prepared
+def learn(given: Given, series: TimeSeries) -> NoiseCalibration:
+    """Noise, clock offset and scale of the sensor, by those of its values that are in `series`, or a refusal."""
+    prepared = given.prepared
     used = inside(series.time_ns, int(prepared.time_ns[0]), int(prepared.time_ns[-1]))
     first = int(series.time_ns[used.start])
     last = min(int(series.time_ns[used.stop - 1]), first + round(NOISE_WINDOW_S * NANOSECONDS))
-    beside = _Beside(recording, series, first, last, not recording.learns_offset)
+    beside = _Beside(given, series, first, last)
     max_offset = beside.max_offset_s
     pair = beside.pair(beside.reach_s)
     notes: list[str] = []
-    if recording.learns_scale:
+    if given.learns_scale:
         learnt = calibrate_sensor_scale(
             pair,
             max_offset,

@@ -1,27 +1,21 @@
-"""The radar's stage and its channels from a calibration."""
+"""A radar's stage and its channels from a calibration."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from midspan.calibration.sensors.radar import RadarCalibration
-from midspan.engine.channels import Table, ages, clock_std_s, interval_s
+from midspan.engine.channels import Table, ages, clock_std_s
 from midspan.engine.radar import RadarChain
 from midspan.engine.radar_target import FollowedTarget
-from midspan.engine.sensor_series import SensorSeries, channel_series
 from midspan.engine.sensors import RadarSensor
 from midspan.errors import UsageError
 from midspan.fusion.model import Parameter, ParameterKind
 from midspan.radar.frames import bin_m_of
 from midspan.radar.info import RadarInfo
 from midspan.radar.target import Target
-from midspan.recording.streams.recording import Recording
-from midspan.recording.streams.window import require_overlap
-from midspan.records import Channel, Estimate, Measured, Source
-from midspan.settings.sensor_words import in_words_of
-from midspan.settings.stored.calibration import Calibration
+from midspan.records import Channel, Source
 
 # Where the structure is when a target is first used, beside the best target's first frame, m: more than structures move
 # by, and little enough for the estimator's arithmetic beside variances of (1 µm)².
@@ -67,37 +61,32 @@ def radar_chain(
 
 
 def radar_channels(
-    table: Table, view: Recording, known: RadarCalibration, *, moved_m: float, first: bool
+    table: Table,
+    calibration: RadarCalibration,
+    info: RadarInfo,
+    sensor: str,
+    step_s: float,
+    moved_m: float,
+    *,
+    first: bool,
 ) -> RadarSensor:
     """A radar's sensor, and its channels in the table.
 
-    moved_m: standard deviation of the usual displacement; first: whether its zero is that of the displacement.
+    step_s: its usual interval; moved_m: standard deviation of the usual displacement; first: whether its zero is that
+    of the displacement.
     """
-    coasting_s, lost_s = ages(interval_s(view.radar.times_ns()))
-    chain, channels = radar_chain(known, view.radar.info, view.sensor, moved_m)
+    coasting_s, lost_s = ages(step_s)
+    chain, channels = radar_chain(calibration, info, sensor, moved_m)
     numbers = [
         table.add(
             replace(channel, coasting_s=coasting_s, lost_s=lost_s, zero_std_m=channel.zero_std_m if first else np.inf)
         )
         for channel in channels
     ]
-    table.uncertain(ParameterKind.SCALE_ERROR, numbers, known.relative_std)
+    table.uncertain(ParameterKind.SCALE_ERROR, numbers, calibration.relative_std)
     clock = ParameterKind.CLOCK_OFFSET
-    table.parameters.append(Parameter(clock, tuple(numbers), clock_std_s(known.offset), 0, CLOCK_WALK))
-    return RadarSensor(view.sensor, chain, numbers)
-
-
-def radar_part(view: Recording, calibration: Calibration) -> RadarCalibration:
-    """The radar's part of a calibration; UsageError where it has none or belongs to other settings of the radar."""
-    known: RadarCalibration | None = calibration.of_sensor(view.own, view.beside)
-    if known is None:
-        raise UsageError(
-            f"The calibration has no {view.sensor} part, but the recording has [{view.sensor}]. Calibrate again."
-        )
-    with in_words_of(view.sensor):
-        require_overlap(view.prepared.time_ns, view.radar.times_ns(), "radar")
-        require_same_radar(view.radar.info, known)
-    return known
+    table.parameters.append(Parameter(clock, tuple(numbers), clock_std_s(calibration.offset), 0, CLOCK_WALK))
+    return RadarSensor(sensor, chain, numbers)
 
 
 def require_same_radar(info: RadarInfo, calibration: RadarCalibration) -> None:
@@ -132,11 +121,3 @@ def first_zero_std_m(item: FollowedTarget) -> float:
     target: Target = item.target
     bent_m = abs(target.conversion_factor) * target.bent_rad / item.phase_per_m
     return math.hypot(target.noise_m, bent_m)
-
-
-def radar_series(
-    view: Recording, known: RadarCalibration, log: tuple[Measured, Sequence[Channel], Estimate]
-) -> SensorSeries:
-    """What a radar's targets measured together; log: all that it measured, the estimator's channels, the rows."""
-    measured, channels, rows = log
-    return channel_series(measured, channels, view.sensor, rows)
