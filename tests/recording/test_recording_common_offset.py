@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from midspan.calibration.camera.calibrate import relative_scale_std
 from midspan.calibration.common_offset import Fitted, common_offset, one_offset, pooled_variance
 from midspan.calibration.fit import Pair
 from midspan.calibration.scale import calibrate_scale
 from midspan.calibration.sensors.camera import TargetCalibration
-from midspan.recording.camera_calibration.camera import relative_scale_std
 from midspan.records import Region
 from midspan.simulate.motion.motion import random_motion
 from midspan.simulate.motion.sensors import AccelerometerModel, DisplacementSensorModel, simulate_pair

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import midspan
+from midspan.calibration.camera.best_range import compared_band
 from midspan.cli.main import run as command_line
 from midspan.errors import DataError, UntrustedError, UsageError
-from midspan.recording.camera_calibration.best_range import compared_band
 from midspan.recording.inspect import inspect_recording
 from midspan.recording.tracking.track import TrackRequest, track
 from midspan.records import Region, Source, Status

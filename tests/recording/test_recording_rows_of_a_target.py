@@ -8,7 +8,7 @@ import pytest
 
 from midspan.engine.camera_target import ChainSettings, Target, TargetChain
 from midspan.engine.target_opening import Opening
-from midspan.recording.tracking.tracking import TargetTracking, light_warnings
+from midspan.engine.tracking import TargetTracking, light_warnings
 from midspan.records import Frame, PixelTrack, PixelTranslation, Region, Status
 from midspan.vision.light import LightState
 from midspan.vision.target import lost

@@ -6,16 +6,16 @@ from typing import Any
 
 import numpy as np
 
+from midspan.calibration.camera.calibrate import CameraFit
 from midspan.calibration.displacement.sensor import DisplacementFit
 from midspan.calibration.radar.calibrate import RadarFit
 from midspan.engine.axis import AxisFigures, usual_figures
+from midspan.engine.tracking import CameraTracking
 from midspan.progress import Progress, silent
-from midspan.recording.camera_calibration.camera import CameraFit
-from midspan.recording.camera_calibration.cameras import calibrate_cameras, together
+from midspan.recording.cameras import calibrate_cameras, together
 from midspan.recording.kinds import ROWS
 from midspan.recording.streams.recording import Recording, naming, open_recording
 from midspan.recording.streams.window import calibration_window
-from midspan.recording.tracking.tracking import CameraTracking
 from midspan.settings.sensor_words import in_words_of, worded
 from midspan.settings.stored.calibration import Calibration, placed
 

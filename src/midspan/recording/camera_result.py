@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from midspan.calibration.sensors.camera import CameraCalibration
 from midspan.engine.sensor_series import SensorSeries, agreed_series
-from midspan.recording.tracking.tracking import CameraTracking, TargetTracking
+from midspan.engine.tracking import CameraTracking, TargetTracking
 from midspan.records import (
     Displacement,
     Estimate,

@@ -11,6 +11,7 @@ from midspan.checks import option
 from midspan.engine.channels import clock_std_s
 from midspan.engine.lost_target import lost_events, lost_warnings
 from midspan.engine.sensor_series import SensorSeries
+from midspan.engine.tracking import CameraTracking
 from midspan.engine.unsupported import unsupported_events
 from midspan.errors import DataError, UntrustedError, UsageError
 from midspan.fusion.estimator import Estimator
@@ -21,14 +22,6 @@ from midspan.fusion.streams import MethodSettings
 from midspan.progress import Progress, silent
 from midspan.recording.calibrate import calibrate_and_track
 from midspan.recording.camera_result import CameraResult, camera_result, camera_series
-from midspan.recording.cameras.tracked import (
-    Eye,
-    Side,
-    known_sensors,
-    offsets_of,
-    open_eyes,
-    side_of,
-)
 from midspan.recording.kinds import ROWS
 from midspan.recording.messages import (
     channel_warnings,
@@ -64,8 +57,16 @@ from midspan.recording.second_look import (
     with_scales,
 )
 from midspan.recording.streams.recording import Recording, naming, open_recording
-from midspan.recording.tracking.tracking import CameraTracking
+from midspan.recording.tracked import (
+    Eye,
+    Side,
+    known_sensors,
+    offsets_of,
+    open_eyes,
+    side_of,
+)
 from midspan.records import NANOSECONDS, Channel, Estimate, Event, Innovation, Measured, joined, part
+from midspan.settings.sensor_words import worded
 from midspan.settings.stored.calibration import Calibration
 from midspan.settings.stored.calibration_file import load_calibration
 from midspan.signals.health import Mask
@@ -306,7 +307,7 @@ def result_of(asked: Asked, first: FirstPass, found: Found) -> Result:
     warnings = (
         *channel_warnings(recording, asked.calibration),
         *(line for camera in first.cameras for line in lost_warnings(*_blind(camera, first))),
-        *(line for eye in first.eyes for line in eye.tracking.warnings()),
+        *(worded(line, eye.sensor) for eye in first.eyes for line in eye.tracking.warnings()),
         *event_warnings(fused),
         *event_warnings(tuple(event for event in sensors if event.kind in ("frozen", *REPORTED))),
         *(line for name, log in radars.items() for line in radar_warnings(log, info[name].warnings, name)),

@@ -16,7 +16,7 @@ from midspan.fusion.in_turn import in_turn
 from midspan.fusion.path import at
 from midspan.fusion.runners import run_method
 from midspan.fusion.streams import MethodSettings, Smoothed, no_innovation
-from midspan.recording.cameras.tracked import Side
+from midspan.recording.tracked import Side
 from midspan.records import Displacement, Estimate, Floats, Nanoseconds, joined, part, seconds
 from midspan.signals.acceleration import from_first_measurement
 from midspan.signals.stamps import shown

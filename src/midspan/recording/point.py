@@ -17,9 +17,9 @@ from midspan.fusion.estimator import Estimator
 from midspan.fusion.model import EstimatorSettings, ParameterKind
 from midspan.fusion.second_pass import Lag
 from midspan.recording.calibrate import usual_in_window
-from midspan.recording.cameras.tracked import Eye, Side, known_sensors, offsets_of
 from midspan.recording.kinds import ROWS
 from midspan.recording.streams.recording import Recording
+from midspan.recording.tracked import Eye, Side, known_sensors, offsets_of
 from midspan.records import NANOSECONDS, Channel, ClockOffset
 from midspan.signals.stamps import frames_used
 

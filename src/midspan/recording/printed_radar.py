@@ -21,13 +21,13 @@ from midspan.progress import Progress
 from midspan.radar.frames import even_places, fetched, samples_of
 from midspan.radar.literal import acceleration_at, printed_phase_per_m, printed_series, ran_away
 from midspan.recording.calibrate import calibrate_and_track
-from midspan.recording.cameras.tracked import side_of
 from midspan.recording.kinds import radar_part
 from midspan.recording.messages import channel_warnings, event_warnings, require_same_way, shares
 from midspan.recording.one_series import literal_warnings, run_on_series, with_uncertain
 from midspan.recording.radar_messages import radar_warnings
 from midspan.recording.result import Result
 from midspan.recording.streams.recording import Recording, naming
+from midspan.recording.tracked import side_of
 from midspan.records import NANOSECONDS, Displacement, Estimate, PhaseMeasurement, Source, Status, part, seconds
 from midspan.settings.stored.calibration import Calibration
 from midspan.signals.stamps import frames_used, inside

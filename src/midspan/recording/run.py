@@ -12,9 +12,9 @@ from midspan.engine.sensors import RadarSensor, Seen
 from midspan.errors import DataError
 from midspan.fusion.blocks import REJECTED
 from midspan.fusion.estimator import Rows
-from midspan.recording.cameras.tracked import Eye, Side, known_sensors
 from midspan.recording.point import clock_offsets_ns, radar_frames_used
 from midspan.recording.streams.recording import Recording
+from midspan.recording.tracked import Eye, Side, known_sensors
 from midspan.records import (
     NANOSECONDS,
     Arrival,

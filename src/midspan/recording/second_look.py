@@ -14,8 +14,8 @@ from midspan.engine.channels import clock_std_s
 from midspan.engine.sensor_series import SensorSeries, series_of
 from midspan.fusion.estimator import BLOCK, Estimator, Log
 from midspan.fusion.model import EstimatorSettings, ParameterKind
-from midspan.recording.cameras.tracked import Side
 from midspan.recording.run import Outcome
+from midspan.recording.tracked import Side
 from midspan.records import Channel, Displacement, Estimate, Measured, Samples, TimeOffset, joined, part
 
 

@@ -4,13 +4,13 @@ import numpy as np
 
 from midspan.calibration.sensors.camera import CameraCalibration
 from midspan.engine.camera_target import Target
+from midspan.engine.tracking import CameraTracking, TrackingSettings
 from midspan.errors import DataError, UsageError
 from midspan.progress import Progress
 from midspan.recording.streams.recording import Recording
 from midspan.recording.streams.window import require_overlap, window_ends
 from midspan.recording.tracking.lens import check_same_lens, lens_of
 from midspan.recording.tracking.temperatures import levels_of
-from midspan.recording.tracking.tracking import CameraTracking, TrackingSettings
 from midspan.records import NANOSECONDS, Nanoseconds, Region
 from midspan.settings.camera import CameraSettings, InfraredSettings
 from midspan.signals.stamps import frames_used, shown

@@ -2,9 +2,9 @@
 
 from midspan.calibration.sensors.camera import CameraCalibration
 from midspan.engine.thermal_target import ThermalTarget
+from midspan.engine.tracking import CameraTracking
 from midspan.errors import UsageError
 from midspan.recording.streams.recording import Recording
-from midspan.recording.tracking.tracking import CameraTracking
 from midspan.settings.camera import InfraredSettings
 from midspan.thermal.limits import Limits
 

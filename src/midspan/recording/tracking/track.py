@@ -9,16 +9,16 @@ import numpy as np
 
 from midspan._version import __version__
 from midspan.engine.camera_target import Target
+from midspan.engine.tracking import CameraTracking, TrackingSettings
 from midspan.errors import UsageError
 from midspan.progress import Progress, silent
 from midspan.recording.streams.recording import open_with_cameras
 from midspan.recording.tracking.lens import lens_of
 from midspan.recording.tracking.opening import given_targets
 from midspan.recording.tracking.temperatures import levels_of
-from midspan.recording.tracking.tracking import CameraTracking, TrackingSettings
 from midspan.records import PixelTrack, Region, Status, seconds
 from midspan.settings.load import RECORDING_FILE
-from midspan.settings.sensor_words import in_words_of
+from midspan.settings.sensor_words import in_words_of, worded
 from midspan.sinks.table import ResultTable
 from midspan.sources.camera.frames import FrameRequest
 from midspan.sources.thermal.formats import is_thermal, open_pictures
@@ -108,7 +108,7 @@ def track(source: str | Path, request: TrackRequest | None = None, progress: Pro
         tracking = CameraTracking(frames, settings, progress)
         rows = _all_rows(tracking)
     progress(1, 1, "tracking")
-    warnings += tracking.warnings("xy")
+    warnings += [worded(line, settings.sensor) for line in tracking.warnings("xy")]
     for target, found in zip(tracking.targets, rows, strict=True):
         lost = int(np.count_nonzero(found.status == Status.LOST))
         if lost:

@@ -5,13 +5,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from midspan.calibration.camera.view import SeenTarget
 from midspan.calibration.sensors.camera import CameraCalibration
 from midspan.calibration.sensors.camera_scale import CameraScale
 from midspan.calibration.whitening import BIAS_WALK_RATIO
 from midspan.fusion.path import at
 from midspan.fusion.streams import KalmanSettings, smooth
 from midspan.fusion.targets import AGREE_STD
-from midspan.recording.tracking.tracking import TargetTracking
 from midspan.records import NANOSECONDS, Acceleration, Displacement, Estimate, Floats, Innovation, part
 from midspan.signals.acceleration import PreparedAcceleration
 
@@ -43,14 +43,11 @@ class Contradiction:
 
 
 def camera_blocks(
-    targets: Sequence[TargetTracking],
-    camera: CameraCalibration,
-    exposure_s: float | None,
-    acceleration: Acceleration,
+    targets: Sequence[SeenTarget], camera: CameraCalibration, acceleration: Acceleration
 ) -> list[Displacement]:
     """The displacement that each target in use says, on the accelerometer's clock, without the exposure's averaging."""
     pairs = list(zip(targets, camera.mappings(), strict=True))
-    blocks = [unblurred(m.displacement(t.rows), t.chain.blur_s(exposure_s), acceleration) for t, m in pairs]
+    blocks = [unblurred(m.displacement(t.rows), t.blur_s, acceleration) for t, m in pairs]
     # What the reference frame makes is not among what the learnt factor was learnt from.
     more = [m.scale_m_per_px**2 * t.reference_px2[:, "xy".index(m.direction)] for t, m in pairs]
     return [replace(b, variance_m2=b.variance_m2 + v) for b, v in zip(blocks, more, strict=True)]

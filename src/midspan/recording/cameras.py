@@ -1,17 +1,23 @@
 """The part of a calibration that rests on pictures: one camera, a thermal one, or both, each where it sees."""
 
 from dataclasses import dataclass, replace
+from itertools import islice
 
+import numpy as np
+
+from midspan.calibration.camera.best_range import FRAMES, best_range
+from midspan.calibration.camera.calibrate import CameraFit, fit_camera
+from midspan.calibration.camera.view import SeenTarget, View, judged_by
+from midspan.engine.tracking import CameraTracking
 from midspan.errors import UntrustedError
 from midspan.progress import Progress
-from midspan.recording.camera_calibration.best_range import best_range, wants_range
-from midspan.recording.camera_calibration.camera import CameraFit, calibrate_camera, judged_by
 from midspan.recording.streams.recording import Recording
+from midspan.recording.streams.window import calibration_window, window_ends
 from midspan.recording.tracking.daylight import where_it_sees
 from midspan.recording.tracking.opening import open_tracking
-from midspan.recording.tracking.temperatures import is_grey, range_seen
-from midspan.recording.tracking.tracking import CameraTracking
-from midspan.records import Source
+from midspan.recording.tracking.temperatures import IN_GREY, is_grey, range_seen
+from midspan.records import Frame, Source
+from midspan.settings.camera import InfraredSettings
 from midspan.settings.sensor_words import in_words_of, worded
 from midspan.sources.thermal.pictures import AGC_NOTE
 
@@ -62,7 +68,7 @@ def together(seen: tuple[SeenBy, ...]) -> CameraTracking | None:
 def _calibrated(recording: Recording, progress: Progress) -> SeenBy:
     view, moved = where_it_sees(recording)
     with in_words_of(view.sensor):
-        tracking = open_tracking(view, None, progress, judge=lambda track: judged_by(view, track))
+        tracking = open_tracking(view, None, progress, judge=lambda track: judged_by(view_of(view), track))
         parts = calibrate_camera(view, tracking)
         if wants_range(view):
             tracking, parts = _in_best_range(view, tracking, parts, progress)
@@ -78,7 +84,7 @@ def _in_best_range(
     on one.
     """
     try:
-        surface = best_range(view, tracking, parts[0])
+        surface = best_range(_frames_compared(view, tracking), view_of(view), seen_targets(view, tracking), parts[0])
     except UntrustedError as error:
         told = (
             f"infrared: no temperature range was found for the tracker {tracking.settings.tracker!r}, which was made "
@@ -90,6 +96,53 @@ def _in_best_range(
     again = open_tracking(view, None, progress, again=(tuple(tracking.chosen), surface.best))
     again.range_surface = surface
     return again, calibrate_camera(view, again)
+
+
+def view_of(recording: Recording) -> View:
+    """What the axis of a recording is calibrated on."""
+    wanted = recording.settings.calibration
+    window = calibration_window(recording)
+    return View(
+        recording.axis, recording.prepared, window, recording.max_offset_s, wanted.band_hz, recording.exposure_s
+    )
+
+
+def seen_targets(view: Recording, tracking: CameraTracking) -> list[SeenTarget]:
+    """The targets as they were tracked so far."""
+    return [tracking.seen(target, view.exposure_s) for target in tracking.targets]
+
+
+def calibrate_camera(recording: Recording, tracking: CameraTracking) -> tuple[CameraFit, ...]:
+    """Calibrate the camera along its image axes, the main one first; targets of no use are tracked no further.
+
+    Raises UntrustedError where no target can be calibrated along the main axis.
+    """
+    tracking.until(window_ends(recording)[1])
+    across = recording.across
+    views = [view_of(one) for one in (recording, across) if one is not None and one.fused]
+    parts = fit_camera(
+        views, seen_targets(recording, tracking), tracking.warnings, "" if across is None else across.axis
+    )
+    tracking.leave_out([k for k, target in enumerate(parts[0].calibration.targets) if not target.used])
+    return parts
+
+
+def wants_range(view: Recording) -> bool:
+    """Whether a range has to be found: a tracker made for grey levels, temperatures, and none given."""
+    camera = view.settings.camera
+    return (
+        isinstance(camera, InfraredSettings)
+        and camera.temperature_range_c is None
+        and camera.tracker in IN_GREY
+        and not is_grey(view)
+    )
+
+
+def _frames_compared(view: Recording, tracking: CameraTracking) -> list[Frame]:
+    """The frames of the calibration that temperature ranges are compared on."""
+    first = tracking.settings.first
+    last = int(np.searchsorted(view.frames.times_ns(), window_ends(view)[1], side="right"))
+    return list(islice(view.frames.frames(first, min(last, first + FRAMES)), FRAMES))
 
 
 def _named(view: Recording, tracking: CameraTracking, part: CameraFit) -> CameraFit:

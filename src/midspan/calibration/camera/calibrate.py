@@ -1,26 +1,24 @@
 """The camera's part of a calibration: every target, along every measured image axis, beside the accelerometer."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from midspan.calibration.bias import Bias, bias_of
+from midspan.calibration.camera.one_displacement import camera_blocks, filter_settings, moves_by_itself
+from midspan.calibration.camera.view import SeenTarget, View, camera_pair
 from midspan.calibration.common_offset import Fitted, common_offset, one_offset, pooled_variance, shared_part
 from midspan.calibration.fit import Pair
 from midspan.calibration.measured import measured_rows
 from midspan.calibration.noise import learn_motion
 from midspan.calibration.scale import LEAST_FRAMES, REFUSED_ABOVE, ScaleCalibration, calibrate_scale
 from midspan.calibration.sensors.camera import CameraCalibration, TargetCalibration
-from midspan.errors import NoAgreementError, UntrustedError, UsageError
-from midspan.recording.streams.recording import Recording
-from midspan.recording.streams.window import calibration_window, window_ends
-from midspan.recording.tracking.one_displacement import camera_blocks, filter_settings, moves_by_itself
-from midspan.recording.tracking.tracking import CameraTracking, TargetTracking
-from midspan.records import NANOSECONDS, Floats, PixelTrack, ScaleFactor, TimeOffset
+from midspan.errors import UntrustedError
+from midspan.records import ScaleFactor, TimeOffset
 from midspan.signals.stamps import inside
 from midspan.vision.lens import ideal_gain
-from midspan.vision.region_choice import USELESS, Agreement
+from midspan.vision.region_choice import USELESS
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,38 +36,40 @@ class CameraFit:
     diagnostics: ScaleCalibration | None = None
 
 
-def calibrate_camera(recording: Recording, tracking: CameraTracking) -> tuple[CameraFit, ...]:
-    """Calibrate the camera along its image axes, the main one first; targets of no use are tracked no further.
+def fit_camera(
+    views: Sequence[View], targets: Sequence[SeenTarget], told: Callable[[], Sequence[str]], second: str = ""
+) -> tuple[CameraFit, ...]:
+    """Calibrate a camera along its image axes, the main one first.
 
-    A second axis that cannot even be tracked is left out, and the main one's warnings tell why. Raises UntrustedError
-    where no target can be calibrated along the main axis.
+    views: the axes with an acceleration of their own, one or two; targets: as tracked through the window; told: what of
+    the frames is worth telling, for a refusal; second: the second axis, fused or only tracked (empty: none). A second
+    axis that cannot even be tracked is left out, and the main one's warnings tell why. Raises UntrustedError where no
+    target can be calibrated along the main axis.
     """
-    tracking.until(window_ends(recording)[1])
-    fits = [_fitted(recording, tracking)]
-    across, refused = recording.across, ""
-    if across is not None and across.fused:
+    main, across, refused = views[0], (*views[1:], None)[0], ""
+    fits = [_fitted(main, targets, told)]
+    if across is not None:
         try:
-            fits.append(_fitted(across, tracking))
+            fits.append(_fitted(across, targets, told))
         except UntrustedError as error:
-            refused = f"Along {across.axis} the accelerometer is not used and the target only tracked. {error}"
+            refused = f"Along {second} the accelerometer is not used and the target only tracked. {error}"
     fits = one_offset(fits)
     if not fits[0].used:
         raise UntrustedError(
-            f"The targets along {recording.axis} and the other axis contradict each other: {' '.join(fits[0].reasons)} "
+            f"The targets along {main.axis} and the other axis contradict each other: {' '.join(fits[0].reasons)} "
             "Check accelerometer.value_x, accelerometer.value_y and that both columns are of the same clock."
         )
-    if across is not None and len(fits) == 2 and not fits[1].used:
-        refused = f"Along {across.axis} the target is only tracked: {' '.join(fits[1].reasons)}"
+    if len(fits) == 2 and not fits[1].used:
+        refused = f"Along {second} the target is only tracked: {' '.join(fits[1].reasons)}"
         fits = fits[:1]
     offset = common_offset(fits)
-    axes = [(view, fit) for view, fit in zip((recording, across), fits, strict=False) if view is not None]
-    cameras = used_along_both([_judged(view, tracking, fit, offset) for view, fit in axes])
-    if across is not None and len(cameras) < len(axes):
-        refused = f"Along {across.axis} the target is only tracked: no target is of use along both axes."
-    parts = [_fit_of(tracking, camera, fit) for camera, (_, fit) in zip(cameras, axes, strict=False)]
-    tracking.leave_out([k for k, target in enumerate(cameras[0].targets) if not target.used])
-    if across is not None and len(parts) == 1:
-        return _with_tracked(recording, tracking, parts[0], refused)
+    axes = list(zip(views, fits, strict=False))
+    cameras = used_along_both([_judged(view, targets, fit, offset) for view, fit in axes])
+    if len(cameras) < len(axes):
+        refused = f"Along {second} the target is only tracked: no target is of use along both axes."
+    parts = [_fit_of(targets, camera, fit) for camera, (_, fit) in zip(cameras, axes, strict=False)]
+    if second and len(parts) == 1:
+        return _with_tracked(main, targets, parts[0], refused)
     return tuple(parts)
 
 
@@ -97,13 +97,11 @@ def _beside(own: TargetCalibration, other: TargetCalibration, axis: str) -> Targ
     return replace(own, used=False, reason=f"not of use along {axis}: {other.reason}")
 
 
-def _with_tracked(
-    recording: Recording, tracking: CameraTracking, main: CameraFit, refused: str
-) -> tuple[CameraFit, ...]:
+def _with_tracked(view: View, targets: Sequence[SeenTarget], main: CameraFit, refused: str) -> tuple[CameraFit, ...]:
     """The main axis and the second one tracked only, which is left out with a warning where that cannot be trusted."""
     told = (refused,) if refused else ()
     try:
-        only = _tracked_only(recording, tracking, main.calibration)
+        only = _tracked_only(view, targets, main.calibration)
     except UntrustedError as error:
         axis = "x" if main.calibration.direction == "y" else "y"
         left_out = f"The second axis {axis} is left out of the result. {error}"
@@ -111,15 +109,15 @@ def _with_tracked(
     return main, replace(only, warnings=told)
 
 
-def _fitted(recording: Recording, tracking: CameraTracking) -> Fitted:
-    """Each target's own calibration along the recording's axis; UntrustedError where all are refused."""
+def _fitted(view: View, targets: Sequence[SeenTarget], told: Callable[[], Sequence[str]]) -> Fitted:
+    """Each target's own calibration along an axis; UntrustedError where all are refused."""
     found: list[ScaleCalibration | None] = []
     reasons: list[str] = []
-    for target in tracking.targets:
+    for target in targets:
         try:
-            pair = camera_pair(recording, target.rows, target.chain.blur_s(recording.exposure_s))
-            own = calibrate_scale(pair, recording.max_offset_s)
-            _refuse_compression(target.with_codec_error(own.scale, recording.axis), own.scale)
+            pair = camera_pair(view, target.rows, target.blur_s)
+            own = calibrate_scale(pair, view.max_offset_s)
+            _refuse_compression(target.with_codec_error(own.scale, view.axis), own.scale)
             found.append(own)
             reasons.append("")
         except UntrustedError as error:
@@ -127,8 +125,9 @@ def _fitted(recording: Recording, tracking: CameraTracking) -> Fitted:
             reasons.append(str(error))
     if any(found):
         return Fitted(tuple(found), tuple(reasons))
-    lines = [_named(tracking, target, reason) for target, reason in zip(tracking.targets, reasons, strict=True)]
-    raise UntrustedError(" ".join((*lines, *tracking.warnings())))
+    alone = len(targets) == 1
+    lines = [why if alone else f"Target {one.name}: {why}" for one, why in zip(targets, reasons, strict=True)]
+    raise UntrustedError(" ".join((*lines, *told())))
 
 
 def _refuse_compression(scale: ScaleFactor, learnt: ScaleFactor) -> None:
@@ -144,86 +143,21 @@ def _refuse_compression(scale: ScaleFactor, learnt: ScaleFactor) -> None:
     )
 
 
-def _named(tracking: CameraTracking, target: TargetTracking, text: str) -> str:
-    return text if len(tracking.targets) == 1 else f"Target {target.name}: {text}"
-
-
-def camera_pair(recording: Recording, track: PixelTrack, blur_s: float) -> Pair:
-    """A target's translation along the recording's axis, and the acceleration, in the calibration window."""
-    first, last = window_ends(recording)
-    if not len(track.time_ns):
-        raise UntrustedError(
-            "No frame of the calibration window shows the target. Choose another calibration.window_s or region."
-        )
-    # Frames close to the window's ends could fall outside it at the largest clock offset and would change the sum.
-    margin = round(recording.max_offset_s * NANOSECONDS)
-    last = min(last, int(track.time_ns[-1]) + margin + NANOSECONDS)
-    window = inside(recording.prepared.time_ns, first, last)
-    value, variance = track.along(recording.axis)
-    inner = inside(track.time_ns, first + margin, last - margin)
-    rows = measured_rows(track.time_ns[inner], value[inner], variance[inner], first)
-    samples, outside = in_band(recording.prepared.rows(first, window), recording.settings.calibration.band_hz)
-    return Pair(samples, rows, None, blur_s, outside, level_m_s2=recording.prepared.level(window))
-
-
-def in_band(samples: Floats, band_hz: tuple[float, float] | None) -> tuple[Floats, Floats | None]:
-    """Samples (n, 3) with the acceleration of a band (zero phase), and those with the rest of it; None for no band."""
-    if band_hz is None:
-        return samples, None
-    from scipy.signal import butter, sosfiltfilt
-
-    length_s = float(samples[-1, 0] - samples[0, 0])
-    rate = (len(samples) - 1) / length_s
-    low, high = band_hz[0], min(band_hz[1], 0.49 * rate)
-    if high * length_s < 1.0:
-        raise UsageError(
-            f"calibration.band_hz = {list(band_hz)}: must reach above {1.0 / length_s:.4g} Hz, one cycle in the "
-            f"{length_s:.4g} s that are used. Give frequencies in Hz."
-        )
-    if low * length_s < 1.0:
-        # A filter that swings more slowly than the samples last rings from end to end, or cannot be solved.
-        low = 0.0
-    if low >= high:
-        raise UsageError(
-            f"calibration.band_hz = {list(band_hz)}: must lie below half the accelerometer's rate of {rate:.4g} Hz."
-        )
-    kind, edges = ("bandpass", [low, high]) if low > 0 else ("lowpass", high)
-    inside, outside = samples.copy(), samples.copy()
-    inside[:, 1] = sosfiltfilt(butter(4, edges, kind, fs=rate, output="sos"), samples[:, 1])
-    outside[:, 1] -= inside[:, 1]
-    return inside, outside
-
-
-def judged_by(recording: Recording, track: PixelTrack) -> Agreement:
-    """What the accelerometer says of a place that was followed for a while."""
-    try:
-        pair = camera_pair(recording, track, recording.exposure_s or 0.0)
-        found = calibrate_scale(pair, recording.max_offset_s)
-    except UntrustedError as error:
-        text = str(error)
-        return Agreement(np.inf, isinstance(error, NoAgreementError), text.split(" (")[0].split(":")[0].rstrip("."))
-    std_m = abs(found.scale.value_m_per_px) * found.noise.std
-    text = f"fits the accelerometer, {1e3 * found.scale.value_m_per_px:.3g} mm/px, noise {1e3 * std_m:.2g} mm a frame"
-    missed = float(np.mean(~np.isfinite(found.search.pair.rows[:, 2])))
-    told = f"{text}, missed in {100 * missed:.2g} % of the frames" if missed > 0.0 else text
-    return Agreement(std_m, False, told, missed)
-
-
-def _judged(recording: Recording, tracking: CameraTracking, fit: Fitted, offset: TimeOffset) -> CameraCalibration:
+def _judged(view: View, targets: Sequence[SeenTarget], fit: Fitted, offset: TimeOffset) -> CameraCalibration:
     """All targets along one axis as one calibration; those that do not agree with the others are not used."""
-    targets = [
-        _target(target, found, reason, recording.axis)
-        for target, found, reason in zip(tracking.targets, fit.found, fit.reasons, strict=True)
-    ]
-    targets = _without_useless(targets)
-    best = _best(targets)
-    found = fit.found[best]
+    known = _without_useless(
+        [
+            _target(target, found, reason, view.axis)
+            for target, found, reason in zip(targets, fit.found, fit.reasons, strict=True)
+        ]
+    )
+    found = fit.found[_best(known)]
     assert found is not None
-    camera = _camera(tracking, recording.axis, targets, offset)
-    return _without_movers(recording, tracking, camera, found.input_noise_density)
+    camera = _camera(targets, view.axis, known, offset)
+    return _without_movers(view, targets, camera, found.input_noise_density)
 
 
-def _fit_of(tracking: CameraTracking, camera: CameraCalibration, fit: Fitted) -> CameraFit:
+def _fit_of(seen: Sequence[SeenTarget], camera: CameraCalibration, fit: Fitted) -> CameraFit:
     """One axis whose targets have been judged: the values of the best one, and what is worth telling."""
     found = fit.found[_best(camera.targets)]
     assert found is not None
@@ -237,7 +171,7 @@ def _fit_of(tracking: CameraTracking, camera: CameraCalibration, fit: Fitted) ->
     for one, target in used:
         warnings += [f"Target {target.name}: {line}" if several else line for line in one.warnings]
     camera = replace(
-        _camera(tracking, camera.direction, camera.targets, camera.offset),
+        _camera(seen, camera.direction, camera.targets, camera.offset),
         relative_scale_std=relative_scale_std(*zip(*used, strict=True)) if len(used) > 1 else None,
     )
     search = found.search
@@ -247,7 +181,7 @@ def _fit_of(tracking: CameraTracking, camera: CameraCalibration, fit: Fitted) ->
     return CameraFit(camera, found.input_noise_density, bias, tuple(warnings), plain)
 
 
-def _target(target: TargetTracking, found: ScaleCalibration | None, reason: str, axis: str) -> TargetCalibration:
+def _target(target: SeenTarget, found: ScaleCalibration | None, reason: str, axis: str) -> TargetCalibration:
     if found is None:
         return TargetCalibration(target.region, target.name, None, used=False, reason=reason)
     scale = target.with_codec_error(found.scale, axis)
@@ -286,21 +220,21 @@ def _without_useless(targets: list[TargetCalibration]) -> list[TargetCalibration
 
 
 def _camera(
-    tracking: CameraTracking, direction: str, targets: Sequence[TargetCalibration], offset: TimeOffset
+    seen: Sequence[SeenTarget], direction: str, targets: Sequence[TargetCalibration], offset: TimeOffset
 ) -> CameraCalibration:
     """The record of one axis: the best target's values, and all targets."""
     place = _best(targets)
     best = targets[place]
     assert best.scale is not None
-    tracker, lens = tracking.targets[place].tracker, tracking.settings.lens
-    gain = tracker.phase_gain_px_per_rad
-    gains = None if gain is None else ideal_gain(gain, tracker.region, lens)
+    own = seen[place]
+    gain, lens = own.tracker.phase_gain_px_per_rad, own.lens
+    gains = None if gain is None else ideal_gain(gain, own.tracker.region, lens)
     return CameraCalibration(
         scale=best.scale,
         offset=offset,
         region=best.region,
         direction=direction,
-        tracker=tracking.settings.tracker,
+        tracker=own.tracker_name,
         noise_std_px=best.noise_std_px,
         variance_factor=best.variance_factor,
         phase_scale_m_per_rad=None if gains is None else best.scale.value_m_per_px * gains["xy".index(direction)],
@@ -310,15 +244,15 @@ def _camera(
 
 
 def _without_movers(
-    recording: Recording, tracking: CameraTracking, camera: CameraCalibration, density: float
+    view: View, targets: Sequence[SeenTarget], camera: CameraCalibration, density: float
 ) -> CameraCalibration:
     """The calibration without the targets that move by themselves, the worst first; UntrustedError if undecided."""
     while len(camera.used) > 1:
         used = [k for k, target in enumerate(camera.targets) if target.used]
-        acceleration = recording.prepared.with_noise(density)
-        blocks = camera_blocks([tracking.targets[k] for k in used], camera, recording.exposure_s, acceleration)
-        kalman = filter_settings(recording.prepared, density)
-        found = moves_by_itself(blocks, camera.mappings(), acceleration, kalman, window_ends(recording))
+        acceleration = view.prepared.with_noise(density)
+        blocks = camera_blocks([targets[k] for k in used], camera, acceleration)
+        kalman = filter_settings(view.prepared, density)
+        found = moves_by_itself(blocks, camera.mappings(), acceleration, kalman, view.window_ns)
         if found is None:
             break
         worst, beside = used[found.target], used[found.beside]
@@ -331,9 +265,9 @@ def _without_movers(
                 "one that may not stand still, or add a third."
             )
         reason = f"it moves by itself: it differs from the others by {size}"
-        targets = list(camera.targets)
-        targets[worst] = replace(targets[worst], used=False, reason=reason)
-        camera = replace(camera, targets=tuple(targets))
+        known = list(camera.targets)
+        known[worst] = replace(known[worst], used=False, reason=reason)
+        camera = replace(camera, targets=tuple(known))
     return camera
 
 
@@ -352,7 +286,7 @@ def relative_scale_std(scales: Sequence[ScaleCalibration], targets: Sequence[Tar
     return float(np.sqrt(pooled_variance(weight, relative, shared) + codec))
 
 
-def _tracked_only(recording: Recording, tracking: CameraTracking, main: CameraCalibration) -> CameraFit:
+def _tracked_only(view: View, seen: Sequence[SeenTarget], main: CameraCalibration) -> CameraFit:
     """The axis without an accelerometer: pixels are square, and how the structure is shaken is learnt from the picture.
 
     Its sign: positive where the structure moves to the right or down in the image, so that the picture goes the other
@@ -360,11 +294,12 @@ def _tracked_only(recording: Recording, tracking: CameraTracking, main: CameraCa
     """
     axis = "x" if main.direction == "y" else "y"
     targets, densities = [], []
-    for target, tracked in zip(main.used, tracking.targets, strict=True):
+    tracked_of = [one for one, known in zip(seen, main.targets, strict=True) if known.used]
+    for target, tracked in zip(main.used, tracked_of, strict=True):
         track = tracked.rows
         assert target.scale is not None
         value = -abs(target.scale.value_m_per_px)
-        first, last = window_ends(recording)
+        first, last = view.window_ns
         translation, variance = track.along(axis)
         window = inside(track.time_ns, first, last)
         rows = measured_rows(track.time_ns[window], value * translation[window], value**2 * variance[window], first)
@@ -374,7 +309,7 @@ def _tracked_only(recording: Recording, tracking: CameraTracking, main: CameraCa
                 f"{usable} usable frames lie in the calibration window along {axis}; at least {LEAST_FRAMES} are "
                 "needed."
             )
-        still = recording.prepared.rows(first, calibration_window(recording)) * np.array([1.0, 0.0, 1.0])
+        still = view.prepared.rows(first, view.window) * np.array([1.0, 0.0, 1.0])
         # The tracker is as far from its own variance as along the other axis.
         rows[:, 2] *= target.variance_factor
         usual = float(np.sqrt(target.variance_factor * np.nanmedian(variance[window])))
@@ -382,6 +317,6 @@ def _tracked_only(recording: Recording, tracking: CameraTracking, main: CameraCa
         targets.append(TargetCalibration(tracked.region, tracked.name, scale, usual, target.variance_factor))
         densities.append(learn_motion(Pair(still, rows, 1.0)))
     camera = replace(
-        _camera(tracking, axis, targets, main.offset), fused=False, relative_scale_std=main.relative_scale_std
+        _camera(tracked_of, axis, targets, main.offset), fused=False, relative_scale_std=main.relative_scale_std
     )
     return CameraFit(camera, densities[_best(targets)])

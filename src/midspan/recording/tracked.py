@@ -4,14 +4,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from midspan.calibration.camera.one_displacement import filter_settings
 from midspan.calibration.sensors.camera import CameraCalibration
+from midspan.engine.tracking import CameraTracking
 from midspan.fusion.streams import KalmanSettings
 from midspan.progress import Progress
 from midspan.recording.streams.recording import Recording
 from midspan.recording.tracking.daylight import where_it_sees
-from midspan.recording.tracking.one_displacement import filter_settings
 from midspan.recording.tracking.opening import open_tracking
-from midspan.recording.tracking.tracking import CameraTracking
 from midspan.records import (
     Acceleration,
     Source,

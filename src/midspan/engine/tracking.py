@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from midspan.calibration.camera.view import SeenTarget
 from midspan.engine.camera import CameraChain
 from midspan.engine.camera_target import ChainSettings, Target, TargetChain
 from midspan.engine.first_frame import begun
@@ -24,10 +25,8 @@ from midspan.records import (
     PixelTranslation,
     Prediction,
     Region,
-    ScaleFactor,
     Status,
 )
-from midspan.settings.sensor_words import worded
 from midspan.signals.growing import Columns
 from midspan.signals.health import Mask
 from midspan.signals.stamps import shown
@@ -159,13 +158,6 @@ class TargetTracking:
             time_ns, x, y, variance_x, variance_y, quality, Status(status), strength, more_x, more_y, told
         )
 
-    def with_codec_error(self, scale: ScaleFactor, direction: str) -> ScaleFactor:
-        """A scale factor estimated along an image axis on the frames so far, with what compression may do to it."""
-        if self.chain.picture is None:
-            return scale
-        relative = self.chain.picture.relative_scale_std(direction)
-        return replace(scale, variance=scale.variance + (relative * scale.value_m_per_px) ** 2)
-
     def warnings(self, axes: str) -> list[str]:
         """What of the frames tracked so far is worth telling, measured along the image axes "x", "y" or "xy"."""
         found, chain = [], self.chain
@@ -241,6 +233,22 @@ class CameraTracking:
         self.chain.leave_out(places)
         self.targets = tuple(target for k, target in enumerate(self.targets) if k not in places)
 
+    def seen(self, target: TargetTracking, exposure_s: float | None) -> SeenTarget:
+        """What calibration takes of a target as it was tracked so far; exposure_s: None where it is not told."""
+        settings, chain = self.settings, target.chain
+        return SeenTarget(
+            name=target.name,
+            region=target.region,
+            rows=target.rows,
+            reference_px2=target.reference_px2,
+            blur_s=chain.blur_s(exposure_s),
+            picture=chain.picture,
+            tracker=target.tracker,
+            tracker_name=settings.tracker,
+            tracker_settings=settings.tracker_settings,
+            lens=settings.lens,
+        )
+
     def until(self, time_ns: int) -> tuple[PixelTrack, ...]:
         """Track, without a prediction, all frames up to `time_ns` on the camera's clock; returns all rows so far."""
         while self.done < len(self.time_ns) and self.time_ns[self.done] <= time_ns:
@@ -276,7 +284,10 @@ class CameraTracking:
             one.close()
 
     def warnings(self, axes: str | None = None) -> list[str]:
-        """What of the frames tracked so far is worth telling, along the image `axes` (left out: the measured one)."""
+        """What of the frames tracked so far is worth telling, along the image `axes` (left out: the measured one).
+
+        They call the sensor by its kind.
+        """
         found = []
         if self.skipped:
             found.append(f"camera: {self._skipped_for}.")
@@ -286,7 +297,7 @@ class CameraTracking:
             if self.settings.lens is not None:
                 own += lens_warnings(target.region, self.settings.lens)
             found += own if len(self.targets) == 1 else [f"target {target.name}: {line}" for line in own]
-        return [worded(line, self.settings.sensor) for line in found]
+        return found
 
     def _teach(self) -> None:
         """Show the first frames to the chain, which learns from them; they are kept to be tracked afterwards."""

@@ -2,21 +2,16 @@
 
 import math
 from collections.abc import Sequence
-from itertools import islice
 
 import numpy as np
 
+from midspan.calibration.camera.calibrate import CameraFit
+from midspan.calibration.camera.one_displacement import camera_blocks, filter_settings
+from midspan.calibration.camera.view import SeenTarget, View
 from midspan.errors import UntrustedError
 from midspan.fusion.path import at
 from midspan.fusion.streams import smooth
-from midspan.recording.camera_calibration.camera import CameraFit
-from midspan.recording.streams.recording import Recording
-from midspan.recording.streams.window import window_ends
-from midspan.recording.tracking.one_displacement import camera_blocks, filter_settings
-from midspan.recording.tracking.temperatures import IN_GREY, is_grey
-from midspan.recording.tracking.tracking import CameraTracking
 from midspan.records import NANOSECONDS, Floats, Frame, Nanoseconds, PixelTrack, Region
-from midspan.settings.camera import InfraredSettings
 from midspan.thermal.temperature_range import ROUGH, THINNED, Expected, RangeSurface, optimise_range
 from midspan.vision.tracker import open_tracker
 
@@ -30,39 +25,25 @@ SLOWEST_HZ, FASTEST_SHARE = 0.5, 0.45
 SHOWN_SHARE, NOT_THINNED, SHOWN_NOT_THINNED = 0.05, ROUGH * THINNED - 1, 0.18
 
 
-def wants_range(view: Recording) -> bool:
-    """Whether a range has to be found: a tracker made for grey levels, temperatures, and none given."""
-    camera = view.settings.camera
-    return (
-        isinstance(camera, InfraredSettings)
-        and camera.temperature_range_c is None
-        and camera.tracker in IN_GREY
-        and not is_grey(view)
-    )
-
-
-def best_range(view: Recording, tracking: CameraTracking, fit: CameraFit) -> RangeSurface:
+def best_range(frames: Sequence[Frame], view: View, targets: Sequence[SeenTarget], fit: CameraFit) -> RangeSurface:
     """The errors of all ranges on frames from the reference frame on, against the accelerometer.
 
-    tracking, fit: of the temperatures as they are, which gave the scale factor. Raises UntrustedError where nothing
-    decides, with the reason.
+    frames: FRAMES at most; targets, fit: of the temperatures as they are, which gave the scale factor. Raises
+    UntrustedError where nothing decides, with the reason.
     """
-    settings, region = tracking.settings, fit.calibration.region
-    first = settings.first
-    last = int(np.searchsorted(view.frames.times_ns(), window_ends(view)[1], side="right"))
-    frames = list(islice(view.frames.frames(first, min(last, first + FRAMES)), FRAMES))
     if len(frames) < LEAST_FRAMES:
         raise UntrustedError(
             f"The calibration holds {len(frames)} frames from the reference frame on; at least {LEAST_FRAMES} are "
             "needed. Choose a longer calibration.window_s."
         )
     rate = NANOSECONDS / float(np.median(np.diff([frame.time_ns for frame in frames])))
-    band, count = compared_band(view.settings.calibration.band_hz, rate)
-    frames = frames[:count]
-    expected = _expected_px(view, tracking, fit, np.array([frame.time_ns for frame in frames], dtype=np.int64))
+    band, count = compared_band(view.band_hz, rate)
+    frames, region = frames[:count], fit.calibration.region
+    expected = _expected_px(view, targets, fit, np.array([frame.time_ns for frame in frames], dtype=np.int64))
+    settings = targets[0].tracker_settings
 
     def follow(greys: Sequence[Frame]) -> PixelTrack:
-        return _followed(greys, region, settings.tracker, settings.tracker_settings)
+        return _followed(greys, region, fit.calibration.tracker, settings)
 
     return optimise_range(frames, region, follow, Expected(expected, view.axis, band))
 
@@ -89,12 +70,12 @@ def _followed(frames: Sequence[Frame], region: Region, name: str, settings: obje
     return PixelTrack.stack([tracker.push(frame) for frame in frames])
 
 
-def _expected_px(view: Recording, tracking: CameraTracking, fit: CameraFit, frames_ns: Nanoseconds) -> Floats:
+def _expected_px(view: View, targets: Sequence[SeenTarget], fit: CameraFit, frames_ns: Nanoseconds) -> Floats:
     """The translation (n,) in px that the accelerometer says at frames' stamps on the camera's clock."""
     camera = fit.calibration
     acceleration = view.prepared.with_noise(fit.input_density)
-    used = [target for target in tracking.targets if target.region == camera.region]
-    block = camera_blocks(used, camera, view.exposure_s, acceleration)[0]
+    used = [target for target in targets if target.region == camera.region]
+    block = camera_blocks(used, camera, acceleration)[0]
     kalman = filter_settings(view.prepared, fit.input_density)
     weak = type(block)(block.time_ns, block.value_m, WEAKER * block.variance_m2, block.source)
     path = smooth(acceleration, weak, kalman).estimate
