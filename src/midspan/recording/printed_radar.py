@@ -10,10 +10,12 @@ import numpy as np
 
 from midspan.calibration.sensors.radar import RadarCalibration
 from midspan.engine.channels import clock_std_s
+from midspan.engine.one_series import literal_warnings, run_on_series, with_uncertain
+from midspan.engine.radar_messages import radar_warnings
 from midspan.engine.radar_target import FollowedTarget
 from midspan.engine.radar_trace import RadarLog
+from midspan.engine.row_messages import event_warnings, shares, unsupported_events
 from midspan.engine.sensor_series import series_of
-from midspan.engine.unsupported import unsupported_events
 from midspan.errors import UsageError
 from midspan.fusion.methods import METHODS, no_literal_form
 from midspan.fusion.streams import MethodSettings
@@ -22,9 +24,7 @@ from midspan.radar.frames import even_places, fetched, samples_of
 from midspan.radar.literal import acceleration_at, printed_phase_per_m, printed_series, ran_away
 from midspan.recording.calibrate import calibrate_and_track
 from midspan.recording.kinds import radar_part
-from midspan.recording.messages import channel_warnings, event_warnings, require_same_way, shares
-from midspan.recording.one_series import literal_warnings, run_on_series, with_uncertain
-from midspan.recording.radar_messages import radar_warnings
+from midspan.recording.messages import channel_warnings, require_same_way
 from midspan.recording.result import Result
 from midspan.recording.streams.recording import Recording, naming
 from midspan.recording.tracked import side_of
@@ -70,8 +70,8 @@ def _fused(recording: Recording, calibration: Calibration, printed: Printed, met
     """The printed displacement fused by a method."""
     fusion, side, known = recording.settings.fusion, side_of(recording, calibration), calibration.radar
     assert known is not None
-    settings = MethodSettings(lag_s=fusion.lag_s, literal=True, forgetting=fusion.forgetting)
-    done = run_on_series(side, printed.measured, method, settings)
+    settings = MethodSettings(kalman=side.kalman, lag_s=fusion.lag_s, literal=True, forgetting=fusion.forgetting)
+    done = run_on_series(side.acceleration, printed.measured, method, settings, rate_hz=side.prepared.rate_hz)
     # What ran away is as uncertain as it is large.
     relative = float(np.hypot(known.relative_std, 1.0 if printed.ran_away else 0.0))
     zero_m2 = known.best.noise_m**2

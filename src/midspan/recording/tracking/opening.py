@@ -1,5 +1,7 @@
 """Opening of a camera's tracking: the frames used, its targets, and what they are tracked with."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from midspan.calibration.sensors.camera import CameraCalibration
@@ -9,12 +11,13 @@ from midspan.errors import DataError, UsageError
 from midspan.progress import Progress
 from midspan.recording.streams.recording import Recording
 from midspan.recording.streams.window import require_overlap, window_ends
-from midspan.recording.tracking.lens import check_same_lens, lens_of
 from midspan.recording.tracking.temperatures import levels_of
 from midspan.records import NANOSECONDS, Nanoseconds, Region
 from midspan.settings.camera import CameraSettings, InfraredSettings
 from midspan.signals.stamps import frames_used, shown
+from midspan.sources.camera.lens import load_lens
 from midspan.thermal.limits import Limits
+from midspan.vision.lens import Lens
 from midspan.vision.region_choice import Judge
 from midspan.vision.tracker import tracker_settings
 
@@ -109,3 +112,24 @@ def calibrated_targets(given: tuple[Target, ...], known: CameraCalibration | Non
             f"{'not ' + ', '.join(missing) if missing else 'some are missing in the recording'}. Calibrate again."
         )
     return tuple(Target(target.region, target.name) for target in known.used)
+
+
+def lens_of(recording: Recording) -> Lens | None:
+    """The lens that [camera.lens] of a recording names, None where it names none."""
+    settings = recording.settings.camera.lens if recording.settings.camera else None
+    if settings is None:
+        return None
+    if settings.file is not None:
+        return load_lens(recording.path(settings.file, "camera.lens.file"))
+    return settings.lens()
+
+
+def check_same_lens(lens: Lens | None, calibrated: Lens | None) -> None:
+    """UsageError unless a recording's lens is that of its calibration, whose scale factor holds for no other."""
+    now, then = (None if found is None else replace(found, covered_px=None) for found in (lens, calibrated))
+    if now != then:
+        words = "has none" if then is None else "was made with one" if now is None else "was made with another one"
+        raise UsageError(
+            f"camera.lens: must be that of the calibration, which {words}. A scale factor holds for one lens model "
+            "only. Calibrate again, or correct [camera.lens]."
+        )

@@ -13,8 +13,7 @@ from midspan.engine.tracking import CameraTracking, TrackingSettings
 from midspan.errors import UsageError
 from midspan.progress import Progress, silent
 from midspan.recording.streams.recording import open_with_cameras
-from midspan.recording.tracking.lens import lens_of
-from midspan.recording.tracking.opening import given_targets
+from midspan.recording.tracking.opening import given_targets, lens_of
 from midspan.recording.tracking.temperatures import levels_of
 from midspan.records import PixelTrack, Region, Status, seconds
 from midspan.settings.load import RECORDING_FILE

@@ -1,7 +1,7 @@
-"""The camera's lens: its file, the lens of a recording, and its calibration from pictures of a checkerboard."""
+"""The camera's lens: its file, and its calibration from pictures of a checkerboard."""
 
 import json
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,6 @@ from midspan._version import __version__
 from midspan.checks import option
 from midspan.errors import DataError, UntrustedError, UsageError
 from midspan.progress import Progress, silent
-from midspan.recording.streams.recording import Recording
 from midspan.records import Floats
 from midspan.sources.camera.formats import open_frames
 from midspan.sources.camera.frames import FrameRequest
@@ -81,27 +80,6 @@ def load_lens(path: str | Path) -> Lens:
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError, UsageError) as error:
         what = f"has no {error}" if isinstance(error, KeyError) else str(error)
         raise DataError(f"{path}: is no lens file: {what}. Make it again with `midspan lens`.") from None
-
-
-def lens_of(recording: Recording) -> Lens | None:
-    """The lens that [camera.lens] of a recording names, None where it names none."""
-    settings = recording.settings.camera.lens if recording.settings.camera else None
-    if settings is None:
-        return None
-    if settings.file is not None:
-        return load_lens(recording.path(settings.file, "camera.lens.file"))
-    return settings.lens()
-
-
-def check_same_lens(lens: Lens | None, calibrated: Lens | None) -> None:
-    """UsageError unless a recording's lens is that of its calibration, whose scale factor holds for no other."""
-    now, then = (None if found is None else replace(found, covered_px=None) for found in (lens, calibrated))
-    if now != then:
-        words = "has none" if then is None else "was made with one" if now is None else "was made with another one"
-        raise UsageError(
-            f"camera.lens: must be that of the calibration, which {words}. A scale factor holds for one lens model "
-            "only. Calibrate again, or correct [camera.lens]."
-        )
 
 
 def lens_from_pictures(source: str | Path, request: LensRequest, progress: Progress = silent) -> CalibratedLens:

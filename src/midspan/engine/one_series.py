@@ -16,8 +16,7 @@ from midspan.fusion.in_turn import in_turn
 from midspan.fusion.path import at
 from midspan.fusion.runners import run_method
 from midspan.fusion.streams import MethodSettings, Smoothed, no_innovation
-from midspan.recording.tracked import Side
-from midspan.records import Displacement, Estimate, Floats, Nanoseconds, joined, part, seconds
+from midspan.records import Acceleration, Displacement, Estimate, Floats, Nanoseconds, joined, part, seconds
 from midspan.signals.acceleration import from_first_measurement
 from midspan.signals.stamps import shown
 
@@ -69,18 +68,24 @@ def with_levels_since(
 
 
 def run_on_series(
-    side: Side, measured: Displacement, method: str, settings: MethodSettings, path: Estimate | None = None
+    acceleration: Acceleration,
+    measured: Displacement,
+    method: str,
+    settings: MethodSettings,
+    path: Estimate | None = None,
+    *,
+    rate_hz: float,
 ) -> Smoothed:
     """The rows of a method over the acceleration of an axis and one series; UntrustedError where it ran away.
 
-    path: smoothed displacement; None: of the series itself, where it is needed.
+    settings: with what is known of the axis in `kalman`; path: smoothed displacement; None: of the series itself, where
+    it is needed; rate_hz: of the acceleration.
     """
     speed_m_s = speed_of(measured) if path is None else rms(path.velocity_m_s)
-    kalman = replace(side.kalman, velocity_std=VELOCITY_WITHIN * speed_m_s)
-    acceleration = side.acceleration
+    kalman = replace(settings.kalman, velocity_std=VELOCITY_WITHIN * speed_m_s)
     known = None if path is None else Smoothed(path, no_innovation(), ())
     if settings.literal:
-        acceleration = from_first_measurement(acceleration, measured, side.prepared.rate_hz)
+        acceleration = from_first_measurement(acceleration, measured, rate_hz)
     found = run_method(method, acceleration, measured, replace(settings, kalman=kalman), known)
     rows = found.estimate
     finite = np.isfinite(rows.displacement_m) & np.isfinite(rows.variance_m2)

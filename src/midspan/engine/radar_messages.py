@@ -7,7 +7,6 @@ import numpy as np
 
 from midspan.engine.radar_trace import RadarLog
 from midspan.records import Estimate, Event
-from midspan.settings.sensor_words import worded
 
 # A target that is seen in a smaller share of the frames is reported.
 MIN_SEEN = 0.9
@@ -15,7 +14,7 @@ MIN_SEEN = 0.9
 REPORTED = ("new datum", "contradiction")
 
 
-def radar_warnings(log: RadarLog, of_source: Sequence[str], sensor: str = "radar") -> list[str]:
+def radar_warnings(log: RadarLog, of_source: Sequence[str]) -> list[str]:
     """What the source reported, a sentence on frames that never arrived, and on each target that was seldom seen."""
     found = [*of_source]
     if log.lost:
@@ -25,7 +24,7 @@ def radar_warnings(log: RadarLog, of_source: Sequence[str], sensor: str = "radar
         if used < MIN_SEEN * log.frames:
             share = 100.0 * used / log.frames
             found.append(f"radar: the target at {item.target.range_m:.2f} m was seen in {share:.3g} % of frames only.")
-    return [worded(line, sensor) for line in found]
+    return found
 
 
 def with_levels(events: Sequence[Event], rows: Estimate) -> tuple[Event, ...]:

@@ -12,11 +12,10 @@ from midspan.calibration.one_clock import CourseError, OneClock, one_clock
 from midspan.calibration.scale_check import Fitting, Sensed, fitting
 from midspan.engine.channels import clock_std_s
 from midspan.engine.sensor_series import SensorSeries, series_of
-from midspan.fusion.estimator import BLOCK, Estimator, Log
+from midspan.fusion.estimator import BLOCK, Estimator, Log, Rows
 from midspan.fusion.model import EstimatorSettings, ParameterKind
-from midspan.recording.run import Outcome
-from midspan.recording.tracked import Side
-from midspan.records import Channel, Displacement, Estimate, Measured, Samples, TimeOffset, joined, part
+from midspan.fusion.streams import KalmanSettings
+from midspan.records import Acceleration, Channel, Displacement, Estimate, Measured, Samples, TimeOffset, joined, part
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +26,12 @@ class Offsets:
     estimated: bool
 
 
-def clocks(series: Mapping[str, SensorSeries], side: Side, offsets: Mapping[str, Offsets]) -> dict[str, OneClock]:
+def clocks(
+    series: Mapping[str, SensorSeries],
+    acceleration: Acceleration,
+    kalman: KalmanSettings,
+    offsets: Mapping[str, Offsets],
+) -> dict[str, OneClock]:
     """How the clock of each sensor ran, by what it measured along the main axis."""
     found = {}
     for name, one in series.items():
@@ -36,8 +40,8 @@ def clocks(series: Mapping[str, SensorSeries], side: Side, offsets: Mapping[str,
         block = replace(one.displacement, value_m=one.value_m - level)
         found[name] = one_clock(
             block,
-            side.acceleration,
-            side.kalman,
+            acceleration,
+            kalman,
             name,
             std_s=clock_std_s(known.offset),
             drifts=known.estimated,
@@ -76,14 +80,22 @@ def on_its_clock(measured: Measured, channels: Sequence[Channel], clock: OneCloc
 
 
 def scales(
-    series: Mapping[str, SensorSeries], side: Side, settings: EstimatorSettings, axis: int, *, max_offset_s: float
+    series: Mapping[str, SensorSeries],
+    acceleration: Acceleration,
+    settings: EstimatorSettings,
+    *,
+    axis: int,
+    along: str,
+    max_offset_s: float,
 ) -> Fitting:
-    """How the calibrated scales and clocks fit the recording; UntrustedError where one is wrong beyond doubt."""
+    """How the calibrated scales and clocks fit the recording; UntrustedError where one is wrong beyond doubt.
+
+    along: a second axis in words; max_offset_s: largest clock offset looked for.
+    """
     compared = [
         Sensed(name, one.source, one.displacement, scale_std_of(settings, name, axis)) for name, one in series.items()
     ]
-    along = "" if axis == 0 else f" along {side.recording.axis}"
-    return fitting(side.acceleration, compared, along, max_offset_s=max_offset_s)
+    return fitting(acceleration, compared, along, max_offset_s=max_offset_s)
 
 
 def scale_std_of(settings: EstimatorSettings, sensor: str, axis: int) -> float:
@@ -106,9 +118,9 @@ def with_scales(settings: EstimatorSettings, found: Mapping[tuple[str, int], flo
     return replace(settings, parameters=tuple(parameters))
 
 
-def once_more(settings: EstimatorSettings, samples: Samples, measured: Sequence[Measured]) -> tuple[Log, Outcome]:
+def once_more(settings: EstimatorSettings, samples: Samples, measured: Sequence[Measured]) -> tuple[Log, list[Rows]]:
     """The estimator run again over the samples and measurements of a whole record."""
-    estimator, outcome = Estimator(settings, log=True), Outcome()
+    estimator, out = Estimator(settings, log=True), list[Rows]()
     rows = joined(measured)
     rows = part(rows, np.argsort(rows.time_ns, kind="stable"))
     done = 0
@@ -116,8 +128,8 @@ def once_more(settings: EstimatorSettings, samples: Samples, measured: Sequence[
         block = part(samples, slice(first, first + BLOCK))
         due = int(np.searchsorted(rows.time_ns, block.time_ns[-1], side="right"))
         estimator.push(part(rows, slice(done, due)))
-        outcome.take(estimator.push(block))
+        out += estimator.push(block)
         done = due
-    outcome.take(estimator.finish())
+    out += estimator.finish()
     assert estimator.log is not None
-    return estimator.log, outcome
+    return estimator.log, out
