@@ -4,31 +4,26 @@ The series goes to a method that is run as printed as well. Nothing is judged an
 takes part.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from midspan.calibration.sensors.radar import RadarCalibration
 from midspan.engine.channels import clock_std_s
 from midspan.engine.one_series import literal_warnings, run_on_series, with_uncertain
+from midspan.engine.printed_radar import Printed, printed_displacement
 from midspan.engine.radar_messages import radar_warnings
-from midspan.engine.radar_target import FollowedTarget
-from midspan.engine.radar_trace import RadarLog
 from midspan.engine.row_messages import event_warnings, shares, unsupported_events
 from midspan.engine.sensor_series import series_of
 from midspan.errors import UsageError
 from midspan.fusion.methods import METHODS, no_literal_form
 from midspan.fusion.streams import MethodSettings
 from midspan.progress import Progress
-from midspan.radar.frames import even_places, fetched, samples_of
-from midspan.radar.literal import acceleration_at, printed_phase_per_m, printed_series, ran_away
+from midspan.radar.frames import fetched
 from midspan.recording.calibrate import calibrate_and_track
 from midspan.recording.kinds import radar_part
 from midspan.recording.messages import channel_warnings, require_same_way
 from midspan.recording.result import Result
 from midspan.recording.streams.recording import Recording, naming
 from midspan.recording.tracked import side_of
-from midspan.records import NANOSECONDS, Displacement, Estimate, PhaseMeasurement, Source, Status, part, seconds
+from midspan.records import NANOSECONDS, Displacement, Estimate, Source, part
 from midspan.settings.stored.calibration import Calibration
 from midspan.signals.stamps import frames_used, inside
 
@@ -36,15 +31,6 @@ RAN_AWAY = (
     "radar: the printed unwrapping (fusion.literal) lost cycles and ran away (equations 12 to 15 do not return): the "
     "displacement is wrong from there on. Leave fusion.literal out."
 )
-
-
-@dataclass(frozen=True, slots=True)
-class Printed:
-    """The displacement as printed, a row a frame on the accelerometer's clock; whether it ran away; the frames' log."""
-
-    measured: Displacement
-    ran_away: bool
-    log: RadarLog
 
 
 def estimate_printed(recording: Recording, calibration: Calibration | None, method: str, progress: Progress) -> Result:
@@ -62,7 +48,12 @@ def estimate_printed(recording: Recording, calibration: Calibration | None, meth
     with naming(recording):
         known = radar_part(recording, calibration)
         require_same_way(known, literal=True)
-        printed = printed_displacement(recording, known, progress)
+        source = recording.radar
+        margin_ns = round(recording.max_offset_s * NANOSECONDS)
+        used = frames_used(source.times_ns(), recording.prepared.time_ns, margin_ns)
+        blocks = source.slow_time(np.array([known.best.place_bin]), used.start, used.stop)
+        own = fetched(blocks, known.best, used.stop - used.start, progress)
+        printed = printed_displacement(own, recording.prepared, known, source.info)
         return _fused(recording, calibration, printed, method)
 
 
@@ -106,36 +97,3 @@ def _measured_rows(rows: Estimate, measured: Displacement) -> Estimate:
     """The rows from the first measurement to the last."""
     stamps = measured.time_ns[np.isfinite(measured.value_m)]
     return part(rows, inside(rows.time_ns, int(stamps[0]), int(stamps[-1])))
-
-
-def printed_displacement(recording: Recording, calibration: RadarCalibration, progress: Progress) -> Printed:
-    """Displacement at the chosen target through a recording, by equations 10 and 12 to 16.
-
-    A frame that never arrived takes the predicted phase and is no measurement.
-    """
-    source, best = recording.radar, calibration.best
-    used = frames_used(source.times_ns(), recording.prepared.time_ns, round(recording.max_offset_s * NANOSECONDS))
-    bins = np.array([best.place_bin])
-    time_ns, phasors = fetched(source.slow_time(bins, used.start, used.stop), best, used.stop - used.start, progress)
-    places, origin = even_places(time_ns), int(time_ns[0])
-    z = np.full(int(places[-1]) + 1, np.nan, dtype=np.complex64)
-    z[places] = phasors
-    frame_s = np.interp(np.arange(len(z)), places, seconds(time_ns, origin))
-    level = acceleration_at(samples_of(recording.prepared, origin), frame_s + calibration.offset.value_s)
-    unit = printed_phase_per_m(source.info)
-    series = printed_series(z, frame_s, level, (best, unit))
-    measured = Displacement(
-        time_ns=time_ns + round(calibration.offset.value_s * NANOSECONDS),
-        value_m=series.value_m[places],
-        variance_m2=series.variance_m2[places],
-        source=np.full(len(places), Source.RADAR, dtype=np.uint8),
-    )
-    period_s = 1.0 / source.info.frame_rate_hz
-    log = RadarLog([FollowedTarget(best, unit, bins, np.nan, period_s)])
-    for k, strength in enumerate(np.abs(np.nan_to_num(phasors)) / best.amplitude):
-        phase = unit * series.range_change_m[places[k]]
-        status = Status.TRACKING if np.isfinite(phase) else Status.COASTING
-        one = PhaseMeasurement(int(measured.time_ns[k]), float(phase), 0.0, 0.0, status, float(strength))
-        log.push([one])
-    gone = ran_away(series.range_change_m, period_s=period_s, phase_per_m=unit)
-    return Printed(measured, gone, log)

@@ -16,7 +16,7 @@ from midspan.sources.accelerometer.channel import Channel, Stored
 from midspan.sources.accelerometer.clock import NOT_A_TIME
 from midspan.sources.accelerometer.formats import list_channels
 from midspan.sources.camera.formats import is_stack, is_table, open_frames, require_readable
-from midspan.sources.camera.frames import FrameRequest
+from midspan.sources.camera.frames import FrameRequest, timed_or_counted
 from midspan.sources.declared_size import available_bytes, shown_bytes
 from midspan.sources.radar.inspect import inspect_radar
 from midspan.sources.radar.radar_source import RadarSource
@@ -80,13 +80,7 @@ def inspect_file(path: Path, progress: Progress = silent) -> Tree:
 
 def _file_of_frames(path: Path, progress: Progress) -> Tree:
     """The frames of a file without settings: their clock is None where the file has none."""
-    timed = True
-    try:
-        source = _opened(path, FrameRequest())
-        source.times_ns()
-    except UsageError:
-        # No stamps in it: frames are counted as if there were one a second.
-        timed, source = False, _opened(path, FrameRequest(rate_hz=1.0))
+    source, timed = timed_or_counted(lambda rate_hz: _opened(path, FrameRequest(rate_hz=rate_hz)))
     celsius = source.info.radiometric
     branch, _ = frames_tree(source, False, progress, celsius)
     if not timed:

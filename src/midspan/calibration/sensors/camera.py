@@ -76,10 +76,6 @@ class CameraCalibration:
         """What turns the pixels of each used target into metres."""
         return tuple(self._mapping(target) for target in self.used)
 
-    def mapping(self) -> CameraScale:
-        """What turns the best target's pixels into metres."""
-        return self._mapping(TargetCalibration(self.region, "", self.scale, self.noise_std_px, self.variance_factor))
-
     def _mapping(self, target: TargetCalibration) -> CameraScale:
         assert target.scale is not None
         value = target.scale.value_m_per_px

@@ -1,10 +1,17 @@
 """How frames are asked for, and what of a colour image is used."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+
+from midspan.errors import UsageError
+from midspan.vision.frame_source import FrameSource
+
+# Frames without any time are counted, one a second.
+COUNTING_RATE_HZ = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,6 +25,21 @@ class FrameRequest:
     rate_hz: float | None = None
     start_s: float = 0.0
     every: int = 1
+
+
+def timed_or_counted(opened: Callable[[float | None], FrameSource]) -> tuple[FrameSource, bool]:
+    """A source with its own times, or counting frames where it has none; and whether they are its own.
+
+    opened: opens it at a rate, Hz; None: with its own times.
+    """
+    try:
+        source = opened(None)
+        source.times_ns()
+        return source, True
+    except UsageError:
+        source = opened(COUNTING_RATE_HZ)
+        source.times_ns()
+        return source, False
 
 
 def luma(image: NDArray[np.generic], reversed_colours: bool) -> NDArray[np.generic]:

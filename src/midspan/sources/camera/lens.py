@@ -15,7 +15,7 @@ from midspan.errors import DataError, UntrustedError, UsageError
 from midspan.progress import Progress, silent
 from midspan.records import Floats
 from midspan.sources.camera.formats import open_frames
-from midspan.sources.camera.frames import FrameRequest
+from midspan.sources.camera.frames import FrameRequest, timed_or_counted
 from midspan.trees import read_json
 from midspan.vision.checkerboard import Board, LensFit, calibrate_lens, find_board, is_new
 from midspan.vision.frame_source import FrameSource
@@ -25,8 +25,6 @@ from midspan.writing import write_whole
 # Of a long video this many pictures, evenly spread, are searched for the board, and this many views are fitted.
 MOST_PICTURES = 150
 MOST_VIEWS = 60
-# Pictures without any time are counted; the rate has no meaning here.
-COUNTING_RATE_HZ = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,12 +122,7 @@ def _open(source: Path, request: LensRequest) -> FrameSource:
     """The pictures, thinned to what is looked at; their times do not matter."""
 
     def opened(every: int) -> FrameSource:
-        try:
-            frames = open_frames(source, FrameRequest(every=every))
-            frames.times_ns()
-            return frames
-        except UsageError:
-            return open_frames(source, FrameRequest(every=every, rate_hz=COUNTING_RATE_HZ))
+        return timed_or_counted(lambda rate_hz: open_frames(source, FrameRequest(every=every, rate_hz=rate_hz)))[0]
 
     frames = opened(request.every or 1)
     if request.every is not None:

@@ -121,12 +121,6 @@ class RawCapture(RadarSource):
         kernel = bin_kernel(np.asarray(bins, dtype=np.float64), self._layout.profile)
         yield from self._products(kernel, start, stop)
 
-    def products(
-        self, kernel: NDArray[np.complex128], start: int = 0, stop: int | None = None
-    ) -> Iterator[RangeFrames]:
-        """Products (n, channels, k) with any kernel (k, samples), such as `half_kernel` for the coarse range."""
-        return self.guarded(self._products(kernel, start, stop))
-
     def _products(self, kernel: NDArray[np.complex128], start: int, stop: int | None) -> Iterator[RangeFrames]:
         times, weights = self.times_ns(), word_weights(kernel, self._layout)
         for first, words, valid in self._blocks(start, stop):
