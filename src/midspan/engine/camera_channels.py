@@ -10,9 +10,7 @@ from midspan.engine.sensors import CameraSensor
 from midspan.engine.tracking import CameraTracking
 from midspan.fusion.model import ParameterKind
 from midspan.records import Channel
-
-# Noise of a target's reference frame over the noise of a frame, as standard deviations (see `vision/usual.py`).
-REFERENCE_NOISE = 1.15
+from midspan.vision.fair_variance import TEMPLATE_NOISE
 
 
 def camera_channels(
@@ -37,7 +35,7 @@ def camera_channels(
         noise = [abs(m.scale_m_per_px) * camera.used[k].noise_std_px for k, m in enumerate(mappings)]
         best = int(np.argmin(noise))
         for k, (target, mapping) in enumerate(zip(tracking.targets, mappings, strict=True)):
-            zero_std_m = 0.0 if k == best else REFERENCE_NOISE * float(np.hypot(noise[k], noise[best]))
+            zero_std_m = 0.0 if k == best else TEMPLATE_NOISE * float(np.hypot(noise[k], noise[best]))
             channel = Channel(
                 sensor=sensor,
                 source=camera.source,

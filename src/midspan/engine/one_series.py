@@ -11,6 +11,7 @@ import numpy as np
 
 from midspan.engine.sensor_series import SensorSeries
 from midspan.errors import UntrustedError
+from midspan.fusion.blocks import VELOCITY_WITHIN
 from midspan.fusion.complementary import OUTLIER_STD
 from midspan.fusion.in_turn import in_turn
 from midspan.fusion.path import at
@@ -20,8 +21,6 @@ from midspan.records import Acceleration, Displacement, Estimate, Floats, Nanose
 from midspan.signals.acceleration import from_first_measurement
 from midspan.signals.stamps import shown
 
-# The first velocity lies within so many times its rms.
-VELOCITY_WITHIN = 3.0
 # Noise estimated by a method as printed, over the calibrated one, beyond which it is called a run-away.
 RUN_AWAY = 10.0
 

@@ -8,6 +8,7 @@ from midspan.calibration.bias import Bias, bias_of
 from midspan.calibration.displacement.learn import Given, learn
 from midspan.calibration.noise import NoiseCalibration
 from midspan.calibration.scale import white_noise
+from midspan.calibration.scale_check import MOST_NOISE
 from midspan.calibration.sensors.displacement import DisplacementCalibration
 from midspan.errors import UntrustedError
 from midspan.records import NANOSECONDS, Event, TimeSeries, seconds
@@ -17,8 +18,8 @@ from midspan.signals.stamps import shown
 from midspan.signals.stuck import resolution, stuck
 
 # A scale that was not learnt is told when it is off by this share and so many deviations, and refused beyond the second
-# share; where the accelerometer's noise makes more than a share of what it shows, it tells no scale.
-TOLD, CERTAIN, REFUSED, MOST_NOISE = 0.015, 4.5, 0.5, 0.1
+# share.
+TOLD, CERTAIN, REFUSED = 0.015, 4.5, 0.5
 # A given noise of a displacement sensor is taken unless the sensors differ as if it were so many times larger.
 MOST_OPTIMISTIC = 1.5
 # Where so many values would count as frozen, the sensor's resolution is coarse beside the motion.

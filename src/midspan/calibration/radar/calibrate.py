@@ -6,12 +6,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from midspan.calibration.bias import Bias, bias_of
+from midspan.calibration.common_offset import LEAST_OFFSET_S, OFFSET_STD
 from midspan.calibration.fit import Pair
 from midspan.calibration.measured import measured_rows
 from midspan.calibration.radar.clock import Seen, radar_clock
 from midspan.calibration.radar.own_motion import judged
 from midspan.calibration.radar.window import LEAST_FRAMES, OpenedWindow
-from midspan.calibration.scale import is_ambiguous
+from midspan.calibration.scale import WARNED_ABOVE, is_ambiguous
 from midspan.calibration.sensors.radar import RadarCalibration, RadarDiagnostics, RadarTarget
 from midspan.calibration.time_offset import OffsetSearch, search_offset
 from midspan.errors import DataError, UntrustedError, UsageError
@@ -43,12 +44,11 @@ from midspan.signals.stamps import inside
 
 # Rows that the likelihood is evaluated on at most; a faster radar is thinned.
 MOST_ROWS = 8000
-# A target whose clock offset leaves the others' by more than this many standard deviations, and this much, is wrong.
-OFFSET_STD, LEAST_OFFSET_S = 5.0, 3e-3
 # The two ways to the factor, closed form and likelihood, may differ by so many standard deviations before that is put
 # into the stated one.
 AGREED_STD = 3.0
-WARNED_ABOVE, WARNED_OFFSET_S = 0.01, 2e-3
+# A clock offset known worse than this (s) brings a warning.
+WARNED_OFFSET_S = 2e-3
 # A factor below 1 by more than this share, and by so many standard deviations, is that of no fixed target.
 LEAST_SHORT, SHORT_STD = 0.02, 5.0
 # A target farther than this from the range that was asked for is another one, m.

@@ -13,6 +13,7 @@ from midspan.radar.alignment import align
 from midspan.radar.blockage import BlockageMonitor
 from midspan.radar.frames import even_places
 from midspan.records import NANOSECONDS, Floats, Nanoseconds, seconds
+from midspan.signals.medians import MEDIAN_OF_SQUARE
 
 # Windows have this length, s, or so many go into the record; those of a long one are spread over it.
 WINDOW_S, LEAST_WINDOWS, MOST_WINDOWS = 60.0, 4, 120
@@ -126,7 +127,7 @@ def _line(time_s: Floats, late_s: Floats, std_s: Floats) -> tuple[Floats, Floats
         rest = np.abs(late_s - columns @ line) / std_s
         # Cauchy's weights: a window that was led astray has no say.
         weight = 1.0 / (std_s**2 * (1.0 + (rest / 3.0) ** 2))
-    scatter = float(np.median(rest**2)) / 0.4549 if len(rest) > 2 else 1.0
+    scatter = float(np.median(rest**2)) / MEDIAN_OF_SQUARE if len(rest) > 2 else 1.0
     return line, np.asarray(covariance * max(1.0, scatter))
 
 
