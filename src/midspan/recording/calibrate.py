@@ -61,7 +61,7 @@ def _calibrate_and_track(recording: Recording, progress: Progress) -> tuple[Cali
         across=across,
         usual=usual_in_window(recording),
         left_out=recording.across.axis if recording.across is not None and across is None else "",
-        diagnostics=next((fit.diagnostics for fit in fits if not isinstance(fit, RadarFit)), None),
+        diagnostics=next((fit.diagnostics for fit in fits if fit.diagnostics is not None), None),
     )
     return calibration, together(seen)
 

@@ -18,15 +18,13 @@ from midspan.sources.accelerometer.formats import list_channels
 from midspan.sources.camera.formats import is_stack, is_table, open_frames, require_readable
 from midspan.sources.camera.frames import FrameRequest, timed_or_counted
 from midspan.sources.declared_size import available_bytes, shown_bytes
-from midspan.sources.radar.inspect import inspect_radar
+from midspan.sources.radar.inspect import LOOKED_AT, inspect_radar
 from midspan.sources.radar.radar_source import RadarSource
 from midspan.sources.thermal.formats import is_thermal, open_pictures, open_thermal
 from midspan.sources.thermal.request import ThermalRequest
 from midspan.vision.frame_source import FrameSource
 from midspan.vision.light import is_dark
 
-# Frames looked at for frozen, black or saturated pictures unless all are asked for.
-LOOKED_AT = 600
 # Numbers alone, in an order that only the settings of the sensor tell.
 RAW = (".bin",)
 # Files that are no table, by their names; in some of these pictures of 16 bits may be counts of temperature.

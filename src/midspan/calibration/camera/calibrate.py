@@ -1,11 +1,11 @@
 """The camera's part of a calibration: every target, along every measured image axis, beside the accelerometer."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from midspan.calibration.bias import Bias, bias_of
+from midspan.calibration.bias import bias_of
 from midspan.calibration.camera.one_displacement import camera_blocks, filter_settings, moves_by_itself
 from midspan.calibration.camera.view import SeenTarget, View, camera_pair
 from midspan.calibration.common_offset import Fitted, common_offset, one_offset, pooled_variance, shared_part
@@ -14,26 +14,14 @@ from midspan.calibration.measured import measured_rows
 from midspan.calibration.noise import learn_motion
 from midspan.calibration.scale import LEAST_FRAMES, REFUSED_ABOVE, ScaleCalibration, calibrate_scale
 from midspan.calibration.sensors.camera import CameraCalibration, TargetCalibration
+from midspan.calibration.sensors.fit import SensorFit
 from midspan.errors import UntrustedError
 from midspan.records import ScaleFactor, TimeOffset
 from midspan.signals.stamps import inside
 from midspan.vision.lens import ideal_gain
 from midspan.vision.region_choice import USELESS
 
-
-@dataclass(frozen=True, slots=True)
-class CameraFit:
-    """What was learnt of the camera along one axis, and what the best target's values rest on.
-
-    input_density: noise density of the acceleration, (m/s²)²/Hz; without an accelerometer the motion's own. bias: of
-    the accelerometer, None without one.
-    """
-
-    calibration: CameraCalibration
-    input_density: float
-    bias: Bias | None = None
-    warnings: tuple[str, ...] = ()
-    diagnostics: ScaleCalibration | None = None
+CameraFit = SensorFit[CameraCalibration, ScaleCalibration]
 
 
 def fit_camera(

@@ -1,15 +1,16 @@
 """What is learnt of a displacement sensor, what to know of it, and its measurements in metres."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from midspan.calibration.bias import Bias, bias_of
+from midspan.calibration.bias import bias_of
 from midspan.calibration.displacement.learn import Given, learn
 from midspan.calibration.noise import NoiseCalibration
 from midspan.calibration.scale import white_noise
 from midspan.calibration.scale_check import MOST_NOISE
 from midspan.calibration.sensors.displacement import DisplacementCalibration
+from midspan.calibration.sensors.fit import SensorFit
 from midspan.errors import UntrustedError
 from midspan.records import NANOSECONDS, Event, TimeSeries, seconds
 from midspan.signals.acceleration import PreparedAcceleration
@@ -26,18 +27,7 @@ MOST_OPTIMISTIC = 1.5
 MOST_FROZEN = 0.5
 
 
-@dataclass(frozen=True, slots=True)
-class DisplacementFit:
-    """What was learnt of the sensor, what it implies of the accelerometer, warnings, and what all this rests on.
-
-    input_density: noise density of the acceleration, (m/s²)²/Hz; bias: the accelerometer's.
-    """
-
-    calibration: DisplacementCalibration
-    input_density: float
-    bias: Bias
-    warnings: tuple[str, ...]
-    diagnostics: NoiseCalibration
+DisplacementFit = SensorFit[DisplacementCalibration, NoiseCalibration]
 
 
 def fit_displacement(given: Given) -> DisplacementFit:

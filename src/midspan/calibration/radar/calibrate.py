@@ -1,7 +1,7 @@
 """The radar's part of a calibration: fixed targets, conversion factors and clock offset beside the accelerometer."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from midspan.calibration.radar.clock import Seen, radar_clock
 from midspan.calibration.radar.own_motion import judged
 from midspan.calibration.radar.window import LEAST_FRAMES, OpenedWindow
 from midspan.calibration.scale import WARNED_ABOVE, is_ambiguous
+from midspan.calibration.sensors.fit import SensorFit
 from midspan.calibration.sensors.radar import RadarCalibration, RadarDiagnostics, RadarTarget
 from midspan.calibration.time_offset import OffsetSearch, search_offset
 from midspan.errors import DataError, UntrustedError, UsageError
@@ -60,17 +61,7 @@ LEAST_FLAW_FRAMES, LEAST_CLEAR, ALL_CLEAR = 20, 0.25, 0.99
 KEPT = 2000
 
 
-@dataclass(frozen=True, slots=True)
-class RadarFit:
-    """The radar's calibration, what it implies of the accelerometer, and warnings.
-
-    input_density: noise density of the acceleration, (m/s²)²/Hz; bias: the accelerometer's.
-    """
-
-    calibration: RadarCalibration
-    input_density: float
-    bias: Bias
-    warnings: tuple[str, ...]
+RadarFit = SensorFit[RadarCalibration, None]
 
 
 def fit_radar(

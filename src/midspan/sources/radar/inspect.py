@@ -13,7 +13,7 @@ from midspan.radar.target import peaks
 from midspan.records import Nanoseconds
 from midspan.sources.radar.radar_source import RadarSource
 
-# Frames whose profiles are looked at, and peaks that are told.
+# Frames looked at unless all are asked for, and peaks that are told.
 LOOKED_AT, MOST_PEAKS = 600, 12
 
 Tree = dict[str, Any]
