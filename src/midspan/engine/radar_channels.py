@@ -64,10 +64,10 @@ def radar_channels(
     table: Table,
     calibration: RadarCalibration,
     info: RadarInfo,
+    *,
     sensor: str,
     step_s: float,
     moved_m: float,
-    *,
     first: bool,
 ) -> RadarSensor:
     """A radar's sensor, and its channels in the table.

@@ -71,7 +71,9 @@ def radar_part(view: Recording, calibration: Calibration) -> RadarCalibration:
 def radar_stage(table: Table, view: Recording, known: RadarCalibration, *, moved_m: float, first: bool) -> RadarSensor:
     """A radar's sensor, and its channels in the table."""
     step_s = interval_s(view.radar.times_ns())
-    return radar_channels(table, known, view.radar.info, view.sensor, step_s, moved_m, first=first)
+    return radar_channels(
+        table, known, view.radar.info, sensor=view.sensor, step_s=step_s, moved_m=moved_m, first=first
+    )
 
 
 def radar_series(view: Recording, known: RadarCalibration, log: Log) -> SensorSeries:
