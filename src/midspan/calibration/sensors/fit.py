@@ -9,7 +9,8 @@ Calibrated = TypeVar("Calibrated")
 Diagnostics = TypeVar("Diagnostics")
 
 
-@dataclass(frozen=True, slots=True)
+# Not slotted: Python 3.11 cannot make a frozen, slotted record by the name of a generic alias.
+@dataclass(frozen=True)
 class SensorFit(Generic[Calibrated, Diagnostics]):
     """What was learnt of a sensor, of a camera along one axis.
 
