@@ -284,7 +284,7 @@ class PhaseMeasurement:
     frame (cycles that may have been lost), common to frames that follow each other and not part of `variance_rad2`.
     Where the target is not used the phase is NaN, its variance infinite and the status COASTING while the cycle can
     still be predicted, else LOST. strength: amplitude over the calibrated one, 0 where nothing was received. events:
-    what happened in this frame. before: stamp, phase and variance of the first frames, whose cycle this one settled.
+    what happened in this frame.
     """
 
     time_ns: int
@@ -294,7 +294,6 @@ class PhaseMeasurement:
     status: Status
     strength: float
     events: tuple[Event, ...] = ()
-    before: tuple[tuple[int, float, float], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

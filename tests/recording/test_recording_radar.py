@@ -65,8 +65,8 @@ def test_the_result_is_plain_data(recordings):
 def test_the_error_is_micrometres_and_the_band_holds_it(recordings, name) -> None:
     folder, _, result = recordings[name]
     error = error_mm(folder, result)
-    # One frame is known to 8 to 16 µm of displacement; the zero is one smoothed frame at the beginning of the record.
-    assert np.sqrt(np.mean(error**2)) < 0.012
+    # One frame is known to 8 to 16 µm of displacement; the zero is the first one, a single draw: two deviations.
+    assert np.sqrt(np.mean(error**2)) < 0.032
     assert np.std(error) < 0.005
     # All rows share the zero, which is one draw: two deviations of it.
     assert np.sqrt(np.mean((error / result.displacement_std_mm) ** 2)) < 2.0

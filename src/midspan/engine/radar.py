@@ -155,7 +155,7 @@ class _Follower:
         if state.clear < self.blockage.frames or not seen.variance_rad2 < BLIND_RAD**2:
             return self._unseen(time_ns, base, seen.strength, "blocked")
         if state.first is not None:
-            return self._begun(time_ns, seen, own, alone_rad, late=given is not None)
+            return self._begun(time_ns, seen, own, alone_rad)
         return self._used(time_ns, seen, (base, own, given))
 
     def _moved_alone(self, time_ns: int, alone_rad: float) -> None:
@@ -263,12 +263,10 @@ class _Follower:
         state.forgotten_ns = time_ns
         return self.own_rad2 * left
 
-    def _begun(
-        self, time_ns: int, seen: _Seen, own: PhasePrediction, alone_rad: float, *, late: bool
-    ) -> PhaseMeasurement:
+    def _begun(self, time_ns: int, seen: _Seen, own: PhasePrediction, alone_rad: float) -> PhaseMeasurement:
         """One of the first frames: none is used before range and phase tell the target's speed alike.
 
-        Then all are, unless that is too late for the estimator. The phase counts from the first of them.
+        The phase counts from the first of them.
         """
         state, first, phase = self.state, self.state.first, 0.0
         if first is None or not first.count or time_ns - state.last_ns > 1.5 * self.item.period_s * NANOSECONDS:
@@ -276,7 +274,6 @@ class _Follower:
             state.first_rad, state.speed_rad_s, state.last_ns = seen.phase_rad, 0.0, time_ns
             state.alone_rad, state.alone_ns, state.alone_rad_s = alone_rad, time_ns, 0.0
             state.phase_rad = 0.0 if math.isnan(alone_rad) else -alone_rad
-            state.before_first = ()
         else:
             phase = own[0] + math.remainder(seen.phase_rad - state.first_rad - own[0], TURN)
             self._follow(time_ns, phase, own)
@@ -284,7 +281,6 @@ class _Follower:
         state.first = first.met(place - phase / TURN)
         speed = state.first.cycles_per_frame
         if speed is None:
-            state.before_first += ((time_ns, phase, seen.variance_rad2 + self.white_rad2),)
             return PhaseMeasurement(time_ns, math.nan, math.inf, 0.0, Status.LOST, seen.strength)
         turns = TURN * (state.first.count - 1)
         raised, state.lost_rad2 = turns * speed[0], turns**2 * speed[1]
@@ -292,9 +288,7 @@ class _Follower:
         phase, state.phase_rad = phase + raised, state.phase_rad + raised
         state.speed_rad_s += TURN * speed[0] / self.item.period_s
         state.gap = RangeGap().met(place - phase / TURN, phase)
-        held, state.before_first = state.before_first, ()
-        before = tuple((at, one + TURN * speed[0] * n, variance) for n, (at, one, variance) in enumerate(held))
-        return replace(self._measured(time_ns, phase, seen, []), before=() if late else before)
+        return self._measured(time_ns, phase, seen, [])
 
     def _used(
         self,

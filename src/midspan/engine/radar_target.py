@@ -46,9 +46,9 @@ class FollowedState:
     """What a chain remembers of one target.
 
     first_rad: wrapped phase that counts as zero; first: the first frames, by which the speed is found, None afterwards;
-    before_first: their stamps, phases and variances; phase_rad, speed_rad_s: the target's own prediction at last_ns,
-    the last used frame, less what the acceleration alone tells there, while nothing else predicts (alone_rad at
-    alone_ns and its speed alone_rad_s; NaN: nothing); own_rad2,
+    phase_rad, speed_rad_s: the target's own prediction at last_ns, the last used frame, less what the acceleration
+    alone tells there, while nothing else predicts (alone_rad at alone_ns and its speed alone_rad_s; NaN: nothing);
+    own_rad2,
     given_rad2: mean squares of its innovations and of the given predictions'; own_count, given_count: over so many;
     clear: frames in a row that show the target; unseen_ns: the first frame since it was seen last, -1 while it is seen;
     told: whether an event was given for that; refuted: whether the given predictions are wrong; gap: range less phase;
@@ -61,7 +61,6 @@ class FollowedState:
     clear: int
     first_rad: float = 0.0
     first: FirstFrames | None = field(default_factory=FirstFrames)
-    before_first: tuple[tuple[int, float, float], ...] = ()
     phase_rad: float = 0.0
     speed_rad_s: float = 0.0
     last_ns: int = 0

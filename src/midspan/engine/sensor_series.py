@@ -66,8 +66,7 @@ def channel_series(measured: Measured, channels: Sequence[Channel], sensor: str,
     What is uncertain of the zero of all of them is no noise of a frame; of one beside the others it takes its weight.
     """
     numbers = [k for k, channel in enumerate(channels) if channel.sensor == sensor]
-    stamps = np.unique(measured.time_ns[np.isin(measured.channel, numbers)])
-    rows = [_at_stamps(part(measured, measured.channel == number), stamps) for number in numbers]
+    rows = [part(measured, measured.channel == number) for number in numbers]
     zeros = np.array(
         [own.reference_variance / channels[number].units_per_m ** 2 for own, number in zip(rows, numbers, strict=True)]
     )
@@ -79,15 +78,3 @@ def channel_series(measured: Measured, channels: Sequence[Channel], sensor: str,
         variance = channel.variance_factor * own.variance / channel.units_per_m**2 + zero
         blocks.append(Displacement(own.time_ns, own.value / channel.units_per_m, variance, source))
     return agreed_series(sensor, Source(int(blocks[0].source[0])), (blocks, 0), path)
-
-
-def _at_stamps(own: Measured, stamps: Nanoseconds) -> Measured:
-    """One row for each of the stamps, NaN without one; first frames are measured again once their cycle is known."""
-    nothing = np.full(len(stamps), np.nan)
-    rows = [stamps, np.full(len(stamps), own.channel[0]), nothing, np.full(len(stamps), np.inf), np.zeros(len(stamps))]
-    for usable in (False, True):
-        some = part(own, np.isfinite(own.value) == usable)
-        place = np.searchsorted(stamps, some.time_ns)
-        for column, given in zip(rows[2:], (some.value, some.variance, some.reference_variance), strict=True):
-            column[place] = given
-    return Measured(*rows)

@@ -175,18 +175,12 @@ class RadarSensor:
         # The chain calls its sensor by its kind.
         told = [event for one in found for event in one.events]
         events = tuple(replace(event, text=event.text.replace("radar", self.name, 1)) for event in told)
-        rows = [
-            (*row, channel, one.reference_variance_rad2)
-            for one, channel in zip(found, self.channels, strict=True)
-            for row in (*one.before, (one.time_ns, one.phase_rad, one.variance_rad2))
-        ]
-        time_ns, phase, variance, channel, reference = zip(*rows, strict=True)
         measured = Measured(
-            np.array(time_ns, dtype=np.int64),
-            np.array(channel, dtype=np.int64),
-            np.array(phase),
-            np.array(variance),
-            np.array(reference),
+            np.array([one.time_ns for one in found], dtype=np.int64),
+            np.array(self.channels, dtype=np.int64),
+            np.array([one.phase_rad for one in found]),
+            np.array([one.variance_rad2 for one in found]),
+            np.array([one.reference_variance_rad2 for one in found]),
         )
         return Seen(self.name, measured, found, events)
 

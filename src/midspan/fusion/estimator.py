@@ -293,8 +293,7 @@ class Estimator:
         self._waiting = self._waiting[self._waiting[:, AT] >= time_s[0] - BEFORE_SAMPLES_S]
         rows = self._waiting[self._waiting[:, AT] <= time_s[-1]]
         if not len(rows):
-            # A sensor may give its first measurements late.
-            self._held = part(held, slice(-BLOCK, None))
+            self._held = part(held, slice(-1, None))
             return []
         first_s = float(rows[0, AT])
         held = part(held, slice(max(int(np.searchsorted(time_s, first_s, side="right")) - 1, 0), None))

@@ -54,18 +54,16 @@ def radar_frames_used(recording: Recording) -> slice:
 
 
 def zero_instant(main: Side, eyes: Sequence[Eye]) -> int | None:
-    """The instant (ns) that the displacement counts from: the first frame used; None: the sensor's own zero.
+    """The instant (ns) that the displacement counts from: a camera's first frame; None: the sensor's own zero.
 
-    Of two cameras the first one's; where that one was dark when it began, the first frame of either.
+    Of two cameras the first one's; where that one was dark when it began, the first frame of either. A radar's phase
+    counts from its first frame, whose noise is in its zero.
     """
-    offsets_ns = clock_offsets_ns(main, eyes)
-    if eyes:
-        firsts = [int(eye.tracking.time_ns[0]) + offsets_ns[eye.sensor] for eye in eyes]
-        return min(firsts) if eyes[0].begins_dark else firsts[0]
-    radar = next((view for view in main.recording.views if view.kind == "radar"), None)
-    if radar is None:
+    if not eyes:
         return None
-    return int(radar.radar.times_ns()[radar_frames_used(radar).start]) + offsets_ns[radar.sensor]
+    offsets_ns = clock_offsets_ns(main, eyes)
+    firsts = [int(eye.tracking.time_ns[0]) + offsets_ns[eye.sensor] for eye in eyes]
+    return min(firsts) if eyes[0].begins_dark else firsts[0]
 
 
 def estimator_settings(table: Table, sides: Sequence[Side], zero_ns: int | None) -> EstimatorSettings:
