@@ -24,7 +24,7 @@ from midspan.simulate.day.weather import Headlights
 from midspan.simulate.motion.motion import Motion, Sum, Window, random_motion
 from midspan.simulate.scene.scene import Image
 from midspan.simulate.scene.thermal import ThermalCamera
-from midspan.sources.camera.frames import FrameInfo, FrameSource
+from midspan.vision.frame_source import FrameInfo, FrameSource
 
 RATE_HZ, ACCELERATION_HZ = 2.0, 20.0
 NOISE_M_S2 = 1e-3

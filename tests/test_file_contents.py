@@ -9,7 +9,7 @@ import pytest
 
 from midspan.cli.main import run
 from midspan.errors import DataError
-from midspan.recording.stored.calibration_file import load_calibration
+from midspan.settings.stored.calibration_file import load_calibration
 
 RATE_HZ, EVERY = 50.0, 10
 
@@ -326,7 +326,7 @@ def test_sensors_without_noise_give_the_motion_itself(tmp_path: Path, noise: flo
     ],
 )
 def test_a_lens_file_of_nonsense_is_a_sentence(tmp_path: Path, content: str, told: str) -> None:
-    from midspan.recording.tracking.lens import load_lens
+    from midspan.sources.camera.lens import load_lens
 
     (tmp_path / "lens.json").write_text(content)
     with pytest.raises(DataError, match=r"lens\.json") as caught:

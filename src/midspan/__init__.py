@@ -19,7 +19,7 @@ _prepare_caches()
 
 _PLACES = {
     "Acceleration": "records",
-    "Calibration": "recording.stored.calibration",
+    "Calibration": "settings.stored.calibration",
     "DataError": "errors",
     "Displacement": "records",
     "Estimate": "records",
@@ -41,7 +41,7 @@ _PLACES = {
     "choose_region": "vision.roi",
     "compare": "evaluate.result_file",
     "estimate": "recording.estimate",
-    "load_calibration": "recording.stored.calibration_file",
+    "load_calibration": "settings.stored.calibration_file",
     "open_recording": "recording.streams.recording",
     "open_tracker": "vision.tracker",
     "smooth": "fusion.streams",

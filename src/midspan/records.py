@@ -5,7 +5,7 @@ applied); seconds appear only as differences. A record that holds arrays is a bl
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import TypeVar
 
@@ -32,13 +32,23 @@ def joined(blocks: "Sequence[Block]") -> "Block":
     """One block out of blocks of the same kind whose fields are all arrays, in their order; also from a single one."""
     if len(blocks) == 1:
         return blocks[0]
-    names = [item.name for item in fields(blocks[0])]
-    return type(blocks[0])(*(np.concatenate([getattr(block, name) for block in blocks]) for name in names))
+    names = blocks[0].__dataclass_fields__
+    return type(blocks[0])(*[np.concatenate([getattr(block, name) for block in blocks]) for name in names])
 
 
 def part(block: "Block", which: slice | NDArray[np.generic]) -> "Block":
     """The rows `which` (a slice, mask or index array) of a block whose fields are all arrays."""
-    return type(block)(*(getattr(block, item.name)[which] for item in fields(block)))
+    return type(block)(*[getattr(block, name)[which] for name in block.__dataclass_fields__])
+
+
+def cut(block: "Block", size: int) -> "Iterator[Block]":
+    """A block with a field `time_ns` in pieces of so many rows."""
+    count = len(block.time_ns)
+    if count <= size:
+        yield from (block,) if count else ()
+        return
+    for first in range(0, count, size):
+        yield part(block, slice(first, first + size))
 
 
 class Source(IntEnum):
@@ -189,6 +199,8 @@ class PixelTranslation:
 
     def later(self, by_ns: int) -> "PixelTranslation":
         """The same on a clock that shows so much more."""
+        if by_ns == 0:
+            return self
         events = tuple(replace(event, time_ns=event.time_ns + by_ns) for event in self.events)
         return replace(self, time_ns=self.time_ns + by_ns, events=events)
 

@@ -8,8 +8,9 @@ from lens_cases import PINHOLE, SIZE, write_pictures
 from midspan.cli.main import run
 from midspan.errors import DataError, UsageError
 from midspan.recording.streams.recording import open_recording
-from midspan.recording.tracking.lens import lens_of, load_lens
+from midspan.recording.tracking.opening import lens_of
 from midspan.settings.load import validate
+from midspan.sources.camera.lens import load_lens
 from midspan.vision.lens import Lens
 
 

@@ -8,8 +8,8 @@ import pytest
 
 from lens_cases import write_pictures
 from midspan.cli.main import run
-from midspan.recording.tracking.lens import LensRequest, lens_from_pictures
 from midspan.report.lens import draw_lens
+from midspan.sources.camera.lens import LensRequest, lens_from_pictures
 from midspan.vision.checkerboard import Board
 
 RESULTS = [".csv", ".parquet", ".h5", ".mat", ".mseed", ".uff"]

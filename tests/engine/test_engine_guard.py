@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from midspan.engine.axis import AxisFigures, displacement_std, usual_figures
 from midspan.engine.guard import Guard, GuardSettings
 from midspan.errors import UsageError
-from midspan.recording.streams.acceleration import prepare_acceleration
 from midspan.records import Event, Readings, SampleKind, Samples, TimeSeries, joined
+from midspan.signals.acceleration import prepare_acceleration
 from midspan.simulate.motion.motion import random_motion
 
 NOISE_A, STEP_NS, NAME = 2e-3, 10_000_000, "accelerometer (accel.csv)"

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from midspan.engine.targets import AGREE_STD, agreeing, combine, relative_zeros
+from midspan.fusion.targets import AGREE_STD, agreeing, combine, relative_zeros
 
 NAN = float("nan")
 

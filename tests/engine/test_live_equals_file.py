@@ -18,11 +18,11 @@ from midspan.engine.checkpoint import from_bytes, to_bytes
 from midspan.engine.point import ACCELEROMETER, PointState
 from midspan.fusion.estimator import Estimator
 from midspan.fusion.second_pass import Lag
+from midspan.progress import silent
 from midspan.recording.calibrate import calibrate_and_track
-from midspan.recording.cameras.tracked import open_eyes, side_of
 from midspan.recording.point import measuring_point
 from midspan.recording.run import Outcome, radar_frames, run
-from midspan.recording.streams.progress import silent
+from midspan.recording.tracked import open_eyes, side_of
 from midspan.records import Arrival, Estimate, Readings, Tracked, part
 from midspan.simulate.scenarios.stage import CameraSetup
 from midspan.simulate.scenarios.table import SCENARIOS

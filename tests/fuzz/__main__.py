@@ -31,7 +31,7 @@ FAULTS = ("uncaught", "crash", "hang", "memory", "leak", "growth", "printed")
 IMPORTED = (
     "midspan.cli.inspect", "midspan.cli.calibrate", "midspan.cli.estimate", "midspan.cli.compare", "midspan.cli.track",
     "midspan.cli.check_config", "midspan.recording.estimate", "midspan.recording.calibrate",
-    "midspan.recording.inspect", "midspan.evaluate.result_file",
+    "midspan.recording.inspect", "midspan.sources.inspect", "midspan.evaluate.result_file",
 )  # fmt: skip
 
 

@@ -5,10 +5,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from midspan.recording.cameras.tracked import Eye
 from midspan.recording.estimate import late_start
 from midspan.recording.point import zero_instant
 from midspan.recording.run import Outcome
+from midspan.recording.tracked import Eye
 from midspan.recording.tracking.daylight import where_it_sees
 from midspan.records import NANOSECONDS, Measured, nanoseconds
 

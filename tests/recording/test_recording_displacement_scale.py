@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 import midspan
+from midspan.calibration.displacement.sensor import read_with
+from midspan.calibration.sensors.displacement import DisplacementCalibration
 from midspan.cli.main import run
 from midspan.errors import DataError, UntrustedError, UsageError
-from midspan.recording.displacement.sensor import read_with
-from midspan.recording.stored.displacement import DisplacementCalibration
 from midspan.records import Status, TimeOffset, TimeSeries
 from midspan.simulate.motion.motion import random_motion
 from recording_edits import append, error_mm, read_columns, set_keys, truth

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 import midspan
+from midspan.calibration.camera.best_range import compared_band
 from midspan.cli.main import run as command_line
 from midspan.errors import DataError, UntrustedError, UsageError
-from midspan.recording.camera_calibration.best_range import compared_band
 from midspan.recording.inspect import inspect_recording
-from midspan.recording.stored.calibration_file import load_calibration
 from midspan.recording.tracking.track import TrackRequest, track
 from midspan.records import Region, Source, Status
+from midspan.settings.stored.calibration_file import load_calibration
 from midspan.simulate.motion.motion import Sines
 from midspan.simulate.scene.texture import textured_scene
 from midspan.simulate.scene.thermal import Course, ThermalCamera, ThermalView, WarmBody

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 import midspan
+from midspan.calibration.one_clock import _refuse_contradiction, one_clock
 from midspan.errors import UntrustedError
 from midspan.fusion.streams import KalmanSettings
-from midspan.recording.fusing.one_clock import _refuse_contradiction, one_clock
 from midspan.records import Acceleration, Displacement, Floats, Source, nanoseconds
 from midspan.simulate.motion.motion import Sines
 

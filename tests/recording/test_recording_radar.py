@@ -9,10 +9,10 @@ import pytest
 import midspan
 from midspan.errors import UntrustedError, UsageError
 from midspan.fusion.methods import METHODS
+from midspan.radar.frames import RadarFrames, even_places, without_holes
 from midspan.recording.inspect import inspect_recording
-from midspan.recording.radar.frames import RadarFrames, even_places, without_holes
-from midspan.recording.stored.calibration_file import load_calibration
 from midspan.records import Source, Status
+from midspan.settings.stored.calibration_file import load_calibration
 from midspan.simulate.motion.motion import Sines, Window, random_motion
 from midspan.simulate.radar.signal import Reflector
 from plain_data import assert_plain

@@ -9,9 +9,8 @@ import pytest
 
 import midspan
 from midspan.cli.main import run
-from midspan.radar.literal import grid_factor
-from midspan.recording.radar.literal import printed_change, ran_away
-from midspan.recording.stored.calibration_file import load_calibration
+from midspan.radar.literal import grid_factor, printed_change, ran_away
+from midspan.settings.stored.calibration_file import load_calibration
 from midspan.simulate.motion.motion import Sines
 from midspan.simulate.radar.signal import Reflector
 from midspan.sources.radar.formats import open_radar

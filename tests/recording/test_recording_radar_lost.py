@@ -6,8 +6,8 @@ import pytest
 from midspan.radar.blockage import BlockageMonitor
 from midspan.radar.channels import combined
 from midspan.radar.chirp import RangeAxis
+from midspan.radar.frames import RadarFrames, without_holes
 from midspan.radar.target import find_targets
-from midspan.recording.radar.frames import RadarFrames, without_holes
 from midspan.simulate.motion.motion import random_motion
 
 PERIOD_S, CYCLE_M = 0.01, 299_792_458.0 / (2 * 78e9)

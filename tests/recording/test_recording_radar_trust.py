@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 import midspan
+from midspan.calibration.radar.calibrate import _widened
+from midspan.calibration.sensors.radar import RadarTarget
 from midspan.errors import UntrustedError
 from midspan.radar.target import Target
-from midspan.recording.radar.calibrate import _widened
-from midspan.recording.stored.radar import RadarTarget
 from midspan.records import Floats, Status
 from midspan.simulate.radar.signal import Reflector
 from radar_recordings import PLATE, Case, true_mm, write

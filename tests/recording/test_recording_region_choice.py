@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 
 import midspan
+from midspan.calibration.camera.view import judged_by
 from midspan.errors import NoAgreementError, UntrustedError
 from midspan.recording.calibrate import calibrate_and_track
-from midspan.recording.camera_calibration.camera import judged_by
-from midspan.recording.tracking.region_choice import TRIAL_PLACES, Agreement, judged, trial_places
 from midspan.recording.tracking.track import track
 from midspan.records import PixelTrack, PixelTranslation, Region, Status
 from midspan.report.report import report_html
 from midspan.simulate.scene.disturbances import Car, Foliage, Water
 from midspan.vision.candidates import Candidate
+from midspan.vision.region_choice import TRIAL_PLACES, Agreement, judged, trial_places
 from midspan.vision.roi import RegionChoice
 from recording_edits import acceleration, append, set_keys, write_acceleration
 
@@ -139,7 +139,7 @@ def test_a_place_contradicts_by_the_kind_of_the_refusal_whatever_its_words(error
     def refused(*_):
         raise error("Any words")
 
-    monkeypatch.setattr("midspan.recording.camera_calibration.camera.camera_pair", refused)
+    monkeypatch.setattr("midspan.calibration.camera.view.camera_pair", refused)
     found = judged_by(SimpleNamespace(exposure_s=None), None)
     assert (found.contradicts, found.std_m) == (contradicts, np.inf)
 

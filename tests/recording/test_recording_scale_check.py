@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import midspan
-from midspan.recording.fusing.scale_check import Sensed, apparent_scale, fitting
+from midspan.calibration.scale_check import Sensed, apparent_scale, fitting
 from midspan.records import Acceleration, Displacement, Source, nanoseconds
 from midspan.simulate.scenarios.table import sideways
 

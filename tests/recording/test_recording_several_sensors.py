@@ -8,9 +8,9 @@ import pytest
 import midspan
 from midspan.cli.main import run
 from midspan.recording.inspect import inspect_recording
-from midspan.recording.stored.calibration_file import calibration_from_dict
 from midspan.recording.tracking.track import TrackRequest, track
 from midspan.records import Region
+from midspan.settings.stored.calibration_file import calibration_from_dict
 
 SETTINGS = """
 [accelerometer]

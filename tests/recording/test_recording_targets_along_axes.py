@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import midspan
-from midspan.recording.camera_calibration.camera import used_along_both
-from midspan.recording.stored.camera import CameraCalibration, TargetCalibration
+from midspan.calibration.camera.calibrate import used_along_both
+from midspan.calibration.sensors.camera import CameraCalibration, TargetCalibration
 from midspan.records import Region, ScaleFactor, TimeOffset
 from midspan.report.material import gather
 from midspan.simulate.motion.motion import random_motion

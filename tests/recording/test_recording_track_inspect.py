@@ -7,9 +7,10 @@ import pytest
 import midspan
 from midspan.cli.main import run as command_line
 from midspan.errors import DataError, UsageError
-from midspan.recording.inspect import inspect_file, inspect_recording
+from midspan.recording.inspect import inspect_recording
 from midspan.recording.tracking.track import TrackRequest, track
 from midspan.records import Region, Status
+from midspan.sources.inspect import inspect_file
 from recording_edits import acceleration, frames, set_keys, write_acceleration, write_stack
 
 

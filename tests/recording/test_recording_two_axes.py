@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 import midspan
+from midspan.calibration.camera import calibrate as camera
 from midspan.engine.camera import WARM_UP_FRAMES
 from midspan.engine.camera_target import TargetChain
 from midspan.evaluate.result_file import compare
 from midspan.recording import messages
-from midspan.recording.camera_calibration import camera
 from midspan.recording.inspect import inspect_recording
 from midspan.simulate.motion.motion import Sum, random_motion
 from midspan.simulate.scenarios.table import sideways

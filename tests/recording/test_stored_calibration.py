@@ -10,15 +10,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import midspan
+from midspan.calibration.sensors.camera import CameraCalibration, TargetCalibration
+from midspan.calibration.sensors.displacement import DisplacementCalibration
+from midspan.calibration.sensors.radar import RadarCalibration, RadarTarget
 from midspan.engine.axis import AxisFigures
 from midspan.radar.following import Background
 from midspan.radar.target import Target
-from midspan.recording.stored.calibration import Calibration
-from midspan.recording.stored.calibration_file import calibration_from_dict
-from midspan.recording.stored.camera import CameraCalibration, TargetCalibration
-from midspan.recording.stored.displacement import DisplacementCalibration
-from midspan.recording.stored.radar import RadarCalibration, RadarTarget
 from midspan.records import Region, ScaleFactor, Source, TimeOffset
+from midspan.settings.stored.calibration import Calibration
+from midspan.settings.stored.calibration_file import calibration_from_dict
 from midspan.vision.lens import Lens
 
 

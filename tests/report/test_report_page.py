@@ -13,17 +13,17 @@ import numpy as np
 import pytest
 from scipy.ndimage import fourier_shift, gaussian_filter
 
+from midspan.calibration.sensors.displacement import DisplacementCalibration
+from midspan.engine.sensor_series import SensorSeries
 from midspan.errors import UsageError
 from midspan.recording.estimate import estimate
 from midspan.recording.result import Result
-from midspan.recording.sensor_series import SensorSeries
-from midspan.recording.stored.calibration import Calibration
-from midspan.recording.stored.calibration_file import load_calibration
-from midspan.recording.stored.displacement import DisplacementCalibration
 from midspan.recording.streams.recording import open_recording
 from midspan.records import Estimate, Event, Innovation, Source, TimeOffset, TimeSeries
 from midspan.report.report import report_html, write_report
 from midspan.settings.load import validate
+from midspan.settings.stored.calibration import Calibration
+from midspan.settings.stored.calibration_file import load_calibration
 
 NASTY = "bridge <script>alert(\"x\")</script> & 'co'"
 FREQUENCIES, AMPLITUDES_M = (0.31, 1.37, 2.83), (2e-3, 1.5e-3, 0.6e-3)

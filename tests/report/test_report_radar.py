@@ -8,8 +8,8 @@ import pytest
 
 import midspan
 from midspan.engine.radar_target import FollowedTarget
+from midspan.engine.radar_trace import MAX_SEGMENTS, RadarLog
 from midspan.radar.target import Target
-from midspan.recording.radar.trace import MAX_SEGMENTS, RadarLog
 from midspan.records import Event, PhaseMeasurement, Status
 from midspan.report.material import gather
 from midspan.report.report import report_html

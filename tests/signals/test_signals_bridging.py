@@ -5,8 +5,8 @@ import pytest
 
 from midspan.errors import DataError
 from midspan.fusion.streams import smooth
-from midspan.recording.streams.acceleration import prepare_acceleration
 from midspan.records import Displacement, TimeSeries
+from midspan.signals.acceleration import prepare_acceleration
 from midspan.simulate.motion.motion import random_motion
 
 WHERE = "accelerometer (accel.csv)"

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from midspan.errors import DataError
-from midspan.recording.inspect import inspect_file
 from midspan.sources.camera.formats import open_frames
 from midspan.sources.camera.frames import FrameRequest
+from midspan.sources.inspect import inspect_file
 from midspan.vision.checkerboard import Board
 
 
@@ -90,7 +90,7 @@ def test_a_folder_of_images_of_two_sizes_is_refused_and_names_the_image(tmp_path
 
 
 def test_a_lens_is_not_calibrated_from_two_sizes(tmp_path: Path) -> None:
-    from midspan.recording.tracking.lens import LensRequest, lens_from_pictures
+    from midspan.sources.camera.lens import LensRequest, lens_from_pictures
 
     with pytest.raises(DataError, match=r"64x48 px.*32x24 px"):
         lens_from_pictures(changing(tmp_path, "mixed.mkv"), LensRequest(Board()))

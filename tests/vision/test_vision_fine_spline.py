@@ -48,7 +48,7 @@ def test_a_fit_to_frames_at_many_places_shows_what_one_frame_folds(make_scene, h
         return np.std(planes(fine, *test)[0][inner] - truth)
 
     for _ in range(4):
-        fitted = fit(items, grid, 1e-6)
+        fitted, _ = fit(items, grid, 1e-6)
         if highest < 0.5:
             break
         grid = fitted

@@ -12,6 +12,7 @@ import numpy as np
 from midspan.calibration.clock import Compared, drift
 from midspan.calibration.fit import Fit, Pair, best_corner, refine
 from midspan.records import Floats
+from midspan.signals.medians import SIGMA_OF_MEDIAN
 
 # The less likely of two offsets must be so by this much, and its residual power larger by this share (a model never
 # fits to the last digit, and with a very quiet camera the likelihood alone would be over-confident).
@@ -47,7 +48,7 @@ def colour(fit: Fit) -> tuple[float, float]:
     """Sum of squared autocorrelations of the innovations times their number, and the sum itself."""
     residual = fit.residual
     residual = residual - np.median(residual)
-    limit = CLIPPED * 1.4826 * float(np.median(np.abs(residual)))
+    limit = CLIPPED * SIGMA_OF_MEDIAN * float(np.median(np.abs(residual)))
     left = np.clip(residual, -limit, limit)
     power = float(np.sum(left**2))
     if len(left) <= 2 * FOLLOWING or power == 0.0:

@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 
 from midspan.calibration.whitening import SETTLING, Response, integrated, usable, whiten_columns
 from midspan.records import NANOSECONDS, Acceleration, Displacement, Floats, Nanoseconds, nanoseconds, seconds
+from midspan.signals.medians import MEDIAN_OF_SQUARE
 
 # Gauss-Newton steps of the line: the first leaves little of what a cheap quartz makes of an hour.
 PASSES = 4
-# Median of the square of a normal variable of variance 1, and where innovations are clipped, in standard deviations.
-MEDIAN_OF_SQUARE, CLIPPED = 0.4549, 3.0
+# Innovations are clipped at so many standard deviations.
+CLIPPED = 3.0
 # Change of a lateness that slopes are taken over, s.
 SLOPE_STEP_S = 1e-4
 # Least information about an offset, 1/s², that counts as any.

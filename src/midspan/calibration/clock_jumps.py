@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from midspan.calibration.clock import CLIPPED, NO_INFORMATION, Compared, calm_variance, knots
 from midspan.records import Floats
+from midspan.signals.medians import SIGMA_OF_MEDIAN
 
 # Jumps up to this many s are looked for, in steps of so many s at first; smaller ones than this are left alone.
 LARGEST_S, STEP_S, LEAST_S = 1.05, 0.01, 2e-3
@@ -179,7 +180,7 @@ def _segment(part: Compared) -> _Segment:
     time_s = inner[:, 0] - inner[:, 0].mean()
     velocity = part.response.velocity(inner[:, 0])
     velocity = velocity - np.polynomial.Polynomial.fit(time_s, velocity, 3)(time_s)
-    spread = max(1.4826 * float(np.median(np.abs(steps))), float(np.std(velocity)))
+    spread = max(SIGMA_OF_MEDIAN * float(np.median(np.abs(steps))), float(np.std(velocity)))
     r = part.innovations(np.zeros((len(rows), 1)))[:, 0]
     return _Segment(part, max(calm_variance(r), 1.0), spread)
 

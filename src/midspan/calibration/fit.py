@@ -14,6 +14,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from midspan.calibration.minimum import minimum
 from midspan.calibration.whitening import Response, Whitened, integrated, levelled, usable, whiten_columns
 from midspan.records import Floats
 
@@ -76,7 +77,7 @@ class Pair:
 
     def used(self, offset_s: float) -> NDArray[np.int64]:
         """Which rows are compared at an offset."""
-        return usable(self.rows, offset_s, (self.responses[0].begin_s, float(self.samples[-1, 0])))
+        return usable(self.rows, offset_s, (float(self.responses[0].edges_s[0]), float(self.samples[-1, 0])))
 
 
 @dataclass(frozen=True, slots=True)
@@ -209,8 +210,6 @@ def corner_range(pair: Pair) -> tuple[float, float]:
 
 def best_corner(pair: Pair, offset_s: float, corner: float | None = None) -> Fit:
     """The most likely noise ratio at a fixed time offset, near `corner` (rad/s) where one is given."""
-    from scipy.optimize import minimize_scalar
-
     here = aligned(pair, offset_s)
     low, high = np.log(corner_range(pair))
     if corner is None:
@@ -219,13 +218,9 @@ def best_corner(pair: Pair, offset_s: float, corner: float | None = None) -> Fit
         near = tried[1] - tried[0]
     else:
         first, near = np.clip(np.log(corner), low, high), NEAR_CORNER
-    found = minimize_scalar(
-        lambda value: -here.fit(float(np.exp(value))).likelihood,
-        bounds=(max(low, first - near), min(high, first + near)),
-        method="bounded",
-        options={"xatol": CORNER_TOLERANCE},
-    )
-    return here.fit(float(np.exp(found.x)))
+    bounds = max(low, first - near), min(high, first + near)
+    found = minimum(lambda value: -here.fit(float(np.exp(value))).likelihood, *bounds, CORNER_TOLERANCE)
+    return here.fit(float(np.exp(found)))
 
 
 def refine(pair: Pair, fit: Fit, bound_s: float) -> Fit:

@@ -6,6 +6,7 @@ import numpy as np
 
 from midspan.calibration.agreement import clearly_better, noise_share, straightened
 from midspan.calibration.fit import Fit, Pair, aligned, best_corner, corner_range, evaluate, refine
+from midspan.calibration.minimum import minimum
 from midspan.calibration.outliers import without_lonely_outliers
 from midspan.calibration.scale import LEAST_GAIN as LEAST_AGREEMENT
 from midspan.calibration.scale import white_noise
@@ -23,6 +24,8 @@ NEXT_TO_NONE_S = 0.05
 EDGE_S, EDGE_SHARE, EDGE_OF_LENGTH = 0.02, 0.05, 0.1
 # A quiet camera sees a motion so well that the two noise levels meet this far above its Nyquist frequency.
 FASTEST = 100.0
+# How well the logarithm of the corner of a motion's noise is found: far better than any record tells it.
+MOTION_TOLERANCE = 1e-5
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,8 +161,6 @@ def learn_motion(pair: Pair) -> float:
     noise of the model. By maximum likelihood of the innovations; the noise is not fitted beside it, which would take a
     motion faster than the frames follow for noise.
     """
-    from scipy.optimize import minimize_scalar
-
     pair = without_lonely_outliers(pair)
     typical = float(np.median(pair.rows[np.isfinite(pair.rows[:, 2]), 2]))
     here = aligned(replace(pair, rows=pair.rows / np.array([1.0, 1.0, typical])), 0.0)
@@ -171,5 +172,5 @@ def learn_motion(pair: Pair) -> float:
 
     grid = np.linspace(low, high + np.log(FASTEST), 25)
     best, step = grid[int(np.argmin([cost(corner) for corner in grid]))], grid[1] - grid[0]
-    found = minimize_scalar(cost, bounds=(best - step, best + step), method="bounded")
-    return typical * float(np.exp(4.0 * found.x)) / pair.rate_hz
+    found = minimum(cost, best - step, best + step, MOTION_TOLERANCE)
+    return typical * float(np.exp(4.0 * found)) / pair.rate_hz

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from midspan.calibration.fit import Fit, Pair
 from midspan.records import Floats
+from midspan.signals.medians import SIGMA_OF_MEDIAN
 
 # An innovation this many robust standard deviations out is left out of the fit; the rest is fitted again.
 OUTLIER_LIMIT = 5.0
@@ -23,7 +24,7 @@ def mark_outliers(pair: Pair, fit: Fit) -> Pair:
     A wrong measurement kicks the filter, and the next innovations with it: only the largest of neighbours is marked.
     """
     residual = fit.residual
-    spread = 1.4826 * float(np.median(np.abs(residual - np.median(residual))))
+    spread = SIGMA_OF_MEDIAN * float(np.median(np.abs(residual - np.median(residual))))
     size = np.abs(residual)
     largest = sliding_window_view(np.pad(size, 2), 5).max(axis=1) if len(size) else size
     bad = (size > OUTLIER_LIMIT * max(spread, 1e-12)) & (size == largest)

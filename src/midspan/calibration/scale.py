@@ -10,6 +10,7 @@ from midspan.calibration.time_offset import OffsetSearch, search_offset
 from midspan.errors import NoAgreementError, UntrustedError
 from midspan.records import Floats, NoiseLevel, ScaleFactor
 from midspan.signals.health import dominant_frequency
+from midspan.signals.medians import SIGMA_OF_MEDIAN
 
 LEAST_FRAMES = 20
 # Image motion above this many standard deviations of a frame's noise is motion.
@@ -137,7 +138,7 @@ def noise_needed(pair: Pair, fit: Fit) -> str:
 def white_noise(value: Floats) -> float:
     """White noise per sample of a signal (n,) far slower than its rate: third differences sum 20 variances."""
     third = np.diff(value, 3)
-    return float(1.4826 * np.median(np.abs(third)) / np.sqrt(20.0)) if len(third) else 0.0
+    return float(SIGMA_OF_MEDIAN * np.median(np.abs(third)) / np.sqrt(20.0)) if len(third) else 0.0
 
 
 def alias_in_words(pair: Pair) -> str:

@@ -13,7 +13,6 @@ to measurement, and D is known at any instant: nothing is resampled, an aliased 
 """
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numba import njit
@@ -36,9 +35,6 @@ from midspan.fusion.state_space import (
 )
 from midspan.records import Floats
 
-if TYPE_CHECKING:
-    from scipy.interpolate import PPoly
-
 # Before the first measurements everything is unknown: variances far above any noise, in units of the noise variance.
 DIFFUSE = (1e9, 1e9, 1e9)
 # The first innovations only settle the unknown start and say nothing about the noise.
@@ -53,22 +49,28 @@ MAX_STEP_S = 5.0
 class Response:
     """An acceleration integrated twice.
 
-    course: displacement in m as a function of time in s, a cubic in each interval; begin_s: where it begins; pieces
-    (g, 2): times until which the relative density of the acceleration's noise is constant, and that density.
+    The displacement in m is a cubic in each interval: edges_s (n + 1,), its coefficients (n, 4), the third power first;
+    pieces (g, 2): times until which the relative density of the acceleration's noise is constant, and that density.
     """
 
-    course: "PPoly"
-    begin_s: float
+    edges_s: Floats
+    cubics: Floats
     pieces: Floats
 
     def at(self, time_s: Floats, blur: float = 0.0) -> Floats:
         """Displacement (...,) in m at instants (...,); blur: exposure²/24, s², of the acceleration in addition."""
-        moved = np.asarray(self.course(time_s))
-        return moved + blur * np.asarray(self.course(time_s, 2)) if blur else moved
+        moved = self._derivative(time_s, 0)
+        return moved + blur * self._derivative(time_s, 2) if blur else moved
 
     def velocity(self, time_s: Floats) -> Floats:
         """Velocity (...,) in m/s at instants (...,)."""
-        return np.asarray(self.course(time_s, 1))
+        return self._derivative(time_s, 1)
+
+    def _derivative(self, time_s: Floats, order: int) -> Floats:
+        """The derivative of an order up to 2; beyond the edges that of the cubic there."""
+        found = np.empty(np.shape(time_s))
+        _evaluate(self.edges_s, self.cubics, np.ascontiguousarray(time_s).reshape(-1), order, found.reshape(-1))
+        return found
 
 
 @njit(cache=True)
@@ -82,19 +84,33 @@ def _integrate(time_s, value, state, out):  # type: ignore[no-untyped-def]
         advance_mean(state, dt, (0.0, 0.0), input_response(1.0, dt, value[k], value[k + 1], lead))
 
 
+@njit(cache=True)
+def _evaluate(edges_s, cubics, time_s, order, out):  # type: ignore[no-untyped-def]
+    """The derivative of an order up to 2 of cubics (n, 4) between edges (n + 1,) at instants (m,), to `out` (m,)."""
+    k = 0
+    for j in range(len(time_s)):
+        if not (edges_s[k] <= time_s[j] and (k + 2 == len(edges_s) or time_s[j] < edges_s[k + 1])):
+            k = min(max(np.searchsorted(edges_s, time_s[j], side="right") - 1, 0), len(cubics) - 1)
+        s, c = time_s[j] - edges_s[k], cubics[k]
+        if order == 0:
+            out[j] = c[3] + c[2] * s + c[1] * (s * s) + c[0] * (s * s * s)
+        elif order == 1:
+            out[j] = c[2] + c[1] * s * 2.0 + c[0] * (s * s) * 3.0
+        else:
+            out[j] = c[1] * 2.0 + c[0] * s * 6.0
+
+
 def integrated(samples: Floats) -> Response:
     """Samples (n, 3) of time (s), acceleration (m/s²) and relative noise density, integrated twice as in the filters.
 
     A sample's value holds for one interval before the first one.
     """
-    from scipy.interpolate import PPoly
-
     first = 2.0 * samples[0, 0] - samples[1, 0]
     time_s, value = np.r_[first, samples[:, 0]], np.r_[samples[0, 1], samples[:, 1]]
     out = np.empty((len(time_s) - 1, 4))
     _integrate(time_s, value, initial_state(first, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), out)
     last = np.r_[np.flatnonzero(np.diff(samples[:, 2])), len(samples) - 1]
-    return Response(PPoly(np.ascontiguousarray(out.T), time_s), first, samples[last][:, [0, 2]].copy())
+    return Response(time_s, out, samples[last][:, [0, 2]].copy())
 
 
 @dataclass(frozen=True, slots=True)

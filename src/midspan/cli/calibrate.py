@@ -14,12 +14,13 @@ from midspan.cli.console import Console, common_options
 @common_options
 def command(recording: str, output: str | None, tracker: str | None, quiet: bool, as_json: bool) -> None:
     """Find scale factor, clock offset and noise levels, and write them to calibration.json."""
+    console = Console(quiet, as_json)
     from midspan.cli.estimate import open_with
     from midspan.cli.targets import check_calibration
     from midspan.recording.calibrate import calibrate
 
-    console = Console(quiet, as_json)
     opened = open_with(recording, tracker)
+    console.progress(0, 1, "reading the recording")
     target = check_calibration(output, opened) if output else opened.folder
     calibration = calibrate(opened, console.progress)
     console.done()

@@ -3,6 +3,7 @@
 import json
 import math
 import sys
+import time
 from collections.abc import Callable, Iterable
 from functools import cache
 from typing import Any, TypeVar
@@ -13,8 +14,8 @@ from midspan.cli.process import stop_if_asked
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
-# A bar appears once the work has lasted this long.
-BAR_AFTER_S = 2.0
+# A bar appears once the command has lasted this long.
+BAR_AFTER_S = 0.5
 
 
 def common_options(function: Command) -> Command:
@@ -30,6 +31,7 @@ class Console:
         self.quiet, self.as_json = quiet, as_json
         self._bar: Any = None
         self._what = ""
+        self._begun_s = time.monotonic()
 
     def say(self, text: str = "") -> None:
         """Print a line for a person."""
@@ -66,7 +68,12 @@ class Console:
         if what != self._what:
             self.done()
             self._what = what
-            self._bar = tqdm(total=total, desc=what, delay=BAR_AFTER_S, leave=False, file=sys.stderr, unit="")
+            context = click.get_current_context(silent=True)
+            if context is not None:
+                # Before the message of an error, which would stand in the bar's line.
+                context.call_on_close(self.done)
+            delay = max(BAR_AFTER_S - (time.monotonic() - self._begun_s), 0.0)
+            self._bar = tqdm(total=total, desc=what, delay=delay, leave=False, file=sys.stderr, unit="")
         self._bar.total = total
         self._bar.update(done - self._bar.n)
         if done >= total:

@@ -27,13 +27,14 @@ if TYPE_CHECKING:
 @common_options
 def command(recording: str, quiet: bool, as_json: bool, **options: Any) -> None:
     """Estimate displacement in mm at the accelerometer's rate, with its standard deviation."""
+    console = Console(quiet, as_json)
     from midspan.cli.targets import check_result, report_path
     from midspan.recording.estimate import estimate
-    from midspan.recording.stored.calibration_file import load_calibration
+    from midspan.settings.stored.calibration_file import load_calibration
     from midspan.sinks.write import check_target
 
-    console = Console(quiet, as_json)
     opened = open_with(recording, options["tracker"], options["method"], options["literal"])
+    console.progress(0, 1, "reading the recording")
     output = check_result(options["output"] or opened.folder / "result.csv", opened)
     check_target(output)
     report = report_path(options["report"])

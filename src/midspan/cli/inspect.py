@@ -15,8 +15,9 @@ from midspan.cli.console import Console, common_options
 @common_options
 def command(recording: str, all_frames: bool, quiet: bool, as_json: bool) -> None:
     """What is in a recording (or in a single file): streams, rates, gaps, clipping, frozen frames, overlap, units."""
-    from midspan.recording.inspect import inspect_file, inspect_recording, is_single
+    from midspan.recording.inspect import inspect_recording, is_single
     from midspan.recording.streams.recording import open_recording
+    from midspan.sources.inspect import inspect_file
 
     console = Console(quiet, as_json)
     path = Path(recording)

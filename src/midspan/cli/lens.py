@@ -9,7 +9,7 @@ import click
 from midspan.cli.console import Console, common_options
 
 if TYPE_CHECKING:
-    from midspan.recording.tracking.lens import CalibratedLens
+    from midspan.sources.camera.lens import CalibratedLens
 
 PICTURES = (".png", ".svg", ".pdf", ".jpg")
 
@@ -38,8 +38,8 @@ def command(images: str, output: str, quiet: bool, as_json: bool, **options: Any
     """
     from midspan.checks import option, positive
     from midspan.cli.targets import check_lens, check_result
-    from midspan.recording.tracking.lens import LensRequest, lens_from_pictures
     from midspan.report.lens import draw_lens
+    from midspan.sources.camera.lens import LensRequest, lens_from_pictures
     from midspan.vision.checkerboard import Board
     from midspan.vision.lens import MODELS
 

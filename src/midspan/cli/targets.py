@@ -7,9 +7,9 @@ from pathlib import Path
 import click
 
 from midspan.errors import MidspanError
-from midspan.recording.stored.calibration import CALIBRATION_FILE
 from midspan.recording.streams.recording import Recording, open_recording
 from midspan.settings.load import RECORDING_FILE
+from midspan.settings.stored.calibration import CALIBRATION_FILE
 from midspan.sinks.pair import partner
 from midspan.trees import TreeError, read_json
 

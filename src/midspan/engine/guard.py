@@ -113,10 +113,11 @@ class Guard:
             or len(state.stamps.time_ns)
         ):
             return False
-        steps = np.diff(time_ns, prepend=state.used_ns)
-        if state.newest_ns != state.used_ns or steps.min() <= 0 or time_ns[-1] > LAST_NS:
+        first_ns, steps = int(time_ns[0]) - state.used_ns, time_ns[1:] - time_ns[:-1]
+        least_ns, most_ns = (int(steps.min()), int(steps.max())) if len(steps) else (first_ns, first_ns)
+        if state.newest_ns != state.used_ns or min(first_ns, least_ns) <= 0 or time_ns[-1] > LAST_NS:
             return False
-        if self._is_gap(steps.max() / NANOSECONDS):
+        if self._is_gap(max(first_ns, most_ns) / NANOSECONDS):
             return False
         return all(is_sound(memory, record.value[:, k]) for k, memory in enumerate(state.axes))
 
@@ -125,7 +126,8 @@ class Guard:
         state, count, newest_ns = self._state, len(record.time_ns), int(record.time_ns[-1])
         axes = tuple(passed(memory, record.time_ns, record.value[:, k]) for k, memory in enumerate(state.axes))
         self._state = GuardState(newest_ns, newest_ns, GOOD, False, state.stamps, axes, state.decided)
-        noise = np.tile(self._noise, (count, 1))
+        noise = np.empty(record.value.shape)
+        noise[:] = self._noise
         return Samples(record.time_ns, record.value, noise, np.full(count, MEASURED, dtype=np.uint8))
 
     def finish(self) -> list[Samples | Event]:

@@ -4,12 +4,11 @@ import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from midspan.checks import refuse
-from midspan.engine.order import AHEAD, GOOD, KINDS, LAST_NS, LATE, is_new, order, spans, words
+from midspan.engine.order import AHEAD, FIRST_NS, GOOD, KINDS, LAST_NS, LATE, is_new, order, order_of, spans, words
 from midspan.records import (
     NANOSECONDS,
     Arrival,
@@ -24,7 +23,6 @@ from midspan.records import (
     Tick,
     Tracked,
     joined,
-    part,
 )
 
 # A network connection is opened again within this time; for so long a silent stream holds the others back at most.
@@ -32,10 +30,12 @@ SILENT_S = 5.0
 # Stamps that far ahead of the first stream, in times of the longest silence, are not waited for: memory is bounded.
 MAX_AHEAD = 2
 
+Single = Frame | Tracked | RangeFrame
 
-@dataclass(frozen=True, slots=True)
+
+@dataclass(slots=True)
 class StreamMemory:
-    """What is known of a stream.
+    """What is known of a stream; a state holds a copy.
 
     newest_ns, late_ns: its newest stamp, and the newest one that came too late, on the common clock; heard_ns: the tick
     at its newest good record; out: silent for too long; fault: code of what is wrong with its newest record; used,
@@ -96,13 +96,13 @@ class Merge:
     def state(self) -> MergeState:
         """All that has an effect on what comes later."""
         held = tuple(tuple(waiting) for waiting in self._held)
-        return MergeState(tuple(self._streams), held, self._released_ns, self._now_ns)
+        return MergeState(tuple(map(replace, self._streams)), held, self._released_ns, self._now_ns)
 
     def restore(self, state: MergeState) -> None:
         """Go on from where `state` was read."""
         if [stream.name for stream in state.streams] != list(self._names):
             raise refuse("state", f"of the streams {list(self._names)}", [stream.name for stream in state.streams])
-        self._streams = list(state.streams)
+        self._streams = [replace(stream) for stream in state.streams]
         self._held = [deque(waiting) for waiting in state.held]
         self._released_ns, self._now_ns = state.released_ns, state.now_ns
 
@@ -116,8 +116,7 @@ class Merge:
         if isinstance(record, Tick):
             self._tick(record.now_ns)
         elif isinstance(record, ClockOffset):
-            number = self._number(record.stream)
-            self._streams[number] = replace(self._streams[number], next_offset=record)
+            self._streams[self._number(record.stream)].next_offset = record
         else:
             self._arrive(self._number(record.stream), record)
         return self._release(self._limit())
@@ -143,42 +142,55 @@ class Merge:
             heard_ns = self._now_ns if stream.heard_ns is None else stream.heard_ns
             silent_ns = self._now_ns - heard_ns
             out = stream.out or (self._silent_ns is not None and silent_ns > self._silent_ns)
-            if (heard_ns, out) != (stream.heard_ns, stream.out):
-                self._streams[number] = replace(stream, heard_ns=heard_ns, out=out)
-            if out and not stream.out:
+            silent, stream.heard_ns, stream.out = out and not stream.out, heard_ns, out
+            if silent:
                 text = f"{stream.name}: nothing came for {silent_ns / NANOSECONDS:.3g} s; the others no longer wait."
                 self._tell(number, "silent", text)
 
     def _arrive(self, number: int, arrival: Arrival) -> None:
-        stream = self._streams[number]
-        if stream.sequence is not None and arrival.sequence > stream.sequence + 1:
-            lost = arrival.sequence - stream.sequence - 1
-            self._streams[number] = replace(stream, lost=stream.lost + lost)
+        stream, record = self._streams[number], arrival.record
+        lost = 0 if stream.sequence is None else max(arrival.sequence - stream.sequence - 1, 0)
+        if lost:
+            stream.lost += lost
             self._tell(number, "lost", f"{stream.name}: {lost} records were lost on their way.")
-        self._streams[number] = stream = replace(self._streams[number], sequence=arrival.sequence)
-        if isinstance(arrival.record, Event):
-            self._tell(number, arrival.record.kind, arrival.record.text)
-            return
-        common_ns, self._streams[number] = on_common_clock(_stamps(arrival.record), stream)
+        stream.sequence = arrival.sequence
+        if isinstance(record, Event):
+            self._tell(number, record.kind, record.text)
+        elif isinstance(record, Readings):
+            self._sort_in(number, arrival, record)
+        else:
+            self._sort_in_one(number, arrival, record)
+
+    def _sort_in(self, number: int, arrival: Arrival, record: Readings) -> None:
+        """Let the good readings of a block wait for their time, and leave out the others."""
+        stream = self._streams[number]
+        common_ns = on_common_clock(np.asarray(record.time_ns, dtype=np.int64), stream)
         codes, newest_ns = order(common_ns, stream.newest_ns, self._bound(number))
         if self._released_ns is not None:
             codes[(codes == GOOD) & (common_ns <= self._released_ns)] = LATE
         for start, end, code in spans(codes):
-            if code == GOOD:
-                self._hold(number, arrival, (start, end), common_ns)
-            else:
+            if code != GOOD:
                 self._leave_out(number, code, common_ns[start:end], int(newest_ns[start]))
+                continue
+            good = Readings(common_ns[start:end], record.value[start:end])
+            self._heard(number, int(good.time_ns[-1]), used=end - start)
+            self._held[number].append(Arrival(arrival.stream, arrival.sequence, good))
 
-    def _hold(self, number: int, arrival: Arrival, rows: tuple[int, int], common_ns: Nanoseconds) -> None:
-        """Let the readings `rows` (start, end) of an arrival wait for their time."""
-        stream, record = self._streams[number], arrival.record
-        time_ns = common_ns[slice(*rows)]
-        if isinstance(record, Readings):
-            record = Readings(time_ns, record.value[slice(*rows)])
-        elif record.time_ns != time_ns[0]:
-            record = replace(record, time_ns=int(time_ns[0]))
-        self._heard(number, int(time_ns[-1]), used=stream.used + len(time_ns))
-        self._held[number].append(Arrival(arrival.stream, arrival.sequence, record))
+    def _sort_in_one(self, number: int, arrival: Arrival, record: Single) -> None:
+        """The same for a record with one stamp: arrays of one would take most of the time that a frame is merged in."""
+        stream = self._streams[number]
+        common_ns = one_on_common_clock(int(record.time_ns), stream)
+        code = order_of(common_ns, stream.newest_ns, self._bound(number))
+        if code == GOOD and self._released_ns is not None and common_ns <= self._released_ns:
+            code = LATE
+        if code != GOOD:
+            newest_ns = FIRST_NS - 1 if stream.newest_ns is None else stream.newest_ns
+            self._leave_out(number, code, np.array([common_ns]), newest_ns)
+            return
+        if record.time_ns != common_ns:
+            arrival = Arrival(arrival.stream, arrival.sequence, replace(record, time_ns=common_ns))
+        self._heard(number, common_ns, used=1)
+        self._held[number].append(arrival)
 
     def _leave_out(self, number: int, code: int, common_ns: Nanoseconds, newest_ns: int) -> None:
         """Count readings (n,) with a fault; the first of a run of them is an event."""
@@ -189,20 +201,21 @@ class Merge:
         if is_new(code, stream.fault) and not often:
             text = self._words(code, first_ns, newest_ns)
             self._tell(number, KINDS[code], f"{stream.name}: {text}")
+        stream.fault = code
         if code == LATE:
-            newest_ns = int(common_ns[-1])
-            self._heard(number, newest_ns, fault=code, late=stream.late + len(common_ns), late_ns=newest_ns)
+            stream.late_ns = int(common_ns[-1])
+            stream.late += len(common_ns)
+            self._heard(number, stream.late_ns, fault=code)
         else:
-            disordered = stream.disordered + len(common_ns)
-            self._streams[number] = replace(stream, fault=code, disordered=disordered)
+            stream.disordered += len(common_ns)
 
-    def _heard(self, number: int, newest_ns: int, *, fault: int = GOOD, **counts: Any) -> None:
-        """Note a stream's newest stamp and new counts; one that was out is back."""
+    def _heard(self, number: int, newest_ns: int, *, used: int = 0, fault: int = GOOD) -> None:
+        """Note a stream's newest stamp, and how many records of it are used; one that was out is back."""
         stream = self._streams[number]
         if stream.out:
             self._tell(number, "returned", f"{stream.name}: records come again.")
-        heard: dict[str, Any] = {"newest_ns": newest_ns, "heard_ns": self._now_ns, "out": False, "fault": fault}
-        self._streams[number] = replace(stream, **heard, **counts)
+        stream.newest_ns, stream.heard_ns, stream.out, stream.fault = newest_ns, self._now_ns, False, fault
+        stream.used += used
 
     def _words(self, code: int, time_ns: int, newest_ns: int) -> str:
         """What is wrong with a stamp, as a person should read it."""
@@ -283,9 +296,10 @@ class Merge:
         while held and isinstance(record := held[0].record, Readings) and record.time_ns[0] <= until_ns:
             arrival = held.popleft()
             if record.time_ns[-1] > until_ns:
-                count = int(np.searchsorted(record.time_ns, until_ns, side="right"))
-                held.appendleft(Arrival(arrival.stream, arrival.sequence, part(record, slice(count, None))))
-                record = part(record, slice(count))
+                count = int(record.time_ns.searchsorted(until_ns, side="right"))
+                rest = Readings(record.time_ns[count:], record.value[count:])
+                held.appendleft(Arrival(arrival.stream, arrival.sequence, rest))
+                record = Readings(record.time_ns[:count], record.value[:count])
             records.append(record)
         return Arrival(arrival.stream, arrival.sequence, joined(records)) if records else None
 
@@ -304,15 +318,23 @@ class Merge:
         return Health(stream.name, state, reason, stream.newest_ns, *counts)
 
 
-def on_common_clock(own_ns: Nanoseconds, stream: StreamMemory) -> tuple[Nanoseconds, StreamMemory]:
+def on_common_clock(own_ns: Nanoseconds, stream: StreamMemory) -> Nanoseconds:
     """Stamps (n,) of a stream's clock on the common one; a next offset holds from its stamp on, and for good."""
     change = stream.next_offset
     begins = np.flatnonzero(own_ns >= change.from_ns) if change else np.empty(0, dtype=np.int64)
     if change is None or not len(begins):
-        return _moved(own_ns, stream.offset_ns), stream
-    first = int(begins[0])
-    common_ns = np.concatenate((_moved(own_ns[:first], stream.offset_ns), _moved(own_ns[first:], change.offset_ns)))
-    return common_ns, replace(stream, offset_ns=change.offset_ns, next_offset=None)
+        return _moved(own_ns, stream.offset_ns)
+    first, before_ns = int(begins[0]), stream.offset_ns
+    stream.offset_ns, stream.next_offset = change.offset_ns, None
+    return np.concatenate((_moved(own_ns[:first], before_ns), _moved(own_ns[first:], change.offset_ns)))
+
+
+def one_on_common_clock(own_ns: int, stream: StreamMemory) -> int:
+    """The same for a single stamp."""
+    change = stream.next_offset
+    if change is not None and own_ns >= change.from_ns:
+        stream.offset_ns, stream.next_offset = change.offset_ns, None
+    return own_ns if abs(own_ns) > LAST_NS else own_ns + stream.offset_ns
 
 
 def _moved(time_ns: Nanoseconds, offset_ns: int) -> Nanoseconds:
@@ -320,12 +342,6 @@ def _moved(time_ns: Nanoseconds, offset_ns: int) -> Nanoseconds:
     if offset_ns == 0:
         return time_ns
     return np.where(np.abs(time_ns.astype(np.float64)) > LAST_NS, time_ns, time_ns + np.int64(offset_ns))
-
-
-def _stamps(record: Readings | Frame | Tracked | RangeFrame | Event) -> Nanoseconds:
-    if isinstance(record, Readings):
-        return np.asarray(record.time_ns, dtype=np.int64)
-    return np.array([record.time_ns], dtype=np.int64)
 
 
 def _stamp(arrival: Arrival) -> int:

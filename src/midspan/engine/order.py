@@ -42,6 +42,17 @@ def order(time_ns: Nanoseconds, newest_ns: int | None, bound_ns: int = LAST_NS) 
     return codes, newest
 
 
+def order_of(time_ns: int, newest_ns: int | None, bound_ns: int = LAST_NS) -> int:
+    """The same for a single stamp: what is wrong with it."""
+    if not FIRST_NS <= time_ns <= LAST_NS:
+        return IMPOSSIBLE
+    if time_ns > bound_ns:
+        return AHEAD
+    if newest_ns is None or time_ns > newest_ns:
+        return GOOD
+    return DOUBLED if time_ns == newest_ns else BACKWARDS
+
+
 def spans(codes: Codes) -> Iterator[tuple[int, int, int]]:
     """Start, end (exclusive) and code of each run of equal codes (n,)."""
     if not len(codes):

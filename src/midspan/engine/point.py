@@ -17,7 +17,7 @@ from midspan.engine.sensors import Seen, Sensor
 from midspan.engine.switching import Switch, SwitchState
 from midspan.fusion.estimator import BLOCK, Estimator, EstimatorState, Rows
 from midspan.fusion.second_pass import Lag, LagState
-from midspan.records import Arrival, ClockOffset, Event, PixelTranslation, Readings, Samples, Tick, part
+from midspan.records import Arrival, ClockOffset, Event, PixelTranslation, Readings, Samples, Tick, cut
 
 ACCELEROMETER = "accelerometer"
 
@@ -106,8 +106,7 @@ class Point:
         if self.unmeasured:
             found = with_unmeasured(found, self.unmeasured)
         out: list[Output] = []
-        for first in range(0, len(found.time_ns), BLOCK):
-            block = part(found, slice(first, first + BLOCK))
+        for block in cut(found, BLOCK):
             out += [output for sensor in self.sensors.values() for output in self._seen(sensor.reached(block))]
             out += self.estimator.push(block)
         return out

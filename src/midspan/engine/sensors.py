@@ -4,8 +4,10 @@ A sensor knows which channels of the estimator its targets feed. What it measure
 target; nothing is merged here.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from operator import attrgetter
 from typing import Any, Protocol
 
 import numpy as np
@@ -34,6 +36,11 @@ ACROSS_STD_PX = 2.0
 MIN_STD_PX = 0.5
 # A prediction vaguer than this is none, px.
 MAX_STD_PX = 100.0
+# Of a translation along an image axis: value, its variance and that of its reference.
+ALONG = {
+    direction: attrgetter(f"{direction}_px", f"variance_{direction}_px2", f"reference_variance_{direction}_px2")
+    for direction in "xy"
+}
 
 Expect = Callable[[int, int], tuple[float, float]]
 """Expected measurement of a channel (its number) at a stamp (ns) in the channel's unit, and its variance."""
@@ -87,6 +94,7 @@ class CameraSensor:
         self.name, self.chain = name, chain
         self.channels, self.directions = tuple(tuple(row) for row in channels), tuple(directions)
         self._seen_px = [(0.0, 0.0)] * len(self.channels)
+        self._numbers = np.array(self.channels, dtype=np.int64).reshape(-1)
 
     @property
     def state(self) -> CameraSensorState:
@@ -107,49 +115,43 @@ class CameraSensor:
             numbers = range(len(self.channels))
             found = self.chain.push(record, [self._prediction(k, record.time_ns, expect) for k in numbers])
         for k, one in enumerate(found):
-            if np.isfinite(one.x_px) and np.isfinite(one.y_px):
+            if math.isfinite(one.x_px) and math.isfinite(one.y_px):
                 self._seen_px[k] = (one.x_px, one.y_px)
-        return Seen(self.name, self._measured(found), found, tuple(self._told(found)))
+        return Seen(self.name, self._measured(found), found, self._told(found))
 
     def reached(self, samples: Samples) -> None:
         """A frame is measured when it comes; the estimator waits for the samples that cover it."""
 
-    def _told(self, found: Sequence[PixelTranslation]) -> Iterator[Event]:
+    def _told(self, found: Sequence[PixelTranslation]) -> tuple[Event, ...]:
         """What happened to the targets, with their names."""
-        for target, one in zip(self.chain.targets, found, strict=True):
-            whose = f"{self.name}, target {target.name}" if len(found) > 1 else self.name
-            yield from (replace(event, text=f"{whose}: {event.text}") for event in one.events)
+        several = len(found) > 1
+        return tuple(
+            replace(event, text=f"{self.name}{f', target {target.name}' * several}: {event.text}")
+            for target, one in zip(self.chain.targets, found, strict=True)
+            for event in one.events
+        )
 
     def _prediction(self, target: int, time_ns: int, expect: Expect) -> Prediction | None:
         """Where a target is expected; None while the main axis cannot tell."""
-        place = dict(zip("xy", ((value, ACROSS_STD_PX) for value in self._seen_px[target]), strict=True))
+        (x_px, y_px), x_std, y_std = self._seen_px[target], ACROSS_STD_PX, ACROSS_STD_PX
         for number, (channel, direction) in enumerate(zip(self.channels[target], self.directions, strict=True)):
             value, variance = expect(channel, time_ns)
-            std = max(float(np.sqrt(max(variance, 0.0))), MIN_STD_PX)
-            if np.isfinite(value) and std <= MAX_STD_PX:
-                place[direction] = (value, std)
+            std = max(math.sqrt(max(variance, 0.0)), MIN_STD_PX)
+            if math.isfinite(value) and std <= MAX_STD_PX:
+                if direction == "x":
+                    x_px, x_std = value, std
+                else:
+                    y_px, y_std = value, std
             elif number == 0:
                 return None
-        return Prediction(place["x"][0], place["y"][0], place["x"][1], place["y"][1])
+        return Prediction(x_px, y_px, x_std, y_std)
 
     def _measured(self, found: Sequence[PixelTranslation]) -> Measured:
         """The translations that were found, along each axis, as measurements."""
-        rows = [
-            (
-                one.time_ns,
-                channel,
-                getattr(one, f"{direction}_px"),
-                getattr(one, f"variance_{direction}_px2"),
-                getattr(one, f"reference_variance_{direction}_px2"),
-            )
-            for one, channels in zip(found, self.channels, strict=True)
-            for channel, direction in zip(channels, self.directions, strict=True)
-        ]
-        time_ns, channel, *values = zip(*rows, strict=True)
-        value, variance, reference = (np.array(column, dtype=np.float64) for column in values)
-        return Measured(
-            np.array(time_ns, dtype=np.int64), np.array(channel, dtype=np.int64), value, variance, reference
-        )
+        along = [ALONG[direction] for direction in self.directions]
+        rows = np.array([read(one) for one in found for read in along], dtype=np.float64)
+        time_ns = np.array([one.time_ns for one in found for _ in along], dtype=np.int64)
+        return Measured(time_ns, self._numbers, rows[:, 0], rows[:, 1], rows[:, 2])
 
 
 class RadarSensor:

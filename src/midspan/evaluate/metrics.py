@@ -10,8 +10,8 @@ from midspan.errors import DataError, UsageError
 from midspan.evaluate.interpolation import Piecewise, piecewise, step_of
 from midspan.evaluate.lag import correlation, find_lag
 from midspan.fusion.blocks import REJECTED
-from midspan.recording.streams.span import shown
 from midspan.records import Floats, Innovation, Nanoseconds, TimeSeries, seconds
+from midspan.signals.stamps import shown
 
 MAX_LAG_S = 1.0
 FEWEST_INSTANTS = 2

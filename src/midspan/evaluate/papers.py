@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from midspan.engine.scale import CameraScale
+from midspan.calibration.sensors.camera_scale import CameraScale
 from midspan.fusion.streams import KalmanFilter, KalmanSettings
 from midspan.recording.calibrate import calibrate_and_track
 from midspan.recording.estimate import estimate

@@ -1,5 +1,6 @@
 """Records to the arrays that the loop takes, and back: measurements, samples, the beginning, rows, innovations."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -15,11 +16,12 @@ from midspan.fusion.filtering import (
     MET_ERROR,
     MET_TOTAL,
 )
-from midspan.fusion.forward import AT, CHANNEL, VALUE
+from midspan.fusion.forward import AT, CHANNEL, MEASUREMENT_COLUMNS, REFERENCE, VALUE, VARIANCE
 from midspan.fusion.hypotheses import KINDS, LOST, OUTLIER
 from midspan.fusion.model import Beginning, EstimatorSettings
 from midspan.records import (
     NANOSECONDS,
+    Channel,
     Estimate,
     Floats,
     Innovation,
@@ -29,6 +31,7 @@ from midspan.records import (
     Status,
     joined,
     nanoseconds,
+    part,
     seconds,
 )
 
@@ -37,28 +40,37 @@ from midspan.records import (
 VELOCITY_WITHIN, SLOWEST_HZ = 3.0, 0.2
 # What became of a measurement, in its innovation.
 ACCEPTED, REJECTED, REACQUIRED = 0, 1, 2
+# By what the measurement was taken for.
+VERDICTS = np.full(KINDS, ACCEPTED, dtype=np.int8)
+VERDICTS[[OUTLIER, LOST]] = REJECTED, REACQUIRED
+NO_INNOVATION = Innovation(np.empty(0, dtype=np.int64), np.empty(0), np.empty(0), np.empty(0, dtype=np.int8))
 # Comparing arrays with members of an enumeration is slow.
 BRIDGED, INSERTED, COASTING = int(SampleKind.BRIDGED), int(SampleKind.INSERTED), float(Status.COASTING)
 
 
-def measured_rows(record: Measured, settings: EstimatorSettings, origin_ns: int) -> Floats:
-    """Rows (m, 5) of the usable measurements as the loop takes them."""
-    usable = np.isfinite(record.value) & np.isfinite(record.variance) & (record.variance > 0.0)
-    per_m = np.array([channel.units_per_m for channel in settings.channels])[record.channel]
-    reference = np.where(np.isfinite(record.reference_variance), record.reference_variance, 0.0) / per_m**2
-    time_s = seconds(record.time_ns, origin_ns)
-    rows = np.column_stack((time_s, record.channel, record.value, record.variance, reference))
-    return rows[usable]
+def measured_rows(record: Measured, units_per_m: Floats, origin_ns: int) -> Floats:
+    """Rows (m, 5) of the usable measurements as the loop takes them; units_per_m (c,): of all channels."""
+    rows = np.empty((len(record.time_ns), MEASUREMENT_COLUMNS))
+    rows[:, AT], rows[:, CHANNEL] = seconds(record.time_ns, origin_ns), record.channel
+    rows[:, VALUE], rows[:, VARIANCE] = record.value, record.variance
+    reference = np.where(np.isfinite(record.reference_variance), record.reference_variance, 0.0)
+    rows[:, REFERENCE] = reference / units_per_m[record.channel] ** 2
+    usable = np.isfinite(record.value) & (record.variance > 0.0) & (record.variance < np.inf)
+    return rows if usable.all() else rows[usable]
 
 
 def in_order(rows: Floats) -> Floats:
     """Measurements in time order; of one instant by channel."""
-    return rows[np.lexsort((rows[:, CHANNEL], rows[:, AT]))]
+    return rows if len(rows) < 2 else rows[np.lexsort((rows[:, CHANNEL], rows[:, AT]))]
 
 
 def sample_rows(samples: Samples, origin_ns: int) -> Floats:
     """Rows (s, 1 + 2 axes) of time in s, acceleration and noise density as the loop takes them."""
-    return np.column_stack((seconds(samples.time_ns, origin_ns), samples.value_m_s2, samples.noise_density))
+    count, axes = samples.value_m_s2.shape
+    rows = np.empty((count, 1 + 2 * axes))
+    rows[:, 0] = seconds(samples.time_ns, origin_ns)
+    rows[:, 1 : 1 + axes], rows[:, 1 + axes :] = samples.value_m_s2, samples.noise_density
+    return rows
 
 
 def with_start(samples: Samples, first_s: float, origin_ns: int) -> Samples:
@@ -111,11 +123,13 @@ def given_rows(samples: Samples, first_s: float, origin_ns: int) -> NDArray[np.b
 
 def estimate_of(samples: Samples, found: Floats, given: NDArray[np.bool_]) -> Estimate:
     """The rows of one axis from what the loop found (s, 5); bridged samples are coasting at best."""
-    found = found[given]
-    bridged = samples.kind[given] == BRIDGED
-    status = np.where(bridged, np.maximum(found[:, FOUND_STATUS], COASTING), found[:, FOUND_STATUS])
+    if not given.all():
+        samples, found = part(samples, given), found[given]
+    status = found[:, FOUND_STATUS]
+    if samples.kind.any():
+        status = np.where(samples.kind == BRIDGED, np.maximum(status, COASTING), status)
     return Estimate(
-        samples.time_ns[given],
+        samples.time_ns,
         found[:, FOUND_X].copy(),
         found[:, FOUND_VARIANCE].copy(),
         found[:, FOUND_VELOCITY].copy(),
@@ -124,16 +138,15 @@ def estimate_of(samples: Samples, found: Floats, given: NDArray[np.bool_]) -> Es
     )
 
 
-def innovation_of(rows: Floats, met: Floats, channel: int, units_per_m: float, origin_ns: int) -> Innovation:
-    """Innovations of one channel, in metres, from its measurements (m, 5) and how they were met (m, 3)."""
+def innovations_of(rows: Floats, met: Floats, channels: Sequence[Channel], origin_ns: int) -> tuple[Innovation, ...]:
+    """Innovations of each channel, in metres, from the measurements (m, 5) and how they were met (m, 3)."""
     if not len(rows):
-        return Innovation(np.empty(0, dtype=np.int64), np.empty(0), np.empty(0), np.empty(0, dtype=np.int8))
-    own = rows[:, CHANNEL] == channel
-    kinds = met[own, MET_CODE].astype(np.int64) % KINDS
-    verdict = np.where(kinds == OUTLIER, REJECTED, np.where(kinds == LOST, REACQUIRED, ACCEPTED))
-    return Innovation(
-        nanoseconds(rows[own, AT], origin_ns),
-        met[own, MET_ERROR] / units_per_m,
-        met[own, MET_TOTAL] / units_per_m**2,
-        verdict.astype(np.int8),
-    )
+        return (NO_INNOVATION,) * len(channels)
+    time_ns, number = nanoseconds(rows[:, AT], origin_ns), rows[:, CHANNEL]
+    verdict = VERDICTS[met[:, MET_CODE].astype(np.int64) % KINDS]
+    found = []
+    for c, channel in enumerate(channels):
+        own = np.flatnonzero(number == c)
+        error, total = met[own, MET_ERROR] / channel.units_per_m, met[own, MET_TOTAL] / channel.units_per_m**2
+        found.append(Innovation(time_ns[own], error, total, verdict[own]))
+    return tuple(found)

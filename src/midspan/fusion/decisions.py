@@ -34,11 +34,6 @@ class Undecided:
     survivors: NDArray[np.int16]
     errors: Floats
 
-    @classmethod
-    def none(cls) -> "Undecided":
-        """Nothing is open."""
-        return cls(np.empty((0, 5)), np.empty((0, MOST), dtype=np.int16), np.empty((0, MOST, 2)))
-
     def after(self, rows: Floats, survivors: NDArray[np.int16], errors: Floats) -> "Undecided":
         """With further measurements behind."""
         if not len(rows):
@@ -55,10 +50,12 @@ class Undecided:
         """What is final, given so many hypotheses, or what the best one says of all; and what stays open."""
         m = len(self.rows)
         if not m:
-            return Decided.none(), self
+            return NOTHING_DECIDED, self
         codes, errors = np.empty(m, dtype=np.int64), np.empty((m, 2))
         final = max(int(trace(self.survivors, count, codes, self.errors, errors)), m - MAX_UNDECIDED)
         final = m if all_of_them else final
+        if final == m:
+            return Decided(self.rows, codes, errors), ALL_DECIDED
         rest = Undecided(self.rows[final:], self.survivors[final:], self.errors[final:])
         return Decided(self.rows[:final], codes[:final], errors[:final]), rest
 
@@ -71,10 +68,9 @@ class Decided:
     codes: NDArray[np.int64]
     errors: Floats
 
-    @classmethod
-    def none(cls) -> "Decided":
-        """No measurements."""
-        return cls(np.empty((0, 5)), np.empty(0, dtype=np.int64), np.empty((0, 2)))
+
+ALL_DECIDED = Undecided(np.empty((0, 5)), np.empty((0, MOST), dtype=np.int16), np.empty((0, MOST, 2)))
+NOTHING_DECIDED = Decided(np.empty((0, 5)), np.empty(0, dtype=np.int64), np.empty((0, 2)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +92,7 @@ def events_of(
     told: Telling, decided: Decided, channels: tuple[Channel, ...], origin_ns: int
 ) -> tuple[Telling, list[Event]]:
     """Events that final decisions complete, in time order, one for each cause; and what to remember."""
-    if not len(decided.rows):
+    if not decided.codes.any() and not any(run[2] for run in told.runs):
         return told, []
     runs, causes, events = list(told.runs), told.causes, []
     kinds = decided.codes % KINDS

@@ -15,12 +15,12 @@ from midspan.fusion.blocks import (
     estimate_of,
     given_rows,
     in_order,
-    innovation_of,
+    innovations_of,
     measured_rows,
     sample_rows,
     with_start,
 )
-from midspan.fusion.decisions import Decided, Telling, Undecided, events_of, runs_left
+from midspan.fusion.decisions import ALL_DECIDED, Decided, Telling, Undecided, events_of, runs_left
 from midspan.fusion.filtering import (
     MET_CODE,
     MET_ERROR,
@@ -39,6 +39,7 @@ from midspan.fusion.forward import (
     SLOPE,
     STEP,
     TIME,
+    UNITS_PER_M,
     WENT_BACK,
     innovate,
     predict_covariance,
@@ -57,6 +58,7 @@ from midspan.records import (
     Innovation,
     Measured,
     Samples,
+    cut,
     joined,
     part,
     seconds,
@@ -138,7 +140,7 @@ class Estimator:
         self._integrated: Integrated | None = None
         self._filter: Filter | None = None
         self._first_s = np.nan
-        self._undecided = Undecided.none()
+        self._undecided = ALL_DECIDED
         self._told = Telling.nothing(settings.channels)
         self._late: set[int] = set()
         self._overflown = False
@@ -157,8 +159,8 @@ class Estimator:
             self._wait(record)
             return []
         found = []
-        for first in range(0, len(record.time_ns), BLOCK):
-            found.extend(self._push(part(record, slice(first, first + BLOCK))))
+        for block in cut(record, BLOCK):
+            found.extend(self._push(block))
         return found
 
     def finish(self) -> list[Rows]:
@@ -243,7 +245,7 @@ class Estimator:
             if len(self._early) > MAX_WAITING:
                 self._overflow(int(self._early.pop(0).time_ns[0]))
             return
-        rows = measured_rows(record, self.settings, self._origin)
+        rows = measured_rows(record, self.tables[1][:, UNITS_PER_M], self._origin)
         done = -np.inf if self._filter is None else self._filter.clock[TIME]
         late = rows[:, AT] <= done
         if late.any() or self._late:
@@ -254,7 +256,8 @@ class Estimator:
                     self._events.append(Event(first, "late", f"Measurements of {name} came too late and are left out."))
             self._late |= set(rows[late, CHANNEL].astype(int).tolist())
             self._late -= set(rows[~late, CHANNEL].astype(int).tolist())
-        waiting = in_order(np.concatenate((self._waiting, rows[~late])))
+            rows = rows[~late]
+        waiting = in_order(np.concatenate((self._waiting, rows)))
         if len(waiting) > MAX_WAITING:
             self._overflow(self._origin + round(float(waiting[0, AT]) * NANOSECONDS))
         self._waiting = waiting[-MAX_WAITING:]
@@ -356,10 +359,7 @@ class Estimator:
             self.log.samples.append(samples)
         given = given_rows(samples, self._first_s, self._origin)
         estimates = tuple(estimate_of(samples, shown.found[:, a], given) for a in range(self.settings.axes))
-        innovations = tuple(
-            innovation_of(rows, shown.met, c, channel.units_per_m, self._origin)
-            for c, channel in enumerate(self.settings.channels)
-        )
+        innovations = innovations_of(rows, shown.met, self.settings.channels, self._origin)
         p, channels, datum = self._filter.hyps[1][0], self.tables[1], self.tables[3]
         zero = tuple(zero_variance(p, channels, a, datum) for a in range(self.settings.axes))
         return Rows(estimates, innovations, tuple(events), zero)

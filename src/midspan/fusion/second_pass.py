@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from midspan.fusion.blocks import estimate_of, given_rows, sample_rows
-from midspan.fusion.decisions import Decided
+from midspan.fusion.decisions import NOTHING_DECIDED, Decided
 from midspan.fusion.estimator import BLOCK, Estimator, EstimatorState, Log, Rows
 from midspan.fusion.filtering import FOUND_VARIANCE, FOUND_VELOCITY, FOUND_X, backward_block, zero_variance
 from midspan.fusion.forward import AT, TIME
@@ -146,7 +146,7 @@ class Lag:
         self.estimator = Estimator(settings, log=True)
         self.lag_samples, self._hop = lag_samples, max(1, lag_samples // HOPS)
         self._samples: Samples | None = None
-        self._decided = Decided.none()
+        self._decided = NOTHING_DECIDED
         self._before: Filter | None = None
         # Samples pushed, and those of the window that were given out already.
         self._pushed = self._given = 0

@@ -70,11 +70,6 @@ class ChirpProfile:
         return SPEED_OF_LIGHT_M_S / (2.0 * self.bandwidth_hz)
 
     @property
-    def largest_range_m(self) -> float:
-        """Range beyond which targets fold back, m."""
-        return self.bins * self.bin_m
-
-    @property
     def carrier_hz(self) -> float:
         """Frequency at the centre of the sampled window: what the phase of a range bin moves with, Hz.
 

@@ -7,7 +7,7 @@ from midspan.radar.channels import Phasors
 from midspan.radar.circle import fit_circle
 from midspan.records import Floats
 
-# A phase that turns less says nothing about clutter, rad.
+# A phase that turns less says nothing about clutter or the modulation, rad.
 LEAST_TURN = 2.0
 # Lag of the second differences whose agreement is the coherence, s: it weighs motion of about 1 to 4 Hz.
 COHERENCE_LAG_S = 0.12

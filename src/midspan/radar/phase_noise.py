@@ -7,14 +7,14 @@ phase itself; another reflector in the bin shows in the amplitude, which it modu
 import numpy as np
 from numpy.typing import NDArray
 
+from midspan.radar.evidence import LEAST_TURN
 from midspan.records import Floats
+from midspan.signals.medians import SIGMA_OF_MEDIAN
 
 # Weights of a fourth difference and the sum of their squares: a motion of 4 Hz at 100 Hz is left with 0.4 % of it.
 FOURTH, FOURTH_POWER = (1.0, -4.0, 6.0, -4.0, 1.0), 70.0
-# Standard deviation per median absolute deviation of a normal distribution.
-NORMAL = 1.4826
-# Fewer frames, or a phase that turns less (rad), say nothing about the modulation.
-LEAST_FRAMES, LEAST_TURN = 50, 2.0
+# Fewer frames say nothing about the modulation, nor does a phase that turns too little.
+LEAST_FRAMES = 50
 # From this turn on (rad) the amplitude also changes because the target moves across its bin: smooth in the range.
 MIGRATING_TURN = 40.0
 # A modulation below this share of the receiver's own is none: its level is known no better.
@@ -32,7 +32,7 @@ def measured_variance(phase_rad: Floats, expected_rad: Floats) -> float:
     fourth = fourth[np.isfinite(fourth)]
     if len(fourth) < LEAST_FRAMES:
         return float("nan")
-    return float((NORMAL * np.median(np.abs(fourth))) ** 2 / FOURTH_POWER)
+    return float((SIGMA_OF_MEDIAN * np.median(np.abs(fourth))) ** 2 / FOURTH_POWER)
 
 
 def modulation(phasors: NDArray[np.complexfloating], phase_rad: Floats, noise: float) -> float:

@@ -6,19 +6,18 @@ from typing import Any
 
 import numpy as np
 
+from midspan.calibration.camera.calibrate import CameraFit
+from midspan.calibration.displacement.sensor import DisplacementFit
+from midspan.calibration.radar.calibrate import RadarFit
 from midspan.engine.axis import AxisFigures, usual_figures
-from midspan.recording.camera_calibration.camera import CameraFit
-from midspan.recording.camera_calibration.cameras import calibrate_cameras, together
-from midspan.recording.displacement.sensor import DisplacementFit
+from midspan.engine.tracking import CameraTracking
+from midspan.progress import Progress, silent
+from midspan.recording.cameras import calibrate_cameras, together
 from midspan.recording.kinds import ROWS
-from midspan.recording.radar.calibrate import RadarFit
-from midspan.recording.radar.literal import calibrate_radar_literal
-from midspan.recording.stored.calibration import Calibration, placed
-from midspan.recording.streams.progress import Progress, silent
 from midspan.recording.streams.recording import Recording, naming, open_recording
-from midspan.recording.streams.sensor_words import in_words_of, worded
 from midspan.recording.streams.window import calibration_window
-from midspan.recording.tracking.tracking import CameraTracking
+from midspan.settings.sensor_words import in_words_of, worded
+from midspan.settings.stored.calibration import Calibration, placed
 
 
 def calibrate(recording: Recording | str | Path, progress: Progress = silent) -> Calibration:
@@ -62,18 +61,15 @@ def _calibrate_and_track(recording: Recording, progress: Progress) -> tuple[Cali
         across=across,
         usual=usual_in_window(recording),
         left_out=recording.across.axis if recording.across is not None and across is None else "",
-        diagnostics=next((fit.diagnostics for fit in fits if not isinstance(fit, RadarFit)), None),
+        diagnostics=next((fit.diagnostics for fit in fits if fit.diagnostics is not None), None),
     )
     return calibration, together(seen)
 
 
 def _fitted(view: Recording, progress: Progress) -> CameraFit | RadarFit | DisplacementFit:
     """What is learnt of a sensor that is no camera, in words with its name."""
-    learn = (
-        calibrate_radar_literal if view.kind == "radar" and view.settings.fusion.literal else ROWS[view.kind].calibrate
-    )
     with in_words_of(view.sensor):
-        fit = learn(view, progress)
+        fit = ROWS[view.kind].calibrate(view, progress)
     own: Any = replace(fit.calibration, name=view.own.settings.name)
     return replace(fit, calibration=own, warnings=tuple(worded(line, view.sensor) for line in fit.warnings))
 

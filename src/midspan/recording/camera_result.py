@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from midspan.recording.sensor_series import SensorSeries, agreed_series
-from midspan.recording.stored.camera import CameraCalibration
-from midspan.recording.tracking.tracking import CameraTracking, TargetTracking
+from midspan.calibration.sensors.camera import CameraCalibration
+from midspan.engine.sensor_series import SensorSeries, agreed_series
+from midspan.engine.tracking import CameraTracking, TargetTracking
 from midspan.records import (
     Displacement,
     Estimate,

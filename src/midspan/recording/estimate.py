@@ -6,49 +6,20 @@ from pathlib import Path
 
 import numpy as np
 
+from midspan.calibration.one_clock import OneClock
 from midspan.checks import option
-from midspan.errors import DataError, UntrustedError, UsageError
-from midspan.fusion.estimator import Estimator
-from midspan.fusion.methods import METHODS, no_literal_form
-from midspan.fusion.model import EstimatorSettings
-from midspan.fusion.second_pass import Lag, smooth
-from midspan.fusion.streams import MethodSettings
-from midspan.recording.calibrate import calibrate_and_track
-from midspan.recording.camera_result import CameraResult, camera_result, camera_series
-from midspan.recording.cameras.lost_target import lost_events, lost_warnings
-from midspan.recording.cameras.tracked import (
-    Eye,
-    Side,
-    known_sensors,
-    offsets_of,
-    open_eyes,
-    side_of,
-)
-from midspan.recording.channels import clock_std_s
-from midspan.recording.fusing.one_clock import OneClock
-from midspan.recording.kinds import ROWS
-from midspan.recording.messages import (
-    channel_warnings,
-    event_warnings,
-    refuse_rejections,
-    require_same_cameras,
-    shares,
-    uncalibrated,
-)
-from midspan.recording.one_series import (
+from midspan.engine.channels import clock_std_s
+from midspan.engine.lost_target import lost_events, lost_warnings
+from midspan.engine.one_series import (
     literal_warnings,
     one_series,
     run_on_series,
     with_levels_since,
     with_uncertain,
 )
-from midspan.recording.point import measuring_point
-from midspan.recording.printed_radar import estimate_printed
-from midspan.recording.radar.messages import REPORTED, radar_warnings, with_levels
-from midspan.recording.result import Result
-from midspan.recording.run import Outcome, run, used_when
-from midspan.recording.second_axis import SecondAxis
-from midspan.recording.second_look import (
+from midspan.engine.radar_messages import REPORTED, radar_warnings, with_levels
+from midspan.engine.row_messages import event_warnings, shares, unsupported_events
+from midspan.engine.second_look import (
     Offsets,
     clocks,
     on_clock,
@@ -60,16 +31,39 @@ from midspan.recording.second_look import (
     with_levels_of,
     with_scales,
 )
-from midspan.recording.sensor_series import SensorSeries
-from midspan.recording.stored.calibration import Calibration
-from midspan.recording.stored.calibration_file import load_calibration
-from midspan.recording.streams.progress import Progress, silent
+from midspan.engine.sensor_series import SensorSeries
+from midspan.engine.tracking import CameraTracking
+from midspan.errors import DataError, UntrustedError, UsageError
+from midspan.fusion.estimator import Estimator
+from midspan.fusion.methods import METHODS, no_literal_form
+from midspan.fusion.model import EstimatorSettings
+from midspan.fusion.second_pass import Lag, smooth
+from midspan.fusion.streams import MethodSettings
+from midspan.progress import Progress, silent
+from midspan.recording.calibrate import calibrate_and_track
+from midspan.recording.camera_result import CameraResult, camera_result, camera_series
+from midspan.recording.kinds import ROWS
+from midspan.recording.messages import channel_warnings, refuse_rejections, require_same_cameras, uncalibrated
+from midspan.recording.point import measuring_point
+from midspan.recording.printed_radar import estimate_printed
+from midspan.recording.result import Result
+from midspan.recording.run import Outcome, run, used_when
+from midspan.recording.second_axis import SecondAxis
 from midspan.recording.streams.recording import Recording, naming, open_recording
-from midspan.recording.streams.span import inside, shown
-from midspan.recording.tracking.tracking import CameraTracking
-from midspan.recording.unsupported import unsupported_events
+from midspan.recording.tracked import (
+    Eye,
+    Side,
+    known_sensors,
+    offsets_of,
+    open_eyes,
+    side_of,
+)
 from midspan.records import NANOSECONDS, Channel, Estimate, Event, Innovation, Measured, joined, part
+from midspan.settings.sensor_words import worded
+from midspan.settings.stored.calibration import Calibration
+from midspan.settings.stored.calibration_file import load_calibration
 from midspan.signals.health import Mask
+from midspan.signals.stamps import inside, shown
 
 
 def estimate(
@@ -196,16 +190,18 @@ def left_out(side: Side, error: UntrustedError) -> str:
 
 def fitted(asked: Asked, first: FirstPass) -> tuple[EstimatorSettings, list[str]]:
     """The estimator's settings with scales as uncertain as a given calibration's turn out to be here, and warnings."""
-    settings = first.estimator.settings
+    settings, main = first.estimator.settings, first.sides[0]
     wider: dict[tuple[str, int], float] = {}
     warnings = uncalibrated(asked.recording, asked.calibration)
-    ran = clocks(first.series[0], first.sides[0], _offsets(first))
+    ran = clocks(first.series[0], main.acceleration, main.kalman, _offsets(first))
     for axis, (side, own) in enumerate(zip(first.sides, first.series, strict=True)):
         if axis and not side.recording.fused:
             continue
         series = {name: on_clock(one, ran[name]) if ran_apart(ran[name]) else one for name, one in own.items()}
         try:
-            fits = scales(series, side, settings, axis, max_offset_s=asked.recording.max_offset_s)
+            along = f" along {side.recording.axis}" if axis else ""
+            max_offset_s = asked.recording.max_offset_s
+            fits = scales(series, side.acceleration, settings, axis=axis, along=along, max_offset_s=max_offset_s)
         except UntrustedError as error:
             if axis == 0:
                 raise
@@ -230,16 +226,17 @@ def by_method(asked: Asked, first: FirstPass, settings: EstimatorSettings) -> Fo
 
 def smoothed(asked: Asked, first: FirstPass, settings: EstimatorSettings) -> tuple[Found, dict[str, OneClock]]:
     """The rows smoothed by the whole record, after what it shows of scales and clocks, and how clocks ran."""
-    estimator, outcome = first.estimator, first.outcome
+    estimator, outcome, main = first.estimator, first.outcome, first.sides[0]
     assert isinstance(estimator, Estimator)
     log = estimator.log
     assert log is not None
-    ran = clocks(first.series[0], first.sides[0], _offsets(first))
+    ran = clocks(first.series[0], main.acceleration, main.kalman, _offsets(first))
     apart = {name: clock for name, clock in ran.items() if ran_apart(clock)}
     if apart or settings != estimator.settings:
         blocks = {name: outcome.measured_by(name) for name in outcome.measured}
         blocks |= {name: on_its_clock(blocks[name], settings.channels, clock) for name, clock in apart.items()}
-        log, outcome = once_more(settings, joined(log.samples), tuple(blocks.values()))
+        log, again = once_more(settings, joined(log.samples), tuple(blocks.values()))
+        outcome = Outcome(again)
     found = _found(first, outcome, smooth(log, settings))
     levels = [level for clock in ran.values() for level in clock.levels]
     rows = tuple(with_levels_of(one, levels) for one in found.rows)
@@ -260,7 +257,8 @@ def on_series(asked: Asked, first: FirstPass, settings: EstimatorSettings) -> Fo
             continue
         named = {name: on_clock(one, ran[name]) for name, one in first.series[axis].items()}
         measured = one_series(named, found.rows[axis], first.outcome.restarts_ns)
-        done = run_on_series(side, measured, asked.method, method, found.rows[axis])
+        own, rate_hz = replace(method, kalman=side.kalman), side.prepared.rate_hz
+        done = run_on_series(side.acceleration, measured, asked.method, own, found.rows[axis], rate_hz=rate_hz)
         names = tuple(named)
         scale_std = max(scale_std_of(settings, name, axis) for name in names)
         clock_std = max(clock_std_s(one.offset) for one in _offsets(first).values())
@@ -306,10 +304,10 @@ def result_of(asked: Asked, first: FirstPass, found: Found) -> Result:
     warnings = (
         *channel_warnings(recording, asked.calibration),
         *(line for camera in first.cameras for line in lost_warnings(*_blind(camera, first))),
-        *(line for eye in first.eyes for line in eye.tracking.warnings()),
+        *(worded(line, eye.sensor) for eye in first.eyes for line in eye.tracking.warnings()),
         *event_warnings(fused),
         *event_warnings(tuple(event for event in sensors if event.kind in ("frozen", *REPORTED))),
-        *(line for name, log in radars.items() for line in radar_warnings(log, info[name].warnings, name)),
+        *(worded(line, name) for name, log in radars.items() for line in radar_warnings(log, info[name].warnings)),
         *late_start(recording, first.outcome, main),
         *lost_end(recording, first.outcome, main),
         *shares(found.innovations[0], main),

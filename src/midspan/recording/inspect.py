@@ -1,43 +1,18 @@
 """`inspect`: what is in a recording, stream by stream, without changing or judging anything."""
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-
-from midspan.errors import DataError, MidspanError, UsageError
-from midspan.recording.radar.inspect import inspect_radar
-from midspan.recording.streams.acceleration import unusable_samples
-from midspan.recording.streams.progress import Progress, silent
+from midspan.errors import MidspanError
+from midspan.progress import Progress, silent
 from midspan.recording.streams.recording import Recording
-from midspan.recording.streams.span import shown
-from midspan.records import NANOSECONDS, Nanoseconds, TimeSeries
+from midspan.records import NANOSECONDS, Nanoseconds
 from midspan.settings.load import RECORDING_FILE
-from midspan.signals.health import clipped, clock, frozen
-from midspan.sources.accelerometer.channel import Channel, Stored
-from midspan.sources.accelerometer.clock import NOT_A_TIME
-from midspan.sources.accelerometer.formats import list_channels
-from midspan.sources.camera.formats import is_stack, is_table, open_frames, require_readable
-from midspan.sources.camera.frames import FrameRequest, FrameSource
-from midspan.sources.declared_size import available_bytes, shown_bytes
-from midspan.sources.radar.radar_source import RadarSource
-from midspan.sources.thermal.formats import is_thermal, open_pictures, open_thermal
-from midspan.sources.thermal.request import ThermalRequest
-from midspan.vision.light import is_dark
-
-# Frames looked at for frozen, black or saturated pictures unless all are asked for.
-LOOKED_AT = 600
-# Numbers alone, in an order that only the settings of the sensor tell.
-RAW = (".bin",)
-# Files that are no table, by their names; in some of these pictures of 16 bits may be counts of temperature.
-PICTURES = (".tif", ".tiff", ".png", ".jpg", ".jpeg", ".bmp", ".pgm")
-COUNTED = (".tif", ".tiff", ".png", ".npy", ".npz")
-
-Tree = dict[str, Any]
-NOTHING: Tree = {"smallest": None, "largest": None}
+from midspan.signals.stamps import shown
+from midspan.sources.inspect import PICTURES, Tree, acceleration_tree, frames_tree, radar_tree, series_tree
+from midspan.sources.thermal.formats import is_thermal
 
 
 def inspect_recording(recording: Recording, every_frame: bool = False, progress: Progress = silent) -> Tree:
@@ -67,20 +42,20 @@ def _streams(recording: Recording, every_frame: bool, progress: Progress) -> Ite
     settings, across = recording.settings, recording.across
     if settings.accelerometer is not None:
         file = settings.accelerometer.file
-        yield "accelerometer", file, lambda: _acceleration(recording.acceleration)
+        yield "accelerometer", file, lambda: acceleration_tree(recording.acceleration)
         if across is not None and across.fused:
             # The column along the second image axis.
-            yield f"accelerometer_{across.axis}", file, lambda: _acceleration(across.acceleration)
+            yield f"accelerometer_{across.axis}", file, lambda: acceleration_tree(across.acceleration)
     readers: dict[str, Callable[[Recording], tuple[Tree, Nanoseconds]]] = {
-        "camera": lambda view: _frames(view.frames, every_frame, progress),
-        "infrared": lambda view: _frames(view.frames, every_frame, progress, thermal=True),
-        "radar": lambda view: _radar(view.radar, every_frame, progress),
-        "displacement": lambda view: _series(view.displacement, "m"),
+        "camera": lambda view: frames_tree(view.frames, every_frame, progress),
+        "infrared": lambda view: frames_tree(view.frames, every_frame, progress, thermal=True),
+        "radar": lambda view: radar_tree(view.radar, every_frame, progress),
+        "displacement": lambda view: series_tree(view.displacement, "m"),
     }
     for view in recording.views:
         yield view.sensor, view.own.settings.file, partial(readers[view.kind], view)
     if settings.reference is not None:
-        yield "reference", settings.reference.file, lambda: _series(recording.reference, "m")
+        yield "reference", settings.reference.file, lambda: series_tree(recording.reference, "m")
 
 
 def is_single(path: Path) -> bool:
@@ -96,197 +71,6 @@ def is_single(path: Path) -> bool:
         # No path that can be: refused with the reason as the file that it is not.
         return True
     return path.suffix.lower() != ".toml"
-
-
-def inspect_file(path: Path, progress: Progress = silent) -> Tree:
-    """What is in a single file: its channels with their units and rates, or its frames."""
-    require_readable(path)
-    if path.suffix.lower() in RAW:
-        raise UsageError(
-            f"{path}: a raw capture ({path.suffix}) does not say how its numbers are ordered. A radar's is described "
-            f'in a recording.toml by [radar] file = "{path.name}" and config = the .cfg or .json that it was recorded '
-            "with; inspect that recording."
-        )
-    try:
-        if is_thermal(path) or path.suffix.lower() in PICTURES or is_stack(path):
-            raise UsageError(f"{path} holds frames.")
-        found = list_channels(path)
-    except MidspanError as first:
-        if is_table(path):
-            # Decided by its name: a damaged table is not tried as a video.
-            raise
-        try:
-            return {"file": str(path), "frames": _file_of_frames(path, progress)}
-        except MidspanError as second:
-            if path.suffix.lower() in PICTURES:
-                raise
-            # No table by its name, and a video that cannot be used: what is wrong with the video counts.
-            raise (second if isinstance(first, UsageError) and isinstance(second, DataError) else first) from None
-    return {
-        "file": str(path),
-        "notes": list(found.notes),
-        "warnings": list(found.damage),
-        "channels": [
-            {
-                "name": channel.name,
-                "unit": channel.unit,
-                "rate_hz": channel.rate_hz,
-                "samples": channel.size,
-                **found_range,
-            }
-            for channel, found_range in zip(found.channels, _ranges(found.channels), strict=True)
-        ],
-    }
-
-
-def _file_of_frames(path: Path, progress: Progress) -> Tree:
-    """The frames of a file without settings: their clock is None where the file has none."""
-    timed = True
-    try:
-        source = _opened(path, FrameRequest())
-        source.times_ns()
-    except UsageError:
-        # No stamps in it: frames are counted as if there were one a second.
-        timed, source = False, _opened(path, FrameRequest(rate_hz=1.0))
-    celsius = source.info.radiometric
-    branch, _ = _frames(source, False, progress, celsius)
-    if not timed:
-        branch |= dict.fromkeys(("start", "start_s", "duration_s", "rate_hz", "jitter_ms"))
-    if celsius and not is_thermal(path):
-        branch["notes"].append("temperatures as [infrared] would read them; for [camera] the numbers are light")
-    return branch
-
-
-def _opened(path: Path, request: FrameRequest) -> FrameSource:
-    """The frames of a file: temperatures where it is sure, or where pictures of 16 bits can be some; else light."""
-    if is_thermal(path) or not (path.is_dir() or path.suffix.lower() in COUNTED):
-        return open_pictures(path, request)
-    light = open_frames(path, request)
-    if light.info.bit_depth == 8:
-        return light
-    try:
-        return open_thermal(path, ThermalRequest(request))
-    except DataError:
-        return light
-
-
-def _ranges(channels: Sequence[Channel]) -> list[Tree]:
-    """Each channel's range. One larger than the available memory is not read where others of its file can be used."""
-    limit = available_bytes()
-    needed = [channel.stored.needed_bytes if isinstance(channel.stored, Stored) else 0 for channel in channels]
-    if min(needed) > limit:
-        return [_range(channel) for channel in channels]
-    return [
-        NOTHING | {"missing": None, "not_read": f"it takes {shown_bytes(size)}; {shown_bytes(limit)} are available"}
-        if size > limit
-        else _range(channel)
-        for channel, size in zip(channels, needed, strict=True)
-    ]
-
-
-def _range(channel: Channel) -> Tree:
-    """Smallest and largest value, a clock's as dates, None where there is no number; how many values are none."""
-    known = channel.values
-    known = known[np.isfinite(known)]
-    if channel.unit == "ns":
-        known = known[known != NOT_A_TIME]
-    missing = {"missing": channel.size - len(known)}
-    if not len(known):
-        return NOTHING | missing
-    if channel.unit == "ns":
-        return {"smallest": shown(int(known.min())), "largest": shown(int(known.max())), **missing}
-    return {"smallest": float(known.min()), "largest": float(known.max()), **missing}
-
-
-def _clock(time_ns: Nanoseconds) -> Tree:
-    if len(time_ns) < 2:
-        start = {"start": shown(int(time_ns[0])), "start_s": time_ns[0] / NANOSECONDS}
-        return {**start, "duration_s": 0.0, "rate_hz": None, "jitter_ms": None, "gaps": []}
-    found = clock(time_ns)
-    return {
-        "start": shown(int(time_ns[0])),
-        "start_s": time_ns[0] / NANOSECONDS,
-        "duration_s": (time_ns[-1] - time_ns[0]) / NANOSECONDS,
-        "rate_hz": found.rate_hz,
-        "jitter_ms": 1e3 * found.jitter_s,
-        "gaps": [
-            {"at_s": time_ns[i] / NANOSECONDS, "length_s": float(length)}
-            for i, length in zip(found.gaps, found.gap_s, strict=True)
-        ],
-    }
-
-
-def _series(series: TimeSeries, unit: str) -> tuple[Tree, Nanoseconds]:
-    value = series.value
-    finite = value[np.isfinite(value)]
-    rate = clock(series.time_ns).rate_hz
-    branch = {
-        "channel": series.name,
-        "unit": series.unit,
-        "samples": len(value),
-        **_clock(series.time_ns),
-        "mean": float(finite.mean()),
-        "std": float(finite.std()),
-        "smallest": float(finite.min()),
-        "largest": float(finite.max()),
-        "value_unit": unit,
-        "missing_samples": int(len(value) - len(finite)),
-        "frozen_samples": int(np.count_nonzero(frozen(value, rate))),
-        "clipped_samples": int(np.count_nonzero(clipped(value))),
-        "notes": list(series.notes),
-        "warnings": list(series.damage),
-    }
-    return branch, series.time_ns
-
-
-def _acceleration(series: TimeSeries) -> tuple[Tree, Nanoseconds]:
-    branch, time_ns = _series(series, "m/s^2")
-    branch["warnings"] += unusable_samples(series)
-    return branch, time_ns
-
-
-def _frames(
-    source: FrameSource, every_frame: bool, progress: Progress, thermal: bool = False
-) -> tuple[Tree, Nanoseconds]:
-    times = source.times_ns()
-    count = len(times) if every_frame else min(len(times), LOOKED_AT)
-    seen, same, dark, bright = 0, 0, 0, 0
-    before = None
-    low_c, high_c = np.inf, -np.inf
-    top = float(2 ** min(source.info.bit_depth, 16) - 1)
-    for frame in source.frames(0, count):
-        progress(seen, count, "looking at frames")
-        picture = np.asarray(frame.pixels, dtype=frame.pixels.dtype.type)
-        same += before is not None and np.array_equal(before, picture)
-        dark += is_dark(picture)
-        bright += float(np.mean(picture >= top)) > 0.2
-        if picture.dtype.kind == "f":
-            low_c, high_c = min(low_c, float(np.nanmin(picture))), max(high_c, float(np.nanmax(picture)))
-        before, seen = picture, seen + 1
-    progress(1, 1, "looking at frames")
-    info = source.info
-    branch = {
-        "width": info.width,
-        "height": info.height,
-        "bit_depth": info.bit_depth,
-        "codec": info.codec,
-        "lossless": info.lossless,
-        "frames_used": len(times),
-        "frames_in_file": info.frame_count,
-        **_clock(times),
-        "frames_looked_at": seen,
-        "frozen_frames": int(same),
-        "dark_frames": int(dark),
-        "saturated_frames": int(bright),
-        **({"coldest_c": low_c, "warmest_c": high_c} if thermal and np.isfinite(high_c - low_c) else {}),
-        "notes": [*info.notes, *info.damage],
-    }
-    return branch, times
-
-
-def _radar(source: RadarSource, every_frame: bool, progress: Progress) -> tuple[Tree, Nanoseconds]:
-    branch, times = inspect_radar(source, every_frame, progress)
-    return {**branch, **_clock(times)}, times
 
 
 def _overlap(spans: dict[str, tuple[int, int]]) -> Tree:

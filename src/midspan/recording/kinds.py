@@ -4,24 +4,126 @@ Each works on the view of one sensor of the recording. Cameras have targets, tra
 their own.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
+from midspan.calibration.displacement.learn import Given
+from midspan.calibration.displacement.sensor import DisplacementFit, fit_displacement, read_with
+from midspan.calibration.radar.calibrate import RadarFit, fit_radar
+from midspan.calibration.radar.literal import fit_radar_literal
+from midspan.calibration.sensors.displacement import DisplacementCalibration
+from midspan.calibration.sensors.radar import RadarCalibration
+from midspan.engine.channels import Table, interval_s, plain_channel
+from midspan.engine.radar_channels import radar_channels, require_same_radar
+from midspan.engine.sensor_series import SensorSeries, channel_series
 from midspan.engine.sensors import PlainSensor, RadarSensor
-from midspan.recording.displacement.sensor import (
-    DisplacementFit,
-    calibrate_displacement,
-    displacement_series,
-    plain_channel,
-    require_known,
-)
-from midspan.recording.radar.calibrate import RadarFit, calibrate_radar
-from midspan.recording.radar.chain import radar_channels, radar_part, radar_series
-from midspan.recording.sensor_series import SensorSeries
-from midspan.recording.stored.calibration import Calibration
-from midspan.recording.streams.progress import Progress
+from midspan.errors import UsageError
+from midspan.progress import Progress
+from midspan.recording.radar_window import opened_window
 from midspan.recording.streams.recording import Recording
+from midspan.recording.streams.window import require_overlap
+from midspan.records import Channel, Estimate, Measured, Source
+from midspan.settings.sensor_words import in_words_of
+from midspan.settings.stored.calibration import Calibration
+from midspan.sources.accelerometer.units import si_factor
+
+Log = tuple[Measured, Sequence[Channel], Estimate]
+"""All that a sensor measured, the estimator's channels, the rows along the main axis."""
+
+
+def calibrate_radar(view: Recording, progress: Progress) -> RadarFit:
+    """Fixed targets, their conversion factors and the clock offset in the calibration window, as printed where asked.
+
+    Raises UntrustedError, with the reason, where no target follows the accelerometer well enough, DataError where the
+    window holds too few frames.
+    """
+    window = opened_window(view, progress)
+    section, info = view.settings.radar, view.radar.info
+    assert section is not None
+    if view.settings.fusion.literal:
+        return fit_radar_literal(window, view.prepared, info, target_range_m=section.target_range_m)
+    wanted_m = section.target_range_m
+    return fit_radar(window, view.prepared, info, most_targets=section.targets, target_range_m=wanted_m)
+
+
+def _known(view: Recording, calibration: Calibration) -> Any:
+    """The part of a calibration for a view's sensor; UsageError where it has none."""
+    found = calibration.of_sensor(view.own, view.beside)
+    if found is None:
+        raise UsageError(
+            f"The calibration has no {view.sensor} part, but the recording has [{view.sensor}]. Calibrate again."
+        )
+    return found
+
+
+def radar_part(view: Recording, calibration: Calibration) -> RadarCalibration:
+    """The radar's part of a calibration; UsageError where it has none or belongs to other settings of the radar."""
+    known: RadarCalibration = _known(view, calibration)
+    with in_words_of(view.sensor):
+        require_overlap(view.prepared.time_ns, view.radar.times_ns(), "radar")
+        require_same_radar(view.radar.info, known)
+    return known
+
+
+def radar_stage(table: Table, view: Recording, known: RadarCalibration, *, moved_m: float, first: bool) -> RadarSensor:
+    """A radar's sensor, and its channels in the table."""
+    step_s = interval_s(view.radar.times_ns())
+    return radar_channels(
+        table, known, view.radar.info, sensor=view.sensor, step_s=step_s, moved_m=moved_m, first=first
+    )
+
+
+def radar_series(view: Recording, known: RadarCalibration, log: Log) -> SensorSeries:
+    """What a radar's targets measured together."""
+    return channel_series(log[0], log[1], view.sensor, log[2])
+
+
+def calibrate_displacement(view: Recording, progress: Progress) -> DisplacementFit:
+    """Noise, clock offset and scale of the sensor, learnt beside the accelerometer, or a refusal."""
+    section, series = view.settings.displacement, view.displacement
+    assert section is not None
+    require_overlap(view.prepared.time_ns, series.time_ns, "displacement")
+    given = section.noise_std
+    return fit_displacement(
+        Given(
+            view.prepared,
+            series,
+            wanted_s=view.settings.calibration.max_offset_s,
+            learns_offset=view.learns_offset,
+            learns_scale=view.learns_scale,
+            noise_std_m=None if given is None else given * si_factor(section.unit or series.unit, "displacement", None),
+            gives_zero=view.gives_zero,
+        )
+    )
+
+
+def displacement_part(view: Recording, calibration: Calibration) -> DisplacementCalibration:
+    """The sensor's part of a calibration; UsageError where it has none, or none of the scale that is wanted."""
+    known: DisplacementCalibration = _known(view, calibration)
+    if view.learns_scale and known.scale == 1.0:
+        raise UsageError(
+            "displacement.estimate_scale = true: the calibration was made without it and has no displacement.scale. "
+            "Calibrate again."
+        )
+    require_overlap(view.prepared.time_ns, view.displacement.time_ns, view.sensor)
+    return known
+
+
+def displacement_stage(
+    table: Table, view: Recording, known: DisplacementCalibration, *, moved_m: float, first: bool
+) -> PlainSensor:
+    """A displacement sensor, and its channel in the table."""
+    return plain_channel(table, known, view.displacement, view.sensor, first=first)
+
+
+def displacement_series(view: Recording, known: DisplacementCalibration, log: Log) -> SensorSeries:
+    """The whole channel as it was read, in metres on the accelerometer's clock."""
+    found = read_with(view.displacement, known)
+    std = np.where(np.isfinite(found.value), known.noise_std_m, np.nan)
+    return SensorSeries(view.sensor, Source.DISPLACEMENT, found.time_ns, found.value, std)
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +140,6 @@ class Kind:
 
 
 ROWS = {
-    "radar": Kind(calibrate_radar, radar_part, radar_channels, radar_series),
-    "displacement": Kind(calibrate_displacement, require_known, plain_channel, displacement_series),
+    "radar": Kind(calibrate_radar, radar_part, radar_stage, radar_series),
+    "displacement": Kind(calibrate_displacement, displacement_part, displacement_stage, displacement_series),
 }

@@ -1,20 +1,14 @@
 """What an estimate refuses and what it warns of, in sentences."""
 
-import numpy as np
-
+from midspan.calibration.sensors.radar import RadarCalibration
+from midspan.engine.row_messages import rejected_share
 from midspan.errors import UntrustedError, UsageError
-from midspan.fusion.blocks import REJECTED
-from midspan.recording.radar.literal import require_same_way
-from midspan.recording.stored.calibration import Calibration
 from midspan.recording.streams.recording import Recording
-from midspan.records import Estimate, Event, Innovation, Status
+from midspan.records import Innovation
+from midspan.settings.stored.calibration import Calibration
 
 # Where more than half of the measurements contradict the prediction, the prediction or the calibration is wrong.
 MAX_REJECTED = 0.5
-# A share of rejections above this is worth a warning.
-NOTABLE_REJECTED = 0.02
-# Events of one kind that are warnings.
-MAX_WARNED = 3
 
 
 def uncalibrated(recording: Recording, calibration: Calibration) -> list[str]:
@@ -25,18 +19,6 @@ def uncalibrated(recording: Recording, calibration: Calibration) -> list[str]:
         for view in recording.cameras
         if calibration.of_sensor(view.own, view.beside) is None
     ]
-
-
-def event_warnings(events: tuple[Event, ...]) -> list[str]:
-    """The texts of the events; of a kind that comes often only how often."""
-    found = []
-    for kind in dict.fromkeys(event.kind for event in events):
-        texts = [event.text for event in events if event.kind == kind]
-        rest = (
-            [f"{len(texts) - MAX_WARNED} more such stretches stand in the events."] if len(texts) > MAX_WARNED else []
-        )
-        found += [*texts[:MAX_WARNED], *rest]
-    return found
 
 
 def require_same_cameras(recording: Recording, calibration: Calibration) -> None:
@@ -67,9 +49,16 @@ def require_same_cameras(recording: Recording, calibration: Calibration) -> None
             )
 
 
-def rejected_share(innovation: Innovation) -> float:
-    """Share of the measurements that were met and rejected."""
-    return float(np.mean(innovation.verdict == REJECTED)) if len(innovation.verdict) else 0.0
+def require_same_way(calibration: RadarCalibration, literal: bool) -> None:
+    """UsageError where a calibration as printed would be followed otherwise, or the other way round."""
+    if calibration.literal == literal:
+        return
+    made, asked = (str(value).lower() for value in (calibration.literal, literal))
+    raise UsageError(
+        f"radar: the calibration was made with fusion.literal = {made}, this estimate has fusion.literal = {asked}; "
+        f"both must be the same. Write literal = {asked} under [fusion] of recording.toml and run `midspan calibrate` "
+        "again, or leave the calibration out."
+    )
 
 
 def refuse_rejections(recording: Recording, innovation: Innovation) -> None:
@@ -96,16 +85,3 @@ def channel_warnings(recording: Recording, calibration: Calibration) -> tuple[st
     """What the calibration says, and what is wrong with this recording's channels where it is another's."""
     own = recording.channel_warnings
     return (*calibration.warnings, *(line for line in own if line not in calibration.warnings))
-
-
-def shares(innovation: Innovation, rows: Estimate, along: str = "") -> list[str]:
-    """A sentence for many rejected measurements, and for rows that none supports; along: a second axis in words."""
-    found = []
-    rejected = rejected_share(innovation)
-    if rejected > NOTABLE_REJECTED:
-        found.append(f"{100 * rejected:.1f} % of the measurements{along} were rejected as outliers.")
-    for status in (Status.COASTING, Status.LOST):
-        share = float(np.mean(rows.status == status))
-        if share > 0.0:
-            found.append(f"{100 * share:.2g} % of the rows{along} are {status.word}: no measurement supports them.")
-    return found

@@ -6,62 +6,26 @@ from dataclasses import replace
 import numpy as np
 
 from midspan.engine.axis import AxisFigures
+from midspan.engine.camera_channels import camera_channels
+from midspan.engine.channels import Table, interval_s
 from midspan.engine.guard import Guard, GuardSettings
 from midspan.engine.merge import Merge
 from midspan.engine.order import FIRST_NS
 from midspan.engine.point import ACCELEROMETER, Point
-from midspan.engine.sensors import CameraSensor, Sensor
+from midspan.engine.sensors import Sensor
 from midspan.engine.switching import Switch
 from midspan.fusion.estimator import Estimator
-from midspan.fusion.model import EstimatorSettings, ParameterKind
+from midspan.fusion.model import EstimatorSettings
 from midspan.fusion.second_pass import Lag
 from midspan.recording.calibrate import usual_in_window
-from midspan.recording.cameras.tracked import Eye, Side, known_sensors, offsets_of
-from midspan.recording.channels import Table, ages, clock_std_s, interval_s
 from midspan.recording.kinds import ROWS
-from midspan.recording.streams.measured import frames_used
 from midspan.recording.streams.recording import Recording
-from midspan.records import NANOSECONDS, Channel, ClockOffset
+from midspan.recording.tracked import Eye, Side, known_sensors, offsets_of
+from midspan.records import NANOSECONDS, ClockOffset
+from midspan.signals.stamps import frames_used
 
-# Noise of a target's reference frame over the noise of a frame, as standard deviations (see `vision/usual.py`).
-REFERENCE_NOISE = 1.15
 # The bias is known to no better than this many samples' noise, m/s², and this (a tilt of 0.006°); unknown: this.
 BIAS_SAMPLES, MIN_BIAS_STD, UNKNOWN_BIAS_STD = 10.0, 1e-3, 0.3
-
-
-def camera_channels(table: Table, eye: Eye, *, first: bool) -> CameraSensor:
-    """A camera's sensor, and its channels in the table; first: whether its zero is the zero of the displacement."""
-    coasting_s, lost_s = ages(interval_s(eye.tracking.time_ns))
-    rows: list[list[int]] = [[] for _ in eye.tracking.targets]
-    along: list[list[int]] = []
-    for axis, camera in enumerate(eye.calibrations):
-        along.append([])
-        mappings = camera.mappings()
-        noise = [abs(m.scale_m_per_px) * camera.used[k].noise_std_px for k, m in enumerate(mappings)]
-        best = int(np.argmin(noise))
-        for k, (target, mapping) in enumerate(zip(eye.tracking.targets, mappings, strict=True)):
-            zero_std_m = 0.0 if k == best else REFERENCE_NOISE * float(np.hypot(noise[k], noise[best]))
-            channel = Channel(
-                sensor=eye.sensor,
-                source=eye.source,
-                units_per_m=1.0 / mapping.scale_m_per_px,
-                target=target.name,
-                axis=axis,
-                variance_factor=mapping.variance_factor,
-                exposure_s=target.chain.blur_s(eye.view.exposure_s),
-                zero_std_m=zero_std_m if first else np.inf,
-                coasting_s=coasting_s,
-                lost_s=lost_s,
-            )
-            rows[k].append(table.add(channel))
-            along[axis].append(rows[k][-1])
-    for numbers, camera in zip(along, eye.calibrations, strict=True):
-        # An axis without an accelerometer has the other's scale factor.
-        shared = numbers if camera.fused else []
-        table.uncertain(ParameterKind.SCALE_ERROR, shared or [*numbers, *along[-1]], camera.relative_std)
-    every = [number for numbers in along for number in numbers]
-    table.uncertain(ParameterKind.CLOCK_OFFSET, every, clock_std_s(eye.calibrations[0].offset))
-    return CameraSensor(eye.sensor, eye.tracking.chain, rows, [camera.direction for camera in eye.calibrations])
 
 
 def figures(side: Side, rate_hz: float) -> AxisFigures:
@@ -127,7 +91,9 @@ def measuring_point(
     moved_m = (main.calibration.usual or usual_in_window(recording)).moved_m
     sensors: dict[str, Sensor] = {}
     for number, eye in enumerate(eyes):
-        sensors[eye.sensor] = camera_channels(table, eye, first=number == 0)
+        sensors[eye.sensor] = camera_channels(
+            table, eye.tracking, eye.calibrations, eye.view.exposure_s, first=number == 0
+        )
     for view, known in known_sensors(main):
         sensors[view.sensor] = ROWS[view.kind].stage(table, view, known, moved_m=moved_m, first=not sensors)
     offsets_ns = clock_offsets_ns(main, eyes)

@@ -6,25 +6,31 @@ takes part.
 
 import numpy as np
 
+from midspan.engine.channels import clock_std_s
+from midspan.engine.one_series import literal_warnings, run_on_series, with_uncertain
+from midspan.engine.printed_radar import Printed, printed_displacement
+from midspan.engine.radar_messages import radar_warnings
+from midspan.engine.row_messages import event_warnings, shares, unsupported_events
+from midspan.engine.sensor_series import series_of
 from midspan.errors import UsageError
 from midspan.fusion.methods import METHODS, no_literal_form
 from midspan.fusion.streams import MethodSettings
+from midspan.progress import Progress
+from midspan.radar.frames import fetched
 from midspan.recording.calibrate import calibrate_and_track
-from midspan.recording.cameras.tracked import side_of
-from midspan.recording.channels import clock_std_s
-from midspan.recording.messages import channel_warnings, event_warnings, shares
-from midspan.recording.one_series import literal_warnings, run_on_series, with_uncertain
-from midspan.recording.radar.chain import radar_part
-from midspan.recording.radar.literal import RAN_AWAY, Printed, printed_displacement, require_same_way
-from midspan.recording.radar.messages import radar_warnings
+from midspan.recording.kinds import radar_part
+from midspan.recording.messages import channel_warnings, require_same_way
 from midspan.recording.result import Result
-from midspan.recording.sensor_series import series_of
-from midspan.recording.stored.calibration import Calibration
-from midspan.recording.streams.progress import Progress
 from midspan.recording.streams.recording import Recording, naming
-from midspan.recording.streams.span import inside
-from midspan.recording.unsupported import unsupported_events
-from midspan.records import Displacement, Estimate, Source, part
+from midspan.recording.tracked import side_of
+from midspan.records import NANOSECONDS, Displacement, Estimate, Source, part
+from midspan.settings.stored.calibration import Calibration
+from midspan.signals.stamps import frames_used, inside
+
+RAN_AWAY = (
+    "radar: the printed unwrapping (fusion.literal) lost cycles and ran away (equations 12 to 15 do not return): the "
+    "displacement is wrong from there on. Leave fusion.literal out."
+)
 
 
 def estimate_printed(recording: Recording, calibration: Calibration | None, method: str, progress: Progress) -> Result:
@@ -42,7 +48,12 @@ def estimate_printed(recording: Recording, calibration: Calibration | None, meth
     with naming(recording):
         known = radar_part(recording, calibration)
         require_same_way(known, literal=True)
-        printed = printed_displacement(recording, known, progress)
+        source = recording.radar
+        margin_ns = round(recording.max_offset_s * NANOSECONDS)
+        used = frames_used(source.times_ns(), recording.prepared.time_ns, margin_ns)
+        blocks = source.slow_time(np.array([known.best.place_bin]), used.start, used.stop)
+        own = fetched(blocks, known.best, used.stop - used.start, progress)
+        printed = printed_displacement(own, recording.prepared, known, source.info)
         return _fused(recording, calibration, printed, method)
 
 
@@ -50,8 +61,8 @@ def _fused(recording: Recording, calibration: Calibration, printed: Printed, met
     """The printed displacement fused by a method."""
     fusion, side, known = recording.settings.fusion, side_of(recording, calibration), calibration.radar
     assert known is not None
-    settings = MethodSettings(lag_s=fusion.lag_s, literal=True, forgetting=fusion.forgetting)
-    done = run_on_series(side, printed.measured, method, settings)
+    settings = MethodSettings(kalman=side.kalman, lag_s=fusion.lag_s, literal=True, forgetting=fusion.forgetting)
+    done = run_on_series(side.acceleration, printed.measured, method, settings, rate_hz=side.prepared.rate_hz)
     # What ran away is as uncertain as it is large.
     relative = float(np.hypot(known.relative_std, 1.0 if printed.ran_away else 0.0))
     zero_m2 = known.best.noise_m**2

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from midspan._version import __version__
+from midspan.engine.radar_trace import RadarTrace
+from midspan.engine.sensor_series import SensorSeries
 from midspan.recording.camera_result import CameraResult
-from midspan.recording.radar.trace import RadarTrace
 from midspan.recording.second_axis import SecondAxis
-from midspan.recording.sensor_series import SensorSeries
-from midspan.recording.stored.calibration import Calibration
 from midspan.recording.streams.recording import Recording
 from midspan.records import Estimate, Event, Floats, Innovation, PixelTrack, Source, Status, TimeSeries, seconds
 from midspan.settings.recording import RecordingSettings
+from midspan.settings.stored.calibration import Calibration
 from midspan.signals.thinning import envelope
 from midspan.sinks.table import ResultTable
 from midspan.sinks.write import check_target, write_result

@@ -7,15 +7,14 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from midspan.engine.point import ACCELEROMETER, Output, Point
+from midspan.engine.radar_trace import RadarLog
 from midspan.engine.sensors import RadarSensor, Seen
 from midspan.errors import DataError
 from midspan.fusion.blocks import REJECTED
 from midspan.fusion.estimator import Rows
-from midspan.recording.cameras.tracked import Eye, Side, known_sensors
 from midspan.recording.point import clock_offsets_ns, radar_frames_used
-from midspan.recording.radar.trace import RadarLog
 from midspan.recording.streams.recording import Recording
-from midspan.recording.streams.sensor_words import in_words_of, worded
+from midspan.recording.tracked import Eye, Side, known_sensors
 from midspan.records import (
     NANOSECONDS,
     Arrival,
@@ -33,6 +32,7 @@ from midspan.records import (
     Tracked,
     joined,
 )
+from midspan.settings.sensor_words import in_words_of, worded
 
 NOTHING_SEEN = (
     "radar: none of the calibrated targets is seen in any frame. Calibrate again, or check radar.file and that nothing "

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from midspan.recording.sensor_series import SensorSeries
+from midspan.engine.sensor_series import SensorSeries
 from midspan.records import Estimate, Event, Floats, Innovation
 
 

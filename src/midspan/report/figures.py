@@ -6,7 +6,6 @@ import numpy as np
 
 from midspan.evaluate.metrics import normalised_innovation
 from midspan.fusion.blocks import REJECTED
-from midspan.recording.streams.span import inside
 from midspan.records import Floats, Innovation, Nanoseconds, Status, part, seconds
 from midspan.report.drawing import (
     BLACK,
@@ -24,6 +23,7 @@ from midspan.report.drawing import (
     sheet,
 )
 from midspan.report.material import Material, Measured
+from midspan.signals.stamps import inside
 from midspan.signals.thinning import envelope, logarithmic_means, spans
 
 if TYPE_CHECKING:

@@ -5,13 +5,13 @@ from datetime import UTC, datetime
 
 import numpy as np
 
+from midspan.engine.sensor_series import SensorSeries
 from midspan.errors import DataError
 from midspan.evaluate.interpolation import step_of
 from midspan.evaluate.metrics import Comparison, compare
 from midspan.recording.result import Result
-from midspan.recording.sensor_series import SensorSeries
-from midspan.recording.streams.span import EPOCH_FROM_NS, inside
 from midspan.records import Floats, Nanoseconds, TimeSeries, seconds
+from midspan.signals.stamps import EPOCH_FROM_NS, inside
 
 # A reference whose zero is off by more than this share of its motion is drawn moved, and the caption says so.
 MOVED_SHARE = 0.2

@@ -5,10 +5,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from midspan.calibration.sensors.radar import RadarCalibration, RadarDiagnostics
+from midspan.engine.radar_trace import PhaseExcerpt, RadarTrace, TargetTrace
 from midspan.radar.blockage import BlockageSettings
 from midspan.radar.channels import LEAST_BINS
-from midspan.recording.radar.trace import PhaseExcerpt, RadarTrace, TargetTrace
-from midspan.recording.stored.radar import RadarCalibration, RadarDiagnostics
 from midspan.records import Floats, seconds
 from midspan.report.drawing import (
     BLACK,

@@ -5,11 +5,11 @@ from pathlib import Path
 
 from midspan._version import __version__
 from midspan.recording.result import Result
-from midspan.recording.streams.span import shown
 from midspan.records import TimeSeries
 from midspan.report import camera_sections, page, sections
 from midspan.report.drawing import style
 from midspan.report.material import Material, gather
+from midspan.signals.stamps import shown
 from midspan.writing import write_whole
 
 

@@ -3,14 +3,14 @@
 import json
 
 from midspan._version import __version__
-from midspan.recording.radar.trace import RadarTrace
-from midspan.recording.stored.calibration import Calibration
-from midspan.recording.stored.camera import CameraCalibration
-from midspan.recording.stored.radar import RadarCalibration
+from midspan.calibration.sensors.camera import CameraCalibration
+from midspan.calibration.sensors.radar import RadarCalibration
+from midspan.engine.radar_trace import RadarTrace
 from midspan.records import NANOSECONDS
 from midspan.report import camera_figures, figures, page, radar_figures, tables
 from midspan.report.history_data import history_attributes
 from midspan.report.material import Material
+from midspan.settings.stored.calibration import Calibration
 from midspan.sinks.table import ResultTable, metadata_json
 
 

@@ -6,16 +6,16 @@ from typing import Any
 
 import numpy as np
 
+from midspan.calibration.sensors.camera import CameraCalibration
+from midspan.calibration.sensors.displacement import DisplacementCalibration
+from midspan.calibration.sensors.radar import RadarCalibration
 from midspan.evaluate.metrics import Comparison, normalised_innovation
 from midspan.fusion.blocks import REJECTED
 from midspan.radar.target import Target
 from midspan.recording.camera_result import CameraResult
-from midspan.recording.stored.calibration import Calibration
-from midspan.recording.stored.camera import CameraCalibration
-from midspan.recording.stored.displacement import DisplacementCalibration
-from midspan.recording.stored.radar import RadarCalibration
 from midspan.records import NANOSECONDS, Event, Region, TimeOffset
 from midspan.report.material import Material
+from midspan.settings.stored.calibration import Calibration
 from midspan.vision.roi import RegionChoice
 
 # So many events stand in one table; more are folded by their kinds.

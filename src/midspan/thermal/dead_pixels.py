@@ -7,6 +7,7 @@ a scene that moves draws every translation towards zero.
 import numpy as np
 from numpy.typing import NDArray
 
+from midspan.signals.medians import SIGMA_OF_MEDIAN
 from midspan.thermal.limits import Floats32
 
 Mask = NDArray[np.bool_]
@@ -100,7 +101,7 @@ def _standing_out(picture: Floats32, known: Mask) -> Mask:
     apart = np.abs(values - np.median(around, axis=0))
     if not known.any():
         return known
-    usual = 1.4826 * float(np.median(apart[known]))
+    usual = SIGMA_OF_MEDIAN * float(np.median(apart[known]))
     return np.asarray(known & (apart > max(_STANDS_OUT_K, _STANDS_OUT_STDS * usual)))
 
 

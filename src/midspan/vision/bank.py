@@ -89,8 +89,7 @@ def slots(store: Store, phase: Integers) -> Integers:
             box = block_box(store.down, store.across, b)
             first, size = block_part(box, store.weight.shape[1])
             into = store.kernels[slot, 3 * first : 3 * (first + size)]
-            made = build(store.grids, store.weight, box, phase_shift(phase[b]), into)
-            store.warp[b, slot] = made[1]
+            store.warp[b, slot] = build(store.grids, store.weight, box, phase_shift(phase[b]), into)
             store.slot_of[b, phase[b]], store.phase_in[b, slot] = slot, phase[b]
         store.used[b, slot] = store.clock[0]
         out[b] = slot
@@ -161,9 +160,13 @@ def make_bank(plane: Plane, window: Region, smoothing_px: float, division: tuple
 
 
 def _covariance(grids: tuple[Floats32, Floats32], weight: Floats32, box: tuple[int, int, int, int]) -> Floats:
-    """Noise covariance (3, 3) of the kernels of a block, see `build`."""
-    scratch = np.empty(3 * block_part(box, weight.shape[1])[1], dtype=np.float32)
-    return build(grids, weight, box, (0.0, 0.0), scratch)[0]
+    """Noise covariance (3, 3) of the kernels of a block for that noise, infinite where it holds no texture."""
+    made = np.empty(3 * block_part(box, weight.shape[1])[1], dtype=np.float32)
+    build(grids, weight, box, (0.0, 0.0), made)
+    if not made.any():
+        return np.full((3, 3), np.inf)
+    kernels = made.reshape(3, -1).astype(np.float64)
+    return np.asarray((kernels / weight[box[0] : box[1], box[2] : box[3]].ravel()) @ kernels.T)
 
 
 def _edges(size: int, division: tuple[int, int]) -> Integers:

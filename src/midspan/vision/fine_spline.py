@@ -27,26 +27,39 @@ def fine_weights(shift: float, derivative: int) -> Floats:
 
 
 @njit(cache=True, fastmath=True)
+def _down(grid: Floats32, row: int, wy: Floats32, line: Floats32) -> None:
+    """Fill `line` with the sums of nine rows of `grid` from `row` on, each times its weight."""
+    for c in range(len(line)):
+        total = np.float32(0.0)
+        for j in range(FINE_TAPS):
+            total += wy[j] * grid[row + j, c]
+        line[c] = total
+
+
+@njit(cache=True, fastmath=True)
+def _across(line: Floats32, wx: Floats32, out: Floats32) -> None:
+    """Fill `out` with the weighted sums of nine values of `line` about each pixel."""
+    for c in range(len(out)):
+        total = np.float32(0.0)
+        for i in range(FINE_TAPS):
+            total += wx[i] * line[PER_PX * c + i]
+        out[c] = total
+
+
+@njit(cache=True)
+def _pixels(grid: Floats32) -> tuple[int, int]:
+    """How many rows and columns of pixels lie on the coefficients."""
+    return (grid.shape[0] - FINE_TAPS) // PER_PX + 1, (grid.shape[1] - FINE_TAPS) // PER_PX + 1
+
+
+@njit(cache=True)
 def read(grid: Floats32, wy: Floats, wx: Floats) -> Floats32:
     """Values (rows, columns) on the pixels of `grid` (2 rows + 7, 2 columns + 7); weights (9,) wy down, wx across."""
-    rows, columns = (grid.shape[0] - FINE_TAPS) // PER_PX + 1, (grid.shape[1] - FINE_TAPS) // PER_PX + 1
-    out = np.zeros((rows, columns), dtype=np.float32)
-    line = np.empty(grid.shape[1], dtype=np.float32)
-    parted = np.empty((PER_PX, grid.shape[1] // PER_PX + 1), dtype=np.float32)
-    for r in range(rows):
-        line[:] = np.float32(0.0)
-        for j in range(FINE_TAPS):
-            w = np.float32(wy[j])
-            if w != 0:
-                for c in range(grid.shape[1]):
-                    line[c] += w * grid[PER_PX * r + j, c]
-        for c in range(grid.shape[1]):
-            parted[c % PER_PX, c // PER_PX] = line[c]
-        for i in range(FINE_TAPS):
-            w, part = np.float32(wx[i]), parted[i % PER_PX]
-            start = i // PER_PX
-            for c in range(columns):
-                out[r, c] += w * part[start + c]
+    down, across = wy.astype(np.float32), wx.astype(np.float32)
+    out, line = np.empty(_pixels(grid), dtype=np.float32), np.empty(grid.shape[1], dtype=np.float32)
+    for r in range(len(out)):
+        _down(grid, PER_PX * r, down, line)
+        _across(line, across, out[r])
     return out
 
 
@@ -54,33 +67,42 @@ def read(grid: Floats32, wy: Floats, wx: Floats) -> Floats32:
 def spread(pixels: Floats32, wy: Floats, wx: Floats, out: Floats32) -> None:
     """Add to the coefficients `out` what `read` would take from each to `pixels` (rows, columns): its transpose."""
     rows, columns = pixels.shape
-    line = np.empty(out.shape[1], dtype=np.float32)
-    parted = np.empty((PER_PX, out.shape[1] // PER_PX + 1), dtype=np.float32)
+    reach = FINE_TAPS // PER_PX
+    # A tenth weight of 0 and lines of 0 around the pixels: even and odd coefficients then have sums of equal length.
+    down, across = np.zeros(FINE_TAPS + 1, dtype=np.float32), np.zeros(FINE_TAPS + 1, dtype=np.float32)
+    down[:FINE_TAPS], across[:FINE_TAPS] = wy, wx
+    line = np.zeros(columns + 2 * reach, dtype=np.float32)
+    lines = np.zeros((rows + 2 * reach, PER_PX * (columns + reach)), dtype=np.float32)
     for r in range(rows):
-        parted[:] = np.float32(0.0)
-        for i in range(FINE_TAPS):
-            w, part = np.float32(wx[i]), parted[i % PER_PX]
-            start = i // PER_PX
-            for c in range(columns):
-                part[start + c] += w * pixels[r, c]
+        line[reach : reach + columns] = pixels[r]
+        for k in range(columns + reach):
+            even, odd = np.float32(0.0), np.float32(0.0)
+            for m in range(reach + 1):
+                even += across[PER_PX * m] * line[k + reach - m]
+                odd += across[PER_PX * m + 1] * line[k + reach - m]
+            lines[r + reach, PER_PX * k], lines[r + reach, PER_PX * k + 1] = even, odd
+    for r in range(out.shape[0]):
+        half, part = divmod(r, PER_PX)
         for c in range(out.shape[1]):
-            line[c] = parted[c % PER_PX, c // PER_PX]
-        for j in range(FINE_TAPS):
-            w = np.float32(wy[j])
-            if w != 0:
-                for c in range(out.shape[1]):
-                    out[PER_PX * r + j, c] += w * line[c]
+            total = np.float32(0.0)
+            for m in range(reach + 1):
+                total += down[PER_PX * m + part] * lines[half + reach - m, c]
+            out[r, c] += total
 
 
 @njit(cache=True)
 def planes(grid: Floats32, x: float, y: float) -> Floats32:
     """Values and slopes along x and y (3, rows, columns) of the spline image moved by (x, y) px, each -0.5 to 0.5."""
-    wx, wy = fine_weights(-x, 0), fine_weights(-y, 0)
-    value = read(grid, wy, wx)
-    out = np.empty((3, *value.shape), dtype=np.float32)
-    out[0] = value
-    out[1] = read(grid, wy, fine_weights(-x, 1))
-    out[2] = read(grid, fine_weights(-y, 1), wx)
+    wx, wy = fine_weights(-x, 0).astype(np.float32), fine_weights(-y, 0).astype(np.float32)
+    slope_x, slope_y = fine_weights(-x, 1).astype(np.float32), fine_weights(-y, 1).astype(np.float32)
+    rows, columns = _pixels(grid)
+    out, line = np.empty((3, rows, columns), dtype=np.float32), np.empty(grid.shape[1], dtype=np.float32)
+    for r in range(rows):
+        _down(grid, PER_PX * r, wy, line)
+        _across(line, wx, out[0, r])
+        _across(line, slope_x, out[1, r])
+        _down(grid, PER_PX * r, slope_y, line)
+        _across(line, wx, out[2, r])
     return out
 
 

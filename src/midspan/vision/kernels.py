@@ -37,80 +37,81 @@ def _invert(matrix: Floats) -> bool:
         best = k + np.abs(work[k:, k]).argmax()
         if abs(work[best, k]) < 1e-9:
             return False
-        if best != k:
-            line = work[k].copy()
-            work[k], work[best] = work[best], line
-        work[k] /= work[k, k]
+        pivot = 1.0 / work[best, k]
+        for j in range(2 * n):
+            scaled = work[best, j] * pivot
+            work[best, j] = work[k, j]
+            work[k, j] = scaled
         for i in range(n):
+            factor = work[i, k]
             if i != k:
-                work[i] -= work[i, k] * work[k]
+                for j in range(2 * n):
+                    work[i, j] -= factor * work[k, j]
     matrix[:] = work[:, n:]
     return True
 
 
-@njit(cache=True)
+@njit(cache=True, fastmath=True)
 def _columns(planes: Floats32) -> Floats:
     """The regressors (8, pixels) of a block from its `planes` (3, h, w): -∂x, -∂y, template, 1, ramps across and down,
     the template times each.
     """
     rows, columns = planes.shape[1], planes.shape[2]
     out = np.empty((_UNKNOWNS, rows * columns))
-    n = 0
     for r in range(rows):
+        part = out[:, r * columns : (r + 1) * columns]
+        down = (2 * r - rows + 1) / rows
         for c in range(columns):
-            out[0, n], out[1, n], out[2, n] = -planes[1, r, c], -planes[2, r, c], planes[0, r, c]
-            across, down = (2 * c - columns + 1) / columns, (2 * r - rows + 1) / rows
-            out[3, n], out[4, n], out[5, n] = 1.0, across, down
-            out[6, n], out[7, n] = across * planes[0, r, c], down * planes[0, r, c]
-            n += 1
+            across, value = (2 * c - columns + 1) * (1.0 / columns), planes[0, r, c]
+            part[0, c], part[1, c], part[2, c] = -planes[1, r, c], -planes[2, r, c], value
+            part[3, c], part[4, c], part[5, c] = 1.0, across, down
+            part[6, c], part[7, c] = across * value, down * value
     return out
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True)
 def build(
     grids: tuple[Floats32, Floats32],
     weight: Floats32,
     box: tuple[int, int, int, int],
     shift: tuple[float, float],
     out: Floats32,
-) -> tuple[Floats, Floats]:
+) -> Floats:
     """Fill `out` (3 pixels,) with the kernels of the block `box` for the template moved by `shift` (x, y px).
 
     `grids`: fine spline coefficients (2 h + 7, 2 w + 7) of the template and of the low-passed one; `weight` (h, w) one
     over the noise variance; `box`: first row, row after the last, first column, column after the last of the block in
-    the window. Returns the kernels' noise covariance (3, 3) for that noise, infinite where the block holds no texture,
-    and what they give (2, 2) for x and y (rows) of a block turned by 1 rad or enlarged by 1 about its middle (columns).
+    the window. The kernels are zero where the block holds no texture. Returns what they give (2, 2) for x and y (rows)
+    of a block turned by 1 rad or enlarged by 1 about its middle (columns).
     """
     top, bottom, left, right = box
     beyond = FINE_TAPS - PER_PX
     down, across = slice(PER_PX * top, PER_PX * bottom + beyond), slice(PER_PX * left, PER_PX * right + beyond)
-    moved = planes(grids[0][down, across], shift[0], shift[1])
+    # Copies without gaps: only along those can the compiler take several pixels at once.
+    moved = planes(grids[0][down, across].copy(), shift[0], shift[1])
     model = _columns(moved)
-    instrument = _columns(planes(grids[1][down, across], shift[0], shift[1]))
-    rows, columns = bottom - top, right - left
-    part = weight[top:bottom, left:right].copy().reshape(rows * columns).astype(np.float64)
-    weighted = instrument * part
+    weighted = _columns(planes(grids[1][down, across].copy(), shift[0], shift[1]))
+    weighted *= weight[top:bottom, left:right].copy().reshape(weighted.shape[1])
     inverse = weighted @ model.T
     if not _invert(inverse):
         out[:] = np.float32(0.0)
-        return np.full((3, 3), np.inf), np.zeros((2, 2))
+        return np.zeros((2, 2))
     kernels = np.ascontiguousarray(inverse[:3]) @ weighted
-    out[:] = kernels.reshape(3 * rows * columns)
-    return (kernels / part) @ kernels.T, kernels[:2] @ _warps(moved)
+    out[:] = kernels.reshape(len(out))
+    return kernels[:2] @ _warps(moved).T
 
 
-@njit(cache=True)
+@njit(cache=True, fastmath=True)
 def _warps(planes: Floats32) -> Floats:
-    """How a block's pixels (pixels, 2) change when it is turned by 1 rad and when it is enlarged by 1."""
+    """How a block's pixels (2, pixels) change when it is turned by 1 rad and when it is enlarged by 1."""
     rows, columns = planes.shape[1], planes.shape[2]
-    out = np.empty((rows * columns, 2))
-    n = 0
+    out = np.empty((2, rows * columns))
     for r in range(rows):
+        part, y = out[:, r * columns : (r + 1) * columns], r - 0.5 * (rows - 1)
         for c in range(columns):
-            x, y = c - 0.5 * (columns - 1), r - 0.5 * (rows - 1)
-            out[n, 0] = y * planes[1, r, c] - x * planes[2, r, c]
-            out[n, 1] = -x * planes[1, r, c] - y * planes[2, r, c]
-            n += 1
+            x = c - 0.5 * (columns - 1)
+            part[0, c] = y * planes[1, r, c] - x * planes[2, r, c]
+            part[1, c] = -x * planes[1, r, c] - y * planes[2, r, c]
     return out
 
 

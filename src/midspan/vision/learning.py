@@ -24,6 +24,9 @@ PAD_PX = 8  # around the window: what low-pass and spline reach for
 SAME_PLACE_PX = 0.03  # frames nearer than this are one sample: the blur of it is 1e-4 of any frequency's amplitude
 MOST_SAMPLES = 48
 ROUNDS, ITERATIONS = 4, 12
+# Steps that lower the sum of squared differences by less than this share of a frame's noise variance a pixel change the
+# template by less than a seventh (the root) of its own noise: no more of them are made.
+MIN_STEP_SHARE = 0.02
 FIRST_PENALTY, PENALTY_SHARE = 0.01, 0.1
 _SMOOTHED_PX = 5
 _INNER = np.s_[PAD_PX:-PAD_PX, PAD_PX:-PAD_PX]
@@ -91,25 +94,30 @@ def learn_plane(samples: KeptSamples) -> Plane:
     """The template that the samples show together, with the weight of each pixel of the window."""
     items = list(samples.items)
     grid = refined(items[0].pixels.astype(np.float64))
-    penalty = FIRST_PENALTY
+    penalty, least = FIRST_PENALTY, 0.0
     for turn in range(ROUNDS):
-        grid = fit(items, grid, penalty)
+        grid, steps = fit(items, grid, penalty, least)
         items = [_placed(item, grid) for item in items]
         if turn == 0:
-            penalty = PENALTY_SHARE * _noise_variance(items, grid) / max(_roughness(grid), 1e-30)
-    variance = _residual_square(items, grid)[_INNER]
+            noise = _noise_variance(_residual_square(items, grid))
+            penalty = PENALTY_SHARE * noise / max(_roughness(grid), 1e-30)
+            least = MIN_STEP_SHARE * noise * items[0].pixels.size
+        elif steps == 1:
+            break
+    square = _residual_square(items, grid)
     return Plane(
         grid,
         (PAD_PX, PAD_PX),
-        _weight(variance),
-        math.sqrt(_noise_variance(items, grid) / samples.frames),
+        _weight(square[_INNER]),
+        math.sqrt(_noise_variance(square) / samples.frames),
     )
 
 
-def fit(items: list[Sample], start: Floats32, penalty: float) -> Floats32:
-    """Fine coefficients (2 h + 7, 2 w + 7) that fit the samples, by conjugate gradients from `start`.
+def fit(items: list[Sample], start: Floats32, penalty: float, least: float = 0.0) -> tuple[Floats32, int]:
+    """Fine coefficients (2 h + 7, 2 w + 7) that fit the samples, by conjugate gradients from `start`; how many steps.
 
-    `penalty`: variance of a frame's noise over that of the coefficients' squared Laplacian.
+    `penalty`: variance of a frame's noise over that of the coefficients' squared Laplacian. `least`: a step that lowers
+    the sum of squared differences by less is the last.
     """
     taps = [(fine_weights(-float(s.shift[1]), 0), fine_weights(-float(s.shift[0]), 0), float(s.count)) for s in items]
 
@@ -125,13 +133,17 @@ def fit(items: list[Sample], start: Floats32, penalty: float) -> Floats32:
     grid = start.astype(np.float64)
     rest = right - normal(start)
     direction, square = rest.astype(np.float64), float(np.sum(rest.astype(np.float64) ** 2))
-    for _ in range(ITERATIONS):
+    steps = 0
+    while steps < ITERATIONS:
+        steps += 1
         through = normal(direction.astype(np.float32))
         step = square / max(float(np.sum(direction * through)), 1e-300)
         grid, rest = grid + step * direction, rest - step * through
+        if step * square < least:
+            break
         before, square = square, float(np.sum(rest**2))
         direction = rest + square / max(before, 1e-300) * direction
-    return grid.astype(np.float32)
+    return grid.astype(np.float32), steps
 
 
 @njit(cache=True)
@@ -172,9 +184,9 @@ def _residual_square(items: list[Sample], grid: Floats32) -> Floats:
     return np.asarray(total / max(len(items) - 1, 1), dtype=np.float64)
 
 
-def _noise_variance(items: list[Sample], grid: Floats32) -> float:
-    """Variance of a frame's noise, from what the fit leaves, without what moves in front of a part."""
-    return float(np.median(_smoothed(_residual_square(items, grid)[_INNER])))
+def _noise_variance(square: Floats) -> float:
+    """Variance of a frame's noise, from what the fit leaves (`square`), without what moves in front of a part."""
+    return float(np.median(_smoothed(square[_INNER])))
 
 
 def _smoothed(square: Floats) -> Floats:
@@ -195,11 +207,25 @@ def _weight(variance: Floats) -> Floats32:
 
 def _placed(item: Sample, grid: Floats32) -> Sample:
     """The sample with its place, level and contrast as the template says: one step of least squares."""
-    x, y = (float(v) for v in item.shift)
-    value, slope_x, slope_y = (p[_INNER].ravel().astype(np.float64) for p in planes(grid, x, y))
-    columns = np.stack([-slope_x, -slope_y, value, np.ones_like(value)])
-    found = np.linalg.solve(columns @ columns.T, columns @ item.pixels[_INNER].ravel().astype(np.float64))
+    moved = planes(grid, float(item.shift[0]), float(item.shift[1]))
+    found = np.linalg.solve(*_normal(moved[:, *_INNER], item.pixels[_INNER]))
     gain = found[2] if found[2] > 0.1 else 1.0
     pixels = ((item.pixels - found[3]) / gain).astype(np.float32)
     step = np.clip(found[:2] / gain, -0.1, 0.1)
     return replace(item, pixels=pixels, shift=np.clip(item.shift + step, -0.6, 0.6))
+
+
+@njit(cache=True)
+def _normal(moved: Floats32, pixels: Floats32) -> tuple[Floats, Floats]:
+    """Normal matrix (4, 4) and right side (4,) of pixels (h, w) by shift along x and y, gain and level; `moved`
+    (3, h, w): values and slopes of what they are compared with.
+    """
+    matrix, right, column = np.zeros((4, 4)), np.zeros(4), np.ones(4)
+    for r in range(pixels.shape[0]):
+        for c in range(pixels.shape[1]):
+            column[0], column[1], column[2] = -moved[1, r, c], -moved[2, r, c], moved[0, r, c]
+            for i in range(4):
+                right[i] += column[i] * pixels[r, c]
+                for j in range(4):
+                    matrix[i, j] += column[i] * column[j]
+    return matrix, right

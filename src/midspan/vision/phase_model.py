@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from midspan.records import Floats, Region
 from midspan.signals.health import Mask
+from midspan.signals.medians import MEDIAN_OF_SQUARE
 from midspan.vision.active_pixels import by_amplitude, by_correlation, slope_and_r_squared
 from midspan.vision.phase_flow import phase_change, phase_curvatures, phase_slopes
 from midspan.vision.spline import Floats32
@@ -24,7 +25,6 @@ GAIN_ERROR_OF_NOISE = 0.35
 SPLIT_FRAMES = 20
 LEAST_MOTION_PX = 0.05  # rms of residual motion from which a slope can be learnt
 LEAST_R_SQUARED = 0.5
-MEDIAN_OF_SQUARE = 0.4549  # of a normal variable of variance 1
 ROUNDS = 3
 CHECKS = 3
 MOST_SIGMA = 4.0

@@ -9,12 +9,12 @@ from numba import njit
 from numpy.typing import NDArray
 
 from midspan.records import Floats
+from midspan.signals.medians import MEDIAN_DEVIATION
 from midspan.vision.spline import Floats32, weights
 
 BLOCK_PX = 8  # px; codecs cut pictures into such blocks, counted from the corner
 REACH_PX = 10  # the cardinal spline has fallen below 1e-3 there
 _MASK_SQUARE = 36.0  # of the second difference along both axes
-_NORMAL_MEDIAN = 0.6745  # of a normal variable's distance from its mean, in standard deviations
 
 
 @njit(cache=True, fastmath=True)
@@ -218,7 +218,7 @@ def difference(now: Square, then: Square) -> Difference:
 @njit(cache=True)
 def _spread(values: Floats32) -> float:
     """Standard deviation of a normal variable whose median distance from 0 is that of `values`."""
-    return float(np.median(np.abs(values))) / _NORMAL_MEDIAN
+    return float(np.median(np.abs(values))) / MEDIAN_DEVIATION
 
 
 @njit(cache=True, fastmath=True)

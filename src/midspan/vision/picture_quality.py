@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from midspan.records import Frame, PixelTranslation, Region, Status
 from midspan.signals.running_median import RunningMedian
 from midspan.vision.compression import CodecState, CodecWatch, Compression
+from midspan.vision.fair_variance import USUAL_FRAMES
 from midspan.vision.picture_counts import PictureCounts
 from midspan.vision.picture_difference import detail, frozen_texture, share_at_ends
 from midspan.vision.region import clamp, shift
 
 ROWS_LOOKED_AT = 32  # for the detail of each frame
-USUAL_FRAMES = 64  # the usual sharpness is a median over so many frames
 FROZEN_MEAN_FRAMES = 96  # the usual share of texture that stood still is a mean over about so many
 FROZEN_FRAMES = 9  # the steps of so many frames are taken for the target's speed
 MOST_FROZEN = 0.9

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from midspan.records import Floats, Prediction
+from midspan.signals.medians import SIGMA_OF_MEDIAN
 
 Mask = NDArray[np.bool_]
 
@@ -18,7 +19,6 @@ PAIRINGS = 8
 MOST = 0.5  # a believed set holds at least this share of the matches
 CONFIDENCE = 3.0  # standard deviations that hold 99.7 % of a normal variable
 SPREAD = 4.0  # robust standard deviations from the median
-SIGMA_OF_MEDIAN = 1.4826  # standard deviation over median deviation of a normal variable
 
 
 def distance_variation(first: Floats, now: Floats) -> Floats:

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from midspan.errors import UsageError
 from midspan.records import Floats
+from midspan.signals.medians import MEDIAN_DEVIATION
 from midspan.vision.spline import REACH, Floats32, coefficients, combine, weights
 from midspan.vision.zncc import smooth
 
@@ -80,8 +81,8 @@ def noise_std(image: Floats) -> float:
         return 0.0
     v = image[:-2] - 2.0 * image[1:-1] + image[2:]
     mask = v[:, :-2] - 2.0 * v[:, 1:-1] + v[:, 2:]
-    # The mask's weights have the square sum 36; a normal variable's median deviation is 0.6745 of its standard one.
-    return float(np.median(np.abs(mask)) / (6.0 * 0.6745))
+    # The mask's weights have the square sum 36.
+    return float(np.median(np.abs(mask)) / (6.0 * MEDIAN_DEVIATION))
 
 
 @cache

@@ -7,21 +7,22 @@ from pathlib import Path
 from typing import Any
 
 from midspan.errors import DataError, MidspanError, UsageError
-from midspan.recording.streams.acceleration import PreparedAcceleration, prepare_acceleration, still
 from midspan.records import NANOSECONDS, Nanoseconds, TimeSeries
 from midspan.settings.camera import InfraredSettings
 from midspan.settings.kinds import CAMERAS, KINDS
 from midspan.settings.load import load_settings, settings_file
 from midspan.settings.recording import RecordingSettings, Sensor
 from midspan.settings.sensors import AccelerometerSettings, ChannelSettings
+from midspan.signals.acceleration import PreparedAcceleration, prepare_acceleration, still
 from midspan.sources.accelerometer.formats import list_channels
 from midspan.sources.accelerometer.select import SeriesRequest, read_series
 from midspan.sources.camera.formats import open_frames
-from midspan.sources.camera.frames import FrameRequest, FrameSource
+from midspan.sources.camera.frames import FrameRequest
 from midspan.sources.radar.formats import open_radar
 from midspan.sources.radar.radar_source import RadarRequest, RadarSource
 from midspan.sources.thermal.formats import open_thermal
 from midspan.sources.thermal.request import ThermalRequest
+from midspan.vision.frame_source import FrameSource
 
 # Share of the shortest stream by which its clock may be off where nothing else is said.
 MAX_OFFSET_SHARE = 0.2

@@ -1,12 +1,17 @@
-"""The part of a recording that it is calibrated on."""
+"""Where the streams of a recording overlap, and the part of it that it is calibrated on."""
 
-from midspan.errors import UsageError
+import numpy as np
+
+from midspan.calibration.measured import LEAST_MEASUREMENTS
+from midspan.errors import DataError, UsageError
 from midspan.recording.streams.recording import Recording
-from midspan.recording.streams.span import inside
-from midspan.records import NANOSECONDS
+from midspan.records import NANOSECONDS, Nanoseconds
+from midspan.signals.stamps import inside, shown
 
+# Two streams share enough when it lasts this long, or holds this many steps of the slower one: a high-speed camera
+# records a quarter of a second.
+MIN_OVERLAP_S, MIN_OVERLAP_STEPS = 1.0, 100
 DEFAULT_WINDOW_S = 60.0
-LEAST_MEASUREMENTS = 20
 
 
 def calibration_window(recording: Recording) -> slice:
@@ -32,3 +37,27 @@ def window_ends(recording: Recording) -> tuple[int, int]:
     """First and last stamp (ns) of the calibration window."""
     window, time_ns = calibration_window(recording), recording.prepared.time_ns
     return int(time_ns[window.start]), int(time_ns[window.stop - 1])
+
+
+def require_overlap(acceleration_ns: Nanoseconds, other_ns: Nanoseconds, section: str) -> None:
+    """DataError unless the two streams share a second, or 100 steps of the slower one where that is less.
+
+    section: the other stream's in the settings.
+    """
+    steps_ns = [float(np.median(np.diff(times))) for times in (acceleration_ns, other_ns) if len(times) > 1]
+    least_s = min(MIN_OVERLAP_S, MIN_OVERLAP_STEPS * max(steps_ns, default=np.inf) / NANOSECONDS)
+    first = max(int(acceleration_ns[0]), int(other_ns[0]))
+    last = min(int(acceleration_ns[-1]), int(other_ns[-1]))
+    if last - first >= least_s * NANOSECONDS:
+        return
+    if other_ns[-1] - other_ns[0] < least_s * NANOSECONDS:
+        raise DataError(
+            f"{section} must last {least_s:.3g} s or more; it has {len(other_ns)} stamps from "
+            f"{shown(int(other_ns[0]))} to {shown(int(other_ns[-1]))}. Check that its file is whole, and its rate."
+        )
+    raise DataError(
+        f"accelerometer and {section} do not overlap in time: the accelerometer runs from "
+        f"{shown(int(acceleration_ns[0]))} to {shown(int(acceleration_ns[-1]))}, {section} from "
+        f"{shown(int(other_ns[0]))} to {shown(int(other_ns[-1]))}; at least {least_s:.3g} s must "
+        f"be shared. Bring the clocks together with {section}.start_s or accelerometer.start_s."
+    )

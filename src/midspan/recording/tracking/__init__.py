@@ -1,1 +1,1 @@
-"""From a camera's frames to its targets' displacement."""
+"""A recording's cameras opened: light, lens, targets, temperatures; and the camera alone."""

@@ -5,11 +5,11 @@ from numpy.typing import NDArray
 
 from midspan.errors import UntrustedError
 from midspan.recording.streams.recording import Recording
-from midspan.recording.streams.span import shown
 from midspan.recording.streams.window import DEFAULT_WINDOW_S, window_ends
 from midspan.records import NANOSECONDS, Floats
 from midspan.settings.kinds import CAMERAS
 from midspan.signals.health import runs
+from midspan.signals.stamps import shown
 from midspan.vision.light import is_dark
 
 # So many frames are looked at in the window, and in the whole recording where that is dark.

@@ -1,22 +1,24 @@
 """Opening of a camera's tracking: the frames used, its targets, and what they are tracked with."""
 
+from dataclasses import replace
+
 import numpy as np
 
+from midspan.calibration.sensors.camera import CameraCalibration
 from midspan.engine.camera_target import Target
+from midspan.engine.tracking import CameraTracking, TrackingSettings
 from midspan.errors import DataError, UsageError
-from midspan.recording.stored.camera import CameraCalibration
-from midspan.recording.streams.measured import frames_used
-from midspan.recording.streams.progress import Progress
+from midspan.progress import Progress
 from midspan.recording.streams.recording import Recording
-from midspan.recording.streams.span import require_overlap, shown
-from midspan.recording.streams.window import window_ends
-from midspan.recording.tracking.lens import check_same_lens, lens_of
-from midspan.recording.tracking.region_choice import Judge
+from midspan.recording.streams.window import require_overlap, window_ends
 from midspan.recording.tracking.temperatures import levels_of
-from midspan.recording.tracking.tracking import CameraTracking, TrackingSettings
 from midspan.records import NANOSECONDS, Nanoseconds, Region
 from midspan.settings.camera import CameraSettings, InfraredSettings
+from midspan.signals.stamps import frames_used, shown
+from midspan.sources.camera.lens import load_lens
 from midspan.thermal.limits import Limits
+from midspan.vision.lens import Lens
+from midspan.vision.region_choice import Judge
 from midspan.vision.tracker import tracker_settings
 
 LEAST_FRAMES = 2
@@ -110,3 +112,24 @@ def calibrated_targets(given: tuple[Target, ...], known: CameraCalibration | Non
             f"{'not ' + ', '.join(missing) if missing else 'some are missing in the recording'}. Calibrate again."
         )
     return tuple(Target(target.region, target.name) for target in known.used)
+
+
+def lens_of(recording: Recording) -> Lens | None:
+    """The lens that [camera.lens] of a recording names, None where it names none."""
+    settings = recording.settings.camera.lens if recording.settings.camera else None
+    if settings is None:
+        return None
+    if settings.file is not None:
+        return load_lens(recording.path(settings.file, "camera.lens.file"))
+    return settings.lens()
+
+
+def check_same_lens(lens: Lens | None, calibrated: Lens | None) -> None:
+    """UsageError unless a recording's lens is that of its calibration, whose scale factor holds for no other."""
+    now, then = (None if found is None else replace(found, covered_px=None) for found in (lens, calibrated))
+    if now != then:
+        words = "has none" if then is None else "was made with one" if now is None else "was made with another one"
+        raise UsageError(
+            f"camera.lens: must be that of the calibration, which {words}. A scale factor holds for one lens model "
+            "only. Calibrate again, or correct [camera.lens]."
+        )

@@ -1,10 +1,10 @@
 """The temperatures that a thermal camera's trackers see: as they are, or a range of them in grey levels."""
 
+from midspan.calibration.sensors.camera import CameraCalibration
 from midspan.engine.thermal_target import ThermalTarget
+from midspan.engine.tracking import CameraTracking
 from midspan.errors import UsageError
-from midspan.recording.stored.camera import CameraCalibration
 from midspan.recording.streams.recording import Recording
-from midspan.recording.tracking.tracking import CameraTracking
 from midspan.settings.camera import InfraredSettings
 from midspan.thermal.limits import Limits
 

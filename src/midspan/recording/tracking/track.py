@@ -1,6 +1,5 @@
 """`track`: the camera alone, translation in pixels for each frame, no accelerometer needed."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -9,23 +8,20 @@ import numpy as np
 
 from midspan._version import __version__
 from midspan.engine.camera_target import Target
+from midspan.engine.tracking import CameraTracking, TrackingSettings
 from midspan.errors import UsageError
-from midspan.recording.streams.progress import Progress, silent
+from midspan.progress import Progress, silent
 from midspan.recording.streams.recording import open_with_cameras
-from midspan.recording.streams.sensor_words import in_words_of
-from midspan.recording.tracking.lens import lens_of
-from midspan.recording.tracking.opening import given_targets
+from midspan.recording.tracking.opening import given_targets, lens_of
 from midspan.recording.tracking.temperatures import levels_of
-from midspan.recording.tracking.tracking import CameraTracking, TrackingSettings
 from midspan.records import PixelTrack, Region, Status, seconds
 from midspan.settings.load import RECORDING_FILE
+from midspan.settings.sensor_words import in_words_of, worded
 from midspan.sinks.table import ResultTable
-from midspan.sources.camera.frames import FrameRequest, FrameSource
+from midspan.sources.camera.frames import FrameRequest, timed_or_counted
 from midspan.sources.thermal.formats import is_thermal, open_pictures
+from midspan.vision.frame_source import FrameSource
 from midspan.vision.tracker import DEFAULT_TRACKER, tracker_settings
-
-# Images without any time get one second a frame, so that time_s counts them.
-COUNTING_RATE_HZ = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,7 +103,7 @@ def track(source: str | Path, request: TrackRequest | None = None, progress: Pro
         tracking = CameraTracking(frames, settings, progress)
         rows = _all_rows(tracking)
     progress(1, 1, "tracking")
-    warnings += tracking.warnings("xy")
+    warnings += [worded(line, settings.sensor) for line in tracking.warnings("xy")]
     for target, found in zip(tracking.targets, rows, strict=True):
         lost = int(np.count_nonzero(found.status == Status.LOST))
         if lost:
@@ -156,22 +152,17 @@ def _of_recording(path: Path, request: TrackRequest) -> tuple[FrameSource, Track
 
 
 def _of_file(path: Path, request: TrackRequest) -> tuple[FrameSource, list[str]]:
+    """The source with its own times, or counting frames where it has none."""
+
     def opened(rate_hz: float | None) -> FrameSource:
         wanted = FrameRequest(rate_hz=rate_hz, start_s=request.start_s, every=request.every or 1)
         return open_pictures(path, wanted)
 
-    return _with_times(opened, request.rate_hz)
-
-
-def _with_times(opened: Callable[[float | None], FrameSource], rate_hz: float | None) -> tuple[FrameSource, list[str]]:
-    """The source with its own times, or counting frames where it has none."""
-    try:
-        source = opened(rate_hz)
+    if request.rate_hz is not None:
+        source = opened(request.rate_hz)
         source.times_ns()
         return source, []
-    except UsageError:
-        if rate_hz is not None:
-            raise
-    source = opened(COUNTING_RATE_HZ)
-    source.times_ns()
-    return source, ["The frames have no time stamps: time_s counts the frames. Give --rate-hz for seconds."]
+    source, timed = timed_or_counted(opened)
+    return source, [] if timed else [
+        "The frames have no time stamps: time_s counts the frames. Give --rate-hz for seconds."
+    ]

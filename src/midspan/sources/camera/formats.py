@@ -7,9 +7,10 @@ from pathlib import Path
 from midspan.errors import DataError, UsageError
 from midspan.sources.accelerometer.formats import FORMATS as TABLE_FORMATS
 from midspan.sources.boundary import reading, require_file
-from midspan.sources.camera.frames import FrameRequest, FrameSource
+from midspan.sources.camera.frames import FrameRequest
 from midspan.sources.camera.guarded import GuardedFrames
 from midspan.sources.camera.timing import check_request
+from midspan.vision.frame_source import FrameSource
 
 _VIDEO: tuple[str, ...] = (
     ".mp4",

@@ -1,14 +1,17 @@
-"""What every source of frames offers, whatever it reads from."""
+"""How frames are asked for, and what of a colour image is used."""
 
-from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from midspan.records import Frame, Nanoseconds
+from midspan.errors import UsageError
+from midspan.vision.frame_source import FrameSource
+
+# Frames without any time are counted, one a second.
+COUNTING_RATE_HZ = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,40 +27,19 @@ class FrameRequest:
     every: int = 1
 
 
-@dataclass(frozen=True, slots=True)
-class FrameInfo:
-    """What is known of a source of frames: `frame_count` counts all frames of the file (None: not known).
+def timed_or_counted(opened: Callable[[float | None], FrameSource]) -> tuple[FrameSource, bool]:
+    """A source with its own times, or counting frames where it has none; and whether they are its own.
 
-    `bit_depth` is that of the luma, `lossless` None where the codec can be either, `radiometric` whether pixels are
-    temperatures. `damage`: what of the file was lost, mended or is doubtful, which a result should tell.
+    opened: opens it at a rate, Hz; None: with its own times.
     """
-
-    width: int
-    height: int
-    bit_depth: int
-    frame_count: int | None
-    codec: str
-    lossless: bool | None
-    notes: tuple[str, ...] = ()
-    radiometric: bool = False
-    damage: tuple[str, ...] = ()
-
-
-class FrameSource(ABC):
-    """Frames in the order of time; indices count the frames that are left after `every`."""
-
-    @property
-    @abstractmethod
-    def info(self) -> FrameInfo:
-        """What is known by now; notes can be added while frames are read (frames lost to damage)."""
-
-    @abstractmethod
-    def times_ns(self) -> Nanoseconds:
-        """Time stamps (frames,) in ns of the camera's clock, strictly increasing, after `every`."""
-
-    @abstractmethod
-    def frames(self, start: int = 0, stop: int | None = None) -> Iterator[Frame]:
-        """Frames start … stop-1 after `every`, one at a time; a frame lost to damage is passed over with its index."""
+    try:
+        source = opened(None)
+        source.times_ns()
+        return source, True
+    except UsageError:
+        source = opened(COUNTING_RATE_HZ)
+        source.times_ns()
+        return source, False
 
 
 def luma(image: NDArray[np.generic], reversed_colours: bool) -> NDArray[np.generic]:

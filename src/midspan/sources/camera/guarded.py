@@ -5,7 +5,7 @@ from pathlib import Path
 
 from midspan.records import Frame, Nanoseconds
 from midspan.sources.boundary import reading
-from midspan.sources.camera.frames import FrameInfo, FrameSource
+from midspan.vision.frame_source import FrameInfo, FrameSource
 
 
 class GuardedFrames(FrameSource):

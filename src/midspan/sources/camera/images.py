@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 from midspan.errors import DataError
 from midspan.records import Frame, Nanoseconds
 from midspan.sources.boundary import reading
-from midspan.sources.camera.frames import FrameInfo, FrameRequest, FrameSource, luma
+from midspan.sources.camera.frames import FrameRequest, luma
 from midspan.sources.camera.picture_header import Page, pages, picture_bytes
 from midspan.sources.camera.timing import file_times, rate_times
 from midspan.sources.declared_size import require_memory
 from midspan.sources.file_bytes import mapped
+from midspan.vision.frame_source import FrameInfo, FrameSource
 
 # Pages of a TIFF decoded at once, and the bytes they may take: each call walks the file's list of pages from its start.
 _PAGES_AT_ONCE = 16

@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from midspan.errors import DataError
 from midspan.records import NANOSECONDS, Floats, Frame, Nanoseconds
-from midspan.sources.camera.frames import FrameInfo, FrameRequest, FrameSource
+from midspan.sources.camera.frames import FrameRequest
 from midspan.sources.camera.timing import file_times
+from midspan.vision.frame_source import FrameInfo, FrameSource
 
 # Keys of the header that the frames cannot be read without.
 _WIDTH, _HEIGHT, _COUNT, _BITS, _RATE = "Image Width", "Image Height", "Total Frame", "Color Bit", "Record Rate(fps)"

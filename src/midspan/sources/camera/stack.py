@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 from midspan.errors import DataError
 from midspan.records import Frame, Nanoseconds
 from midspan.sources.accelerometer.clock import numbers_to_ns
-from midspan.sources.camera.frames import FrameInfo, FrameRequest, FrameSource, luma
+from midspan.sources.camera.frames import FrameRequest, luma
 from midspan.sources.camera.timing import file_times, rate_times
 from midspan.sources.declared_size import require_memory
 from midspan.sources.npy_header import NpyHeader, read_npy_header
+from midspan.vision.frame_source import FrameInfo, FrameSource
 
 _NAMES = ("frames", "images", "celsius")
 _AXES = (3, 4)

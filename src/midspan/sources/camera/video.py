@@ -15,12 +15,13 @@ from midspan.errors import DataError
 from midspan.records import Frame, Nanoseconds
 from midspan.signals.health import clock
 from midspan.sources.camera.cut_off import cut_off
-from midspan.sources.camera.frames import FrameInfo, FrameRequest, FrameSource
+from midspan.sources.camera.frames import FrameRequest
 from midspan.sources.camera.luma_plane import depth_of, luma_of
 from midspan.sources.camera.packets import Packets, scan
 from midspan.sources.camera.picture_header import picture_bytes
 from midspan.sources.camera.timing import file_times, grid, rate_times
 from midspan.sources.declared_size import require_memory
+from midspan.vision.frame_source import FrameInfo, FrameSource
 
 _LOSSLESS = {"ffv1", "rawvideo", "huffyuv", "ffvhuff", "png", "utvideo", "magicyuv", "v210", "zlib", "bmp", "tiff"}
 _LOSSY = {

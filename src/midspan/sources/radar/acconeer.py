@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from midspan.errors import DataError
+from midspan.radar.info import RadarInfo
 from midspan.records import Floats, Nanoseconds, RangeFrames
 from midspan.sources.boundary import reading
 from midspan.sources.declared_size import require_memory
-from midspan.sources.radar.radar_source import RadarInfo, RadarRequest, RadarSource, at_bins, stamps
+from midspan.sources.radar.radar_source import RadarRequest, RadarSource, at_bins, stamps
 from midspan.sources.radar.stored import dataset, values
 from midspan.trees import json_tree
 

@@ -9,12 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from midspan.errors import DataError, UsageError
+from midspan.radar.info import RadarInfo
 from midspan.radar.iq_order import LEAST_DB, decide_order, swapped, weigh_orders
 from midspan.radar.layout import WORD_BYTES, Layout, Words, block_words, sign_extended, unpack, word_weights
 from midspan.radar.range_profile import averaged, bin_kernel, range_profile, weighted_products
 from midspan.records import ChirpFrame, Floats, Nanoseconds, RangeFrames
 from midspan.sources.radar.capture_bytes import Bytes, CaptureBytes, missing_files, open_bytes
-from midspan.sources.radar.radar_source import RadarInfo, RadarRequest, RadarSource, stamps
+from midspan.sources.radar.radar_source import RadarRequest, RadarSource, stamps
 from midspan.sources.radar.ti_config import TiSettings, read_settings
 
 FRAMES_AT_A_TIME = 256
@@ -119,12 +120,6 @@ class RawCapture(RadarSource):
         """Only the wanted bins, straight from the stored words."""
         kernel = bin_kernel(np.asarray(bins, dtype=np.float64), self._layout.profile)
         yield from self._products(kernel, start, stop)
-
-    def products(
-        self, kernel: NDArray[np.complex128], start: int = 0, stop: int | None = None
-    ) -> Iterator[RangeFrames]:
-        """Products (n, channels, k) with any kernel (k, samples), such as `half_kernel` for the coarse range."""
-        return self.guarded(self._products(kernel, start, stop))
 
     def _products(self, kernel: NDArray[np.complex128], start: int, stop: int | None) -> Iterator[RangeFrames]:
         times, weights = self.times_ns(), word_weights(kernel, self._layout)

@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 from midspan.checks import CARRIER_HZ, RATE_HZ
 from midspan.errors import DataError
 from midspan.radar.chirp import SPEED_OF_LIGHT_M_S
+from midspan.radar.info import RadarInfo
 from midspan.records import Floats, Nanoseconds, RangeFrames
 from midspan.sources.boundary import reading
 from midspan.sources.declared_size import require_memory
-from midspan.sources.radar.radar_source import RadarInfo, RadarRequest, RadarSource, at_bins, stamps
+from midspan.sources.radar.radar_source import RadarRequest, RadarSource, at_bins, stamps
 from midspan.sources.radar.stored import dataset, values
 from midspan.sources.radar.ti_config import TiSettings, read_settings
 

@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 
 from midspan.errors import DataError, UsageError
 from midspan.records import Frame, Nanoseconds
-from midspan.sources.camera.frames import FrameInfo, FrameSource
 from midspan.sources.camera.timing import file_times, grid
 from midspan.sources.file_bytes import mapped
 from midspan.sources.thermal.fff import Block, CameraInfo, blocks, camera_info, counts, frame_size, next_block
 from midspan.sources.thermal.flir_jpeg import embedded_block, is_jpeg
 from midspan.sources.thermal.request import Floats32, ThermalRequest, checked_celsius
 from midspan.thermal.radiometry import OpticalPath, Planck, celsius_table
+from midspan.vision.frame_source import FrameInfo, FrameSource
 
 # With fewer stamps in their order than this share, none is believed.
 LEAST_IN_ORDER = 0.95

@@ -6,7 +6,7 @@ from pathlib import Path
 from midspan.errors import DataError
 from midspan.sources.boundary import reading
 from midspan.sources.camera.formats import open_frames, require_readable
-from midspan.sources.camera.frames import FrameRequest, FrameSource
+from midspan.sources.camera.frames import FrameRequest
 from midspan.sources.camera.guarded import GuardedFrames
 from midspan.sources.camera.timing import check_request
 from midspan.sources.thermal.flir import SUFFIXES, FlirFrames, natural_order
@@ -15,6 +15,7 @@ from midspan.sources.thermal.flir_jpeg import is_flir_jpeg, is_jpeg
 from midspan.sources.thermal.pictures import ThermalPictures
 from midspan.sources.thermal.repaired import RepairedFrames
 from midspan.sources.thermal.request import ThermalRequest
+from midspan.vision.frame_source import FrameSource
 
 FORMATS = (
     ("FLIR radiometric sequence, folder or glob of frames", SUFFIXES, "midspan (csq with pyjpegls)"),

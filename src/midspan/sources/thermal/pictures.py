@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from midspan.errors import DataError
 from midspan.records import Frame, Nanoseconds
-from midspan.sources.camera.frames import FrameInfo, FrameSource
 from midspan.sources.thermal.request import OUTDOOR_K, ThermalRequest, checked_celsius, count_scale
+from midspan.vision.frame_source import FrameInfo, FrameSource
 
 Quartiles = tuple[float, float, float]
 

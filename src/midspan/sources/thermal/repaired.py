@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from midspan.errors import DataError
 from midspan.records import Frame, Nanoseconds
-from midspan.sources.camera.frames import FrameInfo, FrameSource
 from midspan.thermal.dead_pixels import filled, stuck_pixels
+from midspan.vision.frame_source import FrameInfo, FrameSource
 
 # A frame of which more is missing is not used: what was filled would be tracked.
 MOST_MISSING = 0.2

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from midspan.records import Floats, Region
+from midspan.signals.medians import SIGMA_OF_MEDIAN
 from midspan.vision.reference.kernels import Explained, agreement, explained
 from midspan.vision.spline import REACH, Floats32, coefficients, combine, translated, weights
 from midspan.vision.texture import lowpass_taps, values
@@ -29,7 +30,6 @@ ROUNDS = 6
 ENOUGH_PX = 0.01  # a search that steps less has come to rest: what is left is a tenth of the step
 ROBUST = 5.0  # residuals of more standard deviations than this count half or less: shadows' edges, things in front
 SINGULAR = 1e-6  # determinant of the information over its diagonal below which a texture has one direction
-SIGMA_OF_MEDIAN = 1.4826  # standard deviation over median deviation of a normal variable
 FARTHEST_PX = 1.0  # from where a search begins
 
 

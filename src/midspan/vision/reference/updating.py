@@ -16,12 +16,12 @@ import numpy as np
 from midspan.checks import option, refuse
 from midspan.errors import UsageError
 from midspan.records import Event, Floats, Frame, PixelTranslation, Prediction, Region, Status
+from midspan.signals.medians import SIGMA_OF_MEDIAN
 from midspan.vision.reference.inner import InnerTrackers
 from midspan.vision.reference.records import KeyFrame, place_of, relative, variance_of
 from midspan.vision.region import check_size, clamp, shift
 from midspan.vision.tracker import TRACKERS, Tracker
 
-SIGMA_OF_MEDIAN = 1.4826  # standard deviation over median deviation of a normal variable
 PRINTED_SIGMAS = 3.0
 
 

@@ -1,0 +1,83 @@
+"""The temperature range for trackers that were made for grey levels: chosen on the frames of the calibration."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from midspan.calibration.camera.calibrate import CameraFit
+from midspan.calibration.camera.one_displacement import camera_blocks, filter_settings
+from midspan.calibration.camera.view import SeenTarget, View
+from midspan.errors import UntrustedError
+from midspan.fusion.path import at
+from midspan.fusion.streams import smooth
+from midspan.records import NANOSECONDS, Floats, Frame, Nanoseconds, PixelTrack, Region
+from midspan.thermal.temperature_range import ROUGH, THINNED, Expected, RangeSurface, optimise_range
+from midspan.vision.tracker import open_tracker
+
+# So many frames of the calibration are compared; displacement is let in so much more weakly than it is known, that the
+# accelerometer makes what is compared.
+FRAMES, WEAKER = 90, 1e4
+LEAST_FRAMES = 8
+SLOWEST_HZ, FASTEST_SHARE = 0.5, 0.45
+# Thinned frames, some of them lost, show what lies above this share of the frame rate apart from what is slower; as
+# many as are compared without thinning show it up to the second share.
+SHOWN_SHARE, NOT_THINNED, SHOWN_NOT_THINNED = 0.05, ROUGH * THINNED - 1, 0.18
+
+
+def best_range(frames: Sequence[Frame], view: View, targets: Sequence[SeenTarget], fit: CameraFit) -> RangeSurface:
+    """The errors of all ranges on frames from the reference frame on, against the accelerometer.
+
+    frames: FRAMES at most; targets, fit: of the temperatures as they are, which gave the scale factor. Raises
+    UntrustedError where nothing decides, with the reason.
+    """
+    if len(frames) < LEAST_FRAMES:
+        raise UntrustedError(
+            f"The calibration holds {len(frames)} frames from the reference frame on; at least {LEAST_FRAMES} are "
+            "needed. Choose a longer calibration.window_s."
+        )
+    rate = NANOSECONDS / float(np.median(np.diff([frame.time_ns for frame in frames])))
+    band, count = compared_band(view.band_hz, rate)
+    frames, region = frames[:count], fit.calibration.region
+    expected = _expected_px(view, targets, fit, np.array([frame.time_ns for frame in frames], dtype=np.int64))
+    settings = targets[0].tracker_settings
+
+    def follow(greys: Sequence[Frame]) -> PixelTrack:
+        return _followed(greys, region, fit.calibration.tracker, settings)
+
+    return optimise_range(frames, region, follow, Expected(expected, view.axis, band))
+
+
+def compared_band(given: tuple[float, float] | None, rate: float) -> tuple[tuple[float, float], int]:
+    """The band (Hz) that ranges are compared in at a frame rate (Hz), and on how many frames at most.
+
+    given: calibration.band_hz. Raises UntrustedError where the frames are too slow for it.
+    """
+    low, high = given or (min(SLOWEST_HZ, SHOWN_SHARE * rate), math.inf)
+    high = min(high, FASTEST_SHARE * rate)
+    if low <= SHOWN_SHARE * rate and low < high:
+        return (low, high), FRAMES
+    if low <= SHOWN_NOT_THINNED * rate and low < high:
+        return (low, high), NOT_THINNED
+    raise UntrustedError(
+        f"calibration.band_hz begins at {low:g} Hz; frames at {rate:.3g} Hz show ranges' errors apart from drift only "
+        f"where it begins at {SHOWN_NOT_THINNED * rate:.2g} Hz or lower. Use more frames a second, or a lower band."
+    )
+
+
+def _followed(frames: Sequence[Frame], region: Region, name: str, settings: object) -> PixelTrack:
+    tracker = open_tracker(name, frames[0], region, settings)
+    return PixelTrack.stack([tracker.push(frame) for frame in frames])
+
+
+def _expected_px(view: View, targets: Sequence[SeenTarget], fit: CameraFit, frames_ns: Nanoseconds) -> Floats:
+    """The translation (n,) in px that the accelerometer says at frames' stamps on the camera's clock."""
+    camera = fit.calibration
+    acceleration = view.prepared.with_noise(fit.input_density)
+    used = [target for target in targets if target.region == camera.region]
+    block = camera_blocks(used, camera, acceleration)[0]
+    kalman = filter_settings(view.prepared, fit.input_density)
+    weak = type(block)(block.time_ns, block.value_m, WEAKER * block.variance_m2, block.source)
+    path = smooth(acceleration, weak, kalman).estimate
+    stamps = frames_ns + round(NANOSECONDS * camera.offset.value_s)
+    return at(path, stamps)[0] / camera.scale.value_m_per_px

@@ -1,0 +1,310 @@
+"""The camera's part of a calibration: every target, along every measured image axis, beside the accelerometer."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from midspan.calibration.bias import bias_of
+from midspan.calibration.camera.one_displacement import camera_blocks, filter_settings, moves_by_itself
+from midspan.calibration.camera.view import SeenTarget, View, camera_pair
+from midspan.calibration.common_offset import Fitted, common_offset, one_offset, pooled_variance, shared_part
+from midspan.calibration.fit import Pair
+from midspan.calibration.measured import measured_rows
+from midspan.calibration.noise import learn_motion
+from midspan.calibration.scale import LEAST_FRAMES, REFUSED_ABOVE, ScaleCalibration, calibrate_scale
+from midspan.calibration.sensors.camera import CameraCalibration, TargetCalibration
+from midspan.calibration.sensors.fit import SensorFit
+from midspan.errors import UntrustedError
+from midspan.records import ScaleFactor, TimeOffset
+from midspan.signals.stamps import inside
+from midspan.vision.lens import ideal_gain
+from midspan.vision.region_choice import USELESS
+
+CameraFit = SensorFit[CameraCalibration, ScaleCalibration]
+
+
+def fit_camera(
+    views: Sequence[View], targets: Sequence[SeenTarget], told: Callable[[], Sequence[str]], second: str = ""
+) -> tuple[CameraFit, ...]:
+    """Calibrate a camera along its image axes, the main one first.
+
+    views: the axes with an acceleration of their own, one or two; targets: as tracked through the window; told: what of
+    the frames is worth telling, for a refusal; second: the second axis, fused or only tracked (empty: none). A second
+    axis that cannot even be tracked is left out, and the main one's warnings tell why. Raises UntrustedError where no
+    target can be calibrated along the main axis.
+    """
+    main, across, refused = views[0], (*views[1:], None)[0], ""
+    fits = [_fitted(main, targets, told)]
+    if across is not None:
+        try:
+            fits.append(_fitted(across, targets, told))
+        except UntrustedError as error:
+            refused = f"Along {second} the accelerometer is not used and the target only tracked. {error}"
+    fits = one_offset(fits)
+    if not fits[0].used:
+        raise UntrustedError(
+            f"The targets along {main.axis} and the other axis contradict each other: {' '.join(fits[0].reasons)} "
+            "Check accelerometer.value_x, accelerometer.value_y and that both columns are of the same clock."
+        )
+    if len(fits) == 2 and not fits[1].used:
+        refused = f"Along {second} the target is only tracked: {' '.join(fits[1].reasons)}"
+        fits = fits[:1]
+    offset = common_offset(fits)
+    axes = list(zip(views, fits, strict=False))
+    cameras = used_along_both([_judged(view, targets, fit, offset) for view, fit in axes])
+    if len(cameras) < len(axes):
+        refused = f"Along {second} the target is only tracked: no target is of use along both axes."
+    parts = [_fit_of(targets, camera, fit) for camera, (_, fit) in zip(cameras, axes, strict=False)]
+    if second and len(parts) == 1:
+        return _with_tracked(main, targets, parts[0], refused)
+    return tuple(parts)
+
+
+def used_along_both(cameras: Sequence[CameraCalibration]) -> list[CameraCalibration]:
+    """The axes' calibrations with the same targets in use: what either axis leaves out, neither uses.
+
+    Only the first one where no target would be left.
+    """
+    if len(cameras) < 2:
+        return list(cameras)
+    main, across = cameras
+    pairs = list(zip(main.targets, across.targets, strict=True))
+    if not any(one.used and other.used for one, other in pairs):
+        return [main]
+    return [
+        replace(main, targets=tuple(_beside(one, other, across.direction) for one, other in pairs)),
+        replace(across, targets=tuple(_beside(other, one, main.direction) for one, other in pairs)),
+    ]
+
+
+def _beside(own: TargetCalibration, other: TargetCalibration, axis: str) -> TargetCalibration:
+    """A target along one axis, out of use where it is so along the other, `axis`."""
+    if other.used or not own.used:
+        return own
+    return replace(own, used=False, reason=f"not of use along {axis}: {other.reason}")
+
+
+def _with_tracked(view: View, targets: Sequence[SeenTarget], main: CameraFit, refused: str) -> tuple[CameraFit, ...]:
+    """The main axis and the second one tracked only, which is left out with a warning where that cannot be trusted."""
+    told = (refused,) if refused else ()
+    try:
+        only = _tracked_only(view, targets, main.calibration)
+    except UntrustedError as error:
+        axis = "x" if main.calibration.direction == "y" else "y"
+        left_out = f"The second axis {axis} is left out of the result. {error}"
+        return (replace(main, warnings=(*main.warnings, *told, left_out)),)
+    return main, replace(only, warnings=told)
+
+
+def _fitted(view: View, targets: Sequence[SeenTarget], told: Callable[[], Sequence[str]]) -> Fitted:
+    """Each target's own calibration along an axis; UntrustedError where all are refused."""
+    found: list[ScaleCalibration | None] = []
+    reasons: list[str] = []
+    for target in targets:
+        try:
+            pair = camera_pair(view, target.rows, target.blur_s)
+            own = calibrate_scale(pair, view.max_offset_s)
+            _refuse_compression(target.with_codec_error(own.scale, view.axis), own.scale)
+            found.append(own)
+            reasons.append("")
+        except UntrustedError as error:
+            found.append(None)
+            reasons.append(str(error))
+    if any(found):
+        return Fitted(tuple(found), tuple(reasons))
+    alone = len(targets) == 1
+    lines = [why if alone else f"Target {one.name}: {why}" for one, why in zip(targets, reasons, strict=True)]
+    raise UntrustedError(" ".join((*lines, *told())))
+
+
+def _refuse_compression(scale: ScaleFactor, learnt: ScaleFactor) -> None:
+    """UntrustedError where a scale factor with what compression may do to it is too vague to be given out."""
+    if (relative := np.sqrt(scale.variance) / abs(scale.value_m_per_px)) <= REFUSED_ABOVE:
+        return
+    codec = np.sqrt(scale.variance - learnt.variance) / abs(scale.value_m_per_px)
+    raise UntrustedError(
+        f"Too much compression to calibrate the scale factor: it would be {1e3 * scale.value_m_per_px:.4g} mm/px "
+        f"± {100 * relative:.2g} %, of which the video's compression makes ± {100 * codec:.2g} %, and at most "
+        f"± {100 * REFUSED_ABOVE:g} % is given out. Record with a higher bit rate or without compression, choose a "
+        "camera.roi of more contrast, or a calibration.window_s with more motion in the picture."
+    )
+
+
+def _judged(view: View, targets: Sequence[SeenTarget], fit: Fitted, offset: TimeOffset) -> CameraCalibration:
+    """All targets along one axis as one calibration; those that do not agree with the others are not used."""
+    known = _without_useless(
+        [
+            _target(target, found, reason, view.axis)
+            for target, found, reason in zip(targets, fit.found, fit.reasons, strict=True)
+        ]
+    )
+    found = fit.found[_best(known)]
+    assert found is not None
+    camera = _camera(targets, view.axis, known, offset)
+    return _without_movers(view, targets, camera, found.input_noise_density)
+
+
+def _fit_of(seen: Sequence[SeenTarget], camera: CameraCalibration, fit: Fitted) -> CameraFit:
+    """One axis whose targets have been judged: the values of the best one, and what is worth telling."""
+    found = fit.found[_best(camera.targets)]
+    assert found is not None
+    used = [(f, t) for f, t in zip(fit.found, camera.targets, strict=True) if f is not None and t.used]
+    several = len(camera.targets) > 1
+    warnings = [
+        f"Target {target.name} is left out along {camera.direction}: {target.reason}"
+        for target in camera.targets
+        if not target.used
+    ]
+    for one, target in used:
+        warnings += [f"Target {target.name}: {line}" if several else line for line in one.warnings]
+    camera = replace(
+        _camera(seen, camera.direction, camera.targets, camera.offset),
+        relative_scale_std=relative_scale_std(*zip(*used, strict=True)) if len(used) > 1 else None,
+    )
+    search = found.search
+    bias = bias_of(search.pair, search.fit, float(np.sqrt(search.offset.variance)))
+    # The integrated acceleration that the pair keeps beside its fields is no part of the result.
+    plain = replace(found, search=replace(search, pair=replace(search.pair)))
+    return CameraFit(camera, found.input_noise_density, bias, tuple(warnings), plain)
+
+
+def _target(target: SeenTarget, found: ScaleCalibration | None, reason: str, axis: str) -> TargetCalibration:
+    if found is None:
+        return TargetCalibration(target.region, target.name, None, used=False, reason=reason)
+    scale = target.with_codec_error(found.scale, axis)
+    return TargetCalibration(
+        target.region, target.name, scale, found.noise.std, found.variance_factor, not reason, reason
+    )
+
+
+def noise_m(target: TargetCalibration) -> float:
+    """Noise of one frame's displacement, m; infinite for a target that is not used."""
+    if not target.used or target.scale is None:
+        return np.inf
+    return abs(target.scale.value_m_per_px) * target.noise_std_px
+
+
+def _best(targets: Sequence[TargetCalibration]) -> int:
+    return min(range(len(targets)), key=lambda k: noise_m(targets[k]))
+
+
+def _without_useless(targets: list[TargetCalibration]) -> list[TargetCalibration]:
+    best = min(noise_m(target) for target in targets)
+    return [
+        target
+        if not target.used or noise_m(target) <= USELESS * best
+        else replace(
+            target,
+            used=False,
+            reason=(
+                f"it differs from the acceleration by {1e3 * noise_m(target):.2g} mm a frame, "
+                f"{noise_m(target) / best:.0f} times as much as the best target: it moves by itself or is too poor to "
+                "help."
+            ),
+        )
+        for target in targets
+    ]
+
+
+def _camera(
+    seen: Sequence[SeenTarget], direction: str, targets: Sequence[TargetCalibration], offset: TimeOffset
+) -> CameraCalibration:
+    """The record of one axis: the best target's values, and all targets."""
+    place = _best(targets)
+    best = targets[place]
+    assert best.scale is not None
+    own = seen[place]
+    gain, lens = own.tracker.phase_gain_px_per_rad, own.lens
+    gains = None if gain is None else ideal_gain(gain, own.tracker.region, lens)
+    return CameraCalibration(
+        scale=best.scale,
+        offset=offset,
+        region=best.region,
+        direction=direction,
+        tracker=own.tracker_name,
+        noise_std_px=best.noise_std_px,
+        variance_factor=best.variance_factor,
+        phase_scale_m_per_rad=None if gains is None else best.scale.value_m_per_px * gains["xy".index(direction)],
+        targets=tuple(targets),
+        lens=lens,
+    )
+
+
+def _without_movers(
+    view: View, targets: Sequence[SeenTarget], camera: CameraCalibration, density: float
+) -> CameraCalibration:
+    """The calibration without the targets that move by themselves, the worst first; UntrustedError if undecided."""
+    while len(camera.used) > 1:
+        used = [k for k, target in enumerate(camera.targets) if target.used]
+        acceleration = view.prepared.with_noise(density)
+        blocks = camera_blocks([targets[k] for k in used], camera, acceleration)
+        kalman = filter_settings(view.prepared, density)
+        found = moves_by_itself(blocks, camera.mappings(), acceleration, kalman, view.window_ns)
+        if found is None:
+            break
+        worst, beside = used[found.target], used[found.beside]
+        size = f"{1e3 * found.apart_m:.2g} mm rms, more than its noise and scale factor explain."
+        if found.undecided:
+            raise UntrustedError(
+                f"Targets {camera.targets[beside].name} and {camera.targets[worst].name} contradict each other along "
+                f"{camera.direction}: the second differs from the first by {size} One of them moves by itself, as in a "
+                "slow drift, and neither the accelerometer nor a majority tells which. Leave out of camera.target the "
+                "one that may not stand still, or add a third."
+            )
+        reason = f"it moves by itself: it differs from the others by {size}"
+        known = list(camera.targets)
+        known[worst] = replace(known[worst], used=False, reason=reason)
+        camera = replace(camera, targets=tuple(known))
+    return camera
+
+
+def relative_scale_std(scales: Sequence[ScaleCalibration], targets: Sequence[TargetCalibration]) -> float:
+    """Relative standard deviation of the scale factor of all targets' mean.
+
+    scales: as learnt; targets: the same with what compression may do to them, which is one error of the whole video
+    and does not average out.
+    """
+    relative = np.array([s.scale.variance / s.scale.value_m_per_px**2 for s in scales])
+    with_codec = [t.scale.variance / t.scale.value_m_per_px**2 for t in targets if t.scale is not None]
+    weight = np.array([1.0 / (s.scale.value_m_per_px * s.noise.std) ** 2 for s in scales])
+    weight /= weight.sum()
+    shared = float(np.mean([shared_part(s) for s in scales]))
+    codec = pooled_variance(weight, np.maximum(np.array(with_codec) - relative, 0.0), 1.0)
+    return float(np.sqrt(pooled_variance(weight, relative, shared) + codec))
+
+
+def _tracked_only(view: View, seen: Sequence[SeenTarget], main: CameraCalibration) -> CameraFit:
+    """The axis without an accelerometer: pixels are square, and how the structure is shaken is learnt from the picture.
+
+    Its sign: positive where the structure moves to the right or down in the image, so that the picture goes the other
+    way.
+    """
+    axis = "x" if main.direction == "y" else "y"
+    targets, densities = [], []
+    tracked_of = [one for one, known in zip(seen, main.targets, strict=True) if known.used]
+    for target, tracked in zip(main.used, tracked_of, strict=True):
+        track = tracked.rows
+        assert target.scale is not None
+        value = -abs(target.scale.value_m_per_px)
+        first, last = view.window_ns
+        translation, variance = track.along(axis)
+        window = inside(track.time_ns, first, last)
+        rows = measured_rows(track.time_ns[window], value * translation[window], value**2 * variance[window], first)
+        usable = np.count_nonzero(np.isfinite(rows[:, 2]))
+        if usable < LEAST_FRAMES:
+            raise UntrustedError(
+                f"{usable} usable frames lie in the calibration window along {axis}; at least {LEAST_FRAMES} are "
+                "needed."
+            )
+        still = view.prepared.rows(first, view.window) * np.array([1.0, 0.0, 1.0])
+        # The tracker is as far from its own variance as along the other axis.
+        rows[:, 2] *= target.variance_factor
+        usual = float(np.sqrt(target.variance_factor * np.nanmedian(variance[window])))
+        scale = ScaleFactor(value, target.scale.variance)
+        targets.append(TargetCalibration(tracked.region, tracked.name, scale, usual, target.variance_factor))
+        densities.append(learn_motion(Pair(still, rows, 1.0)))
+    camera = replace(
+        _camera(tracked_of, axis, targets, main.offset), fused=False, relative_scale_std=main.relative_scale_std
+    )
+    return CameraFit(camera, densities[_best(targets)])

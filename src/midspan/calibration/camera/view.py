@@ -1,0 +1,129 @@
+"""What a camera is calibrated on: an image axis beside its acceleration, and each target as it was tracked."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from midspan.calibration.fit import Pair
+from midspan.calibration.measured import measured_rows
+from midspan.calibration.scale import calibrate_scale
+from midspan.errors import NoAgreementError, UntrustedError, UsageError
+from midspan.records import NANOSECONDS, Floats, PixelTrack, Region, ScaleFactor
+from midspan.signals.acceleration import PreparedAcceleration
+from midspan.signals.stamps import inside
+from midspan.vision.lens import Lens
+from midspan.vision.picture_quality import PictureWatch
+from midspan.vision.region_choice import Agreement
+from midspan.vision.tracker import Tracker
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """One image axis "x" or "y" of a camera beside the acceleration along it.
+
+    window: the samples of the calibration window; max_offset_s: largest clock offset looked for; band_hz: where the
+    acceleration decides the scale factor (None: everywhere); exposure_s: None where it is not told.
+    """
+
+    axis: str
+    prepared: PreparedAcceleration
+    window: slice
+    max_offset_s: float
+    band_hz: tuple[float, float] | None = None
+    exposure_s: float | None = None
+
+    @property
+    def window_ns(self) -> tuple[int, int]:
+        """First and last stamp (ns) of the window."""
+        time_ns = self.prepared.time_ns
+        return int(time_ns[self.window.start]), int(time_ns[self.window.stop - 1])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SeenTarget:
+    """One target as it was tracked through the window.
+
+    rows: with the variances of single frames; reference_px2 (n, 2): what the reference frame makes besides, along x and
+    y; blur_s: over which a translation is averaged; picture: what compression does, None where there is none;
+    tracker, tracker_name, tracker_settings: what it was tracked with; lens: whose distortion was taken out.
+    """
+
+    name: str
+    region: Region
+    rows: PixelTrack
+    reference_px2: Floats
+    blur_s: float
+    picture: PictureWatch | None
+    tracker: Tracker
+    tracker_name: str
+    tracker_settings: Any
+    lens: Lens | None
+
+    def with_codec_error(self, scale: ScaleFactor, direction: str) -> ScaleFactor:
+        """A scale factor estimated along an image axis on the rows, with what compression may do to it."""
+        if self.picture is None:
+            return scale
+        relative = self.picture.relative_scale_std(direction)
+        return replace(scale, variance=scale.variance + (relative * scale.value_m_per_px) ** 2)
+
+
+def camera_pair(view: View, track: PixelTrack, blur_s: float) -> Pair:
+    """A target's translation along the axis, and the acceleration, in the calibration window."""
+    first, last = view.window_ns
+    if not len(track.time_ns):
+        raise UntrustedError(
+            "No frame of the calibration window shows the target. Choose another calibration.window_s or region."
+        )
+    # Frames close to the window's ends could fall outside it at the largest clock offset and would change the sum.
+    margin = round(view.max_offset_s * NANOSECONDS)
+    last = min(last, int(track.time_ns[-1]) + margin + NANOSECONDS)
+    window = inside(view.prepared.time_ns, first, last)
+    value, variance = track.along(view.axis)
+    inner = inside(track.time_ns, first + margin, last - margin)
+    rows = measured_rows(track.time_ns[inner], value[inner], variance[inner], first)
+    samples, outside = in_band(view.prepared.rows(first, window), view.band_hz)
+    return Pair(samples, rows, None, blur_s, outside, level_m_s2=view.prepared.level(window))
+
+
+def in_band(samples: Floats, band_hz: tuple[float, float] | None) -> tuple[Floats, Floats | None]:
+    """Samples (n, 3) with the acceleration of a band (zero phase), and those with the rest of it; None for no band."""
+    if band_hz is None:
+        return samples, None
+    from scipy.signal import butter, sosfiltfilt
+
+    length_s = float(samples[-1, 0] - samples[0, 0])
+    rate = (len(samples) - 1) / length_s
+    low, high = band_hz[0], min(band_hz[1], 0.49 * rate)
+    if high * length_s < 1.0:
+        raise UsageError(
+            f"calibration.band_hz = {list(band_hz)}: must reach above {1.0 / length_s:.4g} Hz, one cycle in the "
+            f"{length_s:.4g} s that are used. Give frequencies in Hz."
+        )
+    if low * length_s < 1.0:
+        # A filter that swings more slowly than the samples last rings from end to end, or cannot be solved.
+        low = 0.0
+    if low >= high:
+        raise UsageError(
+            f"calibration.band_hz = {list(band_hz)}: must lie below half the accelerometer's rate of {rate:.4g} Hz."
+        )
+    kind, edges = ("bandpass", [low, high]) if low > 0 else ("lowpass", high)
+    inside, outside = samples.copy(), samples.copy()
+    inside[:, 1] = sosfiltfilt(butter(4, edges, kind, fs=rate, output="sos"), samples[:, 1])
+    outside[:, 1] -= inside[:, 1]
+    return inside, outside
+
+
+def judged_by(view: View, track: PixelTrack) -> Agreement:
+    """What the accelerometer says of a place that was followed for a while."""
+    try:
+        pair = camera_pair(view, track, view.exposure_s or 0.0)
+        found = calibrate_scale(pair, view.max_offset_s)
+    except UntrustedError as error:
+        text = str(error)
+        return Agreement(np.inf, isinstance(error, NoAgreementError), text.split(" (")[0].split(":")[0].rstrip("."))
+    std_m = abs(found.scale.value_m_per_px) * found.noise.std
+    text = f"fits the accelerometer, {1e3 * found.scale.value_m_per_px:.3g} mm/px, noise {1e3 * std_m:.2g} mm a frame"
+    missed = float(np.mean(~np.isfinite(found.search.pair.rows[:, 2])))
+    told = f"{text}, missed in {100 * missed:.2g} % of the frames" if missed > 0.0 else text
+    return Agreement(std_m, False, told, missed)

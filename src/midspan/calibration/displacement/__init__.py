@@ -1,0 +1,1 @@
+"""A displacement sensor beside the accelerometer: noise, clock offset, scale."""

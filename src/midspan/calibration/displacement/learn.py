@@ -1,0 +1,282 @@
+"""Noise, clock offset and scale of a [displacement] sensor, learnt beside the accelerometer, or a refusal."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from midspan.calibration.agreement import clearly_better, unexplained
+from midspan.calibration.fit import Fit, Pair
+from midspan.calibration.measured import LEAST_MEASUREMENTS, measured_rows
+from midspan.calibration.noise import CERTAIN_S, Findings, NoiseCalibration, calibrate_noise, edge_s
+from midspan.calibration.scale import LEAST_GAIN, is_ambiguous
+from midspan.calibration.sensor_scale import calibrate_sensor_scale, unexplained_text
+from midspan.calibration.time_offset import BEYOND, FARTHER_WINDOW_S, OffsetSearch, farther, farther_s
+from midspan.errors import DataError, UntrustedError
+from midspan.records import NANOSECONDS, TimeOffset, TimeSeries
+from midspan.signals.acceleration import PreparedAcceleration
+from midspan.signals.health import dominant_frequency
+from midspan.signals.stamps import inside
+
+# Noise levels of a displacement sensor are learnt from this much at most, in one piece, for speed.
+NOISE_WINDOW_S = 1800.0
+# Measurements within the longest offset of an end are left out: so much of the overlap at most at each end, where the
+# offset is only told, where it is learnt, and where one farther off is looked for.
+TOLD_SHARE, LEARNT_SHARE, FARTHER_SHARE = 0.1, 0.25, 0.35
+# Fewer samples of acceleration carry no motion between two measurements.
+MIN_SAMPLES = 10
+# A clock offset that was not asked for is refused when it moves the displacement by more than this many times its
+# noise.
+MOST_LATE = 2.0
+# A displacement that is so much more likely (logarithm of the likelihood) with the opposite sign has it.
+CLEARLY_REVERSED = 20.0
+# Of two clock offsets the likelier one leads by this much (logarithm of the likelihood), and by this share of what the
+# acceleration brings: alternatives of a tone lead by less than a hundredth of it.
+LEAST_LEAD, LEAST_LEAD_SHARE = 12.0, 0.05
+# A motion that brings more tells an offset, so that two that fit alike are refused; with less, none is applied.
+TELLING_GAIN = 100.0
+# Beyond this share a scale is wrong rather than inexact.
+WRONG_SCALE = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class Given:
+    """A displacement sensor beside the accelerometer, and what is to be learnt of it.
+
+    series: its values as read; wanted_s: the largest clock offset looked for; learns_offset, learns_scale: whether
+    these are applied; noise_std_m: of its values as read, None where it is not given; gives_zero: whether its zero is
+    that of the displacement.
+    """
+
+    prepared: PreparedAcceleration
+    series: TimeSeries
+    wanted_s: float
+    learns_offset: bool = False
+    learns_scale: bool = False
+    noise_std_m: float | None = None
+    gives_zero: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class _Beside:
+    """What is compared: a sensor's displacement from `first_ns` to `last_ns`, and the acceleration."""
+
+    given: Given
+    series: TimeSeries
+    first_ns: int
+    last_ns: int
+
+    @property
+    def one_clock(self) -> bool:
+        return not self.given.learns_offset
+
+    @property
+    def overlap_s(self) -> float:
+        return (self.last_ns - self.first_ns) / NANOSECONDS
+
+    @property
+    def wanted_s(self) -> float:
+        return self.given.wanted_s
+
+    @property
+    def max_offset_s(self) -> float:
+        """The largest offset that can be searched for."""
+        return min(self.wanted_s, (TOLD_SHARE if self.one_clock else LEARNT_SHARE) * self.overlap_s)
+
+    @property
+    def reach_s(self) -> float:
+        """How far is searched so that this is no edge."""
+        return self.max_offset_s + edge_s(self.max_offset_s, self.overlap_s) if self.max_offset_s > 0.0 else 0.0
+
+    def pair(self, margin_s: float, until_s: float = np.inf) -> Pair:
+        """Both signals, the displacement without a margin at both ends, of `until_s` at most."""
+        prepared, series, margin = self.given.prepared, self.series, round(margin_s * NANOSECONDS)
+        last = self.last_ns if np.isinf(until_s) else min(self.last_ns, self.first_ns + round(until_s * NANOSECONDS))
+        used = inside(series.time_ns, self.first_ns + margin, last - margin)
+        _refuse_poor_displacement(series, used)
+        window = inside(prepared.time_ns, self.first_ns - NANOSECONDS, last + NANOSECONDS)
+        if window.stop - window.start < MIN_SAMPLES:
+            raise DataError(
+                f"accelerometer: at least {MIN_SAMPLES} samples must lie within the {(last - self.first_ns) / 1e9:.4g} "
+                f"s of [displacement]; received {window.stop - window.start}. Check accelerometer.rate_hz, and that "
+                "both times are in s."
+            )
+        rows = measured_rows(series.time_ns[used], series.value[used], np.ones(used.stop - used.start), self.first_ns)
+        return Pair(prepared.rows(self.first_ns, window), rows, 1.0, level_m_s2=prepared.level(window))
+
+
+def learn(given: Given, series: TimeSeries) -> NoiseCalibration:
+    """Noise, clock offset and scale of the sensor, by those of its values that are in `series`, or a refusal."""
+    prepared = given.prepared
+    used = inside(series.time_ns, int(prepared.time_ns[0]), int(prepared.time_ns[-1]))
+    first = int(series.time_ns[used.start])
+    last = min(int(series.time_ns[used.stop - 1]), first + round(NOISE_WINDOW_S * NANOSECONDS))
+    beside = _Beside(given, series, first, last)
+    max_offset = beside.max_offset_s
+    pair = beside.pair(beside.reach_s)
+    notes: list[str] = []
+    if given.learns_scale:
+        learnt = calibrate_sensor_scale(
+            pair,
+            max_offset,
+            one_clock=beside.one_clock,
+            length_s=beside.overlap_s,
+            look=lambda fit: notes.extend(_refuse_farther(beside, fit)),
+        )
+        found = learnt.findings
+        assert found is not None
+    else:
+        learnt = calibrate_noise(pair, max_offset, one_clock=beside.one_clock, length_s=beside.overlap_s)
+        found = learnt.findings
+        assert found is not None
+        if found.search is not None and (not beside.one_clock or unexplained(found.pair, found.fit)):
+            notes += _refuse_farther(beside, found.free)
+        _refuse_wrong_scale(learnt, found)
+    learnt = replace(learnt, warnings=(*learnt.warnings, *notes))
+    if beside.one_clock:
+        return _on_one_clock(learnt, found)
+    _refuse_doubtful_offset(beside, learnt, found)
+    return replace(learnt, warnings=(*learnt.warnings, *_offset_warnings(beside, learnt)))
+
+
+def _refuse_farther(beside: _Beside, near: Fit) -> list[str]:
+    """UntrustedError where the clocks agree far better farther apart than was searched.
+
+    Returns a warning where the overlap is too short to look there.
+    """
+    reach = beside.reach_s
+    until = min(reach + farther_s(beside.max_offset_s), FARTHER_SHARE * beside.overlap_s)
+    try:
+        pair = beside.pair(until, FARTHER_WINDOW_S + 2.0 * until)
+    except DataError:
+        return [
+            f"displacement: a clock offset beyond ±{beside.max_offset_s:.3g} s was not looked for: the overlap of "
+            f"{beside.overlap_s:.3g} s holds too few measurements or too little motion. A longer recording would tell."
+        ]
+    other = farther(pair, near, reach, until)
+    if other is not None:
+        raise UntrustedError(_beyond(beside, other.offset_s))
+    return []
+
+
+def _beyond(beside: _Beside, offset_s: float) -> str:
+    learn_it = "set displacement.estimate_offset = true, and " if beside.one_clock else ""
+    return (
+        f"displacement: its clock seems to differ from the accelerometer's by {offset_s:+.3g} s, but only "
+        f"±{beside.max_offset_s:.3g} s were searched (calibration.max_offset_s = {beside.wanted_s:g}, in an overlap of "
+        f"{beside.overlap_s:.3g} s). Correct its time column or displacement.start_s, or {learn_it}raise "
+        "calibration.max_offset_s, with a longer recording where it is above a quarter of it."
+    )
+
+
+def _refuse_wrong_scale(learnt: NoiseCalibration, found: Findings) -> None:
+    """UntrustedError where the sign or the unit is wrong beyond doubt: no clock offset means anything then."""
+    size = 1.0 / abs(found.free.ratio)
+    times = "" if abs(size - 1.0) < WRONG_SCALE else f" and multiplied by {size:.3g}"
+    if learnt.reversed_gain > CLEARLY_REVERSED:
+        raise UntrustedError(
+            f"displacement: its sign is reversed: turned round{times} it fits the accelerometer far better. Its second "
+            "derivative must be positive where the structure accelerates along the sensor's positive axis. Turn the "
+            "sign of the column, or of the accelerometer's, or have it learnt: displacement.estimate_scale = true."
+        )
+    told = found.free.likelihood - found.free.without > LEAST_GAIN
+    if times and told and found.free.ratio > 0.0 and clearly_better(found.free, found.likeliest):
+        raise UntrustedError(
+            f"displacement: follows the accelerometer with a factor of {found.free.ratio:.3g} ± "
+            f"{np.sqrt(found.free.ratio_variance):.2g} where 1 is expected. Check displacement.unit, "
+            "accelerometer.unit and that both sensors measure the same axis, or have it learnt: "
+            "displacement.estimate_scale = true."
+        )
+
+
+def _refuse_doubtful_offset(beside: _Beside, learnt: NoiseCalibration, found: Findings) -> None:
+    """UntrustedError where the clock offset that was asked for is not to be believed."""
+    search, limit = found.search, beside.max_offset_s
+    if search is None or not search.offset.variance < CERTAIN_S**2:
+        return
+    fit, std = search.fit, float(np.sqrt(search.offset.variance))
+    if fit.likelihood - fit.without < LEAST_GAIN:
+        if learnt.offset.value_s != 0.0:
+            raise UntrustedError(unexplained_text(fit.offset_s, limit))
+        return
+    if unexplained(search.pair, fit):
+        raise UntrustedError(unexplained_text(fit.offset_s, limit))
+    gain = fit.likelihood - fit.without
+    if search.runner_up is not None and _ambiguous(search) and (learnt.offset.value_s != 0.0 or gain > TELLING_GAIN):
+        raise UntrustedError(
+            f"displacement: the clock offset is ambiguous: {fit.offset_s:+.4f} s and {search.runner_up.offset_s:+.4f} "
+            f"s fit almost alike within ±{limit:g} s, as they do when the motion is nearly a single tone, or when a "
+            "tone's alias meets a slower tone. Set a smaller calibration.max_offset_s that excludes one of them, or "
+            "leave displacement.estimate_offset out."
+        )
+    if abs(fit.offset_s) > limit + BEYOND * std:
+        raise UntrustedError(_beyond(beside, fit.offset_s))
+
+
+def _ambiguous(search: OffsetSearch) -> bool:
+    """Whether two offsets fit alike; with little motion a lead that is small beside a tone's errors decides all the
+    same, where it is a good part of what the motion tells at all."""
+    other, fit = search.runner_up, search.fit
+    if other is None or not is_ambiguous(search):
+        return False
+    return fit.likelihood - other.likelihood < max(LEAST_LEAD, LEAST_LEAD_SHARE * (fit.likelihood - fit.without))
+
+
+def _offset_warnings(beside: _Beside, learnt: NoiseCalibration) -> list[str]:
+    told = []
+    if beside.max_offset_s < beside.wanted_s:
+        told.append(
+            f"displacement: clock offsets up to ±{beside.max_offset_s:.3g} s only were searched, a quarter of the "
+            f"overlap of {beside.overlap_s:.3g} s; calibration.max_offset_s is {beside.wanted_s:g} s."
+        )
+    if beside.max_offset_s > 0.0 and (np.isinf(learnt.offset.variance) or _not_told(learnt)):
+        told.append(
+            "displacement: the motion does not tell its clock offset, which is taken for 0; with more motion it would."
+        )
+    return told
+
+
+def _not_told(learnt: NoiseCalibration) -> bool:
+    """Whether no offset was applied though the one that fits best is not 0."""
+    search = None if learnt.findings is None else learnt.findings.search
+    if search is None or learnt.offset.value_s != 0.0:
+        return False
+    return abs(search.fit.offset_s) > 5.0 * float(np.sqrt(search.offset.variance))
+
+
+def _on_one_clock(learnt: NoiseCalibration, found: Findings) -> NoiseCalibration:
+    """One clock is taken for granted; an offset that shows all the same is told and put into the error band."""
+    off, value = learnt.offset.value_s, found.pair.samples[:, 1]
+    noise = learnt.factor**2 * min(found.fit.noise, found.likeliest.noise)
+    rate = (len(value) - 1) / float(found.pair.samples[-1, 0] - found.pair.samples[0, 0])
+    shaken = float(np.std(value)) / (2.0 * np.pi * max(dominant_frequency(value, rate), 0.2))
+    speed = max(shaken, _speed(found.pair, learnt.factor, noise))
+    if abs(off) * speed > MOST_LATE * np.sqrt(noise):
+        raise UntrustedError(
+            f"displacement: its clock differs from the accelerometer's by {off:+.4f} s, which moves it by "
+            f"{1e3 * abs(off) * speed:.3g} mm rms. Set displacement.estimate_offset = true to have the offset "
+            "learnt and applied, or correct its time column."
+        )
+    return replace(learnt, offset=TimeOffset(0.0, off * off))
+
+
+def _speed(pair: Pair, factor: float, noise: float) -> float:
+    """Rms speed (m/s) that the readings show beyond their noise (m²)."""
+    rows = pair.rows[np.isfinite(pair.rows[:, 2])]
+    apart = np.diff(rows[:, 0])
+    square = (factor * np.diff(rows[:, 1]) / apart) ** 2 - 2.0 * noise / apart**2
+    return float(np.sqrt(max(float(np.mean(square)), 0.0)))
+
+
+def _refuse_poor_displacement(series: TimeSeries, used: slice) -> None:
+    value = series.value[used]
+    known = value[np.isfinite(value)]
+    if len(known) < LEAST_MEASUREMENTS:
+        raise DataError(
+            f"displacement: {len(known)} measurements overlap the accelerometer; at least {LEAST_MEASUREMENTS} "
+            "are needed to learn its noise. Check its time column, gaps and unit."
+        )
+    if np.ptp(known) == 0.0:
+        raise DataError(
+            f"displacement ({series.name}): stands at one value, {1e3 * known[0]:g} mm, all the time. Check the "
+            "sensor, or choose another column with displacement.value."
+        )

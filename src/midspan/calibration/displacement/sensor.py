@@ -1,0 +1,165 @@
+"""What is learnt of a displacement sensor, what to know of it, and its measurements in metres."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from midspan.calibration.bias import bias_of
+from midspan.calibration.displacement.learn import Given, learn
+from midspan.calibration.noise import NoiseCalibration
+from midspan.calibration.scale import white_noise
+from midspan.calibration.scale_check import MOST_NOISE
+from midspan.calibration.sensors.displacement import DisplacementCalibration
+from midspan.calibration.sensors.fit import SensorFit
+from midspan.errors import UntrustedError
+from midspan.records import NANOSECONDS, Event, TimeSeries, seconds
+from midspan.signals.acceleration import PreparedAcceleration
+from midspan.signals.health import Mask, runs
+from midspan.signals.stamps import shown
+from midspan.signals.stuck import resolution, stuck
+
+# A scale that was not learnt is told when it is off by this share and so many deviations, and refused beyond the second
+# share.
+TOLD, CERTAIN, REFUSED = 0.015, 4.5, 0.5
+# A given noise of a displacement sensor is taken unless the sensors differ as if it were so many times larger.
+MOST_OPTIMISTIC = 1.5
+# Where so many values would count as frozen, the sensor's resolution is coarse beside the motion.
+MOST_FROZEN = 0.5
+
+
+DisplacementFit = SensorFit[DisplacementCalibration, NoiseCalibration]
+
+
+def fit_displacement(given: Given) -> DisplacementFit:
+    """Noise, clock offset and scale of the sensor, learnt beside the accelerometer, or a refusal."""
+    learnt = _learnt(given)
+    assert learnt.findings is not None
+    part = displacement_part(given, learnt)
+    warnings = tuple(displacement_warnings(given, learnt, part))
+    bias = bias_of(learnt.findings.pair, learnt.findings.fit)
+    return DisplacementFit(part, learnt.input_noise_density, bias, warnings, learnt)
+
+
+def _learnt(given: Given) -> NoiseCalibration:
+    """Noise, clock offset and scale of the sensor, learnt beside the accelerometer, or a refusal.
+
+    The scale is learnt with displacement.estimate_scale only; else it is told where it seems wrong.
+    """
+    series, prepared = given.series, given.prepared
+    if not given.learns_scale:
+        return learn(given, without(series, frozen_values(prepared, series)))
+    # What the values are rounded to is known in metres only with the scale: at first none of it is granted.
+    crude = frozen_values(prepared, series, resolution_m=0.0)
+    known = np.isfinite(series.value)
+    first = without(series, crude if np.mean(crude[known]) < MOST_FROZEN else np.zeros_like(crude))
+    learnt = learn(given, first)
+    scaled = replace(series, value=learnt.factor * series.value)
+    offset_ns = round(NANOSECONDS * learnt.offset.value_s)
+    held = frozen_values(prepared, replace(scaled, time_ns=series.time_ns + offset_ns))
+    return learnt if np.array_equal(held, np.isnan(first.value) & known) else learn(given, without(series, held))
+
+
+def displacement_part(given: Given, learnt: NoiseCalibration) -> DisplacementCalibration:
+    """What the measurements are read with: noise, clock offset, scale."""
+    std = float(np.sqrt(learnt.variance_factor))
+    if given.noise_std_m is not None:
+        own = given.noise_std_m * abs(learnt.factor)
+        # A given noise far below what the sensors differ by would only make the gate reject right measurements.
+        std = own if std < MOST_OPTIMISTIC * own else std
+    # A scale that seems wrong is left as it is, and the error band holds both.
+    scale_std = float(np.hypot(learnt.factor_std, abs(learnt.factor) * _scale_error(learnt)))
+    step_m = resolution(learnt.factor * given.series.value)
+    return DisplacementCalibration(std, learnt.offset, learnt.factor, scale_std, resolution_m=step_m)
+
+
+def _scale_error(learnt: NoiseCalibration) -> float:
+    """By how much a scale that was not learnt seems wrong, as a share; 0 where it may be right."""
+    uncertain = CERTAIN * learnt.scale_std + 0.5 * learnt.noise_share
+    if learnt.noise_share > MOST_NOISE or not abs(learnt.scale - 1.0) > max(TOLD, uncertain):
+        return 0.0
+    return float(np.hypot(1.0 / learnt.scale - 1.0, learnt.scale_std))
+
+
+def displacement_warnings(given: Given, learnt: NoiseCalibration, part: DisplacementCalibration) -> list[str]:
+    """What to know of the displacement sensor; UntrustedError where its unit is wrong beyond doubt."""
+    series = read_with(given.series, part)
+    frozen = frozen_events(series, frozen_values(given.prepared, series))
+    found = [*frozen_warnings(frozen), *_zero_warnings(given, part)]
+    found += learnt.warnings
+    if not given.learns_offset and 0.0 < learnt.offset.variance < np.inf:
+        found.append(
+            "displacement: its clock seems to differ from the accelerometer's by "
+            f"{1e3 * np.sqrt(learnt.offset.variance):.3g} ms. Set "
+            "displacement.estimate_offset = true to have the offset learnt and applied."
+        )
+    if _scale_error(learnt) == 0.0:
+        return found
+    text = (
+        f"displacement: follows the accelerometer with a factor of {learnt.scale:.3g} ± {learnt.scale_std:.2g} where 1 "
+        "is expected. Check displacement.unit, its sign, accelerometer.unit and that both sensors measure the same "
+        "axis."
+    )
+    if abs(learnt.scale - 1.0) > REFUSED:
+        raise UntrustedError(text)
+    return [*found, f"{text} The error band holds the difference; displacement.estimate_scale = true takes it out."]
+
+
+def read_with(series: TimeSeries, learnt: DisplacementCalibration) -> TimeSeries:
+    """The channel in metres on the accelerometer's clock."""
+    offset_ns = round(NANOSECONDS * learnt.offset.value_s)
+    return replace(series, time_ns=series.time_ns + offset_ns, value=learnt.scale * series.value)
+
+
+def without(series: TimeSeries, mask: Mask) -> TimeSeries:
+    """The channel with some values (n,) missing."""
+    return replace(series, value=np.where(mask, np.nan, series.value)) if mask.any() else series
+
+
+def frozen_values(prepared: PreparedAcceleration, series: TimeSeries, *, resolution_m: float | None = None) -> Mask:
+    """Values (n,) of the sensor that stand still while the accelerometer says that the structure moves.
+
+    series: in metres on the accelerometer's clock; resolution_m: what its values are rounded to; left out: as they are.
+    """
+    origin = int(series.time_ns[0])
+    noise = white_noise(prepared.value_m_s2) ** 2 / prepared.rate_hz
+    shaken = prepared.with_noise(noise)
+    samples = np.column_stack((seconds(shaken.time_ns, origin), shaken.value_m_s2, shaken.noise_density))
+    step = resolution(series.value) if resolution_m is None else resolution_m
+    return stuck(seconds(series.time_ns, origin), series.value, samples, resolution_m=step)
+
+
+def frozen_events(series: TimeSeries, held: Mask) -> tuple[Event, ...]:
+    """An event for each stretch of frozen values (`held` (n,)) of [displacement] that was left out.
+
+    series: in metres on the accelerometer's clock.
+    """
+    return tuple(
+        Event(
+            int(series.time_ns[a]),
+            "frozen",
+            f"displacement: {b - a} values from {shown(int(series.time_ns[a]))} to {shown(int(series.time_ns[b - 1]))} "
+            f"are all {1e3 * series.value[a]:.6g} mm while the structure moved; they were left out.",
+        )
+        for a, b in runs(held)
+    )
+
+
+def frozen_warnings(events: tuple[Event, ...]) -> list[str]:
+    """One sentence for all frozen stretches."""
+    if not events:
+        return []
+    more = f"So were {len(events) - 1} more such stretches. " if len(events) > 1 else ""
+    return [f"{events[0].text} {more}Check the sensor."]
+
+
+def _zero_warnings(given: Given, part: DisplacementCalibration) -> list[str]:
+    """A sentence where the uncertain scale of a large reading hides the zero, which counts in the error band."""
+    value = part.scale * given.series.value
+    level, moved = abs(float(np.nanmedian(value))), float(np.nanstd(value))
+    if not given.gives_zero or part.relative_std * level < max(moved, part.noise_std_m):
+        return []
+    return [
+        f"displacement: it reads about {1e3 * level:.4g} mm, of which the scale's deviation of "
+        f"{100 * part.relative_std:.2g} % is {1e3 * part.relative_std * level:.2g} mm: the error band holds the "
+        "uncertain zero. Take the reading at rest off the column to see the motion's own band."
+    ]

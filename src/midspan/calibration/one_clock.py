@@ -1,0 +1,227 @@
+"""A sensor's measurements on the accelerometer's clock: jumps of its own clock and its drift found and taken out."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from midspan.calibration.clock import compared
+from midspan.calibration.clock_jumps import LARGEST_S, ClockJump, clock_jumps, lateness
+from midspan.calibration.running_clock import RunningClock, on_one_clock
+from midspan.errors import UntrustedError
+from midspan.fusion.path import at
+from midspan.fusion.streams import NO_ERRORS, KalmanSettings, filtered, smooth
+from midspan.records import (
+    NANOSECONDS,
+    Acceleration,
+    Displacement,
+    Event,
+    Floats,
+    Nanoseconds,
+    part,
+)
+from midspan.signals.stamps import inside, shown
+
+# So much, s, either way of an instant is smoothed to tell what the structure did there.
+AROUND_S = 10.0
+# Of the measurements in a window of so many seconds at most this share may contradict the acceleration in the end: lie
+# so many predicted deviations off.
+WINDOW_S, MOST_REJECTED, CONTRADICTS = 8.0, 0.6, 4.0
+# Lost or doubled frames are named where a jump is so many intervals to this share of one.
+WHOLE = 0.1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CourseError:
+    """A sensor's zero wanders, and is known at stamps (n,) to standard deviations (n,) in m only."""
+
+    time_ns: Nanoseconds
+    std_m: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class OneClock:
+    """Measurements on one clock, what is left of its uncertainty (s, rms; None: as calibrated), and what to tell.
+
+    running: the drift that was corrected; jumps: taken out before it; levels: what the displacement may be off by where
+    the motion does not tell which jump it was.
+    """
+
+    measured: Displacement
+    std_s: float | None = None
+    warnings: tuple[str, ...] = ()
+    events: tuple[Event, ...] = ()
+    levels: tuple[CourseError, ...] = ()
+    jumps: tuple[ClockJump, ...] = ()
+    running: RunningClock | None = None
+
+    def also(self, measured: Displacement) -> "OneClock":
+        """Other measurements of the same frames on the same clock; what was to tell has been told.
+
+        Those that may be on either side of a jump are left out.
+        """
+        moved = _moved(measured, self.jumps)
+        value = moved.value_m.copy()
+        for jump in self.jumps:
+            value[jump.first : jump.last] = np.nan
+        moved = replace(moved, value_m=value)
+        if self.running is not None:
+            moved = self.running.also(moved).measured
+        return replace(self, measured=moved, warnings=(), events=(), levels=())
+
+
+def one_clock(
+    measured: Displacement,
+    acceleration: Acceleration,
+    kalman: KalmanSettings,
+    sensor: str,
+    *,
+    std_s: float = 0.0,
+    drifts: bool = True,
+    stays: bool = False,
+) -> OneClock:
+    """The measurements of one sensor without the jumps of its clock and, in a long record, without its drift.
+
+    measured: on the accelerometer's clock as calibrated; sensor: its name in messages; std_s: how well that is known;
+    drifts: whether its drift is looked for; stays: up to the first jump the stamps are left as they are.
+    """
+    jumps = _jumps(measured, acceleration, stays=stays)
+    running = on_one_clock(_moved(measured, jumps), acceleration, sensor) if drifts else None
+    if running is not None and running.course is not None and not jumps:
+        # Beside a clock that runs apart a small jump shows only now.
+        jumps = _jumps(running.measured, acceleration, stays=True)
+        running = on_one_clock(_moved(measured, jumps), acceleration, sensor) if jumps else running
+    moved = _moved(measured, jumps) if running is None else running.measured
+    told = () if running is None else running.warnings
+    known = None if running is None else running.std_s
+    if not jumps:
+        return OneClock(moved, known, told, running=running)
+    _refuse_contradiction(moved, acceleration, kalman, sensor)
+    moved, levels = _either_side(moved, jumps, acceleration, kalman)
+    events = tuple(_event(measured, jump, sensor) for jump in jumps)
+    spread = float(np.sqrt(sum(jump.std_s**2 for jump in jumps)))
+    return OneClock(
+        moved,
+        float(np.hypot(std_s if known is None else known, spread)),
+        (*(event.text for event in events), *told),
+        events,
+        levels,
+        jumps,
+        running,
+    )
+
+
+def _refuse_contradiction(moved: Displacement, acceleration: Acceleration, kalman: KalmanSettings, sensor: str) -> None:
+    """UntrustedError where measurements contradict the acceleration for long though jumps were taken out."""
+    told = replace(kalman, rates=NO_ERRORS, noise_memory=np.inf)
+    found = filtered(acceleration, moved, told).innovation
+    far = found.value_m**2 > CONTRADICTS**2 * found.variance_m2
+    rejected = np.concatenate(([0], np.cumsum(far)))
+    first = np.arange(len(found.time_ns))
+    last = np.searchsorted(found.time_ns, found.time_ns + round(WINDOW_S * NANOSECONDS))
+    whole = last < len(found.time_ns)
+    share = np.where(whole, (rejected[last] - rejected[first]) / np.maximum(last - first, 1), 0.0)
+    worst = int(np.argmax(share)) if len(share) else 0
+    if not len(share) or share[worst] <= MOST_REJECTED:
+        return
+    begin = int(found.time_ns[worst])
+    raise UntrustedError(
+        f"{sensor}: its clock jumps, or frames are lost, more often than the motion tells: after the jumps that were "
+        f"found {100 * share[worst]:.0f} % of the measurements from {shown(begin)} to "
+        f"{shown(begin + round(WINDOW_S * NANOSECONDS))} still contradict the acceleration. Give a time stamp for each "
+        "frame, or cut the recording where its clock is set."
+    )
+
+
+def _jumps(measured: Displacement, acceleration: Acceleration, *, stays: bool) -> tuple[ClockJump, ...]:
+    usable = np.isfinite(measured.value_m) & np.isfinite(measured.variance_m2)
+    first, last = int(acceleration.time_ns[0]), int(acceleration.time_ns[-1])
+    inner = usable & (measured.time_ns >= first) & (measured.time_ns <= last)
+    if np.count_nonzero(inner) < 2 or not acceleration.value_m_s2.any():
+        return ()
+    one, index = compared(acceleration, measured)
+    found = [
+        replace(jump, row=int(index[jump.row]), first=int(index[jump.first]), last=int(index[jump.last]))
+        for jump in clock_jumps(one)
+    ]
+    if stays and found:
+        found[0] = replace(found[0], before_s=0.0)
+    return tuple(found)
+
+
+def _moved(measured: Displacement, jumps: Sequence[ClockJump]) -> Displacement:
+    """The measurements with the jumps taken out of the stamps; what then lies before its predecessor is left out."""
+    if not jumps:
+        return measured
+    time_ns = measured.time_ns + np.rint(NANOSECONDS * lateness(jumps, len(measured.time_ns))).astype(np.int64)
+    latest = np.maximum.accumulate(time_ns)
+    doubled = np.concatenate(([False], time_ns[1:] <= latest[:-1]))
+    # Their stamps are of no account but must grow.
+    order = np.arange(len(time_ns))
+    return replace(
+        measured,
+        time_ns=np.maximum.accumulate(latest - order) + order,
+        value_m=np.where(doubled, np.nan, measured.value_m),
+    )
+
+
+def _either_side(
+    moved: Displacement, jumps: Sequence[ClockJump], acceleration: Acceleration, kalman: KalmanSettings
+) -> tuple[Displacement, tuple[CourseError, ...]]:
+    """Wider noise of measurements that may be on either side of a jump, and what rivals of a jump would change."""
+    variance, levels = moved.variance_m2.copy(), []
+    for jump in jumps:
+        if jump.last > jump.first:
+            near = slice(jump.first, jump.last)
+            other_s = np.where(np.arange(jump.first, jump.last) < jump.row, jump.late_s, -jump.late_s)
+            variance[near] += _apart(moved, near, other_s, acceleration, kalman) ** 2
+        if jump.rival_s is not None:
+            after = slice(jump.row, None)
+            other_s = np.full(len(moved.time_ns) - jump.row, jump.rival_s - jump.late_s)
+            std_m = np.zeros(len(moved.time_ns))
+            std_m[after] = _apart(moved, after, other_s, acceleration, kalman)
+            levels.append(CourseError(moved.time_ns, std_m))
+    return replace(moved, variance_m2=variance), tuple(levels)
+
+
+def _apart(
+    moved: Displacement, which: slice, other_s: Floats, acceleration: Acceleration, kalman: KalmanSettings
+) -> Floats:
+    """By how much (m) the displacement differs at stamps that are so much later."""
+    time_ns = moved.time_ns[which]
+    around = round((AROUND_S + LARGEST_S) * NANOSECONDS)
+    span = (int(time_ns[0]) - around, int(time_ns[-1]) + around)
+    # What is looked for must not lead the path.
+    beside = replace(moved, value_m=moved.value_m.copy())
+    if which.stop is not None:
+        beside.value_m[which] = np.nan
+    rows = smooth(
+        part(acceleration, inside(acceleration.time_ns, *span)), part(beside, inside(beside.time_ns, *span)), kalman
+    ).estimate
+    return at(rows, time_ns + np.rint(NANOSECONDS * other_s).astype(np.int64))[0] - at(rows, time_ns)[0]
+
+
+def _event(measured: Displacement, jump: ClockJump, sensor: str) -> Event:
+    at_ns = int(measured.time_ns[jump.row])
+    begin, end = (int(measured.time_ns[k]) for k in (max(jump.first - 1, 0), jump.last))
+    interval = float(np.median(np.diff(measured.time_ns))) / NANOSECONDS
+    frames = round(jump.late_s / interval)
+    # A clock that was set shows a step in the stamps themselves.
+    even = (
+        abs(end - begin - (jump.last - max(jump.first - 1, 0)) * interval * NANOSECONDS)
+        < WHOLE * interval * NANOSECONDS
+    )
+    whole = even and frames != 0 and abs(jump.late_s - frames * interval) < max(WHOLE * interval, 3.0 * jump.std_s)
+    were = "was" if abs(frames) == 1 else "were"
+    lost = "lost" if frames > 0 else "doubled"
+    what = f", as if {abs(frames)} of its frames {were} {lost}" if whole else ""
+    text = (
+        f"{sensor}: its clock jumped between {shown(begin)} and {shown(end)}: {1e3 * jump.late_s:+.2f} ± "
+        f"{1e3 * jump.std_s:.2g} ms must be added to its stamps from there on{what}; this was corrected."
+    )
+    if jump.rival_s is not None:
+        text += (
+            f" The motion hardly tells that it was not {1e3 * jump.rival_s:+.1f} ms; the error band holds the "
+            "difference."
+        )
+    return Event(at_ns, "clock", text)

@@ -1,0 +1,391 @@
+"""The radar's part of a calibration: fixed targets, conversion factors and clock offset beside the accelerometer."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from midspan.calibration.bias import Bias, bias_of
+from midspan.calibration.common_offset import LEAST_OFFSET_S, OFFSET_STD
+from midspan.calibration.fit import Pair
+from midspan.calibration.measured import measured_rows
+from midspan.calibration.radar.clock import Seen, radar_clock
+from midspan.calibration.radar.own_motion import judged
+from midspan.calibration.radar.window import LEAST_FRAMES, OpenedWindow
+from midspan.calibration.scale import WARNED_ABOVE, is_ambiguous
+from midspan.calibration.sensors.fit import SensorFit
+from midspan.calibration.sensors.radar import RadarCalibration, RadarDiagnostics, RadarTarget
+from midspan.calibration.time_offset import OffsetSearch, search_offset
+from midspan.errors import DataError, UntrustedError, UsageError
+from midspan.radar.blockage import BlockageSettings
+from midspan.radar.channels import noise_variance
+from midspan.radar.frames import (
+    RadarFrames,
+    TargetPhasors,
+    bin_m_of,
+    bins_of,
+    target_series,
+    together,
+    without_holes,
+)
+from midspan.radar.info import RadarInfo
+from midspan.radar.measurement import TargetSeries
+from midspan.radar.target import (
+    LARGEST_CLUTTER,
+    LARGEST_RELATIVE_STD,
+    Target,
+    at_place,
+    find_targets,
+    ranked,
+)
+from midspan.records import NANOSECONDS, Floats, TimeOffset
+from midspan.signals.acceleration import PreparedAcceleration
+from midspan.signals.health import runs
+from midspan.signals.stamps import inside
+
+# Rows that the likelihood is evaluated on at most; a faster radar is thinned.
+MOST_ROWS = 8000
+# The two ways to the factor, closed form and likelihood, may differ by so many standard deviations before that is put
+# into the stated one.
+AGREED_STD = 3.0
+# A clock offset known worse than this (s) brings a warning.
+WARNED_OFFSET_S = 2e-3
+# A factor below 1 by more than this share, and by so many standard deviations, is that of no fixed target.
+LEAST_SHORT, SHORT_STD = 0.02, 5.0
+# A target farther than this from the range that was asked for is another one, m.
+FARTHEST_M = 0.5
+# Where targets are hidden in the window for so many frames on end, its longest clear part is used if it is this share
+# of it at least; above the other share nothing needs to be left out.
+LEAST_FLAW_FRAMES, LEAST_CLEAR, ALL_CLEAR = 20, 0.25, 0.99
+# Points of the window that are kept for the report.
+KEPT = 2000
+
+
+RadarFit = SensorFit[RadarCalibration, None]
+
+
+def fit_radar(
+    window: OpenedWindow,
+    prepared: PreparedAcceleration,
+    info: RadarInfo,
+    *,
+    most_targets: int,
+    target_range_m: float | None = None,
+) -> RadarFit:
+    """Choose fixed targets and learn their conversion factors and the clock offset in the calibration window.
+
+    most_targets: so many are used at most; target_range_m: where the only one is wanted. Raises UntrustedError, with
+    the reason, where no target follows the accelerometer well enough.
+    """
+    frames, samples, told, (origin, max_offset) = window.frames, window.samples, window.told, window.clock
+    found, frames, hidden = _clearly_seen(frames, samples, info, (max_offset, most_targets))
+    found, frames = _at_one_pace(found, frames, samples, (info, max_offset))
+    whole = without_holes(frames)
+    targets, offset = _chosen(found, most_targets, target_range_m)
+    seen = [series_of(frames, item.target, info, samples) for item in targets if item.used]
+    frame_s = whole.time_ns / NANOSECONDS + offset.value_s
+    targets, moving = judged(targets, seen, frame_s, samples)
+    best = next(item.target for item in targets if item.used)
+    unit = info.axis.phase_per_m(best.range_m)
+    series = series_of(frames, best, info, samples)
+    search = searched(prepared, whole, series, (origin, max_offset))
+    _refuse_ambiguity(search, max_offset)
+    targets, told_factor = _widened(targets, search)
+    used = [item.target for item in targets if item.used]
+    calibration = RadarCalibration(
+        targets=targets,
+        offset=offset,
+        variance_factor=_variance_factor(search, best, series),
+        relative_std=_relative_std(used),
+        carrier_hz=info.carrier_hz,
+        channels=info.channels,
+        diagnostics=diagnostics_of(info.axis.range_m, info.limit_speed_m_s, whole, (best, series, unit)),
+    )
+    warnings = (*info.warnings, *told, *hidden, *moving, *told_factor, *_warnings(calibration))
+    return RadarFit(calibration, search.fit.input_density, searched_bias(search), tuple(warnings))
+
+
+def _clearly_seen(
+    frames: RadarFrames, samples: Floats, info: RadarInfo, given: tuple[float, int]
+) -> tuple[tuple[Target, ...], RadarFrames, list[str]]:
+    """The targets, the frames of the window in which the best ones were not hidden, and a sentence on those left out.
+
+    given: largest clock offset (s) and how many targets are used. What stands before a target would be taken for its
+    noise.
+    """
+    found = found_targets(frames, samples, info, given[0])
+    best = [target for target in found if not target.objection]
+    best = sorted(best, key=lambda target: target.noise_m)[: given[1]]
+    if not best:
+        return found, frames, []
+    longest = _longest_clear(frames, best)
+    if longest.stop - longest.start < LEAST_CLEAR * len(frames.time_ns):
+        # What stands before one target may be taken for another, seen for a short time only.
+        longest = max((_longest_clear(frames, [target]) for target in best), key=lambda part: part.stop - part.start)
+    count = longest.stop - longest.start
+    if count >= ALL_CLEAR * len(frames.time_ns) or count < max(LEAST_FRAMES, LEAST_CLEAR * len(frames.time_ns)):
+        return found, frames, []
+    frames = RadarFrames(frames.time_ns[longest], frames.phasors[longest], frames.valid[longest])
+    length_s = float(frames.time_ns[-1] - frames.time_ns[0]) / NANOSECONDS
+    text = (
+        f"radar: something hid a target in the calibration window; its longest clear part, {length_s:.3g} s, was used."
+    )
+    return found_targets(frames, samples, info, given[0]), frames, [text]
+
+
+def found_targets(frames: RadarFrames, samples: Floats, info: RadarInfo, max_offset_s: float) -> tuple[Target, ...]:
+    """All targets of the frames, beside the accelerometer."""
+    whole = without_holes(frames)
+    time_s = whole.time_ns / NANOSECONDS
+    return find_targets(
+        whole.phasors, time_s, samples=samples, axis=info.axis, max_offset_s=max_offset_s, valid=whole.valid
+    )
+
+
+def _at_one_pace(
+    found: tuple[Target, ...], frames: RadarFrames, samples: Floats, given: tuple[RadarInfo, float]
+) -> tuple[tuple[Target, ...], RadarFrames]:
+    """The targets and frames with the radar's stamps at the accelerometer's pace, about the middle of the window.
+
+    Unequal clocks would be taken for noise of the accelerometer. given: the radar, and the largest clock offset, s.
+    """
+    usable = [target for target in found if not target.objection]
+    if not usable:
+        return found, frames
+    best = min(usable, key=lambda target: target.noise_m)
+    z = together(at_place(frames.phasors, best.place_bin)[..., None], best, frames.valid)[:, 0] - best.leak
+    unit = given[0].axis.phase_per_m(best.range_m)
+    seen = Seen(frames.time_ns, z, best.amplitude, best.time_offset_s, 1.0 / best.conversion_factor, unit)
+    skew = radar_clock(seen, samples).skew
+    if skew == 0.0:
+        return found, frames
+    middle = 0.5 * float(frames.time_ns[0] + frames.time_ns[-1])
+    late_ns = np.rint(skew * (frames.time_ns - middle)).astype(np.int64)
+    frames = replace(frames, time_ns=frames.time_ns + late_ns)
+    return found_targets(frames, samples, given[0], given[1]), frames
+
+
+def _longest_clear(frames: RadarFrames, targets: Sequence[Target]) -> slice:
+    """The longest stretch of frames in which all targets had about their usual amplitude, short flaws allowed."""
+    usual = BlockageSettings()
+    clear = np.ones(len(frames.time_ns), dtype=np.bool_)
+    for target in targets:
+        z = together(at_place(frames.phasors, target.place_bin)[..., None], target, frames.valid)[:, 0] - target.leak
+        share = np.abs(z) / target.amplitude
+        # A target that moves through its bin fades by itself.
+        low = usual.low if target.reach_bins == 0.0 else 0.0
+        clear &= ~((share < low) | (share > usual.high))
+    flaws = [run for run in runs(~clear) if run[1] - run[0] >= LEAST_FLAW_FRAMES]
+    edges = [0, *(int(k) for run in flaws for k in run), len(clear)]
+    starts, ends = edges[0::2], edges[1::2]
+    k = int(np.argmax(np.subtract(ends, starts)))
+    return slice(starts[k], ends[k])
+
+
+def phasors_of(frames: RadarFrames, target: Target, info: RadarInfo) -> TargetPhasors:
+    """The phasors of one target out of whole profiles."""
+    bins = bins_of(target, info)
+    single = len(bins) == 1
+    some = at_place(frames.phasors, bins[0])[..., None] if single else frames.phasors[..., bins.astype(np.int64)]
+    return TargetPhasors(frames.time_ns, bins, together(some, target, frames.valid))
+
+
+def series_of(frames: RadarFrames, target: Target, info: RadarInfo, samples: Floats) -> TargetSeries:
+    """The displacement at a target in the frames of the window."""
+    given = (info.axis.phase_per_m(target.range_m), bin_m_of(info), samples)
+    return target_series(phasors_of(frames, target, info), target, given)
+
+
+def _chosen(found: tuple[Target, ...], most: int, range_m: float | None) -> tuple[tuple[RadarTarget, ...], TimeOffset]:
+    """The targets in use, best first, then the others with the reason against them; and the clock offset of all."""
+    best_first = list(ranked(found))
+    if range_m is not None:
+        best_first = [_nearest(found, range_m)]
+    agreed, offset = one_clock(best_first)
+    used = [target for target, reason in zip(best_first, agreed, strict=True) if not reason][:most]
+    rest = [target for target in found if not any(target is one for one in used)]
+    reasons = dict(zip(map(id, best_first), agreed, strict=True))
+    return (
+        *(RadarTarget(target) for target in used),
+        *(RadarTarget(t, False, t.objection or reasons.get(id(t)) or "better ones are used") for t in rest),
+    ), offset
+
+
+def _nearest(found: tuple[Target, ...], range_m: float) -> Target:
+    """The target nearest to a wanted range, refused where it cannot be used."""
+    target = nearest_peak(found, range_m)
+    if target.objection:
+        raise UntrustedError(
+            f"radar.target_range_m = {range_m:g}: the target nearest to it, at {target.range_m:.2f} m, cannot be used: "
+            f"{target.objection}. Give another range (`midspan inspect` lists the peaks) or take the key out."
+        )
+    return target
+
+
+def nearest_peak(found: tuple[Target, ...], range_m: float) -> Target:
+    """The target nearest to a wanted range, usable or not."""
+    known = [target for target in found if np.isfinite(target.range_m)]
+    if not known:
+        raise DataError("radar.target_range_m: this file does not say the ranges of its bins. Take the key out.")
+    target = min(known, key=lambda one: abs(one.range_m - range_m))
+    if abs(target.range_m - range_m) > FARTHEST_M:
+        raise UsageError(
+            f"radar.target_range_m = {range_m:g}: must be within {FARTHEST_M:g} m of a target; the nearest is at "
+            f"{target.range_m:.2f} m. `midspan inspect` lists the peaks."
+        )
+    return target
+
+
+def one_clock(targets: Sequence[Target]) -> tuple[list[str], TimeOffset]:
+    """Why a target contradicts the others' clock offset (empty: it does not), and the offset of those that agree."""
+    offset = np.array([target.time_offset_s for target in targets])
+    std = np.array([target.time_offset_std_s for target in targets])
+    weight = 1.0 / np.maximum(std, 1e-6) ** 2
+    order = np.argsort(offset)
+    share = np.cumsum(weight[order])
+    middle = float(offset[order][np.searchsorted(share, 0.5 * share[-1])])
+    reasons = [
+        f"its clock offset would be {1e3 * o:+.1f} ms, the others' is {1e3 * middle:+.1f} ms"
+        if abs(o - middle) > max(OFFSET_STD * s, LEAST_OFFSET_S)
+        else ""
+        for o, s in zip(offset, std, strict=True)
+    ]
+    kept = np.array([not reason for reason in reasons])
+    mean = float(np.average(offset[kept], weights=weight[kept]))
+    # The accelerometer's noise moves all targets alike, so that more of them are no more certain than the best.
+    scatter = float(np.sqrt(np.average((offset[kept] - mean) ** 2, weights=weight[kept])))
+    return reasons, TimeOffset(mean, max(float(std[kept].min()), scatter) ** 2)
+
+
+def searched(
+    prepared: PreparedAcceleration, whole: RadarFrames, series: TargetSeries, given: tuple[int, float]
+) -> OffsetSearch:
+    """Clock offset, factor and noise levels of the best target by maximum likelihood: a second way to all of them."""
+    origin, max_offset = given
+    span = int(whole.time_ns[0]) + origin, int(whole.time_ns[-1]) + origin
+    margin = round((max_offset + 1.0) * NANOSECONDS)
+    window = inside(prepared.time_ns, span[0] - margin, span[1] + margin)
+    samples = prepared.rows(origin, window)
+    variance = np.where(np.isfinite(series.value_m), series.variance_m2, np.inf)
+    typical = float(np.median(variance[np.isfinite(variance)]))
+    thin = slice(None, None, max(1, -(-len(whole.time_ns) // MOST_ROWS)))
+    rows = measured_rows(whole.time_ns[thin], series.range_change_m[thin], variance[thin] / typical, 0)
+    return search_offset(Pair(samples, rows, level_m_s2=prepared.level(window)), max_offset)
+
+
+def searched_bias(search: OffsetSearch) -> Bias:
+    """The accelerometer's bias, estimated together with the target that a search was made for."""
+    return bias_of(search.pair, search.fit, float(np.sqrt(search.offset.variance)))
+
+
+def _refuse_ambiguity(search: OffsetSearch, max_offset_s: float) -> None:
+    other, fit = search.runner_up, search.fit
+    if other is None or not is_ambiguous(search):
+        return
+    raise UntrustedError(
+        f"The radar's clock offset is ambiguous: {fit.offset_s:+.4f} s (conversion factor {1 / fit.ratio:.4g}) and "
+        f"{other.offset_s:+.4f} s ({1 / other.ratio:.4g}) fit almost alike within ±{max_offset_s:g} s, as they do when "
+        "the motion is nearly a single tone. Set a smaller calibration.max_offset_s that excludes one of them, or "
+        "calibrate on a time with changing motion."
+    )
+
+
+def _variance_factor(search: OffsetSearch, best: Target, series: TargetSeries) -> float:
+    """Estimated variance over the stated one, of a frame's displacement; what is stated is never lowered.
+
+    A target's own motion is no noise of its frames.
+    """
+    if best.own_m > best.noise_m:
+        return 1.0
+    stated = float(np.median(series.variance_m2[np.isfinite(series.variance_m2)]))
+    return max(1.0, best.conversion_factor**2 * search.fit.noise / stated)
+
+
+def _widened(targets: tuple[RadarTarget, ...], search: OffsetSearch) -> tuple[tuple[RadarTarget, ...], list[str]]:
+    """The targets with their factors' deviations widened where the likelihood finds another factor for the best one."""
+    best, fit = targets[0].target, search.fit
+    apart = abs(1.0 / (fit.ratio * best.conversion_factor) - 1.0)
+    expected = float(np.hypot(best.relative_std, np.sqrt(fit.ratio_variance) / abs(fit.ratio)))
+    if apart <= AGREED_STD * expected:
+        return targets, []
+    text = (
+        f"radar: the conversion factor of the target at {best.range_m:.2f} m is {best.conversion_factor:.5g} by its "
+        f"acceleration and {1 / fit.ratio:.5g} by likelihood; the difference was added to its uncertainty."
+    )
+    if np.hypot(best.relative_std, apart) > LARGEST_RELATIVE_STD:
+        raise UntrustedError(
+            f"radar: the conversion factor of the target at {best.range_m:.2f} m is {best.conversion_factor:.4g} by "
+            f"its acceleration and {1 / fit.ratio:.4g} by likelihood: {100 * apart:.2g} % apart, at most "
+            f"{100 * LARGEST_RELATIVE_STD:g} % are allowed. Something else moves in its bin, or it moves by itself. "
+            "Choose another with radar.target_range_m, or calibrate (calibration.window_s) on a time without it."
+        )
+    return tuple(_wider(item, apart) if item.used else item for item in targets), [text]
+
+
+def _wider(item: RadarTarget, relative: float) -> RadarTarget:
+    target = item.target
+    std = float(np.hypot(target.conversion_factor_std, relative * abs(target.conversion_factor)))
+    return replace(item, target=replace(target, conversion_factor_std=std))
+
+
+def _relative_std(used: Sequence[Target]) -> float:
+    """Of the displacement of all targets together; the accelerometer's noise is common to their factors."""
+    weight = np.array([1.0 / target.noise_m**2 for target in used])
+    return float(np.average([target.relative_std for target in used], weights=weight))
+
+
+def _warnings(calibration: RadarCalibration) -> list[str]:
+    found = []
+    if calibration.relative_std > WARNED_ABOVE:
+        found.append(
+            f"radar: the conversion factor is known to ± {100 * calibration.relative_std:.1f} % only (one standard "
+            "deviation); more motion in the calibration window would sharpen it."
+        )
+    std = float(np.sqrt(calibration.offset.variance))
+    if std > WARNED_OFFSET_S:
+        found.append(f"radar: the clock offset is known to ± {1e3 * std:.1f} ms only (one standard deviation).")
+    best = calibration.best
+    found += _too_small(calibration.used)
+    if best.clutter > LARGEST_CLUTTER and not best.leak:
+        found.append(
+            f"radar: something else of {100 * best.clutter:.0f} % of its amplitude lies in the bin of the target at "
+            f"{best.range_m:.2f} m and bends its phase; aim at a target that stands alone."
+        )
+    return found
+
+
+def _too_small(used: Sequence[Target]) -> list[str]:
+    """A sentence where a factor is below 1, which no fixed target has: it is one over the cosine of an angle."""
+    worst = min(used, key=lambda target: abs(target.conversion_factor))
+    least = 1.0 - max(LEAST_SHORT, SHORT_STD * worst.relative_std)
+    if abs(worst.conversion_factor) >= least:
+        return []
+    return [
+        f"radar: the conversion factor {worst.conversion_factor:.4g} of the target at {worst.range_m:.2f} m is below "
+        "1, which a fixed target cannot have. Check accelerometer.unit (1 g is 9.81 m/s²) and the accelerometer's "
+        "sensitivity, carrier and slope in radar.config, and that the path is not reflected twice."
+    ]
+
+
+def diagnostics_of(
+    range_m: Floats, limit_m_s: float, whole: RadarFrames, best: tuple[Target, TargetSeries, float]
+) -> RadarDiagnostics:
+    """What the report draws; best: target, its series and rad per m of range."""
+    target, series, unit = best
+    power = np.zeros(whole.phasors.shape[2])
+    for part in np.array_split(np.arange(len(whole.phasors)), max(1, len(whole.phasors) // 256)):
+        power += np.sum(np.abs(whole.phasors[part]) ** 2, axis=(0, 1))
+    noise = noise_variance(whole.phasors)
+    mean = power / (len(whole.phasors) * whole.phasors.shape[1])
+    thin = slice(None, None, max(1, len(whole.time_ns) // KEPT))
+    z = at_place(whole.phasors[thin], target.place_bin) @ target.weights.conj() / np.sqrt(len(target.weights))
+    time_s = whole.time_ns / NANOSECONDS
+    return RadarDiagnostics(
+        range_m=range_m,
+        power_db=10.0 * np.log10(np.maximum(mean / max(noise, 1e-300), 1e-6)),
+        frame_s=time_s[thin],
+        phasors=np.asarray(z, dtype=np.complex128),
+        phase_rad=unit * series.range_change_m[thin],
+        leak=target.leak,
+        limit_speed_m_s=limit_m_s,
+    )

@@ -1,0 +1,1 @@
+"""What a calibration says of each kind of sensor, as plain records."""

@@ -1,0 +1,89 @@
+"""The camera's part of a calibration: scale factor, clock offset, region and noise, target by target."""
+
+import math
+from dataclasses import dataclass, field
+
+from midspan.calibration.scale import ScaleCalibration
+from midspan.calibration.sensors.camera_scale import CameraScale
+from midspan.records import Region, ScaleFactor, Source, TimeOffset
+from midspan.vision.lens import Lens
+
+
+@dataclass(frozen=True, slots=True)
+class TargetCalibration:
+    """What was learnt of one of several targets; scale None where it was refused.
+
+    used: whether the result rests on it; reason: why not. variance_factor: the learnt variance over the tracker's own.
+    """
+
+    region: Region
+    name: str
+    scale: ScaleFactor | None
+    noise_std_px: float = math.nan
+    variance_factor: float = math.nan
+    used: bool = True
+    reason: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class CameraCalibration:
+    """Scale factor, clock offset, region, axis and noise of the camera; with several targets those of the best one.
+
+    variance_factor: the learnt variance over the tracker's own. phase_scale_m_per_rad: displacement per radian of the
+    active pixels' mean phase, with the trackers that use it. targets: all of them. fused: whether this axis has an
+    accelerometer; without one the scale factor is the other axis's. relative_scale_std: of all targets together.
+    lens: what the pixels were corrected by; the scale factor holds for that lens only. source: which camera it is.
+    temperature_range_c: of a thermal camera what its tracker saw, °C. name: where there are several sensors
+    of a kind. diagnostics: what the best target's values rest on, for the report; not stored in the file.
+    """
+
+    scale: ScaleFactor
+    offset: TimeOffset
+    region: Region
+    direction: str
+    tracker: str
+    noise_std_px: float
+    variance_factor: float
+    phase_scale_m_per_rad: float | None = None
+    targets: tuple[TargetCalibration, ...] = ()
+    fused: bool = True
+    relative_scale_std: float | None = None
+    lens: Lens | None = None
+    source: Source = Source.CAMERA
+    temperature_range_c: tuple[float, float] | None = None
+    name: str | None = None
+    diagnostics: ScaleCalibration | None = field(default=None, compare=False, repr=False)
+
+    @property
+    def kind(self) -> str:
+        """The section that it stands in, "camera" or "infrared"."""
+        return self.source.word
+
+    @property
+    def used(self) -> tuple[TargetCalibration, ...]:
+        """The targets that the result rests on."""
+        found = tuple(target for target in self.targets if target.used)
+        return found or (TargetCalibration(self.region, "1", self.scale, self.noise_std_px, self.variance_factor),)
+
+    @property
+    def relative_std(self) -> float:
+        """Relative standard deviation of the scale factor of all targets together."""
+        if self.relative_scale_std is not None:
+            return self.relative_scale_std
+        return math.sqrt(self.scale.variance) / abs(self.scale.value_m_per_px)
+
+    def mappings(self) -> tuple[CameraScale, ...]:
+        """What turns the pixels of each used target into metres."""
+        return tuple(self._mapping(target) for target in self.used)
+
+    def _mapping(self, target: TargetCalibration) -> CameraScale:
+        assert target.scale is not None
+        value = target.scale.value_m_per_px
+        return CameraScale(
+            scale_m_per_px=value,
+            direction=self.direction,
+            time_offset_ns=round(1e9 * self.offset.value_s),
+            variance_factor=target.variance_factor,
+            relative_std=math.sqrt(target.scale.variance) / abs(value),
+            source=self.source,
+        )

@@ -1,0 +1,25 @@
+"""What is learnt of one sensor beside the accelerometer: its calibration, and what it implies of the accelerometer."""
+
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+from midspan.calibration.bias import Bias
+
+Calibrated = TypeVar("Calibrated")
+Diagnostics = TypeVar("Diagnostics")
+
+
+# Not slotted: Python 3.11 cannot make a frozen, slotted record by the name of a generic alias.
+@dataclass(frozen=True)
+class SensorFit(Generic[Calibrated, Diagnostics]):
+    """What was learnt of a sensor, of a camera along one axis.
+
+    input_density: noise density of the acceleration, (m/s²)²/Hz; without an accelerometer the motion's own. bias: of
+    the accelerometer, None without one. diagnostics: what the values rest on, None where the calibration holds it.
+    """
+
+    calibration: Calibrated
+    input_density: float
+    bias: Bias | None = None
+    warnings: tuple[str, ...] = ()
+    diagnostics: Diagnostics | None = None

@@ -1,0 +1,73 @@
+"""The radar's part of a calibration: which fixed targets are used, their conversion factors, one clock offset."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from midspan.radar.target import Target
+from midspan.records import Floats, Source, TimeOffset
+
+
+@dataclass(frozen=True, slots=True)
+class RadarDiagnostics:
+    """What a radar's calibration rests on, for the report; not stored in calibration.json.
+
+    range_m, power_db (bins,): of the mean range profile, dB over the noise of one frame; frame_s (n,): seconds on the
+    radar's clock of thinned frames of the window; phasors, phase_rad (n,): of the best target, what stands still not
+    taken out of the phasors; the phase unwrapped. leak: what of the phasors stands still. limit_speed_m_s: from which
+    plain unwrapping fails.
+    """
+
+    range_m: Floats
+    power_db: Floats
+    frame_s: Floats
+    phasors: NDArray[np.complex128]
+    phase_rad: Floats
+    leak: complex
+    limit_speed_m_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class RadarTarget:
+    """One peak of the range profile as it was judged; used: whether the result rests on it; reason: why not."""
+
+    target: Target
+    used: bool = True
+    reason: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class RadarCalibration:
+    """Fixed targets, clock offset and noise of a radar.
+
+    targets: all that were found, the used ones first and of these the best one first; offset: of the radar's clock,
+    shared by all; variance_factor: learnt variance over what the signal-to-noise ratio says; relative_std: of the
+    conversion factors of the used targets together; carrier_hz, channels: of the radar that it was made with; literal:
+    target, factor and unwrapping as printed (`radar/literal.py`); name: where there are several radars.
+    """
+
+    targets: tuple[RadarTarget, ...]
+    offset: TimeOffset
+    variance_factor: float
+    relative_std: float
+    carrier_hz: float
+    channels: int
+    literal: bool = False
+    name: str | None = None
+    diagnostics: RadarDiagnostics | None = field(default=None, compare=False, repr=False)
+
+    @property
+    def kind(self) -> str:
+        """The section that it stands in."""
+        return Source.RADAR.word
+
+    @property
+    def used(self) -> tuple[Target, ...]:
+        """The targets that the result rests on, best first."""
+        return tuple(item.target for item in self.targets if item.used)
+
+    @property
+    def best(self) -> Target:
+        """The target that gives the zero."""
+        return self.used[0]

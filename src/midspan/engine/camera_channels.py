@@ -1,0 +1,59 @@
+"""A camera's sensor and its channels from what was calibrated and tracked."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from midspan.calibration.sensors.camera import CameraCalibration
+from midspan.engine.channels import Table, ages, clock_std_s, interval_s
+from midspan.engine.sensors import CameraSensor
+from midspan.engine.tracking import CameraTracking
+from midspan.fusion.model import ParameterKind
+from midspan.records import Channel
+from midspan.vision.fair_variance import TEMPLATE_NOISE
+
+
+def camera_channels(
+    table: Table,
+    tracking: CameraTracking,
+    calibrations: Sequence[CameraCalibration],
+    exposure_s: float | None,
+    *,
+    first: bool,
+) -> CameraSensor:
+    """A camera's sensor, and its channels in the table.
+
+    calibrations: along each axis, the main one first; first: whether its zero is the zero of the displacement.
+    """
+    sensor = tracking.settings.sensor
+    coasting_s, lost_s = ages(interval_s(tracking.time_ns))
+    rows: list[list[int]] = [[] for _ in tracking.targets]
+    along: list[list[int]] = []
+    for axis, camera in enumerate(calibrations):
+        along.append([])
+        mappings = camera.mappings()
+        noise = [abs(m.scale_m_per_px) * camera.used[k].noise_std_px for k, m in enumerate(mappings)]
+        best = int(np.argmin(noise))
+        for k, (target, mapping) in enumerate(zip(tracking.targets, mappings, strict=True)):
+            zero_std_m = 0.0 if k == best else TEMPLATE_NOISE * float(np.hypot(noise[k], noise[best]))
+            channel = Channel(
+                sensor=sensor,
+                source=camera.source,
+                units_per_m=1.0 / mapping.scale_m_per_px,
+                target=target.name,
+                axis=axis,
+                variance_factor=mapping.variance_factor,
+                exposure_s=target.chain.blur_s(exposure_s),
+                zero_std_m=zero_std_m if first else np.inf,
+                coasting_s=coasting_s,
+                lost_s=lost_s,
+            )
+            rows[k].append(table.add(channel))
+            along[axis].append(rows[k][-1])
+    for numbers, camera in zip(along, calibrations, strict=True):
+        # An axis without an accelerometer has the other's scale factor.
+        shared = numbers if camera.fused else []
+        table.uncertain(ParameterKind.SCALE_ERROR, shared or [*numbers, *along[-1]], camera.relative_std)
+    every = [number for numbers in along for number in numbers]
+    table.uncertain(ParameterKind.CLOCK_OFFSET, every, clock_std_s(calibrations[0].offset))
+    return CameraSensor(sensor, tracking.chain, rows, [camera.direction for camera in calibrations])

@@ -1,0 +1,140 @@
+"""Methods that take one series of displacements: the papers' filters, and adaptive-kalman as printed.
+
+The series is what the sensors measured along an axis, each in its turn, on the zero that the engine's estimator found.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+
+from midspan.engine.sensor_series import SensorSeries
+from midspan.errors import UntrustedError
+from midspan.fusion.blocks import VELOCITY_WITHIN
+from midspan.fusion.complementary import OUTLIER_STD
+from midspan.fusion.in_turn import in_turn
+from midspan.fusion.path import at
+from midspan.fusion.runners import run_method
+from midspan.fusion.streams import MethodSettings, Smoothed, no_innovation
+from midspan.records import Acceleration, Displacement, Estimate, Floats, Nanoseconds, joined, part, seconds
+from midspan.signals.acceleration import from_first_measurement
+from midspan.signals.stamps import shown
+
+# Noise estimated by a method as printed, over the calibrated one, beyond which it is called a run-away.
+RUN_AWAY = 10.0
+
+
+def one_series(
+    series: Mapping[str, SensorSeries], path: Estimate, restarts_ns: Mapping[str, Nanoseconds]
+) -> Displacement:
+    """What the sensors measured, each in its turn, in time order and without outliers; path: smoothed displacement.
+
+    The zero of each sensor is moved onto the path's; restarts_ns (k,): instants from which on a radar's is a new one.
+    """
+    blocks = []
+    for number, (name, one) in enumerate(series.items()):
+        # The number stands for the sensor until it is known whose turn it is: there may be several of a kind.
+        block = replace(one.displacement, source=np.full(len(one.time_ns), number, dtype=np.uint8))
+        expected, variance = at(path, block.time_ns)
+        seen = np.isfinite(block.value_m) & np.isfinite(block.variance_m2)
+        apart = block.value_m - expected
+        edges = [0, *np.searchsorted(block.time_ns, restarts_ns.get(name, ())), len(apart)]
+        for span in (slice(first, last) for first, last in pairwise(edges)):
+            apart[span] -= np.median(apart[span][seen[span]]) if seen[span].any() else 0.0
+        far = seen & (apart**2 > OUTLIER_STD**2 * (block.variance_m2 + variance))
+        blocks.append(replace(block, value_m=np.where(far, np.nan, expected + apart)))
+    both = joined(blocks)
+    found = in_turn(part(both, np.argsort(both.time_ns, kind="stable")))
+    sources = np.array([one.source for one in series.values()], dtype=np.uint8)
+    return replace(found, source=sources[found.source])
+
+
+def with_levels_since(
+    rows: Estimate, path: Estimate, measured: Displacement, restarts_ns: Mapping[str, Nanoseconds]
+) -> Estimate:
+    """The rows with the path's variance in theirs from the outage before the first restart on: the level is the path's.
+
+    measured: the series that the rows rest on.
+    """
+    firsts = [int(stamps[0]) for stamps in restarts_ns.values() if len(stamps)]
+    if not firsts:
+        return rows
+    before = measured.time_ns[np.isfinite(measured.value_m) & (measured.time_ns < min(firsts))]
+    begin = before[-1] if len(before) else min(firsts)
+    level = np.where(rows.time_ns > begin, at(path, rows.time_ns)[1], 0.0)
+    return replace(rows, variance_m2=rows.variance_m2 + level)
+
+
+def run_on_series(
+    acceleration: Acceleration,
+    measured: Displacement,
+    method: str,
+    settings: MethodSettings,
+    path: Estimate | None = None,
+    *,
+    rate_hz: float,
+) -> Smoothed:
+    """The rows of a method over the acceleration of an axis and one series; UntrustedError where it ran away.
+
+    settings: with what is known of the axis in `kalman`; path: smoothed displacement; None: of the series itself, where
+    it is needed; rate_hz: of the acceleration.
+    """
+    speed_m_s = speed_of(measured) if path is None else rms(path.velocity_m_s)
+    kalman = replace(settings.kalman, velocity_std=VELOCITY_WITHIN * speed_m_s)
+    known = None if path is None else Smoothed(path, no_innovation(), ())
+    if settings.literal:
+        acceleration = from_first_measurement(acceleration, measured, rate_hz)
+    found = run_method(method, acceleration, measured, replace(settings, kalman=kalman), known)
+    rows = found.estimate
+    finite = np.isfinite(rows.displacement_m) & np.isfinite(rows.variance_m2)
+    if finite.all():
+        return found
+    begin = shown(int(rows.time_ns[np.argmin(finite)]))
+    raise UntrustedError(
+        f"{method} ran away: its rows must be finite numbers, and from {begin} on they are not. "
+        "Leave fusion.literal out, or choose another fusion.method."
+    )
+
+
+def speed_of(measured: Displacement) -> float:
+    """Rms of the speed of a series, m/s."""
+    known = np.isfinite(measured.value_m)
+    time_s = seconds(measured.time_ns[known], int(measured.time_ns[0]))
+    return rms(np.diff(measured.value_m[known]) / np.diff(time_s))
+
+
+def rms(values: Floats) -> float:
+    """Root mean square of values (n,) that are finite."""
+    return float(np.sqrt(np.nanmean(values**2)))
+
+
+def with_uncertain(rows: Estimate, zero_variance_m2: float, scale_std: float, clock_std_s: float) -> Estimate:
+    """The rows with what zero, scale and clock of the calibration may be off by in their variance.
+
+    The whole displacement goes with the scale's error, and its velocity with the clock's: what these methods take from
+    the accelerometer does not, so this is the most that it can be.
+    """
+    more: Floats = (scale_std * rows.displacement_m) ** 2 + (clock_std_s * rows.velocity_m_s) ** 2
+    return replace(rows, variance_m2=rows.variance_m2 + zero_variance_m2 + more)
+
+
+def literal_warnings(measured: Displacement, done: Smoothed) -> list[str]:
+    """What to know of the adaptive filter as printed; the FIR methods need no such word."""
+    if done.variance_m2 is None or not len(done.variance_m2):
+        return []
+    found = [
+        "fusion.literal: the filter was run exactly as printed, without bias, gate and limits. Its own covariance does "
+        "not hold its error; the band was widened by what the innovations show."
+    ]
+    declared = float(np.median(measured.variance_m2[np.isfinite(measured.variance_m2)]))
+    grown = float(np.sqrt(np.max(done.variance_m2) / declared))
+    if grown > RUN_AWAY:
+        found.append(
+            f"fusion.literal: the learnt noise grew to {grown:.3g} times the calibrated one: it runs away, most often "
+            "under a bias of the accelerometer. Leave fusion.literal out."
+        )
+    share = float(np.mean(done.variance_m2 < 0.0))
+    if share > 0.0:
+        found.append(f"fusion.literal: equation 20 gave a negative variance in {100 * share:.2g} % of the frames.")
+    return found

@@ -1,0 +1,135 @@
+"""What the whole record tells of its first pass: clocks that jump or drift, scales that do not fit; then once more.
+
+Only `smoother` looks again: the causal methods give what was known at the time.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from midspan.calibration.one_clock import CourseError, OneClock, one_clock
+from midspan.calibration.scale_check import Fitting, Sensed, fitting
+from midspan.engine.channels import clock_std_s
+from midspan.engine.sensor_series import SensorSeries, series_of
+from midspan.fusion.estimator import BLOCK, Estimator, Log, Rows
+from midspan.fusion.model import EstimatorSettings, ParameterKind
+from midspan.fusion.streams import KalmanSettings
+from midspan.records import Acceleration, Channel, Displacement, Estimate, Measured, Samples, TimeOffset, joined, part
+
+
+@dataclass(frozen=True, slots=True)
+class Offsets:
+    """A sensor's calibrated clock offset, and whether it was estimated, so that its drift may be followed."""
+
+    offset: TimeOffset
+    estimated: bool
+
+
+def clocks(
+    series: Mapping[str, SensorSeries],
+    acceleration: Acceleration,
+    kalman: KalmanSettings,
+    offsets: Mapping[str, Offsets],
+) -> dict[str, OneClock]:
+    """How the clock of each sensor ran, by what it measured along the main axis."""
+    found = {}
+    for name, one in series.items():
+        known = offsets[name]
+        level = float(np.nanmedian(one.value_m)) if np.isfinite(one.value_m).any() else 0.0
+        block = replace(one.displacement, value_m=one.value_m - level)
+        found[name] = one_clock(
+            block,
+            acceleration,
+            kalman,
+            name,
+            std_s=clock_std_s(known.offset),
+            drifts=known.estimated,
+            stays=not known.estimated,
+        )
+    return found
+
+
+def ran_apart(clock: OneClock) -> bool:
+    """Whether a clock jumped or drifted."""
+    return bool(clock.jumps) or (clock.running is not None and clock.running.course is not None)
+
+
+def on_clock(series: SensorSeries, clock: OneClock) -> SensorSeries:
+    """A sensor's series with the jumps and the drift of its clock taken out."""
+    return series_of(series.sensor, series.source, clock.also(series.displacement).measured)
+
+
+def with_levels_of(rows: Estimate, levels: Sequence[CourseError]) -> Estimate:
+    """The rows with what the displacement may be off by where the motion does not tell which jump a clock made."""
+    variance = rows.variance_m2
+    for level in levels:
+        variance = variance + np.interp(rows.time_ns, level.time_ns, level.std_m) ** 2
+    return replace(rows, variance_m2=variance)
+
+
+def on_its_clock(measured: Measured, channels: Sequence[Channel], clock: OneClock) -> Measured:
+    """A sensor's measurements with the jumps and the drift of its clock taken out, channel by channel."""
+    blocks = []
+    for number in np.unique(measured.channel):
+        own = part(measured, measured.channel == number)
+        source = np.full(len(own.time_ns), channels[int(number)].source, dtype=np.uint8)
+        moved = clock.also(Displacement(own.time_ns, own.value, own.variance, source)).measured
+        blocks.append(replace(own, time_ns=moved.time_ns, value=moved.value_m, variance=moved.variance_m2))
+    return joined(blocks)
+
+
+def scales(
+    series: Mapping[str, SensorSeries],
+    acceleration: Acceleration,
+    settings: EstimatorSettings,
+    *,
+    axis: int,
+    along: str,
+    max_offset_s: float,
+) -> Fitting:
+    """How the calibrated scales and clocks fit the recording; UntrustedError where one is wrong beyond doubt.
+
+    along: a second axis in words; max_offset_s: largest clock offset looked for.
+    """
+    compared = [
+        Sensed(name, one.source, one.displacement, scale_std_of(settings, name, axis)) for name, one in series.items()
+    ]
+    return fitting(acceleration, compared, along, max_offset_s=max_offset_s)
+
+
+def scale_std_of(settings: EstimatorSettings, sensor: str, axis: int) -> float:
+    """The relative standard deviation of a sensor's scale along an axis, as the estimator was given it."""
+    for parameter in settings.parameters:
+        channel = settings.channels[parameter.channels[0]]
+        if parameter.kind is ParameterKind.SCALE_ERROR and (channel.sensor, channel.axis) == (sensor, axis):
+            return parameter.std
+    return 0.0
+
+
+def with_scales(settings: EstimatorSettings, found: Mapping[tuple[str, int], float]) -> EstimatorSettings:
+    """The settings with scale errors of these relative standard deviations, by sensor and axis."""
+    parameters = []
+    for parameter in settings.parameters:
+        channel = settings.channels[parameter.channels[0]]
+        std = found.get((channel.sensor, channel.axis), parameter.std)
+        wider = parameter.kind is ParameterKind.SCALE_ERROR
+        parameters.append(replace(parameter, std=std) if wider else parameter)
+    return replace(settings, parameters=tuple(parameters))
+
+
+def once_more(settings: EstimatorSettings, samples: Samples, measured: Sequence[Measured]) -> tuple[Log, list[Rows]]:
+    """The estimator run again over the samples and measurements of a whole record."""
+    estimator, out = Estimator(settings, log=True), list[Rows]()
+    rows = joined(measured)
+    rows = part(rows, np.argsort(rows.time_ns, kind="stable"))
+    done = 0
+    for first in range(0, len(samples.time_ns), BLOCK):
+        block = part(samples, slice(first, first + BLOCK))
+        due = int(np.searchsorted(rows.time_ns, block.time_ns[-1], side="right"))
+        estimator.push(part(rows, slice(done, due)))
+        out += estimator.push(block)
+        done = due
+    out += estimator.finish()
+    assert estimator.log is not None
+    return estimator.log, out

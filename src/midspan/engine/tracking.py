@@ -1,0 +1,323 @@
+"""Tracking a recording's camera: the reference frame, the targets, and the frames in their order."""
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from operator import attrgetter
+from typing import Any
+
+import numpy as np
+
+from midspan.calibration.camera.view import SeenTarget
+from midspan.engine.camera import CameraChain
+from midspan.engine.camera_target import ChainSettings, Target, TargetChain
+from midspan.engine.first_frame import begun
+from midspan.engine.target_opening import Opening, refuse_empty_range
+from midspan.errors import DataError
+from midspan.progress import Progress, silent
+from midspan.records import (
+    Event,
+    Floats,
+    Frame,
+    Nanoseconds,
+    PixelTrack,
+    PixelTranslation,
+    Prediction,
+    Region,
+    Status,
+)
+from midspan.signals.growing import Columns
+from midspan.signals.health import Mask
+from midspan.signals.stamps import shown
+from midspan.thermal.limits import Limits
+from midspan.thermal.temperature_range import RangeSurface
+from midspan.vision.frame_source import FrameSource
+from midspan.vision.lens import Lens, lens_warnings
+from midspan.vision.light import LightState
+from midspan.vision.picture_warnings import picture_warnings
+from midspan.vision.region import check_region
+from midspan.vision.region_choice import ChoiceRequest, Judge, choose_targets
+from midspan.vision.roi import RegionChoice
+from midspan.vision.tracker import Tracker
+
+# Frames that are learnt from are kept until they are tracked; so much memory at most.
+MOST_AHEAD_BYTES = 200_000_000
+# The first columns of a target's rows.
+_track_row = attrgetter(*(field.name for field in fields(PixelTrack)))
+STRENGTH, REFERENCE_X, REFERENCE_Y, DARK = range(len(fields(PixelTrack)), len(fields(PixelTrack)) + 4)
+
+
+@dataclass(frozen=True, slots=True)
+class TrackingSettings:
+    """What to track: the tracker's name, the measured image axis, the targets (none: chosen) and the frames used.
+
+    reference: how the reference frame is kept, see `Opening`; thermal: frames are temperatures, of which `levels` are
+    shown in grey (None: all, as they are). sensor: what messages call it.
+    automatic_targets: how many are chosen; trial_from_ns: where the calibration begins, on the camera's clock.
+    first: index of the reference frame; last: index after the last frame used. readout_s: rolling shutter, s from the
+    first row (which the stamps belong to) to the last: the track's times are those of the target's middle row.
+    tracker_settings: the tracker's settings record, None for its defaults. lens: its distortion is taken out of the
+    translations (None: is not).
+    """
+
+    tracker: str
+    direction: str = "y"
+    targets: tuple[Target, ...] = ()
+    automatic_targets: int = 1
+    first: int = 0
+    last: int | None = None
+    readout_s: float = 0.0
+    trial_from_ns: int | None = None
+    tracker_settings: Any = None
+    lens: Lens | None = None
+    reference: str = "first"
+    thermal: bool = False
+    levels: Limits | None = None
+    sensor: str = "camera"
+
+    @property
+    def opening(self) -> Opening:
+        """What each target is tracked with."""
+        return Opening(self.tracker, self.tracker_settings, self.reference, self.thermal, self.levels, self.lens)
+
+
+class TargetTracking:
+    """One target: its part of the camera's chain, and the rows found so far, one a frame, as they came."""
+
+    def __init__(self, chain: TargetChain) -> None:
+        self.chain = chain
+        # The fields of a track, how strong it was, the reference's variances along x and y, whether it was dark.
+        self._columns = Columns("qdddddBdddB")
+        self._track: PixelTrack | None = None
+        # What happened in frames, by their numbers.
+        self._events: dict[int, tuple[Event, ...]] = {}
+
+    @property
+    def name(self) -> str:
+        """What the target is called."""
+        return self.chain.name
+
+    @property
+    def region(self) -> Region:
+        """The target's region in the reference frame."""
+        return self.chain.region
+
+    @property
+    def tracker(self) -> Tracker:
+        """What it is tracked with."""
+        return self.chain.tracker
+
+    def add(self, found: PixelTranslation, *, dark: bool) -> None:
+        """Keep what was found in a frame; dark: whether it was black."""
+        reference = (found.reference_variance_x_px2, found.reference_variance_y_px2)
+        if found.events:
+            self._events[len(self._columns)] = found.events
+        self._columns.append(*_track_row(found), found.strength, *reference, dark)
+        self._track = None
+
+    @property
+    def events(self) -> list[Event]:
+        """What happened in the frames so far."""
+        return [event for told in self._events.values() for event in told]
+
+    @property
+    def rows(self) -> PixelTrack:
+        """The rows so far as one block, with the variances of the single frames, without what the reference makes."""
+        return PixelTrack(*(self._columns.column(number) for number in range(STRENGTH)))
+
+    @property
+    def track(self) -> PixelTrack:
+        """The rows so far with their whole variances."""
+        if self._track is None:
+            rows, (more_x, more_y) = self.rows, self.reference_px2.T
+            x, y = rows.variance_x_px2 + more_x, rows.variance_y_px2 + more_y
+            self._track = replace(rows, variance_x_px2=x, variance_y_px2=y)
+        return self._track
+
+    @property
+    def strengths(self) -> Floats:
+        """Good matches in each frame (n,), of trackers without matches the quality in percent."""
+        return self._columns.column(STRENGTH)
+
+    @property
+    def reference_px2(self) -> Floats:
+        """The part of the variances (n, 2) along x and y that the reference frame makes, for many frames alike."""
+        return np.column_stack((self._columns.column(REFERENCE_X), self._columns.column(REFERENCE_Y)))
+
+    @property
+    def dark(self) -> Mask:
+        """Which frames (n,) were black, so that nothing was looked for."""
+        return self._columns.column(DARK).astype(bool)
+
+    def translation(self, number: int) -> PixelTranslation:
+        """What was found in the frame of this number."""
+        time_ns, x, y, variance_x, variance_y, quality, status, strength, more_x, more_y, _ = self._columns.row(number)
+        told = self._events.get(number, ())
+        return PixelTranslation(
+            time_ns, x, y, variance_x, variance_y, quality, Status(status), strength, more_x, more_y, told
+        )
+
+    def warnings(self, axes: str) -> list[str]:
+        """What of the frames tracked so far is worth telling, measured along the image axes "x", "y" or "xy"."""
+        found, chain = [], self.chain
+        if chain.frozen_frames:
+            found.append(
+                f"camera: {chain.frozen_frames} frames only repeat the picture before them (frozen); they were not "
+                "used."
+            )
+        if chain.picture is not None:
+            found += picture_warnings(chain.picture, axes)
+        return found + (light_warnings(chain.light.state) if chain.light is not None else [])
+
+
+def light_warnings(light: LightState) -> list[str]:
+    """A sentence where light may have moved a target with a fixed reference."""
+    if light.notable_ns is None:
+        return []
+    return [
+        f"camera: from {shown(light.notable_ns)} on light has changed the target beside its reference frame; its "
+        f"shading may have moved the result by up to {math.sqrt(light.largest_px2):.2g} px (standard deviation), which "
+        'the band holds. Take camera.reference = "key-frames".'
+    ]
+
+
+class CameraTracking:
+    """Frames from the first one used, every target tracked through one after another; `targets` hold the rows.
+
+    Frames before the first usable one are skipped (`skipped` tells how many), see `begun`.
+    judge: what decides between places by more than the picture; left out, the picture alone decides.
+    """
+
+    def __init__(
+        self,
+        source: FrameSource,
+        settings: TrackingSettings,
+        progress: Progress = silent,
+        judge: Judge | None = None,
+    ) -> None:
+        self.source, self.progress = source, progress
+        start = begun(source, settings.first, settings.last, [target.region for target in settings.targets])
+        self.skipped, self._frames = start.skipped, start.frames
+        self._skipped_for = start.reason
+        self.settings = settings = replace(settings, first=settings.first + self.skipped)
+        self.time_ns: Nanoseconds = source.times_ns()[settings.first : settings.last]
+        if len(self.time_ns) < 2:
+            raise DataError(f"camera: has {len(self.time_ns)} usable frames; at least 2 are needed.")
+        self.choice: RegionChoice | None = None
+        targets = settings.targets or self._choose(judge)
+        self.reference = self._next_frame()
+        rows, columns = self.reference.pixels.shape
+        for target in targets:
+            check_region(target.region, columns, rows)
+            if settings.thermal and settings.levels is not None:
+                refuse_empty_range(self.reference, target.region, settings.levels)
+        self.chosen = tuple(targets)
+        chain = ChainSettings(settings.opening, settings.readout_s, source.info.lossless is True)
+        self.chain = CameraChain(self.reference, targets, chain)
+        self.targets = tuple(TargetTracking(target) for target in self.chain.targets)
+        self._ahead = deque([self.reference])
+        self._teach()
+        self.done, self.ended = 0, False
+        # The trackings of further cameras of the same recording; how a thermal camera's range was found.
+        self.beside: tuple[CameraTracking, ...] = ()
+        self.range_surface: RangeSurface | None = None
+
+    @property
+    def tracks(self) -> tuple[PixelTrack, ...]:
+        """The rows tracked so far, one block a target."""
+        return tuple(target.track for target in self.targets)
+
+    def leave_out(self, places: Sequence[int]) -> None:
+        """Track the targets of these numbers (from 0) no further."""
+        self.chain.leave_out(places)
+        self.targets = tuple(target for k, target in enumerate(self.targets) if k not in places)
+
+    def seen(self, target: TargetTracking, exposure_s: float | None) -> SeenTarget:
+        """What calibration takes of a target as it was tracked so far; exposure_s: None where it is not told."""
+        settings, chain = self.settings, target.chain
+        return SeenTarget(
+            name=target.name,
+            region=target.region,
+            rows=target.rows,
+            reference_px2=target.reference_px2,
+            blur_s=chain.blur_s(exposure_s),
+            picture=chain.picture,
+            tracker=target.tracker,
+            tracker_name=settings.tracker,
+            tracker_settings=settings.tracker_settings,
+            lens=settings.lens,
+        )
+
+    def until(self, time_ns: int) -> tuple[PixelTrack, ...]:
+        """Track, without a prediction, all frames up to `time_ns` on the camera's clock; returns all rows so far."""
+        while self.done < len(self.time_ns) and self.time_ns[self.done] <= time_ns:
+            frame = self.take()
+            if frame is None:
+                break
+            self.push(frame)
+        return self.tracks
+
+    def take(self) -> Frame | None:
+        """The next frame that has not been tracked, None at the end."""
+        self.progress(self.done, len(self.time_ns), "tracking")
+        return self._ahead.popleft() if self._ahead else next(self._frames, None)
+
+    def push(
+        self, frame: Frame, predictions: Sequence[Prediction | None] | None = None
+    ) -> tuple[PixelTranslation, ...]:
+        """The translation of each target in the `frame` that was taken; it is kept. predictions: of each target."""
+        found = self.chain.push(frame, predictions)
+        self.keep(found)
+        return found
+
+    def keep(self, found: Sequence[PixelTranslation]) -> None:
+        """Keep what the chain found in a frame that was taken."""
+        self.done += 1
+        for target, translation in zip(self.targets, found, strict=True):
+            target.add(translation, dark=self.chain.dark)
+
+    def close(self) -> None:
+        """Let the file go, and those of the cameras beside it."""
+        self._frames.close()
+        for one in self.beside:
+            one.close()
+
+    def warnings(self, axes: str | None = None) -> list[str]:
+        """What of the frames tracked so far is worth telling, along the image `axes` (left out: the measured one).
+
+        They call the sensor by its kind.
+        """
+        found = []
+        if self.skipped:
+            found.append(f"camera: {self._skipped_for}.")
+        found += [f"camera: {line}." for line in self.source.info.damage]
+        for target in self.targets:
+            own = target.warnings(axes or self.settings.direction)
+            if self.settings.lens is not None:
+                own += lens_warnings(target.region, self.settings.lens)
+            found += own if len(self.targets) == 1 else [f"target {target.name}: {line}" for line in own]
+        return found
+
+    def _teach(self) -> None:
+        """Show the first frames to the chain, which learns from them; they are kept to be tracked afterwards."""
+        wanted = min(self.chain.frames_to_learn, MOST_AHEAD_BYTES // self.reference.pixels.nbytes)
+        while len(self._ahead) < wanted:
+            self.progress(len(self._ahead), wanted, "learning the target")
+            frame = next(self._frames, None)
+            if frame is None:
+                break
+            self._ahead.append(frame)
+        self.chain.learn(list(self._ahead))
+
+    def _next_frame(self) -> Frame:
+        frame = next(self._frames, None)
+        if frame is None:
+            raise DataError("camera: no frame can be decoded. Play the video to check it, or copy it again.")
+        return frame
+
+    def _choose(self, judge: Judge | None) -> tuple[Target, ...]:
+        settings = self.settings
+        request = ChoiceRequest(settings.direction, settings.automatic_targets, settings.first, settings.trial_from_ns)
+        self.choice = choose_targets(self.source, self.time_ns, request, self.progress, judge)
+        return tuple(Target(region, str(k)) for k, region in enumerate(self.choice.regions, start=1))

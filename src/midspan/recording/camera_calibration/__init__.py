@@ -1,1 +1,0 @@
-"""What is learnt of cameras beside the accelerometer."""

@@ -1,0 +1,172 @@
+"""The part of a calibration that rests on pictures: one camera, a thermal one, or both, each where it sees."""
+
+from dataclasses import dataclass, replace
+from itertools import islice
+
+import numpy as np
+
+from midspan.calibration.camera.best_range import FRAMES, best_range
+from midspan.calibration.camera.calibrate import CameraFit, fit_camera
+from midspan.calibration.camera.view import SeenTarget, View, judged_by
+from midspan.engine.tracking import CameraTracking
+from midspan.errors import UntrustedError
+from midspan.progress import Progress
+from midspan.recording.streams.recording import Recording
+from midspan.recording.streams.window import calibration_window, window_ends
+from midspan.recording.tracking.daylight import where_it_sees
+from midspan.recording.tracking.opening import open_tracking
+from midspan.recording.tracking.temperatures import IN_GREY, is_grey, range_seen
+from midspan.records import Frame, Source
+from midspan.settings.camera import InfraredSettings
+from midspan.settings.sensor_words import in_words_of, worded
+from midspan.sources.thermal.pictures import AGC_NOTE
+
+SOURCES = {"camera": Source.CAMERA, "infrared": Source.INFRARED}
+
+
+@dataclass(frozen=True, slots=True)
+class SeenBy:
+    """What one camera gave: what was learnt along its axes, its tracking as far as it had to go, and warnings."""
+
+    view: Recording
+    parts: tuple[CameraFit, ...]
+    tracking: CameraTracking
+    warnings: tuple[str, ...]
+
+
+def calibrate_cameras(recording: Recording, progress: Progress) -> tuple[SeenBy, ...]:
+    """Calibrate every camera of a recording, the one whose zero counts first.
+
+    One of several that cannot be trusted is left out, and the first one's warnings tell why; UntrustedError where none
+    is left.
+    """
+    found: list[SeenBy] = []
+    refused: list[tuple[Recording, UntrustedError]] = []
+    for view in recording.cameras:
+        try:
+            found.append(_calibrated(view, progress))
+        except UntrustedError as error:
+            refused.append((view, error))
+    if not found:
+        if len(refused) == 1:
+            raise refused[0][1]
+        raise UntrustedError(" ".join(f"{view.sensor}: {error}" for view, error in refused))
+    told = tuple(f"[{view.sensor}] is left out of the result. {error}" for view, error in refused)
+    found[0] = replace(found[0], warnings=(*told, *found[0].warnings))
+    return tuple(found)
+
+
+def together(seen: tuple[SeenBy, ...]) -> CameraTracking | None:
+    """The tracking of the first camera, with those of the others beside it; None without a camera."""
+    if not seen:
+        return None
+    first, *others = (one.tracking for one in seen)
+    first.beside = tuple(others)
+    return first
+
+
+def _calibrated(recording: Recording, progress: Progress) -> SeenBy:
+    view, moved = where_it_sees(recording)
+    with in_words_of(view.sensor):
+        tracking = open_tracking(view, None, progress, judge=lambda track: judged_by(view_of(view), track))
+        parts = calibrate_camera(view, tracking)
+        if wants_range(view):
+            tracking, parts = _in_best_range(view, tracking, parts, progress)
+        parts = tuple(_named(view, tracking, part) for part in parts)
+    told = [*moved, *_codec_warnings(view), *(line for part in parts for line in part.warnings)]
+    return SeenBy(view, parts, tracking, tuple(worded(line, view.sensor) for line in told))
+
+
+def _in_best_range(
+    view: Recording, tracking: CameraTracking, parts: tuple[CameraFit, ...], progress: Progress
+) -> tuple[CameraTracking, tuple[CameraFit, ...]]:
+    """Tracking and calibration anew in the best temperature range; as they were, with a warning, where nothing decides
+    on one.
+    """
+    try:
+        surface = best_range(_frames_compared(view, tracking), view_of(view), seen_targets(view, tracking), parts[0])
+    except UntrustedError as error:
+        told = (
+            f"infrared: no temperature range was found for the tracker {tracking.settings.tracker!r}, which was made "
+            f"for grey levels: it sees °C as they are, and may lose the target. {error} Or give "
+            "infrared.temperature_range_c."
+        )
+        return tracking, (replace(parts[0], warnings=(*parts[0].warnings, told)), *parts[1:])
+    tracking.close()
+    again = open_tracking(view, None, progress, again=(tuple(tracking.chosen), surface.best))
+    again.range_surface = surface
+    return again, calibrate_camera(view, again)
+
+
+def view_of(recording: Recording) -> View:
+    """What the axis of a recording is calibrated on."""
+    wanted = recording.settings.calibration
+    window = calibration_window(recording)
+    return View(
+        recording.axis, recording.prepared, window, recording.max_offset_s, wanted.band_hz, recording.exposure_s
+    )
+
+
+def seen_targets(view: Recording, tracking: CameraTracking) -> list[SeenTarget]:
+    """The targets as they were tracked so far."""
+    return [tracking.seen(target, view.exposure_s) for target in tracking.targets]
+
+
+def calibrate_camera(recording: Recording, tracking: CameraTracking) -> tuple[CameraFit, ...]:
+    """Calibrate the camera along its image axes, the main one first; targets of no use are tracked no further.
+
+    Raises UntrustedError where no target can be calibrated along the main axis.
+    """
+    tracking.until(window_ends(recording)[1])
+    across = recording.across
+    views = [view_of(one) for one in (recording, across) if one is not None and one.fused]
+    parts = fit_camera(
+        views, seen_targets(recording, tracking), tracking.warnings, "" if across is None else across.axis
+    )
+    tracking.leave_out([k for k, target in enumerate(parts[0].calibration.targets) if not target.used])
+    return parts
+
+
+def wants_range(view: Recording) -> bool:
+    """Whether a range has to be found: a tracker made for grey levels, temperatures, and none given."""
+    camera = view.settings.camera
+    return (
+        isinstance(camera, InfraredSettings)
+        and camera.temperature_range_c is None
+        and camera.tracker in IN_GREY
+        and not is_grey(view)
+    )
+
+
+def _frames_compared(view: Recording, tracking: CameraTracking) -> list[Frame]:
+    """The frames of the calibration that temperature ranges are compared on."""
+    first = tracking.settings.first
+    last = int(np.searchsorted(view.frames.times_ns(), window_ends(view)[1], side="right"))
+    return list(islice(view.frames.frames(first, min(last, first + FRAMES)), FRAMES))
+
+
+def _named(view: Recording, tracking: CameraTracking, part: CameraFit) -> CameraFit:
+    """What was learnt along one axis, with the camera's name, the temperatures seen, and what the values rest on."""
+    regions = [target.region for target in tracking.targets]
+    place = regions.index(part.calibration.region) if part.calibration.region in regions else 0
+    own = replace(
+        part.calibration,
+        source=SOURCES[view.kind],
+        name=view.own.settings.name,
+        temperature_range_c=range_seen(tracking, place),
+        diagnostics=part.diagnostics,
+    )
+    return replace(part, calibration=own)
+
+
+def _codec_warnings(view: Recording) -> list[str]:
+    info = view.frames.info
+    if view.kind == "infrared" and is_grey(view):
+        return [f"infrared: {AGC_NOTE}."]
+    if info.lossless is not False:
+        return []
+    return [
+        f"camera: the video is compressed ({info.codec}). Compression freezes parts of the picture: motion of "
+        "a few hundredths of a pixel can be lost and the scale factor can be off by 1 % or more. "
+        "Record raw or lossless where you can."
+    ]

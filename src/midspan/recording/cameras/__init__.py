@@ -1,1 +1,0 @@
-"""Calibrated cameras: tracked to their end, and which of two is believed."""

@@ -1,1 +1,0 @@
-"""A displacement sensor of a recording, and what is learnt of it."""

@@ -1,1 +1,0 @@
-"""Prepared measurements become one displacement, and what the calibration's own error adds."""

@@ -1,1 +1,0 @@
-"""The radar of a recording: opened, calibrated, followed, and as printed in the paper."""

@@ -1,0 +1,101 @@
+"""The cameras of a calibrated recording: tracked to their end with one filter's predictions, each as a displacement."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from midspan.calibration.camera.one_displacement import filter_settings
+from midspan.calibration.sensors.camera import CameraCalibration
+from midspan.engine.tracking import CameraTracking
+from midspan.fusion.streams import KalmanSettings
+from midspan.progress import Progress
+from midspan.recording.streams.recording import Recording
+from midspan.recording.tracking.daylight import where_it_sees
+from midspan.recording.tracking.opening import open_tracking
+from midspan.records import (
+    Acceleration,
+    Source,
+    TimeOffset,
+)
+from midspan.settings.kinds import CAMERAS
+from midspan.settings.sensor_words import in_words_of
+from midspan.settings.stored.calibration import Calibration
+from midspan.signals.acceleration import PreparedAcceleration, still
+
+
+@dataclass(frozen=True, slots=True)
+class Side:
+    """One image axis of a recording, or all of one without a camera: its acceleration and the filter's settings."""
+
+    recording: Recording
+    calibration: Calibration
+    prepared: PreparedAcceleration
+    acceleration: Acceleration
+    kalman: KalmanSettings
+
+
+@dataclass(frozen=True, slots=True)
+class Eye:
+    """One camera of a recording, its tracking, and what was learnt of it along each axis, the main one first."""
+
+    view: Recording
+    tracking: CameraTracking
+    calibrations: tuple[CameraCalibration, ...]
+
+    @property
+    def sensor(self) -> str:
+        """The camera's name."""
+        return self.view.sensor
+
+    @property
+    def source(self) -> Source:
+        """How its rows are marked."""
+        return self.calibrations[0].source
+
+    @property
+    def begins_dark(self) -> bool:
+        """Whether frames before the first one used were dark or not usable."""
+        began_ns = self.view.sees_from_ns
+        return self.tracking.skipped > 0 or (began_ns is not None and began_ns > self.view.frames.times_ns()[0])
+
+
+def known_sensors(main: Side) -> list[tuple[Recording, Any]]:
+    """The calibrated sensors of a recording that are no cameras: the view of each, and what was learnt of it."""
+    views = [view for view in main.recording.views if view.kind not in CAMERAS]
+    known = [(view, main.calibration.of_sensor(view.own, view.beside)) for view in views]
+    return [one for one in known if one[1] is not None]
+
+
+def offsets_of(main: Side, eyes: Sequence[Eye]) -> dict[str, TimeOffset]:
+    """The calibrated clock offset of each sensor, by its name."""
+    found = {eye.sensor: eye.calibrations[0].offset for eye in eyes}
+    return found | {view.sensor: known.offset for view, known in known_sensors(main)}
+
+
+def side_of(recording: Recording, calibration: Calibration) -> Side:
+    """A recording's axis with its calibration; without an accelerometer there its acceleration is zero."""
+    camera = calibration.first_camera
+    prepared = recording.prepared if camera is None or camera.fused else still(recording.prepared)
+    density = calibration.noise_density(prepared.rate_hz)
+    kalman = filter_settings(prepared, density, calibration.bias_m_s2)
+    return Side(recording, calibration, prepared, prepared.with_noise(density), kalman)
+
+
+def open_eyes(sides: Sequence[Side], tracking: CameraTracking | None, progress: Progress) -> tuple[Eye, ...]:
+    """The calibrated cameras of a recording, the one whose zero counts first.
+
+    tracking: what calibrating left, with those of further cameras beside it; None: each is opened.
+    """
+    opened = {} if tracking is None else {one.settings.sensor: one for one in (tracking, *tracking.beside)}
+    eyes = []
+    for view in sides[0].recording.cameras:
+        known = tuple(
+            camera for side in sides if (camera := side.calibration.of_sensor(view.own, view.beside)) is not None
+        )
+        if not known:
+            continue
+        view, _ = where_it_sees(view)
+        with in_words_of(view.sensor):
+            own = opened.get(view.sensor) or open_tracking(view, known[0], progress)
+        eyes.append(Eye(view, own, known))
+    return tuple(eyes)

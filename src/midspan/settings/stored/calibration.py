@@ -1,0 +1,170 @@
+"""The calibration of a recording as one record, and its JSON file."""
+
+import json
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from midspan._version import __version__
+from midspan.calibration.noise import NoiseCalibration
+from midspan.calibration.scale import ScaleCalibration
+from midspan.calibration.sensors.camera import CameraCalibration
+from midspan.calibration.sensors.displacement import DisplacementCalibration
+from midspan.calibration.sensors.radar import RadarCalibration
+from midspan.engine.axis import AxisFigures
+from midspan.settings.kinds import KINDS, sensor_names
+from midspan.settings.recording import Sensor
+from midspan.settings.stored.sections import (
+    camera_tree,
+    displacement_tree,
+    finite_or_none,
+    radar_tree,
+    scale_tree,
+    usual_tree,
+)
+from midspan.writing import write_whole
+
+CALIBRATION_FILE = "calibration.json"
+SensorCalibration = CameraCalibration | RadarCalibration | DisplacementCalibration
+# How the section of each kind is written.
+TREES: dict[str, Callable[[Any], dict[str, Any]]] = {
+    "camera": camera_tree,
+    "infrared": camera_tree,
+    "radar": radar_tree,
+    "displacement": displacement_tree,
+}
+
+
+def placed(sensors: Sequence[SensorCalibration]) -> dict[str, Any]:
+    """The fields of `Calibration` that hold sensors in the order of KINDS."""
+    first = {one.kind: one for one in reversed(sensors)}
+    return first | {"others": tuple(one for one in sensors if one is not first[one.kind])}
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """Everything `calibrate` learns about a recording's sensors.
+
+    noise_std_m_s2: white noise of the acceleration per sample; bias_m_s2, bias_std_m_s2: the accelerometer's bias at
+    the end of the window and its standard deviation, infinite where that is not known. camera, infrared, radar,
+    displacement: the first sensor of each kind; others: further ones, each with its name. accelerometer_scale: gain of
+    the accelerometer relative to a displacement sensor, 1 where it cannot be learnt, with its standard deviation.
+    across: the same along the second image axis, with camera.direction = "xy"; where that has no accelerometer, the
+    noise is the motion's own acceleration. left_out: the second axis "x" or "y" where nothing could be learnt of it,
+    else empty. usual: what is usual of the acceleration, None where the file does not tell it.
+    diagnostics: what the estimates rest on, for the report; not stored in the file.
+    """
+
+    noise_std_m_s2: float
+    bias_m_s2: float
+    bias_std_m_s2: float = math.inf
+    camera: CameraCalibration | None = None
+    infrared: CameraCalibration | None = None
+    radar: RadarCalibration | None = None
+    displacement: DisplacementCalibration | None = None
+    warnings: tuple[str, ...] = ()
+    across: "Calibration | None" = None
+    left_out: str = ""
+    created: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds"))
+    version: str = __version__
+    others: tuple[SensorCalibration, ...] = ()
+    accelerometer_scale: float = 1.0
+    accelerometer_scale_std: float = 0.0
+    usual: AxisFigures | None = None
+    diagnostics: "ScaleCalibration | NoiseCalibration | None" = field(default=None, compare=False, repr=False)
+
+    @property
+    def first_camera(self) -> CameraCalibration | None:
+        """The camera whose zero counts and whose axes the columns belong to, of light or infrared."""
+        return self.camera or self.infrared
+
+    def of_kind(self, kind: str) -> tuple[SensorCalibration, ...]:
+        """All sensors of one kind: "camera", "infrared", "radar" or "displacement"."""
+        first = getattr(self, kind)
+        return (*(() if first is None else (first,)), *(one for one in self.others if one.kind == kind))
+
+    @property
+    def sensors(self) -> tuple[tuple[str, str, SensorCalibration], ...]:
+        """Name, kind and values of all sensors, in the order camera, infrared, radar, displacement."""
+        listed = {kind: self.of_kind(kind) for kind in KINDS}
+        names = iter(sensor_names({kind: [one.name for one in listed[kind]] for kind in KINDS}))
+        return tuple((next(names), kind, one) for kind in KINDS for one in listed[kind])
+
+    def of(self, name: str) -> SensorCalibration | None:
+        """The values of the sensor of this name (its kind where it has none); None where there is no such sensor."""
+        return next((one for known, _, one in self.sensors if known == name), None)
+
+    def of_sensor(self, sensor: Sensor, beside: Sequence[Sensor] = ()) -> Any:
+        """The values of a recording's sensor, None where there are none; beside: the others of the recording.
+
+        They are those of its name, or where one of both has no name those of the only one of its kind.
+        """
+        named, own = self.of(sensor.name), self.of_kind(sensor.kind)
+        if named is not None and named.kind == sensor.kind:
+            return named
+        alone = len(own) == 1 and sensor.kind not in (other.kind for other in beside)
+        return own[0] if alone and (own[0].name is None or sensor.name == sensor.kind) else None
+
+    @property
+    def direction(self) -> str:
+        """The camera's direction, "x", "y" or "xy"; empty without one."""
+        if self.first_camera is None:
+            return ""
+        return self.first_camera.direction if self.across is None and not self.left_out else "xy"
+
+    def noise_density(self, rate_hz: float) -> float:
+        """Two-sided density of the acceleration's noise, (m/s²)²/Hz, at the accelerometer's rate."""
+        return self.noise_std_m_s2**2 / rate_hz
+
+    def to_dict(self) -> dict[str, Any]:
+        """The contents of `calibration.json`: mm, px, s and m/s²; of a kind with several sensors a list."""
+        tree: dict[str, Any] = {
+            "version": self.version,
+            "created": self.created,
+            "warnings": list(self.warnings),
+            "accelerometer": {
+                **_acceleration_tree(self),
+                "scale": self.accelerometer_scale,
+                "scale_std": self.accelerometer_scale_std,
+            },
+        }
+        for kind, written in TREES.items():
+            listed = [
+                written(one) | (self._second_axis() if one is self.first_camera else {}) for one in self.of_kind(kind)
+            ]
+            if listed:
+                tree[kind] = listed if len(listed) > 1 else listed[0]
+        return tree
+
+    def _second_axis(self) -> dict[str, Any]:
+        """What the first camera's section has besides where both image axes are measured, or one was left out."""
+        first, other = self.first_camera, None if self.across is None else self.across.first_camera
+        left_out = {"left_out": self.left_out} if self.left_out else {}
+        if self.across is None or first is None or other is None:
+            return left_out
+        both = {first.direction: _axis_tree(first, self), other.direction: _axis_tree(other, self.across)}
+        return left_out | {"direction": "xy", "axis": first.direction, "axes": both}
+
+    def save(self, path: str | Path) -> Path:
+        """Write `calibration.json`; a folder gets a file of that name."""
+        path = Path(path)
+        path = path / CALIBRATION_FILE if path.is_dir() else path
+        write_whole(path, (json.dumps(self.to_dict(), indent=2) + "\n").encode())
+        return path
+
+
+def _acceleration_tree(part: Calibration, prefix: str = "") -> dict[str, Any]:
+    usual = {} if part.usual is None else {f"{prefix}usual": usual_tree(part.usual)}
+    return usual | {
+        f"{prefix}noise_std_m_s2": part.noise_std_m_s2,
+        f"{prefix}bias_m_s2": part.bias_m_s2,
+        f"{prefix}bias_std_m_s2": finite_or_none(part.bias_std_m_s2),
+    }
+
+
+def _axis_tree(camera: CameraCalibration, part: Calibration) -> dict[str, Any]:
+    """What belongs to one image axis where both are measured."""
+    return {"fused": camera.fused, **scale_tree(camera), **_acceleration_tree(part, "accelerometer_")}

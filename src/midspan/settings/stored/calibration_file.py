@@ -1,0 +1,77 @@
+"""Reading `calibration.json` back; `settings/stored/calibration.py` writes it."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from midspan.errors import DataError
+from midspan.records import Source
+from midspan.settings.calibration import StoredCamera, validate_calibration
+from midspan.settings.stored.calibration import CALIBRATION_FILE, Calibration, SensorCalibration, placed
+from midspan.settings.stored.sections import camera_across, camera_of, displacement_of, radar_of, usual_of
+from midspan.trees import TreeError, read_json
+
+
+def load_calibration(path: str | Path) -> Calibration:
+    """Read a `calibration.json` (or the folder that holds it).
+
+    Raises DataError naming file and key where it is missing, damaged or holds a value that cannot be.
+    """
+    path = Path(path)
+    path = path / CALIBRATION_FILE if path.is_dir() else path
+    try:
+        tree = read_json(path)
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read ({error.strerror}). `midspan calibrate` writes one.") from None
+    except TreeError as error:
+        raise DataError(f"{path}: {error}. Run `midspan calibrate` again.") from None
+    return calibration_from_dict(tree, str(path))
+
+
+def calibration_from_dict(tree: Any, where: str = CALIBRATION_FILE) -> Calibration:
+    """The calibration that `Calibration.to_dict` describes; keys that only inform may be missing.
+
+    where: names the tree in messages. Raises DataError for a value that cannot be.
+    """
+    stored = validate_calibration(tree, where)
+    own, first = stored.accelerometer, (*stored.camera, *stored.infrared, None)[0]
+    sensors: tuple[SensorCalibration, ...] = (
+        *(camera_of(part, Source.CAMERA) for part in stored.camera),
+        *(camera_of(part, Source.INFRARED) for part in stored.infrared),
+        *(radar_of(part) for part in stored.radar),
+        *(displacement_of(part) for part in stored.displacement),
+    )
+    found = Calibration(
+        noise_std_m_s2=own.noise_std_m_s2,
+        bias_m_s2=own.bias_m_s2,
+        bias_std_m_s2=own.bias_std_m_s2,
+        warnings=stored.warnings,
+        left_out="" if first is None else first.left_out,
+        created=stored.created,
+        version=stored.version,
+        **placed(sensors),
+        accelerometer_scale=own.scale,
+        accelerometer_scale_std=own.scale_std,
+        usual=usual_of(own.usual),
+    )
+    return found if first is None or first.direction != "xy" else _with_second_axis(found, first)
+
+
+def _with_second_axis(found: Calibration, first: StoredCamera) -> Calibration:
+    """The calibration with the part of the second image axis."""
+    main = found.first_camera
+    assert main is not None
+    assert first.axes is not None
+    part = first.axes.x if main.direction == "y" else first.axes.y
+    camera = camera_across(main, part)
+    across = Calibration(
+        noise_std_m_s2=part.accelerometer_noise_std_m_s2,
+        bias_m_s2=part.accelerometer_bias_m_s2,
+        bias_std_m_s2=part.accelerometer_bias_std_m_s2,
+        usual=usual_of(part.accelerometer_usual),
+        camera=camera if found.camera is not None else None,
+        infrared=camera if found.camera is None else None,
+        created=found.created,
+        version=found.version,
+    )
+    return replace(found, across=across)

@@ -1,0 +1,246 @@
+"""The sections of `calibration.json` (mm, px, s) and the records that they stand for (SI): each way by sensor."""
+
+import math
+from dataclasses import fields, replace
+from typing import Any
+
+import numpy as np
+
+from midspan.calibration.sensors.camera import CameraCalibration, TargetCalibration
+from midspan.calibration.sensors.displacement import DisplacementCalibration
+from midspan.calibration.sensors.radar import RadarCalibration, RadarTarget
+from midspan.engine.axis import AxisFigures
+from midspan.radar.following import Background
+from midspan.radar.target import Target
+from midspan.records import Region, ScaleFactor, Source
+from midspan.settings.calibration import (
+    Stored,
+    StoredAxis,
+    StoredCamera,
+    StoredDisplacement,
+    StoredRadar,
+    StoredRadarTarget,
+    StoredScale,
+    StoredTarget,
+    StoredUsual,
+)
+
+MM = 1e3
+# What the camera and its only target have in common.
+OWN_KEYS = ("roi", "scale_mm_per_px", "scale_std_mm_per_px", "noise_std_px", "variance_factor")
+# What a radar's target has under the same name and in the same unit in the file.
+SAME = (
+    "place_bin", "range_m", "snr_db", "amplitude", "conversion_factor", "conversion_factor_std", "time_offset_s",
+    "time_offset_std_s", "coherence", "clutter", "disagreement_rad", "reach_bins", "modulation_rad", "phase_noise_rad2",
+    "own_hz",
+)  # fmt: skip
+
+
+def finite_or_none(value: float) -> float | None:
+    """The value as it is written: None for one that is not finite."""
+    return float(value) if math.isfinite(value) else None
+
+
+def camera_tree(camera: CameraCalibration) -> dict[str, Any]:
+    """The section of a camera along its main axis."""
+    own = {"roi": _roi(camera.region), "direction": camera.direction, "tracker": camera.tracker}
+    more = {
+        "lens": None if camera.lens is None else camera.lens.to_dict(),
+        "temperature_range_c": None if camera.temperature_range_c is None else list(camera.temperature_range_c),
+    }
+    return _sensor_tree(camera) | scale_tree(camera) | own | _known(more)
+
+
+def scale_tree(camera: CameraCalibration) -> dict[str, Any]:
+    """What of it belongs to one image axis."""
+    phase = camera.phase_scale_m_per_rad
+    more = {
+        "phase_scale_mm_per_rad": None if phase is None else MM * phase,
+        "relative_scale_std": camera.relative_scale_std,
+    }
+    noise = {"noise_std_px": camera.noise_std_px, "variance_factor": camera.variance_factor}
+    return (
+        _factor_tree(camera.scale) | noise | _known(more) | {"targets": [_target_tree(one) for one in camera.targets]}
+    )
+
+
+def radar_tree(radar: RadarCalibration) -> dict[str, Any]:
+    """The section of a radar; complex numbers as [real, imaginary]."""
+    best = radar.best
+    return _sensor_tree(radar) | {
+        "conversion_factor": best.conversion_factor,
+        "conversion_factor_std": best.conversion_factor_std,
+        "relative_std": radar.relative_std,
+        "target_range_m": finite_or_none(best.range_m),
+        "noise_std_mm": MM * best.noise_m,
+        "variance_factor": radar.variance_factor,
+        "carrier_hz": radar.carrier_hz,
+        "channels": radar.channels,
+        "literal": radar.literal,
+        "targets": [_radar_target_tree(item) for item in radar.targets],
+    }
+
+
+def displacement_tree(sensor: DisplacementCalibration) -> dict[str, Any]:
+    """The section of a displacement sensor."""
+    scale = {"scale": sensor.scale, "scale_std": sensor.scale_std} if sensor.scale_std > 0.0 else {}
+    resolution = _known({"resolution_m": sensor.resolution_m})
+    return _sensor_tree(sensor) | {"noise_std_mm": MM * sensor.noise_std_m} | resolution | scale
+
+
+def usual_tree(usual: AxisFigures) -> dict[str, float | None]:
+    """What is usual of an axis of acceleration."""
+    return {
+        "mean_m_s2": usual.mean_m_s2,
+        "variance_m2_s4": usual.variance,
+        "dominant_hz": usual.dominant_hz,
+        "low_m_s2": usual.low_m_s2,
+        "high_m_s2": usual.high_m_s2,
+        "resolution_m_s2": finite_or_none(usual.resolution_m_s2),
+        "moved_m": usual.moved_m,
+    }
+
+
+def usual_of(part: StoredUsual | None) -> AxisFigures | None:
+    """What is usual of an axis of acceleration, as far as the file tells it."""
+    if part is None:
+        return None
+    return AxisFigures(
+        mean_m_s2=part.mean_m_s2,
+        variance=part.variance_m2_s4,
+        dominant_hz=part.dominant_hz,
+        low_m_s2=part.low_m_s2,
+        high_m_s2=part.high_m_s2,
+        resolution_m_s2=part.resolution_m_s2,
+        moved_m=part.moved_m,
+    )
+
+
+def camera_of(part: StoredCamera, source: Source) -> CameraCalibration:
+    """The camera along its main axis."""
+    direction = part.axis if part.direction == "xy" and part.axis is not None else part.direction
+    own = _same(CameraCalibration, part) | _along(part)
+    return CameraCalibration(**own | {"region": Region(*part.roi), "direction": direction, "source": source})
+
+
+def camera_across(main: CameraCalibration, part: StoredAxis) -> CameraCalibration:
+    """The same camera along its second axis."""
+    found = replace(main, **_along(part), direction="x" if main.direction == "y" else "y", fused=part.fused)
+    # The best target along this axis may be another one than along the main axis: the one with the axis's own scale.
+    regions = [target.region for target in found.targets if target.used and target.scale == found.scale]
+    return replace(found, region=(*regions, main.region)[0])
+
+
+def radar_of(part: StoredRadar) -> RadarCalibration:
+    """The radar; the section's own conversion factor is that of the best target."""
+    best, *others = sorted((_radar_target(one, part) for one in part.targets), key=lambda item: not item.used)
+    factor, std = part.conversion_factor, part.conversion_factor_std
+    told = replace(best, target=replace(best.target, conversion_factor=factor, conversion_factor_std=std))
+    spread = best.target.relative_std if part.relative_std is None else part.relative_std
+    return RadarCalibration(**_same(RadarCalibration, part) | {"targets": (told, *others), "relative_std": spread})
+
+
+def displacement_of(part: StoredDisplacement) -> DisplacementCalibration:
+    """The displacement sensor."""
+    return DisplacementCalibration(noise_std_m=part.noise_std_mm / MM, **_same(DisplacementCalibration, part))
+
+
+def _same(record: type, part: Stored) -> dict[str, Any]:
+    """What a record has under the same name and in the same unit in the file."""
+    return {item.name: getattr(part, item.name) for item in fields(record) if hasattr(part, item.name)}
+
+
+def _known(tree: dict[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in tree.items() if value is not None}
+
+
+def _sensor_tree(sensor: CameraCalibration | RadarCalibration | DisplacementCalibration) -> dict[str, Any]:
+    offset = sensor.offset
+    std = finite_or_none(math.sqrt(offset.variance))
+    return _known({"name": sensor.name}) | {"time_offset_s": offset.value_s, "time_offset_std_s": std}
+
+
+def _roi(region: Region) -> list[int]:
+    return [region.x, region.y, region.width, region.height]
+
+
+def _factor_tree(scale: ScaleFactor | None) -> dict[str, float | None]:
+    value, std = (None, None) if scale is None else (MM * scale.value_m_per_px, MM * math.sqrt(scale.variance))
+    return {"scale_mm_per_px": value, "scale_std_mm_per_px": std}
+
+
+def _factor(part: StoredScale | StoredTarget) -> ScaleFactor | None:
+    value, std = part.scale_mm_per_px, part.scale_std_mm_per_px or 0.0
+    return None if value is None else ScaleFactor(value / MM, (std / MM) ** 2)
+
+
+def _target_tree(target: TargetCalibration) -> dict[str, Any]:
+    return {
+        "name": target.name,
+        "roi": _roi(target.region),
+        **_factor_tree(target.scale),
+        "noise_std_px": finite_or_none(target.noise_std_px),
+        "variance_factor": finite_or_none(target.variance_factor),
+        "used": target.used,
+        "reason": target.reason,
+    }
+
+
+def _target(part: StoredTarget, number: int) -> TargetCalibration:
+    own = {"region": Region(*part.roi), "name": part.name or str(number), "scale": _factor(part)}
+    return TargetCalibration(**_same(TargetCalibration, part) | own)
+
+
+def _along(part: StoredScale) -> dict[str, Any]:
+    """What of a camera belongs to one image axis; its own keys count for its only target in use."""
+    own = {key: getattr(part, key) for key in OWN_KEYS if key in part.model_fields_set}
+    alone = sum(target.used for target in part.targets) == 1
+    targets = [one.model_copy(update=own) if alone and one.used else one for one in part.targets]
+    phase = part.phase_scale_mm_per_rad
+    return {
+        "scale": _factor(part),
+        "noise_std_px": part.noise_std_px,
+        "variance_factor": part.variance_factor,
+        "phase_scale_m_per_rad": None if phase is None else phase / MM,
+        "targets": tuple(_target(target, number) for number, target in enumerate(targets, start=1)),
+        "relative_scale_std": part.relative_scale_std,
+    }
+
+
+def _radar_target_tree(item: RadarTarget) -> dict[str, Any]:
+    target, still = item.target, item.target.background
+    background = None if still is None else {"bins": still.bins.tolist(), "phasors": _pairs(still.phasors)}
+    return {key: finite_or_none(getattr(target, key)) for key in SAME} | {
+        "noise_std_mm": finite_or_none(MM * target.noise_m),
+        "own_std_mm": MM * target.own_m,
+        "leak": [target.leak.real, target.leak.imag],
+        **_known({"background": background}),
+        "weights": _pairs(target.weights),
+        "used": item.used,
+        "reason": item.reason,
+    }
+
+
+def _radar_target(part: StoredRadarTarget, radar: StoredRadar) -> RadarTarget:
+    """One target; what is not known of it is another thing for one that is used than for one that is not."""
+    std, offset_s, coherence = (0.0, radar.time_offset_s, 1.0) if part.used else (math.inf, math.nan, 0.0)
+    unknown = {"conversion_factor_std": std, "time_offset_s": offset_s, "coherence": coherence}
+    still = part.background
+    more = {
+        "noise_m": part.noise_std_mm / MM,
+        "own_m": part.own_std_mm / MM,
+        "leak": complex(*part.leak),
+        "background": None if still is None else Background(np.array(still.bins), _complex(still.phasors)),
+        "weights": _complex(part.weights),
+    }
+    return RadarTarget(
+        Target(**unknown | _known({key: getattr(part, key) for key in SAME}) | more), part.used, part.reason
+    )
+
+
+def _pairs(values: np.ndarray[Any, np.dtype[np.complex128]]) -> list[list[float]]:
+    return [[float(value.real), float(value.imag)] for value in values]
+
+
+def _complex(pairs: tuple[tuple[float, float], ...]) -> np.ndarray[Any, np.dtype[np.complex128]]:
+    return np.array([complex(*pair) for pair in pairs])

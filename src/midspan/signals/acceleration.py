@@ -1,0 +1,207 @@
+"""From a channel as it was read to acceleration that a filter can use: missing samples bridged, marked and told."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from midspan.errors import DataError
+from midspan.records import (
+    NANOSECONDS,
+    Acceleration,
+    Displacement,
+    Event,
+    Floats,
+    Nanoseconds,
+    TimeSeries,
+    joined,
+    part,
+    seconds,
+)
+from midspan.signals.bridging import GAP_STEPS, LONG_SHARE, LOWEST_HZ, missed_share, unknown_density
+from midspan.signals.health import Clock, Mask, bridged, clipped, clock, dominant_frequency, frozen, runs
+from midspan.signals.stamps import inside, shown
+
+# Above this share of the rate the motion is so fast that integration errs by 1 % and more.
+FASTEST_SHARE = 0.2
+# Share of samples that may be missing, frozen or clipped before the channel is refused.
+MOST_MISSING = 0.2
+MOST_CLIPPED = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class PreparedAcceleration:
+    """Acceleration with its missing samples bridged.
+
+    time_ns, value_m_s2 (n,); bridging_density (n,): extra noise density in (m/s²)²/Hz of the interval that ends at each
+    sample, above zero where something had to be bridged; missing (n,): samples that carry no measurement.
+    """
+
+    time_ns: Nanoseconds
+    value_m_s2: Floats
+    bridging_density: Floats
+    missing: Mask
+    rate_hz: float
+    events: tuple[Event, ...]
+    warnings: tuple[str, ...]
+
+    def with_noise(self, density: float) -> Acceleration:
+        """The acceleration for the filter, with white noise of `density` (m/s²)²/Hz besides what bridging adds.
+
+        A long gap in time gets a sample of the mean acceleration shortly after its start and before its end: a straight
+        line between the values on both sides would move the structure by metres. These samples are no rows of a result.
+        """
+        gaps = clock(self.time_ns, GAP_STEPS).gaps
+        most = float(np.max(self.bridging_density, initial=0.0))
+        long = gaps[self.bridging_density[gaps + 1] > LONG_SHARE * most]
+        if not len(long):
+            return Acceleration(self.time_ns, self.value_m_s2, density + self.bridging_density)
+        step = round(NANOSECONDS / self.rate_hz)
+        time_ns = np.concatenate((self.time_ns[long] + step, self.time_ns[long + 1] - step))
+        value = np.full(len(time_ns), np.mean(self.value_m_s2))
+        extra = np.tile(self.bridging_density[long + 1], 2)
+        order = np.argsort(np.concatenate((self.time_ns, time_ns)), kind="stable")
+        return Acceleration(
+            np.concatenate((self.time_ns, time_ns))[order],
+            np.concatenate((self.value_m_s2, value))[order],
+            density + np.concatenate((self.bridging_density, extra))[order],
+        )
+
+    @property
+    def unmeasured_ns(self) -> NDArray[np.int64]:
+        """Stamps (k, 2) of the last sample before and the first one after each stretch that had to be bridged."""
+        last = len(self.time_ns) - 1
+        spans = [(max(int(a) - 1, 0), min(int(b), last)) for a, b in runs(self.missing)]
+        spans += [(int(k), int(k) + 1) for k in clock(self.time_ns, GAP_STEPS).gaps]
+        return self.time_ns[np.array(sorted(spans), dtype=np.int64).reshape(-1, 2)]
+
+    def level(self, which: slice) -> float:
+        """Mean acceleration (m/s²) of the samples `which`."""
+        return float(np.mean(self.value_m_s2[which]))
+
+    def rows(self, origin_ns: int, which: slice) -> Floats:
+        """Rows (n, 3) for calibration: time (s), acceleration without its `level`, relative noise density."""
+        usual = 1e-4 * float(np.var(self.value_m_s2[which])) / self.rate_hz
+        block = self.with_noise(max(usual, 1e-12))
+        block = part(block, inside(block.time_ns, int(self.time_ns[which.start]), int(self.time_ns[which.stop - 1])))
+        relative = block.noise_density / max(usual, 1e-12)
+        return np.column_stack((seconds(block.time_ns, origin_ns), block.value_m_s2 - self.level(which), relative))
+
+
+def prepare_acceleration(series: TimeSeries, where: str) -> PreparedAcceleration:
+    """Check and bridge a channel; `where` names file and channel in messages.
+
+    Raises DataError when the channel is frozen, clipped or empty beyond what can be bridged.
+    """
+    usual = clock(series.time_ns, GAP_STEPS)
+    absent, still, held = _unusable(series)
+    _refuse(where, still & ~absent, "frozen", (MOST_MISSING, "stands at one value"))
+    _refuse(where, held, "clipped", (MOST_CLIPPED, "is held at the end of its range"))
+    missing = absent | still | held
+    _refuse(where, missing, "missing", (MOST_MISSING, "is not a number, frozen or clipped"))
+    value = towards_mean(bridged(series.value, missing), missing, usual.rate_hz)
+    density = _bridging_density(value, missing, usual)
+    warnings = [f"{where}: {line}." for line in series.damage]
+    warnings += [f"{where}: {line}; they were bridged and marked." for line in unusable_samples(series)]
+    if len(usual.gaps):
+        longest = float(np.max(usual.gap_s))
+        warnings.append(f"{where}: gaps in time: {len(usual.gaps)}, the longest {longest:.3g} s; bridged and marked.")
+    fastest = dominant_frequency(value, usual.rate_hz)
+    if fastest > FASTEST_SHARE * usual.rate_hz:
+        warnings.append(
+            f"{where}: most of the acceleration lies near {fastest:.3g} Hz, too close to the rate of "
+            f"{usual.rate_hz:.4g} Hz: "
+            "integration then errs by more than 1 %. Record at ten times the highest frequency or more."
+        )
+    events = [Event(int(series.time_ns[a]), "bridged", f"{where}: {b - a} samples bridged.") for a, b in runs(missing)]
+    events += [
+        Event(int(series.time_ns[i]), "gap", f"{where}: no samples for {s:.3g} s.")
+        for i, s in zip(usual.gaps, usual.gap_s, strict=True)
+    ]
+    return PreparedAcceleration(series.time_ns, value, density, missing, usual.rate_hz, tuple(events), tuple(warnings))
+
+
+def _unusable(series: TimeSeries) -> tuple[Mask, Mask, Mask]:
+    """Samples (n,) that are no numbers, frozen, clipped: each is one of them at most."""
+    still = frozen(series.value, clock(series.time_ns, GAP_STEPS).rate_hz)
+    return ~np.isfinite(series.value), still, clipped(series.value) & ~still
+
+
+def unusable_samples(series: TimeSeries) -> list[str]:
+    """How many samples of a channel are no numbers, frozen or clipped, and where the longest block of them lies."""
+    kinds = ("are not numbers", "are frozen", "are clipped")
+    found = [(mask, what) for mask, what in zip(_unusable(series), kinds, strict=True) if mask.any()]
+    return [
+        f"{np.count_nonzero(mask)} samples ({100 * np.mean(mask):.2g} %) {what}{_longest_block(series.time_ns, mask)}"
+        for mask, what in found
+    ]
+
+
+def _longest_block(time_ns: Nanoseconds, mask: Mask) -> str:
+    blocks = runs(mask)
+    first, end = blocks[np.argmax(blocks[:, 1] - blocks[:, 0])]
+    length_s = (end - first) / clock(time_ns, GAP_STEPS).rate_hz
+    return f", the longest block for {length_s:.3g} s from {shown(int(time_ns[first]))} on"
+
+
+def still(like: PreparedAcceleration) -> PreparedAcceleration:
+    """No acceleration at all at the instants of another channel, for an axis without a sensor."""
+    n = len(like.time_ns)
+    return PreparedAcceleration(
+        like.time_ns, np.zeros(n), np.zeros(n), np.zeros(n, dtype=bool), like.rate_hz, events=(), warnings=()
+    )
+
+
+def _refuse(where: str, mask: Mask, kind: str, rule: tuple[float, str]) -> None:
+    share = float(np.mean(mask))
+    if share > rule[0]:
+        raise DataError(
+            f"{where}: {100 * share:.1f} % of the samples are {kind} (the channel {rule[1]}); at most "
+            f"{100 * rule[0]:g} % can be bridged. Check the sensor, its range and its cable, or choose another channel."
+        )
+
+
+def towards_mean(value: Floats, missing: Mask, rate_hz: float) -> Floats:
+    """`value` (n,) with long bridged stretches drawn from their straight line to the mean of what was seen."""
+    if not missing.any():
+        return value
+    seen = value[~missing]
+    mean, frequency = float(np.mean(seen)), max(dominant_frequency(seen, rate_hz), LOWEST_HZ)
+    drawn = value.copy()
+    for start, end in runs(missing):
+        share = missed_share((end - start + 1) / rate_hz, frequency)
+        drawn[start:end] += share * (mean - drawn[start:end])
+    return drawn
+
+
+def _bridging_density(value: Floats, missing: Mask, gaps: Clock) -> Floats:
+    """Noise density (n,) that stands for the motion that was not seen: its variance spread over its bandwidth."""
+    density = np.zeros(len(value))
+    if not missing.any() and not len(gaps.gaps):
+        return density
+    seen, rate_hz = value[~missing], gaps.rate_hz
+    frequency = max(dominant_frequency(seen, rate_hz), LOWEST_HZ)
+    unknown = unknown_density(seen, rate_hz)
+
+    def unseen(length_s: float) -> float:
+        return unknown * missed_share(length_s, frequency) ** 2
+
+    for start, end in runs(missing):
+        density[start : end + 1] = unseen((end - start + 1) / rate_hz)
+    for index, length_s in zip(gaps.gaps, gaps.gap_s, strict=True):
+        density[index + 1] = max(density[index + 1], unseen(float(length_s)))
+    return density
+
+
+def from_first_measurement(acceleration: Acceleration, measured: Displacement, rate_hz: float) -> Acceleration:
+    """Put a sample before the first measurement where that comes first: the zero belongs to it."""
+    first, start = int(measured.time_ns[0]), int(acceleration.time_ns[0])
+    if first >= start or start - first > 2 * NANOSECONDS:
+        return acceleration
+    value = float(np.mean(acceleration.value_m_s2[:100]))
+    # A whole sample's interval at least: over nanoseconds the step to the first sample would be an endless slope.
+    begin = min(first - 1, start - round(NANOSECONDS / rate_hz))
+    before = Acceleration(np.array([begin]), np.array([value]), acceleration.noise_density[:1])
+    widened = acceleration.noise_density.copy()
+    widened[0] += unknown_density(acceleration.value_m_s2, rate_hz)
+    return joined([before, replace(acceleration, noise_density=widened)])

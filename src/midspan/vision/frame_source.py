@@ -1,0 +1,43 @@
+"""What every source of frames offers, whatever it reads from."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from midspan.records import Frame, Nanoseconds
+
+
+@dataclass(frozen=True, slots=True)
+class FrameInfo:
+    """What is known of a source of frames: `frame_count` counts all frames of the file (None: not known).
+
+    `bit_depth` is that of the luma, `lossless` None where the codec can be either, `radiometric` whether pixels are
+    temperatures. `damage`: what of the file was lost, mended or is doubtful, which a result should tell.
+    """
+
+    width: int
+    height: int
+    bit_depth: int
+    frame_count: int | None
+    codec: str
+    lossless: bool | None
+    notes: tuple[str, ...] = ()
+    radiometric: bool = False
+    damage: tuple[str, ...] = ()
+
+
+class FrameSource(ABC):
+    """Frames in the order of time; indices count the frames that are left after `every`."""
+
+    @property
+    @abstractmethod
+    def info(self) -> FrameInfo:
+        """What is known by now; notes can be added while frames are read (frames lost to damage)."""
+
+    @abstractmethod
+    def times_ns(self) -> Nanoseconds:
+        """Time stamps (frames,) in ns of the camera's clock, strictly increasing, after `every`."""
+
+    @abstractmethod
+    def frames(self, start: int = 0, stop: int | None = None) -> Iterator[Frame]:
+        """Frames start … stop-1 after `every`, one at a time; a frame lost to damage is passed over with its index."""
