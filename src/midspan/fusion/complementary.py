@@ -6,6 +6,7 @@ Rows whose filters would reach over an end or a gap are those of the smoothed pa
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,19 +66,29 @@ def smoothed_record(acceleration: Acceleration, displacement: Displacement, kalm
     return smooth(acceleration, displacement, replace(kalman, bias=float(np.mean(acceleration.value_m_s2))))
 
 
+class Literal(Protocol):
+    """Settings of a paper's method."""
+
+    @property
+    def literal(self) -> bool:
+        """Exactly as printed."""
+
+
+Settings = TypeVar("Settings", bound=Literal)
+
+
 def fused(
-    design: Callable[[Rates], Branches],
+    design: Callable[[Rates, Settings], Branches],
+    settings: Settings,
     record: tuple[Acceleration, Displacement],
     smoothed: Smoothed,
-    *,
-    fill: bool,
 ) -> Smoothed:
     """The smoothed record with the rows (n) of the branches that are designed for its rates.
 
-    Its path gives the rows of ends and gaps and tells outliers; a row for each sample within it. fill: the path also
-    stands for outliers and missing measurements in short gaps.
+    Its path gives the rows of ends and gaps, and decides what is an outlier; a row for each sample within it. Except in
+    the literal form the path also stands for outliers and missing measurements in short gaps.
     """
-    (acceleration, displacement), path = record, smoothed.estimate
+    (acceleration, displacement), path, fill = record, smoothed.estimate, not settings.literal
     within = (acceleration.time_ns >= path.time_ns[0]) & (acceleration.time_ns <= path.time_ns[-1])
     rows = rows_at(path, acceleration.time_ns[within])
     usable = np.isfinite(displacement.value_m) & np.isfinite(displacement.variance_m2)
@@ -90,7 +101,7 @@ def fused(
     knots = _knots(measured, rates, origin_ns)
     slow = slower_events(knots, rates, origin_ns)
     knots = _filled(knots, rates, path, origin_ns) if fill else knots
-    branches = design(rates)
+    branches = design(rates, settings)
     method = Method.make(branches, rates, knots)
     for stretch in stretches(acceleration, rates.step_s):
         _overwrite(rows, _stretch(method, stretch, origin_ns))

@@ -133,7 +133,7 @@ def at_frames(low_pass: Floats, rates: Rates, rule: str) -> AtFrames:
 def fir(acceleration: Acceleration, displacement: Displacement, settings: FirSettings | None = None) -> Estimate:
     """Fuse a whole record: one row a sample, from acceleration (n samples) and displacement (m) in time order."""
     smoothed = smoothed_record(acceleration, displacement, KalmanSettings())
-    return _fused(acceleration, displacement, settings or FirSettings(), smoothed).estimate
+    return fused(design, settings or FirSettings(), (acceleration, displacement), smoothed).estimate
 
 
 def run_fir(
@@ -141,14 +141,7 @@ def run_fir(
 ) -> Smoothed:
     """The same as a row of METHODS, see `fused`."""
     smoothed = path or smoothed_record(acceleration, displacement, settings.kalman)
-    return _fused(acceleration, displacement, FirSettings(literal=settings.literal), smoothed)
-
-
-def _fused(
-    acceleration: Acceleration, displacement: Displacement, settings: FirSettings, smoothed: Smoothed
-) -> Smoothed:
-    record = (acceleration, displacement)
-    return fused(lambda rates: design(rates, settings), record, smoothed, fill=not settings.literal)
+    return fused(design, FirSettings(literal=settings.literal), (acceleration, displacement), smoothed)
 
 
 def _corner(rates: Rates) -> float:

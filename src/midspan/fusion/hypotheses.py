@@ -60,7 +60,7 @@ SAME_MEAN, SAME_VARIANCE, SAME_NOISE, TINY = 0.05, 0.1, 0.2, 1e-24
 # Innovations beyond so many standard deviations are asked what happened: one in 16 000 is by chance.
 GATE = 4.0
 # The share of outliers is what it was of so many measurements, and never more than this: a sensor that is mostly wrong
-# cannot be told from one that has shifted.
+# cannot be distinguished from one that has shifted.
 OUTLIER_MEMORY, MOST_OUTLIERS = 20.0, 0.3
 # Columns of what each hypothesis remembers besides its filter: logarithm of its weight; density of the error of the
 # acceleration that goes on (0: none) and along which axis; of the last measurement the hypothesis before it, what it
@@ -504,7 +504,7 @@ def split(hyps, count, row, scene, tables, options, scratch, doubted, chances): 
             break
         b, kind = place // KINDS, place % KINDS
         if kind == OUTLIER:
-            # Those that reject are told nothing: all of them together would keep out for ever what could take it.
+            # Those that reject learn nothing: all of them together would keep out for ever what could take it.
             if rejecting == MOST // 4:
                 continue
             rejecting += 1

@@ -79,7 +79,7 @@ def two_stage_fir(
 ) -> Estimate:
     """Fuse a whole record: one row a sample, from acceleration (n samples) and displacement (m) in time order."""
     smoothed = smoothed_record(acceleration, displacement, KalmanSettings())
-    return _fused(acceleration, displacement, settings or TwoStageSettings(), smoothed).estimate
+    return fused(design, settings or TwoStageSettings(), (acceleration, displacement), smoothed).estimate
 
 
 def run_two_stage(
@@ -87,14 +87,7 @@ def run_two_stage(
 ) -> Smoothed:
     """The same as a row of METHODS, see `fused`."""
     smoothed = path or smoothed_record(acceleration, displacement, settings.kalman)
-    return _fused(acceleration, displacement, TwoStageSettings(literal=settings.literal), smoothed)
-
-
-def _fused(
-    acceleration: Acceleration, displacement: Displacement, settings: TwoStageSettings, smoothed: Smoothed
-) -> Smoothed:
-    record = (acceleration, displacement)
-    return fused(lambda rates: design(rates, settings), record, smoothed, fill=not settings.literal)
+    return fused(design, TwoStageSettings(literal=settings.literal), (acceleration, displacement), smoothed)
 
 
 def _too_slow(rates: Rates, settings: TwoStageSettings) -> str:

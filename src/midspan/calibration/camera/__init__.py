@@ -1,1 +1,1 @@
-"""The camera beside the accelerometer: every target along every axis, movers, the temperature range."""
+"""The camera compared with the accelerometer: every target along every axis, movers, the temperature range."""

@@ -1,4 +1,4 @@
-"""What a camera is calibrated on: an image axis beside its acceleration, and each target as it was tracked."""
+"""What a camera is calibrated on: an image axis and its acceleration, and each target as it was tracked."""
 
 from dataclasses import dataclass, replace
 from typing import Any

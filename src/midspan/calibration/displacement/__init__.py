@@ -1,1 +1,1 @@
-"""A displacement sensor beside the accelerometer: noise, clock offset, scale."""
+"""A displacement sensor compared with the accelerometer: noise, clock offset, scale."""

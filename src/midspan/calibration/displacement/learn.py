@@ -40,7 +40,7 @@ WRONG_SCALE = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Given:
-    """A displacement sensor beside the accelerometer, and what is to be learnt of it.
+    """A displacement sensor compared with the accelerometer, and what is to be learnt of it.
 
     series: its values as read; wanted_s: the largest clock offset looked for; learns_offset, learns_scale: whether
     these are applied; noise_std_m: of its values as read, None where it is not given; gives_zero: whether its zero is

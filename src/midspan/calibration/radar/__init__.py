@@ -1,1 +1,1 @@
-"""The radar beside the accelerometer: fixed targets, conversion factors, clock, own motions."""
+"""The radar compared with the accelerometer: fixed targets, conversion factors, clock, own motions."""

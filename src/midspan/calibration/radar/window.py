@@ -1,4 +1,4 @@
-"""The frames of a radar in the calibration window, and the acceleration beside them."""
+"""The frames of a radar in the calibration window, and the acceleration at the same time."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""What is learnt of one sensor beside the accelerometer: its calibration, and what it implies of the accelerometer."""
+"""What is estimated of one sensor: its calibration, and what it implies of the accelerometer."""
 
 from dataclasses import dataclass
 from typing import Generic, TypeVar
