@@ -33,7 +33,7 @@ def prepared(case: Beam, noise: str) -> tuple:
         return blocks(case.acceleration, case.displacement, case.noise_std[0] ** 2 / 100.0, case.noise_std[1] ** 2)
     fit = learnt(case.acceleration, case.displacement)
     return blocks(
-        case.acceleration, case.displacement, fit.input_noise_density, fit.variance_factor, fit.offset.value_s
+        case.acceleration, case.displacement, fit.input_noise.density, fit.variance_factor, fit.offset.value_s
     )
 
 

@@ -18,7 +18,7 @@ def one(bias: float, offset_s: float) -> tuple[float, float, float]:
         case = beam(seed, bias=bias, offset_s=offset_s)
         fit = learnt(case.acceleration, case.displacement)
         pair = blocks(
-            case.acceleration, case.displacement, fit.input_noise_density, fit.variance_factor, fit.offset.value_s
+            case.acceleration, case.displacement, fit.input_noise.density, fit.variance_factor, fit.offset.value_s
         )
         off.append(abs(fit.offset.value_s - offset_s))
         for method, found in errors.items():

@@ -84,7 +84,7 @@ def relearnt(seed: int) -> Case:
     """Both noise levels learnt from the record itself."""
     case = clean(seed)
     fit = learnt(TimeSeries(nanoseconds(TIME), case.acceleration), TimeSeries(nanoseconds(MET), case.value))
-    return replace(case, variance=np.full(len(MET), fit.variance_factor), density=fit.input_noise_density)
+    return replace(case, variance=np.full(len(MET), fit.variance_factor), density=fit.input_noise.density)
 
 
 def outliers(seed: int) -> Case:

@@ -12,7 +12,8 @@ import sys
 import numpy as np
 
 from midspan import Acceleration, Displacement
-from midspan.fusion.adaptive import AdaptiveSettings, adapt
+from midspan.fusion.runners import run_method
+from midspan.fusion.streams import MethodSettings
 
 RATE_HZ, SLOW_HZ, LENGTH_S = 100.0, 10.0, 1200.0
 NOISE_A, NOISE_D = 5e-3, 0.5e-3  # m/s² a sample, m
@@ -43,7 +44,7 @@ def learnt(bias, *, literal):
 
     As printed it is the learnt noise variance; the guarded form's innovations hold the prediction's variance too.
     """
-    found = adapt(*at_rest(bias), AdaptiveSettings(literal=literal, forgetting=0.98))
+    found = run_method("adaptive-kalman", *at_rest(bias), MethodSettings(literal=literal, forgetting=0.98))
     error = found.estimate.displacement_m[len(found.estimate.displacement_m) // 2 :]
     variance = found.variance_m2 if literal else found.innovation.variance_m2
     return variance / NOISE_D**2, 1e3 * np.sqrt(np.mean(error**2))

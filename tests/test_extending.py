@@ -10,15 +10,31 @@ import pytest
 import midspan
 from lively_recordings import Lively, write
 from midspan.engine.axis import AxisFigures
+from midspan.engine.camera import CameraChain, CameraState
+from midspan.engine.camera_target import ChainSettings, Target
+from midspan.engine.checkpoint import from_bytes, to_bytes
 from midspan.engine.guard import Guard, GuardSettings
 from midspan.engine.merge import Merge
 from midspan.engine.point import ACCELEROMETER, Point
 from midspan.engine.sensors import Seen
+from midspan.engine.target_opening import Opening
 from midspan.fusion.estimator import Estimator, Rows
-from midspan.fusion.methods import METHODS, Method
+from midspan.fusion.methods import METHODS, Method, Pass
 from midspan.fusion.model import EstimatorSettings
 from midspan.fusion.streams import filtered
-from midspan.records import Arrival, Channel, Measured, PixelTranslation, Readings, Source, Status, joined
+from midspan.records import (
+    Arrival,
+    Channel,
+    Frame,
+    Measured,
+    PixelTranslation,
+    Readings,
+    Region,
+    Source,
+    Status,
+    joined,
+)
+from midspan.simulate.scene.texture import textured_scene
 from midspan.vision.tracker import TRACKERS, Tracker, TrackerEntry
 
 LIVELY = Lively(duration_s=14.0, rms_m=2e-3, band_hz=(1.0, 3.0))
@@ -37,6 +53,8 @@ class Place:
 
 class CorrelationTracker(Tracker):
     """The largest value of the circular cross correlation of the whole region, refined by a parabola."""
+
+    _state: Place
 
     def __init__(self, reference, region, settings):
         super().__init__(reference, region)
@@ -70,13 +88,31 @@ def rms_mm(result):
     return float(np.std((result.displacement_mm - LIVELY.from_zero_mm(result.time_s))[settled]))
 
 
-def test_a_tracker_is_a_file_and_a_row(tmp_path, monkeypatch):
+@pytest.fixture
+def correlation(monkeypatch):
     as_module(monkeypatch, "correlation", CorrelationTracker=CorrelationTracker, NoSettings=NoSettings)
     monkeypatch.setitem(TRACKERS, "correlation", TrackerEntry("correlation", "CorrelationTracker", "NoSettings", "toy"))
+
+
+@pytest.mark.usefixtures("correlation")
+def test_a_tracker_is_a_file_and_a_row(tmp_path):
     folder = write(tmp_path, LIVELY, "camera", 'tracker = "correlation"')
     result = midspan.estimate(folder)
     # A window that does not move with the target weakens what is correlated: a few hundredths of a pixel of 1.5 mm.
     assert rms_mm(result) < 0.1
+
+
+@pytest.mark.usefixtures("correlation")
+def test_a_checkpoint_keeps_its_state():
+    scene = textured_scene("natural", (64, 64), rng=np.random.default_rng(0))
+    frames = [Frame(k, scene.render(0.2 * k, 0.3)) for k in range(3)]
+    chain, other = (
+        CameraChain(frames[0], (Target(Region(8, 8, 48, 48)),), ChainSettings(Opening("correlation"))) for _ in range(2)
+    )
+    chain.push(frames[1])
+    other.restore(from_bytes(to_bytes(chain.state), CameraState))
+    assert other.push(frames[2]) == chain.push(frames[2])
+    assert other.state.targets[0].tracker == chain.state.targets[0].tracker != Place(0.0, 0.0)
 
 
 def test_a_method_is_a_file_and_a_row(tmp_path, monkeypatch):
@@ -86,12 +122,29 @@ def test_a_method_is_a_file_and_a_row(tmp_path, monkeypatch):
         return replace(found, estimate=replace(found.estimate, displacement_m=found.estimate.displacement_m + 1e-3))
 
     as_module(monkeypatch, "off", run=run)
-    monkeypatch.setitem(METHODS, "off-by-one", Method("toy", "off:run", on_series=True))
+    monkeypatch.setitem(METHODS, "off-by-one", Method("toy", on_series="off:run"))
     folder = write(tmp_path, LIVELY, "displacement")
     result = midspan.estimate(folder, method="off-by-one")
     assert result.method == "off-by-one"
+    # A name that nothing knows: the function alone can have made the rows.
     error = result.displacement_mm - 1e3 * LIVELY.motion(result.time_s)
     assert np.mean(error[result.time_s > 3.0]) == pytest.approx(1.0, abs=0.1)
+
+
+@pytest.mark.parametrize("known", ["kalman", "lag", "smoother", "adaptive-kalman"])
+def test_a_method_of_the_estimator_is_a_row_under_any_name(tmp_path, monkeypatch, known):
+    monkeypatch.setitem(METHODS, "toy", METHODS[known])
+    folder = write(tmp_path, LIVELY, "displacement")
+    toy, own = (midspan.estimate(folder, method=name) for name in ("toy", known))
+    assert np.array_equal(toy.displacement_mm, own.displacement_mm)
+    assert np.array_equal(toy.displacement_std_mm, own.displacement_std_mm)
+
+
+def test_a_row_that_nothing_can_run_is_refused():
+    with pytest.raises(midspan.UsageError, match="received neither"):
+        Method("toy")
+    with pytest.raises(midspan.UsageError, match="as printed must have on_series"):
+        Method("toy", Pass.CAUSAL, literal=True)
 
 
 class Potentiometer:

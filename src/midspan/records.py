@@ -417,6 +417,13 @@ class Tick:
 
 
 @dataclass(frozen=True, slots=True)
+class Complete:
+    """All streams have brought what they have up to `time_ns` of the common clock: nobody is waited for."""
+
+    time_ns: int
+
+
+@dataclass(frozen=True, slots=True)
 class ClockOffset:
     """From stamp `from_ns` of the stream's own clock on, `offset_ns` is added to its stamps to get the common clock."""
 
@@ -469,6 +476,17 @@ class TimeOffset:
 
     value_s: float
     variance: float
+
+
+@dataclass(frozen=True, slots=True)
+class InputNoise:
+    """Noise of an acceleration, its two-sided density being density + motion_s times the mean square of the motion.
+
+    density: (m/s²)²/Hz; motion_s: s, what errors in proportion to the motion make.
+    """
+
+    density: float
+    motion_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

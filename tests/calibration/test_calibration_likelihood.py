@@ -98,7 +98,7 @@ def test_a_short_window_does_not_make_an_accelerometer_without_noise(length_s):
         pair = observed(broadband(seed), seed)
         samples = pair.samples[pair.samples[:, 0] < length_s]
         rows = pair.rows[pair.rows[:, 0] < length_s - 0.3]
-        found.append(np.sqrt(100.0 * calibrate_scale(Pair(samples, rows), 0.15).input_noise_density))
+        found.append(np.sqrt(100.0 * calibrate_scale(Pair(samples, rows), 0.15).input_noise.density))
     # 50 measurements hardly tell 2 mm/s² of noise; without a prior a third of them would tell 3e-6 m/s².
     assert min(found) > 2e-3 / 10.0
     assert 1.3e-3 < np.median(found) < 4e-3

@@ -24,7 +24,7 @@ def test_noise_of_both_sensors_is_learnt(noise_m):
     # 590 measurements give each variance to ± 6 %, the mean of eight to ± 2 %.
     assert np.mean([f.variance_factor for f in fits]) == pytest.approx(noise_m**2, rel=0.08)
     # The accelerometer's level shows only in the band between; within a factor of two costs below 1 % of RMSE.
-    assert 0.5 < np.median([f.input_noise_density for f in fits]) / (2e-3**2 / 100.0) < 2.0
+    assert 0.5 < np.median([f.input_noise.density for f in fits]) / (2e-3**2 / 100.0) < 2.0
 
 
 def test_the_variance_given_with_a_measurement_counts_relatively():

@@ -178,6 +178,34 @@ def test_a_fault_is_an_event_and_the_band_holds_its_error(name):
         assert np.max(ratio) < 5.0
 
 
+@pytest.mark.parametrize("step_s", [-60.0, -3.0, 60.0])
+@pytest.mark.parametrize("names", [(ACCELEROMETER,), ("level",), (ACCELEROMETER, "level")], ids="+".join)
+def test_a_clock_that_is_set_for_good_costs_seconds_and_the_point_goes_on(names, step_s):
+    ratios = []
+    for seed in range(1, 4):
+        rows, events, health = run(clock_step(names, step_s)(recorded(seed)))
+        told = [event for event in events if "clock was set" in event.text and event.kind == "clock"]
+        assert sorted(event.text.split(":")[0] for event in told) == sorted(names)
+        assert "silent" not in {event.kind for event in events}
+        assert np.all(np.diff(rows.time_ns) > 0)
+        # The stamps go on where they were: those of the rows are true.
+        assert LENGTH_S - rows.time_ns[-1] / 1e9 < 0.3
+        error = np.abs(rows.displacement_m - motion(seed).displacement(rows.time_ns / 1e9))
+        # Where nothing at all is measured for 2 s, as in any such gap, the next rows are off by what the velocity does.
+        assert np.max(error) < (2.0 if len(names) > 1 else 1.0) * MAX_ERROR_M
+        # 2 s, a tick and a block of each stream that was set; nothing of the other.
+        for one in health:
+            rate_hz = {ACCELEROMETER: RATE_HZ, "level": LEVEL_HZ}[one.stream]
+            assert one.disordered <= (one.stream in names) * 2.5 * rate_hz
+        # It measures again: the last seconds are as good as the first ones.
+        first, last = (rows.time_ns > 5e9) & (rows.time_ns < 28e9), rows.time_ns > 38e9
+        assert np.sqrt(np.mean(error[last] ** 2)) < 3.0 * np.sqrt(np.mean(error[first] ** 2))
+        ratios.append(error / np.sqrt(rows.variance_m2))
+    ratio = np.concatenate(ratios)
+    assert np.mean(ratio < 1.96) >= 0.93
+    assert np.max(ratio) < 5.0
+
+
 def test_without_a_fault_there_is_no_event():
     streams = recorded()
     rows, events, health = run(streams)

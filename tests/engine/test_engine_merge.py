@@ -1,6 +1,7 @@
 """The order of time of several streams: whatever the interleaving and the cutting; late, doubled and silent ones."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from hypothesis import strategies as st
 
 from midspan.engine.merge import Merge
 from midspan.errors import UsageError
-from midspan.records import Arrival, ClockOffset, Event, Frame, Readings, StreamState, Tick
+from midspan.records import Arrival, ClockOffset, Complete, Event, Frame, Readings, StreamState, Tick
 
 MS = 1_000_000
 PIXELS = np.zeros((2, 2), dtype=np.uint8)
@@ -204,6 +205,164 @@ def test_an_offset_holds_from_its_stamp_on():
         merge, ClockOffset("camera", -20 * MS, 50 * MS), *(Arrival("camera", k, frame(10 * k)) for k in range(5, 8))
     )
     assert [row[1:] for row in out] == [(47, "backwards"), (50, None)]
+
+
+def test_offsets_that_are_still_to_come_are_all_kept():
+    merge = Merge(("accel", "camera"), math.inf)
+    offsets = [ClockOffset("camera", add * MS, start * MS) for add, start in ((20, 1000), (10, 0), (15, 700))]
+    frames = [Arrival("camera", k, frame(time)) for k, time in enumerate((500, 600, 800, 1200))]
+    out = pushed(merge, *offsets, *frames, Arrival("accel", 0, readings([2000])))
+    assert [row[1] for row in out] == [510, 610, 815, 1220]
+    # Readings of one block, cut where an offset ends.
+    merge = Merge(("accel", "level"), math.inf)
+    offsets = [replace(one, stream="level") for one in offsets]
+    block = Arrival("level", 0, readings([500, 600, 800, 1200]))
+    out = pushed(merge, *offsets, block, Arrival("accel", 0, readings([2000])))
+    assert [row[1:] for row in out] == [(510, 500.0), (610, 600.0), (815, 800.0), (1220, 1200.0)]
+
+
+def test_what_is_complete_waits_for_nobody():
+    merge = Merge(("accel", "level", "camera"), math.inf, math.inf)
+    pushed(merge, Arrival("accel", 0, readings(range(0, 100, 10))), Arrival("level", 0, readings([0, 15])))
+    assert pushed(merge, Arrival("camera", 0, frame(20)))[-1] == ("level", 15, 15.0)
+    assert pushed(merge, Complete(20 * MS)) == [("accel", 20, 20.0), ("camera", 20, None)]
+    after = Merge(("accel", "level", "camera"), math.inf, math.inf)
+    after.restore(merge.state)
+    # Of a stamp that is complete nothing more may come.
+    out = pushed(after, Arrival("camera", 1, frame(40)), Arrival("level", 1, readings([18])), Complete(40 * MS))
+    assert ("camera", 40, None) in out
+    assert after.health[1].late == 1
+    assert not any(after.state.held[1:])
+
+
+def sent(stamp_ms, *, accel_ms=0, camera_ms=0, from_ms=10_000, to_ms=30_000, cut=1):
+    """Records at their true times: two streams whose clocks are set at `from_ms` by so much, and ticks."""
+    items = [(float(time), Tick(time * MS)) for time in range(0, to_ms, 500)]
+    for name, step_ms, late in (("accel", accel_ms, 0.1), ("camera", camera_ms, 50.2)):
+        for k, time in enumerate(range(0, to_ms, stamp_ms[name])):
+            own = time + (step_ms if time >= from_ms else 0)
+            items.append((time + late, Arrival(name, k, readings([own]) if name == "accel" else frame(own))))
+    return [item for _, item in sorted(items, key=lambda pair: pair[0])]
+
+
+@pytest.mark.parametrize("step_ms", [-60_000, -3_000, 60_000])
+@pytest.mark.parametrize("name", ["accel", "camera"])
+def test_a_clock_that_is_set_for_good_costs_seconds_and_the_stream_goes_on(name, step_ms):
+    merge = Merge(("accel", "camera"), lateness_s=0.5)
+    out = []
+    for item in sent({"accel": 100, "camera": 200}, **{f"{name}_ms": step_ms}):
+        out += merge.push(item)
+        if isinstance(item, Tick):
+            other = Merge(("accel", "camera"), lateness_s=0.5)
+            other.restore(merge.state)
+            merge = other
+    rows = flat(out + merge.finish())
+    own = [(t, what) for stream, t, what in rows if stream == name]
+    kinds = [what for _, what in own if isinstance(what, str)]
+    assert kinds == ["ahead" if step_ms > 0 else "backwards", "clock"]
+    # Its interval is known exactly here: each record has the true time again.
+    given = np.array([t for t, what in own if not isinstance(what, str)])
+    step = {"accel": 100, "camera": 200}[name]
+    missing = np.setdiff1d(np.arange(0, 30_000, step), given)
+    assert np.isin(given, np.arange(0, 30_000, step)).all()
+    # Two seconds, and a tick until they are seen to have passed.
+    assert 2000 <= len(missing) * step <= 3000
+    assert missing[0] == 10_000
+    # The other stream loses nothing, and nobody is out; the camera is behind by its delay.
+    others = [what for stream, _, what in rows if stream != name]
+    assert not any(isinstance(what, str) for what in others)
+    assert StreamState.OUT not in [one.state for one in merge.health]
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_where_a_block_is_cut_has_no_effect_on_a_clock_that_is_set(seed):
+    rng = np.random.default_rng(seed)
+    stamps = np.concatenate((np.arange(0, 8000, 10), np.arange(3000, 9000, 10), np.arange(40_000, 47_000, 10)))
+    cuts = np.sort(rng.integers(0, len(stamps), 40))
+    found = []
+    for pieces in (np.split(stamps, np.arange(100, len(stamps), 100)), np.split(stamps, cuts)):
+        merge, out, done = Merge(("accel",)), [], 0
+        for number, piece in enumerate(pieces):
+            # A tick at each true second, between the same two readings in both ways.
+            for part in np.split(piece, np.arange(-done % 100, len(piece), 100)):
+                if done % 100 == 0 and len(part):
+                    out += merge.push(Tick(10 * done * MS))
+                out += merge.push(Arrival("accel", number, readings(part)))
+                done += len(part)
+        found.append((flat(out + merge.finish()), merge.health))
+    assert found[0] == found[1]
+    assert [row[2] for row in found[0][0] if isinstance(row[2], str)] == ["backwards", "clock", "ahead", "clock"]
+
+
+def test_records_that_are_sent_once_more_are_no_clock_that_was_set():
+    """A broker repeats a minute of messages at once, or packets overtake each other."""
+    merge, out = Merge(("accel",)), []
+    for time in range(0, 60_000, 100):
+        if time % 500 == 0:
+            out += merge.push(Tick(time * MS))
+        out += merge.push(Arrival("accel", time // 100, readings([time])))
+    for time in range(0, 60_000, 100):
+        if time % 30_000 == 0:
+            out += merge.push(Tick((60_000 + time // 100) * MS))
+        out += merge.push(Arrival("accel", time // 100, readings([time])))
+    out += merge.push(Arrival("accel", 600, readings([60_600])))
+    assert [row[2] for row in flat(out) if isinstance(row[2], str)] == ["backwards"]
+    assert merge.health[0].newest_ns == 60_600 * MS
+
+
+def test_a_pause_in_which_a_clock_was_set_is_as_long_as_the_others_went_on():
+    """A logger starts anew after 20 s, with its clock an hour back."""
+    items = sent({"accel": 100, "camera": 200}, accel_ms=-3_600_000, from_ms=20_000, to_ms=40_000)
+    items = [
+        item
+        for item in items
+        if not (isinstance(item, Arrival) and item.stream == "accel" and 1000 * 10 <= item.sequence * 100 < 20_000)
+    ]
+    merge, out = Merge(("accel", "camera"), lateness_s=0.5), []
+    for item in items:
+        out += merge.push(item)
+    rows = flat(out + merge.finish())
+    told = [(stream, what) for stream, _, what in rows if isinstance(what, str)]
+    # What it did not send is lost by its numbers; at its return one record lies where the camera is already.
+    assert told == [("accel", what) for what in ("silent", "lost", "backwards", "clock", "late", "returned")]
+    given = np.array([value for stream, _, value in rows if stream == "accel" and not isinstance(value, str)])
+    at = np.array([t for stream, t, value in rows if stream == "accel" and not isinstance(value, str)])
+    # True times of what came after, from its values: the camera tells them to its interval and its delay.
+    true = np.where(given < 0, given + 3_600_000, given)
+    assert np.abs(at - true).max() <= 300
+    assert true.max() == 39_900
+
+
+def test_a_stream_that_is_only_early_has_no_clock_that_was_set():
+    """The accelerometer's network takes 12 s: the camera is ahead of it for ever."""
+    merge, out = Merge(("accel", "camera")), []
+    items = [(float(time), Tick(time * MS)) for time in range(0, 60_000, 500)]
+    items += [(time + 12_000.1, Arrival("accel", time // 100, readings([time]))) for time in range(0, 48_000, 100)]
+    items += [(time + 50.2, Arrival("camera", time // 200, frame(time))) for time in range(0, 60_000, 200)]
+    for _, item in sorted(items, key=lambda pair: pair[0]):
+        out += merge.push(item)
+    told = [row[::2] for row in flat(out + merge.finish()) if isinstance(row[2], str)]
+    assert ("camera", "clock") not in told
+    assert told.count(("camera", "ahead")) == 1
+    camera = merge.health[1]
+    assert camera.used + camera.late + camera.disordered == 300
+
+
+def test_silence_is_told_by_what_came():
+    merge = Merge(("accel", "camera"), silent_s=5.0)
+    pushed(merge, Tick(0), Arrival("accel", 0, readings([1000])), Arrival("camera", 0, frame(1000)))
+    out = []
+    for second in range(1, 8):
+        # Stamps that go on nowhere.
+        stamp = 900 if second % 2 else 800
+        out += merge.push(Arrival("accel", second, readings([stamp]))) + merge.push(Tick(second * 1000 * MS))
+    out += merge.finish()
+    texts = {
+        one.stream: one.record.text for one in out if isinstance(one.record, Event) and one.record.kind == "silent"
+    }
+    assert "no record with a usable stamp came for" in texts["accel"]
+    assert "nothing came for" in texts["camera"]
+    assert "usable" in merge.health[0].reason
 
 
 @pytest.mark.parametrize(

@@ -5,9 +5,10 @@ import itertools
 import numpy as np
 import pytest
 
+from midspan.engine.merge import Merge
 from midspan.engine.plain import PlainChain, PlainSettings
 from midspan.errors import UsageError
-from midspan.records import Event, Measured, Readings, Samples, joined, part
+from midspan.records import Arrival, Event, Measured, Readings, Samples, joined, part
 from midspan.signals.stuck import resolution, stuck
 from midspan.simulate.motion.motion import Sines, Window, random_motion
 
@@ -109,16 +110,16 @@ def test_any_cutting_gives_the_same():
     assert 200 < len(joined([item for item in found[0] if isinstance(item, Measured)]).value) < 400
 
 
-def test_what_is_out_of_order_is_left_out_with_an_event():
+def test_behind_a_merge_what_is_out_of_order_is_left_out():
     motion = random_motion((0.3, 8.0), 3e-3, rng=np.random.default_rng(7), flat="velocity")
     time = np.arange(0.5, 59.5, 0.1)
     shifted = time.copy()
     shifted[200:220] -= 0.55
     chain = PlainChain(settings(time, 0.1))
-    out = [
-        *chain.push(Readings(stamps(shifted), motion.displacement(time)[:, None])),
-        *chain.push(samples_of(motion, 7)),
-    ]
+    merge = Merge(("displacement",))
+    due = merge.push(Arrival("displacement", 0, Readings(stamps(shifted), motion.displacement(time)[:, None])))
+    out = [item for one in [*due, *merge.finish()] for item in chain.push(one.record)]
+    out += chain.push(samples_of(motion, 7))
     assert [event.kind for event in out if isinstance(event, Event)] == ["backwards", "gap"]
     # Five stamps lie before the newest, and the sixth is half an interval after it.
     np.testing.assert_array_equal(np.flatnonzero(~used(out, shifted)), np.arange(200, 205))

@@ -123,10 +123,13 @@ CASES = {
 
 
 class Site:
-    """A recording, its calibration, and points made of it again and again."""
+    """A recording, its calibration, and points made of it again and again.
 
-    def __init__(self, folder):
-        self.folder = folder
+    given: the calibration counts as one that was given.
+    """
+
+    def __init__(self, folder, given=True):
+        self.folder, self.given = folder, given
         self.calibration, _ = calibrate_and_track(midspan.open_recording(folder), silent)
 
     def sides(self):
@@ -141,7 +144,7 @@ class Site:
         sides = self.sides()
         eyes = open_eyes(sides, tracking, silent)
         lag_s = sides[0].recording.settings.fusion.lag_s if method == "lag" else None
-        return measuring_point(sides, eyes, lag_s=lag_s), sides, eyes
+        return measuring_point(sides, eyes, lag_s=lag_s, given=self.given), sides, eyes
 
 
 def records(point, sides, eyes, rng):
@@ -219,6 +222,18 @@ def two_radars(folder):
     return write_several(folder, LIVELY, "radar", {"near": near, "far": replace(near, rate_hz=40.0, first_s=1.3)})
 
 
+def one_ends_early(folder):
+    """A displacement sensor that ends at 6 s, and one that begins at 8 s, beside a camera."""
+    write(folder, LIVELY, "camera")
+    for name, first_s, last_s in (("morning", 1.0, 6.3), ("evening", 8.0, 14.0)):
+        own = replace(LIVELY, first_s=first_s, duration_s=last_s, rate_hz=20.0)
+        lines = (write(folder / name, own, "displacement") / "recording.toml").read_text()
+        lines = lines[lines.index("[displacement]") :].replace("[displacement]", f'[[displacement]]\nname = "{name}"')
+        append(folder, lines.replace('file = "', f'file = "{name}/'))
+    return folder
+
+
+CASES["one ends early"] = one_ends_early
 CASES["two axes"] = two_axes
 CASES["two radars"] = two_radars
 
@@ -238,9 +253,27 @@ def test_rows_of_the_file_are_rows_of_the_point(site, method):
         assert_same(outcome.estimate(1), result.across.estimate)
 
 
+def test_a_stream_that_ends_or_has_not_begun_holds_no_frame_back(tmp_path, monkeypatch):
+    site = Site(one_ends_early(tmp_path / "site"))
+    point, sides, eyes = site.opened("kalman")
+    waiting, push = [], point.push
+
+    def counted(record):
+        out = push(record)
+        names = [stream.name for stream in point.merge.state.streams]
+        waiting.append(len(point.merge.state.held[names.index("camera")]))
+        return out
+
+    monkeypatch.setattr(point, "push", counted)
+    outcome = run(point, sides, eyes)
+    assert outcome.measured_by("camera").time_ns[-1] > 13e9
+    # A frame waits for those of its instant only.
+    assert max(waiting) <= 1
+
+
 @pytest.mark.parametrize(("case", "method"), [("two targets", "lag"), ("day and night", "kalman")])
 def test_a_point_goes_on_from_what_the_calibration_has_tracked(case, method, tmp_path):
-    site = Site(CASES[case](tmp_path / "site"))
+    site = Site(CASES[case](tmp_path / "site"), given=False)
     result = midspan.estimate(midspan.open_recording(site.folder), method=method)
     _, tracking = calibrate_and_track(midspan.open_recording(site.folder), silent)
     assert_same(live(site, method, 1, tracking).estimate(0), result.estimate)

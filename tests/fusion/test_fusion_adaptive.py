@@ -5,13 +5,21 @@ import pytest
 from fusion_oracles import acceleration_block, displacement_block, filtered
 
 from midspan.errors import UsageError
-from midspan.fusion.adaptive import AdaptiveSettings, adapt
+from midspan.fusion.adaptive import printed
 from midspan.fusion.blocks import REJECTED
-from midspan.fusion.streams import KalmanSettings
+from midspan.fusion.runners import run_method
+from midspan.fusion.streams import KalmanSettings, MethodSettings
 from midspan.records import Status
 
-LITERAL = AdaptiveSettings(literal=True, forgetting=0.9, kalman=KalmanSettings(velocity_std=1e-2))
+LITERAL = MethodSettings(literal=True, forgetting=0.9, kalman=KalmanSettings(velocity_std=1e-2))
 RATE_A, RATE_D = 100.0, 10.0
+
+
+def adapt(acceleration, displacement, settings=None):
+    """The method by its name, or as printed from zero on."""
+    if settings is not None and settings.literal:
+        return printed(acceleration, displacement, settings)
+    return run_method("adaptive-kalman", acceleration, displacement, settings)
 
 
 def transition(dt):
@@ -97,7 +105,7 @@ def test_the_literal_form_takes_expected_bias_off_and_ignores_unusable_and_early
     plain = adapt(acceleration_block(time, acceleration, 1e-3), displacement_block(met, value, 1e-4), LITERAL)
     more = np.concatenate(([-0.02], met, [1.9]))
     values = np.concatenate(([5.0], value, [np.nan]))
-    known = AdaptiveSettings(literal=True, forgetting=0.9, kalman=KalmanSettings(bias=9.81, velocity_std=1e-2))
+    known = MethodSettings(literal=True, forgetting=0.9, kalman=KalmanSettings(bias=9.81, velocity_std=1e-2))
     found = adapt(acceleration_block(time, acceleration + 9.81, 1e-3), displacement_block(more, values, 1e-4), known)
     # Taking 9.81 off again leaves 15 of 16 digits.
     np.testing.assert_allclose(found.estimate.displacement_m, plain.estimate.displacement_m, rtol=1e-9, atol=1e-14)
@@ -145,7 +153,7 @@ def still(seed, bias, length_s, noise=(5e-3, 0.5e-3)):
 def test_equation_20_settles_where_the_bias_and_the_noise_balance(share):
     limit = 5e-3 * np.sqrt(RATE_D / RATE_A)
     # The balance is that of the mean values: a long memory keeps R's own scatter, which shifts it, small.
-    found = adapt(*still(5, share * limit, 2400.0), AdaptiveSettings(literal=True, forgetting=0.998))
+    found = adapt(*still(5, share * limit, 2400.0), MethodSettings(literal=True, forgetting=0.998))
     settled = found.variance_m2[len(found.variance_m2) // 2 :]
     # 12000 frames with a memory of 500 are 24 looks at R, each ± 4.5 %; near the limit the feedback makes them three
     # times slower and larger, and a third of a scatter of 15 % goes into the mean: 10 %.
@@ -155,7 +163,7 @@ def test_equation_20_settles_where_the_bias_and_the_noise_balance(share):
 def test_beyond_the_limit_equation_20_runs_away_and_the_guard_does_not():
     limit = 5e-3 * np.sqrt(RATE_D / RATE_A)
     blocks = still(6, 2.0 * limit, 600.0)
-    literal, guarded = adapt(*blocks, AdaptiveSettings(literal=True, forgetting=0.98)), adapt(*blocks)
+    literal, guarded = adapt(*blocks, MethodSettings(literal=True, forgetting=0.98)), adapt(*blocks)
     # R grows without limit: each quarter's mean is beyond the last one's.
     quarters = [np.mean(chunk) for chunk in np.array_split(literal.variance_m2, 4)]
     assert np.all(np.diff(quarters) > 0)
@@ -214,7 +222,7 @@ def test_the_band_is_honest():
         for seed in range(4):
             acceleration, met, value, _, truth = shaken(seed)
             # The printed form knows no bias; it is given the right one.
-            chosen = AdaptiveSettings(literal=literal, kalman=KalmanSettings(bias=5e-3))
+            chosen = MethodSettings(literal=literal, kalman=KalmanSettings(bias=5e-3))
             estimate = adapt(acceleration, displacement_block(met, value, 1e-8), chosen).estimate
             error = (estimate.displacement_m - truth)[500:]
             shares.append(np.mean(np.abs(error) <= 1.96 * np.sqrt(estimate.variance_m2[500:])))
@@ -235,7 +243,7 @@ def test_the_printed_forms_band_holds_from_the_first_rows_on():
         estimate = adapt(
             acceleration_block(time, acceleration, 4e-8),
             displacement_block(met, value - value[0] + rng.normal(0, 1e-4, len(met)), 1e-8),
-            AdaptiveSettings(literal=True),
+            MethodSettings(literal=True),
         ).estimate
         inside = np.abs(estimate.displacement_m - truth + value[0]) <= 1.96 * np.sqrt(estimate.variance_m2)
         assert estimate.variance_m2[0] >= 1.0
@@ -276,14 +284,16 @@ def test_outliers_and_a_stuck_target_do_no_harm():
 @pytest.mark.parametrize("forgetting", [0.0, 1.0, np.nan])
 def test_a_forgetting_factor_outside_its_range_is_refused_by_name(forgetting):
     with pytest.raises(UsageError, match="forgetting"):
-        AdaptiveSettings(forgetting=forgetting)
+        MethodSettings(forgetting=forgetting)
 
 
 @pytest.mark.parametrize("literal", [False, True])
 def test_rows_age(literal):
     acceleration, met, value, _, _ = shaken(2)
     kept = (met < 40.0) | (met > 60.0)
-    estimate = adapt(acceleration, displacement_block(met[kept], value[kept], 1e-8), AdaptiveSettings(literal)).estimate
+    estimate = adapt(
+        acceleration, displacement_block(met[kept], value[kept], 1e-8), MethodSettings(literal=literal)
+    ).estimate
     time = np.arange(12000) / RATE_A
     assert np.all(estimate.status[(time > 40.6) & (time < 49.0)] == Status.COASTING)
     assert np.all(estimate.status[(time > 51.0) & (time < 60.0)] == Status.LOST)

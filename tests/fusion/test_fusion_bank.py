@@ -1,6 +1,7 @@
 """Many points in one loop against the estimator of one, and any cutting."""
 
 import numpy as np
+import pytest
 from estimator_cases import BIAS, NOISE_A, NOISE_D, camera, oscillating, samples_of, sensor_of
 
 from midspan.fusion.bank import MET_AT, POINT, VALUE, VARIANCE, Bank
@@ -51,7 +52,7 @@ def test_any_cutting_gives_the_same_bits():
         due = measured[:, MET_AT] <= time_s[last - 1]
         due &= measured[:, MET_AT] > (time_s[first - 1] if first else -1.0)
         found.append(stream.push(time_s[first:last], acceleration[:, first:last], density, measured[due]))
-        saved = stream.state.copy()
+        saved = stream.state
         stream = Bank(POINTS)
         stream.restore(saved)
     assert np.array_equal(np.concatenate(found, axis=1), whole)
@@ -62,5 +63,36 @@ def test_the_band_is_that_of_the_truth():
     bank = Bank(POINTS)
     bank.push(time_s, acceleration, density, measured)
     # 20 s at 0.1 mm: the bias is known to a few hundredths of what it may be.
-    assert np.allclose(bank.state[:, 2], BIAS, atol=2e-3)
-    assert np.all(np.sqrt(bank.state[:, 3]) < NOISE_D)
+    filters = bank.state.filters
+    assert np.allclose(filters[:, 2], BIAS, atol=2e-3)
+    assert np.all(np.sqrt(filters[:, 3]) < NOISE_D)
+
+
+@pytest.mark.parametrize(
+    ("column", "value"), [(VALUE, np.nan), (VALUE, np.inf), (VARIANCE, np.nan), (VARIANCE, np.inf)]
+)
+def test_of_what_is_not_finite_nothing_is_learnt(column, value):
+    time_s, acceleration, density, measured = points()
+    spoilt, wrong = measured.copy(), np.arange(len(measured)) % 50 == 20
+    spoilt[wrong, column] = value
+    found = Bank(POINTS).push(time_s, acceleration, density, spoilt)
+    # One of which nothing is learnt: its gain is 1e-20.
+    measured[wrong, VARIANCE] = 1e12
+    expected = Bank(POINTS).push(time_s, acceleration, density, measured)
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-12)
+
+
+def test_late_measurements_are_counted():
+    time_s, acceleration, density, measured = points()
+    bank = Bank(POINTS)
+    bank.push(time_s[:400], acceleration[:, :400], density, measured[:0])
+    late = measured[:, MET_AT] <= time_s[399]
+    bank.push(time_s[400:], acceleration[:, 400:], density, measured)
+    assert bank.state.late.tolist() == [np.count_nonzero(measured[late, POINT] == p) for p in range(POINTS)]
+
+
+def test_a_bank_restored_before_its_first_push_begins_as_a_new_one():
+    case = points()
+    bank = Bank(POINTS)
+    bank.restore(Bank(POINTS).state)
+    np.testing.assert_array_equal(bank.push(*case), Bank(POINTS).push(*case))

@@ -94,7 +94,7 @@ def test_beam_error_is_near_the_bound_and_the_band_is_honest(method, limit, nois
         case = beam(seed)
         if noise == "learnt":
             fit = learnt(case)
-            pair = blocks(case, fit.input_noise_density, fit.variance_factor, fit.offset.value_s)
+            pair = blocks(case, fit.input_noise.density, fit.variance_factor, fit.offset.value_s)
         else:
             pair = known_blocks(case)
         estimate = estimated(method, *pair)
@@ -132,7 +132,7 @@ def test_a_clock_offset_is_learnt_within_a_millisecond_and_costs_next_to_nothing
     assert fit.offset.value_s == pytest.approx(offset, abs=1e-3)
     assert abs(fit.offset.value_s - offset) < 4.0 * np.sqrt(fit.offset.variance)
     assert fit.scale == pytest.approx(1.0, abs=0.01)
-    pair = blocks(case, fit.input_noise_density, fit.variance_factor, fit.offset.value_s)
+    pair = blocks(case, fit.input_noise.density, fit.variance_factor, fit.offset.value_s)
     # A millisecond wrong would cost 18 %.
     assert rms(errors(estimated("smoother", *pair), case)) <= 1.10 * bound("smoother")
 
@@ -143,7 +143,7 @@ def test_noise_levels_are_learnt(seed):
     fit = learnt(case)
     # 990 measurements determine R to 7 %; q is softer: its effect on the error is the fourth root.
     assert fit.variance_factor == pytest.approx(case.noise[1] ** 2, rel=0.25)
-    assert fit.input_noise_density == pytest.approx(case.noise[0] ** 2 / RATE_HZ, rel=0.5)
+    assert fit.input_noise.density == pytest.approx(case.noise[0] ** 2 / RATE_HZ, rel=0.5)
 
 
 def test_stamps_are_met_where_they_are_not_on_the_nearest_sample():

@@ -15,8 +15,9 @@ from estimator_cases import (
 )
 
 from midspan.fusion.estimator import Estimator
+from midspan.fusion.forward import CHANNEL, SET_DATUM, WENT_BACK
 from midspan.fusion.model import EstimatorSettings, Parameter, ParameterKind
-from midspan.records import Samples, Source, Status, joined, part, seconds
+from midspan.records import Event, Samples, Source, Status, joined, part, seconds
 
 LENGTH_S = 40.0
 
@@ -186,7 +187,44 @@ def test_a_measurement_that_comes_too_late_is_told_once():
     stream.push(part(measured, slice(100, 110)))
     stream.push(part(measured, slice(110, 120)))
     found = stream.push(part(samples, slice(2000, 2100)))
-    assert [event.kind for one in found for event in one.events] == ["late"]
+    assert [(event.kind, event.time_ns) for one in found for event in one.events] == [("late", measured.time_ns[100])]
+
+
+def test_a_late_measurement_among_others_is_told_with_its_own_stamp():
+    rng = np.random.default_rng(11)
+    truth = oscillating(rng, LENGTH_S)
+    samples = samples_of(truth, rng, length_s=LENGTH_S)
+    measured = measured_of([sensor_of(truth, rng, length_s=LENGTH_S)])
+    stream = Estimator(EstimatorSettings((camera(),)))
+    stream.push(part(measured, slice(100)))
+    stream.push(part(samples, slice(2000)))
+    assert measured.time_ns[250] > samples.time_ns[1999]
+    stream.push(part(measured, np.array([250, 110])))
+    found = stream.push(part(samples, slice(2000, 3000)))
+    assert [(event.kind, event.time_ns) for one in found for event in one.events] == [("late", measured.time_ns[110])]
+
+
+def test_an_overflow_drops_no_datum_and_no_mark_of_stamps_that_went_back(monkeypatch):
+    monkeypatch.setattr("midspan.fusion.estimator.MAX_WAITING", 100)
+    rng = np.random.default_rng(11)
+    truth = oscillating(rng, LENGTH_S)
+    samples = samples_of(truth, rng, length_s=LENGTH_S)
+    measured = measured_of([sensor_of(truth, rng, length_s=LENGTH_S)])
+    datum_ns = int(measured.time_ns[60])
+    stream = Estimator(EstimatorSettings((camera(),), zero_ns=datum_ns))
+    stream.push(part(measured, slice(30)))
+    stream.push(part(samples, slice(300)))
+    stream.push(Event(int(measured.time_ns[50]), "backwards", ""))
+    for k in range(30, 300):
+        stream.push(part(measured, slice(k, k + 1)))
+    marks = stream.state.waiting[stream.state.waiting[:, CHANNEL] < 0.0]
+    assert marks[:, CHANNEL].tolist() == [WENT_BACK, SET_DATUM]
+    assert len(stream.state.waiting) == 102
+    rows = joined([one.estimates[0] for one in stream.push(part(samples, slice(300, None)))])
+    # Rows count from the datum: the next one is as far from it as the velocity says, to half of 1 m/s² times (10 ms)².
+    at = int(np.searchsorted(rows.time_ns, datum_ns))
+    since_s = (rows.time_ns[at] - datum_ns) / 1e9
+    assert abs(rows.displacement_m[at] - since_s * rows.velocity_m_s[at]) < 5e-5
 
 
 @pytest.mark.parametrize("begun", [False, True])

@@ -3,22 +3,18 @@
 import numpy as np
 from radar_cases import RATE, UNIT
 
-from midspan.radar.blockage import BlockageMonitor, BlockageSettings
+from midspan.radar.blockage import blocked
 
 
 def test_a_target_is_blocked_at_once_and_back_after_five_good_frames() -> None:
     amplitude = np.array([1.0, 1.1, 0.3, 0.9, 1.0, 1.0, 3.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0])
-    blocked = BlockageMonitor(1.0).push(amplitude)
-    np.testing.assert_array_equal(np.flatnonzero(~blocked), [0, 1, 11, 12])
-    parts = BlockageMonitor(1.0)
-    np.testing.assert_array_equal(np.concatenate([parts.push(amplitude[:4]), parts.push(amplitude[4:])]), blocked)
-    assert not BlockageMonitor(1.0, BlockageSettings(low=0.2, high=4.0)).push(amplitude).any()
+    np.testing.assert_array_equal(np.flatnonzero(~blocked(amplitude, 1.0)), [0, 1, 11, 12])
 
 
 def test_clutter_left_behind_an_obstruction_is_not_taken_for_the_target() -> None:
     # 30 dB below the target and 20 dB above the noise: a test against the noise would accept it.
-    assert BlockageMonitor(100.0).push(np.full(10, 3.0)).all()
-    assert BlockageMonitor(100.0).push(np.array([np.nan])).all()
+    assert blocked(np.full(10, 3.0), 100.0).all()
+    assert blocked(np.array([np.nan]), 100.0).all()
 
 
 def record(jump: int, *, std_m: float, clutter_m: float = 0.0, seed: int = 0):

@@ -12,7 +12,6 @@ from midspan.radar.range_profile import (
     bin_kernel,
     block_products,
     coarse_range,
-    coarse_range_std,
     followed,
     half_kernel,
     noise_gain,
@@ -104,8 +103,10 @@ def test_the_phase_between_the_halves_tells_the_range_with_the_predicted_scatter
     snr = 10**3.0  # 30 dB after the window
     std = np.sqrt(1.0 / snr / noise_gain(256))
     found = coarse_range((beat(true[4:5], SHORT) + std * noise) @ half_kernel(place, SHORT).T, place, SHORT)
-    assert np.std(found) == pytest.approx(float(coarse_range_std(snr, SHORT)), rel=0.08)
-    assert float(coarse_range_std(snr, SHORT)) == pytest.approx(0.77e-3, rel=0.15)
+    # Each half has twice the noise; the difference of two phases has variance 1 / snr_half; 128 samples lie between.
+    expected = np.sqrt(2.0 / snr) * 256 / (2.0 * np.pi * 128) * SHORT.bin_m
+    assert np.std(found) == pytest.approx(expected, rel=0.08)
+    assert expected == pytest.approx(0.77e-3, rel=0.15)
 
 
 def test_products_do_not_depend_on_how_many_frames_come_at_a_time() -> None:

@@ -158,7 +158,7 @@ def test_without_predictions_it_begins_in_full_swing_and_follows_three_times_the
 def outage(*, chirp=SHORT, beside=0.0):
     """Hidden from 10 to 12 s; the first prediction after it is 3.2 cycles off and says that it may be 2."""
     target = target_at(20.3, range_m=20.3 * chirp.bin_m)
-    chain = RadarChain([followed(target, chirp)])
+    chain = RadarChain([followed(target, chirp)], "near")
     moved = random_motion((0.5, 4.0), 2e-3, rng=np.random.default_rng(1)).displacement(np.arange(2600) / RATE)
     phasors = profiles(chain, moved, chirp=chirp, beside=beside)
     phasors[1000:1200] *= 0.01
@@ -184,8 +184,9 @@ def test_an_outage_leaves_a_new_zero_until_the_range_tells_the_cycle() -> None:
     assert found[-1].reference_variance_rad2 == 0.0
     kinds = [event.kind for one in found for event in one.events]
     assert kinds == ["blocked", "seen", "new datum", "cycle"]
-    (told,) = [one.events[0].text for one in found if one.events and one.events[0].kind == "cycle"]
-    assert "corrected by -3" in told
+    texts = [event.text for one in found for event in one.events]
+    assert all(text.startswith("near: the target") for text in texts)
+    assert "corrected by -3" in texts[-1]
 
 
 @pytest.mark.parametrize(("chirp", "beside"), [(SHORT, 0.3), (LONG_RANGE, 0.15)])

@@ -71,8 +71,12 @@ def test_the_scale_is_stored_and_read_again(gnss_copy, tmp_path):
     assert part["scale"] == result.calibration.displacement.scale
     assert part["scale_std"] == result.calibration.displacement.scale_std
     again = midspan.estimate(recording, calibration=file)
-    np.testing.assert_allclose(again.displacement_mm, result.displacement_mm, atol=1e-9)
-    np.testing.assert_allclose(again.displacement_std_mm, result.displacement_std_mm, rtol=1e-9)
+    # A given calibration's scale is estimated: the rows differ by what the record tells of it, far within the band.
+    assert np.all(np.abs(again.displacement_mm - result.displacement_mm) < 0.1 * result.displacement_std_mm)
+    # What the motion does not tell of it widens the band, by 3 % of the displacement from its start at most.
+    widest = np.hypot(result.displacement_std_mm, 0.03 * np.max(np.abs(result.displacement_mm)))
+    assert np.all(again.displacement_std_mm < 1.01 * widest)
+    assert np.all(again.displacement_std_mm > 0.99 * result.displacement_std_mm)
     part["scale"] = 0.0
     file.write_text(json.dumps(json.loads(file.read_text()) | {"displacement": part}))
     with pytest.raises(DataError, match=r"displacement\.scale = 0\.0: must not be 0"):

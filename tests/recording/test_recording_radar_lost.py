@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from midspan.radar.blockage import BlockageMonitor
+from midspan.radar.blockage import blocked
 from midspan.radar.channels import combined
 from midspan.radar.chirp import RangeAxis
 from midspan.radar.frames import RadarFrames, without_holes
@@ -70,7 +70,7 @@ def test_a_channel_with_a_hole_is_left_out_of_its_frame_and_the_others_keep_phas
 def test_a_frame_that_never_arrived_hides_none_of_those_after_it_as_something_in_the_way_does() -> None:
     amplitude = np.full(12, 100.0)
     amplitude[3] = np.nan
-    assert np.flatnonzero(BlockageMonitor(100.0).push(amplitude)).tolist() == [3]
+    assert np.flatnonzero(blocked(amplitude, 100.0)).tolist() == [3]
     amplitude[3] = 5.0
     # Five good frames in a row until it counts as back.
-    assert np.flatnonzero(BlockageMonitor(100.0).push(amplitude)).tolist() == [3, 4, 5, 6, 7]
+    assert np.flatnonzero(blocked(amplitude, 100.0)).tolist() == [3, 4, 5, 6, 7]

@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,8 +9,7 @@ import pytest
 import midspan
 from lively_recordings import Lively, write_several
 from midspan.cli.main import run
-from midspan.engine.sensors import RadarSensor
-from midspan.records import Event, PhaseMeasurement, RangeFrame, Status
+from midspan.records import Status
 from midspan.report.report import report_html
 from midspan.sinks.table import metadata_json
 
@@ -155,16 +153,6 @@ def test_a_refusal_names_the_sensor(tmp_path):
     folder = write_several(tmp_path / "site", BASE, "displacement", pair("displacement"))
     with pytest.raises(midspan.UntrustedError, match=r"\bone: its clock .*one\.estimate_offset"):
         midspan.calibrate(folder)
-
-
-def test_events_of_a_radar_name_it():
-    event = Event(5, "lost", "radar: the target at 12.00 m is not seen from here on.")
-    found = PhaseMeasurement(5, np.nan, np.inf, 0.0, Status.LOST, 0.0, (event,))
-    radar = RadarSensor("near", SimpleNamespace(push=lambda frame, expected: (found,)), [0])
-    (told,) = radar.push(
-        RangeFrame(5, np.zeros((1, 1)), np.ones(1, dtype=bool)), lambda channel, time_ns: (0.0, 1.0)
-    ).events
-    assert told.text == "near: the target at 12.00 m is not seen from here on."
 
 
 @pytest.mark.parametrize("method", ["kalman", "fir"])

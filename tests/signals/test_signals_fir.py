@@ -19,7 +19,7 @@ from midspan.signals.fir import (
     kaiser_low_pass,
     response,
 )
-from midspan.signals.integrate import RULES, integrating, second_integral
+from midspan.signals.integrate import RULES, integrating
 from midspan.signals.resample import REACH_STEPS, filtered_at, spline_kernel, spline_rows
 
 PAIR = Transition(0.5, 1.0)
@@ -101,22 +101,6 @@ def test_numerov_integrates_a_tenth_of_the_rate_to_a_thousandth_and_the_trapezoi
     # Series: 1 + (w dt)^4/240 = 0.07 %, 1 − (w dt)²/6 = −6.5 %; the ripple of the high-pass adds 0.1 %.
     assert found["numerov"] == pytest.approx(1.0, abs=2e-3)
     assert found["trapezoid"] == pytest.approx(1 - 0.065, abs=3e-3)
-
-
-@pytest.mark.parametrize("rule", RULES)
-def test_the_double_integral_keeps_newmarks_recurrence(rule):
-    rng = np.random.default_rng(3)
-    a, beta = rng.normal(size=200), RULES[rule]
-    x = second_integral(a, 0.02, rule=rule)
-    expected = 0.02**2 * (beta * a[2:] + (1 - 2 * beta) * a[1:-1] + beta * a[:-2])
-    np.testing.assert_allclose(np.diff(x, 2), expected, atol=1e-12)
-    assert x[0] == 0.0
-
-
-def test_a_constant_acceleration_is_integrated_exactly():
-    time = np.arange(500) / 100.0
-    for rule in RULES:
-        np.testing.assert_allclose(second_integral(np.full(500, 3.0), 0.01, rule=rule), 1.5 * time**2, atol=1e-10)
 
 
 @pytest.mark.parametrize("rows", [1, 30, 200, 5000, 40_000])
@@ -211,8 +195,8 @@ def test_a_filter_is_read_between_samples_as_its_own_cubic():
         lambda: equiripple_low_pass(Transition(1.0, 60.0), 100.0),
         lambda: integrating(np.ones(5), 0.01),
         lambda: integrating(complement(np.full(4, 0.25)), 0.01),
-        lambda: second_integral(np.zeros(3), 0.0),
-        lambda: second_integral(np.zeros(3), 0.01, rule="simpson"),
+        lambda: integrating(complement(np.full(5, 0.2)), 0.0),
+        lambda: integrating(complement(np.full(5, 0.2)), 0.01, rule="simpson"),
     ],
 )
 def test_wrong_settings_are_told(wrong):

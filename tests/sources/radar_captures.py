@@ -17,6 +17,29 @@ lvdsStreamCfg -1 {header} 1 0
 sensorStart
 """
 DEFAULTS = {"mask": 15, "bits": 2, "form": 1, "real": 0, "swap": 0, "samples": 64, "loops": 1, "frames": 0, "header": 0}
+# Settings as mmWave Studio saves them: 60.25 GHz, 65 MHz/µs, 4 MHz, 200 samples from 6 µs on, 14 bits, 20 Hz, 7 frames.
+STUDIO = {
+    "mmWaveDevice": "IWR6843",
+    "mmWaveDevices": [{
+        "rfConfig": {
+            "rlChanCfg_t": {"rxChannelEn": "0x7", "txChannelEn": "0x5"},
+            "rlAdcOutCfg_t": {"fmt": {"b2AdcBits": 1, "b2AdcOutFmt": 1}},
+            "rlProfiles": [{"rlProfileCfg_t": {
+                "profileId": 0, "startFreqConst_GHz": 60.25, "idleTimeConst_usec": 42.25, "adcStartTimeConst_usec": 6.0,
+                "rampEndTime_usec": 57.75, "freqSlopeConst_MHz_usec": 65.0, "numAdcSamples": 200,
+                "digOutSampleRate": 4000.0,
+            }}],
+            "rlChirps": [
+                {"rlChirpCfg_t": {"chirpStartIdx": k, "chirpEndIdx": k, "profileId": 0, "txEnable": mask}}
+                for k, mask in enumerate(("0x1", "0x4", "0x1", "0x4"))
+            ],
+            "rlFrameCfg_t": {
+                "chirpStartIdx": 0, "chirpEndIdx": 3, "numLoops": 1, "numFrames": 7, "framePeriodicity_msec": 50.0,
+            },
+        },
+        "rawDataCaptureConfig": {"rlDevDataFmtCfg_t": {"iqSwapSel": 1, "chInterleave": 1}},
+    }],
+}  # fmt: skip
 
 
 def settings(folder: Path, **changed: object) -> Path:

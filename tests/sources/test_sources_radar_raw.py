@@ -5,13 +5,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from radar_captures import echoes, settings, words_by_hand
+from radar_captures import STUDIO, echoes, settings, words_by_hand
 
 from midspan.errors import DataError, UsageError
 from midspan.radar.chirp import ChirpProfile
 from midspan.radar.layout import ORDERS, Layout, pack, unpack
 from midspan.simulate.motion.motion import Sines
-from midspan.simulate.radar.files import Capture, demo_settings, packets, studio_settings, write_capture
+from midspan.simulate.radar.files import Capture, demo_settings, packets, write_capture
 from midspan.simulate.radar.signal import LONG_RANGE, RadarModel, Reflector
 from midspan.sources.radar.dca1000 import RawCapture
 from midspan.sources.radar.formats import open_radar
@@ -290,7 +290,7 @@ def test_the_printed_settings_of_the_papers_radar_give_its_carrier_and_ranges(tm
 def test_studio_and_demo_settings_of_one_profile_agree(tmp_path: Path) -> None:
     profile = ChirpProfile(60.25e9, 65e12, 4e6, 200, 0.05, 6e-6, receivers=3, transmitters=(1, 4, 1, 4), bits=14)
     (tmp_path / "radar.cfg").write_text(demo_settings(profile, frames=7, order="QQII", device="xWR6843"))
-    (tmp_path / "radar.mmwave.json").write_text(studio_settings(profile, frames=7, order="QQII", device="IWR6843"))
+    (tmp_path / "radar.mmwave.json").write_text(json.dumps(STUDIO))
     demo, studio = read_settings(tmp_path / "radar.cfg"), read_settings(tmp_path / "radar.mmwave.json")
     for found in (demo, studio):
         assert (found.frames, found.order, found.order_said, found.lanes) == (7, "QQII", True, 2)

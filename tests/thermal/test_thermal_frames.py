@@ -7,7 +7,8 @@ from thermal_cases import RATE_HZ, REGION, error_px, filmed, followed, swing, wa
 from midspan.errors import DataError, UsageError
 from midspan.records import Frame, PixelTrack, PixelTranslation, Status
 from midspan.simulate.scene.thermal import Course, ThermalCamera, ThermalView, WarmBody
-from midspan.thermal.cleaning import CleaningSettings, ThermalCleaner
+from midspan.thermal import cleaning
+from midspan.thermal.cleaning import ThermalCleaner
 from midspan.thermal.limits import LimitFollower, Limits, folded
 from midspan.thermal.pattern import estimate_pattern
 from midspan.thermal.shutter import ShutterWatch
@@ -17,9 +18,9 @@ WALL = wall()
 PERSON = WarmBody(start_s=0.3, left_px=-10.0, speed_px_s=60.0, top_px=20.0, width_px=26.0, height_px=55.0)
 
 
-def cleaned(frames, name="hybrid", **settings):
+def cleaned(frames, name="hybrid"):
     """Tracks cleaned frames; a frame without a picture is LOST."""
-    cleaner = ThermalCleaner(frames[0], REGION, CleaningSettings(**settings))
+    cleaner = ThermalCleaner(frames[0], REGION)
     tracker, rows, events = None, [], []
     for frame in frames:
         made = cleaner.push(frame)
@@ -132,11 +133,12 @@ def test_a_pattern_is_not_guessed_from_a_scene_that_stands_still() -> None:
 
 
 @pytest.mark.parametrize("shutter", ["frozen", "closed"])
-def test_shutter_events_are_found_to_the_frame_and_bridged(shutter: str) -> None:
+def test_shutter_events_are_found_to_the_frame_and_bridged(shutter: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cleaning, "PATTERN_FRAMES", 10**6)  # more than there are
     moved = swing(90)
     camera = ThermalCamera(shutters_s=(1.0,), closed_s=0.4, shutter=shutter, drift_k_per_s=0.2)
     frames = filmed(ThermalView((WALL,), camera=camera), moved)
-    rows, events, cleaner = cleaned(frames, pattern_frames=0)
+    rows, events, cleaner = cleaned(frames)
     closed = [k for k, row in enumerate(rows) if row is None]
     assert closed == list(range(30, 42))
     assert [e.kind for e in events] == ["shutter"]
@@ -180,7 +182,7 @@ def test_single_frames_that_a_recorder_writes_twice_are_left_out_without_an_even
 def test_a_jump_of_the_level_is_told_and_moves_the_limits() -> None:
     frames = filmed(ThermalView((WALL,)), swing(20))
     stepped = [Frame(f.time_ns, f.pixels + np.float32(4.0 * (f.index >= 10)), f.index) for f in frames]
-    rows, events, cleaner = cleaned(stepped, pattern_frames=0)
+    rows, events, cleaner = cleaned(stepped)
     assert [e.kind for e in events] == ["level-step"]
     assert "+4.0" in events[0].text
     assert cleaner.limits.middle_c == pytest.approx(24.0, abs=0.5)
@@ -190,7 +192,7 @@ def test_a_jump_of_the_level_is_told_and_moves_the_limits() -> None:
 def test_the_cleaner_learns_the_pattern_and_forgets_it_at_the_shutter() -> None:
     camera = ThermalCamera(shutters_s=(1.8,), closed_s=0.2, pattern_k=0.1)
     frames = filmed(ThermalView((WALL,), contrast_k=0.6, camera=camera), swing(63))
-    cleaner = ThermalCleaner(frames[0], REGION, CleaningSettings(pattern_k=0.1))
+    cleaner = ThermalCleaner(frames[0], REGION)
     tracker, known = None, []
     for frame in frames:
         made = cleaner.push(frame)
@@ -204,11 +206,12 @@ def test_the_cleaner_learns_the_pattern_and_forgets_it_at_the_shutter() -> None:
 
 
 @pytest.mark.parametrize("cut", [10, 33, 50])
-def test_a_cleaner_restored_from_its_state_goes_on_alike(cut: int) -> None:
+def test_a_cleaner_restored_from_its_state_goes_on_alike(cut: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cleaning, "PATTERN_FRAMES", 12)
     camera = ThermalCamera(shutters_s=(1.0,), closed_s=0.2, pattern_k=0.1, drift_k_per_s=0.2)
     frames = filmed(ThermalView((WALL,), contrast_k=0.6, camera=camera), swing(66))
     truth = swing(66)
-    whole, other = (ThermalCleaner(frames[0], REGION, CleaningSettings(pattern_frames=12)) for _ in range(2))
+    whole, other = (ThermalCleaner(frames[0], REGION) for _ in range(2))
     for k, frame in enumerate(frames):
         if k == cut:
             other.restore(whole.state)

@@ -25,6 +25,9 @@ FOLLOWING = 10
 MOST_FOLLOWING = 35.0
 # In a long record noise that is a little coloured exceeds any limit: the correlations themselves must be large too.
 MOST_CORRELATED = 0.15
+# The share of the innovations' power without the acceleration that an accelerometer's slow errors may leave with it: a
+# tenth of the motion, by its gain, attitude and place.
+MAX_SLOW_ERROR = 0.01
 # Innovations beyond this many robust standard deviations count as that many.
 CLIPPED = 4.0
 # In a record longer than this a clock may drift, which windows of this length show.
@@ -58,8 +61,11 @@ def colour(fit: Fit) -> tuple[float, float]:
 
 
 def unexplained(pair: Pair, fit: Fit) -> bool:
-    """Whether what the fit leaves is motion, not noise, even where the sensor's clock may run apart evenly."""
-    if not _coloured(fit):
+    """Whether what the fit leaves is motion, not noise, even where the sensor's clock may run apart evenly.
+
+    Where the acceleration explains nearly all, it is how that errs: slowly.
+    """
+    if not _coloured(fit) or np.exp(-2.0 * fit.gain / len(fit.whitened.variance)) < MAX_SLOW_ERROR:
         return False
     straight = straightened(pair, fit)
     return straight is None or _coloured(straight[0])

@@ -110,5 +110,5 @@ def at_offset(found: ScaleCalibration, offset: TimeOffset) -> ScaleCalibration:
         search=replace(search, fit=fit, offset=offset),
         noise=NoiseLevel(float(np.sqrt(fit.noise))),
         variance_factor=fit.noise / typical,
-        input_noise_density=fit.input_density,
+        input_noise=search.pair.input_noise(fit.input_density),
     )

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from midspan.calibration.minimum import minimum
 from midspan.calibration.whitening import Response, Whitened, integrated, levelled, usable, whiten_columns
-from midspan.records import Floats
+from midspan.records import Floats, InputNoise
+from midspan.signals.lively import mean_square
 
 # Ratio, time offset and the ratio of the noise levels are fitted beside the noise itself.
 FITTED = 3
@@ -24,6 +25,10 @@ FITTED = 3
 SMALLEST_RATIO = 0.01
 # The prior of the corner frequency is its own power of this order.
 PRIOR_POWER = 2.0
+# The density of an acceleration's noise that goes with its motion is constant for this long, s.
+PIECE_S = 0.1
+# Shares of the noise that may go with the motion, as the logarithm of their odds: from a hundredth on.
+ODDS, ODDS_TRIED, ODDS_TOLERANCE = (-4.6, 9.2), 6, 0.3
 # Corner frequencies tried before the best one's neighbours are searched, and how well its logarithm is found.
 CORNERS, CORNER_TOLERANCE = 9, 0.02
 # A known corner is searched within this factor (logarithm).
@@ -45,6 +50,8 @@ class Pair:
     gets a factor of its own. None: all of the acceleration decides.
     reference: the size of the ratio that other ratios are compared with, None at first (see `shrinking`).
     level_m_s2: the mean acceleration, which the samples are without.
+    motion_share: share of the accelerometer's noise, 0 to 1, that goes with the mean square of the motion (see
+    `signals.lively`), of the mean over the record.
     """
 
     samples: Floats
@@ -54,6 +61,7 @@ class Pair:
     outside: Floats | None = None
     reference: float | None = None
     level_m_s2: float = 0.0
+    motion_share: float = 0.0
 
     @property
     def rate_hz(self) -> float:
@@ -75,6 +83,29 @@ class Pair:
         """The acceleration integrated twice, and what is outside a band where one is given."""
         return tuple(integrated(samples) for samples in (self.samples, self.outside) if samples is not None)
 
+    @cached_property
+    def lively(self) -> Floats:
+        """Mean square (n,) of the acceleration up to each sample, m²/s⁴."""
+        value = self.samples[:, 1]
+        return mean_square(value, 0.0, float(np.mean(value**2)), self.sample_rate_hz)
+
+    @cached_property
+    def pieces(self) -> Floats:
+        """Times (g,) until which the relative density of the acceleration's noise is constant, and that density."""
+        time_s, density = self.samples[:, 0], self.samples[:, 2]
+        ends = np.r_[np.diff(density) != 0.0, True]
+        if self.motion_share > 0.0:
+            # What bridging adds stays.
+            own = self.lively / np.mean(self.lively)
+            density = density + self.motion_share * (own - np.minimum(density, 1.0))
+            ends[:: max(round(PIECE_S * self.sample_rate_hz), 1)] = True
+        return np.column_stack((time_s, density))[ends]
+
+    def input_noise(self, mean_density: float) -> InputNoise:
+        """The acceleration's noise whose mean density over the record is `mean_density`, (m/s²)²/Hz."""
+        share = self.motion_share
+        return InputNoise((1.0 - share) * mean_density, share * mean_density / float(np.mean(self.lively)))
+
     def used(self, offset_s: float) -> NDArray[np.int64]:
         """Which rows are compared at an offset."""
         return usable(self.rows, offset_s, (float(self.responses[0].edges_s[0]), float(self.samples[-1, 0])))
@@ -85,8 +116,8 @@ class Fit:
     """One evaluation of the likelihood.
 
     ratio: translation per metre of displacement (the inverse scale factor), with its variance at this offset;
-    noise: variance of the translation per unit of relative variance; input_density: noise density of the acceleration
-    in (m/s²)²/Hz; likelihood: logarithm, without constants; without: the same with the acceleration ignored.
+    noise: variance of the translation per unit of relative variance; input_density: mean noise density of the
+    acceleration, (m/s²)²/Hz; likelihood: logarithm, without constants; without: the same with no acceleration.
     """
 
     offset_s: float
@@ -136,7 +167,7 @@ class Aligned:
         """The columns' innovations with a corner frequency (rad/s) where the two noise levels meet."""
         pair = self.pair
         density = corner**4 / pair.rate_hz
-        w = whiten_columns(self.rows, self.values, pair.responses[0].pieces, density)
+        w = whiten_columns(self.rows, self.values, pair.pieces, density)
         return replace(w, index=self.index[w.index], bias=w.bias - self.parabola)
 
     def fit(self, corner: float) -> Fit:
@@ -153,7 +184,8 @@ class Aligned:
         if pair.ratio is None:
             # Accelerometer noise in the response shrinks the regression; its expected share is known and taken back.
             ratio *= 1.0 + min(noise * w.input_share / max(ratio * ratio * power, 1e-300), 0.1)
-        alike = PRIOR_POWER * float(np.log(corner)) - w.entropy
+        # The corner of the noise that does not go with the motion.
+        alike = PRIOR_POWER * float(np.log(corner) + 0.25 * np.log1p(-pair.motion_share)) - w.entropy
         return Fit(
             offset_s=self.offset_s,
             corner=corner,
@@ -210,8 +242,11 @@ def corner_range(pair: Pair) -> tuple[float, float]:
 
 def best_corner(pair: Pair, offset_s: float, corner: float | None = None) -> Fit:
     """The most likely noise ratio at a fixed time offset, near `corner` (rad/s) where one is given."""
-    here = aligned(pair, offset_s)
-    low, high = np.log(corner_range(pair))
+    return _best_corner(aligned(pair, offset_s), corner)
+
+
+def _best_corner(here: Aligned, corner: float | None) -> Fit:
+    low, high = np.log(corner_range(here.pair))
     if corner is None:
         tried = np.linspace(low, high, CORNERS)
         first = tried[int(np.argmax([here.fit(float(np.exp(value))).likelihood for value in tried]))]
@@ -221,6 +256,28 @@ def best_corner(pair: Pair, offset_s: float, corner: float | None = None) -> Fit
     bounds = max(low, first - near), min(high, first + near)
     found = minimum(lambda value: -here.fit(float(np.exp(value))).likelihood, *bounds, CORNER_TOLERANCE)
     return here.fit(float(np.exp(found)))
+
+
+def with_motion_noise(pair: Pair, fit: Fit) -> tuple[Pair, Fit]:
+    """The pair with the most likely share of the accelerometer's noise that goes with the motion, and its fit.
+
+    A constant noise is kept unless the share gains more than a parameter costs that tells nothing (G. Schwarz,
+    Estimating the dimension of a model, Ann. Statist. 6 (1978) 461-464, doi 10.1214/aos/1176344136).
+    """
+    constant = replace(pair, motion_share=0.0)
+    here = aligned(constant, fit.offset_s)
+
+    def with_odds(odds: float) -> Fit:
+        share = float(1.0 / (1.0 + np.exp(-odds)))
+        return _best_corner(replace(here, pair=replace(pair, motion_share=share)), fit.corner)
+
+    tried = np.linspace(*ODDS, ODDS_TRIED)
+    best, step = float(tried[int(np.argmax([with_odds(odds).likelihood for odds in tried]))]), tried[1] - tried[0]
+    odds = minimum(lambda one: -with_odds(one).likelihood, max(best - step, ODDS[0]), best + step, ODDS_TOLERANCE)
+    found, without = with_odds(odds), _best_corner(here, fit.corner)
+    if found.likelihood - without.likelihood < 0.5 * np.log(max(len(here.rows), 1)):
+        return constant, without
+    return replace(pair, motion_share=float(1.0 / (1.0 + np.exp(-odds)))), found
 
 
 def refine(pair: Pair, fit: Fit, bound_s: float) -> Fit:

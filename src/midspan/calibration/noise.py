@@ -5,13 +5,22 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from midspan.calibration.agreement import clearly_better, noise_share, straightened
-from midspan.calibration.fit import Fit, Pair, aligned, best_corner, corner_range, evaluate, refine
+from midspan.calibration.fit import (
+    Fit,
+    Pair,
+    aligned,
+    best_corner,
+    corner_range,
+    evaluate,
+    refine,
+    with_motion_noise,
+)
 from midspan.calibration.minimum import minimum
 from midspan.calibration.outliers import without_lonely_outliers
 from midspan.calibration.scale import LEAST_GAIN as LEAST_AGREEMENT
 from midspan.calibration.scale import white_noise
 from midspan.calibration.time_offset import BEYOND, OffsetSearch, cleaned, curvature, search_offset
-from midspan.records import TimeOffset
+from midspan.records import InputNoise, TimeOffset
 
 # A clock offset is only applied when it is this certain and the likelihood gains this much over none.
 CERTAIN_S = 0.02
@@ -47,8 +56,8 @@ class Findings:
 class NoiseCalibration:
     """Noise levels and clock offset of a displacement sensor.
 
-    variance_factor: learnt variance per unit of the variance given with each measurement; input_noise_density: of the
-    acceleration, (m/s²)²/Hz; offset: of the sensor's clock (zero with infinite variance when the motion does not tell);
+    variance_factor: learnt variance per unit of the variance given with each measurement; input_noise: of the
+    acceleration; offset: of the sensor's clock (zero with infinite variance when the motion does not tell);
     scale: the sensor's apparent scale against the accelerometer (1 when both are right) with its standard deviation.
     reversed_gain: how much more likely (logarithm) the measurements are with the opposite sign; negative when they
     are right. factor, factor_std: metres in one metre read, where that was learnt as well: the other figures hold for
@@ -57,7 +66,7 @@ class NoiseCalibration:
     """
 
     variance_factor: float
-    input_noise_density: float
+    input_noise: InputNoise
     offset: TimeOffset
     scale: float
     scale_std: float
@@ -114,7 +123,7 @@ def _with_scale(
         scale, std = straight[0].ratio, float(np.sqrt(straight[0].ratio_variance))
     return NoiseCalibration(
         variance_factor=fit.noise,
-        input_noise_density=fit.input_density,
+        input_noise=pair.input_noise(fit.input_density),
         offset=offset,
         scale=scale,
         scale_std=std,
@@ -150,8 +159,9 @@ def applied(search: OffsetSearch, fit: Fit, variance: float, max_offset_s: float
 
 def without_outliers(pair: Pair) -> tuple[Pair, Fit]:
     """The pair without outliers and its fit at no offset."""
-    pair = cleaned(pair, best_corner(pair, 0.0))
-    return pair, best_corner(pair, 0.0)
+    pair, fit = with_motion_noise(pair, best_corner(pair, 0.0))
+    pair = cleaned(pair, fit)
+    return with_motion_noise(pair, best_corner(pair, 0.0))
 
 
 def learn_motion(pair: Pair) -> float:

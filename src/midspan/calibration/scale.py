@@ -8,7 +8,7 @@ from midspan.calibration.agreement import clearly_better
 from midspan.calibration.fit import Fit, Pair
 from midspan.calibration.time_offset import OffsetSearch, search_offset
 from midspan.errors import NoAgreementError, UntrustedError
-from midspan.records import Floats, NoiseLevel, ScaleFactor
+from midspan.records import Floats, InputNoise, NoiseLevel, ScaleFactor
 from midspan.signals.health import dominant_frequency
 from midspan.signals.medians import SIGMA_OF_MEDIAN
 
@@ -38,14 +38,14 @@ class ScaleCalibration:
     """Scale factor, clock offset and noise of one camera.
 
     noise: standard deviation of the translation, px; variance_factor: learnt variance over the tracker's own variance;
-    input_noise_density: of the acceleration, (m/s²)²/Hz; search: what was tried, for the report; warnings: sentences.
+    input_noise: of the acceleration; search: what was tried, for the report; warnings: sentences.
     """
 
     scale: ScaleFactor
     search: OffsetSearch
     noise: NoiseLevel
     variance_factor: float
-    input_noise_density: float
+    input_noise: InputNoise
     warnings: tuple[str, ...]
 
 
@@ -78,7 +78,7 @@ def calibrate_scale(pair: Pair, max_offset_s: float) -> ScaleCalibration:
         search=search,
         noise=NoiseLevel(float(np.sqrt(fit.noise))),
         variance_factor=fit.noise / typical,
-        input_noise_density=fit.input_density,
+        input_noise=search.pair.input_noise(fit.input_density),
         warnings=tuple(_warnings(search, relative, usable)),
     )
 

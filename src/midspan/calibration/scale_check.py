@@ -39,6 +39,9 @@ SCALED = {
     Source.RADAR: "conversion_factor",
     Source.DISPLACEMENT: "scale, or the unit,",
 }
+FOLLOWED = (
+    "the rows follow the accelerometer's as the motion tells it, and the error band holds what it does not tell yet"
+)
 CLOCKED = (Source.RADAR, Source.DISPLACEMENT)
 
 
@@ -84,11 +87,17 @@ class Fitting:
 
 
 def fitting(
-    acceleration: Acceleration, sensors: Sequence[Sensed], along: str = "", *, max_offset_s: float = 0.0
+    acceleration: Acceleration,
+    sensors: Sequence[Sensed],
+    along: str = "",
+    *,
+    max_offset_s: float = 0.0,
+    followed: bool = False,
 ) -> Fitting:
     """How the calibrated scales and clocks fit the recording; along: a second axis in words.
 
-    max_offset_s: largest clock offset looked for. Raises UntrustedError where one is wrong beyond doubt.
+    max_offset_s: largest clock offset looked for; followed: the method estimates the scales on its way. Raises
+    UntrustedError where one is wrong beyond doubt.
     """
     found = Fitting([], {})
     refused = REFUSED if len(sensors) < 2 else REFUSED_BESIDE
@@ -96,7 +105,9 @@ def fitting(
         found.scale_std[sensed.sensor] = sensed.relative_scale_std
         scale = apparent_scale(acceleration, sensed, max_offset_s)
         if scale is not None:
-            found.warnings.extend((*_clock_warnings(scale, sensed), *_scale_warnings(scale, sensed, along, refused)))
+            found.warnings.extend(
+                (*_clock_warnings(scale, sensed), *_scale_warnings(scale, sensed, along, refused, followed=followed))
+            )
             found.scale_std[sensed.sensor] = _with_surplus(scale, sensed.relative_scale_std)
     return found
 
@@ -107,7 +118,7 @@ def _with_surplus(scale: ApparentScale, known: float) -> float:
     return float(np.sqrt(known**2 + max((scale.value - 1.0) ** 2 - expected**2, 0.0)))
 
 
-def _scale_warnings(scale: ApparentScale, sensed: Sensed, along: str, refused: float) -> list[str]:
+def _scale_warnings(scale: ApparentScale, sensed: Sensed, along: str, refused: float, *, followed: bool) -> list[str]:
     known = sensed.relative_scale_std
     off, least = abs(scale.value - 1.0), CERTAIN * float(np.hypot(scale.std, known))
     if off <= max(TOLD, least):
@@ -118,7 +129,8 @@ def _scale_warnings(scale: ApparentScale, sensed: Sensed, along: str, refused: f
         "this recording"
     )
     if off <= max(refused, least):
-        return [f"{text}; the error band holds the {100.0 * off:.2g} %. Calibrate this recording."]
+        held = FOLLOWED if followed else f"the error band holds the {100.0 * off:.2g} %"
+        return [f"{text}; {held}. Calibrate this recording."]
     turned = " The sign is reversed." if abs(scale.value + 1.0) < max(refused, least) else ""
     raise UntrustedError(f"{text}.{turned} Calibrate this recording.")
 

@@ -98,7 +98,7 @@ def _scaled(pair: Pair, fit: Fit, offset: TimeOffset, search: OffsetSearch | Non
             )
     return NoiseCalibration(
         variance_factor=fit.noise * factor * factor,
-        input_noise_density=fit.input_density,
+        input_noise=pair.input_noise(fit.input_density),
         offset=offset,
         scale=1.0,
         scale_std=relative,

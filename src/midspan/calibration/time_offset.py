@@ -20,6 +20,7 @@ from midspan.calibration.fit import (
     evaluate,
     gauss_newton,
     refine,
+    with_motion_noise,
 )
 from midspan.calibration.outliers import MARKING_ROUNDS, mark_outliers, without_lonely_outliers
 from midspan.calibration.whitening import levelled, whiten_columns
@@ -70,17 +71,20 @@ def search_offset(pair: Pair, max_offset_s: float, edge_s: float = 0.0) -> Offse
     pair = without_lonely_outliers(pair)
     offsets = _grid(pair, -max_offset_s - edge_s, max_offset_s + edge_s)
     step = float(offsets[1] - offsets[0])
-    for _ in range(ROUNDS):
+    for turn in range(ROUNDS):
         curve, corner = scan(pair, offsets)
         fits = _refined(pair, offsets, curve, corner)
         best = max(fits, key=_likelihood)
-        # What outliers have hidden shows in a search without them.
-        again = cleaned(pair, best, step)
+        # What is lively is no outlier. What outliers have hidden shows in a search without them.
+        again = cleaned(with_motion_noise(pair, best)[0] if turn == 0 else pair, best, step)
         if _may_shrink(pair, _apart(fits, best, step), best):
             again = replace(again, reference=abs(best.ratio))
         if again is pair:
             break
         pair = again
+    pair = with_motion_noise(pair, best)[0]
+    fits = [refine(pair, fit, step) for fit in fits]
+    best = max(fits, key=_likelihood)
     if edge_s > 0.0:
         fits = _within(pair, fits, max_offset_s)
         best = max(fits, key=_likelihood)
@@ -125,7 +129,7 @@ def _likelihoods(pair: Pair, rows: Floats, offsets: Floats, corners: Floats) -> 
     at = np.column_stack((rows[:, 0] + float(np.mean(offsets)), rows[:, 2]))
     table = np.empty((len(corners), count))
     for k, corner in enumerate(corners):
-        w = whiten_columns(at, values, pair.responses[0].pieces, corner**4 / pair.rate_hz)
+        w = whiten_columns(at, values, pair.pieces, corner**4 / pair.rate_hz)
         standard = w.columns / np.sqrt(w.variance)[:, None]
         translation, response, outside = np.split(standard, (1, 1 + count), axis=1)
         total, cross, power = _sums(translation, translation), _sums(translation, response), _sums(response, response)

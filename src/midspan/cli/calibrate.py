@@ -40,9 +40,14 @@ def describe(console: Console, tree: dict) -> None:  # type: ignore[type-arg]
             rows += described(part, part.get("name") or kind)
     rows += [
         ("accelerometer noise", f"{1e3 * acceleration['noise_std_m_s2']:.3g} mm/s² per sample"),
+        ("noise that goes with the motion", _motion_noise(acceleration["motion_noise_s"])),
         ("accelerometer bias", _bias(acceleration)),
     ]
     console.table(rows)
+
+
+def _motion_noise(motion_s: float) -> str:
+    return f"{motion_s:.2g} s times its mean square" if motion_s > 0.0 else "none found"
 
 
 def _bias(acceleration: dict) -> str:  # type: ignore[type-arg]

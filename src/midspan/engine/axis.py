@@ -3,7 +3,7 @@
 What is decided of a sample depends on the samples up to the one that decides it, not on how they are cut into blocks.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from midspan.signals.health import (
     overshoot,
     runs,
 )
+from midspan.signals.lively import mean_square
 
 # Samples already given out that are still looked at: a run counts as reached gently by the five steps before it.
 CONTEXT = 6
@@ -36,7 +37,8 @@ class AxisFigures:
 
     mean_m_s2, variance (m²/s⁴), dominant_hz: of what was measured; low_m_s2, high_m_s2: the smallest and largest value
     seen; resolution_m_s2: smallest step of values; moved_m: standard deviation of the displacement. noise_density:
-    (m/s²)²/Hz; name: file and channel, for messages.
+    (m/s²)²/Hz; name: file and channel, for messages; motion_noise_s: what the noise density has besides per mean square
+    (m²/s⁴) of the motion, s.
     """
 
     mean_m_s2: float
@@ -48,6 +50,7 @@ class AxisFigures:
     moved_m: float = 0.0
     noise_density: float = 0.0
     name: str = ""
+    motion_noise_s: float = 0.0
 
     @property
     def frequency_hz(self) -> float:
@@ -127,8 +130,8 @@ class AxisMemory:
     """What an axis knows: the last samples given out (`given` of them) and those held back, time_ns and value (n,).
 
     Of the last sample given out: equal: length of the run of equal values that ends there; gentle: whether that run, if
-    longer than one, was reached gently; low, high: extremes so far; lost, lost_from_ns: length and start of the long
-    hole it lies in.
+    longer than one, was reached gently; low, high: extremes so far; power: mean square of the motion, m²/s⁴; lost,
+    lost_from_ns: length and start of the long hole it lies in.
     """
 
     time_ns: Nanoseconds
@@ -138,6 +141,7 @@ class AxisMemory:
     gentle: bool
     low: float
     high: float
+    power: float
     lost: int
     lost_from_ns: int
 
@@ -145,12 +149,12 @@ class AxisMemory:
     def before(cls, figures: AxisFigures) -> "AxisMemory":
         """What is known before the first sample."""
         nothing = np.empty(0, dtype=np.int64)
-        return cls(nothing, np.empty(0), 0, 0, True, figures.low_m_s2, figures.high_m_s2, 0, 0)
+        return cls(nothing, np.empty(0), 0, 0, True, figures.low_m_s2, figures.high_m_s2, figures.variance, 0, 0)
 
 
 @dataclass(frozen=True, slots=True)
 class Bridged:
-    """Samples that are decided: value, density (what bridging adds to the noise) and whether bridged, arrays (n,)."""
+    """Samples that are decided, arrays (n,): value, density (what bridging and motion add to the noise), if bridged."""
 
     value: Floats
     density: Floats
@@ -183,6 +187,8 @@ def bridge(
     filled, release, lost = _filled(time_ns, value, (missing, decided), memory, (figures, limits), end=end)
     if release == memory.given:
         return _waiting(memory, time_ns, value), filled
+    power = mean_square(filled.value, figures.mean_m_s2, memory.power, limits.rate_hz)
+    filled = replace(filled, density=filled.density + figures.motion_noise_s * power)
     last, first = release - 1, max(release - CONTEXT, 0)
     known = value[memory.given : release]
     start = last - int(equal[last]) + 1
@@ -194,6 +200,7 @@ def bridge(
         gentle=_is_gentle(value, start, memory, figures),
         low=float(np.fmin.reduce(known, initial=memory.low)),
         high=float(np.fmax.reduce(known, initial=memory.high)),
+        power=float(power[-1]),
         lost=lost[0],
         lost_from_ns=lost[1],
     )
@@ -208,12 +215,17 @@ def is_sound(memory: AxisMemory, fresh: Floats) -> bool:
     return bool(within and fresh[0] != memory.value[-1] and (fresh[1:] != fresh[:-1]).all())
 
 
-def passed(memory: AxisMemory, time_ns: Nanoseconds, fresh: Floats) -> AxisMemory:
-    """The memory after sound samples (n,), which are given out as they are."""
+def passed(
+    memory: AxisMemory, samples: tuple[Nanoseconds, Floats], figures: AxisFigures, rate_hz: float
+) -> tuple[AxisMemory, Floats]:
+    """The memory after sound samples (n,), which are given out as they are, and what the motion adds to their noise."""
+    time_ns, fresh = samples
+    power = mean_square(fresh, figures.mean_m_s2, memory.power, rate_hz)
     if len(fresh) < CONTEXT:
         time_ns, fresh = np.concatenate((memory.time_ns, time_ns)), np.concatenate((memory.value, fresh))
     last_ns, last = time_ns[-CONTEXT:].copy(), fresh[-CONTEXT:].copy()
-    return AxisMemory(last_ns, last, len(last), 1, False, memory.low, memory.high, 0, 0)
+    after = AxisMemory(last_ns, last, len(last), 1, False, memory.low, memory.high, float(power[-1]), 0, 0)
+    return after, figures.motion_noise_s * power
 
 
 def _waiting(memory: AxisMemory, time_ns: Nanoseconds, value: Floats) -> AxisMemory:
@@ -226,6 +238,7 @@ def _waiting(memory: AxisMemory, time_ns: Nanoseconds, value: Floats) -> AxisMem
         memory.gentle,
         memory.low,
         memory.high,
+        memory.power,
         memory.lost,
         memory.lost_from_ns,
     )

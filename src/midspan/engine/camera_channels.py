@@ -53,7 +53,7 @@ def camera_channels(
     for numbers, camera in zip(along, calibrations, strict=True):
         # An axis without an accelerometer has the other's scale factor.
         shared = numbers if camera.fused else []
-        table.uncertain(ParameterKind.SCALE_ERROR, shared or [*numbers, *along[-1]], camera.relative_std)
+        table.scaled(shared or [*numbers, *along[-1]], camera.relative_std)
     every = [number for numbers in along for number in numbers]
     table.uncertain(ParameterKind.CLOCK_OFFSET, every, clock_std_s(calibrations[0].offset))
     return CameraSensor(sensor, tracking.chain, rows, [camera.direction for camera in calibrations])

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from midspan.calibration.sensors.displacement import DisplacementCalibration
+from midspan.engine.order import FIRST_NS
 from midspan.engine.plain import PlainChain, PlainSettings
 from midspan.engine.sensors import PlainSensor
 from midspan.fusion.model import Parameter, ParameterKind
@@ -18,14 +19,27 @@ COASTING_INTERVALS, LOST_INTERVALS, MIN_COASTING_S, MIN_LOST_S = 2.5, 10.0, 0.05
 # The usual interval of a stream is the median between so many stamps at its beginning: jitter of a tenth of an interval
 # then changes it by a hundredth.
 FIRST_STAMPS = 100
+# Relative standard deviation of a scale of a given calibration beside what that one states: the sensitivity of ordinary
+# accelerometers is within ±5 % of the data sheet's, which is 5 % / sqrt(3) where every value is as likely.
+GIVEN_SCALE_STD = 0.03
+# Density of the random walk of such a scale, 1/s: sensitivities change by 1 % from one day to the next at most.
+SCALE_WALK = 1e-4 / 86400.0
+# The motion tells such a scale only where what the acceleration tells of the displacement is 10 standard deviations of
+# the prediction. The acceleration's own noise follows no sensor, which looks like a scale of less: a quarter of the
+# prediction's variance is its (a double integrator's filter in its steady state), so that what is left is 1/400 of it.
+CLEAR_MOTION = 400.0
 
 
 @dataclass(slots=True)
 class Table:
-    """The estimator's channels and parameters as they are gathered, sensor by sensor."""
+    """The estimator's channels and parameters as they are gathered, sensor by sensor.
+
+    given: the calibration was not estimated from this recording.
+    """
 
     channels: list[Channel] = field(default_factory=list)
     parameters: list[Parameter] = field(default_factory=list)
+    given: bool = False
 
     def add(self, channel: Channel) -> int:
         """Put a channel to the table; returns its number."""
@@ -36,6 +50,19 @@ class Table:
         """Put an uncertain value that the channels share to the table, where there is any doubt of it."""
         if 0.0 < std < np.inf:
             self.parameters.append(Parameter(kind, tuple(channels), std))
+
+    def scaled(self, channels: Sequence[int], relative_std: float) -> None:
+        """Put the scale error that the channels share to the table.
+
+        Of a given calibration it is estimated, from `GIVEN_SCALE_STD` besides; otherwise the band alone holds it.
+        """
+        if not self.given:
+            self.uncertain(ParameterKind.SCALE_ERROR, channels, relative_std)
+            return
+        std = float(np.hypot(relative_std, GIVEN_SCALE_STD))
+        self.parameters.append(
+            Parameter(ParameterKind.SCALE_ERROR, tuple(channels), std, FIRST_NS, SCALE_WALK, CLEAR_MOTION)
+        )
 
 
 def interval_s(times: Nanoseconds) -> float:
@@ -72,7 +99,7 @@ def plain_channel(
             lost_s=lost_s,
         )
     )
-    table.uncertain(ParameterKind.SCALE_ERROR, [channel], calibration.relative_std)
+    table.scaled([channel], calibration.relative_std)
     table.uncertain(ParameterKind.CLOCK_OFFSET, [channel], clock_std_s(calibration.offset))
     step_m = calibration.resolution_m
     settings = PlainSettings(

@@ -2,61 +2,25 @@
 
 Bytes: MAGIC, version and length of the tree (little-endian), SHA-256 of these two and all that follows, the tree as
 JSON, the arrays' numbers one after another. In the tree None, truth values, whole numbers, finite floats and texts
-stand for themselves; everything else is a list that begins with its tag.
+stand for themselves; everything else is a list that begins with its tag. A record or an enum stands there by name;
+which names there are follows from the types of the expected record's fields, and nothing is imported by a name.
 """
 
 import hashlib
 import json
 import math
 import struct
-from dataclasses import fields
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
 from enum import Enum
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
 
-from midspan import records
-from midspan.engine.axis import AxisFigures, AxisMemory, Bridged
-from midspan.engine.camera import CameraState
-from midspan.engine.camera_target import TargetState
-from midspan.engine.guard import GuardState, Stamps
-from midspan.engine.merge import MergeState, StreamMemory
-from midspan.engine.plain import EqualRun, PlainState
-from midspan.engine.point import PointState
-from midspan.engine.radar_target import FollowedState
-from midspan.engine.sensors import CameraSensorState
-from midspan.engine.switching import SwitchState
-from midspan.engine.thermal_target import ThermalTargetState
+from midspan.engine.target_opening import tracker_states
 from midspan.errors import DataError
-from midspan.fusion.decisions import Decided, Telling, Undecided
-from midspan.fusion.estimator import EstimatorState
-from midspan.fusion.model import Beginning, Filter
-from midspan.fusion.second_pass import LagState
-from midspan.fusion.unmeasured import Integrated
-from midspan.radar.range_gap import FirstFrames, RangeGap
-from midspan.thermal.cleaning import CleaningState
-from midspan.thermal.limits import LimitState
-from midspan.thermal.pattern import FixedPattern
-from midspan.thermal.shutter import ShutterState
 from midspan.trees import TreeError, json_tree
-from midspan.vision.bank import Plane
-from midspan.vision.compression import Check, CodecState, Comparison
-from midspan.vision.hybrid import PhaseState
-from midspan.vision.learning import KeptSamples, Sample
-from midspan.vision.light import LightState
-from midspan.vision.phase_model import PhaseAxis, PhaseModel
-from midspan.vision.picture_counts import AxisCounts, PictureCounts
-from midspan.vision.picture_difference import Difference, Square
-from midspan.vision.picture_quality import Lag, PictureState
-from midspan.vision.reference.light import Mix
-from midspan.vision.reference.pictures import Pictures
-from midspan.vision.reference.records import Chain, KeyFrame
-from midspan.vision.reference.state import Appearance, KeyFrameState, Overlap
-from midspan.vision.reference.updating import Reference, UpdatingState
-from midspan.vision.registration import Learnt, RegistrationState
-from midspan.vision.target import Motion
-from midspan.vision.template import TemplateState
 
 MAGIC, VERSION = b"midspan\0", 1
 # Version, length of the tree; the digest stands between them and the tree.
@@ -69,106 +33,39 @@ TUPLE, RECORD, ENUM, ARRAY, SCALAR, NOT_FINITE, COMPLEX = "t", "r", "e", "a", "n
 DTYPES = frozenset(
     ("|b1", "|i1", "|u1", "<i2", "<u2", "<i4", "<u4", "<i8", "<u8", "<f2", "<f4", "<f8", "<c8", "<c16"),
 )
-# The records that a state may consist of; a stage with a new one has a row here.
-RECORDS: tuple[type, ...] = (
-    records.Acceleration,
-    records.Arrival,
-    records.Channel,
-    records.ChirpFrame,
-    records.ClockOffset,
-    records.Displacement,
-    records.Estimate,
-    records.Event,
-    records.Frame,
-    records.Health,
-    records.Innovation,
-    records.Measured,
-    records.PixelTrack,
-    records.PixelTranslation,
-    records.Prediction,
-    records.RangeFrame,
-    records.RangeFrames,
-    records.Readings,
-    records.Region,
-    records.Samples,
-    records.ScaleFactor,
-    records.Tick,
-    records.TimeOffset,
-    records.Tracked,
-    Appearance,
-    AxisCounts,
-    AxisFigures,
-    AxisMemory,
-    Beginning,
-    Bridged,
-    CameraSensorState,
-    CameraState,
-    Chain,
-    Check,
-    CleaningState,
-    CodecState,
-    Comparison,
-    Decided,
-    Difference,
-    EqualRun,
-    EstimatorState,
-    Filter,
-    FirstFrames,
-    FixedPattern,
-    FollowedState,
-    GuardState,
-    Integrated,
-    KeyFrame,
-    KeyFrameState,
-    KeptSamples,
-    Lag,
-    LagState,
-    Learnt,
-    LightState,
-    LimitState,
-    MergeState,
-    Mix,
-    Motion,
-    Overlap,
-    PhaseAxis,
-    PhaseModel,
-    PhaseState,
-    PictureCounts,
-    PictureState,
-    Pictures,
-    PlainState,
-    Plane,
-    PointState,
-    SwitchState,
-    Reference,
-    RegistrationState,
-    Sample,
-    RangeGap,
-    ShutterState,
-    Square,
-    Stamps,
-    StreamMemory,
-    TargetState,
-    Telling,
-    TemplateState,
-    ThermalTargetState,
-    Undecided,
-    UpdatingState,
-)
-ENUMS: tuple[type[Enum], ...] = (records.SampleKind, records.Source, records.Status, records.StreamState)
-_RECORDS = {record.__name__: record for record in RECORDS}
-_ENUMS = {enum.__name__: enum for enum in ENUMS}
-_FLOATS = {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}
+FLOATS = {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}
 State = TypeVar("State")
+Types = Mapping[str, type]
+
+
+def types_in(kind: type) -> dict[str, type]:
+    """The records and enums that a `kind` may consist of, by their names; a field of type Any has a tracker's state."""
+    seen: set[Any] = set()
+    left: list[Any] = [kind]
+    while left:
+        one = left.pop()
+        if one in seen or get_origin(one) is np.ndarray:
+            continue
+        seen.add(one)
+        left += get_args(one)
+        if one is Any:
+            left += tracker_states()
+        elif is_dataclass(one):
+            left += get_type_hints(one).values()
+    return {_name(one): one for one in seen if isinstance(one, type) and (is_dataclass(one) or issubclass(one, Enum))}
+
+
+def _name(kind: type) -> str:
+    return f"{kind.__module__}.{kind.__qualname__}"
 
 
 def to_bytes(state: object) -> bytes:
     """A state as bytes; equal states give equal bytes.
 
-    Raises DataError for what no state may hold: a type that is not in the tables, whole numbers of more than 64 bits.
+    Raises DataError for what no state may hold: a type that no field declares, whole numbers of more than 64 bits.
     """
-    arrays: list[NDArray[Any]] = []
-    tree = _tree(state, arrays, 0)
+    writer = _Writer(types_in(type(state)))
+    tree, arrays = writer.tree(state), writer.arrays
     kinds = [[array.dtype.str, list(array.shape), _order(array)] for array in arrays]
     try:
         text = json.dumps({"tree": tree, "arrays": kinds}, allow_nan=False).encode("ascii")
@@ -183,7 +80,7 @@ def to_bytes(state: object) -> bytes:
 def from_bytes(data: bytes, kind: type[State]) -> State:
     """The state of type `kind` that `to_bytes` made `data` of.
 
-    Raises DataError for anything else: cut or changed bytes, another version, a type that is not in the tables.
+    Raises DataError for anything else: cut or changed bytes, another version, a type that no field declares.
     """
     start = len(MAGIC) + HEAD.size + DIGEST_BYTES
     if len(data) < start or not data.startswith(MAGIC):
@@ -196,7 +93,7 @@ def from_bytes(data: bytes, kind: type[State]) -> State:
         raise _refuse("bytes that are cut or changed")
     if length > len(data) - start:
         raise _refuse("a tree that is cut")
-    state = _parsed(data[start : start + length], data[start + length :])
+    state = _parsed(data[start : start + length], data[start + length :], types_in(kind))
     if type(state) is not kind:
         raise _refuse(f"one of type {type(state).__name__} instead of {kind.__name__}")
     return state
@@ -215,39 +112,46 @@ def _order(array: NDArray[Any]) -> Any:
     return "F" if array.flags.f_contiguous and not array.flags.c_contiguous else "C"
 
 
-def _tree(value: object, arrays: list[NDArray[Any]], depth: int) -> object:
-    """`value` as JSON has it; its arrays are added to `arrays`."""
-    if depth > MAX_DEPTH:
-        raise DataError(f"The state cannot be kept: it must have at most {MAX_DEPTH} levels of records and tuples.")
-    if isinstance(value, np.ndarray | np.generic):
-        return [ARRAY if isinstance(value, np.ndarray) else SCALAR, _kept(np.asarray(value), arrays)]
-    if isinstance(value, Enum) and _ENUMS.get(type(value).__name__) is type(value):
-        return [ENUM, type(value).__name__, value.value]
-    if value is None or type(value) in (bool, int, str):
-        return value
-    if type(value) is float:
-        return value if math.isfinite(value) else [NOT_FINITE, str(value)]
-    if type(value) is complex:
-        return [COMPLEX, _tree(value.real, arrays, depth), _tree(value.imag, arrays, depth)]
-    if type(value) is tuple:
-        return [TUPLE, *(_tree(item, arrays, depth + 1) for item in value)]
-    if _RECORDS.get(type(value).__name__) is type(value):
+class _Writer:
+    """Makes a tree of a state whose records are of `types`, and collects its arrays."""
+
+    def __init__(self, types: Types) -> None:
+        self.types = types
+        self.arrays: list[NDArray[Any]] = []
+
+    def tree(self, value: object, depth: int = 0) -> object:
+        """`value` as JSON has it."""
+        if depth > MAX_DEPTH:
+            raise DataError(f"The state cannot be kept: it must have at most {MAX_DEPTH} levels of records and tuples.")
+        if value is None or type(value) in (bool, int, str):
+            return value
+        if type(value) is float:
+            return value if math.isfinite(value) else [NOT_FINITE, str(value)]
+        if type(value) is complex:
+            return [COMPLEX, self.tree(value.real), self.tree(value.imag)]
+        if isinstance(value, np.ndarray | np.generic):
+            return [ARRAY if isinstance(value, np.ndarray) else SCALAR, self._kept(np.asarray(value))]
+        if type(value) is tuple:
+            return [TUPLE, *(self.tree(item, depth + 1) for item in value)]
+        name = _name(type(value))
+        if self.types.get(name) is not type(value):
+            raise DataError(f"The state cannot be kept: no field's type declares the {name} in it.")
+        if isinstance(value, Enum):
+            return [ENUM, name, value.value]
         names = [item.name for item in fields(value)]  # type: ignore[arg-type]
-        return [RECORD, type(value).__name__, {name: _tree(getattr(value, name), arrays, depth + 1) for name in names}]
-    raise DataError(f"The state cannot be kept: {type(value).__name__} is not in the table of records.")
+        return [RECORD, name, {key: self.tree(getattr(value, key), depth + 1) for key in names}]
+
+    def _kept(self, array: NDArray[Any]) -> int:
+        """The number of an array among those kept."""
+        plain = array.astype(array.dtype.newbyteorder("<"), copy=False)
+        if plain.dtype.str not in DTYPES:
+            raise DataError(f"The state cannot be kept: an array of {array.dtype} is none of numbers.")
+        self.arrays.append(plain)
+        return len(self.arrays) - 1
 
 
-def _kept(array: NDArray[Any], arrays: list[NDArray[Any]]) -> int:
-    """The number of an array among those kept."""
-    plain = array.astype(array.dtype.newbyteorder("<"), copy=False)
-    if plain.dtype.str not in DTYPES:
-        raise DataError(f"The state cannot be kept: an array of {array.dtype} is none of numbers.")
-    arrays.append(plain)
-    return len(arrays) - 1
-
-
-def _parsed(text: bytes, numbers: bytes) -> object:
-    """The state of a tree and its arrays. Raises DataError."""
+def _parsed(text: bytes, numbers: bytes, types: Types) -> object:
+    """The state of a tree of such types and its arrays. Raises DataError."""
     try:
         whole = json_tree(text)
     except TreeError as error:
@@ -260,7 +164,7 @@ def _parsed(text: bytes, numbers: bytes) -> object:
         arrays.append(array)
     if at != len(numbers):
         raise _refuse(f"{len(numbers) - at} bytes too many")
-    return _value(whole["tree"], arrays)
+    return _value(whole["tree"], arrays, types)
 
 
 def _array(kind: object, numbers: bytes, at: int) -> tuple[NDArray[Any], int]:
@@ -285,8 +189,8 @@ def _array(kind: object, numbers: bytes, at: int) -> tuple[NDArray[Any], int]:
     return array.copy(order="K"), end
 
 
-def _value(tree: object, arrays: list[NDArray[Any]]) -> object:
-    """The value that `_tree` wrote. Raises DataError."""
+def _value(tree: object, arrays: list[NDArray[Any]], types: Types) -> object:
+    """The value that a `_Writer` made the tree of. Raises DataError."""
     match tree:
         case None | bool() | int() | float() | str():
             return tree
@@ -294,21 +198,21 @@ def _value(tree: object, arrays: list[NDArray[Any]]) -> object:
             return arrays[number]
         case ["n", int(number)] if 0 <= number < len(arrays) and arrays[number].ndim == 0:
             return arrays[number][()]
-        case ["f", str(word)] if word in _FLOATS:
-            return _FLOATS[word]
+        case ["f", str(word)] if word in FLOATS:
+            return FLOATS[word]
         case ["c", real, imaginary]:
-            one, other = _value(real, arrays), _value(imaginary, arrays)
+            one, other = _value(real, arrays, types), _value(imaginary, arrays, types)
             if isinstance(one, float) and isinstance(other, float):
                 return complex(one, other)
         case ["t", *items]:
-            return tuple(_value(item, arrays) for item in items)
-        case ["e", str(name), value] if name in _ENUMS:
+            return tuple(_value(item, arrays, types) for item in items)
+        case ["e", str(name), value] if name in types and issubclass(types[name], Enum):
             try:
-                return _ENUMS[name](value)
+                return types[name](value)
             except (ValueError, TypeError):
                 raise _refuse(f"no {name}: {str(value)[:80]}") from None
-        case ["r", str(name), dict(values)] if name in _RECORDS:
-            return _record(_RECORDS[name], {key: _value(item, arrays) for key, item in values.items()})
+        case ["r", str(name), dict(values)] if name in types and is_dataclass(types[name]):
+            return _record(types[name], {key: _value(item, arrays, types) for key, item in values.items()})
     raise _refuse(f"an unknown part {str(tree)[:80]}")
 
 

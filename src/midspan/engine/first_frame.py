@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from midspan.errors import DataError
 from midspan.records import NANOSECONDS, Floats, Frame, Nanoseconds, Region
-from midspan.thermal.shutter import ShutterSettings
+from midspan.thermal.shutter import FLAT_SHARE
 from midspan.vision.frame_source import FrameSource
 from midspan.vision.light import is_dark
 
@@ -139,7 +139,7 @@ def _far_share(now: NDArray[Any], usual: NDArray[Any]) -> float:
 
 
 def _flat(usual_k: float) -> float:
-    return ShutterSettings().flat_share * usual_k
+    return FLAT_SHARE * usual_k
 
 
 def _contrast(pixels: NDArray[Any]) -> float:

@@ -1,4 +1,4 @@
-"""Acceleration from outside made fit for the estimator, sample by sample: in order, finite, its holes covered."""
+"""Acceleration from outside made fit for the estimator, sample by sample: finite, its holes covered."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -8,7 +8,7 @@ import numpy as np
 
 from midspan.checks import positive, refuse
 from midspan.engine.axis import AxisFigures, AxisLimits, AxisMemory, Bridged, bridge, is_sound, passed
-from midspan.engine.order import BACKWARDS, FIRST_NS, GOOD, KINDS, LAST_NS, is_new, order, place_ns, spans, words
+from midspan.engine.order import FIRST_NS, STEPS
 from midspan.records import NANOSECONDS, Event, Floats, Nanoseconds, Readings, SampleKind, Samples
 from midspan.signals.bridging import GAP_STEPS, LONG_SHARE
 from midspan.signals.health import Mask
@@ -41,14 +41,11 @@ class Stamps:
 class GuardState:
     """All that a `Guard` knows.
 
-    newest_ns, used_ns: stamp of the newest sample, and of the newest one that is used; fault: code of what is wrong
-    with the newest stamp; broken: the clock ran back since the newest sample; stamps: of the samples that wait; axes,
-    decided: what each axis knows and has decided.
+    used_ns: stamp of the newest sample that is used; broken: the clock stepped since then; stamps: of the samples that
+    wait; axes, decided: what each axis knows and has decided.
     """
 
-    newest_ns: int | None
     used_ns: int | None
-    fault: int
     broken: bool
     stamps: Stamps
     axes: tuple[AxisMemory, ...]
@@ -58,10 +55,12 @@ class GuardState:
 class Guard:
     """Takes readings of an accelerometer, which may hold anything, and gives samples for the estimator, with events.
 
+    Their stamps rise, as `Merge` gives them out.
+
     What is not finite, frozen or clipped is held back until the next good sample and bridged by a straight line, the
     longer the hole the more by the mean, and the noise density is raised by the motion that was not seen; after a
     second at most the hole is given out as wholly unknown. Gaps in time are covered in the same way, long ones with two
-    inserted samples. Where the clock ran back, the density lets the motion be anywhere.
+    inserted samples. Where the clock stepped, the density lets the motion be anywhere.
     """
 
     def __init__(self, settings: GuardSettings) -> None:
@@ -73,7 +72,7 @@ class Guard:
         nothing = Bridged(np.empty(0), np.empty(0), np.empty(0, dtype=bool))
         none = Stamps(np.empty(0, dtype=np.int64), np.empty(0), np.empty(0, dtype=bool))
         memories = tuple(AxisMemory.before(axis) for axis in settings.axes)
-        self._state = GuardState(None, None, GOOD, False, none, memories, tuple(nothing for _ in settings.axes))
+        self._state = GuardState(None, False, none, memories, tuple(nothing for _ in settings.axes))
 
     @property
     def state(self) -> GuardState:
@@ -89,10 +88,10 @@ class Guard:
     def push(self, record: Readings | Event) -> list[Samples | Event]:
         """Take readings, time_ns (n,) and value (n, axes), or what was found wrong with the stream before it came here.
 
-        Returns Samples, where any are decided, and events. An event of kind `backwards` counts as the clock's step.
+        Returns Samples, where any are decided, and events. An event of one of `STEPS` counts as the clock's step.
         """
         if isinstance(record, Event):
-            self._state = replace(self._state, broken=self._state.broken or record.kind == KINDS[BACKWARDS])
+            self._state = replace(self._state, broken=self._state.broken or record.kind in STEPS)
             return [record]
         count = len(self.settings.axes)
         if record.value.shape != (len(record.time_ns), count):
@@ -105,29 +104,22 @@ class Guard:
     def _is_sound(self, record: Readings) -> bool:
         """Whether readings are plainly good and nothing waits, which is the usual case."""
         state, time_ns = self._state, record.time_ns
-        if (
-            not len(time_ns)
-            or state.used_ns is None
-            or state.broken
-            or state.fault != GOOD
-            or len(state.stamps.time_ns)
-        ):
+        if not len(time_ns) or state.used_ns is None or state.broken or len(state.stamps.time_ns):
             return False
         first_ns, steps = int(time_ns[0]) - state.used_ns, time_ns[1:] - time_ns[:-1]
-        least_ns, most_ns = (int(steps.min()), int(steps.max())) if len(steps) else (first_ns, first_ns)
-        if state.newest_ns != state.used_ns or min(first_ns, least_ns) <= 0 or time_ns[-1] > LAST_NS:
-            return False
-        if self._is_gap(max(first_ns, most_ns) / NANOSECONDS):
+        if self._is_gap(max(first_ns, int(steps.max(initial=0))) / NANOSECONDS):
             return False
         return all(is_sound(memory, record.value[:, k]) for k, memory in enumerate(state.axes))
 
     def _passed(self, record: Readings) -> Samples:
         """Sound readings as they are: the short way to what the others go through."""
         state, count, newest_ns = self._state, len(record.time_ns), int(record.time_ns[-1])
-        axes = tuple(passed(memory, record.time_ns, record.value[:, k]) for k, memory in enumerate(state.axes))
-        self._state = GuardState(newest_ns, newest_ns, GOOD, False, state.stamps, axes, state.decided)
-        noise = np.empty(record.value.shape)
-        noise[:] = self._noise
+        rate_hz, noise, axes = self.settings.rate_hz, np.empty(record.value.shape), []
+        for k, (memory, figures) in enumerate(zip(state.axes, self.settings.axes, strict=True)):
+            after, noise[:, k] = passed(memory, (record.time_ns, record.value[:, k]), figures, rate_hz)
+            axes.append(after)
+        noise += self._noise
+        self._state = GuardState(newest_ns, False, state.stamps, tuple(axes), state.decided)
         return Samples(record.time_ns, record.value, noise, np.full(count, MEASURED, dtype=np.uint8))
 
     def finish(self) -> list[Samples | Event]:
@@ -136,30 +128,16 @@ class Guard:
         return self._join(np.empty(0, dtype=np.int64), none, [], end=True)
 
     def _in_order(self, time_ns: Nanoseconds) -> tuple[Mask, list[Event]]:
-        """Which stamps (n,) are used, and events; those used are put to the ones that wait."""
-        state, name = self._state, self.settings.axes[0].name
-        codes, newest_ns = order(time_ns, state.newest_ns)
-        rising = time_ns[codes == GOOD]
-        fault, broken, used_ns, events = state.fault, state.broken, state.used_ns, []
-        marks = np.zeros(len(time_ns), dtype=bool)
-        for start, stop, code in spans(codes):
-            if code == GOOD:
-                # After a step of the clock, of an interval much shorter than usual no motion could be told.
-                least_ns = self._least_ns(used_ns) if broken else FIRST_NS
-                first = start + int(np.searchsorted(time_ns[start:stop], least_ns))
-                codes[start:first] = BACKWARDS
-                marks[first:stop][:1] = broken and used_ns is not None
-                if first < stop:
-                    broken, used_ns = False, int(time_ns[stop - 1])
-            elif is_new(code, fault):
-                text = words(code, int(time_ns[start]), int(newest_ns[start]), "sample")
-                events.append(Event(place_ns(int(newest_ns[start])), KINDS[code], f"{name}: {text}"))
-            broken, fault = broken or code == BACKWARDS, code
-        kept = codes == GOOD
-        events += self._wait(time_ns[kept], marks[kept])
-        newest = int(rising[-1]) if len(rising) else state.newest_ns
-        state = replace(self._state, newest_ns=newest, used_ns=used_ns, fault=fault, broken=broken)
-        self._state = state
+        """Which of the rising stamps (n,) are used, and events; those used are put to the ones that wait."""
+        state = self._state
+        kept, marks = np.ones(len(time_ns), dtype=bool), np.zeros(len(time_ns), dtype=bool)
+        if state.broken:
+            # After a step of the clock, of an interval much shorter than usual no motion could be told.
+            kept = time_ns >= self._least_ns(state.used_ns)
+            marks[np.flatnonzero(kept)[:1]] = state.used_ns is not None
+        events = self._wait(time_ns[kept], marks[kept])
+        if kept.any():
+            self._state = replace(self._state, used_ns=int(time_ns[-1]), broken=False)
         return kept, events
 
     def _least_ns(self, used_ns: int | None) -> int:

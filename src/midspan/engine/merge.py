@@ -8,11 +8,27 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from midspan.checks import refuse
-from midspan.engine.order import AHEAD, FIRST_NS, GOOD, KINDS, LAST_NS, LATE, is_new, order, order_of, spans, words
+from midspan.engine.order import (
+    AHEAD,
+    BACKWARDS,
+    CLOCK_SET,
+    FIRST_NS,
+    GOOD,
+    KINDS,
+    LAST_NS,
+    LATE,
+    is_new,
+    order,
+    order_of,
+    spans,
+    words,
+)
+from midspan.engine.stream import SETTLED_S, StreamMemory, gone_on, moved, quiet, take_offset
 from midspan.records import (
     NANOSECONDS,
     Arrival,
     ClockOffset,
+    Complete,
     Event,
     Frame,
     Health,
@@ -33,30 +49,6 @@ MAX_AHEAD = 2
 Single = Frame | Tracked | RangeFrame
 
 
-@dataclass(slots=True)
-class StreamMemory:
-    """What is known of a stream; a state holds a copy.
-
-    newest_ns, late_ns: its newest stamp, and the newest one that came too late, on the common clock; heard_ns: the tick
-    at its newest good record; out: silent for too long; fault: code of what is wrong with its newest record; used,
-    late, disordered, lost: counts.
-    """
-
-    name: str
-    newest_ns: int | None = None
-    heard_ns: int | None = None
-    sequence: int | None = None
-    offset_ns: int = 0
-    next_offset: ClockOffset | None = None
-    out: bool = False
-    fault: int = GOOD
-    late_ns: int | None = None
-    used: int = 0
-    late: int = 0
-    disordered: int = 0
-    lost: int = 0
-
-
 @dataclass(frozen=True, slots=True)
 class MergeState:
     """All that a `Merge` knows; held: what waits in each stream; released_ns: up to where everything was given out."""
@@ -73,11 +65,12 @@ class Merge:
     Readings between two frames or events are one block a stream, that of the first stream last.
     streams: their names; the first one keeps the common clock (the accelerometer), at equal stamps the earlier named
     one comes first. lateness_s: the others are waited for until they are so far behind the first one. silent_s: a
-    stream from which nothing comes for so long is out until it returns. For a file both are infinite and `finish`
-    gives out what is left: then the order of arrival has no effect.
+    stream from which nothing comes for so long is out until it returns. For a file both are infinite, `Complete` says
+    up to when nobody is waited for, and `finish` gives out what is left: then the order of arrival has no effect.
 
     What comes after its time was given out is left out, reading by reading, and so is what is doubled or backwards in
-    its stream; each run of such records is an Event in its stream, at its place among the stream's records.
+    its stream; each run of such records is an Event in its stream, at its place among the stream's records. A clock
+    that was set back, or far ahead, for good is taken on from where the stream was, see `engine/stream.py`.
     """
 
     def __init__(self, streams: Sequence[str], lateness_s: float = 0.5, silent_s: float = SILENT_S) -> None:
@@ -111,12 +104,16 @@ class Merge:
         """How each stream stands."""
         return tuple(self._health(stream) for stream in self._streams)
 
-    def push(self, record: Arrival | Tick | ClockOffset) -> list[Arrival]:
+    def push(self, record: Arrival | Tick | ClockOffset | Complete) -> list[Arrival]:
         """Take a record; returns what is due, in the order of time, on the common clock."""
+        if isinstance(record, Complete):
+            return self._release(record.time_ns)
         if isinstance(record, Tick):
             self._tick(record.now_ns)
         elif isinstance(record, ClockOffset):
-            self._streams[self._number(record.stream)].next_offset = record
+            stream = self._streams[self._number(record.stream)]
+            others = [one for one in stream.offsets if one.from_ns != record.from_ns]
+            stream.offsets = tuple(sorted((*others, record), key=lambda one: one.from_ns))
         else:
             self._arrive(self._number(record.stream), record)
         return self._release(self._limit())
@@ -144,7 +141,7 @@ class Merge:
             out = stream.out or (self._silent_ns is not None and silent_ns > self._silent_ns)
             silent, stream.heard_ns, stream.out = out and not stream.out, heard_ns, out
             if silent:
-                text = f"{stream.name}: nothing came for {silent_ns / NANOSECONDS:.3g} s; the others no longer wait."
+                text = f"{stream.name}: {quiet(stream, self._now_ns)}; the others no longer wait."
                 self._tell(number, "silent", text)
 
     def _arrive(self, number: int, arrival: Arrival) -> None:
@@ -157,29 +154,40 @@ class Merge:
         if isinstance(record, Event):
             self._tell(number, record.kind, record.text)
         elif isinstance(record, Readings):
-            self._sort_in(number, arrival, record)
+            while len(record.time_ns):
+                done = self._sort_in(number, arrival, record)
+                record = Readings(record.time_ns[done:], record.value[done:])
         else:
             self._sort_in_one(number, arrival, record)
 
-    def _sort_in(self, number: int, arrival: Arrival, record: Readings) -> None:
-        """Let the good readings of a block wait for their time, and leave out the others."""
-        stream = self._streams[number]
-        common_ns = on_common_clock(np.asarray(record.time_ns, dtype=np.int64), stream)
+    def _sort_in(self, number: int, arrival: Arrival, record: Readings) -> int:
+        """Let the good readings of a block wait for their time, and leave out the others; returns how many readings
+        that were: up to where the stream has another offset.
+        """
+        stream, own_ns = self._streams[number], np.asarray(record.time_ns, dtype=np.int64)
+        stop = take_offset(own_ns, stream)
+        common_ns = moved(own_ns[:stop], stream.offset_ns)
         codes, newest_ns = order(common_ns, stream.newest_ns, self._bound(number))
         if self._released_ns is not None:
             codes[(codes == GOOD) & (common_ns <= self._released_ns)] = LATE
         for start, end, code in spans(codes):
             if code != GOOD:
-                self._leave_out(number, code, common_ns[start:end], int(newest_ns[start]))
+                done, offset_ns = start, stream.offset_ns
+                done += self._leave_out(number, code, common_ns[start:end], int(newest_ns[start]))
+                if done < end or stream.offset_ns != offset_ns:
+                    return done
                 continue
             good = Readings(common_ns[start:end], record.value[start:end])
             self._heard(number, int(good.time_ns[-1]), used=end - start)
             self._held[number].append(Arrival(arrival.stream, arrival.sequence, good))
+        return stop
 
     def _sort_in_one(self, number: int, arrival: Arrival, record: Single) -> None:
         """The same for a record with one stamp: arrays of one would take most of the time that a frame is merged in."""
         stream = self._streams[number]
-        common_ns = one_on_common_clock(int(record.time_ns), stream)
+        own_ns = int(record.time_ns)
+        take_offset([own_ns], stream)
+        common_ns = own_ns if abs(own_ns) > LAST_NS else own_ns + stream.offset_ns
         code = order_of(common_ns, stream.newest_ns, self._bound(number))
         if code == GOOD and self._released_ns is not None and common_ns <= self._released_ns:
             code = LATE
@@ -192,14 +200,20 @@ class Merge:
         self._heard(number, common_ns, used=1)
         self._held[number].append(arrival)
 
-    def _leave_out(self, number: int, code: int, common_ns: Nanoseconds, newest_ns: int) -> None:
-        """Count readings (n,) with a fault; the first of a run of them is an event."""
+    def _leave_out(self, number: int, code: int, common_ns: Nanoseconds, newest_ns: int) -> int:
+        """Count readings (n,) with a fault; the first of a run of them is an event. Returns how many were left out:
+        all, or those until it shows that the stream's clock was set.
+        """
         stream = self._streams[number]
+        known = stream.newest_ns is not None and self._silent_ns is not None
+        if code in (BACKWARDS, AHEAD) and known and self._now_ns is not None:
+            stream.elsewhere, count = gone_on(stream.elsewhere, code, common_ns.tolist(), self._now_ns)
+            common_ns = common_ns[:count]
         first_ns, late_ns, pause_ns = int(common_ns[0]), stream.late_ns, self._silent_ns
         # A stream that is late now and then is reported once, until it was in time for a while.
         often = late_ns is not None and pause_ns is not None and first_ns - late_ns <= pause_ns and code == LATE
         if is_new(code, stream.fault) and not often:
-            text = self._words(code, first_ns, newest_ns)
+            text = self._words(number, code, first_ns, newest_ns)
             self._tell(number, KINDS[code], f"{stream.name}: {text}")
         stream.fault = code
         if code == LATE:
@@ -208,6 +222,26 @@ class Merge:
             self._heard(number, stream.late_ns, fault=code)
         else:
             stream.disordered += len(common_ns)
+            self._set_clock(number)
+        return len(common_ns)
+
+    def _set_clock(self, number: int) -> None:
+        """Where a stream's stamps go on elsewhere for good, let them follow those before."""
+        stream = self._streams[number]
+        found = stream.elsewhere
+        if found is None or stream.newest_ns is None or not found.is_settled(self._now_ns or 0):
+            return
+        released_ns = stream.newest_ns if self._released_ns is None else self._released_ns
+        step_ns = found.step_ns(stream.newest_ns, released_ns)
+        if abs(step_ns) < SETTLED_S * NANOSECONDS:
+            # Its clock is sound: it follows its own stamps, only the first stream is far behind.
+            return
+        stream.offset_ns, stream.elsewhere = stream.offset_ns + step_ns, None
+        way, by_s = "back" if step_ns > 0 else "ahead", abs(step_ns) / NANOSECONDS
+        kept = f"{by_s:.6g} s are {'added to' if step_ns > 0 else 'taken from'} its stamps from here on"
+        left_s = (found.last_ns - found.first_ns) / NANOSECONDS
+        text = f"{stream.name}: its clock was set {way}; {kept}, and {left_s:.3g} s of records are left out."
+        self._tell(number, CLOCK_SET, text)
 
     def _heard(self, number: int, newest_ns: int, *, used: int = 0, fault: int = GOOD) -> None:
         """Note a stream's newest stamp, and how many records of it are used; one that was out is back."""
@@ -215,18 +249,18 @@ class Merge:
         if stream.out:
             self._tell(number, "returned", f"{stream.name}: records come again.")
         stream.newest_ns, stream.heard_ns, stream.out, stream.fault = newest_ns, self._now_ns, False, fault
-        stream.used += used
+        stream.used, stream.elsewhere = stream.used + used, None
 
-    def _words(self, code: int, time_ns: int, newest_ns: int) -> str:
+    def _words(self, number: int, code: int, time_ns: int, newest_ns: int) -> str:
         """What is wrong with a stamp, as a person should read it."""
         if code == AHEAD:
             ahead_s = (time_ns - (self._streams[0].newest_ns or 0)) / NANOSECONDS
-            first = self._streams[0].name
-            return f"stamps are {ahead_s:.3g} s ahead of those of {first}; records are left out. Check its clock."
+            first = "those before" if number == 0 else f"those of {self._streams[0].name}"
+            return f"stamps are {ahead_s:.3g} s ahead of {first}; records are left out. Check its clock."
         if code == LATE:
             late_s = ((self._released_ns or 0) - time_ns) / NANOSECONDS
             return f"a record came {late_s:.3g} s after its time was given out; it is left out."
-        return words(code, time_ns, newest_ns, "record")
+        return words(code, time_ns, newest_ns)
 
     def _tell(self, number: int, kind: str, text: str) -> None:
         """Put an event behind what waits in its stream."""
@@ -239,7 +273,10 @@ class Merge:
     def _bound(self, number: int) -> int:
         """The newest stamp (ns) of a stream that can be waited for."""
         first = self._streams[0]
-        if number == 0 or self._silent_ns is None or first.out or first.newest_ns is None:
+        if self._silent_ns is None or first.out or first.newest_ns is None:
+            return LAST_NS
+        if number == 0 and self._now_ns is None:
+            # Without ticks a pause of the first stream cannot be told from a clock that was set ahead.
             return LAST_NS
         return first.newest_ns + MAX_AHEAD * self._silent_ns
 
@@ -307,8 +344,7 @@ class Merge:
         state, reason = StreamState.LIVE, ""
         first = self._streams[0]
         if stream.out:
-            quiet_ns = (self._now_ns or 0) - (stream.heard_ns or 0)
-            state, reason = StreamState.OUT, f"nothing came for {quiet_ns / NANOSECONDS:.3g} s"
+            state, reason = StreamState.OUT, quiet(stream, self._now_ns or 0)
         elif stream.newest_ns is None:
             state, reason = StreamState.WAITING, "nothing came yet"
         elif self._released_ns is not None and stream.newest_ns < self._released_ns:
@@ -316,32 +352,6 @@ class Merge:
             state, reason = StreamState.BEHIND, f"its stamps are {behind_s:.3g} s behind those of {first.name}"
         counts = (stream.used, stream.late, stream.disordered, stream.lost)
         return Health(stream.name, state, reason, stream.newest_ns, *counts)
-
-
-def on_common_clock(own_ns: Nanoseconds, stream: StreamMemory) -> Nanoseconds:
-    """Stamps (n,) of a stream's clock on the common one; a next offset holds from its stamp on, and for good."""
-    change = stream.next_offset
-    begins = np.flatnonzero(own_ns >= change.from_ns) if change else np.empty(0, dtype=np.int64)
-    if change is None or not len(begins):
-        return _moved(own_ns, stream.offset_ns)
-    first, before_ns = int(begins[0]), stream.offset_ns
-    stream.offset_ns, stream.next_offset = change.offset_ns, None
-    return np.concatenate((_moved(own_ns[:first], before_ns), _moved(own_ns[first:], change.offset_ns)))
-
-
-def one_on_common_clock(own_ns: int, stream: StreamMemory) -> int:
-    """The same for a single stamp."""
-    change = stream.next_offset
-    if change is not None and own_ns >= change.from_ns:
-        stream.offset_ns, stream.next_offset = change.offset_ns, None
-    return own_ns if abs(own_ns) > LAST_NS else own_ns + stream.offset_ns
-
-
-def _moved(time_ns: Nanoseconds, offset_ns: int) -> Nanoseconds:
-    """Stamps (n,) plus an offset; those that are no times stay what they are, so that nothing runs over."""
-    if offset_ns == 0:
-        return time_ns
-    return np.where(np.abs(time_ns.astype(np.float64)) > LAST_NS, time_ns, time_ns + np.int64(offset_ns))
 
 
 def _stamp(arrival: Arrival) -> int:

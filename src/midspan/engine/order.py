@@ -13,6 +13,9 @@ from midspan.records import NANOSECONDS, Nanoseconds
 GOOD, DOUBLED, BACKWARDS, IMPOSSIBLE, AHEAD, LATE = range(6)
 # The word of the event for each.
 KINDS = ("", "doubled", "backwards", "stamp", "ahead", "late")
+# Events after which the stamps of a stream may be those of another clock.
+CLOCK_SET = "clock"
+STEPS = (KINDS[BACKWARDS], CLOCK_SET)
 # Stamps that far from the clock's zero are no times: the difference of two of them would not fit into 64 bits.
 FIRST_NS, LAST_NS = (round(end * NANOSECONDS) for end in (TIME_S.low, TIME_S.high))
 
@@ -73,16 +76,12 @@ def is_new(code: int, fault: int) -> bool:
     return code not in (GOOD, fault) and (fault, code) != (BACKWARDS, DOUBLED)
 
 
-def words(code: int, time_ns: int, newest_ns: int, what: str) -> str:
-    """What is wrong with the stamp of a record (`what`: its name) after the newest good one, for a message."""
+def words(code: int, time_ns: int, newest_ns: int) -> str:
+    """What is wrong with the stamp of a record after the newest good one, for a message."""
     if code == DOUBLED:
-        return f"a stamp came twice; the second {what} is left out."
+        return "a stamp came twice; the second record is left out."
     if code == IMPOSSIBLE:
-        return f"a stamp of {time_ns} ns is no time; the {what} is left out."
+        return f"a stamp of {time_ns} ns is no time; the record is left out."
     back_s = (newest_ns - time_ns) / NANOSECONDS
-    return f"time runs backwards by {back_s:.3g} s; each {what} is left out until it is newer than all before."
-
-
-def place_ns(newest_ns: int) -> int:
-    """The stamp of an event about a record after the newest good one."""
-    return newest_ns if newest_ns >= FIRST_NS else 0
+    until = "until it is newer than all before or shows that the clock was set"
+    return f"time runs backwards by {back_s:.3g} s; each record is left out {until}."

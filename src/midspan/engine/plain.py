@@ -1,11 +1,10 @@
-"""A sensor of displacement, value by value: in order, finite, and not stuck while the structure moves."""
+"""A sensor of displacement, value by value: finite, and not stuck while the structure moves."""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from midspan.checks import positive, refuse
-from midspan.engine.order import GOOD, KINDS, is_new, order, place_ns, spans, words
 from midspan.records import NANOSECONDS, Event, Floats, Measured, Nanoseconds, Readings, Samples, seconds
 from midspan.signals.bridging import GAP_STEPS
 from midspan.signals.health import Mask
@@ -53,14 +52,11 @@ class EqualRun:
 class PlainState:
     """All that a `PlainChain` knows.
 
-    newest_ns, finite_ns: the newest stamp, and that of the newest finite value; fault: what is wrong with the newest
-    stamp; run: of equal values; time_ns, acceleration, density (m,): of the samples that may still be needed;
-    waiting_ns, waiting_m (w,): values that wait for the samples that cover them.
+    finite_ns: stamp of the newest finite value; run: of equal values; time_ns, acceleration, density (m,): of the
+    samples that may still be needed; waiting_ns, waiting_m (w,): values that wait for the samples that cover them.
     """
 
-    newest_ns: int | None
     finite_ns: int | None
-    fault: int
     run: EqualRun
     time_ns: Nanoseconds
     acceleration: Floats
@@ -72,8 +68,8 @@ class PlainState:
 class PlainChain:
     """Takes the values of a displacement sensor, and the samples of acceleration before them; gives measurements.
 
-    Values that are not finite, doubled or backwards in time are left out. A value that stays exactly the same is
-    left out from where the acceleration shows that the structure moved, until it changes.
+    Stamps rise, as `Merge` gives them out. Values that are not finite are left out. A value that stays exactly the
+    same is left out from where the acceleration shows that the structure moved, until it changes.
     """
 
     def __init__(self, settings: PlainSettings) -> None:
@@ -83,7 +79,7 @@ class PlainChain:
         self._piece = piece_length(settings.step_s)
         nothing = np.empty(0, dtype=np.int64)
         run = EqualRun(np.nan, nothing, 0, LEAST_EQUAL, 0)
-        self._state = PlainState(None, None, GOOD, run, nothing, np.empty(0), np.empty(0), nothing, np.empty(0))
+        self._state = PlainState(None, run, nothing, np.empty(0), np.empty(0), nothing, np.empty(0))
 
     @property
     def state(self) -> PlainState:
@@ -105,10 +101,9 @@ class PlainChain:
             return self._reached(record)
         if record.value.shape != (len(record.time_ns), 1):
             raise refuse("value", f"of shape ({len(record.time_ns)}, 1)", record.value.shape)
-        kept, events = self._in_order(record.time_ns)
-        kept &= np.isfinite(record.value[:, 0])
+        kept = np.isfinite(record.value[:, 0])
         value = self.settings.scale * record.value[kept, 0]
-        events += self._gaps(record.time_ns[kept])
+        events = self._gaps(record.time_ns[kept])
         state = self._state
         waiting_ns = np.concatenate((state.waiting_ns, record.time_ns[kept]))
         self._state = replace(state, waiting_ns=waiting_ns, waiting_m=np.concatenate((state.waiting_m, value)))
@@ -151,20 +146,6 @@ class PlainChain:
             reference_variance=np.zeros(count),
         )
         return [block, *found] if count else [*found]
-
-    def _in_order(self, time_ns: Nanoseconds) -> tuple[Mask, list[Event]]:
-        """Which stamps (n,) are newer than all before, and an event for each run of others."""
-        codes, newest_ns = order(time_ns, self._state.newest_ns)
-        fault, events = self._state.fault, []
-        for start, _, code in spans(codes):
-            if is_new(code, fault):
-                text = words(code, int(time_ns[start]), int(newest_ns[start]), "value")
-                events.append(Event(place_ns(int(newest_ns[start])), KINDS[code], f"{self.settings.name}: {text}"))
-            fault = code
-        kept = codes == GOOD
-        newest = int(time_ns[kept][-1]) if kept.any() else self._state.newest_ns
-        self._state = replace(self._state, newest_ns=newest, fault=fault)
-        return kept, events
 
     def _gaps(self, time_ns: Nanoseconds) -> list[Event]:
         """An event for each gap before the stamps (n,) of finite values."""

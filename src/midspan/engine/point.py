@@ -6,18 +6,17 @@ recording is a loop over `push`, and a live point is the same loop.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from midspan.engine.guard import Guard, GuardState
 from midspan.engine.merge import Merge, MergeState
-from midspan.engine.order import BACKWARDS, KINDS
-from midspan.engine.sensors import Seen, Sensor
+from midspan.engine.order import STEPS
+from midspan.engine.sensors import Seen, Sensor, SensorState
 from midspan.engine.switching import Switch, SwitchState
 from midspan.fusion.estimator import BLOCK, Estimator, EstimatorState, Rows
 from midspan.fusion.second_pass import Lag, LagState
-from midspan.records import Arrival, ClockOffset, Event, PixelTranslation, Readings, Samples, Tick, cut
+from midspan.records import Arrival, ClockOffset, Complete, Event, PixelTranslation, Readings, Samples, Tick, cut
 
 ACCELEROMETER = "accelerometer"
 
@@ -31,7 +30,7 @@ class PointState:
     merge: MergeState
     guard: GuardState
     estimator: EstimatorState | LagState
-    sensors: tuple[Any, ...]
+    sensors: tuple[SensorState, ...]
     switch: SwitchState | None = None
 
 
@@ -72,7 +71,7 @@ class Point:
         if self.switch is not None and state.switch is not None:
             self.switch.state = state.switch
 
-    def push(self, record: Arrival | Tick | ClockOffset) -> list[Output]:
+    def push(self, record: Arrival | Tick | ClockOffset | Complete) -> list[Output]:
         """Take a record; returns what is due: rows, what the sensors saw, and events."""
         return self._run(self.merge.push(record))
 
@@ -87,7 +86,7 @@ class Point:
         """Give records, in the order of time, to what they are for."""
         out: list[Output] = []
         for arrival in due:
-            if isinstance(arrival.record, Event) and arrival.record.kind == KINDS[BACKWARDS]:
+            if isinstance(arrival.record, Event) and arrival.record.kind in STEPS:
                 self.estimator.push(arrival.record)
             if arrival.stream == ACCELEROMETER:
                 assert isinstance(arrival.record, Readings | Event)

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from midspan.checks import refuse
 from midspan.engine.radar_target import FollowedState, FollowedTarget
-from midspan.radar.blockage import BlockageSettings
+from midspan.radar.blockage import CLEAR_FRAMES, MAX_SHARE, MIN_SHARE
 from midspan.radar.channels import Phasors
 from midspan.radar.lobe import between, fraction_between, looked_at, noise_between
 from midspan.radar.range_gap import MEMORY_FRAMES, MIN_FRAMES, FirstFrames, RangeGap, cycles_lost
@@ -65,16 +65,16 @@ class _Seen:
 class RadarChain:
     """The radar's targets, one frame at a time; `bins` (k,) are those that the frames must hold, in this order.
 
-    targets: each becomes a channel of its own. blockage: amplitudes at which a target counts as seen.
+    targets: each becomes a channel of its own. sensor: the radar's name, with which the texts of events begin.
     """
 
-    def __init__(self, targets: Sequence[FollowedTarget], blockage: BlockageSettings | None = None) -> None:
+    def __init__(self, targets: Sequence[FollowedTarget], sensor: str = "radar") -> None:
         self.targets = tuple(targets)
         self.bins: Floats = np.unique(np.concatenate([item.bins for item in targets]))
-        names = [f" at {item.target.range_m:.2f} m" if len(targets) > 1 else "" for item in targets]
+        which = [f" at {item.target.range_m:.2f} m" if len(targets) > 1 else "" for item in targets]
         self._followers = [
-            _Follower(item, int(np.searchsorted(self.bins, item.bins[0])), blockage or BlockageSettings(), name)
-            for item, name in zip(targets, names, strict=True)
+            _Follower(item, int(np.searchsorted(self.bins, item.bins[0])), f"{sensor}: the target{where}")
+            for item, where in zip(targets, which, strict=True)
         ]
 
     def push(
@@ -109,13 +109,13 @@ class RadarChain:
 class _Follower:
     """One target: met in each frame, unwrapped, and watched.
 
-    column: its first one in the frames; where: of it, in the texts of events.
+    column: its first one in the frames; name: of it, in the texts of events.
     """
 
-    def __init__(self, item: FollowedTarget, column: int, blockage: BlockageSettings, where: str) -> None:
+    def __init__(self, item: FollowedTarget, column: int, name: str) -> None:
         target = item.target
-        self.item, self.blockage, self.name = item, blockage, f"radar: the target{where}"
-        self.state = FollowedState(clear=blockage.frames)  # calibrated means seen
+        self.item, self.name = item, name
+        self.state = FollowedState(clear=CLEAR_FRAMES)  # calibrated means seen
         self.columns = slice(column, column + len(item.bins))
         self.row = target.weights.conj() / math.sqrt(len(target.weights))
         self.first_bin, followed = float(item.bins[0]), len(item.bins) > 1
@@ -150,9 +150,9 @@ class _Follower:
         seen = self._seen(phasors, valid, self._place(base))
         if seen is None:
             return self._unseen(time_ns, base, 0.0, "lost frames")
-        good = self.blockage.low <= seen.strength <= self.blockage.high
-        state.clear = min(state.clear + 1, self.blockage.frames) if good else 0
-        if state.clear < self.blockage.frames or not seen.variance_rad2 < BLIND_RAD**2:
+        good = MIN_SHARE <= seen.strength <= MAX_SHARE
+        state.clear = min(state.clear + 1, CLEAR_FRAMES) if good else 0
+        if state.clear < CLEAR_FRAMES or not seen.variance_rad2 < BLIND_RAD**2:
             return self._unseen(time_ns, base, seen.strength, "blocked")
         if state.first is not None:
             return self._begun(time_ns, seen, own, alone_rad)

@@ -57,7 +57,7 @@ def radar_chain(
         )
         for k, item in enumerate(targets)
     )
-    return RadarChain(targets), channels
+    return RadarChain(targets, sensor), channels
 
 
 def radar_channels(
@@ -83,7 +83,7 @@ def radar_channels(
         )
         for channel in channels
     ]
-    table.uncertain(ParameterKind.SCALE_ERROR, numbers, calibration.relative_std)
+    table.scaled(numbers, calibration.relative_std)
     clock = ParameterKind.CLOCK_OFFSET
     table.parameters.append(Parameter(clock, tuple(numbers), clock_std_s(calibration.offset), 0, CLOCK_WALK))
     return RadarSensor(sensor, chain, numbers)

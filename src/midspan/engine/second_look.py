@@ -5,17 +5,32 @@ Only `smoother` looks again: the causal methods give what was known at the time.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
 from midspan.calibration.one_clock import CourseError, OneClock, one_clock
 from midspan.calibration.scale_check import Fitting, Sensed, fitting
 from midspan.engine.channels import clock_std_s
+from midspan.engine.order import BACKWARDS, KINDS
 from midspan.engine.sensor_series import SensorSeries, series_of
 from midspan.fusion.estimator import BLOCK, Estimator, Log, Rows
+from midspan.fusion.forward import AT, CHANNEL, WENT_BACK
 from midspan.fusion.model import EstimatorSettings, ParameterKind
 from midspan.fusion.streams import KalmanSettings
-from midspan.records import Acceleration, Channel, Displacement, Estimate, Measured, Samples, TimeOffset, joined, part
+from midspan.records import (
+    Acceleration,
+    Channel,
+    Displacement,
+    Estimate,
+    Event,
+    Measured,
+    Nanoseconds,
+    TimeOffset,
+    joined,
+    nanoseconds,
+    part,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,50 +97,54 @@ def on_its_clock(measured: Measured, channels: Sequence[Channel], clock: OneCloc
 def scales(
     series: Mapping[str, SensorSeries],
     acceleration: Acceleration,
-    settings: EstimatorSettings,
+    known: Mapping[str, float],
     *,
-    axis: int,
     along: str,
     max_offset_s: float,
+    followed: bool,
 ) -> Fitting:
     """How the calibrated scales and clocks fit the recording; UntrustedError where one is wrong beyond doubt.
 
-    along: a second axis in words; max_offset_s: largest clock offset looked for.
+    known: relative standard deviations of the scales as calibrated; along: a second axis in words; max_offset_s:
+    largest clock offset looked for; followed: the method estimates the scales on its way.
     """
-    compared = [
-        Sensed(name, one.source, one.displacement, scale_std_of(settings, name, axis)) for name, one in series.items()
-    ]
-    return fitting(acceleration, compared, along, max_offset_s=max_offset_s)
-
-
-def scale_std_of(settings: EstimatorSettings, sensor: str, axis: int) -> float:
-    """The relative standard deviation of a sensor's scale along an axis, as the estimator was given it."""
-    for parameter in settings.parameters:
-        channel = settings.channels[parameter.channels[0]]
-        if parameter.kind is ParameterKind.SCALE_ERROR and (channel.sensor, channel.axis) == (sensor, axis):
-            return parameter.std
-    return 0.0
+    compared = [Sensed(name, one.source, one.displacement, known[name]) for name, one in series.items()]
+    return fitting(acceleration, compared, along, max_offset_s=max_offset_s, followed=followed)
 
 
 def with_scales(settings: EstimatorSettings, found: Mapping[tuple[str, int], float]) -> EstimatorSettings:
-    """The settings with scale errors of these relative standard deviations, by sensor and axis."""
+    """The settings with scale errors of these relative standard deviations at least, by sensor and axis."""
     parameters = []
     for parameter in settings.parameters:
         channel = settings.channels[parameter.channels[0]]
-        std = found.get((channel.sensor, channel.axis), parameter.std)
+        std = max(parameter.std, found.get((channel.sensor, channel.axis), 0.0))
         wider = parameter.kind is ParameterKind.SCALE_ERROR
         parameters.append(replace(parameter, std=std) if wider else parameter)
     return replace(settings, parameters=tuple(parameters))
 
 
-def once_more(settings: EstimatorSettings, samples: Samples, measured: Sequence[Measured]) -> tuple[Log, list[Rows]]:
-    """The estimator run again over the samples and measurements of a whole record."""
-    estimator, out = Estimator(settings, log=True), list[Rows]()
+def went_back_ns(log: Log) -> Nanoseconds:
+    """Instants (k,) from which on the first pass had clocks in doubt, as stamps had gone back."""
+    found = [one.rows[one.rows[:, CHANNEL] == WENT_BACK, AT] for one in log.decided]
+    return nanoseconds(np.concatenate(found), log.origin_ns)
+
+
+def once_more(settings: EstimatorSettings, log: Log, measured: Sequence[Measured]) -> tuple[Log, list[Rows]]:
+    """The estimator run again over the samples and measurements of a whole record, as the first pass logged it.
+
+    Where stamps went back in the first pass they do so again: the samples are cut there.
+    """
+    estimator, out, samples = Estimator(settings, log=True), list[Rows](), joined(log.samples)
     rows = joined(measured)
     rows = part(rows, np.argsort(rows.time_ns, kind="stable"))
+    back_ns = went_back_ns(log)
+    cuts = np.searchsorted(samples.time_ns, back_ns, side="right")
+    edges = np.unique(np.concatenate((np.arange(0, len(samples.time_ns), BLOCK), cuts, [len(samples.time_ns)])))
     done = 0
-    for first in range(0, len(samples.time_ns), BLOCK):
-        block = part(samples, slice(first, first + BLOCK))
+    for first, last in pairwise(edges.tolist()):
+        for time_ns in back_ns[cuts == first].tolist():
+            estimator.push(Event(time_ns, KINDS[BACKWARDS], "Stamps went back."))
+        block = part(samples, slice(first, last))
         due = int(np.searchsorted(rows.time_ns, block.time_ns[-1], side="right"))
         estimator.push(part(rows, slice(done, due)))
         out += estimator.push(block)

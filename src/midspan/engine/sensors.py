@@ -85,6 +85,10 @@ class CameraSensorState:
     seen_px: tuple[tuple[float, float], ...]
 
 
+SensorState = CameraSensorState | tuple[FollowedState, ...] | PlainState | None
+"""What a sensor remembers; a checkpoint keeps nothing else."""
+
+
 class CameraSensor:
     """A camera: channels[target][axis] are numbers in the estimator's table, directions the image axis of each."""
 
@@ -172,9 +176,6 @@ class RadarSensor:
     def push(self, record: RangeFrame, expect: Expect) -> Seen:
         """The phase of each target in a frame, unwrapped about the one that is expected."""
         found = self.chain.push(record, [expect(channel, record.time_ns) for channel in self.channels])
-        # The chain calls its sensor by its kind.
-        told = [event for one in found for event in one.events]
-        events = tuple(replace(event, text=event.text.replace("radar", self.name, 1)) for event in told)
         measured = Measured(
             np.array([one.time_ns for one in found], dtype=np.int64),
             np.array(self.channels, dtype=np.int64),
@@ -182,7 +183,7 @@ class RadarSensor:
             np.array([one.variance_rad2 for one in found]),
             np.array([one.reference_variance_rad2 for one in found]),
         )
-        return Seen(self.name, measured, found, events)
+        return Seen(self.name, measured, found, tuple(event for one in found for event in one.events))
 
     def reached(self, samples: Samples) -> None:
         """A frame is measured when it comes; the estimator waits for the samples that cover it."""

@@ -1,19 +1,19 @@
 """How a target's tracker is opened: its rule for the reference frame, and temperatures made ready."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, get_type_hints
 
 import numpy as np
 
 from midspan.checks import refuse
-from midspan.engine.thermal_target import ThermalTarget
+from midspan.engine.thermal_target import ThermalTarget, ThermalTargetState
 from midspan.records import Frame, Region
 from midspan.thermal.limits import Limits
 from midspan.vision.lens import Lens, check_lens
 from midspan.vision.reference.policy import KeyFrameSettings
 from midspan.vision.reference.tracker import KeyFrameTracker
 from midspan.vision.reference.updating import UpdatingSettings, UpdatingTracker
-from midspan.vision.tracker import Tracker, open_tracker
+from midspan.vision.tracker import TRACKERS, Tracker, open_tracker, tracker_class
 
 # Temperatures throw no shadows: what no mix explains of them is no motion. Their places were seen to wander by 0.01 to
 # 0.04 px, all of them together (benchmark day_and_night). At dusk they change sooner than shading does: new key frames
@@ -71,6 +71,12 @@ class Opening:
         if self.reference == "updating":
             return UpdatingTracker(frame, region, UpdatingSettings(self.tracker, self.settings))
         return open_tracker(self.tracker, frame, region, self.settings)
+
+
+def tracker_states() -> list[Any]:
+    """The record that each tracker, by itself or behind a rule for its frames, keeps its state in: that of `_state`."""
+    kinds = [KeyFrameTracker, UpdatingTracker, *(tracker_class(name) for name in TRACKERS)]
+    return [ThermalTargetState, *(get_type_hints(kind)["_state"] for kind in kinds)]
 
 
 def refuse_empty_range(reference: Frame, region: Region, levels: Limits) -> None:

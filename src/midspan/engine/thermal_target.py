@@ -10,7 +10,7 @@ from typing import Any
 
 from midspan.records import Frame, PixelTranslation, Prediction, Region, Status
 from midspan.thermal.cleaning import Cleaned, CleaningState, ThermalCleaner
-from midspan.thermal.limits import Limits
+from midspan.thermal.limits import MARGIN, Limits
 from midspan.thermal.temperature_range import grey
 from midspan.vision.target import lost
 from midspan.vision.tracker import Tracker
@@ -55,8 +55,8 @@ class ThermalTarget(Tracker):
         """Temperatures that the tracker sees: the range, else those that count in full at the moment, °C."""
         if self.levels is not None:
             return self.levels
-        own, margin = self._cleaner.limits, self._cleaner.settings.margin
-        wider = 2.0 * margin * own.half_k
+        own = self._cleaner.limits
+        wider = 2.0 * MARGIN * own.half_k
         return Limits(own.low_c - wider, own.high_c + wider)
 
     @property

@@ -7,14 +7,13 @@ as there: G the covariance before a frame, K the gain, R the noise variance of a
 The guarded form is the estimator with a memory of as many measurements.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 from numba import njit
 
-from midspan.checks import refuse
 from midspan.fusion.blocks import ACCEPTED
-from midspan.fusion.streams import KalmanSettings, MethodSettings, Smoothed, filtered
+from midspan.fusion.streams import KalmanSettings, MethodSettings, Smoothed
 from midspan.records import Acceleration, Displacement, Estimate, Floats, Innovation, Source, Status, part, seconds
 
 # The state vector: displacement, velocity, the bias that is taken off, covariance, time and the acceleration held; the
@@ -156,49 +155,22 @@ def printed_block(samples, frames, s, beta, rows, met):  # type: ignore[no-untyp
         rows[k, ROW_VELOCITY], rows[k, ROW_ACCEPTED], rows[k, ROW_SOURCE] = s[V], s[LAST_ACCEPTED], s[SOURCE]
 
 
-@dataclass(frozen=True, slots=True)
-class AdaptiveSettings:
-    """How the noise is learnt; the rest is the Kalman filter's.
-
-    literal: equations 7 to 26 exactly as printed, without bias, gate and limits; only the expected bias is taken off
-    the acceleration. The paper leaves the start open: here it is at zero, with the first declared variance for the
-    position and as R, kept through ten frames, and velocity_std for the velocity. forgetting: the factor beta of
-    equation 20, above 0 and below 1; nearer to 1 is steadier and slower: at 10 Hz 0.95 remembers 2 s.
-    """
-
-    literal: bool = False
-    forgetting: float = 0.95
-    kalman: KalmanSettings = field(default_factory=KalmanSettings)
-
-    def __post_init__(self) -> None:
-        if not 0.0 < self.forgetting < 1.0:
-            raise refuse("forgetting", "above 0 and below 1", self.forgetting)
-
-
-def adapt(acceleration: Acceleration, displacement: Displacement, settings: AdaptiveSettings | None = None) -> Smoothed:
-    """Run the adaptive filter over a whole record.
-
-    acceleration: block of n samples; displacement: block of m measurements on the same clock, in time order. The
-    estimate uses what came before each row; `variance_m2` tells the noise that each measurement was taken with.
-    """
-    known = settings or AdaptiveSettings()
-    if known.literal:
-        return printed(acceleration, displacement, known)
-    return filtered(acceleration, displacement, replace(known.kalman, noise_memory=1.0 / (1.0 - known.forgetting)))
-
-
-def run_adaptive(
+def run_printed(
     acceleration: Acceleration, displacement: Displacement, settings: MethodSettings, path: Smoothed | None
 ) -> Smoothed:
-    """The same as a row of METHODS; as printed it begins at zero, so the series is counted from its first value."""
-    own = AdaptiveSettings(literal=settings.literal, forgetting=settings.forgetting, kalman=settings.kalman)
-    level_m = float(displacement.value_m[np.argmax(np.isfinite(displacement.value_m))]) if own.literal else 0.0
-    found = adapt(acceleration, replace(displacement, value_m=displacement.value_m - level_m), own)
+    """`printed` as `on_series` of METHODS: it begins at zero, so the series is counted from its first value."""
+    level_m = float(displacement.value_m[np.argmax(np.isfinite(displacement.value_m))])
+    found = printed(acceleration, replace(displacement, value_m=displacement.value_m - level_m), settings)
     return replace(found, estimate=replace(found.estimate, displacement_m=found.estimate.displacement_m + level_m))
 
 
-def printed(acceleration: Acceleration, displacement: Displacement, settings: AdaptiveSettings) -> Smoothed:
-    """Equations 7 to 26 over a whole record: one row a sample; a displacement before the first one is ignored."""
+def printed(acceleration: Acceleration, displacement: Displacement, settings: MethodSettings) -> Smoothed:
+    """Equations 7 to 26 over a whole record: one row a sample; a displacement before the first one is ignored.
+
+    Without bias, gate and limits; only the expected bias is taken off the acceleration. The paper leaves the start
+    open: here it is at zero, with the first declared variance for the position and as R, kept through ten frames, and
+    velocity_std for the velocity. `variance_m2` tells the noise that each measurement was taken with.
+    """
     origin_ns = int(acceleration.time_ns[0])
     time_s = seconds(acceleration.time_ns, origin_ns)
     samples = np.column_stack((time_s, acceleration.value_m_s2, acceleration.noise_density))

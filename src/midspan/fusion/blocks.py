@@ -16,7 +16,16 @@ from midspan.fusion.filtering import (
     MET_ERROR,
     MET_TOTAL,
 )
-from midspan.fusion.forward import AT, CHANNEL, MEASUREMENT_COLUMNS, REFERENCE, VALUE, VARIANCE
+from midspan.fusion.forward import (
+    AT,
+    CHANNEL,
+    MEASUREMENT_COLUMNS,
+    REFERENCE,
+    SET_DATUM,
+    VALUE,
+    VARIANCE,
+    WENT_BACK,
+)
 from midspan.fusion.hypotheses import KINDS, LOST, OUTLIER
 from midspan.fusion.model import Beginning, EstimatorSettings
 from midspan.records import (
@@ -62,6 +71,18 @@ def measured_rows(record: Measured, units_per_m: Floats, origin_ns: int) -> Floa
 def in_order(rows: Floats) -> Floats:
     """Measurements in time order; of one instant by channel."""
     return rows if len(rows) < 2 else rows[np.lexsort((rows[:, CHANNEL], rows[:, AT]))]
+
+
+def newest(rows: Floats, most: int) -> Floats:
+    """At most so many measurements, the newest of those in time order; of the marks before them the last of each kind
+    stays, as they hold from their instant on.
+    """
+    measured = np.flatnonzero(rows[:, CHANNEL] >= 0.0)
+    first = int(measured[-most]) if len(measured) > most else 0
+    kept = np.arange(len(rows)) >= first
+    for mark in (SET_DATUM, WENT_BACK):
+        kept[np.flatnonzero(rows[:first, CHANNEL] == mark)[-1:]] = True
+    return rows[kept]
 
 
 def sample_rows(samples: Samples, origin_ns: int) -> Floats:

@@ -17,6 +17,7 @@ from midspan.fusion.blocks import (
     in_order,
     innovations_of,
     measured_rows,
+    newest,
     sample_rows,
     with_start,
 )
@@ -251,16 +252,16 @@ class Estimator:
         if late.any() or self._late:
             for c in np.unique(rows[late, CHANNEL]).astype(int).tolist():
                 if c not in self._late:
-                    first = int(record.time_ns[0])
+                    first = self._origin + round(float(rows[late & (rows[:, CHANNEL] == c)][0, AT]) * NANOSECONDS)
                     name = self.settings.channels[c].sensor
                     self._events.append(Event(first, "late", f"Measurements of {name} came too late and are left out."))
             self._late |= set(rows[late, CHANNEL].astype(int).tolist())
             self._late -= set(rows[~late, CHANNEL].astype(int).tolist())
             rows = rows[~late]
         waiting = in_order(np.concatenate((self._waiting, rows)))
-        if len(waiting) > MAX_WAITING:
+        self._waiting = newest(waiting, MAX_WAITING)
+        if len(self._waiting) < len(waiting):
             self._overflow(self._origin + round(float(waiting[0, AT]) * NANOSECONDS))
-        self._waiting = waiting[-MAX_WAITING:]
 
     def _overflow(self, time_ns: int) -> None:
         """Tell that measurements from an instant on are dropped: once, until half of what may wait is gone."""

@@ -176,7 +176,7 @@ def order_frame(rows, j, best, motion, now, tables, scratch):  # type: ignore[no
         return end
     off = np.empty(end - j)
     for i in range(j, end):
-        scene = (motion, now[int(tables[1][int(rows[i, CHANNEL]), AXIS])])
+        scene = (motion, now[int(tables[1][int(rows[i, CHANNEL]), AXIS])], 0.0)
         error, _, wider, own = look(best, rows[i], scene, tables, scratch)
         off[i - j] = error * error / (wider + own)
     rows[j:end] = rows[j:end][np.argsort(off)]
@@ -279,7 +279,8 @@ def meet_row(j, ordered, place, block, state, hyps, best, tables, options, scrat
         now[a] = motion[a, INPUT] + theta * (samples[k, 1 + a] - motion[a, INPUT])
     if decided[j] == OPEN and j >= ordered:
         ordered = order_frame(rows, j, best, motion, now, tables, own)
-    scene = (motion, now[int(tables[1][int(rows[j, CHANNEL]), AXIS])])
+    a = int(tables[1][int(rows[j, CHANNEL]), AXIS])
+    scene = (motion, now[a], samples[k, 1 + len(motion) + a])
     if decided[j] == OPEN:
         judge(hyps, best, clock, rows[j], scene, tables, options, own, scratch[3])
         keep_survivors(hyps, int(clock[COUNT]), survivors[j], errors[j], met[j])
@@ -295,7 +296,7 @@ def run_block(samples, rows, decided, state, hyps, tables, options, out):  # typ
     samples (s, 1 + 2 axes): time in s, acceleration of each axis, its noise density, all after the state's time. rows
     (m, 5): usable measurements, all within the samples, in time order; those of one instant are put in the order they
     are taken in. decided (m,): OPEN, or the code that was decided. hyps: see `model.hypotheses_at`. tables = (walks
-    (n,), channels (c, 11), kinds (c, k), first state of the datums or -1, learning (k, 2)). out = (found (s, axes, 5),
+    (n,), channels (c, 11), kinds (c, k), first state of the datums or -1, learning (k, 3)). out = (found (s, axes, 5),
     met (m, 3), survivors (m, MOST), errors (m, MOST, 2), nodes (s or 0, axes, 2 (1 + k) + 2 n), record (m, 8 + k + n)).
     """
     motion, clock = state

@@ -139,7 +139,7 @@ def fir(acceleration: Acceleration, displacement: Displacement, settings: FirSet
 def run_fir(
     acceleration: Acceleration, displacement: Displacement, settings: MethodSettings, path: Smoothed | None
 ) -> Smoothed:
-    """The same as a row of METHODS, see `fused`."""
+    """The same as `on_series` of METHODS, see `fused`."""
     smoothed = path or smoothed_record(acceleration, displacement, settings.kalman)
     return fused(design, FirSettings(literal=settings.literal), (acceleration, displacement), smoothed)
 

@@ -141,6 +141,36 @@ def innovate(x, motion, channels, kinds, c, acceleration, value, e):  # type: ig
 
 
 @njit(cache=True)
+def linearise(moved, theta, kinds, units_per_m, e):  # type: ignore[no-untyped-def]
+    """Take the innovation `e` (1 + k) at the parameters as estimated (k,): a scale error times displacement is no sum.
+
+    moved (1 + k): the displacement's row of the state; kinds (k,): what each parameter is to the channel. The term left
+    out at 0 is (scale error)² of the displacement, 0.4 % of it where the scale is 6 % off.
+    """
+    for q in range(len(theta)):
+        if kinds[q] == SCALE and theta[q] != 0.0:
+            more = 0.0
+            for r in range(len(theta)):
+                more += theta[r] * moved[1 + r]
+                e[1 + r] += units_per_m * theta[q] * moved[1 + r]
+            e[1 + q] += units_per_m * more
+            e[0] -= units_per_m * theta[q] * more
+
+
+@njit(cache=True)
+def move_to_updated(e, kinds, estimated, moved):  # type: ignore[no-untyped-def]
+    """Take the sensitivities `e` (1 + k) to estimated scale errors at the displacement after the update, not before.
+
+    estimated (k,): which are; moved: by which the update moves the expected measurement. While the velocity at the
+    start is not known that is most of the motion: the sensitivity at the prediction would leave the scale error's share
+    of it in the state.
+    """
+    for q in range(len(e) - 1):
+        if kinds[q] == SCALE and estimated[q]:
+            e[1 + q] += moved
+
+
+@njit(cache=True)
 def project(p, channels, c, ph):  # type: ignore[no-untyped-def]
     """h' P h of channel `c`; P h goes to `ph` (n,)."""
     i, z, g, blur = 3 * int(channels[c, AXIS]), int(channels[c, ZERO]), channels[c, UNITS_PER_M], channels[c, BLUR]

@@ -39,7 +39,9 @@ from midspan.fusion.forward import (
     ZERO_VARIANCE,
     add_noise,
     innovate,
+    linearise,
     move_reference,
+    move_to_updated,
     project,
     scale_state,
     update,
@@ -52,6 +54,8 @@ KINDS = 8
 ENDED = KINDS
 # The setting of the datum.
 DATUM = 2 * KINDS
+# The prediction was wrong, and the samples' noise has it since the last good measurement (see `second_pass`).
+SPREAD = 4 * KINDS
 # How many hypotheses are kept.
 MOST = 16
 # Two are one again where every state agrees to a fifth of its standard deviation, its variance to a tenth and the
@@ -108,9 +112,20 @@ MEMORY_COLUMNS = 15
 ) = range(13)
 MARK_COLUMNS = 13
 # Options, see `Rates`; MEMORY: as of `EstimatorSettings.noise_memory`; BIAS_STD: of the bias at the start, m/s².
-P_OUTLIER, P_STAYS, SHIFT_RATE, RETURN_RATE, WRONG_RATE, NOISE_RATE, LOST_RATE, CLOCK_RATE, ODDS, MEMORY, BIAS_STD = (
-    range(11)
-)
+(
+    P_OUTLIER,
+    P_STAYS,
+    SHIFT_RATE,
+    RETURN_RATE,
+    WRONG_RATE,
+    ROUGH_RATE,
+    NOISE_RATE,
+    LOST_RATE,
+    CLOCK_RATE,
+    ODDS,
+    MEMORY,
+    BIAS_STD,
+) = range(12)
 LOG_2PI = np.log(2.0 * np.pi)
 # Errors of unknown size lie within this number of decades above the noise.
 DECADES = 4.0
@@ -131,6 +146,8 @@ SETTLES = 20.0
 P_STEPPED = 0.1
 # Iterations of the variance's fixed point: the third changes it by less than a thousandth.
 ITERATIONS = 3
+# An error of the acceleration up to so many times (in variance) its noise is met more often: up to ten deviations.
+ROUGH = 1000.0
 # Shortest time (s) that a rate is taken over.
 SHORTEST_S = 1e-3
 
@@ -145,6 +162,12 @@ def log_normal(e, total):  # type: ignore[no-untyped-def]
 def log_any_size(e, total):  # type: ignore[no-untyped-def]
     """Logarithm of the density of an error of unknown size: alike in all decades from the predicted deviation on."""
     return -np.log(2.0 * DECADES * np.log(10.0)) - 0.5 * np.log(max(e * e, total))
+
+
+@njit(cache=True)
+def met_within(rate, lapse):  # type: ignore[no-untyped-def]
+    """Probability that what is met so often a second (Poisson) is met in a lapse, s."""
+    return -np.expm1(-rate * lapse)
 
 
 @njit(cache=True)
@@ -208,14 +231,15 @@ def step_rate(marks, channels, c, at, rates):  # type: ignore[no-untyped-def]
 def look(hyp, row, scene, tables, scratch):  # type: ignore[no-untyped-def]
     """Innovation of a measurement in one hypothesis, variance of its prediction, and of its own noise.
 
-    scene = (motion, acceleration at the instant); the sensitivities go to `scratch`, and P h with them. The variance
-    of the prediction is (without, with) the parameters' part.
+    scene = (motion, acceleration at the instant, density of its noise); the sensitivities go to `scratch`, and P h with
+    them. The variance of the prediction is (without, with) the parameters' part.
     """
     x, p, marks, _, theta, spread = hyp
     _, channels, kinds, _, _ = tables
     gain, e = scratch
     c = int(row[CHANNEL])
     innovate(x, scene[0], channels, kinds, c, scene[1], row[VALUE], e)
+    linearise(x[3 * int(channels[c, AXIS])], theta, kinds[c], channels[c, UNITS_PER_M], e)
     error, known = e[0], project(p, channels, c, gain)
     wider = known
     for q in range(len(theta)):
@@ -239,20 +263,22 @@ def adapt(marks, c, error, known, own, memory):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def learn_parameters(theta, spread, e, error, total, times, learning):  # type: ignore[no-untyped-def]
+def learn_parameters(theta, spread, e, error, variances, times, learning):  # type: ignore[no-untyped-def]
     """Estimate those parameters (k,) that are to be from an innovation, and let them walk since the last one.
 
-    e (1 + k): the innovation's sensitivities; total: its variance with all that is uncertain; times = (now, last, s);
-    learning (k, 2): time in s from which on each is estimated, density of its walk. The gain of the others is 0, and
-    the covariance stays that of the errors (S. F. Schmidt's consider parameters).
+    e (1 + k): the innovation's sensitivities; variances = (that of the prediction without the parameters, of the
+    innovation with all that is uncertain); times = (now, last, s); learning (k, 3): time in s from which on each is
+    estimated, density of its walk, and its least sensitivity² over the prediction's variance. The gain of the others
+    is 0, and the covariance stays that of the errors (S. F. Schmidt's consider parameters).
     """
+    known, total = variances
     k = len(theta)
     gain, mu = np.zeros(k), np.zeros(k)
     for q in range(k):
         spread[q, q] += learning[q, 1] * max(times[0] - times[1], 0.0)
         for r in range(k):
             mu[q] += spread[q, r] * e[1 + r]
-        if times[0] >= learning[q, 0]:
+        if times[0] >= learning[q, 0] and e[1 + q] * e[1 + q] >= learning[q, 2] * known:
             gain[q] = mu[q] / total
     for q in range(k):
         theta[q] -= gain[q] * error
@@ -272,13 +298,20 @@ def accept(hyp, row, seen, tables, options, scratch):  # type: ignore[no-untyped
     adapt(marks, c, error, wider, own, options[MEMORY])
     own = row[VARIANCE] * marks[c, FACTOR]
     if len(theta) > 0:
-        learn_parameters(theta, spread, e, error, wider + own, (row[AT], memory[LAST_AT]), tables[4])
+        learn_parameters(theta, spread, e, error, (known, wider + own), (row[AT], memory[LAST_AT]), tables[4])
         memory[LAST_AT] = row[AT]
+        move_to_updated(e, tables[2][c], row[AT] >= tables[4][:, 0], error * known / (known + own))
     update(x, p, gain, e, known + own)
     marks[c, DISTURBED] = 0.0
     marks[c, SHARE] -= marks[c, SHARE] / OUTLIER_MEMORY
     marks[c, ACCEPTED_AT], marks[c, ACCEPTED_VARIANCE] = row[AT], own / (g * g) + marks[c, REFERENCE_NOW]
     return known + own
+
+
+@njit(cache=True)
+def led_away(size, lapse):  # type: ignore[no-untyped-def]
+    """Density, (m/s²)²/Hz, of an error of the acceleration that leads a prediction `size` (m) away in `lapse` (s)."""
+    return 3.0 * size * size / lapse**3
 
 
 @njit(cache=True)
@@ -297,7 +330,7 @@ def weigh_return(hyp, row, seen, channel, options, scratch, chances):  # type: i
     returned = log_normal(error + g * x[s, 0], max(rest, 0.0) + own)
     rate = options[CLOCK_RATE] if mark[STEPPED] > 0.0 else options[RETURN_RATE]
     lapse = max(row[AT] - mark[MET_AT], SHORTEST_S)
-    chances[RETURN] = memory[WEIGHT] + np.log(rate * lapse) + returned
+    chances[RETURN] = memory[WEIGHT] + np.log(met_within(rate, lapse)) + returned
 
 
 @njit(cache=True)
@@ -308,8 +341,8 @@ def weigh(hyp, row, scene, tables, options, scratch, asked, chances):  # type: i
     prediction that any hypothesis has of it).
     """
     _, _, marks, memory, _, _ = hyp
-    channel = tables[1][int(row[CHANNEL])]
-    mark, prior = marks[int(row[CHANNEL])], memory[WEIGHT]
+    c = int(row[CHANNEL])
+    channel, mark, prior = tables[1][c], marks[c], memory[WEIGHT]
     error, _, wider, own = look(hyp, row, scene, tables, scratch)
     total = wider + own
     same_frame = memory[OUTLIER_AT] == row[AT] and memory[OUTLIER_OF] == channel[SENSOR_OF]
@@ -319,8 +352,7 @@ def weigh(hyp, row, scene, tables, options, scratch, asked, chances):  # type: i
     chances[:] = -np.inf
     chances[GOOD] = prior + log_normal(error, total) + np.log(1.0 - p_out)
     size = kept = log_any_size(error, total)
-    inside = error * error <= GATE * GATE * total
-    doubted = asked[0] or wider > VAGUE * own
+    inside, doubted = error * error <= GATE * GATE * total, asked[0] or wider > VAGUE * own
     if inside and not doubted and not runs:
         pass
     elif mark[DISTURBED] > 0.0:
@@ -337,8 +369,8 @@ def weigh(hyp, row, scene, tables, options, scratch, asked, chances):  # type: i
         weigh_return(hyp, row, (error, wider, own), channel, options, scratch, chances)
     may_step = mark[STEPPED] + mark[SHIFTED] == 0.0 and channel[APART] > 0.0 and not asked[0]
     if may_step and (not inside or mark[DOUBTED] > 0.0):
-        own_rate = P_STEPPED if mark[DOUBTED] > 0.0 else options[CLOCK_RATE] * lapse
-        rate = step_rate(marks, tables[1], int(row[CHANNEL]), row[AT], (own_rate, options[P_STAYS]))
+        own_rate = P_STEPPED if mark[DOUBTED] > 0.0 else met_within(options[CLOCK_RATE], lapse)
+        rate = step_rate(marks, tables[1], c, row[AT], (own_rate, options[P_STAYS]))
         apart = channel[APART] * channel[UNITS_PER_M] ** 2
         if rate > 0.0:
             chances[CLOCK] = prior + np.log(rate) + log_normal(error, total + apart)
@@ -352,15 +384,27 @@ def weigh(hyp, row, scene, tables, options, scratch, asked, chances):  # type: i
         alike_size = log_normal(error - channel[UNITS_PER_M] * memory[SHIFT_BY], 2.0 * own)
         chances[SHIFT] = prior + np.log(0.5 * options[P_STAYS]) + max(size, alike_size)
     else:
-        chances[SHIFT] = prior + np.log(options[SHIFT_RATE] * lapse) + size
-    chances[WRONG] = prior + np.log(options[WRONG_RATE] * lapse) + size
-    chances[NOISE] = prior + np.log(options[NOISE_RATE] * lapse) + size
-    led = np.log(options[LOST_RATE] * lapse)
+        chances[SHIFT] = prior + np.log(met_within(options[SHIFT_RATE], lapse)) + size
+    rough = led_away(error / channel[UNITS_PER_M], lapse) < ROUGH * scene[2]
+    chances[WRONG] = prior + np.log(met_within(options[ROUGH_RATE if rough else WRONG_RATE], lapse)) + size
+    chances[NOISE] = prior + np.log(met_within(options[NOISE_RATE], lapse)) + size
+    led = np.log(met_within(options[LOST_RATE], lapse))
     if mark[DISTURBED] > 0.0:
         # With each outlier it becomes more likely that the state was wrong before the first of them.
         led = min(led - mark[DISTURBED] * np.log(0.5 * options[P_STAYS]), np.log(options[P_OUTLIER]))
         size = kept
     chances[LOST] = max(chances[LOST], prior + led + size)
+
+
+@njit(cache=True)
+def reject(mark, memory, row, sensor):  # type: ignore[no-untyped-def]
+    """Leave out a measurement of a sensor as an outlier."""
+    if mark[DISTURBED] == 0.0:
+        # From value to value a fast sensor always keeps its own; stuck is one that keeps the first.
+        mark[KEPT] = row[VALUE]
+    mark[DISTURBED] += 1.0
+    mark[SHARE] += (1.0 - mark[SHARE]) / OUTLIER_MEMORY
+    memory[OUTLIER_AT], memory[OUTLIER_OF] = row[AT], sensor
 
 
 @njit(cache=True)
@@ -372,18 +416,18 @@ def become(code, hyp, row, scene, tables, options, scratch):  # type: ignore[no-
     c = int(row[CHANNEL])
     channel, mark = tables[1][c], marks[c]
     a, s, scaled = int(channel[AXIS]), int(channel[ZERO]) + 1, 1.0
-    kind, lapse = code % KINDS, max(row[AT] - mark[MET_AT], SHORTEST_S)
+    kind, lapse, spread = code % KINDS, max(row[AT] - mark[MET_AT], SHORTEST_S), code >= SPREAD
+    code -= SPREAD if spread else 0
     memory[CODE] = code
     memory[AGE] = memory[AGE] + 1.0 if code == GOOD else 0.0
     mark[MET_AT], mark[DOUBTED] = row[AT], 0.0
     seen = look(hyp, row, scene, tables, scratch)
+    # Whether the samples' noise since then explains it: then it was the prediction that was wrong.
+    spread = spread and seen[0] ** 2 <= GATE * GATE * (seen[2] + seen[3])
+    if spread and kind == OUTLIER:
+        kind = GOOD
     if kind == OUTLIER:
-        if mark[DISTURBED] == 0.0:
-            # From value to value a fast sensor always keeps its own; stuck is one that keeps the first.
-            mark[KEPT] = row[VALUE]
-        mark[DISTURBED] += 1.0
-        mark[SHARE] += (1.0 - mark[SHARE]) / OUTLIER_MEMORY
-        memory[OUTLIER_AT], memory[OUTLIER_OF] = row[AT], channel[SENSOR_OF]
+        reject(mark, memory, row, channel[SENSOR_OF])
         memory[ERROR], memory[TOTAL] = seen[0], seen[2] + seen[3]
         if code >= ENDED:
             memory[DENSITY] = 0.0
@@ -402,18 +446,20 @@ def become(code, hyp, row, scene, tables, options, scratch):  # type: ignore[no-
         p[s, s] += channel[APART]
         mark[STEPPED] = 1.0
     elif kind == WRONG:
-        memory[DENSITY], memory[ALONG] = 3.0 * size * size / lapse**3, a
-        add_noise(p, 3 * a, lapse, memory[DENSITY])
+        memory[DENSITY], memory[ALONG] = led_away(size, lapse), a
+        if not spread:
+            add_noise(p, 3 * a, lapse, memory[DENSITY])
     elif kind == LOST:
         lapse = max(row[AT] - max(mark[ACCEPTED_AT], memory[BEGAN_AT]), SHORTEST_S)
         size = max(abs(size), np.sqrt(total) / abs(channel[UNITS_PER_M]))
         bias = min(size / lapse**2, options[BIAS_STD])
-        for i, std in ((3 * a, size), (3 * a + 1, size / lapse), (3 * a + 2, bias)):
-            p[i, i] += std * std
+        p[3 * a + 2, 3 * a + 2] += bias * bias
+        if not spread:
+            p[3 * a, 3 * a] += size * size
+            p[3 * a + 1, 3 * a + 1] += (size / lapse) ** 2
         memory[DENSITY] = 0.0
     elif kind == NOISE:
-        mark[FACTOR] *= error * error / total
-        mark[RESTS_ON] = min(mark[RESTS_ON], ANEW)
+        mark[FACTOR], mark[RESTS_ON] = mark[FACTOR] * error * error / total, min(mark[RESTS_ON], ANEW)
     if kind != GOOD:
         seen = look(hyp, row, scene, tables, scratch)
     taken = accept(hyp, row, seen, tables, options, scratch)

@@ -1,56 +1,79 @@
-"""The table of fusion methods: a new one is a file with a function of the form `runners.Run`, and a row here.
+"""The table of fusion methods: a new one is a file with a function of the form `runners.OnSeries`, and a row here.
 
 The table costs no import: a method's module is imported when it is run.
 """
 
 from dataclasses import dataclass
+from enum import Enum
+
+from midspan.errors import UsageError
+
+
+class Pass(Enum):
+    """Which rows of the estimator a method gives: as they come, after fusion.lag_s, smoothed by the whole record."""
+
+    CAUSAL = "causal"
+    LAGGED = "lagged"
+    SMOOTHED = "smoothed"
 
 
 @dataclass(frozen=True, slots=True)
 class Method:
-    """One row of the table: when to use the method, and where it is.
+    """One row of the table: when to use the method, and what makes its rows.
 
-    run: module and function that run it over a whole record, a `Run` of `runners`. literal: it is a paper's and can
-    also be run exactly as printed. on_series: it takes one series of displacements; the others take each sensor's
-    measurements as they come.
+    rows: those of the estimator, which takes each sensor's measurements as they come. on_series: module and function
+    that make them from one series of displacements, an `OnSeries` of `runners`; with both it makes those as printed.
+    literal: it is a paper's and can also be run exactly as printed. follows_noise: the estimator follows the
+    measurements' noise as fusion.forgetting says.
     """
 
     use: str
-    run: str
+    rows: Pass | None = None
+    on_series: str = ""
     literal: bool = False
-    on_series: bool = False
+    follows_noise: bool = False
+
+    def __post_init__(self) -> None:
+        if self.rows is None and not self.on_series:
+            raise UsageError("A method must have rows of the estimator or on_series; received neither. Name one.")
+        if self.literal and not self.on_series:
+            raise UsageError("A method that can be run as printed must have on_series; received none. Name it.")
+
+    def takes_series(self, *, literal: bool) -> bool:
+        """Whether its rows are made from one series, run as printed or not."""
+        return literal or self.rows is None
 
 
 METHODS: dict[str, Method] = {
     "smoother": Method(
         "offline default: uses measurements before and after each sample; half the error of `kalman`",
-        "midspan.fusion.streams:run_smoother",
+        Pass.SMOOTHED,
     ),
     "kalman": Method(
         "causal: uses only what came before each sample; for real time and for control",
-        "midspan.fusion.streams:run_kalman",
+        Pass.CAUSAL,
     ),
     "lag": Method(
         "live with a short delay (fusion.lag_s): nearly the smoother's error from half a second on",
-        "midspan.fusion.streams:run_lag",
+        Pass.LAGGED,
     ),
     "adaptive-kalman": Method(
         "causal, learns the displacement's noise as it goes: for light or weather that changes; "
         "with fusion.literal the adaptive multirate filter exactly as published",
-        "midspan.fusion.adaptive:run_adaptive",
+        Pass.CAUSAL,
+        "midspan.fusion.adaptive:run_printed",
         literal=True,
+        follows_noise=True,
     ),
     "fir": Method(
         "two FIR branches with a delay of seconds: to compare with Lee's method, where nothing folds",
-        "midspan.fusion.fir:run_fir",
+        on_series="midspan.fusion.fir:run_fir",
         literal=True,
-        on_series=True,
     ),
     "two-stage-fir": Method(
         "the same with folded motion taken off first: to compare with the two-stage method",
-        "midspan.fusion.two_stage:run_two_stage",
+        on_series="midspan.fusion.two_stage:run_two_stage",
         literal=True,
-        on_series=True,
     ),
 }
 DEFAULT_METHOD = "smoother"

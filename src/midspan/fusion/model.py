@@ -51,7 +51,8 @@ class Parameter:
     """What is unknown of a group of channels (their numbers): a relative scale error, or a clock's offset in s.
 
     std: standard deviation before. Only the band holds it, unless it is estimated from an instant on. walk: density of
-    its random walk, unit²/s: how it drifts.
+    its random walk, unit²/s: how it drifts. clear: a measurement tells it only where the square of the sensitivity is
+    so many times the variance of the prediction, see `engine.channels`.
     """
 
     kind: ParameterKind
@@ -59,6 +60,7 @@ class Parameter:
     std: float
     estimated_from_ns: int | None = None
     walk: float = 0.0
+    clear: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +70,8 @@ class Rates:
     outlier: least share of measurements that are wrong by any amount; more is learnt. stays: of those whose next one
     is wrong too, of errors of the acceleration that last from one measurement to the next, and of a sensor's targets
     that shift with one.
-    shift, wrong, lost, noise, clock: a second, see `hypotheses`; once an hour each. back: of a shifted zero, a second.
+    shift, wrong, lost, noise, clock: a second, see `hypotheses`; once an hour each. rough: a second, of errors of the
+    acceleration up to ten times its noise. back: of a shifted zero, a second.
     odds: logarithm by which a hypothesis falls behind the best before it is dropped: at 12 it is 160 000 times less
     likely.
     """
@@ -78,6 +81,7 @@ class Rates:
     shift: float = 1.0 / 3600.0
     back: float = 0.1
     wrong: float = 1.0 / 3600.0
+    rough: float = 1.0 / 60.0
     noise: float = 1.0 / 3600.0
     lost: float = 1.0 / 3600.0
     clock: float = 1.0 / 3600.0
@@ -88,20 +92,19 @@ class Rates:
 class EstimatorSettings:
     """The estimator's table of channels, and what is known before the first measurement.
 
-    channels: each is named by its number here. axes: 1 or 2. parameters: see `Parameter`; parameter_covariance (k, k):
-    of all, None where they are independent. bias_m_s2, bias_std_m_s2 (one an axis): expected bias of the acceleration.
-    bias_walk: density of its random walk, (m/s²)²/s. velocity_std_m_s: None to take it from the first measurements.
-    displacement_std_m: how far from the first measurement the structure may be. noise_memory: measurements over which a
-    channel's noise is followed; fewer follow it faster, and it then scatters by sqrt(2/noise_memory). noise_weight: how
-    many measurements the channels' variance factors rest on. motion (one an axis): standard deviation (m) of
-    displacement and middle angular frequency (1/s): what a sensor measures whose clock has stepped; 0: clocks do not
-    step. zero_ns: instant that rows count from; None: from the sensors' own zero.
+    channels: each is named by its number here. axes: 1 or 2. parameters: see `Parameter`. bias_m_s2, bias_std_m_s2
+    (one an axis): expected bias of the acceleration. bias_walk: density of its random walk, (m/s²)²/s.
+    velocity_std_m_s: None to take it from the first measurements. displacement_std_m: how far from the first
+    measurement the structure may be. noise_memory: measurements over which a channel's noise is followed; fewer
+    follow it faster, and it then scatters by sqrt(2/noise_memory). noise_weight: how many measurements the
+    channels' variance factors rest on. motion (one an axis): standard deviation (m) of displacement and middle
+    angular frequency (1/s): what a sensor measures whose clock has stepped; 0: clocks do not step. zero_ns: instant
+    that rows count from; None: from the sensors' own zero.
     """
 
     channels: tuple[Channel, ...]
     axes: int = 1
     parameters: tuple[Parameter, ...] = ()
-    parameter_covariance: Floats | None = None
     bias_m_s2: tuple[float, ...] = (0.0, 0.0)
     bias_std_m_s2: tuple[float, ...] = (0.3, 0.3)
     bias_walk: float = 1e-8
@@ -130,7 +133,7 @@ Tables = tuple[Floats, Floats, NDArray[np.int64], int, Floats]
 
 def tables_of(settings: EstimatorSettings, origin_ns: int = 0) -> Tables:
     """Walks (n,), channels (c, 11), kinds (c, k), the first state of the datums, and when each parameter is estimated
-    and how it walks (k, 2), as `run_block` takes them; origin_ns: what times in s count from.
+    how it walks, and what is clear (k, 3), as `run_block` takes them; origin_ns: what times in s count from.
     """
     walks = np.zeros(settings.size)
     walks[2 : 3 * settings.axes : 3] = settings.bias_walk
@@ -153,10 +156,10 @@ def tables_of(settings: EstimatorSettings, origin_ns: int = 0) -> Tables:
     kinds = np.zeros((len(settings.channels), len(settings.parameters)), dtype=np.int64)
     for q, parameter in enumerate(settings.parameters):
         kinds[list(parameter.channels), q] = parameter.kind
-    learning = np.zeros((len(settings.parameters), 2))
+    learning = np.zeros((len(settings.parameters), 3))
     for q, parameter in enumerate(settings.parameters):
         begin = parameter.estimated_from_ns
-        learning[q] = (np.inf if begin is None else (begin - origin_ns) / NANOSECONDS, parameter.walk)
+        learning[q] = (np.inf if begin is None else (begin - origin_ns) / NANOSECONDS, parameter.walk, parameter.clear)
     return walks, channels, kinds, -1 if settings.zero_ns is None else 3 * settings.axes, learning
 
 
@@ -176,7 +179,7 @@ def options_of(settings: EstimatorSettings) -> Floats:
     rates = settings.rates
     return np.array(
         [
-            *(rates.outlier, rates.stays, rates.shift, rates.back, rates.wrong, rates.noise, rates.lost),
+            *(rates.outlier, rates.stays, rates.shift, rates.back, rates.wrong, rates.rough, rates.noise, rates.lost),
             *(rates.clock, rates.odds),
             settings.noise_memory,
             max(settings.bias_std_m_s2[: settings.axes]),
@@ -210,8 +213,7 @@ def hypotheses_at(begin: Beginning, settings: EstimatorSettings) -> tuple[Hyps, 
     marks[0, :, MET_AT] = begin.time_s - START_S
     memory[0, [SHIFT_AT, OUTLIER_AT]], memory[0, [LAST_AT, BEGAN_AT]] = -np.inf, begin.time_s
     spreads = np.zeros((count, k, k))
-    given = settings.parameter_covariance
-    spreads[0] = np.diag([p.std**2 for p in settings.parameters]) if given is None else given
+    spreads[0] = np.diag([p.std**2 for p in settings.parameters])
     motion, clock = np.zeros((settings.axes, MOTION_COLUMNS)), np.zeros(4)
     motion[:, INPUT] = begin.acceleration
     clock[[TIME, STEP, COUNT, JUDGED]] = (begin.time_s - START_S, np.inf, 1, begin.judged)

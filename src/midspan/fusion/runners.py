@@ -1,15 +1,17 @@
 """Running a fusion method by its name over a whole record of plain arrays."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from importlib import import_module
 
 from midspan.checks import option
-from midspan.fusion.methods import METHODS
-from midspan.fusion.streams import MethodSettings, Smoothed
+from midspan.errors import UsageError
+from midspan.fusion.methods import METHODS, Pass, no_literal_form
+from midspan.fusion.streams import MethodSettings, Smoothed, filtered, smooth
 from midspan.records import Acceleration, Displacement
 
-# What a row of METHODS names: acceleration, displacement, settings and the smoothed record where it is known already.
-Run = Callable[[Acceleration, Displacement, MethodSettings, Smoothed | None], Smoothed]
+# What `on_series` of METHODS names: acceleration, displacement, settings, and the smoothed record where it is known.
+OnSeries = Callable[[Acceleration, Displacement, MethodSettings, Smoothed | None], Smoothed]
 
 
 def run_method(
@@ -23,8 +25,18 @@ def run_method(
 
     acceleration: block of n samples; displacement: block of m measurements on the same clock, in time order; path: the
     smoothed record, for a method that needs it; None: it is made. Returns one row a sample, from the first measurement
-    on, with the innovations and events. Raises UsageError for an unknown name.
+    on, with the innovations and events. Raises UsageError for an unknown name, and for literal without a printed form.
     """
-    module, function = METHODS[option("method", name, METHODS)].run.split(":")
-    run: Run = getattr(import_module(module), function)
-    return run(acceleration, displacement, settings or MethodSettings(), path)
+    row, settings = METHODS[option("method", name, METHODS)], settings or MethodSettings()
+    if settings.literal and not row.literal:
+        raise UsageError(f"{no_literal_form(name)}.")
+    if row.takes_series(literal=settings.literal):
+        module, function = row.on_series.split(":")
+        run: OnSeries = getattr(import_module(module), function)
+        return run(acceleration, displacement, settings, path)
+    kalman = settings.kalman
+    if row.follows_noise:
+        kalman = replace(kalman, noise_memory=settings.noise_memory)
+    if row.rows is Pass.SMOOTHED:
+        return smooth(acceleration, displacement, kalman)
+    return filtered(acceleration, displacement, kalman, lag_s=settings.lag_s if row.rows is Pass.LAGGED else 0.0)

@@ -8,12 +8,14 @@ Fixed interval smoothing with discrete measurements, Int. J. Control 18 (1973) 6
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from midspan.fusion.blocks import estimate_of, given_rows, sample_rows
 from midspan.fusion.decisions import NOTHING_DECIDED, Decided
 from midspan.fusion.estimator import BLOCK, Estimator, EstimatorState, Log, Rows
 from midspan.fusion.filtering import FOUND_VARIANCE, FOUND_VELOCITY, FOUND_X, backward_block, zero_variance
-from midspan.fusion.forward import AT, TIME
+from midspan.fusion.forward import AT, AXIS, CHANNEL, TIME, UNITS_PER_M
+from midspan.fusion.hypotheses import KINDS, LOST, OUTLIER, SHORTEST_S, SPREAD, WRONG, led_away
 from midspan.fusion.model import Beginning, Block, EstimatorSettings, Filter, Left, options_of, run, tables_of
 from midspan.records import Estimate, Event, Floats, Measured, Samples, joined, part
 
@@ -67,6 +69,47 @@ class SecondPass:
         return found
 
 
+@dataclass(frozen=True, slots=True)
+class Unforeseen:
+    """Errors of the acceleration (k,): from when to when (s), along which axis, of which density ((m/s²)²/Hz)."""
+
+    from_s: Floats
+    until_s: Floats
+    axis: NDArray[np.int64]
+    density: Floats
+
+    def added_to(self, rows: Floats) -> Floats:
+        """Rows (s, 1 + 2 axes) of samples with this in their noise."""
+        axes, times = (rows.shape[1] - 1) // 2, rows[:, 0]
+        for begin, end, axis, density in zip(self.from_s, self.until_s, self.axis, self.density, strict=True):
+            within = slice(np.searchsorted(times, begin, side="right"), np.searchsorted(times, end) + 1)
+            rows[within, 1 + axes + axis] += density
+        return rows
+
+
+def unforeseen(decided: Decided, channels: Floats, begin_s: float) -> tuple[Unforeseen, NDArray[np.int64]]:
+    """What led predictions away that were found wrong, and the codes (m,) by which measurements then are taken.
+
+    The filter learns of it by the measurement that it contradicts; but it happened since the last good one before, of
+    the same channel. Measurements between that were taken for outliers are asked again. begin_s: no earlier than this.
+    """
+    codes, time_s, channel_of, found = decided.codes.copy(), decided.rows[:, AT], decided.rows[:, CHANNEL], []
+    led = np.isin(decided.codes % KINDS, (WRONG, LOST)) & (channel_of >= 0.0)
+    for c in np.unique(channel_of[led]).astype(np.int64):
+        own = np.flatnonzero(channel_of == c)
+        good = np.flatnonzero(decided.codes[own] % KINDS != OUTLIER)
+        for place in np.flatnonzero(led[own]):
+            last = int(np.searchsorted(good, place)) - 1
+            j, first = own[place], int(good[last]) if last >= 0 else -1
+            since_s = max(time_s[own[first]], begin_s) if first >= 0 else begin_s
+            lapse = max(time_s[j] - since_s, SHORTEST_S)
+            density = led_away(decided.errors[j, 0] / channels[c, UNITS_PER_M], lapse)
+            found.append((time_s[j] - lapse, time_s[j], channels[c, AXIS], density))
+            codes[own[first + 1 : place + 1]] += SPREAD
+    table = np.array(found).reshape(-1, 4)
+    return Unforeseen(table[:, 0], table[:, 1], table[:, 2].astype(np.int64), table[:, 3]), codes
+
+
 def joined_decisions(parts: list[Decided]) -> Decided:
     """Decisions in their order as one."""
     return Decided(
@@ -80,6 +123,8 @@ def smooth(log: Log, settings: EstimatorSettings) -> tuple[Estimate, ...]:
     """The rows of each axis, smoothed by the whole record; log: of an estimator that has finished."""
     work, decided = SecondPass(settings, log.origin_ns), joined_decisions(log.decided)
     samples = joined(log.samples)
+    errors, codes = unforeseen(decided, work.tables[1], log.begin.time_s)
+    decided = replace(decided, codes=codes)
     given = given_rows(samples, log.first_s, log.origin_ns)
     estimates = tuple(_empty(samples, given) for _ in range(settings.axes))
     spans, done, state = [], 0, Filter.begun(log.begin, settings).saved()
@@ -88,11 +133,11 @@ def smooth(log: Log, settings: EstimatorSettings) -> tuple[Estimate, ...]:
         rows = sample_rows(block, log.origin_ns)
         due = int(np.searchsorted(decided.rows[:, AT], rows[-1, 0], side="right"))
         spans.append((block, slice(done, due), state))
-        after, _ = work.forward(_span(spans[-1], decided, log), back=False)
+        after, _ = work.forward(_span(spans[-1], decided, errors, log), back=False)
         state, done = after.saved(), due
     adjoint, place = work.nothing_later(), int(np.count_nonzero(given))
     for one in reversed(spans):
-        span = _span(one, decided, log)
+        span = _span(one, decided, errors, log)
         _, left = work.forward(span, back=True)
         found = work.backward(span, left, adjoint, state)
         own = given_rows(span.samples, log.first_s, log.origin_ns)
@@ -102,10 +147,10 @@ def smooth(log: Log, settings: EstimatorSettings) -> tuple[Estimate, ...]:
     return estimates
 
 
-def _span(one: tuple[Samples, slice, Filter], decided: Decided, log: Log) -> Span:
+def _span(one: tuple[Samples, slice, Filter], decided: Decided, errors: Unforeseen, log: Log) -> Span:
     samples, own, before = one
     rows, codes = decided.rows[own].copy(), decided.codes[own]
-    return Span(samples, Block(sample_rows(samples, log.origin_ns), rows, codes), before)
+    return Span(samples, Block(errors.added_to(sample_rows(samples, log.origin_ns)), rows, codes), before)
 
 
 def _empty(samples: Samples, given: np.ndarray) -> Estimate:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from midspan.checks import refuse
 from midspan.fusion.estimator import BLOCK, Estimator, EstimatorState, Rows
 from midspan.fusion.model import EstimatorSettings, Rates
 from midspan.fusion.second_pass import Lag, LagState
@@ -31,7 +32,7 @@ from midspan.records import (
 
 Output = Estimate | Innovation | Event
 # Every measurement is as good as its variance says: none is rejected.
-NO_ERRORS = Rates(outlier=0.0, stays=0.0, shift=0.0, back=0.0, wrong=0.0, noise=0.0, lost=0.0, clock=0.0)
+NO_ERRORS = Rates(outlier=0.0, stays=0.0, shift=0.0, back=0.0, wrong=0.0, rough=0.0, noise=0.0, lost=0.0, clock=0.0)
 # Measurements that a channel's noise rests on where it is not to be followed: one more then is lost in rounding.
 AS_DECLARED = 1e30
 # A measurement this many times as uncertain as what is known without it adds a millionth.
@@ -89,13 +90,22 @@ class MethodSettings:
     """What any method may need: the filter's settings, and the keys of [fusion] that single methods use.
 
     lag_s: delay of `lag`, s. literal: a paper's method exactly as printed. forgetting: factor beta of
-    `adaptive-kalman`, above 0 and below 1.
+    `adaptive-kalman`, above 0 and below 1; nearer to 1 is steadier and slower: at 10 Hz 0.95 remembers 2 s.
     """
 
     kalman: KalmanSettings = field(default_factory=KalmanSettings)
     lag_s: float = 0.5
     literal: bool = False
     forgetting: float = 0.95
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.forgetting < 1.0:
+            raise refuse("forgetting", "above 0 and below 1", self.forgetting)
+
+    @property
+    def noise_memory(self) -> float:
+        """Measurements over which a method follows their noise."""
+        return 1.0 / (1.0 - self.forgetting)
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,27 +192,6 @@ def filtered(
     lag_samples = round(lag_s / step_s)
     estimator = Lag(known, lag_samples) if lag_samples else Estimator(known)
     return whole(estimator, acceleration, with_prior(displacement, acceleration, settings))
-
-
-def run_smoother(
-    acceleration: Acceleration, displacement: Displacement, settings: MethodSettings, path: Smoothed | None
-) -> Smoothed:
-    """`smoother` as a row of METHODS."""
-    return path or smooth(acceleration, displacement, settings.kalman)
-
-
-def run_kalman(
-    acceleration: Acceleration, displacement: Displacement, settings: MethodSettings, path: Smoothed | None
-) -> Smoothed:
-    """`kalman` as a row of METHODS."""
-    return filtered(acceleration, displacement, settings.kalman)
-
-
-def run_lag(
-    acceleration: Acceleration, displacement: Displacement, settings: MethodSettings, path: Smoothed | None
-) -> Smoothed:
-    """`lag` as a row of METHODS."""
-    return filtered(acceleration, displacement, settings.kalman, lag_s=settings.lag_s)
 
 
 def whole(estimator: Estimator | Lag, acceleration: Acceleration, displacement: Displacement) -> Smoothed:

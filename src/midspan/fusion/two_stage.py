@@ -85,7 +85,7 @@ def two_stage_fir(
 def run_two_stage(
     acceleration: Acceleration, displacement: Displacement, settings: MethodSettings, path: Smoothed | None
 ) -> Smoothed:
-    """The same as a row of METHODS, see `fused`."""
+    """The same as `on_series` of METHODS, see `fused`."""
     smoothed = path or smoothed_record(acceleration, displacement, settings.kalman)
     return fused(design, TwoStageSettings(literal=settings.literal), (acceleration, displacement), smoothed)
 

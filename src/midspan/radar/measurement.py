@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from midspan.checks import refuse, same_length
 from midspan.errors import UntrustedError
 from midspan.radar.aligned import unwrap_aligned
-from midspan.radar.blockage import BlockageMonitor
+from midspan.radar.blockage import blocked
 from midspan.radar.channels import Phasors, combined, phase_variance
 from midspan.radar.following import LEAST_EXCURSION_BINS, at_places, places_of, standing_in_bins, tracked_places
 from midspan.radar.phase_filter import Unwrapped
@@ -101,8 +101,7 @@ def _unwrapped(z: Phasors, target: Target, given: tuple[Floats, Floats, float]) 
     samples, and rad per m of range.
     """
     frame_s, samples, unit = given
-    blocked = BlockageMonitor(target.amplitude).push(np.abs(z))
-    variance = np.where(blocked, np.inf, phase_variance(z, target.noise_variance))
+    variance = np.where(blocked(np.abs(z), target.amplitude), np.inf, phase_variance(z, target.noise_variance))
     return unwrap_aligned(
         frame_s,
         np.angle(z).astype(np.float64),

@@ -75,14 +75,6 @@ def coarse_range(halves: NDArray[np.complexfloating], place_bin: float, profile:
     return np.asarray((place_bin + turn * profile.samples / (2.0 * np.pi * step)) * profile.bin_m)
 
 
-def coarse_range_std(snr: Floats | float, profile: ChirpProfile) -> Floats:
-    """Standard deviation in m of `coarse_range` for a power ratio `snr` of target to noise after the whole window."""
-    # Each half has twice the noise; the difference of two phases has variance 1 / snr_half.
-    step = profile.samples - profile.samples // 2
-    spread = np.sqrt(2.0 / np.asarray(snr)) * profile.samples / (2.0 * np.pi * step)
-    return np.asarray(spread * profile.bin_m)
-
-
 def slow_time(words: Words, layout: Layout, bins: Floats) -> NDArray[np.complex64]:
     """Products (frames, channels, k) at the bins (k,) of whole frames of raw words (frames · words a frame,).
 

@@ -16,6 +16,7 @@ from midspan.recording.cameras import calibrate_cameras, together
 from midspan.recording.kinds import ROWS
 from midspan.recording.streams.recording import Recording, naming, open_recording
 from midspan.recording.streams.window import calibration_window
+from midspan.records import InputNoise
 from midspan.settings.sensor_words import in_words_of, worded
 from midspan.settings.stored.calibration import Calibration, placed
 
@@ -53,7 +54,8 @@ def _calibrate_and_track(recording: Recording, progress: Progress) -> tuple[Cali
     parts = seen[0].parts if seen else ()
     across = _across(recording, parts[1], warnings) if len(parts) > 1 else None
     calibration = Calibration(
-        noise_std_m_s2=_acceleration_noise(recording, [fit.input_density for fit in fits], warnings),
+        noise_std_m_s2=_white_noise(recording, [fit.input_noise for fit in fits], warnings),
+        motion_noise_s=max(fit.input_noise.motion_s for fit in fits),
         bias_m_s2=bias.value_m_s2,
         bias_std_m_s2=bias.std_m_s2,
         **placed([fit.calibration for fit in fits]),
@@ -80,14 +82,15 @@ def _across(recording: Recording, part: CameraFit, warnings: list[str]) -> Calib
     assert view is not None
     if part.bias is None:
         return Calibration(
-            noise_std_m_s2=float(np.sqrt(part.input_density * recording.prepared.rate_hz)),
+            noise_std_m_s2=float(np.sqrt(part.input_noise.density * recording.prepared.rate_hz)),
             bias_m_s2=0.0,
             bias_std_m_s2=0.0,
             **placed([part.calibration]),
         )
     warnings += [line for line in view.prepared.warnings if line not in warnings]
     return Calibration(
-        noise_std_m_s2=_acceleration_noise(view, [part.input_density], warnings),
+        noise_std_m_s2=_white_noise(view, [part.input_noise], warnings),
+        motion_noise_s=part.input_noise.motion_s,
         bias_m_s2=part.bias.value_m_s2,
         bias_std_m_s2=part.bias.std_m_s2,
         **placed([part.calibration]),
@@ -101,9 +104,9 @@ def usual_in_window(recording: Recording) -> AxisFigures:
     return usual_figures(recording.acceleration.value[calibration_window(recording)], recording.prepared.rate_hz)
 
 
-def _acceleration_noise(recording: Recording, densities: list[float], warnings: list[str]) -> float:
-    """Noise per sample of the acceleration: as given, else as learnt (the larger of two)."""
-    learnt = float(np.sqrt(max(densities) * recording.prepared.rate_hz))
+def _white_noise(recording: Recording, found: list[InputNoise], warnings: list[str]) -> float:
+    """White noise per sample of the acceleration: as given, else as estimated (the largest)."""
+    learnt = float(np.sqrt(max(noise.density for noise in found) * recording.prepared.rate_hz))
     given = recording.accelerometer.noise_std
     if given is None:
         return learnt

@@ -1,6 +1,6 @@
 """`estimate`: the main job, from a recording to displacement at the accelerometer's rate with its error band."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -26,7 +26,6 @@ from midspan.engine.second_look import (
     on_its_clock,
     once_more,
     ran_apart,
-    scale_std_of,
     scales,
     with_levels_of,
     with_scales,
@@ -35,8 +34,7 @@ from midspan.engine.sensor_series import SensorSeries
 from midspan.engine.tracking import CameraTracking
 from midspan.errors import DataError, UntrustedError, UsageError
 from midspan.fusion.estimator import Estimator
-from midspan.fusion.methods import METHODS, no_literal_form
-from midspan.fusion.model import EstimatorSettings
+from midspan.fusion.methods import METHODS, Method, Pass, no_literal_form
 from midspan.fusion.second_pass import Lag, smooth
 from midspan.fusion.streams import MethodSettings
 from midspan.progress import Progress, silent
@@ -114,9 +112,20 @@ class Asked:
     given: bool
 
     @property
+    def row(self) -> Method:
+        """What the method needs."""
+        return METHODS[self.method]
+
+    @property
     def on_series(self) -> bool:
-        """Whether the method takes one series of displacements, as all do that are run as printed."""
-        return METHODS[self.method].on_series or self.recording.settings.fusion.literal
+        """Whether the method takes one series of displacements."""
+        return self.row.takes_series(literal=self.recording.settings.fusion.literal)
+
+    @property
+    def by_settings(self) -> MethodSettings:
+        """What the recording says of methods."""
+        fusion = self.recording.settings.fusion
+        return MethodSettings(lag_s=fusion.lag_s, literal=fusion.literal, forgetting=fusion.forgetting)
 
     @property
     def sides(self) -> tuple[Side, ...]:
@@ -143,6 +152,18 @@ class FirstPass:
 
 
 @dataclass(frozen=True, slots=True)
+class Checked:
+    """Whether the calibration fits: warnings, and whether the second axis is left out.
+
+    scale_std: relative standard deviation of each sensor's scale along each axis, with what a given one is off by.
+    """
+
+    warnings: tuple[str, ...]
+    scale_std: tuple[dict[str, float], ...]
+    left_out: bool
+
+
+@dataclass(frozen=True, slots=True)
 class Found:
     """Rows and innovations along each axis, when each sensor was used, events of the estimator and clocks, warnings."""
 
@@ -157,22 +178,23 @@ class Found:
 def _estimate(asked: Asked, tracking: CameraTracking | None, progress: Progress) -> Result:
     first = first_pass(asked, tracking, progress)
     progress(0, 1, "fusing")
-    settings = first.estimator.settings
-    warnings: list[str] = []
-    if asked.given:
-        settings, warnings = fitted(asked, first)
-    found = by_method(asked, first, settings)
+    looks = asked.on_series or asked.row.rows is Pass.SMOOTHED
+    main = first.sides[0]
+    ran = clocks(first.series[0], main.acceleration, main.kalman, _offsets(first)) if looks or asked.given else {}
+    checked = check(asked, first, ran)
+    found = by_method(asked, first, ran, checked)
     progress(1, 1, "fusing")
-    return result_of(asked, first, replace(found, warnings=(*warnings, *found.warnings)))
+    return result_of(asked, first, replace(found, warnings=(*checked.warnings, *found.warnings)), checked)
 
 
 def first_pass(asked: Asked, tracking: CameraTracking | None, progress: Progress) -> FirstPass:
     """All records of the recording through its point."""
     sides = asked.sides
     eyes = open_eyes(sides, tracking, progress)
-    lag_s = asked.recording.settings.fusion.lag_s if asked.method == "lag" else None
-    memory = 1.0 / (1.0 - asked.recording.settings.fusion.forgetting) if asked.method == "adaptive-kalman" else None
-    point = measuring_point(sides, eyes, lag_s=lag_s, noise_memory=memory)
+    wanted = asked.by_settings
+    lag_s = wanted.lag_s if asked.row.rows is Pass.LAGGED else None
+    memory = wanted.noise_memory if asked.row.follows_noise else None
+    point = measuring_point(sides, eyes, lag_s=lag_s, noise_memory=memory, given=asked.given)
     outcome = run(point, sides, eyes)
     for eye in eyes:
         eye.tracking.close()
@@ -188,28 +210,35 @@ def left_out(side: Side, error: UntrustedError) -> str:
     return f"The second axis {side.recording.axis} is left out of the result. {error}"
 
 
-def fitted(asked: Asked, first: FirstPass) -> tuple[EstimatorSettings, list[str]]:
-    """The estimator's settings with scales as uncertain as a given calibration's turn out to be here, and warnings."""
-    settings, main = first.estimator.settings, first.sides[0]
-    wider: dict[tuple[str, int], float] = {}
-    warnings = uncalibrated(asked.recording, asked.calibration)
-    ran = clocks(first.series[0], main.acceleration, main.kalman, _offsets(first))
+def check(asked: Asked, first: FirstPass, ran: Mapping[str, OneClock]) -> Checked:
+    """What the whole record says of a given calibration; ran: how the sensors' clocks ran."""
+    stated = tuple(stated_scale_std(first, axis) for axis in range(len(first.sides)))
+    if not asked.given:
+        return Checked((), stated, left_out=False)
+    warnings, omitted, found = uncalibrated(asked.recording, asked.calibration), False, list(stated)
     for axis, (side, own) in enumerate(zip(first.sides, first.series, strict=True)):
         if axis and not side.recording.fused:
             continue
         series = {name: on_clock(one, ran[name]) if ran_apart(ran[name]) else one for name, one in own.items()}
+        along, reach_s = f" along {side.recording.axis}" if axis else "", asked.recording.max_offset_s
+        followed = not asked.on_series
         try:
-            along = f" along {side.recording.axis}" if axis else ""
-            max_offset_s = asked.recording.max_offset_s
-            fits = scales(series, side.acceleration, settings, axis=axis, along=along, max_offset_s=max_offset_s)
+            fits = scales(series, side.acceleration, stated[axis], along=along, max_offset_s=reach_s, followed=followed)
         except UntrustedError as error:
             if axis == 0:
                 raise
+            omitted = True
             warnings.append(left_out(side, error))
             continue
         warnings += fits.warnings
-        wider |= {(name, axis): std for name, std in fits.scale_std.items()}
-    return with_scales(settings, wider), warnings
+        found[axis] = stated[axis] | fits.scale_std
+    return Checked(tuple(warnings), tuple(found), omitted)
+
+
+def stated_scale_std(first: FirstPass, axis: int) -> dict[str, float]:
+    """Relative standard deviations of the sensors' scales along an axis as calibrated, by the sensors' names."""
+    cameras = {eye.sensor: eye.calibrations[axis].relative_std for eye in first.eyes}
+    return cameras | {view.sensor: float(known.relative_std) for view, known in known_sensors(first.sides[0])}
 
 
 def as_it_came(first: FirstPass) -> Found:
@@ -217,39 +246,39 @@ def as_it_came(first: FirstPass) -> Found:
     return _found(first, first.outcome, tuple(first.outcome.estimate(axis) for axis in range(len(first.sides))))
 
 
-def by_method(asked: Asked, first: FirstPass, settings: EstimatorSettings) -> Found:
-    """The rows of the method that is asked for."""
+def by_method(asked: Asked, first: FirstPass, ran: Mapping[str, OneClock], checked: Checked) -> Found:
+    """The rows of the method that is asked for; ran: how the sensors' clocks ran, which only the causal ones leave."""
     if asked.on_series:
-        return on_series(asked, first, settings)
-    return smoothed(asked, first, settings)[0] if asked.method == "smoother" else as_it_came(first)
+        return on_series(asked, first, ran, checked)
+    return smoothed(first, ran, checked) if asked.row.rows is Pass.SMOOTHED else as_it_came(first)
 
 
-def smoothed(asked: Asked, first: FirstPass, settings: EstimatorSettings) -> tuple[Found, dict[str, OneClock]]:
-    """The rows smoothed by the whole record, after what it shows of scales and clocks, and how clocks ran."""
-    estimator, outcome, main = first.estimator, first.outcome, first.sides[0]
+def smoothed(first: FirstPass, ran: Mapping[str, OneClock], checked: Checked) -> Found:
+    """The rows smoothed by the whole record, after what it shows of scales and clocks."""
+    estimator, outcome = first.estimator, first.outcome
     assert isinstance(estimator, Estimator)
     log = estimator.log
     assert log is not None
-    ran = clocks(first.series[0], main.acceleration, main.kalman, _offsets(first))
+    off = {(name, axis): std for axis, one in enumerate(checked.scale_std) for name, std in one.items()}
+    settings = with_scales(estimator.settings, off)
     apart = {name: clock for name, clock in ran.items() if ran_apart(clock)}
     if apart or settings != estimator.settings:
         blocks = {name: outcome.measured_by(name) for name in outcome.measured}
         blocks |= {name: on_its_clock(blocks[name], settings.channels, clock) for name, clock in apart.items()}
-        log, again = once_more(settings, joined(log.samples), tuple(blocks.values()))
+        log, again = once_more(settings, log, tuple(blocks.values()))
         outcome = Outcome(again)
     found = _found(first, outcome, smooth(log, settings))
     levels = [level for clock in ran.values() for level in clock.levels]
     rows = tuple(with_levels_of(one, levels) for one in found.rows)
     events = tuple(event for clock in ran.values() for event in clock.events)
     warnings = tuple(line for clock in ran.values() for line in clock.warnings)
-    return replace(found, rows=rows, events=(*found.events, *events), warnings=warnings), ran
+    return replace(found, rows=rows, events=(*found.events, *events), warnings=warnings)
 
 
-def on_series(asked: Asked, first: FirstPass, settings: EstimatorSettings) -> Found:
+def on_series(asked: Asked, first: FirstPass, ran: Mapping[str, OneClock], checked: Checked) -> Found:
     """The rows of a method that takes one series; along an axis without an accelerometer those of the smoother."""
-    found, ran = smoothed(asked, first, settings)
-    fusion, rows, innovations = asked.recording.settings.fusion, list(found.rows), list(found.innovations)
-    method = MethodSettings(lag_s=fusion.lag_s, literal=fusion.literal, forgetting=fusion.forgetting)
+    found, method = smoothed(first, ran, checked), asked.by_settings
+    rows, innovations = list(found.rows), list(found.innovations)
     warnings = list(found.warnings)
     events: list[Event] = []
     for axis, side in enumerate(first.sides):
@@ -259,15 +288,14 @@ def on_series(asked: Asked, first: FirstPass, settings: EstimatorSettings) -> Fo
         measured = one_series(named, found.rows[axis], first.outcome.restarts_ns)
         own, rate_hz = replace(method, kalman=side.kalman), side.prepared.rate_hz
         done = run_on_series(side.acceleration, measured, asked.method, own, found.rows[axis], rate_hz=rate_hz)
-        names = tuple(named)
-        scale_std = max(scale_std_of(settings, name, axis) for name in names)
+        scale_std = max(checked.scale_std[axis][name] for name in named)
         clock_std = max(clock_std_s(one.offset) for one in _offsets(first).values())
         known = with_uncertain(done.estimate, found.zero_variance_m2, scale_std, clock_std)
         known = with_levels_since(known, found.rows[axis], measured, first.outcome.restarts_ns)
         rows[axis] = part(known, np.isin(known.time_ns, found.rows[axis].time_ns))
         innovations[axis] = done.innovation if len(done.innovation.time_ns) else innovations[axis]
         events += done.events
-        warnings += literal_warnings(measured, done) if fusion.literal else []
+        warnings += literal_warnings(measured, done) if method.literal else []
     return replace(
         found,
         rows=tuple(rows),
@@ -291,7 +319,7 @@ def _found(first: FirstPass, outcome: Outcome, rows: tuple[Estimate, ...]) -> Fo
     )
 
 
-def result_of(asked: Asked, first: FirstPass, found: Found) -> Result:
+def result_of(asked: Asked, first: FirstPass, found: Found, checked: Checked) -> Result:
     """The result as plain data."""
     recording, main = asked.recording, found.rows[0]
     refuse_rejections(recording, found.innovations[0])
@@ -300,7 +328,7 @@ def result_of(asked: Asked, first: FirstPass, found: Found) -> Result:
     fused = tuple(event for event in found.events if event.axis == 0)
     alone = unsupported_events(main)
     lost = [event for camera in first.cameras for event in lost_events(*_blind(camera, first))]
-    across, more = _across(asked, first, found)
+    across, more = _across(asked, first, found, checked)
     warnings = (
         *channel_warnings(recording, asked.calibration),
         *(line for camera in first.cameras for line in lost_warnings(*_blind(camera, first))),
@@ -339,9 +367,9 @@ def _blind(camera: CameraResult, first: FirstPass) -> tuple[SensorSeries, Mask]:
     return first.series[0][camera.sensor], camera.targets[camera.best].dark
 
 
-def _across(asked: Asked, first: FirstPass, found: Found) -> tuple[SecondAxis | None, list[str]]:
+def _across(asked: Asked, first: FirstPass, found: Found, checked: Checked) -> tuple[SecondAxis | None, list[str]]:
     """The second image axis at the rows of the first, and its warnings; left out where it is not to be trusted."""
-    if len(first.sides) < 2:
+    if len(first.sides) < 2 or checked.left_out:
         return None, []
     view, rows, innovation = first.sides[1].recording, found.rows[1], found.innovations[1]
     camera = first.sides[1].calibration.first_camera
@@ -350,8 +378,6 @@ def _across(asked: Asked, first: FirstPass, found: Found) -> tuple[SecondAxis | 
         refuse_rejections(view, innovation)
     except UntrustedError as error:
         return None, [left_out(first.sides[1], error)]
-    if any(line.startswith(left_out(first.sides[1], UntrustedError(""))) for line in found.warnings):
-        return None, []
     along = f" along {view.axis}"
     events = tuple(event for event in found.events if event.axis == 1)
     second = SecondAxis(

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from midspan.calibration.whitening import BIAS_WALK_RATIO
 from midspan.engine.axis import AxisFigures
 from midspan.engine.camera_channels import camera_channels
 from midspan.engine.channels import Table, interval_s
@@ -17,6 +18,7 @@ from midspan.engine.switching import Switch
 from midspan.fusion.estimator import Estimator
 from midspan.fusion.model import EstimatorSettings
 from midspan.fusion.second_pass import Lag
+from midspan.fusion.streams import KalmanSettings
 from midspan.recording.calibrate import usual_in_window
 from midspan.recording.kinds import ROWS
 from midspan.recording.streams.recording import Recording
@@ -32,7 +34,8 @@ def figures(side: Side, rate_hz: float) -> AxisFigures:
     """What is usual of an axis's acceleration: as calibrated, where the calibration tells it."""
     known = side.calibration.usual or usual_in_window(side.recording)
     name = f"accelerometer ({side.recording.accelerometer.file})"
-    return replace(known, noise_density=side.calibration.noise_density(rate_hz), name=name)
+    own = side.calibration
+    return replace(known, noise_density=own.noise_density(rate_hz), motion_noise_s=own.motion_noise_s, name=name)
 
 
 def bias_std(side: Side) -> float:
@@ -40,6 +43,16 @@ def bias_std(side: Side) -> float:
     known = side.calibration.bias_std_m_s2
     noise = BIAS_SAMPLES * side.calibration.noise_std_m_s2
     return float(np.hypot(np.hypot(noise, MIN_BIAS_STD), known if np.isfinite(known) else UNKNOWN_BIAS_STD))
+
+
+def bias_walk(side: Side) -> float:
+    """Density of the bias's random walk, (m/s²)²/s: as its noise was estimated with, and what temperature makes."""
+    if not side.recording.fused:
+        return KalmanSettings().bias_walk
+    known = figures(side, side.prepared.rate_hz)
+    return max(
+        KalmanSettings().bias_walk, BIAS_WALK_RATIO * (known.noise_density + known.motion_noise_s * known.variance)
+    )
 
 
 def clock_offsets_ns(main: Side, eyes: Sequence[Eye]) -> dict[str, int]:
@@ -74,19 +87,25 @@ def estimator_settings(table: Table, sides: Sequence[Side], zero_ns: int | None)
         parameters=tuple(table.parameters),
         bias_m_s2=tuple(side.calibration.bias_m_s2 for side in sides),
         bias_std_m_s2=tuple(bias_std(side) for side in sides),
+        bias_walk=max(bias_walk(side) for side in sides),
         motion=tuple(figures(side, 1.0).motion if side.recording.fused else (0.0, 0.0) for side in sides),
         zero_ns=zero_ns,
     )
 
 
 def measuring_point(
-    sides: Sequence[Side], eyes: Sequence[Eye], *, lag_s: float | None = None, noise_memory: float | None = None
+    sides: Sequence[Side],
+    eyes: Sequence[Eye],
+    *,
+    lag_s: float | None = None,
+    noise_memory: float | None = None,
+    given: bool = False,
 ) -> Point:
     """The point of a recording's axes and sensors.
 
     lag_s: rows are given out so much later, smoothed; noise_memory: measurements over which their noise is followed.
     """
-    main, table = sides[0], Table()
+    main, table = sides[0], Table(given=given)
     recording = main.recording
     moved_m = (main.calibration.usual or usual_in_window(recording)).moved_m
     sensors: dict[str, Sensor] = {}

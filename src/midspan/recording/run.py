@@ -19,6 +19,7 @@ from midspan.records import (
     NANOSECONDS,
     Arrival,
     Channel,
+    Complete,
     Estimate,
     Event,
     Frame,
@@ -120,9 +121,9 @@ def run(point: Point, sides: Sequence[Side], eyes: Sequence[Eye]) -> Outcome:
         else:
             series = view.displacement
             outcome.take(point.push(Arrival(view.sensor, 0, Readings(series.time_ns, series.value[:, None]))))
-    for arrival in in_time(feeds, clock_offsets_ns(sides[0], eyes)):
-        with in_words_of(arrival.stream):
-            outputs = point.push(arrival)
+    for name, record in in_time(feeds, clock_offsets_ns(sides[0], eyes)):
+        with in_words_of(name):
+            outputs = point.push(record)
         keep(outputs, cameras, kept)
         outcome.take(outputs)
     outputs = point.finish()
@@ -153,8 +154,9 @@ def radar_frames(recording: Recording, radar: RadarSensor) -> Iterator[RangeFram
 
 def in_time(
     feeds: Mapping[str, Iterator[Tracked | Frame | RangeFrame]], offsets_ns: Mapping[str, int]
-) -> Iterator[Arrival]:
-    """The frames of all streams in the order of the common clock, one of each stream read ahead at most.
+) -> Iterator[tuple[str, Arrival | Complete]]:
+    """The frames of all streams in the order of the common clock, one of each stream read ahead at most; behind the
+    last one of an instant, that all streams have brought theirs. With each the name of the stream that it is from.
 
     offsets_ns: what is added to the stamps of each to get that clock.
     """
@@ -169,10 +171,12 @@ def in_time(
     for name in feeds:
         read(name)
     while waiting:
-        _, _, name, record = heapq.heappop(waiting)
-        yield Arrival(name, counts[name], record)
+        stamp, _, name, record = heapq.heappop(waiting)
+        yield name, Arrival(name, counts[name], record)
         counts[name] += 1
         read(name)
+        if not waiting or waiting[0][0] > stamp:
+            yield name, Complete(stamp)
 
 
 def keep(outputs: Sequence[Output], cameras: Mapping[str, Eye], kept: dict[str, int]) -> None:

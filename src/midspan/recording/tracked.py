@@ -78,7 +78,7 @@ def side_of(recording: Recording, calibration: Calibration) -> Side:
     prepared = recording.prepared if camera is None or camera.fused else still(recording.prepared)
     density = calibration.noise_density(prepared.rate_hz)
     kalman = filter_settings(prepared, density, calibration.bias_m_s2)
-    return Side(recording, calibration, prepared, prepared.with_noise(density), kalman)
+    return Side(recording, calibration, prepared, prepared.with_noise(density, calibration.motion_noise_s), kalman)
 
 
 def open_eyes(sides: Sequence[Side], tracking: CameraTracking | None, progress: Progress) -> tuple[Eye, ...]:

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from midspan.calibration.sensors.radar import RadarCalibration, RadarDiagnostics
 from midspan.engine.radar_trace import PhaseExcerpt, RadarTrace, TargetTrace
-from midspan.radar.blockage import BlockageSettings
+from midspan.radar.blockage import MAX_SHARE, MIN_SHARE
 from midspan.radar.channels import LEAST_BINS
 from midspan.records import Floats, seconds
 from midspan.report.drawing import (
@@ -170,8 +170,7 @@ def amplitudes(trace: RadarTrace, clock: Clock) -> Picture:
 
 def _amplitude(axes: "Axes", target: TargetTrace, clock: Clock) -> None:
     t = clock.at(target.time_ns)
-    limits = BlockageSettings()
-    for share in (limits.low, limits.high):
+    for share in (MIN_SHARE, MAX_SHARE):
         axes.axhline(20.0 * np.log10(share), color=GREY, linewidth=0.8, linestyle="--")
     blocked = spans(t, target.used < 0.5)
     if blocked:

@@ -120,6 +120,7 @@ def calibration(material: Material) -> list[Row]:
         rows += [(f"{name}: {label}", value) for label, value in CALIBRATED[kind](sensor)]
     rows += [
         ("accelerometer: noise", f"{1e3 * found.noise_std_m_s2:.4g} mm/s² per sample"),
+        ("accelerometer: noise density per mean square of the motion", f"{found.motion_noise_s:.2g} s"),
         ("accelerometer: bias", _bias(found)),
         ("made", f"{found.created} by midspan {found.version}"),
     ]

@@ -103,6 +103,7 @@ class StoredAccelerometer(Stored):
     """Noise and bias of the accelerometer, and its gain relative to a displacement sensor."""
 
     noise_std_m_s2: AccelerationNoise
+    motion_noise_s: Std = 0.0
     bias_m_s2: Bias = 0.0
     bias_std_m_s2: StdOrInf = math.inf
     scale: Factor = 1.0
@@ -151,6 +152,7 @@ class StoredAxis(StoredScale):
     variance_factor: Ratio
     fused: Yes = True
     accelerometer_noise_std_m_s2: AccelerationNoise
+    accelerometer_motion_noise_s: Std = 0.0
     accelerometer_bias_m_s2: Bias = 0.0
     accelerometer_bias_std_m_s2: StdOrInf = math.inf
     accelerometer_usual: StoredUsual | None = None

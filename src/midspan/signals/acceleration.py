@@ -20,6 +20,7 @@ from midspan.records import (
 )
 from midspan.signals.bridging import GAP_STEPS, LONG_SHARE, LOWEST_HZ, missed_share, unknown_density
 from midspan.signals.health import Clock, Mask, bridged, clipped, clock, dominant_frequency, frozen, runs
+from midspan.signals.lively import mean_square
 from midspan.signals.stamps import inside, shown
 
 # Above this share of the rate the motion is so fast that integration errs by 1 % and more.
@@ -45,27 +46,35 @@ class PreparedAcceleration:
     events: tuple[Event, ...]
     warnings: tuple[str, ...]
 
-    def with_noise(self, density: float) -> Acceleration:
-        """The acceleration for the filter, with white noise of `density` (m/s²)²/Hz besides what bridging adds.
+    def with_noise(self, density: float, motion_s: float = 0.0) -> Acceleration:
+        """The acceleration for the filter, with white noise of `density` (m/s²)²/Hz besides what bridging adds, and
+        noise of `motion_s` times the mean square of the motion.
 
         A long gap in time gets a sample of the mean acceleration shortly after its start and before its end: a straight
         line between the values on both sides would move the structure by metres. These samples are no rows of a result.
         """
+        noise = density + self.bridging_density
+        if motion_s > 0.0:
+            noise = noise + motion_s * self.mean_square()
         gaps = clock(self.time_ns, GAP_STEPS).gaps
         most = float(np.max(self.bridging_density, initial=0.0))
         long = gaps[self.bridging_density[gaps + 1] > LONG_SHARE * most]
         if not len(long):
-            return Acceleration(self.time_ns, self.value_m_s2, density + self.bridging_density)
+            return Acceleration(self.time_ns, self.value_m_s2, noise)
         step = round(NANOSECONDS / self.rate_hz)
         time_ns = np.concatenate((self.time_ns[long] + step, self.time_ns[long + 1] - step))
         value = np.full(len(time_ns), np.mean(self.value_m_s2))
-        extra = np.tile(self.bridging_density[long + 1], 2)
         order = np.argsort(np.concatenate((self.time_ns, time_ns)), kind="stable")
         return Acceleration(
             np.concatenate((self.time_ns, time_ns))[order],
             np.concatenate((self.value_m_s2, value))[order],
-            density + np.concatenate((self.bridging_density, extra))[order],
+            np.concatenate((noise, np.tile(noise[long + 1], 2)))[order],
         )
+
+    def mean_square(self) -> Floats:
+        """Mean square (n,) of the motion's acceleration over the half second up to each sample, m²/s⁴."""
+        value = self.value_m_s2
+        return mean_square(value, float(np.mean(value)), float(np.var(value)), self.rate_hz)
 
     @property
     def unmeasured_ns(self) -> NDArray[np.int64]:

@@ -23,21 +23,6 @@ def weights(rule: str) -> Floats:
     return np.array([beta, 1.0 - 2.0 * beta, beta])
 
 
-def second_integral(acceleration: Floats, step_s: float, *, rule: str = "numerov") -> Floats:
-    """Displacement (n,) in m of an acceleration (n,) in m/s² at steps of `step_s`, from rest at the first sample.
-
-    It drifts: noise and bias are integrated too. rule: a name in `RULES`.
-    """
-    positive("step_s", step_s, "s")
-    beta = float(weights(rule)[0])
-    a = np.asarray(acceleration, dtype=np.float64)
-    displacement = np.zeros(len(a))
-    speed = np.concatenate(([0.0], np.cumsum(0.5 * step_s * (a[1:] + a[:-1]))))
-    steps = step_s * speed[:-1] + step_s**2 * ((0.5 - beta) * a[:-1] + beta * a[1:])
-    displacement[1:] = np.cumsum(steps)
-    return displacement
-
-
 def integrating(high_pass: Floats, step_s: float, *, rule: str = "numerov") -> Floats:
     """Filter (n,) from acceleration (m/s²) to displacement (m) that has passed the symmetric `high_pass` (n,), n odd.
 

@@ -3,45 +3,22 @@
 Nothing is rounded to grey levels: the tracker gets float temperatures, so that no range has to be chosen.
 """
 
-import math
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from midspan.checks import positive, refuse
+from midspan.checks import refuse
 from midspan.errors import DataError
 from midspan.records import NANOSECONDS, Event, Floats, Frame, PixelTranslation, Region, Status
 from midspan.thermal.limits import LimitFollower, Limits, LimitState, folded, foreign_share
-from midspan.thermal.pattern import LEAST_FRAMES, FixedPattern, estimate_pattern
-from midspan.thermal.shutter import ShutterSettings, ShutterState, ShutterWatch
+from midspan.thermal.pattern import FixedPattern, estimate_pattern
+from midspan.thermal.shutter import ShutterState, ShutterWatch
 
-
-@dataclass(frozen=True, slots=True)
-class CleaningSettings:
-    """How temperatures are made ready for a tracker.
-
-    margin: share of the target's range by which temperatures may lie outside it, 0 or more. follow_s: in so
-    many s the range may move by half its width, and widen by a quarter. pattern_frames: so many frames are learnt from
-    for the fixed pattern, 8 or more; 0: it stays. pattern_k: its expected standard deviation, K. pattern_every_s: least
-    time between two frames that are learnt from, s. shutter: see `midspan.thermal.shutter`.
-    """
-
-    margin: float = 0.25
-    follow_s: float = 10.0
-    pattern_frames: int = 24
-    pattern_k: float = 0.03
-    pattern_every_s: float = 0.05
-    shutter: ShutterSettings = field(default_factory=ShutterSettings)
-
-    def __post_init__(self) -> None:
-        if not 0.0 <= self.margin < math.inf:
-            raise refuse("margin", "0 or more", self.margin)
-        if self.pattern_frames != 0 and not LEAST_FRAMES <= self.pattern_frames <= 500:
-            raise refuse("pattern_frames", f"0, or from {LEAST_FRAMES} to 500", self.pattern_frames)
-        positive("follow_s", self.follow_s, "s")
-        positive("pattern_k", self.pattern_k, "K")
+PATTERN_FRAMES = 24  # that the fixed pattern is learnt from
+PATTERN_K = 0.03  # its expected standard deviation
+PATTERN_EVERY_S = 0.05  # least time between two frames that are learnt from
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,17 +49,16 @@ class CleaningState:
 class ThermalCleaner:
     """Makes frames in °C ready for a tracker of one region; `tracked` tells it what the tracker found in each."""
 
-    def __init__(self, reference: Frame, region: Region, settings: CleaningSettings | None = None) -> None:
+    def __init__(self, reference: Frame, region: Region) -> None:
         """`reference`: the first frame (rows, columns) in °C; `region`: the target's in it, px."""
-        self.settings = settings or CleaningSettings()
         rows, columns = reference.pixels.shape
         if not region.inside(columns, rows):
             raise refuse("region", f"inside the image of {columns}x{rows} px", region)
         self._shape, self._region = (rows, columns), region
-        self._watch = ShutterWatch(self.settings.shutter)
-        self._follower = LimitFollower(_part(reference.pixels, region), reference.time_ns, self.settings.follow_s)
+        self._watch = ShutterWatch()
+        self._follower = LimitFollower(_part(reference.pixels, region), reference.time_ns)
         self._pattern: FixedPattern | None = None
-        self._kept: deque[tuple[NDArray[np.float32], float, float]] = deque(maxlen=max(self.settings.pattern_frames, 1))
+        self._kept: deque[tuple[NDArray[np.float32], float, float]] = deque(maxlen=PATTERN_FRAMES)
         self._last: Frame | None = None
         self._kept_ns = -(1 << 62)
         self._tries = 0
@@ -104,7 +80,7 @@ class ThermalCleaner:
         return CleaningState(self._watch.state, self._follower.state, self._pattern, kept, self._kept_ns, self._tries)
 
     def restore(self, state: CleaningState) -> None:
-        """Continue from a `state` taken earlier, with the same reference frame, region and settings."""
+        """Continue from a `state` taken earlier, with the same reference frame and region."""
         self._watch.restore(state.shutter)
         self._follower.restore(state.limits)
         self._pattern, self._kept_ns, self._tries = state.pattern, state.kept_ns, state.tries
@@ -133,28 +109,26 @@ class ThermalCleaner:
         limits = self._follower.push(target, frame.time_ns)
         self._last = frame
         pixels = frame.pixels if self._pattern is None else self._pattern.removed(frame.pixels)
-        clean = Frame(frame.time_ns, folded(pixels, limits, self.settings.margin), frame.index)
-        return Cleaned(clean, verdict.events, foreign_share(target, limits, self.settings.margin))
+        clean = Frame(frame.time_ns, folded(pixels, limits), frame.index)
+        return Cleaned(clean, verdict.events, foreign_share(target, limits))
 
     def tracked(self, found: PixelTranslation) -> None:
         """Learn the fixed pattern from what the tracker found in the frame that was pushed last."""
-        frame, wanted = self._last, self.settings.pattern_frames
-        if frame is None or found.status is not Status.TRACKING or not wanted or self._pattern is not None:
+        frame = self._last
+        if frame is None or found.status is not Status.TRACKING or self._pattern is not None:
             return
-        if frame.time_ns - self._kept_ns < self.settings.pattern_every_s * NANOSECONDS:
+        if frame.time_ns - self._kept_ns < PATTERN_EVERY_S * NANOSECONDS:
             return
         self._kept_ns = frame.time_ns
         self._kept.append((np.asarray(frame.pixels, dtype=np.float32), found.x_px, found.y_px))
         self._tries += 1
         # Where the scene has not moved enough, another try comes when all frames are others.
-        if len(self._kept) == wanted and self._tries % wanted == 0:
+        if len(self._kept) == PATTERN_FRAMES and self._tries % PATTERN_FRAMES == 0:
             stack = np.stack([pixels for pixels, _, _ in self._kept]).astype(np.float64)
             moved: Floats = np.array([(x, y) for _, x, y in self._kept])
             moved = moved - np.round(moved.mean(axis=0))
             limits = self.limits
-            self._pattern = estimate_pattern(
-                folded(stack, limits, 1.0).astype(np.float64), moved, self.settings.pattern_k
-            )
+            self._pattern = estimate_pattern(folded(stack, limits, 1.0).astype(np.float64), moved, PATTERN_K)
 
     def _forget(self) -> None:
         self._pattern, self._tries = None, 0

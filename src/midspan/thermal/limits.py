@@ -11,7 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from midspan.checks import positive
 from midspan.errors import DataError
 from midspan.records import NANOSECONDS, Floats
 
@@ -19,6 +18,8 @@ Floats32 = NDArray[np.float32]
 
 _SHARES = (1.0, 25.0, 50.0, 75.0, 99.0)  # percent; the quartiles are moved by what covers less than a quarter only
 _LEAST_K = 1e-3
+MARGIN = 0.25  # share of the width by which temperatures may lie outside and still count in full
+FOLLOW_S = 10.0  # in so many s the limits move by half their width at most, and the width by a quarter
 # The width follows so many times slower than the middle: what passes in front widens it, and contrast changes slowly.
 _SLOWER = 4.0
 
@@ -41,7 +42,7 @@ class Limits:
         return max(0.5 * (self.high_c - self.low_c), _LEAST_K)
 
 
-def folded(celsius: NDArray[np.generic], limits: Limits, margin: float = 0.25) -> Floats32:
+def folded(celsius: NDArray[np.generic], limits: Limits, margin: float = MARGIN) -> Floats32:
     """The picture (any shape) in °C with what lies far outside `limits` folded back to their middle.
 
     margin: share of the width, 0 or more, by which temperatures may lie outside and still count in full; over another
@@ -57,10 +58,10 @@ def folded(celsius: NDArray[np.generic], limits: Limits, margin: float = 0.25) -
     return np.asarray(np.float32(limits.middle_c) + np.float32(limits.half_k) * np.copysign(kept, place))
 
 
-def foreign_share(celsius: NDArray[np.generic], limits: Limits, margin: float = 0.25) -> float:
+def foreign_share(celsius: NDArray[np.generic], limits: Limits) -> float:
     """Share of the pixels of a picture, 0 to 1, that are folded: what is warmer or colder than all of the target."""
     place = np.abs(np.asarray(celsius, dtype=np.float32) - np.float32(limits.middle_c))
-    return float(np.mean(place > np.float32((1.0 + 2.0 * margin) * limits.half_k)))
+    return float(np.mean(place > np.float32((1.0 + 2.0 * MARGIN) * limits.half_k)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,11 +80,8 @@ class LimitFollower:
     all evening must not be lagged behind, or its own temperatures would be folded.
     """
 
-    def __init__(self, region: NDArray[np.generic], time_ns: int, follow_s: float = 10.0) -> None:
-        """`region` (rows, columns) in °C of the reference frame; in `follow_s` (s, above 0) the limits move by half
-        their width at most, and the width by a quarter.
-        """
-        self._follow_s = positive("follow_s", follow_s, "s")
+    def __init__(self, region: NDArray[np.generic], time_ns: int) -> None:
+        """`region` (rows, columns) in °C of the reference frame."""
         low, first, middle, third, high = _shares(region)
         self._below = (middle - low) / max(middle - first, _LEAST_K)
         self._above = (high - middle) / max(third - middle, _LEAST_K)
@@ -107,7 +105,7 @@ class LimitFollower:
 
     def push(self, region: NDArray[np.generic], time_ns: int) -> Limits:
         """Follow the temperatures (rows, columns), °C, of where the target is at `time_ns`; return the limits."""
-        share = max(time_ns - self._state.time_ns, 0) / NANOSECONDS / self._follow_s
+        share = max(time_ns - self._state.time_ns, 0) / NANOSECONDS / FOLLOW_S
         first, middle, third = self._state.quartiles_c
         low, now, high = _shares(region)[1:4]
         moved = middle + _within(now - middle, share * self.limits.half_k)

@@ -23,10 +23,9 @@ _EDGE_PX = 2  # from the edge inwards the spline is disturbed by what it takes t
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FixedPattern:
-    """A fixed pattern (rows, columns) in K, mean 0, and the standard deviation in K of one of its values."""
+    """A fixed pattern (rows, columns) in K, mean 0."""
 
     values_k: Floats
-    std_k: float
 
     def removed(self, celsius: NDArray[np.generic]) -> NDArray[np.float32]:
         """The picture (rows, columns) without the pattern."""
@@ -91,7 +90,7 @@ def _told_apart(stack: Floats, moved: Floats, expected_k: float) -> FixedPattern
         pattern = total / (number + (noise / expected_k) ** 2)
         pattern -= np.mean(pattern[full]) if full.any() else 0.0
         pattern[~full] = 0.0
-    return FixedPattern(pattern, noise / math.sqrt(len(stack)))
+    return FixedPattern(pattern)
 
 
 def _amount(seen: Floats, expected: Floats, mask: NDArray[np.bool_]) -> float:

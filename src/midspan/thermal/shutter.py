@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from midspan.checks import positive, refuse
 from midspan.records import NANOSECONDS, Event, Floats, Frame
 
 _STEP_FACTOR = 8.0  # times the usual change of the level from frame to frame
@@ -17,25 +16,10 @@ _LEARNING = 0.05  # weight of a frame in what is usual
 _RISING_S = 30.0  # time constant by which the usual contrast rises: a body that passes does not become usual
 _TAILS = 2.44  # from 5 to 95 % it is so many times as far as from quartile to quartile of a normal variable
 _LEAST_FRAMES = 2  # frozen frames that make an event: a recorder may write one picture twice
-
-
-@dataclass(frozen=True, slots=True)
-class ShutterSettings:
-    """When a frame counts as taken with the shutter closed.
-
-    flat_share: contrast below this share of the usual one is the shutter's, 0 to 1. step_k: smallest jump of the mean
-    level from one frame to the next that is told, K. longest_s: what lasts longer is no shutter but another scene, s.
-    """
-
-    flat_share: float = 0.35
-    step_k: float = 0.15
-    longest_s: float = 3.0
-
-    def __post_init__(self) -> None:
-        if not 0.0 < self.flat_share < 1.0:
-            raise refuse("flat_share", "above 0 and below 1", self.flat_share)
-        positive("step_k", self.step_k, "K")
-        positive("longest_s", self.longest_s, "s")
+# Contrast below this share of the usual one is the shutter's.
+FLAT_SHARE = 0.35
+MIN_STEP_K = 0.15  # smallest jump of the mean level from one frame to the next that is reported
+MAX_CLOSED_S = 3.0  # what lasts longer is no shutter but another scene
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,8 +52,7 @@ class ShutterVerdict:
 class ShutterWatch:
     """Tells frames that were taken with the shutter closed."""
 
-    def __init__(self, settings: ShutterSettings | None = None) -> None:
-        self.settings = settings or ShutterSettings()
+    def __init__(self) -> None:
         self._state = ShutterState()
 
     @property
@@ -89,9 +72,9 @@ class ShutterWatch:
             return ShutterVerdict(True)
         frozen = bool(np.array_equal(now, state.last))
         since = state.since_ns if state.closed else frame.time_ns
-        long = frame.time_ns - since > self.settings.longest_s * NANOSECONDS
+        long = frame.time_ns - since > MAX_CLOSED_S * NANOSECONDS
         # A warm body that leaves takes contrast away too, but never all that there is between 5 and 95 %.
-        if frozen or (not long and _spread(now, 5.0) / _TAILS < self.settings.flat_share * state.contrast_k):
+        if frozen or (not long and _spread(now, 5.0) / _TAILS < FLAT_SHARE * state.contrast_k):
             self._state = replace(state, closed=state.closed + 1, since_ns=since, frozen=frozen)
             return ShutterVerdict(False)
         return self._open(frame, now)
@@ -100,7 +83,7 @@ class ShutterWatch:
         state = self._state
         assert state.last is not None
         change = float(np.median(now - state.last))
-        limit = max(self.settings.step_k, _STEP_FACTOR * state.usual_step_k)
+        limit = max(MIN_STEP_K, _STEP_FACTOR * state.usual_step_k)
         # A recorder that writes pictures twice freezes single frames; the shutter needs longer.
         reopened = state.closed >= _LEAST_FRAMES or (state.closed > 0 and not state.frozen)
         stepped = abs(change) > limit
@@ -124,7 +107,7 @@ class ShutterWatch:
     def _usual_contrast(self, frame: Frame, now_k: float) -> float:
         """The usual contrast (K) after a frame of `now_k`: falls quickly, rises slowly, is new in a new scene."""
         state = self._state
-        if state.closed and frame.time_ns - state.since_ns > self.settings.longest_s * NANOSECONDS:
+        if state.closed and frame.time_ns - state.since_ns > MAX_CLOSED_S * NANOSECONDS:
             return now_k
         usual = state.contrast_k
         if now_k < usual:

@@ -19,8 +19,9 @@ class Tracker(ABC):
     """Follows one target through frames; the translation counts from the reference frame.
 
     A new tracker is a class with `push` and, in `_state`, everything that changes from frame to frame: a frozen record
-    with the translation `x_px`, `y_px`. A checkpoint needs `reference`, `region`, the settings and `state`: a tracker
-    built anew from the first three gives the same values as the old one after `restore(state)`.
+    with the translation `x_px`, `y_px`, whose type the class declares. A checkpoint needs `reference`, `region`, the
+    settings and `state`: a tracker built anew from the first three gives the same values as the old one after
+    `restore(state)`.
     """
 
     _state: Any = None
@@ -165,9 +166,13 @@ def open_tracker(name: str, reference: Frame, region: Region, settings: Any = No
         )
     rows, columns = reference.pixels.shape
     check_region(region, columns, rows)
-    module = importlib.import_module(entry.module)
-    known = getattr(module, entry.settings)
+    known = getattr(importlib.import_module(entry.module), entry.settings)
     if settings is not None and not isinstance(settings, known):
         raise refuse("settings", f"a {entry.settings} for the tracker {name!r}", type(settings).__name__)
-    tracker: Tracker = getattr(module, entry.tracker)(reference, region, settings or known())
+    tracker: Tracker = tracker_class(name)(reference, region, settings or known())
     return tracker
+
+
+def tracker_class(name: str) -> Any:
+    """The class of the tracker `name`, a key of TRACKERS."""
+    return getattr(importlib.import_module(TRACKERS[name].module), TRACKERS[name].tracker)

@@ -73,10 +73,10 @@ def _followed(frames: Sequence[Frame], region: Region, name: str, settings: obje
 def _expected_px(view: View, targets: Sequence[SeenTarget], fit: CameraFit, frames_ns: Nanoseconds) -> Floats:
     """The translation (n,) in px that the accelerometer says at frames' stamps on the camera's clock."""
     camera = fit.calibration
-    acceleration = view.prepared.with_noise(fit.input_density)
+    acceleration = view.prepared.with_noise(fit.input_noise.density, fit.input_noise.motion_s)
     used = [target for target in targets if target.region == camera.region]
     block = camera_blocks(used, camera, acceleration)[0]
-    kalman = filter_settings(view.prepared, fit.input_density)
+    kalman = filter_settings(view.prepared, fit.input_noise.density)
     weak = type(block)(block.time_ns, block.value_m, WEAKER * block.variance_m2, block.source)
     path = smooth(acceleration, weak, kalman).estimate
     stamps = frames_ns + round(NANOSECONDS * camera.offset.value_s)

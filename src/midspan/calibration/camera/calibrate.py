@@ -16,7 +16,7 @@ from midspan.calibration.scale import LEAST_FRAMES, REFUSED_ABOVE, ScaleCalibrat
 from midspan.calibration.sensors.camera import CameraCalibration, TargetCalibration
 from midspan.calibration.sensors.fit import SensorFit
 from midspan.errors import UntrustedError
-from midspan.records import ScaleFactor, TimeOffset
+from midspan.records import InputNoise, ScaleFactor, TimeOffset
 from midspan.signals.stamps import inside
 from midspan.vision.lens import ideal_gain
 from midspan.vision.region_choice import USELESS
@@ -142,7 +142,7 @@ def _judged(view: View, targets: Sequence[SeenTarget], fit: Fitted, offset: Time
     found = fit.found[_best(known)]
     assert found is not None
     camera = _camera(targets, view.axis, known, offset)
-    return _without_movers(view, targets, camera, found.input_noise_density)
+    return _without_movers(view, targets, camera, found.input_noise)
 
 
 def _fit_of(seen: Sequence[SeenTarget], camera: CameraCalibration, fit: Fitted) -> CameraFit:
@@ -166,7 +166,7 @@ def _fit_of(seen: Sequence[SeenTarget], camera: CameraCalibration, fit: Fitted) 
     bias = bias_of(search.pair, search.fit, float(np.sqrt(search.offset.variance)))
     # The integrated acceleration that the pair keeps beside its fields is no part of the result.
     plain = replace(found, search=replace(search, pair=replace(search.pair)))
-    return CameraFit(camera, found.input_noise_density, bias, tuple(warnings), plain)
+    return CameraFit(camera, found.input_noise, bias, tuple(warnings), plain)
 
 
 def _target(target: SeenTarget, found: ScaleCalibration | None, reason: str, axis: str) -> TargetCalibration:
@@ -232,14 +232,14 @@ def _camera(
 
 
 def _without_movers(
-    view: View, targets: Sequence[SeenTarget], camera: CameraCalibration, density: float
+    view: View, targets: Sequence[SeenTarget], camera: CameraCalibration, noise: InputNoise
 ) -> CameraCalibration:
     """The calibration without the targets that move by themselves, the worst first; UntrustedError if undecided."""
     while len(camera.used) > 1:
         used = [k for k, target in enumerate(camera.targets) if target.used]
-        acceleration = view.prepared.with_noise(density)
+        acceleration = view.prepared.with_noise(noise.density, noise.motion_s)
         blocks = camera_blocks([targets[k] for k in used], camera, acceleration)
-        kalman = filter_settings(view.prepared, density)
+        kalman = filter_settings(view.prepared, noise.density)
         found = moves_by_itself(blocks, camera.mappings(), acceleration, kalman, view.window_ns)
         if found is None:
             break
@@ -307,4 +307,4 @@ def _tracked_only(view: View, seen: Sequence[SeenTarget], main: CameraCalibratio
     camera = replace(
         _camera(tracked_of, axis, targets, main.offset), fused=False, relative_scale_std=main.relative_scale_std
     )
-    return CameraFit(camera, densities[_best(targets)])
+    return CameraFit(camera, InputNoise(densities[_best(targets)]))

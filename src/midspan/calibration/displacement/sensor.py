@@ -37,7 +37,7 @@ def fit_displacement(given: Given) -> DisplacementFit:
     part = displacement_part(given, learnt)
     warnings = tuple(displacement_warnings(given, learnt, part))
     bias = bias_of(learnt.findings.pair, learnt.findings.fit)
-    return DisplacementFit(part, learnt.input_noise_density, bias, warnings, learnt)
+    return DisplacementFit(part, learnt.input_noise, bias, warnings, learnt)
 
 
 def _learnt(given: Given) -> NoiseCalibration:

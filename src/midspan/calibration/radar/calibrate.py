@@ -17,7 +17,7 @@ from midspan.calibration.sensors.fit import SensorFit
 from midspan.calibration.sensors.radar import RadarCalibration, RadarDiagnostics, RadarTarget
 from midspan.calibration.time_offset import OffsetSearch, search_offset
 from midspan.errors import DataError, UntrustedError, UsageError
-from midspan.radar.blockage import BlockageSettings
+from midspan.radar.blockage import MAX_SHARE, MIN_SHARE
 from midspan.radar.channels import noise_variance
 from midspan.radar.frames import (
     RadarFrames,
@@ -102,7 +102,9 @@ def fit_radar(
         diagnostics=diagnostics_of(info.axis.range_m, info.limit_speed_m_s, whole, (best, series, unit)),
     )
     warnings = (*info.warnings, *told, *hidden, *moving, *told_factor, *_warnings(calibration))
-    return RadarFit(calibration, search.fit.input_density, searched_bias(search), tuple(warnings))
+    return RadarFit(
+        calibration, search.pair.input_noise(search.fit.input_density), searched_bias(search), tuple(warnings)
+    )
 
 
 def _clearly_seen(
@@ -167,14 +169,13 @@ def _at_one_pace(
 
 def _longest_clear(frames: RadarFrames, targets: Sequence[Target]) -> slice:
     """The longest stretch of frames in which all targets had about their usual amplitude, short flaws allowed."""
-    usual = BlockageSettings()
     clear = np.ones(len(frames.time_ns), dtype=np.bool_)
     for target in targets:
         z = together(at_place(frames.phasors, target.place_bin)[..., None], target, frames.valid)[:, 0] - target.leak
         share = np.abs(z) / target.amplitude
         # A target that moves through its bin fades by itself.
-        low = usual.low if target.reach_bins == 0.0 else 0.0
-        clear &= ~((share < low) | (share > usual.high))
+        low = MIN_SHARE if target.reach_bins == 0.0 else 0.0
+        clear &= ~((share < low) | (share > MAX_SHARE))
     flaws = [run for run in runs(~clear) if run[1] - run[0] >= LEAST_FLAW_FRAMES]
     edges = [0, *(int(k) for run in flaws for k in run), len(clear)]
     starts, ends = edges[0::2], edges[1::2]

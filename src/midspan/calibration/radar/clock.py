@@ -10,7 +10,7 @@ import numpy as np
 
 from midspan.calibration.running_clock import SIGNIFICANT
 from midspan.radar.alignment import align
-from midspan.radar.blockage import BlockageMonitor
+from midspan.radar.blockage import blocked
 from midspan.radar.frames import even_places
 from midspan.records import NANOSECONDS, Floats, Nanoseconds, seconds
 from midspan.signals.medians import MEDIAN_OF_SQUARE
@@ -97,7 +97,7 @@ def _lateness(seen: Seen, samples: Floats, window: tuple[float, float]) -> tuple
         return None
     places = even_places(seen.time_ns[own])
     phase = np.full(int(places[-1]) + 1, np.nan)
-    hidden = BlockageMonitor(seen.amplitude).push(np.abs(np.nan_to_num(seen.phasors[own])))
+    hidden = blocked(np.abs(np.nan_to_num(seen.phasors[own])), seen.amplitude)
     phase[places] = np.where(hidden, np.nan, np.angle(seen.phasors[own]))
     time_s = np.interp(np.arange(len(phase)), places, seconds(seen.time_ns[own], 0)) + seen.offset_s
     near = slice(*np.searchsorted(samples[:, 0], (time_s[0] - 2.0 * REACH_S, time_s[-1] + 2.0 * REACH_S)))

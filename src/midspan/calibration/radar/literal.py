@@ -80,7 +80,7 @@ def fit_radar_literal(
     )
     warnings = (*info.warnings, *window.told, *told, *_warnings(best, series))
     search = _accelerometer_by_clean_target((window, prepared, info), peaks, series)
-    return RadarFit(calibration, search.fit.input_density, searched_bias(search), warnings)
+    return RadarFit(calibration, search.pair.input_noise(search.fit.input_density), searched_bias(search), warnings)
 
 
 def _at_the_end(factor: float) -> bool:

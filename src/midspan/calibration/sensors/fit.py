@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 from midspan.calibration.bias import Bias
+from midspan.records import InputNoise
 
 Calibrated = TypeVar("Calibrated")
 Diagnostics = TypeVar("Diagnostics")
@@ -14,12 +15,12 @@ Diagnostics = TypeVar("Diagnostics")
 class SensorFit(Generic[Calibrated, Diagnostics]):
     """What was learnt of a sensor, of a camera along one axis.
 
-    input_density: noise density of the acceleration, (m/s²)²/Hz; without an accelerometer the motion's own. bias: of
-    the accelerometer, None without one. diagnostics: what the values rest on, None where the calibration holds it.
+    input_noise: of the acceleration; without an accelerometer the motion's own. bias: of the accelerometer, None
+    without one. diagnostics: what the values rest on, None where the calibration holds it.
     """
 
     calibration: Calibrated
-    input_density: float
+    input_noise: InputNoise
     bias: Bias | None = None
     warnings: tuple[str, ...] = ()
     diagnostics: Diagnostics | None = None

@@ -48,7 +48,8 @@ def placed(sensors: Sequence[SensorCalibration]) -> dict[str, Any]:
 class Calibration:
     """Everything `calibrate` learns about a recording's sensors.
 
-    noise_std_m_s2: white noise of the acceleration per sample; bias_m_s2, bias_std_m_s2: the accelerometer's bias at
+    noise_std_m_s2: white noise of the acceleration per sample; motion_noise_s: what its noise density has besides, per
+    mean square of the acceleration (m²/s⁴); bias_m_s2, bias_std_m_s2: the accelerometer's bias at
     the end of the window and its standard deviation, infinite where that is not known. camera, infrared, radar,
     displacement: the first sensor of each kind; others: further ones, each with its name. accelerometer_scale: gain of
     the accelerometer relative to a displacement sensor, 1 where it cannot be learnt, with its standard deviation.
@@ -61,6 +62,7 @@ class Calibration:
     noise_std_m_s2: float
     bias_m_s2: float
     bias_std_m_s2: float = math.inf
+    motion_noise_s: float = 0.0
     camera: CameraCalibration | None = None
     infrared: CameraCalibration | None = None
     radar: RadarCalibration | None = None
@@ -160,6 +162,7 @@ def _acceleration_tree(part: Calibration, prefix: str = "") -> dict[str, Any]:
     usual = {} if part.usual is None else {f"{prefix}usual": usual_tree(part.usual)}
     return usual | {
         f"{prefix}noise_std_m_s2": part.noise_std_m_s2,
+        f"{prefix}motion_noise_s": part.motion_noise_s,
         f"{prefix}bias_m_s2": part.bias_m_s2,
         f"{prefix}bias_std_m_s2": finite_or_none(part.bias_std_m_s2),
     }

@@ -43,6 +43,7 @@ def calibration_from_dict(tree: Any, where: str = CALIBRATION_FILE) -> Calibrati
     )
     found = Calibration(
         noise_std_m_s2=own.noise_std_m_s2,
+        motion_noise_s=own.motion_noise_s,
         bias_m_s2=own.bias_m_s2,
         bias_std_m_s2=own.bias_std_m_s2,
         warnings=stored.warnings,
@@ -66,6 +67,7 @@ def _with_second_axis(found: Calibration, first: StoredCamera) -> Calibration:
     camera = camera_across(main, part)
     across = Calibration(
         noise_std_m_s2=part.accelerometer_noise_std_m_s2,
+        motion_noise_s=part.accelerometer_motion_noise_s,
         bias_m_s2=part.accelerometer_bias_m_s2,
         bias_std_m_s2=part.accelerometer_bias_std_m_s2,
         usual=usual_of(part.accelerometer_usual),

@@ -34,10 +34,6 @@ class Beam:
         result: Floats = number**2 * np.pi / (2 * self.length_m**2) * root
         return result
 
-    def static_deflection_m(self, force_n: float) -> float:
-        """Deflection in m of mid-span under a steady force in N there: P L³ / (48 EI), of all modes."""
-        return force_n * self.length_m**3 / (48 * self.rigidity_n_m2)
-
 
 @njit(cache=True)
 def _respond(force: Floats, transition: Floats, load_now: Floats, load_next: Floats, states: Floats) -> None:

@@ -1,6 +1,5 @@
 """Captures as a radar's capture card writes them: 16-bit words, lost packets as zeros, settings beside them."""
 
-import json
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +11,7 @@ from midspan.radar.layout import Layout, pack
 from midspan.simulate.radar.signal import Cubes
 
 PACKET_BYTES = 1456
-# The codes of bits and format in both kinds of settings.
+# The codes of bits in the settings.
 _BITS = {12: 0, 14: 1, 16: 2}
 
 
@@ -73,45 +72,6 @@ def demo_settings(profile: ChirpProfile, *, frames: int = 0, order: str = "QQII"
         "sensorStart",
     ]
     return "\n".join(lines) + "\n"
-
-
-def studio_settings(profile: ChirpProfile, *, frames: int = 0, order: str = "IIQQ", device: str = "AWR1642") -> str:
-    """Settings as mmWave Studio saves them (.mmwave.json)."""
-    ramp_us = 1e6 * (2.0 * profile.centre_s - profile.adc_start_s) + 2.0
-    radio = {
-        "rlChanCfg_t": {"rxChannelEn": hex(2**profile.receivers - 1), "txChannelEn": hex(_senders(profile))},
-        "rlAdcOutCfg_t": {
-            "fmt": {"b2AdcBits": _BITS[profile.bits], "b2AdcOutFmt": 1 if profile.complex_samples else 0}
-        },
-        "rlProfiles": [
-            {
-                "rlProfileCfg_t": {
-                    "profileId": 0,
-                    "startFreqConst_GHz": profile.start_frequency_hz / 1e9,
-                    "idleTimeConst_usec": 1e6 * profile.chirp_period_s - ramp_us,
-                    "adcStartTimeConst_usec": 1e6 * profile.adc_start_s,
-                    "rampEndTime_usec": ramp_us,
-                    "freqSlopeConst_MHz_usec": profile.slope_hz_s / 1e12,
-                    "numAdcSamples": profile.samples,
-                    "digOutSampleRate": profile.sample_rate_hz / 1e3,
-                }
-            }
-        ],
-        "rlChirps": [
-            {"rlChirpCfg_t": {"chirpStartIdx": k, "chirpEndIdx": k, "profileId": 0, "txEnable": hex(mask)}}
-            for k, mask in enumerate(profile.transmitters)
-        ],
-        "rlFrameCfg_t": {
-            "chirpStartIdx": 0,
-            "chirpEndIdx": profile.chirps - 1,
-            "numLoops": 1,
-            "numFrames": frames,
-            "framePeriodicity_msec": 1e3 * profile.frame_period_s,
-        },
-    }
-    capture = {"rlDevDataFmtCfg_t": {"iqSwapSel": 1 if order.startswith("Q") else 0, "chInterleave": 1}}
-    whole = {"mmWaveDevice": device, "mmWaveDevices": [{"rfConfig": radio, "rawDataCaptureConfig": capture}]}
-    return json.dumps(whole, indent=1)
 
 
 def _senders(profile: ChirpProfile) -> int:

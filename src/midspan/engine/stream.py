@@ -1,0 +1,111 @@
+"""One stream of a `Merge`: what is known of it, the offset of its clock, and how a clock set for good shows."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from midspan.engine.order import GOOD, LAST_NS, LATE
+from midspan.records import NANOSECONDS, ClockOffset, Nanoseconds
+
+# Stamps that go on elsewhere for so long (s) are those of a clock that was set; until then they are left out. Packets
+# that overtake each other are below a second apart.
+SETTLED_S = 2.0
+# And they go on as fast as ticks do, to this factor: what was held up on its way and is sent once more comes at once.
+SAME_RATE = 2
+# So many readings say what the interval between two of them is.
+MIN_READINGS = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Elsewhere:
+    """Readings in a row with the same fault whose stamps increase among themselves.
+
+    code: their fault; first_ns, last_ns: stamps on the common clock; count; since_ns: the tick at the first one.
+    """
+
+    code: int
+    first_ns: int
+    last_ns: int
+    count: int
+    since_ns: int
+
+    def is_settled(self, now_ns: int) -> bool:
+        """Whether they are those of a clock that was set."""
+        lasts_ns, ticked_ns = self.last_ns - self.first_ns, now_ns - self.since_ns
+        alike = ticked_ns <= SAME_RATE * lasts_ns and lasts_ns <= SAME_RATE * ticked_ns
+        return alike and ticked_ns >= SETTLED_S * NANOSECONDS and self.count >= MIN_READINGS
+
+    def step_ns(self, newest_ns: int, released_ns: int) -> int:
+        """What is added from here on, so that the first reading follows the newest good one at the usual interval.
+
+        After a pause, in which the others went on, they follow what was given out.
+        """
+        lasts_ns = self.last_ns - self.first_ns
+        expected_ns = newest_ns + lasts_ns // (self.count - 1) + lasts_ns
+        return max(expected_ns, released_ns + 1) - self.last_ns
+
+
+def gone_on(known: Elsewhere | None, code: int, time_ns: Sequence[int], now_ns: int) -> tuple[Elsewhere | None, int]:
+    """After further stamps with a fault, and how many of them it took until they were settled, or all."""
+    for number, stamp in enumerate(time_ns):
+        if known is None or code != known.code or stamp <= known.last_ns:
+            known = Elsewhere(code, stamp, stamp, 1, now_ns)
+            continue
+        known = replace(known, last_ns=stamp, count=known.count + 1)
+        if known.is_settled(now_ns):
+            return known, number + 1
+    return known, len(time_ns)
+
+
+@dataclass(slots=True)
+class StreamMemory:
+    """What is known of a stream; a state holds a copy.
+
+    newest_ns, late_ns: its newest stamp, and the newest one that came too late, on the common clock; heard_ns: the tick
+    at its newest good record; offsets: still to come, in the order of their stamps; out: silent for too long; fault:
+    code of what is wrong with its newest record; elsewhere: its newest records, where their stamps go on elsewhere;
+    used, late, disordered, lost: counts.
+    """
+
+    name: str
+    newest_ns: int | None = None
+    heard_ns: int | None = None
+    sequence: int | None = None
+    offset_ns: int = 0
+    offsets: tuple[ClockOffset, ...] = ()
+    out: bool = False
+    fault: int = GOOD
+    elsewhere: Elsewhere | None = None
+    late_ns: int | None = None
+    used: int = 0
+    late: int = 0
+    disordered: int = 0
+    lost: int = 0
+
+
+def take_offset(own_ns: Sequence[int] | Nanoseconds, stream: StreamMemory) -> int:
+    """Let the offset hold that belongs to the first of the stamps (n,) on a stream's own clock; returns for how many of
+    them it holds. An offset holds from its stamp on, and for good.
+    """
+    while stream.offsets and stream.offsets[0].from_ns <= own_ns[0] <= LAST_NS:
+        stream.offset_ns, stream.offsets = stream.offsets[0].offset_ns, stream.offsets[1:]
+    if not stream.offsets:
+        return len(own_ns)
+    later = np.asarray(own_ns)
+    begins = np.flatnonzero((later >= stream.offsets[0].from_ns) & (later <= LAST_NS))
+    return int(begins[0]) if len(begins) else len(own_ns)
+
+
+def quiet(stream: StreamMemory, now_ns: int) -> str:
+    """For how long a stream has been silent, for a message."""
+    quiet_s = (now_ns - (stream.heard_ns or 0)) / NANOSECONDS
+    came = "nothing came" if stream.fault in (GOOD, LATE) else "no record with a usable stamp came"
+    return f"{came} for {quiet_s:.3g} s"
+
+
+def moved(time_ns: Nanoseconds, offset_ns: int) -> Nanoseconds:
+    """Stamps (n,) plus an offset; those that are no times stay what they are, so that nothing runs over."""
+    if offset_ns == 0:
+        return time_ns
+    return np.where(np.abs(time_ns.astype(np.float64)) > LAST_NS, time_ns, time_ns + np.int64(offset_ns))
