@@ -19,7 +19,7 @@ COASTING_INTERVALS, LOST_INTERVALS, MIN_COASTING_S, MIN_LOST_S = 2.5, 10.0, 0.05
 # The usual interval of a stream is the median between so many stamps at its beginning: jitter of a tenth of an interval
 # then changes it by a hundredth.
 FIRST_STAMPS = 100
-# Relative standard deviation of a scale of a given calibration beside what that one states: the sensitivity of ordinary
+# Relative standard deviation of a scale of a given calibration besides what that states: the sensitivity of ordinary
 # accelerometers is within ±5 % of the data sheet's, which is 5 % / sqrt(3) where every value is as likely.
 GIVEN_SCALE_STD = 0.03
 # Density of the random walk of such a scale, 1/s: sensitivities change by 1 % from one day to the next at most.

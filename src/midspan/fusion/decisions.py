@@ -10,7 +10,7 @@ from midspan.fusion.forward import AT, CHANNEL
 from midspan.fusion.hypotheses import CLOCK, DATUM, KINDS, LOST, MOST, NOISE, OUTLIER, RETURN, SHIFT, WRONG
 from midspan.records import NANOSECONDS, Channel, Event, Floats
 
-# So many measurements, the newest ones, may be undecided; what the older ones were the best hypothesis decides.
+# The newest measurements, up to this number, may be undecided; what the older ones were the best hypothesis decides.
 MAX_UNDECIDED = 2048
 # Outliers in a row that are an event.
 MIN_RUN = 5

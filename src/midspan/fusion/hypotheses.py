@@ -146,7 +146,8 @@ SETTLES = 20.0
 P_STEPPED = 0.1
 # Iterations of the variance's fixed point: the third changes it by less than a thousandth.
 ITERATIONS = 3
-# An error of the acceleration up to so many times (in variance) its noise is met more often: up to ten deviations.
+# Errors of the acceleration up to this many times (in variance) its noise are met more often: 30 deviations. At 100
+# lively records (`python -m benchmarks broad`) had measurements rejected that were right.
 ROUGH = 1000.0
 # Shortest time (s) that a rate is taken over.
 SHORTEST_S = 1e-3

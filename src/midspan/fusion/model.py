@@ -71,7 +71,7 @@ class Rates:
     is wrong too, of errors of the acceleration that last from one measurement to the next, and of a sensor's targets
     that shift with one.
     shift, wrong, lost, noise, clock: a second, see `hypotheses`; once an hour each. rough: a second, of errors of the
-    acceleration up to ten times its noise. back: of a shifted zero, a second.
+    acceleration up to 30 times its noise. back: of a shifted zero, a second.
     odds: logarithm by which a hypothesis falls behind the best before it is dropped: at 12 it is 160 000 times less
     likely.
     """
