@@ -1,4 +1,7 @@
-"""Run the benchmarks named on the command line, or all of them: `python -m benchmarks [NAME …]`."""
+"""Run the benchmarks named on the command line, or all of them: `python -m benchmarks [NAME …] [--quick]`.
+
+What begins with -- is read by the benchmark itself.
+"""
 
 import importlib
 import sys
@@ -24,6 +27,7 @@ def run(name: str) -> None:
 
 def main(wanted: list[str]) -> int:
     """Run what is wanted; returns the exit code."""
+    wanted = [name for name in wanted if not name.startswith("--")]
     unknown = sorted(set(wanted) - set(names()))
     if unknown:
         print(f"unknown: {', '.join(unknown)}; known: {', '.join(names())}", file=sys.stderr)

@@ -64,7 +64,7 @@ def steps_mm(result: Result, error: Floats) -> Floats:
     """The change of the mean error (k,) from two seconds before a camera goes blind or sees to two after."""
     time, found = result.time_s, []
     for event in result.events:
-        if event.kind in ("lost", "seen"):
+        if event.kind in ("dark", "lost", "seen"):
             at = event.time_ns / 1e9
             before, after = (time >= at - STEP_S) & (time < at), (time >= at) & (time < at + STEP_S)
             found.append(float(error[after].mean() - error[before].mean()))

@@ -168,7 +168,8 @@ def speeds(scene: Scene) -> None:
         blocks = len(bank.centres)
         at = (np.full(blocks, region.y), np.full(blocks, region.x), np.zeros(blocks, dtype=np.int64))
         edges = (bank.down, bank.across)
-        kernel = rate(lambda bank=bank, at=at, e=edges: project(image, 0.0, bank.kernels, e, at), 1000)
+        held = (bank.kernels, bank.steps)
+        kernel = rate(lambda held=held, at=at, e=edges: project(image, 0.0, held, e, at), 1000)
         rows.append([f"kernel, {blocks} blocks", kernel])
         goal(f"kernel with {blocks} blocks", kernel, 30_000, unit="regions/s", at_least=True)
     places = [(0.8 * np.sin(k / 3), 0.5 * np.cos(k / 4)) for k in range(40)]

@@ -42,5 +42,5 @@ with tempfile.TemporaryDirectory() as folder:
 
     print()
     for event in result.events:
-        if event.kind in ("lost", "seen"):
+        if event.kind in ("dark", "lost", "seen"):
             print(f"{event.time_ns / 1e9:6.1f} s  {event.text}")

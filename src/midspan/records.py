@@ -4,6 +4,7 @@ Time is int64 nanoseconds of one declared clock (the accelerometer's, or the sen
 applied); seconds appear only as differences. A record that holds arrays is a block: field arrays of equal length n.
 """
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
@@ -182,7 +183,8 @@ class PixelTranslation:
     `quality` runs from 0 to 1 (for template matching the correlation coefficient). With status LOST the values are NaN.
     strength: good matches, of trackers without matches the quality in percent; 0 where lost. reference_variance_x_px2,
     reference_variance_y_px2: of the reference's own place, common to all frames that are compared with it; they are not
-    part of `variance_x_px2`, `variance_y_px2`. events: what happened in this frame.
+    part of `variance_x_px2`, `variance_y_px2`. events: what happened in this frame. unseen: why nothing was
+    looked for in it, "dark" or "frozen" (the picture before once more); else empty.
     """
 
     time_ns: int
@@ -196,6 +198,7 @@ class PixelTranslation:
     reference_variance_x_px2: float = 0.0
     reference_variance_y_px2: float = 0.0
     events: tuple[Event, ...] = ()
+    unseen: str = ""
 
     def later(self, by_ns: int) -> "PixelTranslation":
         """The same on a clock that shows so much more."""
@@ -305,7 +308,8 @@ class Channel:
     variance over the one that comes with each measurement. exposure_s: the time over which one measurement averages.
     zero_std_m: standard deviation of its zero at its first measurement; infinite: unknown. zero_walk_m2_s: density of
     the random walk of its zero; the rows' own band grows by it where no other sensor's zero stays. coasting_s, lost_s:
-    age of the last accepted measurement from which on rows are marked so.
+    age of the last accepted measurement from which on rows are marked so. slow_std_m, slow_time_s: standard deviation
+    and correlation time of its slow error (first-order Gauss-Markov).
     """
 
     sensor: str
@@ -319,6 +323,8 @@ class Channel:
     zero_walk_m2_s: float = 0.0
     coasting_s: float = 0.25
     lost_s: float = 10.0
+    slow_std_m: float = 0.0
+    slow_time_s: float = math.inf
 
 
 @dataclass(frozen=True, slots=True)
@@ -468,6 +474,10 @@ class ScaleFactor:
 
     value_m_per_px: float
     variance: float
+
+    def wider(self, relative_std: float) -> "ScaleFactor":
+        """The same with an error of this relative standard deviation besides."""
+        return replace(self, variance=self.variance + (relative_std * self.value_m_per_px) ** 2)
 
 
 @dataclass(frozen=True, slots=True)

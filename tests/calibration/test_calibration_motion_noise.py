@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from midspan.calibration.fit import Pair, best_corner, with_motion_noise
+from midspan.calibration.fit import Pair, best_corner, with_input_noise
 from midspan.calibration.noise import calibrate_noise
 from midspan.calibration.scale import calibrate_scale
 from midspan.simulate.motion.motion import random_motion
@@ -46,7 +46,7 @@ def test_what_goes_with_the_motion_is_found():
 
 def test_a_constant_noise_stays_constant():
     pairs = [lively(seed, 0.0) for seed in range(10, 20)]
-    shares = [with_motion_noise(pair, best_corner(pair, 0.0))[0].motion_share for pair in pairs]
+    shares = [with_input_noise(pair, best_corner(pair, 0.0))[0].motion_share for pair in pairs]
     # By chance a parameter that tells nothing gains ½ ln n in one of some hundred.
     assert np.count_nonzero(shares) <= 1
 
@@ -54,7 +54,7 @@ def test_a_constant_noise_stays_constant():
 def test_it_is_likelier_than_a_constant_noise_and_leaves_the_ratio_true():
     pair = replace(lively(3, 10 * MOTION_S), ratio=None)
     constant = best_corner(pair, 0.0)
-    moving, fit = with_motion_noise(pair, constant)
+    moving, fit = with_input_noise(pair, constant)
     assert moving.motion_share > 0.5
     assert fit.likelihood > constant.likelihood + 50.0
     assert abs(fit.ratio - 1.0) < 3.0 * np.sqrt(fit.ratio_variance)

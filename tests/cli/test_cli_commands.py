@@ -226,6 +226,15 @@ def test_simulate_gives_the_same_files_for_the_same_seed(tmp_path):
     assert (tmp_path / "a" / "truth.csv").is_file()
 
 
+def test_simulate_breaks_what_it_is_told_to_in_lists_or_repeated(tmp_path, capsys):
+    words = ["simulate", "gnss", "-o", str(tmp_path / "a"), "--break", "gain,step", "--break", "colour", "--json"]
+    assert run(words) == 0
+    assert json.loads(capsys.readouterr().out)["broken"] == ["gain", "step", "colour"]
+    assert set(json.loads((tmp_path / "a" / "known.json").read_text())["broken"]) == {"gain", "step", "colour"}
+    assert run(["simulate", "gnss", "-o", str(tmp_path / "b"), "--break", "pattern"]) == 2
+    assert "It fits day-and-night" in capsys.readouterr().err
+
+
 def test_simulate_lists_its_scenarios(capsys):
     assert run(["simulate", "--list", "--json"]) == 0
     assert {"footbridge", "beam", "gnss", "no-excitation"} <= set(one_document(capsys.readouterr().out))

@@ -198,11 +198,8 @@ def test_in_the_dark_nothing_is_looked_for():
     gain = np.where((np.arange(COUNT) >= 40) & (np.arange(COUNT) < 50), 0.01, 1.0)
     frames = film(gain=gain)
     chain = opened(frames)
-    rows, dark = [], []
-    for frame in frames:
-        rows.append(chain.push(frame)[0])
-        dark.append(chain.dark)
-    assert np.flatnonzero(dark).tolist() == list(range(40, 50))
+    rows = [chain.push(frame)[0] for frame in frames]
+    assert [k for k, row in enumerate(rows) if row.unseen == "dark"] == list(range(40, 50))
     assert [k for k, row in enumerate(rows) if row.status is Status.LOST] == list(range(40, 50))
     assert chain.targets[0].frozen_frames == 0
 

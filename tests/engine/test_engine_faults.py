@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from functools import cache
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from midspan.engine.merge import Merge
 from midspan.engine.plain import PlainChain, PlainSettings
 from midspan.engine.point import ACCELEROMETER, Point
 from midspan.engine.sensors import PlainSensor, Seen
+from midspan.engine.support import PointStatus
 from midspan.fusion.estimator import Estimator, Rows
 from midspan.fusion.model import EstimatorSettings
 from midspan.records import Arrival, Channel, Estimate, Event, Readings, Source, Tick, joined
@@ -227,9 +229,33 @@ def test_one_that_comes_to_be_too_late_is_used_until_then():
     streams["level"].delay_s[600:] = 0.7
     _, events, health = run(streams)
     # The last ones are in time again: nothing is given out any more.
-    assert [event.kind for event in events] == ["late", "gap"]
+    assert [event.kind for event in events] == ["late", "lost", "gap", "seen"]
     assert 700 < health[1].late <= 750
     assert health[1].used == len(streams["level"].value) - health[1].late
+
+
+def test_a_point_says_how_it_stands():
+    streams = {**recorded(), "level": recorded()["level"].without(20.0, 35.0).without(0.0, 5.0)}
+    point, statuses = a_point(), []
+    for item in journal(streams):
+        point.push(item)
+        if isinstance(item, Tick):
+            statuses.append((item.now_ns / 1e9, point.status))
+    changes = [(now, after) for (_, before), (now, after) in pairwise(statuses) if before is not after]
+    assert statuses[0][1] is PointStatus.WARMING
+    assert [status.name for _, status in changes] == ["TRACKING", "COASTING", "LOST", "TRACKING"]
+    # Eight measurements at 30/s come first. Ages of 0.25 s and 10 s; a silent stream holds the others back for 0.5 s,
+    # and once it has been silent for 5 s no more. Ticks are 0.25 s apart.
+    assert [now for now, _ in changes] == pytest.approx([5.5, 20.75, 30.0, 35.25], abs=0.3)
+
+
+def test_a_point_without_a_calibrated_sensor_is_calibrating():
+    sound = a_point()
+    point = Point(Merge((ACCELEROMETER,)), sound.guard, {}, Estimator(EstimatorSettings(())))
+    assert point.status is PointStatus.CALIBRATING
+    time_ns = np.arange(len(SOUND)) * 10_000_000
+    assert point.push(Arrival(ACCELEROMETER, 0, Readings(time_ns, SOUND[:, None]))) == []
+    assert point.status is PointStatus.CALIBRATING
 
 
 def test_a_record_of_any_length_may_come_in_one_push():

@@ -127,20 +127,37 @@ def test_holes_are_bridged_as_in_a_whole_record(kind, seed):
     assert sorted(ends) == sorted((event.time_ns, event.text) for event in prepared.events)
 
 
-def test_a_frozen_channel_is_bridged_from_where_it_can_be_known():
+@pytest.mark.parametrize("length", [20, 100, 400])
+def test_a_frozen_channel_is_bridged_from_its_first_repeated_sample(length):
     value = channel()
-    value[3000:3400] = value[3000]
-    found, events = run(guard_of(channel()), TIME_NS, value, cuts=range(1, 6000))
-    bridged = np.flatnonzero(found.kind)
-    np.testing.assert_array_equal(bridged, np.arange(3099, 3400))
-    np.testing.assert_allclose(found.value_m_s2[3099:3400, 0], np.mean(channel()), atol=1e-12)
-    assert [event.text for event in events] == [
-        f"{NAME}: 301 samples bridged.",
-        f"{NAME}: samples are missing from here on.",
-    ]
-    _, expected = whole(value)
-    # After the hole both are the same again.
-    np.testing.assert_array_equal(found.value_m_s2[3400:, 0], expected.value_m_s2[3400:])
+    value[3000 : 3000 + length] = value[3000]
+    guard, out, waits = guard_of(channel()), [], []
+    for k in range(6000):
+        out += guard.push(Readings(TIME_NS[k : k + 1], value[k : k + 1, None]))
+        waits.append(len(guard.state.stamps.time_ns))
+    out += guard.finish()
+    found = joined([item for item in out if isinstance(item, Samples)])
+    np.testing.assert_array_equal(np.flatnonzero(found.kind), np.arange(3001, 3000 + length))
+    texts = [item.text for item in out if isinstance(item, Event) and item.text.endswith("bridged.")]
+    assert texts == [f"{NAME}: {length - 1} samples bridged."]
+    # It waits no longer than a hole does, until nothing is known of the motion, whose period is a third of a second.
+    assert max(waits) < 20
+    prepared, expected = whole(value)
+    np.testing.assert_array_equal(np.flatnonzero(prepared.missing), np.arange(3001, 3000 + length))
+    assert f"{length - 1} samples" in prepared.warnings[0]
+    np.testing.assert_array_equal(found.value_m_s2[3000 + length :, 0], expected.value_m_s2[3000 + length :])
+
+
+# Noise and motion in steps of the resolution: rest, hardly any motion, motion of a few steps, motion of many.
+@pytest.mark.parametrize(("noise", "moved"), [(0.2, 0.0), (0.5, 0.0), (0.3, 0.3), (0.2, 3.0), (0.2, 30.0)])
+def test_equal_values_of_a_coarse_sensor_are_not_frozen(noise, moved):
+    fine, rng = channel() - 0.03, np.random.default_rng(7)
+    steps = moved * fine / np.std(fine) + noise * rng.standard_normal(len(fine)) + 0.13
+    value = 9.81e-3 * np.round(steps)
+    found, events = run(guard_of(value), TIME_NS, value, cuts=range(50, 6000, 50))
+    assert not found.kind.any()
+    assert events == []
+    assert not whole(value)[0].missing.any()
 
 
 def test_rest_at_the_mean_is_not_frozen():
@@ -172,7 +189,9 @@ def test_nothing_waits_longer_than_it_may(hold_s):
 
 
 FAULTS = st.lists(
-    st.tuples(st.sampled_from(["nan", "inf", "held", "gap", "back", "doubled", "top", "huge"]), st.integers(0, 399)),
+    st.tuples(
+        st.sampled_from(["nan", "inf", "held", "gap", "back", "doubled", "top", "huge", "spike"]), st.integers(0, 399)
+    ),
     max_size=8,
 )
 
@@ -187,6 +206,8 @@ def faulty(faults, seed):
             value[at:stop, axis] = {"nan": np.nan, "inf": -np.inf, "huge": 1e300}[kind]
         elif kind == "held":
             value[at:stop, axis] = value[at, axis]
+        elif kind == "spike":
+            value[at : at + stop % 4, axis] = 1e3
         elif kind == "top":
             value[at : at + 5, axis] = 4.0
         else:
@@ -284,3 +305,23 @@ def test_the_noise_goes_with_the_motion_and_any_cutting_gives_the_same():
     # Of a stationary motion on the average its variance, of which a minute shows all but a few per cent.
     assert np.mean(cut.noise_density) == pytest.approx(DENSITY + 1e-4 * figures.variance, rel=0.05)
     assert np.ptp(cut.noise_density) > DENSITY
+
+
+def test_a_lone_spike_is_bridged_and_an_impact_is_not():
+    value = channel()
+    spoilt = value.copy()
+    spoilt[1000], spoilt[3000:3002] = 500.0, -400.0
+    # An impact of the same size that rings.
+    ringing = np.arange(100)
+    spoilt[4500:4600] += 450.0 * np.exp(-ringing / 10.0) * np.cos(2.0 * ringing)
+    found, events = run(guard_of(value), TIME_NS, spoilt, cuts=range(1, 6000))
+    assert np.flatnonzero(found.kind).tolist() == [1000, 3000, 3001]
+    assert [event.kind for event in events] == ["bridged", "spike"] * 2
+    at_once, same = run(guard_of(value), TIME_NS, spoilt)
+    np.testing.assert_array_equal(at_once.value_m_s2, found.value_m_s2)
+    np.testing.assert_array_equal(at_once.noise_density, found.noise_density)
+    assert same == events
+    prepared, _ = whole(spoilt)
+    np.testing.assert_array_equal(np.flatnonzero(prepared.missing), [1000, 3000, 3001])
+    assert "3 samples" in prepared.warnings[0]
+    assert "are spikes far beyond all others" in prepared.warnings[0]

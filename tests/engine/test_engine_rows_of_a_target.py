@@ -1,7 +1,7 @@
 """The rows of a target: as they were found, built once, and small for records of a day."""
 
 import tracemalloc
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -32,7 +32,7 @@ def target():
 
 def test_the_rows_are_what_was_found_to_the_last_bit(target):
     for k in range(120):
-        target.add(found(k), dark=k == 49)
+        target.add(replace(found(k), unseen="dark" if k == 49 else ""))
     rows = PixelTrack.stack([found(k) for k in range(120)])
     for field in fields(PixelTrack):
         one = getattr(target.rows, field.name)
@@ -42,16 +42,16 @@ def test_the_rows_are_what_was_found_to_the_last_bit(target):
     np.testing.assert_array_equal(target.strengths, np.where(seen, 90.0, 0.0))
     np.testing.assert_array_equal(target.reference_px2, np.where(seen[:, None], [1e-5, 2e-5], 0.0))
     np.testing.assert_array_equal(target.track.variance_y_px2, rows.variance_y_px2 + np.where(seen, 2e-5, 0.0))
-    assert np.flatnonzero(target.dark).tolist() == [49]
+    assert [k for k in range(120) if target.translation(k).unseen == "dark"] == [49]
 
 
 def test_the_track_is_built_once_for_as_many_frames_as_there_are(target):
     for k in range(20):
-        target.add(found(k), dark=False)
+        target.add(found(k))
     before = target.track
     assert target.track is before
     for k in range(20, 30):
-        target.add(found(k), dark=False)
+        target.add(found(k))
     assert len(target.track.time_ns) == 30
     np.testing.assert_array_equal(target.track.x_px[:20], before.x_px)
 
@@ -61,7 +61,7 @@ def test_a_frame_takes_a_fraction_of_what_objects_would(target):
     try:
         used = []
         for k in range(4001):
-            target.add(found(k), dark=False)
+            target.add(found(k))
             if k in (1000, 4000):
                 used.append(tracemalloc.get_traced_memory()[0])
     finally:

@@ -20,6 +20,7 @@ from midspan.fusion.estimator import Estimator
 from midspan.fusion.second_pass import Lag
 from midspan.progress import silent
 from midspan.recording.calibrate import calibrate_and_track
+from midspan.recording.estimate import measured_span
 from midspan.recording.point import measuring_point
 from midspan.recording.run import Outcome, radar_frames, run
 from midspan.recording.tracked import open_eyes, side_of
@@ -207,6 +208,14 @@ def assert_same(rows, expected):
         np.testing.assert_array_equal(getattr(rows, name)[at], getattr(expected, name), err_msg=name)
 
 
+def assert_same_events(outcome, result):
+    """The events of the loop are those of the file, of rows up to the last measurement."""
+    last_ns = measured_span(outcome)[1]
+    found = [one for one in outcome.fusion_events if one.axis == 0 and one.time_ns <= last_ns] + outcome.sensor_events
+    told, kept = (sorted((one.time_ns, one.kind, one.text) for one in events) for events in (found, result.events))
+    assert told == kept
+
+
 def two_axes(folder):
     """A camera that measures along both axes of its image, and an accelerometer with two."""
     scenario = replace(SCENARIOS["two-axes"], duration_s=16.0, camera=CameraSetup(size_px=(96, 96), time_offset_s=0.09))
@@ -249,8 +258,32 @@ def test_rows_of_the_file_are_rows_of_the_point(site, method):
     assert len(result.estimate.time_ns) > 1000
     outcome = live(site, method, 1)
     assert_same(outcome.estimate(0), result.estimate)
+    assert_same_events(outcome, result)
     if result.across is not None:
         assert_same(outcome.estimate(1), result.across.estimate)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_what_is_lost_and_seen_again_is_told_when_it_happens(method, tmp_path):
+    folder = write(tmp_path / "site", replace(LIVELY, duration_s=26.0), "camera")
+    film = np.load(folder / "camera.npy")
+    # Frames at 1 s + 0.1 s: something else from 6 s on, darkness from 10.5 s on, the target again at 19 s.
+    film[50:95] = np.random.default_rng(1).integers(0, 256, film[50:95].shape, dtype=np.uint8)
+    film[95:180] = 0
+    np.save(folder / "camera.npy", film)
+    set_keys(folder, "calibration", window_s=[0.0, 6.0])
+    site = Site(folder)
+    result = midspan.estimate(midspan.open_recording(folder), site.calibration, method=method)
+    outcome = live(site, method, 2)
+    assert_same_events(outcome, result)
+    told = [(event.kind, round(event.time_ns / 1e9, 1)) for event in outcome.sensor_events]
+    assert told == [("lost", 6.0), ("dark", 10.5), ("seen", 19.0)]
+    assert outcome.sensor_events[-1].text.endswith("nothing was measured for 13.0 s.")
+    # The last frame before is of 5.9 s, and 2.5 intervals of 0.1 s make a row coasting.
+    rows = [event for event in outcome.fusion_events if event.kind in ("lost", "seen")]
+    assert [event.kind for event in rows] == ["lost", "seen"]
+    assert [event.time_ns / 1e9 for event in rows] == pytest.approx([6.16, 19.0], abs=0.03)
+    assert {told.text for told in (outcome.sensor_events[0], rows[0])} <= set(result.warnings)
 
 
 def test_a_stream_that_ends_or_has_not_begun_holds_no_frame_back(tmp_path, monkeypatch):

@@ -86,8 +86,8 @@ def compiled(time, acceleration, met, value, cut=None):
 def smoothed(time, nodes, outcome, parameters):
     """Rows (n, 3) of displacement, variance and velocity by the pass back."""
     rows = np.empty((len(time), 1, 3))
-    adjoint = (np.zeros((STATES, 1 + PARAMETERS)), np.zeros((STATES, STATES)))
-    backward_block(time, BEGIN_S, TABLES, nodes, outcome, adjoint, parameters, rows)
+    adjoint, counted = np.zeros((STATES, 1 + PARAMETERS + 2 * STATES)), np.array([-1])
+    backward_block(time, BEGIN_S, TABLES, counted, (nodes, outcome), adjoint, parameters, rows)
     return rows[:, 0]
 
 

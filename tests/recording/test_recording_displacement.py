@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import midspan
-from midspan.errors import DataError, MidspanError, UntrustedError
+from midspan.errors import DataError, MidspanError, UntrustedError, UsageError
 from midspan.records import Status
-from recording_edits import error_mm, read_columns, set_keys
+from recording_edits import error_mm, read_columns, set_keys, write_acceleration
 
 NOISE_MM = 2.0
 
@@ -202,3 +202,54 @@ def test_a_record_of_a_twentieth_of_a_second_is_fused(tmp_path):
     # Half of the sensor's noise of 2 µm; the band is 95 %.
     assert np.sqrt(np.mean(error**2)) < 1e-3
     assert np.mean(np.abs(error) < 1.96 * found.displacement_std_mm) > 0.9
+
+
+def test_it_is_calibrated_in_the_window_that_is_given(gnss_copy):
+    time, value = heights(gnss_copy)
+    late = time > 60.0
+    spoilt = value.copy()
+    spoilt[late] += 30.0 * np.random.default_rng(0).standard_normal(np.count_nonzero(late))
+    # What comes after the window has no effect on the calibration.
+    set_keys(gnss_copy, "calibration", window_s=[0.0, 60.0])
+    first = midspan.calibrate(gnss_copy)
+    write_heights(gnss_copy, time, spoilt)
+    second = midspan.calibrate(gnss_copy)
+    assert second.displacement == first.displacement
+    assert second.bias_m_s2 == first.bias_m_s2
+    assert second.noise_std_m_s2 == first.noise_std_m_s2
+
+
+def test_a_window_with_too_few_values_is_refused(gnss_copy):
+    set_keys(gnss_copy, "calibration", window_s=[20.0, 30.5])
+    with pytest.raises(UsageError, match=r"window_s = \[20.0, 30.5\]: must hold at least 20 values .* received 11"):
+        midspan.calibrate(gnss_copy)
+
+
+def test_a_column_that_is_constant_is_said_to_be_so(gnss_copy):
+    time, value = heights(gnss_copy)
+    write_heights(gnss_copy, time, np.zeros_like(value))
+    with pytest.raises(DataError, match="stands at one value, 0 mm, all the time"):
+        midspan.calibrate(gnss_copy)
+    half = np.where(time < 5.0, value, 2.0)
+    write_heights(gnss_copy, time, half)
+    with pytest.raises(DataError, match="more were left out as frozen"):
+        midspan.calibrate(gnss_copy)
+
+
+def test_heights_at_the_end_of_the_range_are_left_out_and_called_clipped(gnss_copy):
+    rng, time = np.random.default_rng(1), np.arange(0.0, 60.0, 0.01)
+    tones = ((5e-3, 0.37, 0.3), (4e-3, 0.11, 1.0), (1e-3, 1.3, 2.0))
+    motion = [sum(m * np.sin(2 * np.pi * f * t + p) for m, f, p in tones) for t in (time, time[::10])]
+    value = sum(-m * (2 * np.pi * f) ** 2 * np.sin(2 * np.pi * f * time + p) for m, f, p in tones)
+    write_acceleration(gnss_copy, time, value + 5e-3 * rng.standard_normal(len(time)))
+    heights_mm = 1e3 * motion[1] + 0.1 * rng.standard_normal(600)
+    write_heights(gnss_copy, time[::10], np.clip(heights_mm, -7.0, 7.0))
+    set_keys(gnss_copy, "displacement", noise_std=0.1)
+    found = midspan.estimate(midspan.open_recording(gnss_copy))
+    assert found.calibration.displacement.high_m == pytest.approx(7e-3)
+    assert any("the end of its range (clipped)" in line for line in found.warnings)
+    assert {event.kind for event in found.events} <= {"clipped", "lost"}
+    error = found.displacement_mm - 1e3 * np.interp(found.time_s, time, motion[0])
+    # What is left out is bridged by the acceleration; a row in 2000 of normal errors is beyond 3.5 deviations.
+    assert np.max(np.abs(error / found.displacement_std_mm)) < 5.0
+    assert np.std(error) < 0.1

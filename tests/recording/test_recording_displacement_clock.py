@@ -33,7 +33,9 @@ def tone(seed, frequency=2.0):
 
 @pytest.fixture
 def site(tmp_path):
-    def opened(motion, *, late=0.0, factor=1.0, ppm=0.0, rate_hz=7.3, length=60.0, max_offset_s=0.5, **displacement):
+    def opened(
+        motion, *, late=0.0, factor=1.0, ppm=0.0, rate_hz=7.3, length=60.0, max_offset_s=0.5, gain=True, **displacement
+    ):
         """A recording whose readings must be multiplied by `factor` and whose clock must be set on by `late` s."""
         rng = np.random.default_rng(7)
         time, met = np.arange(0.0, length, 0.01), np.arange(0.03, length - 0.3, 1.0 / rate_hz)
@@ -44,7 +46,8 @@ def site(tmp_path):
             np.savetxt(tmp_path / name, np.column_stack(table), delimiter=",", header=head, comments="", fmt="%.9g")
         keys = "".join(f"{key} = {str(value).lower()}\n" for key, value in displacement.items())
         (tmp_path / "recording.toml").write_text(
-            f'[accelerometer]\nfile = "a.csv"\nunit = "m/s^2"\n[displacement]\nfile = "d.csv"\nunit = "mm"\n{keys}'
+            f'[accelerometer]\nfile = "a.csv"\nunit = "m/s^2"\nestimate_scale = {str(gain).lower()}\n'
+            f'[displacement]\nfile = "d.csv"\nunit = "mm"\n{keys}'
             f"[calibration]\nmax_offset_s = {max_offset_s}\n"
         )
         return midspan.open_recording(tmp_path)
@@ -102,12 +105,24 @@ WIDE = pytest.mark.xfail(reason="a scale a third off is told as a quarter here: 
 @pytest.mark.parametrize("factor", [0.96, 1.05, pytest.param(1.3, marks=WIDE)])
 def test_a_scale_that_is_not_quite_right_is_told_and_stands_in_the_band(factor, site):
     motion = bridge(8)
-    found = midspan.estimate(site(motion, factor=factor))
+    found = midspan.estimate(site(motion, factor=factor, gain=False))
     assert any("follows the accelerometer with a factor" in line for line in found.warnings)
     assert found.calibration.displacement.relative_std == pytest.approx(abs(factor - 1.0), abs=0.02)
     error = found.displacement_mm - 1e3 * motion.displacement(found.time_s)
     error -= error.mean()
     assert np.mean(np.abs(error) < 1.96 * found.displacement_std_mm) > 0.9
+
+
+@pytest.mark.parametrize("factor", [0.96, 1.05])
+def test_the_gain_is_the_accelerometers_where_the_sensors_unit_is_right(factor, site):
+    # The same recording: the sensor measures 1 / factor of what the accelerometer says.
+    motion = bridge(8)
+    found = midspan.estimate(site(motion, factor=factor))
+    assert any("the accelerometer has a gain of" in line for line in found.warnings)
+    known = found.calibration
+    assert known.accelerometer_scale == pytest.approx(factor, abs=4.0 * known.accelerometer_scale_std)
+    error = factor * found.displacement_mm - 1e3 * motion.displacement(found.time_s)
+    assert np.mean(np.abs(error) < 1.96 * factor * found.displacement_std_mm) > 0.9
 
 
 def test_a_scale_that_is_right_is_not_told(site):

@@ -42,8 +42,16 @@ def scaled(folder, factor, **keys):
     return midspan.open_recording(folder)
 
 
-def test_inches_taken_for_millimetres_with_the_wrong_sign_are_put_right(gnss, gnss_copy):
-    known = midspan.estimate(midspan.open_recording(gnss))
+def with_known_gain(gnss, tmp_path):
+    """The recording with an accelerometer whose gain is 1 for certain."""
+    folder = tmp_path / "known"
+    shutil.copytree(gnss, folder)
+    set_keys(folder, "accelerometer", estimate_scale=False)
+    return folder
+
+
+def test_inches_taken_for_millimetres_with_the_wrong_sign_are_put_right(gnss, gnss_copy, tmp_path):
+    known = midspan.estimate(midspan.open_recording(with_known_gain(gnss, tmp_path)))
     found = midspan.estimate(scaled(gnss_copy, -25.4))
     learnt = found.calibration.displacement
     assert learnt.scale == pytest.approx(-25.4, abs=4.0 * learnt.scale_std)

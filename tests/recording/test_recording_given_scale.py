@@ -15,18 +15,21 @@ CASES = {
     "displacement": Lively(rms_m=5e-3, band_hz=(0.5, 3.0), duration_s=40.0),
     "camera": Lively(rms_m=2e-3, band_hz=(0.5, 3.0), duration_s=30.0),
 }
-SEEDS = range(4)
+# How many recordings. Of a camera, what a right scale costs scatters by 6 % from one recording to the next, about the
+# 3 % that 32 of them gave: twelve tell it to 2 %.
+RECORDINGS = {"displacement": 12, "camera": 12}
+FEW = 4  # and so many with a scale that is off
 
 
 def off_by(folder, tree, sensor, share):
-    """The calibration with a camera's scale off by a share, or the sensor's values."""
+    """The calibration with a camera's scale off by a share; the accelerometer beside a sensor in metres."""
     tree = json.loads(json.dumps(tree))
     if sensor == "camera":
         tree["camera"]["scale_mm_per_px"] *= 1.0 + share
     else:
         given = np.loadtxt(folder / "right.csv", delimiter=",", skiprows=1)
         given[:, 1] *= 1.0 + share
-        np.savetxt(folder / "slow.csv", given, delimiter=",", header="time_s,height", comments="", fmt="%.9f")
+        np.savetxt(folder / "accel.csv", given, delimiter=",", header="time_s,accel", comments="", fmt="%.9f")
     (folder / "given.json").write_text(json.dumps(tree))
     return midspan.load_calibration(folder / "given.json")
 
@@ -35,11 +38,11 @@ def off_by(folder, tree, sensor, share):
 def cases(request, tmp_path_factory):
     """Sensor, and the case, folder and calibration of each seed."""
     sensor, found = request.param, []
-    for seed in SEEDS:
+    for seed in range(RECORDINGS[sensor]):
         case = Lively(**{**{k: getattr(CASES[sensor], k) for k in ("rms_m", "band_hz", "duration_s")}, "seed": seed})
         folder = write(tmp_path_factory.mktemp("given") / str(seed), case, sensor)
         if sensor == "displacement":
-            (folder / "right.csv").write_bytes((folder / "slow.csv").read_bytes())
+            (folder / "right.csv").write_bytes((folder / "accel.csv").read_bytes())
         tree = json.loads(midspan.calibrate(folder).save(folder / "own.json").read_text(encoding="utf-8"))
         found.append((case, folder, tree))
     return sensor, found
@@ -49,8 +52,8 @@ def cases(request, tmp_path_factory):
 def test_the_band_holds_a_given_scale_that_is_off_and_a_right_one_costs_little(cases, method):
     sensor, recordings = cases
     inside, square, own = {}, {}, []
-    for case, folder, tree in recordings:
-        for share in (0.0, 0.02, 0.06):
+    for number, (case, folder, tree) in enumerate(recordings):
+        for share in (0.0, 0.02, 0.06) if number < FEW else (0.0,):
             result = midspan.estimate(folder, off_by(folder, tree, sensor, share), method=method)
             true_mm = case.from_zero_mm if sensor == "camera" else lambda s, case=case: 1e3 * case.motion(s)
             error = result.displacement_mm - true_mm(result.time_s)
@@ -68,7 +71,7 @@ def test_the_band_holds_a_given_scale_that_is_off_and_a_right_one_costs_little(c
     # Without the zero's error, which depends on where a tracker's search begins.
     assert np.sqrt(np.mean(square[0.0]) / np.mean(own)) < 1.05
     # The scale is found: 6 % of the displacement would be 0.12 and 0.3 mm.
-    assert np.sqrt(np.mean(square[0.06]) / np.mean(own)) < 1.3
+    assert np.sqrt(np.mean(square[0.06]) / np.mean(own[:FEW])) < 1.3
 
 
 def scale_found(amplitude_m, hertz, share, length_s):

@@ -24,8 +24,8 @@ LATE_S = {"one": 0.11, "other": -0.07}
 MORE = {"displacement": "estimate_offset = true", "camera": "", "radar": ""}
 
 
-def pair(kind):
-    one, other = PAIRS[kind]
+def pair(kind, seed=0):
+    one, other = (replace(case, seed=seed) for case in PAIRS[kind])
     return {
         "one": replace(one, late_s=LATE_S["one"]),
         "other": replace(other, late_s=LATE_S["other"], rate_hz=0.8 * other.rate_hz, first_s=1.3),
@@ -62,14 +62,26 @@ def error_mm(result, kind, first):
     return result.displacement_mm - truth
 
 
+def inside(result, kind, first):
+    """Share of the rows whose truth lies in the band of 95 %."""
+    return np.mean(np.abs(error_mm(result, kind, first)) < 1.96 * result.displacement_std_mm)
+
+
 def test_together_they_are_better_than_either_alone_and_the_band_holds(site):
     error = error_mm(site.result, site.kind, site.named["one"])
     inner = slice(100, -100)
     for name, own in site.alone.items():
         # The zero is one draw; what a second sensor takes away is the noise about it.
         assert np.std(error[inner]) < 0.95 * np.std(error_mm(own, site.kind, site.named[name])[inner])
+    shares = [inside(site.result, site.kind, site.named["one"])]
+    # A camera's zero is one draw a recording, common to all of its rows: of 32 recordings 98 % were inside, 81 to 100 %
+    # of one, with a standard deviation of 4 %.
+    for seed in (1, 2, 3) if site.kind == "camera" else ():
+        named = pair("camera", seed)
+        folder = write_several(site.folder.with_name(f"camera{seed}"), replace(BASE, seed=seed), "camera", named)
+        shares.append(inside(midspan.estimate(folder), "camera", named["one"]))
     # 95 % is meant, of 25 s of correlated error about one draw of the zero.
-    assert np.mean(np.abs(error) < 1.96 * site.result.displacement_std_mm) > 0.88
+    assert np.mean(shares) > 0.88, shares
     assert np.mean(site.result.estimate.status == Status.TRACKING) > 0.99
     assert {word for word, share in site.result.figures()["source"].items() if share > 0.01} <= {
         site.kind,

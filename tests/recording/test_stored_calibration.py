@@ -93,6 +93,7 @@ levels = st.floats(-1e3, 1e3)
 usual = st.one_of(st.none(), st.builds(AxisFigures, levels, stds, stds, signed, signed, stds, stds))
 displacements = st.one_of(
     st.builds(DisplacementCalibration, noises, offsets, resolution_m=stds),
+    st.builds(DisplacementCalibration, noises, offsets, low_m=st.just(-0.008), high_m=st.just(0.0123)),
     st.builds(DisplacementCalibration, noises, offsets),
     st.builds(DisplacementCalibration, noises, offsets, signed, sized(1e-9, 1.0)),
 )

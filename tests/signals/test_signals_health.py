@@ -41,19 +41,27 @@ def test_runs_are_the_stretches_of_true(mask):
     np.testing.assert_array_equal(again, mask)
 
 
-def test_a_second_of_one_value_is_frozen_and_less_is_not():
+def test_a_run_longer_than_chance_makes_it_is_frozen_from_its_first_repeated_sample():
     rng = np.random.default_rng(2)
-    value = rng.normal(size=1000)
-    value[200:300] = value[200]
-    value[500:599] = value[500]
-    mask = frozen(value, 100.0)
-    assert mask[200:300].all()
-    assert np.count_nonzero(mask) == 100
-    # At 10 Hz fifty equal samples are wanted, so that a coarse resolution does not count.
-    assert np.count_nonzero(frozen(value[:260], 10.0)) == 60
-    assert not frozen(np.repeat(value[:20], 49), 10.0).any()
+    value = rng.normal(size=6000)
+    value[3000:3010] = value[3000]
+    value[5000:5300] = value[5000]
+    expected = np.zeros(6000, dtype=bool)
+    expected[3001:3010] = expected[5001:5300] = True
+    np.testing.assert_array_equal(frozen(value, 100.0), expected)
+    # Where every second neighbour is equal thirty are a chance of 1e-9, and ten are not rare.
+    coarse = np.round(0.6 * value)
+    coarse[3000:3010] = coarse[3000]
+    found = frozen(coarse, 100.0)
+    assert found[5001:5300].all()
+    assert not found[:4990].any()
     assert frozen(np.zeros(100), 100.0).all()
     assert not frozen(np.full(500, np.nan), 100.0).any()
+
+
+def test_a_sensor_that_is_slower_than_its_column_is_not_frozen():
+    value = np.repeat(np.random.default_rng(3).normal(size=600), 10)
+    assert not frozen(value, 100.0).any()
 
 
 def test_clipping_is_found_at_both_ends_and_only_there():

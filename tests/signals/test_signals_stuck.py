@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from midspan.signals.stuck import resolution, stuck
+from midspan.signals.stuck import range_limits, resolution, stuck
 from midspan.simulate.motion.motion import Sines, Sum, Window, random_motion
 
 NOISE = 2e-3
@@ -91,3 +91,23 @@ def test_the_resolution_is_the_smallest_step_and_not_rounding():
     value = np.array([1, 2, 5, 9, 2]) * 0.1
     assert resolution(value + np.array([0.0, 1e-16, 0.0, 0.0, 0.0])) == pytest.approx(0.1)
     assert resolution(np.array([np.nan, 3.0, 3.0])) == 0.0
+
+
+def test_a_sensor_held_at_the_ends_of_its_range_shows_them():
+    time = np.arange(600) / 10.0
+    motion = 6e-3 * np.sin(2 * np.pi * 0.4 * time) + 5e-3 * np.sin(2 * np.pi * 0.11 * time)
+    fine = motion + 1e-4 * np.random.default_rng(0).standard_normal(600)
+    assert range_limits(np.clip(fine, -8e-3, 7e-3)) == (-8e-3, 7e-3)
+    assert range_limits(np.clip(fine, None, 7e-3)) == (-np.inf, 7e-3)
+    assert range_limits(fine) == (-np.inf, np.inf)
+
+
+@pytest.mark.parametrize("step_m", [1e-4, 5e-4, 2e-3])
+def test_the_crests_of_a_coarse_sensor_are_no_ends_of_its_range(step_m):
+    time = np.arange(600) / 10.0
+    motion = 6e-3 * np.sin(2 * np.pi * 0.4 * time)
+    noise = 1e-4 * np.random.default_rng(0).standard_normal(600)
+    assert range_limits(np.round((motion + noise) / step_m) * step_m) == (-np.inf, np.inf)
+    # Nor is rest before and after the motion.
+    still = np.where((time > 20.0) & (time < 40.0), np.abs(motion), 0.0)
+    assert range_limits(still) == (-np.inf, np.inf)

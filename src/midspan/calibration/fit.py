@@ -15,7 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from midspan.calibration.minimum import minimum
-from midspan.calibration.whitening import Response, Whitened, integrated, levelled, usable, whiten_columns
+from midspan.calibration.whitening import (
+    NO_SLOW_ERROR,
+    Response,
+    Whitened,
+    integrated,
+    levelled,
+    usable,
+    whiten_columns,
+)
 from midspan.records import Floats, InputNoise
 from midspan.signals.lively import mean_square
 
@@ -52,6 +60,8 @@ class Pair:
     level_m_s2: the mean acceleration, which the samples are without.
     motion_share: share of the accelerometer's noise, 0 to 1, that goes with the mean square of the motion (see
     `signals.lively`), of the mean over the record.
+    slow: variance of the slow error of the measurements (first-order Gauss-Markov) in units of their noise variance,
+    and its rate, 1/s.
     """
 
     samples: Floats
@@ -62,6 +72,7 @@ class Pair:
     reference: float | None = None
     level_m_s2: float = 0.0
     motion_share: float = 0.0
+    slow: tuple[float, float] = NO_SLOW_ERROR
 
     @property
     def rate_hz(self) -> float:
@@ -167,7 +178,7 @@ class Aligned:
         """The columns' innovations with a corner frequency (rad/s) where the two noise levels meet."""
         pair = self.pair
         density = corner**4 / pair.rate_hz
-        w = whiten_columns(self.rows, self.values, pair.pieces, density)
+        w = whiten_columns(self.rows, self.values, pair.pieces, density, slow=pair.slow)
         return replace(w, index=self.index[w.index], bias=w.bias - self.parabola)
 
     def fit(self, corner: float) -> Fit:
@@ -258,7 +269,7 @@ def _best_corner(here: Aligned, corner: float | None) -> Fit:
     return here.fit(float(np.exp(found)))
 
 
-def with_motion_noise(pair: Pair, fit: Fit) -> tuple[Pair, Fit]:
+def with_input_noise(pair: Pair, fit: Fit) -> tuple[Pair, Fit]:
     """The pair with the most likely share of the accelerometer's noise that goes with the motion, and its fit.
 
     A constant noise is kept unless the share gains more than a parameter costs that tells nothing (G. Schwarz,

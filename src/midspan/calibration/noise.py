@@ -13,12 +13,13 @@ from midspan.calibration.fit import (
     corner_range,
     evaluate,
     refine,
-    with_motion_noise,
+    with_input_noise,
 )
 from midspan.calibration.minimum import minimum
 from midspan.calibration.outliers import without_lonely_outliers
 from midspan.calibration.scale import LEAST_GAIN as LEAST_AGREEMENT
 from midspan.calibration.scale import white_noise
+from midspan.calibration.slow_error import with_slow_error
 from midspan.calibration.time_offset import BEYOND, OffsetSearch, cleaned, curvature, search_offset
 from midspan.records import InputNoise, TimeOffset
 
@@ -31,6 +32,9 @@ NEAR, LEAST_FAR_GAIN = 20.0, 20.0
 NEXT_TO_NONE_S = 0.05
 # So much more than the largest offset is searched, and of a short record this share of its length at most.
 EDGE_S, EDGE_SHARE, EDGE_OF_LENGTH = 0.02, 0.05, 0.1
+# The accelerometer's gain is taken from the motion where that tells it better than its data sheet does (±5 % where
+# nothing is given), and where it is no other unit.
+GAIN_TOLD, MAX_GAIN_ERROR = 0.03, 0.2
 # A quiet camera sees a motion so well that the two noise levels meet this far above its Nyquist frequency.
 FASTEST = 100.0
 # How well the logarithm of the corner of a motion's noise is found: far better than any record tells it.
@@ -62,7 +66,10 @@ class NoiseCalibration:
     reversed_gain: how much more likely (logarithm) the measurements are with the opposite sign; negative when they
     are right. factor, factor_std: metres in one metre read, where that was learnt as well: the other figures hold for
     readings times this factor. 1 and 0: readings are taken as they are. noise_share: of the response to the
-    acceleration that white noise alone would make; where it is large the motion tells no scale. warnings: sentences.
+    acceleration that white noise alone would make; where it is large the motion tells no scale. gain: of the
+    accelerometer relative to the sensor, where it was estimated, and its relative standard deviation, else 0.
+    slow_std_m, slow_time_s: standard deviation and correlation time of the sensor's slow error; 0: its noise is white.
+    warnings: sentences.
     """
 
     variance_factor: float
@@ -74,18 +81,30 @@ class NoiseCalibration:
     factor: float = 1.0
     factor_std: float = 0.0
     noise_share: float = 0.0
+    gain: float = 1.0
+    gain_std: float = 0.0
+    slow_std_m: float = 0.0
+    slow_time_s: float = np.inf
     warnings: tuple[str, ...] = ()
     findings: Findings | None = field(default=None, repr=False, compare=False)
 
 
 def calibrate_noise(
-    pair: Pair, max_offset_s: float, *, one_clock: bool = False, length_s: float = np.inf
+    pair: Pair,
+    max_offset_s: float,
+    *,
+    one_clock: bool = False,
+    length_s: float = np.inf,
+    gain_std: float = 0.0,
+    noise_time_s: float | None = None,
 ) -> NoiseCalibration:
     """Learn noise levels of a displacement sensor of known unit, and its clock offset where the motion tells it.
 
     pair: displacement in m (ratio 1) with relative variances, and the acceleration. max_offset_s: 0 leaves the clocks
-    be. one_clock: the clocks are one, so that the offset is only told. length_s: of the record, see `edge_s`. Nothing
-    is refused here: see `Findings`.
+    be. one_clock: the clocks are one, so that the offset is only told. length_s: of the record, see `edge_s`. gain_std:
+    relative standard deviation of the accelerometer's gain as known before; it is estimated where the motion tells it
+    better, and not at all with 0. noise_time_s: correlation time of the sensor's slow error where that is known.
+    Nothing is refused here: see `Findings`.
     """
     pair, still = without_outliers(without_lonely_outliers(replace(pair, ratio=1.0)))
     fit, offset, search = still, TimeOffset(0.0, np.inf), None
@@ -95,7 +114,33 @@ def calibrate_noise(
         offset = applied(search, found, variance, max_offset_s)
         if offset.value_s != 0.0 and not one_clock:
             pair, fit = search.pair, found
-    return _with_scale(pair, fit, offset, search, max_offset_s, length_s)
+    pair, fit = with_slow_error(pair, fit, noise_time_s)
+    learnt = _with_scale(pair, fit, offset, search, max_offset_s, length_s)
+    return _without_gain(learnt, gain_std)
+
+
+def _without_gain(learnt: NoiseCalibration, known_std: float) -> NoiseCalibration:
+    """The calibration with the accelerometer's gain taken out of what differs, where the motion tells it better than
+    to `known_std`, relative.
+    """
+    assert learnt.findings is not None
+    if known_std == 0.0:
+        return learnt
+    unknown = replace(learnt.findings.pair, ratio=None)
+    pair, fit = with_input_noise(unknown, best_corner(unknown, learnt.offset.value_s))
+    if not (fit.relative_std < known_std and abs(fit.ratio - 1.0) < MAX_GAIN_ERROR):
+        return learnt
+    # What is known before counts as well: the mean of both, by their variances.
+    told = known_std**2 / (known_std**2 + fit.relative_std**2)
+    return replace(
+        learnt,
+        variance_factor=fit.noise,
+        input_noise=pair.input_noise(fit.input_density),
+        slow_std_m=float(np.sqrt(pair.slow[0] * fit.noise)),
+        gain=1.0 / (1.0 + told * (fit.ratio - 1.0)),
+        gain_std=fit.relative_std * float(np.sqrt(told)),
+        findings=replace(learnt.findings, pair=pair, fit=fit),
+    )
 
 
 def _with_scale(
@@ -128,6 +173,8 @@ def _with_scale(
         scale=scale,
         scale_std=std,
         reversed_gain=reversed_gain,
+        slow_std_m=float(np.sqrt(pair.slow[0] * fit.noise)),
+        slow_time_s=1.0 / pair.slow[1],
         noise_share=noise_share(pair, local, white_noise(pair.samples[:, 1])),
         findings=Findings(pair, fit, search, free, likeliest),
     )
@@ -159,9 +206,9 @@ def applied(search: OffsetSearch, fit: Fit, variance: float, max_offset_s: float
 
 def without_outliers(pair: Pair) -> tuple[Pair, Fit]:
     """The pair without outliers and its fit at no offset."""
-    pair, fit = with_motion_noise(pair, best_corner(pair, 0.0))
+    pair, fit = with_input_noise(pair, best_corner(pair, 0.0))
     pair = cleaned(pair, fit)
-    return with_motion_noise(pair, best_corner(pair, 0.0))
+    return with_input_noise(pair, best_corner(pair, 0.0))
 
 
 def learn_motion(pair: Pair) -> float:

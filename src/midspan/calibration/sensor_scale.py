@@ -15,6 +15,7 @@ from midspan.calibration.noise import Findings, NoiseCalibration, applied, edge_
 from midspan.calibration.outliers import without_lonely_outliers
 from midspan.calibration.scale import LEAST_GAIN as LEAST_AGREEMENT
 from midspan.calibration.scale import REFUSED_ABOVE, alias_in_words, is_ambiguous, noise_needed
+from midspan.calibration.slow_error import with_slow_error
 from midspan.calibration.time_offset import OffsetSearch, search_offset
 from midspan.errors import UntrustedError
 from midspan.records import TimeOffset
@@ -30,13 +31,14 @@ def calibrate_sensor_scale(
     one_clock: bool,
     length_s: float = np.inf,
     look: Callable[[Fit], None] | None = None,
+    noise_time_s: float | None = None,
 ) -> NoiseCalibration:
     """Learn scale, noise levels and clock offset of a displacement sensor by maximum likelihood.
 
     pair: readings in m as if the unit were right, with relative variances, and the acceleration. one_clock: the clocks
     are one, so that the offset found within ±`max_offset_s` s is only told and the scale is learnt at no offset.
-    length_s: of the record, see `edge_s`. look: given the best fit of scale and offset together, may raise before it
-    is judged here.
+    length_s: of the record, see `edge_s`. noise_time_s: as of `calibrate_noise`. look: given the best fit of scale and
+    offset together, may raise before it is judged here.
     Raises UntrustedError when the motion does not tell the scale to 5 %, when two offsets fit alike, or when the
     sensors do not agree.
     """
@@ -49,7 +51,7 @@ def calibrate_sensor_scale(
         _refuse(search.pair, search.fit)
         _refuse_ambiguity(search, max_offset_s)
         _refuse_unexplained(search, max_offset_s)
-        return _scaled(search.pair, search.fit, search.offset, search)
+        return _scaled(*with_slow_error(search.pair, search.fit, noise_time_s), search.offset, search)
     pair, still = without_outliers(pair)
     offset, found = TimeOffset(0.0, np.inf), still
     if max_offset_s > 0.0:
@@ -64,7 +66,7 @@ def calibrate_sensor_scale(
         if not late:
             raise
         raise _clocks_differ(offset) from None
-    learnt = _scaled(pair, still, offset, search)
+    learnt = _scaled(*with_slow_error(pair, still, noise_time_s), offset, search)
     # An offset that was left as it is takes from the scale, or adds to it, what it then would be.
     bias = abs(still.ratio / found.ratio - 1.0) if late else 0.0
     if np.hypot(bias, learnt.factor_std / learnt.factor) > REFUSED_ABOVE:
@@ -102,6 +104,8 @@ def _scaled(pair: Pair, fit: Fit, offset: TimeOffset, search: OffsetSearch | Non
         offset=offset,
         scale=1.0,
         scale_std=relative,
+        slow_std_m=abs(factor) * float(np.sqrt(pair.slow[0] * fit.noise)),
+        slow_time_s=1.0 / pair.slow[1],
         factor=factor,
         factor_std=abs(factor) * relative,
         findings=Findings(pair, fit, search, fit, fit),

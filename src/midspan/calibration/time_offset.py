@@ -20,7 +20,7 @@ from midspan.calibration.fit import (
     evaluate,
     gauss_newton,
     refine,
-    with_motion_noise,
+    with_input_noise,
 )
 from midspan.calibration.outliers import MARKING_ROUNDS, mark_outliers, without_lonely_outliers
 from midspan.calibration.whitening import levelled, whiten_columns
@@ -76,13 +76,13 @@ def search_offset(pair: Pair, max_offset_s: float, edge_s: float = 0.0) -> Offse
         fits = _refined(pair, offsets, curve, corner)
         best = max(fits, key=_likelihood)
         # What is lively is no outlier. What outliers have hidden shows in a search without them.
-        again = cleaned(with_motion_noise(pair, best)[0] if turn == 0 else pair, best, step)
+        again = cleaned(with_input_noise(pair, best)[0] if turn == 0 else pair, best, step)
         if _may_shrink(pair, _apart(fits, best, step), best):
             again = replace(again, reference=abs(best.ratio))
         if again is pair:
             break
         pair = again
-    pair = with_motion_noise(pair, best)[0]
+    pair = with_input_noise(pair, best)[0]
     fits = [refine(pair, fit, step) for fit in fits]
     best = max(fits, key=_likelihood)
     if edge_s > 0.0:

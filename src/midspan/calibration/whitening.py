@@ -7,9 +7,11 @@ add to it:
     p(t) = s · (D(t + offset) + x) + noise,   x' = v,   v' = −b − w
 
 with s the inverse scale factor. So a filter with the states x, v, b and no input whitens p − s D, and its innovations
-are linear in s. Gains and covariance depend on neither signal: one run whitens any number of columns, such as p, D at
-many offsets, and D' (the velocity), by which the innovations change with the offset. The filter steps from measurement
-to measurement, and D is known at any instant: nothing is resampled, an aliased camera is treated exactly.
+are linear in s. Where the noise is coloured (the slow error of a GNSS receiver), a fourth state is the coloured part, a
+first-order Gauss-Markov process. Gains and covariance depend on neither signal: one run whitens any number of columns,
+such as p, D at many offsets, and D' (the velocity), by which the innovations change with the offset. The filter steps
+from measurement to measurement, and D is known at any instant: nothing is resampled, an aliased camera is treated
+exactly.
 """
 
 from dataclasses import dataclass
@@ -18,6 +20,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from midspan.fusion.forward import add_noise, predict_covariance
 from midspan.fusion.state_space import (
     P00,
     P01,
@@ -41,6 +44,8 @@ DIFFUSE = (1e9, 1e9, 1e9)
 SETTLING = 3
 # The bias walk that belongs to an acceleration noise, (rad/s)²: bias errors below 0.01 Hz are left to the displacement.
 BIAS_WALK_RATIO = 0.003
+# Measurements without a slow error: its variance, and a rate (1/s) that has no effect then.
+NO_SLOW_ERROR = (0.0, 1.0)
 # Longest step of the covariance, s: within it the walk of the bias reaches the displacement by 1 % of the noise's part.
 MAX_STEP_S = 5.0
 
@@ -200,6 +205,67 @@ def _whiten(pieces, rows, density, states, values, longer, out):  # type: ignore
     return b
 
 
+@njit(cache=True)
+def _take(p, gain, variance):  # type: ignore[no-untyped-def]
+    """(I − K h') P (I − K h')' + K R K' in place, h = (1, 0, 0, 1)."""
+    for j in range(4):
+        met = p[0, j] + p[3, j]
+        for i in range(4):
+            p[i, j] -= gain[i] * met
+    for i in range(4):
+        met = p[i, 0] + p[i, 3]
+        for j in range(4):
+            p[i, j] += gain[j] * (gain[i] * variance - met)
+
+
+@njit(cache=True)
+def _whiten_slow(pieces, rows, density, slow, covariances, values, longer, out):  # type: ignore[no-untyped-def]
+    """As `_whiten` with a fourth state, the slow error of the measurements; slow = (its variance, its rate in 1/s).
+
+    covariances (2, 4, 4): as the states of `_whiten`.
+    """
+    walks, gain, n = np.array([0.0, 0.0, density * BIAS_WALK_RATIO, 0.0]), np.zeros(4), len(rows)
+    x, reached, g = np.zeros((4, values.shape[1])), rows[0, 0], 0
+    end = max(pieces[-1, 0], rows[-1, 0])
+    for j in range(n + 1):
+        until = rows[j, 0] if j < n else end
+        lapse = until - reached
+        for c in range(x.shape[1]):
+            step = lapse + (longer[j, c] if j < len(longer) else 0.0)
+            x[0, c] += step * (x[1, c] - 0.5 * step * x[2, c])
+            x[1, c] -= step * x[2, c]
+        while reached < until:
+            while g < len(pieces) - 1 and pieces[g, 0] <= reached:
+                g += 1
+            ahead = min(until, reached + MAX_STEP_S)
+            if g < len(pieces) - 1:
+                ahead = min(ahead, pieces[g, 0])
+            for p in covariances:
+                predict_covariance(p, 1, ahead - reached, walks)
+                add_noise(p, 0, ahead - reached, density * pieces[g, 1])
+            reached = ahead
+        if j == n:
+            break
+        kept = np.exp(-slow[1] * lapse)
+        x[3] *= kept
+        for p in covariances:
+            p[3] *= kept
+            p[:, 3] *= kept
+        covariances[0, 3, 3] += (1.0 - kept * kept) * slow[0]
+        for i in range(4):
+            gain[i] = covariances[0, i, 0] + covariances[0, i, 3]
+        total = gain[0] + gain[3] + rows[j, 1]
+        gain /= total
+        out[j, 0], out[j, 1] = total, covariances[1, 0, 0]
+        for c in range(x.shape[1]):
+            values[j, c] -= x[0, c] + x[3, c]
+            for i in range(4):
+                x[i, c] += gain[i] * values[j, c]
+        _take(covariances[0], gain, rows[j, 1])
+        _take(covariances[1], gain, 0.0)
+    return x[2]
+
+
 def levelled(time_s: Floats, values: Floats) -> tuple[Floats, Floats]:
     """Columns (m, c) of values without their parabolas, and these parabolas' second derivatives (c,).
 
@@ -214,20 +280,33 @@ def levelled(time_s: Floats, values: Floats) -> tuple[Floats, Floats]:
 
 
 def whiten_columns(
-    rows: Floats, values: Floats, pieces: Floats, density: float, *, late_s: Floats | None = None
+    rows: Floats,
+    values: Floats,
+    pieces: Floats,
+    density: float,
+    *,
+    late_s: Floats | None = None,
+    slow: tuple[float, float] = NO_SLOW_ERROR,
 ) -> Whitened:
     """Run columns (m, c) of levelled values at rows (m, 2) of time (s) and relative variance through the filter.
 
     pieces: as of `Response`; density: noise density of the acceleration times s² in units of the noise variance; late_s
-    (m, c): where the lateness of a column's stamps changes, so does the time that its states move on.
+    (m, c): where the lateness of a column's stamps changes, so does the time that its states move on; slow: variance of
+    the measurements' slow error in units of the noise variance, and its rate, 1/s.
     """
-    states = tuple(initial_state(rows[0, 0], (0.0, 0.0, 0.0), DIFFUSE) for _ in range(2))
-    states[1][P00:TIME] = 0.0
     out, found = np.empty((len(rows), 2)), values.copy()
     longer = np.empty((0, 0)) if late_s is None else np.diff(late_s, axis=0, prepend=late_s[:1])
-    bias = _whiten(pieces, rows, density, states, found, longer, out)
+    if slow[0] > 0.0:
+        covariances = np.zeros((2, 4, 4))
+        covariances[0] = np.diag([*DIFFUSE, slow[0]])
+        bias = _whiten_slow(pieces, rows, density, slow, covariances, found, longer, out)
+        bias_variance = float(covariances[0, 2, 2])
+    else:
+        states = tuple(initial_state(rows[0, 0], (0.0, 0.0, 0.0), DIFFUSE) for _ in range(2))
+        states[1][P00:TIME] = 0.0
+        bias, bias_variance = _whiten(pieces, rows, density, states, found, longer, out), float(states[0][P22])
     index = np.arange(SETTLING, len(rows))
-    return Whitened(found[SETTLING:], out[SETTLING:, 0], out[SETTLING:, 1], index, bias, states[0][P22])
+    return Whitened(found[SETTLING:], out[SETTLING:, 0], out[SETTLING:, 1], index, bias, bias_variance)
 
 
 def usable(rows: Floats, offset_s: float, span_s: tuple[float, float]) -> NDArray[np.int64]:

@@ -39,11 +39,18 @@ def describe(console: Console, tree: dict) -> None:  # type: ignore[type-arg]
         for part in listed if isinstance(listed, list) else [listed]:
             rows += described(part, part.get("name") or kind)
     rows += [
+        *_gain(acceleration),
         ("accelerometer noise", f"{1e3 * acceleration['noise_std_m_s2']:.3g} mm/s² per sample"),
         ("noise that goes with the motion", _motion_noise(acceleration["motion_noise_s"])),
         ("accelerometer bias", _bias(acceleration)),
     ]
     console.table(rows)
+
+
+def _gain(acceleration: dict) -> list[tuple[str, str]]:  # type: ignore[type-arg]
+    """The accelerometer's gain where anything is known of it."""
+    scale, std = acceleration["scale"], acceleration["scale_std"]
+    return [("accelerometer gain", f"{scale:.5g} ± {std:.2g}")] if std > 0.0 else []
 
 
 def _motion_noise(motion_s: float) -> str:

@@ -109,9 +109,12 @@ def show(console: Console, result: "Result", written: list[str]) -> None:
             ("rows", f"{f['rows']} from {f['start_s']:.3f} to {f['end_s']:.3f} s ({result.method})"),
             ("displacement", f"{f['smallest_mm']:.4g} … {f['largest_mm']:.4g} mm, {f['rms_mm']:.4g} mm rms"),
             ("standard deviation", f"{f['median_std_mm']:.3g} mm (median)"),
+            ("of it, common to all rows", f"{f['zero_std_mm']:.3g} mm: the zero"),
+            ("of it, each row's own", f"{f['median_own_std_mm']:.3g} mm"),
             *_second(result),
             ("status", share),
             *_sources(f["source"]),
+            *(("not in the band", line) for line in result.not_in_band),
             ("written", ", ".join(written)),
         ]
     )
@@ -122,6 +125,7 @@ def show(console: Console, result: "Result", written: list[str]) -> None:
             "method": result.method,
             "written": written,
             "warnings": list(result.warnings),
+            "not_in_band": list(result.not_in_band),
             "calibration": result.calibration.to_dict(),
         }
     )

@@ -9,9 +9,25 @@ from midspan.cli.console import Console, common_options
 @click.argument("scenario", required=False)
 @click.option("-o", "--output", type=click.Path(), help="Folder to write; it must not exist with other content.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Same seed, same recording.")
+@click.option(
+    "--break",
+    "breaks",
+    multiple=True,
+    metavar="NAME[,NAME…]",
+    help="Break the model on purpose, the truth stays: gain, axis, colour, step, burst, exposure, bracket, tilt, "
+    "logger or pattern.",
+)
 @click.option("--list", "listed", is_flag=True, help="Name the scenarios.")
 @common_options
-def command(scenario: str | None, output: str | None, seed: int, listed: bool, quiet: bool, as_json: bool) -> None:
+def command(
+    scenario: str | None,
+    output: str | None,
+    seed: int,
+    breaks: tuple[str, ...],
+    listed: bool,
+    quiet: bool,
+    as_json: bool,
+) -> None:
     """Write a recording folder with its truth (truth.csv)."""
     from midspan.checks import option
     from midspan.simulate.scenarios.table import NAMES
@@ -25,7 +41,15 @@ def command(scenario: str | None, output: str | None, seed: int, listed: bool, q
     if scenario is None or output is None:
         raise click.UsageError("give a SCENARIO and -o DIR; --list names the scenarios.")
     option("SCENARIO", scenario, NAMES)
-    folder = write(scenario, output, seed=seed, progress=lambda done, total: console.progress(done, total, "rendering"))
+    wanted = [name.strip() for text in breaks for name in text.split(",")]
+    folder = write(
+        scenario,
+        output,
+        seed=seed,
+        breaks=wanted,
+        progress=lambda done, total: console.progress(done, total, "rendering"),
+    )
     console.done()
     console.say(f"{folder}: {NAMES[scenario]}")
-    console.document({"folder": str(folder), "scenario": scenario, "seed": seed})
+    document = {"folder": str(folder), "scenario": scenario, "seed": seed}
+    console.document(document | ({"broken": wanted} if wanted else {}))

@@ -10,18 +10,25 @@ import numpy as np
 from midspan.records import Event, Floats, Nanoseconds
 from midspan.signals.bridging import LOWEST_HZ, missed_share
 from midspan.signals.health import (
+    BESIDE,
     CLIPPED_RUN,
     CREST_STEPS,
-    FROZEN_S,
-    FROZEN_SAMPLES,
+    EQUAL_AT_FIRST,
     REST_SHARE,
+    SPIKE,
+    SPIKE_SAMPLES,
+    EqualRuns,
     Mask,
     bridged,
     clipped,
     dominant_frequency,
+    equal_runs,
     frozen,
+    lone_spikes,
     overshoot,
     runs,
+    smallest_step,
+    spikes,
 )
 from midspan.signals.lively import mean_square
 
@@ -29,6 +36,7 @@ from midspan.signals.lively import mean_square
 CONTEXT = 6
 # No accelerometer reaches this; what is larger is no number.
 MAX_M_S2 = 1e7
+SPIKE_TEXT = "samples far beyond all others and their neighbours are left out."
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +46,7 @@ class AxisFigures:
     mean_m_s2, variance (m²/s⁴), dominant_hz: of what was measured; low_m_s2, high_m_s2: the smallest and largest value
     seen; resolution_m_s2: smallest step of values; moved_m: standard deviation of the displacement. noise_density:
     (m/s²)²/Hz; name: file and channel, for messages; motion_noise_s: what the noise density has besides per mean square
-    (m²/s⁴) of the motion, s.
+    (m²/s⁴) of the motion, s. gain: of the accelerometer, by which its samples are divided after all.
     """
 
     mean_m_s2: float
@@ -51,6 +59,12 @@ class AxisFigures:
     noise_density: float = 0.0
     name: str = ""
     motion_noise_s: float = 0.0
+    gain: float = 1.0
+
+    @property
+    def spike_std(self) -> float:
+        """The standard deviation (m/s²) that spikes are judged by."""
+        return float(max(np.sqrt(self.variance), self.resolution_m_s2))
 
     @property
     def frequency_hz(self) -> float:
@@ -81,6 +95,7 @@ class AxisFigures:
 
 def usual_figures(value: Floats, rate_hz: float) -> AxisFigures:
     """The figures of an axis from a record `value` (n,) of it, NaN where there was no number."""
+    value = np.where(lone_spikes(value), np.nan, value)
     still = frozen(value, rate_hz)
     known = np.isfinite(value)
     seen = value[known & ~still & ~(clipped(value) & ~still)]
@@ -90,7 +105,7 @@ def usual_figures(value: Floats, rate_hz: float) -> AxisFigures:
         dominant_hz=dominant_frequency(seen, rate_hz),
         low_m_s2=float(value[known].min()),
         high_m_s2=float(value[known].max()),
-        resolution_m_s2=float(np.min(np.diff(np.unique(value[known])), initial=np.inf)),
+        resolution_m_s2=smallest_step(value),
         moved_m=displacement_std(seen, rate_hz),
     )
 
@@ -109,11 +124,11 @@ def displacement_std(value: Floats, rate_hz: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class AxisLimits:
-    """Rate, and the numbers of samples after which equal values are frozen and a hole is bridged without its end."""
+    """Rate, and the numbers of samples after which a hole is bridged without its end, and that wait at most."""
 
     rate_hz: float
-    frozen: int
     long: int
+    held: int
 
     @classmethod
     def of(cls, figures: AxisFigures, rate_hz: float, hold_s: float) -> "AxisLimits":
@@ -122,22 +137,23 @@ class AxisLimits:
         """
         whole_s = np.sqrt(8.0) / (2.0 * np.pi * figures.frequency_hz)
         long = int(np.ceil(min(whole_s, hold_s) * rate_hz))
-        return cls(rate_hz, max(FROZEN_SAMPLES, round(FROZEN_S * rate_hz)), max(long, 1))
+        return cls(rate_hz, max(long, 1), round(hold_s * rate_hz))
 
 
 @dataclass(frozen=True, slots=True)
 class AxisMemory:
     """What an axis knows: the last samples given out (`given` of them) and those held back, time_ns and value (n,).
 
-    Of the last sample given out: equal: length of the run of equal values that ends there; gentle: whether that run, if
-    longer than one, was reached gently; low, high: extremes so far; power: mean square of the motion, m²/s⁴; lost,
-    lost_from_ns: length and start of the long hole it lies in.
+    Of the last sample given out: equal: length of the run of equal values that ends there; share: of equal neighbours
+    before that run; gentle: whether that run, if longer than one, was reached gently; low, high: extremes so far;
+    power: mean square of the motion, m²/s⁴; lost, lost_from_ns: length and start of the long hole it lies in.
     """
 
     time_ns: Nanoseconds
     value: Floats
     given: int
     equal: int
+    share: float
     gentle: bool
     low: float
     high: float
@@ -148,8 +164,13 @@ class AxisMemory:
     @classmethod
     def before(cls, figures: AxisFigures) -> "AxisMemory":
         """What is known before the first sample."""
-        nothing = np.empty(0, dtype=np.int64)
-        return cls(nothing, np.empty(0), 0, 0, True, figures.low_m_s2, figures.high_m_s2, figures.variance, 0, 0)
+        nothing, ends = np.empty(0, dtype=np.int64), (figures.low_m_s2, figures.high_m_s2)
+        return cls(nothing, np.empty(0), 0, 0, EQUAL_AT_FIRST, True, *ends, figures.variance, 0, 0)
+
+    @property
+    def last(self) -> tuple[float, int, float]:
+        """Value, length of its run of equal ones and share before it, of the last sample given out."""
+        return float(self.value[self.given - 1]) if self.given else np.nan, self.equal, self.share
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,27 +198,31 @@ def bridge(
     time_ns = np.concatenate((memory.time_ns, samples[0]))
     value = np.concatenate((memory.value, samples[1]))
     value[~(np.abs(value) < MAX_M_S2)] = np.nan
-    starts, equal = _equal(value, memory)
-    still = equal >= limits.frozen
-    for start, stop in runs(still):
-        still[start:stop] = not _is_rest(value, start - int(equal[start]) + 1, memory, figures)
-    held, decided = _clipped(value, starts, memory, (figures, limits), end=end)
+    alone, whole = _spikes(value, memory, figures, end=end)
+    value[alone] = np.nan
+    equal = equal_runs(value[memory.given :], limits.rate_hz, figures.resolution_m_s2, memory.last)
+    still, settled = _still(value, equal, memory, (figures, limits), end=end)
+    held, decided = _clipped(value, equal, memory, figures, end=end)
+    decided = min(decided, settled, whole)
     missing = np.isnan(value) | still | held
     missing[: memory.given] = False
     filled, release, lost = _filled(time_ns, value, (missing, decided), memory, (figures, limits), end=end)
+    told = [Event(int(time_ns[a]), "spike", f"{figures.name}: {b - a} {SPIKE_TEXT}") for a, b in runs(alone)]
+    filled = replace(filled, events=(*told, *filled.events))
     if release == memory.given:
         return _waiting(memory, time_ns, value), filled
     power = mean_square(filled.value, figures.mean_m_s2, memory.power, limits.rate_hz)
     filled = replace(filled, density=filled.density + figures.motion_noise_s * power)
     last, first = release - 1, max(release - CONTEXT, 0)
     known = value[memory.given : release]
-    start = last - int(equal[last]) + 1
+    length = int(equal.length[last - memory.given])
     after = AxisMemory(
         time_ns=time_ns[first:].copy(),
         value=value[first:].copy(),
         given=release - first,
-        equal=int(equal[last]),
-        gentle=_is_gentle(value, start, memory, figures),
+        equal=length,
+        share=float(equal.share[last - memory.given]),
+        gentle=_is_gentle(value, last - length + 1, memory, figures),
         low=float(np.fmin.reduce(known, initial=memory.low)),
         high=float(np.fmax.reduce(known, initial=memory.high)),
         power=float(power[-1]),
@@ -207,11 +232,13 @@ def bridge(
     return after, filled
 
 
-def is_sound(memory: AxisMemory, fresh: Floats) -> bool:
+def is_sound(memory: AxisMemory, fresh: Floats, figures: AxisFigures) -> bool:
     """Whether new samples (n,) are plainly good and nothing waits: then `passed` is the short way to the same."""
     if memory.lost or not memory.given or memory.given < len(memory.value):
         return False
-    within = max(memory.low, -MAX_M_S2) < fresh.min() and fresh.max() < min(memory.high, MAX_M_S2)
+    far = min(SPIKE * figures.spike_std, MAX_M_S2)
+    low, high = max(memory.low, figures.mean_m_s2 - far), min(memory.high, figures.mean_m_s2 + far)
+    within = max(low, -MAX_M_S2) < fresh.min() and fresh.max() < min(high, MAX_M_S2)
     return bool(within and fresh[0] != memory.value[-1] and (fresh[1:] != fresh[:-1]).all())
 
 
@@ -220,38 +247,54 @@ def passed(
 ) -> tuple[AxisMemory, Floats]:
     """The memory after sound samples (n,), which are given out as they are, and what the motion adds to their noise."""
     time_ns, fresh = samples
+    share = float(equal_runs(fresh, rate_hz, figures.resolution_m_s2, memory.last).share[-1])
     power = mean_square(fresh, figures.mean_m_s2, memory.power, rate_hz)
     if len(fresh) < CONTEXT:
         time_ns, fresh = np.concatenate((memory.time_ns, time_ns)), np.concatenate((memory.value, fresh))
     last_ns, last = time_ns[-CONTEXT:].copy(), fresh[-CONTEXT:].copy()
-    after = AxisMemory(last_ns, last, len(last), 1, False, memory.low, memory.high, float(power[-1]), 0, 0)
+    after = AxisMemory(last_ns, last, len(last), 1, share, False, memory.low, memory.high, float(power[-1]), 0, 0)
     return after, figures.motion_noise_s * power
 
 
 def _waiting(memory: AxisMemory, time_ns: Nanoseconds, value: Floats) -> AxisMemory:
     """The memory with more samples held back."""
-    return AxisMemory(
-        time_ns,
-        value,
-        memory.given,
-        memory.equal,
-        memory.gentle,
-        memory.low,
-        memory.high,
-        memory.power,
-        memory.lost,
-        memory.lost_from_ns,
-    )
+    return replace(memory, time_ns=time_ns, value=value)
 
 
-def _equal(value: Floats, memory: AxisMemory) -> tuple[Mask, Nanoseconds]:
-    """Which samples (n,) begin a run of equal values, and the length (n,) of the run up to each; 0 for no number."""
-    given = memory.given
-    starts = np.concatenate(([True], value[1:] != value[:-1]))[: len(value)]
-    starts[:given] = False
-    index = np.arange(len(value))
-    begun = np.maximum.accumulate(np.where(starts, index, given - memory.equal))
-    return starts, np.where(np.isnan(value) | (index < given), 0, index - begun + 1)
+def _spikes(value: Floats, memory: AxisMemory, figures: AxisFigures, *, end: bool) -> tuple[Mask, int]:
+    """Samples (n,) that are spikes, and how many are settled: one that may be a spike waits for what follows."""
+    given, settled = memory.given, len(value)
+    far = np.abs(value - figures.mean_m_s2) > SPIKE * figures.spike_std
+    if not far[given:].any():
+        return np.zeros(settled, dtype=bool), settled
+    alone, last = spikes(value, figures.mean_m_s2, figures.spike_std), runs(far)[-1]
+    if not end and last[1] + BESIDE > settled and last[1] - last[0] <= SPIKE_SAMPLES:
+        settled = max(int(last[0]), given)
+        alone[settled:] = False
+    alone[:given] = False
+    return alone, settled
+
+
+def _still(
+    value: Floats, equal: EqualRuns, memory: AxisMemory, usual: tuple[AxisFigures, AxisLimits], *, end: bool
+) -> tuple[Mask, int]:
+    """Samples (n,) that are frozen, and how many are settled: a run waits from its second sample on until it is known
+    what it is, where that is known within the time that samples may be held back.
+    """
+    figures, limits = usual
+    given, count = memory.given, len(value)
+    still = np.zeros(count, dtype=bool)
+    for first, stop in runs(equal.length > 1):
+        length, least, stop = int(equal.length[stop - 1]), int(equal.frozen[first]), given + int(stop)
+        start = stop - length
+        if _is_rest(value, start, memory, figures):
+            continue
+        waits = least <= limits.held
+        if length >= least:
+            still[max(start + 1 if waits else start + least - 1, given) : stop] = True
+        elif stop == count and waits and not end:
+            return still, max(start + 1, given)
+    return still, count
 
 
 def _is_gentle(value: Floats, start: int, memory: AxisMemory, figures: AxisFigures) -> bool:
@@ -270,10 +313,10 @@ def _is_rest(value: Floats, start: int, memory: AxisMemory, figures: AxisFigures
 
 
 def _clipped(
-    value: Floats, starts: Mask, memory: AxisMemory, usual: tuple[AxisFigures, AxisLimits], *, end: bool
+    value: Floats, equal: EqualRuns, memory: AxisMemory, figures: AxisFigures, *, end: bool
 ) -> tuple[Mask, int]:
     """Samples (n,) held at the largest or smallest value so far, and how many samples are decided."""
-    figures, limits = usual
+    starts = np.concatenate((np.zeros(memory.given, dtype=bool), equal.length <= 1))
     held, count = np.zeros(len(value), dtype=bool), len(value)
     fresh = value[memory.given :]
     high = np.fmax.accumulate(np.concatenate(([memory.high], fresh)))[:-1]
@@ -284,7 +327,7 @@ def _clipped(
     for start in map(int, np.flatnonzero(extreme & starts)):
         following = int(np.searchsorted(begins, start, side="right"))
         stop = int(begins[following]) if following < len(begins) else count
-        if stop - start >= limits.frozen:
+        if stop - start >= int(equal.frozen[start - memory.given]):
             held[start:stop] = not _is_rest(value, start, memory, figures)
         elif not end and (stop == count or (stop - start >= CLIPPED_RUN and stop + 1 == count)):
             # How the run ends, and how steep the signal is after it, is not yet known.

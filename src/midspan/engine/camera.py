@@ -17,10 +17,9 @@ WARM_UP_FRAMES = 28
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraState:
-    """What a `CameraChain` remembers: its targets' states, and whether the last frame was black."""
+    """What a `CameraChain` remembers: its targets' states."""
 
     targets: tuple[TargetState, ...]
-    dark: bool = False
 
 
 class CameraChain:
@@ -28,35 +27,32 @@ class CameraChain:
 
     Before the first push, `learn` may be given the first `frames_to_learn` frames: the variances of the very first
     frames then know of the codec and of the noise, which no single frame shows. Everything after that is a function of
-    the frames pushed. dark: whether the last frame was black, so that nothing was looked for.
+    the frames pushed.
     """
 
     def __init__(self, reference: Frame, targets: Sequence[Target], settings: ChainSettings) -> None:
         """Raises UsageError for a target that cannot be tracked, or is out of the lens model's reach."""
         self.targets = tuple(TargetChain(reference, target, settings) for target in targets)
         self._lit = not is_dark(reference.pixels)
-        self.dark = False
 
     @property
     def state(self) -> CameraState:
         """Everything that changes from frame to frame."""
-        return CameraState(tuple(target.state for target in self.targets), self.dark)
+        return CameraState(tuple(target.state for target in self.targets))
 
     def restore(self, state: CameraState) -> None:
         """Continue from a `state` taken earlier."""
         for target, own in zip(self.targets, state.targets, strict=True):
             target.restore(own)
-        self.dark = state.dark
 
     def push(
         self, frame: Frame, predictions: Sequence[Prediction | None] | None = None
     ) -> tuple[PixelTranslation, ...]:
         """The translation of each target in `frame`; predictions: of each target, in pixels of the ideal camera."""
-        self.dark = self._lit and self._black(frame)
+        dark = self._lit and self._black(frame)
         expected = predictions or (None,) * len(self.targets)
         return tuple(
-            target.push(frame, prediction, dark=self.dark)
-            for target, prediction in zip(self.targets, expected, strict=True)
+            target.push(frame, prediction, dark=dark) for target, prediction in zip(self.targets, expected, strict=True)
         )
 
     @property

@@ -26,7 +26,8 @@ def camera_channels(
     calibrations: along each axis, the main one first; first: whether its zero is the zero of the displacement.
     """
     sensor = tracking.settings.sensor
-    coasting_s, lost_s = ages(interval_s(tracking.time_ns))
+    step_s = interval_s(tracking.time_ns)
+    coasting_s, lost_s = ages(step_s)
     rows: list[list[int]] = [[] for _ in tracking.targets]
     along: list[list[int]] = []
     for axis, camera in enumerate(calibrations):
@@ -56,4 +57,5 @@ def camera_channels(
         table.scaled(shared or [*numbers, *along[-1]], camera.relative_std)
     every = [number for numbers in along for number in numbers]
     table.uncertain(ParameterKind.CLOCK_OFFSET, every, clock_std_s(calibrations[0].offset))
-    return CameraSensor(sensor, tracking.chain, rows, [camera.direction for camera in calibrations])
+    directions = [camera.direction for camera in calibrations]
+    return CameraSensor(sensor, tracking.chain, rows, directions, step_s=step_s)

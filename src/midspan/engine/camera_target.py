@@ -104,11 +104,12 @@ class TargetChain:
         where the picture is the one before once more.
         """
         lens = self._settings.opening.lens
-        found = lost(frame.time_ns)
-        if not dark:
+        if dark:
+            found = replace(lost(frame.time_ns), unseen="dark")
+        else:
             found = self._fair.push(self.tracker.push(frame, shown_prediction(prediction, self.region, lens)))
             if self._frozen(frame):
-                found = lost(frame.time_ns, found.events)
+                found = replace(lost(frame.time_ns, found.events), unseen="frozen")
         if self.light is not None and not dark:
             found = _with_reference_variance(found, self.light.push(frame, found))
         if self.picture is not None:

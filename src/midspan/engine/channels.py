@@ -34,12 +34,16 @@ CLEAR_MOTION = 400.0
 class Table:
     """The estimator's channels and parameters as they are gathered, sensor by sensor.
 
-    given: the calibration was not estimated from this recording.
+    given: the calibration was not estimated from this recording. gain_std: relative standard deviation of the
+    accelerometer's gain, which is in the scales' of the calibration. in_true_metres: channels of sensors whose unit is
+    right, unlike the accelerometer's.
     """
 
     channels: list[Channel] = field(default_factory=list)
     parameters: list[Parameter] = field(default_factory=list)
+    in_true_metres: list[int] = field(default_factory=list)
     given: bool = False
+    gain_std: float = 0.0
 
     def add(self, channel: Channel) -> int:
         """Put a channel to the table; returns its number."""
@@ -54,8 +58,10 @@ class Table:
     def scaled(self, channels: Sequence[int], relative_std: float) -> None:
         """Put the scale error that the channels share to the table.
 
-        Of a given calibration it is estimated, from `GIVEN_SCALE_STD` besides; otherwise the band alone holds it.
+        Of a given calibration it is estimated, from `GIVEN_SCALE_STD` besides; otherwise the band alone holds it. The
+        accelerometer's gain is no part of it: see `gain`.
         """
+        relative_std = without_gain(relative_std, self.gain_std)
         if not self.given:
             self.uncertain(ParameterKind.SCALE_ERROR, channels, relative_std)
             return
@@ -63,6 +69,26 @@ class Table:
         self.parameters.append(
             Parameter(ParameterKind.SCALE_ERROR, tuple(channels), std, FIRST_NS, SCALE_WALK, CLEAR_MOTION)
         )
+
+    def gain(self, std: float, *, axes: int, estimated: bool) -> None:
+        """Put the error of the accelerometer's gain along each axis to the table; std: its relative deviation.
+
+        Where there are sensors whose unit is right it is estimated, if wanted; otherwise the band alone holds it.
+        """
+        for axis in range(axes):
+            compared = [number for number, one in enumerate(self.channels) if one.axis == axis]
+            learnt = tuple(number for number in compared if number not in self.in_true_metres)
+            if estimated and len(learnt) < len(compared) and (self.given or std == 0.0):
+                wide = float(np.hypot(std, GIVEN_SCALE_STD))
+                own = Parameter(ParameterKind.GAIN_ERROR, learnt, wide, FIRST_NS, SCALE_WALK, CLEAR_MOTION, axis)
+                self.parameters.append(own)
+            elif std > 0.0:
+                self.parameters.append(Parameter(ParameterKind.GAIN_ERROR, learnt, std, axis=axis))
+
+
+def without_gain(relative_std: float, gain_std: float) -> float:
+    """A scale's relative standard deviation relative to the accelerometer: without that of the accelerometer's gain."""
+    return float(np.sqrt(max(relative_std**2 - gain_std**2, 0.0)))
 
 
 def interval_s(times: Nanoseconds) -> float:
@@ -97,9 +123,14 @@ def plain_channel(
             zero_std_m=0.0 if first else np.inf,
             coasting_s=coasting_s,
             lost_s=lost_s,
+            slow_std_m=calibration.slow_std_m,
+            slow_time_s=calibration.slow_time_s,
         )
     )
-    table.scaled([channel], calibration.relative_std)
+    if calibration.relative_std > 0.0 or calibration.scale != 1.0:
+        table.scaled([channel], calibration.relative_std)
+    else:
+        table.in_true_metres.append(channel)
     table.uncertain(ParameterKind.CLOCK_OFFSET, [channel], clock_std_s(calibration.offset))
     step_m = calibration.resolution_m
     settings = PlainSettings(
@@ -109,5 +140,7 @@ def plain_channel(
         step_s=step_s,
         resolution_m=resolution(calibration.scale * series.value) if step_m is None else step_m,
         scale=calibration.scale,
+        low_m=calibration.low_m,
+        high_m=calibration.high_m,
     )
     return PlainSensor(sensor, PlainChain(settings))

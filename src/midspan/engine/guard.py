@@ -68,6 +68,7 @@ class Guard:
         positive("hold_s", settings.hold_s, "s")
         self.settings = settings
         self._noise = np.array([axis.noise_density for axis in settings.axes])
+        self._gain = np.array([axis.gain for axis in settings.axes])
         self._limits = [AxisLimits.of(axis, settings.rate_hz, settings.hold_s) for axis in settings.axes]
         nothing = Bridged(np.empty(0), np.empty(0), np.empty(0, dtype=bool))
         none = Stamps(np.empty(0, dtype=np.int64), np.empty(0), np.empty(0, dtype=bool))
@@ -109,7 +110,8 @@ class Guard:
         first_ns, steps = int(time_ns[0]) - state.used_ns, time_ns[1:] - time_ns[:-1]
         if self._is_gap(max(first_ns, int(steps.max(initial=0))) / NANOSECONDS):
             return False
-        return all(is_sound(memory, record.value[:, k]) for k, memory in enumerate(state.axes))
+        axes = zip(state.axes, record.value.T, self.settings.axes, strict=True)
+        return all(is_sound(memory, value, figures) for memory, value, figures in axes)
 
     def _passed(self, record: Readings) -> Samples:
         """Sound readings as they are: the short way to what the others go through."""
@@ -120,7 +122,12 @@ class Guard:
             axes.append(after)
         noise += self._noise
         self._state = GuardState(newest_ns, False, state.stamps, tuple(axes), state.decided)
-        return Samples(record.time_ns, record.value, noise, np.full(count, MEASURED, dtype=np.uint8))
+        return self._in_metres(Samples(record.time_ns, record.value, noise, np.full(count, MEASURED, dtype=np.uint8)))
+
+    def _in_metres(self, block: Samples) -> Samples:
+        """Samples without what the accelerometer measures too much."""
+        value, noise = block.value_m_s2 / self._gain, block.noise_density / self._gain**2
+        return Samples(block.time_ns, value, noise, block.kind)
 
     def finish(self) -> list[Samples | Event]:
         """What still waits; the record ends here."""
@@ -182,7 +189,7 @@ class Guard:
         left = Stamps(wait.time_ns[count:], wait.step_s[count:], wait.broken[count:])
         rest = tuple(_rows(axis, slice(count, None)) for axis in decided)
         self._state = replace(state, stamps=left, axes=tuple(memories), decided=rest)
-        return [block, *events] if count else [*events]
+        return [self._in_metres(block), *events] if count else [*events]
 
     def _samples(self, decided: Sequence[Bridged], count: int) -> Samples:
         """The first `count` samples of all axes, with the density that gaps and steps of the clock add."""

@@ -19,7 +19,8 @@ class PlainSettings:
     """How a sensor is read, from its calibration.
 
     name: for messages; channel: its number in the estimator's table; axis: of the acceleration along it; variance_m2:
-    of a value; scale: on its values; step_s: its usual interval; resolution_m: what its values, scaled, are rounded to.
+    of a value; scale: on its values; step_s: its usual interval; resolution_m: what its values, scaled, are rounded to;
+    low_m, high_m: the ends of its range, scaled: values there are left out.
     """
 
     name: str
@@ -29,6 +30,8 @@ class PlainSettings:
     resolution_m: float = 0.0
     scale: float = 1.0
     axis: int = 0
+    low_m: float = -np.inf
+    high_m: float = np.inf
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +56,8 @@ class PlainState:
     """All that a `PlainChain` knows.
 
     finite_ns: stamp of the newest finite value; run: of equal values; time_ns, acceleration, density (m,): of the
-    samples that may still be needed; waiting_ns, waiting_m (w,): values that wait for the samples that cover them.
+    samples that may still be needed; waiting_ns, waiting_m (w,): values that wait for the samples that cover them;
+    clipped: whether the newest judged value is at an end of the range.
     """
 
     finite_ns: int | None
@@ -63,6 +67,7 @@ class PlainState:
     density: Floats
     waiting_ns: Nanoseconds
     waiting_m: Floats
+    clipped: bool = False
 
 
 class PlainChain:
@@ -136,7 +141,10 @@ class PlainChain:
         """Values (n,) in metres as measurements, without those that are stuck, and events."""
         if not len(value):
             return []
-        used, found = self._moving(time_ns, value)
+        held, ends = self._at_limits(time_ns, value)
+        time_ns, value = time_ns[~held], value[~held]
+        used, found = self._moving(time_ns, value) if len(value) else (held[:0], [])
+        found = [*ends, *found]
         count = int(np.count_nonzero(used))
         block = Measured(
             time_ns=time_ns[used],
@@ -146,6 +154,15 @@ class PlainChain:
             reference_variance=np.zeros(count),
         )
         return [block, *found] if count else [*found]
+
+    def _at_limits(self, time_ns: Nanoseconds, value: Floats) -> tuple[Mask, list[Event]]:
+        """Which values (n,) are held at an end of the range, and an event where that begins."""
+        known, state = self.settings, self._state
+        held = (value <= known.low_m) | (value >= known.high_m)
+        begins = np.flatnonzero(held & ~np.concatenate(([state.clipped], held[:-1])))
+        self._state = replace(state, clipped=bool(held[-1]))
+        text = f"{known.name}: it reads {{:.6g}} mm, the end of its range; such values are left out."
+        return held, [Event(int(time_ns[k]), "clipped", text.format(1e3 * value[k])) for k in begins]
 
     def _gaps(self, time_ns: Nanoseconds) -> list[Event]:
         """An event for each gap before the stamps (n,) of finite values."""

@@ -13,6 +13,7 @@ from midspan.engine.guard import Guard, GuardState
 from midspan.engine.merge import Merge, MergeState
 from midspan.engine.order import STEPS
 from midspan.engine.sensors import Seen, Sensor, SensorState
+from midspan.engine.support import PointStatus, Support
 from midspan.engine.switching import Switch, SwitchState
 from midspan.fusion.estimator import BLOCK, Estimator, EstimatorState, Rows
 from midspan.fusion.second_pass import Lag, LagState
@@ -31,6 +32,7 @@ class PointState:
     guard: GuardState
     estimator: EstimatorState | LagState
     sensors: tuple[SensorState, ...]
+    support: Support
     switch: SwitchState | None = None
 
 
@@ -53,13 +55,22 @@ class Point:
         self.merge, self.guard, self.sensors, self.estimator = merge, guard, dict(sensors), estimator
         self.unmeasured = tuple(unmeasured)
         self.switch = switch
+        self._support = Support()
+
+    @property
+    def status(self) -> PointStatus:
+        """How the point stands, by its newest row along the main axis."""
+        if not self.estimator.settings.channels:
+            return PointStatus.CALIBRATING
+        status = self._support.status
+        return PointStatus.WARMING if status is None else PointStatus(status)
 
     @property
     def state(self) -> PointState:
         """All that has an effect on what comes later."""
         own = tuple(self.sensors[name].state for name in sorted(self.sensors))
         switch = None if self.switch is None else self.switch.state
-        return PointState(self.merge.state, self.guard.state, self.estimator.state, own, switch)
+        return PointState(self.merge.state, self.guard.state, self.estimator.state, own, self._support, switch)
 
     def restore(self, state: PointState) -> None:
         """Go on from where `state` was read."""
@@ -68,6 +79,7 @@ class Point:
         self.estimator.restore(state.estimator)  # type: ignore[arg-type]
         for name, own in zip(sorted(self.sensors), state.sensors, strict=True):
             self.sensors[name].restore(own)
+        self._support = state.support
         if self.switch is not None and state.switch is not None:
             self.switch.state = state.switch
 
@@ -80,7 +92,7 @@ class Point:
         out = self._run(self.merge.finish())
         for found in self.guard.finish():
             out += self._sampled(found)
-        return [*out, *self.estimator.finish()]
+        return [*out, *self._given(self.estimator.finish())]
 
     def _run(self, due: Sequence[Arrival]) -> list[Output]:
         """Give records, in the order of time, to what they are for."""
@@ -107,7 +119,12 @@ class Point:
         out: list[Output] = []
         for block in cut(found, BLOCK):
             out += [output for sensor in self.sensors.values() for output in self._seen(sensor.reached(block))]
-            out += self.estimator.push(block)
+            out += self._given(self.estimator.push(block))
+        return out
+
+    def _given(self, found: Sequence[Rows]) -> list[Rows]:
+        """What the estimator gave, with events where no measurement supports its rows."""
+        self._support, out = self._support.after(found)
         return out
 
     def _seen(self, seen: Seen | None) -> list[Output]:

@@ -241,7 +241,8 @@ class _Follower:
         """A phase with what is uncertain of it; the target is seen again."""
         state = self.state
         if state.told:
-            events.insert(0, Event(time_ns, "seen", f"{self.name}: is seen again."))
+            lasting_s = (time_ns - state.unseen_ns) / NANOSECONDS
+            events.insert(0, Event(time_ns, "seen", f"{self.name}: is seen again after {lasting_s:.1f} s."))
         state.unseen_ns, state.told = -1, False
         white = seen.variance_rad2 + self.white_rad2
         common = state.lost_rad2 + state.doubt_rad2 + self._own_motion(time_ns)
@@ -313,7 +314,11 @@ class _Follower:
         if given is not None and given[1] < UNSURE_RAD2:
             state.refuted = refuted
         if lost > 0.0 and state.before is None:
-            events.append(Event(time_ns, "new datum", f"{self.name}: its cycle was lost; its zero is a new one."))
+            known_mm = 1e3 * math.sqrt(lost) / (TURN * self.cycles_per_m)
+            text = f"The displacement is predicted to ± {known_mm:.3g} mm there (one standard deviation)."
+            events.append(
+                Event(time_ns, "new datum", f"{self.name}: its cycle was lost; its zero is a new one. {text}")
+            )
         if lost > 0.0:
             self._doubt(lost)
         self._follow(time_ns, phase, own)

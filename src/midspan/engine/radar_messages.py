@@ -1,12 +1,8 @@
-"""What a user is told of a radar after a run: frames lost, targets seldom seen, new zeros and their deviation."""
+"""What a user is told of a radar after a run: frames lost, targets seldom seen, and which of its events."""
 
 from collections.abc import Sequence
-from dataclasses import replace
-
-import numpy as np
 
 from midspan.engine.radar_trace import RadarLog
-from midspan.records import Estimate, Event
 
 # A target that is seen in a smaller share of the frames is reported.
 MIN_SEEN = 0.9
@@ -25,16 +21,3 @@ def radar_warnings(log: RadarLog, of_source: Sequence[str]) -> list[str]:
             share = 100.0 * used / log.frames
             found.append(f"radar: the target at {item.target.range_m:.2f} m was seen in {share:.3g} % of frames only.")
     return found
-
-
-def with_levels(events: Sequence[Event], rows: Estimate) -> tuple[Event, ...]:
-    """The events with how well the rows know the displacement from each new zero of a target on."""
-    known = np.sqrt(rows.variance_m2)
-    found = []
-    for event in events:
-        if event.kind == "new datum":
-            std_m = float(np.interp(event.time_ns, rows.time_ns, known))
-            told = f"{event.text} The displacement is known to ± {1e3 * std_m:.3g} mm there (one standard deviation)."
-            event = replace(event, text=told)
-        found.append(event)
-    return tuple(found)

@@ -4,32 +4,11 @@ import numpy as np
 
 from midspan.fusion.blocks import REJECTED
 from midspan.records import Estimate, Event, Innovation, Status
-from midspan.signals.health import runs
-from midspan.signals.stamps import shown
 
 # A share of rejections above this is worth a warning.
 NOTABLE_REJECTED = 0.02
 # Events of one kind that are warnings.
 MAX_WARNED = 3
-
-
-def unsupported_events(rows: Estimate) -> tuple[Event, ...]:
-    """An event for each stretch of rows (n,) without measurements that comes to be lost."""
-    return tuple(
-        _unsupported(rows, start, stop)
-        for start, stop in runs(rows.status != Status.TRACKING)
-        if np.any(rows.status[start:stop] == Status.LOST)
-    )
-
-
-def _unsupported(rows: Estimate, start: int, stop: int) -> Event:
-    widest = 1.96e3 * float(np.sqrt(np.max(rows.variance_m2[start:stop])))
-    first, last = (int(rows.time_ns[i]) for i in (start, stop - 1))
-    text = (
-        f"No measurement supports the rows from {shown(first)} to {shown(last)}: the acceleration alone carries them, "
-        f"at worst within ± {widest:.3g} mm (95 %)."
-    )
-    return Event(first, "lost", text)
 
 
 def event_warnings(events: tuple[Event, ...]) -> list[str]:
@@ -56,7 +35,11 @@ def shares(innovation: Innovation, rows: Estimate, along: str = "") -> list[str]
     if rejected > NOTABLE_REJECTED:
         found.append(f"{100 * rejected:.1f} % of the measurements{along} were rejected as outliers.")
     for status in (Status.COASTING, Status.LOST):
-        share = float(np.mean(rows.status == status))
-        if share > 0.0:
-            found.append(f"{100 * share:.2g} % of the rows{along} are {status.word}: no measurement supports them.")
+        own = rows.status == status
+        if own.any():
+            share, widest = 100.0 * float(np.mean(own)), 1.96e3 * float(np.sqrt(np.max(rows.variance_m2[own])))
+            found.append(
+                f"{share:.2g} % of the rows{along} are {status.word}: no measurement supports them; they are known to "
+                f"± {widest:.3g} mm at worst (95 %)."
+            )
     return found

@@ -14,6 +14,7 @@ from midspan.calibration.scale_check import Fitting, Sensed, fitting
 from midspan.engine.channels import clock_std_s
 from midspan.engine.order import BACKWARDS, KINDS
 from midspan.engine.sensor_series import SensorSeries, series_of
+from midspan.engine.support import Support
 from midspan.fusion.estimator import BLOCK, Estimator, Log, Rows
 from midspan.fusion.forward import AT, CHANNEL, WENT_BACK
 from midspan.fusion.model import EstimatorSettings, ParameterKind
@@ -116,10 +117,11 @@ def with_scales(settings: EstimatorSettings, found: Mapping[tuple[str, int], flo
     """The settings with scale errors of these relative standard deviations at least, by sensor and axis."""
     parameters = []
     for parameter in settings.parameters:
-        channel = settings.channels[parameter.channels[0]]
-        std = max(parameter.std, found.get((channel.sensor, channel.axis), 0.0))
-        wider = parameter.kind is ParameterKind.SCALE_ERROR
-        parameters.append(replace(parameter, std=std) if wider else parameter)
+        if parameter.kind is ParameterKind.SCALE_ERROR:
+            channel = settings.channels[parameter.channels[0]]
+            std = max(parameter.std, found.get((channel.sensor, channel.axis), 0.0))
+            parameter = replace(parameter, std=std)
+        parameters.append(parameter)
     return replace(settings, parameters=tuple(parameters))
 
 
@@ -151,4 +153,4 @@ def once_more(settings: EstimatorSettings, log: Log, measured: Sequence[Measured
         done = due
     out += estimator.finish()
     assert estimator.log is not None
-    return estimator.log, out
+    return estimator.log, Support().after(out)[1]

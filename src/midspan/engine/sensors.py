@@ -16,6 +16,7 @@ from midspan.engine.camera import CameraChain, CameraState
 from midspan.engine.plain import PlainChain, PlainState
 from midspan.engine.radar import RadarChain
 from midspan.engine.radar_target import FollowedState
+from midspan.engine.unseen import Unseen
 from midspan.records import (
     Event,
     Frame,
@@ -79,10 +80,13 @@ class Sensor(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CameraSensorState:
-    """What a `CameraSensor` remembers: its chain's state, and where each target was seen last, (x, y) in px."""
+    """What a `CameraSensor` remembers: its chain's state, where each target was seen last, (x, y) in px, and since when
+    none could be.
+    """
 
     chain: CameraState
     seen_px: tuple[tuple[float, float], ...]
+    unseen: Unseen
 
 
 SensorState = CameraSensorState | tuple[FollowedState, ...] | PlainState | None
@@ -90,12 +94,21 @@ SensorState = CameraSensorState | tuple[FollowedState, ...] | PlainState | None
 
 
 class CameraSensor:
-    """A camera: channels[target][axis] are numbers in the estimator's table, directions the image axis of each."""
+    """A camera: channels[target][axis] are numbers in the estimator's table, directions the image axis of each.
+
+    step_s: the usual interval of its frames; 0: not known, and gaps are not reported.
+    """
 
     def __init__(
-        self, name: str, chain: CameraChain, channels: Sequence[Sequence[int]], directions: Sequence[str]
+        self,
+        name: str,
+        chain: CameraChain,
+        channels: Sequence[Sequence[int]],
+        directions: Sequence[str],
+        *,
+        step_s: float = 0.0,
     ) -> None:
-        self.name, self.chain = name, chain
+        self.name, self.chain, self._step_s, self._unseen = name, chain, step_s, Unseen()
         self.channels, self.directions = tuple(tuple(row) for row in channels), tuple(directions)
         self._seen_px = [(0.0, 0.0)] * len(self.channels)
         self._numbers = np.array(self.channels, dtype=np.int64).reshape(-1)
@@ -103,12 +116,12 @@ class CameraSensor:
     @property
     def state(self) -> CameraSensorState:
         """Everything that changes from frame to frame."""
-        return CameraSensorState(self.chain.state, tuple(self._seen_px))
+        return CameraSensorState(self.chain.state, tuple(self._seen_px), self._unseen)
 
     def restore(self, state: CameraSensorState) -> None:
         """Go on from a `state` taken earlier."""
         self.chain.restore(state.chain)
-        self._seen_px = list(state.seen_px)
+        self._seen_px, self._unseen = list(state.seen_px), state.unseen
 
     def push(self, record: Frame | Tracked, expect: Expect) -> Seen:
         """Find each target in a frame, where it is expected; a frame that was tracked before is taken as it is."""
@@ -121,7 +134,8 @@ class CameraSensor:
         for k, one in enumerate(found):
             if math.isfinite(one.x_px) and math.isfinite(one.y_px):
                 self._seen_px[k] = (one.x_px, one.y_px)
-        return Seen(self.name, self._measured(found), found, self._told(found))
+        self._unseen, events = self._unseen.after(record.time_ns, found, self._step_s, self.name)
+        return Seen(self.name, self._measured(found), found, (*events, *self._told(found)))
 
     def reached(self, samples: Samples) -> None:
         """A frame is measured when it comes; the estimator waits for the samples that cover it."""

@@ -2,8 +2,9 @@
 
 import math
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
+from itertools import islice
 from operator import attrgetter
 from typing import Any
 
@@ -28,7 +29,6 @@ from midspan.records import (
     Status,
 )
 from midspan.signals.growing import Columns
-from midspan.signals.health import Mask
 from midspan.signals.stamps import shown
 from midspan.thermal.limits import Limits
 from midspan.thermal.temperature_range import RangeSurface
@@ -41,11 +41,13 @@ from midspan.vision.region_choice import ChoiceRequest, Judge, choose_targets
 from midspan.vision.roi import RegionChoice
 from midspan.vision.tracker import Tracker
 
-# Frames that are learnt from are kept until they are tracked; so much memory at most.
+# Frames that were looked at are kept until they are tracked; so much memory at most.
 MOST_AHEAD_BYTES = 200_000_000
 # The first columns of a target's rows.
 _track_row = attrgetter(*(field.name for field in fields(PixelTrack)))
-STRENGTH, REFERENCE_X, REFERENCE_Y, DARK = range(len(fields(PixelTrack)), len(fields(PixelTrack)) + 4)
+STRENGTH, REFERENCE_X, REFERENCE_Y, UNSEEN = range(len(fields(PixelTrack)), len(fields(PixelTrack)) + 4)
+# Why a target was not looked for in a frame, see `PixelTranslation.unseen`.
+REASONS = ("", "dark", "frozen")
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +89,7 @@ class TargetTracking:
 
     def __init__(self, chain: TargetChain) -> None:
         self.chain = chain
-        # The fields of a track, how strong it was, the reference's variances along x and y, whether it was dark.
+        # The fields of a track, how strong it was, the reference's variances along x and y, why it was not seen.
         self._columns = Columns("qdddddBdddB")
         self._track: PixelTrack | None = None
         # What happened in frames, by their numbers.
@@ -108,12 +110,12 @@ class TargetTracking:
         """What it is tracked with."""
         return self.chain.tracker
 
-    def add(self, found: PixelTranslation, *, dark: bool) -> None:
-        """Keep what was found in a frame; dark: whether it was black."""
+    def add(self, found: PixelTranslation) -> None:
+        """Keep what was found in a frame."""
         reference = (found.reference_variance_x_px2, found.reference_variance_y_px2)
         if found.events:
             self._events[len(self._columns)] = found.events
-        self._columns.append(*_track_row(found), found.strength, *reference, dark)
+        self._columns.append(*_track_row(found), found.strength, *reference, REASONS.index(found.unseen))
         self._track = None
 
     @property
@@ -145,17 +147,14 @@ class TargetTracking:
         """The part of the variances (n, 2) along x and y that the reference frame makes, for many frames alike."""
         return np.column_stack((self._columns.column(REFERENCE_X), self._columns.column(REFERENCE_Y)))
 
-    @property
-    def dark(self) -> Mask:
-        """Which frames (n,) were black, so that nothing was looked for."""
-        return self._columns.column(DARK).astype(bool)
-
     def translation(self, number: int) -> PixelTranslation:
         """What was found in the frame of this number."""
-        time_ns, x, y, variance_x, variance_y, quality, status, strength, more_x, more_y, _ = self._columns.row(number)
+        time_ns, x, y, variance_x, variance_y, quality, status, strength, more_x, more_y, why = self._columns.row(
+            number
+        )
         told = self._events.get(number, ())
         return PixelTranslation(
-            time_ns, x, y, variance_x, variance_y, quality, Status(status), strength, more_x, more_y, told
+            time_ns, x, y, variance_x, variance_y, quality, Status(status), strength, more_x, more_y, told, REASONS[why]
         )
 
     def warnings(self, axes: str) -> list[str]:
@@ -205,8 +204,12 @@ class CameraTracking:
         if len(self.time_ns) < 2:
             raise DataError(f"camera: has {len(self.time_ns)} usable frames; at least 2 are needed.")
         self.choice: RegionChoice | None = None
+        # Frames that were looked at before they are tracked.
+        self._ahead: deque[Frame] = deque()
         targets = settings.targets or self._choose(judge)
-        self.reference = self._next_frame()
+        if not self._read_ahead(1):
+            raise DataError("camera: no frame can be decoded. Play the video to check it, or copy it again.")
+        self.reference = self._ahead[0]
         rows, columns = self.reference.pixels.shape
         for target in targets:
             check_region(target.region, columns, rows)
@@ -216,7 +219,6 @@ class CameraTracking:
         chain = ChainSettings(settings.opening, settings.readout_s, source.info.lossless is True)
         self.chain = CameraChain(self.reference, targets, chain)
         self.targets = tuple(TargetTracking(target) for target in self.chain.targets)
-        self._ahead = deque([self.reference])
         self._teach()
         self.done, self.ended = 0, False
         # The trackings of further cameras of the same recording; how a thermal camera's range was found.
@@ -275,7 +277,7 @@ class CameraTracking:
         """Keep what the chain found in a frame that was taken."""
         self.done += 1
         for target, translation in zip(self.targets, found, strict=True):
-            target.add(translation, dark=self.chain.dark)
+            target.add(translation)
 
     def close(self) -> None:
         """Let the file go, and those of the cameras beside it."""
@@ -301,23 +303,39 @@ class CameraTracking:
 
     def _teach(self) -> None:
         """Show the first frames to the chain, which learns from them; they are kept to be tracked afterwards."""
-        wanted = min(self.chain.frames_to_learn, MOST_AHEAD_BYTES // self.reference.pixels.nbytes)
+        wanted = self._read_ahead(self.chain.frames_to_learn, "learning the target")
+        self.chain.learn(list(islice(self._ahead, wanted)))
+
+    def _read_ahead(self, wanted: int, what: str = "") -> int:
+        """Have the first `wanted` frames at hand, fewer where they do not fit or end; returns how many there are."""
         while len(self._ahead) < wanted:
-            self.progress(len(self._ahead), wanted, "learning the target")
+            if self._ahead and (len(self._ahead) + 1) * self._ahead[0].pixels.nbytes > MOST_AHEAD_BYTES:
+                break
+            if what:
+                self.progress(len(self._ahead), wanted, what)
             frame = next(self._frames, None)
             if frame is None:
                 break
             self._ahead.append(frame)
-        self.chain.learn(list(self._ahead))
+        return min(wanted, len(self._ahead))
 
-    def _next_frame(self) -> Frame:
-        frame = next(self._frames, None)
-        if frame is None:
-            raise DataError("camera: no frame can be decoded. Play the video to check it, or copy it again.")
-        return frame
+    def _read(self, first: int, last: int) -> Iterator[Frame]:
+        """The frames from index `first` up to `last`: from those at hand, else from the source.
+
+        A video is not decoded twice where its first frames fit into memory until they are tracked.
+        """
+        wanted = last - self.settings.first
+        if self._read_ahead(1) and wanted * self._ahead[0].pixels.nbytes > MOST_AHEAD_BYTES:
+            yield from self.source.frames(first, last)
+            return
+        for number in range(wanted):
+            if self._read_ahead(number + 1) <= number or self._ahead[number].index >= last:
+                return
+            if self._ahead[number].index >= first:
+                yield self._ahead[number]
 
     def _choose(self, judge: Judge | None) -> tuple[Target, ...]:
         settings = self.settings
         request = ChoiceRequest(settings.direction, settings.automatic_targets, settings.first, settings.trial_from_ns)
-        self.choice = choose_targets(self.source, self.time_ns, request, self.progress, judge)
+        self.choice = choose_targets(self._read, self.time_ns, request, self.progress, judge)
         return tuple(Target(region, str(k)) for k, region in enumerate(self.choice.regions, start=1))

@@ -142,8 +142,11 @@ def given_rows(samples: Samples, first_s: float, origin_ns: int) -> NDArray[np.b
     return given
 
 
-def estimate_of(samples: Samples, found: Floats, given: NDArray[np.bool_]) -> Estimate:
-    """The rows of one axis from what the loop found (s, 5); bridged samples are coasting at best."""
+def estimate_of(samples: Samples, found: Floats, given: NDArray[np.bool_], unseen_std_m: float) -> Estimate:
+    """The rows of one axis from what the loop found (s, 5); bridged samples are coasting at best.
+
+    unseen_std_m: see `EstimatorSettings`.
+    """
     if not given.all():
         samples, found = part(samples, given), found[given]
     status = found[:, FOUND_STATUS]
@@ -152,7 +155,7 @@ def estimate_of(samples: Samples, found: Floats, given: NDArray[np.bool_]) -> Es
     return Estimate(
         samples.time_ns,
         found[:, FOUND_X].copy(),
-        found[:, FOUND_VARIANCE].copy(),
+        found[:, FOUND_VARIANCE] + 2.0 * unseen_std_m**2,
         found[:, FOUND_VELOCITY].copy(),
         found[:, FOUND_SOURCE].astype(np.uint8),
         status.astype(np.uint8),

@@ -359,10 +359,11 @@ class Estimator:
         if self.log is not None:
             self.log.samples.append(samples)
         given = given_rows(samples, self._first_s, self._origin)
-        estimates = tuple(estimate_of(samples, shown.found[:, a], given) for a in range(self.settings.axes))
+        unseen = self.settings.unseen_std_m[: self.settings.axes]
+        estimates = tuple(estimate_of(samples, shown.found[:, a], given, std) for a, std in enumerate(unseen))
         innovations = innovations_of(rows, shown.met, self.settings.channels, self._origin)
         p, channels, datum = self._filter.hyps[1][0], self.tables[1], self.tables[3]
-        zero = tuple(zero_variance(p, channels, a, datum) for a in range(self.settings.axes))
+        zero = tuple(zero_variance(p, channels, a, datum) + std**2 for a, std in enumerate(unseen))
         return Rows(estimates, innovations, tuple(events), zero)
 
     def _settle(self, decided: Decided) -> list[Event]:

@@ -13,6 +13,7 @@ from midspan.fusion.forward import (
     CHANNEL,
     COASTING_S,
     COUNT,
+    GAIN_OF,
     INPUT,
     JUDGED,
     LEAD,
@@ -29,8 +30,11 @@ from midspan.fusion.forward import (
     back_through_time,
     begin_interval,
     copy_datum,
+    count_from,
+    narrow,
     predict,
     quadratic,
+    row_back,
 )
 from midspan.fusion.hypotheses import (
     ACCEPTED_AT,
@@ -231,19 +235,19 @@ def take_decided(code, best, row, scene, tables, options, scratch, out):  # type
 
 
 @njit(cache=True)
-def move(x, p, memory, motion, samples, k, way, walks):  # type: ignore[no-untyped-def]
+def move(x, p, memory, motion, samples, k, way, tables):  # type: ignore[no-untyped-def]
     """Move one hypothesis within the interval that ends at sample `k`; way: as of `predict`."""
-    predict(x, p, motion, samples, k, way, walks)
+    predict(x, p, motion, samples, k, way, tables[0], tables[4][:, GAIN_OF])
     if memory[DENSITY] > 0.0:
         add_noise(p, 3 * int(memory[ALONG]), (way[1] - way[0]) * way[2], memory[DENSITY])
 
 
 @njit(cache=True)
-def move_others(hyps, count, motion, samples, k, way, walks):  # type: ignore[no-untyped-def]
+def move_others(hyps, count, motion, samples, k, way, tables):  # type: ignore[no-untyped-def]
     """Move all hypotheses but the best."""
     for b in range(1, count):
         x, p, _, memory, _, _ = one_of(hyps, b)
-        move(x, p, memory, motion, samples, k, way, walks)
+        move(x, p, memory, motion, samples, k, way, tables)
 
 
 @njit(cache=True)
@@ -296,11 +300,12 @@ def run_block(samples, rows, decided, state, hyps, tables, options, out):  # typ
     samples (s, 1 + 2 axes): time in s, acceleration of each axis, its noise density, all after the state's time. rows
     (m, 5): usable measurements, all within the samples, in time order; those of one instant are put in the order they
     are taken in. decided (m,): OPEN, or the code that was decided. hyps: see `model.hypotheses_at`. tables = (walks
-    (n,), channels (c, 11), kinds (c, k), first state of the datums or -1, learning (k, 3)). out = (found (s, axes, 5),
-    met (m, 3), survivors (m, MOST), errors (m, MOST, 2), nodes (s or 0, axes, 2 (1 + k) + 2 n), record (m, 8 + k + n)).
+    (n,), channels (c, 13), kinds (c, k), first state of the datums or -1, parameters (k, 4)). out = (found (s, axes,
+    5), met (m, 3), survivors (m, MOST), errors (m, MOST, 2), nodes (s or 0, axes, 2 (1 + k) + 2 n), record (m, 8 + k +
+    n)).
     """
     motion, clock = state
-    walks, channels, datum, found, nodes = tables[0], tables[1], tables[3], out[0], out[4]
+    channels, datum, found, nodes, gain_of = tables[1], tables[3], out[0], out[4], tables[4][:, GAIN_OF]
     best = one_of(hyps, 0)
     x, p, marks, memory, theta, spread = best
     scratch = (np.zeros(len(x)), np.zeros(x.shape[1]), np.zeros(len(motion)), np.zeros((MOST, KINDS)))
@@ -308,16 +313,16 @@ def run_block(samples, rows, decided, state, hyps, tables, options, out):  # typ
     for k in range(len(samples)):
         begun, end = clock[TIME], samples[k, 0]
         gap = end - begun > GAP_STEPS * clock[STEP]
-        dt = begin_interval(hyps[0], clock, motion, samples, k)
+        dt = begin_interval(hyps[0], clock, motion, samples, k, gain_of)
         reached = begun
         while True:
             due = j < len(rows) and rows[j, AT] <= end
             until = rows[j, AT] if due else end
             if until > reached:
                 way = ((reached - begun) / dt, (until - begun) / dt, dt)
-                move(x, p, memory, motion, samples, k, way, walks)
+                move(x, p, memory, motion, samples, k, way, tables)
                 if clock[COUNT] > 1.0:
-                    move_others(hyps, int(clock[COUNT]), motion, samples, k, way, walks)
+                    move_others(hyps, int(clock[COUNT]), motion, samples, k, way, tables)
                 reached = until
             if not due:
                 break
@@ -363,83 +368,88 @@ def trace(survivors, count, codes, errors, kept):  # type: ignore[no-untyped-def
 
 
 @njit(cache=True)
-def back_to(at, until, adj, m, axes):  # type: ignore[no-untyped-def]
+def back_to(at, until, adjoint, axes, used):  # type: ignore[no-untyped-def]
     """Carry the adjoint back from one instant to another; returns the instant it has reached."""
     if at > until:
-        back_through_time(adj, m, axes, at - until)
+        back_through_time(adjoint, axes, at - until, used)
         return until
     return at
 
 
 @njit(cache=True)
-def back_through_row(row, adj, m, axes, channels):  # type: ignore[no-untyped-def]
-    """Carry the adjoint back through a decided measurement's record."""
+def back_through_row(row, adjoint, used, columns, channels, counted):  # type: ignore[no-untyped-def]
+    """Carry the adjoint back through a decided measurement's record; returns how many of its columns are used."""
     if row[OF_CHANNEL] < 0.0:
         if row[OF_CHANNEL] == SET_DATUM:
-            back_through_datum(adj, m, axes)
-        return
-    n, columns = adj.shape
+            back_through_datum(adjoint, counted)
+        return used
     channel = channels[int(row[OF_CHANNEL])]
     if row[TAKEN] > 0.0:
-        e, gain = row[RECORD : RECORD + columns], row[RECORD + columns : RECORD + columns + n]
-        back_through_measurement(adj, m, channel, gain, e, row[TAKEN])
+        e, gain = row[RECORD : RECORD + columns], row[RECORD + columns : RECORD + columns + len(adjoint)]
+        count_from(gain, channels, counted)
+        states, entries = row_back(channel, counted)
+        used = back_through_measurement(adjoint, used, states, entries, gain, e, row[TAKEN])
     for i, factor in ((int(channel[ZERO]) + 1, row[SHIFT_SCALED]), (int(channel[ZERO]) + 2, row[REFERENCE_SCALED])):
         if factor != 1.0:
-            adj[i] *= factor
-            m[i] *= factor
-            m[:, i] *= factor
+            adjoint[i] *= factor
+    return used
 
 
 @njit(cache=True)
-def smooth_node(node, adj, m, own, parameters, out):  # type: ignore[no-untyped-def]
+def smooth_node(node, adjoint, used, own, parameters, out):  # type: ignore[no-untyped-def]
     """Smoothed displacement, its variance and the velocity of one axis, to `out` (3,), from what `leave_node` wrote.
 
-    own = (state of the axis's displacement, of its datum or -1); parameters = (theta (k,), covariance (k, k)).
+    own = (filtered variance, covariances (n) with all states as the pass back counts them, those of the velocity);
+    parameters = (theta (k,), covariance (k, k)).
     """
     theta, spread = parameters
-    n, columns = adj.shape
-    pc, pv = node[2 * columns : 2 * columns + n], node[2 * columns + n :]
-    sensitivity = np.zeros(columns - 1)
-    value, velocity = 0.0, 0.0
+    filtered, pc, pv = own
+    columns = 1 + len(theta)
+    met = np.zeros(used)
+    for q in range(len(adjoint)):
+        for c in range(used):
+            met[c] += pc[q] * adjoint[q, c]
+    sensitivity, velocity = np.zeros(columns - 1), 0.0
     for c in range(columns):
-        moved, faster = node[c], node[columns + c]
-        for q in range(n):
-            moved -= pc[q] * adj[q, c]
-            faster -= pv[q] * adj[q, c]
-        if c == 0:
-            value, velocity = moved, faster
-        else:
-            sensitivity[c - 1] = moved
-            value += moved * theta[c - 1]
-            velocity += faster * theta[c - 1]
-    filtered = pc[own[0]] - (pc[own[1]] if own[1] >= 0 else 0.0)
+        faster = node[columns + c]
+        for q in range(len(adjoint)):
+            faster -= pv[q] * adjoint[q, c]
+        velocity += faster * (1.0 if c == 0 else theta[c - 1])
+    value = node[0] - met[0]
+    for c in range(1, columns):
+        sensitivity[c - 1] = node[c] - met[c]
+        value += sensitivity[c - 1] * theta[c - 1]
     known = 0.0
-    for q in range(n):
-        for r in range(n):
-            known += pc[q] * m[q, r] * pc[r]
+    for c in range(columns, used):
+        known += met[c] * met[c]
     out[0], out[2] = value, velocity
     out[1] = max(filtered - known, LEAST_SHARE * filtered) + quadratic(sensitivity, spread)
 
 
 @njit(cache=True)
-def backward_block(time_s, start_s, tables, nodes, record, adjoint, parameters, rows):  # type: ignore[no-untyped-def]
-    """Run the pass back over one block; `adjoint` = (L (n, 1 + k), M (n, n)) is changed in place and carries on.
+def backward_block(time_s, start_s, tables, counted, left, adjoint, parameters, rows):  # type: ignore[no-untyped-def]
+    """Run the pass back over one block; `adjoint` (n, 1 + k + 2 n) is changed in place and carries on.
 
-    time_s (s,): the samples, start_s: time of the state before them; nodes, record: what `run_block` left of decided
-    measurements; tables: as of `run_block`; parameters = (theta (k,), covariance (k, k)). rows (s, axes, 3) take
-    displacement relative to the datum, its variance, and velocity.
+    time_s (s,): the samples, start_s: time of the state before them; left = (nodes, record) that `run_block` left of
+    decided measurements, changed in place; tables: as of `run_block`; counted: as of `count_from`; parameters = (theta
+    (k,), covariance (k, k)). rows (s, axes, 3) take displacement relative to the datum, its variance, and velocity.
     """
-    adj, m = adjoint
+    nodes, record = left
     channels, datum = tables[1], tables[3]
-    axes, j = nodes.shape[1], len(record) - 1
+    axes, j, n, columns = nodes.shape[1], len(record) - 1, len(adjoint), 1 + len(parameters[0])
+    used = narrow(adjoint, columns)
     for k in range(len(time_s) - 1, -1, -1):
         for a in range(axes):
-            own = (3 * a, datum + a if datum >= 0 else -1)
-            smooth_node(nodes[k, a], adj, m, own, parameters, rows[k, a])
+            node = nodes[k, a]
+            pc, pv = node[2 * columns : 2 * columns + n], node[2 * columns + n :]
+            filtered = pc[3 * a] - (pc[datum + a] if datum >= 0 else 0.0)
+            count_from(pc, channels, counted)
+            count_from(pv, channels, counted)
+            smooth_node(node, adjoint, used, (filtered, pc, pv), parameters, rows[k, a])
         before = time_s[k - 1] if k > 0 else start_s
         at, dt = time_s[k], time_s[k] - before
         while j >= 0 and record[j, INTERVAL] == k:
-            at = back_to(at, before + record[j, THETA] * dt, adj, m, axes)
-            back_through_row(record[j], adj, m, axes, channels)
+            at = back_to(at, before + record[j, THETA] * dt, adjoint, axes, used)
+            used = back_through_row(record[j], adjoint, used, columns, channels, counted)
             j -= 1
-        back_to(at, before, adj, m, axes)
+        back_to(at, before, adjoint, axes, used)

@@ -7,16 +7,20 @@ of one sensor along one axis; its measurement y, in the sensor's own unit, is
 
     y = units_per_m · ((1 − e) x + z + s + r + v d + blur (a − b)) + noise
 
-with zero z, the shift s of this zero since, the error r of the reference that is compared with (key frames), relative
-scale error e and clock offset d. The two last are parameters: constants of mean 0 whose effect on every estimate and
-innovation is carried along as a sensitivity. The columns of the state matrix X (n, 1 + parameters) are the estimate,
-and what one unit of each parameter moves it by; they obey the same equations and share the gains, so that covariance
-and gains are those of the filter without parameters (separate bias estimation: B. Friedland, Treatment of bias in
-recursive filtering, IEEE Trans. Automat. Contr. 14 (1969) 359-367, doi 10.1109/TAC.1969.1099223).
+with zero z, the shift s of this zero since, the error r of the reference that is compared with (key frames; of a
+sensor without any its slow error, a first-order Gauss-Markov process), relative scale error e and clock offset d. The
+two last are parameters, and so is the share of the measured acceleration that is the accelerometer's wrong gain:
+constants whose effect on every estimate and innovation is carried along as a sensitivity. The columns of the state
+matrix X (n, 1 + parameters) are the estimate, and what one unit of each parameter moves it by; they obey the same
+equations and share the gains, so that covariance and gains are those of the filter without parameters (separate bias
+estimation: B. Friedland, Treatment of bias in recursive filtering, IEEE Trans. Automat. Contr. 14 (1969) 359-367, doi
+10.1109/TAC.1969.1099223).
 
 The pass back is the modified Bryson-Frazier smoother (G. J. Bierman, Fixed interval smoothing with discrete
-measurements, Int. J. Control 18 (1973) 65-75): it carries an adjoint and its information, needs no inverse, and what
-only adds variance to a state leaves it as it is.
+measurements, Int. J. Control 18 (1973) 65-75): it carries an adjoint L and its information M, needs no inverse, and
+what only adds variance to a state leaves it as it is. M is carried as a factor W, M = W W': what later measurements say
+of a combination of states that was widely uncertain is a small difference of what they say of each. `adjoint` holds
+both, (n, 1 + k + 2 n): L, then W; they obey the same equations.
 """
 
 import numpy as np
@@ -38,11 +42,32 @@ SET_DATUM, WENT_BACK = -1.0, -2.0
 # Columns of the channels: units per metre, blur (exposure²/24, s²), axis, the first of its three zero states (zero,
 # shift, reference), number of its sensor, variance of its zero in m² (infinite: unknown), code of its source, age of
 # its last accepted measurement from which on rows are coasting, lost; variance (m²) of the difference between two
-# instants of the motion that are far apart, and rate (1/s) at which the motion forgets where it was.
-UNITS_PER_M, BLUR, AXIS, ZERO, SENSOR, ZERO_VARIANCE, SOURCE, COASTING_S, LOST_S, APART, FORGETS = range(11)
-CHANNEL_COLUMNS = 11
+# instants of the motion that are far apart, and rate (1/s) at which the motion forgets where it was; variance (m²) of
+# the sensor's slow error, and rate (1/s) at which that forgets.
+(
+    UNITS_PER_M,
+    BLUR,
+    AXIS,
+    ZERO,
+    SENSOR,
+    ZERO_VARIANCE,
+    SOURCE,
+    COASTING_S,
+    LOST_S,
+    APART,
+    FORGETS,
+    SLOW_VARIANCE,
+    SLOW_RATE,
+) = range(13)
+CHANNEL_COLUMNS = 13
 # What a parameter is to a channel: entries of the table (channels, parameters).
 NOTHING, SCALE, CLOCK = range(3)
+# A scale that was learnt from the accelerometer is too large by what its gain is too large, the opposite of SCALE.
+GAIN = -SCALE
+# Columns of the table of parameters: time (s) from which on each is estimated, density of its walk, least square of the
+# sensitivity over the prediction's variance that tells it, and the axis whose accelerometer's gain it is (-1: none).
+FROM_S, WALK, CLEAR, GAIN_OF = range(4)
+PARAMETER_COLUMNS = 4
 
 
 @njit(cache=True)
@@ -75,36 +100,43 @@ def add_noise(p, i, dt, density):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def predict_mean(x, i, dt, before, after):  # type: ignore[no-untyped-def]
-    """Move the motion whose first state is `i` by `dt`; the input's response moves the estimate alone."""
+def predict_mean(x, i, dt, before, after, gain_of):  # type: ignore[no-untyped-def]
+    """Move the motion whose first state is `i` by `dt`; the input's response moves the estimate, and the sensitivity to
+    the gain of the axis's accelerometer.
+    """
     for c in range(x.shape[1]):
         v, b = x[i + 1, c], x[i + 2, c]
         x[i, c] += dt * v - 0.5 * dt * dt * b
         x[i + 1, c] = v - dt * b
-    x[i, 0] += after[0] - before[0] - dt * before[1]
-    x[i + 1, 0] += after[1] - before[1]
+    moved, faster = after[0] - before[0] - dt * before[1], after[1] - before[1]
+    x[i, 0] += moved
+    x[i + 1, 0] += faster
+    for q in range(len(gain_of)):
+        if 3 * gain_of[q] == i:
+            x[i, 1 + q] -= moved
+            x[i + 1, 1 + q] -= faster
 
 
 @njit(cache=True)
-def predict(x, p, motion, samples, k, way, walks):  # type: ignore[no-untyped-def]
+def predict(x, p, motion, samples, k, way, walks, gain_of):  # type: ignore[no-untyped-def]
     """Move mean and covariance from one fraction of the interval that ends at sample `k` to another.
 
     way = (fraction reached, fraction wanted, length of the interval in s); samples (s, 1 + 2 axes): time,
-    accelerations, noise densities; walks (n,).
+    accelerations, noise densities; walks (n,); gain_of (k,): the axis whose accelerometer's gain error a parameter is.
     """
     was, theta, dt = way
     axes, step = len(motion), (theta - was) * dt
     for a in range(axes):
         a0, a1, lead = motion[a, INPUT], samples[k, 1 + a], motion[a, LEAD]
         before, after = input_response(was, dt, a0, a1, lead), input_response(theta, dt, a0, a1, lead)
-        predict_mean(x, 3 * a, step, before, after)
+        predict_mean(x, 3 * a, step, before, after, gain_of)
     predict_covariance(p, axes, step, walks)
     for a in range(axes):
         add_noise(p, 3 * a, step, samples[k, 1 + axes + a])
 
 
 @njit(cache=True)
-def begin_interval(xs, clock, motion, samples, k):  # type: ignore[no-untyped-def]
+def begin_interval(xs, clock, motion, samples, k, gain_of):  # type: ignore[no-untyped-def]
     """Bring the velocity states of all axes to the interval that ends at sample `k`; see `state_space`.
 
     xs (hypotheses, n, 1 + k), of which as many are in use as the clock says. Returns the interval's length in s.
@@ -117,6 +149,9 @@ def begin_interval(xs, clock, motion, samples, k):  # type: ignore[no-untyped-de
             moved = (lead - motion[a, LEAD]) * 0.5 * (motion[a, SLOPE] + slope)
             for b in range(int(clock[COUNT])):
                 xs[b, 3 * a + 1, 0] += moved
+                for q in range(len(gain_of)):
+                    if gain_of[q] == a:
+                        xs[b, 3 * a + 1, 1 + q] -= moved
         motion[a, LEAD], motion[a, SLOPE] = lead, slope
     clock[STEP] = min(dt, GAP_STEPS * clock[STEP])
     return dt
@@ -134,8 +169,8 @@ def innovate(x, motion, channels, kinds, c, acceleration, value, e):  # type: ig
         e[q] = -g * (x[i, q] - blur * x[i + 2, q] + x[z, q] + x[z + 1, q] + x[z + 2, q])
     e[0] += value - g * blur * acceleration
     for q in range(len(e) - 1):
-        if kinds[c, q] == SCALE:
-            e[1 + q] += g * x[i, 0]
+        if kinds[c, q] == SCALE or kinds[c, q] == GAIN:
+            e[1 + q] += kinds[c, q] * g * x[i, 0]
         elif kinds[c, q] == CLOCK:
             e[1 + q] -= g * (x[i + 1, 0] - motion[a, LEAD] * motion[a, SLOPE])
 
@@ -148,26 +183,26 @@ def linearise(moved, theta, kinds, units_per_m, e):  # type: ignore[no-untyped-d
     out at 0 is (scale error)² of the displacement, 0.4 % of it where the scale is 6 % off.
     """
     for q in range(len(theta)):
-        if kinds[q] == SCALE and theta[q] != 0.0:
-            more = 0.0
+        if (kinds[q] == SCALE or kinds[q] == GAIN) and theta[q] != 0.0:
+            more, g = 0.0, kinds[q] * units_per_m
             for r in range(len(theta)):
                 more += theta[r] * moved[1 + r]
-                e[1 + r] += units_per_m * theta[q] * moved[1 + r]
-            e[1 + q] += units_per_m * more
-            e[0] -= units_per_m * theta[q] * more
+                e[1 + r] += g * theta[q] * moved[1 + r]
+            e[1 + q] += g * more
+            e[0] -= g * theta[q] * more
 
 
 @njit(cache=True)
 def move_to_updated(e, kinds, estimated, moved):  # type: ignore[no-untyped-def]
-    """Take the sensitivities `e` (1 + k) to estimated scale errors at the displacement after the update, not before.
+    """Take the sensitivities `e` (1 + k) to a gain and to estimated scale errors at the displacement after the update.
 
-    estimated (k,): which are; moved: by which the update moves the expected measurement. While the velocity at the
-    start is not known that is most of the motion: the sensitivity at the prediction would leave the scale error's share
-    of it in the state.
+    estimated (k,): which are; moved: by which the update moves the expected measurement. While place and velocity at
+    the start are not known that is most of the motion: the sensitivity at the prediction would leave the scale error's
+    share of it in the state.
     """
     for q in range(len(e) - 1):
-        if kinds[q] == SCALE and estimated[q]:
-            e[1 + q] += moved
+        if kinds[q] == GAIN or (kinds[q] == SCALE and estimated[q]):
+            e[1 + q] += kinds[q] * moved
 
 
 @njit(cache=True)
@@ -192,6 +227,25 @@ def update(x, p, gain, e, total):  # type: ignore[no-untyped-def]
         for j in range(i, n):
             p[i, j] -= scaled * gain[j]
             p[j, i] = p[i, j]
+
+
+@njit(cache=True)
+def begin_zero(x, p, channels, c, gain, e, own):  # type: ignore[no-untyped-def]
+    """Take the first measurement of a channel of whose zero nothing is known: what it differs by is the zero.
+
+    It is the limit of `update` for an endless variance of that state, which would leave nothing of the others in double
+    precision; own: the measurement's variance. `gain` (n,) holds K after.
+    """
+    z, g = int(channels[c, ZERO]), channels[c, UNITS_PER_M]
+    p[z], p[:, z] = 0.0, 0.0
+    known = project(p, channels, c, gain)
+    for j in range(len(p)):
+        p[z, j] = p[j, z] = -gain[j] / g
+    p[z, z] = (known + own) / (g * g)
+    gain[:] = 0.0
+    gain[z] = 1.0 / g
+    for q in range(len(e)):
+        x[z, q] += e[q] / g
 
 
 @njit(cache=True)
@@ -242,69 +296,112 @@ def quadratic(u, m):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def back_through_time(adj, m, axes, dt):  # type: ignore[no-untyped-def]
-    """Adjoints (n, 1 + k) and information (n, n) `dt` earlier: Phi' L and Phi' M Phi."""
-    half, n = 0.5 * dt * dt, len(m)
+def back_through_time(adjoint, axes, dt, used):  # type: ignore[no-untyped-def]
+    """The first `used` columns of the adjoint `dt` earlier: Phi' times them."""
+    half = 0.5 * dt * dt
     for a in range(axes):
         i = 3 * a
-        for c in range(adj.shape[1]):
-            adj[i + 2, c] += -half * adj[i, c] - dt * adj[i + 1, c]
-            adj[i + 1, c] += dt * adj[i, c]
-        for j in range(n):
-            m[i + 2, j] += -half * m[i, j] - dt * m[i + 1, j]
-            m[i + 1, j] += dt * m[i, j]
-    for a in range(axes):
-        i = 3 * a
-        for j in range(n):
-            m[j, i + 2] += -half * m[j, i] - dt * m[j, i + 1]
-            m[j, i + 1] += dt * m[j, i]
+        for c in range(used):
+            adjoint[i + 2, c] += -half * adjoint[i, c] - dt * adjoint[i + 1, c]
+            adjoint[i + 1, c] += dt * adjoint[i, c]
 
 
 @njit(cache=True)
-def back_through_measurement(adj, m, channel, gain, e, total):  # type: ignore[no-untyped-def]
-    """Before an accepted measurement: (I − K h')' L − h e'/S and (I − K h')' M (I − K h') + h h'/S.
+def count_from(v, channels, counted):  # type: ignore[no-untyped-def]
+    """A vector (n,) of covariances or gains in place, as the pass back counts the states.
 
-    1 − K h is taken first where a state is on both sides: behind a wide prior it is a small difference.
+    counted (axes,): zero of the channel that all of an axis count from, or -1. x becomes x + z of that channel, and the
+    zeros of the others of which nothing is known become what they differ from it by. Until a known zero begins, x and
+    those zeros are only known relative to each other; so they are wide in one of the new states alone.
     """
-    n = len(m)
-    i, z, g = 3 * int(channel[AXIS]), int(channel[ZERO]), channel[UNITS_PER_M]
-    states = (i, i + 2, z, z + 1, z + 2)
-    row = (g, -g * channel[BLUR], g, g, g)
-    for c in range(adj.shape[1]):
-        apply_row(adj[:, c], gain, states, row)
-        for q in range(5):
-            adj[states[q], c] -= row[q] * e[c] / total
+    for a in range(len(counted)):
+        if counted[a] >= 0:
+            own = v[counted[a]]
+            v[3 * a] += own
+            for c in range(len(channels)):
+                z = int(channels[c, ZERO])
+                if int(channels[c, AXIS]) == a and z != counted[a] and not channels[c, ZERO_VARIANCE] < np.inf:
+                    v[z] -= own
+
+
+@njit(cache=True)
+def row_back(channel, counted):  # type: ignore[no-untyped-def]
+    """States (6,) of a channel's measurement as the pass back counts them, and their entries; see `count_from`."""
+    a, z, g = int(channel[AXIS]), int(channel[ZERO]), channel[UNITS_PER_M]
+    common = counted[a]
+    known = channel[ZERO_VARIANCE] < np.inf
+    states = (3 * a, 3 * a + 2, z, z + 1, z + 2, max(common, 0))
+    return states, (g, -g * channel[BLUR], 0.0 if z == common else g, g, g, -g if known and common >= 0 else 0.0)
+
+
+@njit(cache=True)
+def back_through_measurement(adjoint, used, states, row, gain, e, total):  # type: ignore[no-untyped-def]
+    """Before an accepted measurement: (I − K h')' [L, W] with − h e'/S in L and a new column h/√S in W.
+
+    Returns how many columns are used. 1 − K h is taken first where a state is on both sides: behind a wide prior it is
+    a small difference. S is infinite where the measurement began a zero.
+    """
+    for c in range(used):
+        apply_row(adjoint[:, c], gain, states, row)
+    for q in range(len(row)):
+        for c in range(len(e)):
+            adjoint[states[q], c] -= row[q] * e[c] / total
+        adjoint[states[q], used] += row[q] / np.sqrt(total)
+    used += 1
+    return used if used < adjoint.shape[1] else narrow(adjoint, len(e))
+
+
+@njit(cache=True)
+def narrow(adjoint, first):  # type: ignore[no-untyped-def]
+    """Rotate the columns of W, from `first` on, to as many as there are states; W W' stays. Returns how many are used.
+
+    By Householder's reflections, to a lower triangle.
+    """
+    n, end = len(adjoint), adjoint.shape[1]
     for j in range(n):
-        apply_row(m[j], gain, states, row)
-    for j in range(n):
-        apply_row(m[:, j], gain, states, row)
-    for q in range(5):
-        for r in range(5):
-            m[states[q], states[r]] += row[q] * row[r] / total
+        begin = first + j
+        v = adjoint[j, begin:].copy()
+        norm = np.sqrt(np.sum(v * v))
+        if norm == 0.0:
+            continue
+        pivot = -norm if v[0] > 0.0 else norm
+        v[0] -= pivot
+        square = np.sum(v * v)
+        for i in range(j + 1, n):
+            dot = 0.0
+            for c in range(begin, end):
+                dot += v[c - begin] * adjoint[i, c]
+            dot *= 2.0 / square
+            for c in range(begin, end):
+                adjoint[i, c] -= dot * v[c - begin]
+        adjoint[j, begin] = pivot
+        adjoint[j, begin + 1 :] = 0.0
+    adjoint[:, first + n :] = 0.0
+    return first + n
 
 
 @njit(cache=True)
 def apply_row(v, gain, states, row):  # type: ignore[no-untyped-def]
-    """(I − K h')' v in place, h having the entries `row` at `states`."""
-    moved = np.empty(5)
-    for q in range(5):
+    """(I − K h')' v in place, h having the entries `row` at `states`; a state may be twice where one entry is 0."""
+    moved = np.empty(len(row))
+    for q in range(len(row)):
         rest = 0.0
         for j in range(len(v)):
             if j != states[q]:
                 rest += gain[j] * v[j]
         moved[q] = (1.0 - gain[states[q]] * row[q]) * v[states[q]] - row[q] * rest
-    for q in range(5):
-        v[states[q]] = moved[q]
+    for q in range(len(row)):
+        if row[q] != 0.0:
+            v[states[q]] = moved[q]
 
 
 @njit(cache=True)
-def back_through_datum(adj, m, axes):  # type: ignore[no-untyped-def]
-    """Before the datum was copied from the displacement."""
+def back_through_datum(adjoint, counted):  # type: ignore[no-untyped-def]
+    """Before the datum was copied from the displacement; counted: as of `count_from`."""
+    axes = len(counted)
     for a in range(axes):
-        i, d = 3 * a, 3 * axes + a
-        adj[i] += adj[d]
-        adj[d] = 0.0
-        m[i] += m[d]
-        m[d] = 0.0
-        m[:, i] += m[:, d]
-        m[:, d] = 0.0
+        datum = adjoint[3 * axes + a]
+        adjoint[3 * a] += datum
+        if counted[a] >= 0:
+            adjoint[counted[a]] -= datum
+        datum[:] = 0.0

@@ -30,14 +30,20 @@ from midspan.fusion.forward import (
     AT,
     AXIS,
     CHANNEL,
+    CLEAR,
     FORGETS,
+    FROM_S,
     REFERENCE,
+    SLOW_RATE,
+    SLOW_VARIANCE,
     UNITS_PER_M,
     VALUE,
     VARIANCE,
+    WALK,
     ZERO,
     ZERO_VARIANCE,
     add_noise,
+    begin_zero,
     innovate,
     linearise,
     move_reference,
@@ -132,8 +138,8 @@ DECADES = 4.0
 # A prediction whose variance is so many times the measurement's own cannot tell an outlier from a measurement inside
 # the gate: later ones decide. At 25 an outlier at the gate moves the state by five times what a sound one leaves.
 VAGUE = 25.0
-# A zero of which nothing is known is taken to lie within so many times (in variance) what the first measurement is off:
-# that measurement then says 1e-6 of what it would say of the displacement.
+# A zero of which nothing is known is taken to lie within so many times (in variance) what the first measurement is off,
+# where it is asked whether that is an outlier.
 UNKNOWN_ZERO = 1e6
 # What the noise's factor rests on after a sudden rise, in measurements.
 ANEW = 12.0
@@ -179,18 +185,23 @@ def one_of(hyps, b):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def meet_zero(hyp, row, channel):  # type: ignore[no-untyped-def]
-    """Before a channel's measurement: its zero begins with the first, and follows the reference; returns the factor
-    by which the reference's state was scaled.
+    """Before a channel's measurement: its zero begins with the first, and follows the reference, or its slow error goes
+    on; returns the factor by which that state was scaled. An unknown zero is wide for the hypotheses' weights alone:
+    the first measurement that is accepted begins it, see `begin_zero`.
     """
     x, p, marks, _, _, _ = hyp
     mark, z = marks[int(row[CHANNEL])], int(channel[ZERO])
     if mark[BEGUN] == 0.0:
-        mark[BEGUN] = 1.0
-        p[z, z] = channel[ZERO_VARIANCE]
-        if not channel[ZERO_VARIANCE] < np.inf:
+        if channel[ZERO_VARIANCE] < np.inf:
+            mark[BEGUN], p[z, z] = 1.0, channel[ZERO_VARIANCE]
+        else:
             g, i = channel[UNITS_PER_M], 3 * int(channel[AXIS])
-            # Not times the motion's own variance: a wide start times a large factor is beyond double precision.
             p[z, z] = UNKNOWN_ZERO * ((row[VALUE] / g - x[i, 0]) ** 2 + row[VARIANCE] / (g * g)) + p[i, i]
+    if channel[SLOW_VARIANCE] > 0.0:
+        factor = np.exp(-channel[SLOW_RATE] * (row[AT] - mark[MET_AT]))
+        scale_state(x, p, z + 2, factor)
+        p[z + 2, z + 2] += (1.0 - factor * factor) * channel[SLOW_VARIANCE]
+        return factor
     was = mark[REFERENCE_NOW]
     if was == row[REFERENCE]:
         return 1.0
@@ -268,18 +279,18 @@ def learn_parameters(theta, spread, e, error, variances, times, learning):  # ty
     """Estimate those parameters (k,) that are to be from an innovation, and let them walk since the last one.
 
     e (1 + k): the innovation's sensitivities; variances = (that of the prediction without the parameters, of the
-    innovation with all that is uncertain); times = (now, last, s); learning (k, 3): time in s from which on each is
-    estimated, density of its walk, and its least sensitivity² over the prediction's variance. The gain of the others
-    is 0, and the covariance stays that of the errors (S. F. Schmidt's consider parameters).
+    innovation with all that is uncertain); times = (now, last, s); learning (k, 4): the table of the parameters. The
+    gain of those that are not estimated is 0, and the covariance stays that of the errors (S. F. Schmidt's consider
+    parameters).
     """
     known, total = variances
     k = len(theta)
     gain, mu = np.zeros(k), np.zeros(k)
     for q in range(k):
-        spread[q, q] += learning[q, 1] * max(times[0] - times[1], 0.0)
+        spread[q, q] += learning[q, WALK] * max(times[0] - times[1], 0.0)
         for r in range(k):
             mu[q] += spread[q, r] * e[1 + r]
-        if times[0] >= learning[q, 0] and e[1 + q] * e[1 + q] >= learning[q, 2] * known:
+        if times[0] >= learning[q, FROM_S] and e[1 + q] * e[1 + q] >= learning[q, CLEAR] * known:
             gain[q] = mu[q] / total
     for q in range(k):
         theta[q] -= gain[q] * error
@@ -289,24 +300,33 @@ def learn_parameters(theta, spread, e, error, variances, times, learning):  # ty
 
 @njit(cache=True)
 def accept(hyp, row, seen, tables, options, scratch):  # type: ignore[no-untyped-def]
-    """Update one hypothesis with a measurement; seen: what `look` returned, P h and sensitivities in `scratch`."""
+    """Update one hypothesis with a measurement; seen: what `look` returned, P h and sensitivities in `scratch`.
+
+    Returns the innovation's variance that it was taken with, infinite where it began the channel's zero.
+    """
     x, p, marks, memory, theta, spread = hyp
     gain, e = scratch
     c = int(row[CHANNEL])
     error, known, wider, own = seen
     g = tables[1][c, UNITS_PER_M]
     memory[ERROR], memory[TOTAL] = error, wider + own
-    adapt(marks, c, error, wider, own, options[MEMORY])
-    own = row[VARIANCE] * marks[c, FACTOR]
-    if len(theta) > 0:
-        learn_parameters(theta, spread, e, error, (known, wider + own), (row[AT], memory[LAST_AT]), tables[4])
-        memory[LAST_AT] = row[AT]
-        move_to_updated(e, tables[2][c], row[AT] >= tables[4][:, 0], error * known / (known + own))
-    update(x, p, gain, e, known + own)
+    total = np.inf
+    if marks[c, BEGUN] == 0.0:
+        marks[c, BEGUN] = 1.0
+        begin_zero(x, p, tables[1], c, gain, e, own)
+    else:
+        adapt(marks, c, error, wider, own, options[MEMORY])
+        own = row[VARIANCE] * marks[c, FACTOR]
+        total = known + own
+        if len(theta) > 0:
+            learn_parameters(theta, spread, e, error, (known, wider + own), (row[AT], memory[LAST_AT]), tables[4])
+            memory[LAST_AT] = row[AT]
+            move_to_updated(e, tables[2][c], row[AT] >= tables[4][:, FROM_S], error * known / total)
+        update(x, p, gain, e, total)
     marks[c, DISTURBED] = 0.0
     marks[c, SHARE] -= marks[c, SHARE] / OUTLIER_MEMORY
     marks[c, ACCEPTED_AT], marks[c, ACCEPTED_VARIANCE] = row[AT], own / (g * g) + marks[c, REFERENCE_NOW]
-    return known + own
+    return total
 
 
 @njit(cache=True)

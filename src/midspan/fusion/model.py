@@ -11,9 +11,11 @@ from midspan.fusion.forward import (
     CHANNEL_COLUMNS,
     CLOCK,
     COUNT,
+    GAIN,
     INPUT,
     JUDGED,
     MOTION_COLUMNS,
+    PARAMETER_COLUMNS,
     SCALE,
     STEP,
     TIME,
@@ -40,19 +42,23 @@ ZERO_STATES = 3
 
 
 class ParameterKind(IntEnum):
-    """What a parameter is: the relative error of a scale, or a clock's offset in s (measured late by so much)."""
+    """What a parameter is: the relative error of a scale, a clock's offset in s (measured late by so much), or the
+    relative error of the accelerometer's gain (it measures too much by so much), also in scales learnt from it.
+    """
 
     SCALE_ERROR = SCALE
     CLOCK_OFFSET = CLOCK
+    GAIN_ERROR = GAIN
 
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """What is unknown of a group of channels (their numbers): a relative scale error, or a clock's offset in s.
+    """What is unknown of a group of channels (their numbers): see `ParameterKind`.
 
-    std: standard deviation before. Only the band holds it, unless it is estimated from an instant on. walk: density of
-    its random walk, unit²/s: how it drifts. clear: a measurement tells it only where the square of the sensitivity is
-    so many times the variance of the prediction, see `engine.channels`.
+    channels: of a gain, those whose scale was learnt from the accelerometer. std: standard deviation of what it is
+    before, 0. Only the band holds it, unless it is estimated from an instant on. walk: density of its random walk,
+    unit²/s: how it drifts. clear: a measurement tells it only where the square of the sensitivity is so many times the
+    variance of the prediction, see `engine.channels`. axis: of a gain error whose accelerometer it is.
     """
 
     kind: ParameterKind
@@ -61,6 +67,7 @@ class Parameter:
     estimated_from_ns: int | None = None
     walk: float = 0.0
     clear: float = 0.0
+    axis: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +106,8 @@ class EstimatorSettings:
     follow it faster, and it then scatters by sqrt(2/noise_memory). noise_weight: how many measurements the
     channels' variance factors rest on. motion (one an axis): standard deviation (m) of displacement and middle
     angular frequency (1/s): what a sensor measures whose clock has stepped; 0: clocks do not step. zero_ns: instant
-    that rows count from; None: from the sensors' own zero.
+    that rows count from; None: from the sensors' own zero. unseen_std_m (one an axis): standard deviation of an error
+    that nothing measured tells, as of a camera's tilt: in each row, and as large and independent of it in the zero.
     """
 
     channels: tuple[Channel, ...]
@@ -115,6 +123,7 @@ class EstimatorSettings:
     noise_weight: float = 20.0
     motion: tuple[tuple[float, float], ...] = ((0.0, 0.0), (0.0, 0.0))
     zero_ns: int | None = None
+    unseen_std_m: tuple[float, ...] = (0.0, 0.0)
 
     @property
     def first_zero(self) -> int:
@@ -132,8 +141,8 @@ Tables = tuple[Floats, Floats, NDArray[np.int64], int, Floats]
 
 
 def tables_of(settings: EstimatorSettings, origin_ns: int = 0) -> Tables:
-    """Walks (n,), channels (c, 11), kinds (c, k), the first state of the datums, and when each parameter is estimated
-    how it walks, and what is clear (k, 3), as `run_block` takes them; origin_ns: what times in s count from.
+    """Walks (n,), channels (c, 13), kinds (c, k), the first state of the datums, and the table of the parameters
+    (k, 4), as `run_block` takes them; origin_ns: what times in s count from.
     """
     walks = np.zeros(settings.size)
     walks[2 : 3 * settings.axes : 3] = settings.bias_walk
@@ -152,14 +161,18 @@ def tables_of(settings: EstimatorSettings, origin_ns: int = 0) -> Tables:
             channel.coasting_s,
             channel.lost_s,
             *apart(settings, channel),
+            channel.slow_std_m**2,
+            1.0 / channel.slow_time_s,
         )
     kinds = np.zeros((len(settings.channels), len(settings.parameters)), dtype=np.int64)
     for q, parameter in enumerate(settings.parameters):
         kinds[list(parameter.channels), q] = parameter.kind
-    learning = np.zeros((len(settings.parameters), 3))
+    learning = np.zeros((len(settings.parameters), PARAMETER_COLUMNS))
     for q, parameter in enumerate(settings.parameters):
         begin = parameter.estimated_from_ns
-        learning[q] = (np.inf if begin is None else (begin - origin_ns) / NANOSECONDS, parameter.walk, parameter.clear)
+        from_s = np.inf if begin is None else (begin - origin_ns) / NANOSECONDS
+        gain_of = parameter.axis if parameter.kind is ParameterKind.GAIN_ERROR else -1
+        learning[q] = (from_s, parameter.walk, parameter.clear, gain_of)
     return walks, channels, kinds, -1 if settings.zero_ns is None else 3 * settings.axes, learning
 
 
@@ -208,6 +221,12 @@ def hypotheses_at(begin: Beginning, settings: EstimatorSettings) -> tuple[Hyps, 
         xs[0, i, 0], xs[0, i + 2, 0] = begin.displacement_m[a], settings.bias_m_s2[a]
         stds = (settings.displacement_std_m, begin.velocity_std_m_s[a], settings.bias_std_m_s2[a])
         ps[0, range(i, i + 3), range(i, i + 3)] = np.square(stds)
+    slow = settings.first_zero + 2 + ZERO_STATES * np.arange(c)
+    ps[0, slow, slow] = [channel.slow_std_m**2 for channel in settings.channels]
+    for q, parameter in enumerate(settings.parameters):
+        if parameter.kind is ParameterKind.GAIN_ERROR:
+            # The accelerometer measures too much of what its bias is known by, too.
+            xs[0, 3 * parameter.axis + 2, 1 + q] = -settings.bias_m_s2[parameter.axis]
     marks[0, :, FACTOR] = [channel.variance_factor for channel in settings.channels]
     marks[0, :, RESTS_ON], marks[0, :, ACCEPTED_AT] = settings.noise_weight, -np.inf
     marks[0, :, MET_AT] = begin.time_s - START_S

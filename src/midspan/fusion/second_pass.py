@@ -14,8 +14,8 @@ from midspan.fusion.blocks import estimate_of, given_rows, sample_rows
 from midspan.fusion.decisions import NOTHING_DECIDED, Decided
 from midspan.fusion.estimator import BLOCK, Estimator, EstimatorState, Log, Rows
 from midspan.fusion.filtering import FOUND_VARIANCE, FOUND_VELOCITY, FOUND_X, backward_block, zero_variance
-from midspan.fusion.forward import AT, AXIS, CHANNEL, TIME, UNITS_PER_M
-from midspan.fusion.hypotheses import KINDS, LOST, OUTLIER, SHORTEST_S, SPREAD, WRONG, led_away
+from midspan.fusion.forward import AT, AXIS, CHANNEL, TIME, UNITS_PER_M, ZERO, ZERO_VARIANCE
+from midspan.fusion.hypotheses import BEGUN, KINDS, LOST, OUTLIER, SHORTEST_S, SPREAD, WRONG, led_away
 from midspan.fusion.model import Beginning, Block, EstimatorSettings, Filter, Left, options_of, run, tables_of
 from midspan.records import Estimate, Event, Floats, Measured, Samples, joined, part
 
@@ -34,9 +34,6 @@ class Span:
     before: Filter
 
 
-Adjoint = tuple[Floats, Floats]
-
-
 class SecondPass:
     """Runs spans forward as decided and back, for one estimator's settings."""
 
@@ -48,18 +45,35 @@ class SecondPass:
         state = span.before.resumed(1)
         return state, run(state, span.block, self.tables, self.options, back=back)
 
-    def nothing_later(self) -> Adjoint:
-        """The adjoint at the end of the record."""
+    def nothing_later(self) -> Floats:
+        """The adjoint (n, 1 + k + 2 n) at the end of the record."""
         n = self.settings.size
-        return np.zeros((n, 1 + len(self.settings.parameters))), np.zeros((n, n))
+        return np.zeros((n, 1 + len(self.settings.parameters) + 2 * n))
 
-    def backward(self, span: Span, left: Left, adjoint: Adjoint, last: Filter) -> Floats:
+    def counted(self, before: Filter, decided: Decided) -> NDArray[np.int64]:
+        """The zero (axes,) that each axis counts from on the way back, or -1: its first channel's, if that is unknown.
+
+        before: the filter at the beginning of what was decided. See `forward.count_from`.
+        """
+        channels, begun = self.tables[1], before.hyps[2][0, :, BEGUN] > 0.0
+        met = decided.rows[(decided.rows[:, CHANNEL] >= 0.0) & (decided.codes % KINDS != OUTLIER), CHANNEL]
+        found = np.full(self.settings.axes, -1)
+        for a in range(self.settings.axes):
+            own = channels[:, AXIS] == a
+            known = own & (channels[:, ZERO_VARIANCE] < np.inf)
+            first = [*np.flatnonzero(begun & known), *np.flatnonzero(begun & own), *met[own[met.astype(int)]]][:1]
+            for c in np.array(first, dtype=int):
+                found[a] = -1 if known[c] else int(channels[c, ZERO])
+        return found
+
+    def backward(self, span: Span, left: Left, adjoint: Floats, last: Filter, counted: NDArray[np.int64]) -> Floats:
         """What was found (s, axes, 5), smoothed by what came later; the adjoint moves to the span's beginning."""
         smoothed = np.empty((len(span.block.samples), self.settings.axes, 3))
         parameters = (last.hyps[4][0], last.hyps[5][0])
         start_s = float(span.before.clock[TIME])
         times = span.block.samples[:, 0].copy()
-        backward_block(times, start_s, self.tables, left.nodes, left.record, adjoint, parameters, smoothed)
+        made = (left.nodes, left.record)
+        backward_block(times, start_s, self.tables, counted, made, adjoint, parameters, smoothed)
         found = left.found
         found[:, :, FOUND_X] = smoothed[:, :, SMOOTHED_X]
         for a in range(self.settings.axes):
@@ -87,11 +101,12 @@ class Unforeseen:
         return rows
 
 
-def unforeseen(decided: Decided, channels: Floats, begin_s: float) -> tuple[Unforeseen, NDArray[np.int64]]:
+def unforeseen(decided: Decided, channels: Floats) -> tuple[Unforeseen, NDArray[np.int64]]:
     """What led predictions away that were found wrong, and the codes (m,) by which measurements then are taken.
 
     The filter learns of it by the measurement that it contradicts; but it happened since the last good one before, of
-    the same channel. Measurements between that were taken for outliers are asked again. begin_s: no earlier than this.
+    the same channel. Measurements between that were taken for outliers are asked again. Without a good one before
+    nothing is changed.
     """
     codes, time_s, channel_of, found = decided.codes.copy(), decided.rows[:, AT], decided.rows[:, CHANNEL], []
     led = np.isin(decided.codes % KINDS, (WRONG, LOST)) & (channel_of >= 0.0)
@@ -100,9 +115,10 @@ def unforeseen(decided: Decided, channels: Floats, begin_s: float) -> tuple[Unfo
         good = np.flatnonzero(decided.codes[own] % KINDS != OUTLIER)
         for place in np.flatnonzero(led[own]):
             last = int(np.searchsorted(good, place)) - 1
-            j, first = own[place], int(good[last]) if last >= 0 else -1
-            since_s = max(time_s[own[first]], begin_s) if first >= 0 else begin_s
-            lapse = max(time_s[j] - since_s, SHORTEST_S)
+            if last < 0:
+                continue
+            j, first = own[place], int(good[last])
+            lapse = max(time_s[j] - time_s[own[first]], SHORTEST_S)
             density = led_away(decided.errors[j, 0] / channels[c, UNITS_PER_M], lapse)
             found.append((time_s[j] - lapse, time_s[j], channels[c, AXIS], density))
             codes[own[first + 1 : place + 1]] += SPREAD
@@ -123,7 +139,7 @@ def smooth(log: Log, settings: EstimatorSettings) -> tuple[Estimate, ...]:
     """The rows of each axis, smoothed by the whole record; log: of an estimator that has finished."""
     work, decided = SecondPass(settings, log.origin_ns), joined_decisions(log.decided)
     samples = joined(log.samples)
-    errors, codes = unforeseen(decided, work.tables[1], log.begin.time_s)
+    errors, codes = unforeseen(decided, work.tables[1])
     decided = replace(decided, codes=codes)
     given = given_rows(samples, log.first_s, log.origin_ns)
     estimates = tuple(_empty(samples, given) for _ in range(settings.axes))
@@ -136,14 +152,15 @@ def smooth(log: Log, settings: EstimatorSettings) -> tuple[Estimate, ...]:
         after, _ = work.forward(_span(spans[-1], decided, errors, log), back=False)
         state, done = after.saved(), due
     adjoint, place = work.nothing_later(), int(np.count_nonzero(given))
+    counted = work.counted(Filter.begun(log.begin, settings), decided)
     for one in reversed(spans):
         span = _span(one, decided, errors, log)
         _, left = work.forward(span, back=True)
-        found = work.backward(span, left, adjoint, state)
+        found = work.backward(span, left, adjoint, state, counted)
         own = given_rows(span.samples, log.first_s, log.origin_ns)
         place -= int(np.count_nonzero(own))
         for a, estimate in enumerate(estimates):
-            _fill(estimate, place, estimate_of(span.samples, found[:, a], own))
+            _fill(estimate, place, estimate_of(span.samples, found[:, a], own, settings.unseen_std_m[a]))
     return estimates
 
 
@@ -275,17 +292,18 @@ class Lag:
             parts.append(self._span(both, rows, slice(anchor, None), middle.saved()))
             last, late = work.forward(parts[-1], back=True)
             lefts.append(late)
-        adjoint = work.nothing_later()
+        adjoint, counted = work.nothing_later(), work.counted(self._before, both)
         found = [
-            work.backward(span, one, adjoint, last) for span, one in zip(reversed(parts), reversed(lefts), strict=True)
+            work.backward(span, one, adjoint, last, counted)
+            for span, one in zip(reversed(parts), reversed(lefts), strict=True)
         ]
         own = part(samples, slice(self._given, due))
         smoothed = np.concatenate(found[::-1])[self._given : due]
         self._let_go(anchor, rows, middle.saved())
         self._given = due - anchor
         shown = given_rows(own, log.first_s, log.origin_ns)
-        axes = range(self.estimator.settings.axes)
-        return [Rows(tuple(estimate_of(own, smoothed[:, a], shown) for a in axes), (), ())]
+        unseen = self.settings.unseen_std_m[: self.settings.axes]
+        return [Rows(tuple(estimate_of(own, smoothed[:, a], shown, std) for a, std in enumerate(unseen)), (), ())]
 
     def _span(self, decided: Decided, rows: Floats, which: slice, before: Filter) -> Span:
         assert self._samples is not None

@@ -98,6 +98,11 @@ class Target:
         """Standard deviation of the conversion factor as a share of it."""
         return self.conversion_factor_std / abs(self.conversion_factor) if self.coherence > 0 else np.inf
 
+    def wider(self, relative_std: float) -> "Target":
+        """The same with an error of its conversion factor, as a relative standard deviation."""
+        more = relative_std * abs(self.conversion_factor)
+        return replace(self, conversion_factor_std=float(np.hypot(self.conversion_factor_std, more)))
+
     @property
     def noise_variance(self) -> float:
         """Variance of the complex noise of the receivers combined, in squared ADC counts."""

@@ -53,14 +53,19 @@ def _calibrate_and_track(recording: Recording, progress: Progress) -> tuple[Cali
     bias = min((fit.bias for fit in fits if fit.bias is not None), key=lambda one: one.std_m_s2)
     parts = seen[0].parts if seen else ()
     across = _across(recording, parts[1], warnings) if len(parts) > 1 else None
+    gains = [(fit.gain_std, fit.gain) for fit in fits if fit.gain_std > 0.0]
+    # What the accelerometer's sensitivity may be off by is in all that was compared with it.
+    gain_std, gain = min(gains, default=(recording.accelerometer.scale_std, 1.0))
     calibration = Calibration(
+        accelerometer_scale=gain,
+        accelerometer_scale_std=gain_std,
         noise_std_m_s2=_white_noise(recording, [fit.input_noise for fit in fits], warnings),
         motion_noise_s=max(fit.input_noise.motion_s for fit in fits),
         bias_m_s2=bias.value_m_s2,
         bias_std_m_s2=bias.std_m_s2,
-        **placed([fit.calibration for fit in fits]),
+        **placed([fit.calibration.without_gain(gain, gain_std) for fit in fits]),
         warnings=tuple(warnings),
-        across=across,
+        across=across if across is None else across.without_gain(1.0, gain_std),
         usual=usual_in_window(recording),
         left_out=recording.across.axis if recording.across is not None and across is None else "",
         diagnostics=next((fit.diagnostics for fit in fits if fit.diagnostics is not None), None),

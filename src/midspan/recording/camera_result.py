@@ -19,7 +19,6 @@ from midspan.records import (
     Source,
 )
 from midspan.settings.camera import CameraSettings
-from midspan.signals.health import Mask
 from midspan.thermal.temperature_range import RangeSurface
 from midspan.vision.active_pixels import ActivePixels
 from midspan.vision.roi import RegionChoice
@@ -31,8 +30,8 @@ class TargetResult:
 
     region: in the reference frame, px; track: its translation on the camera's own clock, with whole variances; strength
     (n,): good matches, of trackers without matches the quality in percent, 0 where it was lost; reference_px2 (n, 2):
-    the part of the variances along x and y that the reference frame makes, for many frames alike; dark (n,): frames
-    that were black. active_pixels: those whose phase was used; None for other trackers.
+    the part of the variances along x and y that the reference frame makes, for many frames alike. active_pixels: those
+    whose phase was used; None for other trackers.
     """
 
     name: str
@@ -40,7 +39,6 @@ class TargetResult:
     track: PixelTrack
     strength: Floats
     reference_px2: Floats
-    dark: Mask
     active_pixels: ActivePixels | None = None
 
 
@@ -114,7 +112,6 @@ def _target_result(target: TargetTracking) -> TargetResult:
         track=target.track,
         strength=target.strengths,
         reference_px2=target.reference_px2,
-        dark=target.dark,
         active_pixels=target.tracker.active_pixels,
     )
 

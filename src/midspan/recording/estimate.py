@@ -8,8 +8,7 @@ import numpy as np
 
 from midspan.calibration.one_clock import OneClock
 from midspan.checks import option
-from midspan.engine.channels import clock_std_s
-from midspan.engine.lost_target import lost_events, lost_warnings
+from midspan.engine.channels import clock_std_s, without_gain
 from midspan.engine.one_series import (
     literal_warnings,
     one_series,
@@ -17,8 +16,8 @@ from midspan.engine.one_series import (
     with_levels_since,
     with_uncertain,
 )
-from midspan.engine.radar_messages import REPORTED, radar_warnings, with_levels
-from midspan.engine.row_messages import event_warnings, shares, unsupported_events
+from midspan.engine.radar_messages import REPORTED, radar_warnings
+from midspan.engine.row_messages import event_warnings, shares
 from midspan.engine.second_look import (
     Offsets,
     clocks,
@@ -42,7 +41,7 @@ from midspan.recording.calibrate import calibrate_and_track
 from midspan.recording.camera_result import CameraResult, camera_result, camera_series
 from midspan.recording.kinds import ROWS
 from midspan.recording.messages import channel_warnings, refuse_rejections, require_same_cameras, uncalibrated
-from midspan.recording.point import measuring_point
+from midspan.recording.point import gain_std, measuring_point
 from midspan.recording.printed_radar import estimate_printed
 from midspan.recording.result import Result
 from midspan.recording.run import Outcome, run, used_when
@@ -60,7 +59,6 @@ from midspan.records import NANOSECONDS, Channel, Estimate, Event, Innovation, M
 from midspan.settings.sensor_words import worded
 from midspan.settings.stored.calibration import Calibration
 from midspan.settings.stored.calibration_file import load_calibration
-from midspan.signals.health import Mask
 from midspan.signals.stamps import inside, shown
 
 
@@ -165,11 +163,11 @@ class Checked:
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """Rows and innovations along each axis, when each sensor was used, events of the estimator and clocks, warnings."""
+    """Rows, innovations and the zero's variance along each axis, when each sensor was used, events, warnings."""
 
     rows: tuple[Estimate, ...]
     innovations: tuple[Innovation, ...]
-    zero_variance_m2: float
+    zero_variance_m2: tuple[float, ...]
     used: dict[str, list[tuple[int, int]]]
     events: tuple[Event, ...]
     warnings: tuple[str, ...]
@@ -236,9 +234,11 @@ def check(asked: Asked, first: FirstPass, ran: Mapping[str, OneClock]) -> Checke
 
 
 def stated_scale_std(first: FirstPass, axis: int) -> dict[str, float]:
-    """Relative standard deviations of the sensors' scales along an axis as calibrated, by the sensors' names."""
-    cameras = {eye.sensor: eye.calibrations[axis].relative_std for eye in first.eyes}
-    return cameras | {view.sensor: float(known.relative_std) for view, known in known_sensors(first.sides[0])}
+    """Relative standard deviations of the sensors' scales along an axis as compared with the accelerometer, by name."""
+    own = first.sides[0].calibration.accelerometer_scale_std
+    found = {eye.sensor: eye.calibrations[axis].relative_std for eye in first.eyes}
+    found |= {view.sensor: known.relative_std for view, known in known_sensors(first.sides[0])}
+    return {name: without_gain(std, own) for name, std in found.items()}
 
 
 def as_it_came(first: FirstPass) -> Found:
@@ -278,6 +278,7 @@ def smoothed(first: FirstPass, ran: Mapping[str, OneClock], checked: Checked) ->
 def on_series(asked: Asked, first: FirstPass, ran: Mapping[str, OneClock], checked: Checked) -> Found:
     """The rows of a method that takes one series; along an axis without an accelerometer those of the smoother."""
     found, method = smoothed(first, ran, checked), asked.by_settings
+    gain = gain_std(asked.recording, asked.calibration, given=asked.given)
     rows, innovations = list(found.rows), list(found.innovations)
     warnings = list(found.warnings)
     events: list[Event] = []
@@ -288,9 +289,10 @@ def on_series(asked: Asked, first: FirstPass, ran: Mapping[str, OneClock], check
         measured = one_series(named, found.rows[axis], first.outcome.restarts_ns)
         own, rate_hz = replace(method, kalman=side.kalman), side.prepared.rate_hz
         done = run_on_series(side.acceleration, measured, asked.method, own, found.rows[axis], rate_hz=rate_hz)
-        scale_std = max(checked.scale_std[axis][name] for name in named)
+        scale_std = float(np.hypot(max(checked.scale_std[axis][name] for name in named), gain))
         clock_std = max(clock_std_s(one.offset) for one in _offsets(first).values())
-        known = with_uncertain(done.estimate, found.zero_variance_m2, scale_std, clock_std)
+        level_m2 = found.zero_variance_m2[axis] + first.estimator.settings.unseen_std_m[axis] ** 2
+        known = with_uncertain(done.estimate, level_m2, scale_std, clock_std)
         known = with_levels_since(known, found.rows[axis], measured, first.outcome.restarts_ns)
         rows[axis] = part(known, np.isin(known.time_ns, found.rows[axis].time_ns))
         innovations[axis] = done.innovation if len(done.innovation.time_ns) else innovations[axis]
@@ -307,14 +309,15 @@ def on_series(asked: Asked, first: FirstPass, ran: Mapping[str, OneClock], check
 
 def _found(first: FirstPass, outcome: Outcome, rows: tuple[Estimate, ...]) -> Found:
     """Rows in the streams' common span, with the innovations and events of the run that they rest on."""
-    span = inside(rows[0].time_ns, *measured_span(first.outcome))
+    first_ns, last_ns = measured_span(first.outcome)
+    span = inside(rows[0].time_ns, first_ns, last_ns)
     channels = first.estimator.settings.channels
     return Found(
         rows=tuple(part(one, span) for one in rows),
         innovations=tuple(innovation_along(outcome, channels, axis) for axis in range(len(rows))),
-        zero_variance_m2=outcome.zero_variance_m2[0],
+        zero_variance_m2=outcome.zero_variance_m2[: len(rows)],
         used={name: used_when(outcome, channels, name) for name in first.series[0]},
-        events=outcome.fusion_events,
+        events=tuple(event for event in outcome.fusion_events if event.time_ns <= last_ns),
         warnings=(),
     )
 
@@ -323,24 +326,20 @@ def result_of(asked: Asked, first: FirstPass, found: Found, checked: Checked) ->
     """The result as plain data."""
     recording, main = asked.recording, found.rows[0]
     refuse_rejections(recording, found.innovations[0])
-    sensors, radars = with_levels(first.outcome.sensor_events, main), first.outcome.radars
+    sensors, radars = first.outcome.sensor_events, first.outcome.radars
     info = {view.sensor: view.radar.info for view, _ in known_sensors(first.sides[0]) if view.sensor in radars}
     fused = tuple(event for event in found.events if event.axis == 0)
-    alone = unsupported_events(main)
-    lost = [event for camera in first.cameras for event in lost_events(*_blind(camera, first))]
     across, more = _across(asked, first, found, checked)
     warnings = (
         *channel_warnings(recording, asked.calibration),
-        *(line for camera in first.cameras for line in lost_warnings(*_blind(camera, first))),
         *(worded(line, eye.sensor) for eye in first.eyes for line in eye.tracking.warnings()),
         *event_warnings(fused),
-        *event_warnings(tuple(event for event in sensors if event.kind in ("frozen", *REPORTED))),
+        *event_warnings(tuple(event for event in sensors if event.kind in ("frozen", "lost", *REPORTED))),
         *(worded(line, name) for name, log in radars.items() for line in radar_warnings(log, info[name].warnings)),
         *late_start(recording, first.outcome, main),
         *lost_end(recording, first.outcome, main),
         *shares(found.innovations[0], main),
         *found.warnings,
-        *event_warnings(alone),
         *more,
     )
     return Result(
@@ -349,22 +348,17 @@ def result_of(asked: Asked, first: FirstPass, found: Found, checked: Checked) ->
         settings=recording.settings,
         method=asked.method,
         innovation=found.innovations[0],
-        events=tuple(sorted((*sensors, *fused, *lost, *alone), key=lambda event: event.time_ns)),
+        events=tuple(sorted((*sensors, *fused), key=lambda event: event.time_ns)),
         warnings=tuple(dict.fromkeys(warnings)),
         cameras=first.cameras,
         measured=tuple(first.series[0].values()),
         radars={name: log.trace(info[name].limit_speed_m_s) for name, log in radars.items()},
         across=across,
-        zero_std_m=float(np.sqrt(found.zero_variance_m2)),
+        zero_std_m=float(np.sqrt(found.zero_variance_m2[0])),
         used=found.used,
         file=recording.file,
         name=recording.name,
     )
-
-
-def _blind(camera: CameraResult, first: FirstPass) -> tuple[SensorSeries, Mask]:
-    """What tells when a camera's target was lost: its series along the main axis, and which frames were black."""
-    return first.series[0][camera.sensor], camera.targets[camera.best].dark
 
 
 def _across(asked: Asked, first: FirstPass, found: Found, checked: Checked) -> tuple[SecondAxis | None, list[str]]:
@@ -388,6 +382,7 @@ def _across(asked: Asked, first: FirstPass, found: Found, checked: Checked) -> t
         innovation,
         events,
         measured=tuple(first.series[1].values()),
+        zero_std_m=float(np.sqrt(found.zero_variance_m2[1])),
     )
     told = [f"Along {view.axis}: {line}" for line in event_warnings(events)]
     return second, [*told, *shares(innovation, rows, along)]

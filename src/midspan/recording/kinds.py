@@ -12,6 +12,7 @@ import numpy as np
 
 from midspan.calibration.displacement.learn import Given
 from midspan.calibration.displacement.sensor import DisplacementFit, fit_displacement, read_with
+from midspan.calibration.noise import GAIN_TOLD
 from midspan.calibration.radar.calibrate import RadarFit, fit_radar
 from midspan.calibration.radar.literal import fit_radar_literal
 from midspan.calibration.sensors.displacement import DisplacementCalibration
@@ -24,7 +25,7 @@ from midspan.errors import UsageError
 from midspan.progress import Progress
 from midspan.recording.radar_window import opened_window
 from midspan.recording.streams.recording import Recording
-from midspan.recording.streams.window import require_overlap
+from midspan.recording.streams.window import require_overlap, within_window
 from midspan.records import Channel, Estimate, Measured, Source
 from midspan.settings.sensor_words import in_words_of
 from midspan.settings.stored.calibration import Calibration
@@ -83,9 +84,10 @@ def radar_series(view: Recording, known: RadarCalibration, log: Log) -> SensorSe
 
 def calibrate_displacement(view: Recording, progress: Progress) -> DisplacementFit:
     """Noise, clock offset and scale of the sensor, learnt beside the accelerometer, or a refusal."""
-    section, series = view.settings.displacement, view.displacement
+    section, series, own = view.settings.displacement, view.displacement, view.accelerometer
     assert section is not None
     require_overlap(view.prepared.time_ns, series.time_ns, "displacement")
+    series = within_window(view, series)
     given = section.noise_std
     return fit_displacement(
         Given(
@@ -96,6 +98,8 @@ def calibrate_displacement(view: Recording, progress: Progress) -> DisplacementF
             learns_scale=view.learns_scale,
             noise_std_m=None if given is None else given * si_factor(section.unit or series.unit, "displacement", None),
             gives_zero=view.gives_zero,
+            gain_std=(own.scale_std or GAIN_TOLD) if own.estimate_scale else 0.0,
+            noise_time_s=section.noise_time_s,
         )
     )
 

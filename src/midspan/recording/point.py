@@ -19,11 +19,13 @@ from midspan.fusion.estimator import Estimator
 from midspan.fusion.model import EstimatorSettings
 from midspan.fusion.second_pass import Lag
 from midspan.fusion.streams import KalmanSettings
+from midspan.recording.band import tilt_std_m
 from midspan.recording.calibrate import usual_in_window
 from midspan.recording.kinds import ROWS
 from midspan.recording.streams.recording import Recording
-from midspan.recording.tracked import Eye, Side, known_sensors, offsets_of
+from midspan.recording.tracked import Eye, Side, gain_of, known_sensors, offsets_of
 from midspan.records import NANOSECONDS, ClockOffset
+from midspan.settings.stored.calibration import Calibration
 from midspan.signals.stamps import frames_used
 
 # The bias is known to no better than this many samples' noise, m/s², and this (a tilt of 0.006°); unknown: this.
@@ -35,7 +37,13 @@ def figures(side: Side, rate_hz: float) -> AxisFigures:
     known = side.calibration.usual or usual_in_window(side.recording)
     name = f"accelerometer ({side.recording.accelerometer.file})"
     own = side.calibration
-    return replace(known, noise_density=own.noise_density(rate_hz), motion_noise_s=own.motion_noise_s, name=name)
+    return replace(
+        known,
+        noise_density=own.noise_density(rate_hz),
+        motion_noise_s=own.motion_noise_s,
+        name=name,
+        gain=gain_of(side.recording, own),
+    )
 
 
 def bias_std(side: Side) -> float:
@@ -79,18 +87,31 @@ def zero_instant(main: Side, eyes: Sequence[Eye]) -> int | None:
     return min(firsts) if eyes[0].begins_dark else firsts[0]
 
 
-def estimator_settings(table: Table, sides: Sequence[Side], zero_ns: int | None) -> EstimatorSettings:
+def unseen_std_m(eyes: Sequence[Eye], axis: int) -> float:
+    """What the tilt of the cameras makes of the displacement along an axis, m: of several the most."""
+    settings = [(eye.view.settings.camera, eye.calibrations[axis]) for eye in eyes]
+    return max((tilt_std_m(camera, known) for camera, known in settings if camera is not None), default=0.0)
+
+
+def estimator_settings(table: Table, sides: Sequence[Side], eyes: Sequence[Eye]) -> EstimatorSettings:
     """What the estimator is given of a recording's axes and sensors."""
     return EstimatorSettings(
         channels=tuple(table.channels),
         axes=len(sides),
         parameters=tuple(table.parameters),
-        bias_m_s2=tuple(side.calibration.bias_m_s2 for side in sides),
+        bias_m_s2=tuple(side.calibration.bias_m_s2 / gain_of(side.recording, side.calibration) for side in sides),
         bias_std_m_s2=tuple(bias_std(side) for side in sides),
         bias_walk=max(bias_walk(side) for side in sides),
         motion=tuple(figures(side, 1.0).motion if side.recording.fused else (0.0, 0.0) for side in sides),
-        zero_ns=zero_ns,
+        zero_ns=zero_instant(sides[0], eyes),
+        unseen_std_m=tuple(unseen_std_m(eyes, axis) for axis in range(len(sides))),
     )
+
+
+def gain_std(recording: Recording, calibration: Calibration, *, given: bool) -> float:
+    """Relative standard deviation of the accelerometer's gain: as calibrated, and as the recording says of its own."""
+    known = calibration.accelerometer_scale_std
+    return max(known, recording.accelerometer.scale_std) if given else known
 
 
 def measuring_point(
@@ -105,8 +126,8 @@ def measuring_point(
 
     lag_s: rows are given out so much later, smoothed; noise_memory: measurements over which their noise is followed.
     """
-    main, table = sides[0], Table(given=given)
-    recording = main.recording
+    main, own = sides[0], sides[0].calibration
+    recording, table = main.recording, Table(given=given, gain_std=own.accelerometer_scale_std)
     moved_m = (main.calibration.usual or usual_in_window(recording)).moved_m
     sensors: dict[str, Sensor] = {}
     for number, eye in enumerate(eyes):
@@ -115,8 +136,11 @@ def measuring_point(
         )
     for view, known in known_sensors(main):
         sensors[view.sensor] = ROWS[view.kind].stage(table, view, known, moved_m=moved_m, first=not sensors)
+    section = recording.accelerometer
+    std = gain_std(recording, own, given=given)
+    table.gain(std, axes=len(sides), estimated=section.estimate_scale)
     offsets_ns = clock_offsets_ns(main, eyes)
-    settings = estimator_settings(table, sides, zero_instant(main, eyes))
+    settings = estimator_settings(table, sides, eyes)
     settings = settings if noise_memory is None else replace(settings, noise_memory=noise_memory)
     merge = Merge([ACCELEROMETER, *sensors], lateness_s=np.inf, silent_s=np.inf)
     for name in sensors:

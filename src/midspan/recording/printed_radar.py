@@ -6,12 +6,13 @@ takes part.
 
 import numpy as np
 
-from midspan.engine.channels import clock_std_s
+from midspan.engine.channels import clock_std_s, without_gain
 from midspan.engine.one_series import literal_warnings, run_on_series, with_uncertain
 from midspan.engine.printed_radar import Printed, printed_displacement
 from midspan.engine.radar_messages import radar_warnings
-from midspan.engine.row_messages import event_warnings, shares, unsupported_events
+from midspan.engine.row_messages import event_warnings, shares
 from midspan.engine.sensor_series import series_of
+from midspan.engine.support import Support
 from midspan.errors import UsageError
 from midspan.fusion.methods import METHODS, no_literal_form
 from midspan.fusion.streams import MethodSettings
@@ -20,6 +21,7 @@ from midspan.radar.frames import fetched
 from midspan.recording.calibrate import calibrate_and_track
 from midspan.recording.kinds import radar_part
 from midspan.recording.messages import channel_warnings, require_same_way
+from midspan.recording.point import gain_std
 from midspan.recording.result import Result
 from midspan.recording.streams.recording import Recording, naming
 from midspan.recording.tracked import side_of
@@ -64,11 +66,13 @@ def _fused(recording: Recording, calibration: Calibration, printed: Printed, met
     settings = MethodSettings(kalman=side.kalman, lag_s=fusion.lag_s, literal=True, forgetting=fusion.forgetting)
     done = run_on_series(side.acceleration, printed.measured, method, settings, rate_hz=side.prepared.rate_hz)
     # What ran away is as uncertain as it is large.
-    relative = float(np.hypot(known.relative_std, 1.0 if printed.ran_away else 0.0))
+    scale_std = without_gain(known.relative_std, calibration.accelerometer_scale_std)
+    gain = gain_std(recording, calibration, given=True)
+    relative = float(np.linalg.norm((scale_std, gain, 1.0 if printed.ran_away else 0.0)))
     zero_m2 = known.best.noise_m**2
     rows = with_uncertain(done.estimate, zero_m2, relative, clock_std_s(known.offset))
     rows = _measured_rows(rows, printed.measured)
-    alone = unsupported_events(rows)
+    _, alone = Support().over(rows)
     warnings = (
         *channel_warnings(recording, calibration),
         *event_warnings((*done.events, *alone)),

@@ -11,6 +11,7 @@ import numpy as np
 from midspan._version import __version__
 from midspan.engine.radar_trace import RadarTrace
 from midspan.engine.sensor_series import SensorSeries
+from midspan.recording.band import not_in_band
 from midspan.recording.camera_result import CameraResult
 from midspan.recording.second_axis import SecondAxis
 from midspan.recording.streams.recording import Recording
@@ -75,6 +76,11 @@ class Result:
         return next(iter(self.radars.values()), None)
 
     @property
+    def not_in_band(self) -> tuple[str, ...]:
+        """What the standard deviations do not contain, as nothing is given of it, in sentences."""
+        return not_in_band(self.settings, self.calibration)
+
+    @property
     def axis(self) -> str:
         """The image axis "x" or "y" that the main columns belong to; empty without a camera."""
         camera = self.calibration.first_camera
@@ -96,6 +102,7 @@ class Result:
             measured=self.across.measured,
             radars={},
             across=None,
+            zero_std_m=self.across.zero_std_m,
         )
 
     @property
@@ -148,6 +155,7 @@ class Result:
             "midspan": __version__,
             "method": self.method,
             "zero_std_mm": 1e3 * self.zero_std_m,
+            "not_in_band": list(self.not_in_band),
             **self._axes(),
             **self._sensors(),
             "settings": self.settings.model_dump(mode="json", exclude_none=True),
@@ -184,13 +192,16 @@ class Result:
                     "column": f"displacement_{second.axis}_mm",
                     "fused": second.fused,
                     "method": second.method,
+                    "zero_std_mm": 1e3 * second.zero_std_m,
                     "events": _events(second.events),
                 },
             }
         }
 
     def figures(self) -> dict[str, Any]:
-        """The figures a person asks for first: span, peaks, typical standard deviation, shares of each status."""
+        """The figures a person asks for first: span, peaks, typical standard deviation with its part that is the zero's
+        and common to all rows, and that of a row's own, shares of each status.
+        """
         d, rows = self.displacement_mm, self.estimate
         return {
             "rows": len(d),
@@ -200,6 +211,8 @@ class Result:
             "smallest_mm": float(d.min()),
             "rms_mm": float(np.sqrt(np.mean((d - d.mean()) ** 2))),
             "median_std_mm": float(np.median(self.displacement_std_mm)),
+            "zero_std_mm": 1e3 * self.zero_std_m,
+            "median_own_std_mm": 1e3 * float(np.sqrt(max(np.median(rows.variance_m2) - self.zero_std_m**2, 0.0))),
             "status": {s.word: float(np.mean(rows.status == s)) for s in Status},
             "source": {s.word: float(np.mean(rows.source == s)) for s in Source if np.any(rows.source == s)},
             **self._second_figures(),

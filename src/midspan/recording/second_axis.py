@@ -13,7 +13,7 @@ class SecondAxis:
     """Displacement along the second image axis at the rows of the first.
 
     fused: whether with an accelerometer; method: of the fusion; events: what the gate and the sensors did along it;
-    measured: what each sensor measured along it.
+    measured: what each sensor measured along it; zero_std_m: as of a result.
     """
 
     axis: str
@@ -23,6 +23,7 @@ class SecondAxis:
     innovation: Innovation
     events: tuple[Event, ...] = ()
     measured: tuple[SensorSeries, ...] = ()
+    zero_std_m: float = 0.0
 
     @property
     def displacement_mm(self) -> Floats:

@@ -1,7 +1,7 @@
 """The cameras of a calibrated recording: tracked to their end with one filter's predictions, each as a displacement."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from midspan.calibration.camera.one_displacement import filter_settings
@@ -78,7 +78,19 @@ def side_of(recording: Recording, calibration: Calibration) -> Side:
     prepared = recording.prepared if camera is None or camera.fused else still(recording.prepared)
     density = calibration.noise_density(prepared.rate_hz)
     kalman = filter_settings(prepared, density, calibration.bias_m_s2)
-    return Side(recording, calibration, prepared, prepared.with_noise(density, calibration.motion_noise_s), kalman)
+    acceleration = prepared.with_noise(density, calibration.motion_noise_s)
+    gain = gain_of(recording, calibration)
+    acceleration = replace(
+        acceleration,
+        value_m_s2=acceleration.value_m_s2 / gain,
+        noise_density=acceleration.noise_density / gain**2,
+    )
+    return Side(recording, calibration, prepared, acceleration, kalman)
+
+
+def gain_of(recording: Recording, calibration: Calibration) -> float:
+    """The accelerometer's gain that is taken out of its samples."""
+    return calibration.accelerometer_scale if recording.accelerometer.estimate_scale else 1.0
 
 
 def open_eyes(sides: Sequence[Side], tracking: CameraTracking | None, progress: Progress) -> tuple[Eye, ...]:

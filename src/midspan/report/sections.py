@@ -71,6 +71,8 @@ def displacement(material: Material) -> str:
         "displacement, so that the band can be seen."
     )
     pieces.append(page.figure(figures.zoom(material), "The liveliest seconds", caption))
+    if material.result.not_in_band:
+        pieces += [page.paragraph("The band does not contain:"), page.bullets(material.result.not_in_band, "plain")]
     return page.section("displacement", "Displacement", *pieces)
 
 

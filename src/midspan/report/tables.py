@@ -34,7 +34,11 @@ def summary(material: Material) -> list[Card]:
         ("Largest displacement", f"{f['largest_mm']:+.4g} mm", "along the accelerometer's axis"),
         ("Smallest displacement", f"{f['smallest_mm']:+.4g} mm", "same axis"),
         ("Motion", f"{f['rms_mm']:.4g} mm rms", f"{f['largest_mm'] - f['smallest_mm']:.4g} mm peak to peak"),
-        ("Typical band (95 %)", f"± {1.96 * f['median_std_mm']:.3g} mm", f"σ = {f['median_std_mm']:.3g} mm, median"),
+        (
+            "Typical band (95 %)",
+            f"± {1.96 * f['median_std_mm']:.3g} mm",
+            f"σ = {f['median_std_mm']:.3g} mm: zero {f['zero_std_mm']:.2g}, row {f['median_own_std_mm']:.2g}",
+        ),
         ("Span", duration(length_s), f"{f['rows']:,} rows at {rate_hz(material):.5g} Hz".replace(",", " ")),
         ("Tracking", percent(status["tracking"]), ", ".join(shares)),
     ]
@@ -79,6 +83,8 @@ def figures(material: Material) -> list[Row]:
         ("largest, smallest", f"{f['largest_mm']:.6g} mm, {f['smallest_mm']:.6g} mm"),
         ("rms about the mean", f"{f['rms_mm']:.6g} mm"),
         ("standard deviation, median", f"{f['median_std_mm']:.4g} mm"),
+        ("of it the zero's, common to all rows", f"{f['zero_std_mm']:.4g} mm"),
+        ("of it a row's own", f"{f['median_own_std_mm']:.4g} mm"),
         ("standard deviation, largest", f"{float(np.max(material.result.displacement_std_mm)):.4g} mm"),
         *((f"status {word}", percent(share)) for word, share in f["status"].items()),
     ]
@@ -119,12 +125,18 @@ def calibration(material: Material) -> list[Row]:
     for name, kind, sensor in found.sensors:
         rows += [(f"{name}: {label}", value) for label, value in CALIBRATED[kind](sensor)]
     rows += [
+        *_gain(found),
         ("accelerometer: noise", f"{1e3 * found.noise_std_m_s2:.4g} mm/s² per sample"),
         ("accelerometer: noise density per mean square of the motion", f"{found.motion_noise_s:.2g} s"),
         ("accelerometer: bias", _bias(found)),
         ("made", f"{found.created} by midspan {found.version}"),
     ]
     return rows
+
+
+def _gain(found: Calibration) -> list[Row]:
+    std = found.accelerometer_scale_std
+    return [("accelerometer: gain", f"{found.accelerometer_scale:.5g} ± {std:.2g}")] if std > 0.0 else []
 
 
 def _bias(found: Calibration) -> str:

@@ -274,6 +274,10 @@ class StoredDisplacement(StoredSensor):
 
     noise_std_mm: Noise
     resolution_m: Std | None = None
+    low_m: Annotated[Number, _null(-math.inf)] = -math.inf
+    high_m: NumberOrInf = math.inf
+    slow_std_mm: Std = 0.0
+    slow_time_s: StdOrInf = math.inf
     scale: Factor = 1.0
     scale_std: Std = 0.0
 

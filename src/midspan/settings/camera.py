@@ -94,6 +94,12 @@ class CameraSettings(Section):
     )
     exposure_s: Duration | None = Field(None, description="exposure time, s; its averaging is corrected")
     readout_s: Duration = Field(0.0, description="rolling shutter: seconds from first to last row")
+    tilt_std_mdeg: Annotated[float, IsNumber, limited(0.0, 1e5, "mdeg")] = Field(
+        0.0, description="standard deviation of the camera's own tilt, mdeg, in the band; 0: not in it"
+    )
+    distance_m: Annotated[float, IsNumber, limited(1e-3, 1e6, "m")] | None = Field(
+        None, description="from camera to target, for tilt_std_mdeg; left out: from lens and scale factor"
+    )
     tracker: Annotated[str, known(TRACKERS, "tracker")] = Field(DEFAULT_TRACKER, description="how the target is found")
     tracker_settings: dict[str, Any] = Field(
         default_factory=dict, description="settings of the tracker by name, see docs/methods.md; left out: its defaults"
@@ -120,6 +126,15 @@ class CameraSettings(Section):
         rois = [target.roi for target in self.target]
         if len(set(rois)) < len(rois):
             raise ValueError("must give each [[camera.target]] its own roi; two are the same")
+        return self
+
+    @model_validator(mode="after")
+    def _tilt_has_a_distance(self) -> "CameraSettings":
+        if self.tilt_std_mdeg > 0.0 and self.distance_m is None and self.lens is None:
+            raise ValueError(
+                "must have distance_m, the metres from camera to target, or a section lens with the focal length, "
+                "beside tilt_std_mdeg: what a tilt makes of the displacement grows with the distance"
+            )
         return self
 
     @model_validator(mode="after")

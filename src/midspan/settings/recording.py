@@ -27,7 +27,9 @@ class CalibrationSettings(Section):
     """How scale factor and clock offset are found."""
 
     window_s: Annotated[tuple[Time, Time] | None, AfterValidator(second_is_larger)] = Field(
-        None, description="start and end of the part used, s on the accelerometer's clock; left out: the first minute"
+        None,
+        description="start and end of the part used, s on the accelerometer's clock; left out: the first minute, of "
+        "[displacement] up to half an hour",
     )
     band_hz: Annotated[tuple[Frequency, Frequency] | None, AfterValidator(second_is_larger)] = Field(
         None,

@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from midspan.settings.fields import Carrier, FileName, IsNumber, Name, Noise, Rate, Section, Time, limited
+from midspan.settings.fields import Carrier, FileName, IsNumber, Name, Noise, NoiseTime, Rate, Section, Time, limited
 from midspan.settings.kinds import SensorName
 
 
@@ -30,6 +30,15 @@ class AccelerometerSettings(ChannelSettings):
     value_y: Name | None = Field(None, description="column along the image's y axis, with camera.direction = 'xy'")
     sensitivity: Annotated[float, IsNumber, limited(0.0, 1e6, "V per m/s²")] = Field(
         0.0, description="V per m/s², with unit = 'V'; 0: not used"
+    )
+    scale_std: Annotated[float, IsNumber, Field(ge=0, le=1)] = Field(
+        0.0,
+        description="relative standard deviation of its sensitivity, in the band through every scale; 0: not known",
+    )
+    estimate_scale: bool = Field(
+        True,
+        strict=True,
+        description="beside [displacement]: learn the accelerometer's gain and take it out; false: it is 1",
     )
 
     @model_validator(mode="after")
@@ -72,6 +81,11 @@ class DisplacementSettings(ChannelSettings):
     )
     estimate_scale: bool = Field(
         False, strict=True, description="learn and apply the scale, with its sign; false: the unit is taken as it is"
+    )
+    noise_time_s: NoiseTime | None = Field(
+        None,
+        description="correlation time of its slow error (GNSS), s; left out: learnt where the data tell it; longer "
+        "trusts its slow course less",
     )
 
 

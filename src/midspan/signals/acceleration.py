@@ -19,7 +19,7 @@ from midspan.records import (
     seconds,
 )
 from midspan.signals.bridging import GAP_STEPS, LONG_SHARE, LOWEST_HZ, missed_share, unknown_density
-from midspan.signals.health import Clock, Mask, bridged, clipped, clock, dominant_frequency, frozen, runs
+from midspan.signals.health import Clock, Mask, bridged, clipped, clock, dominant_frequency, frozen, lone_spikes, runs
 from midspan.signals.lively import mean_square
 from midspan.signals.stamps import inside, shown
 
@@ -103,10 +103,10 @@ def prepare_acceleration(series: TimeSeries, where: str) -> PreparedAcceleration
     Raises DataError when the channel is frozen, clipped or empty beyond what can be bridged.
     """
     usual = clock(series.time_ns, GAP_STEPS)
-    absent, still, held = _unusable(series)
+    absent, still, held, alone = _unusable(series)
     _refuse(where, still & ~absent, "frozen", (MOST_MISSING, "stands at one value"))
     _refuse(where, held, "clipped", (MOST_CLIPPED, "is held at the end of its range"))
-    missing = absent | still | held
+    missing = absent | still | held | alone
     _refuse(where, missing, "missing", (MOST_MISSING, "is not a number, frozen or clipped"))
     value = towards_mean(bridged(series.value, missing), missing, usual.rate_hz)
     density = _bridging_density(value, missing, usual)
@@ -130,15 +130,17 @@ def prepare_acceleration(series: TimeSeries, where: str) -> PreparedAcceleration
     return PreparedAcceleration(series.time_ns, value, density, missing, usual.rate_hz, tuple(events), tuple(warnings))
 
 
-def _unusable(series: TimeSeries) -> tuple[Mask, Mask, Mask]:
-    """Samples (n,) that are no numbers, frozen, clipped: each is one of them at most."""
-    still = frozen(series.value, clock(series.time_ns, GAP_STEPS).rate_hz)
-    return ~np.isfinite(series.value), still, clipped(series.value) & ~still
+def _unusable(series: TimeSeries) -> tuple[Mask, Mask, Mask, Mask]:
+    """Samples (n,) that are no numbers, frozen, clipped, spikes: each is one of them at most."""
+    alone = lone_spikes(series.value)
+    value = np.where(alone, np.nan, series.value)
+    still = frozen(value, clock(series.time_ns, GAP_STEPS).rate_hz)
+    return ~np.isfinite(series.value), still, clipped(value) & ~still, alone
 
 
 def unusable_samples(series: TimeSeries) -> list[str]:
-    """How many samples of a channel are no numbers, frozen or clipped, and where the longest block of them lies."""
-    kinds = ("are not numbers", "are frozen", "are clipped")
+    """How many samples of a channel are no numbers, frozen, clipped or spikes, and where the longest block lies."""
+    kinds = ("are not numbers", "are frozen", "are clipped", "are spikes far beyond all others")
     found = [(mask, what) for mask, what in zip(_unusable(series), kinds, strict=True) if mask.any()]
     return [
         f"{np.count_nonzero(mask)} samples ({100 * np.mean(mask):.2g} %) {what}{_longest_block(series.time_ns, mask)}"

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from midspan.records import NANOSECONDS, Floats, Nanoseconds
@@ -11,9 +12,20 @@ Mask = NDArray[np.bool_]
 
 # A step in time is a gap when it is longer than this many usual steps.
 GAP_STEPS = 1.5
-# Equal values count as frozen when they last this long and this many samples; quantisation alone repeats fewer.
-FROZEN_S = 1.0
-FROZEN_SAMPLES = 50
+# Equal values count as frozen where chance makes such a run less often than this: once in four months at 100 Hz. A run
+# of n neighbours that are equal has the chance pⁿ, p: the share of equal neighbours over the last EQUAL_MEMORY_S, which
+# holds some periods of a motion; at first a share that takes a second at 200 Hz.
+CHANCE = 1e-9
+EQUAL_MEMORY_S = 5.0
+EQUAL_AT_FIRST = 0.9
+# A run that ends with a step of at most so many of the smallest ones was rest or chance; what follows a freeze jumps.
+REST_STEPS = 1.5
+# One or two samples are a spike where they are so many times as far from the mean as the record's standard deviation,
+# and as the two samples on either side: a motion that is gone a sample later would be far above the Nyquist frequency,
+# and an impact rings.
+SPIKE, SPIKE_SAMPLES, BESIDE = 100.0, 2, 2
+# The end of the range is held for a shorter time than this by clipping, and longer by a frozen sensor.
+CLIPPED_S = 1.0
 # A structure at rest before or after the motion may give exactly equal values too: then at the channel's mean, within
 # this share of its standard deviation.
 REST_SHARE = 0.05
@@ -54,21 +66,78 @@ def runs(mask: Mask) -> NDArray[np.int64]:
     return edges.reshape(-1, 2)
 
 
-def frozen(value: Floats, rate_hz: float) -> Mask:
-    """Samples (n,) that belong to a stretch of exactly equal values of at least a second; a constant channel is all.
+@dataclass(frozen=True, slots=True)
+class EqualRuns:
+    """Runs of equal values: length (n,) of the run up to each sample, 0 for no number; frozen (n,): the length from
+    which on it counts as frozen; share (n,): of equal neighbours before the run.
+    """
 
-    A stretch at the channel's mean at either end of the record is rest, not frozen.
+    length: NDArray[np.int64]
+    frozen: NDArray[np.int64]
+    share: Floats
+
+
+def equal_runs(
+    value: Floats, rate_hz: float, resolution: float, before: tuple[float, int, float] = (np.nan, 0, EQUAL_AT_FIRST)
+) -> EqualRuns:
+    """Follow runs of equal values (n,) from `before`: the value, length and share of the sample before the first one.
+
+    resolution: the smallest step of values. Any cutting of the samples gives the same.
+    """
+    n = len(value)
+    found = EqualRuns(np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64), np.empty(n))
+    forget = 1.0 / max(EQUAL_MEMORY_S * rate_hz, 1.0)
+    _follow_runs(value, before, (forget, REST_STEPS * resolution), (found.length, found.frozen, found.share))
+    return found
+
+
+@njit(cache=True)
+def _follow_runs(value, before, rule, out):  # type: ignore[no-untyped-def]
+    last, length, share = before
+    forget, gentle = rule
+    lengths, limits, shares = out
+    limit = _by_chance(share, forget)
+    for k in range(len(value)):
+        if value[k] == last:
+            length += 1
+        else:
+            if length > 1 and (length < limit or abs(value[k] - last) <= gentle):
+                share = 1.0 - (1.0 - share) * (1.0 - forget) ** (length - 1)
+            length = 0 if np.isnan(value[k]) else 1
+            share *= 1.0 - forget
+            limit = _by_chance(share, forget)
+        last = value[k]
+        lengths[k], limits[k], shares[k] = length, limit, share
+
+
+@njit(cache=True)
+def _by_chance(share, least):  # type: ignore[no-untyped-def]
+    return 1 + int(np.ceil(np.log(CHANCE) / np.log(min(max(share, least), 1.0 - 1e-6))))
+
+
+def smallest_step(value: Floats) -> float:
+    """The smallest step between the values (n,) that occur; infinite where they all are one."""
+    return float(np.min(np.diff(np.unique(value[np.isfinite(value)])), initial=np.inf))
+
+
+def frozen(value: Floats, rate_hz: float) -> Mask:
+    """Samples (n,) that only repeat the one before, in a run that is longer than chance makes it; of a constant
+    channel all.
+
+    A run at the channel's mean at either end of the record is rest, not frozen. A run of less than a second at the
+    channel's largest or smallest value is left to `clipped`.
     """
     mask = np.zeros(len(value), dtype=bool)
-    if len(value) < 2:
-        return mask
-    # A record shorter than that may be frozen as a whole.
-    least = max(FROZEN_SAMPLES, min(round(FROZEN_S * rate_hz), len(value)))
-    stretches = runs(np.concatenate(([False], np.diff(value) == 0.0)))
-    for start, end in stretches[stretches[:, 1] - stretches[:, 0] + 1 >= least]:
+    if len(value) < 2 or bool(np.all(value == value[0])):
+        return ~mask if len(value) > 1 else mask
+    found = equal_runs(value, rate_hz, smallest_step(value))
+    at_limit = (value == np.fmax.reduce(value)) | (value == np.fmin.reduce(value))
+    least = np.where(at_limit, np.fmax(found.frozen, CLIPPED_S * rate_hz), found.frozen)
+    for start, end in runs(found.length > 1):
         at_edge = start == 1 or end == len(value)
-        if not (at_edge and _is_rest(value, start - 1, end)):
-            mask[start - 1 : end] = True
+        long = end - start + 1 >= least[start]
+        if long and not (at_edge and _is_rest(value, start - 1, end)):
+            mask[start:end] = True
     return mask
 
 
@@ -94,7 +163,7 @@ def clipped(value: Floats) -> Mask:
         for start, end in runs(value == level):
             if end - start < CLIPPED_RUN:
                 continue
-            resolution = resolution or float(np.min(np.diff(np.unique(finite)), initial=np.inf))
+            resolution = resolution or smallest_step(finite)
             mask[start:end] = overshoot(value, start, end) > CREST_STEPS * resolution
     return mask
 
@@ -105,6 +174,25 @@ def overshoot(value: Floats, start: int, end: int) -> float:
     after = abs(value[end + 1] - value[end]) if end + 1 < len(value) else np.inf
     slope = before + after if np.isfinite(before + after) else 2.0 * min(before, after)
     return float(0.25 * (end - start + 1) * 0.5 * slope)
+
+
+def spikes(value: Floats, mean: float, std: float) -> Mask:
+    """Samples (n,) that stand alone, `SPIKE` times as far from `mean` as `std` and as their neighbours."""
+    mask = np.zeros(len(value), dtype=bool)
+    apart = np.abs(value - mean)
+    for start, end in runs(apart > SPIKE * std):
+        beside = np.concatenate((apart[max(start - BESIDE, 0) : start], apart[end : end + BESIDE]))
+        mask[start:end] = end - start <= SPIKE_SAMPLES and not (SPIKE * beside > apart[start:end].min()).any()
+    return mask
+
+
+def lone_spikes(value: Floats) -> Mask:
+    """The spikes of a whole record (n,), by the standard deviation of all but a hundredth of it at either end."""
+    known = value[np.isfinite(value)]
+    if not len(known):
+        return np.zeros(len(value), dtype=bool)
+    usual = np.clip(known, *np.quantile(known, (0.01, 0.99)))
+    return spikes(value, float(np.mean(usual)), max(float(np.std(usual)), smallest_step(usual)))
 
 
 def bridged(value: Floats, missing: Mask) -> Floats:

@@ -1,9 +1,9 @@
-"""A slow sensor that repeats one value while the structure moves."""
+"""A slow sensor that repeats one value while the structure moves, or is held at the end of its range."""
 
 import numpy as np
 
 from midspan.records import Floats
-from midspan.signals.health import Mask, runs
+from midspan.signals.health import CLIPPED_RUN, CREST_STEPS, Mask, overshoot, runs
 
 # So many exactly equal values in a row are looked at.
 LEAST_EQUAL = 5
@@ -38,6 +38,25 @@ def stuck(time_s: Floats, value: Floats, samples: Floats, *, resolution_m: float
         if any(moved(time_s[held[a:b]], samples, least) for a, b in pieces):
             mask[held] = True
     return mask
+
+
+def range_limits(value: Floats) -> tuple[float, float]:
+    """The ends of the sensor's range, in the unit of the values (n,), where they are held there; ∓ infinite where not.
+
+    It is held at its smallest or largest value where that comes back, once at least for three values that the slopes
+    on both sides would have carried clearly beyond.
+    """
+    known = value[np.isfinite(value)]
+    limits = [-np.inf, np.inf]
+    if len(known) < LEAST_EQUAL:
+        return -np.inf, np.inf
+    clear = CREST_STEPS * resolution(known)
+    for side, level in enumerate((float(known.min()), float(known.max()))):
+        visits = [(int(a), int(b)) for a, b in runs(known == level) if a >= 2 and b + 1 < len(known)]
+        beyond = [b - a >= CLIPPED_RUN and overshoot(known, a, b) > clear for a, b in visits]
+        if len(visits) > 1 and any(beyond):
+            limits[side] = level
+    return limits[0], limits[1]
 
 
 def resolution(value: Floats) -> float:

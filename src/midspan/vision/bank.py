@@ -1,4 +1,4 @@
-"""A template's kernels for the phases that were last needed, and how much each block of it tells."""
+"""A template's kernels for the phases that were needed, and how much each block of it tells."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -9,11 +9,13 @@ from numba import njit
 from numpy.typing import NDArray
 
 from midspan.records import Floats, Region
+from midspan.vision.blocks import Mask
 from midspan.vision.fine_spline import FINE_TAPS, PER_PX, fine_weights, read, refined
-from midspan.vision.kernels import PHASES, Integers, block_part, build, phase_shift
+from midspan.vision.kernels import PHASES, Halves, Integers, block_part, build, phase_shift, rounded
 from midspan.vision.matching import CONTEXT_PX
 from midspan.vision.spline import Floats32
 from midspan.vision.texture import gaussian_taps, lowpass_taps, noise_gains, noise_std, values
+from midspan.vision.zncc import smooth as filtered
 
 # Blocks along each axis, and the least size in px for which there are fewer of them.
 COARSE, FINE = (5, 20), (8, 10)
@@ -22,7 +24,7 @@ TEMPLATE_WEIGHT = 4.0  # as measured on four textures: the least scatter
 SMOOTHINGS_PX = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.85, 1.0, 1.2, 1.4, 1.7, 2.0)
 LEAST_SMOOTHING_PX = 0.3
 TYPICAL_PX = 128  # of the window are looked at to choose the low-pass
-BANK_BYTES = 48 << 20  # of kernels in one bank: all 256 phases of a region of 128 px, 16 of one of 512 px
+BANK_BYTES = 24 << 20  # of kernels in one bank: all 64 phases of a region of 256 px, 16 of one of 512 px
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,10 +45,9 @@ class Store(NamedTuple):
 
     grids: fine coefficients (2 h + 7, 2 w + 7) of the template, plain and low-passed; weight (h, w); down, across:
     edges of the blocks; origin: row and column of the window in the reference; kernels (slots, 3 h w), in which each
-    block has slots of its own (see `project`); warp (blocks, slots, 2, 2): see `build`; slot_of (blocks, phases): where
-    a block's kernels of a phase are, -1: nowhere; phase_in, used (blocks, slots): what a slot holds, its last use;
-    clock (1,); centres (blocks, 2) from the window's middle, px; information (blocks, 2, 2) and gain_information
-    (blocks,): inverse variances.
+    block has slots of its own, and steps (blocks, slots, 3): see `project`; warp (blocks, slots, 2, 5): see `build`;
+    phase_in (blocks, slots): the phase whose kernels a slot holds, -1: none; centres (blocks, 2) from the window's
+    middle, px; information (blocks, 2, 2) and gain_information (blocks,): inverse variances.
     """
 
     grids: tuple[Floats32, Floats32]
@@ -54,12 +55,10 @@ class Store(NamedTuple):
     down: Integers
     across: Integers
     origin: Integers
-    kernels: Floats32
+    kernels: Halves
+    steps: Floats32
     warp: Floats
-    slot_of: Integers
     phase_in: Integers
-    used: Integers
-    clock: Integers
     centres: Floats
     information: Floats
     gain_information: Floats
@@ -73,25 +72,26 @@ def block_box(down: Integers, across: Integers, block: int) -> tuple[int, int, i
 
 
 @njit(cache=True)
-def slots(store: Store, phase: Integers) -> Integers:
-    """The slot (blocks,) that holds each block's kernels for its `phase` (blocks,).
+def slots(store: Store, phase: Integers, wanted: Mask) -> Integers:
+    """The slot (blocks,) that holds each block's kernels for its `phase` (blocks,), -1 for those not `wanted`.
 
-    Kernels that are not there are made, in place of those that have not been used for longest.
+    Each phase has one slot, which it shares with others where there are fewer slots than phases; kernels that are not
+    there are made, in place of those of another phase.
     """
-    out = np.empty(len(phase), dtype=np.int64)
-    store.clock[0] += 1
+    out = np.full(len(phase), -1, dtype=np.int64)
     for b in range(len(phase)):
-        slot = store.slot_of[b, phase[b]]
-        if slot < 0:
-            slot = store.used[b].argmin()
-            if store.phase_in[b, slot] >= 0:
-                store.slot_of[b, store.phase_in[b, slot]] = -1
+        if not wanted[b]:
+            continue
+        # Neighbouring phases, and those along either axis, have slots of their own where there are 8 of them.
+        x, y = divmod(phase[b], PHASES)
+        slot = (PHASES * x + (3 * x + y) % PHASES) % len(store.kernels)
+        if store.phase_in[b, slot] != phase[b]:
             box = block_box(store.down, store.across, b)
             first, size = block_part(box, store.weight.shape[1])
-            into = store.kernels[slot, 3 * first : 3 * (first + size)]
-            store.warp[b, slot] = build(store.grids, store.weight, box, phase_shift(phase[b]), into)
-            store.slot_of[b, phase[b]], store.phase_in[b, slot] = slot, phase[b]
-        store.used[b, slot] = store.clock[0]
+            made = np.empty(3 * size, dtype=np.float32)
+            store.warp[b, slot] = build(store.grids, store.weight, box, phase_shift(phase[b]), made)
+            store.steps[b, slot] = rounded(made, store.kernels[slot, 3 * first : 3 * (first + size)])
+            store.phase_in[b, slot] = phase[b]
         out[b] = slot
     return out
 
@@ -133,8 +133,7 @@ def make_bank(plane: Plane, window: Region, smoothing_px: float, division: tuple
     down, across = _edges(window.height, division), _edges(window.width, division)
     x, y = np.meshgrid(0.5 * (across[1:] + across[:-1] - window.width), 0.5 * (down[1:] + down[:-1] - window.height))
     count, size = x.size, window.height * window.width
-    held = int(np.clip(BANK_BYTES // (12 * size), 4, PHASES**2))
-    kernels = np.empty((held, 3 * size), dtype=np.float32)
+    held = int(np.clip(BANK_BYTES // (6 * size), 4, PHASES**2))
     boxes = [block_box(down, across, b) for b in range(count)]
     covariance = np.array([_covariance((grids[0], grids[1]), plane.weight, box) for box in boxes])
     noise = plane.noise_std**2 * noise_gains(smoothing_px)[1] * 2.0
@@ -147,12 +146,10 @@ def make_bank(plane: Plane, window: Region, smoothing_px: float, division: tuple
         down=down,
         across=across,
         origin=np.array([window.y, window.x], dtype=np.int64),
-        kernels=kernels,
-        warp=np.zeros((count, held, 2, 2)),
-        slot_of=np.full((count, PHASES**2), -1, dtype=np.int64),
+        kernels=np.empty((held, 3 * size), dtype=np.int16),
+        steps=np.ones((count, held, 3), dtype=np.float32),
+        warp=np.zeros((count, held, 2, 5)),
         phase_in=np.full((count, held), -1, dtype=np.int64),
-        used=np.zeros((count, held), dtype=np.int64),
-        clock=np.zeros(1, dtype=np.int64),
         centres=np.column_stack([x.ravel(), y.ravel()]),
         information=information,
         gain_information=np.where(information[:, 0, 0] > 0, 1.0 / np.maximum(spread, 1e-300), 0.0),
@@ -192,13 +189,10 @@ def _cropped(grid: Floats32, origin: tuple[int, int], size: tuple[int, int]) -> 
 
 def _lowpassed(grid: Floats32, smoothing_px: float) -> Floats32:
     """Coefficients of the image after `lowpass_taps`."""
-    from scipy.ndimage import convolve1d
-
     flat = np.zeros(PER_PX * 4 + 1)
     flat[::PER_PX] = lowpass_taps(0.0)
-    taps = np.convolve(gaussian_taps(PER_PX * smoothing_px), flat)
-    smooth = convolve1d(grid, taps, axis=0, mode="mirror")
-    return np.asarray(convolve1d(smooth, taps, axis=1, mode="mirror"), dtype=np.float32)
+    taps = np.convolve(gaussian_taps(PER_PX * smoothing_px), flat).astype(np.float32)
+    return filtered(np.pad(grid, len(taps) // 2, mode="reflect"), taps)
 
 
 def _block_noise(raw: Floats32) -> float:

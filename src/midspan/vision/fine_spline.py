@@ -16,13 +16,12 @@ FINE_TAPS = 2 * MARGIN + 1
 
 @njit(cache=True)
 def fine_weights(shift: float, derivative: int) -> Floats:
-    """Weights (9,) of the coefficients about a pixel for a point `shift` (-0.5 to 0.5 px) after it, or their first
-    derivative by it.
+    """Weights (9,) of the coefficients about a pixel for a point `shift` (-0.5 to 0.5 px) after it, or their first or
+    second derivative by it.
     """
     out = np.empty(FINE_TAPS)
     for j in range(FINE_TAPS):
-        value = quintic(j - MARGIN - PER_PX * shift, derivative)
-        out[j] = value if derivative == 0 else -PER_PX * value
+        out[j] = (-PER_PX) ** derivative * quintic(j - MARGIN - PER_PX * shift, derivative)
     return out
 
 
@@ -103,6 +102,21 @@ def planes(grid: Floats32, x: float, y: float) -> Floats32:
         _across(line, slope_x, out[1, r])
         _down(grid, PER_PX * r, slope_y, line)
         _across(line, wx, out[2, r])
+    return out
+
+
+@njit(cache=True)
+def curvatures(grid: Floats32, x: float, y: float) -> Floats32:
+    """Second derivatives along x, along x and y, and along y (3, rows, columns) of the image that `planes` gives."""
+    down, across = np.empty((3, FINE_TAPS), dtype=np.float32), np.empty((3, FINE_TAPS), dtype=np.float32)
+    for d in range(3):
+        down[d], across[d] = fine_weights(-y, d), fine_weights(-x, d)
+    rows, columns = _pixels(grid)
+    out, line = np.empty((3, rows, columns), dtype=np.float32), np.empty(grid.shape[1], dtype=np.float32)
+    for r in range(rows):
+        for d in range(3):
+            _down(grid, PER_PX * r, down[d], line)
+            _across(line, across[2 - d], out[d, r])
     return out
 
 

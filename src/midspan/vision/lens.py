@@ -134,7 +134,7 @@ def ideal_translation(found: PixelTranslation, region: Region, lens: Lens | None
     place, slope = straight(middle + np.array([found.x_px, found.y_px]), lens)
     x, y = (float(value) for value in place[0] - origin)
     if not math.isfinite(x + y):
-        return lost(found.time_ns, found.events)
+        return replace(lost(found.time_ns, found.events), unseen=found.unseen)
     variances = [
         [found.variance_x_px2, found.reference_variance_x_px2],
         [found.variance_y_px2, found.reference_variance_y_px2],

@@ -42,19 +42,21 @@ def is_dark(pixels: NDArray[Any]) -> bool:
     if pixels.dtype.kind == "f":
         return False
     scale = 255.0 if pixels.dtype.itemsize == 1 else 1023.0
-    if _mean(pixels) >= DARK_SHARE * scale:
+    if _adds_up(pixels, DARK_SHARE * scale * pixels.size):
         return False
     return float(np.percentile(pixels[::4, ::4], 99)) < 2.0 * DARK_SHARE * scale
 
 
 @njit(cache=True)
-def _mean(pixels: NDArray[np.generic]) -> float:
-    """The mean of whole numbers (rows, columns)."""
-    total = 0
+def _adds_up(pixels: NDArray[np.generic], total: float) -> bool:
+    """Whether whole numbers (rows, columns), none below 0, add up to a total; rows after that are not looked at."""
+    found = 0
     for r in range(pixels.shape[0]):
         for value in pixels[r]:
-            total += value
-    return total / pixels.size
+            found += value
+        if found >= total:
+            return True
+    return False
 
 
 @dataclass(frozen=True, slots=True)

@@ -157,7 +157,7 @@ def _informative(basis: Floats32) -> Floats32:
     for plane in basis[1:]:
         g = plane.astype(np.float64)
         g -= g.mean()
-        out.append(g - pixels * (np.vdot(pixels, g) / max(float(np.vdot(pixels, pixels)), 1e-300)))
+        out.append(g - pixels * (float(np.sum(pixels * g)) / max(float(np.sum(pixels * pixels)), 1e-300)))
     return np.stack(out).astype(np.float32)
 
 
@@ -170,7 +170,8 @@ def _moments(basis: Floats32) -> Floats:
 def _outer(gradient: Floats32) -> Floats:
     """Sum of g gᵀ (2, 2) over the window."""
     flat = gradient.reshape(2, -1).astype(np.float64)
-    return np.asarray(flat @ flat.T, dtype=np.float64)
+    # BLAS would start a thread for so little, which costs more than the sum.
+    return np.asarray(np.einsum("ik,jk->ij", flat, flat), dtype=np.float64)
 
 
 def _correlations(pixels: Floats32, fisher: Floats, noise_variance: float, share: float) -> tuple[float, float]:

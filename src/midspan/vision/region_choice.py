@@ -4,7 +4,7 @@ The picture alone cannot tell a fixed wall from a tree that fills half of the im
 through the first part of the calibration window, and what agrees with the accelerometer most sharply is taken.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,7 +14,6 @@ from midspan.errors import MidspanError
 from midspan.progress import Progress
 from midspan.records import NANOSECONDS, Frame, Nanoseconds, PixelTrack, PixelTranslation, Region
 from midspan.vision.candidates import Candidate
-from midspan.vision.frame_source import FrameSource
 from midspan.vision.roi import RegionChoice, RoiSettings, choose_region, further_places
 from midspan.vision.template import TemplateSettings, TemplateTracker
 
@@ -58,6 +57,8 @@ class Agreement:
 
 
 Judge = Callable[[PixelTrack], Agreement]
+Reader = Callable[[int, int], Iterable[Frame]]
+"""Gives the frames from one index up to another one, which is left out."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,22 +72,22 @@ class ChoiceRequest:
 
 
 def choose_targets(
-    source: FrameSource, time_ns: Nanoseconds, request: ChoiceRequest, progress: Progress, judge: Judge | None
+    read: Reader, time_ns: Nanoseconds, request: ChoiceRequest, progress: Progress, judge: Judge | None
 ) -> RegionChoice:
     """The regions to track, chosen from frames whose stamps from `request.first` on are `time_ns` (n,).
 
-    judge: what the accelerometer says of a place's track; left out, the picture alone decides. Raises DataError where
-    no place can be followed.
+    read: gives the frames. judge: what the accelerometer says of a place's track; left out, the picture alone decides.
+    Raises DataError where no place can be followed.
     """
     until = time_ns[0] + int(CHOICE_S * NANOSECONDS)
     count = max(int(np.searchsorted(time_ns, until, side="right")), min(len(time_ns), CHOICE_FRAMES))
     wanted = np.unique(np.linspace(0, count - 1, CHOICE_FRAMES).astype(int))
-    frames = list(_taken(source, request.first + wanted, progress, "choosing the region"))
+    frames = list(_taken(read, request.first + wanted, progress, "choosing the region"))
     choice = choose_region(frames, RoiSettings(direction=request.direction, regions=request.count))
     places = trial_places(choice.candidates)
     if judge is None or len(places) < 2:
         return choice
-    trial = _Trial(source, _trial_frames(time_ns, request), progress, judge)
+    trial = _Trial(read, _trial_frames(time_ns, request), progress, judge)
     found = trial.of([place.region for place in places])
     for _ in range(MORE_ROUNDS):
         fitting = _fitting(found)
@@ -170,7 +171,7 @@ def _told(
 class _Trial:
     """Places followed through chosen frames, and judged."""
 
-    source: FrameSource
+    read: Reader
     wanted: NDArray[np.int64]
     progress: Progress
     judge: Judge
@@ -180,9 +181,7 @@ class _Trial:
         trackers: list[TemplateTracker | None] = []
         rows: list[list[PixelTranslation]] = [[] for _ in regions]
         # One frame after the other: hundreds of large ones would not fit into memory.
-        for frame in (
-            _taken(self.source, self.wanted, self.progress, "trying the region's candidates") if regions else ()
-        ):
+        for frame in _taken(self.read, self.wanted, self.progress, "trying the region's candidates") if regions else ():
             trackers = trackers or [_opened(frame, region) for region in regions]
             for tracker, found in zip(trackers, rows, strict=True):
                 if tracker is not None:
@@ -208,10 +207,10 @@ def _opened(frame: Frame, region: Region) -> TemplateTracker | None:
         return None
 
 
-def _taken(source: FrameSource, wanted: NDArray[np.int64], progress: Progress, what: str) -> Iterator[Frame]:
+def _taken(read: Reader, wanted: NDArray[np.int64], progress: Progress, what: str) -> Iterator[Frame]:
     """The frames of these indices (m,), in their order."""
     chosen, first, last = set(wanted.tolist()), int(wanted[0]), int(wanted[-1]) + 1
-    for frame in source.frames(first, last):
+    for frame in read(first, last):
         progress(frame.index - first, last - first, what)
         if frame.index in chosen:
             yield frame

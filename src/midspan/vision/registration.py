@@ -1,6 +1,6 @@
 """Registration tracker: maximum-likelihood kernels in blocks, fused robustly into translation, roll and zoom.
 
-Each block of the window is multiplied by kernels made for the template at the nearest sixteenth of a pixel; that gives
+Each block of the window is multiplied by kernels made for the template at the nearest eighth of a pixel; that gives
 its translation in one step (see `midspan.vision.kernels`). The blocks are fused so that what covers, shades, turns or
 enlarges a part of the target does not move the result (see `midspan.vision.blocks`). Nothing of the frame is
 interpolated. The template is the reference frame at first; frames that show the target at other sub-pixel places make
@@ -22,7 +22,7 @@ from midspan.records import Floats, Frame, PixelTranslation, Prediction, Region,
 from midspan.vision.bank import COARSE, FINE, Plane, Store, best_smoothing_px, first_plane, make_bank
 from midspan.vision.climb import ALIKE, UNDISTURBED_SHARE, climb
 from midspan.vision.learning import PAD_PX, KeptSamples, learn_plane, sample
-from midspan.vision.matching import Fix, Matching, locate, make_template
+from midspan.vision.matching import Fix, locate
 from midspan.vision.region import check_size
 from midspan.vision.search import Span, fine_patch
 from midspan.vision.target import FULL_QUALITY, Motion, lost
@@ -141,7 +141,7 @@ class RegistrationTracker(Tracker):
         self._seed = TemplateTracker(
             reference, region, TemplateSettings(search_px=settings.search_px, min_correlation=SEED_CORRELATION)
         )
-        self._template = template = make_template(reference.pixels, region, Matching(0.0, SEED_CORRELATION))
+        template = self._seed.template
         self._window, self._offset = template.window, template.offset
         self._first = first_plane(reference.pixels, template.window, template.offset)
         self._state = RegistrationState(samples=self._begun())
@@ -287,7 +287,7 @@ class RegistrationTracker(Tracker):
 
     def _whole_at(self, image: NDArray[np.generic], offset: float, pose: Pose) -> Fix | None:
         """The peak of the template as a whole next to a pose of the blocks."""
-        template = self._template
+        template = self._seed.template
         x, y = (round(float(v)) for v in pose.value[:2])
         x, y = template.window.x + x, template.window.y + y
         rows, columns = image.shape

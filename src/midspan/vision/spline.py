@@ -49,18 +49,20 @@ def coefficients(image: Floats) -> Floats:
 def combine(grid: Floats32, wy: Floats, wx: Floats) -> Floats32:
     """Filter `grid` (rows + 6, columns + 6) with weights wy (7,) down and wx (7,) across: (rows, columns)."""
     rows, columns = grid.shape[0] - 2 * REACH, grid.shape[1] - 2 * REACH
-    out = np.zeros((rows, columns), dtype=np.float32)
-    line = np.empty(grid.shape[1], dtype=np.float32)
+    down, across = wy.astype(np.float32), wx.astype(np.float32)
+    out, line = np.empty((rows, columns), dtype=np.float32), np.empty(grid.shape[1], dtype=np.float32)
     for r in range(rows):
-        line[:] = np.float32(0.0)
-        for j in range(TAPS):
-            w = np.float32(wy[j])
-            for c in range(grid.shape[1]):
-                line[c] += w * grid[r + j, c]
-        for i in range(TAPS):
-            w = np.float32(wx[i])
-            for c in range(columns):
-                out[r, c] += w * line[c + i]
+        # Sums that are not stored in between: the compiler takes several pixels at once.
+        for c in range(len(line)):
+            total = np.float32(0.0)
+            for j in range(TAPS):
+                total += down[j] * grid[r + j, c]
+            line[c] = total
+        for c in range(columns):
+            total = np.float32(0.0)
+            for i in range(TAPS):
+                total += across[i] * line[c + i]
+            out[r, c] = total
     return out
 
 

@@ -73,15 +73,15 @@ class TemplateTracker(Tracker):
     def __init__(self, reference: Frame, region: Region, settings: TemplateSettings) -> None:
         self.settings = settings
         super().__init__(reference, region)
-        self._template = make_template(
+        self.template = make_template(
             reference.pixels, region, Matching(settings.smoothing_px, settings.min_correlation)
         )
-        self._state = TemplateState(correlation=self._template.expected_correlation)
+        self._state = TemplateState(correlation=self.template.expected_correlation)
 
     @property
     def expected_correlation(self) -> float:
         """The correlation of a frame with the template that the noise of both allows, 0 to 1."""
-        return self._template.expected_correlation
+        return self.template.expected_correlation
 
     def push(self, frame: Frame, prediction: Prediction | None = None) -> PixelTranslation:
         """Measure the translation (px) of the target in `frame`; LOST with NaN where it cannot be found."""
@@ -123,7 +123,7 @@ class TemplateTracker(Tracker):
     @cached_property
     def alternatives(self) -> Alternatives:
         """The places that look like the target in the reference frame."""
-        template = self._template
+        template = self.template
         least = max(MIN_LIKENESS * template.expected_correlation, template.threshold)
         return find_alternatives(
             self._reference.pixels, template.window, template.pixels, offset=template.offset, least=least
@@ -151,7 +151,7 @@ class TemplateTracker(Tracker):
 
     def _around(self, image: NDArray[np.generic], place: Floats) -> Fix | None:
         """The peak next to the target's `place` (2,) px, which is known to a decimated pixel."""
-        window, step = self._template.window, self._template.factor + 2
+        window, step = self.template.window, self.template.factor + 2
         return self._near(image, (window.x + round(float(place[0])), window.y + round(float(place[1]))), (step, step))
 
     def _reach(self, radius: tuple[int, int], predicted: bool) -> float:
@@ -166,7 +166,7 @@ class TemplateTracker(Tracker):
 
     def _expected(self, time_ns: int, prediction: Prediction | None) -> tuple[tuple[int, int], tuple[int, int]]:
         """Whole-pixel position of the window and the search radii: prediction ± (3 sigma + 2 px), at least 3 px."""
-        window = self._template.window
+        window = self.template.window
         radii = [0, 0]
         if prediction is not None and math.isfinite(prediction.x_px + prediction.y_px):
             sigmas = (prediction.std_x_px, prediction.std_y_px)
@@ -180,18 +180,18 @@ class TemplateTracker(Tracker):
     def _span(self) -> Span:
         """All positions where the window and the margin for smoothing lie inside the image."""
         rows, columns = self._reference.pixels.shape
-        window, margin = self._template.window, len(self._template.taps) // 2
+        window, margin = self.template.window, len(self.template.taps) // 2
         return Span(margin, columns - window.width - margin, margin, rows - window.height - margin)
 
     def _near(self, image: NDArray[np.generic], place: tuple[int, int], radius: tuple[int, int]) -> Fix | None:
         """The best peak within `radius` of `place`; a peak on the rim moves the search there, four times at most."""
-        template, whole = self._template, self._span()
+        template, whole = self.template, self._span()
         x, y = place
         for _ in range(5):
             span = whole.around(x, y, *radius)
             if span.empty:
                 return None
-            patch = fine_patch(image, span, template.pixels.shape, taps=self._template.taps, offset=template.offset)
+            patch = fine_patch(image, span, template.pixels.shape, taps=self.template.taps, offset=template.offset)
             if patch is None:
                 return None
             x, y, _ = best_position(patch, template.pixels)
@@ -204,7 +204,7 @@ class TemplateTracker(Tracker):
 
     def _far(self, image: NDArray[np.generic], place: tuple[int, int], reach: float, near: Fix | None) -> Fix | None:
         """The best of `near` and of the peaks of a decimated search up to `reach` px away."""
-        template = self._template
+        template = self.template
         span = self._span().around(*place, math.ceil(reach), math.ceil(reach))
         if span.empty:
             return near

@@ -44,7 +44,8 @@ class Given:
 
     series: its values as read; wanted_s: the largest clock offset looked for; learns_offset, learns_scale: whether
     these are applied; noise_std_m: of its values as read, None where it is not given; gives_zero: whether its zero is
-    that of the displacement.
+    that of the displacement; gain_std: how well the accelerometer's gain is known before, relative; 0: it is not
+    estimated; noise_time_s: correlation time of its slow error, None where it is not given.
     """
 
     prepared: PreparedAcceleration
@@ -54,6 +55,8 @@ class Given:
     learns_scale: bool = False
     noise_std_m: float | None = None
     gives_zero: bool = True
+    gain_std: float = 0.0
+    noise_time_s: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +95,7 @@ class _Beside:
         prepared, series, margin = self.given.prepared, self.series, round(margin_s * NANOSECONDS)
         last = self.last_ns if np.isinf(until_s) else min(self.last_ns, self.first_ns + round(until_s * NANOSECONDS))
         used = inside(series.time_ns, self.first_ns + margin, last - margin)
-        _refuse_poor_displacement(series, used)
+        _refuse_poor_displacement(self.given.series, series, used)
         window = inside(prepared.time_ns, self.first_ns - NANOSECONDS, last + NANOSECONDS)
         if window.stop - window.start < MIN_SAMPLES:
             raise DataError(
@@ -121,11 +124,19 @@ def learn(given: Given, series: TimeSeries) -> NoiseCalibration:
             one_clock=beside.one_clock,
             length_s=beside.overlap_s,
             look=lambda fit: notes.extend(_refuse_farther(beside, fit)),
+            noise_time_s=given.noise_time_s,
         )
         found = learnt.findings
         assert found is not None
     else:
-        learnt = calibrate_noise(pair, max_offset, one_clock=beside.one_clock, length_s=beside.overlap_s)
+        learnt = calibrate_noise(
+            pair,
+            max_offset,
+            one_clock=beside.one_clock,
+            length_s=beside.overlap_s,
+            gain_std=given.gain_std,
+            noise_time_s=given.noise_time_s,
+        )
         found = learnt.findings
         assert found is not None
         if found.search is not None and (not beside.one_clock or unexplained(found.pair, found.fit)):
@@ -267,16 +278,21 @@ def _speed(pair: Pair, factor: float, noise: float) -> float:
     return float(np.sqrt(max(float(np.mean(square)), 0.0)))
 
 
-def _refuse_poor_displacement(series: TimeSeries, used: slice) -> None:
-    value = series.value[used]
+def _refuse_poor_displacement(read: TimeSeries, series: TimeSeries, used: slice) -> None:
+    """DataError where too few values are left of those `read`, or all are one."""
+    value = read.value[used]
     known = value[np.isfinite(value)]
-    if len(known) < LEAST_MEASUREMENTS:
+    if len(known) >= LEAST_MEASUREMENTS and np.ptp(known) == 0.0:
         raise DataError(
-            f"displacement: {len(known)} measurements overlap the accelerometer; at least {LEAST_MEASUREMENTS} "
-            "are needed to learn its noise. Check its time column, gaps and unit."
-        )
-    if np.ptp(known) == 0.0:
-        raise DataError(
-            f"displacement ({series.name}): stands at one value, {1e3 * known[0]:g} mm, all the time. Check the "
+            f"displacement ({read.name}): stands at one value, {1e3 * known[0]:g} mm, all the time. Check the "
             "sensor, or choose another column with displacement.value."
         )
+    count = int(np.count_nonzero(np.isfinite(series.value[used])))
+    if count >= LEAST_MEASUREMENTS:
+        return
+    held = len(known) - count
+    frozen = f"; {held} more were left out as frozen: they repeat one value while the structure moves" if held else ""
+    raise DataError(
+        f"displacement: {count} measurements overlap the accelerometer{frozen}; at least {LEAST_MEASUREMENTS} "
+        "are needed to learn its noise. Check its time column, gaps and unit, and calibration.window_s."
+    )

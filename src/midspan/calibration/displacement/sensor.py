@@ -16,7 +16,7 @@ from midspan.records import NANOSECONDS, Event, TimeSeries, seconds
 from midspan.signals.acceleration import PreparedAcceleration
 from midspan.signals.health import Mask, runs
 from midspan.signals.stamps import shown
-from midspan.signals.stuck import resolution, stuck
+from midspan.signals.stuck import range_limits, resolution, stuck
 
 # A scale that was not learnt is told when it is off by this share and so many deviations, and refused beyond the second
 # share.
@@ -32,12 +32,17 @@ DisplacementFit = SensorFit[DisplacementCalibration, NoiseCalibration]
 
 def fit_displacement(given: Given) -> DisplacementFit:
     """Noise, clock offset and scale of the sensor, learnt beside the accelerometer, or a refusal."""
+    ends = range_limits(given.series.value)
+    held = (given.series.value <= ends[0]) | (given.series.value >= ends[1])
+    given = replace(given, series=without(given.series, held))
     learnt = _learnt(given)
     assert learnt.findings is not None
     part = displacement_part(given, learnt)
-    warnings = tuple(displacement_warnings(given, learnt, part))
+    low, high = sorted(learnt.factor * end for end in ends)
+    part = replace(part, low_m=low, high_m=high)
+    warnings = (*_range_warnings(part, held), *displacement_warnings(given, learnt, part))
     bias = bias_of(learnt.findings.pair, learnt.findings.fit)
-    return DisplacementFit(part, learnt.input_noise, bias, warnings, learnt)
+    return DisplacementFit(part, learnt.input_noise, bias, warnings, learnt, learnt.gain, learnt.gain_std)
 
 
 def _learnt(given: Given) -> NoiseCalibration:
@@ -69,11 +74,33 @@ def displacement_part(given: Given, learnt: NoiseCalibration) -> DisplacementCal
     # A scale that seems wrong is left as it is, and the error band holds both.
     scale_std = float(np.hypot(learnt.factor_std, abs(learnt.factor) * _scale_error(learnt)))
     step_m = resolution(learnt.factor * given.series.value)
-    return DisplacementCalibration(std, learnt.offset, learnt.factor, scale_std, resolution_m=step_m)
+    return DisplacementCalibration(
+        std,
+        learnt.offset,
+        learnt.factor,
+        scale_std,
+        resolution_m=step_m,
+        slow_std_m=learnt.slow_std_m,
+        slow_time_s=learnt.slow_time_s,
+    )
+
+
+def _range_warnings(part: DisplacementCalibration, held: Mask) -> list[str]:
+    """A sentence where values (`held` (n,)) are held at the end of the sensor's range."""
+    if not held.any():
+        return []
+    ends = " and ".join(f"{1e3 * end:.6g} mm" for end in (part.low_m, part.high_m) if np.isfinite(end))
+    return [
+        f"displacement: {np.count_nonzero(held)} values are held at {ends}, the end of its range (clipped); they were "
+        "left out. Check the sensor's range."
+    ]
 
 
 def _scale_error(learnt: NoiseCalibration) -> float:
     """By how much a scale that was not learnt seems wrong, as a share; 0 where it may be right."""
+    if learnt.gain_std > 0.0:
+        # It is the accelerometer's gain.
+        return 0.0
     uncertain = CERTAIN * learnt.scale_std + 0.5 * learnt.noise_share
     if learnt.noise_share > MOST_NOISE or not abs(learnt.scale - 1.0) > max(TOLD, uncertain):
         return 0.0
@@ -91,6 +118,12 @@ def displacement_warnings(given: Given, learnt: NoiseCalibration, part: Displace
             "displacement: its clock seems to differ from the accelerometer's by "
             f"{1e3 * np.sqrt(learnt.offset.variance):.3g} ms. Set "
             "displacement.estimate_offset = true to have the offset learnt and applied."
+        )
+    if learnt.gain_std > 0.0 and abs(learnt.gain - 1.0) > max(TOLD, CERTAIN * learnt.gain_std):
+        found.append(
+            f"displacement: relative to it the accelerometer has a gain of {learnt.gain:.4g} ± {learnt.gain_std:.2g}, "
+            "which is taken out. Check accelerometer.unit and accelerometer.sensitivity, and that both sensors measure "
+            "the same axis; accelerometer.estimate_scale = false leaves it as it is."
         )
     if _scale_error(learnt) == 0.0:
         return found

@@ -1,7 +1,7 @@
 """The camera's part of a calibration: scale factor, clock offset, region and noise, target by target."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from midspan.calibration.scale import ScaleCalibration
 from midspan.calibration.sensors.camera_scale import CameraScale
@@ -71,6 +71,22 @@ class CameraCalibration:
         if self.relative_scale_std is not None:
             return self.relative_scale_std
         return math.sqrt(self.scale.variance) / abs(self.scale.value_m_per_px)
+
+    def without_gain(self, gain: float, std: float) -> "CameraCalibration":
+        """The same in metres: the scale was learnt from an accelerometer of this gain and relative deviation."""
+
+        def metres(scale: ScaleFactor) -> ScaleFactor:
+            return ScaleFactor(scale.value_m_per_px / gain, scale.variance / gain**2).wider(std)
+
+        phase = self.phase_scale_m_per_rad
+        known = (one if one.scale is None else replace(one, scale=metres(one.scale)) for one in self.targets)
+        return replace(
+            self,
+            scale=metres(self.scale),
+            phase_scale_m_per_rad=None if phase is None else phase / gain,
+            targets=tuple(known),
+            relative_scale_std=math.hypot(self.relative_std, std),
+        )
 
     def mappings(self) -> tuple[CameraScale, ...]:
         """What turns the pixels of each used target into metres."""

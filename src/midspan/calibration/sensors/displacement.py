@@ -1,6 +1,7 @@
 """A displacement sensor's part of a calibration: its noise, its clock offset, and its scale where that was learnt."""
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 from midspan.records import Source, TimeOffset
 
@@ -11,7 +12,9 @@ class DisplacementCalibration:
 
     scale: displacement in one unit read, which is 1 for a sensor of known unit; scale_std: its standard deviation, 0
     where it was not learnt; name: where there are several of these sensors. resolution_m: what its values, scaled, are
-    rounded to; None where that is not known.
+    rounded to; None where that is not known. low_m, high_m: the ends of its range, scaled, where it was held
+    there: such values are left out. slow_std_m, slow_time_s: standard deviation and correlation time of its slow error
+    (first-order Gauss-Markov).
     """
 
     noise_std_m: float
@@ -20,6 +23,10 @@ class DisplacementCalibration:
     scale_std: float = 0.0
     name: str | None = None
     resolution_m: float | None = None
+    low_m: float = -math.inf
+    high_m: float = math.inf
+    slow_std_m: float = 0.0
+    slow_time_s: float = math.inf
 
     @property
     def kind(self) -> str:
@@ -30,3 +37,18 @@ class DisplacementCalibration:
     def relative_std(self) -> float:
         """Relative standard deviation of the scale."""
         return self.scale_std / abs(self.scale)
+
+    def without_gain(self, gain: float, std: float) -> "DisplacementCalibration":
+        """The same in metres: a scale that was learnt is from an accelerometer of this gain and relative deviation."""
+        if self.scale == 1.0:
+            return self
+        own = self.scale / gain
+        return replace(
+            self,
+            scale=own,
+            scale_std=math.hypot(self.scale_std / gain, std * own),
+            noise_std_m=self.noise_std_m / gain,
+            slow_std_m=self.slow_std_m / gain,
+            low_m=self.low_m / gain,
+            high_m=self.high_m / gain,
+        )

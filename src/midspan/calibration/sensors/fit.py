@@ -16,7 +16,8 @@ class SensorFit(Generic[Calibrated, Diagnostics]):
     """What was learnt of a sensor, of a camera along one axis.
 
     input_noise: of the acceleration; without an accelerometer the motion's own. bias: of the accelerometer, None
-    without one. diagnostics: what the values rest on, None where the calibration holds it.
+    without one. diagnostics: what the values rest on, None where the calibration holds it. gain,
+    gain_std: of the accelerometer relative to the sensor, 0 where that does not tell it.
     """
 
     calibration: Calibrated
@@ -24,3 +25,5 @@ class SensorFit(Generic[Calibrated, Diagnostics]):
     bias: Bias | None = None
     warnings: tuple[str, ...] = ()
     diagnostics: Diagnostics | None = None
+    gain: float = 1.0
+    gain_std: float = 0.0

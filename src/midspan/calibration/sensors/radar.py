@@ -1,6 +1,7 @@
 """The radar's part of a calibration: which fixed targets are used, their conversion factors, one clock offset."""
 
-from dataclasses import dataclass, field
+import math
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,3 +72,14 @@ class RadarCalibration:
     def best(self) -> Target:
         """The target that gives the zero."""
         return self.used[0]
+
+    def without_gain(self, gain: float, std: float) -> "RadarCalibration":
+        """The same in metres: the factors were learnt from an accelerometer of this gain and relative deviation."""
+
+        def metres(item: RadarTarget) -> RadarTarget:
+            own = item.target.conversion_factor / gain
+            spread = math.hypot(item.target.conversion_factor_std / gain, std * own)
+            return replace(item, target=replace(item.target, conversion_factor=own, conversion_factor_std=spread))
+
+        targets = tuple(metres(item) for item in self.targets)
+        return replace(self, targets=targets, relative_std=math.hypot(self.relative_std, std))

@@ -1,11 +1,13 @@
 """Where the streams of a recording overlap, and the part of it that it is calibrated on."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from midspan.calibration.measured import LEAST_MEASUREMENTS
 from midspan.errors import DataError, UsageError
 from midspan.recording.streams.recording import Recording
-from midspan.records import NANOSECONDS, Nanoseconds
+from midspan.records import NANOSECONDS, Nanoseconds, TimeSeries
 from midspan.signals.stamps import inside, shown
 
 # Two streams share enough when it lasts this long, or holds this many steps of the slower one: a high-speed camera
@@ -37,6 +39,23 @@ def window_ends(recording: Recording) -> tuple[int, int]:
     """First and last stamp (ns) of the calibration window."""
     window, time_ns = calibration_window(recording), recording.prepared.time_ns
     return int(time_ns[window.start]), int(time_ns[window.stop - 1])
+
+
+def within_window(recording: Recording, series: TimeSeries) -> TimeSeries:
+    """The values of a displacement sensor that it is calibrated on: all, where calibration.window_s is left out."""
+    wanted = recording.settings.calibration.window_s
+    if wanted is None:
+        return series
+    time_ns = series.time_ns
+    window = inside(time_ns, round(wanted[0] * NANOSECONDS), round(wanted[1] * NANOSECONDS))
+    count = int(np.count_nonzero(np.isfinite(series.value[window])))
+    if count < LEAST_MEASUREMENTS:
+        raise UsageError(
+            f"{recording.file}: calibration.window_s = {list(wanted)}: must hold at least {LEAST_MEASUREMENTS} values "
+            f"of [{recording.sensor}], which runs from {shown(int(time_ns[0]))} to {shown(int(time_ns[-1]))}; received "
+            f"{count}. Widen it, or leave it out: then up to half an hour is used."
+        )
+    return replace(series, time_ns=time_ns[window], value=series.value[window])
 
 
 def require_overlap(acceleration_ns: Nanoseconds, other_ns: Nanoseconds, section: str) -> None:

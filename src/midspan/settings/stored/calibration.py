@@ -3,7 +3,7 @@
 import json
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -52,7 +52,8 @@ class Calibration:
     mean square of the acceleration (m²/s⁴); bias_m_s2, bias_std_m_s2: the accelerometer's bias at
     the end of the window and its standard deviation, infinite where that is not known. camera, infrared, radar,
     displacement: the first sensor of each kind; others: further ones, each with its name. accelerometer_scale: gain of
-    the accelerometer relative to a displacement sensor, 1 where it cannot be learnt, with its standard deviation.
+    the accelerometer relative to a displacement sensor, 1 where it cannot be learnt, with its standard deviation, which
+    then is that of its sensitivity as given; it is in the scales' standard deviations.
     across: the same along the second image axis, with camera.direction = "xy"; where that has no accelerometer, the
     noise is the motion's own acceleration. left_out: the second axis "x" or "y" where nothing could be learnt of it,
     else empty. usual: what is usual of the acceleration, None where the file does not tell it.
@@ -120,6 +121,10 @@ class Calibration:
     def noise_density(self, rate_hz: float) -> float:
         """Two-sided density of the acceleration's noise, (m/s²)²/Hz, at the accelerometer's rate."""
         return self.noise_std_m_s2**2 / rate_hz
+
+    def without_gain(self, gain: float, std: float) -> "Calibration":
+        """The same in metres: scales were learnt from an accelerometer of this gain and relative deviation."""
+        return replace(self, **placed([one.without_gain(gain, std) for _, _, one in self.sensors]))
 
     def to_dict(self) -> dict[str, Any]:
         """The contents of `calibration.json`: mm, px, s and m/s²; of a kind with several sensors a list."""

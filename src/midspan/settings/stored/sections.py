@@ -84,8 +84,10 @@ def radar_tree(radar: RadarCalibration) -> dict[str, Any]:
 def displacement_tree(sensor: DisplacementCalibration) -> dict[str, Any]:
     """The section of a displacement sensor."""
     scale = {"scale": sensor.scale, "scale_std": sensor.scale_std} if sensor.scale_std > 0.0 else {}
-    resolution = _known({"resolution_m": sensor.resolution_m})
-    return _sensor_tree(sensor) | {"noise_std_mm": MM * sensor.noise_std_m} | resolution | scale
+    ends = {"low_m": finite_or_none(sensor.low_m), "high_m": finite_or_none(sensor.high_m)}
+    resolution = _known({"resolution_m": sensor.resolution_m, **ends})
+    slow = {"slow_std_mm": MM * sensor.slow_std_m, "slow_time_s": sensor.slow_time_s} if sensor.slow_std_m > 0.0 else {}
+    return _sensor_tree(sensor) | {"noise_std_mm": MM * sensor.noise_std_m} | slow | resolution | scale
 
 
 def usual_tree(usual: AxisFigures) -> dict[str, float | None]:
@@ -142,7 +144,8 @@ def radar_of(part: StoredRadar) -> RadarCalibration:
 
 def displacement_of(part: StoredDisplacement) -> DisplacementCalibration:
     """The displacement sensor."""
-    return DisplacementCalibration(noise_std_m=part.noise_std_mm / MM, **_same(DisplacementCalibration, part))
+    white_m, slow_m = part.noise_std_mm / MM, part.slow_std_mm / MM
+    return DisplacementCalibration(noise_std_m=white_m, slow_std_m=slow_m, **_same(DisplacementCalibration, part))
 
 
 def _same(record: type, part: Stored) -> dict[str, Any]:

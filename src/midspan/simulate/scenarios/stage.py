@@ -24,7 +24,7 @@ class CameraSetup:
 
     `start_s` is the time of the first frame on the camera's clock; true time = that clock + `time_offset_s`.
     Frames in `dropped` are absent from the file, those in `black` are dark. `panels` are parts at other distances;
-    `targets` (name, region) are written as [[camera.target]].
+    `targets` (name, region) are written as [[camera.target]]. `says_exposure`: whether the settings state the exposure.
     """
 
     rate_hz: float = 10.0
@@ -42,6 +42,7 @@ class CameraSetup:
     black: tuple[Span, ...] = ()
     panels: Callable[[np.random.Generator], tuple[Panel, ...]] | None = None
     targets: tuple[tuple[str, Region], ...] = ()
+    says_exposure: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,21 +81,26 @@ class Scenario:
 
 @dataclass(frozen=True, slots=True)
 class Stage:
-    """A scenario with its seed: the motion and the generators of what remains random."""
+    """A scenario with its seed: the motion and the generators of what remains random.
+
+    sensed: the motion as the sensors meet it, which is the true one until something is broken.
+    """
 
     scenario: Scenario
     motion: Motion
+    sensed: Motion
     accelerometer: AccelerometerModel
     rng_accelerometer: np.random.Generator
     rng_scene: np.random.Generator
     rng_sensor: np.random.Generator
     rng_across: np.random.Generator
     rng_radar: np.random.Generator
+    rng_breaks: np.random.Generator
     across: Motion | None = None
 
     def acceleration(self) -> TimeSeries:
         """Acceleration in m/s² as stored, with its gaps; NaN where no number is written."""
-        whole = self.accelerometer.measure(self.motion, (0.0, self.scenario.duration_s), rng=self.rng_accelerometer)
+        whole = self.accelerometer.measure(self.sensed, (0.0, self.scenario.duration_s), rng=self.rng_accelerometer)
         return with_gaps(whole, absent=self.scenario.absent, unread=self.scenario.unread)
 
     def acceleration_across(self) -> TimeSeries:
@@ -127,16 +133,16 @@ class Stage:
 
     def displacement(self, setup: GnssSetup) -> TimeSeries:
         """Displacement in m as stored, with its gaps; NaN where no number is written."""
-        whole = setup.sensor.measure(self.motion, (0.0, self.scenario.duration_s), rng=self.rng_sensor)
+        whole = setup.sensor.measure(self.sensed, (0.0, self.scenario.duration_s), rng=self.rng_sensor)
         return with_gaps(whole, absent=setup.absent, unread=setup.unread)
 
     def radar_run(self, setup: RadarSetup) -> RadarRun:
         """The radar on the moving structure."""
-        return RadarRun(setup, self.motion, self.scenario.duration_s, self.rng_radar)
+        return RadarRun(setup, self.sensed, self.scenario.duration_s, self.rng_radar)
 
     def day_run(self, setup: DaySetup) -> DayRun:
         """A camera and a thermal camera on the moving structure, by day and by night."""
-        return DayRun(setup, self.motion, self.scenario.duration_s, self.rng_sensor)
+        return DayRun(setup, self.sensed, self.scenario.duration_s, self.rng_sensor)
 
     def zero_m(self, motion: Motion | None = None) -> float:
         """The true displacement in m at the zero of the results: the first frame, else the sensor's own zero."""
@@ -166,7 +172,7 @@ class Stage:
 def stage(scenario: Scenario, seed: int) -> Stage:
     """The scenario with everything random drawn from `seed`; the same seed gives the same recording."""
     rng_motion, rng_accelerometer, rng_scene, rng_sensor, rng_other = np.random.default_rng(seed).spawn(5)
-    rng_across, rng_motion_across, rng_radar = rng_other.spawn(3)
+    rng_across, rng_motion_across, rng_radar, rng_breaks = rng_other.spawn(4)
     motion = scenario.motion(rng_motion)
     accelerometer = scenario.accelerometer
     if scenario.snr_db is not None:
@@ -174,8 +180,8 @@ def stage(scenario: Scenario, seed: int) -> Stage:
         noise = noise_std_for(motion.acceleration(time), scenario.snr_db)
         accelerometer = replace(accelerometer, noise_std_m_s2=noise)
     across = None if scenario.across is None else scenario.across(rng_motion_across)
-    generators = (rng_accelerometer, rng_scene, rng_sensor, rng_across, rng_radar)
-    return Stage(scenario, motion, accelerometer, *generators, across)
+    generators = (rng_accelerometer, rng_scene, rng_sensor, rng_across, rng_radar, rng_breaks)
+    return Stage(scenario, motion, motion, accelerometer, *generators, across)
 
 
 def pixel_bound(scenario: Scenario, region: Region | None = None, *, seed: int = 0) -> tuple[float, float]:

@@ -1,7 +1,7 @@
 """How the recording of a scenario is written: each sensor's file, the truth, and what an estimate should find."""
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +10,7 @@ import numpy as np
 from midspan.checks import option
 from midspan.records import Floats
 from midspan.simulate.files.folder import MARK, check_free, exact_in_video, whole_folder, write_table, write_video
+from midspan.simulate.scenarios.breaks import broken
 from midspan.simulate.scenarios.stage import CameraSetup, GnssSetup, Stage, stage, within
 from midspan.simulate.scenarios.table import SCENARIOS
 from midspan.simulate.scene.camera import Pixels, cramer_rao_std_px
@@ -17,17 +18,20 @@ from midspan.simulate.scene.camera import Pixels, cramer_rao_std_px
 Progress = Callable[[int, int], None]
 
 
-def write(name: str, folder: str | Path, *, seed: int = 0, progress: Progress | None = None) -> Path:
+def write(
+    name: str, folder: str | Path, *, seed: int = 0, breaks: Sequence[str] = (), progress: Progress | None = None
+) -> Path:
     """Write the recording of scenario `name`, one of NAMES, into `folder`, and return the folder.
 
     It holds recording.toml, accel.csv, the other sensors' files, truth.csv (accelerometer's clock; zero at the first
-    frame) and known.json (what an estimate should find). The same `seed` gives the same files. `progress` is called
-    with frames done and frames in all. Raises UsageError for an unknown name, or a folder with other content.
+    frame) and known.json (what an estimate should find). The same `seed` gives the same files. `breaks`: names of
+    BREAKS, ways in which the sensors leave the model; the truth stays. `progress` is called with frames done and frames
+    in all. Raises UsageError for an unknown name, a break that does not fit, or a folder with other content.
     """
     option("scenario", name, SCENARIOS)
     target = Path(folder).resolve()
     check_free(target)
-    staged = stage(SCENARIOS[name], seed)
+    staged, drawn = broken(stage(SCENARIOS[name], seed), name, breaks, SCENARIOS)
     with whole_folder(target) as partial:
         _write_acceleration(partial, staged)
         known = {
@@ -36,6 +40,8 @@ def write(name: str, folder: str | Path, *, seed: int = 0, progress: Progress | 
             "seed": seed,
             "accelerometer": _known_noise(staged),
         }
+        if drawn:
+            known["broken"] = drawn
         if staged.scenario.camera is not None:
             known["camera"] = _write_camera(
                 partial, staged, staged.scenario.camera, progress or (lambda done, total: None)
@@ -97,7 +103,7 @@ def _write_camera(folder: Path, staged: Stage, setup: CameraSetup, progress: Pro
     stamps = staged.frame_stamps_s(setup)
     view = staged.view(setup)
     true_times = stamps + setup.time_offset_s
-    frames = darkened(view.film(staged.motion, true_times, rng=staged.rng_sensor), within(true_times, setup.black))
+    frames = darkened(view.film(staged.sensed, true_times, rng=staged.rng_sensor), within(true_times, setup.black))
     write_video(
         folder / "camera.mkv",
         frames,
@@ -150,7 +156,9 @@ def _camera_settings(setup: CameraSetup, stamps_s: Floats) -> dict[str, Any]:
     settings: dict[str, Any] = {"file": "camera.mkv"}
     if not exact_in_video(stamps_s):
         settings["times"] = "camera_times.csv"
-    settings |= {"rate_hz": setup.rate_hz, "direction": setup.direction, "exposure_s": setup.camera.exposure_s}
+    settings |= {"rate_hz": setup.rate_hz, "direction": setup.direction}
+    if setup.says_exposure:
+        settings["exposure_s"] = setup.camera.exposure_s
     if setup.every > 1:
         settings["every"] = setup.every
     if setup.camera.readout_s > 0:

@@ -1,0 +1,249 @@
+"""What `midspan simulate --break` breaks: a recording that no longer obeys the model, beside the truth that stays."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from midspan.checks import option
+from midspan.errors import UsageError
+from midspan.records import Floats
+from midspan.simulate.motion.motion import Motion, random_motion
+from midspan.simulate.scenarios.stage import Scenario, Stage
+
+Signal = Callable[[Floats], Floats]  # of times (n,) in s
+Facts = dict[str, float]  # what a break drew, as known.json says it
+Change = Callable[[Stage, np.random.Generator], tuple[Stage, Facts]]
+
+GRAVITY_M_S2 = 9.80665
+# The slope at the top of a cantilever in its first mode over its displacement there, times its height.
+CANTILEVER_SLOPE = 1.38
+VIEW_DISTANCE_M = 10.0
+# Steps at which the logger's analogue filter is run: 40 times its highest corner, where the bilinear transform bends
+# frequencies by (pi f / rate)^2 / 3 = 0.2 %, and by nothing at the corner itself.
+FILTER_HZ = 500.0
+ROWS_AT_A_TIME = 20_000
+NOISE_HZ = 10.0  # steps of a sensor's own error; no scenario's slow sensor is faster
+LEANING = ("building", "radar-tall-building")
+AT_REST = ("no-excitation",)
+
+
+@dataclass(frozen=True, slots=True)
+class Sensed:
+    """A motion as broken sensors meet it: the accelerometer `felt` (m/s²), every other sensor `seen` (m)."""
+
+    motion: Motion
+    felt: Signal
+    seen: Signal
+
+    def displacement(self, time_s: Floats) -> Floats:
+        """What the other sensors meet (n,) in m at times (n,) in s."""
+        return self.seen(np.asarray(time_s, dtype=np.float64))
+
+    def velocity(self, time_s: Floats) -> Floats:
+        """True velocity (n,) in m/s at times (n,) in s."""
+        return self.motion.velocity(time_s)
+
+    def acceleration(self, time_s: Floats) -> Floats:
+        """What the accelerometer meets (n,) in m/s² at times (n,) in s."""
+        return self.felt(np.asarray(time_s, dtype=np.float64))
+
+
+@dataclass(frozen=True, slots=True)
+class Break:
+    """A way to break a recording: one line on what it does, the scenarios that it fits, and the change itself."""
+
+    line: str
+    fits: Callable[[str, Scenario], bool]
+    change: Change
+
+
+def _felt(staged: Stage, felt: Signal) -> Stage:
+    return replace(staged, sensed=Sensed(staged.motion, felt, staged.sensed.displacement))
+
+
+def _seen(staged: Stage, added_m: Signal) -> Stage:
+    before = staged.sensed.displacement
+    changed = Sensed(staged.motion, staged.sensed.acceleration, lambda t: before(t) + added_m(t))
+    return replace(staged, sensed=changed)
+
+
+def _instants(staged: Stage, rate_hz: float) -> Floats:
+    count = int(staged.scenario.duration_s * rate_hz)
+    return np.arange(count + 1) / rate_hz
+
+
+def tilt(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
+    """The structure leans by slope × displacement: gravity reaches the accelerometer; a camera tilts slowly besides."""
+    slope = CANTILEVER_SLOPE / rng.uniform(30.0, 100.0)
+    before = staged.sensed.acceleration
+    leaning = _felt(staged, lambda t: before(t) - GRAVITY_M_S2 * slope * staged.motion.displacement(t))
+    facts = {"slope_per_m": slope}
+    if staged.scenario.camera is None:
+        return leaning, facts
+    tilt_rad = np.radians(1e-3 * rng.uniform(1.0, 3.0))
+    slow = random_motion((0.01, 0.05), VIEW_DISTANCE_M * tilt_rad, rng=rng, lines=12)
+    return _seen(leaning, slow.displacement), facts | {"camera_tilt_std_mdeg": 1e3 * float(np.degrees(tilt_rad))}
+
+
+def axis(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
+    """The accelerometer is turned by 3 to 15 degrees towards an axis that shakes as much as its own."""
+    angle = np.radians(rng.uniform(3.0, 15.0))
+    before, cross = staged.sensed.acceleration, random_motion((0.5, 4.0), 1e-3, rng=rng, lines=240, flat="acceleration")
+    time = _instants(staged, 20.0)
+    share = np.std(before(time)) / np.std(cross.acceleration(time))
+    turned = _felt(staged, lambda t: np.cos(angle) * before(t) + np.sin(angle) * share * cross.acceleration(t))
+    return turned, {"angle_deg": float(np.degrees(angle))}
+
+
+def gain(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
+    """The accelerometer's gain is 2 to 10 % off."""
+    factor = 1.0 + rng.choice([-1.0, 1.0]) * rng.uniform(0.02, 0.10)
+    before = staged.sensed.acceleration
+    return _felt(staged, lambda t: factor * before(t)), {"gain": factor}
+
+
+def logger(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
+    """The logger has a Butterworth low-pass of 5 to 12 Hz, 4th to 8th order: delay and droop."""
+    from scipy.interpolate import CubicSpline
+    from scipy.signal import butter, sosfilt, sosfilt_zi
+
+    corner, order = rng.uniform(5.0, 12.0), int(rng.choice([4, 6, 8]))
+    sections = butter(order, corner, fs=FILTER_HZ, output="sos")
+    time = _instants(staged, FILTER_HZ)
+    parts = np.array_split(time, len(time) // ROWS_AT_A_TIME + 1)
+    value = np.concatenate([staged.sensed.acceleration(part) for part in parts])
+    filtered, _ = sosfilt(sections, value, zi=sosfilt_zi(sections) * value[0])
+    return _felt(staged, CubicSpline(time, filtered)), {"corner_hz": corner, "order": float(order)}
+
+
+def bracket(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
+    """The camera's bracket vibrates by 5 to 15 % of the motion, above the Nyquist frequency of the used frames."""
+    setup = staged.scenario.camera
+    assert setup is not None
+    centre = setup.rate_hz / setup.every * rng.uniform(0.6, 0.95)
+    std = rng.uniform(0.05, 0.15) * float(np.std(staged.motion.displacement(_instants(staged, 20.0))))
+    shake = random_motion((0.98 * centre, 1.02 * centre), std, rng=rng, lines=40)
+    return _seen(staged, shake.displacement), {"frequency_hz": centre, "std_mm": 1e3 * std}
+
+
+def exposure(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
+    """Camera or displacement sensor averages over 50 to 90 % of its interval, and the settings do not say so."""
+    share, scenario = rng.uniform(0.5, 0.9), staged.scenario
+    if scenario.camera is not None:
+        exposure_s = share / scenario.camera.rate_hz
+        camera = replace(scenario.camera.camera, exposure_s=exposure_s)
+        changed = replace(scenario, camera=replace(scenario.camera, camera=camera, says_exposure=False))
+    else:
+        assert scenario.gnss is not None
+        exposure_s = share / scenario.gnss.sensor.rate_hz
+        sensor = replace(scenario.gnss.sensor, exposure_s=exposure_s)
+        changed = replace(scenario, gnss=replace(scenario.gnss, sensor=sensor))
+    return replace(staged, scenario=changed), {"exposure_s": exposure_s}
+
+
+def colour(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
+    """The displacement sensor has a Gauss-Markov error of 5 to 60 s, 1 to 3 times its white noise."""
+    tau, std = rng.uniform(5.0, 60.0), rng.uniform(1.0, 3.0) * _noise_m(staged)
+    time = _instants(staged, NOISE_HZ)
+    keep = np.exp(-1.0 / (NOISE_HZ * tau))
+    path = std * rng.standard_normal(len(time))
+    for k in range(1, len(path)):
+        path[k] = keep * path[k - 1] + np.sqrt(1.0 - keep**2) * path[k]
+    return _seen(staged, lambda t: np.interp(t, time, path)), {"std_mm": 1e3 * std, "time_s": tau}
+
+
+def step(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
+    """The displacement sensor's level shifts one to three times by 3 to 20 times its noise."""
+    count, length = int(rng.integers(1, 4)), staged.scenario.duration_s
+    at = np.sort(rng.uniform(0.1 * length, 0.9 * length, count))
+    size = rng.choice([-1.0, 1.0], count) * rng.uniform(3.0, 20.0, count) * _noise_m(staged)
+    facts = {f"{name}_{k}": value for k in range(count) for name, value in (("at_s", at[k]), ("mm", 1e3 * size[k]))}
+    return _seen(staged, lambda t: (np.asarray(t)[:, None] >= at) @ size), facts
+
+
+def burst(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
+    """The displacement sensor's noise is ten times as large in spans of 2 to 15 s, 10 to 20 % of the time."""
+    share, noise = rng.uniform(0.10, 0.20), _noise_m(staged)
+    time = _instants(staged, NOISE_HZ)
+    loud = np.zeros(len(time), dtype=np.bool_)
+    while np.mean(loud) < share:
+        length = rng.uniform(2.0, 15.0)
+        start = rng.uniform(0.0, time[-1] - length)
+        loud |= (time >= start) & (time < start + length)
+    # Beside the sensor's own white noise: together ten times as much.
+    added = np.where(loud, np.sqrt(99.0) * noise * rng.standard_normal(len(time)), 0.0)
+
+    def error(time_s: Floats) -> Floats:
+        return added[np.clip(np.rint(time_s * NOISE_HZ).astype(np.int64), 0, len(time) - 1)]
+
+    return _seen(staged, error), {"share": float(np.mean(loud)), "times": 10.0}
+
+
+def pattern(staged: Stage, rng: np.random.Generator) -> tuple[Stage, Facts]:
+    """The infrared sensor has a fixed pattern of 0.1 K."""
+    del rng
+    day = staged.scenario.day
+    assert day is not None
+    changed = replace(day, thermal=replace(day.thermal, pattern_k=0.1))
+    return replace(staged, scenario=replace(staged.scenario, day=changed)), {"pattern_k": 0.1}
+
+
+def _noise_m(staged: Stage) -> float:
+    assert staged.scenario.gnss is not None
+    return staged.scenario.gnss.sensor.noise_std_m
+
+
+def _moves_along_one_axis(name: str, scenario: Scenario) -> bool:
+    return scenario.across is None and name not in AT_REST
+
+
+def _camera(name: str, scenario: Scenario) -> bool:
+    return scenario.camera is not None and name not in AT_REST
+
+
+def _camera_alone(name: str, scenario: Scenario) -> bool:
+    return _camera(name, scenario) and scenario.radar is None
+
+
+def _slow_sensor(name: str, scenario: Scenario) -> bool:
+    return scenario.gnss is not None
+
+
+# In the order in which they act, from the structure over the mounting to the instrument, however they were asked for.
+BREAKS: dict[str, Break] = {
+    "tilt": Break("gravity reaches the accelerometer of a structure that leans", lambda n, s: n in LEANING, tilt),
+    "axis": Break("the accelerometer is turned by 3 to 15 degrees, with cross motion", _moves_along_one_axis, axis),
+    "gain": Break("the accelerometer's gain is 2 to 10 % off", _moves_along_one_axis, gain),
+    "logger": Break("the accelerometer's logger has a low-pass of 5 to 12 Hz", _moves_along_one_axis, logger),
+    "bracket": Break("the camera's bracket vibrates above the frames' Nyquist frequency", _camera_alone, bracket),
+    "exposure": Break(
+        "an exposure of 50 to 90 % of the interval is not declared",
+        lambda n, s: _camera(n, s) or _slow_sensor(n, s),
+        exposure,
+    ),
+    "colour": Break("a slow Gauss-Markov error, 1 to 3 times the white noise", _slow_sensor, colour),
+    "step": Break("level shifts of 3 to 20 times the noise", _slow_sensor, step),
+    "burst": Break("ten times the noise for 10 to 20 % of the time", _slow_sensor, burst),
+    "pattern": Break("a fixed pattern of 0.1 K", lambda n, s: s.day is not None, pattern),
+}
+
+
+def broken(
+    staged: Stage, scenario: str, breaks: Sequence[str], scenarios: dict[str, Scenario]
+) -> tuple[Stage, dict[str, Facts]]:
+    """The stage of `scenario` with every break of `breaks` (names of BREAKS), and what each one drew.
+
+    A break draws from a generator of its own: what it does depends on the seed and not on the others. Raises UsageError
+    for an unknown name, or a break that the scenario has nothing for, naming those of `scenarios` that it fits.
+    """
+    facts = {}
+    for name in breaks:
+        option("--break", name, BREAKS)
+        if not BREAKS[name].fits(scenario, staged.scenario):
+            fitting = ", ".join(other for other, one in scenarios.items() if BREAKS[name].fits(other, one))
+            raise UsageError(f"--break {name} does not fit {scenario!r}: {BREAKS[name].line}. It fits {fitting}.")
+    for (name, one), rng in zip(BREAKS.items(), staged.rng_breaks.spawn(len(BREAKS)), strict=True):
+        if name in breaks:
+            staged, facts[name] = one.change(staged, rng)
+    return staged, facts
