@@ -5,9 +5,10 @@ noise. But it is motion: innovations of a right model are white, whatever the no
 doi:10.1109/TAC.1968.1099025), and at a wrong offset they are not.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.stats import chi2
 
 from midspan.calibration.clock import Compared, drift
 from midspan.calibration.fit import Fit, Pair, best_corner, refine
@@ -30,6 +31,10 @@ MOST_CORRELATED = 0.15
 MAX_SLOW_ERROR = 0.01
 # Innovations beyond this many robust standard deviations count as that many.
 CLIPPED = 4.0
+# Bands of the innovations' spectrum are so many corner frequencies wide, as wide as the frequencies that the filter's
+# errors come from, and hold so many ordinates at least. Of a thousand records with white innovations one has a band
+# that counts as coloured.
+BAND_CORNERS, LEAST_ORDINATES, COLOURED_BY_CHANCE = 0.5, 8, 1e-3
 # In a record longer than this a clock may drift, which windows of this length show.
 LONG_S, WINDOW_S = 100.0, 40.0
 
@@ -45,6 +50,53 @@ def clearly_better(fit: Fit, other: Fit) -> bool:
 def _entropy(variance: Floats) -> float:
     """Mean logarithm of the innovations' variances, so that residual powers at two offsets compare."""
     return float(np.mean(np.log(variance)))
+
+
+@dataclass(frozen=True, slots=True)
+class Misfit:
+    """How far the innovations' spectrum exceeds a white one: factor on the variance, 1 where it may be white; where."""
+
+    factor: float = 1.0
+    frequency_hz: float = 0.0
+
+    def text(self, sensor: str) -> list[str]:
+        """A sentence where the model does not hold."""
+        if self.factor <= 1.0:
+            return []
+        return [
+            f"{sensor}: what it and the accelerometer differ by is no white noise: near {self.frequency_hz:.2g} Hz it "
+            f"is {self.factor:.2g} times as strong as on the whole, and the error band is wider by the root of that. "
+            "Likely causes: cross motion that an inclined axis picks up, an exposure or low-pass that was not "
+            "declared, a structure that tilts, a mounting that is not stiff, slow errors of the sensor."
+        ]
+
+
+def misfit(pair: Pair, fit: Fit) -> Misfit:
+    """How far the innovations are from white, where that is no chance.
+
+    Innovations of a right model are white (Kailath 1968). Where a band of their spectrum exceeds the mean, the error of
+    the estimate is larger there by as much. Bands overlap by half. A clock that drifts evenly is no misfit.
+    """
+    found = _coloured_band(pair, fit)
+    straight = straightened(pair, fit) if found.factor > 1.0 else None
+    return found if straight is None else _coloured_band(pair, straight[0])
+
+
+def _coloured_band(pair: Pair, fit: Fit) -> Misfit:
+    residual = fit.residual
+    n = len(residual)
+    power = np.abs(np.fft.rfft(residual - np.mean(residual)))[1:] ** 2 / max(n, 1)
+    if len(power) < 2 * LEAST_ORDINATES:
+        return Misfit()
+    wide = BAND_CORNERS * fit.corner / (2.0 * np.pi) * n / pair.rate_hz
+    width = int(np.clip(round(wide), LEAST_ORDINATES, len(power) // 2))
+    starts = np.arange(0, len(power) - width + 1, max(width // 2, 1))
+    means = (np.cumsum(np.r_[0.0, power])[starts + width] - np.cumsum(np.r_[0.0, power])[starts]) / width
+    k = int(np.argmax(means))
+    factor = float(means[k] / np.mean(power))
+    if factor < chi2.ppf(1.0 - COLOURED_BY_CHANCE / len(starts), 2 * width) / (2 * width):
+        return Misfit()
+    return Misfit(factor, float((starts[k] + 0.5 * width) * pair.rate_hz / n))
 
 
 def colour(fit: Fit) -> tuple[float, float]:

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from midspan.calibration.agreement import clearly_better, noise_share, straightened
+from midspan.calibration.exposure import with_exposure
 from midspan.calibration.fit import (
     Fit,
     Pair,
@@ -34,7 +35,7 @@ NEXT_TO_NONE_S = 0.05
 EDGE_S, EDGE_SHARE, EDGE_OF_LENGTH = 0.02, 0.05, 0.1
 # The accelerometer's gain is taken from the motion where that tells it better than its data sheet does (±5 % where
 # nothing is given), and where it is no other unit.
-GAIN_TOLD, MAX_GAIN_ERROR = 0.03, 0.2
+USUAL_GAIN_STD, MAX_GAIN_ERROR = 0.03, 0.2
 # A quiet camera sees a motion so well that the two noise levels meet this far above its Nyquist frequency.
 FASTEST = 100.0
 # How well the logarithm of the corner of a motion's noise is found: far better than any record tells it.
@@ -69,6 +70,7 @@ class NoiseCalibration:
     acceleration that white noise alone would make; where it is large the motion tells no scale. gain: of the
     accelerometer relative to the sensor, where it was estimated, and its relative standard deviation, else 0.
     slow_std_m, slow_time_s: standard deviation and correlation time of the sensor's slow error; 0: its noise is white.
+    exposure_s: time over which the sensor averages, as given or found.
     warnings: sentences.
     """
 
@@ -85,6 +87,7 @@ class NoiseCalibration:
     gain_std: float = 0.0
     slow_std_m: float = 0.0
     slow_time_s: float = np.inf
+    exposure_s: float = 0.0
     warnings: tuple[str, ...] = ()
     findings: Findings | None = field(default=None, repr=False, compare=False)
 
@@ -114,6 +117,8 @@ def calibrate_noise(
         offset = applied(search, found, variance, max_offset_s)
         if offset.value_s != 0.0 and not one_clock:
             pair, fit = search.pair, found
+    if pair.exposure_s == 0.0:
+        pair, fit = with_exposure(pair, fit)
     pair, fit = with_slow_error(pair, fit, noise_time_s)
     learnt = _with_scale(pair, fit, offset, search, max_offset_s, length_s)
     return _without_gain(learnt, gain_std)
@@ -174,7 +179,8 @@ def _with_scale(
         scale_std=std,
         reversed_gain=reversed_gain,
         slow_std_m=float(np.sqrt(pair.slow[0] * fit.noise)),
-        slow_time_s=1.0 / pair.slow[1],
+        slow_time_s=1.0 / pair.slow[1] if pair.slow[0] > 0.0 else np.inf,
+        exposure_s=pair.exposure_s,
         noise_share=noise_share(pair, local, white_noise(pair.samples[:, 1])),
         findings=Findings(pair, fit, search, free, likeliest),
     )

@@ -34,16 +34,16 @@ CLEAR_MOTION = 400.0
 class Table:
     """The estimator's channels and parameters as they are gathered, sensor by sensor.
 
-    given: the calibration was not estimated from this recording. gain_std: relative standard deviation of the
-    accelerometer's gain, which is in the scales' of the calibration. in_true_metres: channels of sensors whose unit is
-    right, unlike the accelerometer's.
+    given: the calibration was not estimated from this recording. gain_std: relative standard deviation of the gain of
+    each axis's accelerometer, which is in the scales' of the calibration. in_true_metres: channels of sensors whose
+    unit is right, unlike the accelerometer's.
     """
 
     channels: list[Channel] = field(default_factory=list)
     parameters: list[Parameter] = field(default_factory=list)
     in_true_metres: list[int] = field(default_factory=list)
     given: bool = False
-    gain_std: float = 0.0
+    gain_std: tuple[float, ...] = (0.0, 0.0)
 
     def add(self, channel: Channel) -> int:
         """Put a channel to the table; returns its number."""
@@ -61,7 +61,7 @@ class Table:
         Of a given calibration it is estimated, from `GIVEN_SCALE_STD` besides; otherwise the band alone holds it. The
         accelerometer's gain is no part of it: see `gain`.
         """
-        relative_std = without_gain(relative_std, self.gain_std)
+        relative_std = without_gain(relative_std, self.gain_std[self.channels[channels[0]].axis])
         if not self.given:
             self.uncertain(ParameterKind.SCALE_ERROR, channels, relative_std)
             return
@@ -70,12 +70,16 @@ class Table:
             Parameter(ParameterKind.SCALE_ERROR, tuple(channels), std, FIRST_NS, SCALE_WALK, CLEAR_MOTION)
         )
 
-    def gain(self, std: float, *, axes: int, estimated: bool) -> None:
-        """Put the error of the accelerometer's gain along each axis to the table; std: its relative deviation.
+    def gain(self, stds: Sequence[float], *, estimated: bool) -> None:
+        """Put the error of the accelerometer's gain along each axis to the table; stds: its relative deviations.
 
-        Where there are sensors whose unit is right it is estimated, if wanted; otherwise the band alone holds it.
+        Where there are sensors whose unit is right it is estimated, if wanted; otherwise the band alone holds it, and
+        the scales of these sensors are estimated where the calibration is given.
         """
-        for axis in range(axes):
+        if self.given and not estimated:
+            for number in self.in_true_metres:
+                self.scaled([number], 0.0)
+        for axis, std in enumerate(stds):
             compared = [number for number, one in enumerate(self.channels) if one.axis == axis]
             learnt = tuple(number for number in compared if number not in self.in_true_metres)
             if estimated and len(learnt) < len(compared) and (self.given or std == 0.0):
@@ -125,6 +129,7 @@ def plain_channel(
             lost_s=lost_s,
             slow_std_m=calibration.slow_std_m,
             slow_time_s=calibration.slow_time_s,
+            exposure_s=calibration.exposure_s,
         )
     )
     if calibration.relative_std > 0.0 or calibration.scale != 1.0:

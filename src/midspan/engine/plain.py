@@ -8,7 +8,7 @@ from midspan.checks import positive, refuse
 from midspan.records import NANOSECONDS, Event, Floats, Measured, Nanoseconds, Readings, Samples, seconds
 from midspan.signals.bridging import GAP_STEPS
 from midspan.signals.health import Mask
-from midspan.signals.stuck import LEAST_EQUAL, RESOLUTIONS, moved, piece_length
+from midspan.signals.stuck import LEAST_EQUAL, RESOLUTIONS, at_limits, moved, piece_length
 
 # A run of equal values is judged again when it is longer by this share: the work per value stays the same.
 LOOK_SHARE = 0.25
@@ -158,7 +158,7 @@ class PlainChain:
     def _at_limits(self, time_ns: Nanoseconds, value: Floats) -> tuple[Mask, list[Event]]:
         """Which values (n,) are held at an end of the range, and an event where that begins."""
         known, state = self.settings, self._state
-        held = (value <= known.low_m) | (value >= known.high_m)
+        held = at_limits(value, known.low_m, known.high_m)
         begins = np.flatnonzero(held & ~np.concatenate(([state.clipped], held[:-1])))
         self._state = replace(state, clipped=bool(held[-1]))
         text = f"{known.name}: it reads {{:.6g}} mm, the end of its range; such values are left out."

@@ -12,8 +12,9 @@ MAX_WARNED = 3
 
 
 def event_warnings(events: tuple[Event, ...]) -> list[str]:
-    """The texts of the events; of a kind that comes often only how often."""
+    """The texts of the events but of those that say that all is well again; of what comes often only how often."""
     found = []
+    events = tuple(event for event in events if event.kind != "seen")
     for kind in dict.fromkeys(event.kind for event in events):
         texts = [event.text for event in events if event.kind == kind]
         rest = (

@@ -114,14 +114,24 @@ def scales(
 
 
 def with_scales(settings: EstimatorSettings, found: Mapping[tuple[str, int], float]) -> EstimatorSettings:
-    """The settings with scale errors of these relative standard deviations at least, by sensor and axis."""
+    """The settings with scale errors of these relative standard deviations at least, by sensor and axis.
+
+    That of a sensor whose unit is right is the accelerometer's gain error.
+    """
+    scaled = {
+        number for one in settings.parameters if one.kind is not ParameterKind.CLOCK_OFFSET for number in one.channels
+    }
+    in_metres = [one for number, one in enumerate(settings.channels) if number not in scaled]
     parameters = []
     for parameter in settings.parameters:
         if parameter.kind is ParameterKind.SCALE_ERROR:
-            channel = settings.channels[parameter.channels[0]]
-            std = max(parameter.std, found.get((channel.sensor, channel.axis), 0.0))
-            parameter = replace(parameter, std=std)
-        parameters.append(parameter)
+            own = [settings.channels[parameter.channels[0]]]
+        elif parameter.kind is ParameterKind.GAIN_ERROR:
+            own = [channel for channel in in_metres if channel.axis == parameter.axis]
+        else:
+            own = []
+        off = [found.get((channel.sensor, channel.axis), 0.0) for channel in own]
+        parameters.append(replace(parameter, std=max([parameter.std, *off])))
     return replace(settings, parameters=tuple(parameters))
 
 

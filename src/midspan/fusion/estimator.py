@@ -363,7 +363,7 @@ class Estimator:
         estimates = tuple(estimate_of(samples, shown.found[:, a], given, std) for a, std in enumerate(unseen))
         innovations = innovations_of(rows, shown.met, self.settings.channels, self._origin)
         p, channels, datum = self._filter.hyps[1][0], self.tables[1], self.tables[3]
-        zero = tuple(zero_variance(p, channels, a, datum) + std**2 for a, std in enumerate(unseen))
+        zero = tuple(zero_variance(p, channels, a, datum, self.tables[5]) + std**2 for a, std in enumerate(unseen))
         return Rows(estimates, innovations, tuple(events), zero)
 
     def _settle(self, decided: Decided) -> list[Event]:
@@ -379,7 +379,7 @@ class Estimator:
 def predict_value(time_s, c, motion, clock, hyps, tables):  # type: ignore[no-untyped-def]
     """Expected measurement of channel `c` at a time after the last sample and its variance, over all hypotheses."""
     xs, ps, _, memory, thetas, spreads = hyps
-    walks, channels, kinds, _, _ = tables
+    walks, channels, kinds = tables[:3]
     axes, n, columns = len(motion), xs.shape[1], xs.shape[2]
     x, p, ph, e = np.empty((n, columns)), np.empty((n, n)), np.empty(n), np.empty(columns)
     still = np.zeros((axes, 3))

@@ -104,27 +104,30 @@ def leave_status(axis, time, marks, channels, found, k):  # type: ignore[no-unty
 
 
 @njit(cache=True)
-def zero_variance(p, channels, a, datum):  # type: ignore[no-untyped-def]
+def zero_variance(p, channels, a, datum, misfit):  # type: ignore[no-untyped-def]
     """Variance (m²) that all rows of an axis have in common: of the datum as the first channel's values count it."""
     d = datum + a
     for c in range(len(channels)):
         if int(channels[c, AXIS]) == a:
             z = int(channels[c, ZERO])
             if datum < 0:
-                return p[z, z]
-            return max(p[d, d] + 2.0 * p[d, z] + p[z, z], 0.0) if p[d, d] > 0.0 else 0.0
-    return p[d, d] if datum >= 0 else 0.0
+                return misfit[a] * p[z, z]
+            return misfit[a] * max(p[d, d] + 2.0 * p[d, z] + p[z, z], 0.0) if p[d, d] > 0.0 else 0.0
+    return misfit[a] * p[d, d] if datum >= 0 else 0.0
 
 
 @njit(cache=True)
-def row_of(x, p, theta, spread, a, datum):  # type: ignore[no-untyped-def]
-    """Displacement of axis `a` relative to its datum, its variance, and the velocity state, in one hypothesis."""
+def row_of(x, p, theta, spread, a, datum, misfit):  # type: ignore[no-untyped-def]
+    """Displacement of axis `a` relative to its datum, its variance, and the velocity state, in one hypothesis.
+
+    misfit (axes,): factor on the variance of the states.
+    """
     i, d = 3 * a, datum + a
     value, variance, velocity = x[i, 0], p[i, i], x[i + 1, 0]
     if datum >= 0:
         value -= x[d, 0]
         variance += p[d, d] - 2.0 * p[i, d]
-    variance = max(variance, 0.0)
+    variance = misfit[a] * max(variance, 0.0)
     for q in range(len(theta)):
         one = x[i, 1 + q] - (x[d, 1 + q] if datum >= 0 else 0.0)
         value += one * theta[q]
@@ -135,13 +138,13 @@ def row_of(x, p, theta, spread, a, datum):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def mixed_row(hyps, count, a, datum):  # type: ignore[no-untyped-def]
+def mixed_row(hyps, count, a, datum, misfit):  # type: ignore[no-untyped-def]
     """The same over all hypotheses: mean and variance, by their weights."""
     whole = mean = square = velocity = first = 0.0
     for b in range(count):
         weight = np.exp(hyps[3][b, WEIGHT])
         x, p, _, _, theta, spread = one_of(hyps, b)
-        value, variance, speed = row_of(x, p, theta, spread, a, datum)
+        value, variance, speed = row_of(x, p, theta, spread, a, datum, misfit)
         first = value if b == 0 else first
         off = value - first
         whole += weight
@@ -305,7 +308,8 @@ def run_block(samples, rows, decided, state, hyps, tables, options, out):  # typ
     n)).
     """
     motion, clock = state
-    channels, datum, found, nodes, gain_of = tables[1], tables[3], out[0], out[4], tables[4][:, GAIN_OF]
+    channels, datum, found, nodes = tables[1], tables[3], out[0], out[4]
+    gain_of, misfit = tables[4][:, GAIN_OF], tables[5]
     best = one_of(hyps, 0)
     x, p, marks, memory, theta, spread = best
     scratch = (np.zeros(len(x)), np.zeros(x.shape[1]), np.zeros(len(motion)), np.zeros((MOST, KINDS)))
@@ -337,11 +341,11 @@ def run_block(samples, rows, decided, state, hyps, tables, options, out):  # typ
         for a in range(len(motion)):
             motion[a, INPUT] = samples[k, 1 + a]
             if clock[COUNT] > 1.0:
-                value, variance, velocity = mixed_row(hyps, int(clock[COUNT]), a, datum)
+                value, variance, velocity = mixed_row(hyps, int(clock[COUNT]), a, datum, misfit)
             else:
-                value, variance, velocity = row_of(x, p, theta, spread, a, datum)
+                value, variance, velocity = row_of(x, p, theta, spread, a, datum, misfit)
             found[k, a, FOUND_X] = value
-            found[k, a, FOUND_VARIANCE] = max(variance, zero_variance(p, channels, a, datum))
+            found[k, a, FOUND_VARIANCE] = max(variance, zero_variance(p, channels, a, datum, misfit))
             found[k, a, FOUND_VELOCITY] = velocity - motion[a, LEAD] * motion[a, SLOPE]
             leave_status(a, end, marks, channels, found, k)
         if len(nodes) > 0:
@@ -399,11 +403,11 @@ def back_through_row(row, adjoint, used, columns, channels, counted):  # type: i
 def smooth_node(node, adjoint, used, own, parameters, out):  # type: ignore[no-untyped-def]
     """Smoothed displacement, its variance and the velocity of one axis, to `out` (3,), from what `leave_node` wrote.
 
-    own = (filtered variance, covariances (n) with all states as the pass back counts them, those of the velocity);
-    parameters = (theta (k,), covariance (k, k)).
+    own = (filtered variance, factor on what is left of it, covariances (n) with all states as the pass back counts
+    them, those of the velocity); parameters = (theta (k,), covariance (k, k)).
     """
     theta, spread = parameters
-    filtered, pc, pv = own
+    filtered, misfit, pc, pv = own
     columns = 1 + len(theta)
     met = np.zeros(used)
     for q in range(len(adjoint)):
@@ -423,7 +427,7 @@ def smooth_node(node, adjoint, used, own, parameters, out):  # type: ignore[no-u
     for c in range(columns, used):
         known += met[c] * met[c]
     out[0], out[2] = value, velocity
-    out[1] = max(filtered - known, LEAST_SHARE * filtered) + quadratic(sensitivity, spread)
+    out[1] = misfit * max(filtered - known, LEAST_SHARE * filtered) + quadratic(sensitivity, spread)
 
 
 @njit(cache=True)
@@ -445,7 +449,7 @@ def backward_block(time_s, start_s, tables, counted, left, adjoint, parameters, 
             filtered = pc[3 * a] - (pc[datum + a] if datum >= 0 else 0.0)
             count_from(pc, channels, counted)
             count_from(pv, channels, counted)
-            smooth_node(node, adjoint, used, (filtered, pc, pv), parameters, rows[k, a])
+            smooth_node(node, adjoint, used, (filtered, tables[5][a], pc, pv), parameters, rows[k, a])
         before = time_s[k - 1] if k > 0 else start_s
         at, dt = time_s[k], time_s[k] - before
         while j >= 0 and record[j, INTERVAL] == k:

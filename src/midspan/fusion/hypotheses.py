@@ -247,7 +247,7 @@ def look(hyp, row, scene, tables, scratch):  # type: ignore[no-untyped-def]
     them. The variance of the prediction is (without, with) the parameters' part.
     """
     x, p, marks, _, theta, spread = hyp
-    _, channels, kinds, _, _ = tables
+    channels, kinds = tables[1], tables[2]
     gain, e = scratch
     c = int(row[CHANNEL])
     innovate(x, scene[0], channels, kinds, c, scene[1], row[VALUE], e)

@@ -106,8 +106,9 @@ class EstimatorSettings:
     follow it faster, and it then scatters by sqrt(2/noise_memory). noise_weight: how many measurements the
     channels' variance factors rest on. motion (one an axis): standard deviation (m) of displacement and middle
     angular frequency (1/s): what a sensor measures whose clock has stepped; 0: clocks do not step. zero_ns: instant
-    that rows count from; None: from the sensors' own zero. unseen_std_m (one an axis): standard deviation of an error
-    that nothing measured tells, as of a camera's tilt: in each row, and as large and independent of it in the zero.
+    that rows count from; None: from the sensors' own zero. misfit (one an axis): factor on the variance of the states
+    in rows, as innovations that are not white show. unseen_std_m (one an axis): standard deviation of an error that
+    nothing measured tells, as of a camera's tilt: in each row, and as large and independent of it in the zero.
     """
 
     channels: tuple[Channel, ...]
@@ -124,6 +125,7 @@ class EstimatorSettings:
     motion: tuple[tuple[float, float], ...] = ((0.0, 0.0), (0.0, 0.0))
     zero_ns: int | None = None
     unseen_std_m: tuple[float, ...] = (0.0, 0.0)
+    misfit: tuple[float, ...] = (1.0, 1.0)
 
     @property
     def first_zero(self) -> int:
@@ -137,12 +139,12 @@ class EstimatorSettings:
 
 
 Hyps = tuple[Floats, Floats, Floats, Floats, Floats, Floats]
-Tables = tuple[Floats, Floats, NDArray[np.int64], int, Floats]
+Tables = tuple[Floats, Floats, NDArray[np.int64], int, Floats, Floats]
 
 
 def tables_of(settings: EstimatorSettings, origin_ns: int = 0) -> Tables:
     """Walks (n,), channels (c, 13), kinds (c, k), the first state of the datums, and the table of the parameters
-    (k, 4), as `run_block` takes them; origin_ns: what times in s count from.
+    (k, 4), and the misfit (axes,), as `run_block` takes them; origin_ns: what times in s count from.
     """
     walks = np.zeros(settings.size)
     walks[2 : 3 * settings.axes : 3] = settings.bias_walk
@@ -173,7 +175,8 @@ def tables_of(settings: EstimatorSettings, origin_ns: int = 0) -> Tables:
         from_s = np.inf if begin is None else (begin - origin_ns) / NANOSECONDS
         gain_of = parameter.axis if parameter.kind is ParameterKind.GAIN_ERROR else -1
         learning[q] = (from_s, parameter.walk, parameter.clear, gain_of)
-    return walks, channels, kinds, -1 if settings.zero_ns is None else 3 * settings.axes, learning
+    datum = -1 if settings.zero_ns is None else 3 * settings.axes
+    return walks, channels, kinds, datum, learning, np.array(settings.misfit[: settings.axes])
 
 
 def apart(settings: EstimatorSettings, channel: Channel) -> tuple[float, float]:

@@ -77,7 +77,7 @@ class SecondPass:
         found = left.found
         found[:, :, FOUND_X] = smoothed[:, :, SMOOTHED_X]
         for a in range(self.settings.axes):
-            least = zero_variance(last.hyps[1][0], self.tables[1], a, self.tables[3])
+            least = zero_variance(last.hyps[1][0], self.tables[1], a, self.tables[3], self.tables[5])
             found[:, a, FOUND_VARIANCE] = np.maximum(smoothed[:, a, SMOOTHED_VARIANCE], least)
         found[:, :, FOUND_VELOCITY] = smoothed[:, :, SMOOTHED_VELOCITY]
         return found

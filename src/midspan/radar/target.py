@@ -98,10 +98,16 @@ class Target:
         """Standard deviation of the conversion factor as a share of it."""
         return self.conversion_factor_std / abs(self.conversion_factor) if self.coherence > 0 else np.inf
 
-    def wider(self, relative_std: float) -> "Target":
-        """The same with an error of its conversion factor, as a relative standard deviation."""
-        more = relative_std * abs(self.conversion_factor)
-        return replace(self, conversion_factor_std=float(np.hypot(self.conversion_factor_std, more)))
+    def without_gain(self, gain: float, std: float) -> "Target":
+        """The same in metres: the factor was learnt from an accelerometer of this gain and relative deviation."""
+        factor = self.conversion_factor / gain
+        return replace(
+            self,
+            conversion_factor=factor,
+            conversion_factor_std=float(np.hypot(self.conversion_factor_std / gain, std * factor)),
+            noise_m=self.noise_m / gain,
+            own_m=self.own_m / gain,
+        )
 
     @property
     def noise_variance(self) -> float:

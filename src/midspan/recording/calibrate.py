@@ -61,11 +61,12 @@ def _calibrate_and_track(recording: Recording, progress: Progress) -> tuple[Cali
         accelerometer_scale_std=gain_std,
         noise_std_m_s2=_white_noise(recording, [fit.input_noise for fit in fits], warnings),
         motion_noise_s=max(fit.input_noise.motion_s for fit in fits),
+        misfit=max(fit.misfit.factor for fit in fits),
         bias_m_s2=bias.value_m_s2,
         bias_std_m_s2=bias.std_m_s2,
         **placed([fit.calibration.without_gain(gain, gain_std) for fit in fits]),
         warnings=tuple(warnings),
-        across=across if across is None else across.without_gain(1.0, gain_std),
+        across=across if across is None else _with_gain(across, recording, (gain, gain_std)),
         usual=usual_in_window(recording),
         left_out=recording.across.axis if recording.across is not None and across is None else "",
         diagnostics=next((fit.diagnostics for fit in fits if fit.diagnostics is not None), None),
@@ -79,6 +80,14 @@ def _fitted(view: Recording, progress: Progress) -> CameraFit | RadarFit | Displ
         fit = ROWS[view.kind].calibrate(view, progress)
     own: Any = replace(fit.calibration, name=view.own.settings.name)
     return replace(fit, calibration=own, warnings=tuple(worded(line, view.sensor) for line in fit.warnings))
+
+
+def _with_gain(across: Calibration, recording: Recording, main: tuple[float, float]) -> Calibration:
+    """The second axis: its own accelerometer is as good as its tolerance; without one its scale is the main axis's."""
+    camera = across.first_camera
+    fused = camera is None or camera.fused
+    gain, std = (1.0, recording.accelerometer.scale_std) if fused else main
+    return replace(across.without_gain(gain, std), accelerometer_scale_std=std)
 
 
 def _across(recording: Recording, part: CameraFit, warnings: list[str]) -> Calibration:
@@ -96,6 +105,7 @@ def _across(recording: Recording, part: CameraFit, warnings: list[str]) -> Calib
     return Calibration(
         noise_std_m_s2=_white_noise(view, [part.input_noise], warnings),
         motion_noise_s=part.input_noise.motion_s,
+        misfit=part.misfit.factor,
         bias_m_s2=part.bias.value_m_s2,
         bias_std_m_s2=part.bias.std_m_s2,
         **placed([part.calibration]),

@@ -235,7 +235,7 @@ def check(asked: Asked, first: FirstPass, ran: Mapping[str, OneClock]) -> Checke
 
 def stated_scale_std(first: FirstPass, axis: int) -> dict[str, float]:
     """Relative standard deviations of the sensors' scales along an axis as compared with the accelerometer, by name."""
-    own = first.sides[0].calibration.accelerometer_scale_std
+    own = first.sides[axis].calibration.accelerometer_scale_std
     found = {eye.sensor: eye.calibrations[axis].relative_std for eye in first.eyes}
     found |= {view.sensor: known.relative_std for view, known in known_sensors(first.sides[0])}
     return {name: without_gain(std, own) for name, std in found.items()}
@@ -253,14 +253,19 @@ def by_method(asked: Asked, first: FirstPass, ran: Mapping[str, OneClock], check
     return smoothed(first, ran, checked) if asked.row.rows is Pass.SMOOTHED else as_it_came(first)
 
 
-def smoothed(first: FirstPass, ran: Mapping[str, OneClock], checked: Checked) -> Found:
-    """The rows smoothed by the whole record, after what it shows of scales and clocks."""
+def smoothed(first: FirstPass, ran: Mapping[str, OneClock], checked: Checked, *, alone: bool = False) -> Found:
+    """The rows smoothed by the whole record, after what it shows of scales and clocks.
+
+    alone: without misfit and what nothing measured shows.
+    """
     estimator, outcome = first.estimator, first.outcome
     assert isinstance(estimator, Estimator)
     log = estimator.log
     assert log is not None
     off = {(name, axis): std for axis, one in enumerate(checked.scale_std) for name, std in one.items()}
     settings = with_scales(estimator.settings, off)
+    if alone:
+        settings = replace(settings, misfit=(1.0, 1.0), unseen_std_m=(0.0, 0.0))
     apart = {name: clock for name, clock in ran.items() if ran_apart(clock)}
     if apart or settings != estimator.settings:
         blocks = {name: outcome.measured_by(name) for name in outcome.measured}
@@ -277,13 +282,17 @@ def smoothed(first: FirstPass, ran: Mapping[str, OneClock], checked: Checked) ->
 
 def on_series(asked: Asked, first: FirstPass, ran: Mapping[str, OneClock], checked: Checked) -> Found:
     """The rows of a method that takes one series; along an axis without an accelerometer those of the smoother."""
-    found, method = smoothed(first, ran, checked), asked.by_settings
+    known = first.estimator.settings
+    # What nothing measured shows is no reason to take a farther measurement for right: it enters at the end.
+    found, method = smoothed(first, ran, checked, alone=True), asked.by_settings
     gain = gain_std(asked.recording, asked.calibration, given=asked.given)
     rows, innovations = list(found.rows), list(found.innovations)
     warnings = list(found.warnings)
     events: list[Event] = []
     for axis, side in enumerate(first.sides):
+        tilt_m2 = known.unseen_std_m[axis] ** 2
         if not side.recording.fused:
+            rows[axis] = replace(rows[axis], variance_m2=rows[axis].variance_m2 + 2.0 * tilt_m2)
             continue
         named = {name: on_clock(one, ran[name]) for name, one in first.series[axis].items()}
         measured = one_series(named, found.rows[axis], first.outcome.restarts_ns)
@@ -291,16 +300,21 @@ def on_series(asked: Asked, first: FirstPass, ran: Mapping[str, OneClock], check
         done = run_on_series(side.acceleration, measured, asked.method, own, found.rows[axis], rate_hz=rate_hz)
         scale_std = float(np.hypot(max(checked.scale_std[axis][name] for name in named), gain))
         clock_std = max(clock_std_s(one.offset) for one in _offsets(first).values())
-        level_m2 = found.zero_variance_m2[axis] + first.estimator.settings.unseen_std_m[axis] ** 2
-        known = with_uncertain(done.estimate, level_m2, scale_std, clock_std)
-        known = with_levels_since(known, found.rows[axis], measured, first.outcome.restarts_ns)
-        rows[axis] = part(known, np.isin(known.time_ns, found.rows[axis].time_ns))
+        own_rows = replace(done.estimate, variance_m2=known.misfit[axis] * done.estimate.variance_m2)
+        level_m2 = known.misfit[axis] * found.zero_variance_m2[axis] + 2.0 * tilt_m2
+        own_rows = with_uncertain(own_rows, level_m2, scale_std, clock_std)
+        own_rows = with_levels_since(own_rows, found.rows[axis], measured, first.outcome.restarts_ns)
+        rows[axis] = part(own_rows, np.isin(own_rows.time_ns, found.rows[axis].time_ns))
         innovations[axis] = done.innovation if len(done.innovation.time_ns) else innovations[axis]
         events += done.events
         warnings += literal_warnings(measured, done) if method.literal else []
     return replace(
         found,
         rows=tuple(rows),
+        zero_variance_m2=tuple(
+            known.misfit[axis] * zero + known.unseen_std_m[axis] ** 2
+            for axis, zero in enumerate(found.zero_variance_m2)
+        ),
         innovations=tuple(innovations),
         events=(*found.events, *events),
         warnings=tuple(warnings),

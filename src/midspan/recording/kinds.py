@@ -12,7 +12,7 @@ import numpy as np
 
 from midspan.calibration.displacement.learn import Given
 from midspan.calibration.displacement.sensor import DisplacementFit, fit_displacement, read_with
-from midspan.calibration.noise import GAIN_TOLD
+from midspan.calibration.noise import USUAL_GAIN_STD
 from midspan.calibration.radar.calibrate import RadarFit, fit_radar
 from midspan.calibration.radar.literal import fit_radar_literal
 from midspan.calibration.sensors.displacement import DisplacementCalibration
@@ -29,6 +29,7 @@ from midspan.recording.streams.window import require_overlap, within_window
 from midspan.records import Channel, Estimate, Measured, Source
 from midspan.settings.sensor_words import in_words_of
 from midspan.settings.stored.calibration import Calibration
+from midspan.signals.stuck import at_limits
 from midspan.sources.accelerometer.units import si_factor
 
 Log = tuple[Measured, Sequence[Channel], Estimate]
@@ -98,8 +99,9 @@ def calibrate_displacement(view: Recording, progress: Progress) -> DisplacementF
             learns_scale=view.learns_scale,
             noise_std_m=None if given is None else given * si_factor(section.unit or series.unit, "displacement", None),
             gives_zero=view.gives_zero,
-            gain_std=(own.scale_std or GAIN_TOLD) if own.estimate_scale else 0.0,
+            gain_std=(own.scale_std or USUAL_GAIN_STD) if own.estimate_scale else 0.0,
             noise_time_s=section.noise_time_s,
+            exposure_s=section.exposure_s or 0.0,
         )
     )
 
@@ -126,8 +128,9 @@ def displacement_stage(
 def displacement_series(view: Recording, known: DisplacementCalibration, log: Log) -> SensorSeries:
     """The whole channel as it was read, in metres on the accelerometer's clock."""
     found = read_with(view.displacement, known)
-    std = np.where(np.isfinite(found.value), known.noise_std_m, np.nan)
-    return SensorSeries(view.sensor, Source.DISPLACEMENT, found.time_ns, found.value, std)
+    value = np.where(at_limits(found.value, known.low_m, known.high_m), np.nan, found.value)
+    std = np.where(np.isfinite(value), known.noise_std_m, np.nan)
+    return SensorSeries(view.sensor, Source.DISPLACEMENT, found.time_ns, value, std)
 
 
 @dataclass(frozen=True, slots=True)

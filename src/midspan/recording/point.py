@@ -23,7 +23,7 @@ from midspan.recording.band import tilt_std_m
 from midspan.recording.calibrate import usual_in_window
 from midspan.recording.kinds import ROWS
 from midspan.recording.streams.recording import Recording
-from midspan.recording.tracked import Eye, Side, gain_of, known_sensors, offsets_of
+from midspan.recording.tracked import Eye, Side, known_sensors, offsets_of
 from midspan.records import NANOSECONDS, ClockOffset
 from midspan.settings.stored.calibration import Calibration
 from midspan.signals.stamps import frames_used
@@ -42,7 +42,7 @@ def figures(side: Side, rate_hz: float) -> AxisFigures:
         noise_density=own.noise_density(rate_hz),
         motion_noise_s=own.motion_noise_s,
         name=name,
-        gain=gain_of(side.recording, own),
+        gain=own.accelerometer_scale,
     )
 
 
@@ -99,19 +99,20 @@ def estimator_settings(table: Table, sides: Sequence[Side], eyes: Sequence[Eye])
         channels=tuple(table.channels),
         axes=len(sides),
         parameters=tuple(table.parameters),
-        bias_m_s2=tuple(side.calibration.bias_m_s2 / gain_of(side.recording, side.calibration) for side in sides),
+        bias_m_s2=tuple(side.calibration.bias_m_s2 / side.calibration.accelerometer_scale for side in sides),
         bias_std_m_s2=tuple(bias_std(side) for side in sides),
         bias_walk=max(bias_walk(side) for side in sides),
         motion=tuple(figures(side, 1.0).motion if side.recording.fused else (0.0, 0.0) for side in sides),
         zero_ns=zero_instant(sides[0], eyes),
+        misfit=tuple(side.calibration.misfit for side in sides),
         unseen_std_m=tuple(unseen_std_m(eyes, axis) for axis in range(len(sides))),
     )
 
 
 def gain_std(recording: Recording, calibration: Calibration, *, given: bool) -> float:
-    """Relative standard deviation of the accelerometer's gain: as calibrated, and as the recording says of its own."""
+    """Relative standard deviation of the accelerometer's gain: as calibrated, else as the recording says of its own."""
     known = calibration.accelerometer_scale_std
-    return max(known, recording.accelerometer.scale_std) if given else known
+    return known or recording.accelerometer.scale_std if given else known
 
 
 def measuring_point(
@@ -126,8 +127,11 @@ def measuring_point(
 
     lag_s: rows are given out so much later, smoothed; noise_memory: measurements over which their noise is followed.
     """
-    main, own = sides[0], sides[0].calibration
-    recording, table = main.recording, Table(given=given, gain_std=own.accelerometer_scale_std)
+    main = sides[0]
+    recording, table = (
+        main.recording,
+        Table(given=given, gain_std=tuple(side.calibration.accelerometer_scale_std for side in sides)),
+    )
     moved_m = (main.calibration.usual or usual_in_window(recording)).moved_m
     sensors: dict[str, Sensor] = {}
     for number, eye in enumerate(eyes):
@@ -137,8 +141,8 @@ def measuring_point(
     for view, known in known_sensors(main):
         sensors[view.sensor] = ROWS[view.kind].stage(table, view, known, moved_m=moved_m, first=not sensors)
     section = recording.accelerometer
-    std = gain_std(recording, own, given=given)
-    table.gain(std, axes=len(sides), estimated=section.estimate_scale)
+    stds = [gain_std(recording, side.calibration, given=given) for side in sides]
+    table.gain(stds, estimated=section.estimate_scale)
     offsets_ns = clock_offsets_ns(main, eyes)
     settings = estimator_settings(table, sides, eyes)
     settings = settings if noise_memory is None else replace(settings, noise_memory=noise_memory)

@@ -77,20 +77,15 @@ def side_of(recording: Recording, calibration: Calibration) -> Side:
     camera = calibration.first_camera
     prepared = recording.prepared if camera is None or camera.fused else still(recording.prepared)
     density = calibration.noise_density(prepared.rate_hz)
-    kalman = filter_settings(prepared, density, calibration.bias_m_s2)
+    gain = calibration.accelerometer_scale
+    kalman = filter_settings(prepared, density, calibration.bias_m_s2 / gain)
     acceleration = prepared.with_noise(density, calibration.motion_noise_s)
-    gain = gain_of(recording, calibration)
     acceleration = replace(
         acceleration,
         value_m_s2=acceleration.value_m_s2 / gain,
         noise_density=acceleration.noise_density / gain**2,
     )
     return Side(recording, calibration, prepared, acceleration, kalman)
-
-
-def gain_of(recording: Recording, calibration: Calibration) -> float:
-    """The accelerometer's gain that is taken out of its samples."""
-    return calibration.accelerometer_scale if recording.accelerometer.estimate_scale else 1.0
 
 
 def open_eyes(sides: Sequence[Side], tracking: CameraTracking | None, progress: Progress) -> tuple[Eye, ...]:

@@ -23,6 +23,7 @@ from midspan.records import TimeOffset
 from midspan.settings.camera import Celsius
 from midspan.settings.fields import (
     Carrier,
+    Duration,
     IsNumber,
     Time,
     limited,
@@ -108,6 +109,7 @@ class StoredAccelerometer(Stored):
     bias_std_m_s2: StdOrInf = math.inf
     scale: Factor = 1.0
     scale_std: Std = 0.0
+    misfit: Annotated[float, IsNumber, limited(1.0, 1e12)] = 1.0
     usual: StoredUsual | None = None
 
 
@@ -155,6 +157,8 @@ class StoredAxis(StoredScale):
     accelerometer_motion_noise_s: Std = 0.0
     accelerometer_bias_m_s2: Bias = 0.0
     accelerometer_bias_std_m_s2: StdOrInf = math.inf
+    accelerometer_scale_std: Std = 0.0
+    accelerometer_misfit: Annotated[float, IsNumber, limited(1.0, 1e12)] = 1.0
     accelerometer_usual: StoredUsual | None = None
 
 
@@ -278,6 +282,7 @@ class StoredDisplacement(StoredSensor):
     high_m: NumberOrInf = math.inf
     slow_std_mm: Std = 0.0
     slow_time_s: StdOrInf = math.inf
+    exposure_s: Duration = 0.0
     scale: Factor = 1.0
     scale_std: Std = 0.0
 

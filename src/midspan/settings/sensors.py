@@ -4,7 +4,19 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from midspan.settings.fields import Carrier, FileName, IsNumber, Name, Noise, NoiseTime, Rate, Section, Time, limited
+from midspan.settings.fields import (
+    Carrier,
+    Duration,
+    FileName,
+    IsNumber,
+    Name,
+    Noise,
+    NoiseTime,
+    Rate,
+    Section,
+    Time,
+    limited,
+)
 from midspan.settings.kinds import SensorName
 
 
@@ -38,7 +50,7 @@ class AccelerometerSettings(ChannelSettings):
     estimate_scale: bool = Field(
         True,
         strict=True,
-        description="beside [displacement]: learn the accelerometer's gain and take it out; false: it is 1",
+        description="together with [displacement]: estimate the accelerometer's gain and take it out; false: it is 1",
     )
 
     @model_validator(mode="after")
@@ -82,10 +94,13 @@ class DisplacementSettings(ChannelSettings):
     estimate_scale: bool = Field(
         False, strict=True, description="learn and apply the scale, with its sign; false: the unit is taken as it is"
     )
+    exposure_s: Duration | None = Field(
+        None, description="time over which the sensor averages, s; left out: found where the motion tells it"
+    )
     noise_time_s: NoiseTime | None = Field(
         None,
-        description="correlation time of its slow error (GNSS), s; left out: learnt where the data tell it; longer "
-        "trusts its slow course less",
+        description="correlation time of its slow error (GNSS), s; left out: estimated where the data allow it; "
+        "longer trusts its slow part less",
     )
 
 

@@ -14,6 +14,8 @@ PIECE_S = 4.0
 # density S, integrated twice over T, spans 0.07 · √(S T³) on average about a parabola, and 0.2 in one of a thousand.
 RESOLUTIONS = 2.0
 NOISE_SPAN = 0.5
+# Values that differ by this share differ by rounding alone.
+LAST_DIGITS = 1e-9
 # Differences below this share of the values' span are rounding, not resolution.
 ROUNDING = 1e-6
 
@@ -38,6 +40,11 @@ def stuck(time_s: Floats, value: Floats, samples: Floats, *, resolution_m: float
         if any(moved(time_s[held[a:b]], samples, least) for a, b in pieces):
             mask[held] = True
     return mask
+
+
+def at_limits(value: Floats, low: float, high: float) -> Mask:
+    """Which values (n,) are held at an end of the range; both may have been scaled, so the last digits do not count."""
+    return np.asarray((value <= low + LAST_DIGITS * abs(low)) | (value >= high - LAST_DIGITS * abs(high)))
 
 
 def range_limits(value: Floats) -> tuple[float, float]:

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from midspan.calibration.agreement import misfit
 from midspan.calibration.bias import bias_of
 from midspan.calibration.camera.one_displacement import camera_blocks, filter_settings, moves_by_itself
 from midspan.calibration.camera.view import SeenTarget, View, camera_pair
@@ -166,7 +167,10 @@ def _fit_of(seen: Sequence[SeenTarget], camera: CameraCalibration, fit: Fitted) 
     bias = bias_of(search.pair, search.fit, float(np.sqrt(search.offset.variance)))
     # The integrated acceleration that the pair keeps beside its fields is no part of the result.
     plain = replace(found, search=replace(search, pair=replace(search.pair)))
-    return CameraFit(camera, found.input_noise, bias, tuple(warnings), plain)
+    coloured = misfit(search.pair, search.fit)
+    warnings += coloured.text("camera")
+    camera = camera.without_gain(1.0, float(np.sqrt(coloured.factor - 1.0)) * camera.relative_std)
+    return CameraFit(camera, found.input_noise, bias, tuple(warnings), plain, misfit=coloured)
 
 
 def _target(target: SeenTarget, found: ScaleCalibration | None, reason: str, axis: str) -> TargetCalibration:

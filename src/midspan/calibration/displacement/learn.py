@@ -45,7 +45,8 @@ class Given:
     series: its values as read; wanted_s: the largest clock offset looked for; learns_offset, learns_scale: whether
     these are applied; noise_std_m: of its values as read, None where it is not given; gives_zero: whether its zero is
     that of the displacement; gain_std: how well the accelerometer's gain is known before, relative; 0: it is not
-    estimated; noise_time_s: correlation time of its slow error, None where it is not given.
+    estimated; noise_time_s: correlation time of its slow error, None where it is not given;
+    exposure_s: time over which it averages, 0 where that is not given.
     """
 
     prepared: PreparedAcceleration
@@ -57,6 +58,7 @@ class Given:
     gives_zero: bool = True
     gain_std: float = 0.0
     noise_time_s: float | None = None
+    exposure_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +106,9 @@ class _Beside:
                 "both times are in s."
             )
         rows = measured_rows(series.time_ns[used], series.value[used], np.ones(used.stop - used.start), self.first_ns)
-        return Pair(prepared.rows(self.first_ns, window), rows, 1.0, level_m_s2=prepared.level(window))
+        return Pair(
+            prepared.rows(self.first_ns, window), rows, 1.0, self.given.exposure_s, level_m_s2=prepared.level(window)
+        )
 
 
 def learn(given: Given, series: TimeSeries) -> NoiseCalibration:

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from midspan.calibration.agreement import Misfit, misfit
 from midspan.calibration.bias import bias_of
 from midspan.calibration.displacement.learn import Given, learn
 from midspan.calibration.noise import NoiseCalibration
@@ -42,7 +43,15 @@ def fit_displacement(given: Given) -> DisplacementFit:
     part = replace(part, low_m=low, high_m=high)
     warnings = (*_range_warnings(part, held), *displacement_warnings(given, learnt, part))
     bias = bias_of(learnt.findings.pair, learnt.findings.fit)
-    return DisplacementFit(part, learnt.input_noise, bias, warnings, learnt, learnt.gain, learnt.gain_std)
+    # A scale that seems wrong is a misfit which the band holds already.
+    known = _scale_error(learnt) > 0.0
+    found = Misfit() if known else misfit(learnt.findings.pair, learnt.findings.fit)
+    spread = float(np.sqrt(found.factor))
+    part = replace(part, scale_std=spread * part.scale_std)
+    warnings = (*warnings, *found.text("displacement"))
+    return DisplacementFit(
+        part, learnt.input_noise, bias, warnings, learnt, learnt.gain, spread * learnt.gain_std, found
+    )
 
 
 def _learnt(given: Given) -> NoiseCalibration:
@@ -82,6 +91,7 @@ def displacement_part(given: Given, learnt: NoiseCalibration) -> DisplacementCal
         resolution_m=step_m,
         slow_std_m=learnt.slow_std_m,
         slow_time_s=learnt.slow_time_s,
+        exposure_s=learnt.exposure_s,
     )
 
 
@@ -124,6 +134,11 @@ def displacement_warnings(given: Given, learnt: NoiseCalibration, part: Displace
             f"displacement: relative to it the accelerometer has a gain of {learnt.gain:.4g} ± {learnt.gain_std:.2g}, "
             "which is taken out. Check accelerometer.unit and accelerometer.sensitivity, and that both sensors measure "
             "the same axis; accelerometer.estimate_scale = false leaves it as it is."
+        )
+    if learnt.exposure_s != given.exposure_s:
+        found.append(
+            f"displacement: fast motion comes out smaller than slow motion, as of a sensor that averages over "
+            f"{learnt.exposure_s:.3g} s; that is taken into account. displacement.exposure_s declares it."
         )
     if _scale_error(learnt) == 0.0:
         return found

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from midspan.calibration.agreement import misfit
 from midspan.calibration.bias import Bias, bias_of
 from midspan.calibration.common_offset import LEAST_OFFSET_S, OFFSET_STD
 from midspan.calibration.fit import Pair
@@ -101,9 +102,14 @@ def fit_radar(
         channels=info.channels,
         diagnostics=diagnostics_of(info.axis.range_m, info.limit_speed_m_s, whole, (best, series, unit)),
     )
-    warnings = (*info.warnings, *told, *hidden, *moving, *told_factor, *_warnings(calibration))
+    coloured = misfit(search.pair, search.fit)
+    warnings = (*info.warnings, *told, *hidden, *moving, *told_factor, *_warnings(calibration), *coloured.text("radar"))
     return RadarFit(
-        calibration, search.pair.input_noise(search.fit.input_density), searched_bias(search), tuple(warnings)
+        calibration.without_gain(1.0, float(np.sqrt(coloured.factor - 1.0)) * calibration.relative_std),
+        search.pair.input_noise(search.fit.input_density),
+        searched_bias(search),
+        tuple(warnings),
+        misfit=coloured,
     )
 
 

@@ -14,7 +14,7 @@ class DisplacementCalibration:
     where it was not learnt; name: where there are several of these sensors. resolution_m: what its values, scaled, are
     rounded to; None where that is not known. low_m, high_m: the ends of its range, scaled, where it was held
     there: such values are left out. slow_std_m, slow_time_s: standard deviation and correlation time of its slow error
-    (first-order Gauss-Markov).
+    (first-order Gauss-Markov). exposure_s: time over which it averages.
     """
 
     noise_std_m: float
@@ -27,6 +27,7 @@ class DisplacementCalibration:
     high_m: float = math.inf
     slow_std_m: float = 0.0
     slow_time_s: float = math.inf
+    exposure_s: float = 0.0
 
     @property
     def kind(self) -> str:
@@ -49,6 +50,7 @@ class DisplacementCalibration:
             scale_std=math.hypot(self.scale_std / gain, std * own),
             noise_std_m=self.noise_std_m / gain,
             slow_std_m=self.slow_std_m / gain,
+            resolution_m=None if self.resolution_m is None else self.resolution_m / gain,
             low_m=self.low_m / gain,
             high_m=self.high_m / gain,
         )

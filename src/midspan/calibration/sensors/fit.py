@@ -1,8 +1,9 @@
 """What is estimated of one sensor: its calibration, and what it implies of the accelerometer."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Generic, TypeVar
 
+from midspan.calibration.agreement import Misfit
 from midspan.calibration.bias import Bias
 from midspan.records import InputNoise
 
@@ -17,7 +18,8 @@ class SensorFit(Generic[Calibrated, Diagnostics]):
 
     input_noise: of the acceleration; without an accelerometer the motion's own. bias: of the accelerometer, None
     without one. diagnostics: what the values rest on, None where the calibration holds it. gain,
-    gain_std: of the accelerometer relative to the sensor, 0 where that does not tell it.
+    gain_std: of the accelerometer relative to the sensor, 0 where that does not tell it. misfit: how far the
+    innovations are from white.
     """
 
     calibration: Calibrated
@@ -27,3 +29,4 @@ class SensorFit(Generic[Calibrated, Diagnostics]):
     diagnostics: Diagnostics | None = None
     gain: float = 1.0
     gain_std: float = 0.0
+    misfit: Misfit = field(default_factory=Misfit)

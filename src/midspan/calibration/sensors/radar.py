@@ -77,9 +77,7 @@ class RadarCalibration:
         """The same in metres: the factors were learnt from an accelerometer of this gain and relative deviation."""
 
         def metres(item: RadarTarget) -> RadarTarget:
-            own = item.target.conversion_factor / gain
-            spread = math.hypot(item.target.conversion_factor_std / gain, std * own)
-            return replace(item, target=replace(item.target, conversion_factor=own, conversion_factor_std=spread))
+            return replace(item, target=item.target.without_gain(gain, std))
 
         targets = tuple(metres(item) for item in self.targets)
         return replace(self, targets=targets, relative_std=math.hypot(self.relative_std, std))

@@ -53,6 +53,7 @@ def calibration_from_dict(tree: Any, where: str = CALIBRATION_FILE) -> Calibrati
         **placed(sensors),
         accelerometer_scale=own.scale,
         accelerometer_scale_std=own.scale_std,
+        misfit=own.misfit,
         usual=usual_of(own.usual),
     )
     return found if first is None or first.direction != "xy" else _with_second_axis(found, first)
@@ -70,6 +71,8 @@ def _with_second_axis(found: Calibration, first: StoredCamera) -> Calibration:
         motion_noise_s=part.accelerometer_motion_noise_s,
         bias_m_s2=part.accelerometer_bias_m_s2,
         bias_std_m_s2=part.accelerometer_bias_std_m_s2,
+        accelerometer_scale_std=part.accelerometer_scale_std,
+        misfit=part.accelerometer_misfit,
         usual=usual_of(part.accelerometer_usual),
         camera=camera if found.camera is not None else None,
         infrared=camera if found.camera is None else None,

@@ -1,0 +1,58 @@
+"""A displacement sensor that averages: its exposure is found where it is not declared, and is no gain."""
+
+import numpy as np
+import pytest
+
+import midspan
+from recording_edits import set_keys
+
+EXPOSURE_S, NOISE_MM = 0.09, 0.1
+
+
+def write(folder, seed, exposure_s, length_s=60.0):
+    """A recording of three modes averaged exactly over an exposure; returns its truth as a function of s, mm."""
+    rng = np.random.default_rng(seed)
+    size, hertz = np.array([3.0, 2.0, 0.8]), np.array([0.5, 1.3, 2.9]) + rng.normal(0, 0.05, 3)
+    phase = rng.uniform(0, 6.28, 3)
+
+    def moved(time, shrunk=1.0):
+        return np.sin(2 * np.pi * np.outer(time, hertz) + phase) @ (size * shrunk)
+
+    time, met = np.arange(0.0, length_s, 0.01), np.arange(0.503, length_s - 0.5, 0.1)
+    accel = 1e-3 * moved(time, -((2 * np.pi * hertz) ** 2)) + rng.normal(0.0, 2e-3, len(time))
+    height = moved(met, np.sinc(hertz * exposure_s)) + rng.normal(0.0, NOISE_MM, len(met))
+    for name, table in (("a", (time, accel)), ("d", (met, height))):
+        np.savetxt(folder / f"{name}.csv", np.column_stack(table), "%.9f", ",", header="time_s,value", comments="")
+    (folder / "recording.toml").write_text(
+        '[accelerometer]\nfile = "a.csv"\nunit = "m/s^2"\n[displacement]\nfile = "d.csv"\nunit = "mm"\n'
+    )
+    return moved
+
+
+@pytest.mark.parametrize("declared", [False, True])
+def test_the_band_holds_beside_a_sensor_that_averages(declared, tmp_path):
+    for seed in range(2):
+        moved = write(tmp_path, seed, EXPOSURE_S)
+        if declared:
+            set_keys(tmp_path, "displacement", exposure_s=EXPOSURE_S)
+        result = midspan.estimate(tmp_path)
+        found = result.calibration
+        # The first term of the sinc is used, 2 % of the exposure at the fastest mode; the noise leaves 3 %.
+        assert found.displacement.exposure_s == pytest.approx(EXPOSURE_S, rel=0.1)
+        assert found.accelerometer_scale == pytest.approx(1.0, abs=4.0 * found.accelerometer_scale_std + 2e-3)
+        assert any("averages over" in line for line in result.warnings) is not declared
+        error = result.displacement_mm - moved(result.time_s)
+        assert np.mean(np.abs(error) < 1.96 * result.displacement_std_mm) > 0.85
+
+
+def test_a_sensor_that_does_not_average_has_no_exposure(tmp_path):
+    for seed in range(3):
+        write(tmp_path, seed, 0.0)
+        assert midspan.calibrate(tmp_path).displacement.exposure_s == 0.0
+
+
+def test_it_is_stored_and_read_again(tmp_path):
+    write(tmp_path, 1, EXPOSURE_S)
+    own = midspan.calibrate(tmp_path)
+    again = midspan.load_calibration(own.save(tmp_path / "calibration.json")).displacement
+    assert again.exposure_s == pytest.approx(own.displacement.exposure_s)

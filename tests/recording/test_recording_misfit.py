@@ -1,0 +1,70 @@
+"""What sensor and accelerometer differ by, where it is not white: the band is wider by it, and a warning says so."""
+
+import numpy as np
+import pytest
+
+import midspan
+from midspan.calibration.agreement import Misfit, misfit
+from midspan.calibration.fit import Pair, evaluate
+
+
+def write(folder, seed, inclined_deg=0.0, length_s=60.0):
+    """A recording of an inclined accelerometer under motion along both axes; returns its truth (s, mm)."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(0.0, length_s, 0.5e-3)
+    moved = [
+        sum(
+            size * np.sin(2 * np.pi * (hertz + rng.normal(0, 0.05)) * time + rng.uniform(0, 6.28))
+            for size, hertz in ((4e-3, 0.7), (3e-3, 1.9), (1.5e-3, 3.7))
+        )
+        for _ in range(2)
+    ]
+    along, cross = (np.gradient(np.gradient(one, time), time) for one in moved)
+    turned = np.radians(inclined_deg)
+    accel = (np.cos(turned) * along + np.sin(turned) * cross)[::20] + 0.03
+    accel += rng.normal(0.0, 2e-3, len(accel))
+    met = np.arange(1000, len(time) - 1000, 400) + 7
+    height = 1e3 * (moved[0][met] + rng.normal(0.0, 2e-4, len(met)))
+    for name, table in (("a", (time[::20], accel)), ("d", (time[met], height))):
+        np.savetxt(folder / f"{name}.csv", np.column_stack(table), "%.9f", ",", header="time_s,value", comments="")
+    (folder / "recording.toml").write_text(
+        '[accelerometer]\nfile = "a.csv"\nunit = "m/s^2"\n[displacement]\nfile = "d.csv"\nunit = "mm"\n'
+    )
+    return time, 1e3 * moved[0]
+
+
+@pytest.mark.parametrize("method", ["smoother", "kalman"])
+def test_cross_motion_of_an_inclined_accelerometer_widens_the_band(method, tmp_path):
+    inside = []
+    for seed in range(3):
+        known = write(tmp_path, seed, inclined_deg=10.0)
+        result = midspan.estimate(tmp_path, method=method)
+        assert any("no white noise" in line for line in result.warnings)
+        assert result.calibration.misfit > 2.0
+        error = result.displacement_mm - np.interp(result.time_s, *known)
+        inside.append(np.mean(np.abs(error) < 1.96 * result.displacement_std_mm))
+    # With white noise 35 to 40 % of the smoother's rows were inside.
+    assert np.mean(inside) > 0.85
+
+
+def test_an_accelerometer_along_the_axis_has_no_misfit(tmp_path):
+    for seed in range(3):
+        write(tmp_path, seed)
+        found = midspan.calibrate(tmp_path)
+        assert found.misfit == 1.0
+        assert not found.warnings
+    again = midspan.load_calibration(found.save(tmp_path / "calibration.json"))
+    assert again.misfit == found.misfit
+
+
+def test_white_innovations_are_seldom_coloured():
+    rng, found = np.random.default_rng(0), []
+    time = np.arange(0.0, 60.0, 0.01)
+    for _ in range(200):
+        samples = np.column_stack((time, rng.normal(0.0, 2e-3, len(time)), np.ones(len(time))))
+        met = np.arange(1.0, 59.0, 0.1)
+        rows = np.column_stack((met, rng.normal(0.0, 1e-3, len(met)), np.ones(len(met))))
+        pair = Pair(samples, rows, 1.0)
+        found.append(misfit(pair, evaluate(pair, 0.0, 3.0)) != Misfit())
+    # Noise of which the model holds but for its sizes; one of a thousand is meant, and its low frequencies are not.
+    assert np.mean(found) < 0.02
