@@ -68,3 +68,15 @@ def test_white_innovations_are_seldom_coloured():
         found.append(misfit(pair, evaluate(pair, 0.0, 3.0)) != Misfit())
     # Noise of which the model holds but for its sizes; one of a thousand is meant, and its low frequencies are not.
     assert np.mean(found) < 0.02
+
+
+def test_the_frequency_of_a_tone_that_no_noise_explains_is_named():
+    rng, time, met = np.random.default_rng(1), np.arange(0.0, 60.0, 0.01), np.arange(1.0, 59.0, 0.1)
+    samples = np.column_stack((time, rng.normal(0.0, 2e-3, len(time)), np.ones(len(time))))
+    value = rng.normal(0.0, 1e-3, len(met)) + 1e-3 * np.sin(2 * np.pi * 2.0 * met)
+    pair = Pair(samples, np.column_stack((met, value, np.ones(len(met)))), 1.0)
+    found = misfit(pair, evaluate(pair, 0.0, 3.0))
+    # A band is half the corner frequency wide, 0.24 Hz, and the tone lies somewhere in it: half of that off at most.
+    assert found.frequency_hz == pytest.approx(2.0, abs=0.125)
+    # Its power, 0.5 of the noise's, in a band of 14 of 290 ordinates; together they are 1.5 times the noise.
+    assert found.factor == pytest.approx((1.0 + 0.5 * 290 / 14) / 1.5, rel=0.3)
