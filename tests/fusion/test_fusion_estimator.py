@@ -176,7 +176,8 @@ def test_rows_begin_with_the_first_measurement_and_tell_what_they_rest_on():
     assert set(rows.source[(time_s > 10.5) & (time_s < 25.0)]) == {Source.PREDICTION}
 
 
-def test_a_measurement_that_comes_too_late_is_told_once():
+def running():
+    """An estimator that has taken 100 measurements and 2000 samples of a record, and both whole."""
     rng = np.random.default_rng(11)
     truth = oscillating(rng, LENGTH_S)
     samples = samples_of(truth, rng, length_s=LENGTH_S)
@@ -184,6 +185,11 @@ def test_a_measurement_that_comes_too_late_is_told_once():
     stream = Estimator(EstimatorSettings((camera(),)))
     stream.push(part(measured, slice(100)))
     stream.push(part(samples, slice(2000)))
+    return stream, samples, measured
+
+
+def test_a_measurement_that_comes_too_late_is_told_once():
+    stream, samples, measured = running()
     stream.push(part(measured, slice(100, 110)))
     stream.push(part(measured, slice(110, 120)))
     found = stream.push(part(samples, slice(2000, 2100)))
@@ -191,13 +197,7 @@ def test_a_measurement_that_comes_too_late_is_told_once():
 
 
 def test_a_late_measurement_among_others_is_told_with_its_own_stamp():
-    rng = np.random.default_rng(11)
-    truth = oscillating(rng, LENGTH_S)
-    samples = samples_of(truth, rng, length_s=LENGTH_S)
-    measured = measured_of([sensor_of(truth, rng, length_s=LENGTH_S)])
-    stream = Estimator(EstimatorSettings((camera(),)))
-    stream.push(part(measured, slice(100)))
-    stream.push(part(samples, slice(2000)))
+    stream, samples, measured = running()
     assert measured.time_ns[250] > samples.time_ns[1999]
     stream.push(part(measured, np.array([250, 110])))
     found = stream.push(part(samples, slice(2000, 3000)))

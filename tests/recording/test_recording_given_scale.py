@@ -22,7 +22,7 @@ FEW = 4  # and so many with a scale that is off
 
 
 def off_by(folder, tree, sensor, share):
-    """The calibration with a camera's scale off by a share; the accelerometer beside a sensor in metres."""
+    """The calibration with a camera's scale off by a share; the accelerometer together with a sensor in metres."""
     tree = json.loads(json.dumps(tree))
     if sensor == "camera":
         tree["camera"]["scale_mm_per_px"] *= 1.0 + share

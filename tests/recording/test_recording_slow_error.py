@@ -53,9 +53,9 @@ def test_a_slow_error_is_learnt_and_in_the_band(lasting_s, method, tmp_path):
     for seed in range(2):
         share, found = inside(tmp_path, write(tmp_path, seed, lasting_s), method)
         shares.append(share)
-        # How fast it wanders is told, variance over time; its size and time hardly where it is slow.
-        wander = found.slow_std_m**2 / found.slow_time_s
-        assert 0.3 < wander / (SLOW_M**2 / lasting_s) < 3.0
+        # How fast it drifts is shown, variance over time; its size and time hardly where it is slow.
+        drift = found.slow_std_m**2 / found.slow_time_s
+        assert 0.3 < drift / (SLOW_M**2 / lasting_s) < 3.0
         assert found.noise_std_m == pytest.approx(WHITE_M, rel=0.15)
     # The error is correlated: a record holds some twenty draws. With white noise alone 14 to 33 % were inside.
     assert np.mean(shares) > 0.85

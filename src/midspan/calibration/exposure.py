@@ -1,7 +1,7 @@
 """The time over which a displacement sensor averages, where it is not declared.
 
 Averaging over T takes (π f T)²/6 from a motion at f Hz: fast motion comes out smaller than slow motion. A wrong gain is
-the same at all frequencies, so that both can be told apart where the motion has more than one.
+the same at all frequencies, so that both can be distinguished where the motion has more than one.
 """
 
 from dataclasses import replace
@@ -21,9 +21,9 @@ MAX_GAIN_ERROR = 0.2
 
 
 def with_exposure(pair: Pair, fit: Fit) -> tuple[Pair, Fit]:
-    """The pair with the most likely exposure of its measurements, none where that is not told, and its fit.
+    """The pair with the most likely exposure of its measurements, none where the motion does not show it, and its fit.
 
-    An exposure is taken where it gains more likelihood beside any gain than a parameter costs that tells nothing (as in
+    An exposure is taken where it gains more likelihood, with any gain, than a parameter costs that tells nothing (as in
     `fit.with_input_noise`).
     """
     frequency_hz = dominant_frequency(pair.samples[:, 1], pair.sample_rate_hz)

@@ -136,14 +136,14 @@ def _without_gain(learnt: NoiseCalibration, known_std: float) -> NoiseCalibratio
     if not (fit.relative_std < known_std and abs(fit.ratio - 1.0) < MAX_GAIN_ERROR):
         return learnt
     # What is known before counts as well: the mean of both, by their variances.
-    told = known_std**2 / (known_std**2 + fit.relative_std**2)
+    weight = known_std**2 / (known_std**2 + fit.relative_std**2)
     return replace(
         learnt,
         variance_factor=fit.noise,
         input_noise=pair.input_noise(fit.input_density),
         slow_std_m=float(np.sqrt(pair.slow[0] * fit.noise)),
-        gain=1.0 / (1.0 + told * (fit.ratio - 1.0)),
-        gain_std=fit.relative_std * float(np.sqrt(told)),
+        gain=1.0 / (1.0 + weight * (fit.ratio - 1.0)),
+        gain_std=fit.relative_std * float(np.sqrt(weight)),
         findings=replace(learnt.findings, pair=pair, fit=fit),
     )
 

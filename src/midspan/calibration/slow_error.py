@@ -1,9 +1,9 @@
 """The slow error of a displacement sensor: noise that is correlated over seconds, as that of a GNSS receiver.
 
-It is taken as a first-order Gauss-Markov process beside the white noise, with the variance of the largest likelihood of
-the innovations. A record mostly tells only how fast the error wanders, variance over correlation time: what is slower
-than the frequency at which the accelerometer's noise exceeds the sensor's looks like the motion's own start. So the
-variance is the mean over all correlation times, each weighed by its likelihood.
+It is taken as a first-order Gauss-Markov process together with the white noise, with the variance of the largest
+likelihood of the innovations. A record mostly shows only how fast the error drifts, variance over correlation time:
+what is slower than the frequency at which the accelerometer's noise exceeds the sensor's looks like the motion's own
+start. So the variance is the mean over all correlation times, each weighed by its likelihood.
 """
 
 from dataclasses import replace

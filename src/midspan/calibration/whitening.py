@@ -162,6 +162,15 @@ class Whitened:
 
 
 @njit(cache=True)
+def next_step(pieces, g, reached, until):  # type: ignore[no-untyped-def]
+    """The piece that holds after an instant (s), `g` or a later one, and how far a step goes there on the way on."""
+    while g < len(pieces) - 1 and pieces[g, 0] <= reached:
+        g += 1
+    ahead = min(until, reached + MAX_STEP_S)
+    return g, min(ahead, pieces[g, 0]) if g < len(pieces) - 1 else ahead
+
+
+@njit(cache=True)
 def _whiten(pieces, rows, density, states, values, longer, out):  # type: ignore[no-untyped-def]
     """Innovations take the place of `values` (m, c); out (m, 2): their variances and what accelerometer noise makes.
 
@@ -181,11 +190,7 @@ def _whiten(pieces, rows, density, states, values, longer, out):  # type: ignore
             x[c] += step * (v[c] - 0.5 * step * b[c])
             v[c] -= step * b[c]
         while reached < until:
-            while g < len(pieces) - 1 and pieces[g, 0] <= reached:
-                g += 1
-            ahead = min(until, reached + MAX_STEP_S)
-            if g < len(pieces) - 1:
-                ahead = min(ahead, pieces[g, 0])
+            g, ahead = next_step(pieces, g, reached, until)
             advance_covariance(state, ahead - reached, density * pieces[g, 1], walk)
             advance_covariance(noise, ahead - reached, density * pieces[g, 1], walk)
             reached = ahead
@@ -235,11 +240,7 @@ def _whiten_slow(pieces, rows, density, slow, covariances, values, longer, out):
             x[0, c] += step * (x[1, c] - 0.5 * step * x[2, c])
             x[1, c] -= step * x[2, c]
         while reached < until:
-            while g < len(pieces) - 1 and pieces[g, 0] <= reached:
-                g += 1
-            ahead = min(until, reached + MAX_STEP_S)
-            if g < len(pieces) - 1:
-                ahead = min(ahead, pieces[g, 0])
+            g, ahead = next_step(pieces, g, reached, until)
             for p in covariances:
                 predict_covariance(p, 1, ahead - reached, walks)
                 add_noise(p, 0, ahead - reached, density * pieces[g, 1])

@@ -45,7 +45,7 @@ from midspan.vision.tracker import Tracker
 MOST_AHEAD_BYTES = 200_000_000
 # The first columns of a target's rows.
 _track_row = attrgetter(*(field.name for field in fields(PixelTrack)))
-STRENGTH, REFERENCE_X, REFERENCE_Y, UNSEEN = range(len(fields(PixelTrack)), len(fields(PixelTrack)) + 4)
+STRENGTH, REFERENCE_X, REFERENCE_Y = range(len(fields(PixelTrack)), len(fields(PixelTrack)) + 3)
 # Why a target was not looked for in a frame, see `PixelTranslation.unseen`.
 REASONS = ("", "dark", "frozen")
 

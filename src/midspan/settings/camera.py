@@ -133,7 +133,7 @@ class CameraSettings(Section):
         if self.tilt_std_mdeg > 0.0 and self.distance_m is None and self.lens is None:
             raise ValueError(
                 "must have distance_m, the metres from camera to target, or a section lens with the focal length, "
-                "beside tilt_std_mdeg: what a tilt makes of the displacement grows with the distance"
+                "together with tilt_std_mdeg: what a tilt makes of the displacement grows with the distance"
             )
         return self
 
