@@ -12,6 +12,7 @@ demo: $(STAMP)
 test: check
 
 check: $(STAMP)
+	sh tools/servers.sh
 	$(BIN)/ruff format --check src tests benchmarks examples
 	$(BIN)/ruff check src tests benchmarks examples
 	$(BIN)/mypy

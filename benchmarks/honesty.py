@@ -19,6 +19,8 @@ from benchmarks.table import goal, show
 PROCESSES = 2
 METHODS = ("smoother", "kalman")
 LEAST_INSIDE, WORST_Z = 0.85, 8.0  # of a recording that is called ok
+# What a result of a displacement sensor says of slow errors that its record cannot tell from motion.
+UNSEEN = re.compile(r"A slow error,.* of up to ([\d.e+-]+) mm in 10 s would not show")
 # A sensor without a zero of its own has one error common to all rows, often most of the band: one honest recording of
 # twenty has it beyond 1.96 standard deviations, and with it every row. Up to the bound that one of a thousand exceeds
 # the rows are judged without their mean as well.
@@ -36,7 +38,8 @@ class Outcome:
 
     refused: the message where there is no result; z_scale, z_offset, z_zero: error over stated deviation (NaN: none);
     the zero's error is the mean of all rows, which is right as far as the zero's deviation is most of the band;
-    inside_moved: rows inside after that mean is taken off.
+    inside_moved: rows inside after that mean is taken off; stated: 1 where the result says that a slow error as large
+    as the true one would not show and is not in its band; warnings are without that sentence, which others have too.
     """
 
     kind: str
@@ -49,6 +52,7 @@ class Outcome:
     z_offset: float = np.nan
     z_zero: float = np.nan
     inside_moved: float = np.nan
+    stated: int = 0
     warnings: str = ""
     refused: str = ""
 
@@ -58,6 +62,11 @@ class Outcome:
         return not self.refused and self.least_inside >= LEAST_INSIDE and self.worst <= WORST_Z
 
     @property
+    def ok(self) -> bool:
+        """Whether the band holds the truth, says by how much it cannot, or it was refused for its true cause."""
+        return self.held or bool(self.stated) or rightly(self)
+
+    @property
     def least_inside(self) -> float:
         """The share of rows inside that is held against the recording."""
         return max(self.inside, self.inside_moved) if abs(self.z_zero) <= WORST_ZERO_Z else self.inside
@@ -65,7 +74,7 @@ class Outcome:
     @property
     def silent(self) -> bool:
         """Whether there is a result whose band does not hold the truth, without a warning."""
-        return not self.refused and not self.held and not self.warnings
+        return not self.refused and not self.held and not self.stated and not self.warnings
 
 
 def measured(kind: Kind, seed: int, folder: Path) -> list[Outcome]:
@@ -88,8 +97,11 @@ def measured(kind: Kind, seed: int, folder: Path) -> list[Outcome]:
         scale, offset = _calibrated(kind.family, truth, result.calibration.to_dict())
         zero = float(np.mean(error) / (result.metadata()["zero_std_mm"] or np.nan))
         shares = [float(np.mean(one < 1.96)) for one in (z, moved)]
-        figures = (len(z), shares[0], float(np.max(z)), scale, offset, zero, shares[1])
-        found.append(Outcome(kind.label, seed, method, *figures, warnings=" | ".join(result.warnings)))
+        unseen = [UNSEEN.search(one) for one in result.warnings]
+        stated = any(one is not None and 0.0 < truth.wander_mm <= float(one[1]) for one in unseen)
+        figures = (len(z), shares[0], float(np.max(z)), scale, offset, zero, shares[1], int(stated))
+        said = [text for text, one in zip(result.warnings, unseen, strict=True) if one is None]
+        found.append(Outcome(kind.label, seed, method, *figures, warnings=" | ".join(said)))
     return found
 
 
@@ -174,7 +186,7 @@ def recordings(found: Sequence[Outcome]) -> list[list[Outcome]]:
 def row_of(name: str, found: Sequence[Outcome]) -> list[object]:
     """One line of the table: a kind, or several kinds together."""
     whole = recordings(found)
-    share = np.mean([all(one.held or rightly(one) for one in both) for both in whole])
+    share = np.mean([all(one.ok for one in both) for both in whole])
     smooth = [one for one in found if one.method == METHODS[0]]
     return [
         name,
@@ -182,6 +194,7 @@ def row_of(name: str, found: Sequence[Outcome]) -> list[object]:
         *(100 * _inside(one for one in found if one.method == method) for method in METHODS),
         100 * float(share),
         sum(any(one.silent for one in both) for both in whole),
+        sum(any(one.stated and not one.held for one in both) for both in whole),
         max((one.worst for one in found if not one.refused), default=np.nan),
         sum(any(rightly(one) for one in both) for both in whole),
         sum(any(one.refused and not rightly(one) for one in both) for both in whole),
@@ -198,6 +211,7 @@ HEAD = (
     "kalman %",
     "ok %",
     "silent",
+    "stated",
     "worst z",
     "refused",
     "wrongly",
@@ -218,7 +232,7 @@ def report(found: Sequence[Outcome]) -> None:
     rows += [row_of(name, part) for name, part in (("ALL OBEYING", obeyed), ("ALL BREAKING", broken)) if part]
     show(HEAD, rows)
     print("\nNot held (inside below 85 %, or a row beyond 8 standard deviations):")
-    lost = [one for one in found if not one.refused and not one.held]
+    lost = [one for one in found if not one.refused and not one.held and not one.stated]
     show(
         ("kind", "seed", "method", "inside %", "worst z", "scale z", "warned"),
         [(o.kind, o.seed, o.method, 100 * o.inside, o.worst, o.z_scale, o.warnings[:70] or "no") for o in lost],
@@ -231,8 +245,8 @@ def report(found: Sequence[Outcome]) -> None:
     if obeyed:
         _obeying_goals(obeyed)
     if broken:
-        share = np.mean([all(one.held or rightly(one) for one in both) for both in recordings(broken)])
-        goal("breaking: held, or refused with its cause", 100 * float(share), 90, unit="%", at_least=True)
+        share = np.mean([all(one.ok for one in both) for both in recordings(broken)])
+        goal("breaking: held, stated, or refused with its cause", 100 * float(share), 90, unit="%", at_least=True)
         goal("breaking: z of scale and offset, rms", _rms([z for o in broken for z in (o.z_scale, o.z_offset)]), 1.2)
 
 

@@ -104,13 +104,20 @@ def test_every_key_of_the_settings_is_in_the_reference(section, key):
     assert f"| `{key}` |" in text
 
 
-def test_every_example_of_a_recording_is_valid():
+def test_every_example_of_a_recording_or_a_site_is_valid(tmp_path, monkeypatch):
     import tomllib
+
+    from midspan.settings.site import load_site
 
     whole = {"accelerometer": {"file": "a.csv"}, "camera": {"file": "c.mkv"}}
     blocks = [(page, code) for page, text in TEXTS.items() for code in TOML.findall(text)]
     assert len(blocks) >= 4
+    monkeypatch.setenv("MQTT_PASSWORD", "secret")
     for page, code in blocks:
+        if "[[point]]" in code:
+            (tmp_path / "SITE.toml").write_text(code)
+            load_site(tmp_path / "SITE.toml")
+            continue
         validate({**whole, **tomllib.loads(code)}, str(page))
 
 

@@ -17,12 +17,16 @@ RADAR_FACTORS = (1.0, 1.8)
 
 @dataclass(frozen=True)
 class Truth:
-    """What is true of a recording: the motion (m), the instant of its zero, scale and offset (NaN: not compared)."""
+    """What is true of a recording: the motion (m), the instant of its zero, scale and offset (NaN: not compared).
+
+    wander_mm: standard deviation of what a slow error of the sensor adds in 10 s.
+    """
 
     motion: Lines
     zero_s: float
     scale: float
     offset_s: float
+    wander_mm: float = 0.0
 
     def displacement_mm(self, time_s: Floats) -> Floats:
         """True displacement (n,) from the zero."""
@@ -61,7 +65,7 @@ def _slow(change: displacement.Change, rng: np.random.Generator, folder: Path) -
     # Tilt and low-pass give each frequency another gain: there is no one true value.
     no_scale = change in (displacement.tilt, displacement.logger)
     offset = made.offset_s if made.keys else np.nan
-    return Truth(made.motion, np.nan, np.nan if no_scale else made.gain, offset)
+    return Truth(made.motion, np.nan, np.nan if no_scale else made.gain, offset, 1e3 * made.wander_m)
 
 
 def _picture(

@@ -34,6 +34,8 @@ def done(footbridge, tmp_path_factory):
     assert run(["estimate", str(footbridge), "-o", str(folder / "result.csv"), "--quiet"]) == 0
     assert run(["track", str(footbridge), "-o", str(folder / "track.csv"), "--quiet"]) == 0
     write_pictures(folder / "boards", 8, 2)
+    store = ["replay", str(footbridge), "-o", str(folder / "store"), "-c", str(folder / "calibration.json")]
+    assert run([*store, "--quiet"]) == 0
     return folder
 
 
@@ -50,7 +52,21 @@ def calls(footbridge, done, target):
         "formats": ["formats"],
         "methods": ["methods"],
         "check-config": ["check-config", f"{footbridge}"],
+        "run": ["run", f"{site(footbridge, target)}", "--for", "1"],
+        "replay": ["replay", f"{footbridge}", "-o", f"{target}/store", "-c", f"{done}/calibration.json"],
+        "export": ["export", f"{done}/store", "-o", f"{target}/rows.csv"],
     }
+
+
+def site(footbridge, target):
+    """A SITE.toml of one point that replays a recording, on a port that is free."""
+    file = target / "SITE.toml"
+    file.write_text(
+        'name = "site"\n[store]\npath = "store"\n[service]\nlisten = "127.0.0.1:0"\n[[point]]\nname = "p"\n'
+        f'[point.accelerometer]\nsource = "replay:{footbridge}"\n'
+        f'[point.camera]\nsource = "replay:{footbridge}"\ndirection = "y"\n'
+    )
+    return file
 
 
 NAMES = [name for name in COMMANDS if name != "demo"]

@@ -16,6 +16,8 @@ from midspan.records import NANOSECONDS, Measured, nanoseconds
 class Frames:
     """Frames at 4 Hz for 60 s, lit in the stretches given."""
 
+    tracks = ()
+
     def __init__(self, lit):
         self.time_s, self.lit = np.arange(0.0, 60.0, 0.25), lit
 

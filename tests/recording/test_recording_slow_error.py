@@ -1,5 +1,7 @@
 """A displacement sensor whose error is slow, as that of a GNSS receiver: learnt or given, it is in the band."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -75,9 +77,53 @@ def test_a_time_that_the_record_does_not_tell_can_be_given(tmp_path):
     assert found.slow_time_s == pytest.approx(30.0)
 
 
+def test_what_a_record_does_not_tell_is_stated(tmp_path):
+    for seed in range(3):
+        # Slow beside a noisy accelerometer: wanders by 2 mm · sqrt(2 (1 - exp(-10/60))) = 1.1 mm in 10 s.
+        write(tmp_path, seed, 60.0, rate_hz=2.0)
+        stated = [one for one in midspan.calibrate(tmp_path).warnings if "slow error" in one]
+        if not stated:
+            continue
+        assert float(re.search(r"up to ([\d.]+) mm in 10 s", stated[0])[1]) >= 1.1
+    set_keys(tmp_path, "displacement", noise_time_s=0)
+    own = midspan.calibrate(tmp_path)
+    assert own.displacement.slow_std_m == 0.0
+    assert not own.warnings
+
+
+def test_with_its_time_given_the_band_holds_what_the_record_does_not_exclude(tmp_path):
+    held = []
+    for seed in range(3):
+        known = write(tmp_path, seed, 60.0, rate_hz=2.0)
+        set_keys(tmp_path, "displacement", noise_time_s=60.0)
+        held.append(inside(tmp_path, known, "smoother")[0])
+    assert np.mean(held) > 0.85
+
+
 def test_it_is_stored_and_read_again(tmp_path):
     write(tmp_path, 1, 1.0)
     own = midspan.calibrate(tmp_path)
     again = midspan.load_calibration(own.save(tmp_path / "calibration.json")).displacement
     assert again.slow_std_m == pytest.approx(own.displacement.slow_std_m)
     assert again.slow_time_s == pytest.approx(own.displacement.slow_time_s)
+
+
+def test_an_accelerometer_that_drifts_is_named_and_the_unit_is_not(tmp_path):
+    # The bias walks by 30 mm/s² in a minute, by far more than motion of 1 mm rms accelerates below 0.2 Hz.
+    rng, time = np.random.default_rng(11), np.arange(0.0, 120.0, 0.01)
+    turn = 2 * np.pi * 0.5 * time + 3.0 * np.sin(2 * np.pi * 0.01 * time)
+    moved = 1.4e-3 * np.sin(turn)
+    accelerated = np.gradient(np.gradient(moved, time), time)
+    walk = np.cumsum(rng.normal(0.0, 0.03 / np.sqrt(6000.0), len(time)))
+    met = np.arange(50, len(time) - 50, 50)
+    accel = accelerated + walk + rng.normal(0.0, ACCELERATION_NOISE, len(time))
+    height = 1e3 * (moved[met] + rng.normal(0.0, 1.5e-4, len(met)))
+    for name, table in (("a", (time, accel)), ("d", (time[met], height))):
+        np.savetxt(tmp_path / f"{name}.csv", np.column_stack(table), "%.9f", ",", header="time_s,value", comments="")
+    (tmp_path / "recording.toml").write_text(
+        '[accelerometer]\nfile = "a.csv"\nunit = "m/s^2"\n[displacement]\nfile = "d.csv"\nunit = "mm"\n'
+    )
+    result = midspan.estimate(tmp_path)
+    assert not any("displacement.unit" in line for line in result.warnings)
+    error = result.displacement_mm - 1e3 * np.interp(result.time_s, time, moved)
+    assert np.mean(np.abs(error) < 1.96 * result.displacement_std_mm) > 0.85

@@ -122,3 +122,13 @@ def test_calibration_rows_have_no_mean_and_count_bridged_samples_for_next_to_not
     np.testing.assert_allclose(rows[:, 0], np.arange(4000) / 100.0, atol=1e-9)
     assert np.all(rows[2000:2100, 2] > 100.0 * rows[:1900, 2].max())
     np.testing.assert_allclose(rows[:1900, 2], 1.0)
+
+
+def test_white_noise_is_no_fast_motion():
+    rng, time = np.random.default_rng(0), np.arange(4000) / 100.0
+    for fast_hz, told in ((None, False), (25.0, True), (40.0, True)):
+        value = rng.normal(0.0, 1e-3, len(time))
+        if fast_hz is not None:
+            value = value + np.sin(2 * np.pi * fast_hz * time)
+        series = TimeSeries(np.rint(1e9 * time).astype(np.int64), value)
+        assert any("too close" in line for line in prepare_acceleration(series, "a").warnings) is told

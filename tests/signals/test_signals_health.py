@@ -70,7 +70,7 @@ def test_clipping_is_found_at_both_ends_and_only_there():
     cut = np.clip(wave, -2.0, 2.5)
     mask = clipped(cut)
     held = (cut == -2.0) | (cut == 2.5)
-    assert np.mean(mask[held]) > 0.95  # single samples at the end of the range do not count
+    assert np.mean(mask[held]) > 0.9  # the first of each run and single samples at the end of the range do not count
     assert not mask[~held].any()
     assert not clipped(wave).any()
     assert not clipped(np.full(10, np.nan)).any()

@@ -1,34 +1,40 @@
 """The time over which a displacement sensor averages, where it is not declared.
 
-Averaging over T takes (π f T)²/6 from a motion at f Hz: fast motion comes out smaller than slow motion. A wrong gain is
-the same at all frequencies, so that both can be distinguished where the motion has more than one.
+Averaging over T leaves sin(π f T)/(π f T) of a motion at f Hz: fast motion comes out smaller than slow motion. A wrong
+gain is the same at all frequencies, so that both can be distinguished where the motion has more than one.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from midspan.calibration.fit import Fit, Pair, best_corner
 from midspan.calibration.minimum import minimum
-from midspan.signals.health import dominant_frequency
 
 # The exposure is found to this share of the longest one; so many are tried first.
-TOLERANCE, TRIED = 0.01, 6
-# Up to so many periods of the motion the first term of the average holds to 2 % of it.
-MOST_PERIODS = 0.4
+TOLERANCE, TRIED = 0.001, 11
 # With a gain farther from 1 than this it is something else.
 MAX_GAIN_ERROR = 0.2
+# Its standard deviation is first sought with this step, as a share of it, and then with one of its size.
+STEP, ROUNDS = 0.05, 3
 
 
-def with_exposure(pair: Pair, fit: Fit) -> tuple[Pair, Fit]:
+@dataclass(frozen=True, slots=True)
+class Exposed:
+    """The pair with the exposure found, and its fit; spread: what the exposure's error makes of a gain, relative."""
+
+    pair: Pair
+    fit: Fit
+    spread: float = 0.0
+
+
+def find_exposure(pair: Pair, fit: Fit) -> Exposed:
     """The pair with the most likely exposure of its measurements, none where the motion does not show it, and its fit.
 
     An exposure is taken where it gains more likelihood, with any gain, than a parameter costs that tells nothing (as in
-    `fit.with_input_noise`).
+    `fit.with_input_noise`). It is no longer than the interval of the measurements.
     """
-    frequency_hz = dominant_frequency(pair.samples[:, 1], pair.sample_rate_hz)
-    longest_s = min(1.0 / pair.rate_hz, MOST_PERIODS / max(frequency_hz, MOST_PERIODS * pair.rate_hz))
-    free = replace(pair, ratio=None)
+    longest_s, free = 1.0 / pair.rate_hz, replace(pair, ratio=None)
 
     def fitted(share: float) -> Fit:
         return best_corner(replace(free, exposure_s=share * longest_s), fit.offset_s, fit.corner)
@@ -41,6 +47,28 @@ def with_exposure(pair: Pair, fit: Fit) -> tuple[Pair, Fit]:
     best = fitted(share)
     gained = best.likelihood - tried[0] >= 0.5 * np.log(max(len(fit.whitened.variance), 1))
     if not gained or abs(best.ratio - 1.0) > MAX_GAIN_ERROR:
-        return pair, fit
+        return Exposed(pair, fit)
+    step, spread = STEP * share, 0.0
+    for _ in range(ROUNDS):
+        below, above = fitted(share - step), fitted(share + step)
+        curved = (2.0 * best.likelihood - below.likelihood - above.likelihood) / step**2
+        std = min(1.0 / float(np.sqrt(max(curved, 1e-300))), share)
+        spread, step = std * abs(above.ratio - below.ratio) / (2.0 * step), std
     found = replace(pair, exposure_s=share * longest_s)
-    return found, best_corner(found, fit.offset_s, fit.corner)
+    return Exposed(found, best_corner(found, fit.offset_s, fit.corner), spread)
+
+
+def first_term(pair: Pair, offset_s: float) -> tuple[float, float]:
+    """The exposure (s) whose first term, exposure²/24 times the acceleration, does most nearly what averaging does to
+    the motion, and the standard deviation (m) of what is left.
+    """
+    if pair.exposure_s == 0.0:
+        return 0.0, 0.0
+    path, rows = pair.responses[0], pair.rows[pair.used(offset_s), 0]
+    inside = (pair.samples[:, 0] > rows[0] + offset_s) & (pair.samples[:, 0] < rows[-1] + offset_s)
+    time_s = pair.samples[inside, 0]
+    acceleration, changed = path.derivative(time_s, 2), path.at(time_s, pair.exposure_s) - path.at(time_s)
+    acceleration, changed = acceleration - np.mean(acceleration), changed - np.mean(changed)
+    blur = float(np.sum(changed * acceleration) / max(float(np.sum(acceleration**2)), 1e-300))
+    blur = float(np.clip(blur, 0.0, pair.exposure_s**2 / 24.0))
+    return float(np.sqrt(24.0 * blur)), float(np.std(changed - blur * acceleration))

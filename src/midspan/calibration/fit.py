@@ -8,6 +8,7 @@ deviation has an even prior (Gelman 2006, doi:10.1214/06-BA117A), which is as th
 the motion is long enough to tell the noise, this changes nothing.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -62,6 +63,7 @@ class Pair:
     `signals.lively`), of the mean over the record.
     slow: variance of the slow error of the measurements (first-order Gauss-Markov) in units of their noise variance,
     and its rate, 1/s.
+    logger, lean: see `frequency_response`; what leaning takes from the acceleration is in the samples again.
     """
 
     samples: Floats
@@ -73,6 +75,8 @@ class Pair:
     level_m_s2: float = 0.0
     motion_share: float = 0.0
     slow: tuple[float, float] = NO_SLOW_ERROR
+    logger: tuple[float, float] = (0.0, 0.0)
+    lean: float = 0.0
 
     @property
     def rate_hz(self) -> float:
@@ -83,11 +87,6 @@ class Pair:
     def sample_rate_hz(self) -> float:
         """Mean rate of the acceleration."""
         return (len(self.samples) - 1) / float(self.samples[-1, 0] - self.samples[0, 0])
-
-    @property
-    def blur(self) -> float:
-        """What the exposure adds to the displacement, times the acceleration, s²."""
-        return self.exposure_s * self.exposure_s / 24.0
 
     @cached_property
     def responses(self) -> tuple[Response, ...]:
@@ -210,14 +209,15 @@ class Aligned:
         )
 
 
-def aligned(pair: Pair, offset_s: float) -> Aligned:
-    """A pair at a clock offset, s."""
+def aligned(pair: Pair, offset_s: float, *more: Callable[[Floats], Floats]) -> Aligned:
+    """A pair at a clock offset, s, with columns that are functions of time beside its own."""
     index = pair.used(offset_s)
     rows = pair.rows[index]
     time_s = rows[:, 0] + offset_s
     inside, *outside = pair.responses
-    columns = [rows[:, 1], inside.at(time_s, pair.blur), inside.velocity(time_s)]
-    columns += [response.at(time_s, pair.blur) for response in outside]
+    columns = [rows[:, 1], inside.at(time_s, pair.exposure_s, pair.logger), inside.velocity(time_s, pair.exposure_s)]
+    columns += [response.at(time_s, pair.exposure_s, pair.logger) for response in outside]
+    columns += [column(time_s) for column in more]
     values, parabola = levelled(time_s, np.column_stack(columns))
     return Aligned(pair, offset_s, np.column_stack((time_s, rows[:, 2])), values, parabola, index)
 
@@ -253,10 +253,11 @@ def corner_range(pair: Pair) -> tuple[float, float]:
 
 def best_corner(pair: Pair, offset_s: float, corner: float | None = None) -> Fit:
     """The most likely noise ratio at a fixed time offset, near `corner` (rad/s) where one is given."""
-    return _best_corner(aligned(pair, offset_s), corner)
+    return best_corner_here(aligned(pair, offset_s), corner)
 
 
-def _best_corner(here: Aligned, corner: float | None) -> Fit:
+def best_corner_here(here: Aligned, corner: float | None) -> Fit:
+    """The most likely noise ratio of what is compared, near `corner` (rad/s) where one is given."""
     low, high = np.log(corner_range(here.pair))
     if corner is None:
         tried = np.linspace(low, high, CORNERS)
@@ -280,12 +281,12 @@ def with_input_noise(pair: Pair, fit: Fit) -> tuple[Pair, Fit]:
 
     def with_odds(odds: float) -> Fit:
         share = float(1.0 / (1.0 + np.exp(-odds)))
-        return _best_corner(replace(here, pair=replace(pair, motion_share=share)), fit.corner)
+        return best_corner_here(replace(here, pair=replace(pair, motion_share=share)), fit.corner)
 
     tried = np.linspace(*ODDS, ODDS_TRIED)
     best, step = float(tried[int(np.argmax([with_odds(odds).likelihood for odds in tried]))]), tried[1] - tried[0]
     odds = minimum(lambda one: -with_odds(one).likelihood, max(best - step, ODDS[0]), best + step, ODDS_TOLERANCE)
-    found, without = with_odds(odds), _best_corner(here, fit.corner)
+    found, without = with_odds(odds), best_corner_here(here, fit.corner)
     if found.likelihood - without.likelihood < 0.5 * np.log(max(len(here.rows), 1)):
         return constant, without
     return replace(pair, motion_share=float(1.0 / (1.0 + np.exp(-odds)))), found

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from midspan.calibration.agreement import clearly_better, noise_share, straightened
-from midspan.calibration.exposure import with_exposure
+from midspan.calibration.exposure import find_exposure, first_term
 from midspan.calibration.fit import (
     Fit,
     Pair,
@@ -20,7 +20,7 @@ from midspan.calibration.minimum import minimum
 from midspan.calibration.outliers import without_lonely_outliers
 from midspan.calibration.scale import LEAST_GAIN as LEAST_AGREEMENT
 from midspan.calibration.scale import white_noise
-from midspan.calibration.slow_error import with_slow_error
+from midspan.calibration.slow_error import find_slow_error
 from midspan.calibration.time_offset import BEYOND, OffsetSearch, cleaned, curvature, search_offset
 from midspan.records import InputNoise, TimeOffset
 
@@ -38,6 +38,8 @@ EDGE_S, EDGE_SHARE, EDGE_OF_LENGTH = 0.02, 0.05, 0.1
 USUAL_GAIN_STD, MAX_GAIN_ERROR = 0.03, 0.2
 # A quiet camera sees a motion so well that the two noise levels meet this far above its Nyquist frequency.
 FASTEST = 100.0
+# Below this frequency, Hz, an accelerometer's drift may exceed a structure's acceleration.
+DRIFT_HZ = 0.2
 # How well the logarithm of the corner of a motion's noise is found: far better than any record tells it.
 MOTION_TOLERANCE = 1e-5
 
@@ -64,13 +66,16 @@ class NoiseCalibration:
     variance_factor: learnt variance per unit of the variance given with each measurement; input_noise: of the
     acceleration; offset: of the sensor's clock (zero with infinite variance when the motion does not tell);
     scale: the sensor's apparent scale against the accelerometer (1 when both are right) with its standard deviation.
+    drifts: whether the acceleration tells nothing of the displacement because its bias drifts.
     reversed_gain: how much more likely (logarithm) the measurements are with the opposite sign; negative when they
     are right. factor, factor_std: metres in one metre read, where that was learnt as well: the other figures hold for
     readings times this factor. 1 and 0: readings are taken as they are. noise_share: of the response to the
     acceleration that white noise alone would make; where it is large the motion tells no scale. gain: of the
     accelerometer relative to the sensor, where it was estimated, and its relative standard deviation, else 0.
     slow_std_m, slow_time_s: standard deviation and correlation time of the sensor's slow error; 0: its noise is white.
-    exposure_s: time over which the sensor averages, as given or found.
+    unseen_m: how far a slow error that is not taken into account may wander unseen, see `SlowError`.
+    exposure_s: time over which the sensor averages, as given or found; effective_exposure_s, rest_std_m: as of
+    `first_term`.
     warnings: sentences.
     """
 
@@ -79,6 +84,7 @@ class NoiseCalibration:
     offset: TimeOffset
     scale: float
     scale_std: float
+    drifts: bool = False
     reversed_gain: float = -np.inf
     factor: float = 1.0
     factor_std: float = 0.0
@@ -87,7 +93,10 @@ class NoiseCalibration:
     gain_std: float = 0.0
     slow_std_m: float = 0.0
     slow_time_s: float = np.inf
+    unseen_m: float = 0.0
     exposure_s: float = 0.0
+    effective_exposure_s: float = 0.0
+    rest_std_m: float = 0.0
     warnings: tuple[str, ...] = ()
     findings: Findings | None = field(default=None, repr=False, compare=False)
 
@@ -106,8 +115,8 @@ def calibrate_noise(
     pair: displacement in m (ratio 1) with relative variances, and the acceleration. max_offset_s: 0 leaves the clocks
     be. one_clock: the clocks are one, so that the offset is only told. length_s: of the record, see `edge_s`. gain_std:
     relative standard deviation of the accelerometer's gain as known before; it is estimated where the motion tells it
-    better, and not at all with 0. noise_time_s: correlation time of the sensor's slow error where that is known.
-    Nothing is refused here: see `Findings`.
+    better, and not at all with 0. noise_time_s: correlation time of the sensor's slow error where that is known, 0:
+    none. Nothing is refused here: see `Findings`.
     """
     pair, still = without_outliers(without_lonely_outliers(replace(pair, ratio=1.0)))
     fit, offset, search = still, TimeOffset(0.0, np.inf), None
@@ -117,33 +126,49 @@ def calibrate_noise(
         offset = applied(search, found, variance, max_offset_s)
         if offset.value_s != 0.0 and not one_clock:
             pair, fit = search.pair, found
+    spread = 0.0
     if pair.exposure_s == 0.0:
-        pair, fit = with_exposure(pair, fit)
-    pair, fit = with_slow_error(pair, fit, noise_time_s)
+        exposed = find_exposure(pair, fit)
+        pair, fit, spread = exposed.pair, exposed.fit, exposed.spread
+    # A wrong gain is no slow error.
+    free = replace(pair, ratio=None) if gain_std > 0.0 else pair
+    slow = find_slow_error(free, best_corner(free, fit.offset_s), noise_time_s)
+    if slow.pair.slow[0] > 0.0:
+        pair = replace(pair, slow=slow.pair.slow)
+        fit = best_corner(pair, fit.offset_s)
     learnt = _with_scale(pair, fit, offset, search, max_offset_s, length_s)
-    return _without_gain(learnt, gain_std)
+    effect_s, rest_m = first_term(pair, offset.value_s)
+    learnt = replace(
+        learnt,
+        scale_std=float(np.hypot(learnt.scale_std, spread)),
+        unseen_m=slow.unseen,
+        effective_exposure_s=effect_s,
+        rest_std_m=rest_m,
+    )
+    return _without_gain(learnt, gain_std, spread)
 
 
-def _without_gain(learnt: NoiseCalibration, known_std: float) -> NoiseCalibration:
+def _without_gain(learnt: NoiseCalibration, known_std: float, spread: float) -> NoiseCalibration:
     """The calibration with the accelerometer's gain taken out of what differs, where the motion tells it better than
-    to `known_std`, relative.
+    to `known_std`, relative; spread: what else makes it uncertain, relative.
     """
     assert learnt.findings is not None
     if known_std == 0.0:
         return learnt
     unknown = replace(learnt.findings.pair, ratio=None)
     pair, fit = with_input_noise(unknown, best_corner(unknown, learnt.offset.value_s))
-    if not (fit.relative_std < known_std and abs(fit.ratio - 1.0) < MAX_GAIN_ERROR):
+    std = float(np.hypot(fit.relative_std, spread))
+    if not (std < known_std and abs(fit.ratio - 1.0) < MAX_GAIN_ERROR):
         return learnt
     # What is known before counts as well: the mean of both, by their variances.
-    weight = known_std**2 / (known_std**2 + fit.relative_std**2)
+    weight = known_std**2 / (known_std**2 + std**2)
     return replace(
         learnt,
         variance_factor=fit.noise,
         input_noise=pair.input_noise(fit.input_density),
         slow_std_m=float(np.sqrt(pair.slow[0] * fit.noise)),
         gain=1.0 / (1.0 + weight * (fit.ratio - 1.0)),
-        gain_std=fit.relative_std * float(np.sqrt(weight)),
+        gain_std=std * float(np.sqrt(weight)),
         findings=replace(learnt.findings, pair=pair, fit=fit),
     )
 
@@ -177,6 +202,7 @@ def _with_scale(
         offset=offset,
         scale=scale,
         scale_std=std,
+        drifts=local.gain < LEAST_AGREEMENT and _drifts(pair, offset.value_s),
         reversed_gain=reversed_gain,
         slow_std_m=float(np.sqrt(pair.slow[0] * fit.noise)),
         slow_time_s=1.0 / pair.slow[1] if pair.slow[0] > 0.0 else np.inf,
@@ -184,6 +210,20 @@ def _with_scale(
         noise_share=noise_share(pair, local, white_noise(pair.samples[:, 1])),
         findings=Findings(pair, fit, search, free, likeliest),
     )
+
+
+def _drifts(pair: Pair, offset_s: float) -> bool:
+    """Whether the displacement follows the acceleration once that below DRIFT_HZ may have any factor."""
+    from scipy.signal import butter, sosfiltfilt
+
+    value, rate = pair.samples[:, 1], pair.sample_rate_hz
+    if len(value) * DRIFT_HZ < rate or 0.4 * rate < DRIFT_HZ:
+        return False
+    fast = sosfiltfilt(butter(4, DRIFT_HZ, "highpass", fs=rate, output="sos"), value)
+    time_s, density = pair.samples[:, 0], pair.samples[:, 2]
+    samples, slow = (np.column_stack((time_s, part, density)) for part in (fast, value - fast))
+    fit = best_corner(replace(pair, ratio=None, samples=samples, outside=slow), offset_s)
+    return fit.gain > LEAST_AGREEMENT and abs(fit.ratio - 1.0) < MAX_GAIN_ERROR
 
 
 def edge_s(max_offset_s: float, length_s: float = np.inf) -> float:

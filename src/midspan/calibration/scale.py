@@ -1,18 +1,22 @@
 """The scale factor and clock offset of a camera from a minute beside an accelerometer, or a refusal."""
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from midspan.calibration.agreement import clearly_better
-from midspan.calibration.fit import Fit, Pair
+from midspan.calibration.agreement import clearly_better, misfit
+from midspan.calibration.fit import Fit, Pair, aligned, best_corner, with_input_noise
+from midspan.calibration.frequency_response import FrequencyResponse, Kind, kinds_of, response_of, with_response
 from midspan.calibration.time_offset import OffsetSearch, search_offset
 from midspan.errors import NoAgreementError, UntrustedError
-from midspan.records import Floats, InputNoise, NoiseLevel, ScaleFactor
+from midspan.records import Floats, InputNoise, NoiseLevel, ScaleFactor, TimeOffset
 from midspan.signals.health import dominant_frequency
 from midspan.signals.medians import SIGMA_OF_MEDIAN
 
 LEAST_FRAMES = 20
+# How often the clock offset is searched anew with what depends on frequency taken out: it then shows more.
+ANEW = 2
 # Image motion above this many standard deviations of a frame's noise is motion.
 CLEARLY_MOVING = 8.0
 # The largest relative standard deviation of a scale factor that is still given out, and the one that brings a warning.
@@ -29,6 +33,9 @@ UNEXPLAINED_SHARE = 0.2
 # times the noise that the signal itself shows (a noisy accelerometer beside a slow motion is no disagreement).
 IMPLIED_SHARE = 0.3
 IMPLIED_NOISE = 4.0
+# Noise of the accelerometer so many times its own is no noise where what is left is not white; the corner frequency is
+# lowered by this factor until it is less.
+OWN_NOISE, LOWER = 3.0, 0.95
 # An alias below this is told as the likely reason of a refusal: bias and drift of a minute look the same.
 SLOW_ALIAS_HZ = 0.05
 
@@ -38,7 +45,8 @@ class ScaleCalibration:
     """Scale factor, clock offset and noise of one camera.
 
     noise: standard deviation of the translation, px; variance_factor: learnt variance over the tracker's own variance;
-    input_noise: of the acceleration; search: what was tried, for the report; warnings: sentences.
+    input_noise: of the acceleration; search: what was tried, for the report; response: what depends on frequency, whose
+    uncertainty is not in the scale factor's; warnings: sentences.
     """
 
     scale: ScaleFactor
@@ -47,13 +55,15 @@ class ScaleCalibration:
     variance_factor: float
     input_noise: InputNoise
     warnings: tuple[str, ...]
+    response: FrequencyResponse = field(default_factory=FrequencyResponse)
 
 
-def calibrate_scale(pair: Pair, max_offset_s: float) -> ScaleCalibration:
+def calibrate_scale(pair: Pair, max_offset_s: float, *, exposure_declared: bool = False) -> ScaleCalibration:
     """Estimate scale factor (signed), time offset and noise levels by maximum likelihood.
 
     pair: translation in px with the tracker's variances, and the acceleration, of about one minute.
-    max_offset_s: largest clock offset searched for, s. Raises UntrustedError with the reason when there is too little
+    max_offset_s: largest clock offset searched for, s; exposure_declared: whether the pair's exposure is the camera's
+    own. Raises UntrustedError with the reason when there is too little
     motion, when two offsets fit alike, or when the sensors do not agree.
     """
     usable = int(np.count_nonzero(np.isfinite(pair.rows[:, 2])))
@@ -66,7 +76,8 @@ def calibrate_scale(pair: Pair, max_offset_s: float) -> ScaleCalibration:
     typical = float(np.median(pair.rows[np.isfinite(pair.rows[:, 2]), 2]))
     # Relative variances near 1 keep the corner frequency what its name says, and the diffuse start above all noise.
     pair = replace(pair, rows=pair.rows / np.array([1.0, 1.0, typical]))
-    search = search_offset(pair, max_offset_s)
+    kinds = kinds_of(pair, exposure_declared=exposure_declared)
+    search, response = with_frequency(search_offset(pair, max_offset_s), pair, max_offset_s, kinds)
     fit = search.fit
     relative = fit.relative_std
     _refuse_no_motion(pair, fit, relative, float(np.sqrt(typical)))
@@ -79,8 +90,46 @@ def calibrate_scale(pair: Pair, max_offset_s: float) -> ScaleCalibration:
         noise=NoiseLevel(float(np.sqrt(fit.noise))),
         variance_factor=fit.noise / typical,
         input_noise=search.pair.input_noise(fit.input_density),
-        warnings=tuple(_warnings(search, relative, usable)),
+        warnings=(
+            *_warnings(search, relative, usable),
+            *response.texts(dominant_frequency(pair.samples[:, 1], pair.sample_rate_hz) or 0.0),
+        ),
+        response=response,
     )
+
+
+def with_frequency(
+    plain: OffsetSearch, pair: Pair, max_offset_s: float, kinds: Sequence[Kind]
+) -> tuple[OffsetSearch, FrequencyResponse]:
+    """The search with what depends on frequency taken out, as far as it shows; plain: the search without."""
+    search, known, doubt = plain, list[Kind](), 0.0
+    for _ in range(ANEW):
+        if search.fit.gain < LEAST_GAIN:
+            return search, FrequencyResponse()
+        found, shown, more = with_response(search.pair, search.fit, kinds, known)
+        if shown == known:
+            break
+        doubt = float(np.hypot(doubt, more))
+        # Outliers are judged anew: what depends on frequency looked like some.
+        known = shown
+        search = search_offset(replace(found, rows=pair.rows, reference=None), max_offset_s)
+    if known and contradiction(search.pair, search.fit) > 0.0:
+        # What they differ by is something else, which a function of frequency only happens to resemble.
+        search, known, doubt = plain, [], 0.0
+    response = response_of(search.pair, search.fit, kinds, known)
+    # The read-out's rows are no part of the exposure.
+    own_s = float(np.sqrt(max(response.exposure_s**2 - pair.exposure_s**2, 0.0)))
+    offset = TimeOffset(search.offset.value_s, search.offset.variance + response.offset_variance)
+    search = replace(search, offset=offset)
+    response = replace(response, exposure_s=own_s, relative_std=float(np.hypot(response.relative_std, doubt)))
+    return search if search.pair.logger == (0.0, 0.0) else _with_logger(search), response
+
+
+def _with_logger(search: OffsetSearch) -> OffsetSearch:
+    """The search with noise levels of an acceleration whose low-pass stays in it: nothing takes it out."""
+    pair = replace(search.pair, logger=(0.0, 0.0), ratio=search.fit.ratio)
+    pair, fit = with_input_noise(pair, best_corner(pair, search.fit.offset_s))
+    return replace(search, pair=pair, fit=replace(fit, ratio_variance=search.fit.ratio_variance))
 
 
 def _refuse_no_motion(pair: Pair, fit: Fit, relative: float, noise: float) -> None:
@@ -133,6 +182,21 @@ def noise_needed(pair: Pair, fit: Fit) -> str:
         f"their difference would need accelerometer noise of {1e3 * implied:.3g} mm/s² per sample where the signal "
         f"has {1e3 * measured:.3g} mm/s² rms"
     )
+
+
+def contradiction(pair: Pair, fit: Fit) -> float:
+    """What the translation differs by from an accelerometer of hardly more noise than that shows itself (rms).
+
+    0 where the accelerometer's noise as estimated is not far beyond its own, or innovations are white. Otherwise one of
+    both sensors is wrong, and nothing tells which: what shakes between them shows in a camera as slower than it is.
+    """
+    most = (OWN_NOISE * white_noise(pair.samples[:, 1])) ** 2 / pair.sample_rate_hz
+    here, own = aligned(pair, fit.offset_s), fit
+    if pair.input_noise(fit.input_density).density <= most or misfit(pair, fit).factor <= 1.0:
+        return 0.0
+    while pair.input_noise(own.input_density).density > most:
+        own = here.fit(LOWER * own.corner)
+    return float(np.sqrt(own.noise))
 
 
 def white_noise(value: Floats) -> float:

@@ -10,12 +10,13 @@ from dataclasses import replace
 import numpy as np
 
 from midspan.calibration.agreement import straightened, unexplained
+from midspan.calibration.exposure import first_term
 from midspan.calibration.fit import Fit, Pair
 from midspan.calibration.noise import Findings, NoiseCalibration, applied, edge_s, nearest, without_outliers
 from midspan.calibration.outliers import without_lonely_outliers
 from midspan.calibration.scale import LEAST_GAIN as LEAST_AGREEMENT
 from midspan.calibration.scale import REFUSED_ABOVE, alias_in_words, is_ambiguous, noise_needed
-from midspan.calibration.slow_error import with_slow_error
+from midspan.calibration.slow_error import SlowError, find_slow_error
 from midspan.calibration.time_offset import OffsetSearch, search_offset
 from midspan.errors import UntrustedError
 from midspan.records import TimeOffset
@@ -51,7 +52,7 @@ def calibrate_sensor_scale(
         _refuse(search.pair, search.fit)
         _refuse_ambiguity(search, max_offset_s)
         _refuse_unexplained(search, max_offset_s)
-        return _scaled(*with_slow_error(search.pair, search.fit, noise_time_s), search.offset, search)
+        return _scaled(find_slow_error(search.pair, search.fit, noise_time_s), search.offset, search)
     pair, still = without_outliers(pair)
     offset, found = TimeOffset(0.0, np.inf), still
     if max_offset_s > 0.0:
@@ -66,7 +67,7 @@ def calibrate_sensor_scale(
         if not late:
             raise
         raise _clocks_differ(offset) from None
-    learnt = _scaled(*with_slow_error(pair, still, noise_time_s), offset, search)
+    learnt = _scaled(find_slow_error(pair, still, noise_time_s), offset, search)
     # An offset that was left as it is takes from the scale, or adds to it, what it then would be.
     bias = abs(still.ratio / found.ratio - 1.0) if late else 0.0
     if np.hypot(bias, learnt.factor_std / learnt.factor) > REFUSED_ABOVE:
@@ -82,8 +83,9 @@ def _clocks_differ(offset: TimeOffset) -> UntrustedError:
     )
 
 
-def _scaled(pair: Pair, fit: Fit, offset: TimeOffset, search: OffsetSearch | None) -> NoiseCalibration:
+def _scaled(slow: SlowError, offset: TimeOffset, search: OffsetSearch | None) -> NoiseCalibration:
     """The calibration of readings that are multiplied by the factor found."""
+    pair, fit = slow.pair, slow.fit
     factor, relative = 1.0 / fit.ratio, fit.relative_std
     straight = straightened(pair, fit)
     if straight is not None:
@@ -98,6 +100,7 @@ def _scaled(pair: Pair, fit: Fit, offset: TimeOffset, search: OffsetSearch | Non
                 f"{100 * REFUSED_ABOVE:g} % is given out. Correct its time column, or learn the scale on a shorter "
                 "recording."
             )
+    effect_s, rest_m = first_term(pair, fit.offset_s)
     return NoiseCalibration(
         variance_factor=fit.noise * factor * factor,
         input_noise=pair.input_noise(fit.input_density),
@@ -106,7 +109,10 @@ def _scaled(pair: Pair, fit: Fit, offset: TimeOffset, search: OffsetSearch | Non
         scale_std=relative,
         slow_std_m=abs(factor) * float(np.sqrt(pair.slow[0] * fit.noise)),
         slow_time_s=1.0 / pair.slow[1] if pair.slow[0] > 0.0 else np.inf,
+        unseen_m=abs(factor) * slow.unseen,
         exposure_s=pair.exposure_s,
+        effective_exposure_s=effect_s,
+        rest_std_m=rest_m,
         factor=factor,
         factor_std=abs(factor) * relative,
         findings=Findings(pair, fit, search, fit, fit),

@@ -124,7 +124,7 @@ def scan(pair: Pair, offsets: Floats) -> tuple[Floats, Floats]:
 def _likelihoods(pair: Pair, rows: Floats, offsets: Floats, corners: Floats) -> Floats:
     """Likelihood (corners, offsets), all offsets in one run of the filter for each corner frequency (rad/s)."""
     count, time_s = len(offsets), rows[:, :1] + offsets
-    responses = [response.at(time_s, pair.blur) for response in pair.responses]
+    responses = [response.at(time_s, pair.exposure_s, pair.logger) for response in pair.responses]
     values = levelled(rows[:, 0], np.column_stack((rows[:, 1], *responses)))[0]
     at = np.column_stack((rows[:, 0] + float(np.mean(offsets)), rows[:, 2]))
     table = np.empty((len(corners), count))

@@ -46,6 +46,10 @@ SETTLING = 3
 BIAS_WALK_RATIO = 0.003
 # Measurements without a slow error: its variance, and a rate (1/s) that has no effect then.
 NO_SLOW_ERROR = (0.0, 1.0)
+# The mean over an exposure by ten points of Gauss and Legendre, in exposures from its middle: right to 1e-6 up to two
+# periods of a motion. Below this exposure its derivative is that at none.
+NODES, WEIGHTS = (part / 2.0 for part in np.polynomial.legendre.leggauss(10))
+LEAST_EXPOSURE_S = 1e-3
 # Longest step of the covariance, s: within it the walk of the bias reaches the displacement by 1 % of the noise's part.
 MAX_STEP_S = 5.0
 
@@ -62,17 +66,35 @@ class Response:
     cubics: Floats
     pieces: Floats
 
-    def at(self, time_s: Floats, blur: float = 0.0) -> Floats:
-        """Displacement (...,) in m at instants (...,); blur: exposure²/24, s², of the acceleration in addition."""
-        moved = self._derivative(time_s, 0)
-        return moved + blur * self._derivative(time_s, 2) if blur else moved
+    def at(self, time_s: Floats, exposure_s: float = 0.0, logger: tuple[float, float] = (0.0, 0.0)) -> Floats:
+        """Displacement (...,) in m, the mean over exposures around instants (...,).
 
-    def velocity(self, time_s: Floats) -> Floats:
-        """Velocity (...,) in m/s at instants (...,)."""
-        return self._derivative(time_s, 1)
+        logger: so much of the second derivative (s²) and of the third one (s³) in addition, as behind a low-pass.
+        """
+        moved = self._mean(time_s, exposure_s, 0)
+        if logger == (0.0, 0.0):
+            return moved
+        return moved + logger[0] * self.derivative(time_s, 2) + logger[1] * self.derivative(time_s, 3)
 
-    def _derivative(self, time_s: Floats, order: int) -> Floats:
-        """The derivative of an order up to 2; beyond the edges that of the cubic there."""
+    def velocity(self, time_s: Floats, exposure_s: float = 0.0) -> Floats:
+        """Velocity (...,) in m/s at instants (...,), each the mean over an exposure about it."""
+        return self._mean(time_s, exposure_s, 1)
+
+    def _mean(self, time_s: Floats, exposure_s: float, order: int) -> Floats:
+        if exposure_s == 0.0:
+            return self.derivative(time_s, order)
+        parts = (w * self.derivative(time_s + n * exposure_s, order) for n, w in zip(NODES, WEIGHTS, strict=True))
+        return np.asarray(sum(parts))
+
+    def widened(self, time_s: Floats, exposure_s: float) -> Floats:
+        """What one s² of exposure²/24 more makes of the mean over an exposure (...,), m/s²."""
+        if exposure_s < LEAST_EXPOSURE_S:
+            return self.derivative(time_s, 2)
+        ends = 0.5 * sum(self.derivative(time_s + side * exposure_s, 0) for side in (-0.5, 0.5))
+        return 12.0 / exposure_s**2 * (ends - self.at(time_s, exposure_s))
+
+    def derivative(self, time_s: Floats, order: int) -> Floats:
+        """The derivative of an order up to 3; beyond the edges that of the cubic there."""
         found = np.empty(np.shape(time_s))
         _evaluate(self.edges_s, self.cubics, np.ascontiguousarray(time_s).reshape(-1), order, found.reshape(-1))
         return found
@@ -91,7 +113,7 @@ def _integrate(time_s, value, state, out):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def _evaluate(edges_s, cubics, time_s, order, out):  # type: ignore[no-untyped-def]
-    """The derivative of an order up to 2 of cubics (n, 4) between edges (n + 1,) at instants (m,), to `out` (m,)."""
+    """The derivative of an order up to 3 of cubics (n, 4) between edges (n + 1,) at instants (m,), to `out` (m,)."""
     k = 0
     for j in range(len(time_s)):
         if not (edges_s[k] <= time_s[j] and (k + 2 == len(edges_s) or time_s[j] < edges_s[k + 1])):
@@ -101,8 +123,10 @@ def _evaluate(edges_s, cubics, time_s, order, out):  # type: ignore[no-untyped-d
             out[j] = c[3] + c[2] * s + c[1] * (s * s) + c[0] * (s * s * s)
         elif order == 1:
             out[j] = c[2] + c[1] * s * 2.0 + c[0] * (s * s) * 3.0
-        else:
+        elif order == 2:
             out[j] = c[1] * 2.0 + c[0] * s * 6.0
+        else:
+            out[j] = c[0] * 6.0
 
 
 def integrated(samples: Floats) -> Response:

@@ -1,6 +1,7 @@
 """`midspan estimate RECORDING`."""
 
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -24,10 +25,46 @@ if TYPE_CHECKING:
 @click.option("--literal", is_flag=True, help="A paper's method exactly as printed, without guard.")
 @click.option("--tracker", help="Tracker, over the recording's own.")
 @click.option("--report", type=click.Path(), help="Write a self-contained HTML report.")
+@click.option("--point", help="RECORDING is a store: the point whose raw records are computed again.")
+@click.option("--from", "begin", help="Of a store: first instant, ISO 8601 or seconds since 1970.")
+@click.option("--to", "end", help="Of a store: last instant.")
 @common_options
 def command(recording: str, quiet: bool, as_json: bool, **options: Any) -> None:
     """Estimate displacement in mm at the accelerometer's rate, with its standard deviation."""
     console = Console(quiet, as_json)
+    from midspan.service.replay import is_store
+
+    if is_store(recording):
+        with TemporaryDirectory(prefix="midspan-") as folder:
+            _of_store(recording, Path(folder), console, options)
+        return
+    given = [name for key, name in (("point", "--point"), ("begin", "--from"), ("end", "--to")) if options[key]]
+    if given:
+        raise click.UsageError(f"{given[0]}: is for a store; {recording} is none.")
+    _of_recording(recording, console, options)
+
+
+def _of_store(where: str, folder: Path, console: Console, options: dict[str, Any]) -> None:
+    """Compute a stretch of a store again, with the calibration that is in force where none is given."""
+    from midspan.service.stored_recording import stored_recording
+    from midspan.service.stored_rows import chosen_point, instant
+    from midspan.store.store import open_store
+
+    store = open_store(where, read_only=True)
+    try:
+        point = chosen_point(store, options["point"])
+        begin, end = instant(options["begin"], "--from"), instant(options["end"], "--to")
+        _, calibration = stored_recording(store, point, folder, begin, end)
+    finally:
+        store.close()
+    if options["calibration_file"] is None:
+        options["calibration_file"] = str(calibration.save(folder))
+    output = options["output"] or f"{point}.csv"
+    _of_recording(str(folder), console, {**options, "output": output})
+
+
+def _of_recording(recording: str, console: Console, options: dict[str, Any]) -> None:
+    """Estimate a recording, and write and show what was asked for."""
     from midspan.cli.targets import check_result, report_path
     from midspan.recording.estimate import estimate
     from midspan.settings.stored.calibration_file import load_calibration

@@ -12,7 +12,6 @@ from midspan.signals.bridging import LOWEST_HZ, missed_share
 from midspan.signals.health import (
     BESIDE,
     CLIPPED_RUN,
-    CREST_STEPS,
     EQUAL_AT_FIRST,
     REST_SHARE,
     SPIKE,
@@ -24,11 +23,12 @@ from midspan.signals.health import (
     dominant_frequency,
     equal_runs,
     frozen,
+    is_clipped,
     lone_spikes,
-    overshoot,
     runs,
     smallest_step,
     spikes,
+    with_crests,
 )
 from midspan.signals.lively import mean_square
 
@@ -206,7 +206,8 @@ def bridge(
     decided = min(decided, settled, whole)
     missing = np.isnan(value) | still | held
     missing[: memory.given] = False
-    filled, release, lost = _filled(time_ns, value, (missing, decided), memory, (figures, limits), end=end)
+    faulty = (missing, held, decided)
+    filled, release, lost = _filled(time_ns, value, faulty, memory, (figures, limits), end=end)
     told = [Event(int(time_ns[a]), "spike", f"{figures.name}: {b - a} {SPIKE_TEXT}") for a, b in runs(alone)]
     filled = replace(filled, events=(*told, *filled.events))
     if release == memory.given:
@@ -315,41 +316,43 @@ def _is_rest(value: Floats, start: int, memory: AxisMemory, figures: AxisFigures
 def _clipped(
     value: Floats, equal: EqualRuns, memory: AxisMemory, figures: AxisFigures, *, end: bool
 ) -> tuple[Mask, int]:
-    """Samples (n,) held at the largest or smallest value so far, and how many samples are decided."""
-    starts = np.concatenate((np.zeros(memory.given, dtype=bool), equal.length <= 1))
+    """Samples (n,) held at an end of the range, at whatever level that is, and how many samples are decided.
+
+    The first sample of a run is taken as it is: whether others follow it is not yet known when it comes.
+    """
     held, count = np.zeros(len(value), dtype=bool), len(value)
-    fresh = value[memory.given :]
-    high = np.fmax.accumulate(np.concatenate(([memory.high], fresh)))[:-1]
-    low = np.fmin.accumulate(np.concatenate(([memory.low], fresh)))[:-1]
-    extreme = np.zeros(len(value), dtype=bool)
-    extreme[memory.given :] = (fresh >= high) | (fresh <= low)
-    begins = np.flatnonzero(starts)
-    for start in map(int, np.flatnonzero(extreme & starts)):
-        following = int(np.searchsorted(begins, start, side="right"))
-        stop = int(begins[following]) if following < len(begins) else count
-        if stop - start >= int(equal.frozen[start - memory.given]):
-            held[start:stop] = not _is_rest(value, start, memory, figures)
-        elif not end and (stop == count or (stop - start >= CLIPPED_RUN and stop + 1 == count)):
+    begins = memory.given + np.flatnonzero(equal.length <= 1)
+    if 0 < memory.given < count and (not len(begins) or begins[0] > memory.given):
+        # The run that the last sample given out is in goes on.
+        begins = np.append(max(memory.given - memory.equal, 0), begins)
+    ends = np.append(begins[1:], count)
+    mean, std = figures.mean_m_s2, float(np.sqrt(figures.variance))
+    far = np.abs(value[begins] - mean) > std
+    for start, stop in zip(begins[far].tolist(), ends[far].tolist(), strict=True):
+        if not end and stop - start > 1 and (stop == count or (stop - start >= CLIPPED_RUN and stop + 1 == count)):
             # How the run ends, and how steep the signal is after it, is not yet known.
-            return held, start
-        elif stop - start >= CLIPPED_RUN:
-            held[start:stop] = overshoot(value, start, stop) > CREST_STEPS * figures.resolution_m_s2
+            return held, start + 1
+        held[start + 1 : stop] = is_clipped(value, (start, stop), mean, std, figures.resolution_m_s2)
     return held, count
 
 
 def _filled(
     time_ns: Nanoseconds,
     value: Floats,
-    known: tuple[Mask, int],
+    known: tuple[Mask, Mask, int],
     memory: AxisMemory,
     usual: tuple[AxisFigures, AxisLimits],
     *,
     end: bool,
 ) -> tuple[Bridged, int, tuple[int, int]]:
-    """The samples that can be given out, the end of them, and length and start of the long hole they end in."""
-    missing, decided = known
+    """The samples that can be given out, the end of them, and length and start of the long hole they end in.
+
+    known: which samples are missing, which of them are clipped, and how many are decided.
+    """
+    missing, held, decided = known
     figures, limits = usual
     drawn, density = value.copy(), np.zeros(len(value))
+    crests = with_crests(value, held & (np.arange(len(value)) < decided))
     events: list[Event] = []
     lost, release = (memory.lost, memory.lost_from_ns), decided
     holes = [(int(a), int(b)) for a, b in runs(missing[:decided])]
@@ -362,7 +365,10 @@ def _filled(
         if is_open and count < limits.long:
             release, lost = start, (0, 0)
             break
-        if count < limits.long:
+        if count < limits.long and not before and held[start:stop].all():
+            drawn[start:stop] = crests[start:stop]
+            density[start : stop + 1] = figures.unseen((count + 1) / limits.rate_hz)
+        elif count < limits.long:
             _draw(drawn, missing, (start, stop), figures, rate_hz=limits.rate_hz)
             density[start : stop + 1] = figures.unseen((count + 1) / limits.rate_hz)
         else:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from midspan.calibration.sensors.camera import CameraCalibration
-from midspan.engine.channels import Table, ages, clock_std_s, interval_s
+from midspan.engine.channels import Table, ages, as_first_term, clock_std_s, interval_s
 from midspan.engine.sensors import CameraSensor
 from midspan.engine.tracking import CameraTracking
 from midspan.fusion.model import ParameterKind
@@ -32,6 +32,7 @@ def camera_channels(
     along: list[list[int]] = []
     for axis, camera in enumerate(calibrations):
         along.append([])
+        own_s = camera.exposure_s if exposure_s is None else exposure_s
         mappings = camera.mappings()
         noise = [abs(m.scale_m_per_px) * camera.used[k].noise_std_px for k, m in enumerate(mappings)]
         best = int(np.argmin(noise))
@@ -44,7 +45,7 @@ def camera_channels(
                 target=target.name,
                 axis=axis,
                 variance_factor=mapping.variance_factor,
-                exposure_s=target.chain.blur_s(exposure_s),
+                exposure_s=as_first_term(target.chain.blur_s(own_s), table.motion_hz),
                 zero_std_m=zero_std_m if first else np.inf,
                 coasting_s=coasting_s,
                 lost_s=lost_s,

@@ -24,6 +24,8 @@ FIRST_STAMPS = 100
 GIVEN_SCALE_STD = 0.03
 # Density of the random walk of such a scale, 1/s: sensitivities change by 1 % from one day to the next at most.
 SCALE_WALK = 1e-4 / 86400.0
+# Averaging over so small a part of the motion (angular frequency times exposure) is its first term to 1e-4.
+SLIGHT = 0.1
 # The motion tells such a scale only where what the acceleration tells of the displacement is 10 standard deviations of
 # the prediction. The acceleration's own noise follows no sensor, which looks like a scale of less: a quarter of the
 # prediction's variance is its (a double integrator's filter in its steady state), so that what is left is 1/400 of it.
@@ -36,13 +38,14 @@ class Table:
 
     given: the calibration was not estimated from this recording. gain_std: relative standard deviation of the gain of
     each axis's accelerometer, which is in the scales' of the calibration. in_true_metres: channels of sensors whose
-    unit is right, unlike the accelerometer's.
+    unit is right, unlike the accelerometer's. motion_hz: middle frequency of the acceleration.
     """
 
     channels: list[Channel] = field(default_factory=list)
     parameters: list[Parameter] = field(default_factory=list)
     in_true_metres: list[int] = field(default_factory=list)
     given: bool = False
+    motion_hz: float = 0.0
     gain_std: tuple[float, ...] = (0.0, 0.0)
 
     def add(self, channel: Channel) -> int:
@@ -90,6 +93,14 @@ class Table:
                 self.parameters.append(Parameter(ParameterKind.GAIN_ERROR, learnt, std, axis=axis))
 
 
+def as_first_term(exposure_s: float, frequency_hz: float) -> float:
+    """The exposure (s) whose first term, exposure²/24 of the acceleration, is what averaging takes at a frequency."""
+    omega = 2.0 * np.pi * frequency_hz
+    if omega * exposure_s < SLIGHT:
+        return exposure_s
+    return float(np.sqrt(24.0 * (1.0 - np.sinc(frequency_hz * exposure_s)))) / omega
+
+
 def without_gain(relative_std: float, gain_std: float) -> float:
     """A scale's relative standard deviation relative to the accelerometer: without that of the accelerometer's gain."""
     return float(np.sqrt(max(relative_std**2 - gain_std**2, 0.0)))
@@ -129,7 +140,7 @@ def plain_channel(
             lost_s=lost_s,
             slow_std_m=calibration.slow_std_m,
             slow_time_s=calibration.slow_time_s,
-            exposure_s=calibration.exposure_s,
+            exposure_s=calibration.effective_exposure_s,
         )
     )
     if calibration.relative_std > 0.0 or calibration.scale != 1.0:

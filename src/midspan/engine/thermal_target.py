@@ -11,6 +11,7 @@ from typing import Any
 from midspan.records import Frame, PixelTranslation, Prediction, Region, Status
 from midspan.thermal.cleaning import Cleaned, CleaningState, ThermalCleaner
 from midspan.thermal.limits import MARGIN, Limits
+from midspan.thermal.pattern import FixedPattern
 from midspan.thermal.temperature_range import grey
 from midspan.vision.target import lost
 from midspan.vision.tracker import Tracker
@@ -25,9 +26,10 @@ Opener = Callable[[Frame], Tracker]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ThermalTargetState:
-    """What is remembered: of the cleaner, and the tracker's own state."""
+    """What is remembered: of the cleaner, the pattern that was taken out of the reference, the tracker's own state."""
 
     cleaner: CleaningState
+    pattern: FixedPattern | None
     tracker: Any
 
 
@@ -41,8 +43,9 @@ class ThermalTarget(Tracker):
         super().__init__(reference, region)
         self.levels = levels
         # The reference is tracked once more as the first frame: a watch that had seen it would call it frozen.
-        ready = self._ready(ThermalCleaner(reference, region), reference, region)
-        self.tracker = opener(reference if ready is None else ready)
+        self._opener = opener
+        self._pattern: FixedPattern | None = None
+        self.tracker = self._opened()
         self._cleaner = ThermalCleaner(reference, region)
 
     @property
@@ -62,11 +65,13 @@ class ThermalTarget(Tracker):
     @property
     def state(self) -> ThermalTargetState:
         """Everything that changes from frame to frame."""
-        return ThermalTargetState(self._cleaner.state, self.tracker.state)
+        return ThermalTargetState(self._cleaner.state, self._pattern, self.tracker.state)
 
     def restore(self, state: ThermalTargetState) -> None:
         """Continue from a `state` taken earlier."""
         self._cleaner.restore(state.cleaner)
+        self._pattern = state.pattern
+        self.tracker = self._opened()
         self.tracker.restore(state.tracker)
 
     def push(self, frame: Frame, prediction: Prediction | None = None) -> PixelTranslation:
@@ -81,8 +86,10 @@ class ThermalTarget(Tracker):
             return lost(frame.time_ns, tuple(cleaned.events))
         covered = max(cleaned.foreign - USUAL_SHARE, 0.0)
         found = self.tracker.push(replace(ready, covered=covered), prediction)
-        if covered == 0.0:
-            self._cleaner.tracked(found)
+        if covered == 0.0 and self._cleaner.tracked(found) and self.levels is None:
+            # The pattern in the reference would meet what is left of it in the frames, and draw them to zero.
+            self._pattern = self._cleaner.pattern
+            self.tracker = self._opened()
         more = (COVERED_PX * covered) ** 2 if found.status is Status.TRACKING else 0.0
         return replace(
             found,
@@ -106,6 +113,14 @@ class ThermalTarget(Tracker):
     def phase_gain_px_per_rad(self) -> tuple[float, float] | None:
         """The tracker's translation by mean phase along x and y, px/rad."""
         return self.tracker.phase_gain_px_per_rad
+
+    def _opened(self) -> Tracker:
+        """A tracker on the reference frame without the pattern, where that is known."""
+        frame = self.reference
+        if self._pattern is not None:
+            frame = replace(frame, pixels=self._pattern.removed(frame.pixels))
+        ready = self._ready(ThermalCleaner(frame, self.region), frame, self.region)
+        return self._opener(self.reference if ready is None else ready)
 
     def _ready(self, cleaner: ThermalCleaner, frame: Frame, region: Region) -> Frame | None:
         """The frame as the tracker gets it, None with the shutter closed."""

@@ -300,16 +300,18 @@ def meet_row(j, ordered, place, block, state, hyps, best, tables, options, scrat
 def run_block(samples, rows, decided, state, hyps, tables, options, out):  # type: ignore[no-untyped-def]
     """Run over one block; `state` = (motion (axes, 3), clock (4,)) and `hyps` are changed in place and carry on.
 
-    samples (s, 1 + 2 axes): time in s, acceleration of each axis, its noise density, all after the state's time. rows
+    samples (s, 1 + 2 axes): time in s, acceleration of each axis, to which what leaning takes is added in place, its
+    noise density, all after the state's time. rows
     (m, 5): usable measurements, all within the samples, in time order; those of one instant are put in the order they
     are taken in. decided (m,): OPEN, or the code that was decided. hyps: see `model.hypotheses_at`. tables = (walks
-    (n,), channels (c, 13), kinds (c, k), first state of the datums or -1, parameters (k, 4)). out = (found (s, axes,
+    (n,), channels (c, 13), kinds (c, k), first state of the datums or -1, parameters (k, 4), misfit (axes,), lean
+    (axes,)). out = (found (s, axes,
     5), met (m, 3), survivors (m, MOST), errors (m, MOST, 2), nodes (s or 0, axes, 2 (1 + k) + 2 n), record (m, 8 + k +
     n)).
     """
     motion, clock = state
     channels, datum, found, nodes = tables[1], tables[3], out[0], out[4]
-    gain_of, misfit = tables[4][:, GAIN_OF], tables[5]
+    gain_of, misfit, lean = tables[4][:, GAIN_OF], tables[5], tables[6]
     best = one_of(hyps, 0)
     x, p, marks, memory, theta, spread = best
     scratch = (np.zeros(len(x)), np.zeros(x.shape[1]), np.zeros(len(motion)), np.zeros((MOST, KINDS)))
@@ -317,6 +319,9 @@ def run_block(samples, rows, decided, state, hyps, tables, options, out):  # typ
     for k in range(len(samples)):
         begun, end = clock[TIME], samples[k, 0]
         gap = end - begun > GAP_STEPS * clock[STEP]
+        for a in range(len(motion)):
+            # An error of the displacement makes lean times it of the acceleration, far below its noise.
+            samples[k, 1 + a] += lean[a] * (x[3 * a, 0] + (end - begun) * x[3 * a + 1, 0])
         dt = begin_interval(hyps[0], clock, motion, samples, k, gain_of)
         reached = begun
         while True:

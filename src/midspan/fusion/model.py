@@ -108,7 +108,8 @@ class EstimatorSettings:
     angular frequency (1/s): what a sensor measures whose clock has stepped; 0: clocks do not step. zero_ns: instant
     that rows count from; None: from the sensors' own zero. misfit (one an axis): factor on the variance of the states
     in rows, as innovations that are not white show. unseen_std_m (one an axis): standard deviation of an error that
-    nothing measured tells, as of a camera's tilt: in each row, and as large and independent of it in the zero.
+    nothing measured tells, as of a camera's tilt: in each row, and as large and independent of it in the zero. lean
+    (one an axis): acceleration that leaning takes per metre of displacement, 1/s².
     """
 
     channels: tuple[Channel, ...]
@@ -126,6 +127,7 @@ class EstimatorSettings:
     zero_ns: int | None = None
     unseen_std_m: tuple[float, ...] = (0.0, 0.0)
     misfit: tuple[float, ...] = (1.0, 1.0)
+    lean: tuple[float, ...] = (0.0, 0.0)
 
     @property
     def first_zero(self) -> int:
@@ -139,12 +141,12 @@ class EstimatorSettings:
 
 
 Hyps = tuple[Floats, Floats, Floats, Floats, Floats, Floats]
-Tables = tuple[Floats, Floats, NDArray[np.int64], int, Floats, Floats]
+Tables = tuple[Floats, Floats, NDArray[np.int64], int, Floats, Floats, Floats]
 
 
 def tables_of(settings: EstimatorSettings, origin_ns: int = 0) -> Tables:
     """Walks (n,), channels (c, 13), kinds (c, k), the first state of the datums, and the table of the parameters
-    (k, 4), and the misfit (axes,), as `run_block` takes them; origin_ns: what times in s count from.
+    (k, 4), misfit and lean (axes,), as `run_block` takes them; origin_ns: what times in s count from.
     """
     walks = np.zeros(settings.size)
     walks[2 : 3 * settings.axes : 3] = settings.bias_walk
@@ -176,7 +178,8 @@ def tables_of(settings: EstimatorSettings, origin_ns: int = 0) -> Tables:
         gain_of = parameter.axis if parameter.kind is ParameterKind.GAIN_ERROR else -1
         learning[q] = (from_s, parameter.walk, parameter.clear, gain_of)
     datum = -1 if settings.zero_ns is None else 3 * settings.axes
-    return walks, channels, kinds, datum, learning, np.array(settings.misfit[: settings.axes])
+    misfit, lean = (np.array(one[: settings.axes]) for one in (settings.misfit, settings.lean))
+    return walks, channels, kinds, datum, learning, misfit, lean
 
 
 def apart(settings: EstimatorSettings, channel: Channel) -> tuple[float, float]:
@@ -320,5 +323,7 @@ def run(state: Filter, block: Block, tables: Tables, options: Floats, *, back: b
         np.zeros((m, RECORD + columns + n)),
     )
     out = (left.found, left.met, left.survivors, left.errors, left.nodes, left.record)
-    run_block(block.samples, block.rows, block.decided, (state.motion, state.clock), state.hyps, tables, options, out)
+    run_block(
+        block.samples.copy(), block.rows, block.decided, (state.motion, state.clock), state.hyps, tables, options, out
+    )
     return left

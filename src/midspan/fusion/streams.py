@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from midspan.checks import refuse
+from midspan.fusion.entry import require_record, sound_acceleration, sound_displacement
 from midspan.fusion.estimator import BLOCK, Estimator, EstimatorState, Rows
 from midspan.fusion.model import EstimatorSettings, Rates
 from midspan.fusion.second_pass import Lag, LagState
@@ -132,6 +133,8 @@ class KalmanFilter:
     """
 
     def __init__(self, settings: KalmanSettings | None = None, *, lag_samples: int = 0) -> None:
+        if lag_samples < 0:
+            raise refuse("lag_samples", "0 or more", lag_samples)
         self.settings = settings or KalmanSettings()
         known = self.settings.estimator(tuple(Source))
         self._estimator: Estimator | Lag = Lag(known, lag_samples) if lag_samples else Estimator(known)
@@ -139,13 +142,14 @@ class KalmanFilter:
     def push(self, record: Acceleration | Displacement) -> list[Output]:
         """Take one block; returns for acceleration an Estimate, an Innovation and Events, each where there are any.
 
+        Raises UsageError for values that cannot be (an acceleration that is not finite, stamps out of order).
         Times of the acceleration increase from block to block; a displacement that is not later than the last
         acceleration already pushed is left out, with an Event.
         """
         if isinstance(record, Displacement):
-            self._estimator.push(measured(record, tuple(Source)))
+            self._estimator.push(measured(sound_displacement(record), tuple(Source)))
             return []
-        return outputs(self._estimator.push(samples(record)))
+        return outputs(self._estimator.push(samples(sound_acceleration(record))))
 
     def finish(self) -> list[Output]:
         """What is left at the end of the record."""
@@ -172,6 +176,7 @@ def smooth(acceleration: Acceleration, displacement: Displacement, settings: Kal
     estimate has one row a sample; its standard deviation is that of the smoother.
     """
     settings = settings or KalmanSettings()
+    require_record(acceleration, displacement)
     estimator = Estimator(settings.estimator(sources_of(displacement)), log=True)
     found = whole(estimator, acceleration, with_prior(displacement, acceleration, settings))
     assert estimator.log is not None
@@ -187,6 +192,7 @@ def filtered(
 ) -> Smoothed:
     """Filter a whole record, as `smooth`; each row rests on what came before it, and on what came `lag_s` after it."""
     settings = settings or KalmanSettings()
+    require_record(acceleration, displacement)
     known = settings.estimator(sources_of(displacement))
     step_s = float(np.median(np.diff(acceleration.time_ns))) / NANOSECONDS if lag_s else np.inf
     lag_samples = round(lag_s / step_s)

@@ -34,7 +34,7 @@ class Combined:
 
 def combine(residual: Floats, variance: Floats, used: Used) -> Combined:
     """The mean by inverse variance of those residuals (k, n) that are `used`."""
-    inverse = np.where(used, 1.0 / np.where(used, variance, 1.0), 0.0)
+    inverse = np.where(used, 1.0 / np.maximum(np.where(used, variance, 1.0), 1e-300), 0.0)
     total = inverse.sum(axis=0)
     weight = inverse / np.where(total > 0.0, total, 1.0)
     value = np.where(total > 0.0, np.sum(weight * np.where(used, residual, 0.0), axis=0), np.nan)
@@ -98,5 +98,5 @@ def relative_zeros(residual: Floats, variance: Floats) -> Floats:
         middle = float(np.median(row[known]))
         near = known & (np.abs(row - middle) <= AGREE_STD * np.sqrt(np.where(known, own, 0.0)))
         zeros[k] = float(np.mean(row[near])) if near.any() else middle
-        weights[k] = 1.0 / float(np.median(own[known]))
+        weights[k] = 1.0 / max(float(np.median(own[known])), 1e-300)
     return zeros - float(np.sum(weights * zeros)) / max(float(np.sum(weights)), 1e-300)

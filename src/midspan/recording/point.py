@@ -2,9 +2,11 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from math import hypot
 
 import numpy as np
 
+from midspan.calibration.frequency_response import GRAVITY_M_S2
 from midspan.calibration.whitening import BIAS_WALK_RATIO
 from midspan.engine.axis import AxisFigures
 from midspan.engine.camera_channels import camera_channels
@@ -88,9 +90,12 @@ def zero_instant(main: Side, eyes: Sequence[Eye]) -> int | None:
 
 
 def unseen_std_m(eyes: Sequence[Eye], axis: int) -> float:
-    """What the tilt of the cameras makes of the displacement along an axis, m: of several the most."""
+    """What the tilt of the cameras, and their contradiction of the accelerometer, make of the displacement along an
+    axis, m: of several the most.
+    """
     settings = [(eye.view.settings.camera, eye.calibrations[axis]) for eye in eyes]
-    return max((tilt_std_m(camera, known) for camera, known in settings if camera is not None), default=0.0)
+    tilts = (0.0 if camera is None else tilt_std_m(camera, known) for camera, known in settings)
+    return max((hypot(tilt, known.apart_std_m) for tilt, (_, known) in zip(tilts, settings, strict=True)), default=0.0)
 
 
 def estimator_settings(table: Table, sides: Sequence[Side], eyes: Sequence[Eye]) -> EstimatorSettings:
@@ -105,6 +110,7 @@ def estimator_settings(table: Table, sides: Sequence[Side], eyes: Sequence[Eye])
         motion=tuple(figures(side, 1.0).motion if side.recording.fused else (0.0, 0.0) for side in sides),
         zero_ns=zero_instant(sides[0], eyes),
         misfit=tuple(side.calibration.misfit for side in sides),
+        lean=tuple(GRAVITY_M_S2 * side.calibration.slope for side in sides),
         unseen_std_m=tuple(unseen_std_m(eyes, axis) for axis in range(len(sides))),
     )
 
@@ -122,17 +128,19 @@ def measuring_point(
     lag_s: float | None = None,
     noise_memory: float | None = None,
     given: bool = False,
+    log: bool = True,
+    wait_s: tuple[float, float] = (np.inf, np.inf),
 ) -> Point:
     """The point of a recording's axes and sensors.
 
     lag_s: rows are given out so much later, smoothed; noise_memory: measurements over which their noise is followed.
+    log: keep what was decided, for a second pass over the whole. wait_s: how long other streams are waited for behind
+    the accelerometer's, and after what silence no longer; those of a recording for ever.
     """
     main = sides[0]
-    recording, table = (
-        main.recording,
-        Table(given=given, gain_std=tuple(side.calibration.accelerometer_scale_std for side in sides)),
-    )
-    moved_m = (main.calibration.usual or usual_in_window(recording)).moved_m
+    recording, usual = main.recording, main.calibration.usual or usual_in_window(main.recording)
+    gain_stds = tuple(side.calibration.accelerometer_scale_std for side in sides)
+    table, moved_m = Table(given=given, motion_hz=usual.dominant_hz, gain_std=gain_stds), usual.moved_m
     sensors: dict[str, Sensor] = {}
     for number, eye in enumerate(eyes):
         sensors[eye.sensor] = camera_channels(
@@ -146,7 +154,7 @@ def measuring_point(
     offsets_ns = clock_offsets_ns(main, eyes)
     settings = estimator_settings(table, sides, eyes)
     settings = settings if noise_memory is None else replace(settings, noise_memory=noise_memory)
-    merge = Merge([ACCELEROMETER, *sensors], lateness_s=np.inf, silent_s=np.inf)
+    merge = Merge([ACCELEROMETER, *sensors], *wait_s)
     for name in sensors:
         merge.push(ClockOffset(name, offsets_ns[name], FIRST_NS))
     measured = [side for side in sides if side.recording.fused]
@@ -156,5 +164,5 @@ def measuring_point(
     one_at_a_time = recording.settings.fusion.switching == "matches" and len(eyes) > 1
     switch = Switch((eyes[0].sensor, eyes[1].sensor)) if one_at_a_time else None
     lag = None if lag_s is None else max(1, round(lag_s * rate_hz))
-    estimator = Estimator(settings, log=True) if lag is None else Lag(settings, lag)
+    estimator = Estimator(settings, log=log) if lag is None else Lag(settings, lag)
     return Point(merge, guard, sensors, estimator, unmeasured, switch)

@@ -107,21 +107,12 @@ def used_when(outcome: Outcome, channels: Sequence[Channel], sensor: str) -> lis
 def run(point: Point, sides: Sequence[Side], eyes: Sequence[Eye]) -> Outcome:
     """Push all records of a recording into its point."""
     outcome = Outcome()
-    time_ns = sides[0].recording.acceleration.time_ns
-    value = np.column_stack([side.recording.acceleration.value for side in sides if side.recording.fused])
-    outcome.take(point.push(Arrival(ACCELEROMETER, 0, Readings(time_ns, value))))
+    for name, sensor in point.sensors.items():
+        if isinstance(sensor, RadarSensor):
+            outcome.radars[name] = RadarLog(sensor.chain.targets)
     cameras = {eye.sensor: eye for eye in eyes}
     kept = {eye.sensor: eye.tracking.done for eye in eyes}
-    feeds: dict[str, Iterator[Tracked | Frame | RangeFrame]] = {eye.sensor: frames_of(eye) for eye in eyes}
-    for view, _ in known_sensors(sides[0]):
-        sensor = point.sensors[view.sensor]
-        if isinstance(sensor, RadarSensor):
-            feeds[view.sensor] = radar_frames(view, sensor)
-            outcome.radars[view.sensor] = RadarLog(sensor.chain.targets)
-        else:
-            series = view.displacement
-            outcome.take(point.push(Arrival(view.sensor, 0, Readings(series.time_ns, series.value[:, None]))))
-    for name, record in in_time(feeds, clock_offsets_ns(sides[0], eyes)):
+    for name, record in records_of(point, sides, eyes):
         with in_words_of(name):
             outputs = point.push(record)
         keep(outputs, cameras, kept)
@@ -133,6 +124,62 @@ def run(point: Point, sides: Sequence[Side], eyes: Sequence[Eye]) -> Outcome:
         if not any(log.used):
             raise DataError(worded(NOTHING_SEEN, name))
     return outcome
+
+
+def records_of(
+    point: Point, sides: Sequence[Side], eyes: Sequence[Eye], *, block_s: float = np.inf
+) -> Iterator[tuple[str, Arrival | Complete]]:
+    """All records of a recording, readings ahead of the frames that they cover; with each the stream that it is from.
+
+    block_s: readings come in blocks of about this length; how they are cut has no effect on any row.
+    """
+    main = sides[0].recording
+    value = np.column_stack([side.recording.acceleration.value for side in sides if side.recording.fused])
+    readings = {ACCELEROMETER: Readings(main.acceleration.time_ns, value)}
+    feeds: dict[str, Iterator[Tracked | Frame | RangeFrame]] = {eye.sensor: frames_of(eye) for eye in eyes}
+    for view, _ in known_sensors(sides[0]):
+        sensor = point.sensors[view.sensor]
+        if isinstance(sensor, RadarSensor):
+            feeds[view.sensor] = radar_frames(view, sensor)
+        else:
+            readings[view.sensor] = Readings(view.displacement.time_ns, view.displacement.value[:, None])
+    offsets_ns = {ACCELEROMETER: 0, **clock_offsets_ns(sides[0], eyes)}
+    blocks = blocks_of(readings, offsets_ns, block_s)
+    ahead = next(blocks, None)
+    for name, record in in_time(feeds, offsets_ns):
+        if isinstance(record, Arrival):
+            stamp = _stamp(record) + offsets_ns[name]
+            while ahead is not None and ahead[0] <= stamp:
+                yield ahead[1].stream, ahead[1]
+                ahead = next(blocks, None)
+        yield name, record
+    while ahead is not None:
+        yield ahead[1].stream, ahead[1]
+        ahead = next(blocks, None)
+
+
+def blocks_of(
+    readings: Mapping[str, Readings], offsets_ns: Mapping[str, int], block_s: float
+) -> Iterator[tuple[int, Arrival]]:
+    """Readings of several streams in blocks, by the begin (ns) of each block's span on the common clock."""
+    first_ns = min((int(one.time_ns[0]) + offsets_ns[name] for name, one in readings.items() if len(one.time_ns)))
+    last_ns = max((int(one.time_ns[-1]) + offsets_ns[name] for name, one in readings.items() if len(one.time_ns)))
+    step_ns = min(NANOSECONDS * block_s, last_ns - first_ns + 1)
+    places, counts = dict.fromkeys(readings, 0), dict.fromkeys(readings, 0)
+    for number in range(1 + int((last_ns - first_ns) // step_ns)):
+        for name, one in readings.items():
+            # What is backwards or doubled is for the engine to judge: a block ends where the stamps first pass its end.
+            later = one.time_ns[places[name] :] + offsets_ns[name] >= first_ns + (number + 1) * step_ns
+            end = places[name] + (int(np.argmax(later)) if later.any() else len(later))
+            if end > places[name]:
+                part = Readings(one.time_ns[places[name] : end], one.value[places[name] : end])
+                yield first_ns + round(number * step_ns), Arrival(name, counts[name], part)
+                places[name], counts[name] = end, counts[name] + 1
+
+
+def _stamp(arrival: Arrival) -> int:
+    assert not isinstance(arrival.record, Readings)
+    return arrival.record.time_ns
 
 
 def frames_of(eye: Eye) -> Iterator[Tracked | Frame]:

@@ -110,6 +110,7 @@ class StoredAccelerometer(Stored):
     scale: Factor = 1.0
     scale_std: Std = 0.0
     misfit: Annotated[float, IsNumber, limited(1.0, 1e12)] = 1.0
+    slope_rad_m: Number = 0.0
     usual: StoredUsual | None = None
 
 
@@ -142,6 +143,7 @@ class StoredScale(Stored):
     scale_std_mm_per_px: Std = 0.0
     relative_scale_std: Std | None = None
     phase_scale_mm_per_rad: Factor | None = None
+    apart_std_mm: Std = 0.0
     noise_std_px: Noise = 0.02
     variance_factor: Ratio = 1.0
     targets: tuple[StoredTarget, ...] = ()
@@ -159,6 +161,7 @@ class StoredAxis(StoredScale):
     accelerometer_bias_std_m_s2: StdOrInf = math.inf
     accelerometer_scale_std: Std = 0.0
     accelerometer_misfit: Annotated[float, IsNumber, limited(1.0, 1e12)] = 1.0
+    accelerometer_slope_rad_m: Number = 0.0
     accelerometer_usual: StoredUsual | None = None
 
 
@@ -193,6 +196,7 @@ class StoredCamera(StoredSensor, StoredScale):
     tracker: Text = "template"
     lens: Annotated[Lens | None, BeforeValidator(_lens)] = None
     temperature_range_c: Annotated[tuple[Celsius, Celsius] | None, AfterValidator(second_is_larger)] = None
+    exposure_s: Duration = 0.0
 
     @model_validator(mode="after")
     def _has_both_axes(self) -> "StoredCamera":
@@ -283,6 +287,7 @@ class StoredDisplacement(StoredSensor):
     slow_std_mm: Std = 0.0
     slow_time_s: StdOrInf = math.inf
     exposure_s: Duration = 0.0
+    effective_exposure_s: Duration = 0.0
     scale: Factor = 1.0
     scale_std: Std = 0.0
 

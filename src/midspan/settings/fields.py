@@ -42,8 +42,8 @@ Carrier = Annotated[float, IsNumber, _held(CARRIER_HZ)]
 Time = Annotated[float, IsNumber, _held(TIME_S)]
 # An hour is longer than any exposure or sweep of a shutter.
 Duration = Annotated[float, IsNumber, limited(0.0, 3600.0, "s")]
-# From one value of the fastest sensors to a day.
-NoiseTime = Annotated[float, IsNumber, limited(1e-3, 86400.0, "s")]
+# None, up to a day.
+NoiseTime = Annotated[float, IsNumber, limited(0.0, 86400.0, "s")]
 # Noise in any unit, from below the last digit of a double in mm to above any sensor's range.
 Noise = Annotated[float, IsNumber, limited(1e-12, 1e9, "in the unit of the values")]
 FiniteNumber = Annotated[float, IsNumber, Field(allow_inf_nan=False)]

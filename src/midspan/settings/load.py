@@ -42,6 +42,10 @@ def load_settings(path: str | Path, overrides: dict[str, dict[str, Any]] | None 
     try:
         tree = read_toml(file)
     except TreeError as error:
+        if file.suffix.lower() != ".toml":
+            raise UsageError(
+                f"{file}: is no {RECORDING_FILE}. A recording is a folder with {RECORDING_FILE}, or that file."
+            ) from None
         raise UsageError(f"{file}: {error}.") from None
     except OSError as error:
         raise DataError(f"{file}: cannot be read ({error.strerror}).") from None

@@ -147,7 +147,7 @@ class RecordingSettings(Section):
     def _as_written(self, plain: Callable[[Any], dict[str, Any]], info: SerializationInfo) -> dict[str, Any]:
         """The tree as the file has it: a single section of a kind is no list."""
         tree = {type(self).model_fields[key].alias or key: value for key, value in plain(self).items()}
-        for kind in KINDS:
+        for kind in [one for one in KINDS if one in tree]:
             listed = tree.pop(kind)
             if listed or not info.exclude_none:
                 tree[kind] = listed if len(listed) > 1 else (*listed, None)[0]

@@ -99,8 +99,8 @@ class DisplacementSettings(ChannelSettings):
     )
     noise_time_s: NoiseTime | None = Field(
         None,
-        description="correlation time of its slow error (GNSS), s; left out: estimated where the data allow it; "
-        "longer trusts its slow part less",
+        description="correlation time of its slow error (GNSS), s; 0: it has none; left out: estimated where the "
+        "data allow it; longer trusts its slow part less",
     )
 
 

@@ -19,12 +19,26 @@ from midspan.records import (
     seconds,
 )
 from midspan.signals.bridging import GAP_STEPS, LONG_SHARE, LOWEST_HZ, missed_share, unknown_density
-from midspan.signals.health import Clock, Mask, bridged, clipped, clock, dominant_frequency, frozen, lone_spikes, runs
+from midspan.signals.health import (
+    Clock,
+    Mask,
+    bridged,
+    clipped,
+    clock,
+    dominant_frequency,
+    frozen,
+    lone_spikes,
+    runs,
+    with_crests,
+)
 from midspan.signals.lively import mean_square
 from midspan.signals.stamps import inside, shown
 
 # Above this share of the rate the motion is so fast that integration errs by 1 % and more.
 FASTEST_SHARE = 0.2
+# White noise crosses zero as often. It is motion where samples next to each other or but one are correlated by more:
+# a tone above that share by 0.8 and more where it is all there is.
+LEAST_CORRELATED = 0.3
 # Share of samples that may be missing, frozen or clipped before the channel is refused.
 MOST_MISSING = 0.2
 MOST_CLIPPED = 0.05
@@ -108,7 +122,8 @@ def prepare_acceleration(series: TimeSeries, where: str) -> PreparedAcceleration
     _refuse(where, held, "clipped", (MOST_CLIPPED, "is held at the end of its range"))
     missing = absent | still | held | alone
     _refuse(where, missing, "missing", (MOST_MISSING, "is not a number, frozen or clipped"))
-    value = towards_mean(bridged(series.value, missing), missing, usual.rate_hz)
+    straight = towards_mean(bridged(series.value, missing), missing, usual.rate_hz)
+    value = np.where(held, with_crests(series.value, held), straight)
     density = _bridging_density(value, missing, usual)
     warnings = [f"{where}: {line}." for line in series.damage]
     warnings += [f"{where}: {line}; they were bridged and marked." for line in unusable_samples(series)]
@@ -116,7 +131,7 @@ def prepare_acceleration(series: TimeSeries, where: str) -> PreparedAcceleration
         longest = float(np.max(usual.gap_s))
         warnings.append(f"{where}: gaps in time: {len(usual.gaps)}, the longest {longest:.3g} s; bridged and marked.")
     fastest = dominant_frequency(value, usual.rate_hz)
-    if fastest > FASTEST_SHARE * usual.rate_hz:
+    if fastest > FASTEST_SHARE * usual.rate_hz and _correlated(value):
         warnings.append(
             f"{where}: most of the acceleration lies near {fastest:.3g} Hz, too close to the rate of "
             f"{usual.rate_hz:.4g} Hz: "
@@ -183,6 +198,13 @@ def towards_mean(value: Floats, missing: Mask, rate_hz: float) -> Floats:
         share = missed_share((end - start + 1) / rate_hz, frequency)
         drawn[start:end] += share * (mean - drawn[start:end])
     return drawn
+
+
+def _correlated(value: Floats) -> bool:
+    """Whether samples (n,) are no white noise, by their correlation with the next one and the next but one."""
+    left = value - np.mean(value)
+    power = max(float(np.sum(left**2)), 1e-300)
+    return max(abs(float(np.sum(left[k:] * left[:-k]))) for k in (1, 2)) > LEAST_CORRELATED * power
 
 
 def _bridging_density(value: Floats, missing: Mask, gaps: Clock) -> Floats:

@@ -1,6 +1,44 @@
 """Objects that lie in an HDF5 file itself: links and datasets can name other files, which are not followed."""
 
+import struct
+from pathlib import Path
 from typing import Any
+
+from midspan.errors import DataError
+
+# Where a file's head may begin, by the format: after a block of the user's of so many bytes.
+HEADS = (0, *(512 << k for k in range(12)))
+SIGNATURE = b"\x89HDF\r\n\x1a\n"
+
+
+def open_hdf5(path: Path) -> Any:
+    """An HDF5 file, opened for reading. Raises DataError for one that goes on behind its own end.
+
+    The library follows what it finds in a file into which bytes were put, and may not come back.
+    """
+    import h5py
+
+    size, end = path.stat().st_size, _end(path)
+    if end is not None and size > end:
+        raise DataError(f"{path} is damaged: it has {size} bytes, and by its own head {end}. Copy it again.")
+    return h5py.File(path, "r")
+
+
+def _end(path: Path) -> int | None:
+    """Where an HDF5 file ends by its own head, None where no head is found."""
+    with path.open("rb") as file:
+        for begin in HEADS:
+            file.seek(begin)
+            head = file.read(64)
+            if head[:8] != SIGNATURE or len(head) < 48:
+                continue
+            base_at, end_at = (24, 40) if head[8] < 2 else (12, 28)
+            if (head[13] if head[8] < 2 else head[9]) != 8:
+                return None
+            base, end = (int(struct.unpack_from("<Q", head, at)[0]) for at in (base_at, end_at))
+            # What stands before the head counts in some files' end, and in others' not.
+            return max(end, base + end)
+    return None
 
 
 class ElsewhereError(Exception):

@@ -35,7 +35,7 @@ class Cleaned:
 @dataclass(frozen=True, slots=True, eq=False)
 class CleaningState:
     """What is remembered: of shutter and limits, the pattern in use, the frames kept to learn it from with their
-    translations (px), when the last of them was taken, and how many there were.
+    translations (px), when the last of them was taken, and how many there were; whether the shutter was closed.
     """
 
     shutter: ShutterState
@@ -44,6 +44,7 @@ class CleaningState:
     kept: tuple[tuple[NDArray[np.float32], float, float], ...]
     kept_ns: int
     tries: int
+    closed: bool
 
 
 class ThermalCleaner:
@@ -61,7 +62,7 @@ class ThermalCleaner:
         self._kept: deque[tuple[NDArray[np.float32], float, float]] = deque(maxlen=PATTERN_FRAMES)
         self._last: Frame | None = None
         self._kept_ns = -(1 << 62)
-        self._tries = 0
+        self._tries, self._closed = 0, False
 
     @property
     def limits(self) -> Limits:
@@ -77,13 +78,15 @@ class ThermalCleaner:
     def state(self) -> CleaningState:
         """Everything that changes from frame to frame, between `tracked` and the next `push`."""
         kept = tuple(self._kept)
-        return CleaningState(self._watch.state, self._follower.state, self._pattern, kept, self._kept_ns, self._tries)
+        shutter, limits = self._watch.state, self._follower.state
+        return CleaningState(shutter, limits, self._pattern, kept, self._kept_ns, self._tries, self._closed)
 
     def restore(self, state: CleaningState) -> None:
         """Continue from a `state` taken earlier, with the same reference frame and region."""
         self._watch.restore(state.shutter)
         self._follower.restore(state.limits)
-        self._pattern, self._kept_ns, self._tries = state.pattern, state.kept_ns, state.tries
+        self._pattern, self._kept_ns = state.pattern, state.kept_ns
+        self._tries, self._closed = state.tries, state.closed
         self._kept = deque(state.kept, maxlen=self._kept.maxlen)
         self._last = None
 
@@ -112,13 +115,16 @@ class ThermalCleaner:
         clean = Frame(frame.time_ns, folded(pixels, limits), frame.index)
         return Cleaned(clean, verdict.events, foreign_share(target, limits))
 
-    def tracked(self, found: PixelTranslation) -> None:
-        """Learn the fixed pattern from what the tracker found in the frame that was pushed last."""
+    def tracked(self, found: PixelTranslation) -> bool:
+        """Learn the fixed pattern from what the tracker found in the frame that was pushed last.
+
+        Returns whether it is known from now on, and is that of the reference frame: no shutter has closed since.
+        """
         frame = self._last
         if frame is None or found.status is not Status.TRACKING or self._pattern is not None:
-            return
+            return False
         if frame.time_ns - self._kept_ns < PATTERN_EVERY_S * NANOSECONDS:
-            return
+            return False
         self._kept_ns = frame.time_ns
         self._kept.append((np.asarray(frame.pixels, dtype=np.float32), found.x_px, found.y_px))
         self._tries += 1
@@ -129,9 +135,10 @@ class ThermalCleaner:
             moved = moved - np.round(moved.mean(axis=0))
             limits = self.limits
             self._pattern = estimate_pattern(folded(stack, limits, 1.0).astype(np.float64), moved, PATTERN_K)
+        return self._pattern is not None and not self._closed
 
     def _forget(self) -> None:
-        self._pattern, self._tries = None, 0
+        self._pattern, self._tries, self._closed = None, 0, True
         self._kept.clear()
 
 

@@ -4,7 +4,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from midspan.records import Frame, Nanoseconds
+from midspan.records import Floats, Frame, Nanoseconds, PixelTrack, Region
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,8 +26,28 @@ class FrameInfo:
     damage: tuple[str, ...] = ()
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class StoredTrack:
+    """A target that was tracked before: its translations, one row a frame, as they came from the tracker.
+
+    strength (n,): good matches or the quality in percent; reference_px2 (n, 2): the part of the variances along x and y
+    that the reference frame makes, which those of `rows` do not have.
+    """
+
+    name: str
+    region: Region
+    rows: PixelTrack
+    strength: Floats
+    reference_px2: Floats
+
+
 class FrameSource(ABC):
-    """Frames in the order of time; indices count the frames that are left after `every`."""
+    """Frames in the order of time; indices count the frames that are left after `every`.
+
+    tracks: of a source that holds what was tracked, and no frames.
+    """
+
+    tracks: tuple[StoredTrack, ...] = ()
 
     @property
     @abstractmethod

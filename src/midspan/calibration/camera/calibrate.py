@@ -13,7 +13,7 @@ from midspan.calibration.common_offset import Fitted, common_offset, one_offset,
 from midspan.calibration.fit import Pair
 from midspan.calibration.measured import measured_rows
 from midspan.calibration.noise import learn_motion
-from midspan.calibration.scale import LEAST_FRAMES, REFUSED_ABOVE, ScaleCalibration, calibrate_scale
+from midspan.calibration.scale import LEAST_FRAMES, REFUSED_ABOVE, ScaleCalibration, calibrate_scale, contradiction
 from midspan.calibration.sensors.camera import CameraCalibration, TargetCalibration
 from midspan.calibration.sensors.fit import SensorFit
 from midspan.errors import UntrustedError
@@ -105,7 +105,7 @@ def _fitted(view: View, targets: Sequence[SeenTarget], told: Callable[[], Sequen
     for target in targets:
         try:
             pair = camera_pair(view, target.rows, target.blur_s)
-            own = calibrate_scale(pair, view.max_offset_s)
+            own = calibrate_scale(pair, view.max_offset_s, exposure_declared=view.exposure_s is not None)
             _refuse_compression(target.with_codec_error(own.scale, view.axis), own.scale)
             found.append(own)
             reasons.append("")
@@ -142,7 +142,7 @@ def _judged(view: View, targets: Sequence[SeenTarget], fit: Fitted, offset: Time
     )
     found = fit.found[_best(known)]
     assert found is not None
-    camera = _camera(targets, view.axis, known, offset)
+    camera = replace(_camera(targets, view.axis, known, offset), exposure_s=found.response.exposure_s)
     return _without_movers(view, targets, camera, found.input_noise)
 
 
@@ -162,21 +162,33 @@ def _fit_of(seen: Sequence[SeenTarget], camera: CameraCalibration, fit: Fitted) 
     camera = replace(
         _camera(seen, camera.direction, camera.targets, camera.offset),
         relative_scale_std=relative_scale_std(*zip(*used, strict=True)) if len(used) > 1 else None,
+        exposure_s=found.response.exposure_s,
+        apart_std_m=contradiction(found.search.pair, found.search.fit) * abs(found.scale.value_m_per_px),
     )
     search = found.search
     bias = bias_of(search.pair, search.fit, float(np.sqrt(search.offset.variance)))
     # The integrated acceleration that the pair keeps beside its fields is no part of the result.
     plain = replace(found, search=replace(search, pair=replace(search.pair)))
     coloured = misfit(search.pair, search.fit)
-    warnings += coloured.text("camera")
+    warnings += coloured.text("camera") if camera.apart_std_m == 0.0 else [_contradiction_text(camera)]
     camera = camera.without_gain(1.0, float(np.sqrt(coloured.factor - 1.0)) * camera.relative_std)
-    return CameraFit(camera, found.input_noise, bias, tuple(warnings), plain, misfit=coloured)
+    slope = found.response.slope
+    return CameraFit(camera, found.input_noise, bias, tuple(warnings), plain, misfit=coloured, slope=slope)
+
+
+def _contradiction_text(camera: CameraCalibration) -> str:
+    return (
+        "camera: the target moves in the picture where the accelerometer feels nothing, or the other way round: they "
+        f"differ by {1e3 * camera.apart_std_m:.2g} mm rms, far more than their noise, and the error band holds it. "
+        "Likely causes: the camera or its bracket vibrates, perhaps faster than half the frame rate, so that it shows "
+        "as slow motion; cross motion that an inclined axis picks up; a mounting that is not stiff."
+    )
 
 
 def _target(target: SeenTarget, found: ScaleCalibration | None, reason: str, axis: str) -> TargetCalibration:
     if found is None:
         return TargetCalibration(target.region, target.name, None, used=False, reason=reason)
-    scale = target.with_codec_error(found.scale, axis)
+    scale = target.with_codec_error(found.scale, axis).wider(found.response.relative_std)
     return TargetCalibration(
         target.region, target.name, scale, found.noise.std, found.variance_factor, not reason, reason
     )

@@ -47,7 +47,10 @@ def camera_blocks(
 ) -> list[Displacement]:
     """The displacement that each target in use says, on the accelerometer's clock, without the exposure's averaging."""
     pairs = list(zip(targets, camera.mappings(), strict=True))
-    blocks = [unblurred(m.displacement(t.rows), t.blur_s, acceleration) for t, m in pairs]
+    # An exposure that was found is that of a camera of which none was declared.
+    blocks = [
+        unblurred(m.displacement(t.rows), float(np.hypot(t.blur_s, camera.exposure_s)), acceleration) for t, m in pairs
+    ]
     # What the reference frame makes is not among what the learnt factor was learnt from.
     more = [m.scale_m_per_px**2 * t.reference_px2[:, "xy".index(m.direction)] for t, m in pairs]
     return [replace(b, variance_m2=b.variance_m2 + v) for b, v in zip(blocks, more, strict=True)]

@@ -118,7 +118,7 @@ def judged_by(view: View, track: PixelTrack) -> Agreement:
     """What the accelerometer says of a place that was followed for a while."""
     try:
         pair = camera_pair(view, track, view.exposure_s or 0.0)
-        found = calibrate_scale(pair, view.max_offset_s)
+        found = calibrate_scale(pair, view.max_offset_s, exposure_declared=view.exposure_s is not None)
     except UntrustedError as error:
         text = str(error)
         return Agreement(np.inf, isinstance(error, NoAgreementError), text.split(" (")[0].split(":")[0].rstrip("."))

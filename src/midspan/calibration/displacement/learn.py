@@ -213,7 +213,9 @@ def _refuse_doubtful_offset(beside: _Beside, learnt: NoiseCalibration, found: Fi
         if learnt.offset.value_s != 0.0:
             raise UntrustedError(unexplained_text(fit.offset_s, limit))
         return
-    if unexplained(search.pair, fit):
+    # What a sensor leaves that averages is explained.
+    averages = found.pair.exposure_s > 0.0
+    if unexplained(*((found.pair, found.fit) if averages else (search.pair, fit))):
         raise UntrustedError(unexplained_text(fit.offset_s, limit))
     gain = fit.likelihood - fit.without
     if search.runner_up is not None and _ambiguous(search) and (learnt.offset.value_s != 0.0 or gain > TELLING_GAIN):

@@ -7,11 +7,12 @@ import numpy as np
 from midspan.calibration.agreement import Misfit, misfit
 from midspan.calibration.bias import bias_of
 from midspan.calibration.displacement.learn import Given, learn
-from midspan.calibration.noise import NoiseCalibration
+from midspan.calibration.noise import DRIFT_HZ, NoiseCalibration
 from midspan.calibration.scale import white_noise
 from midspan.calibration.scale_check import MOST_NOISE
 from midspan.calibration.sensors.displacement import DisplacementCalibration
 from midspan.calibration.sensors.fit import SensorFit
+from midspan.calibration.slow_error import WANDER_S
 from midspan.errors import UntrustedError
 from midspan.records import NANOSECONDS, Event, TimeSeries, seconds
 from midspan.signals.acceleration import PreparedAcceleration
@@ -84,7 +85,7 @@ def displacement_part(given: Given, learnt: NoiseCalibration) -> DisplacementCal
     scale_std = float(np.hypot(learnt.factor_std, abs(learnt.factor) * _scale_error(learnt)))
     step_m = resolution(learnt.factor * given.series.value)
     return DisplacementCalibration(
-        std,
+        float(np.hypot(std, learnt.rest_std_m)),
         learnt.offset,
         learnt.factor,
         scale_std,
@@ -92,6 +93,7 @@ def displacement_part(given: Given, learnt: NoiseCalibration) -> DisplacementCal
         slow_std_m=learnt.slow_std_m,
         slow_time_s=learnt.slow_time_s,
         exposure_s=learnt.exposure_s,
+        effective_exposure_s=learnt.effective_exposure_s,
     )
 
 
@@ -108,8 +110,8 @@ def _range_warnings(part: DisplacementCalibration, held: Mask) -> list[str]:
 
 def _scale_error(learnt: NoiseCalibration) -> float:
     """By how much a scale that was not learnt seems wrong, as a share; 0 where it may be right."""
-    if learnt.gain_std > 0.0:
-        # It is the accelerometer's gain.
+    if learnt.gain_std > 0.0 or learnt.drifts:
+        # It is the accelerometer's gain, or its drift, which is in its noise.
         return 0.0
     uncertain = CERTAIN * learnt.scale_std + 0.5 * learnt.noise_share
     if learnt.noise_share > MOST_NOISE or not abs(learnt.scale - 1.0) > max(TOLD, uncertain):
@@ -140,6 +142,12 @@ def displacement_warnings(given: Given, learnt: NoiseCalibration, part: Displace
             f"displacement: fast motion comes out smaller than slow motion, as of a sensor that averages over "
             f"{learnt.exposure_s:.3g} s; that is taken into account. displacement.exposure_s declares it."
         )
+    if learnt.drifts:
+        found.append(
+            f"accelerometer: its bias drifts by more than the structure moves below {DRIFT_HZ:g} Hz; the displacement "
+            "rests mostly on the displacement sensor. Check its temperature, its mounting and its cable."
+        )
+    found += _unseen_warnings(learnt)
     if _scale_error(learnt) == 0.0:
         return found
     text = (
@@ -150,6 +158,18 @@ def displacement_warnings(given: Given, learnt: NoiseCalibration, part: Displace
     if abs(learnt.scale - 1.0) > REFUSED:
         raise UntrustedError(text)
     return [*found, f"{text} The error band holds the difference; displacement.estimate_scale = true takes it out."]
+
+
+def _unseen_warnings(learnt: NoiseCalibration) -> list[str]:
+    """A sentence on slow errors that the record cannot tell from motion."""
+    if learnt.unseen_m == 0.0:
+        return []
+    size = f"of up to {1e3 * learnt.unseen_m:.2g} mm" if np.isfinite(learnt.unseen_m) else "of any size"
+    return [
+        f"displacement: the error band takes its errors as independent. A slow error, as a GNSS receiver or a total "
+        f"station has, {size} in {WANDER_S:g} s would not show here. displacement.noise_time_s, its correlation time, "
+        "puts it into the band; 0 says that the sensor has none."
+    ]
 
 
 def read_with(series: TimeSeries, learnt: DisplacementCalibration) -> TimeSeries:

@@ -9,17 +9,18 @@ from midspan.calibration.agreement import misfit
 from midspan.calibration.bias import Bias, bias_of
 from midspan.calibration.common_offset import LEAST_OFFSET_S, OFFSET_STD
 from midspan.calibration.fit import Pair
+from midspan.calibration.frequency_response import Kind, kinds_of
 from midspan.calibration.measured import measured_rows
 from midspan.calibration.radar.clock import Seen, radar_clock
+from midspan.calibration.radar.diagnostics import diagnostics_of
 from midspan.calibration.radar.own_motion import judged
 from midspan.calibration.radar.window import LEAST_FRAMES, OpenedWindow
-from midspan.calibration.scale import WARNED_ABOVE, is_ambiguous
+from midspan.calibration.scale import WARNED_ABOVE, is_ambiguous, with_frequency
 from midspan.calibration.sensors.fit import SensorFit
-from midspan.calibration.sensors.radar import RadarCalibration, RadarDiagnostics, RadarTarget
+from midspan.calibration.sensors.radar import RadarCalibration, RadarTarget
 from midspan.calibration.time_offset import OffsetSearch, search_offset
 from midspan.errors import DataError, UntrustedError, UsageError
 from midspan.radar.blockage import MAX_SHARE, MIN_SHARE
-from midspan.radar.channels import noise_variance
 from midspan.radar.frames import (
     RadarFrames,
     TargetPhasors,
@@ -41,7 +42,7 @@ from midspan.radar.target import (
 )
 from midspan.records import NANOSECONDS, Floats, TimeOffset
 from midspan.signals.acceleration import PreparedAcceleration
-from midspan.signals.health import runs
+from midspan.signals.health import dominant_frequency, runs
 from midspan.signals.stamps import inside
 
 # Rows that the likelihood is evaluated on at most; a faster radar is thinned.
@@ -58,8 +59,6 @@ FARTHEST_M = 0.5
 # Where targets are hidden in the window for so many frames on end, its longest clear part is used if it is this share
 # of it at least; above the other share nothing needs to be left out.
 LEAST_FLAW_FRAMES, LEAST_CLEAR, ALL_CLEAR = 20, 0.25, 0.99
-# Points of the window that are kept for the report.
-KEPT = 2000
 
 
 RadarFit = SensorFit[RadarCalibration, None]
@@ -91,6 +90,14 @@ def fit_radar(
     series = series_of(frames, best, info, samples)
     search = searched(prepared, whole, series, (origin, max_offset))
     _refuse_ambiguity(search, max_offset)
+    # The clock offset is the targets' own.
+    kinds = [kind for kind in kinds_of(search.pair, exposure_declared=True) if kind is not Kind.LAG]
+    search, response = with_frequency(search, search.pair, max_offset, kinds)
+    if response.known:
+        # The acceleration alone, by which the targets' factors were found, is off by as much in all of them.
+        gain = best.conversion_factor * search.fit.ratio
+        targets = tuple(replace(item, target=item.target.without_gain(gain, 0.0)) for item in targets)
+        best = next(item.target for item in targets if item.used)
     targets, told_factor = _widened(targets, search)
     used = [item.target for item in targets if item.used]
     calibration = RadarCalibration(
@@ -103,13 +110,16 @@ def fit_radar(
         diagnostics=diagnostics_of(info.axis.range_m, info.limit_speed_m_s, whole, (best, series, unit)),
     )
     coloured = misfit(search.pair, search.fit)
-    warnings = (*info.warnings, *told, *hidden, *moving, *told_factor, *_warnings(calibration), *coloured.text("radar"))
+    about = (*told_factor, *response.texts(dominant_frequency(samples[:, 1], prepared.rate_hz)))
+    warnings = (*info.warnings, *told, *hidden, *moving, *about, *_warnings(calibration), *coloured.text("radar"))
+    more = float(np.hypot(np.sqrt(coloured.factor - 1.0) * calibration.relative_std, response.relative_std))
     return RadarFit(
-        calibration.without_gain(1.0, float(np.sqrt(coloured.factor - 1.0)) * calibration.relative_std),
+        calibration.without_gain(1.0, more),
         search.pair.input_noise(search.fit.input_density),
         searched_bias(search),
         tuple(warnings),
         misfit=coloured,
+        slope=response.slope,
     )
 
 
@@ -372,27 +382,3 @@ def _too_small(used: Sequence[Target]) -> list[str]:
         "1, which a fixed target cannot have. Check accelerometer.unit (1 g is 9.81 m/s²) and the accelerometer's "
         "sensitivity, carrier and slope in radar.config, and that the path is not reflected twice."
     ]
-
-
-def diagnostics_of(
-    range_m: Floats, limit_m_s: float, whole: RadarFrames, best: tuple[Target, TargetSeries, float]
-) -> RadarDiagnostics:
-    """What the report draws; best: target, its series and rad per m of range."""
-    target, series, unit = best
-    power = np.zeros(whole.phasors.shape[2])
-    for part in np.array_split(np.arange(len(whole.phasors)), max(1, len(whole.phasors) // 256)):
-        power += np.sum(np.abs(whole.phasors[part]) ** 2, axis=(0, 1))
-    noise = noise_variance(whole.phasors)
-    mean = power / (len(whole.phasors) * whole.phasors.shape[1])
-    thin = slice(None, None, max(1, len(whole.time_ns) // KEPT))
-    z = at_place(whole.phasors[thin], target.place_bin) @ target.weights.conj() / np.sqrt(len(target.weights))
-    time_s = whole.time_ns / NANOSECONDS
-    return RadarDiagnostics(
-        range_m=range_m,
-        power_db=10.0 * np.log10(np.maximum(mean / max(noise, 1e-300), 1e-6)),
-        frame_s=time_s[thin],
-        phasors=np.asarray(z, dtype=np.complex128),
-        phase_rad=unit * series.range_change_m[thin],
-        leak=target.leak,
-        limit_speed_m_s=limit_m_s,
-    )

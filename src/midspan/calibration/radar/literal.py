@@ -13,7 +13,6 @@ import numpy as np
 
 from midspan.calibration.radar.calibrate import (
     RadarFit,
-    diagnostics_of,
     found_targets,
     nearest_peak,
     one_clock,
@@ -21,6 +20,7 @@ from midspan.calibration.radar.calibrate import (
     searched_bias,
     series_of,
 )
+from midspan.calibration.radar.diagnostics import diagnostics_of
 from midspan.calibration.radar.window import OpenedWindow
 from midspan.calibration.sensors.radar import RadarCalibration, RadarTarget
 from midspan.calibration.time_offset import OffsetSearch

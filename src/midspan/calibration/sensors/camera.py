@@ -33,7 +33,9 @@ class CameraCalibration:
     active pixels' mean phase, with the trackers that use it. targets: all of them. fused: whether this axis has an
     accelerometer; without one the scale factor is the other axis's. relative_scale_std: of all targets together.
     lens: what the pixels were corrected by; the scale factor holds for that lens only. source: which camera it is.
-    temperature_range_c: of a thermal camera what its tracker saw, °C. name: where there are several sensors
+    temperature_range_c: of a thermal camera what its tracker saw, °C. exposure_s: its exposure as the motion shows it,
+    0 where it is declared or does not show. apart_std_m: what it and the accelerometer contradict each other by,
+    rms, where nothing tells which is wrong. name: where there are several sensors
     of a kind. diagnostics: what the best target's values rest on, for the report; not stored in the file.
     """
 
@@ -51,6 +53,8 @@ class CameraCalibration:
     lens: Lens | None = None
     source: Source = Source.CAMERA
     temperature_range_c: tuple[float, float] | None = None
+    exposure_s: float = 0.0
+    apart_std_m: float = 0.0
     name: str | None = None
     diagnostics: ScaleCalibration | None = field(default=None, compare=False, repr=False)
 

@@ -19,7 +19,7 @@ class SensorFit(Generic[Calibrated, Diagnostics]):
     input_noise: of the acceleration; without an accelerometer the motion's own. bias: of the accelerometer, None
     without one. diagnostics: what the values rest on, None where the calibration holds it. gain,
     gain_std: of the accelerometer relative to the sensor, 0 where that does not tell it. misfit: how far the
-    innovations are from white.
+    innovations are from white. slope: by which the accelerometer leans as it moves, radians a metre.
     """
 
     calibration: Calibrated
@@ -30,3 +30,4 @@ class SensorFit(Generic[Calibrated, Diagnostics]):
     gain: float = 1.0
     gain_std: float = 0.0
     misfit: Misfit = field(default_factory=Misfit)
+    slope: float = 0.0

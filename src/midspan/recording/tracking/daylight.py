@@ -27,7 +27,8 @@ def where_it_sees(recording: Recording) -> tuple[Recording, list[str]]:
     The window is the longest stretch of light; the frames are used from the first one on. Only a camera of light beside
     another camera is looked at. Raises UntrustedError where it is dark all the time.
     """
-    if recording.kind != "camera" or not any(sensor.kind in CAMERAS for sensor in recording.beside):
+    alone = not any(sensor.kind in CAMERAS for sensor in recording.beside)
+    if recording.kind != "camera" or alone or recording.frames.tracks:
         return recording, []
     times = recording.frames.times_ns()
     first, last = window_ends(recording)

@@ -6,6 +6,7 @@ import numpy as np
 
 from midspan.calibration.sensors.camera import CameraCalibration
 from midspan.engine.camera_target import Target
+from midspan.engine.stored_tracking import StoredTracking
 from midspan.engine.tracking import CameraTracking, TrackingSettings
 from midspan.errors import DataError, UsageError
 from midspan.progress import Progress
@@ -65,6 +66,8 @@ def open_tracking(
     )
     if known is not None:
         check_same_lens(settings.lens, known.lens)
+    if view.frames.tracks:
+        return StoredTracking(view.frames, settings, progress)
     return CameraTracking(view.frames, settings, progress, judge)
 
 

@@ -54,7 +54,8 @@ class Calibration:
     displacement: the first sensor of each kind; others: further ones, each with its name. accelerometer_scale: gain of
     the accelerometer relative to a displacement sensor, 1 where it cannot be learnt, with its standard deviation, which
     then is that of its sensitivity as given; it is in the scales' standard deviations.
-    misfit: factor on the band's variance, as innovations that are not white show.
+    misfit: factor on the band's variance, as innovations that are not white show. slope: by which the accelerometer
+    leans as it moves, so that gravity reaches it, radians a metre.
     across: the same along the second image axis, with camera.direction = "xy"; where that has no accelerometer, the
     noise is the motion's own acceleration. left_out: the second axis "x" or "y" where nothing could be learnt of it,
     else empty. usual: what is usual of the acceleration, None where the file does not tell it.
@@ -78,6 +79,7 @@ class Calibration:
     accelerometer_scale: float = 1.0
     accelerometer_scale_std: float = 0.0
     misfit: float = 1.0
+    slope: float = 0.0
     usual: AxisFigures | None = None
     diagnostics: "ScaleCalibration | NoiseCalibration | None" = field(default=None, compare=False, repr=False)
 
@@ -173,6 +175,7 @@ def _acceleration_tree(part: Calibration, prefix: str = "") -> dict[str, Any]:
         f"{prefix}bias_std_m_s2": finite_or_none(part.bias_std_m_s2),
         f"{prefix}scale_std": part.accelerometer_scale_std,
         f"{prefix}misfit": part.misfit,
+        f"{prefix}slope_rad_m": part.slope,
     }
 
 

@@ -54,6 +54,7 @@ def calibration_from_dict(tree: Any, where: str = CALIBRATION_FILE) -> Calibrati
         accelerometer_scale=own.scale,
         accelerometer_scale_std=own.scale_std,
         misfit=own.misfit,
+        slope=own.slope_rad_m,
         usual=usual_of(own.usual),
     )
     return found if first is None or first.direction != "xy" else _with_second_axis(found, first)
@@ -73,6 +74,7 @@ def _with_second_axis(found: Calibration, first: StoredCamera) -> Calibration:
         bias_std_m_s2=part.accelerometer_bias_std_m_s2,
         accelerometer_scale_std=part.accelerometer_scale_std,
         misfit=part.accelerometer_misfit,
+        slope=part.accelerometer_slope_rad_m,
         usual=usual_of(part.accelerometer_usual),
         camera=camera if found.camera is not None else None,
         infrared=camera if found.camera is None else None,

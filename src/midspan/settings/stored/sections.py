@@ -45,6 +45,7 @@ def camera_tree(camera: CameraCalibration) -> dict[str, Any]:
     """The section of a camera along its main axis."""
     own = {"roi": _roi(camera.region), "direction": camera.direction, "tracker": camera.tracker}
     more = {
+        "exposure_s": camera.exposure_s or None,
         "lens": None if camera.lens is None else camera.lens.to_dict(),
         "temperature_range_c": None if camera.temperature_range_c is None else list(camera.temperature_range_c),
     }
@@ -56,6 +57,7 @@ def scale_tree(camera: CameraCalibration) -> dict[str, Any]:
     phase = camera.phase_scale_m_per_rad
     more = {
         "phase_scale_mm_per_rad": None if phase is None else MM * phase,
+        "apart_std_mm": MM * camera.apart_std_m or None,
         "relative_scale_std": camera.relative_scale_std,
     }
     noise = {"noise_std_px": camera.noise_std_px, "variance_factor": camera.variance_factor}
@@ -87,7 +89,8 @@ def displacement_tree(sensor: DisplacementCalibration) -> dict[str, Any]:
     ends = {"low_m": finite_or_none(sensor.low_m), "high_m": finite_or_none(sensor.high_m)}
     resolution = _known({"resolution_m": sensor.resolution_m, **ends})
     slow = {"slow_std_mm": MM * sensor.slow_std_m, "slow_time_s": sensor.slow_time_s} if sensor.slow_std_m > 0.0 else {}
-    exposure = {"exposure_s": sensor.exposure_s} if sensor.exposure_s > 0.0 else {}
+    times = {"exposure_s": sensor.exposure_s, "effective_exposure_s": sensor.effective_exposure_s}
+    exposure = times if sensor.exposure_s > 0.0 else {}
     own = {"noise_std_mm": MM * sensor.noise_std_m} | exposure
     return _sensor_tree(sensor) | own | slow | resolution | scale
 
@@ -209,6 +212,7 @@ def _along(part: StoredScale) -> dict[str, Any]:
         "phase_scale_m_per_rad": None if phase is None else phase / MM,
         "targets": tuple(_target(target, number) for number, target in enumerate(targets, start=1)),
         "relative_scale_std": part.relative_scale_std,
+        "apart_std_m": part.apart_std_mm / MM,
     }
 
 

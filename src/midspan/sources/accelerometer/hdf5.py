@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from midspan.sources.accelerometer.channel import ChannelSet
 from midspan.sources.accelerometer.tree import Leaf, channels_of, loaded
 from midspan.sources.declared_size import require_memory
-from midspan.sources.hdf5_members import ElsewhereError, member
+from midspan.sources.hdf5_members import ElsewhereError, member, open_hdf5
 
 # Groups inside one another; a file that has more is damaged or made to be endless.
 _MAX_DEPTH = 32
@@ -31,9 +31,8 @@ def read_matlab(path: Path) -> ChannelSet:
 
 
 def _read(path: Path, *, matlab: bool) -> ChannelSet:
-    import h5py
 
-    with h5py.File(path, "r") as file:
+    with open_hdf5(path) as file:
         walk = _Walk(path, matlab)
         walk.enter(file, "", () if matlab else (dict(file.attrs),))
     return channels_of(walk.leaves, walk.notes)
@@ -109,9 +108,8 @@ class _Walk:
 
 
 def _values(path: Path, place: str) -> NDArray[np.generic]:
-    import h5py
 
-    with h5py.File(path, "r") as file:
+    with open_hdf5(path) as file:
         item = file[place]
         require_memory(path, item.size * item.dtype.itemsize, f"dataset {place!r}")
         return np.asarray(item[()])

@@ -65,9 +65,17 @@ def open_frames(path: Path, request: FrameRequest) -> FrameSource:
     Raises UsageError for settings out of range, DataError for a missing or unreadable source.
     """
     check_request(path, request)
+    if (is_table(path) or path.suffix.lower() == ".npz") and path.is_file():
+        from midspan.sources.camera.track_table import TrackFrames, holds_tracks
+
+        if holds_tracks(path):
+            return TrackFrames(path, request)
     if is_table(path) and path.is_file():
         # Decided by the name: a damaged table is no reason to try it as a video.
-        raise UsageError(f"{path} is a table of numbers, not frames; known suffixes are {_known()} …")
+        raise UsageError(
+            f"{path} is a table of numbers, neither frames nor a track (columns x_px and y_px); known suffixes are "
+            f"{_known()} …"
+        )
     kind, opened = _opener(path)
     with reading(path, kind):
         return GuardedFrames(opened(path, request), path, kind)

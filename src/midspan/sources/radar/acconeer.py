@@ -12,6 +12,7 @@ from midspan.radar.info import RadarInfo
 from midspan.records import Floats, Nanoseconds, RangeFrames
 from midspan.sources.boundary import reading
 from midspan.sources.declared_size import require_memory
+from midspan.sources.hdf5_members import open_hdf5
 from midspan.sources.radar.radar_source import RadarRequest, RadarSource, at_bins, stamps
 from midspan.sources.radar.stored import dataset, values
 from midspan.trees import json_tree
@@ -116,12 +117,11 @@ class AcconeerRecording(RadarSource):
 
 def _opened(path: Path) -> tuple[Any, dict[str, Any], dict[str, Any], NDArray[np.int64], float]:
     """The data set of frames, the sensor's settings, the metadata, the ticks and their length in s."""
-    import h5py
 
     if not path.is_file():
         raise DataError(f"{path}: not found. Correct radar.file; it counts from the settings file's folder.")
     with reading(path, AcconeerRecording.file_kind):
-        file = h5py.File(path, "r")
+        file = open_hdf5(path)
         data = dataset(path, file, f"{_ENTRY}/result/frame")
         require_memory(
             path, 4 * data.nbytes * FRAMES_AT_A_TIME // max(len(data), FRAMES_AT_A_TIME), "a block of frames"
@@ -137,9 +137,8 @@ def _opened(path: Path) -> tuple[Any, dict[str, Any], dict[str, Any], NDArray[np
 
 def is_acconeer(path: Path) -> bool:
     """Whether an HDF5 file is laid out as Acconeer's recordings are."""
-    import h5py
 
-    with reading(path, "HDF5"), h5py.File(path, "r") as file:
+    with reading(path, "HDF5"), open_hdf5(path) as file:
         return f"{_ENTRY}/result/frame" in file
 
 

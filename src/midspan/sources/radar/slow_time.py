@@ -14,6 +14,7 @@ from midspan.radar.info import RadarInfo
 from midspan.records import Floats, Nanoseconds, RangeFrames
 from midspan.sources.boundary import reading
 from midspan.sources.declared_size import require_memory
+from midspan.sources.hdf5_members import open_hdf5
 from midspan.sources.radar.radar_source import RadarRequest, RadarSource, at_bins, stamps
 from midspan.sources.radar.stored import dataset, values
 from midspan.sources.radar.ti_config import TiSettings, read_settings
@@ -184,10 +185,9 @@ def _opened_npy(path: Path) -> tuple[Any, tuple[int, ...], dict[str, Any]]:
 
 
 def _opened_hdf5(path: Path) -> tuple[Any, tuple[int, ...], dict[str, Any]]:
-    import h5py
 
     with reading(path, "HDF5"):
-        file = h5py.File(path, "r")
+        file = open_hdf5(path)
     beside = {key: file.attrs[key] for key in file.attrs}
     beside |= {
         key: values(path, file, key)

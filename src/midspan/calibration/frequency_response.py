@@ -1,0 +1,323 @@
+"""What makes the ratio of translation and acceleration depend on frequency: taken out where it shows, else in σ.
+
+A calibration has one ratio s of the translation p and the acceleration integrated twice, D. Three things make it a
+smooth function of frequency:
+
+    exposure T        p = s · mean of D over T         falls with the frequency's square
+    lean gκ           u = D + gκ ∬u                    rises, most at low frequencies
+    logger q, r       u = D + q D''' − r D''           delay and ratio rise with the frequency's square
+
+The exposure is the camera's; only its mean over the frame's interval is without doubt. A tower leans by κ radians for
+each metre that it moves, so that gravity takes gκ u from the acceleration of its horizontal axis. A logger's low-pass
+delays fast motion more than slow motion, whose delay is none but a clock offset, and may weaken it. Where leaning and a
+droop r explain alike why the ratio rises, both are in σ.
+
+Each is one more column of the regression of the whitened translation (see `whitening`): likelihood, step towards the
+most likely value and covariance come from one run of the filter. ∬u is that of the translation over the ratio.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from enum import IntEnum
+
+import numpy as np
+
+from midspan.calibration.fit import PRIOR_POWER, Aligned, Fit, Pair, aligned, best_corner, corner_range
+from midspan.calibration.minimum import minimum
+from midspan.calibration.whitening import Whitened, integrated
+from midspan.records import Floats
+
+GRAVITY_M_S2 = 9.80665
+# Standard deviation of an exposure that is neither declared nor told by the motion: 1/50 s, the longest one of ordinary
+# video under light from the mains. It is the frame's interval where that is shorter.
+USUAL_EXPOSURE_S = 0.02
+# The same of the slope, radians a metre: a cantilever of height h leans by 1.4/h (first bending mode), a tower of 70 m
+# by this; one of 20 m is within four of these standard deviations.
+USUAL_SLOPE = 0.02
+# Steeper slopes are none: a cantilever of 9 m.
+MOST_SLOPE = 0.15
+# An accelerometer that reads this much all the time, m/s², is upright: gravity's share goes with its tilt squared.
+VERTICAL_M_S2 = 9.0
+# Corner frequencies tried before the best one's neighbours are searched, and how well its logarithm is found.
+CORNERS, CORNER_TOLERANCE = 12, 0.02
+# What one gains at least, logarithm of the likelihood: chance alone does in one of two thousand. One that gains less is
+# in the deviations.
+LEAST_GAIN = 6.0
+# A ratio that is known to no better than this (relative) together with one of them does not tell what depends on
+# frequency: motion of nearly one frequency fits any of them.
+MOST_OPEN = 0.01
+# Steps towards the most likely values, at most; one within this share of its standard deviation is the last.
+STEPS, LAST_STEP = 5, 0.1
+# A step of the clock offset, in intervals of the translation, at most.
+MOST_LATE = 0.1
+# Columns of what is whitened: translation, response, velocity; then one for each kind.
+RESPONSE, VELOCITY, FIRST = 1, 2, 3
+
+
+class Kind(IntEnum):
+    """What makes the ratio depend on frequency; its number is that of its column, from FIRST on."""
+
+    EXPOSURE = 0
+    LEAN = 1
+    LAG = 2
+    DROOP = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Regression:
+    """The translation regressed on some of the columns, at its most likely corner frequency (rad/s).
+
+    free: the columns' numbers; coefficients (k,) and covariance (k, k) in their order.
+    """
+
+    free: tuple[int, ...]
+    corner: float
+    likelihood: float
+    coefficients: Floats
+    covariance: Floats
+
+    @property
+    def relative_std(self) -> float:
+        """The standard deviation of the ratio, relative."""
+        return float(np.sqrt(self.covariance[0, 0])) / abs(float(self.coefficients[0]))
+
+    def of(self, column: int) -> tuple[float, float]:
+        """The coefficient of a column over the ratio, and its standard deviation."""
+        k, ratio = self.free.index(column), self.coefficients[0]
+        return float(self.coefficients[k] / ratio), float(np.sqrt(self.covariance[k, k])) / abs(float(ratio))
+
+
+@dataclass(frozen=True, slots=True)
+class FrequencyResponse:
+    """What was found, and what it and the rest leave open beside the noise.
+
+    known: the kinds found; exposure_s: the camera's own; slope: radians a metre; lag_s3, droop_s2: q and r above;
+    relative_std, offset_variance: what all kinds add to the deviation of the ratio (relative) and to the variance of
+    the clock offset (s²).
+    """
+
+    known: tuple[Kind, ...] = ()
+    exposure_s: float = 0.0
+    slope: float = 0.0
+    lag_s3: float = 0.0
+    droop_s2: float = 0.0
+    relative_std: float = 0.0
+    offset_variance: float = 0.0
+
+    def texts(self, motion_hz: float) -> list[str]:
+        """A sentence for each kind that was found; motion_hz: middle frequency of the acceleration."""
+        found = []
+        if Kind.EXPOSURE in self.known:
+            found.append(
+                "camera: fast motion comes out smaller than slow motion, as with an exposure of "
+                f"{1e3 * self.exposure_s:.2g} ms, which was not declared. It is taken for that; declare exposure_s."
+            )
+        if Kind.LEAN in self.known:
+            found.append(
+                f"accelerometer: it seems to tilt by {1e3 * self.slope:.2g} mrad for each metre that it moves, as on a "
+                "tower that leans, so that gravity reaches it. The scale factor is without it."
+            )
+        square = (2.0 * np.pi * motion_hz) ** 2
+        if Kind.DROOP in self.known:
+            found.append(
+                f"accelerometer: it weakens motion of {motion_hz:.2g} Hz by {100.0 * self.droop_s2 * square:.2g} %, as "
+                "behind a logger's low-pass. The scale factor is without it; the error band is wider."
+            )
+        if Kind.LAG in self.known:
+            late_s = -self.lag_s3 * square
+            found.append(
+                f"accelerometer: its delay changes with frequency, by {1e3 * late_s:+.2g} ms from 0 to {motion_hz:.2g} "
+                "Hz, as behind a logger's low-pass. The clock offset is that of slow motion; the error band is wider."
+            )
+        return found
+
+
+def kinds_of(pair: Pair, *, exposure_declared: bool) -> tuple[Kind, ...]:
+    """The kinds that may be there: none where a band decides the ratio."""
+    if pair.outside is not None:
+        return ()
+    exposure = () if exposure_declared else (Kind.EXPOSURE,)
+    lean = () if abs(pair.level_m_s2) > VERTICAL_M_S2 else (Kind.LEAN,)
+    return (*exposure, *lean, Kind.LAG, Kind.DROOP)
+
+
+def with_response(
+    pair: Pair, fit: Fit, kinds: Sequence[Kind], known: Sequence[Kind] = ()
+) -> tuple[Pair, list[Kind], float]:
+    """The pair without what of `kinds` shows in it, which of them do, and how far (relative, rms) the ratio would be
+    another if it were what explains nearly as much; known: those that it is without already.
+
+    One is taken where it gains LEAST_GAIN; the lag first, then the one that gains most.
+    """
+    pair, fit = _settled(pair, fit, known)
+    found, doubt = list(known), 0.0
+    while len(found) < len(kinds):
+        here, before = _aligned(pair, fit), _columns(found)
+        least = _regressed(here, before).likelihood + LEAST_GAIN
+        tried = {kind: _regressed(here, (*before, FIRST + kind)) for kind in kinds if kind not in found}
+        told = {k: one for k, one in tried.items() if one.likelihood > least and one.relative_std < MOST_OPEN}
+        able = [k for k, one in told.items() if _possible(pair, k, one.of(FIRST + k)[0])]
+        if not able:
+            break
+        best = max(able, key=lambda kind: (kind is Kind.LAG, tried[kind].likelihood))
+        more = [*found, best]
+        other, other_fit = _settled(pair, fit, more)
+        if not all(_possible(other, kind) for kind in more):
+            break
+        pair, fit, found = other, other_fit, more
+        doubt = float(
+            np.hypot(doubt, _doubt(tried[best], [tried[kind] for kind in able if Kind.LAG not in (kind, best)]))
+        )
+    return pair, found, doubt
+
+
+def _doubt(best: Regression, others: Sequence[Regression]) -> float:
+    """How far the ratio lies from that of other explanations, each with its probability beside the best one (rms)."""
+    odds = [np.exp(min(other.likelihood - best.likelihood, 0.0)) for other in others]
+    apart = [other.coefficients[0] / best.coefficients[0] - 1.0 for other in others]
+    return float(np.sqrt(sum(a**2 * o / (1.0 + o) for a, o in zip(apart, odds, strict=True))))
+
+
+def _possible(pair: Pair, kind: Kind, change: float = 0.0) -> bool:
+    """Whether exposure, slope and droop are positive, and the two first no more than they can be, after a change."""
+    if kind is Kind.EXPOSURE:
+        return 0.0 < pair.exposure_s**2 + 24.0 * change <= 1.0 / pair.rate_hz**2
+    if kind is Kind.DROOP:
+        return pair.logger[0] - change < 0.0
+    return kind is Kind.LAG or 0.0 < pair.lean + change < GRAVITY_M_S2 * MOST_SLOPE
+
+
+def response_of(pair: Pair, fit: Fit, kinds: Sequence[Kind], known: Sequence[Kind]) -> FrequencyResponse:
+    """What was found, and what uncertainty it and those of `kinds` that were not found add.
+
+    Each that was not found adds its own, beside the found ones: two at once whose effects cancel are not covered. A lag
+    that does not show moves the clock offset alone, together with the motion.
+    """
+    here = _aligned(pair, fit)
+    w = here.whitened(fit.corner)
+    stds = {
+        Kind.EXPOSURE: min(USUAL_EXPOSURE_S, 1.0 / pair.rate_hz) ** 2 / 24.0,
+        Kind.LEAN: GRAVITY_M_S2 * USUAL_SLOPE,
+    }
+
+    def variances(free: tuple[int, ...], std: float | None = None) -> Floats:
+        covariance = _solved(w, free, None if std is None else std * fit.ratio)[1]
+        return np.array([covariance[0, 0], covariance[1, 1]]) / fit.ratio**2
+
+    own = variances(_columns(known))
+    more = own - variances(_columns(()))
+    for kind in kinds:
+        if kind not in known and kind in stds:
+            more = more + variances((*_columns(known), FIRST + kind), stds[kind]) - own
+    relative, offset = np.maximum(more, 0.0)
+    return FrequencyResponse(
+        known=tuple(known),
+        exposure_s=pair.exposure_s if Kind.EXPOSURE in known else 0.0,
+        slope=pair.lean / GRAVITY_M_S2,
+        lag_s3=pair.logger[1],
+        droop_s2=-pair.logger[0],
+        relative_std=float(np.sqrt(relative)),
+        offset_variance=float(offset),
+    )
+
+
+def _columns(known: Sequence[Kind]) -> tuple[int, ...]:
+    return (RESPONSE, VELOCITY, *(FIRST + kind for kind in known))
+
+
+def _settled(pair: Pair, fit: Fit, known: Sequence[Kind]) -> tuple[Pair, Fit]:
+    """The pair with the most likely values of the kinds that are known to be there, and its fit."""
+    if not known:
+        return pair, fit
+    most_s = MOST_LATE / pair.rate_hz
+    for _ in range(STEPS):
+        moved = _moved_m(pair, fit)
+        found = _regressed(_aligned(pair, fit), _columns(known))
+        steps = [found.of(FIRST + kind) for kind in known]
+        for kind, (change, _) in zip(known, steps, strict=True):
+            pair = _changed(pair, kind, change, moved)
+        late_s = float(np.clip(found.of(VELOCITY)[0], -most_s, most_s))
+        fit = best_corner(pair, fit.offset_s + late_s, found.corner)
+        if all(abs(change) < LAST_STEP * std for change, std in steps):
+            break
+    return pair, fit
+
+
+def _aligned(pair: Pair, fit: Fit) -> Aligned:
+    """The pair with one column for each kind."""
+    inside, samples = pair.responses[0], pair.samples.copy()
+    samples[:, 1] = _moved_m(pair, fit)
+    more: tuple[Callable[[Floats], Floats], ...] = (
+        lambda time_s: inside.widened(time_s, pair.exposure_s),
+        integrated(samples).at,
+        lambda time_s: inside.derivative(time_s, 3),
+        lambda time_s: -inside.derivative(time_s, 2),
+    )
+    return aligned(pair, fit.offset_s, *more)
+
+
+def _moved_m(pair: Pair, fit: Fit) -> Floats:
+    """The displacement (n,) at the samples by the translation alone, about its mean; beyond its ends as there."""
+    from scipy.interpolate import CubicSpline
+
+    rows = pair.rows[np.isfinite(pair.rows[:, 2])]
+    time_s = np.clip(pair.samples[:, 0], rows[0, 0] + fit.offset_s, rows[-1, 0] + fit.offset_s)
+    return np.asarray((CubicSpline(rows[:, 0] + fit.offset_s, rows[:, 1])(time_s) - rows[:, 1].mean()) / fit.ratio)
+
+
+def _changed(pair: Pair, kind: Kind, change: float, moved_m: Floats) -> Pair:
+    """The pair with one number changed: exposure²/24, lean, lag or droop."""
+    if kind is Kind.EXPOSURE:
+        square = max(pair.exposure_s**2 + 24.0 * change, 0.0)
+        return replace(pair, exposure_s=min(float(np.sqrt(square)), 1.0 / pair.rate_hz))
+    if kind is Kind.LAG:
+        return replace(pair, logger=(pair.logger[0], pair.logger[1] + change))
+    if kind is Kind.DROOP:
+        return replace(pair, logger=(pair.logger[0] - change, pair.logger[1]))
+    samples = pair.samples.copy()
+    samples[:, 1] += change * moved_m
+    return replace(pair, samples=samples, lean=pair.lean + change)
+
+
+def _regressed(here: Aligned, free: tuple[int, ...]) -> Regression:
+    """The most likely regression on some of the columns."""
+    low, high = np.log(corner_range(here.pair))
+    grid = np.linspace(low, high, CORNERS)
+
+    def cost(value: float) -> float:
+        return -_at(here, free, float(np.exp(value))).likelihood
+
+    middle, step = float(grid[int(np.argmin([cost(value) for value in grid]))]), grid[1] - grid[0]
+    found = minimum(cost, max(middle - step, low), min(middle + step, high), CORNER_TOLERANCE)
+    return _at(here, free, float(np.exp(found)))
+
+
+def _at(here: Aligned, free: tuple[int, ...], corner: float) -> Regression:
+    """The regression at a corner frequency."""
+    w = here.whitened(corner)
+    coefficients, covariance, left = _solved(w, free)
+    n = len(w.variance)
+    likelihood = -0.5 * n * np.log(left / n) + PRIOR_POWER * float(np.log(corner)) - w.entropy
+    return Regression(free, corner, float(likelihood), coefficients, covariance)
+
+
+def _solved(w: Whitened, free: tuple[int, ...], last_std: float | None = None) -> tuple[Floats, Floats, float]:
+    """Coefficients (k,) of columns, their covariance (k, k), and what is left of the squares.
+
+    last_std: standard deviation of the last coefficient, about 0, as known before.
+    """
+    columns = w.columns[:, list(free)]
+    power = np.einsum("mi,mj,m->ij", columns, columns, 1.0 / w.variance)
+    cross = np.einsum("mi,m->i", columns, w.translation / w.variance)
+    coefficients = _inverse(power) @ cross
+    left = max(w.product(w.translation, w.translation) - float(coefficients @ cross), 1e-300)
+    noise = left / max(len(w.variance) - len(free), 1)
+    if last_std is not None:
+        power[-1, -1] += noise / last_std**2
+    return coefficients, noise * _inverse(power), left
+
+
+def _inverse(power: Floats) -> Floats:
+    """The inverse of a matrix (k, k) of products of columns whose units differ; what nothing tells is left out."""
+    size = np.sqrt(np.maximum(np.diag(power), 1e-300))
+    return np.asarray(np.linalg.pinv(power / np.outer(size, size), hermitian=True) / np.outer(size, size))

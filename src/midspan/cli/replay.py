@@ -1,0 +1,46 @@
+"""`midspan replay RECORDING`."""
+
+from typing import Any
+
+import click
+
+from midspan.cli.console import Console, common_options
+
+
+@click.command("replay")
+@click.argument("recording", type=click.Path())
+@click.option("-o", "--output", "store", required=True, help="Store: a folder, or postgresql://…; made where missing.")
+@click.option("--point", help="Name of the point; left out: the recording's name.")
+@click.option("--speed", type=click.FloatRange(0.0, 1e6, min_open=True), help="Times real time; left out: no waiting.")
+@click.option("-c", "--calibration", "calibration_file", type=click.Path(), help="Calibration; left out: calibrate.")
+@click.option("--method", default="kalman", show_default=True, help="kalman or lag.")
+@common_options
+def command(recording: str, store: str, quiet: bool, as_json: bool, **options: Any) -> None:
+    """Play a recording through a live point into a store: the rows are those of `estimate --method kalman`."""
+    console = Console(quiet, as_json)
+    from midspan.recording.streams.recording import open_recording
+    from midspan.service.replay import point_name, replay
+    from midspan.settings.stored.calibration_file import load_calibration
+    from midspan.store.store import open_store
+
+    opened = open_recording(recording)
+    calibration = load_calibration(options["calibration_file"]) if options["calibration_file"] else None
+    name = options["point"] or point_name(opened.name)
+    kept = open_store(store)
+    try:
+        done = replay(
+            opened,
+            kept,
+            name=name,
+            calibration=calibration,
+            method=options["method"],
+            speed=options["speed"],
+            progress=console.progress,
+        )
+    finally:
+        kept.close()
+    console.done()
+    console.table([("point", name), ("rows", f"{done.rows} of {done.length_s:.1f} s"), ("store", store)])
+    console.warn(done.warnings)
+    document = {"point": name, "rows": done.rows, "length_s": done.length_s, "store": store}
+    console.document({**document, "warnings": list(done.warnings)})

@@ -1,0 +1,37 @@
+"""`midspan run SITE.toml`."""
+
+import click
+
+from midspan.cli.console import Console, common_options
+
+
+@click.command("run")
+@click.argument("site", type=click.Path())
+@click.option("--for", "for_s", type=click.FloatRange(0.0, min_open=True), help="Seconds; left out: until stopped.")
+@common_options
+def command(site: str, for_s: float | None, quiet: bool, as_json: bool) -> None:
+    """Run a live site: sources to estimates to the store, MQTT and /readyz."""
+    import asyncio
+    import json
+    import signal
+
+    console = Console(quiet, as_json)
+    from midspan.service.run import Service
+    from midspan.settings.site import load_site
+
+    loaded = load_site(site)
+
+    def note(record: dict[str, object]) -> None:
+        """A line of the log for programs."""
+        if as_json and not quiet:
+            click.echo(json.dumps(record), err=True)
+
+    async def main() -> dict[str, object]:
+        service = Service(loaded, console.say, note)
+        for number in (signal.SIGINT, signal.SIGTERM):
+            asyncio.get_running_loop().add_signal_handler(number, service.stop)
+        return await service.run(for_s)
+
+    last = asyncio.run(main())
+    console.say(f"{loaded.name}: stopped; everything that came is kept.")
+    console.document(last)

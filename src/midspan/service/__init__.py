@@ -1,0 +1,1 @@
+"""The live shell: what runs points on streams, keeps what they give, and says how they stand."""

@@ -1,0 +1,246 @@
+"""A camera in a process of its own: it decodes, cuts the region out and stamps; the engine's process takes what it can.
+
+Frames wait in the camera's process, a few at most: where the engine does not keep up the oldest is skipped and counted.
+"""
+
+import multiprocessing
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from typing import Any
+
+import numpy as np
+
+from midspan.errors import MidspanError
+from midspan.records import Frame, Region
+from midspan.sources.live.camera import Stamped, StampKind, frames
+from midspan.sources.live.fault import SourceFault
+
+# Frames that wait for the engine; 30 are a second of a usual camera.
+MAX_WAITING = 30
+# A source that failed is opened again after so many seconds, twice as many each time.
+FIRST_PAUSE_S, LONGEST_PAUSE_S = 1.0, 30.0
+# One that has run for so long begins with the first pause again.
+SOUND_S = 60.0
+
+
+@dataclass(frozen=True, slots=True)
+class Delivered:
+    """A frame as it comes out of a camera's process: whole, or the part at (x, y) of a frame of `shape`."""
+
+    time_ns: int
+    kind: StampKind
+    shape: tuple[int, int]
+    place: tuple[int, int]
+    part: np.ndarray
+    number: int
+    skipped: int
+
+
+@dataclass(frozen=True, slots=True)
+class Failed:
+    """Why a camera gives nothing at present."""
+
+    code: str
+    text: str
+
+
+class CameraProcess:
+    """Runs a camera's process and hands on what it gives; a process that dies is started again.
+
+    taken: called from a thread for each `Delivered` and `Failed`.
+    """
+
+    def __init__(self, address: str, taken: Callable[[Delivered | Failed], None]) -> None:
+        self.address, self._taken = address, taken
+        self._context = multiprocessing.get_context("spawn")
+        self._region: Region | None = None
+        self._ending = threading.Event()
+        self._process: Any = None
+        self._pipe: Connection | None = None
+        self._thread = threading.Thread(target=self._watch, daemon=True, name=f"camera {address.partition(':')[0]}")
+
+    def start(self) -> None:
+        """Start the process."""
+        self._thread.start()
+
+    def cut(self, region: Region | None) -> None:
+        """From now on only this part of each frame is needed; None: whole frames."""
+        self._region = region
+        self._send()
+
+    def stop(self) -> None:
+        """End the process, by force after a second."""
+        self._ending.set()
+        if self._pipe is not None:
+            with suppress(OSError):
+                self._pipe.send("end")
+        self._thread.join(timeout=5.0)
+
+    @property
+    def pid(self) -> int | None:
+        """The process's number."""
+        return None if self._process is None else self._process.pid
+
+    def _send(self) -> None:
+        if self._pipe is not None:
+            with suppress(OSError):
+                self._pipe.send(self._region)
+
+    def _watch(self) -> None:
+        pause_s = FIRST_PAUSE_S
+        while not self._ending.is_set():
+            begun_s = time.monotonic()
+            self._run_once()
+            if self._ending.is_set():
+                return
+            self._taken(Failed("process_ended", "the camera's process ended; it is started again"))
+            pause_s = FIRST_PAUSE_S if time.monotonic() - begun_s > SOUND_S else min(2 * pause_s, LONGEST_PAUSE_S)
+            self._ending.wait(pause_s)
+
+    def _run_once(self) -> None:
+        """One life of the process."""
+        self._pipe, child = self._context.Pipe()
+        self._process = self._context.Process(target=serve, args=(self.address, child), daemon=True)
+        self._process.start()
+        child.close()
+        self._send()
+        try:
+            while not self._ending.is_set():
+                if self._pipe.poll(0.5):
+                    self._taken(self._pipe.recv())
+                elif not self._process.is_alive():
+                    return
+        except (EOFError, OSError):
+            return
+        finally:
+            self._process.join(timeout=1.0)
+            if self._process.is_alive():
+                self._process.kill()
+                self._process.join(timeout=1.0)
+            self._pipe.close()
+
+
+def serve(address: str, pipe: Connection) -> None:
+    """The camera's process: read, cut, stamp and send, and open again what failed, until it is told to end."""
+    sender = _Sender(pipe)
+    pause_s = FIRST_PAUSE_S
+    while not sender.ended:
+        begun_s, given = time.monotonic(), 0
+        try:
+            for stamped in _frames(address):
+                if sender.ended:
+                    return
+                sender.give(stamped)
+                given += 1
+        except SourceFault as fault:
+            sender.say(Failed(fault.code, str(fault)))
+        except MidspanError as error:
+            sender.say(Failed("damaged", str(error)))
+        pause_s = FIRST_PAUSE_S if time.monotonic() - begun_s > SOUND_S else pause_s
+        sender.wait(pause_s)
+        pause_s = FIRST_PAUSE_S if given else min(2 * pause_s, LONGEST_PAUSE_S)
+
+
+def _frames(address: str) -> Iterator[Stamped]:
+    """The frames of an address, at the pace that they are taken at."""
+    if not address.startswith("replay:"):
+        yield from frames(address)
+        return
+    from midspan.service.replayed import film
+
+    yield from film(address)
+
+
+class _Sender:
+    """Sends what waits from a thread of its own, and takes commands."""
+
+    def __init__(self, pipe: Connection) -> None:
+        self._pipe, self.ended = pipe, False
+        self._region: Region | None = None
+        self._waiting: deque[Any] = deque()
+        self._some = threading.Condition()
+        self._count = self._skipped = 0
+        threading.Thread(target=self._sending, daemon=True).start()
+        threading.Thread(target=self._listening, daemon=True).start()
+
+    def give(self, stamped: Stamped) -> None:
+        """Queue a frame; where too many wait the oldest is skipped."""
+        pixels, region = stamped.frame.pixels, self._region
+        rows, columns = pixels.shape
+        x, y = 0, 0
+        if region is not None:
+            x, y = max(region.x, 0), max(region.y, 0)
+            pixels = pixels[y : max(region.y + region.height, 0), x : max(region.x + region.width, 0)]
+        with self._some:
+            frames = [one for one in self._waiting if isinstance(one, Delivered)]
+            if len(frames) >= MAX_WAITING:
+                self._waiting.remove(frames[0])
+                self._skipped += 1
+            made = Delivered(
+                stamped.frame.time_ns, stamped.kind, (rows, columns), (x, y), np.ascontiguousarray(pixels),
+                self._count, self._skipped,
+            )  # fmt: skip
+            self._count += 1
+            self._waiting.append(made)
+            self._some.notify()
+
+    def say(self, failed: Failed) -> None:
+        """Queue why there are no frames."""
+        with self._some:
+            self._waiting.append(failed)
+            self._some.notify()
+
+    def wait(self, pause_s: float) -> None:
+        """Wait, unless the end is asked for."""
+        until_s = time.monotonic() + pause_s
+        while not self.ended and time.monotonic() < until_s:
+            time.sleep(0.1)
+
+    def _sending(self) -> None:
+        while True:
+            with self._some:
+                while not self._waiting:
+                    self._some.wait()
+                item = self._waiting.popleft()
+            try:
+                self._pipe.send(item)
+            except OSError:
+                self.ended = True
+                return
+
+    def _listening(self) -> None:
+        with suppress(EOFError, OSError):
+            while True:
+                found = self._pipe.recv()
+                if found == "end":
+                    break
+                self._region = found
+        # The end is asked for, or the service is gone.
+        self.ended = True
+
+
+class Pasted:
+    """Makes frames of a camera's parts: of the whole frame's size, so that all places stay those of the picture."""
+
+    def __init__(self) -> None:
+        self._whole: np.ndarray | None = None
+
+    def frame(self, item: Delivered) -> Frame:
+        """The frame; what is outside the part is as it was in the last whole frame."""
+        if self._whole is None or self._whole.shape != item.shape or self._whole.dtype != item.part.dtype:
+            self._whole = np.zeros(item.shape, dtype=item.part.dtype)
+        x, y = item.place
+        rows, columns = item.part.shape
+        if (rows, columns) == item.shape:
+            self._whole = item.part
+        else:
+            # Trackers keep the frames that they compare with: each is an array of its own.
+            whole = self._whole.copy()
+            whole[y : y + rows, x : x + columns] = item.part
+            self._whole = whole
+        return Frame(item.time_ns, self._whole, item.number)

@@ -1,0 +1,81 @@
+"""Writes batches to the store, one after another; while it is away they wait, up to a bound."""
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import replace
+
+from midspan.errors import MidspanError
+from midspan.store.database import StoreFault
+from midspan.store.store import Batch, Store, open_store
+
+# Held back at most, in batches of a point and second: an hour of five points.
+MAX_WAITING = 18_000
+
+
+class Keeper:
+    """`put` never waits; `write` writes what waits, and is called by one thread at a time.
+
+    reason: why the store is away, empty while it takes everything; dropped: batches that were lost.
+    """
+
+    def __init__(self, where: str, kept: Callable[[Batch], None] | None = None) -> None:
+        self._where, self._kept = where, kept
+        self._store: Store | None = None
+        self._waiting: deque[Batch] = deque()
+        self.reason, self.text, self.dropped, self.written = "", "", 0, 0
+
+    @property
+    def waiting(self) -> int:
+        """How many batches wait."""
+        return len(self._waiting)
+
+    def put(self, batch: Batch) -> None:
+        """Queue a batch; of too many the oldest is lost, and counted."""
+        if not (batch.chunks or batch.events or batch.checkpoints or batch.health):
+            return
+        self._waiting.append(batch)
+        if len(self._waiting) > MAX_WAITING:
+            self._waiting.popleft()
+            self.dropped += 1
+
+    def store(self) -> Store:
+        """The open store; raises StoreFault."""
+        if self._store is None:
+            self._store = open_store(self._where)
+        return self._store
+
+    def write(self) -> None:
+        """Write all that waits, oldest first; where the store is away it is tried again the next time."""
+        try:
+            store = self.store()
+            while self._waiting:
+                batch = self._waiting[0]
+                store.write(batch)
+                self._waiting.popleft()
+                self.written += 1
+                if self._kept is not None:
+                    self._kept(replace(batch))
+            self.reason = self.text = ""
+        except StoreFault as fault:
+            self.reason, self.text = fault.code, str(fault)
+            self._close()
+        except MidspanError as error:
+            self.reason, self.text = "store_unavailable", str(error)
+            self._close()
+
+    def forget_before(self, time_ns: int) -> None:
+        """Remove the days before a time, where the store can be used."""
+        try:
+            self.store().forget_before(time_ns)
+        except MidspanError as error:
+            self.text = str(error)
+
+    def close(self) -> None:
+        """Write what waits and let the store go."""
+        self.write()
+        self._close()
+
+    def _close(self) -> None:
+        if self._store is not None:
+            self._store.close()
+            self._store = None

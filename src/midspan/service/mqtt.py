@@ -1,0 +1,132 @@
+"""The broker: blocks of the sensors in, results, events and states out."""
+
+import json
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from midspan.records import Event
+from midspan.service.journal import ROWS
+from midspan.settings.site import MqttSettings
+from midspan.sources.live.blocks import RESULT, Block, pack
+from midspan.store.chunk import Chunk
+
+KEEP_ALIVE_S = 15
+# What the broker keeps for us while we are away, s.
+SESSION_S = 3600
+MAX_QUEUED = 10_000
+
+
+class Broker:
+    """A connection that comes back by itself.
+
+    taken: called from its thread with topic, payload and a function that acknowledges the message, once what came of it
+    is kept.
+    """
+
+    def __init__(
+        self,
+        settings: MqttSettings,
+        site: str,
+        topics: Mapping[str, int],
+        taken: Callable[[str, bytes, Callable[[], None]], None],
+    ) -> None:
+        import paho.mqtt.client as mqtt
+        from paho.mqtt.enums import CallbackAPIVersion
+        from paho.mqtt.packettypes import PacketTypes
+        from paho.mqtt.properties import Properties
+
+        self.connected, self.reason = False, "starting"
+        self._settings, self._topics, self._taken = settings, dict(topics), taken
+        self.root = f"{settings.prefix}/v1/{site}"
+        client = mqtt.Client(
+            CallbackAPIVersion.VERSION2, client_id=f"midspan-{site}", protocol=mqtt.MQTTv5, manual_ack=True
+        )
+        if settings.user is not None:
+            secret = settings.password.get_secret_value() if settings.password else None
+            client.username_pw_set(settings.user, secret)
+        client.will_set(f"{self.root}/available", "offline", qos=1, retain=True)
+        client.max_queued_messages_set(MAX_QUEUED)
+        client.reconnect_delay_set(1, 30)
+        client.on_connect, client.on_disconnect, client.on_message = self._met, self._left, self._came
+        self._session = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
+        self._session.SessionExpiryInterval = SESSION_S
+        self._client = client
+
+    def start(self) -> None:
+        """Connect, now or as soon as the broker is there."""
+        self._client.connect_async(
+            self._settings.host,
+            self._settings.port,
+            keepalive=KEEP_ALIVE_S,
+            clean_start=False,
+            properties=self._session,
+        )
+        self._client.loop_start()
+
+    def stop(self) -> None:
+        """Say that the site is off, and leave."""
+        if self.connected:
+            self._client.publish(f"{self.root}/available", "offline", qos=1, retain=True).wait_for_publish(2.0)
+        self._client.disconnect()
+        self._client.loop_stop()
+
+    def publish(self, topic: str, payload: bytes | str, *, qos: int = 0, retain: bool = False) -> None:
+        """Send below the site's topic; without a broker only what has to arrive waits."""
+        if self.connected or qos:
+            self._client.publish(f"{self.root}/{topic}", payload, qos=qos, retain=retain)
+
+    def _met(self, client: Any, _data: Any, _flags: Any, code: Any, _properties: Any) -> None:
+        if code.is_failure:
+            self.reason = "unauthorized" if "auth" in str(code).lower() else "refused"
+            return
+        self.connected, self.reason = True, ""
+        if self._topics:
+            client.subscribe([(topic, qos) for topic, qos in self._topics.items()])
+        self.publish("available", "online", qos=1, retain=True)
+
+    def _left(self, _client: Any, _data: Any, _flags: Any, _code: Any, _properties: Any) -> None:
+        self.connected, self.reason = False, "broker_gone"
+
+    def _came(self, client: Any, _data: Any, message: Any) -> None:
+        number, qos = message.mid, message.qos
+        self._taken(message.topic, bytes(message.payload), lambda: client.ack(number, qos) if qos else None)
+
+
+def result_payload(rows: Chunk, sequence: int) -> bytes:
+    """Rows as a block of mm and their standard deviations."""
+    time_ns = rows.time_ns
+    step_ns = round(int(time_ns[-1] - time_ns[0]) / (len(time_ns) - 1)) if len(time_ns) > 1 else 1
+    values = 1e3 * np.asarray(rows.columns["displacement_m"])
+    std = 1e3 * np.asarray(rows.columns["std_m"], dtype=np.float64)
+    return pack(Block(RESULT, sequence, int(time_ns[0]), max(step_ns, 1), values, std))
+
+
+def summary(rows: Chunk, status: str) -> str:
+    """A second of rows in figures, as JSON."""
+    value = 1e3 * np.asarray(rows.columns["displacement_m"])
+    std = 1e3 * np.asarray(rows.columns["std_m"], dtype=np.float64)
+    return json.dumps(
+        {
+            "time_s": int(rows.time_ns[-1]) / 1e9,
+            "rows": len(value),
+            "mean_mm": float(value.mean()),
+            "minimum_mm": float(value.min()),
+            "maximum_mm": float(value.max()),
+            "rms_mm": float(np.sqrt(np.mean(value**2))),
+            "std_mm": float(np.median(std)),
+            "status": status,
+            "unit": "mm",
+        }
+    )
+
+
+def event_payload(event: Event) -> str:
+    """An event as JSON."""
+    return json.dumps({"time_s": event.time_ns / 1e9, "kind": event.kind, "text": event.text})
+
+
+def rows_of(chunks: Any) -> list[Chunk]:
+    """Those of the main axis's rows among chunks."""
+    return [chunk for chunk in chunks if chunk.stream == ROWS]

@@ -1,0 +1,175 @@
+"""A live point out of a captured recording and its calibration, and out of a checkpoint."""
+
+import heapq
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from midspan.engine.checkpoint import from_bytes, to_bytes
+from midspan.engine.point import ACCELEROMETER, Point, PointState
+from midspan.engine.sensors import CameraSensor, RadarSensor
+from midspan.errors import DataError
+from midspan.fusion.methods import METHODS, Pass
+from midspan.recording.estimate import Asked
+from midspan.recording.messages import require_same_cameras
+from midspan.recording.point import clock_offsets_ns, measuring_point
+from midspan.recording.run import records_of
+from midspan.recording.streams.recording import open_recording
+from midspan.recording.tracked import open_eyes
+from midspan.records import Arrival, PixelTranslation, RangeFrame, Readings, Region, Status, Tracked
+from midspan.service.journal import TRANSLATION, Journal, target_stream
+from midspan.settings.stored.calibration import Calibration
+from midspan.store.chunk import Chunk
+from midspan.store.store import Store
+
+# The others are waited for so long behind the accelerometer; a stream that is silent for longer than the second is out.
+LATENESS_S, SILENT_S = 0.5, 5.0
+# Readings of a captured recording are pushed in blocks of this length: well below what the others are waited for.
+BLOCK_S = 0.1
+SEPARATOR = b"\n"
+
+
+@dataclass(frozen=True, slots=True)
+class Opened:
+    """A point on live records: the engine's point, what keeps its records, and the numbers of the records pushed.
+
+    regions: of each camera, the smallest that holds all its targets, px.
+    """
+
+    point: Point
+    journal: Journal
+    counts: dict[str, int]
+    newest_ns: dict[str, int]
+    regions: dict[str, Region]
+
+
+def opened(folder: Path, name: str, calibration: Calibration, number: int, *, given: bool, push: bool = True) -> Opened:
+    """The live point of a captured recording.
+
+    number: of the calibration in the store; given: not made on this site just now: its scales are in doubt. push: give
+    it the recording's own records, from which its rows begin. Raises what `estimate` raises.
+    """
+    recording = open_recording(folder)
+    method = recording.settings.fusion.method
+    require_same_cameras(recording, calibration)
+    sides = Asked(recording, calibration, method, given).sides
+    eyes = open_eyes(sides, None, _silent)
+    lag_s = recording.settings.fusion.lag_s if METHODS[method].rows is Pass.LAGGED else None
+    point = measuring_point(sides, eyes, lag_s=lag_s, given=given, log=False, wait_s=(LATENESS_S, SILENT_S))
+    journal = Journal(name, clock_offsets_ns(sides[0], eyes), calibration=number)
+    regions = {eye.sensor: around([target.region for target in eye.tracking.targets]) for eye in eyes}
+    found = Opened(point, journal, {}, {}, regions)
+    if push:
+        for stream, record in records_of(point, sides, eyes, block_s=BLOCK_S):
+            if isinstance(record, Arrival):
+                found.counts[stream] = found.counts.get(stream, -1) + 1
+                found.newest_ns[stream] = _newest(record)
+            journal.given(point.push(record))
+    for eye in eyes:
+        eye.tracking.close()
+    return found
+
+
+def checkpoint(found: Opened, folder: Path) -> bytes:
+    """All that a restart needs, as bytes: the captured recording's folder, the calibration, the engine's state."""
+    head = {
+        "folder": folder.name,
+        "calibration": found.journal.calibration,
+        "counts": found.counts,
+        "newest_ns": found.newest_ns,
+    }
+    return json.dumps(head).encode() + SEPARATOR + to_bytes(found.point.state)
+
+
+def head_of(kept: bytes) -> dict[str, Any]:
+    """What stands before the engine's state in a checkpoint. Raises DataError."""
+    head, separator, _ = kept.partition(SEPARATOR)
+    try:
+        tree = json.loads(head) if separator else None
+    except ValueError:
+        tree = None
+    if not isinstance(tree, dict) or not {"folder", "calibration", "counts", "newest_ns"} <= set(tree):
+        raise DataError("The store's checkpoint is damaged; the point starts anew.")
+    return tree
+
+
+def resumed(found: Opened, kept: bytes, store: Store) -> None:
+    """Let a point go on from a checkpoint, with the records that the store has kept since then."""
+    head = head_of(kept)
+    found.point.restore(from_bytes(kept.partition(SEPARATOR)[2], PointState))
+    found.counts.update(head["counts"])
+    found.newest_ns.update(head["newest_ns"])
+    for arrival in kept_since(found, store):
+        found.counts[arrival.stream] = arrival.sequence
+        found.newest_ns[arrival.stream] = _newest(arrival)
+        found.journal.given(found.point.push(arrival))
+
+
+def kept_since(found: Opened, store: Store) -> Iterator[Arrival]:
+    """The raw records in the store that a point has not seen, in the order of their stamps."""
+    feeds = [_readings(found, store, ACCELEROMETER)]
+    for name, sensor in found.point.sensors.items():
+        if isinstance(sensor, CameraSensor):
+            feeds.append(_tracked(found, store, name, len(sensor.channels)))
+        elif isinstance(sensor, RadarSensor):
+            feeds.append(_phasors(found, store, name))
+        else:
+            feeds.append(_readings(found, store, name))
+    counts = dict(found.counts)
+    for _, arrival in heapq.merge(*feeds, key=lambda one: one[0]):
+        counts[arrival.stream] = counts.get(arrival.stream, -1) + 1
+        yield Arrival(arrival.stream, counts[arrival.stream], arrival.record)
+
+
+def _chunks(found: Opened, store: Store, stream: str, kept_as: str) -> Iterator[Chunk]:
+    newest_ns = store.newest_ns(found.journal.point, kept_as)
+    after_ns = found.newest_ns.get(stream)
+    if newest_ns is not None and after_ns is not None:
+        yield from store.chunks(found.journal.point, kept_as, after_ns + 1, newest_ns)
+
+
+def _readings(found: Opened, store: Store, stream: str) -> Iterator[tuple[int, Arrival]]:
+    for chunk in _chunks(found, store, stream, stream):
+        value = np.asarray(chunk.columns["value"], dtype=np.float64).reshape(len(chunk.time_ns), -1)
+        yield int(chunk.time_ns[0]), Arrival(stream, 0, Readings(chunk.time_ns, value))
+
+
+def _phasors(found: Opened, store: Store, stream: str) -> Iterator[tuple[int, Arrival]]:
+    for chunk in _chunks(found, store, stream, stream):
+        for k, stamp in enumerate(chunk.time_ns.tolist()):
+            valid = np.asarray(chunk.columns["valid"][k], dtype=np.bool_)
+            phasors = np.asarray(chunk.columns["phasors"][k], dtype=np.complex64).reshape(len(valid), -1)
+            yield stamp, Arrival(stream, 0, RangeFrame(stamp, phasors, valid))
+
+
+def _tracked(found: Opened, store: Store, stream: str, targets: int) -> Iterator[tuple[int, Arrival]]:
+    feeds = [_chunks(found, store, stream, target_stream(stream, k)) for k in range(targets)]
+    for chunks in zip(*feeds, strict=True):
+        for row, stamp in enumerate(chunks[0].time_ns.tolist()):
+            yield stamp, Arrival(stream, 0, Tracked(stamp, stamp, tuple(translation(one, row) for one in chunks)))
+
+
+def translation(chunk: Chunk, row: int) -> PixelTranslation:
+    """A row of a kept track as it came from the tracker."""
+    own: Mapping[str, Any] = {name: chunk.columns[name][row].item() for name in TRANSLATION}
+    return PixelTranslation(time_ns=int(chunk.time_ns[row]), **{**own, "status": Status(own["status"])})
+
+
+def around(regions: list[Region]) -> Region:
+    """The smallest region that holds all of these."""
+    x, y = min(one.x for one in regions), min(one.y for one in regions)
+    right, low = max(one.x + one.width for one in regions), max(one.y + one.height for one in regions)
+    return Region(x, y, right - x, low - y)
+
+
+def _newest(arrival: Arrival) -> int:
+    record = arrival.record
+    return int(record.time_ns[-1]) if isinstance(record, Readings) else int(record.time_ns)
+
+
+def _silent(done: int, total: int, what: str) -> None:
+    """Nobody watches."""

@@ -1,0 +1,33 @@
+"""Why a source, a point or the store gives nothing: one table of codes, the same words in log, MQTT and /readyz."""
+
+REASONS: dict[str, tuple[str, str]] = {
+    # code: (what it means, what to do)
+    "starting": ("nothing came yet since the service began", "wait some seconds; then check the source's address"),
+    "refused": ("the connection is refused: nothing listens there", "check the address and that the camera is on"),
+    "not_found": ("there is no such stream or device", "check the path behind the address"),
+    "unauthorized": ("user and password are not accepted", "correct them in the address"),
+    "no_answer": ("what is there does not answer", "check cable, power and address"),
+    "no_video": ("the stream holds no video", "check the camera's settings"),
+    "damaged": ("what comes cannot be read", "check the camera's codec; watch the stream with another program"),
+    "stopped": ("a stream that ran brings nothing", "check cable and power; it is opened again by itself"),
+    "ended": ("the stream ended", "check the camera; it is opened again by itself"),
+    "process_ended": ("the camera's process ended", "it is started again by itself; see the log if it repeats"),
+    "size_changed": ("frames have another size than before", "set the camera back, or calibrate again"),
+    "silent": ("nothing has come for some seconds", "check the sensor, its cable and its sender"),
+    "payload": ("a message is not as documented", "check the sender's version, kind and length"),
+    "broker_gone": ("the MQTT broker cannot be reached", "check the broker; the connection is opened again by itself"),
+    "store_unavailable": ("the store cannot be written", "check disk or database; what comes meanwhile is held back"),
+    "store_full": ("the store's disk is full", "make room; what comes meanwhile is held back"),
+    "rows_dropped": ("the store was away for too long, and rows were lost", "see the events for when"),
+    "calibrating": ("the point records what it is calibrated on", "wait; the structure has to move meanwhile"),
+    "calibration_refused": ("the calibration could not be trusted", "see the event; it is tried again by itself"),
+    "calibration_offered": ("a calibration waits to be accepted", "accept it (MQTT cmd/accept), or set accept = auto"),
+    "opening": ("the point is being opened", "wait some seconds"),
+    "lost": ("the sensor's target is lost", "see the picture; something may stand in front of it"),
+}
+
+
+def sentence(code: str) -> str:
+    """What a code means, as a sentence."""
+    meaning, remedy = REASONS[code]
+    return f"{meaning[0].upper()}{meaning[1:]}: {remedy}."

@@ -1,0 +1,151 @@
+"""`replay`: a recording through a live point into a store, as fast as it goes or at a multiple of its own time."""
+
+import json
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from midspan.checks import option
+from midspan.engine.point import Point
+from midspan.errors import UsageError
+from midspan.fusion.methods import METHODS, Pass
+from midspan.progress import Progress, silent
+from midspan.recording.calibrate import calibrate_and_track
+from midspan.recording.estimate import Asked
+from midspan.recording.messages import require_same_cameras
+from midspan.recording.point import clock_offsets_ns, measuring_point
+from midspan.recording.run import records_of
+from midspan.recording.streams.recording import Recording, naming
+from midspan.recording.tracked import open_eyes
+from midspan.records import NANOSECONDS, Arrival, Complete, Readings
+from midspan.service.journal import Journal
+from midspan.settings.stored.calibration import Calibration
+from midspan.store.store import Store
+
+# The methods that give a row once and for all.
+LIVE = ("kalman", "lag")
+# So much time of the records is written at once.
+BLOCK_S = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Replayed:
+    """What a replay gave: rows kept, how long they last (s), and what the calibration warned of."""
+
+    rows: int
+    length_s: float
+    warnings: tuple[str, ...]
+
+
+def replay(
+    recording: Recording,
+    store: Store,
+    *,
+    name: str | None = None,
+    calibration: Calibration | None = None,
+    method: str = "kalman",
+    speed: float | None = None,
+    progress: Progress = silent,
+    wait: Callable[[float], None] = time.sleep,
+) -> Replayed:
+    """Push a recording through a live point and keep raw records, rows and events in `store`.
+
+    name: of the point; left out: the recording's. calibration: left out, it is made first. speed: times real time;
+    None: as fast as it goes. Rows are those of `estimate` with the same method. Raises what `calibrate` raises, and
+    UsageError for a point whose rows are as new already, or for another method than those of a live point.
+    """
+    option("method", method, LIVE)
+    name = name or point_name(recording.name)
+    require_free(store, name, recording)
+    given = calibration is not None
+    tracking = None
+    if calibration is None:
+        calibration, tracking = calibrate_and_track(recording, progress)
+    with naming(recording):
+        require_same_cameras(recording, calibration)
+        sides = Asked(recording, calibration, method, given).sides
+        eyes = open_eyes(sides, tracking, progress)
+        lag_s = recording.settings.fusion.lag_s if METHODS[method].rows is Pass.LAGGED else None
+        point = measuring_point(sides, eyes, lag_s=lag_s, given=given, log=False)
+        axes = recording.settings.axes[: len(sides)] if len(sides) > 1 else ()
+        made_ns = int(recording.acceleration.time_ns[0])
+        body, settings = json.dumps(calibration.to_dict()), recording.settings.model_dump_json(exclude_none=True)
+        number = store.add_calibration(name, made_ns, body, settings, accept=True)
+        journal = Journal(name, clock_offsets_ns(sides[0], eyes), axes=axes, calibration=number)
+        player = Player(point, journal, store, speed, wait)
+        first_ns, last_ns = (int(recording.acceleration.time_ns[k]) for k in (0, -1))
+        for _, record in records_of(point, sides, eyes, block_s=BLOCK_S):
+            player.push(record)
+            done_s = (player.newest_ns - first_ns) / NANOSECONDS
+            progress(max(int(done_s), 0), max(int((last_ns - first_ns) / NANOSECONDS), 1), "replaying")
+        player.finish()
+        for eye in eyes:
+            eye.tracking.close()
+    progress(1, 1, "replaying")
+    return Replayed(player.rows, (last_ns - first_ns) / NANOSECONDS, tuple(calibration.warnings))
+
+
+class Player:
+    """Gives records to a point and what comes out of it to a store, a block of readings at a time."""
+
+    def __init__(
+        self, point: Point, journal: Journal, store: Store, speed: float | None, wait: Callable[[float], None]
+    ) -> None:
+        self._point, self._journal, self._store = point, journal, store
+        self._speed, self._wait = speed, wait
+        self._begun: tuple[int, float] | None = None
+        self.newest_ns, self.rows = 0, 0
+
+    def push(self, record: Arrival | Complete) -> None:
+        """One record; what came before a new block of readings is written."""
+        if isinstance(record, Arrival) and isinstance(record.record, Readings):
+            self._write()
+            self.newest_ns = max(self.newest_ns, int(record.record.time_ns[-1]))
+            self._keep_pace()
+        self._journal.arrived(record)
+        self._journal.given(self._point.push(record))
+
+    def finish(self) -> None:
+        """The end of all records."""
+        self._journal.given(self._point.finish())
+        self._write()
+
+    def _write(self) -> None:
+        batch = self._journal.batch()
+        if batch.chunks or batch.events:
+            self._store.write(batch)
+            self.rows += sum(len(one.time_ns) for one in batch.chunks if one.stream == "rows")
+
+    def _keep_pace(self) -> None:
+        """Wait until the records' own time, times the speed, has gone by."""
+        if self._speed is None:
+            return
+        if self._begun is None:
+            self._begun = (self.newest_ns, time.monotonic())
+        due_s = self._begun[1] + (self.newest_ns - self._begun[0]) / NANOSECONDS / self._speed
+        left_s = due_s - time.monotonic()
+        if left_s > 0:
+            self._wait(left_s)
+
+
+def point_name(text: str) -> str:
+    """A point's name out of any text: letters, digits, - and _."""
+    return "".join(sign if sign.isascii() and (sign.isalnum() or sign in "-_") else "-" for sign in text) or "point"
+
+
+def require_free(store: Store, name: str, recording: Recording) -> None:
+    """UsageError where the store has rows of the point that are as new as the recording's."""
+    newest_ns = store.newest_ns(name, "rows")
+    if newest_ns is not None and newest_ns >= recording.acceleration.time_ns[0]:
+        raise UsageError(
+            f"The store has rows of the point {name!r} from the recording's time already; none is overwritten. Give "
+            "another name (--point), or another store (-o)."
+        )
+
+
+def is_store(path: str | Path) -> bool:
+    """Whether a path is the folder of a store."""
+    from midspan.store.store import SITE_FILE, is_address
+
+    return is_address(path) or (Path(path) / SITE_FILE).is_file()

@@ -1,0 +1,275 @@
+"""The tree of `SITE.toml`: the points of a live site, where their records come from and where their rows go."""
+
+import os
+import re
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, Field, SecretStr, ValidationError, model_validator
+
+from midspan.errors import DataError, UsageError
+from midspan.settings.fields import FileName, IsNumber, Section, limited
+from midspan.settings.kinds import KINDS
+from midspan.settings.messages import explain
+from midspan.settings.recording import RecordingSettings
+from midspan.trees import TreeError, read_toml
+
+ACCELEROMETER = "accelerometer"
+# Keys of a recording's section that say where its file is: a live section has `source` instead.
+FILE_KEYS = ("file", "times", "time", "value", "start_s")
+# The files of a point's captured recordings, by the kind of sensor.
+CAPTURED = {
+    ACCELEROMETER: "acceleration.npz",
+    "camera": "camera",
+    "displacement": "displacement.npz",
+}
+ADDRESSES = {
+    ACCELEROMETER: ("mqtt:", "replay:"),
+    "camera": ("rtsp://", "usb:", "replay:"),
+    "displacement": ("mqtt:", "replay:"),
+}
+VARIABLE = re.compile(r"\{([A-Za-z_][A-Za-z0-9_]*)\}")
+
+
+def _is_a_point(value: str) -> str:
+    if not re.fullmatch(r"[A-Za-z0-9_-]{1,64}", value):
+        raise ValueError("must be 1 to 64 letters, digits, - and _, as it becomes part of topics and files")
+    return value
+
+
+def _is_an_address(value: str) -> str:
+    """Host and port."""
+    host, _, port = value.rpartition(":")
+    if not host or not port.isdecimal() or not 0 <= int(port) < 65536:
+        raise ValueError('must be a host and a port, like "127.0.0.1:8080"')
+    return value
+
+
+PointName = Annotated[str, AfterValidator(_is_a_point)]
+
+
+class StoreSettings(Section):
+    """Where rows are kept: a folder for SQLite files, or the address of a PostgreSQL database."""
+
+    path: FileName | None = Field(None, description="folder for SQLite files, relative to this file")
+    url: SecretStr | None = Field(None, description="postgresql://user@host/database, instead of path")
+    keep_days: Annotated[float, IsNumber, limited(1.0, 36500.0, "days")] = Field(
+        365.0, description="how long rows and raw records are kept, in days"
+    )
+
+    @model_validator(mode="after")
+    def _is_one(self) -> "StoreSettings":
+        if (self.path is None) == (self.url is None):
+            raise ValueError("must have path (a folder) or url (a PostgreSQL database), one of them")
+        if self.url is not None and not self.url.get_secret_value().startswith(("postgresql://", "postgres://")):
+            raise ValueError("must have a url that begins with postgresql://")
+        return self
+
+
+class MqttSettings(Section):
+    """The broker that blocks come from and results go to."""
+
+    host: str = Field("127.0.0.1", min_length=1, description="name or address of the broker")
+    port: Annotated[int, IsNumber, Field(ge=1, le=65535)] = Field(1883, description="its port")
+    user: str | None = Field(None, description="user name; left out: none")
+    password: SecretStr | None = Field(None, description='password; write "{NAME}" to take it from the environment')
+    prefix: Annotated[str, Field(min_length=1, pattern=r"^[^+#]+$")] = Field(
+        "midspan", description="what all topics of results begin with"
+    )
+
+
+class ServiceSettings(Section):
+    """The web service of the site."""
+
+    listen: Annotated[str, AfterValidator(_is_an_address)] = Field(
+        "127.0.0.1:8080", description="host and port of /healthz, /readyz and /metrics"
+    )
+
+
+class PointSettings(Section):
+    """How a point is estimated; its sensors are sections of their own."""
+
+    name: PointName
+    method: Literal["kalman", "lag"] = Field(
+        "kalman", description="kalman: at once; lag: lag_s later and nearly as good as a file"
+    )
+    lag_s: Annotated[float, IsNumber, limited(1e-6, 60.0, "s")] = Field(0.5, description="delay of the method lag, s")
+    calibration: FileName | None = Field(None, description="calibration.json; left out: calibrates itself")
+    accept: Literal["auto", "manual"] = Field(
+        "auto", description="whether a calibration found on the way comes into force by itself"
+    )
+    calibration_s: Annotated[float, IsNumber, limited(10.0, 3600.0, "s")] = Field(
+        60.0, description="how long a calibration on the way records, s; longer needs less motion"
+    )
+
+
+class SiteFile(Section):
+    """The sections of the file apart from the points."""
+
+    name: PointName = Field(description="the site's name, part of every topic: letters, digits, - and _")
+    store: StoreSettings
+    mqtt: MqttSettings | None = None
+    service: ServiceSettings = Field(default_factory=lambda: ServiceSettings.model_validate({}))
+
+
+@dataclass(frozen=True, slots=True)
+class PointPlan:
+    """One point: its settings, what its recordings say of the sensors, and the address that each sensor's records
+    come from, by the sensor's name.
+    """
+
+    settings: PointSettings
+    recording: RecordingSettings
+    sources: dict[str, str]
+
+    @property
+    def name(self) -> str:
+        """The point's name."""
+        return self.settings.name
+
+
+@dataclass(frozen=True, slots=True)
+class Site:
+    """A whole SITE.toml; file: where it was read."""
+
+    file: Path
+    settings: SiteFile
+    points: tuple[PointPlan, ...]
+
+    @property
+    def name(self) -> str:
+        """The site's name."""
+        return self.settings.name
+
+    @property
+    def store(self) -> str:
+        """Where its store is: a folder or an address."""
+        given = self.settings.store
+        return str(self.file.parent / given.path) if given.path else given.url.get_secret_value() if given.url else ""
+
+
+def load_site(path: str | Path) -> Site:
+    """Read and validate a SITE.toml. Raises UsageError for what it may not say, DataError where it is missing."""
+    file = Path(path)
+    try:
+        tree = read_toml(file)
+    except TreeError as error:
+        raise UsageError(f"{file}: {error}.") from None
+    except OSError as error:
+        raise DataError(f"{file}: cannot be read ({error.strerror}).") from None
+    tree = filled(tree, str(file), lambda name: os.environ.get(name))
+    points = tree.pop("point", [])
+    if not isinstance(points, list) or not points or not all(isinstance(one, dict) for one in points):
+        raise UsageError(f"{file}: point: must be one [[point]] for each measuring point, at least one.")
+    settings = _validated(SiteFile, tree, str(file))
+    plans = tuple(_plan(point, f"{file}: point[{number}]") for number, point in enumerate(points, start=1))
+    name, count = Counter(plan.name for plan in plans).most_common(1)[0]
+    if count > 1:
+        raise UsageError(f"{file}: point.name: must be another one for each point; {count} have the name {name!r}.")
+    if settings.mqtt is None and (
+        needs := [p.name for p in plans if any(s.startswith("mqtt:") for s in p.sources.values())]
+    ):
+        raise UsageError(f"{file}: mqtt: is missing, but the point {needs[0]!r} has a source mqtt:…. Add [mqtt].")
+    return Site(file, settings, plans)
+
+
+def is_site(path: str | Path) -> bool:
+    """Whether a file is a SITE.toml: it has [[point]]."""
+    try:
+        return "point" in read_toml(Path(path))
+    except (TreeError, OSError, ValueError):
+        return False
+
+
+def filled(tree: Any, where: str, value_of: Callable[[str], str | None], key: str = "") -> Any:
+    """A tree in whose texts each {NAME} is taken from the environment; UsageError for one that is not set."""
+    if isinstance(tree, dict):
+        return {name: filled(one, where, value_of, f"{key}.{name}".lstrip(".")) for name, one in tree.items()}
+    if isinstance(tree, list):
+        return [filled(one, where, value_of, f"{key}[{number}]") for number, one in enumerate(tree, start=1)]
+    if not isinstance(tree, str):
+        return tree
+
+    def found(match: re.Match[str]) -> str:
+        value = value_of(match[1])
+        if value is None:
+            raise UsageError(
+                f"{where}: {key}: {{{match[1]}}} is taken from the environment, where {match[1]} is not set. Set it."
+            )
+        return value
+
+    return VARIABLE.sub(found, tree)
+
+
+def _plan(tree: dict[str, Any], where: str) -> PointPlan:
+    """One point of plain values; `where` names it in messages."""
+    own = {key: value for key, value in tree.items() if key not in (ACCELEROMETER, *KINDS)}
+    settings = _validated(PointSettings, own, where)
+    sections: dict[str, Any] = {}
+    addresses: dict[str, list[str]] = {}
+    for kind in (ACCELEROMETER, *KINDS):
+        if kind not in tree:
+            continue
+        if kind not in ADDRESSES:
+            raise UsageError(f"{where}.{kind}: must be one of {', '.join(ADDRESSES)}; others run on recordings only.")
+        given = tree[kind] if isinstance(tree[kind], list) else [tree[kind]]
+        if not given or not all(isinstance(one, dict) for one in given):
+            raise UsageError(f"{where}.{kind}: must be a section with keys, [point.{kind}].")
+        if kind == ACCELEROMETER and len(given) > 1:
+            raise UsageError(f"{where}.{kind}: must be one section.")
+        sections[kind] = [_captured(kind, number, one, where) for number, one in enumerate(given)]
+        addresses[kind] = [_address(kind, one, f"{where}.{kind}") for one in given]
+    fusion = {"method": settings.method, "lag_s": settings.lag_s}
+    plain = {key: value if len(value) > 1 else value[0] for key, value in sections.items()}
+    recording = _validated(RecordingSettings, {"name": settings.name, "fusion": fusion, **plain}, where)
+    if recording.accelerometer is None:
+        raise UsageError(f"{where}: accelerometer: is missing. Add [point.accelerometer] with its source.")
+    if any(getattr(sensor.settings, "direction", "") == "xy" for sensor in recording.sensors):
+        raise UsageError(f'{where}.camera.direction = "xy": must be "x" or "y"; both axes are for recordings.')
+    named = {sensor.name: (sensor.kind, k) for k, sensor in enumerate(recording.sensors)}
+    counts: Counter[str] = Counter()
+    sources = {ACCELEROMETER: addresses[ACCELEROMETER][0]}
+    for name, (kind, _) in named.items():
+        sources[name] = addresses[kind][counts[kind]]
+        counts[kind] += 1
+    return PointPlan(settings, recording, sources)
+
+
+def _captured(kind: str, number: int, section: dict[str, Any], where: str) -> dict[str, Any]:
+    """A live section as that of a recording of what came from its source."""
+    refused = [key for key in FILE_KEYS if key in section]
+    if refused:
+        raise UsageError(
+            f"{where}.{kind}.{refused[0]}: belongs to files; a live section has source instead. Take it out."
+        )
+    name = CAPTURED[kind]
+    stem, dot, suffix = name.partition(".")
+    own = {"file": f"{stem}-{number + 1}{dot}{suffix}" if number else name}
+    return {**{key: value for key, value in section.items() if key != "source"}, **own}
+
+
+def _address(kind: str, section: dict[str, Any], where: str) -> str:
+    value = section.get("source")
+    known = ADDRESSES[kind]
+    if not isinstance(value, str) or not value.startswith(known) or value in known:
+        listed = ", ".join(f"{one}…" for one in known)
+        raise UsageError(f"{where}.source: must be one of {listed}; received {value!r}." if value is not None else
+                         f"{where}.source: is missing. Add one of {listed}.")  # fmt: skip
+    return value
+
+
+def _validated(model: Any, tree: dict[str, Any], where: str) -> Any:
+    try:
+        return model.model_validate(tree)
+    except ValidationError as error:
+        lines = [explain(item, tree, model) for item in error.errors()]
+        raise UsageError("\n".join(f"{where}: {line}" for line in lines)) from None
+
+
+def without_secrets(address: str) -> str:
+    """An address without user and password."""
+    scheme, at, rest = address.partition("://")
+    return f"{scheme}://{rest.rpartition('@')[2]}" if at else address

@@ -1,0 +1,116 @@
+"""Blocks of evenly timed values as they travel over MQTT: a binary form, and JSON, on the same topics."""
+
+import json
+import math
+import struct
+from dataclasses import dataclass
+from datetime import datetime
+
+import numpy as np
+
+from midspan.records import NANOSECONDS, Floats, Nanoseconds
+from midspan.sources.live.fault import SourceFault
+
+# Version, kind, reserved, sequence, stamp of the first value, interval (ns), count; little-endian.
+HEAD = struct.Struct("<BBHIqqI")
+VERSION = 1
+ACCELERATION, DISPLACEMENT, RESULT = 1, 2, 3
+# A block lasts seconds; a million values are more than an hour of any sensor.
+MAX_VALUES = 1_000_000
+# From 2000 to 2200, ns: stamps outside are a clock that was never set.
+FIRST_NS, LAST_NS = 946_684_800 * NANOSECONDS, 7_258_118_400 * NANOSECONDS
+MAX_STEP_NS = 3600 * NANOSECONDS
+SEQUENCES = 2**32
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """Values (n,) in the sender's unit at t0_ns (UTC) and every dt_ns after; std: their deviations (results only)."""
+
+    kind: int
+    sequence: int
+    t0_ns: int
+    dt_ns: int
+    values: Floats
+    std: Floats | None = None
+
+    @property
+    def time_ns(self) -> Nanoseconds:
+        """Stamps (n,)."""
+        return self.t0_ns + self.dt_ns * np.arange(len(self.values), dtype=np.int64)
+
+
+def pack(block: Block) -> bytes:
+    """The binary form: the head, the values as float32, then of a result their deviations as float32."""
+    head = HEAD.pack(VERSION, block.kind, 0, block.sequence % SEQUENCES, block.t0_ns, block.dt_ns, len(block.values))
+    values = np.asarray(block.values, dtype="<f4").tobytes()
+    return head + values + (b"" if block.std is None else np.asarray(block.std, dtype="<f4").tobytes())
+
+
+def parse(payload: bytes, kind: int) -> Block:
+    """The block of a payload, of the kind that the topic is for; SourceFault with code `payload` for any other."""
+    block = _of_json(payload, kind) if payload[:1] in (b"{", b" ", b"\n") else _of_bytes(payload)
+    if block.kind != kind:
+        raise _refuse(f"kind {block.kind} where {kind} is expected")
+    if not FIRST_NS <= block.t0_ns <= LAST_NS:
+        raise _refuse(f"a first stamp of {block.t0_ns} ns, outside the years 2000 to 2200 (UTC)")
+    if not 0 < block.dt_ns <= MAX_STEP_NS:
+        raise _refuse(f"an interval of {block.dt_ns} ns; it must be above 0 and at most an hour")
+    return block
+
+
+def _of_bytes(payload: bytes) -> Block:
+    if len(payload) < HEAD.size:
+        raise _refuse(f"{len(payload)} bytes; the head alone has {HEAD.size}")
+    version, kind, _, sequence, t0_ns, dt_ns, count = HEAD.unpack_from(payload)
+    if version != VERSION:
+        raise _refuse(f"version {version}; this program reads version {VERSION}")
+    columns = 2 if kind == RESULT else 1
+    if count > MAX_VALUES or len(payload) != HEAD.size + 4 * count * columns:
+        raise _refuse(f"{len(payload)} bytes, but {count} values need {HEAD.size + 4 * count * columns}")
+    numbers = np.frombuffer(payload, dtype="<f4", offset=HEAD.size).astype(np.float64)
+    std = numbers[count:] if kind == RESULT else None
+    return Block(kind, sequence, t0_ns, dt_ns, numbers[:count], std)
+
+
+def _of_json(payload: bytes, kind: int) -> Block:
+    try:
+        tree = json.loads(payload)
+    except (ValueError, RecursionError):
+        raise _refuse("text that is no JSON") from None
+    if not isinstance(tree, dict):
+        raise _refuse("JSON that is no object")
+    sequence, step_s, values = tree.get("sequence"), tree.get("dt_s"), tree.get("values")
+    if type(sequence) is not int or not 0 <= sequence < SEQUENCES:
+        raise _refuse("a sequence that is no whole number from 0 to 2^32 - 1")
+    if not isinstance(step_s, int | float) or isinstance(step_s, bool) or not math.isfinite(step_s):
+        raise _refuse("a dt_s that is no number")
+    if not isinstance(values, list) or len(values) > MAX_VALUES or not all(_is_number(one) for one in values):
+        raise _refuse("values that are no list of numbers (null: missing)")
+    numbers = np.array([np.nan if one is None else float(one) for one in values])
+    step_ns = round(min(max(step_s, -1e9), 1e9) * NANOSECONDS)
+    return Block(int(kind), sequence, _instant(tree.get("t0")), step_ns, numbers)
+
+
+def _is_number(value: object) -> bool:
+    return value is None or (isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e300)
+
+
+def _instant(value: object) -> int:
+    """An instant in ns of ISO 8601 with a zone, or of whole nanoseconds."""
+    if type(value) is int and abs(value) < 2**63:
+        return value
+    try:
+        found = datetime.fromisoformat(str(value))
+    except ValueError:
+        raise _refuse("a t0 that is neither ISO 8601 nor nanoseconds since 1970") from None
+    if found.tzinfo is None:
+        raise _refuse("a t0 without a zone; write it in UTC with Z")
+    try:
+        return round(found.replace(microsecond=0).timestamp()) * NANOSECONDS + found.microsecond * 1000
+    except (OverflowError, ValueError):
+        raise _refuse("a t0 outside the years 2000 to 2200 (UTC)") from None
+
+
+def _refuse(received: str) -> SourceFault:
+    return SourceFault("payload", f"a block must be as documented; received {received}")

@@ -1,0 +1,164 @@
+"""Frames of a camera on the network (RTSP) or on USB, each with its instant in UTC and how that was found."""
+
+import struct
+import time
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from enum import Enum
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from midspan.records import NANOSECONDS, Frame
+from midspan.sources.live.fault import SourceFault
+
+# A camera that answers does so within this; a stream that brings nothing for so long is stopped.
+OPEN_S, READ_S = 3.0, 3.0
+# Stamps by arrival: the least delay of so many frames is taken for none.
+ENVELOPE_FRAMES = 600
+MICROSECONDS = 1_000
+
+
+class StampKind(Enum):
+    """How a frame's instant was found, the best first; std_s: its standard deviation."""
+
+    SENDER = "sender"  # the camera's own clock with each packet (RTCP sender reports)
+    STREAM = "stream"  # the camera's clock at the stream's start, and the stream's own time since
+    ARRIVAL = "arrival"  # when it came, less what it was delayed by
+
+    @property
+    def std_s(self) -> float:
+        """The instant's standard deviation, s, as measured on a stream with its clock drawn into the pictures."""
+        return {"sender": 0.0005, "stream": 0.002, "arrival": 0.03}[self.value]
+
+
+@dataclass(frozen=True, slots=True)
+class Stamped:
+    """A frame and how its instant was found."""
+
+    frame: Frame
+    kind: StampKind
+
+
+class ArrivalEnvelope:
+    """Instants of frames by their arrivals: stream time and the least delay that was seen."""
+
+    def __init__(self) -> None:
+        self._delays: list[float] = []
+
+    def instant_ns(self, stream_s: float, arrived_ns: int) -> int:
+        """The instant of a frame of the stream's time `stream_s` that came at `arrived_ns`."""
+        self._delays.append(arrived_ns / NANOSECONDS - stream_s)
+        if len(self._delays) > ENVELOPE_FRAMES:
+            self._delays.pop(0)
+        return round((stream_s + min(self._delays)) * NANOSECONDS)
+
+
+def frames(address: str) -> Iterator[Stamped]:
+    """The frames of `rtsp://…` or `usb:0`, luma only, until the stream ends or fails: a live stream has no end.
+
+    Raises SourceFault with one of the codes refused, not_found, no_answer, stopped, ended, damaged.
+    """
+    import av
+
+    container = _opened(address)
+    try:
+        stream = next((one for one in container.streams if one.type == "video"), None)
+        if stream is None:
+            raise SourceFault("no_video", "the stream holds no video")
+        stream.thread_type = "SLICE"
+        yield from _decoded(container, stream)
+    except av.error.ExitError:
+        raise SourceFault("stopped", f"nothing came for {READ_S:g} s") from None
+    except av.error.FFmpegError as error:
+        raise SourceFault("damaged", f"the stream cannot be read ({error.strerror or type(error).__name__})") from None
+    finally:
+        with suppress(Exception):
+            container.close()
+    raise SourceFault("ended", "the stream ended, which a live one does not do by itself")
+
+
+def _opened(address: str) -> Any:
+    import av
+
+    usb = address.startswith("usb:")
+    begun_s = time.monotonic()
+    try:
+        if usb:
+            return av.open(f"/dev/video{address[4:]}", format="v4l2", timeout=(OPEN_S, READ_S))
+        options = {"rtsp_transport": "tcp"}
+        return av.open(address, timeout=(OPEN_S, READ_S), options=options)
+    except av.error.ConnectionRefusedError:
+        raise SourceFault("refused", "the connection is refused: nothing listens there") from None
+    except (av.error.HTTPNotFoundError, av.error.FileNotFoundError):
+        raise SourceFault("not_found", "there is no such stream or device") from None
+    except (av.error.HTTPUnauthorizedError, av.error.HTTPForbiddenError, av.error.PermissionError):
+        raise SourceFault("unauthorized", "user and password are not accepted") from None
+    except av.error.FFmpegError as error:
+        # What never answers and what answers rubbish look alike, but for the time that it takes.
+        if time.monotonic() - begun_s >= 0.9 * OPEN_S:
+            raise SourceFault("no_answer", f"no answer for {OPEN_S:g} s") from None
+        raise SourceFault("damaged", f"what answers is no video ({error.strerror or type(error).__name__})") from None
+
+
+def _decoded(container: Any, stream: Any) -> Iterator[Stamped]:
+    """Frames with their instants: the sender's where a packet brings it, else the stream's, else by arrival."""
+    envelope, reports, count = ArrivalEnvelope(), 0, 0
+    base = float(stream.time_base)
+    sent_ns: dict[int, int] = {}
+    known: tuple[int, int] | None = None
+    newest_ns = -(2**62)
+    for packet in container.demux(stream):
+        arrived_ns = time.time_ns()
+        found = _sent_ns(packet)
+        if found is not None and packet.pts is not None:
+            reports += 1
+            # The first one of a stream may be a frame off.
+            if reports > 1:
+                sent_ns[packet.pts] = found
+                known = (packet.pts, found)
+        for picture in packet.decode():
+            if picture.pts is None:
+                continue
+            stream_s = picture.pts * base
+            by_arrival_ns = envelope.instant_ns(stream_s, arrived_ns)
+            if known is not None:
+                own = sent_ns.pop(picture.pts, None)
+                stamp = known[1] + round((picture.pts - known[0]) * base * NANOSECONDS) if own is None else own
+                kind = StampKind.SENDER
+            elif (start_us := getattr(container, "start_time_realtime", None)) and start_us > 0:
+                stamp, kind = start_us * MICROSECONDS + round(stream_s * NANOSECONDS), StampKind.STREAM
+            else:
+                stamp, kind = by_arrival_ns, StampKind.ARRIVAL
+            if len(sent_ns) > ENVELOPE_FRAMES:
+                sent_ns.clear()
+            if stamp > newest_ns:
+                newest_ns = stamp
+                yield Stamped(Frame(stamp, luma(picture), count), kind)
+                count += 1
+
+
+def _sent_ns(packet: Any) -> int | None:
+    """When a packet was sent by the sender's clock (ns UTC), None where it does not say."""
+    sidedata = getattr(packet, "iter_sidedata", None)
+    for item in sidedata() if sidedata is not None else ():
+        if (
+            "prft" in str(getattr(item, "data_type", "")).lower()
+            or "producer" in str(getattr(item, "data_type", "")).lower()
+        ):
+            data = bytes(item)
+            if len(data) >= 8:
+                return int(struct.unpack_from("<q", data)[0]) * MICROSECONDS
+    return None
+
+
+def luma(picture: Any) -> NDArray[np.uint8]:
+    """The grey levels (rows, columns) of a decoded frame, as they were sent."""
+    name = picture.format.name
+    if name.startswith(("yuv", "nv", "gray")) and not name.startswith(("yuyv", "gray1")):
+        plane = picture.planes[0]
+        rows = np.frombuffer(plane, dtype=np.uint8).reshape(plane.height, plane.line_size)
+        return np.ascontiguousarray(rows[:, : plane.width])
+    return np.asarray(picture.to_ndarray(format="gray"))

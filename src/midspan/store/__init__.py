@@ -1,0 +1,1 @@
+"""Rows, raw records, calibrations and checkpoints of live points, in SQLite files or PostgreSQL."""

@@ -1,0 +1,136 @@
+"""A live point without a shell: captures, jobs, a calibration beside the running one, and its acceptance."""
+
+import numpy as np
+import pytest
+
+import midspan
+from midspan.engine.support import PointStatus
+from midspan.errors import UntrustedError
+from midspan.records import NANOSECONDS, Arrival, Readings
+from midspan.service.capture import capture_settings
+from midspan.service.opening import opened
+from midspan.service.point import LivePoint, Phase
+from midspan.settings.site import load_site
+
+SITE = """
+name = "site"
+[store]
+path = "store"
+[mqtt]
+[[point]]
+name = "p"
+calibration_s = 20
+accept = "{accept}"
+[point.accelerometer]
+source = "mqtt:a"
+[point.displacement]
+source = "mqtt:d"
+unit = "mm"
+"""
+BEGIN_NS = 1_790_000_000 * NANOSECONDS
+
+
+def live_point(folder, accept="auto"):
+    (folder / "SITE.toml").write_text(SITE.format(accept=accept))
+    (plan,) = load_site(folder / "SITE.toml").points
+    return LivePoint(plan, capture_settings(plan.recording, {"displacement": 1e-3}), folder / "captures")
+
+
+def records(first_s, last_s, seed=0):
+    """Blocks of a second: three tones, the displacement at 10 Hz with 0.1 mm."""
+    rng = np.random.default_rng(seed)
+    for second in range(first_s, last_s):
+        for name, rate_hz in (("accelerometer", 100), ("displacement", 10)):
+            at = second + np.arange(rate_hz) / rate_hz
+            value = np.zeros(rate_hz)
+            for a, f in ((3e-3, 1.3), (2e-3, 0.6), (1e-3, 2.9)):
+                factor = -((2 * np.pi * f) ** 2) if name == "accelerometer" else 1.0
+                value += factor * a * np.sin(2 * np.pi * f * at)
+            value += rng.normal(0, 2e-3 if name == "accelerometer" else 1e-4, rate_hz)
+            time_ns = BEGIN_NS + np.round(at * NANOSECONDS).astype(np.int64)
+            yield Arrival(name, 0, Readings(time_ns, value[:, None]))
+
+
+def pushed(point, first_s, last_s):
+    """Push until the point asks for a job; returns the second that it asked in."""
+    for arrival in records(first_s, last_s):
+        point.push(arrival)
+        if point.job is not None:
+            break
+    return int((point.newest_ns - BEGIN_NS) / NANOSECONDS)
+
+
+def running(point):
+    """The point opened from its first calibration, and the second that it has come to."""
+    at_s = pushed(point, 0, 60)
+    assert point.job.kind == "calibrate"
+    assert point.phase is Phase.CALIBRATING
+    assert point.status is PointStatus.CALIBRATING
+    calibration = midspan.calibrate(point.job.folder)
+    point.calibrated(1)
+    at_s = pushed(point, at_s + 1, at_s + 30)
+    assert point.job.kind == "open"
+    # What comes while it is opened waits, and is not lost.
+    for arrival in records(at_s + 1, at_s + 4):
+        point.push(arrival)
+    point.is_opened(opened(point.job.folder, "p", calibration, 1, given=False))
+    assert point.phase is Phase.RUNNING
+    return calibration, at_s + 4
+
+
+def test_a_point_captures_calibrates_opens_and_runs(tmp_path):
+    point = live_point(tmp_path)
+    _, at_s = running(point)
+    for arrival in records(at_s, at_s + 10):
+        point.push(arrival)
+    batch = point.batch()
+    rows = np.concatenate([one.time_ns for one in batch.chunks if one.stream == "rows"])
+    assert set(np.diff(rows)) == {10**7}
+    assert point.status is PointStatus.TRACKING
+    assert "p" in batch.checkpoints
+    assert "calibrated" in {event.kind for _, event in batch.events}
+    raw = np.unique(np.concatenate([one.time_ns for one in batch.chunks if one.stream == "accelerometer"]))
+    assert set(np.diff(raw)) == {10**7}
+
+
+def test_a_new_calibration_stands_beside_the_old_one_until_it_is_accepted(tmp_path):
+    point = live_point(tmp_path, "manual")
+    _, at_s = running(point)
+    point.calibrate()
+    at_s = pushed(point, at_s, at_s + 40)
+    assert point.job.kind == "calibrate"
+    assert point.phase is Phase.RUNNING
+    point.offered(2)
+    assert point.reason == "calibration_offered"
+    assert point.number == 1
+    for arrival in records(at_s + 1, at_s + 3):
+        point.push(arrival)
+    assert point.job is None
+    point.calibrated(2)
+    pushed(point, at_s + 3, at_s + 20)
+    assert point.job.kind == "open"
+    assert point.number == 2
+
+
+def test_a_refused_calibration_is_an_event_and_tried_again_later(tmp_path):
+    point = live_point(tmp_path)
+    at_s = pushed(point, 0, 60)
+    point.refused(UntrustedError("Too little motion."))
+    assert point.reason == "calibration_refused"
+    assert ["Too little motion" in event.text for _, event in point.batch().events] == [True]
+    again_s = pushed(point, at_s + 1, at_s + 200)
+    assert point.job.kind == "calibrate"
+    assert 60 + 20 <= again_s - at_s <= 60 + 25
+
+
+@pytest.mark.parametrize("seconds", [70])
+def test_what_waits_while_a_point_is_opened_is_bounded(tmp_path, seconds):
+    point = live_point(tmp_path)
+    at_s = pushed(point, 0, 60)
+    midspan.calibrate(point.job.folder)
+    point.calibrated(1)
+    at_s = pushed(point, at_s + 1, at_s + 30)
+    for arrival in records(at_s + 1, at_s + 1 + seconds):
+        point.push(arrival)
+    held = [one for one in point._held if one.stream == "accelerometer"]
+    assert 59 <= len(held) <= 62

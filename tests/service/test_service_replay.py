@@ -1,0 +1,181 @@
+"""A recording through a live point: the rows of `estimate`, kept once, and computed again from what was kept."""
+
+import json
+
+import numpy as np
+import pyarrow.parquet
+import pytest
+
+import midspan
+from midspan.cli.main import run
+from midspan.engine.sensors import CameraSensor
+from midspan.errors import UsageError
+from midspan.recording.run import records_of
+from midspan.records import NANOSECONDS, Arrival, Readings
+from midspan.service.opening import checkpoint, head_of, opened, resumed
+from midspan.service.replay import point_name, replay
+from midspan.service.stored_rows import instant, stored_table
+from midspan.store.store import Batch, open_store
+
+
+@pytest.fixture(scope="module")
+def bridge(footbridge):
+    """A recording and its calibration."""
+    recording = midspan.open_recording(footbridge)
+    return recording, midspan.calibrate(recording)
+
+
+def replayed(bridge, folder, **options):
+    recording, calibration = bridge
+    store = open_store(folder)
+    replay(recording, store, name="p", calibration=calibration, **options)
+    return store
+
+
+@pytest.mark.parametrize("method", ["kalman", "lag"])
+def test_the_rows_are_those_of_estimate(bridge, tmp_path, method):
+    recording, calibration = bridge
+    result = midspan.estimate(recording, calibration, method=method)
+    store = replayed(bridge, tmp_path, method=method)
+    table = stored_table(store, "p", None, None)
+    same = np.isin(table.time_ns, result.estimate.time_ns)
+    assert np.count_nonzero(same) == len(result.estimate.time_ns)
+    np.testing.assert_array_equal(table.columns["displacement_mm"][same], result.displacement_mm)
+    # Deviations are kept as float32.
+    np.testing.assert_allclose(table.columns["displacement_std_mm"][same], result.displacement_std_mm, rtol=1e-7)
+    np.testing.assert_array_equal(table.columns["status"][same], result.estimate.status)
+    # Beyond the last measurement a live point goes on; a result ends there.
+    assert len(table.time_ns) - np.count_nonzero(same) < 0.6 * recording.prepared.rate_hz
+    store.close()
+
+
+@pytest.mark.parametrize("method", ["smoother", "kalman"])
+def test_what_was_kept_gives_the_same_result_again(bridge, tmp_path, method):
+    recording, calibration = bridge
+    replayed(bridge, tmp_path / "store").close()
+    output = tmp_path / "again.parquet"
+    assert run(["estimate", str(tmp_path / "store"), "--method", method, "-o", str(output), "--quiet"]) == 0
+    found = pyarrow.parquet.read_table(output)["displacement_mm"].to_numpy()
+    expected = midspan.estimate(recording, calibration, method=method).displacement_mm
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9)
+
+
+def test_a_stretch_can_be_exported_and_computed(bridge, tmp_path):
+    replayed(bridge, tmp_path / "store").close()
+    store, output = str(tmp_path / "store"), tmp_path / "part.parquet"
+    assert run(["export", store, "--from", "5", "--to", "1970-01-01T00:00:12Z", "-o", str(output), "--quiet"]) == 0
+    time_s = pyarrow.parquet.read_table(output)["time_s"].to_numpy()
+    assert time_s[0] == 5.0
+    assert time_s[-1] == 12.0
+    again = ["estimate", store, "--from", "5", "--to", "20", "-o", str(output), "--quiet"]
+    assert run(again) == 0
+    time_s = pyarrow.parquet.read_table(output)["time_s"].to_numpy()
+    assert 5.0 <= time_s[0] < 5.5
+    assert time_s[-1] <= 20.0
+
+
+def test_rows_are_never_overwritten(bridge, tmp_path, capsys):
+    recording, calibration = bridge
+    store = replayed(bridge, tmp_path)
+    with pytest.raises(UsageError, match="another name"):
+        replay(recording, store, name="p", calibration=calibration)
+    replay(recording, store, name="q", calibration=calibration)
+    assert store.points == ["p", "q"]
+    store.close()
+    assert run(["export", str(tmp_path), "-o", str(tmp_path / "x.csv")]) == 2
+    assert "--point must be one of p, q" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("cut_s", [3.0, 11.3, 19.9])
+def test_a_point_goes_on_from_its_checkpoint_with_the_same_rows(bridge, footbridge, tmp_path, cut_s):
+    _, calibration = bridge
+    whole = opened(footbridge, "p", calibration, 1, given=True)
+    expected = whole.journal.batch()
+    # Another one is given the same records, is kept in the middle, and ends later than it was kept.
+    store = open_store(tmp_path)
+    first = opened(footbridge, "p", calibration, 1, given=True, push=False)
+    kept = None
+    for stream, arrival in arrivals(first, footbridge, calibration):
+        stamp_ns = newest(arrival)
+        if stamp_ns > (cut_s + 1.5) * NANOSECONDS:
+            break
+        if kept is None and stamp_ns > cut_s * NANOSECONDS:
+            store.write(first.journal.batch())
+            kept = checkpoint(first, footbridge)
+        first.counts[stream] = first.counts.get(stream, -1) + 1
+        first.newest_ns[stream] = max(stamp_ns, first.newest_ns.get(stream, stamp_ns))
+        first.journal.arrived(arrival)
+        first.journal.given(first.point.push(arrival))
+    store.write(first.journal.batch())
+    assert head_of(kept)["calibration"] == 1
+    second = opened(footbridge, "p", calibration, 1, given=True, push=False)
+    resumed(second, kept, store)
+    last_ns = dict(second.newest_ns)
+    for stream, arrival in arrivals(first, footbridge, calibration):
+        later = after(arrival, last_ns[stream])
+        if later is not None:
+            second.journal.arrived(later)
+            second.journal.given(second.point.push(later))
+    second.journal.given(second.point.finish())
+    store.write(second.journal.batch())
+    found = stored_table(store, "p", None, None)
+    rows = next(one for one in expected.chunks if one.stream == "rows")
+    same = np.isin(found.time_ns, rows.time_ns)
+    np.testing.assert_array_equal(found.time_ns[same], rows.time_ns)
+    apart = np.abs(found.columns["displacement_mm"][same] - 1e3 * rows.columns["displacement_m"])
+    assert apart[rows.time_ns <= last_ns["accelerometer"] - NANOSECONDS // 2].max() == 0.0
+    # The camera's tracker was kept a second before its last frames: what it finds later differs by parts of its noise.
+    assert np.all(apart < found.columns["displacement_std_mm"][same])
+    store.close()
+
+
+def arrivals(found, folder, calibration):
+    """The records of a recording as live ones, with the frames as they are."""
+    from midspan.recording.estimate import Asked
+    from midspan.recording.tracked import open_eyes
+
+    recording = midspan.open_recording(folder)
+    sides = Asked(recording, calibration, "kalman", True).sides
+    eyes = open_eyes(sides, None, lambda *_: None)
+    assert any(isinstance(sensor, CameraSensor) for sensor in found.point.sensors.values())
+    for stream, record in records_of(found.point, sides, eyes, block_s=0.1):
+        if isinstance(record, Arrival):
+            yield stream, record
+
+
+def newest(arrival):
+    record = arrival.record
+    return int(record.time_ns[-1]) if isinstance(record, Readings) else int(record.time_ns)
+
+
+def after(arrival, last_ns):
+    """The part of a record after a stamp, None where there is nothing of it."""
+    record = arrival.record
+    if isinstance(record, Readings):
+        later = record.time_ns > last_ns
+        return Arrival(arrival.stream, 0, Readings(record.time_ns[later], record.value[later])) if later.any() else None
+    return arrival if record.time_ns > last_ns else None
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [("0.25", 250_000_000), ("-1.5", -1_500_000_000), ("1970-01-01T00:00:01Z", NANOSECONDS), ("1970-01-01", 0)],
+)
+def test_instants(text, expected):
+    assert instant(text, "--from") == expected
+
+
+def test_an_instant_that_is_none_is_named():
+    with pytest.raises(UsageError, match="--to: must be an instant"):
+        instant("noon", "--to")
+
+
+def test_names_and_metadata(bridge, tmp_path):
+    assert point_name("bridge, quarter span") == "bridge--quarter-span"
+    store = replayed(bridge, tmp_path)
+    metadata = stored_table(store, "p", None, None).metadata
+    assert metadata["calibrations"][0]["number"] == 1
+    assert "camera" in metadata["calibrations"][0]
+    assert json.dumps(metadata)
+    store.write(Batch())
+    store.close()

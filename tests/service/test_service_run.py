@@ -1,0 +1,210 @@
+"""A live site as a process, on a real broker: it calibrates itself, runs, is killed, and goes on without a lost row."""
+
+import json
+import signal
+import socket
+import subprocess
+import threading
+import time
+import urllib.error
+import urllib.request
+
+import numpy as np
+import pytest
+from live_servers import command, free_port
+
+from midspan.records import NANOSECONDS
+from midspan.service.stored_rows import stored_table
+from midspan.sources.live.blocks import ACCELERATION, DISPLACEMENT, RESULT, Block, pack, parse
+from midspan.sources.live.camera import StampKind, frames
+from midspan.sources.live.fault import SourceFault
+from midspan.store.store import open_store
+
+# The structure's motion: (mm, Hz, rad).
+MOTION = ((3.0, 1.3, 0.0), (2.0, 0.6, 1.0), (1.0, 2.9, 0.0))
+NOISE_MM, NOISE_M_S2 = 0.1, 2e-3
+# So many seconds of records come in a second, which is no matter to the engine.
+FASTER, LENGTH_S, BLOCK_S = 4.0, 70.0, 0.2
+SITE = """
+name = "site"
+[store]
+path = "store"
+[mqtt]
+port = {broker}
+[service]
+listen = "127.0.0.1:{web}"
+[[point]]
+name = "p"
+calibration_s = 15
+[point.accelerometer]
+source = "mqtt:b/acceleration"
+unit = "m/s^2"
+[point.displacement]
+source = "mqtt:b/displacement"
+unit = "mm"
+"""
+
+
+def moved_mm(time_s):
+    return sum(a * np.sin(2 * np.pi * f * time_s + p) for a, f, p in MOTION)
+
+
+def accelerated_m_s2(time_s):
+    return -1e-3 * sum(a * (2 * np.pi * f) ** 2 * np.sin(2 * np.pi * f * time_s + p) for a, f, p in MOTION)
+
+
+def send(port, begin_ns, length_s):
+    """Publish the records of a minute and more, as sensors would, but sooner."""
+    import paho.mqtt.client as mqtt
+
+    rng, begun_s = np.random.default_rng(0), time.monotonic()
+    client = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2, client_id="sensors")
+    client.max_queued_messages_set(0)
+    client.connect("127.0.0.1", port)
+    client.loop_start()
+    for number in range(round(length_s / BLOCK_S)):
+        fast, slow = (BLOCK_S * number + step * np.arange(round(BLOCK_S / step)) for step in (0.01, 0.1))
+        t0_ns = begin_ns + round(BLOCK_S * number * NANOSECONDS)
+        acceleration = accelerated_m_s2(fast) + rng.normal(0, NOISE_M_S2, len(fast))
+        displacement = moved_mm(slow) + rng.normal(0, NOISE_MM, len(slow))
+        client.publish("b/acceleration", pack(Block(ACCELERATION, number, t0_ns, 10**7, acceleration)), qos=1)
+        client.publish("b/displacement", pack(Block(DISPLACEMENT, number, t0_ns, 10**8, displacement)), qos=1)
+        time.sleep(max(begun_s + BLOCK_S * (number + 1) / FASTER - time.monotonic(), 0.0))
+    time.sleep(1.0)
+    client.disconnect()
+    client.loop_stop()
+
+
+def listened(port):
+    """All that a site publishes, by its topic."""
+    import paho.mqtt.client as mqtt
+
+    seen = {}
+    client = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2, client_id="listener")
+    client.on_message = lambda _client, _data, message: seen.setdefault(message.topic, []).append(message.payload)
+    client.connect("127.0.0.1", port)
+    client.subscribe("midspan/#", qos=1)
+    client.loop_start()
+    return client, seen
+
+
+def ready(port):
+    """Status and document of /readyz; None while nothing answers."""
+    try:
+        with urllib.request.urlopen(f"http://127.0.0.1:{port}/readyz", timeout=2) as answer:
+            return answer.status, json.loads(answer.read())
+    except urllib.error.HTTPError as error:
+        return error.code, json.loads(error.read())
+    except OSError:
+        return None
+
+
+def until(condition, seconds=60.0):
+    """Wait for a condition; its value."""
+    until_s = time.monotonic() + seconds
+    while time.monotonic() < until_s:
+        if value := condition():
+            return value
+        time.sleep(0.1)
+    raise TimeoutError
+
+
+@pytest.mark.slow
+def test_a_site_runs_is_killed_and_loses_nothing(broker, tmp_path):
+    web = free_port()
+    (tmp_path / "SITE.toml").write_text(SITE.format(broker=broker, web=web))
+    listener, seen = listened(broker)
+    start = lambda: subprocess.Popen(command("run", tmp_path / "SITE.toml"), cwd=tmp_path)  # noqa: E731
+    process = start()
+    status, first = until(lambda: ready(web))
+    assert status == 503
+    assert {one["reason"] for one in first["sources"] if one["point"]} == {"starting"}
+    begin_ns = (time.time_ns() // NANOSECONDS - 100) * NANOSECONDS
+    sender = threading.Thread(target=send, args=(broker, begin_ns, LENGTH_S))
+    sender.start()
+    until(lambda: "midspan/v1/site/p/displacement" in seen)
+    # Long enough for a checkpoint, and then in the middle of a second.
+    time.sleep(4.6)
+    process.kill()
+    process.wait(timeout=10)
+    process = start()
+    sender.join(timeout=120)
+    until(lambda: (ready(web) or (0,))[0] == 200)
+    time.sleep(3.0)
+    process.send_signal(signal.SIGTERM)
+    assert process.wait(timeout=30) == 0
+    listener.disconnect()
+    listener.loop_stop()
+    check_rows(tmp_path, begin_ns)
+    check_messages(seen)
+
+
+def check_rows(folder, begin_ns):
+    """Raw records and rows are there once each, and the band holds."""
+    store = open_store(folder / "store", read_only=True)
+    raw = np.concatenate([one.time_ns for one in store.chunks("p", "accelerometer", 0, 2**62)])
+    np.testing.assert_array_equal(raw, begin_ns + 10**7 * np.arange(round(100 * LENGTH_S)))
+    table = stored_table(store, "p", None, None)
+    assert set(np.diff(table.time_ns)) == {10**7}
+    assert table.time_ns[-1] >= begin_ns + round((LENGTH_S - 0.5) * NANOSECONDS)
+    assert len(table.time_ns) > 100 * 15
+    error = table.columns["displacement_mm"] - moved_mm((table.time_ns - begin_ns) / NANOSECONDS)
+    assert np.mean(np.abs(error) < 1.96 * table.columns["displacement_std_mm"]) > 0.85
+    assert np.abs(error / table.columns["displacement_std_mm"]).max() < 6.0
+    kinds = {event.kind for event in store.events("p", 0, 2**62)}
+    assert "calibrated" in kinds
+    assert "lost_records" not in kinds
+    assert [one.state for one in store.calibrations("p")] == ["in force"]
+    store.close()
+
+
+def check_messages(seen):
+    """What was published is as documented."""
+    root = "midspan/v1/site"
+    assert seen[f"{root}/available"][0] == b"online"
+    assert seen[f"{root}/available"][-1] == b"offline"
+    blocks = [parse(payload, RESULT) for payload in seen[f"{root}/p/displacement"]]
+    assert all(np.all(block.std > 0) for block in blocks)
+    state = json.loads(seen[f"{root}/p/state"][-1])
+    assert state["calibration"] == 1
+    assert {one["source"] for one in state["sources"]} == {"accelerometer", "displacement"}
+    assert json.loads(seen[f"{root}/p/summary"][-1])["unit"] == "mm"
+
+
+@pytest.mark.slow
+def test_frames_of_a_network_camera_have_the_senders_stamps(rtsp):
+    rng = np.random.default_rng(0)
+    film = rng.integers(60, 200, (20, 48, 64), dtype=np.uint8)
+    address, found = rtsp(film, 20), []
+    for stamped in frames(address):
+        found.append(stamped)
+        if sum(one.kind is StampKind.SENDER for one in found) >= 40:
+            break
+    stamps = np.array([one.frame.time_ns for one in found if one.kind is StampKind.SENDER])
+    assert found[0].frame.pixels.shape == (48, 64)
+    # The sender's frames come every 50 ms; its own timer is late by milliseconds where the machine is busy.
+    assert np.median(np.diff(stamps)) / 1e6 == pytest.approx(50.0, abs=5.0)
+    assert abs(time.time_ns() - stamps[-1]) < 5 * NANOSECONDS
+    assert np.mean(np.abs(np.diff(film.astype(float), axis=0))) > 20
+    apart = [np.mean(np.abs(one.frame.pixels.astype(float) - film[k])) for one in found[-3:] for k in range(20)]
+    assert min(apart) < 12.0
+
+
+def test_a_camera_that_is_not_there_says_why(rtsp):
+    address = rtsp(np.zeros((2, 48, 64), dtype=np.uint8), 10)
+    for wrong, code in (
+        (address.replace("/cam", "/none"), "not_found"),
+        (f"rtsp://127.0.0.1:{free_port()}/x", "refused"),
+    ):
+        with pytest.raises(SourceFault) as fault:
+            next(frames(wrong))
+        assert fault.value.code == code
+
+
+def test_a_camera_that_accepts_and_is_silent_is_given_up():
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        begun_s = time.monotonic()
+        with pytest.raises(SourceFault) as fault:
+            next(frames(f"rtsp://127.0.0.1:{server.getsockname()[1]}/cam"))
+        assert fault.value.code == "no_answer"
+        assert time.monotonic() - begun_s < 15.0

@@ -1,0 +1,89 @@
+"""SITE.toml: what it may say, and one clear message for everything else."""
+
+import pytest
+
+from midspan.errors import DataError, UsageError
+from midspan.settings.site import is_site, load_site, without_secrets
+
+SITE = """
+name = "river-bridge"
+[store]
+path = "store"
+[mqtt]
+password = "{SITE_SECRET}"
+[[point]]
+name = "quarter-span"
+method = "lag"
+[point.accelerometer]
+source = "mqtt:bridge/acc1"
+unit = "g"
+[point.camera]
+source = "rtsp://user:{SITE_SECRET}@127.0.0.1:8554/cam"
+direction = "y"
+roi = [10, 20, 64, 64]
+"""
+
+
+def loaded(tmp_path, monkeypatch, text=SITE, secret="hidden"):
+    file = tmp_path / "SITE.toml"
+    file.write_text(text)
+    if secret is None:
+        monkeypatch.delenv("SITE_SECRET", raising=False)
+    else:
+        monkeypatch.setenv("SITE_SECRET", secret)
+    return load_site(file)
+
+
+def test_a_site_as_documented(tmp_path, monkeypatch):
+    site = loaded(tmp_path, monkeypatch)
+    (point,) = site.points
+    assert site.name == "river-bridge"
+    assert site.store == str(tmp_path / "store")
+    assert site.settings.mqtt.password.get_secret_value() == "hidden"
+    assert site.settings.mqtt.port == 1883
+    assert site.settings.service.listen == "127.0.0.1:8080"
+    assert point.sources["camera"] == "rtsp://user:hidden@127.0.0.1:8554/cam"
+    assert point.recording.camera.roi == (10, 20, 64, 64)
+    assert point.recording.fusion.method == "lag"
+    assert is_site(tmp_path / "SITE.toml")
+    assert "hidden" not in repr(site.settings)
+    assert without_secrets(point.sources["camera"]) == "rtsp://127.0.0.1:8554/cam"
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (('name = "quarter-span"', 'name = "a b"'), r"point\[1\]: name = 'a b': must be 1 to 64 letters"),
+        (('method = "lag"', 'method = "smoother"'), r"point\[1\]: method = 'smoother'"),
+        (('source = "mqtt:bridge/acc1"', 'source = "ftp://x"'), r"accelerometer.source: must be one of mqtt:"),
+        (('source = "mqtt:bridge/acc1"', ""), r"accelerometer.source: is missing"),
+        (('unit = "g"', 'unit = "g"\nfile = "a.csv"'), r"accelerometer.file: belongs to files"),
+        (('direction = "y"', 'direktion = "y"'), r"camera.direktion: is not a known key"),
+        (('path = "store"', ""), r"must have path \(a folder\) or url"),
+        (("[[point]]", "[point]"), r"must be one \[\[point\]\]"),
+        (('[mqtt]\npassword = "{SITE_SECRET}"', ""), r"mqtt: is missing"),
+        (("[point.accelerometer]", "[point.accelerometre]"), r"accelerometre: is not a known section"),
+    ],
+)
+def test_a_wrong_setting_is_one_message_with_file_key_and_rule(tmp_path, monkeypatch, change, words):
+    assert change[0] in SITE
+    with pytest.raises(UsageError, match=words) as error:
+        loaded(tmp_path, monkeypatch, SITE.replace(*change))
+    assert "SITE.toml" in str(error.value)
+    assert "hidden" not in str(error.value)
+
+
+def test_two_points_of_one_name_are_refused(tmp_path, monkeypatch):
+    point = SITE[SITE.index("[[point]]") :]
+    with pytest.raises(UsageError, match="2 have the name 'quarter-span'"):
+        loaded(tmp_path, monkeypatch, SITE + point)
+
+
+def test_a_missing_secret_is_named(tmp_path, monkeypatch):
+    with pytest.raises(UsageError, match=r"mqtt.password: \{SITE_SECRET\} is taken from the environment"):
+        loaded(tmp_path, monkeypatch, secret=None)
+
+
+def test_a_missing_file_is_no_traceback(tmp_path):
+    with pytest.raises(DataError, match="cannot be read"):
+        load_site(tmp_path / "SITE.toml")
