@@ -155,8 +155,8 @@ def with_response(
         here, before = _aligned(pair, fit), _columns(found)
         least = _regressed(here, before).likelihood + LEAST_GAIN
         tried = {kind: _regressed(here, (*before, FIRST + kind)) for kind in kinds if kind not in found}
-        told = {k: one for k, one in tried.items() if one.likelihood > least and one.relative_std < MOST_OPEN}
-        able = [k for k, one in told.items() if _possible(pair, k, one.of(FIRST + k)[0])]
+        clear = {k: one for k, one in tried.items() if one.likelihood > least and one.relative_std < MOST_OPEN}
+        able = [k for k, one in clear.items() if _possible(pair, k, one.of(FIRST + k)[0])]
         if not able:
             break
         best = max(able, key=lambda kind: (kind is Kind.LAG, tried[kind].likelihood))

@@ -22,7 +22,7 @@ from midspan.sources.live.fault import SourceFault
 
 # Frames that wait for the engine; 30 are a second of a usual camera.
 MAX_WAITING = 30
-# A source that failed is opened again after so many seconds, twice as many each time.
+# A source that failed is opened again after the first pause, and after twice the pause each time, s.
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 1.0, 30.0
 # One that has run for so long begins with the first pause again.
 SOUND_S = 60.0
@@ -126,7 +126,7 @@ class CameraProcess:
 
 
 def serve(address: str, pipe: Connection) -> None:
-    """The camera's process: read, cut, stamp and send, and open again what failed, until it is told to end."""
+    """The camera's process: read, cut, stamp and send, and open again what failed, until the end is asked for."""
     sender = _Sender(pipe)
     pause_s = FIRST_PAUSE_S
     while not sender.ended:

@@ -75,7 +75,7 @@ class Capture:
 
 
 class _Film:
-    """Frames of one size as a NumPy stack, and their stamps beside it."""
+    """Frames of one size as a NumPy stack, and their stamps in a second file."""
 
     def __init__(self, file: Path) -> None:
         self._file = file

@@ -1,8 +1,6 @@
 """Writes batches to the store, one after another; while it is away they wait, up to a bound."""
 
 from collections import deque
-from collections.abc import Callable
-from dataclasses import replace
 
 from midspan.errors import MidspanError
 from midspan.store.database import StoreFault
@@ -18,11 +16,11 @@ class Keeper:
     reason: why the store is away, empty while it takes everything; dropped: batches that were lost.
     """
 
-    def __init__(self, where: str, kept: Callable[[Batch], None] | None = None) -> None:
-        self._where, self._kept = where, kept
+    def __init__(self, where: str) -> None:
+        self._where = where
         self._store: Store | None = None
         self._waiting: deque[Batch] = deque()
-        self.reason, self.text, self.dropped, self.written = "", "", 0, 0
+        self.reason, self.text, self.dropped = "", "", 0
 
     @property
     def waiting(self) -> int:
@@ -31,7 +29,7 @@ class Keeper:
 
     def put(self, batch: Batch) -> None:
         """Queue a batch; of too many the oldest is lost, and counted."""
-        if not (batch.chunks or batch.events or batch.checkpoints or batch.health):
+        if not (batch.chunks or batch.events or batch.checkpoints):
             return
         self._waiting.append(batch)
         if len(self._waiting) > MAX_WAITING:
@@ -52,9 +50,6 @@ class Keeper:
                 batch = self._waiting[0]
                 store.write(batch)
                 self._waiting.popleft()
-                self.written += 1
-                if self._kept is not None:
-                    self._kept(replace(batch))
             self.reason = self.text = ""
         except StoreFault as fault:
             self.reason, self.text = fault.code, str(fault)

@@ -19,7 +19,7 @@ MAX_QUEUED = 10_000
 
 
 class Broker:
-    """A connection that comes back by itself.
+    """A connection that is opened again when it is lost.
 
     taken: called from its thread with topic, payload and a function that acknowledges the message, once what came of it
     is kept.

@@ -1,4 +1,4 @@
-"""What systemd is told of a service of `Type=notify`; nothing where no systemd asks."""
+"""The messages to systemd of a service of `Type=notify`; nothing where no systemd asks."""
 
 import os
 import socket

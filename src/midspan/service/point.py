@@ -19,11 +19,11 @@ from midspan.settings.recording import RecordingSettings
 from midspan.settings.site import PointPlan
 from midspan.store.store import Batch
 
-# A point is opened from so much time, and from so many frames of its slowest camera: what a template is made from.
+# Time and frames (of the slowest camera) that a point is opened from: what a template is made from.
 OPENING_S, OPENING_FRAMES = 5.0, 50
 # A checkpoint is made so often, s of the records' time.
 CHECKPOINT_S = 10.0
-# While a point is being opened readings wait for so long at most, and so many frames.
+# Time that readings wait for at most while a point is being opened, and frames that do.
 HELD_S, HELD_FRAMES = 60.0, 200
 # After a refused calibration the next one waits so long, s.
 AGAIN_S = 60.0

@@ -34,7 +34,7 @@ CLIPPED_RUN = 3
 # A crest of a coarsely quantised signal also holds its largest value; its slopes carry it at most this many steps
 # beyond.
 CREST_STEPS = 3.0
-# So many times as far as a parabola that is rounded the slopes must carry a signal beyond a run for it to be cut off.
+# A run is cut off where the slopes carry the signal beyond it by this factor more than a rounded parabola's.
 CREST = 2.0
 
 

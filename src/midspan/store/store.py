@@ -31,8 +31,6 @@ SITE_TABLES = (
     "CREATE TABLE IF NOT EXISTS checkpoint (point TEXT PRIMARY KEY, time_ns BIGINT NOT NULL, body {blob} NOT NULL)",
     "CREATE TABLE IF NOT EXISTS event (point TEXT NOT NULL, time_ns BIGINT NOT NULL, kind TEXT NOT NULL, "
     "text TEXT NOT NULL, axis BIGINT NOT NULL, PRIMARY KEY (point, time_ns, kind, text))",
-    "CREATE TABLE IF NOT EXISTS health (point TEXT NOT NULL, time_ns BIGINT NOT NULL, body TEXT NOT NULL, "
-    "PRIMARY KEY (point, time_ns))",
     "CREATE TABLE IF NOT EXISTS pyramid (point TEXT NOT NULL, stream TEXT NOT NULL, level BIGINT NOT NULL, "
     "t0_ns BIGINT NOT NULL, n BIGINT NOT NULL, low DOUBLE PRECISION, high DOUBLE PRECISION, "
     "PRIMARY KEY (point, stream, level, t0_ns))",
@@ -48,12 +46,11 @@ DAY_TABLES = (
 
 @dataclass(frozen=True, slots=True)
 class Batch:
-    """What is written at once; events and health: by point."""
+    """What is written at once; events: by point."""
 
     chunks: Sequence[Chunk] = ()
     events: Sequence[tuple[str, Event]] = ()
     checkpoints: Mapping[str, tuple[int, bytes]] = field(default_factory=dict)
-    health: Sequence[tuple[str, int, str]] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,8 +114,6 @@ class Store:
                     "INSERT INTO event VALUES (?, ?, ?, ?, ?) ON CONFLICT DO NOTHING",
                     (point, event.time_ns, event.kind, event.text, event.axis),
                 )
-            for point, time_ns, body in batch.health:
-                self._site.execute("INSERT INTO health VALUES (?, ?, ?) ON CONFLICT DO NOTHING", (point, time_ns, body))
             for point, (time_ns, state) in batch.checkpoints.items():
                 self._site.execute(
                     "INSERT INTO checkpoint VALUES (?, ?, ?) "

@@ -16,7 +16,7 @@ from midspan.sources.live.fault import SourceFault
 
 # A camera that answers does so within this; a stream that brings nothing for so long is stopped.
 OPEN_S, READ_S = 3.0, 3.0
-# Stamps by arrival: the least delay of so many frames is taken for none.
+# Stamps by arrival: the least delay among this number of frames is taken for none.
 ENVELOPE_FRAMES = 600
 MICROSECONDS = 1_000
 
@@ -77,7 +77,7 @@ def frames(address: str) -> Iterator[Stamped]:
     finally:
         with suppress(Exception):
             container.close()
-    raise SourceFault("ended", "the stream ended, which a live one does not do by itself")
+    raise SourceFault("ended", "the stream ended, which a live one does not do")
 
 
 def _opened(address: str) -> Any:
