@@ -4,7 +4,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.ready
 
-.PHONY: demo test check bench fuzz lock audit clean setup
+.PHONY: demo test check bench live faults fuzz lock audit clean setup
 
 demo: $(STAMP)
 	$(BIN)/midspan demo -o demo
@@ -21,6 +21,16 @@ check: $(STAMP)
 
 bench: $(STAMP)
 	$(BIN)/python -m benchmarks
+
+# Three points through an RTSP camera, an MQTT broker and the store, on loopback.
+live: $(STAMP)
+	sh tools/servers.sh
+	$(BIN)/python -m benchmarks.live.show
+
+# What can go wrong with cameras, sensors, broker and store, one after another: reason, recovery, band.
+faults: $(STAMP)
+	sh tools/servers.sh
+	$(BIN)/python -m benchmarks.live.faults
 
 # 10 000 damaged files, settings and results: about 49 readers with 210 inputs each.
 fuzz: $(STAMP)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from benchmarks.live.servers import Postgres
 from hypothesis import HealthCheck, settings
 
 from midspan.simulate.motion.sensors import AccelerometerModel
@@ -28,6 +29,19 @@ FOOTBRIDGE = Scenario(
     # Small pictures are rendered and tracked in a fraction of a second.
     camera=CameraSetup(size_px=(96, 96)),
 )
+
+
+@pytest.fixture(scope="session")
+def postgres():
+    """A PostgreSQL server on loopback, with a folder and a port of its own."""
+    pytest.importorskip("psycopg")
+    if Postgres.programs() is None:
+        pytest.skip("PostgreSQL is not installed")
+    server = Postgres()
+    server.start()
+    yield server
+    server.stop()
+    server.remove()
 
 
 @pytest.fixture(scope="session")

@@ -60,6 +60,10 @@ def test_a_site_as_documented(tmp_path, monkeypatch):
         (('unit = "g"', 'unit = "g"\nfile = "a.csv"'), r"accelerometer.file: belongs to files"),
         (('direction = "y"', 'direktion = "y"'), r"camera.direktion: is not a known key"),
         (('path = "store"', ""), r"must have path \(a folder\) or url"),
+        (('"river-bridge"', '"river/bridge"'), r"name = 'river/bridge': must be 1 to 64 characters other than"),
+        (('"river-bridge"', '"river+"'), r"name = 'river\+': must be 1 to 64 characters"),
+        (('"river-bridge"', '"a\\u0007"'), r"must be 1 to 64 characters other than \+, #, / and control"),
+        (('"river-bridge"', '""'), r"name = ''"),
         (("[[point]]", "[point]"), r"must be one \[\[point\]\]"),
         (('[mqtt]\npassword = "{SITE_SECRET}"', ""), r"mqtt: is missing"),
         (("[point.accelerometer]", "[point.accelerometre]"), r"accelerometre: is not a known section"),
@@ -71,6 +75,19 @@ def test_a_wrong_setting_is_one_message_with_file_key_and_rule(tmp_path, monkeyp
         loaded(tmp_path, monkeypatch, SITE.replace(*change))
     assert "SITE.toml" in str(error.value)
     assert "hidden" not in str(error.value)
+
+
+def test_a_name_of_a_site_may_hold_blanks(tmp_path, monkeypatch):
+    site = loaded(tmp_path, monkeypatch, SITE.replace('"river-bridge"', '"river bridge, süd"'))
+    assert site.name == "river bridge, süd"
+
+
+def test_a_site_without_points_is_told_so(tmp_path, monkeypatch):
+    with pytest.raises(UsageError, match=r"SITE.toml: point: is missing. Add one \[\[point\]\]"):
+        loaded(tmp_path, monkeypatch, SITE[: SITE.index("[[point]]")])
+    assert is_site(tmp_path / "SITE.toml")
+    (tmp_path / "recording.toml").write_text('[accelerometer]\nfile = "a.csv"\n')
+    assert not is_site(tmp_path / "recording.toml")
 
 
 def test_two_points_of_one_name_are_refused(tmp_path, monkeypatch):

@@ -46,10 +46,10 @@ def shown(value: object) -> str:
     return _SHORT.repr(value)
 
 
-def within(name: str, value: float, limits: ValueRange, remedy: str = "") -> float:
+def within(name: str, value: float, limits: ValueRange) -> float:
     """Return `value` if it is a number within `limits`."""
     if value not in limits:
-        raise refuse(name, str(limits), value, remedy)
+        raise refuse(name, str(limits), value)
     return value
 
 

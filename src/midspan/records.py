@@ -43,7 +43,7 @@ def part(block: "Block", which: slice | NDArray[np.generic]) -> "Block":
 
 
 def cut(block: "Block", size: int) -> "Iterator[Block]":
-    """A block with a field `time_ns` in pieces of so many rows."""
+    """A block with a field `time_ns` in pieces of this many rows."""
     count = len(block.time_ns)
     if count <= size:
         yield from (block,) if count else ()
@@ -331,8 +331,9 @@ class Channel:
 class Measured:
     """A block of measurements, each in its channel's unit: arrays (n,), `channel` its number in the estimator's table.
 
-    reference_variance: of the channel's zero beside its variance at the first measurement, common to measurements that
-    follow each other. A value or variance that is not finite marks a measurement that must not be used.
+    reference_variance: of the channel's zero in addition to its variance at the first measurement, common to
+    measurements that follow each other. A value or variance that is not finite marks a measurement that must not be
+    used.
     """
 
     time_ns: Nanoseconds

@@ -3,6 +3,7 @@
 import json
 import stat
 import tomllib
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -114,3 +115,14 @@ def _check(tree: Any) -> None:
 
 def _too_deep() -> TreeError:
     return TreeError(f"must have at most {MAX_LEVELS} levels of brackets; it has more. Check that it is the right file")
+
+
+def flattened(tree: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """The values of a tree with their places, such as `camera.roi` or `point[2].name`."""
+    for key, value in tree.items():
+        if isinstance(value, dict):
+            yield from flattened(value, f"{prefix}{key}.")
+        elif isinstance(value, list | tuple) and any(isinstance(one, dict) for one in value):
+            yield from flattened({f"{key}[{count}]": one for count, one in enumerate(value, start=1)}, prefix)
+        else:
+            yield prefix + key, value

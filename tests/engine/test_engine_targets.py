@@ -20,14 +20,12 @@ def test_the_mean_weighs_by_inverse_variance_and_knows_its_own():
     # (1/1 + 3/4) / (1/1 + 1/4) = 1.4 with variance 1 / 1.25.
     assert found.value[0] == pytest.approx(1.4)
     assert found.variance[0] == pytest.approx(0.8)
-    assert found.weight[:, 0].tolist() == pytest.approx([0.8, 0.2])
 
 
-def test_a_frame_without_any_target_has_no_value_and_no_weight():
+def test_a_frame_without_any_target_has_no_value():
     found = combine(np.full((2, 1), NAN), np.full((2, 1), NAN), np.zeros((2, 1), dtype=bool))
     assert np.isnan(found.value[0])
     assert np.isinf(found.variance[0])
-    assert not found.used.any()
 
 
 def test_of_three_targets_the_one_that_leaves_the_median_is_dropped_whatever_was_expected():

@@ -54,18 +54,25 @@ def test_a_while_without_the_target_is_an_event_with_its_time_and_length(reason)
 def test_a_few_frames_of_a_slow_camera_are_no_loss():
     # One frame in two seconds: five of them, which last 8 s, are not five intervals.
     assert events_of(["", *["lost"] * 5, ""], step_s=2.0) == []
-    assert [event.kind for event in events_of(["", *["lost"] * 6, ""], step_s=2.0)] == ["lost", "seen"]
+    assert [event.kind for event in events_of(["", *["lost"] * 6, "", ""], step_s=2.0)] == ["lost", "seen"]
 
 
 def test_another_reason_that_lasts_is_reported():
-    events = events_of([""] * 10 + ["lost"] * 40 + ["dark"] * 40 + [""])
+    events = events_of([""] * 10 + ["lost"] * 40 + ["dark"] * 40 + [""] * 2)
     assert [(event.kind, event.time_ns / 1e9) for event in events] == [("lost", 1.0), ("dark", 5.0), ("seen", 9.0)]
     assert events[-1].text.endswith("nothing was measured for 8.0 s.")
 
 
 def test_at_dusk_what_goes_to_and_fro_is_one_loss():
-    (begun, ended) = events_of([""] * 10 + ["lost", "dark", "dark"] * 40 + [""])
+    (begun, ended) = events_of([""] * 10 + ["lost", "dark", "dark"] * 40 + [""] * 2)
     assert (begun.time_ns, ended.time_ns) == (1_000_000_000, 13_000_000_000)
+
+
+def test_a_frozen_picture_that_the_codec_makes_anew_now_and_then_stays_frozen():
+    (begun, ended) = events_of([""] * 30 + (["frozen"] * 14 + [""]) * 5 + [""] * 20)
+    assert (begun.kind, begun.time_ns) == ("frozen", 3_000_000_000)
+    # The last frame of the codec's is the first of the moving picture.
+    assert (ended.kind, ended.time_ns) == ("seen", 3_000_000_000 + 74 * 100_000_000)
 
 
 def test_a_target_that_is_seen_is_enough():

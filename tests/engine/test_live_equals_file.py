@@ -20,7 +20,6 @@ from midspan.fusion.estimator import Estimator
 from midspan.fusion.second_pass import Lag
 from midspan.progress import silent
 from midspan.recording.calibrate import calibrate_and_track
-from midspan.recording.estimate import measured_span
 from midspan.recording.point import measuring_point
 from midspan.recording.run import Outcome, radar_frames, run
 from midspan.recording.tracked import open_eyes, side_of
@@ -210,7 +209,7 @@ def assert_same(rows, expected):
 
 def assert_same_events(outcome, result):
     """The events of the loop are those of the file, of rows up to the last measurement."""
-    last_ns = measured_span(outcome)[1]
+    last_ns = int(outcome.measured_ns.max())
     found = [one for one in outcome.fusion_events if one.axis == 0 and one.time_ns <= last_ns] + outcome.sensor_events
     told, kept = (sorted((one.time_ns, one.kind, one.text) for one in events) for events in (found, result.events))
     assert told == kept

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from midspan.recording.estimate import late_start
+from midspan.recording.estimate import unmeasured_ends
 from midspan.recording.point import zero_instant
 from midspan.recording.run import Outcome
 from midspan.recording.tracked import Eye
@@ -72,7 +72,7 @@ def test_a_result_that_begins_late_is_told():
     outcome = Outcome(measured={"camera": [measured]})
     recording = SimpleNamespace(acceleration=SimpleNamespace(time_ns=np.array([0, NANOSECONDS])))
     rows = SimpleNamespace(time_ns=np.array([42 * NANOSECONDS]))
-    (line,) = late_start(recording, outcome, rows)
+    (line,) = unmeasured_ends(recording, outcome, rows)
     assert "from 0.000 s to 42.000 s" in line
     assert "42.0 s late" in line
-    assert not late_start(recording, outcome, SimpleNamespace(time_ns=np.array([NANOSECONDS // 2])))
+    assert not unmeasured_ends(recording, outcome, SimpleNamespace(time_ns=np.array([NANOSECONDS // 2])))

@@ -150,16 +150,6 @@ def test_a_calibration_may_be_given_as_its_file(gnss, result, tmp_path):
     assert np.all(apart < 0.1 * result.displacement_std_mm)
 
 
-def test_what_is_learnt_of_the_sensor_is_what_its_section_says(gnss, footbridge):
-    def learns(folder, **keys):
-        recording = midspan.open_recording(folder, **({"displacement": keys} if keys else {}))
-        return recording.learns_offset, recording.learns_scale
-
-    assert learns(footbridge) == learns(gnss) == (False, False)
-    assert learns(gnss, estimate_offset=True) == (True, False)
-    assert learns(gnss, estimate_scale=True) == (False, True)
-
-
 def test_frozen_heights_are_told_and_left_out(gnss_copy, result):
     time, value = heights(gnss_copy)
     held = (time >= 30.0) & (time < 50.0)

@@ -166,3 +166,13 @@ def test_a_quiet_recording_is_not_refused(share, offset, site):
 def test_a_reversed_sign_is_told_before_any_clock(factor, offset, site):
     with pytest.raises(UntrustedError, match="sign is reversed: turned round and multiplied by"):
         midspan.calibrate(site(bridge(3), factor=factor, estimate_offset=offset))
+
+
+def test_an_accelerometer_whose_clock_runs_away_by_a_day_is_estimated_up_to_there(site, tmp_path):
+    site(broad(1))
+    table = np.loadtxt(tmp_path / "a.csv", delimiter=",", skiprows=1)
+    table[4000:, 0] += 86_400.0
+    np.savetxt(tmp_path / "a.csv", table, delimiter=",", header="time_s,accel", comments="", fmt="%.9g")
+    result = midspan.estimate(tmp_path)
+    assert 39.0 < result.time_s[-1] < 60.0
+    assert "gap" in {event.kind for event in result.events}

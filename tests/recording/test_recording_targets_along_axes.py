@@ -104,7 +104,7 @@ def test_the_second_axis_goes_with_the_track_of_its_own_best_target(site, result
     found = midspan.estimate(midspan.open_recording(site), loaded)
     (best,) = [target for target in found.cameras[0].targets if target.region == other.region]
     late_ns = round(1e9 * loaded.camera.offset.value_s)
-    np.testing.assert_array_equal(found.second.measured[0].time_ns, best.track.time_ns + late_ns)
+    np.testing.assert_array_equal(found.across.measured[0].time_ns, best.track.time_ns + late_ns)
     measured = gather(found, None).second.measured[0]
     apart = measured.value_mm - np.interp(measured.time_ns / 1e9, found.time_s, found.across.displacement_mm)
     # The frame's own noise; with the other target's pixels it would be half the motion.

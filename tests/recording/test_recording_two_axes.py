@@ -67,7 +67,7 @@ def assert_right(error):
 
 def test_the_result_along_both_axes_is_plain_data(result):
     assert_plain(result)
-    for one, along in ((result, "y"), (result.second, "x")):
+    for one, along in ((result, "y"), (result.across, "x")):
         (measured,) = one.measured
         px = result.track.along(along)[0]
         expected = one.calibration.camera.scale.value_m_per_px * px
@@ -197,7 +197,7 @@ def test_what_the_gate_did_along_the_second_axis_is_told(shaken):
     # Nothing of it happened along the main axis.
     assert not any("measurements were rejected" in line or "rows are" in line for line in found.warnings)
     assert found.events == ()
-    assert found.second.events == (event,)
+    assert found.across.events == (event,)
     assert [item["text"] for item in found.metadata()["axes"]["x"]["events"]] == [event.text]
 
 
@@ -208,7 +208,6 @@ def test_a_second_axis_that_contradicts_its_acceleration_is_left_out_and_the_fir
     monkeypatch.setattr(messages, "MAX_REJECTED", 0.5 * share)
     found = midspan.estimate(recording)
     assert found.across is None
-    assert found.second is None
     assert any("The second axis x is left out" in line and "contradict" in line for line in found.warnings)
     np.testing.assert_array_equal(found.displacement_mm, before.displacement_mm)
 
@@ -218,7 +217,7 @@ def test_a_second_axis_with_too_few_frames_is_left_out_and_they_are_counted(site
     stack[100:120] = np.random.default_rng(0).integers(0, 255, stack[100:120].shape)
     write_stack(site_copy, stack)
     set_keys(site_copy, "accelerometer", value_x=None)
-    monkeypatch.setattr(camera, "LEAST_FRAMES", 10_000)
+    monkeypatch.setattr(camera, "MIN_FRAMES", 10_000)
     recording = midspan.open_recording(site_copy)
     found = midspan.estimate(recording)
     assert found.across is None

@@ -85,7 +85,7 @@ def test_the_settings_name_the_reference_rule_of_both_cameras(result):
 
 
 def test_the_calibration_tells_the_scale_factor_and_clock_of_both_cameras(result):
-    found = dict(tables.calibration(gather(result, None)))
+    found = dict(tables.calibrated(result.calibration))
     for sensor, camera in (("camera", result.calibration.camera), ("infrared", result.calibration.infrared)):
         assert float(found[f"{sensor}: scale factor"].split()[0]) == pytest.approx(
             1e3 * camera.scale.value_m_per_px, 1e-5

@@ -1,5 +1,6 @@
 """A live site as a process, on a real broker: it calibrates itself, runs, is killed, and goes on without a lost row."""
 
+import itertools
 import json
 import signal
 import socket
@@ -11,7 +12,7 @@ import urllib.request
 
 import numpy as np
 import pytest
-from live_servers import command, free_port
+from benchmarks.live.servers import command, free_port
 
 from midspan.records import NANOSECONDS
 from midspan.service.stored_rows import stored_table
@@ -23,8 +24,8 @@ from midspan.store.store import open_store
 # The structure's motion: (mm, Hz, rad).
 MOTION = ((3.0, 1.3, 0.0), (2.0, 0.6, 1.0), (1.0, 2.9, 0.0))
 NOISE_MM, NOISE_M_S2 = 0.1, 2e-3
-# So many seconds of records come in a second, which is no matter to the engine.
-FASTER, LENGTH_S, BLOCK_S = 4.0, 70.0, 0.2
+# So many seconds of records come in a second, which is no matter to the engine; LATER_S: records after the restart.
+FASTER, BLOCK_S, LATER_S = 4.0, 0.2, 20.0
 SITE = """
 name = "site"
 [store]
@@ -53,8 +54,8 @@ def accelerated_m_s2(time_s):
     return -1e-3 * sum(a * (2 * np.pi * f) ** 2 * np.sin(2 * np.pi * f * time_s + p) for a, f, p in MOTION)
 
 
-def send(port, begin_ns, length_s):
-    """Publish the records of a minute and more, as sensors would, but sooner."""
+def send(port, begin_ns, ending, sent):
+    """Publish records as sensors would, but sooner, until the end is asked for; `sent` gets the number of blocks."""
     import paho.mqtt.client as mqtt
 
     rng, begun_s = np.random.default_rng(0), time.monotonic()
@@ -62,7 +63,9 @@ def send(port, begin_ns, length_s):
     client.max_queued_messages_set(0)
     client.connect("127.0.0.1", port)
     client.loop_start()
-    for number in range(round(length_s / BLOCK_S)):
+    for number in itertools.count():
+        if ending.is_set():
+            break
         fast, slow = (BLOCK_S * number + step * np.arange(round(BLOCK_S / step)) for step in (0.01, 0.1))
         t0_ns = begin_ns + round(BLOCK_S * number * NANOSECONDS)
         acceleration = accelerated_m_s2(fast) + rng.normal(0, NOISE_M_S2, len(fast))
@@ -70,6 +73,7 @@ def send(port, begin_ns, length_s):
         client.publish("b/acceleration", pack(Block(ACCELERATION, number, t0_ns, 10**7, acceleration)), qos=1)
         client.publish("b/displacement", pack(Block(DISPLACEMENT, number, t0_ns, 10**8, displacement)), qos=1)
         time.sleep(max(begun_s + BLOCK_S * (number + 1) / FASTER - time.monotonic(), 0.0))
+    sent.append(number)
     time.sleep(1.0)
     client.disconnect()
     client.loop_stop()
@@ -99,7 +103,7 @@ def ready(port):
         return None
 
 
-def until(condition, seconds=60.0):
+def until(condition, seconds=300.0):
     """Wait for a condition; its value."""
     until_s = time.monotonic() + seconds
     while time.monotonic() < until_s:
@@ -119,8 +123,9 @@ def test_a_site_runs_is_killed_and_loses_nothing(broker, tmp_path):
     status, first = until(lambda: ready(web))
     assert status == 503
     assert {one["reason"] for one in first["sources"] if one["point"]} == {"starting"}
-    begin_ns = (time.time_ns() // NANOSECONDS - 100) * NANOSECONDS
-    sender = threading.Thread(target=send, args=(broker, begin_ns, LENGTH_S))
+    begin_ns = (time.time_ns() // NANOSECONDS - 3000) * NANOSECONDS
+    ending, sent = threading.Event(), []
+    sender = threading.Thread(target=send, args=(broker, begin_ns, ending, sent))
     sender.start()
     until(lambda: "midspan/v1/site/p/displacement" in seen)
     # Long enough for a checkpoint, and then in the middle of a second.
@@ -128,25 +133,36 @@ def test_a_site_runs_is_killed_and_loses_nothing(broker, tmp_path):
     process.kill()
     process.wait(timeout=10)
     process = start()
-    sender.join(timeout=120)
     until(lambda: (ready(web) or (0,))[0] == 200)
-    time.sleep(3.0)
+    time.sleep(LATER_S / FASTER)
+    ending.set()
+    sender.join(timeout=120)
+    length_s = BLOCK_S * sent[0]
+    until(lambda: newest_s(tmp_path, begin_ns) > length_s - 0.5)
     process.send_signal(signal.SIGTERM)
-    assert process.wait(timeout=30) == 0
+    assert process.wait(timeout=120) == 0
     listener.disconnect()
     listener.loop_stop()
-    check_rows(tmp_path, begin_ns)
-    check_messages(seen)
+    table = check_rows(tmp_path, begin_ns, length_s)
+    check_messages(seen, table)
 
 
-def check_rows(folder, begin_ns):
+def newest_s(folder, begin_ns):
+    """The newest row's place in the records, s."""
+    store = open_store(folder / "store", read_only=True)
+    newest_ns = store.newest_ns("p", "rows") or 0
+    store.close()
+    return (newest_ns - begin_ns) / NANOSECONDS
+
+
+def check_rows(folder, begin_ns, length_s):
     """Raw records and rows are there once each, and the band holds."""
     store = open_store(folder / "store", read_only=True)
     raw = np.concatenate([one.time_ns for one in store.chunks("p", "accelerometer", 0, 2**62)])
-    np.testing.assert_array_equal(raw, begin_ns + 10**7 * np.arange(round(100 * LENGTH_S)))
+    np.testing.assert_array_equal(raw, begin_ns + 10**7 * np.arange(round(100 * length_s)))
     table = stored_table(store, "p", None, None)
     assert set(np.diff(table.time_ns)) == {10**7}
-    assert table.time_ns[-1] >= begin_ns + round((LENGTH_S - 0.5) * NANOSECONDS)
+    assert table.time_ns[-1] >= begin_ns + round((length_s - 0.5) * NANOSECONDS)
     assert len(table.time_ns) > 100 * 15
     error = table.columns["displacement_mm"] - moved_mm((table.time_ns - begin_ns) / NANOSECONDS)
     assert np.mean(np.abs(error) < 1.96 * table.columns["displacement_std_mm"]) > 0.85
@@ -156,15 +172,20 @@ def check_rows(folder, begin_ns):
     assert "lost_records" not in kinds
     assert [one.state for one in store.calibrations("p")] == ["in force"]
     store.close()
+    return table
 
 
-def check_messages(seen):
-    """What was published is as documented."""
+def check_messages(seen, table):
+    """What was published is as documented, and in the units of the rows that are kept."""
     root = "midspan/v1/site"
     assert seen[f"{root}/available"][0] == b"online"
     assert seen[f"{root}/available"][-1] == b"offline"
     blocks = [parse(payload, RESULT) for payload in seen[f"{root}/p/displacement"]]
-    assert all(np.all(block.std > 0) for block in blocks)
+    last = blocks[-1]
+    kept = np.searchsorted(table.time_ns, last.time_ns)
+    np.testing.assert_array_equal(table.time_ns[kept], last.time_ns)
+    for name, sent in (("displacement_mm", last.values), ("displacement_std_mm", last.std)):
+        np.testing.assert_allclose(sent, np.asarray(table.columns[name])[kept], rtol=1e-6, atol=1e-6)
     state = json.loads(seen[f"{root}/p/state"][-1])
     assert state["calibration"] == 1
     assert {one["source"] for one in state["sources"]} == {"accelerometer", "displacement"}
@@ -175,7 +196,7 @@ def check_messages(seen):
 def test_frames_of_a_network_camera_have_the_senders_stamps(rtsp):
     rng = np.random.default_rng(0)
     film = rng.integers(60, 200, (20, 48, 64), dtype=np.uint8)
-    address, found = rtsp(film, 20), []
+    address, found = rtsp(film, 20).address, []
     for stamped in frames(address):
         found.append(stamped)
         if sum(one.kind is StampKind.SENDER for one in found) >= 40:
@@ -191,7 +212,7 @@ def test_frames_of_a_network_camera_have_the_senders_stamps(rtsp):
 
 
 def test_a_camera_that_is_not_there_says_why(rtsp):
-    address = rtsp(np.zeros((2, 48, 64), dtype=np.uint8), 10)
+    address = rtsp(np.zeros((2, 48, 64), dtype=np.uint8), 10).address
     for wrong, code in (
         (address.replace("/cam", "/none"), "not_found"),
         (f"rtsp://127.0.0.1:{free_port()}/x", "refused"),

@@ -6,7 +6,7 @@ import pytest
 from midspan.records import Frame, PixelTranslation, Region, Status
 from midspan.signals.health import runs
 from midspan.simulate.scene.texture import textured_scene
-from midspan.vision.light import LIGHT_PX, USUAL_LOOKS, LightState, LightWatch, unlike
+from midspan.vision.light import LIGHT_PX, USUAL_LOOKS, LightState, LightWatch, is_dark, unlike
 
 REGION = Region(16, 14, 60, 54)
 
@@ -119,3 +119,19 @@ def test_a_watch_goes_on_from_a_state(scenes):
     got = [first.push(frame, found) for frame in frames[:17]]
     second.restore(first.state)
     assert got + [second.push(frame, found) for frame in frames[17:]] == expected
+
+
+@pytest.mark.parametrize("black", [0, 16])
+def test_black_is_dark_in_full_and_in_limited_range_and_a_dim_picture_is_not(black):
+    rng = np.random.default_rng(1)
+    noise = np.clip(np.rint(black + rng.normal(0.0, 1.0, (120, 160))), 0, 255).astype(np.uint8)
+    assert is_dark(noise)
+    dim = np.clip(black + rng.uniform(0.0, 60.0, (120, 160)), 0, 255).astype(np.uint8)
+    assert not is_dark(dim)
+    lamp = noise.copy()
+    lamp[20:60, 30:80] = 180
+    assert not is_dark(lamp)
+
+
+def test_an_even_grey_of_full_range_is_not_dark():
+    assert not is_dark(np.full((120, 160), 40, dtype=np.uint8))

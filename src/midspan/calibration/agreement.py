@@ -1,4 +1,4 @@
-"""Whether a clock offset that was found is to be believed: what is left of the motion, and what lies farther off.
+"""Whether a clock offset that was found is to be accepted: what is left of the motion, and what lies farther off.
 
 The noise of a displacement sensor is not declared, so that at a wrong offset everything that is left would pass for
 noise. But it is motion: innovations of a right model are white, whatever the noise levels (Kailath 1968,
@@ -8,7 +8,6 @@ doi:10.1109/TAC.1968.1099025), and at a wrong offset they are not.
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import chi2
 
 from midspan.calibration.clock import Compared, drift
 from midspan.calibration.fit import Fit, Pair, best_corner, refine
@@ -23,18 +22,18 @@ AMBIGUOUS_DRAWS = 3.0
 # Innovations are compared with this many that follow; their squared correlations times their number sum up to this
 # many when they are white (Box and Pierce 1970). Five times in a hundred thousand white ones reach the limit.
 FOLLOWING = 10
-MOST_FOLLOWING = 35.0
+MAX_FOLLOWING = 35.0
 # In a long record noise that is a little coloured exceeds any limit: the correlations themselves must be large too.
-MOST_CORRELATED = 0.15
+MAX_CORRELATED = 0.15
 # The share of the innovations' power without the acceleration that an accelerometer's slow errors may leave with it: a
 # tenth of the motion, by its gain, attitude and place.
 MAX_SLOW_ERROR = 0.01
 # Innovations beyond this many robust standard deviations count as that many.
 CLIPPED = 4.0
-# Bands of the innovations' spectrum are so many corner frequencies wide, as wide as the frequencies that the filter's
-# errors come from, and hold so many ordinates at least. Of a thousand records with white innovations one has a band
+# Bands of the innovations' spectrum are this many corner frequencies wide, as wide as the frequencies that the filter's
+# errors come from, and hold this many ordinates at least. Of a thousand records with white innovations one has a band
 # that counts as coloured.
-BAND_CORNERS, LEAST_ORDINATES, COLOURED_BY_CHANCE = 0.5, 8, 1e-3
+BAND_CORNERS, MIN_ORDINATES, COLOURED_BY_CHANCE = 0.5, 8, 1e-3
 # In a record longer than this a clock may drift, which windows of this length show.
 LONG_S, WINDOW_S = 100.0, 40.0
 
@@ -83,18 +82,21 @@ def misfit(pair: Pair, fit: Fit) -> Misfit:
 
 
 def _coloured_band(pair: Pair, fit: Fit) -> Misfit:
+    from scipy.special import gammainccinv
+
     residual = fit.residual
     n = len(residual)
     power = np.abs(np.fft.rfft(residual - np.mean(residual)))[1:] ** 2 / max(n, 1)
-    if len(power) < 2 * LEAST_ORDINATES:
+    if len(power) < 2 * MIN_ORDINATES:
         return Misfit()
     wide = BAND_CORNERS * fit.corner / (2.0 * np.pi) * n / pair.rate_hz
-    width = int(np.clip(round(wide), LEAST_ORDINATES, len(power) // 2))
+    width = int(np.clip(round(wide), MIN_ORDINATES, len(power) // 2))
     starts = np.arange(0, len(power) - width + 1, max(width // 2, 1))
     means = (np.cumsum(np.r_[0.0, power])[starts + width] - np.cumsum(np.r_[0.0, power])[starts]) / width
     k = int(np.argmax(means))
     factor = float(means[k] / np.mean(power))
-    if factor < chi2.ppf(1.0 - COLOURED_BY_CHANCE / len(starts), 2 * width) / (2 * width):
+    # The mean of so many squares is chi-squared over its degrees of freedom, 2 width.
+    if factor < gammainccinv(width, COLOURED_BY_CHANCE / len(starts)) / width:
         return Misfit()
     return Misfit(factor, float((starts[k] + 0.5 * width) * pair.rate_hz / n))
 
@@ -125,7 +127,7 @@ def unexplained(pair: Pair, fit: Fit) -> bool:
 
 def _coloured(fit: Fit) -> bool:
     statistic, share = colour(fit)
-    return statistic > MOST_FOLLOWING and share > MOST_CORRELATED
+    return statistic > MAX_FOLLOWING and share > MAX_CORRELATED
 
 
 def noise_share(pair: Pair, fit: Fit, noise: float) -> float:

@@ -16,7 +16,7 @@ from midspan.signals.medians import MEDIAN_OF_SQUARE
 
 # Gauss-Newton steps of the line: the first leaves little of what a cheap quartz makes of an hour.
 PASSES = 4
-# Innovations are clipped at so many standard deviations.
+# Innovations are clipped at this many standard deviations.
 CLIPPED = 3.0
 # Change of a lateness that slopes are taken over, s.
 SLOPE_STEP_S = 1e-4

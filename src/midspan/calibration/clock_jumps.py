@@ -15,31 +15,31 @@ from midspan.calibration.clock import CLIPPED, NO_INFORMATION, Compared, calm_va
 from midspan.records import Floats
 from midspan.signals.medians import SIGMA_OF_MEDIAN
 
-# Jumps up to this many s are looked for, in steps of so many s at first; smaller ones than this are left alone.
-LARGEST_S, STEP_S, LEAST_S = 1.05, 0.01, 2e-3
+# Jumps up to this many s are looked for, in steps of this many s at first; smaller ones than this are left alone.
+LARGEST_S, STEP_S, MIN_S = 1.05, 0.01, 2e-3
 # Steps of the offsets, s, by which a jump is refined.
 FINER_S = (5e-3, 1.5e-3, 4e-4, 1e-4)
-# Around a suspicious place so many s either way are compared, of a slow sensor so many measurements.
+# Around a suspicious place this many s either way are compared, of a slow sensor this many measurements.
 REACH_S, REACH_ROWS = 30.0, 40
-# A window of so many s, or measurements, whose offset leaves the one before by so many deviations is suspicious; so is
-# one whose clipped squared innovations are on average beyond the last value.
+# A window of this many s, or measurements, whose offset leaves the one before by this many deviations is suspicious; so
+# is one whose clipped squared innovations are on average beyond the last value.
 WINDOW_S, WINDOW_ROWS, SUSPICIOUS, CONTRADICTING = 8.0, 12, 5.0, 3.0
-# One measurement contradicts by so many squared deviations at most: it may be an outlier.
-LARGEST_SQUARE = 25.0
-# Price of a jump; what it must gain beside none and beside a clock that drifts; what its rival may come near to.
-PRICE, LEAST_GAIN, LEAST_BESIDE, RIVAL = 30.0, 30.0, 15.0, 10.0
-# Changes within so many s may be one: the filter that all offsets are tried with takes its time after a jump.
+# One measurement contradicts by this many squared deviations at most: it may be an outlier.
+MAX_SQUARE = 25.0
+# Price of a jump; what it must gain over none and over a clock that drifts; what its rival may come near to.
+PRICE, MIN_GAIN, MIN_BESIDE, RIVAL = 30.0, 30.0, 15.0, 10.0
+# Changes within this many s may be one: the filter that all offsets are tried with takes its time after a jump.
 SETTLED_S = 3.0
 # How well a straight line is tried, and a rival; a rival is so far away, s.
 LINE_STEP_S, RIVAL_STEP_S, APART_S = 4e-4, 2e-3, 0.03
-# An instant is possible that is worse than the best by no more than this; of a segment so many instants are tried.
+# An instant is possible that is worse than the best by no more than this; of a segment this many instants are tried.
 UNSURE, INSTANTS = 8.0, 240
-# On either side of a jump at least so many measurements must be, and this share of them explained.
+# On either side of a jump at least this many measurements must be, and this share of them explained.
 LEAST_ROWS, EXPLAINED = 10, 0.8
-# A jump counts from so many of its standard deviations on; the search ends after so many places without one.
-SIGNIFICANT, MOST_TRIED = 6.0, 12
+# A jump counts from this many of its standard deviations on; the search ends after this many places without one.
+SIGNIFICANT, MAX_TRIED = 6.0, 12
 # A clock that is off before the jump by less than this, s, stays as calibrated there.
-LEAST_BEFORE_S = 5e-4
+MIN_BEFORE_S = 5e-4
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +66,7 @@ def clock_jumps(one: Compared) -> list[ClockJump]:
     """
     found: list[ClockJump] = []
     begin, tried, late_s = 0, 0, np.zeros(len(one.rows))
-    while tried < MOST_TRIED and (place := _suspicious(one, late_s, begin)) is not None:
+    while tried < MAX_TRIED and (place := _suspicious(one, late_s, begin)) is not None:
         jump = _jump_near(one, late_s, place, begin)
         if jump is None:
             begin, tried = place + _window_rows(one), tried + 1
@@ -140,7 +140,7 @@ class _Segment:
     def losses(self, late_s: Floats, step_s: float = 0.0) -> Floats:
         """Contradiction of each measurement (m, c) with stamps so much later; step_s: how well that is known."""
         r = self.part.innovations(late_s, self.velocity * step_s)
-        return np.asarray(0.5 * np.minimum(r**2 / self.noise, LARGEST_SQUARE))
+        return np.asarray(0.5 * np.minimum(r**2 / self.noise, MAX_SQUARE))
 
     def loss(self, late_s: Floats, step_s: float = 0.0) -> Floats:
         """Contradiction (c,) with stamps so much later, (m, c)."""
@@ -164,6 +164,10 @@ def _jump_near(one: Compared, late_s: Floats, place: int, begin: int) -> ClockJu
     rows = one.rows[start:end]
     # Offsets are sought beyond the lateness before the segment, which the jumps before it have made.
     base = float(late_s[start])
+    covered = (one.samples[:, 0] >= rows[0, 0] + base) & (one.samples[:, 0] <= rows[-1, 0] + base)
+    if np.count_nonzero(covered) < 2 * LEAST_ROWS:
+        # The acceleration has a gap here, or its own clock ran away.
+        return None
     segment = _segment(Compared(one.samples, rows + np.array([base, 0.0, 0.0])).near(0, len(rows), LARGEST_S + 1.0))
     for guess in _coarse(segment, place - start):
         jump = _refined(segment, guess)
@@ -221,17 +225,17 @@ def _refined(segment: _Segment, guess: _Guess) -> ClockJump | None:
     if min(guess.row, segment.count - guess.row) < LEAST_ROWS:
         return None
     before_std, after_std = _stds(segment, guess)
-    if abs(guess.before_s) < max(SIGNIFICANT * before_std, LEAST_BEFORE_S):
+    if abs(guess.before_s) < max(SIGNIFICANT * before_std, MIN_BEFORE_S):
         # As calibrated: the jump is what the stamps after it say.
         guess, before_std = replace(guess, before_s=0.0), 0.0
     late_s, std_s = guess.after_s - guess.before_s, float(np.hypot(before_std, after_std))
-    if not abs(late_s) > max(SIGNIFICANT * std_s, LEAST_S) or not _explains(segment, guess):
+    if not abs(late_s) > max(SIGNIFICANT * std_s, MIN_S) or not _explains(segment, guess):
         return None
     none = [replace(guess, after_s=guess.before_s), replace(guess, before_s=guess.after_s), guess]
     *others, least = segment.loss(segment.stamps(none))
-    if min(others) - least < LEAST_GAIN:
+    if min(others) - least < MIN_GAIN:
         return None
-    if _drifting(segment, guess) - segment.loss(segment.stamps([guess]), LINE_STEP_S)[0] < LEAST_BESIDE:
+    if _drifting(segment, guess) - segment.loss(segment.stamps([guess]), LINE_STEP_S)[0] < MIN_BESIDE:
         return None
     first, last = _possible(segment, guess)
     return ClockJump(guess.row, late_s, std_s, first, last, guess.before_s, _rival(segment, guess))
@@ -263,7 +267,7 @@ def _drifting(segment: _Segment, guess: _Guess) -> float:
     """The contradiction of a clock that drifts evenly."""
     time_s, late_s = segment.part.rows[:, 0], guess.after_s - guess.before_s
     share = (time_s - time_s[0]) / (time_s[-1] - time_s[0])
-    # A straight line beside a step: up to three times as steep as the step's height over the segment.
+    # A straight line compared with a step: up to three times as steep as the step's height over the segment.
     shift, slope = (side.ravel() for side in np.meshgrid(np.linspace(-1.5, 0.5, 11), np.linspace(0.5, 3.0, 11)))
     return float(segment.loss(guess.before_s + late_s * (shift + share[:, None] * slope), LINE_STEP_S).min())
 

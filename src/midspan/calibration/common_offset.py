@@ -12,7 +12,7 @@ from midspan.records import Floats, NoiseLevel, ScaleFactor, TimeOffset
 
 # A target whose clock offset leaves the others' by more than this many standard deviations, and this much, is wrong.
 OFFSET_STD = 5.0
-LEAST_OFFSET_S = 3e-3
+MIN_OFFSET_S = 3e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +62,7 @@ def _middle(used: Sequence[ScaleCalibration]) -> float:
 
 def _contradicts(found: ScaleCalibration, middle_s: float) -> bool:
     apart = abs(found.search.offset.value_s - middle_s)
-    return bool(apart > max(OFFSET_STD * np.sqrt(found.search.offset.variance), LEAST_OFFSET_S))
+    return bool(apart > max(OFFSET_STD * np.sqrt(found.search.offset.variance), MIN_OFFSET_S))
 
 
 def _contradiction(found: ScaleCalibration, middle_s: float) -> str:

@@ -9,11 +9,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from midspan.calibration.fit import Fit, Pair, best_corner
-from midspan.calibration.minimum import minimum
+from midspan.calibration.minimum import global_minimum
 
-# The exposure is found to this share of the longest one; so many are tried first.
+# The exposure is found to this share of the longest one; number of exposures that are tried first.
 TOLERANCE, TRIED = 0.001, 11
-# With a gain farther from 1 than this it is something else.
+# A gain farther from 1 than this has another cause.
 MAX_GAIN_ERROR = 0.2
 # Its standard deviation is first sought with this step, as a share of it, and then with one of its size.
 STEP, ROUNDS = 0.05, 3
@@ -31,7 +31,7 @@ class Exposed:
 def find_exposure(pair: Pair, fit: Fit) -> Exposed:
     """The pair with the most likely exposure of its measurements, none where the motion does not show it, and its fit.
 
-    An exposure is taken where it gains more likelihood, with any gain, than a parameter costs that tells nothing (as in
+    An exposure is taken where it gains more likelihood, with any gain, than a parameter without effect would (as in
     `fit.with_input_noise`). It is no longer than the interval of the measurements.
     """
     longest_s, free = 1.0 / pair.rate_hz, replace(pair, ratio=None)
@@ -39,13 +39,9 @@ def find_exposure(pair: Pair, fit: Fit) -> Exposed:
     def fitted(share: float) -> Fit:
         return best_corner(replace(free, exposure_s=share * longest_s), fit.offset_s, fit.corner)
 
-    shares = np.linspace(0.0, 1.0, TRIED)
-    tried = [fitted(float(share)).likelihood for share in shares]
-    k = int(np.argmax(tried))
-    low, high = float(shares[max(k - 1, 0)]), float(shares[min(k + 1, TRIED - 1)])
-    share = minimum(lambda one: -fitted(one).likelihood, low, high, TOLERANCE)
+    share = global_minimum(lambda one: -fitted(one).likelihood, 0.0, 1.0, tried=TRIED, tolerance=TOLERANCE)
     best = fitted(share)
-    gained = best.likelihood - tried[0] >= 0.5 * np.log(max(len(fit.whitened.variance), 1))
+    gained = best.likelihood - fitted(0.0).likelihood >= 0.5 * np.log(max(len(fit.whitened.variance), 1))
     if not gained or abs(best.ratio - 1.0) > MAX_GAIN_ERROR:
         return Exposed(pair, fit)
     step, spread = STEP * share, 0.0

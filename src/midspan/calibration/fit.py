@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from midspan.calibration.minimum import minimum
+from midspan.calibration.minimum import global_minimum, minimum
 from midspan.calibration.whitening import (
     NO_SLOW_ERROR,
     Response,
@@ -28,10 +28,10 @@ from midspan.calibration.whitening import (
 from midspan.records import Floats, InputNoise
 from midspan.signals.lively import mean_square
 
-# Ratio, time offset and the ratio of the noise levels are fitted beside the noise itself.
+# Ratio, time offset and the ratio of the noise levels are fitted together with the noise itself.
 FITTED = 3
 # Ratios below this share of the reference are no explanation of the motion.
-SMALLEST_RATIO = 0.01
+MIN_RATIO = 0.01
 # The prior of the corner frequency is its own power of this order.
 PRIOR_POWER = 2.0
 # The density of an acceleration's noise that goes with its motion is constant for this long, s.
@@ -44,7 +44,7 @@ CORNERS, CORNER_TOLERANCE = 9, 0.02
 NEAR_CORNER = 0.6
 # Rounds of offset and noise ratio in turn, Gauss-Newton steps in each, and halvings of a step that overshoots, at most;
 # a likelihood that gains (logarithm) less than this is at its maximum.
-ROUNDS, STEPS, HALVINGS, LEAST_GAIN = 6, 12, 4, 1e-4
+ROUNDS, STEPS, HALVINGS, MIN_GAIN = 6, 12, 4, 1e-4
 
 
 @dataclass(frozen=True)
@@ -210,7 +210,7 @@ class Aligned:
 
 
 def aligned(pair: Pair, offset_s: float, *more: Callable[[Floats], Floats]) -> Aligned:
-    """A pair at a clock offset, s, with columns that are functions of time beside its own."""
+    """A pair at a clock offset, s, with columns that are functions of time in addition to its own."""
     index = pair.used(offset_s)
     rows = pair.rows[index]
     time_s = rows[:, 0] + offset_s
@@ -236,7 +236,7 @@ def shrinking(w: Whitened, ratio: float, reference: float) -> float:
     The noise of the accelerometer is seen in the acceleration itself, multiplied by the ratio: where two offsets
     explain the motion alike with different ratios, the smaller ratio leaves less of it, whichever is true.
     """
-    return w.input_share * float(np.log(reference / max(abs(ratio), SMALLEST_RATIO * reference)))
+    return w.input_share * float(np.log(reference / max(abs(ratio), MIN_RATIO * reference)))
 
 
 def _without_last(w: Whitened) -> Whitened:
@@ -258,16 +258,21 @@ def best_corner(pair: Pair, offset_s: float, corner: float | None = None) -> Fit
 
 def best_corner_here(here: Aligned, corner: float | None) -> Fit:
     """The most likely noise ratio of what is compared, near `corner` (rad/s) where one is given."""
-    low, high = np.log(corner_range(here.pair))
+    return here.fit(likeliest_corner(here.pair, lambda one: here.fit(one).likelihood, corner))
+
+
+def likeliest_corner(pair: Pair, likelihood: Callable[[float], float], corner: float | None = None) -> float:
+    """The corner frequency (rad/s) of the largest likelihood (logarithm), near `corner` where one is given."""
+    low, high = np.log(corner_range(pair))
+
+    def cost(value: float) -> float:
+        return -likelihood(float(np.exp(value)))
+
     if corner is None:
-        tried = np.linspace(low, high, CORNERS)
-        first = tried[int(np.argmax([here.fit(float(np.exp(value))).likelihood for value in tried]))]
-        near = tried[1] - tried[0]
-    else:
-        first, near = np.clip(np.log(corner), low, high), NEAR_CORNER
-    bounds = max(low, first - near), min(high, first + near)
-    found = minimum(lambda value: -here.fit(float(np.exp(value))).likelihood, *bounds, CORNER_TOLERANCE)
-    return here.fit(float(np.exp(found)))
+        return float(np.exp(global_minimum(cost, low, high, tried=CORNERS, tolerance=CORNER_TOLERANCE)))
+    first = np.clip(np.log(corner), low, high)
+    bounds = max(low, first - NEAR_CORNER), min(high, first + NEAR_CORNER)
+    return float(np.exp(minimum(cost, *bounds, CORNER_TOLERANCE)))
 
 
 def with_input_noise(pair: Pair, fit: Fit) -> tuple[Pair, Fit]:
@@ -283,9 +288,7 @@ def with_input_noise(pair: Pair, fit: Fit) -> tuple[Pair, Fit]:
         share = float(1.0 / (1.0 + np.exp(-odds)))
         return best_corner_here(replace(here, pair=replace(pair, motion_share=share)), fit.corner)
 
-    tried = np.linspace(*ODDS, ODDS_TRIED)
-    best, step = float(tried[int(np.argmax([with_odds(odds).likelihood for odds in tried]))]), tried[1] - tried[0]
-    odds = minimum(lambda one: -with_odds(one).likelihood, max(best - step, ODDS[0]), best + step, ODDS_TOLERANCE)
+    odds = global_minimum(lambda one: -with_odds(one).likelihood, *ODDS, tried=ODDS_TRIED, tolerance=ODDS_TOLERANCE)
     found, without = with_odds(odds), best_corner_here(here, fit.corner)
     if found.likelihood - without.likelihood < 0.5 * np.log(max(len(here.rows), 1)):
         return constant, without
@@ -302,7 +305,7 @@ def refine(pair: Pair, fit: Fit, bound_s: float) -> Fit:
         before = fit.likelihood
         fit = _climb(pair, fit, span)
         fit = max(fit, best_corner(pair, fit.offset_s, fit.corner), key=_likelihood)
-        if fit.likelihood - before < LEAST_GAIN:
+        if fit.likelihood - before < MIN_GAIN:
             break
     return fit
 
@@ -311,7 +314,7 @@ def _climb(pair: Pair, fit: Fit, span: tuple[float, float]) -> Fit:
     """The most likely offset within a span (s) at the noise ratio of `fit`, by Gauss-Newton steps."""
     for _ in range(STEPS):
         (step, information), best = gauss_newton(pair, fit), fit
-        if 0.5 * step * step * information < LEAST_GAIN:
+        if 0.5 * step * step * information < MIN_GAIN:
             break
         for _ in range(HALVINGS):
             other = evaluate(pair, float(np.clip(fit.offset_s + step, *span)), fit.corner)

@@ -1,4 +1,4 @@
-"""What makes the ratio of translation and acceleration depend on frequency: taken out where it shows, else in σ.
+"""What makes the ratio of translation and acceleration depend on frequency: removed where it shows, else in σ.
 
 A calibration has one ratio s of the translation p and the acceleration integrated twice, D. Three things make it a
 smooth function of frequency:
@@ -9,8 +9,8 @@ smooth function of frequency:
 
 The exposure is the camera's; only its mean over the frame's interval is without doubt. A tower leans by κ radians for
 each metre that it moves, so that gravity takes gκ u from the acceleration of its horizontal axis. A logger's low-pass
-delays fast motion more than slow motion, whose delay is none but a clock offset, and may weaken it. Where leaning and a
-droop r explain alike why the ratio rises, both are in σ.
+delays fast motion more than slow motion, whose delay is a clock offset, and may weaken it. Where leaning and a droop r
+explain equally well why the ratio rises, both are in σ.
 
 Each is one more column of the regression of the whitened translation (see `whitening`): likelihood, step towards the
 most likely value and covariance come from one run of the filter. ∬u is that of the translation over the ratio.
@@ -22,34 +22,31 @@ from enum import IntEnum
 
 import numpy as np
 
-from midspan.calibration.fit import PRIOR_POWER, Aligned, Fit, Pair, aligned, best_corner, corner_range
-from midspan.calibration.minimum import minimum
+from midspan.calibration.fit import PRIOR_POWER, Aligned, Fit, Pair, aligned, best_corner, likeliest_corner
 from midspan.calibration.whitening import Whitened, integrated
 from midspan.records import Floats
+from midspan.signals.acceleration import GRAVITY_M_S2
 
-GRAVITY_M_S2 = 9.80665
-# Standard deviation of an exposure that is neither declared nor told by the motion: 1/50 s, the longest one of ordinary
+# Standard deviation of an exposure that is neither declared nor shown by the motion: 1/50 s, the longest of ordinary
 # video under light from the mains. It is the frame's interval where that is shorter.
 USUAL_EXPOSURE_S = 0.02
 # The same of the slope, radians a metre: a cantilever of height h leans by 1.4/h (first bending mode), a tower of 70 m
 # by this; one of 20 m is within four of these standard deviations.
 USUAL_SLOPE = 0.02
 # Steeper slopes are none: a cantilever of 9 m.
-MOST_SLOPE = 0.15
+MAX_SLOPE = 0.15
 # An accelerometer that reads this much all the time, m/s², is upright: gravity's share goes with its tilt squared.
 VERTICAL_M_S2 = 9.0
-# Corner frequencies tried before the best one's neighbours are searched, and how well its logarithm is found.
-CORNERS, CORNER_TOLERANCE = 12, 0.02
-# What one gains at least, logarithm of the likelihood: chance alone does in one of two thousand. One that gains less is
-# in the deviations.
-LEAST_GAIN = 6.0
-# A ratio that is known to no better than this (relative) together with one of them does not tell what depends on
-# frequency: motion of nearly one frequency fits any of them.
-MOST_OPEN = 0.01
+# Gain in the logarithm of the likelihood from which a kind counts as found: chance alone reaches it in one of two
+# thousand. One that gains less is in the deviations.
+MIN_GAIN = 6.0
+# Where the ratio together with a kind is known to no better than this (relative), the kind is not found: motion of
+# nearly one frequency fits any of them.
+MAX_OPEN = 0.01
 # Steps towards the most likely values, at most; one within this share of its standard deviation is the last.
 STEPS, LAST_STEP = 5, 0.1
 # A step of the clock offset, in intervals of the translation, at most.
-MOST_LATE = 0.1
+MAX_LATE = 0.1
 # Columns of what is whitened: translation, response, velocity; then one for each kind.
 RESPONSE, VELOCITY, FIRST = 1, 2, 3
 
@@ -89,7 +86,7 @@ class Regression:
 
 @dataclass(frozen=True, slots=True)
 class FrequencyResponse:
-    """What was found, and what it and the rest leave open beside the noise.
+    """What was found, and what it and the rest leave open in addition to the noise.
 
     known: the kinds found; exposure_s: the camera's own; slope: radians a metre; lag_s3, droop_s2: q and r above;
     relative_std, offset_variance: what all kinds add to the deviation of the ratio (relative) and to the variance of
@@ -147,15 +144,15 @@ def with_response(
     """The pair without what of `kinds` shows in it, which of them do, and how far (relative, rms) the ratio would be
     another if it were what explains nearly as much; known: those that it is without already.
 
-    One is taken where it gains LEAST_GAIN; the lag first, then the one that gains most.
+    One is taken where it gains MIN_GAIN; the lag first, then the one that gains most.
     """
     pair, fit = _settled(pair, fit, known)
     found, doubt = list(known), 0.0
     while len(found) < len(kinds):
         here, before = _aligned(pair, fit), _columns(found)
-        least = _regressed(here, before).likelihood + LEAST_GAIN
+        least = _regressed(here, before).likelihood + MIN_GAIN
         tried = {kind: _regressed(here, (*before, FIRST + kind)) for kind in kinds if kind not in found}
-        clear = {k: one for k, one in tried.items() if one.likelihood > least and one.relative_std < MOST_OPEN}
+        clear = {k: one for k, one in tried.items() if one.likelihood > least and one.relative_std < MAX_OPEN}
         able = [k for k, one in clear.items() if _possible(pair, k, one.of(FIRST + k)[0])]
         if not able:
             break
@@ -172,7 +169,7 @@ def with_response(
 
 
 def _doubt(best: Regression, others: Sequence[Regression]) -> float:
-    """How far the ratio lies from that of other explanations, each with its probability beside the best one (rms)."""
+    """How far the ratio lies from that of other explanations (rms), each with its probability relative to the best."""
     odds = [np.exp(min(other.likelihood - best.likelihood, 0.0)) for other in others]
     apart = [other.coefficients[0] / best.coefficients[0] - 1.0 for other in others]
     return float(np.sqrt(sum(a**2 * o / (1.0 + o) for a, o in zip(apart, odds, strict=True))))
@@ -184,14 +181,14 @@ def _possible(pair: Pair, kind: Kind, change: float = 0.0) -> bool:
         return 0.0 < pair.exposure_s**2 + 24.0 * change <= 1.0 / pair.rate_hz**2
     if kind is Kind.DROOP:
         return pair.logger[0] - change < 0.0
-    return kind is Kind.LAG or 0.0 < pair.lean + change < GRAVITY_M_S2 * MOST_SLOPE
+    return kind is Kind.LAG or 0.0 < pair.lean + change < GRAVITY_M_S2 * MAX_SLOPE
 
 
 def response_of(pair: Pair, fit: Fit, kinds: Sequence[Kind], known: Sequence[Kind]) -> FrequencyResponse:
     """What was found, and what uncertainty it and those of `kinds` that were not found add.
 
-    Each that was not found adds its own, beside the found ones: two at once whose effects cancel are not covered. A lag
-    that does not show moves the clock offset alone, together with the motion.
+    Each that was not found adds its own, with the found ones; two at once whose effects cancel are not covered.
+    A lag that does not show moves the clock offset alone, together with the motion.
     """
     here = _aligned(pair, fit)
     w = here.whitened(fit.corner)
@@ -229,7 +226,7 @@ def _settled(pair: Pair, fit: Fit, known: Sequence[Kind]) -> tuple[Pair, Fit]:
     """The pair with the most likely values of the kinds that are known to be there, and its fit."""
     if not known:
         return pair, fit
-    most_s = MOST_LATE / pair.rate_hz
+    most_s = MAX_LATE / pair.rate_hz
     for _ in range(STEPS):
         moved = _moved_m(pair, fit)
         found = _regressed(_aligned(pair, fit), _columns(known))
@@ -281,15 +278,7 @@ def _changed(pair: Pair, kind: Kind, change: float, moved_m: Floats) -> Pair:
 
 def _regressed(here: Aligned, free: tuple[int, ...]) -> Regression:
     """The most likely regression on some of the columns."""
-    low, high = np.log(corner_range(here.pair))
-    grid = np.linspace(low, high, CORNERS)
-
-    def cost(value: float) -> float:
-        return -_at(here, free, float(np.exp(value))).likelihood
-
-    middle, step = float(grid[int(np.argmin([cost(value) for value in grid]))]), grid[1] - grid[0]
-    found = minimum(cost, max(middle - step, low), min(middle + step, high), CORNER_TOLERANCE)
-    return _at(here, free, float(np.exp(found)))
+    return _at(here, free, likeliest_corner(here.pair, lambda one: _at(here, free, one).likelihood))
 
 
 def _at(here: Aligned, free: tuple[int, ...], corner: float) -> Regression:
@@ -318,6 +307,6 @@ def _solved(w: Whitened, free: tuple[int, ...], last_std: float | None = None) -
 
 
 def _inverse(power: Floats) -> Floats:
-    """The inverse of a matrix (k, k) of products of columns whose units differ; what nothing tells is left out."""
+    """The inverse of a matrix (k, k) of products of columns whose units differ; what none determines is left out."""
     size = np.sqrt(np.maximum(np.diag(power), 1e-300))
     return np.asarray(np.linalg.pinv(power / np.outer(size, size), hermitian=True) / np.outer(size, size))

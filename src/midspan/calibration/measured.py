@@ -5,7 +5,7 @@ import numpy as np
 from midspan.records import NANOSECONDS, Floats, Nanoseconds
 
 # Fewer measurements than this are not calibrated on.
-LEAST_MEASUREMENTS = 20
+MIN_MEASUREMENTS = 20
 
 
 def measured_rows(time_ns: Nanoseconds, value: Floats, variance: Floats, origin_ns: int) -> Floats:

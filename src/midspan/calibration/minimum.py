@@ -3,11 +3,20 @@
 import math
 from collections.abc import Callable
 
+import numpy as np
+
 # The smaller part of the golden section.
 GOLDEN = 0.5 * (3.0 - math.sqrt(5.0))
 # A step shorter than this share of the place changes the function by no more than rounding.
-LEAST_SHARE = math.sqrt(2.2e-16)
-MOST_STEPS = 500
+MIN_SHARE = math.sqrt(2.2e-16)
+MAX_STEPS = 500
+
+
+def global_minimum(cost: Callable[[float], float], low: float, high: float, *, tried: int, tolerance: float) -> float:
+    """Where a function that may have several minima is least: between the neighbours of the best of `tried` places."""
+    places = np.linspace(low, high, tried)
+    k = int(np.argmin([cost(float(place)) for place in places]))
+    return minimum(cost, float(places[max(k - 1, 0)]), float(places[min(k + 1, tried - 1)]), tolerance)
 
 
 def minimum(cost: Callable[[float], float], low: float, high: float, tolerance: float) -> float:
@@ -18,8 +27,8 @@ def minimum(cost: Callable[[float], float], low: float, high: float, tolerance: 
     best = second = third = low + GOLDEN * (high - low)
     at_best = at_second = at_third = cost(best)
     step = before = 0.0
-    for _ in range(MOST_STEPS - 1):
-        middle, least = 0.5 * (low + high), LEAST_SHARE * abs(best) + tolerance / 3.0
+    for _ in range(MAX_STEPS - 1):
+        middle, least = 0.5 * (low + high), MIN_SHARE * abs(best) + tolerance / 3.0
         if abs(best - middle) <= 2.0 * least - 0.5 * (high - low):
             break
         last, before = before, step

@@ -1,4 +1,4 @@
-"""Noise levels learnt from the innovations of a displacement sensor and the accelerometer, and their clock offset."""
+"""Noise levels by the innovations of a displacement sensor and the accelerometer, and their clock offset."""
 
 from dataclasses import dataclass, field, replace
 
@@ -18,7 +18,7 @@ from midspan.calibration.fit import (
 )
 from midspan.calibration.minimum import minimum
 from midspan.calibration.outliers import without_lonely_outliers
-from midspan.calibration.scale import LEAST_GAIN as LEAST_AGREEMENT
+from midspan.calibration.scale import MIN_GAIN as LEAST_AGREEMENT
 from midspan.calibration.scale import white_noise
 from midspan.calibration.slow_error import find_slow_error
 from midspan.calibration.time_offset import BEYOND, OffsetSearch, cleaned, curvature, search_offset
@@ -26,9 +26,9 @@ from midspan.records import InputNoise, TimeOffset
 
 # A clock offset is only applied when it is this certain and the likelihood gains this much over none.
 CERTAIN_S = 0.02
-LEAST_GAIN = 10.0
+MIN_GAIN = 10.0
 # One farther from 0 than this many of its standard deviations is one of hundreds tried, of which pure noise gains more.
-NEAR, LEAST_FAR_GAIN = 20.0, 20.0
+NEAR, MIN_FAR_GAIN = 20.0, 20.0
 # Where one clock is meant, an offset is first sought this near to none.
 NEXT_TO_NONE_S = 0.05
 # So much more than the largest offset is searched, and of a short record this share of its length at most.
@@ -63,20 +63,18 @@ class Findings:
 class NoiseCalibration:
     """Noise levels and clock offset of a displacement sensor.
 
-    variance_factor: learnt variance per unit of the variance given with each measurement; input_noise: of the
-    acceleration; offset: of the sensor's clock (zero with infinite variance when the motion does not tell);
-    scale: the sensor's apparent scale against the accelerometer (1 when both are right) with its standard deviation.
-    drifts: whether the acceleration tells nothing of the displacement because its bias drifts.
-    reversed_gain: how much more likely (logarithm) the measurements are with the opposite sign; negative when they
-    are right. factor, factor_std: metres in one metre read, where that was learnt as well: the other figures hold for
-    readings times this factor. 1 and 0: readings are taken as they are. noise_share: of the response to the
-    acceleration that white noise alone would make; where it is large the motion tells no scale. gain: of the
-    accelerometer relative to the sensor, where it was estimated, and its relative standard deviation, else 0.
-    slow_std_m, slow_time_s: standard deviation and correlation time of the sensor's slow error; 0: its noise is white.
-    unseen_m: how far a slow error that is not taken into account may wander unseen, see `SlowError`.
-    exposure_s: time over which the sensor averages, as given or found; effective_exposure_s, rest_std_m: as of
-    `first_term`.
-    warnings: sentences.
+    variance_factor: estimated variance per unit of the variance given with each measurement; input_noise: of the
+    acceleration; offset: of the sensor's clock (zero with infinite variance when the motion does not tell); scale: the
+    sensor's apparent scale against the accelerometer (1 when both are right) with its standard deviation. drifts:
+    whether the acceleration tells nothing of the displacement because its bias drifts. reversed_gain: how much more
+    likely (logarithm) the measurements are with the opposite sign; negative when they are right. factor, factor_std:
+    metres in one metre read, where that was estimated as well: the other figures hold for readings times this factor. 1
+    and 0: readings are taken as they are. noise_share: of the response to the acceleration that white noise alone would
+    make; where it is large the motion tells no scale. gain: of the accelerometer relative to the sensor, where it was
+    estimated, and its relative standard deviation, else 0. slow_std_m, slow_time_s: standard deviation and correlation
+    time of the sensor's slow error; 0: its noise is white. unseen_m: how far a slow error that is not taken into
+    account may drift unseen, see `SlowError`. exposure_s: time over which the sensor averages, as given or found;
+    effective_exposure_s, rest_std_m: as of `first_term`. warnings: sentences.
     """
 
     variance_factor: float
@@ -113,10 +111,10 @@ def calibrate_noise(
     """Learn noise levels of a displacement sensor of known unit, and its clock offset where the motion tells it.
 
     pair: displacement in m (ratio 1) with relative variances, and the acceleration. max_offset_s: 0 leaves the clocks
-    be. one_clock: the clocks are one, so that the offset is only told. length_s: of the record, see `edge_s`. gain_std:
-    relative standard deviation of the accelerometer's gain as known before; it is estimated where the motion tells it
-    better, and not at all with 0. noise_time_s: correlation time of the sensor's slow error where that is known, 0:
-    none. Nothing is refused here: see `Findings`.
+    be. one_clock: the clocks are one, so that the offset is only reported. length_s: of the record, see `edge_s`.
+    gain_std: relative standard deviation of the accelerometer's gain as known before; it is estimated where the motion
+    tells it better, and not at all with 0. noise_time_s: correlation time of the sensor's slow error where that is
+    known, 0: none. Nothing is refused here: see `Findings`.
     """
     pair, still = without_outliers(without_lonely_outliers(replace(pair, ratio=1.0)))
     fit, offset, search = still, TimeOffset(0.0, np.inf), None
@@ -194,7 +192,7 @@ def _with_scale(
     scale, std = local.ratio, float(np.sqrt(local.ratio_variance))
     straight = straightened(unknown, local)
     if straight is not None:
-        # A clock that runs apart takes from the scale.
+        # A clock that drifts takes from the scale.
         scale, std = straight[0].ratio, float(np.sqrt(straight[0].ratio_variance))
     return NoiseCalibration(
         variance_factor=fit.noise,
@@ -244,7 +242,7 @@ def applied(search: OffsetSearch, fit: Fit, variance: float, max_offset_s: float
     std = float(np.sqrt(variance))
     if not std < CERTAIN_S:
         return TimeOffset(0.0, np.inf)
-    least = LEAST_GAIN if abs(fit.offset_s) < NEAR * std else LEAST_FAR_GAIN
+    least = MIN_GAIN if abs(fit.offset_s) < NEAR * std else MIN_FAR_GAIN
     if fit.likelihood - best_corner(search.pair, 0.0).likelihood < least:
         return TimeOffset(0.0, variance)
     return TimeOffset(fit.offset_s if abs(fit.offset_s) < max_offset_s + BEYOND * std else 0.0, variance)
@@ -261,7 +259,7 @@ def learn_motion(pair: Pair) -> float:
     """How strongly a motion without an accelerometer is shaken: density of a white acceleration, (m/s²)²/Hz.
 
     pair: displacement in m with variances that are right, and samples of zero acceleration: the motion itself is the
-    noise of the model. By maximum likelihood of the innovations; the noise is not fitted beside it, which would take a
+    noise of the model. By maximum likelihood of the innovations; the noise is not fitted with it, which would take a
     motion faster than the frames follow for noise.
     """
     pair = without_lonely_outliers(pair)

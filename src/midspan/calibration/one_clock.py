@@ -24,16 +24,16 @@ from midspan.signals.stamps import inside, shown
 
 # So much, s, either way of an instant is smoothed to tell what the structure did there.
 AROUND_S = 10.0
-# Of the measurements in a window of so many seconds at most this share may contradict the acceleration in the end: lie
-# so many predicted deviations off.
-WINDOW_S, MOST_REJECTED, CONTRADICTS = 8.0, 0.6, 4.0
-# Lost or doubled frames are named where a jump is so many intervals to this share of one.
+# Of the measurements in a window of this many seconds at most this share may contradict the acceleration in the end:
+# lie this many predicted deviations off.
+WINDOW_S, MAX_REJECTED, CONTRADICTS = 8.0, 0.6, 4.0
+# Lost or doubled frames are named where a jump is this many intervals to this share of one.
 WHOLE = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CourseError:
-    """A sensor's zero wanders, and is known at stamps (n,) to standard deviations (n,) in m only."""
+    """A sensor's zero drifts, and is known at stamps (n,) to standard deviations (n,) in m only."""
 
     time_ns: Nanoseconds
     std_m: Floats
@@ -41,14 +41,13 @@ class CourseError:
 
 @dataclass(frozen=True, slots=True)
 class OneClock:
-    """Measurements on one clock, what is left of its uncertainty (s, rms; None: as calibrated), and what to tell.
+    """Measurements on one clock, and what there is to report.
 
     running: the drift that was corrected; jumps: taken out before it; levels: what the displacement may be off by where
     the motion does not tell which jump it was.
     """
 
     measured: Displacement
-    std_s: float | None = None
     warnings: tuple[str, ...] = ()
     events: tuple[Event, ...] = ()
     levels: tuple[CourseError, ...] = ()
@@ -76,39 +75,27 @@ def one_clock(
     kalman: KalmanSettings,
     sensor: str,
     *,
-    std_s: float = 0.0,
-    drifts: bool = True,
-    stays: bool = False,
+    shared: bool = False,
 ) -> OneClock:
     """The measurements of one sensor without the jumps of its clock and, in a long record, without its drift.
 
-    measured: on the accelerometer's clock as calibrated; sensor: its name in messages; std_s: how well that is known;
-    drifts: whether its drift is looked for; stays: up to the first jump the stamps are left as they are.
+    measured: on the accelerometer's clock as calibrated; sensor: its name in messages;
+    shared: its clock is the accelerometer's, so that no drift is looked for and the stamps before the first jump stay.
     """
-    jumps = _jumps(measured, acceleration, stays=stays)
-    running = on_one_clock(_moved(measured, jumps), acceleration, sensor) if drifts else None
+    jumps = _jumps(measured, acceleration, stays=shared)
+    running = None if shared else on_one_clock(_moved(measured, jumps), acceleration, sensor)
     if running is not None and running.course is not None and not jumps:
-        # Beside a clock that runs apart a small jump shows only now.
+        # Beside a clock that drifts a small jump shows only now.
         jumps = _jumps(running.measured, acceleration, stays=True)
         running = on_one_clock(_moved(measured, jumps), acceleration, sensor) if jumps else running
     moved = _moved(measured, jumps) if running is None else running.measured
     told = () if running is None else running.warnings
-    known = None if running is None else running.std_s
     if not jumps:
-        return OneClock(moved, known, told, running=running)
+        return OneClock(moved, told, running=running)
     _refuse_contradiction(moved, acceleration, kalman, sensor)
     moved, levels = _either_side(moved, jumps, acceleration, kalman)
     events = tuple(_event(measured, jump, sensor) for jump in jumps)
-    spread = float(np.sqrt(sum(jump.std_s**2 for jump in jumps)))
-    return OneClock(
-        moved,
-        float(np.hypot(std_s if known is None else known, spread)),
-        (*(event.text for event in events), *told),
-        events,
-        levels,
-        jumps,
-        running,
-    )
+    return OneClock(moved, (*(event.text for event in events), *told), events, levels, jumps, running)
 
 
 def _refuse_contradiction(moved: Displacement, acceleration: Acceleration, kalman: KalmanSettings, sensor: str) -> None:
@@ -122,7 +109,7 @@ def _refuse_contradiction(moved: Displacement, acceleration: Acceleration, kalma
     whole = last < len(found.time_ns)
     share = np.where(whole, (rejected[last] - rejected[first]) / np.maximum(last - first, 1), 0.0)
     worst = int(np.argmax(share)) if len(share) else 0
-    if not len(share) or share[worst] <= MOST_REJECTED:
+    if not len(share) or share[worst] <= MAX_REJECTED:
         return
     begin = int(found.time_ns[worst])
     raise UntrustedError(

@@ -5,26 +5,25 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from midspan.calibration.clock import ClockCourse, clock_course
-from midspan.records import NANOSECONDS, Acceleration, Displacement, Floats
+from midspan.records import NANOSECONDS, Acceleration, Displacement
 
-# In this time a cheap quartz (20 ppm) runs apart by 2.4 ms; a shorter record is not much longer than its calibration.
-LEAST_S = 120.0
-WINDOW_S, MOST_WINDOWS = 60.0, 240
+# In this time a cheap quartz (20 ppm) drifts by 2.4 ms; a shorter record is not much longer than its calibration.
+MIN_S = 120.0
+WINDOW_S, MAX_WINDOWS = 60.0, 240
 # A course is corrected when it leaves the calibrated offset by this many of its standard deviations …
 SIGNIFICANT = 4.0
 # … and by as much as matters: half the calibration's own promise.
-LEAST_LATE_S = 5e-4
+MIN_LATE_S = 5e-4
 
 
 @dataclass(frozen=True, slots=True)
 class RunningClock:
-    """Measurements on one clock, what is left of its uncertainty (s, rms; None: as calibrated), and what to tell.
+    """Measurements on one clock, and what there is to report.
 
     course: what was corrected; None where nothing was.
     """
 
     measured: Displacement
-    std_s: float | None = None
     warnings: tuple[str, ...] = ()
     course: ClockCourse | None = None
 
@@ -43,25 +42,26 @@ def on_one_clock(measured: Displacement, acceleration: Acceleration, sensor: str
     if len(usable) < 2 or not acceleration.value_m_s2.any():
         return RunningClock(measured)
     length_s = float(measured.time_ns[usable[-1]] - measured.time_ns[usable[0]]) / NANOSECONDS
-    if length_s < LEAST_S:
+    if length_s < MIN_S:
         return RunningClock(measured)
-    course = clock_course(acceleration, measured, window_s=max(WINDOW_S, length_s / MOST_WINDOWS))
+    course = clock_course(acceleration, measured, window_s=max(WINDOW_S, length_s / MAX_WINDOWS))
     late, std = course.at(course.time_ns), course.std_at(course.time_ns)
     told = _jumps(course, sensor)
-    if not np.any((np.abs(late) > SIGNIFICANT * std) & (np.abs(late) > LEAST_LATE_S)):
-        return RunningClock(measured, None, tuple(told))
+    if not np.any((np.abs(late) > SIGNIFICANT * std) & (np.abs(late) > MIN_LATE_S)):
+        return RunningClock(measured, tuple(told))
+    skew_std = float(np.sqrt(course.covariance[1, 1]))
     text = (
         f"{sensor}: its clock leaves the calibrated offset by {1e3 * late[0]:+.2f} ms at the start and "
-        f"{1e3 * late[-1]:+.2f} ms at the end ({1e6 * course.skew:+.1f} ± {1e6 * _skew_std(course):.1f} ppm); "
+        f"{1e3 * late[-1]:+.2f} ms at the end ({1e6 * course.skew:+.1f} ± {1e6 * skew_std:.1f} ppm); "
         "this was corrected."
     )
-    return RunningClock(course.corrected(measured), _rms(std), (text, *told), course)
+    return RunningClock(course.corrected(measured), (text, *told), course)
 
 
 def _jumps(course: ClockCourse, sensor: str) -> list[str]:
     """A warning where single windows leave the straight line by more than noise: the clock was set, or frames lost."""
     left = course.lateness_s - course.at(course.time_ns)
-    far = (np.abs(left) > 2.0 * SIGNIFICANT * course.std_s) & (np.abs(left) > 2.0 * LEAST_LATE_S)
+    far = (np.abs(left) > 2.0 * SIGNIFICANT * course.std_s) & (np.abs(left) > 2.0 * MIN_LATE_S)
     if not far.any():
         return []
     worst = int(np.argmax(np.where(far, np.abs(left), 0.0)))
@@ -69,11 +69,3 @@ def _jumps(course: ClockCourse, sensor: str) -> list[str]:
         f"{sensor}: its clock does not run evenly: around {course.time_ns[worst] / NANOSECONDS:.0f} s it is off by "
         f"{1e3 * left[worst]:+.2f} ms beside a straight line. Check for lost frames, or split the recording there."
     ]
-
-
-def _skew_std(course: ClockCourse) -> float:
-    return float(np.sqrt(course.covariance[1, 1]))
-
-
-def _rms(values: Floats) -> float:
-    return float(np.sqrt(np.mean(values**2)))

@@ -1,4 +1,4 @@
-"""The scale factor and clock offset of a camera from a minute beside an accelerometer, or a refusal."""
+"""The scale factor and clock offset of a camera from a minute with an accelerometer, or a refusal."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -14,7 +14,7 @@ from midspan.records import Floats, InputNoise, NoiseLevel, ScaleFactor, TimeOff
 from midspan.signals.health import dominant_frequency
 from midspan.signals.medians import SIGMA_OF_MEDIAN
 
-LEAST_FRAMES = 20
+MIN_FRAMES = 20
 # How often the clock offset is searched anew with what depends on frequency taken out: it then shows more.
 ANEW = 2
 # Image motion above this many standard deviations of a frame's noise is motion.
@@ -24,19 +24,19 @@ REFUSED_ABOVE = 0.05
 WARNED_ABOVE = 0.01
 # Gain of the logarithmic likelihood that the acceleration must bring. Scanning some hundred offsets lets pure noise
 # gain about ln(200) + 3; ten more is one chance in twenty thousand.
-LEAST_GAIN = 20.0
-# The difference between image and acceleration that is refused: so many times a frame's noise and this share of the
+MIN_GAIN = 20.0
+# The difference between image and acceleration that is refused: this many times a frame's noise and this share of the
 # motion.
 UNEXPLAINED_NOISE = 5.0
 UNEXPLAINED_SHARE = 0.2
-# Accelerometer noise that the difference would need, refused above this share of the signal when it is also so many
-# times the noise that the signal itself shows (a noisy accelerometer beside a slow motion is no disagreement).
+# Accelerometer noise that the difference would need, refused above this share of the signal when it is also this many
+# times the noise that the signal itself shows (a noisy accelerometer with a slow motion is no disagreement).
 IMPLIED_SHARE = 0.3
 IMPLIED_NOISE = 4.0
-# Noise of the accelerometer so many times its own is no noise where what is left is not white; the corner frequency is
-# lowered by this factor until it is less.
+# Noise of the accelerometer this many times its own is no noise where what is left is not white; the corner frequency
+# is lowered by this factor until it is less.
 OWN_NOISE, LOWER = 3.0, 0.95
-# An alias below this is told as the likely reason of a refusal: bias and drift of a minute look the same.
+# An alias below this is reported as the likely reason of a refusal: bias and drift of a minute look the same.
 SLOW_ALIAS_HZ = 0.05
 
 
@@ -44,9 +44,9 @@ SLOW_ALIAS_HZ = 0.05
 class ScaleCalibration:
     """Scale factor, clock offset and noise of one camera.
 
-    noise: standard deviation of the translation, px; variance_factor: learnt variance over the tracker's own variance;
-    input_noise: of the acceleration; search: what was tried, for the report; response: what depends on frequency, whose
-    uncertainty is not in the scale factor's; warnings: sentences.
+    noise: standard deviation of the translation, px; variance_factor: estimated variance over the tracker's own
+    variance; input_noise: of the acceleration; search: what was tried, for the report; response: what depends on
+    frequency, whose uncertainty is not in the scale factor's; warnings: sentences.
     """
 
     scale: ScaleFactor
@@ -67,10 +67,10 @@ def calibrate_scale(pair: Pair, max_offset_s: float, *, exposure_declared: bool 
     motion, when two offsets fit alike, or when the sensors do not agree.
     """
     usable = int(np.count_nonzero(np.isfinite(pair.rows[:, 2])))
-    if usable < LEAST_FRAMES:
+    if usable < MIN_FRAMES:
         raise UntrustedError(
             f"Only {usable} usable frames lie in the calibration window (frames within calibration.max_offset_s = "
-            f"{max_offset_s:g} s of its ends are left out); at least {LEAST_FRAMES} are needed. Widen "
+            f"{max_offset_s:g} s of its ends are left out); at least {MIN_FRAMES} are needed. Widen "
             "calibration.window_s, lower calibration.max_offset_s, or check camera.roi if the target was lost."
         )
     typical = float(np.median(pair.rows[np.isfinite(pair.rows[:, 2]), 2]))
@@ -104,7 +104,7 @@ def with_frequency(
     """The search with what depends on frequency taken out, as far as it shows; plain: the search without."""
     search, known, doubt = plain, list[Kind](), 0.0
     for _ in range(ANEW):
-        if search.fit.gain < LEAST_GAIN:
+        if search.fit.gain < MIN_GAIN:
             return search, FrequencyResponse()
         found, shown, more = with_response(search.pair, search.fit, kinds, known)
         if shown == known:
@@ -134,12 +134,12 @@ def _with_logger(search: OffsetSearch) -> OffsetSearch:
 
 def _refuse_no_motion(pair: Pair, fit: Fit, relative: float, noise: float) -> None:
     gain = fit.gain
-    if gain >= LEAST_GAIN and relative <= REFUSED_ABOVE:
+    if gain >= MIN_GAIN and relative <= REFUSED_ABOVE:
         return
     rows = pair.rows[np.isfinite(pair.rows[:, 2])]
     seen, shaken = float(np.std(rows[:, 1])), float(np.std(pair.samples[:, 1]))
     figures = f"(image motion {seen:.3g} px rms with noise {noise:.2g} px, acceleration {1e3 * shaken:.3g} mm/s² rms)"
-    if seen > CLEARLY_MOVING * noise and gain < LEAST_GAIN:
+    if seen > CLEARLY_MOVING * noise and gain < MIN_GAIN:
         raise NoAgreementError(
             f"No agreement between image and accelerometer {figures}: the image moves, but not with the acceleration. "
             "Check camera.direction, that the region shows something fixed and that both files are of the same event; "
@@ -206,7 +206,7 @@ def white_noise(value: Floats) -> float:
 
 
 def alias_in_words(pair: Pair) -> str:
-    """A sentence where the motion's main tone nearly stands still in the slower sensor's samples, else empty."""
+    """A sentence where the motion's main tone is nearly static in the slower sensor's samples, else empty."""
     tone = dominant_frequency(pair.samples[:, 1], pair.sample_rate_hz)
     alias = abs(tone - pair.rate_hz * round(tone / pair.rate_hz))
     if tone < 0.5 * pair.rate_hz or alias > SLOW_ALIAS_HZ:

@@ -1,4 +1,4 @@
-"""Whether a calibration that was given fits the recording: each sensor's scale and clock beside the accelerometer."""
+"""Whether a given calibration fits the recording: scale and clock of each sensor against the accelerometer."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -7,7 +7,7 @@ import numpy as np
 
 from midspan.calibration.agreement import noise_share
 from midspan.calibration.fit import Fit, Pair
-from midspan.calibration.measured import LEAST_MEASUREMENTS, measured_rows
+from midspan.calibration.measured import MIN_MEASUREMENTS, measured_rows
 from midspan.calibration.noise import nearest, without_outliers
 from midspan.calibration.outliers import without_lonely_outliers
 from midspan.calibration.time_offset import search_offset
@@ -17,20 +17,20 @@ from midspan.signals.stamps import inside
 
 # So much of the recording is compared at most, for speed.
 COMPARED_S = 300.0
-# A scale that is off by this share is told; beyond the second it is refused. Both only beyond so many deviations.
+# A scale that is off by this share is reported; beyond the second it is refused. Both only beyond this many deviations.
 TOLD, REFUSED, CERTAIN = 0.005, 0.2, 5.0
 # Beside another sensor a scale so far off is refused: two scales in one filter push the velocity to and fro, and the
 # gate takes over now one and now the other (10 % off: up to 0.4 m).
 REFUSED_BESIDE = 0.08
-# What it is off by beyond so many deviations goes into the band, however little it is.
+# What it is off by beyond this many deviations goes into the band, however little it is.
 EXPECTED = 2.0
 # The accelerometer's noise may make this share of the motion that it tells; above it hides the scale.
-MOST_NOISE = 0.1
-# A clock that is off by so many deviations is told from so many noise deviations of the displacement on, and refused
-# from so many.
+MAX_NOISE = 0.1
+# A clock that is off by this many deviations is told from this many noise deviations of the displacement on, and
+# refused from this many.
 CLOCK_TOLD, CLOCK_REFUSED = 2.0, 5.0
 # Measurements that are searched for a clock offset at most; a faster sensor is thinned.
-MOST_ROWS = 6000
+MAX_ROWS = 6000
 # What of the calibration says the scale of a sensor. The clocks of cameras are followed through the recording, those of
 # the others are taken from the calibration.
 SCALED = {
@@ -160,7 +160,7 @@ def apparent_scale(acceleration: Acceleration, sensed: Sensed, max_offset_s: flo
         found = replace(found, pair=pair)
         return ApparentScale(fit.ratio, float(np.sqrt(fit.ratio_variance))) if found.tells(fit) else None
     rows = found.pair.rows
-    thinned = replace(found.pair, rows=rows[:: max(1, -(-len(rows) // MOST_ROWS))])
+    thinned = replace(found.pair, rows=rows[:: max(1, -(-len(rows) // MAX_ROWS))])
     search = search_offset(thinned, max_offset_s)
     fit, variance = nearest(search)
     if not replace(found, pair=search.pair).tells(fit):
@@ -187,7 +187,7 @@ def _moved_m(rows: Floats, late_s: float, noise_m: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class _Compared:
-    """What is compared of a sensor; density: of the acceleration's noise as learnt; noise_m: of one measurement."""
+    """What is compared of a sensor; density: of the acceleration's noise as estimated; noise_m: of one measurement."""
 
     pair: Pair
     density: float
@@ -195,20 +195,20 @@ class _Compared:
 
     def tells(self, fit: Fit) -> bool:
         """Whether the accelerometer's own noise leaves the motion to tell the scale."""
-        return noise_share(self.pair, fit, float(np.sqrt(self.density * self.pair.sample_rate_hz))) < MOST_NOISE
+        return noise_share(self.pair, fit, float(np.sqrt(self.density * self.pair.sample_rate_hz))) < MAX_NOISE
 
 
 def _compared(block: Acceleration, measured: Displacement) -> _Compared | None:
     usable = np.isfinite(measured.value_m) & np.isfinite(measured.variance_m2)
     usable &= (measured.time_ns >= block.time_ns[0]) & (measured.time_ns <= block.time_ns[-1])
     measured = part(measured, usable)
-    if len(measured.time_ns) < LEAST_MEASUREMENTS:
+    if len(measured.time_ns) < MIN_MEASUREMENTS:
         return None
     first = int(measured.time_ns[0])
     measured = part(measured, inside(measured.time_ns, first, first + round(COMPARED_S * NANOSECONDS)))
     block = part(block, inside(block.time_ns, first - NANOSECONDS, int(measured.time_ns[-1]) + NANOSECONDS))
     measured = part(measured, measured.time_ns <= block.time_ns[-1])
-    if len(measured.time_ns) < LEAST_MEASUREMENTS:
+    if len(measured.time_ns) < MIN_MEASUREMENTS:
         return None
     density = float(np.median(block.noise_density))
     value = block.value_m_s2 - np.mean(block.value_m_s2)

@@ -1,4 +1,4 @@
-"""The scale of a displacement sensor that is not calibrated, learnt beside the accelerometer, or a refusal.
+"""The scale of a displacement sensor that is not calibrated, estimated relative to the accelerometer, or a refusal.
 
 An LVDT read in volts, a unit that is wrong, a sign that is reversed: the reading is the displacement times an unknown
 number. It is the same likelihood as a camera's (see `fit`), with noise that nobody declared.
@@ -14,14 +14,14 @@ from midspan.calibration.exposure import first_term
 from midspan.calibration.fit import Fit, Pair
 from midspan.calibration.noise import Findings, NoiseCalibration, applied, edge_s, nearest, without_outliers
 from midspan.calibration.outliers import without_lonely_outliers
-from midspan.calibration.scale import LEAST_GAIN as LEAST_AGREEMENT
+from midspan.calibration.scale import MIN_GAIN as LEAST_AGREEMENT
 from midspan.calibration.scale import REFUSED_ABOVE, alias_in_words, is_ambiguous, noise_needed
 from midspan.calibration.slow_error import SlowError, find_slow_error
 from midspan.calibration.time_offset import OffsetSearch, search_offset
 from midspan.errors import UntrustedError
 from midspan.records import TimeOffset
 
-# The share of what a clock that runs apart does to the scale that stays uncertain after its correction.
+# The share of what a clock that drifts does to the scale that stays uncertain after its correction.
 UNEVEN = 0.2
 
 
@@ -37,7 +37,7 @@ def calibrate_sensor_scale(
     """Learn scale, noise levels and clock offset of a displacement sensor by maximum likelihood.
 
     pair: readings in m as if the unit were right, with relative variances, and the acceleration. one_clock: the clocks
-    are one, so that the offset found within ±`max_offset_s` s is only told and the scale is learnt at no offset.
+    are one, so that the offset found within ±`max_offset_s` s is only reported and the scale is estimated at no offset.
     length_s: of the record, see `edge_s`. noise_time_s: as of `calibrate_noise`. look: given the best fit of scale and
     offset together, may raise before it is judged here.
     Raises UntrustedError when the motion does not tell the scale to 5 %, when two offsets fit alike, or when the
@@ -89,7 +89,7 @@ def _scaled(slow: SlowError, offset: TimeOffset, search: OffsetSearch | None) ->
     factor, relative = 1.0 / fit.ratio, fit.relative_std
     straight = straightened(pair, fit)
     if straight is not None:
-        # A clock that runs apart takes from the scale: how much is known only as well as it runs evenly.
+        # A clock that drifts takes from the scale: how much is known only as well as it runs evenly.
         even, rate = straight
         relative = float(np.hypot(even.relative_std, UNEVEN * (even.ratio / fit.ratio - 1.0)))
         factor = 1.0 / even.ratio

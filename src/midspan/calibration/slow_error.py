@@ -1,10 +1,10 @@
 """The slow error of a displacement sensor: noise that is correlated over seconds, as that of a GNSS receiver.
 
-It is taken as a first-order Gauss-Markov process together with the white noise. A record mostly shows only how fast the
-error wanders, variance over correlation time: what is slower than the frequency at which the accelerometer's noise
+It is modelled as a first-order Gauss-Markov process together with the white noise. A record mostly shows only how fast
+the error drifts, variance over correlation time: what is slower than the frequency at which the accelerometer's noise
 exceeds the sensor's looks like the motion's own start. So variance and time are not the most likely ones but means over
 all of them, each weighed by its likelihood, with an even prior of the standard deviation and of the time. What a record
-cannot exclude is told where it is not taken into account.
+cannot exclude is reported where it is not taken into account.
 """
 
 from dataclasses import dataclass, replace
@@ -15,24 +15,25 @@ from midspan.calibration.fit import Fit, Pair, aligned, best_corner, best_corner
 from midspan.calibration.whitening import NO_SLOW_ERROR
 from midspan.records import Floats
 
-# Correlation times from so many intervals of the measurements up to this share of the record; how many are tried.
-SHORTEST_INTERVALS, LONGEST_SHARE, TIMES_TRIED = 2.0, 0.5, 8
+# Correlation times: the shortest in intervals of the measurements, the longest as a share of the record, how many are
+# tried.
+MIN_INTERVALS, MAX_SHARE, TIMES_TRIED = 2.0, 0.5, 8
 # Standard deviations in units of the white noise: the smallest tried, the factor to the next one, the largest.
 SMALLEST, FACTOR, LARGEST = 0.1, 1.6, 1000.0
 # Larger ones are not tried where the likelihood (logarithm) has fallen by this from its largest value.
 FALLEN = 12.0
 # What a record does not exclude with 99 %, by the ratio of likelihoods: half the chi-square of one degree of freedom.
 NOT_EXCLUDED = 3.32
-# How far an unseen error may wander is told for this long, s.
-WANDER_S = 10.0
+# A drift that does not show is reported for this time, s.
+DRIFT_S = 10.0
 
 
 @dataclass(frozen=True, slots=True)
 class SlowError:
     """The pair with the slow error of its measurements, and its fit.
 
-    unseen: how far a slow error that is left out may wander in WANDER_S (standard deviation, in the translation's
-    unit) without the record showing it; 0 where one is taken into account or there is none.
+    unseen: how far a slow error that is left out may drift in DRIFT_S (standard deviation, in the translation's unit)
+    without the record showing it; 0 where one is taken into account or there is none.
     """
 
     pair: Pair
@@ -43,15 +44,15 @@ class SlowError:
 def find_slow_error(pair: Pair, fit: Fit, time_s: float | None = None) -> SlowError:
     """The slow error of the measurements; time_s: its correlation time where that is known, 0: there is none.
 
-    Without one the noise stays white unless the slow error gains more than a parameter costs that tells nothing (as in
-    `fit.with_input_noise`): only how fast it wanders is told.
+    Without one the noise stays white unless the slow error gains more likelihood than a parameter without effect would
+    (as in `fit.with_input_noise`).
     """
     white = replace(pair, slow=NO_SLOW_ERROR)
     if time_s == 0.0:
         return SlowError(white, fit)
     rows = pair.rows[pair.used(fit.offset_s), 0]
-    shortest = SHORTEST_INTERVALS / pair.rate_hz
-    longest = max(LONGEST_SHARE * float(rows[-1] - rows[0]), 2.0 * shortest)
+    shortest = MIN_INTERVALS / pair.rate_hz
+    longest = max(MAX_SHARE * float(rows[-1] - rows[0]), 2.0 * shortest)
     times = np.geomspace(shortest, longest, TIMES_TRIED) if time_s is None else np.array([time_s])
     tried = [_along(white, fit, float(lasting)) for lasting in times]
     best = max(float(np.max(one.likelihood)) for one in tried)
@@ -69,7 +70,7 @@ def find_slow_error(pair: Pair, fit: Fit, time_s: float | None = None) -> SlowEr
 
 @dataclass(frozen=True, slots=True)
 class _Along:
-    """Slow errors of one correlation time: standard deviation (k,), variance (k,) of the white noise beside it, in the
+    """Slow errors of one correlation time: standard deviation (k,), variance (k,) of the white noise with it, in the
     translation's unit, and the logarithm of their likelihood (k,).
     """
 
@@ -83,14 +84,14 @@ class _Along:
         return np.maximum(np.gradient(self.std), 0.0)
 
     def unseen(self, lasting_s: float) -> float:
-        """How far a slow error may wander in WANDER_S without showing."""
+        """How far a slow error may drift in DRIFT_S without showing."""
         enough = np.max(self.likelihood) - NOT_EXCLUDED
         last = int(np.flatnonzero(self.likelihood >= enough)[-1])
         if last + 1 == len(self.std):
             return float("inf")
         share = (self.likelihood[last] - enough) / (self.likelihood[last] - self.likelihood[last + 1])
         largest = self.std[last] * (self.std[last + 1] / self.std[last]) ** share
-        return float(largest * np.sqrt(-2.0 * np.expm1(-WANDER_S / lasting_s)))
+        return float(largest * np.sqrt(-2.0 * np.expm1(-DRIFT_S / lasting_s)))
 
 
 def _along(white: Pair, fit: Fit, lasting_s: float) -> _Along:

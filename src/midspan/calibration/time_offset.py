@@ -11,8 +11,8 @@ import numpy as np
 
 from midspan.calibration.agreement import clearly_better
 from midspan.calibration.fit import (
+    MIN_RATIO,
     PRIOR_POWER,
-    SMALLEST_RATIO,
     Fit,
     Pair,
     best_corner,
@@ -28,7 +28,7 @@ from midspan.records import Floats, TimeOffset
 
 # Noise ratios tried at each offset, and values whitened at once, for memory. Offsets are tried at the rate of the
 # accelerometer, at this one at most: 5 ms are an eighth of the period of 25 Hz.
-COARSE_CORNERS, AT_ONCE, MOST_RATE_HZ = 4, 1_000_000, 200.0
+COARSE_CORNERS, AT_ONCE, MAX_RATE_HZ = 4, 1_000_000, 200.0
 # At an offset this share of the measurements must lie within the acceleration.
 OVERLAP = 0.5
 # Maxima of the coarse curve that are refined, and of these the ones that are with a noise ratio sought anew.
@@ -36,11 +36,11 @@ CANDIDATES, CONTENDERS = 6, 3
 # Rounds of searching anew without outliers and with a new reference, at most.
 ROUNDS = 6
 # The pull towards smaller ratios, in standard deviations of the offset, that is left as it is.
-MOST_PULLED = 0.1
+MAX_PULLED = 0.1
 # Where the accelerometer's noise would be this share of its signal, the sensors do not agree.
 EXPLAINED_BY_NOISE = 0.3
-# An offset beyond the largest by less than so many of its standard deviations, of so many s at most, is within.
-BEYOND, MOST_BEYOND = 3.0, 0.02
+# An offset beyond the largest by less than this many of its standard deviations, of this many s at most, is within.
+BEYOND, MAX_BEYOND = 3.0, 0.02
 # How much farther than the longest offset is looked, in s and as a share of it, and in so much of the record at most.
 FARTHER_S, FARTHER_SHARE, FARTHER_WINDOW_S = 5.0, 0.5, 120.0
 # A clock that drifts has another offset in a part of the record than in the whole: by so much, s.
@@ -100,7 +100,7 @@ def _likelihood(fit: Fit) -> float:
 
 def _grid(pair: Pair, first_s: float, last_s: float) -> Floats:
     """Offsets (k,) from the first to the last, a sample apart."""
-    count = int(np.ceil((last_s - first_s) * min(pair.sample_rate_hz, MOST_RATE_HZ))) + 1
+    count = int(np.ceil((last_s - first_s) * min(pair.sample_rate_hz, MAX_RATE_HZ))) + 1
     return np.linspace(first_s, last_s, max(count, 3))
 
 
@@ -141,7 +141,7 @@ def _likelihoods(pair: Pair, rows: Floats, offsets: Floats, corners: Floats) -> 
         n = len(w.variance)
         table[k] = -0.5 * n * np.log(left / n) - w.entropy + PRIOR_POWER * np.log(corner)
         if pair.ratio is None and pair.reference is not None:
-            table[k] += w.input_share * np.log(np.maximum(np.abs(ratio) / pair.reference, SMALLEST_RATIO))
+            table[k] += w.input_share * np.log(np.maximum(np.abs(ratio) / pair.reference, MIN_RATIO))
     return table
 
 
@@ -166,7 +166,7 @@ def _refined(pair: Pair, offsets: Floats, curve: Floats, corner: Floats) -> list
 
 def _within(pair: Pair, fits: list[Fit], limit_s: float) -> list[Fit]:
     """The fits within ±`limit_s`, give or take their deviation; the others where one is clearly better than these."""
-    near = [f for f in fits if abs(f.offset_s) < limit_s + BEYOND * np.sqrt(min(curvature(pair, f)[0], MOST_BEYOND**2))]
+    near = [f for f in fits if abs(f.offset_s) < limit_s + BEYOND * np.sqrt(min(curvature(pair, f)[0], MAX_BEYOND**2))]
     best = max(fits, key=_likelihood)
     inner = max(near, key=_likelihood, default=None)
     return fits if inner is None or (inner is not best and clearly_better(best, inner)) else near
@@ -188,7 +188,7 @@ def _may_shrink(pair: Pair, others: list[Fit], best: Fit) -> bool:
     if any(fit.likelihood + share * np.log(abs(fit.ratio / best.ratio)) > best.likelihood for fit in others):
         return True
     variance, drag = curvature(pair, best)
-    return bool(share * abs(drag / best.ratio) * np.sqrt(variance) > MOST_PULLED)
+    return bool(share * abs(drag / best.ratio) * np.sqrt(variance) > MAX_PULLED)
 
 
 def cleaned(pair: Pair, fit: Fit, bound_s: float = 0.0) -> Pair:

@@ -49,7 +49,7 @@ NO_SLOW_ERROR = (0.0, 1.0)
 # The mean over an exposure by ten points of Gauss and Legendre, in exposures from its middle: right to 1e-6 up to two
 # periods of a motion. Below this exposure its derivative is that at none.
 NODES, WEIGHTS = (part / 2.0 for part in np.polynomial.legendre.leggauss(10))
-LEAST_EXPOSURE_S = 1e-3
+MIN_EXPOSURE_S = 1e-3
 # Longest step of the covariance, s: within it the walk of the bias reaches the displacement by 1 % of the noise's part.
 MAX_STEP_S = 5.0
 
@@ -88,7 +88,7 @@ class Response:
 
     def widened(self, time_s: Floats, exposure_s: float) -> Floats:
         """What one s² of exposure²/24 more makes of the mean over an exposure (...,), m/s²."""
-        if exposure_s < LEAST_EXPOSURE_S:
+        if exposure_s < MIN_EXPOSURE_S:
             return self.derivative(time_s, 2)
         ends = 0.5 * sum(self.derivative(time_s + side * exposure_s, 0) for side in (-0.5, 0.5))
         return 12.0 / exposure_s**2 * (ends - self.at(time_s, exposure_s))

@@ -1,5 +1,6 @@
 """`midspan check-config FILE`."""
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -8,6 +9,7 @@ from midspan.cli.console import Console, common_options
 
 if TYPE_CHECKING:
     from midspan.settings.recording import RecordingSettings
+    from midspan.settings.site import PointPlan
 
 
 @click.command("check-config")
@@ -17,6 +19,7 @@ def command(file: str, quiet: bool, as_json: bool) -> None:
     """Validate a recording.toml (or the folder that holds it) or a SITE.toml without running it."""
     from midspan.settings.load import load_settings, settings_file
     from midspan.settings.site import is_site
+    from midspan.trees import flattened
 
     console = Console(quiet, as_json)
     if is_site(file):
@@ -38,7 +41,7 @@ def command(file: str, quiet: bool, as_json: bool) -> None:
             if not (path.parent / file_name).exists():
                 missing.append(f"{path}: {name}.{key} = {file_name!r}: no such file yet.")
     console.say(f"{path}: valid.")
-    console.table((key, str(value)) for key, value in _flat(settings.model_dump(exclude_none=True)))
+    console.table((key, str(value)) for key, value in flattened(settings.model_dump(exclude_none=True)))
     console.warn(missing)
     console.document(
         {"file": str(path), "valid": True, "warnings": missing, "settings": settings.model_dump(mode="json")}
@@ -66,6 +69,7 @@ def _require_units(path: str, settings: "RecordingSettings") -> None:
 def _site(file: str, console: Console) -> None:
     """A site's settings, without its secrets."""
     from midspan.settings.site import load_site, without_secrets
+    from midspan.trees import flattened
 
     site = load_site(file)
     settings = site.settings.model_dump(mode="json", exclude_none=True)
@@ -76,18 +80,52 @@ def _site(file: str, console: Console) -> None:
         }
         for plan in site.points
     ]
+    warnings = [
+        f"{file}: point[{number}].{line}"
+        for number, plan in enumerate(site.points, start=1)
+        for line in (*_missing(plan, site.file.parent), *_units(plan, f"{file}: point[{number}]"))
+    ]
     console.say(f"{file}: valid.")
-    console.table((key, str(value)) for key, value in _flat({**settings, "point": points}))
-    console.document({"file": file, "valid": True, "warnings": [], "settings": {**settings, "point": points}})
+    console.table((key, str(value)) for key, value in flattened({**settings, "point": points}))
+    console.warn(warnings)
+    console.document({"file": file, "valid": True, "warnings": warnings, "settings": {**settings, "point": points}})
 
 
-def _flat(tree: dict[str, Any], prefix: str = "") -> list[tuple[str, Any]]:
-    rows: list[tuple[str, Any]] = []
-    for key, value in tree.items():
-        if isinstance(value, dict):
-            rows += _flat(value, f"{prefix}{key}.")
-        elif isinstance(value, list | tuple) and any(isinstance(one, dict) for one in value):
-            rows += _flat({f"{key}[{count}]": one for count, one in enumerate(value, start=1)}, prefix)
-        else:
-            rows.append((prefix + key, value))
-    return rows
+def _missing(plan: "PointPlan", folder: Path) -> list[str]:
+    """What a point names that is not there yet: its calibration, the recordings that it replays, radars' settings."""
+    from midspan.errors import DataError
+    from midspan.settings.load import settings_file
+
+    named = {} if plan.settings.calibration is None else {"calibration": plan.settings.calibration}
+    named |= {f"{name}.config": config for name, config in plan.configs.items()}
+    lines = [f"{key} = {name!r}: no such file yet." for key, name in named.items() if not (folder / name).is_file()]
+    for name, address in plan.sources.items():
+        if address.startswith("replay:"):
+            try:
+                settings_file(folder / address.removeprefix("replay:"))
+            except DataError:
+                lines.append(f"{name}.source = {address!r}: no such recording yet.")
+    return lines
+
+
+def _units(plan: "PointPlan", where: str) -> list[str]:
+    """Which unit is taken where a source of blocks is given none; UsageError for a unit of something else."""
+    from midspan.errors import UsageError
+    from midspan.sources.accelerometer.units import SI_UNITS, si_factor
+
+    lines = []
+    sections: list[tuple[str, str, Any]] = [("accelerometer", "acceleration", plan.recording.accelerometer)]
+    sections += [
+        (one.name, "displacement", one.settings) for one in plan.recording.sensors if one.kind == "displacement"
+    ]
+    for name, quantity, section in sections:
+        if plan.sources[name].startswith("replay:"):
+            continue
+        if section.unit is None:
+            lines.append(f"{name}.unit: is left out; {SI_UNITS[quantity]} is taken.")
+            continue
+        try:
+            si_factor(section.unit, quantity, getattr(section, "sensitivity", 0.0) or None)
+        except UsageError as error:
+            raise UsageError(f"{where}.{name}: {error}") from None
+    return lines

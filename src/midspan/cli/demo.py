@@ -42,7 +42,7 @@ def command(output: str, seed: int, quiet: bool, as_json: bool) -> None:
     calibration, tracking = calibrate_and_track(recording, console.progress)
     console.done()
     calibration.save(place)
-    describe(console, calibration.to_dict())
+    describe(console, calibration)
     console.say("\n4. estimate")
     result = run_estimate(recording, calibration, tracking=tracking, progress=console.progress)
     result.save(folder / "result.csv")

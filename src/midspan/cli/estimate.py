@@ -45,8 +45,10 @@ def command(recording: str, quiet: bool, as_json: bool, **options: Any) -> None:
 
 
 def _of_store(where: str, folder: Path, console: Console, options: dict[str, Any]) -> None:
-    """Compute a stretch of a store again, with the calibration that is in force where none is given."""
-    from midspan.service.stored_recording import stored_recording
+    """Compute a segment of a store again, with the calibration that is in force where none is given."""
+    from midspan.errors import MidspanError
+    from midspan.service.replay import point_name
+    from midspan.service.stored_recording import in_words_of_a_store, stored_recording
     from midspan.service.stored_rows import chosen_point, instant
     from midspan.store.store import open_store
 
@@ -59,8 +61,13 @@ def _of_store(where: str, folder: Path, console: Console, options: dict[str, Any
         store.close()
     if options["calibration_file"] is None:
         options["calibration_file"] = str(calibration.save(folder))
-    output = options["output"] or f"{point}.csv"
-    _of_recording(str(folder), console, {**options, "output": output})
+    output = options["output"] or f"{point_name(point)}.csv"
+    try:
+        _of_recording(str(folder), console, {**options, "output": output})
+    except MidspanError as error:
+        raise type(error)(in_words_of_a_store(str(error), folder, where, point)) from None
+    except click.UsageError as error:
+        raise click.UsageError(in_words_of_a_store(error.message, folder, where, point)) from None
 
 
 def _of_recording(recording: str, console: Console, options: dict[str, Any]) -> None:
@@ -123,11 +130,14 @@ def _second(result: "Result") -> list[tuple[str, str]]:
     """The same two rows along the second image axis, where there is one."""
     if result.across is None:
         return []
-    f, axis = result.figures(), result.across.axis
-    span = f"{f[f'smallest_{axis}_mm']:.4g} … {f[f'largest_{axis}_mm']:.4g} mm, {f[f'rms_{axis}_mm']:.4g} mm rms"
+    return [(f"{label} along {result.across.axis}", value) for label, value in _first(result.across.figures())]
+
+
+def _first(f: dict[str, Any]) -> list[tuple[str, str]]:
+    """The displacement's range and its typical standard deviation."""
     return [
-        (f"displacement along {axis}", span),
-        (f"standard deviation along {axis}", f"{f[f'median_std_{axis}_mm']:.3g} mm (median)"),
+        ("displacement", f"{f['smallest_mm']:.4g} … {f['largest_mm']:.4g} mm, {f['rms_mm']:.4g} mm rms"),
+        ("standard deviation", f"{f['median_std_mm']:.3g} mm (median)"),
     ]
 
 
@@ -144,8 +154,7 @@ def show(console: Console, result: "Result", written: list[str]) -> None:
     console.table(
         [
             ("rows", f"{f['rows']} from {f['start_s']:.3f} to {f['end_s']:.3f} s ({result.method})"),
-            ("displacement", f"{f['smallest_mm']:.4g} … {f['largest_mm']:.4g} mm, {f['rms_mm']:.4g} mm rms"),
-            ("standard deviation", f"{f['median_std_mm']:.3g} mm (median)"),
+            *_first(f),
             ("of it, common to all rows", f"{f['zero_std_mm']:.3g} mm: the zero"),
             ("of it, each row's own", f"{f['median_own_std_mm']:.3g} mm"),
             *_second(result),

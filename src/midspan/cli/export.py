@@ -22,6 +22,7 @@ def command(
     """Write rows of a store in the columns and formats of a result."""
     console = Console(quiet, as_json)
     from midspan.cli.targets import check_result
+    from midspan.service.replay import point_name
     from midspan.service.stored_rows import chosen_point, instant, stored_table
     from midspan.sinks.write import check_target, write_result
     from midspan.store.store import open_store
@@ -29,7 +30,7 @@ def command(
     kept = open_store(store, read_only=True)
     try:
         name = chosen_point(kept, point)
-        target = check_result(Path(output or f"{name}.csv"))
+        target = check_result(Path(output or f"{point_name(name)}.csv"))
         check_target(target)
         table = stored_table(kept, name, instant(begin, "--from"), instant(end, "--to"))
     finally:

@@ -160,7 +160,7 @@ def _values(low: float | str | None, high: float | str | None, unit: str) -> str
 
 
 def _digits(low: float, high: float, least: int) -> int:
-    """Significant digits, at least so many, that show three digits of how far two numbers lie apart."""
+    """Significant digits, at least this many, that show three digits of how far two numbers lie apart."""
     apart, size = high - low, max(abs(low), abs(high))
     if not 0.0 < apart < math.inf:
         return least

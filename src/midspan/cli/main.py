@@ -24,7 +24,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "export": ("export", "Rows of a store as a result file."),
     "formats": ("formats", "What can be read and written."),
     "methods": ("methods", "Trackers and fusion methods, and when to use each."),
-    "check-config": ("check_config", "Validate a recording.toml without running it."),
+    "check-config": ("check_config", "Validate a recording.toml or a SITE.toml without running it."),
 }
 
 # What file systems take.

@@ -11,6 +11,7 @@ from midspan.recording.streams.recording import Recording, open_recording
 from midspan.settings.load import RECORDING_FILE
 from midspan.settings.stored.calibration import CALIBRATION_FILE
 from midspan.sinks.pair import partner
+from midspan.store.store import is_address
 from midspan.trees import TreeError, read_json
 
 # What a file of midspan's holds somewhere: JSON of its metadata, a text where its format has room, a station's name.
@@ -52,6 +53,15 @@ def check_lens(output: str | Path) -> Path:
     path = Path(output)
     _refuse_foreign(f"-o {output}", path, "no lens file", known=_keys(path) >= _LENS)
     return path
+
+
+def check_store(where: str) -> None:
+    """Refuse a store in the place of anything else: in a recording's own folder, or of a file."""
+    path = Path(where)
+    if not is_address(where) and (path / RECORDING_FILE).is_file():
+        raise click.UsageError(f"-o {where}: is a recording's folder. Give a folder of its own for the store.")
+    if not is_address(where) and path.exists() and not path.is_dir():
+        raise click.UsageError(f"-o {where}: is a file. Give a folder for the store.")
 
 
 def _recordings_at(path: Path) -> list[Recording]:

@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from midspan.fusion.entry import MAX_M_S2
 from midspan.records import Event, Floats, Nanoseconds
-from midspan.signals.bridging import LOWEST_HZ, missed_share
+from midspan.signals.bridging import MIN_HZ, missed_share
 from midspan.signals.health import (
     BESIDE,
     CLIPPED_RUN,
@@ -34,8 +35,6 @@ from midspan.signals.lively import mean_square
 
 # Samples already given out that are still looked at: a run counts as reached gently by the five steps before it.
 CONTEXT = 6
-# No accelerometer reaches this; what is larger is no number.
-MAX_M_S2 = 1e7
 SPIKE_TEXT = "samples far beyond all others and their neighbours are left out."
 
 
@@ -69,7 +68,7 @@ class AxisFigures:
     @property
     def frequency_hz(self) -> float:
         """Frequency that a motion has which was not seen."""
-        return max(self.dominant_hz, LOWEST_HZ)
+        return max(self.dominant_hz, MIN_HZ)
 
     @property
     def unknown_density(self) -> float:
@@ -112,12 +111,12 @@ def usual_figures(value: Floats, rate_hz: float) -> AxisFigures:
 
 def displacement_std(value: Floats, rate_hz: float) -> float:
     """Standard deviation (m) of the displacement with the acceleration `value` (n,), of motion that is no slower than
-    `LOWEST_HZ`: each line of the spectrum over (2 pi f)⁴. The slowest motion makes most of it.
+    `MIN_HZ`: each line of the spectrum over (2 pi f)⁴. The slowest motion makes most of it.
     """
     window = np.hanning(len(value))
     lines = np.abs(np.fft.rfft(window * (value - np.mean(value)))) ** 2
     hertz = np.fft.rfftfreq(len(value), 1.0 / rate_hz)
-    motion = hertz >= LOWEST_HZ
+    motion = hertz >= MIN_HZ
     power = lines[motion] / (2.0 * np.pi * hertz[motion]) ** 4
     return float(np.sqrt(2.0 * np.sum(power) / (len(value) * np.sum(window**2))))
 

@@ -9,9 +9,9 @@ from midspan.errors import DataError
 from midspan.records import Frame, PixelTranslation, Prediction
 from midspan.vision.light import is_dark
 
-# Every so many rows and columns, or so many rows where a frame has more, tell a black frame from a lit one.
+# Every so many rows and columns, or this many rows where a frame has more, tell a black frame from a lit one.
 THINNED, DARK_ROWS = 4, 60
-# What is usual is learnt up to the frame that completes the third check of the codec, see vision/compression.py.
+# What is usual is estimated up to the frame that completes the third check of the codec, see vision/compression.py.
 WARM_UP_FRAMES = 28
 
 

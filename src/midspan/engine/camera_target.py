@@ -141,6 +141,8 @@ class TargetChain:
 
     def _late_ns(self, frame: Frame, found: PixelTranslation) -> int:
         """How long after a frame's stamp the row of the target's middle was read out, ns."""
+        if self._settings.readout_s == 0.0:
+            return 0
         down_px = found.y_px if math.isfinite(found.y_px) else 0.0
         row = self.region.y + 0.5 * (self.region.height - 1) + down_px
         last_row = max(int(frame.pixels.shape[0]) - 1, 1)

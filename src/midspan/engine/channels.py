@@ -16,8 +16,8 @@ from midspan.signals.stuck import resolution
 # Rows are coasting when the last accepted measurement is older than this many of the sensor's usual intervals; they
 # are lost after this many, and after this many seconds at least.
 COASTING_INTERVALS, LOST_INTERVALS, MIN_COASTING_S, MIN_LOST_S = 2.5, 10.0, 0.05, 10.0
-# The usual interval of a stream is the median between so many stamps at its beginning: jitter of a tenth of an interval
-# then changes it by a hundredth.
+# The usual interval of a stream is the median between this many stamps at its beginning: jitter of a tenth of an
+# interval then changes it by a hundredth.
 FIRST_STAMPS = 100
 # Relative standard deviation of a scale of a given calibration besides what that states: the sensitivity of ordinary
 # accelerometers is within ±5 % of the data sheet's, which is 5 % / sqrt(3) where every value is as likely.

@@ -16,19 +16,19 @@ from midspan.vision.frame_source import FrameSource
 from midspan.vision.light import is_dark
 
 # At most this many dark frames are skipped at the start.
-MOST_SKIPPED = 1000
-# What a thermal camera usually sees is taken from so many frames of its first minutes.
+MAX_SKIPPED = 1000
+# What a thermal camera usually sees is taken from this many frames of its first minutes.
 LOOKED_AT = 16
 LOOKED_AT_S = 300.0
 # A shutter or a cloth goes within this many frames, while fog lifts slowly and is no reason to skip anything.
 SUDDEN_FRAMES = 3
 # A target is free of bodies where less than the first share of it is far from its temperatures; it waits for that where
-# more than the second is, for so many seconds.
+# more than the second is, for this many seconds.
 FREE_SHARE, COVERED_SHARE = 0.02, 0.1
-LONGEST_WAIT_S = 60.0
+MAX_WAIT_S = 60.0
 # A body lies on one side of the wall's temperatures, but for its soft edge; a wall that fades lies on both alike.
-MOST_OF_BOTH = 0.1
-_LEAST_APART_K = 1.0
+MAX_OF_BOTH = 0.1
+_MIN_APART_K = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +54,7 @@ def begun(source: FrameSource, first: int, last: int | None, regions: Sequence[R
         skipped, reason = _unusable_temperatures(source, slice(first, last), regions, opening)
         return Begun(skipped, reason, _chained(None, source.frames(first + skipped, last)))
     rest = _chained(opening, frames)
-    for skipped, frame in enumerate(islice(rest, MOST_SKIPPED)):
+    for skipped, frame in enumerate(islice(rest, MAX_SKIPPED)):
         if not is_dark(np.asarray(frame.pixels)):
             told = f"the first {skipped} frames are dark and were skipped; the zero is at the first lit one"
             return Begun(skipped, told if skipped else "", _chained(frame, rest))
@@ -84,7 +84,7 @@ def _unusable_temperatures(
 
 
 def _read(source: FrameSource, places: NDArray[Any]) -> list[NDArray[Any]]:
-    """The pictures at these places (n,); what is wrong with one is told where frames are read in their order."""
+    """The pictures at these places (n,); what is wrong with one is reported where frames are read in their order."""
     seen = []
     for k in places.tolist():
         with suppress(DataError):
@@ -95,7 +95,7 @@ def _read(source: FrameSource, places: NDArray[Any]) -> list[NDArray[Any]]:
 def _closed(source: FrameSource, used: slice, usual_k: float) -> int:
     """Number of frames (from the first of `used` on) before a shutter or a cover opens; 0 where none does suddenly."""
     after: int | None = None
-    for frame in islice(source.frames(used.start, used.stop), MOST_SKIPPED):
+    for frame in islice(source.frames(used.start, used.stop), MAX_SKIPPED):
         contrast_k = _contrast(frame.pixels)
         if after is not None or contrast_k >= _flat(usual_k):
             after = frame.index if after is None else after
@@ -115,8 +115,8 @@ def _covered(
     """
     times, usual = known
     regions = [region for region in regions if region.inside(usual.shape[1], usual.shape[0])]
-    last, share = times[0] + round(LONGEST_WAIT_S * NANOSECONDS), 0.0
-    for number, frame in enumerate(islice(source.frames(used.start, used.stop), MOST_SKIPPED)):
+    last, share = times[0] + round(MAX_WAIT_S * NANOSECONDS), 0.0
+    for number, frame in enumerate(islice(source.frames(used.start, used.stop), MAX_SKIPPED)):
         # The whole picture warms and cools with the day, and its middle with it.
         celsius = frame.pixels.astype(np.float32)
         seen = celsius - np.float32(np.median(celsius) - np.median(usual))
@@ -132,10 +132,10 @@ def _covered(
 def _far_share(now: NDArray[Any], usual: NDArray[Any]) -> float:
     """Share of a target's pixels that lie outside its usual temperatures by more than these are wide, on one side."""
     low, high = (float(v) for v in np.percentile(usual, (1.0, 99.0)))
-    apart = max(high - low, _LEAST_APART_K)
+    apart = max(high - low, _MIN_APART_K)
     warmer, colder = float(np.mean(now > high + apart)), float(np.mean(now < low - apart))
     # A body is warmer than the wall or colder; a wall whose contrast fades or turns is both.
-    return 0.0 if min(warmer, colder) > MOST_OF_BOTH * max(warmer, colder) else warmer + colder
+    return 0.0 if min(warmer, colder) > MAX_OF_BOTH * max(warmer, colder) else warmer + colder
 
 
 def _flat(usual_k: float) -> float:

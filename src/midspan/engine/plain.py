@@ -8,7 +8,7 @@ from midspan.checks import positive, refuse
 from midspan.records import NANOSECONDS, Event, Floats, Measured, Nanoseconds, Readings, Samples, seconds
 from midspan.signals.bridging import GAP_STEPS
 from midspan.signals.health import Mask
-from midspan.signals.stuck import LEAST_EQUAL, RESOLUTIONS, at_limits, moved, piece_length
+from midspan.signals.stuck import MIN_EQUAL, RESOLUTIONS, at_limits, moved, piece_length
 
 # A run of equal values is judged again when it is longer by this share: the work per value stays the same.
 LOOK_SHARE = 0.25
@@ -83,7 +83,7 @@ class PlainChain:
         self.settings = settings
         self._piece = piece_length(settings.step_s)
         nothing = np.empty(0, dtype=np.int64)
-        run = EqualRun(np.nan, nothing, 0, LEAST_EQUAL, 0)
+        run = EqualRun(np.nan, nothing, 0, MIN_EQUAL, 0)
         self._state = PlainState(None, run, nothing, np.empty(0), np.empty(0), nothing, np.empty(0))
 
     @property
@@ -184,13 +184,13 @@ class PlainChain:
         fresh = np.concatenate(([run.value], value))[: len(value)] != value
         edges = np.concatenate(([0], np.flatnonzero(fresh[1:]) + 1, [len(value)]))
         # Short runs in between have no effect.
-        lasting = np.diff(edges) >= LEAST_EQUAL
+        lasting = np.diff(edges) >= MIN_EQUAL
         lasting[[0, -1]] = True
         for k in np.flatnonzero(lasting):
             start, stop = int(edges[k]), int(edges[k + 1])
             if fresh[start]:
                 events += self._freed(run)
-                run = EqualRun(float(value[start]), time_ns[:0], 0, LEAST_EQUAL, int(time_ns[start]))
+                run = EqualRun(float(value[start]), time_ns[:0], 0, MIN_EQUAL, int(time_ns[start]))
             run, found = self._prolonged(run, time_ns[start:stop])
             events += found
             used[stop - min(run.left_out, stop - start) : stop] = False
@@ -217,7 +217,7 @@ class PlainChain:
         if not len(state.time_ns):
             return False
         met = time_ns[: int(np.searchsorted(time_ns, state.time_ns[-1], side="right"))]
-        if len(met) < LEAST_EQUAL:
+        if len(met) < MIN_EQUAL:
             return False
         origin_ns, end = int(met[0]), int(np.searchsorted(state.time_ns, met[-1], side="right"))
         samples = np.column_stack(

@@ -65,6 +65,10 @@ class Point:
         status = self._support.status
         return PointStatus.WARMING if status is None else PointStatus(status)
 
+    def unseen(self, stream: str) -> str:
+        """Why a sensor's newest records measure nothing, once that lasts: dark, frozen, lost; else nothing."""
+        return self.sensors[stream].unseen if stream in self.sensors else ""
+
     @property
     def state(self) -> PointState:
         """All that has an effect on what comes later."""

@@ -17,12 +17,13 @@ from midspan.radar.info import RadarInfo
 from midspan.radar.target import Target
 from midspan.records import Channel, Source
 
-# Where the structure is when a target is first used, beside the best target's first frame, m: more than structures move
-# by, and little enough for the estimator's arithmetic beside variances of (1 µm)².
+# Where the structure is when a target is first used, relative to the best target's first frame, m: more than structures
+# move by, and little enough for the estimator's arithmetic together with variances of (1 µm)².
 OTHER_ZERO_STD_M = 0.1
-# Density of the random walk of a radar's clock beside the accelerometer's, s²/s: it follows a drift of 60 ppm at once.
+# Density of the random walk of a radar's clock relative to the accelerometer's, s²/s: it follows a drift of 60 ppm at
+# once.
 CLOCK_WALK = 3.6e-9
-# A target calibrated for another radar, or moved since, differs in carrier by this share or in range by so many bins.
+# A target calibrated for another radar, or moved since, differs in carrier by this share or in range by this many bins.
 SAME_CARRIER, SAME_BINS = 1e-5, 0.5
 
 

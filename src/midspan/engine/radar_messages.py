@@ -1,4 +1,4 @@
-"""What a user is told of a radar after a run: frames lost, targets seldom seen, and which of its events."""
+"""What is reported of a radar after a run: frames lost, targets seldom seen, and which of its events."""
 
 from collections.abc import Sequence
 

@@ -36,7 +36,7 @@ class FollowedTarget:
     def of(
         cls, target: Target, phase_per_m: float, bin_m: float, *, period_s: float, bins: int, moved_m: float = 0.0
     ) -> "FollowedTarget":
-        """In the bins that a radar of so many `bins`, `bin_m` apart (NaN: single targets are stored), has around it."""
+        """In those of a radar's `bins`, `bin_m` apart (NaN: single targets are stored), that are around it."""
         some = bins_within(target.place_bin, target.reach_bins, bins) if bin_m > 0 else np.array([target.place_bin])
         return cls(target, phase_per_m, some, bin_m, period_s, moved_m)
 
@@ -49,7 +49,7 @@ class FollowedState:
     phase_rad, speed_rad_s: the target's own prediction at last_ns, the last used frame, less what the acceleration
     alone tells there, while nothing else predicts (alone_rad at alone_ns and its speed alone_rad_s; NaN: nothing);
     own_rad2,
-    given_rad2: mean squares of its innovations and of the given predictions'; own_count, given_count: over so many;
+    given_rad2: mean squares of its innovations and of the given predictions'; own_count, given_count: over this many;
     clear: frames in a row that show the target; unseen_ns: the first frame since it was seen last, -1 while it is seen;
     told: whether an event was given for that; refuted: whether the given predictions are wrong; gap: range less phase;
     before: the same before the cycle was lost, while it is in doubt; doubt_rad2: variance of the zero while it is in

@@ -9,7 +9,7 @@ import numpy as np
 from midspan.engine.radar_target import FollowedTarget
 from midspan.records import NANOSECONDS, Floats, Nanoseconds, PhaseMeasurement, Status
 
-# A record is thinned to so many segments, or half as many.
+# A record is thinned to this many segments, or half as many.
 MAX_SEGMENTS = 2000
 # Length of the part of the phase that is kept whole, s, and the time over which its speed is taken, s.
 EXCERPT_S, SPEED_S = 2.5, 0.03
@@ -66,7 +66,7 @@ class RadarTrace:
 
 @dataclass(slots=True)
 class _Segments:
-    """One target's segments, each of so many frames (`length`) but the last: a list of numbers for each.
+    """One target's segments, each of this many frames (`length`) but the last: a list of numbers for each.
 
     rows: first stamp (ns), lowest and highest strength, lowest and highest phase (rad), used frames, frames.
     """

@@ -3,15 +3,14 @@
 Only `smoother` looks again: the causal methods give what was known at the time.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 
 from midspan.calibration.one_clock import CourseError, OneClock, one_clock
 from midspan.calibration.scale_check import Fitting, Sensed, fitting
-from midspan.engine.channels import clock_std_s
 from midspan.engine.order import BACKWARDS, KINDS
 from midspan.engine.sensor_series import SensorSeries, series_of
 from midspan.engine.support import Support
@@ -27,42 +26,26 @@ from midspan.records import (
     Event,
     Measured,
     Nanoseconds,
-    TimeOffset,
     joined,
     nanoseconds,
     part,
 )
 
 
-@dataclass(frozen=True, slots=True)
-class Offsets:
-    """A sensor's calibrated clock offset, and whether it was estimated, so that its drift may be followed."""
-
-    offset: TimeOffset
-    estimated: bool
-
-
 def clocks(
     series: Mapping[str, SensorSeries],
     acceleration: Acceleration,
     kalman: KalmanSettings,
-    offsets: Mapping[str, Offsets],
+    shared: Collection[str],
 ) -> dict[str, OneClock]:
-    """How the clock of each sensor ran, by what it measured along the main axis."""
+    """How the clock of each sensor ran, by what it measured along the main axis; shared: names of those whose clock is
+    the accelerometer's, so that no drift is looked for.
+    """
     found = {}
     for name, one in series.items():
-        known = offsets[name]
         level = float(np.nanmedian(one.value_m)) if np.isfinite(one.value_m).any() else 0.0
         block = replace(one.displacement, value_m=one.value_m - level)
-        found[name] = one_clock(
-            block,
-            acceleration,
-            kalman,
-            name,
-            std_s=clock_std_s(known.offset),
-            drifts=known.estimated,
-            stays=not known.estimated,
-        )
+        found[name] = one_clock(block, acceleration, kalman, name, shared=name in shared)
     return found
 
 

@@ -63,7 +63,8 @@ def agreed_series(
 def channel_series(measured: Measured, channels: Sequence[Channel], sensor: str, path: Estimate) -> SensorSeries:
     """What the channels of a sensor measured, each one row a frame, together; the first one is the best.
 
-    What is uncertain of the zero of all of them is no noise of a frame; of one beside the others it takes its weight.
+    What is uncertain of the zero of all of them is no noise of a frame; of one relative to the others it takes its
+    weight.
     """
     numbers = [k for k, channel in enumerate(channels) if channel.sensor == sensor]
     rows = [part(measured, measured.channel == number) for number in numbers]

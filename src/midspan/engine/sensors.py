@@ -69,6 +69,11 @@ class Sensor(Protocol):
         ...
 
     @property
+    def unseen(self) -> str:
+        """Why nothing is measured with the newest records, once that lasts: dark, frozen, lost; else nothing."""
+        ...
+
+    @property
     def state(self) -> Any:
         """Everything that changes from record to record, as a frozen record."""
         ...
@@ -112,6 +117,11 @@ class CameraSensor:
         self.channels, self.directions = tuple(tuple(row) for row in channels), tuple(directions)
         self._seen_px = [(0.0, 0.0)] * len(self.channels)
         self._numbers = np.array(self.channels, dtype=np.int64).reshape(-1)
+
+    @property
+    def unseen(self) -> str:
+        """What is reported of frames without the target."""
+        return self._unseen.reported
 
     @property
     def state(self) -> CameraSensorState:
@@ -179,6 +189,11 @@ class RadarSensor:
         self.name, self.chain, self.channels = name, chain, tuple(channels)
 
     @property
+    def unseen(self) -> str:
+        """Whether no target is seen, and that is an event."""
+        return "lost" if all(state.told for state in self.chain.state) else ""
+
+    @property
     def state(self) -> tuple[FollowedState, ...]:
         """Everything that changes from frame to frame."""
         return self.chain.state
@@ -208,6 +223,11 @@ class PlainSensor:
 
     def __init__(self, name: str, chain: PlainChain) -> None:
         self.name, self.chain = name, chain
+
+    @property
+    def unseen(self) -> str:
+        """Whether its value does not change though the structure moves."""
+        return "frozen" if self.chain.state.run.stuck else ""
 
     @property
     def state(self) -> PlainState:

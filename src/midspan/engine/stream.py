@@ -13,7 +13,7 @@ from midspan.records import NANOSECONDS, ClockOffset, Nanoseconds
 SETTLED_S = 2.0
 # And they go on as fast as ticks do, to this factor: what was held up on its way and is sent once more comes at once.
 SAME_RATE = 2
-# So many readings say what the interval between two of them is.
+# This many readings say what the interval between two of them is.
 MIN_READINGS = 3
 
 

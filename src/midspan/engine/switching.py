@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 from midspan.records import NANOSECONDS, Event
 
-# The mean is over so many seconds: the paper gives no length; 60 frames of its 30 Hz do not follow single ones.
+# The mean is over this many seconds: the paper gives no length; 60 frames of its 30 Hz do not follow single ones.
 AVERAGE_S = 2.0
 
 

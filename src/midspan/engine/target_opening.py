@@ -15,7 +15,7 @@ from midspan.vision.reference.tracker import KeyFrameTracker
 from midspan.vision.reference.updating import UpdatingSettings, UpdatingTracker
 from midspan.vision.tracker import TRACKERS, Tracker, open_tracker, tracker_class
 
-# Temperatures throw no shadows: what no mix explains of them is no motion. Their places were seen to wander by 0.01 to
+# Temperatures throw no shadows: what no mix explains of them is no motion. Their places were seen to drift by 0.01 to
 # 0.04 px, all of them together (benchmark day_and_night). At dusk they change sooner than shading does: new key frames
 # begin earlier.
 HEAT: dict[str, Any] = {
@@ -26,7 +26,7 @@ HEAT: dict[str, Any] = {
     "return_share": 0.97,
 }
 # Of a target's pixels; the others are shown as black or white.
-LEAST_INSIDE = 0.05
+MIN_INSIDE = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +74,7 @@ class Opening:
 
 
 def tracker_states() -> list[Any]:
-    """The record that each tracker, by itself or behind a rule for its frames, keeps its state in: that of `_state`."""
+    """The record that each tracker, alone or behind a rule for its frames, keeps its state in: that of `_state`."""
     kinds = [KeyFrameTracker, UpdatingTracker, *(tracker_class(name) for name in TRACKERS)]
     return [ThermalTargetState, *(get_type_hints(kind)["_state"] for kind in kinds)]
 
@@ -85,7 +85,7 @@ def refuse_empty_range(reference: Frame, region: Region, levels: Limits) -> None
         return
     part = reference.pixels[region.y : region.y + region.height, region.x : region.x + region.width]
     celsius = np.asarray(part, dtype=np.float64)
-    if np.mean((celsius > levels.low_c) & (celsius < levels.high_c)) >= LEAST_INSIDE:
+    if np.mean((celsius > levels.low_c) & (celsius < levels.high_c)) >= MIN_INSIDE:
         return
     low, high = np.percentile(celsius, (1.0, 99.0))
     raise refuse(

@@ -17,7 +17,7 @@ from midspan.vision.target import lost
 from midspan.vision.tracker import Tracker
 
 # Temperatures of another kind on more than this share of the target are a thing in front (one in a hundred pixels is
-# its own tail); it pulls by its share of so many px: 0.17 to 0.3 px were seen with a tenth to a half covered.
+# its own tail); it pulls by its share of this many px: 0.17 to 0.3 px were seen with a tenth to a half covered.
 USUAL_SHARE, COVERED_PX = 0.01, 1.5
 
 Opener = Callable[[Frame], Tracker]

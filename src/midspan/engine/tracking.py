@@ -24,7 +24,6 @@ from midspan.records import (
     Nanoseconds,
     PixelTrack,
     PixelTranslation,
-    Prediction,
     Region,
     Status,
 )
@@ -265,11 +264,9 @@ class CameraTracking:
         self.progress(self.done, len(self.time_ns), "tracking")
         return self._ahead.popleft() if self._ahead else next(self._frames, None)
 
-    def push(
-        self, frame: Frame, predictions: Sequence[Prediction | None] | None = None
-    ) -> tuple[PixelTranslation, ...]:
-        """The translation of each target in the `frame` that was taken; it is kept. predictions: of each target."""
-        found = self.chain.push(frame, predictions)
+    def push(self, frame: Frame) -> tuple[PixelTranslation, ...]:
+        """The translation of each target in the `frame` that was taken; it is kept."""
+        found = self.chain.push(frame)
         self.keep(found)
         return found
 

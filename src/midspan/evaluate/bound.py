@@ -18,7 +18,7 @@ from midspan.fusion.runners import run_method
 from midspan.fusion.streams import NO_ERRORS, KalmanSettings, MethodSettings
 from midspan.records import Acceleration, Displacement, Floats, Nanoseconds, Source, nanoseconds
 
-# The bound's stretch is left to settle by this many periods of the corner before it is called stationary.
+# The bound's segment is left to settle by this many periods of the corner before it is called stationary.
 SETTLING_CORNERS = 30.0
 # Methods that are optimal for known noise, so that the recursion of their covariance is the bound.
 CLOSED, OPTIMAL = ("smoother", "kalman"), ("smoother", "kalman", "lag")

@@ -10,17 +10,17 @@ from midspan.errors import DataError
 from midspan.records import NANOSECONDS, Floats, Nanoseconds, TimeSeries, seconds
 
 # A pause of the reference longer than this many of its usual intervals is a gap: nothing is interpolated across it.
-LARGEST_GAP_STEPS = 3.0
+MAX_GAP_STEPS = 3.0
 
 
 @dataclass(frozen=True, slots=True)
 class Piecewise:
-    """A series as cubic splines, one for each stretch without a gap.
+    """A series as cubic splines, one for each segment without a gap.
 
     Not-a-knot splines: their error is at most 5/384 · h⁴ · max|x''''|, for a sine of frequency f sampled at rate r thus
     5/384 · (2π f/r)⁴ of its amplitude; Akima's and other local cubics are of lower order at the crests. A spline across
-    a gap would ring into its neighbours, so each stretch has its own.
-    origin_ns: what its seconds count from; start_s, end_s (k,): the stretches; step_s: the usual interval.
+    a gap would ring into its neighbours, so each segment has its own.
+    origin_ns: what its seconds count from; start_s, end_s (k,): the segments; step_s: the usual interval.
     """
 
     origin_ns: int
@@ -40,7 +40,7 @@ class Piecewise:
         return value
 
     def covers(self, time_s: Floats, margin_s: float) -> Any:
-        """Whether (n,) each instant lies in a stretch, `margin_s` away from both its ends."""
+        """Whether (n,) each instant lies in a segment, `margin_s` away from both its ends."""
         k = np.clip(np.searchsorted(self.start_s, time_s, side="right") - 1, 0, len(self.start_s) - 1)
         return (time_s - margin_s >= self.start_s[k]) & (time_s + margin_s <= self.end_s[k])
 
@@ -55,7 +55,7 @@ def piecewise(series: TimeSeries) -> Piecewise:
     if len(time_ns) < 2:
         raise DataError(f"The reference needs two numbers or more; it has {len(time_ns)}. Check its column.")
     step_ns = float(np.median(np.diff(time_ns)))
-    edges = np.concatenate(([0], np.flatnonzero(np.diff(time_ns) > LARGEST_GAP_STEPS * step_ns) + 1, [len(time_ns)]))
+    edges = np.concatenate(([0], np.flatnonzero(np.diff(time_ns) > MAX_GAP_STEPS * step_ns) + 1, [len(time_ns)]))
     origin_ns = int(time_ns[0])
     time_s = seconds(time_ns, origin_ns)
     return Piecewise(

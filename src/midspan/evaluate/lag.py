@@ -9,9 +9,9 @@ from midspan.records import Floats
 
 # The correlation is taken over this many instants at most, chosen at random: evenly thinned ones could always meet a
 # periodic motion at the same phase.
-MOST_INSTANTS = 5_000
-FEWEST_INSTANTS = 20
-MOST_LAGS = 2_000
+MAX_INSTANTS = 5_000
+MIN_INSTANTS = 20
+MAX_LAGS = 2_000
 CANDIDATES = 5
 # Of maxima that differ by less than this, as a periodic motion has them, the one with the smallest lag is meant.
 ALIKE = 1e-3
@@ -35,10 +35,10 @@ def find_lag(time_s: Floats, value: Floats, reference: Piecewise, max_lag_s: flo
     span = float(np.sum(reference.end_s - reference.start_s))
     limit = min(max_lag_s, 0.25 * min(span, float(time_s[-1] - time_s[0])))
     inside = np.flatnonzero(reference.covers(time_s, limit))
-    if len(inside) < FEWEST_INSTANTS or limit <= 0.0:
+    if len(inside) < MIN_INSTANTS or limit <= 0.0:
         return None
-    if len(inside) > MOST_INSTANTS:
-        inside = np.sort(np.random.default_rng(0).choice(inside, MOST_INSTANTS, replace=False))
+    if len(inside) > MAX_INSTANTS:
+        inside = np.sort(np.random.default_rng(0).choice(inside, MAX_INSTANTS, replace=False))
     at, own = time_s[inside], value[inside]
 
     def score(lag_s: float) -> float:
@@ -46,7 +46,7 @@ def find_lag(time_s: Floats, value: Floats, reference: Piecewise, max_lag_s: flo
         return -2.0 if found is None else found
 
     step = min(float(np.median(np.diff(time_s))), reference.step_s)
-    lags = np.linspace(-limit, limit, min(2 * int(np.ceil(limit / step)) + 1, MOST_LAGS + 1))
+    lags = np.linspace(-limit, limit, min(2 * int(np.ceil(limit / step)) + 1, MAX_LAGS + 1))
     return _best(lags, np.array([score(lag) for lag in lags]), score)
 
 

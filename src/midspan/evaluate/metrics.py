@@ -14,7 +14,7 @@ from midspan.records import Floats, Innovation, Nanoseconds, TimeSeries, seconds
 from midspan.signals.stamps import shown
 
 MAX_LAG_S = 1.0
-FEWEST_INSTANTS = 2
+MIN_INSTANTS = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +67,7 @@ def compare(
     time_s = seconds(estimate.time_ns, splines.origin_ns)
     expected = splines.at(time_s)
     used = np.isfinite(expected) & np.isfinite(estimate.value)
-    if np.count_nonzero(used) < FEWEST_INSTANTS:
+    if np.count_nonzero(used) < MIN_INSTANTS:
         raise _no_common_span(estimate, reference)
     value = estimate.value[used]
     error = value - expected[used]

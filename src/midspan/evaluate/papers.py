@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from midspan.calibration.sensors.camera_scale import CameraScale
+from midspan.engine.sensors import ACROSS_STD_PX, MIN_STD_PX
 from midspan.fusion.streams import KalmanFilter, KalmanSettings
 from midspan.recording.calibrate import calibrate_and_track
 from midspan.recording.estimate import estimate
@@ -25,9 +26,6 @@ from midspan.vision.tracker import Tracker, open_tracker
 
 # What the displacement that the scale factor is fitted to is off by, as a share of its size; as of an accelerometer.
 REFERENCE_NOISE = 0.0015
-# A prediction is trusted to no better than this, so that the search never narrows to nothing; across the measured axis
-# nothing predicts, and the motion there is small.
-LEAST_STD_PX, ACROSS_STD_PX = 0.5, 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,7 +114,7 @@ def _with_predictions(film: Film, frames: Sequence[Frame], tracker: Tracker, beg
 
 def _expected(predicted: tuple[float, float], scale: CameraScale, across_px: float) -> Prediction | None:
     """Where a displacement (m, with its variance) is in the picture; across its axis where it was last."""
-    std = max(float(np.sqrt(predicted[1])) / abs(scale.scale_m_per_px), LEAST_STD_PX)
+    std = max(float(np.sqrt(predicted[1])) / abs(scale.scale_m_per_px), MIN_STD_PX)
     if not np.isfinite(std):
         return None
     value = predicted[0] / scale.scale_m_per_px

@@ -35,7 +35,7 @@ class StoredResult:
 def read_result(path: str | Path, unit: str | None = None, axis: str | None = None) -> StoredResult:
     """Read a result file (.csv, .parquet, .h5, .mat, .mseed, .uff), or any other file of times and displacement.
 
-    unit: of the displacement, over what the file says; left out: the file's own, else mm (told in `series.notes`).
+    unit: of the displacement, over what the file says; left out: the file's own, else mm (reported in `series.notes`).
     axis: image axis "x" or "y" of a result that has both; left out: the main columns, or the only ones. Raises
     UsageError where no channel of displacement can be chosen, DataError for a file that cannot be read.
     """

@@ -62,11 +62,6 @@ class Branches:
     probe: AtFrames | None = None
     warnings: tuple[str, ...] = ()
 
-    @property
-    def reach(self) -> int:
-        """Samples on each side of a displacement that it takes to prepare it."""
-        return max((item.half for item in (self.removed, self.probe) if item is not None), default=0)
-
 
 class NoiseGain:
     """Variance of a row from the noise of both series, through the squares of the method's own responses.

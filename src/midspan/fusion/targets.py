@@ -20,25 +20,19 @@ Used = NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True)
 class Combined:
-    """One value a frame: value and variance (n,), NaN and infinite where no target is used; the weights (k, n)."""
+    """One value a frame: value and variance (n,), NaN and infinite where no target is used."""
 
     value: Floats
     variance: Floats
-    weight: Floats
-
-    @property
-    def used(self) -> Used:
-        """Which targets (k, n) stand behind each value."""
-        return self.weight > 0.0
 
 
 def combine(residual: Floats, variance: Floats, used: Used) -> Combined:
     """The mean by inverse variance of those residuals (k, n) that are `used`."""
     inverse = np.where(used, 1.0 / np.maximum(np.where(used, variance, 1.0), 1e-300), 0.0)
     total = inverse.sum(axis=0)
-    weight = inverse / np.where(total > 0.0, total, 1.0)
-    value = np.where(total > 0.0, np.sum(weight * np.where(used, residual, 0.0), axis=0), np.nan)
-    return Combined(value, np.where(total > 0.0, 1.0 / np.where(total > 0.0, total, 1.0), np.inf), weight)
+    known = np.where(total > 0.0, total, 1.0)
+    value = np.where(total > 0.0, np.sum(inverse / known * np.where(used, residual, 0.0), axis=0), np.nan)
+    return Combined(value, np.where(total > 0.0, 1.0 / known, np.inf))
 
 
 def agreeing(residual: Floats, variance: Floats, path_variance: Floats) -> Used:

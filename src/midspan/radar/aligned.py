@@ -14,18 +14,18 @@ from midspan.radar.unwrap import BLIND_RAD, TURN, inertial_steps
 from midspan.records import Floats
 
 # Errors of the alignment that are allowed for where it has been found, at least.
-LEAST_SCALE_ERROR, LEAST_TIME_ERROR_S = 0.002, 1e-4
+MIN_SCALE_ERROR, MIN_TIME_ERROR_S = 0.002, 1e-4
 # Frames that tell the speed at the start, and how well they do, m/s.
 START_FRAMES, START_SPEED_STD_M_S = 32, 0.01
 # A motion that turns the phase by less needs no unwrapping.
 QUIET_RAD = 1.6
 # The shortest record whose trend tells a drift from a swing, s.
-LEAST_TREND_S = 8.0
-# A filter settles within this time, s: before it the other direction is believed.
+MIN_TREND_S = 8.0
+# A filter settles within this time, s: before it the other direction is accepted.
 SETTLED_S = 2.0
-# The directions are compared as medians of so many frames; noise takes single ones a cycle off.
+# The directions are compared as medians of this many frames; noise takes single ones a cycle off.
 COMPARED_FRAMES = 11
-# The radar alone: the range changes at a speed that wanders slowly, or fast.
+# The radar alone: the range changes at a speed that drifts slowly, or fast.
 WITHOUT_ACCELEROMETER = (
     PhaseFilterSettings(noise_density=1e-2, start_inflation=0.0),
     PhaseFilterSettings(noise_density=1.0, start_inflation=0.0),
@@ -146,7 +146,7 @@ def _without_drift(run: Unwrapped, frame_s: Floats, unit: float) -> Unwrapped:
     begins in the middle of a swing can settle there; but no structure drifts so far.
     """
     known = np.flatnonzero(np.isfinite(run.phase_rad))
-    if len(known) < 2 or frame_s[known[-1]] - frame_s[known[0]] < LEAST_TREND_S:
+    if len(known) < 2 or frame_s[known[-1]] - frame_s[known[0]] < MIN_TREND_S:
         return run
     turns = run.phase_rad[known] / TURN
     cycles = np.rint(np.polyfit(known - known[0], turns, 1)[0])
@@ -181,7 +181,7 @@ def _settings(found: Alignment | None, speed_m_s: float) -> PhaseFilterSettings:
     return PhaseFilterSettings(
         start_speed_m_s=speed_m_s,
         start_speed_std_m_s=START_SPEED_STD_M_S,
-        scale_error=max(3.0 * found.ratio_std / abs(found.ratio), LEAST_SCALE_ERROR),
-        time_error_s=max(3.0 * found.offset_std_s, LEAST_TIME_ERROR_S),
+        scale_error=max(3.0 * found.ratio_std / abs(found.ratio), MIN_SCALE_ERROR),
+        time_error_s=max(3.0 * found.offset_std_s, MIN_TIME_ERROR_S),
         start_inflation=0.0,
     )

@@ -13,24 +13,24 @@ from midspan.checks import positive
 from midspan.radar.unwrap import wrapped
 from midspan.records import Floats
 
-# A correlation of the first search is believed from this many standard deviations on; some hundred offsets are tried.
-LEAST_SIGNIFICANCE = 6.0
+# A correlation of the first search is accepted from this many standard deviations on; some hundred offsets are tried.
+MIN_SIGNIFICANCE = 6.0
 # The longest lag, s: beyond it the drift of the accelerometer and the wrapping of what it does not explain take over.
-LONGEST_LAG_S = 0.25
+MAX_LAG_S = 0.25
 # Of the ratio that is known beforehand, the share by which the found one may differ.
 PRIOR_SHARE = 0.6
 # Lags of the first search, frames, and the fewest second differences that it needs.
-SEARCHED_LAGS, LEAST_FRAMES = (1, 4, 16), 20
+SEARCHED_LAGS, MIN_FRAMES = (1, 4, 16), 20
 _STEPS, _RATIOS = 6, 25
 # Frames of the search of a motion so strong that its differences wrap, at most; it tries a grid of ratios too.
-MOST_SEARCHED = 4096
+MAX_SEARCHED = 4096
 # Sums by Fourier transform are exact to about this share.
-LEAST_POWER = 1e-12
-# The scatter of the result is that of sums over stretches of so many lags, of which there must be a few; from so few it
-# comes out a little small.
-STRETCH_LAGS, LEAST_STRETCHES, MARGIN = 8, 10, 1.08
+MIN_POWER = 1e-12
+# The scatter of the result is that of sums over segments of this many lags, of which there must be a few; from so few
+# it comes out a little small.
+STRETCH_LAGS, MIN_STRETCHES, MARGIN = 8, 10, 1.08
 # The accelerometer's noise is what its quieter frequencies hold: this percentile of its spectrum, from records of so
-# many samples on. The correction for it is believed to this share.
+# many samples on. The correction for it is trusted to this share.
 QUIET_PERCENTILE, SPECTRUM_SAMPLES, CORRECTION_SHARE = 30.0, 256, 0.3
 
 
@@ -49,9 +49,8 @@ class Alignment:
 
 @dataclass(frozen=True, slots=True)
 class Integrals:
-    """Acceleration without its mean as a spline, with its first and second integral."""
+    """The first and second integral of the acceleration without its mean, as splines."""
 
-    acceleration: object
     velocity: object
     place: object
     span: tuple[float, float]
@@ -64,7 +63,7 @@ class Integrals:
 
         spline = CubicSpline(samples[:, 0], samples[:, 1] - np.mean(samples[:, 1]))
         span = (samples[0, 0], samples[-1, 0])
-        return cls(spline, spline.antiderivative(1), spline.antiderivative(2), span, _noise_density(samples))
+        return cls(spline.antiderivative(1), spline.antiderivative(2), span, _noise_density(samples))
 
     def second_difference(self, time_s: Floats, lag_s: float, order: int = 0) -> Floats:
         """Displacement before, minus twice now, plus after, at times (n,); its derivative in time with `order` 1."""
@@ -122,7 +121,7 @@ def align(
     if found is None:
         return None
     alignment, lag = found
-    while lag * period <= LONGEST_LAG_S:
+    while lag * period <= MAX_LAG_S:
         sharper = _sharpened(time, phase, integrals, (phase_per_m, period, lag), alignment)
         if sharper is None or abs(sharper.offset_s) > max_offset_s + period:
             break
@@ -141,12 +140,12 @@ def _search(
     time: Floats, phase: Floats, integrals: Integrals, known: tuple[float, float, float], prior: float | None
 ) -> tuple[Alignment, int] | None:
     """The most significant correlation over clock offsets and a few lags (short: strong motion, long: weak)."""
-    found, sharpest = None, LEAST_SIGNIFICANCE
+    found, sharpest = None, MIN_SIGNIFICANCE
     for lag in SEARCHED_LAGS:
-        if lag * known[1] > LONGEST_LAG_S or len(phase) <= 4 * lag:
+        if lag * known[1] > MAX_LAG_S or len(phase) <= 4 * lag:
             break
         second, frame = _differences(phase, lag)
-        if len(second) < LEAST_FRAMES:
+        if len(second) < MIN_FRAMES:
             continue
         offsets = _offsets(known[1], known[2])
         ratio, std = _regressions(second / known[0], frame, (time, known[1], lag), integrals, offsets)
@@ -190,12 +189,12 @@ def _regressions(
         x = response[half::2][: count + (some - half + 1) // 2 - 1]
         for row, (left, right) in enumerate(((x, there), (x * x, there), (x, seen))):
             sums[row, half::2] = correlate(left, right, mode="valid", method="fft")
-    least = LEAST_POWER * float(response @ response)
+    least = MIN_POWER * float(response @ response)
     if not least > 0.0:
         return np.zeros(some), np.full(some, np.inf)
     total, power = float(seen @ seen), np.maximum(sums[1] - sums[0] ** 2 / len(value), least)
     slope = sums[2] / power
-    rest = np.maximum(total - slope * sums[2], LEAST_POWER * total)
+    rest = np.maximum(total - slope * sums[2], MIN_POWER * total)
     return slope, np.sqrt(rest / len(value) / power)
 
 
@@ -207,12 +206,12 @@ def _search_strong(
     At 77 GHz and 100 Hz that is beyond 9.5 m/s²; the ratio must be known to `PRIOR_SHARE`.
     """
     second, frame = _differences(phase, 1)
-    if len(second) < LEAST_FRAMES:
+    if len(second) < MIN_FRAMES:
         return None
     lively = _liveliest(np.abs(integrals.second_difference(time[frame], known[1])), known[2] / known[1])
     second, frame = second[lively], frame[lively]
     turns = np.exp(1j * second)
-    found, best = None, float(np.abs(turns.mean())) + LEAST_SIGNIFICANCE / np.sqrt(2.0 * len(second))
+    found, best = None, float(np.abs(turns.mean())) + MIN_SIGNIFICANCE / np.sqrt(2.0 * len(second))
     for offset in _offsets(known[1], known[2]):
         response = known[0] * integrals.second_difference(time[frame] + offset, known[1])
         for ratio in prior * np.linspace(1.0 - PRIOR_SHARE, 1.0 + PRIOR_SHARE, _RATIOS):
@@ -223,13 +222,13 @@ def _search_strong(
 
 
 def _liveliest(size: Floats, reach: float) -> slice | NDArray[np.int64]:
-    """The `MOST_SEARCHED` values or so of which stretches (longer than the search reaches) have the largest mean."""
-    if len(size) <= MOST_SEARCHED:
+    """The `MAX_SEARCHED` values or so of which segments (longer than the search reaches) have the largest mean."""
+    if len(size) <= MAX_SEARCHED:
         return slice(None)
-    length = max(int(4.0 * reach), MOST_SEARCHED // 32)
+    length = max(int(4.0 * reach), MAX_SEARCHED // 32)
     starts = np.arange(0, len(size), length)
     mean = np.add.reduceat(size, starts) / np.diff(np.append(starts, len(size)))
-    best = np.sort(starts[np.argsort(-mean)[: max(1, MOST_SEARCHED // length)]])
+    best = np.sort(starts[np.argsort(-mean)[: max(1, MAX_SEARCHED // length)]])
     return np.concatenate([np.arange(k, min(k + length, len(size))) for k in best])
 
 
@@ -272,11 +271,11 @@ def _sharpened(
 def _scatter(columns: Floats, rest: Floats, inverse: Floats, frame: NDArray[np.int64], lag: int) -> Floats:
     """Standard deviations (k,) of least-squares results whose residuals (n,) hang together over a few lags.
 
-    The sums of column times residual over stretches show the noise as it is at the frequencies of the motion.
+    The sums of column times residual over segments show the noise as it is at the frequencies of the motion.
     """
     stretch = frame // (STRETCH_LAGS * lag)
     starts = np.flatnonzero(np.diff(stretch, prepend=-1))
-    if len(starts) < LEAST_STRETCHES:
+    if len(starts) < MIN_STRETCHES:
         return np.asarray(np.sqrt(np.mean(rest**2) * np.abs(np.diag(inverse)) * max(1.0, lag / 2.0)))
     sums = np.add.reduceat(columns * rest[:, None], starts)
     spread = sums.T @ sums * len(starts) / (len(starts) - columns.shape[1])

@@ -8,7 +8,7 @@ from midspan.records import Floats
 Phasors = NDArray[np.complexfloating]
 
 # Fewer bins than this are stored targets, and no profile most of which is empty.
-LEAST_BINS = 8
+MIN_BINS = 8
 
 
 def channel_weights(phasors: Phasors) -> NDArray[np.complex128]:
@@ -44,12 +44,12 @@ def disagreement_rad(phasors: Phasors, weights: NDArray[np.complex128]) -> Float
 def noise_variance(profiles: Phasors) -> float:
     """Variance of the complex noise of one channel and bin, from profiles (frames, channels, bins).
 
-    Half the mean square of frame-to-frame differences holds nothing that stands still; the median over the bins
+    Half the mean square of frame-to-frame differences holds nothing that is static; the median over the bins
     leaves out the few with something moving in them. Where only targets are stored, the amplitudes' differences tell
     it, which motion leaves alone.
     """
     z = np.asarray(profiles)
-    if z.shape[2] < LEAST_BINS:
+    if z.shape[2] < MIN_BINS:
         return float(np.median(np.mean(np.diff(np.abs(z), axis=0) ** 2, axis=0)))
     return float(np.median(np.mean(np.abs(np.diff(z, axis=0)) ** 2, axis=(0, 1))) / 2.0)
 

@@ -1,4 +1,4 @@
-"""What stands still in a target's bin and moves with the radar: the centre of the circle that its phasors turn on.
+"""What is static in a target's bin and moves with the radar: the centre of the circle that its phasors turn on.
 
 Leakage and attached parts keep their phase while the target's turns, so the circle is not about zero and the phase is
 bent. The centre is found only where the arc is long enough; from a short arc it would do more harm than good. Another
@@ -11,12 +11,12 @@ import numpy as np
 
 from midspan.radar.channels import Phasors
 
-# The arc (rad) from which the centre is believed: ±0.2 mm of range at 77 GHz; from ±0.1 mm on it would break even.
-LEAST_ARC = 1.3
+# The arc (rad) from which the centre is accepted: ±0.2 mm of range at 77 GHz; from ±0.1 mm on it would break even.
+MIN_ARC = 1.3
 # The scatter about the circle, and the distance of its centre, as shares of its radius, up to which it is one.
-LARGEST_SCATTER, LARGEST_CENTRE = 0.2, 0.9
+MAX_SCATTER, MAX_CENTRE = 0.2, 0.9
 # The bow of the arc must stand out of the scatter by this factor: noise pulls the centre of a flat arc towards it.
-LEAST_BOW = 8.0
+MIN_BOW = 8.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +45,6 @@ def standing_still(phasors: Phasors) -> complex:
         return 0j
     circle = fit_circle(known)
     arc = float(np.ptp(np.unwrap(np.angle(known - circle.centre))))
-    firm = circle.scatter <= LARGEST_SCATTER * circle.radius and abs(circle.centre) <= LARGEST_CENTRE * circle.radius
+    firm = circle.scatter <= MAX_SCATTER * circle.radius and abs(circle.centre) <= MAX_CENTRE * circle.radius
     bow = circle.radius * (1.0 - np.cos(min(arc / 2.0, np.pi)))
-    return circle.centre if firm and arc >= LEAST_ARC and bow >= LEAST_BOW * circle.scatter else 0j
+    return circle.centre if firm and arc >= MIN_ARC and bow >= MIN_BOW * circle.scatter else 0j

@@ -8,10 +8,10 @@ from midspan.radar.circle import fit_circle
 from midspan.records import Floats
 
 # A phase that turns less says nothing about clutter or the modulation, rad.
-LEAST_TURN = 2.0
+MIN_TURN = 2.0
 # Lag of the second differences whose agreement is the coherence, s: it weighs motion of about 1 to 4 Hz.
 COHERENCE_LAG_S = 0.12
-# Lag that shows what moves by itself at 0.3 to 1 Hz, as the wind moves trees; what is left over it counts as such from
+# Lag that shows what moves on its own at 0.3 to 1 Hz, as the wind moves trees; what is left over it counts as such from
 # this many times the variance on that the accelerometer's and the phase's noise make.
 OWN_LAG_S, OWN_EXCESS = 0.5, 1.5
 
@@ -46,13 +46,13 @@ def own_motion(los_m: Floats, time_s: Floats, integrals: Integrals, ratio: float
 
 
 def clutter_share(z: Phasors, phase_rad: Floats) -> float:
-    """Amplitude of what stands still in the bin as a share of the target's, from phasors (n,) and unwrapped phase (n,).
+    """Amplitude of what is static in the bin as a share of the target's, from phasors (n,) and unwrapped phase (n,).
 
     It is the distance from zero of the centre of the circle on which the phasors turn. NaN when they turn by less than
     2 rad.
     """
     known = np.isfinite(phase_rad) & np.isfinite(z)
-    if np.count_nonzero(known) < 20 or np.ptp(phase_rad[known]) < LEAST_TURN:
+    if np.count_nonzero(known) < 20 or np.ptp(phase_rad[known]) < MIN_TURN:
         return float("nan")
     circle = fit_circle(z[known])
     return min(abs(circle.centre) / max(circle.radius, 1e-300), 1.0)

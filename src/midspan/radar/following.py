@@ -1,4 +1,4 @@
-"""Following a target through its bins, and what stands still in each of them.
+"""Following a target through its bins, and what is static in each of them.
 
 A fixed bin loses a target that moves by a good part of it: 7 dB at 40 mm and all at 80 mm for bins of 54 mm. The phase
 of a target is the same in every bin of its main lobe, so the phasors are taken where the target is at the time.
@@ -13,7 +13,7 @@ from midspan.radar.channels import Phasors
 from midspan.records import Floats
 
 # Below this excursion (bins) a target needs no following: it would win 0.4 dB.
-LEAST_EXCURSION_BINS = 0.25
+MIN_EXCURSION_BINS = 0.25
 # Bins on each side beyond the target's own that are fetched.
 SPARE_BINS = 2
 # Steps of the background's fit: each halves what is left.
@@ -26,7 +26,7 @@ SEARCHED_STEP, SEARCHED_FRAMES = 1 / 16, 2000
 
 @dataclass(frozen=True, slots=True)
 class Background:
-    """What stands still: bins (k,) and its phasor in each (k,), receivers combined, ADC counts."""
+    """What is static: bins (k,) and its phasor in each (k,), receivers combined, ADC counts."""
 
     bins: Floats
     phasors: NDArray[np.complex128]
@@ -38,7 +38,7 @@ class Background:
 
 
 def response(distance_bins: Floats) -> Floats:
-    """Response (…,) of a Hann window to a target so many bins (…,) away: 1 at 0, ½ at 1, 0 at 2."""
+    """Response (…,) of a Hann window to a target this many bins (…,) away: 1 at 0, ½ at 1, 0 at 2."""
     d = np.asarray(distance_bins, dtype=np.float64)
     at_one = np.abs(np.abs(d) - 1.0) < 1e-9
     return np.asarray(np.where(at_one, 0.5, np.sinc(d) / np.where(at_one, 1.0, 1.0 - d * d)))
@@ -101,10 +101,10 @@ def _weighed(phasors: Phasors, bins: Floats, places: Floats) -> Phasors:
 
 
 def standing_in_bins(phasors: Phasors, bins: Floats, places: Floats) -> Background:
-    """What stands still in each bin under a target that turns many times, from phasors (n, k) and its places (n,).
+    """What is static in each bin under a target that turns many times, from phasors (n, k) and its places (n,).
 
     Each bin is the target's response, turning, and a constant: least squares, the phase taken again without the
-    constants found before. Both are told apart only where the phase turns several times.
+    constants found before. Both are distinguished only where the phase turns several times.
     """
     shape = response(bins[None, :] - places[:, None])
     found = np.zeros(len(bins), dtype=np.complex128)

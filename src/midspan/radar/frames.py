@@ -8,15 +8,15 @@ from numpy.typing import NDArray
 
 from midspan.errors import DataError
 from midspan.progress import Progress
-from midspan.radar.channels import LEAST_BINS, Phasors, combined
-from midspan.radar.following import LEAST_EXCURSION_BINS, bins_within
+from midspan.radar.channels import MIN_BINS, Phasors, combined
+from midspan.radar.following import MIN_EXCURSION_BINS, bins_within
 from midspan.radar.info import RadarInfo
 from midspan.radar.measurement import TargetFrames, TargetSeries, displacement
 from midspan.radar.target import Target
 from midspan.records import NANOSECONDS, Floats, Nanoseconds, RangeFrames, seconds
 from midspan.signals.acceleration import PreparedAcceleration
 
-# Of an even grid the frames fill one in so many places or more, of a short record these places at most.
+# Of an even grid the frames fill one in this many places or more, of a short record these places at most.
 MAX_GRID, MAX_GRID_FRAMES = 100, 100_000
 
 
@@ -83,14 +83,14 @@ def samples_of(prepared: PreparedAcceleration, origin_ns: int, span_ns: tuple[in
 
 def bin_m_of(info: RadarInfo) -> float:
     """From bin to bin, m; NaN where there is no chirp or single targets are stored: nothing can be followed there."""
-    if info.profile is None or info.bins < LEAST_BINS:
+    if info.profile is None or info.bins < MIN_BINS:
         return float("nan")
     return float(np.median(np.diff(info.range_m)))
 
 
 def bins_of(target: Target, info: RadarInfo) -> Floats:
     """The bins to fetch of a target that moves as the calibration saw; its place if by little."""
-    followed = bin_m_of(info) > 0 and target.reach_bins > LEAST_EXCURSION_BINS
+    followed = bin_m_of(info) > 0 and target.reach_bins > MIN_EXCURSION_BINS
     return bins_within(target.place_bin, target.reach_bins, info.bins) if followed else np.array([target.place_bin])
 
 

@@ -14,12 +14,12 @@ from midspan.records import Floats
 
 # The sign shows when one half holds this many dB more energy than the other. It is proven when the eighths at both ends
 # agree: attached parts and leakage lie in the nearest one, and hardly a receiver passes beat frequencies of the last.
-LEAST_DB = 6.0
-# Pairing is believed when it packs the energy this many times more densely than the other one.
-LEAST_DENSITY = 1.3
+MIN_DB = 6.0
+# Pairing is accepted when it packs the energy this many times more densely than the other one.
+MIN_DENSITY = 1.3
 # The same by the ghosts: what lies half of the range beyond the targets is this share or more of what the wrong pairing
-# makes, by so many standard deviations, and at most half as much with the other pairing.
-LEAST_GHOST, CERTAIN, LESS = 0.3, 6.0, 0.5
+# makes, by this many standard deviations, and at most half as much with the other pairing.
+MIN_GHOST, CERTAIN, LESS = 0.3, 6.0, 0.5
 # Bins about zero in which attached parts lie, whose window is four bins wide.
 NEAR_ZERO = 2
 _PAIRINGS = (("IIQQ", "QQII"), ("IQIQ", "QIQI"))
@@ -42,9 +42,9 @@ class OrderEvidence:
         """The two orders of the pairing that shows, in all that is seen or in the targets alone, or None."""
         for density in (self.density, self.density_beside):
             first, second = (max(density[order] for order in pair) for pair in _PAIRINGS)
-            if first > LEAST_DENSITY * second:
+            if first > MIN_DENSITY * second:
                 return _PAIRINGS[0]
-            if second > LEAST_DENSITY * first:
+            if second > MIN_DENSITY * first:
                 return _PAIRINGS[1]
         return self._without_ghosts()
 
@@ -52,13 +52,13 @@ class OrderEvidence:
         """The pairing beside whose other one there are ghosts: near a quarter of the range they are faint."""
         for right, wrong in ((0, 1), (1, 0)) if len(self.ghosts) == len(_PAIRINGS) else ():
             share, std = self.ghosts[wrong]
-            if share > max(LEAST_GHOST, CERTAIN * std) and abs(self.ghosts[right][0]) < LESS * share:
+            if share > max(MIN_GHOST, CERTAIN * std) and abs(self.ghosts[right][0]) < LESS * share:
                 return _PAIRINGS[right]
         return None
 
     def proves(self, order: str) -> bool:
         """Whether energy lies clearly in the nearer half, and in the nearest eighth too."""
-        return self.halves_db[order] >= LEAST_DB and self.eighths_db[order] >= LEAST_DB
+        return self.halves_db[order] >= MIN_DB and self.eighths_db[order] >= MIN_DB
 
     def told(self) -> str:
         """The figures, for messages."""
@@ -108,7 +108,7 @@ def decide_order(evidence: OrderEvidence, claimed: str, *, said: bool) -> OrderD
         text = f"The samples cannot tell whether the I/Q order is {order} or {other} ({figures}): the targets lie at a"
         text += f" quarter of the range, where both look alike but for the sign of the motion. Taken is {order}."
         return OrderDecision(order, False, f"{text} If it is wrong, set radar.iq_order = {other!r}.")
-    if evidence.halves_db[order] >= LEAST_DB:
+    if evidence.halves_db[order] >= MIN_DB:
         return OrderDecision(order, True, f"I/Q order {order}, as the sign of the beat energy has it ({figures})")
     source = "the settings" if said else "the capture software's default"
     if not said and evidence.proves(swapped(order)):
@@ -125,7 +125,7 @@ def decide_order(evidence: OrderEvidence, claimed: str, *, said: bool) -> OrderD
 def _as_clear(evidence: OrderEvidence, order: str) -> str:
     """The order of the other pairing that shows the sign clearly too; empty where none does."""
     others = next(pair for pair in _PAIRINGS if order not in pair)
-    return next((one for one in others if evidence.halves_db.get(one, 0.0) >= LEAST_DB), "")
+    return next((one for one in others if evidence.halves_db.get(one, 0.0) >= MIN_DB), "")
 
 
 def _power(words: Words, layout: Layout, *, mean: bool) -> Floats:

@@ -17,6 +17,8 @@ Cube = NDArray[np.complex64]
 
 ORDERS = ("IIQQ", "QQII", "IQIQ", "QIQI")
 WORD_BYTES = 2
+# Payload of one packet of the DCA1000.
+PACKET_BYTES = 1456
 LANE_RECEIVERS = 4  # a capture over four lanes always stores four receivers, unused ones too
 # Places of I[0], I[1], Q[0], Q[1] in a group of four words.
 _PLACES = {"IIQQ": (0, 1, 2, 3), "QQII": (2, 3, 0, 1), "IQIQ": (0, 2, 1, 3), "QIQI": (1, 3, 0, 2)}

@@ -2,7 +2,7 @@
 
 import math
 
-from midspan.radar.following import LEAST_EXCURSION_BINS
+from midspan.radar.following import MIN_EXCURSION_BINS
 
 # The covariance of neighbouring bins of a Hann window, over the variance of one.
 NEIGHBOURS = 2.0 / 3.0
@@ -38,7 +38,7 @@ def looked_at(z: list[complex], first_bin: float, place: tuple[float, float]) ->
     z: phasors of the bins from `first_bin` on; place: expected bin, and how far from it the target may be.
     """
     expected, reach = place
-    if not reach > LEAST_EXCURSION_BINS:
+    if not reach > MIN_EXCURSION_BINS:
         return expected
     near = [k for k in range(len(z)) if abs(first_bin + k - expected) <= reach + 0.5] or range(len(z))
     k = max(near, key=lambda bin_: abs(z[bin_]))

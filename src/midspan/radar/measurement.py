@@ -10,7 +10,7 @@ from midspan.errors import UntrustedError
 from midspan.radar.aligned import unwrap_aligned
 from midspan.radar.blockage import blocked
 from midspan.radar.channels import Phasors, combined, phase_variance
-from midspan.radar.following import LEAST_EXCURSION_BINS, at_places, places_of, standing_in_bins, tracked_places
+from midspan.radar.following import MIN_EXCURSION_BINS, at_places, places_of, standing_in_bins, tracked_places
 from midspan.radar.phase_filter import Unwrapped
 from midspan.radar.target import Target
 from midspan.records import Floats
@@ -81,7 +81,7 @@ def displacement(frames: TargetFrames, target: Target, *, samples: Floats, phase
         before, places = places, places_of(seen - still, bins, place_bin=target.place_bin, moved_bins=moved)
         if float(np.max(np.abs(places - before), initial=0.0)) < SETTLED_BINS:
             break
-        if target.background is None and np.ptp(places) > 2.0 * LEAST_EXCURSION_BINS:
+        if target.background is None and np.ptp(places) > 2.0 * MIN_EXCURSION_BINS:
             # The target was not found to go through these bins; it has now turned often enough to tell.
             still = standing_in_bins(seen, bins, np.where(np.isfinite(found.phase_rad), places, np.nan)).phasors
     return _series(found, target, phase_per_m)
@@ -97,7 +97,7 @@ def _several_bins(frames: TargetFrames, target: Target) -> tuple[Floats, Phasors
 
 
 def _unwrapped(z: Phasors, target: Target, given: tuple[Floats, Floats, float]) -> Unwrapped:
-    """Phase of phasors (n,), what stands still taken out; given: instants on the accelerometer's clock (n,), s,
+    """Phase of phasors (n,), what is static taken out; given: instants on the accelerometer's clock (n,), s,
     samples, and rad per m of range.
     """
     frame_s, samples, unit = given

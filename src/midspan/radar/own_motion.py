@@ -1,4 +1,4 @@
-"""Motion that a target makes by itself, as a tree in the wind or ground that settles, frequency by frequency.
+"""Motion that a target makes on its own, as a tree in the wind or ground that settles, frequency by frequency.
 
 What two targets show differently is motion of one of them; three tell which. Of two the accelerometer tells it, where
 it hears better than they differ. An only target is compared with the accelerometer itself, above 0.1 Hz.
@@ -16,11 +16,11 @@ from midspan.signals.health import runs
 
 # Edges of the bands, Hz; the accelerometer alone is asked from the third edge on.
 EDGES_HZ = (0.0, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4)
-LOWEST_HZ = 0.1
+MIN_HZ = 0.1
 # Below this frequency the noise of an accelerometer rises, Hz.
 CORNER_HZ = 0.3
 # Stretches without a hole that are used, s.
-LEAST_STRETCH_S = 5.0
+MIN_STRETCH_S = 5.0
 # Second differences over this time tell accelerometer and radar apart without the drift of a double integral, s.
 LAG_S = 0.07
 # What is found counts as motion beyond this many times what noise makes, and this many of its standard deviations.
@@ -28,12 +28,12 @@ EXCESS, SIGNIFICANCE = 1.5, 4.0
 # The accelerometer decides between two targets where their shares are known to this standard deviation.
 DECIDED_STD = 0.2
 # Every factor and clock offset may be off by this much more than is stated.
-LEAST_RELATIVE, LEAST_CLOCK_S = 3e-4, 5e-5
+MIN_RELATIVE, MIN_CLOCK_S = 3e-4, 5e-5
 # A filter takes this much off the variance of white noise, but nothing off a motion; one target is left out beside
 # another whose error is this many times less (variances).
 AVERAGED, LEFT_OUT_RATIO = 25.0, 4.0
 # Frames that two targets must both be seen in; the smallest motions that count, and for which a target is left out, m.
-LEAST_FRAMES, LEAST_M, LEAST_LEFT_OUT_M = 400, 1e-6, 1e-5
+MIN_FRAMES, MIN_M, MIN_LEFT_OUT_M = 400, 1e-6, 1e-5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,7 +77,7 @@ class OwnMotions:
 
 
 def own_motions(shown: Shown, samples: Floats) -> OwnMotions:
-    """What each target moves by itself; samples (m, 2): time (s) and acceleration (m/s²)."""
+    """What each target moves on its own; samples (m, 2): time (s) and acceleration (m/s²)."""
     targets, bands = len(shown.value_m), len(EDGES_HZ) - 1
     frequency = np.sqrt(np.maximum(EDGES_HZ[:-1], 0.02) * np.array(EDGES_HZ[1:]))
     power, undecided = np.zeros((targets, bands)), np.zeros(bands, dtype=np.bool_)
@@ -93,7 +93,7 @@ def own_motions(shown: Shown, samples: Floats) -> OwnMotions:
             power, undecided = _of_two(shown, samples, apart[0, 1])
         else:
             power = _of_several(apart)
-    power = np.where(power > LEAST_M**2, power, 0.0)
+    power = np.where(power > MIN_M**2, power, 0.0)
     return OwnMotions(power, frequency, _left_out(shown, power), undecided)
 
 
@@ -110,7 +110,7 @@ def _left_out(shown: Shown, power: Floats) -> NDArray[np.bool_]:
     own = power.sum(axis=1)
     error = own + _typical(shown.variance_m2) / AVERAGED + shown.lasting_m**2
     best = int(np.argmin(error))
-    clearly = own > np.maximum(LEFT_OUT_RATIO * own[best], LEAST_LEFT_OUT_M**2)
+    clearly = own > np.maximum(LEFT_OUT_RATIO * own[best], MIN_LEFT_OUT_M**2)
     return np.asarray((error > LEFT_OUT_RATIO * error[best]) & clearly)
 
 
@@ -124,11 +124,11 @@ def _apart(shown: Shown, i: int, j: int, frequency: Floats) -> tuple[Floats, Flo
     """Variance (bands,) by which two targets differ beyond their noise, and the frequencies (bands,) where they do."""
     value, period = shown.value_m, _period(shown)
     difference = _levelled(_bridged(value[i] - value[j], _lag(shown)), shown.steps[i] | shown.steps[j])
-    if np.count_nonzero(np.isfinite(difference)) < LEAST_FRAMES:
+    if np.count_nonzero(np.isfinite(difference)) < MIN_FRAMES:
         return np.zeros(len(frequency)), frequency
     found, moved = _power(difference, period), _power(value[i], period)
     typical = _typical(shown.variance_m2)
-    relative = shown.relative_std[[i, j]] ** 2 + LEAST_RELATIVE**2
+    relative = shown.relative_std[[i, j]] ** 2 + MIN_RELATIVE**2
     noise = (typical[i] + typical[j]) / len(found)
     lasting = shown.lasting_m[i] ** 2 + shown.lasting_m[j] ** 2
     return _excess(found, noise + relative.sum() * moved, (len(difference), period, lasting), frequency)
@@ -161,29 +161,29 @@ def _alone(shown: Shown, samples: Floats, frequency: Floats) -> tuple[Floats, Fl
     integrals, period = Integrals.of(samples), _period(shown)
     rest = _second(shown, 0, integrals)
     known = np.isfinite(rest)
-    if np.count_nonzero(known) < LEAST_FRAMES:
+    if np.count_nonzero(known) < MIN_FRAMES:
         return np.zeros(len(frequency)), frequency
     hz = np.asarray(np.fft.rfftfreq(len(rest), period)[1:], dtype=np.float64)
     turned = _transfer(hz, shown)
     found, moved = _power(rest, period) / turned, _power(shown.value_m[0], period)
     step_hz = 1.0 / (len(rest) * period)
     inertial = 2.0 * step_hz * integrals.noise_density / (2.0 * np.pi * hz) ** 4 * (1.0 + (CORNER_HZ / hz) ** 2)
-    late = (2.0 * np.pi * hz * LEAST_CLOCK_S) ** 2
+    late = (2.0 * np.pi * hz * MIN_CLOCK_S) ** 2
     moved = np.interp(hz, np.fft.rfftfreq(len(shown.frame_s), period)[1:], moved)
     expected = _typical(shown.variance_m2)[0] / len(hz) + inertial
-    expected = expected + (shown.relative_std[0] ** 2 + LEAST_RELATIVE**2 + late) * moved
+    expected = expected + (shown.relative_std[0] ** 2 + MIN_RELATIVE**2 + late) * moved
     power, at = _excess(found, expected, (len(rest), period, float(shown.lasting_m[0] ** 2)), frequency)
-    return np.where(np.array(EDGES_HZ[:-1]) >= LOWEST_HZ, power, 0.0), at
+    return np.where(np.array(EDGES_HZ[:-1]) >= MIN_HZ, power, 0.0), at
 
 
 def _of_two(shown: Shown, samples: Floats, apart: Floats) -> tuple[Floats, NDArray[np.bool_]]:
     """Powers (2, bands) of the differences (bands,) of two targets by the accelerometer; where it cannot tell."""
-    power, undecided = np.stack((apart, apart)), apart > LEAST_M**2
+    power, undecided = np.stack((apart, apart)), apart > MIN_M**2
     if not undecided.any():
         return power, undecided
     integrals = Integrals.of(samples)
     first, second = _second(shown, 0, integrals), _second(shown, 1, integrals)
-    if np.count_nonzero(np.isfinite(first + second)) < LEAST_FRAMES:
+    if np.count_nonzero(np.isfinite(first + second)) < MIN_FRAMES:
         return power, undecided
     period = _period(shown)
     difference = _spectrum(first - second, period)
@@ -207,7 +207,7 @@ def _of_two(shown: Shown, samples: Floats, apart: Floats) -> tuple[Floats, NDArr
             power[:, k] = (1.0 - share) * apart[k], share * apart[k]
     guilty = np.where(undecided, 0.0, power).sum(axis=1)
     for j in (0, 1):
-        if guilty[j] > max(LEFT_OUT_RATIO * guilty[1 - j], LEAST_LEFT_OUT_M**2):
+        if guilty[j] > max(LEFT_OUT_RATIO * guilty[1 - j], MIN_LEFT_OUT_M**2):
             # One that surely moves at other frequencies is the one that moves.
             power[1 - j, undecided], undecided = 0.0, np.zeros_like(undecided)
     return power, undecided
@@ -243,7 +243,7 @@ def near(mask: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
 
 
 def _levelled(value: Floats, steps: NDArray[np.bool_]) -> Floats:
-    """Values (n,) less the mean of each stretch between steps (n,), whose level says nothing."""
+    """Values (n,) less the mean of each segment between steps (n,), whose level says nothing."""
     out = value.copy()
     edges = [0, *(int(k) for k in np.flatnonzero(steps)), len(value)]
     for a, b in pairwise(edges):
@@ -254,7 +254,7 @@ def _levelled(value: Floats, steps: NDArray[np.bool_]) -> Floats:
 
 
 def _bridged(value: Floats, most: int) -> Floats:
-    """Values (n,) with a straight line over holes of up to so many frames."""
+    """Values (n,) with a straight line over holes of up to this many frames."""
     known = np.flatnonzero(np.isfinite(value))
     if not len(known):
         return value
@@ -269,11 +269,11 @@ def _bridged(value: Floats, most: int) -> Floats:
 def _spectrum(value: Floats, period: float) -> NDArray[np.complex128]:
     """Spectrum (bins,) from the first frequency on; the squares of its sizes add up to the variance.
 
-    Every stretch without a hole has a window of its own: a cut in the noise would look like slow motion.
+    Every segment without a hole has a window of its own: a cut in the noise would look like slow motion.
     """
     window = np.zeros(len(value))
     for a, b in runs(np.isfinite(value)):
-        if (b - a) * period >= LEAST_STRETCH_S:
+        if (b - a) * period >= MIN_STRETCH_S:
             window[a:b] = np.sin(np.pi * (np.arange(b - a) + 0.5) / (b - a)) ** 2
     used = window > 0.0
     if not used.any():

@@ -2,27 +2,27 @@
 
 import numpy as np
 
-from midspan.radar.channels import LEAST_BINS, Phasors
+from midspan.radar.channels import MIN_BINS, Phasors
 from midspan.records import Floats
 
-# A peak counts from this power ratio to the noise on, and so many are looked at.
-LEAST_POWER_RATIO, MOST_TARGETS = 10.0, 40
+# A peak counts from this power ratio to the noise on, and this many are looked at.
+MIN_POWER_RATIO, MAX_TARGETS = 10.0, 40
 
 
 def peaks(profiles: Phasors, noise: float) -> tuple[float, ...]:
     """Fractional bins of the peaks of the mean power, and of the power that changes, of (frames, channels, bins)."""
     z = np.asarray(profiles)
-    if z.shape[2] < LEAST_BINS:
+    if z.shape[2] < MIN_BINS:
         # Stored targets, not a profile.
         return tuple(float(k) for k in range(z.shape[2]))
     power = np.mean(np.abs(z) ** 2, axis=(0, 1))
     changing = np.maximum(power - np.mean(np.abs(z.mean(axis=0)) ** 2, axis=0), 0.0)
     found: dict[int, float] = {}
     for values in (power, changing):
-        for k in _summits(values, LEAST_POWER_RATIO * noise):
+        for k in _summits(values, MIN_POWER_RATIO * noise):
             if not any(abs(k - known) <= 1 for known in found):
                 found[k] = k + _fraction(values[k - 1 : k + 2])
-    strongest = sorted(found, key=lambda k: -power[k])[:MOST_TARGETS]
+    strongest = sorted(found, key=lambda k: -power[k])[:MAX_TARGETS]
     return tuple(found[k] for k in sorted(strongest))
 
 

@@ -6,26 +6,25 @@ averages over many frames, so it stays right at signal-to-noise ratios and throu
 lead astray.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from midspan.checks import positive, same_length
-from midspan.radar.unwrap import BLIND_RAD, TURN, UNSURE_CYCLES
-from midspan.records import Floats, Status
+from midspan.radar.unwrap import BLIND_RAD, UNSURE_CYCLES
+from midspan.records import Floats
 
 U, V, B, P00, P01, P02, P11, P12, P22, MISFIT, SEEN, ENERGY_A, ENERGY_D, MIXED = range(14)
 LAST, BEFORE, AGE, LAST_A, ORIGIN, WATCHED = range(14, 20)
 STATE_SIZE = 20
 
-# Innovations beyond so many standard deviations get a larger variance instead of a full say.
+# Innovations beyond this many standard deviations get a larger variance instead of a full say.
 HUBER = 2.5
 # The noise of the acceleration is raised and lowered until innovations are as large as predicted: the logarithm of its
-# factor follows their squares over so many frames, each counted at most so often, from the start up to a limit; and not
-# above what leaves the prediction this narrow (cycles).
-MISFIT_FRAMES, MOST_MISFIT, MOST_INFLATED = 40.0, 9.0, 16.0
+# factor follows their squares over this many frames, each counted at most so often, from the start up to a limit; and
+# not above what leaves the prediction this narrow (cycles).
+MISFIT_FRAMES, MAX_MISFIT, MAX_INFLATED = 40.0, 9.0, 16.0
 # At low signal-to-noise ratio the phase's errors have longer tails than the variance says.
 FAIR_MISFIT = 1.5
 WIDEST_CYCLES = 0.12
@@ -38,12 +37,12 @@ DEAD_SHARE, DEAD_EXCESS = 0.1, 3.0
 
 @dataclass(frozen=True, slots=True)
 class PhaseFilterSettings:
-    """How far the accelerometer is believed.
+    """How far the accelerometer is trusted.
 
     noise_density: of the acceleration in the line of sight, (m/s²)²/Hz; higher trusts the radar more.
     scale_error, time_error_s: relative error of the conversion factor and error of the time offset that the filter
     allows for; higher follows a wrongly calibrated accelerometer, lower rides longer through fades.
-    start_inflation: natural logarithm of the factor on all of these at the first frame, learnt from then on; 0 where
+    start_inflation: natural logarithm of the factor on all of these at the first frame, estimated from then on; 0 where
     the alignment is known, more where it is not.
     bias_walk: growth of the bias' variance, (m/s²)² a second; start_bias_m_s2: its standard deviation at the first
     frame; start_speed_m_s, start_speed_std_m_s: speed of the range there, and how well it is known.
@@ -63,10 +62,9 @@ class PhaseFilterSettings:
 class Unwrapped:
     """Unwrapped phase (n,) in rad since the first frame used, its variance, the filter's range change and its variance.
 
-    phase_rad is NaN where the frame was not used; filtered_m (n,) goes on by the accelerometer. `status` holds `Status`
-    codes; `restarts` are the frames from which on the cycle is a guess, because the prediction had become too wide;
-    `surprise` is the mean of log variance + squared innovation over variance: the smaller, the better predicted;
-    innovation_rad (n,): wrapped phase less prediction, NaN where not used; explained: whether the accelerometer
+    phase_rad is NaN where the frame was not used; filtered_m (n,) goes on by the accelerometer. `restarts` are the
+    frames from which on the cycle is a guess, because the prediction had become too wide; `surprise` is the mean of log
+    variance + squared innovation over variance: the smaller, the better predicted; explained: whether the accelerometer
     accounts for the motion, or there is too little of it for a cycle to be lost.
     """
 
@@ -74,10 +72,8 @@ class Unwrapped:
     variance_rad2: Floats
     filtered_m: Floats
     filtered_variance_m2: Floats
-    status: NDArray[np.uint8]
     restarts: tuple[int, ...]
     surprise: float = np.nan
-    innovation_rad: Floats = field(default_factory=lambda: np.empty(0))
     explained: bool = True
 
 
@@ -165,12 +161,12 @@ def _begin(s, phase, variance, unit, usable):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def _run(s, rows, steps, unit, limits, out):  # type: ignore[no-untyped-def]
-    """rows: time step, phase, variance; out: phase, filtered, variance, 1 used (2: cycle lost), surprise, misfit."""
+    """rows: time step, phase, variance; out: phase, filtered, variance, 1 used (2: cycle lost), surprise."""
     density, scale, delay, walk = limits
     for k in range(len(rows)):
         dt, phase, variance = rows[k]
         usable = np.isfinite(phase) and variance < BLIND_RAD * BLIND_RAD
-        out[k, 0], out[k, 3], out[k, 4], out[k, 5] = np.nan, 0.0, np.nan, np.nan
+        out[k, 0], out[k, 3], out[k, 4] = np.nan, 0.0, np.nan
         if s[SEEN] == 0.0:
             _begin(s, phase, variance, unit, usable)
             if usable:
@@ -190,9 +186,9 @@ def _run(s, rows, steps, unit, limits, out):  # type: ignore[no-untyped-def]
             spread = s[P00] + variance / (unit * unit)
             misfit = _meet(s, difference / unit, variance / (unit * unit))
             if misfit < 1.0 or np.sqrt(s[P00]) < WIDEST_CYCLES * 2.0 * np.pi / unit:
-                rise = (min(misfit, MOST_MISFIT) - FAIR_MISFIT) / MISFIT_FRAMES
-                s[MISFIT] = min(max(s[MISFIT] + rise, 0.0), MOST_INFLATED)
-            out[k, 4], out[k, 5] = np.log(spread) + misfit, difference
+                rise = (min(misfit, MAX_MISFIT) - FAIR_MISFIT) / MISFIT_FRAMES
+                s[MISFIT] = min(max(s[MISFIT] + rise, 0.0), MAX_INFLATED)
+            out[k, 4] = np.log(spread) + misfit
             s[BEFORE], s[LAST], s[AGE] = s[LAST], phase, s[AGE] + 1.0
             out[k, 0], out[k, 3] = predicted + difference, 2.0 if lost else 1.0
         else:
@@ -203,7 +199,7 @@ def _run(s, rows, steps, unit, limits, out):  # type: ignore[no-untyped-def]
 class PhaseFilter:
     """The filter over blocks of frames; any cutting into blocks gives the same output.
 
-    phase_per_m: rad per m of range. settings: how far the accelerometer is believed.
+    phase_per_m: rad per m of range. settings: how far the accelerometer is trusted.
     """
 
     def __init__(self, phase_per_m: float, settings: PhaseFilterSettings | None = None) -> None:
@@ -226,7 +222,7 @@ class PhaseFilter:
         same_length(frame_s=time, phase_rad=phase, variance_rad2=variance, steps=steps)
         before = time[:1] if self._time_s is None else np.array([self._time_s])
         rows = np.column_stack((np.diff(time, prepend=before), phase, variance))
-        out = np.empty((len(time), 6))
+        out = np.empty((len(time), 5))
         s = self._settings
         limits = (s.noise_density, s.scale_error, s.time_error_s, s.bias_walk)
         _run(self._state, rows, np.ascontiguousarray(steps), self._unit, limits, out)
@@ -234,18 +230,14 @@ class PhaseFilter:
         return self._told(out, variance)
 
     def _told(self, out: Floats, variance: Floats) -> Unwrapped:
-        lost = np.sqrt(out[:, 2]) > UNSURE_CYCLES * TURN / self._unit
-        status = np.where(out[:, 3] > 0, Status.TRACKING, np.where(lost, Status.LOST, Status.COASTING))
         used = out[:, 3] > 0
         return Unwrapped(
             phase_rad=out[:, 0] - self._state[ORIGIN],
             variance_rad2=np.where(used, variance, np.inf),
             filtered_m=out[:, 1],
             filtered_variance_m2=out[:, 2],
-            status=status.astype(np.uint8),
             restarts=tuple(int(k) for k in np.flatnonzero(out[:, 3] == 2.0)),
             surprise=float(np.nanmean(out[:, 4])) if np.isfinite(out[:, 4]).any() else np.nan,
-            innovation_rad=out[:, 5],
         )
 
 

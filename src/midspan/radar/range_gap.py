@@ -11,16 +11,16 @@ from dataclasses import dataclass
 
 # Frames that the mean looks back over, and the fewest that tell anything.
 MEMORY_FRAMES, MIN_FRAMES = 1000, 24
-# A cycle is accepted when the difference is near a whole number of cycles and so many standard deviations from where
+# A cycle is accepted when the difference is near a whole number of cycles and this many standard deviations from where
 # the next one begins.
 SURE_STD, NEAR_WHOLE = 4.0, 0.25
 # How much faster than the target's phase that of clutter may turn against it: half as much for what moves half as much
-# as the target, one for what stands still, more for what moves the other way.
+# as the target, one for what is static, more for what moves the other way.
 SLOPES = (0.5, 1.0, 1.7)
-# A target's speed at its first frames, of which so many are needed, is accepted from this standard deviation on, cycles
-# a frame, and after so many frames in any case.
+# A target's speed at its first frames, of which this many are needed, is accepted from this standard deviation on,
+# cycles a frame, and after this many frames in any case.
 MIN_FIRST_FRAMES, SURE_SPEED_CYCLES, MAX_FIRST_FRAMES = 10, 0.12, 64
-# What moves the range slowly without the phase is averaged as by so many independent parts.
+# What moves the range slowly without the phase is averaged as by this many independent parts.
 PARTS = 8
 
 
@@ -103,7 +103,7 @@ class FirstFrames:
 
     @property
     def cycles_per_frame(self) -> tuple[int, float] | None:
-        """Whole cycles a frame by which the speed is to be raised, and the chance that it is not by so many.
+        """Whole cycles a frame by which the speed is to be raised, and the chance that it is not by this many.
 
         None while more frames are needed.
         """

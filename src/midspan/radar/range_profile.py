@@ -113,6 +113,12 @@ def averaged(products: NDArray[np.complex64], profile: ChirpProfile) -> NDArray[
     return np.asarray(np.concatenate(means, axis=1))
 
 
+def whole_channels(valid: NDArray[np.bool_], profile: ChirpProfile) -> NDArray[np.bool_]:
+    """Channels (frames, transmitters · receivers) of which no chirp of valid (frames, chirps, receivers) has a hole."""
+    masks = np.array(profile.transmitters)
+    return np.concatenate([valid[:, masks == mask].all(axis=1) for mask in dict.fromkeys(profile.transmitters)], axis=1)
+
+
 def followed(words: Words, layout: Layout, place_bin: float, shift_m: Floats) -> NDArray[np.complex64]:
     """Products (frames, channels) that follow a target from `place_bin` by `shift_m` (frames,), m of range.
 

@@ -1,7 +1,7 @@
 """Which of the things in the radar's view is fixed, and what a metre of the structure does to the range to it.
 
 A target is a peak of the range profile. Its phase is compared with the accelerometer: the ratio, its sign and the clock
-offset follow in closed form with their standard deviations; what moves by itself, or shares its bin with something
+offset follow in closed form with their standard deviations; what moves on its own, or shares its bin with something
 else, does not agree and is passed over.
 """
 
@@ -14,7 +14,7 @@ from midspan.errors import UntrustedError
 from midspan.radar.aligned import unwrap_aligned
 from midspan.radar.alignment import Integrals, align
 from midspan.radar.channels import (
-    LEAST_BINS,
+    MIN_BINS,
     Phasors,
     channel_weights,
     combined,
@@ -26,7 +26,7 @@ from midspan.radar.chirp import RangeAxis
 from midspan.radar.circle import standing_still
 from midspan.radar.evidence import clutter_share, coherence, own_motion
 from midspan.radar.following import (
-    LEAST_EXCURSION_BINS,
+    MIN_EXCURSION_BINS,
     Background,
     at_places,
     bins_within,
@@ -40,17 +40,17 @@ from midspan.radar.phase_noise import factor_spread, measured_variance, modulati
 from midspan.records import Floats
 
 # What a target must show to be chosen.
-LEAST_COHERENCE, LARGEST_FACTOR, LARGEST_RELATIVE_STD = 0.9, 8.0, 0.02
+MIN_COHERENCE, MAX_FACTOR, MAX_RELATIVE_STD = 0.9, 8.0, 0.02
 # Above this share of clutter in the bin a target is passed over while there is a cleaner one.
-LARGEST_CLUTTER = 0.3
+MAX_CLUTTER = 0.3
 # The same for a receiver whose phase leaves that of the others by more than this and their noise, rad.
-LARGEST_DISAGREEMENT_RAD = 0.15
+MAX_DISAGREEMENT_RAD = 0.15
 # A target that moves far is met again at most so often, and no more once that makes the coherence worse than by this.
 # Before, while it was seen only part of the time, this much of its motion must be explained.
 FOLLOWING_PASSES, COHERENCE_LOSS, FOLLOWED_COHERENCE = 4, 0.002, 0.3
 # Frames with less than this share of the amplitude that is seen in the best tenth are left out.
 FAINT_SHARE, BEST_PERCENTILE = 0.4, 90.0
-# Where that happens to more than this share of frames, the target is looked for in so many bins on either side.
+# Where that happens to more than this share of frames, the target is looked for in this many bins on either side.
 OFTEN, TRACKED_BINS = 0.02, 4.0
 
 
@@ -63,9 +63,9 @@ class Target:
     with its standard deviation, and time_offset_s (radar's to accelerometer's clock) with its: NaN where the motion
     does not tell; coherence: share 0 … 1 of the phase's acceleration that the accelerometer explains; clutter:
     amplitude of something else in the bin as a share of the target's, NaN where the phase turns too little to tell;
-    leak: what of it stands still and is taken out; noise_m: standard deviation of one frame's displacement.
+    leak: what of it is static and is taken out; noise_m: standard deviation of one frame's displacement.
 
-    background: what stands still in every bin that the target moves through, where it moves so far that it must be
+    background: what is static in every bin that the target moves through, where it moves so far that it must be
     followed; reach_bins: how far it moved; modulation_rad: standard deviation of the phase from what else turns in the
     bin, NaN where it turned too little to tell; phase_noise_rad2: variance of the phase beyond the receiver's noise;
     own_m: standard deviation of the displacement that the target's own motion makes, about the frequency own_hz; where
@@ -99,7 +99,7 @@ class Target:
         return self.conversion_factor_std / abs(self.conversion_factor) if self.coherence > 0 else np.inf
 
     def without_gain(self, gain: float, std: float) -> "Target":
-        """The same in metres: the factor was learnt from an accelerometer of this gain and relative deviation."""
+        """The same in metres: the factor was estimated from an accelerometer of this gain and relative deviation."""
         factor = self.conversion_factor / gain
         return replace(
             self,
@@ -144,11 +144,11 @@ class Target:
         """Why the target cannot be used, in a few words; empty when it can."""
         if not np.isfinite(self.conversion_factor):
             return "its phase does not follow the accelerometer"
-        if self.coherence < LEAST_COHERENCE:
+        if self.coherence < MIN_COHERENCE:
             return f"the accelerometer explains only {100 * self.coherence:.0f} % of its motion"
-        if abs(self.conversion_factor) > LARGEST_FACTOR:
-            return f"its conversion factor {self.conversion_factor:.3g} is beyond ±{LARGEST_FACTOR:g}"
-        if self.relative_std > LARGEST_RELATIVE_STD:
+        if abs(self.conversion_factor) > MAX_FACTOR:
+            return f"its conversion factor {self.conversion_factor:.3g} is beyond ±{MAX_FACTOR:g}"
+        if self.relative_std > MAX_RELATIVE_STD:
             return f"its conversion factor is known to ± {100 * self.relative_std:.1f} % only"
         return ""
 
@@ -193,7 +193,7 @@ class _Window:
     @property
     def bin_m(self) -> float:
         """From bin to bin, m; NaN for stored targets, which cannot be followed."""
-        known = self.profiles.shape[2] >= LEAST_BINS and len(self.axis.range_m) == self.profiles.shape[2]
+        known = self.profiles.shape[2] >= MIN_BINS and len(self.axis.range_m) == self.profiles.shape[2]
         return float(np.median(np.diff(self.axis.range_m))) if known else np.nan
 
     def seen(self, bins: Floats, weights: NDArray[np.complex128]) -> Phasors:
@@ -222,7 +222,7 @@ def _examined(window: _Window, place: float) -> Target:
         again = _tracked(plain, window)
         found, change = again if again[0].coherence > found.coherence else (found, change)
     reach = float(np.nanmax(np.abs(change - np.nanmedian(change)))) / window.bin_m if len(change) else 0.0
-    if found.coherence < FOLLOWED_COHERENCE or not LEAST_EXCURSION_BINS < reach < 0.25 * window.profiles.shape[2]:
+    if found.coherence < FOLLOWED_COHERENCE or not MIN_EXCURSION_BINS < reach < 0.25 * window.profiles.shape[2]:
         return found
     return _followed(found, reach, change, window)
 
@@ -270,7 +270,7 @@ def _followed(found: Target, reach: float, change_m: Floats, window: _Window) ->
         if not len(change_m) or again.coherence < found.coherence - COHERENCE_LOSS:
             return found
         known = float(np.nanmax(np.abs(change_m - np.nanmedian(change_m)))) / window.bin_m
-        done, found, reach = abs(known - reach) < LEAST_EXCURSION_BINS, again, known
+        done, found, reach = abs(known - reach) < MIN_EXCURSION_BINS, again, known
         if done:
             break
     return found
@@ -347,12 +347,12 @@ def _repeated(target: Target, others: tuple[Target, ...]) -> bool:
 def _shared(target: Target) -> bool:
     """Whether the bin holds more than the target: much clutter, or receivers that see different phases."""
     quiet = 3.0 * 10 ** (-target.snr_db / 20) * np.sqrt(len(target.weights))
-    return bool(target.clutter > LARGEST_CLUTTER or target.disagreement_rad > LARGEST_DISAGREEMENT_RAD + quiet)
+    return bool(target.clutter > MAX_CLUTTER or target.disagreement_rad > MAX_DISAGREEMENT_RAD + quiet)
 
 
 def _expected_m(target: Target) -> float:
     """Noise and the error that clutter makes, m of displacement."""
-    # What stands still has been taken out. Clutter of a share e turns the phase by up to e rad.
+    # What is static has been taken out. Clutter of a share e turns the phase by up to e rad.
     clutter = 0.0 if np.isnan(target.clutter) or target.leak else target.clutter
     left = 0.0 if np.isnan(target.modulation_rad) else target.modulation_rad
     receiver = 0.5 * 10 ** (-target.snr_db / 10)
@@ -367,7 +367,7 @@ def _no_target(targets: tuple[Target, ...]) -> str:
     worst = sorted(targets, key=lambda target: -target.amplitude)[:3]
     told = "; ".join(f"{target.range_m:.2f} m ({target.snr_db:.0f} dB): {target.objection}" for target in worst)
     return (
-        f"No fixed target to calibrate the conversion factor on (limits: coherence {LEAST_COHERENCE:g}, standard "
-        f"deviation {100 * LARGEST_RELATIVE_STD:g} %, factor ±{LARGEST_FACTOR:g}). Strongest: {told}. Calibrate on a "
+        f"No fixed target to calibrate the conversion factor on (limits: coherence {MIN_COHERENCE:g}, standard "
+        f"deviation {100 * MAX_RELATIVE_STD:g} %, factor ±{MAX_FACTOR:g}). Strongest: {told}. Calibrate on a "
         "time with more motion, check that both files are of the same event, or aim the radar at something fixed."
     )

@@ -26,9 +26,8 @@ SOURCES = {"camera": Source.CAMERA, "infrared": Source.INFRARED}
 
 @dataclass(frozen=True, slots=True)
 class SeenBy:
-    """What one camera gave: what was learnt along its axes, its tracking as far as it had to go, and warnings."""
+    """What one camera gave: what was estimated along its axes, its tracking as far as it had to go, and warnings."""
 
-    view: Recording
     parts: tuple[CameraFit, ...]
     tracking: CameraTracking
     warnings: tuple[str, ...]
@@ -57,7 +56,7 @@ def calibrate_cameras(recording: Recording, progress: Progress) -> tuple[SeenBy,
 
 
 def together(seen: tuple[SeenBy, ...]) -> CameraTracking | None:
-    """The tracking of the first camera, with those of the others beside it; None without a camera."""
+    """The tracking of the first camera, with those of the others with it; None without a camera."""
     if not seen:
         return None
     first, *others = (one.tracking for one in seen)
@@ -74,7 +73,7 @@ def _calibrated(recording: Recording, progress: Progress) -> SeenBy:
             tracking, parts = _in_best_range(view, tracking, parts, progress)
         parts = tuple(_named(view, tracking, part) for part in parts)
     told = [*moved, *_codec_warnings(view), *(line for part in parts for line in part.warnings)]
-    return SeenBy(view, parts, tracking, tuple(worded(line, view.sensor) for line in told))
+    return SeenBy(parts, tracking, tuple(worded(line, view.sensor) for line in told))
 
 
 def _in_best_range(
@@ -146,7 +145,7 @@ def _frames_compared(view: Recording, tracking: CameraTracking) -> list[Frame]:
 
 
 def _named(view: Recording, tracking: CameraTracking, part: CameraFit) -> CameraFit:
-    """What was learnt along one axis, with the camera's name, the temperatures seen, and what the values rest on."""
+    """What was estimated along one axis, with the camera's name, the temperatures seen, and what the values rest on."""
     regions = [target.region for target in tracking.targets]
     place = regions.index(part.calibration.region) if part.calibration.region in regions else 0
     own = replace(

@@ -8,6 +8,7 @@ import numpy as np
 
 from midspan.calibration.one_clock import OneClock
 from midspan.checks import option
+from midspan.engine.camera_result import CameraResult, camera_result, camera_series
 from midspan.engine.channels import clock_std_s, without_gain
 from midspan.engine.one_series import (
     literal_warnings,
@@ -19,7 +20,6 @@ from midspan.engine.one_series import (
 from midspan.engine.radar_messages import REPORTED, radar_warnings
 from midspan.engine.row_messages import event_warnings, shares
 from midspan.engine.second_look import (
-    Offsets,
     clocks,
     on_clock,
     on_its_clock,
@@ -38,14 +38,12 @@ from midspan.fusion.second_pass import Lag, smooth
 from midspan.fusion.streams import MethodSettings
 from midspan.progress import Progress, silent
 from midspan.recording.calibrate import calibrate_and_track
-from midspan.recording.camera_result import CameraResult, camera_result, camera_series
 from midspan.recording.kinds import ROWS
 from midspan.recording.messages import channel_warnings, refuse_rejections, require_same_cameras, uncalibrated
 from midspan.recording.point import gain_std, measuring_point
 from midspan.recording.printed_radar import estimate_printed
 from midspan.recording.result import Result
 from midspan.recording.run import Outcome, run, used_when
-from midspan.recording.second_axis import SecondAxis
 from midspan.recording.streams.recording import Recording, naming, open_recording
 from midspan.recording.tracked import (
     Eye,
@@ -55,8 +53,9 @@ from midspan.recording.tracked import (
     open_eyes,
     side_of,
 )
-from midspan.records import NANOSECONDS, Channel, Estimate, Event, Innovation, Measured, joined, part
+from midspan.records import NANOSECONDS, Channel, Estimate, Event, Innovation, Nanoseconds, joined, part
 from midspan.settings.sensor_words import worded
+from midspan.settings.sensors import DisplacementSettings
 from midspan.settings.stored.calibration import Calibration
 from midspan.settings.stored.calibration_file import load_calibration
 from midspan.signals.stamps import inside, shown
@@ -178,7 +177,9 @@ def _estimate(asked: Asked, tracking: CameraTracking | None, progress: Progress)
     progress(0, 1, "fusing")
     looks = asked.on_series or asked.row.rows is Pass.SMOOTHED
     main = first.sides[0]
-    ran = clocks(first.series[0], main.acceleration, main.kalman, _offsets(first)) if looks or asked.given else {}
+    ran: dict[str, OneClock] = {}
+    if looks or asked.given:
+        ran = clocks(first.series[0], main.acceleration, main.kalman, clocks_shared(asked.recording))
     checked = check(asked, first, ran)
     found = by_method(asked, first, ran, checked)
     progress(1, 1, "fusing")
@@ -197,8 +198,11 @@ def first_pass(asked: Asked, tracking: CameraTracking | None, progress: Progress
     for eye in eyes:
         eye.tracking.close()
     if not any(len(rows.estimates[0].time_ns) for rows in outcome.rows if rows.estimates):
-        raise DataError(_no_overlap(asked.recording, outcome))
-    cameras = tuple(_camera(eye, outcome) for eye in eyes)
+        raise DataError(_no_overlap(asked.recording, outcome.measured_ns))
+    events = outcome.events_of
+    cameras = tuple(
+        camera_result(eye.tracking, eye.sensor, eye.calibrations, events.get(eye.sensor, ())) for eye in eyes
+    )
     first = FirstPass(sides, eyes, point.estimator, outcome, cameras, ())
     return replace(first, series=tuple(_series(first, axis) for axis in range(len(sides))))
 
@@ -241,16 +245,13 @@ def stated_scale_std(first: FirstPass, axis: int) -> dict[str, float]:
     return {name: without_gain(std, own) for name, std in found.items()}
 
 
-def as_it_came(first: FirstPass) -> Found:
-    """The rows that the engine gave."""
-    return _found(first, first.outcome, tuple(first.outcome.estimate(axis) for axis in range(len(first.sides))))
-
-
 def by_method(asked: Asked, first: FirstPass, ran: Mapping[str, OneClock], checked: Checked) -> Found:
     """The rows of the method that is asked for; ran: how the sensors' clocks ran, which only the causal ones leave."""
     if asked.on_series:
         return on_series(asked, first, ran, checked)
-    return smoothed(first, ran, checked) if asked.row.rows is Pass.SMOOTHED else as_it_came(first)
+    if asked.row.rows is Pass.SMOOTHED:
+        return smoothed(first, ran, checked)
+    return _found(first, first.outcome, tuple(first.outcome.estimate(axis) for axis in range(len(first.sides))))
 
 
 def smoothed(first: FirstPass, ran: Mapping[str, OneClock], checked: Checked, *, alone: bool = False) -> Found:
@@ -299,7 +300,7 @@ def on_series(asked: Asked, first: FirstPass, ran: Mapping[str, OneClock], check
         own, rate_hz = replace(method, kalman=side.kalman), side.prepared.rate_hz
         done = run_on_series(side.acceleration, measured, asked.method, own, found.rows[axis], rate_hz=rate_hz)
         scale_std = float(np.hypot(max(checked.scale_std[axis][name] for name in named), gain))
-        clock_std = max(clock_std_s(one.offset) for one in _offsets(first).values())
+        clock_std = max(clock_std_s(one) for one in offsets_of(first.sides[0], first.eyes).values())
         own_rows = replace(done.estimate, variance_m2=known.misfit[axis] * done.estimate.variance_m2)
         level_m2 = known.misfit[axis] * found.zero_variance_m2[axis] + 2.0 * tilt_m2
         own_rows = with_uncertain(own_rows, level_m2, scale_std, clock_std)
@@ -323,8 +324,9 @@ def on_series(asked: Asked, first: FirstPass, ran: Mapping[str, OneClock], check
 
 def _found(first: FirstPass, outcome: Outcome, rows: tuple[Estimate, ...]) -> Found:
     """Rows in the streams' common span, with the innovations and events of the run that they rest on."""
-    first_ns, last_ns = measured_span(first.outcome)
-    span = inside(rows[0].time_ns, first_ns, last_ns)
+    measured_ns = first.outcome.measured_ns
+    last_ns = int(measured_ns.max())
+    span = inside(rows[0].time_ns, int(measured_ns.min()), last_ns)
     channels = first.estimator.settings.channels
     return Found(
         rows=tuple(part(one, span) for one in rows),
@@ -343,20 +345,19 @@ def result_of(asked: Asked, first: FirstPass, found: Found, checked: Checked) ->
     sensors, radars = first.outcome.sensor_events, first.outcome.radars
     info = {view.sensor: view.radar.info for view, _ in known_sensors(first.sides[0]) if view.sensor in radars}
     fused = tuple(event for event in found.events if event.axis == 0)
-    across, more = _across(asked, first, found, checked)
+    two, more = _second_axis(first, found, checked)
     warnings = (
         *channel_warnings(recording, asked.calibration),
         *(worded(line, eye.sensor) for eye in first.eyes for line in eye.tracking.warnings()),
         *event_warnings(fused),
         *event_warnings(tuple(event for event in sensors if event.kind in ("frozen", "lost", *REPORTED))),
         *(worded(line, name) for name, log in radars.items() for line in radar_warnings(log, info[name].warnings)),
-        *late_start(recording, first.outcome, main),
-        *lost_end(recording, first.outcome, main),
+        *unmeasured_ends(recording, first.outcome, main),
         *shares(found.innovations[0], main),
         *found.warnings,
         *more,
     )
-    return Result(
+    result = Result(
         estimate=main,
         calibration=asked.calibration,
         settings=recording.settings,
@@ -367,45 +368,38 @@ def result_of(asked: Asked, first: FirstPass, found: Found, checked: Checked) ->
         cameras=first.cameras,
         measured=tuple(first.series[0].values()),
         radars={name: log.trace(info[name].limit_speed_m_s) for name, log in radars.items()},
-        across=across,
         zero_std_m=float(np.sqrt(found.zero_variance_m2[0])),
         used=found.used,
         file=recording.file,
         name=recording.name,
     )
+    if not two:
+        return result
+    across = replace(
+        result,
+        estimate=found.rows[1],
+        calibration=first.sides[1].calibration,
+        innovation=found.innovations[1],
+        events=tuple(event for event in found.events if event.axis == 1),
+        cameras=(),
+        measured=tuple(first.series[1].values()),
+        radars={},
+        zero_std_m=float(np.sqrt(found.zero_variance_m2[1])),
+    )
+    return replace(result, across=across)
 
 
-def _across(asked: Asked, first: FirstPass, found: Found, checked: Checked) -> tuple[SecondAxis | None, list[str]]:
-    """The second image axis at the rows of the first, and its warnings; left out where it is not to be trusted."""
+def _second_axis(first: FirstPass, found: Found, checked: Checked) -> tuple[bool, list[str]]:
+    """Whether there is a second image axis that can be trusted, and its warnings."""
     if len(first.sides) < 2 or checked.left_out:
-        return None, []
+        return False, []
     view, rows, innovation = first.sides[1].recording, found.rows[1], found.innovations[1]
-    camera = first.sides[1].calibration.first_camera
-    assert camera is not None
     try:
         refuse_rejections(view, innovation)
     except UntrustedError as error:
-        return None, [left_out(first.sides[1], error)]
-    along = f" along {view.axis}"
-    events = tuple(event for event in found.events if event.axis == 1)
-    second = SecondAxis(
-        camera.direction,
-        camera.fused,
-        asked.method,
-        rows,
-        innovation,
-        events,
-        measured=tuple(first.series[1].values()),
-        zero_std_m=float(np.sqrt(found.zero_variance_m2[1])),
-    )
-    told = [f"Along {view.axis}: {line}" for line in event_warnings(events)]
-    return second, [*told, *shares(innovation, rows, along)]
-
-
-def _camera(eye: Eye, outcome: Outcome) -> CameraResult:
-    settings = eye.view.settings.camera
-    assert settings is not None
-    return camera_result(eye.tracking, eye.sensor, settings, eye.calibrations, outcome.events_of.get(eye.sensor, ()))
+        return False, [left_out(first.sides[1], error)]
+    told = event_warnings(tuple(event for event in found.events if event.axis == 1))
+    return True, [*(f"Along {view.axis}: {line}" for line in told), *shares(innovation, rows, f" along {view.axis}")]
 
 
 def _series(first: FirstPass, axis: int) -> dict[str, SensorSeries]:
@@ -418,12 +412,10 @@ def _series(first: FirstPass, axis: int) -> dict[str, SensorSeries]:
     return found
 
 
-def _offsets(first: FirstPass) -> dict[str, Offsets]:
-    """The calibrated clock offset of each sensor."""
-    known = known_sensors(first.sides[0])
-    taken = {view.sensor for view, _ in known if view.kind == "displacement" and not view.learns_offset}
-    found = offsets_of(first.sides[0], first.eyes)
-    return {name: Offsets(offset, estimated=name not in taken) for name, offset in found.items()}
+def clocks_shared(recording: Recording) -> set[str]:
+    """Names of the displacement sensors whose clock is said to be the accelerometer's."""
+    listed = [(one.name, one.settings) for one in recording.sensors]
+    return {name for name, own in listed if isinstance(own, DisplacementSettings) and not own.estimate_offset}
 
 
 def innovation_along(outcome: Outcome, channels: Sequence[Channel], axis: int) -> Innovation:
@@ -433,19 +425,11 @@ def innovation_along(outcome: Outcome, channels: Sequence[Channel], axis: int) -
     return part(found, np.argsort(found.time_ns, kind="stable"))
 
 
-def measured_span(outcome: Outcome) -> tuple[int, int]:
-    """Stamps (ns) of the first and last measurement."""
-    blocks: list[Measured] = [block for listed in outcome.measured.values() for block in listed]
-    stamps = np.concatenate([block.time_ns[np.isfinite(block.value)] for block in blocks])
-    return int(stamps.min()), int(stamps.max())
-
-
-def _no_overlap(recording: Recording, outcome: Outcome) -> str:
+def _no_overlap(recording: Recording, measured_ns: Nanoseconds) -> str:
     """Why there is no row."""
-    sampled = recording.acceleration.time_ns
-    stamps = [block.time_ns[np.isfinite(block.value)] for listed in outcome.measured.values() for block in listed]
-    known = np.concatenate(stamps) if stamps else np.empty(0, dtype=np.int64)
-    measured = f"measurements run from {shown(int(known[0]))} to {shown(int(known[-1]))}" if len(known) else "nothing"
+    sampled, measured = recording.acceleration.time_ns, "nothing"
+    if len(measured_ns):
+        measured = f"measurements run from {shown(int(measured_ns[0]))} to {shown(int(measured_ns[-1]))}"
     return (
         f"The streams do not overlap with the calibrated clock offset: {measured} on the accelerometer's clock, which "
         f"runs from {shown(int(sampled[0]))} to {shown(int(sampled[-1]))}. Check the calibration's time_offset_s and "
@@ -453,27 +437,14 @@ def _no_overlap(recording: Recording, outcome: Outcome) -> str:
     )
 
 
-def late_start(recording: Recording, outcome: Outcome, rows: Estimate) -> list[str]:
-    """A sentence when the first measurement comes long after both streams have begun."""
-    first = min(int(block.time_ns[0]) for listed in outcome.measured.values() for block in listed)
-    begun = max(first, int(recording.acceleration.time_ns[0]))
-    missed = (int(rows.time_ns[0]) - begun) / NANOSECONDS
-    if missed <= 1.0:
-        return []
-    return [
-        f"Nothing was measured from {shown(begun)} to {shown(int(rows.time_ns[0]))}; the result begins there, "
-        f"{missed:.1f} s late."
-    ]
-
-
-def lost_end(recording: Recording, outcome: Outcome, rows: Estimate) -> list[str]:
-    """A sentence when the measurements stop long before both streams do."""
-    last = max(int(block.time_ns[-1]) for listed in outcome.measured.values() for block in listed)
-    end = min(last, int(recording.acceleration.time_ns[-1]))
-    missed = (end - int(rows.time_ns[-1])) / NANOSECONDS
-    if missed <= 1.0:
-        return []
-    return [
-        f"The target was lost from {shown(int(rows.time_ns[-1]))} to the end; the result stops there, "
-        f"{missed:.1f} s early."
-    ]
+def unmeasured_ends(recording: Recording, outcome: Outcome, rows: Estimate) -> list[str]:
+    """A sentence where the rows begin or end more than a second inside the span of both streams."""
+    stamps = [block.time_ns for listed in outcome.measured.values() for block in listed]
+    sampled, first, last = recording.acceleration.time_ns, int(rows.time_ns[0]), int(rows.time_ns[-1])
+    begun = max(min(int(one[0]) for one in stamps), int(sampled[0]))
+    ended = min(max(int(one[-1]) for one in stamps), int(sampled[-1]))
+    late_s, early_s = (first - begun) / NANOSECONDS, (ended - last) / NANOSECONDS
+    span = f"{shown(begun)} to {shown(first)}"
+    late = [f"Nothing was measured from {span}; the result begins there, {late_s:.1f} s late."]
+    text = f"The target was lost from {shown(last)} to the end; the result stops there, {early_s:.1f} s early."
+    return (late if late_s > 1.0 else []) + ([text] if early_s > 1.0 else [])

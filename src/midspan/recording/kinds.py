@@ -84,7 +84,7 @@ def radar_series(view: Recording, known: RadarCalibration, log: Log) -> SensorSe
 
 
 def calibrate_displacement(view: Recording, progress: Progress) -> DisplacementFit:
-    """Noise, clock offset and scale of the sensor, learnt beside the accelerometer, or a refusal."""
+    """Noise, clock offset and scale of the sensor, estimated relative to the accelerometer, or a refusal."""
     section, series, own = view.settings.displacement, view.displacement, view.accelerometer
     assert section is not None
     require_overlap(view.prepared.time_ns, series.time_ns, "displacement")
@@ -95,8 +95,8 @@ def calibrate_displacement(view: Recording, progress: Progress) -> DisplacementF
             view.prepared,
             series,
             wanted_s=view.settings.calibration.max_offset_s,
-            learns_offset=view.learns_offset,
-            learns_scale=view.learns_scale,
+            learns_offset=section.estimate_offset,
+            learns_scale=section.estimate_scale,
             noise_std_m=None if given is None else given * si_factor(section.unit or series.unit, "displacement", None),
             gives_zero=view.gives_zero,
             gain_std=(own.scale_std or USUAL_GAIN_STD) if own.estimate_scale else 0.0,
@@ -109,7 +109,8 @@ def calibrate_displacement(view: Recording, progress: Progress) -> DisplacementF
 def displacement_part(view: Recording, calibration: Calibration) -> DisplacementCalibration:
     """The sensor's part of a calibration; UsageError where it has none, or none of the scale that is wanted."""
     known: DisplacementCalibration = _known(view, calibration)
-    if view.learns_scale and known.scale == 1.0:
+    section = view.settings.displacement
+    if section is not None and section.estimate_scale and known.scale == 1.0:
         raise UsageError(
             "displacement.estimate_scale = true: the calibration was made without it and has no displacement.scale. "
             "Calibrate again."
@@ -135,7 +136,8 @@ def displacement_series(view: Recording, known: DisplacementCalibration, log: Lo
 
 @dataclass(frozen=True, slots=True)
 class Kind:
-    """calibrate: what is learnt of the sensor; known: its part of a calibration, or a refusal; stage: its part of the
+    """calibrate: what is estimated of the sensor; known: its part of a calibration, or a refusal; stage: its part of
+    the
 
     engine, and its channels in the table; series: what it measured over the record.
     """

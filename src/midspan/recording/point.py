@@ -6,7 +6,6 @@ from math import hypot
 
 import numpy as np
 
-from midspan.calibration.frequency_response import GRAVITY_M_S2
 from midspan.calibration.whitening import BIAS_WALK_RATIO
 from midspan.engine.axis import AxisFigures
 from midspan.engine.camera_channels import camera_channels
@@ -28,6 +27,7 @@ from midspan.recording.streams.recording import Recording
 from midspan.recording.tracked import Eye, Side, known_sensors, offsets_of
 from midspan.records import NANOSECONDS, ClockOffset
 from midspan.settings.stored.calibration import Calibration
+from midspan.signals.acceleration import GRAVITY_M_S2
 from midspan.signals.stamps import frames_used
 
 # The bias is known to no better than this many samples' noise, m/s², and this (a tilt of 0.006°); unknown: this.

@@ -1,45 +1,26 @@
 """The frames of a radar in the calibration window, and the acceleration at the same time."""
 
-from dataclasses import replace
-
 import numpy as np
 
-from midspan.calibration.radar.window import LEAST_FRAMES, OpenedWindow, unbroken
+from midspan.calibration.radar.window import MIN_FRAMES, OpenedWindow, opened
 from midspan.errors import DataError
 from midspan.progress import Progress
-from midspan.radar.frames import RadarFrames, collected, samples_of
+from midspan.radar.frames import RadarFrames, collected
 from midspan.recording.streams.recording import Recording
 from midspan.recording.streams.window import require_overlap, window_ends
 from midspan.records import NANOSECONDS
 from midspan.signals.stamps import inside
 
 # Complex values of range profiles that are kept of the window at most: 128 MB.
-MOST_VALUES = 1 << 24
-# A larger share of frames with holes is told.
+MAX_VALUES = 1 << 24
+# A larger share of frames with holes is reported.
 WARNED_LOST = 0.02
 
 
 def opened_window(recording: Recording, progress: Progress) -> OpenedWindow:
     """Read the calibration window of the radar, and the acceleration with a margin for the clock offset."""
     frames, told = _window(recording, progress)
-    first, last = window_ends(recording)
-    origin = int(frames.time_ns[0])
-    frames = replace(frames, time_ns=frames.time_ns - origin)
-    max_offset = min(recording.max_offset_s, 0.1 * float(frames.time_ns[-1]) / NANOSECONDS)
-    margin = round((max_offset + 1.0) * NANOSECONDS)
-    if (kept := unbroken(recording.prepared, frames, (origin, max_offset))) is not None:
-        frames = RadarFrames(frames.time_ns[kept], frames.phasors[kept], frames.valid[kept])
-        origin, begin = origin + int(frames.time_ns[0]), int(frames.time_ns[0])
-        frames = replace(frames, time_ns=frames.time_ns - begin)
-        length_s = float(frames.time_ns[-1]) / NANOSECONDS
-        told.append(
-            "radar: samples of the accelerometer are missing in the calibration window; its longest part without a "
-            f"gap, {length_s:.3g} s, was used."
-        )
-        first, last = origin, origin + int(frames.time_ns[-1])
-        margin = round(max_offset * NANOSECONDS)
-    samples = samples_of(recording.prepared, origin, (first - margin, last + margin))
-    return OpenedWindow(frames, samples, told, (origin, max_offset))
+    return opened(frames, recording.prepared, window_ends(recording), recording.max_offset_s, told)
 
 
 def _window(recording: Recording, progress: Progress) -> tuple[RadarFrames, list[str]]:
@@ -55,16 +36,16 @@ def _window(recording: Recording, progress: Progress) -> tuple[RadarFrames, list
     first = max(first, int(prepared.time_ns[0]) + margin)
     last = min(last, int(prepared.time_ns[-1]) - margin)
     used = inside(times, first, last)
-    if used.stop - used.start < LEAST_FRAMES:
+    if used.stop - used.start < MIN_FRAMES:
         raise DataError(
             f"radar: {max(used.stop - used.start, 0)} frames lie in the calibration window (those within "
-            f"calibration.max_offset_s of the accelerometer's ends are left out); at least {LEAST_FRAMES} are needed. "
+            f"calibration.max_offset_s of the accelerometer's ends are left out); at least {MIN_FRAMES} are needed. "
             "Widen calibration.window_s or bring the clocks together with radar.start_s."
         )
-    most = MOST_VALUES // max(source.info.channels * source.info.bins, 1)
+    most = MAX_VALUES // max(source.info.channels * source.info.bins, 1)
     told = []
     if used.stop - used.start > most:
-        used = slice(used.start, used.start + max(most, LEAST_FRAMES))
+        used = slice(used.start, used.start + max(most, MIN_FRAMES))
         length_s = (int(times[used.stop - 1]) - int(times[used.start])) / NANOSECONDS
         told.append(f"radar: only the first {length_s:.3g} s of the calibration window are used, to save memory.")
     blocks = source.profiles(used.start, used.stop)

@@ -2,18 +2,17 @@
 
 import html
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from midspan._version import __version__
+from midspan.engine.camera_result import CameraResult
 from midspan.engine.radar_trace import RadarTrace
 from midspan.engine.sensor_series import SensorSeries
 from midspan.recording.band import not_in_band
-from midspan.recording.camera_result import CameraResult
-from midspan.recording.second_axis import SecondAxis
 from midspan.recording.streams.recording import Recording
 from midspan.records import Estimate, Event, Floats, Innovation, PixelTrack, Source, Status, TimeSeries, seconds
 from midspan.settings.recording import RecordingSettings
@@ -28,7 +27,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 # Stretches drawn by `plot`; a longer record is thinned to the extremes of each.
-MOST_STRETCHES = 4000
+MAX_STRETCHES = 4000
 FIGURE_INCHES = (9.0, 3.0)
 
 
@@ -38,10 +37,10 @@ class Result:
 
     estimate: the rows in SI; calibration, settings, method: how they came about; innovation: measured minus predicted
     displacement; events, warnings: what is worth reporting; cameras: each camera's targets, frame by frame; measured:
-    what each sensor measured, in metres; radars: what the targets of each showed, by its name; across: the
-    second image axis, with camera.direction = "xy". zero_std_m: the part of every row's standard deviation that is the
-    zero's, common to the whole record. used: stretches (first and last stamp, ns) in which measurements
-    of each sensor, by its name, were used. file: the recording's settings file; name: the recording's name.
+    what each sensor measured, in metres; radars: what the targets of each showed, by its name; across: the same along
+    the second image axis, with camera.direction = "xy". zero_std_m: the part of every row's standard deviation that is
+    the zero's, common to the whole record. used: segments (first and last stamp, ns) in which measurements of each
+    sensor, by its name, were used. file: the recording's settings file; name: the recording's name.
     """
 
     estimate: Estimate
@@ -54,7 +53,7 @@ class Result:
     cameras: tuple[CameraResult, ...] = field(default=(), repr=False)
     measured: tuple[SensorSeries, ...] = field(default=(), repr=False)
     radars: Mapping[str, RadarTrace] = field(default_factory=dict, repr=False)
-    across: SecondAxis | None = field(default=None, repr=False)
+    across: "Result | None" = field(default=None, repr=False)
     zero_std_m: float = 0.0
     used: Mapping[str, Sequence[tuple[int, int]]] = field(default_factory=dict, repr=False)
     file: Path | None = None
@@ -87,23 +86,10 @@ class Result:
         return camera.direction if camera else ""
 
     @property
-    def second(self) -> "Result | None":
-        """The second image axis as a result of its own; None without one."""
-        if self.across is None or self.calibration.across is None:
-            return None
-        return replace(
-            self,
-            estimate=self.across.estimate,
-            calibration=self.calibration.across,
-            method=self.across.method,
-            innovation=self.across.innovation,
-            events=self.across.events,
-            cameras=(),
-            measured=self.across.measured,
-            radars={},
-            across=None,
-            zero_std_m=self.across.zero_std_m,
-        )
+    def fused(self) -> bool:
+        """Whether an accelerometer measures along this axis too."""
+        camera = self.calibration.first_camera
+        return camera is None or camera.fused
 
     @property
     def time_s(self) -> Floats:
@@ -136,18 +122,14 @@ class Result:
             "status": self.estimate.status,
         }
         if self.across is not None:
-            columns |= self._second_columns(self.across)
+            axis = self.across.axis
+            columns |= {
+                f"displacement_{axis}_mm": self.across.displacement_mm,
+                f"displacement_std_{axis}_mm": self.across.displacement_std_mm,
+                f"velocity_{axis}_mm_s": self.across.velocity_mm_s,
+                f"status_{axis}": self.across.estimate.status,
+            }
         return ResultTable(columns=columns, time_ns=self.estimate.time_ns, metadata=self.metadata())
-
-    @staticmethod
-    def _second_columns(across: SecondAxis) -> dict[str, Any]:
-        """The columns of the second axis, named by it."""
-        return {
-            f"displacement_{across.axis}_mm": across.displacement_mm,
-            f"displacement_std_{across.axis}_mm": across.displacement_std_mm,
-            f"velocity_{across.axis}_mm_s": across.velocity_mm_s,
-            f"status_{across.axis}": across.estimate.status,
-        }
 
     def metadata(self) -> dict[str, Any]:
         """Settings, calibration, version, events and warnings, as plain values."""
@@ -222,13 +204,8 @@ class Result:
         """Peaks and typical standard deviation along the second axis."""
         if self.across is None:
             return {}
-        d, axis = self.across.displacement_mm, self.across.axis
-        return {
-            f"largest_{axis}_mm": float(d.max()),
-            f"smallest_{axis}_mm": float(d.min()),
-            f"rms_{axis}_mm": float(np.sqrt(np.mean((d - d.mean()) ** 2))),
-            f"median_std_{axis}_mm": float(np.median(self.across.displacement_std_mm)),
-        }
+        found, names = self.across.figures(), ("largest", "smallest", "rms", "median_std")
+        return {f"{name}_{self.across.axis}_mm": found[f"{name}_mm"] for name in names}
 
     def to_pandas(self) -> "pd.DataFrame":
         """The rows as a data frame indexed by time_s, with words for source and status."""
@@ -259,12 +236,8 @@ class Result:
             if "inline" in pyplot.get_backend():
                 # A notebook shows the figure that a cell returns; it would show one that is still open once more.
                 pyplot.close(figure)
-        if self.across is None:
-            self._draw(axes, (self.displacement_mm, self.displacement_std_mm), "displacement")
-        else:
-            self._draw(axes, (self.displacement_mm, self.displacement_std_mm), f"displacement along {self.axis}")
-            second = (self.across.displacement_mm, self.across.displacement_std_mm)
-            self._draw(axes, second, f"displacement along {self.across.axis}")
+        for one in (self,) if self.across is None else (self, self.across):
+            one._draw(axes, "displacement" if self.across is None else f"displacement along {one.axis}")
         axes.set_xlabel("time (s)")
         axes.set_ylabel("displacement (mm)")
         axes.legend(loc="upper right", frameon=False)
@@ -290,12 +263,12 @@ class Result:
             return None, None
         return recording.reference, recording.reference_across
 
-    def _draw(self, axes: "Axes", rows_mm: tuple[Floats, Floats], label: str) -> None:
-        """One displacement with its band."""
-        time_s, value, half = self.time_s, rows_mm[0], 1.96 * rows_mm[1]
-        band = envelope(time_s, value - half, value + half, MOST_STRETCHES)
+    def _draw(self, axes: "Axes", label: str) -> None:
+        """The displacement with its band."""
+        time_s, value, half = self.time_s, self.displacement_mm, 1.96 * self.displacement_std_mm
+        band = envelope(time_s, value - half, value + half, MAX_STRETCHES)
         axes.fill_between(band.t, band.low, band.high, alpha=0.3, linewidth=0, label="±1.96 σ")
-        axes.plot(*envelope(time_s, value, value, MOST_STRETCHES).line(), linewidth=0.9, label=label)
+        axes.plot(*envelope(time_s, value, value, MAX_STRETCHES).line(), linewidth=0.9, label=label)
 
     def _repr_html_(self) -> str:
         """What a notebook shows: the picture and the first figures."""

@@ -85,6 +85,12 @@ class Outcome:
         return joined(self.measured[sensor])
 
     @property
+    def measured_ns(self) -> Nanoseconds:
+        """Stamps (n,) of all measurements, sensor by sensor."""
+        blocks = [block for listed in self.measured.values() for block in listed]
+        return np.concatenate([np.empty(0, dtype=np.int64), *(one.time_ns[np.isfinite(one.value)] for one in blocks)])
+
+    @property
     def zero_variance_m2(self) -> tuple[float, ...]:
         """Variance of the zero of each axis at the end."""
         return next((rows.zero_variance_m2 for rows in reversed(self.rows) if rows.zero_variance_m2), (0.0, 0.0))
@@ -95,7 +101,7 @@ class Outcome:
 
 
 def used_when(outcome: Outcome, channels: Sequence[Channel], sensor: str) -> list[tuple[int, int]]:
-    """First and last stamp (ns) of each stretch in which a sensor's measurements were accepted without a long pause."""
+    """First and last stamp (ns) of each segment in which a sensor's measurements were accepted without a long pause."""
     numbers = [k for k, channel in enumerate(channels) if channel.sensor == sensor]
     met = [outcome.innovation(k) for k in numbers]
     stamps = np.unique(np.concatenate([one.time_ns[one.verdict != REJECTED] for one in met]))

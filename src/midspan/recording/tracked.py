@@ -12,11 +12,7 @@ from midspan.progress import Progress
 from midspan.recording.streams.recording import Recording
 from midspan.recording.tracking.daylight import where_it_sees
 from midspan.recording.tracking.opening import open_tracking
-from midspan.records import (
-    Acceleration,
-    Source,
-    TimeOffset,
-)
+from midspan.records import Acceleration, TimeOffset
 from midspan.settings.kinds import CAMERAS
 from midspan.settings.sensor_words import in_words_of
 from midspan.settings.stored.calibration import Calibration
@@ -36,7 +32,7 @@ class Side:
 
 @dataclass(frozen=True, slots=True)
 class Eye:
-    """One camera of a recording, its tracking, and what was learnt of it along each axis, the main one first."""
+    """One camera of a recording, its tracking, and what was estimated of it along each axis, the main one first."""
 
     view: Recording
     tracking: CameraTracking
@@ -48,11 +44,6 @@ class Eye:
         return self.view.sensor
 
     @property
-    def source(self) -> Source:
-        """How its rows are marked."""
-        return self.calibrations[0].source
-
-    @property
     def begins_dark(self) -> bool:
         """Whether frames before the first one used were dark or not usable."""
         began_ns = self.view.sees_from_ns
@@ -60,7 +51,7 @@ class Eye:
 
 
 def known_sensors(main: Side) -> list[tuple[Recording, Any]]:
-    """The calibrated sensors of a recording that are no cameras: the view of each, and what was learnt of it."""
+    """The calibrated sensors of a recording that are no cameras: the view of each, and what was estimated of it."""
     views = [view for view in main.recording.views if view.kind not in CAMERAS]
     known = [(view, main.calibration.of_sensor(view.own, view.beside)) for view in views]
     return [one for one in known if one[1] is not None]
@@ -91,7 +82,7 @@ def side_of(recording: Recording, calibration: Calibration) -> Side:
 def open_eyes(sides: Sequence[Side], tracking: CameraTracking | None, progress: Progress) -> tuple[Eye, ...]:
     """The calibrated cameras of a recording, the one whose zero counts first.
 
-    tracking: what calibrating left, with those of further cameras beside it; None: each is opened.
+    tracking: what calibrating left, with those of further cameras with it; None: each is opened.
     """
     opened = {} if tracking is None else {one.settings.sensor: one for one in (tracking, *tracking.beside)}
     eyes = []

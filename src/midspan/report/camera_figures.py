@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from midspan.calibration.scale import ScaleCalibration
-from midspan.recording.camera_result import CameraResult
+from midspan.engine.camera_result import CameraResult
 from midspan.records import PixelTrack, Region, Status
 from midspan.report.drawing import (
     BLACK,
@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 # The longer side of the picture that is kept of a frame, px.
-LARGEST_FRAME_PX = 960
-MOST_PATH_POINTS = 3000
+MAX_FRAME_PX = 960
+MAX_PATH_POINTS = 3000
 
 
 def frame(camera: CameraResult) -> Picture:
@@ -61,7 +61,7 @@ def frame(camera: CameraResult) -> Picture:
 def _image(axes: "Axes", pixels: Any) -> None:
     """An image in its own pixel coordinates, thinned to what the page can show."""
     rows, columns = pixels.shape
-    step = max(1, -(-max(rows, columns) // LARGEST_FRAME_PX))
+    step = max(1, -(-max(rows, columns) // MAX_FRAME_PX))
     thinned = np.asarray(pixels[::step, ::step], dtype=np.float64)
     low, high = np.nanpercentile(thinned, (0.5, 99.5))
     extent = (-0.5, columns - 0.5, rows - 0.5, -0.5)
@@ -88,7 +88,7 @@ def _label(axes: "Axes", region: Region, text: str) -> None:
 def _path(axes: "Axes", track: PixelTrack) -> None:
     """Translation of the target in the image, its start marked."""
     known = np.flatnonzero(np.isfinite(track.x_px) & np.isfinite(track.y_px))
-    known = known[:: max(1, len(known) // MOST_PATH_POINTS)]
+    known = known[:: max(1, len(known) // MAX_PATH_POINTS)]
     axes.plot(track.x_px[known], track.y_px[known], color=BLUE, linewidth=0.4, alpha=0.7)
     axes.plot(0.0, 0.0, marker="o", color=VERMILLION, markersize=4)
     axes.set_aspect("equal", adjustable="datalim")

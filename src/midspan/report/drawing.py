@@ -19,7 +19,7 @@ SKY, ORANGE, PURPLE, GREY, BLACK = "#56B4E9", "#E69F00", "#CC79A7", "#7A7A7A", "
 
 WIDTH_IN = 9.6
 # A drawing in lines that grows beyond this is kept in dots instead.
-LARGEST_SVG = 400_000
+MAX_SVG = 400_000
 _STYLE: dict[Any, Any] = {
     "font.size": 9,
     "font.family": ["DejaVu Sans"],
@@ -71,7 +71,7 @@ def picture(figure: "Figure", *, dots: bool = False) -> Picture:
     """The figure as lines (SVG), or as dots (PNG) where asked for or where lines would be larger."""
     if not dots:
         lines = saved(figure, "svg", metadata={"Date": None, "Creator": None})
-        if len(lines) <= LARGEST_SVG:
+        if len(lines) <= MAX_SVG:
             return Picture("image/svg+xml", lines)
     return Picture("image/png", saved(figure, "png", dpi=150, metadata={"Software": None}))
 

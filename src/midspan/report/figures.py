@@ -32,9 +32,9 @@ if TYPE_CHECKING:
 BAND = 1.96
 ZOOM_S = 8.0
 SEGMENTS = 8
-LARGEST_SEGMENT = 2**16
+MAX_SEGMENT = 2**16
 # Measurements that a zoom can show one by one.
-MOST_CLEAR = 250
+MAX_CLEAR = 250
 
 
 def history(material: Material) -> Picture:
@@ -79,7 +79,7 @@ def _reference(axes: "Axes", material: Material) -> None:
 
 
 def _shade(axes: "Axes", material: Material) -> None:
-    """Coasting and lost stretches as coloured grounds over the whole height."""
+    """Coasting and lost segments as coloured grounds over the whole height."""
     status = material.result.estimate.status
     for code, colour in ((Status.COASTING, ORANGE), (Status.LOST, VERMILLION)):
         found = spans(material.t, status == code)
@@ -97,7 +97,7 @@ def _finish(axes: "Axes", material: Material, label: str) -> None:
 
 
 def liveliest(material: Material) -> slice:
-    """The rows of the stretch of about eight seconds with the largest rms velocity."""
+    """The rows of the segment of about eight seconds with the largest rms velocity."""
     rows = material.result.estimate
     slowest = min((m.rate_hz for m in material.measured), default=10.0)
     length_s = min(max(ZOOM_S, 12.0 / slowest), 40.0)
@@ -162,7 +162,7 @@ def _measurements(both: "tuple[Axes, Axes]", material: Material, measured: Measu
     t, value = material.clock.at(measured.time_ns[cut]), measured.value_mm[cut]
     fused = np.interp(t, material.t[which], material.result.displacement_mm[which])
     options: dict[str, Any] = {"color": colour, "elinewidth": 0.7, "markersize": 3.0}
-    if len(t) > MOST_CLEAR:
+    if len(t) > MAX_CLEAR:
         # A fast sensor's points would hide the lines: small and pale, behind them.
         options |= {"elinewidth": 0.5, "markersize": 1.2, "alpha": 0.3, "zorder": 1.5}
     for axes, shown in zip(both, (value, value - fused), strict=True):
@@ -215,7 +215,7 @@ def density(time_ns: Nanoseconds, value: Floats) -> tuple[Floats, Floats] | None
     even = np.arange(t[0], t[-1], step)
     if len(even) < 64:
         return None
-    segment = min(max(len(even) // SEGMENTS * 2, 64), LARGEST_SEGMENT, len(even))
+    segment = min(max(len(even) // SEGMENTS * 2, 64), MAX_SEGMENT, len(even))
     frequency, power = welch(np.interp(even, t, value), 1.0 / step, nperseg=segment, detrend="linear")
     return logarithmic_means(frequency[1:], np.maximum(power[1:], 1e-300))
 

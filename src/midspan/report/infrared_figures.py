@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from midspan.recording.camera_result import CameraResult
+from midspan.engine.camera_result import CameraResult
 from midspan.records import Event, Floats, Source
 from midspan.report.drawing import (
     BLACK,
@@ -33,12 +33,12 @@ FURTHER = (PURPLE, GREEN, BLACK)
 CAMERAS = (Source.CAMERA, Source.INFRARED)
 # Trackers whose strength is a number of matches; of the others it is the quality.
 MATCHING = ("features",)
-# A strip of sources needs no more stretches than it has dots.
+# A strip of sources needs no more segments than it has dots.
 STRIP_STRETCHES = 1500
 # The marks of each camera below the standard deviations take this share of the height.
 MARK_HEIGHT = 0.09
 # Digits of °C on the surface of temperature ranges.
-LEAST_DIGITS, MOST_DIGITS = 2, 4
+MIN_DIGITS, MAX_DIGITS = 2, 4
 
 
 def worth_showing(material: Material) -> bool:
@@ -83,7 +83,7 @@ def colour_of(material: Material, camera: CameraResult) -> str:
 def _strength(axes: "Axes", material: Material, camera: CameraResult) -> None:
     """Matches or quality of the best target; zero where it was lost."""
     t, value = _stamps(material, camera), camera.targets[camera.best].strength
-    matching = camera.settings.tracker in MATCHING
+    matching = material.section_of(camera).tracker in MATCHING
     draw_line(axes, envelope(t, value, value), colour_of(material, camera), "", linewidth=0.8)
     axes.set_title(camera.sensor, fontsize=9, loc="left", color=colour_of(material, camera))
     axes.set_ylabel("matches" if matching else "quality (%)")
@@ -105,7 +105,7 @@ def _marks(axes: "Axes", material: Material, camera: CameraResult, height: tuple
 
 
 def hidden_spans(material: Material, camera: CameraResult) -> list[tuple[float, float]]:
-    """Start and length (s) of the stretches in which something stood in front of a camera's targets."""
+    """Start and length (s) of the segments in which something stood in front of a camera's targets."""
     found, since = [], None
     for event in sorted(camera.events, key=lambda event: event.time_ns):
         if event.kind == "hidden" and since is None:
@@ -154,7 +154,7 @@ def _strip(axes: "Axes", material: Material) -> None:
 
 
 def source_spans(material: Material) -> dict[Source, list[tuple[float, float]]]:
-    """Start and length (s) of the stretches in which the rows rest on each source."""
+    """Start and length (s) of the segments in which the rows rest on each source."""
     source = material.result.estimate.source
     return {code: spans(material.t, source == code, STRIP_STRETCHES) for code, _ in shares(source)}
 
@@ -190,11 +190,11 @@ def chosen_place(found: RangeSurface) -> tuple[int, int]:
 
 def told_apart(values: Floats) -> list[str]:
     """Temperatures (n,) as text with as many digits as tell them apart, two at least, four at most."""
-    for digits in range(LEAST_DIGITS, MOST_DIGITS):
+    for digits in range(MIN_DIGITS, MAX_DIGITS):
         found = [f"{value:.{digits}f}" for value in values]
         if len(set(found)) == len(np.unique(values)):
             return found
-    return [f"{value:.{MOST_DIGITS}f}" for value in values]
+    return [f"{value:.{MAX_DIGITS}f}" for value in values]
 
 
 def surface(found: RangeSurface) -> Picture:

@@ -14,7 +14,7 @@ from midspan.writing import WRITTEN_BY, write_whole
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-# Misfits are tenths of a pixel and are drawn so many times longer.
+# Misfits are tenths of a pixel and are drawn this many times longer.
 LONGER = 200.0
 
 

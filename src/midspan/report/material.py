@@ -5,12 +5,14 @@ from datetime import UTC, datetime
 
 import numpy as np
 
+from midspan.engine.camera_result import CameraResult
 from midspan.engine.sensor_series import SensorSeries
 from midspan.errors import DataError
 from midspan.evaluate.interpolation import step_of
 from midspan.evaluate.metrics import Comparison, compare
 from midspan.recording.result import Result
 from midspan.records import Floats, Nanoseconds, TimeSeries, seconds
+from midspan.settings.camera import CameraSettings
 from midspan.signals.stamps import EPOCH_FROM_NS, inside
 
 # A reference whose zero is off by more than this share of its motion is drawn moved, and the caption says so.
@@ -69,6 +71,11 @@ class Material:
         """Times (n,) of the rows on the axis."""
         return self.clock.at(self.result.estimate.time_ns)
 
+    def section_of(self, camera: CameraResult) -> CameraSettings:
+        """The section of a camera in the settings."""
+        listed = [(one.name, one.settings) for one in self.result.settings.sensors]
+        return next(own for name, own in listed if name == camera.sensor and isinstance(own, CameraSettings))
+
     @property
     def name(self) -> str:
         """The recording's name."""
@@ -77,7 +84,7 @@ class Material:
 
 def gather(result: Result, reference: TimeSeries | None, across: TimeSeries | None = None) -> Material:
     """The material of a result and its references along the main and the second axis (m); None: without one."""
-    second = None if result.second is None else gather(result.second, across)
+    second = None if result.across is None else gather(result.across, across)
     measured = tuple(_aligned(result, series) for series in result.measured)
     material = Material(result, clock_of(int(result.estimate.time_ns[0])), measured, second=second)
     if reference is None:

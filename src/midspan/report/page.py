@@ -10,7 +10,7 @@ from midspan.writing import WRITTEN_BY
 
 
 def _own(name: str) -> str:
-    """A file that lies beside this module."""
+    """A file of this module's folder."""
     return Path(__file__).with_name(name).read_text(encoding="utf-8")
 
 

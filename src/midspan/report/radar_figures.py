@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 from midspan.calibration.sensors.radar import RadarCalibration, RadarDiagnostics
 from midspan.engine.radar_trace import PhaseExcerpt, RadarTrace, TargetTrace
 from midspan.radar.blockage import MAX_SHARE, MIN_SHARE
-from midspan.radar.channels import LEAST_BINS
+from midspan.radar.channels import MIN_BINS
+from midspan.radar.unwrap import TURN
 from midspan.records import Floats, seconds
 from midspan.report.drawing import (
     BLACK,
@@ -29,9 +30,8 @@ from midspan.signals.thinning import Envelope, spans
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-TURN = 2.0 * np.pi
 # Targets whose amplitude is drawn, and refused peaks that are marked.
-MOST_DRAWN, MOST_REFUSED = 5, 12
+MAX_DRAWN, MAX_REFUSED = 5, 12
 # The lowest and highest amplitude drawn, dB from the calibrated one.
 FLOOR_DB, CEILING_DB = -30.0, 12.0
 
@@ -41,7 +41,7 @@ def profile(radar: RadarCalibration, found: RadarDiagnostics) -> Picture:
     figure = sheet(3.2)
     axes = figure.subplots()
     x = _places(found)
-    if len(x) < LEAST_BINS:
+    if len(x) < MIN_BINS:
         axes.vlines(x, 0.0, found.power_db, color=BLUE, linewidth=3.0, label="power of the stored targets")
     else:
         axes.plot(x, found.power_db, color=BLUE, label="mean power")
@@ -51,7 +51,7 @@ def profile(radar: RadarCalibration, found: RadarDiagnostics) -> Picture:
     axes.set_ylim(max(low, -12.0), high + 0.14 * (high - low))
     axes.set_xlabel("range (m)" if np.isfinite(found.range_m).all() else "bin")
     axes.set_ylabel("power over the noise (dB)")
-    axes.margins(x=0.02 if len(x) >= LEAST_BINS else 0.1)
+    axes.margins(x=0.02 if len(x) >= MIN_BINS else 0.1)
     axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=5, borderaxespad=0.2)
     return picture(figure)
 
@@ -68,7 +68,7 @@ def _marks(axes: "Axes", radar: RadarCalibration, found: RadarDiagnostics, x: Fl
     refused = sorted((item.target for item in radar.targets if not item.used), key=lambda target: -target.amplitude)
     for targets, marker, size, colour, label in (
         (radar.used, "o", 6, VERMILLION, "used"),
-        (refused[:MOST_REFUSED], "x", 5, GREY, "not used"),
+        (refused[:MAX_REFUSED], "x", 5, GREY, "not used"),
     ):
         places = np.array([target.place_bin for target in targets])
         x_at, y_at = np.interp(places, bins, x), np.interp(places, bins, found.power_db)
@@ -80,7 +80,7 @@ def _marks(axes: "Axes", radar: RadarCalibration, found: RadarDiagnostics, x: Fl
 
 
 def circle(radar: RadarCalibration, found: RadarDiagnostics) -> Picture:
-    """The best target's phasors in the plane of I and Q, with what stands still taken for the centre."""
+    """The best target's phasors in the plane of I and Q, with what is static taken for the centre."""
     figure = sheet(3.6)
     left, right = figure.subplots(1, 2)
     raw = found.phasors[np.isfinite(found.phasors)]
@@ -99,7 +99,7 @@ def circle(radar: RadarCalibration, found: RadarDiagnostics) -> Picture:
 
 
 def _radius(axes: "Axes", share: NDArray[np.complex128], leak: complex) -> None:
-    """Amplitude over phase, before and after what stands still is taken out: flat is right."""
+    """Amplitude over phase, before and after what is static is taken out: flat is right."""
     used = share - leak
     if leak:
         draw_points(axes, np.angle(share), np.abs(share), marker=".", markersize=2.0, color=GREY, label="as received")
@@ -114,7 +114,7 @@ def _radius(axes: "Axes", share: NDArray[np.complex128], leak: complex) -> None:
 
 
 def phase(trace: RadarTrace, clock: Clock) -> Picture:
-    """The fastest seconds: phase as measured and unwrapped, and its speed beside the limit of plain unwrapping."""
+    """The fastest seconds: phase as measured and unwrapped, and its speed with the limit of plain unwrapping."""
     found = trace.excerpt
     assert found is not None
     figure = sheet(4.2)
@@ -150,7 +150,7 @@ def _speed(trace: RadarTrace, found: PhaseExcerpt) -> tuple[float, Floats]:
 
 def amplitudes(trace: RadarTrace, clock: Clock) -> Picture:
     """Phase of the best target over the whole record, and below the amplitude of each with the limits of blockage."""
-    shown = trace.targets[:MOST_DRAWN]
+    shown = trace.targets[:MAX_DRAWN]
     figure = sheet(1.7 + 1.15 * len(shown))
     first, *others = figure.subplots(1 + len(shown), 1, sharex=True, height_ratios=(1.5, *(1.0 for _ in shown)))
     t = clock.at(shown[0].time_ns)

@@ -66,7 +66,7 @@ def displacement(material: Material) -> str:
         )
         pieces.append(page.figure(figures.error(material), "Error against the reference", caption))
     caption = (
-        "The stretch with the largest velocity. Points are the sensors' own measurements with their ±1.96 standard "
+        "The segment with the largest velocity. Points are the sensors' own measurements with their ±1.96 standard "
         "deviations, moved to the result's zero: most bars should touch the line. Below, the same minus the "
         "displacement, so that the band can be seen."
     )
@@ -104,9 +104,9 @@ def second_axis(material: Material) -> str:
         caption = "What is left after the reference along this axis is taken away."
         pieces.append(page.figure(figures.error(second), f"Error along {axis}", caption))
         pieces.append(page.table(tables.comparison(second.comparison)))
-    caption = "The stretch with the largest velocity along this axis, with the camera's own measurements."
+    caption = "The segment with the largest velocity along this axis, with the camera's own measurements."
     pieces.append(page.figure(figures.zoom(second), f"The liveliest seconds along {axis}", caption))
-    pieces.append(page.table(tables.calibration(second)))
+    pieces.append(page.table(tables.calibrated(second.result.calibration)))
     return page.section("second-axis", f"Displacement along {axis}", *pieces)
 
 
@@ -114,15 +114,15 @@ def spectra(material: Material) -> str:
     """Power spectra."""
     caption = (
         "Welch's power spectral density, on logarithmic axes. Modes are peaks; the flat floor of a sensor alone is its "
-        "noise, which fusion lowers; a sensor alone ends at half its rate, with faster motion folded back."
+        "noise, which fusion lowers; a sensor alone ends at its Nyquist frequency, with faster motion aliased."
     )
     return page.section("spectra", "Spectra", page.figure(figures.spectra(material), "Spectra", caption))
 
 
 def calibration(material: Material) -> str:
-    """What was learnt about the sensors, and what it rests on."""
+    """What was estimated about the sensors, and what it rests on."""
     found = material.result.calibration
-    pieces = [page.table(tables.calibration(material))]
+    pieces = [page.table(tables.calibrated(found))]
     cameras = [(name, camera) for name, _, camera in found.sensors if isinstance(camera, CameraCalibration)]
     shown = [(name, camera.diagnostics) for name, camera in cameras if camera.diagnostics is not None]
     first = cameras[0][0] if cameras else ""
@@ -150,8 +150,8 @@ def _no_figures(found: Calibration) -> str:
     if found.radar is not None and found.displacement is None:
         return "What the radar's conversion factor and clock offset rest on is shown in the section on the radar."
     if found.displacement is not None and found.displacement.scale_std > 0.0:
-        return "Scale, noise levels and clock offset of the displacement sensor were learnt beside the accelerometer."
-    return "The unit of the displacement sensor is known, so that only noise levels and clock offset were learnt."
+        return "Scale, noise levels and clock offset of the displacement sensor come from the accelerometer."
+    return "The unit of the displacement sensor is known, so that only noise levels and clock offset were estimated."
 
 
 def innovations(material: Material) -> str:
@@ -192,8 +192,8 @@ def _one_radar(material: Material, name: str, found: RadarCalibration, trace: Ra
     if found.diagnostics is not None:
         caption = (
             f"The best target, {tables.radar_place(found.best)}, in the window. Left: its phasors turn about the cross "
-            "as the range changes; what stands still in the bin moves the cross away from zero and is taken out. "
-            "Right: amplitude over phase; flat is right, a wave is what stands still, a wide band other things that "
+            "as the range changes; what is static in the bin moves the cross away from zero and is taken out. "
+            "Right: amplitude over phase; flat is right, a wave is what is static, a wide band other things that "
             "move."
         )
         pieces.append(page.figure(radar_figures.circle(found, found.diagnostics), "Circle of the phasors", caption))
@@ -217,7 +217,7 @@ def _radar_phase(material: Material, trace: RadarTrace) -> str:
         pieces.append(page.figure(drawn, "Phase, measured and unwrapped", caption))
     caption = (
         "Above, the unwrapped phase of the best target; dotted lines: the cycle had to be found anew after an outage. "
-        "Below, the amplitude of each target beside that of the calibration, with the limits (dashed) outside which a "
+        "Below, the amplitude of each target over that of the calibration, with the limits (dashed) outside which a "
         "frame is blocked; orange ground: not used."
     )
     pieces.append(page.figure(radar_figures.amplitudes(trace, material.clock), "Targets over the record", caption))

@@ -1,7 +1,7 @@
 """The report's numbers as rows of text: cards, figures, calibration, settings, events."""
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -9,16 +9,18 @@ import numpy as np
 from midspan.calibration.sensors.camera import CameraCalibration
 from midspan.calibration.sensors.displacement import DisplacementCalibration
 from midspan.calibration.sensors.radar import RadarCalibration
+from midspan.engine.camera_result import CameraResult
 from midspan.evaluate.metrics import Comparison, normalised_innovation
 from midspan.fusion.blocks import REJECTED
 from midspan.radar.target import Target
-from midspan.recording.camera_result import CameraResult
 from midspan.records import NANOSECONDS, Event, Region, TimeOffset
 from midspan.report.material import Material
+from midspan.settings.camera import CameraSettings
 from midspan.settings.stored.calibration import Calibration
+from midspan.trees import flattened
 from midspan.vision.roi import RegionChoice
 
-# So many events stand in one table; more are folded by their kinds.
+# This many events stand in one table; more are grouped by their kinds.
 FEW_EVENTS = 12
 Row = tuple[str, str]
 Card = tuple[str, str, str]
@@ -102,7 +104,7 @@ def figures(material: Material) -> list[Row]:
 
 def comparison(found: Comparison) -> list[Row]:
     """The figures against the reference."""
-    lag = "not to be told" if found.lag_s is None else f"{1e3 * found.lag_s:+.3f} ms (+: the result is later)"
+    lag = "not determined" if found.lag_s is None else f"{1e3 * found.lag_s:+.3f} ms (+: the result is later)"
     rows = [
         ("compared", f"{found.count} rows from {found.start_s:.3f} to {found.end_s:.3f} s"),
         ("RMSE", f"{found.rmse_mm:.5g} mm"),
@@ -118,16 +120,18 @@ def comparison(found: Comparison) -> list[Row]:
     return rows
 
 
-def calibration(material: Material) -> list[Row]:
-    """The calibration's values with their standard deviations."""
-    found = material.result.calibration
-    rows: list[Row] = []
+def calibrated(found: Calibration) -> list[Row]:
+    """A calibration's values with their standard deviations."""
+    rows, motion_s = list[Row](), found.motion_noise_s
     for name, kind, sensor in found.sensors:
         rows += [(f"{name}: {label}", value) for label, value in CALIBRATED[kind](sensor)]
     rows += [
         *_gain(found),
         ("accelerometer: noise", f"{1e3 * found.noise_std_m_s2:.4g} mm/s² per sample"),
-        ("accelerometer: noise density per mean square of the motion", f"{found.motion_noise_s:.2g} s"),
+        (
+            "accelerometer: noise with the motion",
+            f"{motion_s:.2g} s times its mean square" if motion_s else "none found",
+        ),
         ("accelerometer: bias", _bias(found)),
         ("made", f"{found.created} by midspan {found.version}"),
     ]
@@ -146,13 +150,14 @@ def _bias(found: Calibration) -> str:
 
 def _camera(camera: CameraCalibration) -> list[Row]:
     value, std = 1e3 * camera.scale.value_m_per_px, 1e3 * math.sqrt(camera.scale.variance)
-    region = camera.region
+    region, seen = camera.region, camera.temperature_range_c
     return [
         ("scale factor", f"{value:.6g} ± {std:.2g} mm/px ({100 * std / abs(value):.2g} %)"),
         ("clock offset", _offset(camera.offset)),
         ("noise", f"{camera.noise_std_px:.3g} px a frame, {abs(value) * camera.noise_std_px:.3g} mm"),
-        ("learnt variance over the tracker's own", f"{camera.variance_factor:.3g}"),
+        ("variance factor", f"{camera.variance_factor:.3g}"),
         ("region", f"x {region.x}, y {region.y}, {region.width} × {region.height} px"),
+        *([("temperature range", f"{seen[0]:.2f} … {seen[1]:.2f} °C")] if seen else []),
         ("direction, tracker", f"{camera.direction}, {camera.tracker}"),
     ]
 
@@ -179,16 +184,16 @@ def _radar(radar: RadarCalibration) -> list[Row]:
     best = radar.best
     value, std = best.conversion_factor, best.conversion_factor_std
     return [
-        ("conversion factor of the best target", f"{value:.6g} ± {std:.2g} ({100 * std / abs(value):.2g} %)"),
-        ("range to it", f"{best.range_m:.3f} m" if math.isfinite(best.range_m) else "not known"),
+        ("conversion factor", f"{value:.6g} ± {std:.2g} ({100 * std / abs(value):.2g} %)"),
+        ("range", f"{best.range_m:.3f} m" if math.isfinite(best.range_m) else "not known"),
         ("clock offset", _offset(radar.offset)),
         ("noise", f"{1e3 * best.noise_m:.3g} mm a frame of displacement"),
-        ("learnt variance over that of the signal-to-noise ratio", f"{radar.variance_factor:.3g}"),
+        ("variance factor", f"{radar.variance_factor:.3g}"),
         ("carrier", f"{radar.carrier_hz / 1e9:.5f} GHz"),
     ]
 
 
-RADAR_HEADER = ("range (m)", "SNR (dB)", "conversion factor", "noise (mm)", "coherence", "clutter", "verdict")
+RADAR_HEADER = ("range (m)", "SNR (dB)", "conversion factor", "noise (mm)", "coherence", "clutter", "decision")
 
 
 def radar_place(target: Target) -> str:
@@ -221,7 +226,7 @@ def radar_targets(radar: RadarCalibration) -> list[tuple[str, ...]]:
     return rows
 
 
-CANDIDATES_HEADER = ("place", "region (px)", "predicted σ (px)", "beside the others (px)", "verdict")
+CANDIDATES_HEADER = ("place", "region (px)", "predicted σ (px)", "relative to the others (px)", "decision")
 
 
 def candidates(choice: RegionChoice) -> list[tuple[str, ...]]:
@@ -243,11 +248,11 @@ def _place(region: Region) -> str:
 
 
 def _displacement(sensor: DisplacementCalibration) -> list[Row]:
-    learnt = f"{sensor.scale:.5g} ± {sensor.scale_std:.2g} ({100 * sensor.relative_std:.2g} %), learnt"
+    scale = f"{sensor.scale:.5g} ± {sensor.scale_std:.2g} ({100 * sensor.relative_std:.2g} %), estimated"
     return [
         ("noise", f"{1e3 * sensor.noise_std_m:.4g} mm a measurement"),
         ("clock offset", _offset(sensor.offset)),
-        *([("scale", learnt)] if sensor.scale_std > 0.0 else []),
+        *([("scale", scale)] if sensor.scale_std > 0.0 else []),
     ]
 
 
@@ -273,13 +278,16 @@ def settings(material: Material) -> list[Row]:
         listed = tree[camera.source.word]
         for own in listed if isinstance(listed, list) else [listed]:
             if own.get("name", camera.sensor) == camera.sensor:
-                own |= {key: value for key, value in _taken(camera).items() if not own.get(key)}
-    return list(_flat(tree))
+                own |= {
+                    key: value for key, value in _taken(camera, material.section_of(camera)).items() if not own.get(key)
+                }
+    rows = [(key, value) for key, value in flattened(tree) if value != []]
+    return [(key, ", ".join(map(str, value)) if isinstance(value, list) else str(value)) for key, value in rows]
 
 
-def _taken(camera: CameraResult) -> dict[str, str]:
+def _taken(camera: CameraResult, settings: CameraSettings) -> dict[str, str]:
     """What a camera was tracked with where its settings do not say."""
-    settings, found = camera.settings, {}
+    found = {}
     if settings.reference is None:
         found["reference"] = f"{settings.reference_rule} (default)"
     if settings.roi is None and not settings.target:
@@ -289,17 +297,6 @@ def _taken(camera: CameraResult) -> dict[str, str]:
     if surface is not None:
         found["temperature_range_c"] = f"{surface.best.low_c:.2f}, {surface.best.high_c:.2f} (chosen)"
     return found
-
-
-def _flat(tree: dict[str, Any], prefix: str = "") -> Iterable[Row]:
-    for key, value in tree.items():
-        if isinstance(value, dict):
-            yield from _flat(value, f"{prefix}{key}.")
-        elif isinstance(value, list) and value and isinstance(value[0], dict):
-            for number, one in enumerate(value, start=1):
-                yield from _flat(one, f"{prefix}{key}[{number}].")
-        elif value != []:
-            yield prefix + key, ", ".join(str(x) for x in value) if isinstance(value, list) else str(value)
 
 
 def events(material: Material, found: Sequence[Event]) -> list[tuple[str, ...]]:

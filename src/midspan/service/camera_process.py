@@ -17,15 +17,14 @@ import numpy as np
 
 from midspan.errors import MidspanError
 from midspan.records import Frame, Region
+from midspan.service.pauses import Pauses
 from midspan.sources.live.camera import Stamped, StampKind, frames
 from midspan.sources.live.fault import SourceFault
 
+# A process that sends nothing for so long, not even why, hangs: it is ended and started again, s.
+HUNG_S = 60.0
 # Frames that wait for the engine; 30 are a second of a usual camera.
 MAX_WAITING = 30
-# A source that failed is opened again after the first pause, and after twice the pause each time, s.
-FIRST_PAUSE_S, LONGEST_PAUSE_S = 1.0, 30.0
-# One that has run for so long begins with the first pause again.
-SOUND_S = 60.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +58,7 @@ class CameraProcess:
         self.address, self._taken = address, taken
         self._context = multiprocessing.get_context("spawn")
         self._region: Region | None = None
-        self._ending = threading.Event()
+        self._ending, self._pauses = threading.Event(), Pauses()
         self._process: Any = None
         self._pipe: Connection | None = None
         self._thread = threading.Thread(target=self._watch, daemon=True, name=f"camera {address.partition(':')[0]}")
@@ -92,15 +91,12 @@ class CameraProcess:
                 self._pipe.send(self._region)
 
     def _watch(self) -> None:
-        pause_s = FIRST_PAUSE_S
         while not self._ending.is_set():
-            begun_s = time.monotonic()
             self._run_once()
             if self._ending.is_set():
                 return
             self._taken(Failed("process_ended", "the camera's process ended; it is started again"))
-            pause_s = FIRST_PAUSE_S if time.monotonic() - begun_s > SOUND_S else min(2 * pause_s, LONGEST_PAUSE_S)
-            self._ending.wait(pause_s)
+            self._ending.wait(self._pauses.next_s())
 
     def _run_once(self) -> None:
         """One life of the process."""
@@ -109,11 +105,14 @@ class CameraProcess:
         self._process.start()
         child.close()
         self._send()
+        heard_s = time.monotonic()
         try:
             while not self._ending.is_set():
                 if self._pipe.poll(0.5):
                     self._taken(self._pipe.recv())
-                elif not self._process.is_alive():
+                    self._pauses.worked()
+                    heard_s = time.monotonic()
+                elif not self._process.is_alive() or time.monotonic() - heard_s > HUNG_S:
                     return
         except (EOFError, OSError):
             return
@@ -128,22 +127,19 @@ class CameraProcess:
 def serve(address: str, pipe: Connection) -> None:
     """The camera's process: read, cut, stamp and send, and open again what failed, until the end is asked for."""
     sender = _Sender(pipe)
-    pause_s = FIRST_PAUSE_S
+    pauses = Pauses()
     while not sender.ended:
-        begun_s, given = time.monotonic(), 0
         try:
             for stamped in _frames(address):
                 if sender.ended:
                     return
                 sender.give(stamped)
-                given += 1
+                pauses.worked()
         except SourceFault as fault:
             sender.say(Failed(fault.code, str(fault)))
         except MidspanError as error:
             sender.say(Failed("damaged", str(error)))
-        pause_s = FIRST_PAUSE_S if time.monotonic() - begun_s > SOUND_S else pause_s
-        sender.wait(pause_s)
-        pause_s = FIRST_PAUSE_S if given else min(2 * pause_s, LONGEST_PAUSE_S)
+        sender.wait(pauses.next_s())
 
 
 def _frames(address: str) -> Iterator[Stamped]:
@@ -224,23 +220,14 @@ class _Sender:
         self.ended = True
 
 
-class Pasted:
-    """Makes frames of a camera's parts: of the whole frame's size, so that all places stay those of the picture."""
+def pasted(item: Delivered) -> Frame:
+    """The frame of a camera's part, of the whole frame's size, so that all places stay those of the picture.
 
-    def __init__(self) -> None:
-        self._whole: np.ndarray | None = None
-
-    def frame(self, item: Delivered) -> Frame:
-        """The frame; what is outside the part is as it was in the last whole frame."""
-        if self._whole is None or self._whole.shape != item.shape or self._whole.dtype != item.part.dtype:
-            self._whole = np.zeros(item.shape, dtype=item.part.dtype)
-        x, y = item.place
-        rows, columns = item.part.shape
-        if (rows, columns) == item.shape:
-            self._whole = item.part
-        else:
-            # Trackers keep the frames that they compare with: each is an array of its own.
-            whole = self._whole.copy()
-            whole[y : y + rows, x : x + columns] = item.part
-            self._whole = whole
-        return Frame(item.time_ns, self._whole, item.number)
+    Around the part is its mean level: what is not seen any more must not look like a lit, sharp or unchanged picture.
+    """
+    if item.part.shape == item.shape:
+        return Frame(item.time_ns, item.part, item.number)
+    (x, y), (rows, columns) = item.place, item.part.shape
+    whole = np.full(item.shape, item.part.mean() if item.part.size else 0, dtype=item.part.dtype)
+    whole[y : y + rows, x : x + columns] = item.part
+    return Frame(item.time_ns, whole, item.number)

@@ -13,6 +13,7 @@ from midspan.records import (
     Arrival,
     Estimate,
     Event,
+    Floats,
     Nanoseconds,
     PixelTranslation,
     RangeFrame,
@@ -22,6 +23,9 @@ from midspan.store.chunk import Chunk
 from midspan.store.store import Batch
 
 ROWS, SHOWN = "rows", "displacement_m"
+# Deviations and velocities of rows are kept in steps of 0.12 nm (and nm/s), far below any noise: with all bits a
+# store of rows would be half as large again.
+STEP = 2.0**-33
 TRANSLATION = (
     "x_px",
     "y_px",
@@ -60,6 +64,8 @@ class Journal:
         self._raw: list[Arrival] = []
         self._found: dict[str, list[tuple[PixelTranslation, ...]]] = {}
         self._rows: list[Rows] = []
+        # How many of them `fresh` has given.
+        self._given = 0
         self._events: list[Event] = []
         # Variance of the zero along each axis, as last given.
         self._zero_m2: tuple[float, ...] = (0.0, 0.0)
@@ -87,8 +93,13 @@ class Journal:
         """Everything since the last time, to be written at once."""
         chunks = [*self._raw_chunks(), *self._found_chunks(), *self._row_chunks()]
         events = [(self.point, event) for event in self._events]
-        self._raw, self._found, self._rows, self._events = [], {}, [], []
+        self._raw, self._found, self._rows, self._events, self._given = [], {}, [], [], 0
         return Batch(chunks, events)
+
+    def fresh(self) -> Chunk | None:
+        """The rows along the main axis since the last time, which are kept all the same; None without any."""
+        new, self._given = self._rows[self._given :], len(self._rows)
+        return self._rows_along(0, "", new)
 
     def _raw_chunks(self) -> list[Chunk]:
         streams: dict[str, list[Readings | RangeFrame]] = {}
@@ -109,20 +120,25 @@ class Journal:
         return chunks
 
     def _row_chunks(self) -> list[Chunk]:
-        chunks = []
-        for number, axis in enumerate(self._axes):
-            own = []
-            for rows in self._rows:
-                if rows.zero_variance_m2:
-                    self._zero_m2 = rows.zero_variance_m2
-                if rows.estimates and len(rows.estimates[number].time_ns):
-                    own.append((rows.estimates[number], self._zero_m2[number]))
-            if own:
-                columns = [row_columns(estimate, zero_m2) for estimate, zero_m2 in own]
-                together = {name: np.concatenate([one[name] for one in columns]) for name in columns[0]}
-                time_ns = np.concatenate([estimate.time_ns for estimate, _ in own])
-                chunks.append(Chunk(self.point, rows_stream(axis), time_ns, together, self.calibration, SHOWN))
-        return chunks
+        found = [self._rows_along(number, axis, self._rows) for number, axis in enumerate(self._axes)]
+        self._zero_m2 = next(
+            (one.zero_variance_m2 for one in reversed(self._rows) if one.zero_variance_m2), self._zero_m2
+        )
+        return [one for one in found if one is not None]
+
+    def _rows_along(self, number: int, axis: str, given: Sequence[Rows]) -> Chunk | None:
+        """Rows along one axis as a chunk."""
+        zero_m2, own = self._zero_m2, []
+        for rows in given:
+            zero_m2 = rows.zero_variance_m2 or zero_m2
+            if rows.estimates and len(rows.estimates[number].time_ns):
+                own.append((rows.estimates[number], zero_m2[number]))
+        if not own:
+            return None
+        columns = [row_columns(estimate, zero_m2) for estimate, zero_m2 in own]
+        together = {name: np.concatenate([one[name] for one in columns]) for name in columns[0]}
+        time_ns = np.concatenate([estimate.time_ns for estimate, _ in own])
+        return Chunk(self.point, rows_stream(axis), time_ns, together, self.calibration, SHOWN)
 
     def _chunk(self, stream: str, time_ns: Nanoseconds, columns: dict[str, NDArray[Any]]) -> Chunk:
         """Raw rows with increasing stamps: a clock that ran back is in the events, and what it repeated is not kept."""
@@ -132,15 +148,19 @@ class Journal:
 
 
 def row_columns(estimate: Estimate, zero_m2: float) -> dict[str, NDArray[Any]]:
-    """The columns that rows are kept as: displacement and velocity exactly, deviations to seven digits."""
+    """The columns that rows are kept as: displacement exactly, deviations and velocity in steps of STEP."""
     return {
         SHOWN: estimate.displacement_m,
-        "std_m": np.sqrt(estimate.variance_m2).astype(np.float32),
-        "velocity_m_s": estimate.velocity_m_s.astype(np.float32),
+        "std_m": _in_steps(np.sqrt(estimate.variance_m2)),
+        "velocity_m_s": _in_steps(estimate.velocity_m_s),
         "source": estimate.source,
         "status": estimate.status,
-        "zero_std_m": np.full(len(estimate.time_ns), np.sqrt(zero_m2), dtype=np.float32),
+        "zero_std_m": _in_steps(np.full(len(estimate.time_ns), np.sqrt(zero_m2))),
     }
+
+
+def _in_steps(values: Floats) -> Floats:
+    return np.asarray(STEP * np.rint(values / STEP))
 
 
 def raw_columns(records: Sequence[Readings | RangeFrame]) -> tuple[Nanoseconds, dict[str, NDArray[Any]]]:

@@ -1,6 +1,7 @@
 """Writes batches to the store, one after another; while it is away they wait, up to a bound."""
 
 from collections import deque
+from collections.abc import Sequence
 
 from midspan.errors import MidspanError
 from midspan.store.database import StoreFault
@@ -13,11 +14,12 @@ MAX_WAITING = 18_000
 class Keeper:
     """`put` never waits; `write` writes what waits, and is called by one thread at a time.
 
-    reason: why the store is away, empty while it takes everything; dropped: batches that were lost.
+    points: that it writes, locked as long as the store is open. reason: why the store is away, empty while it takes
+    everything; dropped: batches that were lost.
     """
 
-    def __init__(self, where: str) -> None:
-        self._where = where
+    def __init__(self, where: str, points: Sequence[str] = ()) -> None:
+        self._where, self._points = where, points
         self._store: Store | None = None
         self._waiting: deque[Batch] = deque()
         self.reason, self.text, self.dropped = "", "", 0
@@ -37,9 +39,9 @@ class Keeper:
             self.dropped += 1
 
     def store(self) -> Store:
-        """The open store; raises StoreFault."""
+        """The open store; raises StoreFault, and UsageError for a point that another process writes."""
         if self._store is None:
-            self._store = open_store(self._where)
+            self._store = open_store(self._where, points=self._points)
         return self._store
 
     def write(self) -> None:

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable, Mapping
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -50,6 +51,7 @@ class Broker:
         client.max_queued_messages_set(MAX_QUEUED)
         client.reconnect_delay_set(1, 30)
         client.on_connect, client.on_disconnect, client.on_message = self._met, self._left, self._came
+        client.on_connect_fail = self._not_met
         self._session = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
         self._session.SessionExpiryInterval = SESSION_S
         self._client = client
@@ -86,6 +88,9 @@ class Broker:
             client.subscribe([(topic, qos) for topic, qos in self._topics.items()])
         self.publish("available", "online", qos=1, retain=True)
 
+    def _not_met(self, _client: Any, _data: Any) -> None:
+        self.reason = "broker_gone"
+
     def _left(self, _client: Any, _data: Any, _flags: Any, _code: Any, _properties: Any) -> None:
         self.connected, self.reason = False, "broker_gone"
 
@@ -94,8 +99,16 @@ class Broker:
         self._taken(message.topic, bytes(message.payload), lambda: client.ack(number, qos) if qos else None)
 
 
+def even_parts(rows: Chunk) -> list[Chunk]:
+    """Rows in parts whose stamps are even, each within half a step: a block has one interval."""
+    steps = np.diff(rows.time_ns)
+    usual_ns = float(np.median(steps)) if len(steps) else 0.0
+    ends = [0, *(1 + np.flatnonzero(np.abs(steps - usual_ns) > 0.5 * usual_ns)).tolist(), len(rows.time_ns)]
+    return [rows.rows(slice(a, b)) for a, b in pairwise(ends)]
+
+
 def result_payload(rows: Chunk, sequence: int) -> bytes:
-    """Rows as a block of mm and their standard deviations."""
+    """Rows with even stamps as a block of mm and their standard deviations."""
     time_ns = rows.time_ns
     step_ns = round(int(time_ns[-1] - time_ns[0]) / (len(time_ns) - 1)) if len(time_ns) > 1 else 1
     values = 1e3 * np.asarray(rows.columns["displacement_m"])

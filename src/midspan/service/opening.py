@@ -20,7 +20,7 @@ from midspan.recording.point import clock_offsets_ns, measuring_point
 from midspan.recording.run import records_of
 from midspan.recording.streams.recording import open_recording
 from midspan.recording.tracked import open_eyes
-from midspan.records import Arrival, PixelTranslation, RangeFrame, Readings, Region, Status, Tracked
+from midspan.records import Arrival, Floats, PixelTranslation, RangeFrame, Readings, Region, Status, Tracked
 from midspan.service.journal import TRANSLATION, Journal, target_stream
 from midspan.settings.stored.calibration import Calibration
 from midspan.store.chunk import Chunk
@@ -37,7 +37,7 @@ SEPARATOR = b"\n"
 class Opened:
     """A point on live records: the engine's point, what keeps its records, and the numbers of the records pushed.
 
-    regions: of each camera, the smallest that holds all its targets, px.
+    regions: of each camera, the smallest that holds all its targets, px; bins: of each radar's targets.
     """
 
     point: Point
@@ -45,6 +45,7 @@ class Opened:
     counts: dict[str, int]
     newest_ns: dict[str, int]
     regions: dict[str, Region]
+    bins: dict[str, Floats]
 
 
 def opened(folder: Path, name: str, calibration: Calibration, number: int, *, given: bool, push: bool = True) -> Opened:
@@ -62,7 +63,8 @@ def opened(folder: Path, name: str, calibration: Calibration, number: int, *, gi
     point = measuring_point(sides, eyes, lag_s=lag_s, given=given, log=False, wait_s=(LATENESS_S, SILENT_S))
     journal = Journal(name, clock_offsets_ns(sides[0], eyes), calibration=number)
     regions = {eye.sensor: around([target.region for target in eye.tracking.targets]) for eye in eyes}
-    found = Opened(point, journal, {}, {}, regions)
+    bins = {name: one.chain.bins for name, one in point.sensors.items() if isinstance(one, RadarSensor)}
+    found = Opened(point, journal, {}, {}, regions, bins)
     if push:
         for stream, record in records_of(point, sides, eyes, block_s=BLOCK_S):
             if isinstance(record, Arrival):

@@ -5,18 +5,23 @@ whose result is handed back.
 """
 
 from collections import deque
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from pathlib import Path
+from typing import Any
 
 from midspan.engine.support import PointStatus
 from midspan.errors import MidspanError
-from midspan.records import NANOSECONDS, Arrival, Event, Frame, Readings, Tick
+from midspan.radar.info import RadarInfo
+from midspan.records import NANOSECONDS, Arrival, Event, Frame, RangeFrame, Readings, Tick
 from midspan.service.capture import Capture
 from midspan.service.journal import Journal
 from midspan.service.opening import Opened, checkpoint
 from midspan.settings.recording import RecordingSettings
 from midspan.settings.site import PointPlan
+from midspan.sources.radar.radar_source import at_bins
+from midspan.store.chunk import Chunk
 from midspan.store.store import Batch
 
 # Time and frames (of the slowest camera) that a point is opened from: what a template is made from.
@@ -51,13 +56,14 @@ class Job:
 class LivePoint:
     """A point of the site.
 
-    settings: of its captured recordings; folder: where these go; number: of the calibration in force, 0 before there is
-    one.
+    settings: of its captured recordings; folder: where these go; radars: what is known of each radar, by the sensor's
+    name; number: of the calibration in force, 0 before there is one.
     """
 
     plan: PointPlan
     settings: RecordingSettings
     folder: Path
+    radars: Mapping[str, RadarInfo] = field(default_factory=dict)
     number: int = 0
     phase: Phase = Phase.CAPTURING
     reason: str = ""
@@ -167,14 +173,27 @@ class LivePoint:
             self._wanted, self.phase = "", Phase.RUNNING
         self._tell("calibration_refused", f"{self.name}: {error}")
 
-    def batch(self) -> Batch:
-        """What is to be kept since the last time; with a checkpoint where one is due."""
+    def resumed(self, found: Opened, folder: Path) -> None:
+        """The point is open again, from its checkpoint and the folder that it was opened from then."""
+        self._opened_in = folder
+        self.is_opened(found)
+
+    def unseen(self, sensor: str) -> str:
+        """Why nothing is measured with one of its sensors though records come: dark, frozen, lost, else nothing."""
+        return "" if self.opened is None else self.opened.point.unseen(sensor)
+
+    def fresh(self) -> Chunk | None:
+        """The rows since the last time, to be published; `batch` keeps them."""
+        return None if self.opened is None else self.opened.journal.fresh()
+
+    def batch(self, *, last: bool = False) -> Batch:
+        """What is to be kept since the last time; with a checkpoint where one is due, or at the end."""
         assert self._journal is not None
         batches = [self._journal.batch()]
         kept: dict[str, tuple[int, bytes]] = {}
         if self.opened is not None:
             batches.append(self.opened.journal.batch())
-            if self.phase is Phase.RUNNING and self._newest_ns - self._kept_ns >= CHECKPOINT_S * NANOSECONDS:
+            if self.phase is Phase.RUNNING and (last or self._newest_ns - self._kept_ns >= CHECKPOINT_S * NANOSECONDS):
                 kept[self.name] = (self._newest_ns, checkpoint(self.opened, self.settled_in))
                 self._kept_ns = self._newest_ns
         events = [(self.name, event) for event in self._events]
@@ -196,7 +215,7 @@ class LivePoint:
         if self._capture is None:
             stamp_s = max(_stamp(arrival), 0) // NANOSECONDS
             self._capture = Capture(
-                self.folder / f"{'opening' if self._opens else 'calibration'}-{stamp_s}", self.settings
+                self.folder / f"{'opening' if self._opens else 'calibration'}-{stamp_s}", self.settings, self.radars
             )
         self._capture.push(arrival)
         length_s, frames = self._capture.length_s, self._capture.frames
@@ -231,12 +250,20 @@ class LivePoint:
         found.counts[arrival.stream] = sequence
         if not isinstance(arrival.record, Event):
             found.newest_ns[arrival.stream] = max(_stamp(arrival), found.newest_ns.get(arrival.stream, -(2**62)))
-        numbered = Arrival(arrival.stream, sequence, arrival.record)
+        numbered = Arrival(arrival.stream, sequence, at_targets(arrival, found))
         found.journal.arrived(numbered)
         found.journal.given(found.point.push(numbered))
 
     def _tell(self, kind: str, text: str) -> None:
         self._events.append(Event(self._newest_ns, kind, text))
+
+
+def at_targets(arrival: Arrival, found: Opened) -> Any:
+    """A record as the point takes it: of a radar's profile only the bins of its targets."""
+    record = arrival.record
+    if not isinstance(record, RangeFrame):
+        return record
+    return replace(record, phasors=at_bins(record.phasors[None], found.bins[arrival.stream])[0])
 
 
 def _stamp(arrival: Arrival) -> int:

@@ -15,6 +15,10 @@ REASONS: dict[str, tuple[str, str]] = {
     "size_changed": ("frames have another size than before", "set the camera back, or calibrate again"),
     "silent": ("nothing has come for some seconds", "check the sensor, its cable and its sender"),
     "payload": ("a message is not as documented", "check the sender's version, kind and length"),
+    "clock_ahead": ("stamps are of the future", "set the clocks of the sender and of this machine (NTP)"),
+    "no_values": ("the values that come are no numbers", "check the sensor and its logger"),
+    "dark": ("the pictures are dark", "check the light and what stands in front of the camera"),
+    "frozen": ("the same picture or value comes again and again", "check the camera or sensor, and what sends for it"),
     "broker_gone": (
         "the MQTT broker cannot be reached",
         "check the broker; it is connected again automatically",
@@ -26,7 +30,7 @@ REASONS: dict[str, tuple[str, str]] = {
     "calibration_refused": ("the calibration could not be trusted", "see the event; it is tried again automatically"),
     "calibration_offered": ("a calibration waits to be accepted", "accept it (MQTT cmd/accept), or set accept = auto"),
     "opening": ("the point is being opened", "wait some seconds"),
-    "lost": ("the sensor's target is lost", "see the picture; something may stand in front of it"),
+    "lost": ("the sensor's target is lost", "see the image; something may stand in front of it"),
 }
 
 

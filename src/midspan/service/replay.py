@@ -2,12 +2,15 @@
 
 import json
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from midspan.checks import option
-from midspan.engine.point import Point
+from midspan.engine.point import Output, Point
+from midspan.engine.sensors import Seen
 from midspan.errors import UsageError
 from midspan.fusion.methods import METHODS, Pass
 from midspan.progress import Progress, silent
@@ -19,9 +22,12 @@ from midspan.recording.run import records_of
 from midspan.recording.streams.recording import Recording, naming
 from midspan.recording.tracked import open_eyes
 from midspan.records import NANOSECONDS, Arrival, Complete, Readings
-from midspan.service.journal import Journal
+from midspan.service.journal import ROWS, SHOWN, Journal
+from midspan.service.stored_rows import FIRST_NS, LAST_NS
+from midspan.settings.site import is_a_point
 from midspan.settings.stored.calibration import Calibration
-from midspan.store.store import Store
+from midspan.store.chunk import Chunk
+from midspan.store.store import Batch, Store
 
 # The methods that give a row once and for all.
 LIVE = ("kalman", "lag")
@@ -53,10 +59,10 @@ def replay(
 
     name: of the point; left out: the recording's. calibration: left out, it is made first. speed: times real time;
     None: as fast as it goes. Rows are those of `estimate` with the same method. Raises what `calibrate` raises, and
-    UsageError for a point whose rows are as new already, or for another method than those of a live point.
+    UsageError for a point whose rows are as new already, another method than those of a live point, or such a name.
     """
     option("method", method, LIVE)
-    name = name or point_name(recording.name)
+    name = point_called(name, recording)
     require_free(store, name, recording)
     given = calibration is not None
     tracking = None
@@ -87,7 +93,10 @@ def replay(
 
 
 class Player:
-    """Gives records to a point and what comes out of it to a store, a block of readings at a time."""
+    """Gives records to a point and what comes out of it to a store, a block of readings at a time.
+
+    Rows are kept in the streams' common span, as in a result: from the first to the last measurement.
+    """
 
     def __init__(
         self, point: Point, journal: Journal, store: Store, speed: float | None, wait: Callable[[float], None]
@@ -95,6 +104,9 @@ class Player:
         self._point, self._journal, self._store = point, journal, store
         self._speed, self._wait = speed, wait
         self._begun: tuple[int, float] | None = None
+        self._first_ns, self._last_ns = LAST_NS, FIRST_NS
+        # Rows since the last measurement.
+        self._held: list[Chunk] = []
         self.newest_ns, self.rows = 0, 0
 
     def push(self, record: Arrival | Complete) -> None:
@@ -104,18 +116,33 @@ class Player:
             self.newest_ns = max(self.newest_ns, int(record.record.time_ns[-1]))
             self._keep_pace()
         self._journal.arrived(record)
-        self._journal.given(self._point.push(record))
+        self._take(self._point.push(record))
 
     def finish(self) -> None:
         """The end of all records."""
-        self._journal.given(self._point.finish())
+        self._take(self._point.finish())
         self._write()
+
+    def _take(self, outputs: Sequence[Output]) -> None:
+        for output in outputs:
+            if isinstance(output, Seen) and output.measured is not None:
+                stamps = output.measured.time_ns[np.isfinite(output.measured.value)]
+                self._first_ns = min([self._first_ns, *stamps[:1].tolist()])
+                self._last_ns = max([self._last_ns, *stamps[-1:].tolist()])
+        self._journal.given(outputs)
 
     def _write(self) -> None:
         batch = self._journal.batch()
-        if batch.chunks or batch.events:
-            self._store.write(batch)
-            self.rows += sum(len(one.time_ns) for one in batch.chunks if one.stream == "rows")
+        chunks = [one for one in batch.chunks if one.shown != SHOWN]
+        rows = [*self._held, *(one for one in batch.chunks if one.shown == SHOWN)]
+        self._held = [late for one in rows if len((late := one.rows(one.time_ns > self._last_ns)).time_ns)]
+        for one in rows:
+            kept = one.rows((one.time_ns >= self._first_ns) & (one.time_ns <= self._last_ns))
+            if len(kept.time_ns):
+                chunks.append(kept)
+                self.rows += len(kept.time_ns) if kept.stream == ROWS else 0
+        if chunks or batch.events:
+            self._store.write(Batch(chunks, batch.events))
 
     def _keep_pace(self) -> None:
         """Wait until the records' own time, times the speed, has gone by."""
@@ -130,8 +157,17 @@ class Player:
 
 
 def point_name(text: str) -> str:
-    """A point's name out of any text: letters, digits, - and _."""
-    return "".join(sign if sign.isascii() and (sign.isalnum() or sign in "-_") else "-" for sign in text) or "point"
+    """A point's name out of any text: 64 letters, digits, - and _ at most."""
+    named = "".join(sign if sign.isascii() and (sign.isalnum() or sign in "-_") else "-" for sign in text)
+    return named[:64] or "point"
+
+
+def point_called(given: str | None, recording: Recording) -> str:
+    """The point that is meant: of this name, which is checked, or named after the recording. Raises UsageError."""
+    try:
+        return point_name(recording.name) if given is None else is_a_point(given)
+    except ValueError as error:
+        raise UsageError(f"--point {error}; received {given!r}. Give another name.") from None
 
 
 def require_free(store: Store, name: str, recording: Recording) -> None:

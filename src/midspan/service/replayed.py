@@ -8,8 +8,9 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from midspan.errors import DataError
+from midspan.radar.info import RadarInfo
 from midspan.recording.streams.recording import Recording, open_recording
-from midspan.records import NANOSECONDS, Readings
+from midspan.records import NANOSECONDS, RangeFrame, Readings
 from midspan.sources.live.camera import Stamped, StampKind
 
 # Readings come in blocks of this length.
@@ -37,6 +38,26 @@ def readings(address: str) -> Iterator[tuple[float, Readings]]:
         if k == len(time_ns) or number[k] != number[begin]:
             yield time_ns[k - 1] / NANOSECONDS, Readings(time_ns[begin:k], series.value[begin:k, None])
             begin = k
+
+
+def range_frames(address: str) -> Iterator[tuple[float, RangeFrame]]:
+    """The range profiles of a radar, each with the instant (s UTC) that it is due at."""
+    recording, sensor, start_ns = parts(address)
+    moved_ns = start_ns - int(recording.acceleration.time_ns[0])
+    source = next(view for view in recording.views if view.sensor == sensor).radar
+    for block in source.profiles():
+        for frame in block:
+            stamp = frame.time_ns + moved_ns
+            yield stamp / NANOSECONDS, replace(frame, time_ns=stamp)
+
+
+def radar_info(address: str, sensor: str) -> RadarInfo:
+    """What is known of the radar of a recording at `address`."""
+    recording = open_recording(address)
+    view = next((view for view in recording.views if view.sensor == sensor), None)
+    if view is None:
+        raise DataError(f"{recording.file}: has no [{sensor}].")
+    return view.radar.info
 
 
 def film(address: str) -> Iterator[Stamped]:

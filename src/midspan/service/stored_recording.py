@@ -10,11 +10,35 @@ from midspan.errors import DataError, UsageError
 from midspan.records import NANOSECONDS
 from midspan.service.journal import target_stream
 from midspan.service.stored_rows import stored_rows
+from midspan.settings.load import RECORDING_FILE
 from midspan.settings.stored.calibration import Calibration
 from midspan.settings.stored.calibration_file import calibration_from_dict
 from midspan.store.chunk import Chunk
-from midspan.store.store import Store, StoredCalibration
+from midspan.store.store import Store, StoredCalibration, is_address
 from midspan.trees import TreeError, json_tree
+
+ACCELERATION_FILE = "acceleration.npz"
+# What messages advise for files, and for a store in its place.
+ADVICE = {
+    "Sort or correct the rows, or give rate_hz instead.": "Choose a span without them (--from, --to).",
+    "Correct the file.": "Choose a span without it (--from, --to).",
+    "Give a time stamp for each frame, or cut the recording where its clock is set.": "Choose a span without it "
+    "(--from, --to).",
+    "Check for lost frames, or split the recording there.": "Choose a span that ends or begins there (--from, --to).",
+    "Check the calibration's time_offset_s and the start_s of both.": "Choose another span (--from, --to), or check "
+    "the calibration's time_offset_s.",
+}
+
+
+def in_words_of_a_store(text: str, folder: Path, where: str, point: str) -> str:
+    """A message about the recording in `folder` as one about the point of the store that it was made of."""
+    store = f"{'the PostgreSQL store' if is_address(where) else where}: point {point!r}"
+    for file, advice in ADVICE.items():
+        text = text.replace(file, advice)
+    for path in sorted(folder.glob("*.npz")):
+        sensor = "accelerometer" if path.name == ACCELERATION_FILE else path.stem
+        text = text.replace(str(path), f"{store}, {sensor}")
+    return text.replace(str(folder / RECORDING_FILE), store).replace(str(folder), store)
 
 
 def stored_recording(
@@ -35,7 +59,7 @@ def stored_recording(
     if acceleration is None or not len(acceleration.time_ns):
         raise DataError(f"The store has no acceleration of {point!r} in that time.")
     tree: dict[str, Any] = {key: value for key, value in settings.items() if key in ("name", "calibration", "fusion")}
-    _save(folder / "acceleration.npz", {"time_ns": acceleration.time_ns, **_values(acceleration)})
+    _save(folder / ACCELERATION_FILE, {"time_ns": acceleration.time_ns, **_values(acceleration)})
     tree["accelerometer"] = _accelerometer(settings["accelerometer"], acceleration)
     # Sensors' own clocks may be apart by what the calibration says.
     span = (int(acceleration.time_ns[0]) - 2 * NANOSECONDS, int(acceleration.time_ns[-1]) + 2 * NANOSECONDS)
@@ -45,7 +69,7 @@ def stored_recording(
         written = [_section(store, point, kind, section, folder, span) for section in sections]
         if written:
             tree[kind] = written if len(written) > 1 else written[0]
-    (folder / "recording.toml").write_text(tomli_w.dumps(tree), encoding="utf-8")
+    (folder / RECORDING_FILE).write_text(tomli_w.dumps(tree), encoding="utf-8")
     return folder, calibration
 
 
@@ -68,7 +92,7 @@ def _values(acceleration: Chunk) -> dict[str, NDArray[Any]]:
 def _accelerometer(section: dict[str, Any], acceleration: Chunk) -> dict[str, Any]:
     """The section for the file of readings in SI units."""
     kept: dict[str, Any] = {key: section[key] for key in ("scale_std", "estimate_scale", "noise_std") if key in section}
-    own: dict[str, Any] = {"file": "acceleration.npz", "time": "time_ns", "unit": "m/s^2", **kept}
+    own: dict[str, Any] = {"file": ACCELERATION_FILE, "time": "time_ns", "unit": "m/s^2", **kept}
     named = [key for key in ("value_x", "value_y") if key in section]
     if acceleration.columns["value"].ndim == 1:
         return {**own, (named[0] if named else "value"): "value"}

@@ -1,8 +1,13 @@
 """/healthz, /readyz and /metrics."""
 
+import os
+import socket
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
+
+from midspan.errors import UsageError
+from midspan.settings.site import Site
 
 Standing = dict[str, Any]
 """{"ready": bool, "sources": [{"source", "reason", "text"}, …]} and figures by name."""
@@ -28,14 +33,26 @@ def application(standing: Callable[[], Standing], figures: Callable[[], str]) ->
     return Starlette(routes=[Route("/healthz", healthz), Route("/readyz", readyz), Route("/metrics", metrics)])
 
 
-def server(app: Any, listen: str) -> Any:
-    """A web server for `host:port` that leaves signals alone."""
+def listening(site: Site) -> socket.socket:
+    """A socket that listens where the site's file says. Raises UsageError where it cannot."""
+    listen = site.settings.service.listen
+    host, _, port = listen.rpartition(":")
+    host = host.strip("[]")
+    try:
+        return socket.create_server((host, int(port)), family=socket.AF_INET6 if ":" in host else socket.AF_INET)
+    except OSError as error:
+        why = error.strerror if isinstance(error, socket.gaierror) else os.strerror(error.errno or 0)
+        raise UsageError(
+            f"{site.file}: service.listen: {listen} cannot be listened on ({why}). Stop the program that "
+            "listens there, or write another address or port."
+        ) from None
+
+
+def server(app: Any) -> Any:
+    """A web server for a socket of `listening` that leaves signals alone."""
     import uvicorn
 
-    host, _, port = listen.rpartition(":")
-    config = uvicorn.Config(
-        app, host=host.strip("[]"), port=int(port), log_level="warning", access_log=False, lifespan="off"
-    )
+    config = uvicorn.Config(app, log_level="warning", access_log=False, lifespan="off")
 
     class Server(uvicorn.Server):
         """One whose end is the service's."""

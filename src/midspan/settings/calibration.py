@@ -115,7 +115,7 @@ class StoredAccelerometer(Stored):
 
 
 class StoredTarget(Stored):
-    """One target of a camera; one that is not used may lack what was not learnt of it."""
+    """One target of a camera; one that is not used may lack what was not estimated of it."""
 
     name: Text | None = None
     roi: Roi
@@ -137,7 +137,7 @@ class StoredTarget(Stored):
 
 
 class StoredScale(Stored):
-    """What is learnt along one image axis; the targets' own values are in `targets`."""
+    """What is estimated along one image axis; the targets' own values are in `targets`."""
 
     scale_mm_per_px: Factor
     scale_std_mm_per_px: Std = 0.0
@@ -206,7 +206,7 @@ class StoredCamera(StoredSensor, StoredScale):
 
 
 class StoredBackground(Stored):
-    """What stands still in each bin that a radar's target moves through."""
+    """What is static in each bin that a radar's target moves through."""
 
     bins: Annotated[tuple[Bin, ...], Field(min_length=1)]
     phasors: Annotated[tuple[Complex, ...], Field(min_length=1)]
@@ -278,7 +278,7 @@ class StoredRadar(StoredSensor):
 
 
 class StoredDisplacement(StoredSensor):
-    """A displacement sensor; its scale is 1 where it was not learnt."""
+    """A displacement sensor; its scale is 1 where it was not estimated."""
 
     noise_std_mm: Noise
     resolution_m: Std | None = None

@@ -1,4 +1,4 @@
-"""The kinds of sensors beside the accelerometer, of which there may be several each: their lists and names."""
+"""The kinds of sensors besides the accelerometer, of which there may be several each: their lists and names."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -49,7 +49,7 @@ SensorName = Annotated[str, AfterValidator(_is_a_word)]
 def sensor_names(listed: Mapping[str, Sequence[str | None]]) -> tuple[str, ...]:
     """The name of each sensor in the order of KINDS; listed: kind → names as given, None for one without.
 
-    A single one without a name is called by its kind. Raises ValueError where they cannot be told apart.
+    A single one without a name is called by its kind. Raises ValueError where they cannot be distinguished.
     """
     names = []
     for kind in KINDS:

@@ -165,7 +165,7 @@ class RecordingSettings(Section):
 
     @property
     def sensors(self) -> tuple[Sensor, ...]:
-        """All sensors beside the accelerometer: cameras, thermal cameras, radars, displacement sensors."""
+        """All sensors besides the accelerometer: cameras, thermal cameras, radars, displacement sensors."""
         listed = {kind: self.of_kind(kind) for kind in KINDS}
         names = iter(sensor_names({kind: [section.name for section in listed[kind]] for kind in KINDS}))
         return tuple(Sensor(next(names), kind, section) for kind in KINDS for section in listed[kind])

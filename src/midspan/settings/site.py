@@ -15,6 +15,8 @@ from midspan.settings.fields import FileName, IsNumber, Section, limited
 from midspan.settings.kinds import KINDS
 from midspan.settings.messages import explain
 from midspan.settings.recording import RecordingSettings
+from midspan.sources.live.radar import host_and_port
+from midspan.sources.live.serial_line import device_and_baud
 from midspan.trees import TreeError, read_toml
 
 ACCELEROMETER = "accelerometer"
@@ -24,19 +26,30 @@ FILE_KEYS = ("file", "times", "time", "value", "start_s")
 CAPTURED = {
     ACCELEROMETER: "acceleration.npz",
     "camera": "camera",
+    "infrared": "infrared",
+    "radar": "radar",
     "displacement": "displacement.npz",
 }
 ADDRESSES = {
-    ACCELEROMETER: ("mqtt:", "replay:"),
+    ACCELEROMETER: ("mqtt:", "serial:", "replay:"),
     "camera": ("rtsp://", "usb:", "replay:"),
-    "displacement": ("mqtt:", "replay:"),
+    "infrared": ("rtsp://", "usb:", "replay:"),
+    "radar": ("udp:", "replay:"),
+    "displacement": ("mqtt:", "serial:", "replay:"),
 }
 VARIABLE = re.compile(r"\{([A-Za-z_][A-Za-z0-9_]*)\}")
 
 
-def _is_a_point(value: str) -> str:
+def is_a_point(value: str) -> str:
+    """A point's name; ValueError for another text."""
     if not re.fullmatch(r"[A-Za-z0-9_-]{1,64}", value):
         raise ValueError("must be 1 to 64 letters, digits, - and _, as it becomes part of topics and files")
+    return value
+
+
+def _is_a_site(value: str) -> str:
+    if not 1 <= len(value) <= 64 or not value.isprintable() or any(sign in "+#/" for sign in value):
+        raise ValueError("must be 1 to 64 characters other than +, #, / and control characters, as topics hold it")
     return value
 
 
@@ -48,7 +61,7 @@ def _is_an_address(value: str) -> str:
     return value
 
 
-PointName = Annotated[str, AfterValidator(_is_a_point)]
+PointName = Annotated[str, AfterValidator(is_a_point)]
 
 
 class StoreSettings(Section):
@@ -58,6 +71,10 @@ class StoreSettings(Section):
     url: SecretStr | None = Field(None, description="postgresql://user@host/database, instead of path")
     keep_days: Annotated[float, IsNumber, limited(1.0, 36500.0, "days")] = Field(
         365.0, description="how long rows and raw records are kept, in days"
+    )
+
+    archive: FileName | None = Field(
+        None, description="folder for each day's records as Parquet, relative to this file; left out: none"
     )
 
     @model_validator(mode="after")
@@ -109,7 +126,9 @@ class PointSettings(Section):
 class SiteFile(Section):
     """The sections of the file apart from the points."""
 
-    name: PointName = Field(description="the site's name, part of every topic: letters, digits, - and _")
+    name: Annotated[str, AfterValidator(_is_a_site)] = Field(
+        description="the site's name, part of every topic: blanks are allowed; +, #, / and control characters are not"
+    )
     store: StoreSettings
     mqtt: MqttSettings | None = None
     service: ServiceSettings = Field(default_factory=lambda: ServiceSettings.model_validate({}))
@@ -117,13 +136,14 @@ class SiteFile(Section):
 
 @dataclass(frozen=True, slots=True)
 class PointPlan:
-    """One point: its settings, what its recordings say of the sensors, and the address that each sensor's records
-    come from, by the sensor's name.
+    """One point: its settings, what its recordings say of the sensors, and by each sensor's name the address that its
+    records come from; configs: the file of each radar's settings, relative to SITE.toml.
     """
 
     settings: PointSettings
     recording: RecordingSettings
     sources: dict[str, str]
+    configs: dict[str, str]
 
     @property
     def name(self) -> str:
@@ -162,7 +182,9 @@ def load_site(path: str | Path) -> Site:
         raise DataError(f"{file}: cannot be read ({error.strerror}).") from None
     tree = filled(tree, str(file), lambda name: os.environ.get(name))
     points = tree.pop("point", [])
-    if not isinstance(points, list) or not points or not all(isinstance(one, dict) for one in points):
+    if not points:
+        raise UsageError(f"{file}: point: is missing. Add one [[point]] for each measuring point.")
+    if not isinstance(points, list) or not all(isinstance(one, dict) for one in points):
         raise UsageError(f"{file}: point: must be one [[point]] for each measuring point, at least one.")
     settings = _validated(SiteFile, tree, str(file))
     plans = tuple(_plan(point, f"{file}: point[{number}]") for number, point in enumerate(points, start=1))
@@ -177,9 +199,9 @@ def load_site(path: str | Path) -> Site:
 
 
 def is_site(path: str | Path) -> bool:
-    """Whether a file is a SITE.toml: it has [[point]]."""
+    """Whether a file is a SITE.toml: it has a section that only such a file has."""
     try:
-        return "point" in read_toml(Path(path))
+        return not read_toml(Path(path)).keys().isdisjoint(("point", "store", "mqtt", "service"))
     except (TreeError, OSError, ValueError):
         return False
 
@@ -213,8 +235,6 @@ def _plan(tree: dict[str, Any], where: str) -> PointPlan:
     for kind in (ACCELEROMETER, *KINDS):
         if kind not in tree:
             continue
-        if kind not in ADDRESSES:
-            raise UsageError(f"{where}.{kind}: must be one of {', '.join(ADDRESSES)}; others run on recordings only.")
         given = tree[kind] if isinstance(tree[kind], list) else [tree[kind]]
         if not given or not all(isinstance(one, dict) for one in given):
             raise UsageError(f"{where}.{kind}: must be a section with keys, [point.{kind}].")
@@ -235,7 +255,23 @@ def _plan(tree: dict[str, Any], where: str) -> PointPlan:
     for name, (kind, _) in named.items():
         sources[name] = addresses[kind][counts[kind]]
         counts[kind] += 1
-    return PointPlan(settings, recording, sources)
+    configs = {
+        sensor.name: sensor.settings.config
+        for sensor in recording.sensors
+        if sensor.kind == "radar" and sensor.settings.config is not None
+    }
+    if missing := [
+        name for name, (kind, _) in named.items() if kind == "radar" and _needs(sources[name], configs, name)
+    ]:
+        raise UsageError(
+            f"{where}.radar.config: is missing for {missing[0]!r}. Add the .cfg or .json that the radar runs with."
+        )
+    return PointPlan(settings, recording, sources, configs)
+
+
+def _needs(address: str, configs: dict[str, str], name: str) -> bool:
+    """Whether a radar's settings are needed, and not there."""
+    return address.startswith("udp:") and name not in configs
 
 
 def _captured(kind: str, number: int, section: dict[str, Any], where: str) -> dict[str, Any]:
@@ -258,6 +294,13 @@ def _address(kind: str, section: dict[str, Any], where: str) -> str:
         listed = ", ".join(f"{one}…" for one in known)
         raise UsageError(f"{where}.source: must be one of {listed}; received {value!r}." if value is not None else
                          f"{where}.source: is missing. Add one of {listed}.")  # fmt: skip
+    try:
+        if value.startswith("serial:"):
+            device_and_baud(value.removeprefix("serial:"))
+        elif value.startswith("udp:"):
+            host_and_port(value.removeprefix("udp:"))
+    except ValueError as error:
+        raise UsageError(f"{where}.source: {error}; received {value!r}.") from None
     return value
 
 

@@ -18,7 +18,7 @@ from midspan.records import (
     part,
     seconds,
 )
-from midspan.signals.bridging import GAP_STEPS, LONG_SHARE, LOWEST_HZ, missed_share, unknown_density
+from midspan.signals.bridging import GAP_STEPS, LONG_SHARE, MIN_HZ, missed_share, unknown_density
 from midspan.signals.health import (
     Clock,
     Mask,
@@ -34,14 +34,16 @@ from midspan.signals.health import (
 from midspan.signals.lively import mean_square
 from midspan.signals.stamps import inside, shown
 
+# Standard gravity, m/s².
+GRAVITY_M_S2 = 9.80665
 # Above this share of the rate the motion is so fast that integration errs by 1 % and more.
 FASTEST_SHARE = 0.2
 # White noise crosses zero as often. It is motion where samples next to each other or but one are correlated by more:
 # a tone above that share by 0.8 and more where it is all there is.
-LEAST_CORRELATED = 0.3
+MIN_CORRELATED = 0.3
 # Share of samples that may be missing, frozen or clipped before the channel is refused.
-MOST_MISSING = 0.2
-MOST_CLIPPED = 0.05
+MAX_MISSING = 0.2
+MAX_CLIPPED = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +94,7 @@ class PreparedAcceleration:
 
     @property
     def unmeasured_ns(self) -> NDArray[np.int64]:
-        """Stamps (k, 2) of the last sample before and the first one after each stretch that had to be bridged."""
+        """Stamps (k, 2) of the last sample before and the first one after each segment that had to be bridged."""
         last = len(self.time_ns) - 1
         spans = [(max(int(a) - 1, 0), min(int(b), last)) for a, b in runs(self.missing)]
         spans += [(int(k), int(k) + 1) for k in clock(self.time_ns, GAP_STEPS).gaps]
@@ -118,10 +120,10 @@ def prepare_acceleration(series: TimeSeries, where: str) -> PreparedAcceleration
     """
     usual = clock(series.time_ns, GAP_STEPS)
     absent, still, held, alone = _unusable(series)
-    _refuse(where, still & ~absent, "frozen", (MOST_MISSING, "stands at one value"))
-    _refuse(where, held, "clipped", (MOST_CLIPPED, "is held at the end of its range"))
+    _refuse(where, still & ~absent, "frozen", (MAX_MISSING, "stands at one value"))
+    _refuse(where, held, "clipped", (MAX_CLIPPED, "is held at the end of its range"))
     missing = absent | still | held | alone
-    _refuse(where, missing, "missing", (MOST_MISSING, "is not a number, frozen or clipped"))
+    _refuse(where, missing, "missing", (MAX_MISSING, "is not a number, frozen or clipped"))
     straight = towards_mean(bridged(series.value, missing), missing, usual.rate_hz)
     value = np.where(held, with_crests(series.value, held), straight)
     density = _bridging_density(value, missing, usual)
@@ -188,11 +190,11 @@ def _refuse(where: str, mask: Mask, kind: str, rule: tuple[float, str]) -> None:
 
 
 def towards_mean(value: Floats, missing: Mask, rate_hz: float) -> Floats:
-    """`value` (n,) with long bridged stretches drawn from their straight line to the mean of what was seen."""
+    """`value` (n,) with long bridged segments drawn from their straight line to the mean of what was seen."""
     if not missing.any():
         return value
     seen = value[~missing]
-    mean, frequency = float(np.mean(seen)), max(dominant_frequency(seen, rate_hz), LOWEST_HZ)
+    mean, frequency = float(np.mean(seen)), max(dominant_frequency(seen, rate_hz), MIN_HZ)
     drawn = value.copy()
     for start, end in runs(missing):
         share = missed_share((end - start + 1) / rate_hz, frequency)
@@ -204,7 +206,7 @@ def _correlated(value: Floats) -> bool:
     """Whether samples (n,) are no white noise, by their correlation with the next one and the next but one."""
     left = value - np.mean(value)
     power = max(float(np.sum(left**2)), 1e-300)
-    return max(abs(float(np.sum(left[k:] * left[:-k]))) for k in (1, 2)) > LEAST_CORRELATED * power
+    return max(abs(float(np.sum(left[k:] * left[:-k]))) for k in (1, 2)) > MIN_CORRELATED * power
 
 
 def _bridging_density(value: Floats, missing: Mask, gaps: Clock) -> Floats:
@@ -213,7 +215,7 @@ def _bridging_density(value: Floats, missing: Mask, gaps: Clock) -> Floats:
     if not missing.any() and not len(gaps.gaps):
         return density
     seen, rate_hz = value[~missing], gaps.rate_hz
-    frequency = max(dominant_frequency(seen, rate_hz), LOWEST_HZ)
+    frequency = max(dominant_frequency(seen, rate_hz), MIN_HZ)
     unknown = unknown_density(seen, rate_hz)
 
     def unseen(length_s: float) -> float:

@@ -10,7 +10,7 @@ GAP_STEPS = 2.5
 # A gap is long when its density is above this share of that of a wholly unknown motion.
 LONG_SHARE = 0.1
 # Motion is not taken to be slower than this when something has to be bridged.
-LOWEST_HZ = 0.2
+MIN_HZ = 0.2
 
 
 def missed_share(length_s: float, frequency_hz: float) -> float:
@@ -20,4 +20,4 @@ def missed_share(length_s: float, frequency_hz: float) -> float:
 
 def unknown_density(value: Floats, rate_hz: float) -> float:
     """Noise density, (m/s²)²/Hz, for a motion like `value` (n,) that was not seen: its variance over its bandwidth."""
-    return float(np.var(value)) / max(dominant_frequency(value, rate_hz), LOWEST_HZ)
+    return float(np.var(value)) / max(dominant_frequency(value, rate_hz), MIN_HZ)

@@ -16,7 +16,7 @@ from midspan.checks import positive, refuse
 from midspan.records import Floats
 
 # Beyond this many taps the exchange algorithm fails to converge; the filter is then designed at a lower rate.
-MOST_TAPS = 1500
+MAX_TAPS = 1500
 # `flat_at_zero` adds ripple to the pass band only; the exchange leaves room for it. Measured at 0.5 to 1 Hz and 100 Hz:
 # with these two 721 taps keep 1e-3, a Blackman window and even weights need 861, no flatness at all 653.
 PASS_WEIGHT, CORRECTION_SHAPE = 2.0, 3.0
@@ -65,7 +65,7 @@ def equiripple_low_pass(band: Transition, rate_hz: float) -> Floats:
     Interpolated finite impulse response filters, IEEE Trans. Acoust. 32 (1984) 563-570.
     """
     _below_nyquist(band, rate_hz)
-    fold = int(_tap_estimate(band, rate_hz) / MOST_TAPS) + 1
+    fold = int(_tap_estimate(band, rate_hz) / MAX_TAPS) + 1
     if fold > 1 and band.stop_hz < 0.25 * rate_hz / fold:
         slow = equiripple_low_pass(Transition(band.pass_hz, band.stop_hz, 0.7 * band.ripple), rate_hz / fold)
         spread = np.zeros(fold * (len(slow) - 1) + 1)

@@ -1,4 +1,4 @@
-"""What is wrong with a channel: gaps, missing values, frozen stretches, clipping, jitter of its clock."""
+"""What is wrong with a channel: gaps, missing values, frozen segments, clipping, jitter of its clock."""
 
 from dataclasses import dataclass
 
@@ -18,9 +18,9 @@ GAP_STEPS = 1.5
 CHANCE = 1e-9
 EQUAL_MEMORY_S = 5.0
 EQUAL_AT_FIRST = 0.9
-# A run that ends with a step of at most so many of the smallest ones was rest or chance; what follows a freeze jumps.
+# A run that ends with a step of at most this many of the smallest ones was rest or chance; what follows a freeze jumps.
 REST_STEPS = 1.5
-# One or two samples are a spike where they are so many times as far from the mean as the record's standard deviation,
+# One or two samples are a spike where they are this many times as far from the mean as the record's standard deviation,
 # and as the two samples on either side: a motion that is gone a sample later would be far above the Nyquist frequency,
 # and an impact rings.
 SPIKE, SPIKE_SAMPLES, BESIDE = 100.0, 2, 2
@@ -144,7 +144,7 @@ def frozen(value: Floats, rate_hz: float) -> Mask:
 
 
 def _is_rest(value: Floats, start: int, end: int) -> bool:
-    """Whether a held stretch lies at the mean of all other samples and is reached gently, as a structure's rest is."""
+    """Whether a held segment lies at the mean of all other samples and is reached gently, as a structure's rest is."""
     others = np.concatenate((value[:start], value[end:]))
     others = others[np.isfinite(others)]
     if not len(others):

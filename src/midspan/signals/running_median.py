@@ -1,4 +1,4 @@
-"""The median of the last so many values, one value at a time."""
+"""The median of the last n values, one value at a time."""
 
 from bisect import bisect_left, insort
 from collections import deque

@@ -1,4 +1,4 @@
-"""Time stamps: stretches of them as slices, and how a person reads one."""
+"""Time stamps: segments of them as slices, and how a person reads one."""
 
 from datetime import UTC, datetime
 

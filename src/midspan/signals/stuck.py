@@ -5,9 +5,9 @@ import numpy as np
 from midspan.records import Floats
 from midspan.signals.health import CLIPPED_RUN, CREST_STEPS, Mask, overshoot, runs
 
-# So many exactly equal values in a row are looked at.
-LEAST_EQUAL = 5
-# A stretch is judged in pieces of this length, or of LEAST_EQUAL values where these take longer: over a long time
+# This many exactly equal values in a row are looked at.
+MIN_EQUAL = 5
+# A segment is judged in pieces of this length, or of MIN_EQUAL values where these take longer: over a long time
 # twice integrated noise is larger than any motion.
 PIECE_S = 4.0
 # The motion must leave the value's resolution by this many times, and the accelerometer's own noise by far: noise of
@@ -25,16 +25,16 @@ def stuck(time_s: Floats, value: Floats, samples: Floats, *, resolution_m: float
 
     time_s (n,) increasing, value (n,), not-a-number where missing; samples (m, 3): time (s) on the same clock,
     acceleration (m/s²), density of its noise ((m/s²)²/Hz); resolution_m: what the values are rounded to, m (see
-    `resolution`). A sensor of coarse resolution may stand still while the motion stays within it; and of a parabola in
+    `resolution`). A sensor of coarse resolution may be static while the motion stays within it; and of a parabola in
     time the acceleration tells nothing.
     """
     known = np.flatnonzero(np.isfinite(value))
     mask = np.zeros(len(value), dtype=bool)
-    if len(known) < LEAST_EQUAL:
+    if len(known) < MIN_EQUAL:
         return mask
     equal = runs(np.concatenate(([False], np.diff(value[known]) == 0.0)))
     least = RESOLUTIONS * resolution_m
-    for start, end in equal[equal[:, 1] - equal[:, 0] + 1 >= LEAST_EQUAL]:
+    for start, end in equal[equal[:, 1] - equal[:, 0] + 1 >= MIN_EQUAL]:
         held = known[start - 1 : end]
         pieces = _pieces(time_s[held])
         if any(moved(time_s[held[a:b]], samples, least) for a, b in pieces):
@@ -55,7 +55,7 @@ def range_limits(value: Floats) -> tuple[float, float]:
     """
     known = value[np.isfinite(value)]
     limits = [-np.inf, np.inf]
-    if len(known) < LEAST_EQUAL:
+    if len(known) < MIN_EQUAL:
         return -np.inf, np.inf
     clear = CREST_STEPS * resolution(known)
     for side, level in enumerate((float(known.min()), float(known.max()))):
@@ -76,7 +76,7 @@ def resolution(value: Floats) -> float:
 
 def piece_length(step_s: float) -> int:
     """How many values, `step_s` apart, are judged together."""
-    return max(LEAST_EQUAL, int(np.ceil(PIECE_S / step_s)))
+    return max(MIN_EQUAL, int(np.ceil(PIECE_S / step_s)))
 
 
 def _pieces(time_s: Floats) -> list[tuple[int, int]]:
@@ -95,7 +95,7 @@ def moved(time_s: Floats, samples: Floats, least_m: float) -> bool:
     """
     first, last = np.searchsorted(samples[:, 0], (time_s[0], time_s[-1]))
     near = samples[max(first - 1, 0) : last + 1]
-    if len(near) < LEAST_EQUAL or near[-1, 0] < time_s[-1] or near[0, 0] > time_s[0]:
+    if len(near) < MIN_EQUAL or near[-1, 0] < time_s[-1] or near[0, 0] > time_s[0]:
         return False
     velocity = _integral(near[:, 0], near[:, 1] - np.mean(near[:, 1]))
     path = np.interp(time_s, near[:, 0], _integral(near[:, 0], velocity))

@@ -1,4 +1,4 @@
-"""Long series drawn with few points: the extremes of each stretch, so that no peak is lost."""
+"""Long series drawn with few points: the extremes of each segment, so that no peak is lost."""
 
 from dataclasses import dataclass
 
@@ -15,7 +15,7 @@ PAUSE_STEPS = 6.0
 class Envelope:
     """Stretches (k,) of a series: their middle times `t` and the lowest and highest value in each; NaN between pauses.
 
-    whole: each stretch is a single value, nothing was thinned.
+    whole: each segment is a single value, nothing was thinned.
     """
 
     t: Floats
@@ -31,7 +31,7 @@ class Envelope:
 
 
 def starts(count: int, stretches: int) -> NDArray[np.int64]:
-    """First index of each of at most `stretches` nearly equal stretches of `count` rows; every row where few."""
+    """First index of each of at most `stretches` nearly equal segments of `count` rows; every row where few."""
     if count <= 2 * stretches:
         return np.arange(count)
     return np.unique(np.linspace(0, count, stretches, endpoint=False).astype(np.int64))

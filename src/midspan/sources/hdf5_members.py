@@ -6,7 +6,7 @@ from typing import Any
 
 from midspan.errors import DataError
 
-# Where a file's head may begin, by the format: after a block of the user's of so many bytes.
+# Where a file's head may begin, by the format: after a block of the user's of this many bytes.
 HEADS = (0, *(512 << k for k in range(12)))
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 

@@ -21,7 +21,7 @@ LATE_COLUMN = "late_ns"
 class Chunk:
     """A block of one stream: time_ns (n,) UTC, increasing, and `columns` name → values (n,) or (n, k).
 
-    shown: the column that histories draw; its least and largest value stand beside the chunk.
+    shown: the column that histories draw; its least and largest value stand with the chunk.
     """
 
     point: str
@@ -68,7 +68,7 @@ def encode(chunk: Chunk) -> bytes:
     late_ns = chunk.time_ns - (begin_ns + step_ns * np.arange(len(chunk.time_ns)))
     arrays = {LATE_COLUMN: pa.array(late_ns)}
     for name, values in chunk.columns.items():
-        arrays[name] = _arrow(values)
+        arrays[name] = arrow_column(values)
     metadata = {b"begin_ns": str(begin_ns).encode(), b"step_ns": str(step_ns).encode()}
     table = pa.record_batch(arrays).replace_schema_metadata(metadata)
     sink = pa.BufferOutputStream()
@@ -98,7 +98,8 @@ def _even(time_ns: Nanoseconds) -> tuple[int, int]:
     return int(time_ns[0]), round(int(time_ns[-1] - time_ns[0]) / (count - 1)) if count > 1 else 0
 
 
-def _arrow(values: NDArray[Any]) -> Any:
+def arrow_column(values: NDArray[Any]) -> Any:
+    """Values (n,) or (n, k) as an Arrow array."""
     import pyarrow as pa
 
     if values.ndim == 1 and values.dtype.kind != "c":

@@ -1,7 +1,7 @@
 """SQLite files and PostgreSQL behind one interface: SQL with `?` for values, `{blob}` for the type of bytes."""
 
 import sqlite3
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Protocol
@@ -48,7 +48,7 @@ class SqliteDatabase:
 
     def __init__(self, file: Path, *, read_only: bool = False) -> None:
         self.file = file
-        with _sqlite_faults(file):
+        with sqlite_faults(file):
             if read_only:
                 self._connection = sqlite3.connect(
                     f"{file.resolve().as_uri()}?mode=ro", uri=True, timeout=WAIT_S, isolation_level=None,
@@ -62,7 +62,7 @@ class SqliteDatabase:
 
     def execute(self, sql: str, values: Sequence[Any] = ()) -> list[Row]:
         """Run one statement; returns its rows."""
-        with _sqlite_faults(self.file):
+        with sqlite_faults(self.file):
             return self._connection.execute(sql.replace("{blob}", "BLOB"), values).fetchall()
 
     @contextmanager
@@ -73,7 +73,7 @@ class SqliteDatabase:
             yield
             self.execute("COMMIT")
         except BaseException:
-            # After a full disk SQLite has rolled back by itself.
+            # After a full disk SQLite has rolled back on its own.
             with suppress(StoreFault):
                 self.execute("ROLLBACK")
             raise
@@ -84,7 +84,8 @@ class SqliteDatabase:
 
 
 @contextmanager
-def _sqlite_faults(file: Path) -> Iterator[None]:
+def sqlite_faults(file: Path) -> Iterator[None]:
+    """What goes wrong with a file of the store, as StoreFault or DataError."""
     try:
         yield
     except sqlite3.OperationalError as error:
@@ -97,10 +98,13 @@ def _sqlite_faults(file: Path) -> Iterator[None]:
 
 
 class PostgresDatabase:
-    """A database of a PostgreSQL server; a lost connection is opened again by the next statement."""
+    """A database of a PostgreSQL server; a lost connection is opened again by the next statement.
 
-    def __init__(self, url: str) -> None:
-        self._url = url
+    begin: called with each connection before it is used; what it raises closes that connection.
+    """
+
+    def __init__(self, url: str, begin: Callable[[Any], None] = lambda _: None) -> None:
+        self._url, self._begin = url, begin
         self._connection: Any = None
         self._opened()
 
@@ -141,9 +145,17 @@ class PostgresDatabase:
 
         if self._connection is None or self._connection.closed:
             try:
-                self._connection = psycopg.connect(self._url, autocommit=True, connect_timeout=round(WAIT_S))
+                connection = psycopg.connect(self._url, autocommit=True, connect_timeout=round(WAIT_S))
             except psycopg.OperationalError as error:
                 raise _unavailable(error) from None
+            try:
+                self._begin(connection)
+            except BaseException as error:
+                connection.close()
+                if isinstance(error, psycopg.OperationalError):
+                    raise _unavailable(error) from None
+                raise
+            self._connection = connection
         return self._connection
 
 

@@ -1,12 +1,15 @@
 """The store of a site: what is kept of its points, by whom it was made, and how it is read again.
 
 SQLite: `site.sqlite` with calibrations, checkpoints, events and the pyramid of least and largest values, and a file for
-each day (UTC) with the chunks. PostgreSQL: the same tables in one database. One process writes; any number read.
+each day (UTC) with the chunks. PostgreSQL: the same tables in one database. One process writes a point; any
+number read.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +18,7 @@ from midspan.errors import DataError, UsageError
 from midspan.records import NANOSECONDS, Event, Floats
 from midspan.store.chunk import Chunk, decode, encode, join
 from midspan.store.database import Database, PostgresDatabase, SqliteDatabase
+from midspan.store.lock import FileLocks, lock_in_session
 
 SCHEMA = 1
 SITE_FILE, DAYS = "site.sqlite", "days"
@@ -80,14 +84,16 @@ class Buckets:
 class Store:
     """Reads and writes a site's records; one thread at a time."""
 
-    def __init__(self, site: Database, days: "Days") -> None:
-        self._site, self._days = site, days
+    def __init__(self, site: Database, days: "Days", locks: FileLocks | None = None) -> None:
+        self._site, self._days, self._locks = site, days, locks
         self._newest: dict[tuple[str, str], int | None] = {}
 
     def close(self) -> None:
         """Let the files or the connection go."""
         self._site.close()
         self._days.close()
+        if self._locks is not None:
+            self._locks.close()
 
     # What is written
 
@@ -216,6 +222,12 @@ class Store:
         """The names of a point's streams, sorted."""
         sql = "SELECT DISTINCT stream FROM chunk WHERE point = ?"
         return sorted({str(row[0]) for database in self._days.all() for row in database.execute(sql, (point,))})
+
+    def days(self, point: str, stream: str) -> list[int]:
+        """The days (since 1970, UTC) of which a stream has rows, sorted."""
+        sql = "SELECT DISTINCT t0_ns / ? FROM chunk WHERE point = ? AND stream = ?"
+        found = (database.execute(sql, (DAY_NS, point, stream)) for database in self._days.all())
+        return sorted({int(row[0]) for rows in found for row in rows})
 
     def newest_ns(self, point: str, stream: str) -> int | None:
         """The stamp of a stream's newest row, None without any."""
@@ -398,28 +410,34 @@ class OneDatabase(Days):
         """The connection is the site's."""
 
 
-def open_store(where: str | Path, *, read_only: bool = False) -> Store:
+def open_store(where: str | Path, *, read_only: bool = False, points: Sequence[str] = ()) -> Store:
     """The store in a folder, or at a `postgresql://` address; made where there is none, unless it is only read.
 
-    Raises DataError where there is none to read, UsageError for one of another version, StoreFault where it cannot be
-    reached.
+    points: whose records will be written: locked until the store is closed. Raises DataError where there is none to
+    read, UsageError for one of another version and, before anything is written, for a point that another process
+    writes; StoreFault where it cannot be reached.
     """
-    if is_address(where):
-        database: Database = PostgresDatabase(str(where))
-        store = Store(database, OneDatabase(database))
-        tables: tuple[str, ...] = (*SITE_TABLES, *DAY_TABLES)
-    else:
-        folder = Path(where)
-        if read_only and not (folder / SITE_FILE).is_file():
-            raise DataError(
-                f"{folder}: is no store: it has no {SITE_FILE}. `midspan replay` and `midspan run` make one."
-            )
-        database = SqliteDatabase(folder / SITE_FILE, read_only=read_only)
-        store = Store(database, Days(folder / DAYS, read_only=read_only))
-        tables = SITE_TABLES
-    for sql in () if read_only else tables:
-        database.execute(sql)
-    _check_version(database, str(where), write=not read_only)
+    with ExitStack() as opened:
+        if is_address(where):
+            database: Database = PostgresDatabase(str(where), partial(lock_in_session, points=points))
+            store = Store(database, OneDatabase(database))
+            tables: tuple[str, ...] = (*SITE_TABLES, *DAY_TABLES)
+        else:
+            folder = Path(where)
+            if read_only and not (folder / SITE_FILE).is_file():
+                raise DataError(
+                    f"{folder}: is no store: it has no {SITE_FILE}. `midspan replay` and `midspan run` make one."
+                )
+            locks = FileLocks(folder, points)
+            opened.callback(locks.close)
+            database = SqliteDatabase(folder / SITE_FILE, read_only=read_only)
+            store = Store(database, Days(folder / DAYS, read_only=read_only), locks)
+            tables = SITE_TABLES
+        opened.callback(store.close)
+        for sql in () if read_only else tables:
+            database.execute(sql)
+        _check_version(database, str(where), write=not read_only)
+        opened.pop_all()
     return store
 
 

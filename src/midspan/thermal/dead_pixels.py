@@ -1,6 +1,6 @@
 """Pixels of a thermal camera that measure nothing: found by what they do over many frames, filled from around them.
 
-Cameras write such pixels as missing, or leave them at the temperature that they are stuck at. One that stands still in
+Cameras write such pixels as missing, or leave them at the temperature that they are stuck at. One that is static in
 a scene that moves draws every translation towards zero.
 """
 
@@ -12,11 +12,11 @@ from midspan.thermal.limits import Floats32
 
 Mask = NDArray[np.bool_]
 
-LEAST_LOOKED_AT = 12  # frames; fewer may agree by chance
+MIN_LOOKED_AT = 12  # frames; fewer may agree by chance
 # Where more than this share of the picture seems stuck it is an overlay or a scene at rest, not a damaged sensor.
-MOST_STUCK = 0.02
-# Among so many frames the noise of a pixel, if it were one step of its numbers, would show in four steps.
-_LEAST_STEPS = 4.0
+MAX_STUCK = 0.02
+# Among this many frames the noise of a pixel, if it were one step of its numbers, would show in four steps.
+_MIN_STEPS = 4.0
 _LIVELY_SHARE = 0.75  # of a stuck pixel's neighbours, or the picture stands still there
 # A pixel that stands out from its neighbours by more than this, by the median over time, is no part of a scene: lenses
 # spread every point over several pixels.
@@ -77,11 +77,11 @@ def stuck_pixels(stack: Floats32) -> Mask:
     """
     shape = stack.shape[1:]
     nothing = np.zeros(shape, dtype=bool)
-    if len(stack) < LEAST_LOOKED_AT:
+    if len(stack) < MIN_LOOKED_AT:
         return nothing
     low, high = stack.min(axis=0), stack.max(axis=0)
     known = np.isfinite(low) & np.isfinite(high)
-    lively = known & (high - low > 0.0) & (high - low >= _LEAST_STEPS * _step(stack))
+    lively = known & (high - low > 0.0) & (high - low >= _MIN_STEPS * _step(stack))
     neighbours = np.sum([_moved(known, y, x) for y, x in _AROUND], axis=0)
     moving = np.sum([_moved(lively, y, x) for y, x in _AROUND], axis=0)
     still = known & (high == low) & (neighbours > 0) & (moving >= _LIVELY_SHARE * neighbours)
@@ -89,7 +89,7 @@ def stuck_pixels(stack: Floats32) -> Mask:
         # The least and the most that other pixels reach may be where the numbers end: a scene may stay beyond.
         still &= (low != low[lively].min()) & (high != high[lively].max())
     stuck = still | _standing_out(np.median(np.where(known, stack, np.float32(0.0)), axis=0), known)
-    return stuck if np.mean(stuck) <= MOST_STUCK else nothing
+    return stuck if np.mean(stuck) <= MAX_STUCK else nothing
 
 
 def _standing_out(picture: Floats32, known: Mask) -> Mask:

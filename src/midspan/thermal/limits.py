@@ -17,10 +17,10 @@ from midspan.records import NANOSECONDS, Floats
 Floats32 = NDArray[np.float32]
 
 _SHARES = (1.0, 25.0, 50.0, 75.0, 99.0)  # percent; the quartiles are moved by what covers less than a quarter only
-_LEAST_K = 1e-3
+_MIN_K = 1e-3
 MARGIN = 0.25  # share of the width by which temperatures may lie outside and still count in full
-FOLLOW_S = 10.0  # in so many s the limits move by half their width at most, and the width by a quarter
-# The width follows so many times slower than the middle: what passes in front widens it, and contrast changes slowly.
+FOLLOW_S = 10.0  # in this many s the limits move by half their width at most, and the width by a quarter
+# The width follows this many times slower than the middle: what passes in front widens it, and contrast changes slowly.
 _SLOWER = 4.0
 
 
@@ -39,7 +39,7 @@ class Limits:
     @property
     def half_k(self) -> float:
         """Half the width, K."""
-        return max(0.5 * (self.high_c - self.low_c), _LEAST_K)
+        return max(0.5 * (self.high_c - self.low_c), _MIN_K)
 
 
 def folded(celsius: NDArray[np.generic], limits: Limits, margin: float = MARGIN) -> Floats32:
@@ -83,8 +83,8 @@ class LimitFollower:
     def __init__(self, region: NDArray[np.generic], time_ns: int) -> None:
         """`region` (rows, columns) in °C of the reference frame."""
         low, first, middle, third, high = _shares(region)
-        self._below = (middle - low) / max(middle - first, _LEAST_K)
-        self._above = (high - middle) / max(third - middle, _LEAST_K)
+        self._below = (middle - low) / max(middle - first, _MIN_K)
+        self._above = (high - middle) / max(third - middle, _MIN_K)
         self._state = LimitState((first, middle, third), time_ns)
 
     @property
@@ -100,8 +100,8 @@ class LimitFollower:
     def limits(self) -> Limits:
         """The limits of the moment."""
         first, middle, third = self._state.quartiles_c
-        low = middle - self._below * max(middle - first, _LEAST_K)
-        return Limits(low, middle + self._above * max(third - middle, _LEAST_K))
+        low = middle - self._below * max(middle - first, _MIN_K)
+        return Limits(low, middle + self._above * max(third - middle, _MIN_K))
 
     def push(self, region: NDArray[np.generic], time_ns: int) -> Limits:
         """Follow the temperatures (rows, columns), °C, of where the target is at `time_ns`; return the limits."""
@@ -112,8 +112,8 @@ class LimitFollower:
         below, above = (
             before * float(np.exp(_within(float(np.log(width / before)), share / _SLOWER)))
             for before, width in (
-                (max(middle - first, _LEAST_K), max(now - low, _LEAST_K)),
-                (max(third - middle, _LEAST_K), max(high - now, _LEAST_K)),
+                (max(middle - first, _MIN_K), max(now - low, _MIN_K)),
+                (max(third - middle, _MIN_K), max(high - now, _MIN_K)),
             )
         )
         self._state = LimitState((moved - below, moved, moved + above), time_ns)

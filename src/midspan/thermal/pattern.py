@@ -1,8 +1,8 @@
 """The fixed pattern of a thermal camera: what stays on its pixels while the scene moves over them.
 
 A pattern in the reference frame and in the present one draws every translation towards zero, and it is the larger the
-weaker the scene. Where the scene has moved by some tenths of a pixel or more, both can be told apart: the mean of the
-frames moved back is the scene, the mean of what is left on each pixel is the pattern; the two are improved in turn.
+weaker the scene. Where the scene has moved by some tenths of a pixel or more, both can be distinguished: the mean of
+the frames moved back is the scene, the mean of what is left on each pixel is the pattern; the two are improved in turn.
 """
 
 import math
@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from midspan.checks import finite, positive, refuse
 from midspan.records import Floats
 
-LEAST_TRAVEL_PX = 0.4  # standard deviation of the motion below which scene and pattern are one
-LEAST_FRAMES = 8
+MIN_TRAVEL_PX = 0.4  # standard deviation of the motion below which scene and pattern are one
+MIN_FRAMES = 8
 TURNS = 10
 _ORDER = 5  # of the spline that moves the scene
 _EDGE_PX = 2  # from the edge inwards the spline is disturbed by what it takes to lie beyond
@@ -37,19 +37,19 @@ def estimate_pattern(frames: Floats, translation_px: Floats, expected_k: float =
 
     frames (n, rows, columns), 8 or more, of one place on the sensor; translation_px (n, 2): x to the right and y down;
     expected_k: standard deviation of the pattern to be expected, K, by which noise is told from it.
-    None where the scene has moved so little that the two cannot be told apart. Raises UsageError for arrays of
+    None where the scene has moved so little that the two cannot be distinguished. Raises UsageError for arrays of
     other shapes.
     """
     stack = finite("frames", frames)
     moved = finite("translation_px", translation_px)
     positive("expected_k", expected_k, "K")
-    if stack.ndim != 3 or len(stack) < LEAST_FRAMES or moved.shape != (len(stack), 2):
+    if stack.ndim != 3 or len(stack) < MIN_FRAMES or moved.shape != (len(stack), 2):
         raise refuse(
-            f"frames and translation_px of shapes (n, rows, columns) and (n, 2), n from {LEAST_FRAMES} on",
+            f"frames and translation_px of shapes (n, rows, columns) and (n, 2), n from {MIN_FRAMES} on",
             "given",
             (stack.shape, moved.shape),
         )
-    if float(np.sqrt(np.sum(np.var(moved, axis=0)))) < LEAST_TRAVEL_PX:
+    if float(np.sqrt(np.sum(np.var(moved, axis=0)))) < MIN_TRAVEL_PX:
         return None
     # A frame's level is what it has in common with the others after the scene was moved back; its median will do.
     return _told_apart(stack - np.median(stack, axis=(1, 2), keepdims=True), moved, expected_k)
@@ -83,7 +83,7 @@ def _told_apart(stack: Floats, moved: Floats, expected_k: float) -> FixedPattern
             total += rest
             square += rest**2
         mean = total / np.maximum(number, 1)
-        full = number >= LEAST_FRAMES
+        full = number >= MIN_FRAMES
         variance = square / np.maximum(number, 1) - mean**2
         noise = float(np.sqrt(max(np.median(variance[full]), 0.0))) if full.any() else noise
         # The mean of n noisy values, drawn to zero as far as it may be noise.

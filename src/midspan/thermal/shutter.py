@@ -1,7 +1,7 @@
 """Flat-field corrections: moments at which a thermal camera closes its shutter to level its pixels.
 
 For some tenths of a second the picture is frozen or shows the shutter, and afterwards level and fixed pattern are
-others. Such frames must not be tracked: a frozen one says that the structure stands still.
+others. Such frames must not be tracked: a frozen one says that the structure is static.
 """
 
 from dataclasses import dataclass, replace
@@ -14,8 +14,8 @@ from midspan.records import NANOSECONDS, Event, Floats, Frame
 _STEP_FACTOR = 8.0  # times the usual change of the level from frame to frame
 _LEARNING = 0.05  # weight of a frame in what is usual
 _RISING_S = 30.0  # time constant by which the usual contrast rises: a body that passes does not become usual
-_TAILS = 2.44  # from 5 to 95 % it is so many times as far as from quartile to quartile of a normal variable
-_LEAST_FRAMES = 2  # frozen frames that make an event: a recorder may write one picture twice
+_TAILS = 2.44  # from 5 to 95 % it is this many times as far as from quartile to quartile of a normal variable
+_MIN_FRAMES = 2  # frozen frames that make an event: a recorder may write one picture twice
 # Contrast below this share of the usual one is the shutter's.
 FLAT_SHARE = 0.35
 MIN_STEP_K = 0.15  # smallest jump of the mean level from one frame to the next that is reported
@@ -25,7 +25,7 @@ MAX_CLOSED_S = 3.0  # what lasts longer is no shutter but another scene
 @dataclass(frozen=True, slots=True, eq=False)
 class ShutterState:
     """What is remembered: the last picture (every so many pixels) and its time, the usual contrast and step of the
-    level in K, and the running stretch of closed frames: how many, since when, and whether they were frozen.
+    level in K, and the running segment of closed frames: how many, since when, and whether they were frozen.
     """
 
     last: Floats | None = None
@@ -85,7 +85,7 @@ class ShutterWatch:
         change = float(np.median(now - state.last))
         limit = max(MIN_STEP_K, _STEP_FACTOR * state.usual_step_k)
         # A recorder that writes pictures twice freezes single frames; the shutter needs longer.
-        reopened = state.closed >= _LEAST_FRAMES or (state.closed > 0 and not state.frozen)
+        reopened = state.closed >= _MIN_FRAMES or (state.closed > 0 and not state.frozen)
         stepped = abs(change) > limit
         usual = state.usual_step_k
         if not (stepped or reopened):

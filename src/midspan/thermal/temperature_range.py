@@ -21,9 +21,9 @@ Follow = Callable[[Sequence[Frame]], PixelTrack]
 """Tracks frames from the first one on, in px."""
 
 DIVISIONS = 8  # M of the paper
-ROUGH, THINNED = 16, 3  # so many frames, every so many, show which ranges are worth all frames
+ROUGH, THINNED = 16, 3  # this many frames, every so many, show which ranges are worth all frames
 REFINED = 9  # ranges that are compared once more with all frames
-LARGEST_MISSING = 0.2  # share of lost frames above which a range is no candidate
+MAX_MISSING = 0.2  # share of lost frames above which a range is no candidate
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -143,7 +143,7 @@ class _Trial:
             return np.nan, 1.0
         translation, _ = track.along(self.expected.direction)
         lost = float(np.mean(~np.isfinite(translation)))
-        if lost > LARGEST_MISSING:
+        if lost > MAX_MISSING:
             return np.nan, lost
         time_s = (track.time_ns - track.time_ns[0]) / NANOSECONDS
         return band_error(time_s, translation - self.expected.translation_px, self.expected.band_hz), lost
@@ -153,7 +153,7 @@ def band_error(time_s: Floats, difference: Floats, band_hz: tuple[float, float])
     """Root mean square of what lies in `band_hz` of a difference (n,) at times (n,) in s, which need not be even.
 
     Values that are not finite are left out. The part of each band is fitted by cosines of the record's length, the
-    slower ones beside those of the band, so that drift does not leak into it.
+    slower ones in addition to those of the band, so that drift does not leak into it.
     """
     low, high = finite("band_hz", band_hz)
     if not 0.0 <= low < high:

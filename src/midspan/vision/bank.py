@@ -21,8 +21,7 @@ from midspan.vision.zncc import smooth as filtered
 COARSE, FINE = (5, 20), (8, 10)
 LEAST_SHARE = 0.3  # of a block's gradients must be texture, not noise
 TEMPLATE_WEIGHT = 4.0  # as measured on four textures: the least scatter
-SMOOTHINGS_PX = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.85, 1.0, 1.2, 1.4, 1.7, 2.0)
-LEAST_SMOOTHING_PX = 0.3
+SMOOTHINGS_PX = (0.3, 0.4, 0.5, 0.6, 0.7, 0.85, 1.0, 1.2, 1.4, 1.7, 2.0)
 TYPICAL_PX = 128  # of the window are looked at to choose the low-pass
 BANK_BYTES = 24 << 20  # of kernels in one bank: all 64 phases of a region of 256 px, 16 of one of 512 px
 
@@ -47,7 +46,8 @@ class Store(NamedTuple):
     edges of the blocks; origin: row and column of the window in the reference; kernels (slots, 3 h w), in which each
     block has slots of its own, and steps (blocks, slots, 3): see `project`; warp (blocks, slots, 2, 5): see `build`;
     phase_in (blocks, slots): the phase whose kernels a slot holds, -1: none; centres (blocks, 2) from the window's
-    middle, px; information (blocks, 2, 2) and gain_information (blocks,): inverse variances.
+    middle, px; information (blocks, 2, 2) and gain_information (blocks,): inverse variances; zero (4,): the pose that
+    poses count from.
     """
 
     grids: tuple[Floats32, Floats32]
@@ -62,6 +62,7 @@ class Store(NamedTuple):
     centres: Floats
     information: Floats
     gain_information: Floats
+    zero: Floats
 
 
 @njit(cache=True)
@@ -110,8 +111,7 @@ def best_smoothing_px(plane: Plane, window: Region) -> float:
     """The low-pass (px) that gives the least variance with this signal and noise, by the instrument's formula.
 
     Variance = mean Z'² over (mean Z' T')², with slopes Z' of the low-passed template, T' of the template; what noise
-    adds to Z' counts `TEMPLATE_WEIGHT` times more, because a template's noise also shifts with the frame's phase. Not
-    below `LEAST_SMOOTHING_PX`.
+    adds to Z' counts `TEMPLATE_WEIGHT` times more, because a template's noise also shifts with the frame's phase.
     """
     height, width = (min(size, TYPICAL_PX) for size in (window.height, window.width))
     place = plane.origin[0] + (window.height - height) // 2, plane.origin[1] + (window.width - width) // 2
@@ -123,7 +123,7 @@ def best_smoothing_px(plane: Plane, window: Region) -> float:
         clean = max(float(np.mean(np.sum(smooth**2, axis=0))) - square * own, 1e-30)
         along = max(float(np.mean(np.sum(smooth * plain, axis=0))) - square * shared, 1e-30)
         variance.append((clean + TEMPLATE_WEIGHT * square * own) / along**2)
-    return max(SMOOTHINGS_PX[int(np.argmin(variance))], LEAST_SMOOTHING_PX)
+    return SMOOTHINGS_PX[int(np.argmin(variance))]
 
 
 def make_bank(plane: Plane, window: Region, smoothing_px: float, division: tuple[int, int]) -> Store:
@@ -153,6 +153,7 @@ def make_bank(plane: Plane, window: Region, smoothing_px: float, division: tuple
         centres=np.column_stack([x.ravel(), y.ravel()]),
         information=information,
         gain_information=np.where(information[:, 0, 0] > 0, 1.0 / np.maximum(spread, 1e-300), 0.0),
+        zero=np.zeros(4),
     )
 
 

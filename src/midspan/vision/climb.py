@@ -15,21 +15,36 @@ MOST_PASSES = 8
 NEAR_PX = 0.5 / PHASES + 0.003  # a block this near to its kernels' phase needs no other; the play stops circles
 SPARSE, FEWEST_SPARSE = 5, 4  # one block in so many is looked at first, where that leaves not fewer than so many
 UNDISTURBED_SHARE = 0.8
+OWN_WEIGHT = 1.0  # of a frame's own noise against the usual one
 ALIKE = 2.0  # times the usual noise: up to here blocks agree
 LARGEST_ROLL_RAD, LARGEST_ZOOM = 0.1, 0.1
 LEAST_GAIN, LARGEST_GAIN, LEAST_OWN_GAIN = 0.1, 10.0, 0.25
 
 
-class Climbed(NamedTuple):
-    """Where the steps led: whether to a place at all; pose (4,): x, y in px, roll in rad, zoom; its covariance (4, 4);
-    share of the information that agrees; noise of a pixel as the blocks' scatter shows it.
+class Pose(NamedTuple):
+    """What one frame gives: whether the steps led to a place at all; x, y (px), roll (rad), zoom and their covariance
+    (4, 4); share of the information that agrees; noise of a pixel as the blocks' scatter shows it.
     """
 
     found: bool
-    pose: Floats
+    value: Floats
     covariance: Floats
     share: float
     noise: float
+
+    def wider(self, factor: float, unsure: Floats) -> "Pose":
+        """This pose with its own covariance times a `factor`, and that of the zero, `unsure` (4, 4)."""
+        return Pose(self.found, self.value, factor * self.covariance + unsure, self.share, self.noise)
+
+    def averaged(self, usual: float) -> float:
+        """What makes the variance that of the noise averaged with the `usual`, as few blocks show it only roughly."""
+        return (OWN_WEIGHT + (usual / max(self.noise, 1e-300)) ** 2) / (OWN_WEIGHT + 1.0) if usual > 0.0 else 1.0
+
+    def disturbed(self, usual: float) -> float:
+        """What makes the variance that of no less than the usual noise, and the wider the less of the target agrees:
+        those blocks may err together.
+        """
+        return (max(1.0, UNDISTURBED_SHARE / self.share) * max(1.0, usual / max(self.noise, 1e-300))) ** 2
 
 
 @njit(cache=True)
@@ -76,12 +91,11 @@ def _products(
 
     NaN for blocks that are not `wanted`.
     """
-    place = places(pose, store.centres)
-    whole, phase = quantised(place)
+    whole, phase, near = quantised(places(pose, store.centres))
     slot = slots(store, phase, wanted)
     where = (whole[:, 1] + store.origin[0], whole[:, 0] + store.origin[1], slot)
     sums = project(image, level, (store.kernels, store.steps), (store.down, store.across), where)
-    return np.floor(place * PHASES + 0.5) / PHASES, sums, slot
+    return near, sums, slot
 
 
 @njit(cache=True)
@@ -107,12 +121,13 @@ def _approached(image: NDArray[np.generic], level: float, store: Store, begin: F
 
 
 @njit(cache=True)
-def climb(image: NDArray[np.generic], level: float, store: Store, begin: Floats, usual: float) -> Climbed:
-    """Steps from the pose `begin` (4,) in `image` (rows, columns), of which `level` is subtracted.
+def climb(image: NDArray[np.generic], level: float, store: Store, begin: Floats, usual: float) -> Pose:
+    """Steps from the pose `begin` (4,) in `image` (rows, columns), of which `level` is subtracted; both count from the
+    bank's zero.
 
     `usual`: the noise to be expected of a pixel, 0 where it is not known.
     """
-    pose, covariance = _approached(image, level, store, begin), np.full((4, 4), np.inf)
+    pose, covariance = _approached(image, level, store, begin + store.zero), np.full((4, 4), np.inf)
     share, noise, found = 0.0, np.inf, False
     total = store.information[:, 0, 0] + store.information[:, 1, 1]
     everywhere = np.ones(len(total), dtype=np.bool_)
@@ -132,4 +147,4 @@ def climb(image: NDArray[np.generic], level: float, store: Store, begin: Floats,
         agreed = share > UNDISTURBED_SHARE and (usual <= 0.0 or noise < ALIKE * usual)
         if off < NEAR_PX and (turn > 1 or agreed):
             break
-    return Climbed(found, pose, covariance, share, noise)
+    return Pose(found, pose - store.zero, covariance, share, noise)

@@ -138,16 +138,19 @@ def places(pose: Floats, centres: Floats) -> Floats:
 
 
 @njit(cache=True)
-def quantised(place: Floats) -> tuple[Integers, Integers]:
-    """Whole pixels (blocks, 2) and the number of the phase (blocks,) nearest to each translation (blocks, 2)."""
-    whole = np.empty(place.shape, dtype=np.int64)
+def quantised(place: Floats) -> tuple[Integers, Integers, Floats]:
+    """Whole pixels (blocks, 2), the number of the phase (blocks,) nearest to each translation (blocks, 2), and what
+    both make together (blocks, 2), px.
+    """
+    whole, near = np.empty(place.shape, dtype=np.int64), np.empty(place.shape)
     phase = np.zeros(place.shape[0], dtype=np.int64)
     for b in range(place.shape[0]):
         for axis in range(2):
             steps = int(np.floor(place[b, axis] * PHASES + 0.5))
             whole[b, axis] = (steps + PHASES // 2) // PHASES
             phase[b] = phase[b] * PHASES + steps - whole[b, axis] * PHASES + PHASES // 2
-    return whole, phase
+            near[b, axis] = steps / PHASES
+    return whole, phase, near
 
 
 @njit(cache=True)
@@ -201,7 +204,7 @@ def project(
     top, left, slot = at
     out = np.full((top.shape[0], 3), np.nan)
     level = np.float32(offset)
-    pixels = np.empty((np.diff(down).max() * np.diff(across).max()), dtype=np.float32)
+    pixels = np.empty(np.diff(down).max() * np.diff(across).max(), dtype=image.dtype)
     for b in range(top.shape[0]):
         j, i = divmod(b, len(across) - 1)
         r0, r1, c0, c1 = down[j], down[j + 1], across[i], across[i + 1]
@@ -213,14 +216,15 @@ def project(
         for r in range(r0, r1):
             line, part = image[y + r, x + c0 : x + c1], pixels[(r - r0) * (c1 - c0) : (r + 1 - r0) * (c1 - c0)]
             for c in range(c1 - c0):
-                part[c] = np.float32(line[c]) - level
+                part[c] = line[c]
         first, size = block_part((r0, r1, c0, c1), across[-1])
         kernels, steps = bank[0][slot[b], 3 * first : 3 * (first + size)], bank[1][b, slot[b]]
         k0, k1, k2 = kernels[:size], kernels[size : 2 * size], kernels[2 * size :]
         t0, t1, t2 = np.float32(0.0), np.float32(0.0), np.float32(0.0)
         for n in range(size):
-            t0 += np.float32(k0[n]) * pixels[n]
-            t1 += np.float32(k1[n]) * pixels[n]
-            t2 += np.float32(k2[n]) * pixels[n]
+            pixel = np.float32(pixels[n]) - level
+            t0 += np.float32(k0[n]) * pixel
+            t1 += np.float32(k1[n]) * pixel
+            t2 += np.float32(k2[n]) * pixel
         out[b, 0], out[b, 1], out[b, 2] = steps[0] * t0, steps[1] * t1, steps[2] * t2
     return out

@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 
 from midspan.records import NANOSECONDS, Floats, Frame, PixelTranslation, Region, Status
 
-# A frame whose mean is below this share of full scale is dark.
-DARK_SHARE = 0.02
+# A frame whose mean is above black by less than this share of full scale is dark; black is 0, or in video of limited
+# range 16 of 255 (ITU-R BT.601): then its darkest pixels are near that.
+DARK_SHARE, VIDEO_BLACK, NEAR_BLACK = 0.02, 16.0 / 255.0, 0.75
 # The picture is looked at so often; the middle one of the last so many looks counts: what passes by is no light.
 LOOK_S, LOOKS = 1.0, 5
 # The best of the first looks after the reference tells what noise takes, as light may turn already; it scatters by
@@ -42,9 +43,11 @@ def is_dark(pixels: NDArray[Any]) -> bool:
     if pixels.dtype.kind == "f":
         return False
     scale = 255.0 if pixels.dtype.itemsize == 1 else 1023.0
-    if _adds_up(pixels, DARK_SHARE * scale * pixels.size):
+    if _adds_up(pixels, (VIDEO_BLACK + DARK_SHARE) * scale * pixels.size):
         return False
-    return float(np.percentile(pixels[::4, ::4], 99)) < 2.0 * DARK_SHARE * scale
+    darkest, brightest = np.percentile(pixels[::4, ::4], (1, 99))
+    black = VIDEO_BLACK * scale if darkest > NEAR_BLACK * VIDEO_BLACK * scale else 0.0
+    return float(brightest) < black + 2.0 * DARK_SHARE * scale and float(pixels.mean()) < black + DARK_SHARE * scale
 
 
 @njit(cache=True)

@@ -5,6 +5,7 @@ frames, and on the frame itself.
 """
 
 import math
+from copy import deepcopy
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -15,7 +16,7 @@ from midspan.signals.running_median import RunningMedian
 from midspan.vision.compression import CodecState, CodecWatch, Compression
 from midspan.vision.fair_variance import USUAL_FRAMES
 from midspan.vision.picture_counts import PictureCounts
-from midspan.vision.picture_difference import detail, frozen_texture, share_at_ends
+from midspan.vision.picture_difference import detail, frozen_texture, share_at_ends, sharpness
 from midspan.vision.region import clamp, shift
 
 ROWS_LOOKED_AT = 32  # for the detail of each frame
@@ -38,7 +39,7 @@ class Widening:
 
     def of(self, found: PixelTranslation) -> PixelTranslation:
         """The translation with its variances widened."""
-        if self == NOTHING:
+        if self is NOTHING:
             return found
         x = self.factor_x * found.variance_x_px2 + self.added_x_px2
         y = self.factor_y * found.variance_y_px2 + self.added_y_px2
@@ -108,12 +109,14 @@ class PictureWatch:
     def state(self) -> PictureState:
         """Everything that changes from frame to frame."""
         sharp = (self._sharp[0].state, self._sharp[1].state)
-        return PictureState(self._codec.state, self._before, sharp, self._lags, self._frozen_share, self.counts)
+        return PictureState(
+            self._codec.state, self._before, sharp, self._lags, self._frozen_share, deepcopy(self.counts)
+        )
 
     def restore(self, state: PictureState) -> None:
         """Continue from a `state` taken earlier."""
         self._codec.restore(state.codec)
-        self._before, self._lags, self.counts = state.before, state.lags, state.counts
+        self._before, self._lags, self.counts = state.before, state.lags, deepcopy(state.counts)
         self._frozen_share = state.frozen_share
         self._sharp = tuple(RunningMedian(USUAL_FRAMES, values) for values in state.sharp)
 
@@ -121,20 +124,23 @@ class PictureWatch:
         """Look at `frame` with the target at `found`; the first frame pushed is the reference."""
         if found.status is Status.LOST:
             self._codec.lost()
-            self._before, self._lags, self.counts = None, (Lag(), Lag()), self.counts.lost()
+            self.counts.frames += 1
+            self._before, self._lags = None, (Lag(), Lag())
             return NOTHING
         place = self._place(frame.pixels.shape, found)
         cut = _cut(frame.pixels, place)
         if not self._lossless:
             self._follow_frozen(frame.pixels, found, place, cut)
         self._codec.push(frame.pixels, found, place)
-        sharp = self._sharpness(detail(cut, self._every))
+        sharp = self._sharpness(cut)
         share = max(share_at_ends(cut), self._ends)
         saturated = share / max(1.0 - share, 0.02) if share > SATURATED_SHARE else 0.0
-        self.counts = self.counts.plus(found, sharp, saturated)
+        self.counts.add(found, sharp, saturated)
         added = self.compression.std_px**2 + SATURATED_STD_PX**2 * saturated
         x, y = _blur_factor(sharp[0]), _blur_factor(sharp[1])
         more_x, more_y = self._lags[0].lag_px, self._lags[1].lag_px
+        if x == y == 1.0 and added == more_x == more_y == 0.0:
+            return NOTHING
         return Widening(x, y, x * more_x**2 + added, y * more_y**2 + added)
 
     @property
@@ -176,13 +182,9 @@ class PictureWatch:
         frozen, whole = frozen_texture(_cut(pixels, then), cut, then.x, then.y)
         return frozen / whole if whole > 0.0 else 0.0
 
-    def _sharpness(self, now: tuple[float, float, float]) -> tuple[float, float]:
-        """Detail along x and y of a frame over the reference's, square and without noise; `now`: see `detail`."""
-        noise = self._codec.usual.noise**2
-        light, dark = _without(now[2], noise), _without(self._zero[2], noise)
-        zero = self._zero
-        x = _over(_without(now[0], 2.0 * noise) * dark, _without(zero[0], 2.0 * noise) * light)
-        y = _over(_without(now[1], 2.0 * noise) * dark, _without(zero[1], 2.0 * noise) * light)
+    def _sharpness(self, cut: NDArray[np.generic]) -> tuple[float, float]:
+        """Detail along x and y of a frame's target over the reference's, square and without noise."""
+        x, y = sharpness(cut, self._every, self._zero, self._codec.usual.noise**2)
         # They tell of what a codec did, see `compression`.
         if not self._lossless and math.isfinite(x + y):
             for median, value in zip(self._sharp, (x, y), strict=True):
@@ -196,16 +198,6 @@ class PictureWatch:
 
 def _cut(pixels: NDArray[np.generic], region: Region) -> NDArray[np.generic]:
     return pixels[region.y : region.y + region.height, region.x : region.x + region.width]
-
-
-def _without(value: float, noise: float) -> float:
-    """A detail less its noise; at most half is taken off: where nearly all is noise, what is left says nothing."""
-    return max(value - noise, 0.5 * value)
-
-
-def _over(value: float, other: float) -> float:
-    """A ratio, NaN where it is not known."""
-    return value / other if other > 0.0 else math.nan
 
 
 def _change(sharp: float) -> float:

@@ -23,6 +23,8 @@ def check_region(region: Region, columns: int, rows: int) -> Region:
 
 def clamp(region: Region, columns: int, rows: int) -> Region:
     """The region of the same size, or the image's where that is smaller, moved the least to lie inside the image."""
+    if region.inside(columns, rows):
+        return region
     width, height = min(region.width, columns), min(region.height, rows)
     x = min(max(region.x, 0), columns - width)
     y = min(max(region.y, 0), rows - height)

@@ -11,7 +11,6 @@ the template tracker looks for it.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,17 +19,17 @@ from midspan.checks import option, refuse
 from midspan.errors import DataError
 from midspan.records import Floats, Frame, PixelTranslation, Prediction, Region, Status
 from midspan.vision.bank import COARSE, FINE, Plane, Store, best_smoothing_px, first_plane, make_bank
-from midspan.vision.climb import ALIKE, UNDISTURBED_SHARE, climb
+from midspan.vision.climb import ALIKE, UNDISTURBED_SHARE, Pose, climb
 from midspan.vision.learning import PAD_PX, KeptSamples, learn_plane, sample
 from midspan.vision.matching import Fix, locate
 from midspan.vision.region import check_size
 from midspan.vision.search import Span, fine_patch
 from midspan.vision.target import FULL_QUALITY, Motion, lost
-from midspan.vision.template import TemplateSettings, TemplateState, TemplateTracker
+from midspan.vision.template import NEXT_PX, TemplateSettings, TemplateState, TemplateTracker
 from midspan.vision.texture import values
 from midspan.vision.tracker import Tracker
 
-_AT_REST, _CERTAIN = np.zeros(4), np.zeros((4, 4))
+_CERTAIN = np.zeros((4, 4))
 SEED_CORRELATION = 0.4  # with four tenths of the target covered the correlation falls to about a half
 LEARN_SHARE = 0.7  # of the target's information must agree in a frame that is learnt from
 LEARN_TURN_PX = 0.03  # at the window's edge: more roll or zoom would blur what is learnt
@@ -45,7 +44,6 @@ SEED_PX = 1.5  # farther than this from where the template was found, blocks hav
 LEAST_NOISE = 0.5  # of the reference's: less is a picture without noise, whose blocks differ by aliasing
 SELF_SHARE = 0.05  # of the reference's noise: a frame that agrees better than this is the reference itself
 WHOLE_CORRELATION, WHOLE_PX, WHOLE_SHARE = 0.6, 0.05, 0.1
-OWN_WEIGHT = 1.0  # of a frame's own noise against the usual one
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,31 +103,6 @@ class RegistrationState(Motion):
     learnt: Learnt | None = None
 
 
-class Pose(NamedTuple):
-    """What one frame gives: x, y (px), roll (rad), zoom and their covariance (4, 4); share of the information used;
-    noise of a pixel as the blocks' scatter shows it.
-    """
-
-    value: Floats
-    covariance: Floats
-    share: float
-    noise: float
-
-    def since(self, zero: Floats, unsure: Floats, wider: float) -> "Pose":
-        """This pose counted from the pose `zero` (4,) of covariance `unsure` (4, 4), its own times `wider`."""
-        return Pose(self.value - zero, wider * self.covariance + unsure, self.share, self.noise)
-
-    def averaged(self, usual: float) -> float:
-        """What makes the variance that of the noise averaged with the `usual`, as few blocks show it only roughly."""
-        return (OWN_WEIGHT + (usual / max(self.noise, 1e-300)) ** 2) / (OWN_WEIGHT + 1.0) if usual > 0.0 else 1.0
-
-    def disturbed(self, usual: float) -> float:
-        """What makes the variance that of no less than the usual noise, and the wider the less of the target agrees:
-        those blocks may err together.
-        """
-        return (max(1.0, UNDISTURBED_SHARE / self.share) * max(1.0, usual / max(self.noise, 1e-300))) ** 2
-
-
 class RegistrationTracker(Tracker):
     """Follows a target through frames; see `midspan.vision.tracker.Tracker` for its interface."""
 
@@ -161,8 +134,10 @@ class RegistrationTracker(Tracker):
 
     def restore(self, state: RegistrationState) -> None:
         """Continue from a `state` taken earlier."""
-        self._state = state
-        self._renew()
+        self._state, learnt = state, state.learnt
+        plane = self._first if learnt is None else learnt.plane
+        if plane is not self._plane:
+            self._plane, self._banks = plane, _zeroed(*self._made(plane), learnt)
 
     def push(self, frame: Frame, prediction: Prediction | None = None) -> PixelTranslation:
         """Measure the translation (px) of the target in `frame`; LOST with NaN where it cannot be found."""
@@ -203,7 +178,7 @@ class RegistrationTracker(Tracker):
             )
         learnt = other._learnt(samples)
         self._state = replace(self._state, samples=None, learnt=learnt)
-        self._renew()
+        self._plane, self._banks = other._plane, other._banks
         return learnt
 
     def _begun(self) -> KeptSamples | None:
@@ -243,10 +218,9 @@ class RegistrationTracker(Tracker):
             return
         # A structure at rest shows one place alone: an average will do until it moves.
         self._state = replace(self._state, samples=None if varied else samples, learnt=self._learnt(samples))
-        self._renew()
 
     def _learnt(self, samples: KeptSamples) -> Learnt:
-        """The template of the samples, with zeros such that their mean place stays what the first template gave."""
+        """Take the template of the samples, with zeros that leave their mean place where the first template put it."""
         plane = learn_plane(samples)
         if len(samples.items) < FEWEST_PLACES:
             # So few means are fitted without a rest, which says nothing of their noise.
@@ -256,14 +230,10 @@ class RegistrationTracker(Tracker):
         covariance = np.zeros((4, 4))
         # The reference is one frame; the template's own noise is that of a frame over the root of their number.
         covariance[:2, :2] = np.linalg.inv(few.information.sum(axis=0)) * plane.noise_std**2 * samples.frames
-        return Learnt(plane, (_moved(few, samples), _moved(many, samples)), covariance)
-
-    def _renew(self) -> None:
-        """Take the template that the state holds."""
-        learnt = self._state.learnt
-        plane = self._first if learnt is None else learnt.plane
-        if plane is not self._plane:
-            self._plane, self._banks = plane, self._made(plane)
+        learnt = Learnt(plane, (_moved(few, samples), _moved(many, samples)), covariance)
+        # They hold the kernels that the samples needed, which the next frames need too.
+        self._plane, self._banks = plane, _zeroed(few, many, learnt)
+        return learnt
 
     def _look(self, image: NDArray[np.generic], offset: float, begin: Floats) -> Pose | None:
         """The pose since the reference frame, from blocks or, where these disagree, from the window as a whole if that
@@ -304,15 +274,12 @@ class RegistrationTracker(Tracker):
 
     def _of_blocks(self, image: NDArray[np.generic], offset: float, begin: Floats, usual: float) -> Pose | None:
         """The pose since the reference frame, from large blocks or, where they disagree, from small ones."""
-        learnt = self._state.learnt
-        zeros = (_AT_REST, _AT_REST) if learnt is None else learnt.zeros
-        unsure = _CERTAIN if learnt is None else learnt.covariance
-        few = self._climb(0, image, offset, begin + zeros[0], usual)
+        unsure = _CERTAIN if self._state.learnt is None else self._state.learnt.covariance
+        few = self._climb(0, image, offset, begin, usual)
         if few is not None and few.share > UNDISTURBED_SHARE and few.noise < DISTURBED * usual:
-            return few.since(zeros[0], unsure, few.averaged(usual))
-        many = self._climb(1, image, offset, begin + zeros[1], usual)
-        both = ((few, zeros[0]), (many, zeros[1]))
-        found = [pose.since(zero, unsure, pose.disturbed(usual)) for pose, zero in both if pose is not None]
+            return few.wider(few.averaged(usual), unsure)
+        many = self._climb(1, image, offset, begin, usual)
+        found = [pose.wider(pose.disturbed(usual), unsure) for pose in (few, many) if pose is not None]
         if len(found) < 2:
             return found[0] if found else None
         few, many = found
@@ -330,9 +297,10 @@ class RegistrationTracker(Tracker):
         if image is None:
             self._remind()
             return None
-        begin = np.array([*self._state.expected(frame.time_ns, prediction), self._state.roll_rad, self._state.zoom])
+        expected = self._state.expected(frame.time_ns, prediction)
+        begin = np.array((*expected, self._state.roll_rad, self._state.zoom))
         pose = self._look(image, offset, begin) if self._state.lost_frames == 0 else None
-        pose = pose if pose is not None and self._is_target(pose, frame, prediction) else None
+        pose = pose if pose is not None and self._is_target(pose, expected, frame, prediction) else None
         if pose is not None and pose.share > MAJORITY and self._trusted(pose):
             return pose
         self._remind()
@@ -349,9 +317,13 @@ class RegistrationTracker(Tracker):
         """Let the template tracker know of the motion so far."""
         self._seed.restore(TemplateState(**{f.name: getattr(self._state, f.name) for f in fields(Motion)}))
 
-    def _is_target(self, pose: Pose, frame: Frame, prediction: Prediction | None) -> bool:
+    def _is_target(
+        self, pose: Pose, expected: tuple[float, float], frame: Frame, prediction: Prediction | None
+    ) -> bool:
         """Whether a pose is that of the target, and not of a place that looks like it."""
         place = pose.value[:2]
+        if math.hypot(place[0] - expected[0], place[1] - expected[1]) <= NEXT_PX:
+            return True
         return self._seed.identified(frame, place, prediction, self._state) is place
 
     def _whole(self, found: PixelTranslation) -> Pose | None:
@@ -363,7 +335,7 @@ class RegistrationTracker(Tracker):
             return None
         covariance = np.diag([found.variance_x_px2 + WHOLE_PX**2, found.variance_y_px2 + WHOLE_PX**2, 1e-6, 1e-6])
         value = np.array([found.x_px, found.y_px, self._state.roll_rad, self._state.zoom])
-        return Pose(value, covariance, WHOLE_SHARE, SUSPICIOUS * max(self._usual, self._first.noise_std))
+        return Pose(True, value, covariance, WHOLE_SHARE, SUSPICIOUS * max(self._usual, self._first.noise_std))
 
     def _trusted(self, pose: Pose) -> bool:
         """Whether the blocks agree as well as noise lets them: at a wrong place they do not."""
@@ -377,10 +349,15 @@ class RegistrationTracker(Tracker):
 
     def _climb(self, which: int, image: NDArray[np.generic], offset: float, begin: Floats, usual: float) -> Pose | None:
         """The pose that the kernels of bank `which` lead to from `begin` (4,)."""
-        found = climb(image, offset, self._banks[which], begin, usual)
-        if not found.found or found.share < self.settings.min_share:
-            return None
-        return Pose(found.pose, found.covariance, found.share, found.noise)
+        pose = climb(image, offset, self._banks[which], begin, usual)
+        return pose if pose.found and pose.share >= self.settings.min_share else None
+
+
+def _zeroed(few: Store, many: Store, learnt: Learnt | None) -> tuple[Store, Store]:
+    """Kernels whose poses count from the zeros of what was learnt."""
+    if learnt is None:
+        return few, many
+    return few._replace(zero=learnt.zeros[0]), many._replace(zero=learnt.zeros[1])
 
 
 def _moved(bank: Store, samples: KeptSamples) -> Floats:
@@ -391,7 +368,7 @@ def _moved(bank: Store, samples: KeptSamples) -> Floats:
         begin = np.array([*item.shift, 0.0, 0.0])
         found = climb(item.pixels, 0.0, bank, begin, 0.0)
         if found.found:
-            total[:2] += item.count * (found.pose[:2] - item.shift)
+            total[:2] += item.count * (found.value[:2] - item.shift)
             count += item.count
     return total / max(count, 1)
 

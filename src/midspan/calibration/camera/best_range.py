@@ -15,10 +15,10 @@ from midspan.records import NANOSECONDS, Floats, Frame, Nanoseconds, PixelTrack,
 from midspan.thermal.temperature_range import ROUGH, THINNED, Expected, RangeSurface, optimise_range
 from midspan.vision.tracker import open_tracker
 
-# So many frames of the calibration are compared; displacement is let in so much more weakly than it is known, that the
-# accelerometer makes what is compared.
+# This many frames of the calibration are compared; displacement is let in so much more weakly than it is known, that
+# the accelerometer makes what is compared.
 FRAMES, WEAKER = 90, 1e4
-LEAST_FRAMES = 8
+MIN_FRAMES = 8
 SLOWEST_HZ, FASTEST_SHARE = 0.5, 0.45
 # Thinned frames, some of them lost, show what lies above this share of the frame rate apart from what is slower; as
 # many as are compared without thinning show it up to the second share.
@@ -31,9 +31,9 @@ def best_range(frames: Sequence[Frame], view: View, targets: Sequence[SeenTarget
     frames: FRAMES at most; targets, fit: of the temperatures as they are, which gave the scale factor. Raises
     UntrustedError where nothing decides, with the reason.
     """
-    if len(frames) < LEAST_FRAMES:
+    if len(frames) < MIN_FRAMES:
         raise UntrustedError(
-            f"The calibration holds {len(frames)} frames from the reference frame on; at least {LEAST_FRAMES} are "
+            f"The calibration holds {len(frames)} frames from the reference frame on; at least {MIN_FRAMES} are "
             "needed. Choose a longer calibration.window_s."
         )
     rate = NANOSECONDS / float(np.median(np.diff([frame.time_ns for frame in frames])))

@@ -1,4 +1,4 @@
-"""The camera's part of a calibration: every target, along every measured image axis, beside the accelerometer."""
+"""The camera's part of a calibration: every target, along every measured image axis, relative to the accelerometer."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -13,7 +13,7 @@ from midspan.calibration.common_offset import Fitted, common_offset, one_offset,
 from midspan.calibration.fit import Pair
 from midspan.calibration.measured import measured_rows
 from midspan.calibration.noise import learn_motion
-from midspan.calibration.scale import LEAST_FRAMES, REFUSED_ABOVE, ScaleCalibration, calibrate_scale, contradiction
+from midspan.calibration.scale import MIN_FRAMES, REFUSED_ABOVE, ScaleCalibration, calibrate_scale, contradiction
 from midspan.calibration.sensors.camera import CameraCalibration, TargetCalibration
 from midspan.calibration.sensors.fit import SensorFit
 from midspan.errors import UntrustedError
@@ -167,7 +167,7 @@ def _fit_of(seen: Sequence[SeenTarget], camera: CameraCalibration, fit: Fitted) 
     )
     search = found.search
     bias = bias_of(search.pair, search.fit, float(np.sqrt(search.offset.variance)))
-    # The integrated acceleration that the pair keeps beside its fields is no part of the result.
+    # The integrated acceleration that the pair keeps besides its fields is no part of the result.
     plain = replace(found, search=replace(search, pair=replace(search.pair)))
     coloured = misfit(search.pair, search.fit)
     warnings += coloured.text("camera") if camera.apart_std_m == 0.0 else [_contradiction_text(camera)]
@@ -250,7 +250,7 @@ def _camera(
 def _without_movers(
     view: View, targets: Sequence[SeenTarget], camera: CameraCalibration, noise: InputNoise
 ) -> CameraCalibration:
-    """The calibration without the targets that move by themselves, the worst first; UntrustedError if undecided."""
+    """The calibration without the targets that move on their own, the worst first; UntrustedError if undecided."""
     while len(camera.used) > 1:
         used = [k for k, target in enumerate(camera.targets) if target.used]
         acceleration = view.prepared.with_noise(noise.density, noise.motion_s)
@@ -278,7 +278,7 @@ def _without_movers(
 def relative_scale_std(scales: Sequence[ScaleCalibration], targets: Sequence[TargetCalibration]) -> float:
     """Relative standard deviation of the scale factor of all targets' mean.
 
-    scales: as learnt; targets: the same with what compression may do to them, which is one error of the whole video
+    scales: as estimated; targets: the same with what compression may do to them, which is one error of the whole video
     and does not average out.
     """
     relative = np.array([s.scale.variance / s.scale.value_m_per_px**2 for s in scales])
@@ -291,7 +291,7 @@ def relative_scale_std(scales: Sequence[ScaleCalibration], targets: Sequence[Tar
 
 
 def _tracked_only(view: View, seen: Sequence[SeenTarget], main: CameraCalibration) -> CameraFit:
-    """The axis without an accelerometer: pixels are square, and how the structure is shaken is learnt from the picture.
+    """The axis without an accelerometer: pixels are square, and how the structure is shaken is estimated from images.
 
     Its sign: positive where the structure moves to the right or down in the image, so that the picture goes the other
     way.
@@ -308,10 +308,9 @@ def _tracked_only(view: View, seen: Sequence[SeenTarget], main: CameraCalibratio
         window = inside(track.time_ns, first, last)
         rows = measured_rows(track.time_ns[window], value * translation[window], value**2 * variance[window], first)
         usable = np.count_nonzero(np.isfinite(rows[:, 2]))
-        if usable < LEAST_FRAMES:
+        if usable < MIN_FRAMES:
             raise UntrustedError(
-                f"{usable} usable frames lie in the calibration window along {axis}; at least {LEAST_FRAMES} are "
-                "needed."
+                f"{usable} usable frames lie in the calibration window along {axis}; at least {MIN_FRAMES} are needed."
             )
         still = view.prepared.rows(first, view.window) * np.array([1.0, 0.0, 1.0])
         # The tracker is as far from its own variance as along the other axis.

@@ -1,4 +1,4 @@
-"""The targets of a camera as one displacement: each beside the path that all and the accelerometer agree on."""
+"""The targets of a camera as one displacement: each compared with the path that all and the accelerometer agree on."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -15,17 +15,17 @@ from midspan.fusion.targets import AGREE_STD
 from midspan.records import NANOSECONDS, Acceleration, Displacement, Estimate, Floats, Innovation, part
 from midspan.signals.acceleration import PreparedAcceleration
 
-# A target whose displacement leaves the others' by this many times what noise and scale explain moves by itself.
+# A target whose displacement leaves the others' by this many times what noise and scale explain moves on its own.
 DISAGREES = 2.5
 # Innovations count up to this many standard deviations squared: one wrong frame is no step, which is wrong for seconds.
-MOST_POWER = (2.0 * AGREE_STD) ** 2
-# A target whose own innovations, or learnt noise, stand out by these ratios contradicts the acceleration more than
-# another. Steady targets' innovations were within 4 % of each other, their learnt noise (variance) within 40 %; a step
-# of 0.5 px in a minute raises the innovations by 70 %.
+MAX_POWER = (2.0 * AGREE_STD) ** 2
+# A target whose own innovations, or estimated noise, stand out by these ratios contradicts the acceleration more than
+# another. Steady targets' innovations were within 4 % of each other, their estimated noise (variance) within 40 %; a
+# step of 0.5 px in a minute raises the innovations by 70 %.
 TELLING_POWER = 1.3
 TELLING_NOISE = 2.0
 # Less than this of the zero's own standard deviation is no disagreement: no model fits to the last digit.
-LEAST_APART_M = 1e-5
+MIN_APART_M = 1e-5
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +51,7 @@ def camera_blocks(
     blocks = [
         unblurred(m.displacement(t.rows), float(np.hypot(t.blur_s, camera.exposure_s)), acceleration) for t, m in pairs
     ]
-    # What the reference frame makes is not among what the learnt factor was learnt from.
+    # What the reference frame makes is not among what the factor was estimated from.
     more = [m.scale_m_per_px**2 * t.reference_px2[:, "xy".index(m.direction)] for t, m in pairs]
     return [replace(b, variance_m2=b.variance_m2 + v) for b, v in zip(blocks, more, strict=True)]
 
@@ -69,7 +69,7 @@ def filter_settings(prepared: PreparedAcceleration, density: float, bias: float 
     """First guesses for the filter: the bias (the mean when left out) and how well it is known.
 
     density: of the acceleration's noise, (m/s²)²/Hz. Without any acceleration the motion is that noise, and its slow
-    part is left to the bias as it was when the density was learnt.
+    part is left to the bias as it was when the density was estimated.
     """
     value = prepared.value_m_s2
     if not value.any():
@@ -128,7 +128,7 @@ def moves_by_itself(
     kalman: KalmanSettings,
     window_ns: tuple[int, int],
 ) -> Contradiction | None:
-    """The target that moves by itself, or None where the targets agree; arguments as in `together`.
+    """The target that moves on its own, or None where the targets agree; arguments as in `together`.
 
     Each target has a path of its own, so that none draws the others'. The one to trust contradicts the acceleration
     least; of those alike in that, it agrees with most others; of those, it is the sharpest.
@@ -146,7 +146,7 @@ def moves_by_itself(
         known = variance + slack**2 + at(path, blocks[0].time_ns)[1]
         apart[k], apart_m[k] = _apart(residual, known, window)
         power[k] = _power(own.innovation, window_ns)
-    moved = (apart > DISAGREES) & (apart_m > LEAST_APART_M)
+    moved = (apart > DISAGREES) & (apart_m > MIN_APART_M)
     noise = np.array([scale.variance_factor for scale in scales])
     score = np.maximum(power, 1.0) * np.maximum(noise / (TELLING_NOISE * noise.min()), 1.0)
     agreed = np.where(score <= TELLING_POWER * score.min(), np.sum(~(moved | moved.T), axis=0), 0)
@@ -175,4 +175,4 @@ def _power(innovation: Innovation, window_ns: tuple[int, int]) -> float:
     if not inside.any():
         return 1.0
     squared = innovation.value_m[inside] ** 2 / innovation.variance_m2[inside]
-    return float(np.mean(np.minimum(squared, MOST_POWER)))
+    return float(np.mean(np.minimum(squared, MAX_POWER)))

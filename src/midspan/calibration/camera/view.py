@@ -20,7 +20,7 @@ from midspan.vision.tracker import Tracker
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """One image axis "x" or "y" of a camera beside the acceleration along it.
+    """One image axis "x" or "y" of a camera with the acceleration along it.
 
     window: the samples of the calibration window; max_offset_s: largest clock offset looked for; band_hz: where the
     acceleration decides the scale factor (None: everywhere); exposure_s: None where it is not told.

@@ -1,4 +1,4 @@
-"""Noise, clock offset and scale of a [displacement] sensor, learnt beside the accelerometer, or a refusal."""
+"""Noise, clock offset and scale of a [displacement] sensor, estimated relative to the accelerometer, or a refusal."""
 
 from dataclasses import dataclass, replace
 
@@ -6,9 +6,9 @@ import numpy as np
 
 from midspan.calibration.agreement import clearly_better, unexplained
 from midspan.calibration.fit import Fit, Pair
-from midspan.calibration.measured import LEAST_MEASUREMENTS, measured_rows
+from midspan.calibration.measured import MIN_MEASUREMENTS, measured_rows
 from midspan.calibration.noise import CERTAIN_S, Findings, NoiseCalibration, calibrate_noise, edge_s
-from midspan.calibration.scale import LEAST_GAIN, is_ambiguous
+from midspan.calibration.scale import MIN_GAIN, is_ambiguous
 from midspan.calibration.sensor_scale import calibrate_sensor_scale, unexplained_text
 from midspan.calibration.time_offset import BEYOND, FARTHER_WINDOW_S, OffsetSearch, farther, farther_s
 from midspan.errors import DataError, UntrustedError
@@ -17,21 +17,21 @@ from midspan.signals.acceleration import PreparedAcceleration
 from midspan.signals.health import dominant_frequency
 from midspan.signals.stamps import inside
 
-# Noise levels of a displacement sensor are learnt from this much at most, in one piece, for speed.
+# Noise levels of a displacement sensor are estimated from this much at most, in one piece, for speed.
 NOISE_WINDOW_S = 1800.0
 # Measurements within the longest offset of an end are left out: so much of the overlap at most at each end, where the
-# offset is only told, where it is learnt, and where one farther off is looked for.
+# offset is only reported, where it is estimated, and where one farther off is looked for.
 TOLD_SHARE, LEARNT_SHARE, FARTHER_SHARE = 0.1, 0.25, 0.35
 # Fewer samples of acceleration carry no motion between two measurements.
 MIN_SAMPLES = 10
 # A clock offset that was not asked for is refused when it moves the displacement by more than this many times its
 # noise.
-MOST_LATE = 2.0
+MAX_LATE = 2.0
 # A displacement that is so much more likely (logarithm of the likelihood) with the opposite sign has it.
 CLEARLY_REVERSED = 20.0
 # Of two clock offsets the likelier one leads by this much (logarithm of the likelihood), and by this share of what the
 # acceleration brings: alternatives of a tone lead by less than a hundredth of it.
-LEAST_LEAD, LEAST_LEAD_SHARE = 12.0, 0.05
+MIN_LEAD, MIN_LEAD_SHARE = 12.0, 0.05
 # A motion that brings more tells an offset, so that two that fit alike are refused; with less, none is applied.
 TELLING_GAIN = 100.0
 # Beyond this share a scale is wrong rather than inexact.
@@ -40,7 +40,7 @@ WRONG_SCALE = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Given:
-    """A displacement sensor compared with the accelerometer, and what is to be learnt of it.
+    """A displacement sensor compared with the accelerometer, and what is to be estimated of it.
 
     series: its values as read; wanted_s: the largest clock offset looked for; learns_offset, learns_scale: whether
     these are applied; noise_std_m: of its values as read, None where it is not given; gives_zero: whether its zero is
@@ -193,7 +193,7 @@ def _refuse_wrong_scale(learnt: NoiseCalibration, found: Findings) -> None:
             "derivative must be positive where the structure accelerates along the sensor's positive axis. Turn the "
             "sign of the column, or of the accelerometer's, or have it learnt: displacement.estimate_scale = true."
         )
-    told = found.free.likelihood - found.free.without > LEAST_GAIN
+    told = found.free.likelihood - found.free.without > MIN_GAIN
     if times and told and found.free.ratio > 0.0 and clearly_better(found.free, found.likeliest):
         raise UntrustedError(
             f"displacement: follows the accelerometer with a factor of {found.free.ratio:.3g} ± "
@@ -204,12 +204,12 @@ def _refuse_wrong_scale(learnt: NoiseCalibration, found: Findings) -> None:
 
 
 def _refuse_doubtful_offset(beside: _Beside, learnt: NoiseCalibration, found: Findings) -> None:
-    """UntrustedError where the clock offset that was asked for is not to be believed."""
+    """UntrustedError where the clock offset that was asked for is not to be accepted."""
     search, limit = found.search, beside.max_offset_s
     if search is None or not search.offset.variance < CERTAIN_S**2:
         return
     fit, std = search.fit, float(np.sqrt(search.offset.variance))
-    if fit.likelihood - fit.without < LEAST_GAIN:
+    if fit.likelihood - fit.without < MIN_GAIN:
         if learnt.offset.value_s != 0.0:
             raise UntrustedError(unexplained_text(fit.offset_s, limit))
         return
@@ -230,12 +230,13 @@ def _refuse_doubtful_offset(beside: _Beside, learnt: NoiseCalibration, found: Fi
 
 
 def _ambiguous(search: OffsetSearch) -> bool:
-    """Whether two offsets fit alike; with little motion a lead that is small beside a tone's errors decides all the
-    same, where it is a good part of what the motion tells at all."""
+    """Whether two offsets fit alike; with little motion a lead that is small compared with a tone's errors decides all
+    the same, where it is a good part of what the motion shows at all.
+    """
     other, fit = search.runner_up, search.fit
     if other is None or not is_ambiguous(search):
         return False
-    return fit.likelihood - other.likelihood < max(LEAST_LEAD, LEAST_LEAD_SHARE * (fit.likelihood - fit.without))
+    return fit.likelihood - other.likelihood < max(MIN_LEAD, MIN_LEAD_SHARE * (fit.likelihood - fit.without))
 
 
 def _offset_warnings(beside: _Beside, learnt: NoiseCalibration) -> list[str]:
@@ -261,13 +262,13 @@ def _not_told(learnt: NoiseCalibration) -> bool:
 
 
 def _on_one_clock(learnt: NoiseCalibration, found: Findings) -> NoiseCalibration:
-    """One clock is taken for granted; an offset that shows all the same is told and put into the error band."""
+    """One clock is taken for granted; an offset that shows all the same is reported and put into the error band."""
     off, value = learnt.offset.value_s, found.pair.samples[:, 1]
     noise = learnt.factor**2 * min(found.fit.noise, found.likeliest.noise)
     rate = (len(value) - 1) / float(found.pair.samples[-1, 0] - found.pair.samples[0, 0])
     shaken = float(np.std(value)) / (2.0 * np.pi * max(dominant_frequency(value, rate), 0.2))
     speed = max(shaken, _speed(found.pair, learnt.factor, noise))
-    if abs(off) * speed > MOST_LATE * np.sqrt(noise):
+    if abs(off) * speed > MAX_LATE * np.sqrt(noise):
         raise UntrustedError(
             f"displacement: its clock differs from the accelerometer's by {off:+.4f} s, which moves it by "
             f"{1e3 * abs(off) * speed:.3g} mm rms. Set displacement.estimate_offset = true to have the offset "
@@ -288,17 +289,17 @@ def _refuse_poor_displacement(read: TimeSeries, series: TimeSeries, used: slice)
     """DataError where too few values are left of those `read`, or all are one."""
     value = read.value[used]
     known = value[np.isfinite(value)]
-    if len(known) >= LEAST_MEASUREMENTS and np.ptp(known) == 0.0:
+    if len(known) >= MIN_MEASUREMENTS and np.ptp(known) == 0.0:
         raise DataError(
             f"displacement ({read.name}): stands at one value, {1e3 * known[0]:g} mm, all the time. Check the "
             "sensor, or choose another column with displacement.value."
         )
     count = int(np.count_nonzero(np.isfinite(series.value[used])))
-    if count >= LEAST_MEASUREMENTS:
+    if count >= MIN_MEASUREMENTS:
         return
     held = len(known) - count
     frozen = f"; {held} more were left out as frozen: they repeat one value while the structure moves" if held else ""
     raise DataError(
-        f"displacement: {count} measurements overlap the accelerometer{frozen}; at least {LEAST_MEASUREMENTS} "
+        f"displacement: {count} measurements overlap the accelerometer{frozen}; at least {MIN_MEASUREMENTS} "
         "are needed to learn its noise. Check its time column, gaps and unit, and calibration.window_s."
     )

@@ -1,4 +1,4 @@
-"""What is learnt of a displacement sensor, what to know of it, and its measurements in metres."""
+"""What is estimated of a displacement sensor, what to know of it, and its measurements in metres."""
 
 from dataclasses import replace
 
@@ -9,10 +9,10 @@ from midspan.calibration.bias import bias_of
 from midspan.calibration.displacement.learn import Given, learn
 from midspan.calibration.noise import DRIFT_HZ, NoiseCalibration
 from midspan.calibration.scale import white_noise
-from midspan.calibration.scale_check import MOST_NOISE
+from midspan.calibration.scale_check import MAX_NOISE
 from midspan.calibration.sensors.displacement import DisplacementCalibration
 from midspan.calibration.sensors.fit import SensorFit
-from midspan.calibration.slow_error import WANDER_S
+from midspan.calibration.slow_error import DRIFT_S
 from midspan.errors import UntrustedError
 from midspan.records import NANOSECONDS, Event, TimeSeries, seconds
 from midspan.signals.acceleration import PreparedAcceleration
@@ -20,20 +20,20 @@ from midspan.signals.health import Mask, runs
 from midspan.signals.stamps import shown
 from midspan.signals.stuck import range_limits, resolution, stuck
 
-# A scale that was not learnt is told when it is off by this share and so many deviations, and refused beyond the second
-# share.
+# A scale that was not estimated is reported when it is off by this share and this many deviations, and refused beyond
+# the second share.
 TOLD, CERTAIN, REFUSED = 0.015, 4.5, 0.5
-# A given noise of a displacement sensor is taken unless the sensors differ as if it were so many times larger.
-MOST_OPTIMISTIC = 1.5
-# Where so many values would count as frozen, the sensor's resolution is coarse beside the motion.
-MOST_FROZEN = 0.5
+# A given noise of a displacement sensor is taken unless the sensors differ as if it were this many times larger.
+MAX_OPTIMISTIC = 1.5
+# Where this many values would count as frozen, the sensor's resolution is coarse compared with the motion.
+MAX_FROZEN = 0.5
 
 
 DisplacementFit = SensorFit[DisplacementCalibration, NoiseCalibration]
 
 
 def fit_displacement(given: Given) -> DisplacementFit:
-    """Noise, clock offset and scale of the sensor, learnt beside the accelerometer, or a refusal."""
+    """Noise, clock offset and scale of the sensor, estimated relative to the accelerometer, or a refusal."""
     ends = range_limits(given.series.value)
     held = (given.series.value <= ends[0]) | (given.series.value >= ends[1])
     given = replace(given, series=without(given.series, held))
@@ -56,9 +56,9 @@ def fit_displacement(given: Given) -> DisplacementFit:
 
 
 def _learnt(given: Given) -> NoiseCalibration:
-    """Noise, clock offset and scale of the sensor, learnt beside the accelerometer, or a refusal.
+    """Noise, clock offset and scale of the sensor, estimated relative to the accelerometer, or a refusal.
 
-    The scale is learnt with displacement.estimate_scale only; else it is told where it seems wrong.
+    The scale is estimated with displacement.estimate_scale only; else it is reported where it seems wrong.
     """
     series, prepared = given.series, given.prepared
     if not given.learns_scale:
@@ -66,7 +66,7 @@ def _learnt(given: Given) -> NoiseCalibration:
     # What the values are rounded to is known in metres only with the scale: at first none of it is granted.
     crude = frozen_values(prepared, series, resolution_m=0.0)
     known = np.isfinite(series.value)
-    first = without(series, crude if np.mean(crude[known]) < MOST_FROZEN else np.zeros_like(crude))
+    first = without(series, crude if np.mean(crude[known]) < MAX_FROZEN else np.zeros_like(crude))
     learnt = learn(given, first)
     scaled = replace(series, value=learnt.factor * series.value)
     offset_ns = round(NANOSECONDS * learnt.offset.value_s)
@@ -80,7 +80,7 @@ def displacement_part(given: Given, learnt: NoiseCalibration) -> DisplacementCal
     if given.noise_std_m is not None:
         own = given.noise_std_m * abs(learnt.factor)
         # A given noise far below what the sensors differ by would only make the gate reject right measurements.
-        std = own if std < MOST_OPTIMISTIC * own else std
+        std = own if std < MAX_OPTIMISTIC * own else std
     # A scale that seems wrong is left as it is, and the error band holds both.
     scale_std = float(np.hypot(learnt.factor_std, abs(learnt.factor) * _scale_error(learnt)))
     step_m = resolution(learnt.factor * given.series.value)
@@ -109,12 +109,12 @@ def _range_warnings(part: DisplacementCalibration, held: Mask) -> list[str]:
 
 
 def _scale_error(learnt: NoiseCalibration) -> float:
-    """By how much a scale that was not learnt seems wrong, as a share; 0 where it may be right."""
+    """By how much a scale that was not estimated seems wrong, as a share; 0 where it may be right."""
     if learnt.gain_std > 0.0 or learnt.drifts:
         # It is the accelerometer's gain, or its drift, which is in its noise.
         return 0.0
     uncertain = CERTAIN * learnt.scale_std + 0.5 * learnt.noise_share
-    if learnt.noise_share > MOST_NOISE or not abs(learnt.scale - 1.0) > max(TOLD, uncertain):
+    if learnt.noise_share > MAX_NOISE or not abs(learnt.scale - 1.0) > max(TOLD, uncertain):
         return 0.0
     return float(np.hypot(1.0 / learnt.scale - 1.0, learnt.scale_std))
 
@@ -167,7 +167,7 @@ def _unseen_warnings(learnt: NoiseCalibration) -> list[str]:
     size = f"of up to {1e3 * learnt.unseen_m:.2g} mm" if np.isfinite(learnt.unseen_m) else "of any size"
     return [
         f"displacement: the error band takes its errors as independent. A slow error, as a GNSS receiver or a total "
-        f"station has, {size} in {WANDER_S:g} s would not show here. displacement.noise_time_s, its correlation time, "
+        f"station has, {size} in {DRIFT_S:g} s would not show here. displacement.noise_time_s, its correlation time, "
         "puts it into the band; 0 says that the sensor has none."
     ]
 
@@ -184,7 +184,7 @@ def without(series: TimeSeries, mask: Mask) -> TimeSeries:
 
 
 def frozen_values(prepared: PreparedAcceleration, series: TimeSeries, *, resolution_m: float | None = None) -> Mask:
-    """Values (n,) of the sensor that stand still while the accelerometer says that the structure moves.
+    """Values (n,) of the sensor that are static while the accelerometer says that the structure moves.
 
     series: in metres on the accelerometer's clock; resolution_m: what its values are rounded to; left out: as they are.
     """
@@ -197,7 +197,7 @@ def frozen_values(prepared: PreparedAcceleration, series: TimeSeries, *, resolut
 
 
 def frozen_events(series: TimeSeries, held: Mask) -> tuple[Event, ...]:
-    """An event for each stretch of frozen values (`held` (n,)) of [displacement] that was left out.
+    """An event for each segment of frozen values (`held` (n,)) of [displacement] that was left out.
 
     series: in metres on the accelerometer's clock.
     """
@@ -213,7 +213,7 @@ def frozen_events(series: TimeSeries, held: Mask) -> tuple[Event, ...]:
 
 
 def frozen_warnings(events: tuple[Event, ...]) -> list[str]:
-    """One sentence for all frozen stretches."""
+    """One sentence for all frozen segments."""
     if not events:
         return []
     more = f"So were {len(events) - 1} more such stretches. " if len(events) > 1 else ""

@@ -1,4 +1,4 @@
-"""The radar's part of a calibration: fixed targets, conversion factors and clock offset beside the accelerometer."""
+"""The radar's part of a calibration: fixed targets, their conversion factors, one clock offset."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -7,14 +7,14 @@ import numpy as np
 
 from midspan.calibration.agreement import misfit
 from midspan.calibration.bias import Bias, bias_of
-from midspan.calibration.common_offset import LEAST_OFFSET_S, OFFSET_STD
+from midspan.calibration.common_offset import MIN_OFFSET_S, OFFSET_STD
 from midspan.calibration.fit import Pair
 from midspan.calibration.frequency_response import Kind, kinds_of
 from midspan.calibration.measured import measured_rows
-from midspan.calibration.radar.clock import Seen, radar_clock
+from midspan.calibration.radar.clock import Seen, clock_skew
 from midspan.calibration.radar.diagnostics import diagnostics_of
 from midspan.calibration.radar.own_motion import judged
-from midspan.calibration.radar.window import LEAST_FRAMES, OpenedWindow
+from midspan.calibration.radar.window import MIN_FRAMES, OpenedWindow
 from midspan.calibration.scale import WARNED_ABOVE, is_ambiguous, with_frequency
 from midspan.calibration.sensors.fit import SensorFit
 from midspan.calibration.sensors.radar import RadarCalibration, RadarTarget
@@ -33,8 +33,8 @@ from midspan.radar.frames import (
 from midspan.radar.info import RadarInfo
 from midspan.radar.measurement import TargetSeries
 from midspan.radar.target import (
-    LARGEST_CLUTTER,
-    LARGEST_RELATIVE_STD,
+    MAX_CLUTTER,
+    MAX_RELATIVE_STD,
     Target,
     at_place,
     find_targets,
@@ -46,19 +46,19 @@ from midspan.signals.health import dominant_frequency, runs
 from midspan.signals.stamps import inside
 
 # Rows that the likelihood is evaluated on at most; a faster radar is thinned.
-MOST_ROWS = 8000
-# The two ways to the factor, closed form and likelihood, may differ by so many standard deviations before that is put
+MAX_ROWS = 8000
+# The two ways to the factor, closed form and likelihood, may differ by this many standard deviations before that is put
 # into the stated one.
 AGREED_STD = 3.0
 # A clock offset known worse than this (s) brings a warning.
 WARNED_OFFSET_S = 2e-3
-# A factor below 1 by more than this share, and by so many standard deviations, is that of no fixed target.
-LEAST_SHORT, SHORT_STD = 0.02, 5.0
+# A factor below 1 by more than this share, and by this many standard deviations, is that of no fixed target.
+MIN_SHORT, SHORT_STD = 0.02, 5.0
 # A target farther than this from the range that was asked for is another one, m.
-FARTHEST_M = 0.5
-# Where targets are hidden in the window for so many frames on end, its longest clear part is used if it is this share
+MAX_M = 0.5
+# Where targets are hidden in the window for this many frames on end, its longest clear part is used if it is this share
 # of it at least; above the other share nothing needs to be left out.
-LEAST_FLAW_FRAMES, LEAST_CLEAR, ALL_CLEAR = 20, 0.25, 0.99
+MIN_FLAW_FRAMES, MIN_CLEAR, ALL_CLEAR = 20, 0.25, 0.99
 
 
 RadarFit = SensorFit[RadarCalibration, None]
@@ -74,7 +74,7 @@ def fit_radar(
 ) -> RadarFit:
     """Choose fixed targets and learn their conversion factors and the clock offset in the calibration window.
 
-    most_targets: so many are used at most; target_range_m: where the only one is wanted. Raises UntrustedError, with
+    most_targets: this many are used at most; target_range_m: where the only one is wanted. Raises UntrustedError, with
     the reason, where no target follows the accelerometer well enough.
     """
     frames, samples, told, (origin, max_offset) = window.frames, window.samples, window.told, window.clock
@@ -86,7 +86,6 @@ def fit_radar(
     frame_s = whole.time_ns / NANOSECONDS + offset.value_s
     targets, moving = judged(targets, seen, frame_s, samples)
     best = next(item.target for item in targets if item.used)
-    unit = info.axis.phase_per_m(best.range_m)
     series = series_of(frames, best, info, samples)
     search = searched(prepared, whole, series, (origin, max_offset))
     _refuse_ambiguity(search, max_offset)
@@ -107,7 +106,7 @@ def fit_radar(
         relative_std=_relative_std(used),
         carrier_hz=info.carrier_hz,
         channels=info.channels,
-        diagnostics=diagnostics_of(info.axis.range_m, info.limit_speed_m_s, whole, (best, series, unit)),
+        diagnostics=diagnostics_of(info.axis.range_m, whole, best),
     )
     coloured = misfit(search.pair, search.fit)
     about = (*told_factor, *response.texts(dominant_frequency(samples[:, 1], prepared.rate_hz)))
@@ -137,11 +136,11 @@ def _clearly_seen(
     if not best:
         return found, frames, []
     longest = _longest_clear(frames, best)
-    if longest.stop - longest.start < LEAST_CLEAR * len(frames.time_ns):
+    if longest.stop - longest.start < MIN_CLEAR * len(frames.time_ns):
         # What stands before one target may be taken for another, seen for a short time only.
         longest = max((_longest_clear(frames, [target]) for target in best), key=lambda part: part.stop - part.start)
     count = longest.stop - longest.start
-    if count >= ALL_CLEAR * len(frames.time_ns) or count < max(LEAST_FRAMES, LEAST_CLEAR * len(frames.time_ns)):
+    if count >= ALL_CLEAR * len(frames.time_ns) or count < max(MIN_FRAMES, MIN_CLEAR * len(frames.time_ns)):
         return found, frames, []
     frames = RadarFrames(frames.time_ns[longest], frames.phasors[longest], frames.valid[longest])
     length_s = float(frames.time_ns[-1] - frames.time_ns[0]) / NANOSECONDS
@@ -152,7 +151,7 @@ def _clearly_seen(
 
 
 def found_targets(frames: RadarFrames, samples: Floats, info: RadarInfo, max_offset_s: float) -> tuple[Target, ...]:
-    """All targets of the frames, beside the accelerometer."""
+    """All targets of the frames, relative to the accelerometer."""
     whole = without_holes(frames)
     time_s = whole.time_ns / NANOSECONDS
     return find_targets(
@@ -174,7 +173,7 @@ def _at_one_pace(
     z = together(at_place(frames.phasors, best.place_bin)[..., None], best, frames.valid)[:, 0] - best.leak
     unit = given[0].axis.phase_per_m(best.range_m)
     seen = Seen(frames.time_ns, z, best.amplitude, best.time_offset_s, 1.0 / best.conversion_factor, unit)
-    skew = radar_clock(seen, samples).skew
+    skew = clock_skew(seen, samples)
     if skew == 0.0:
         return found, frames
     middle = 0.5 * float(frames.time_ns[0] + frames.time_ns[-1])
@@ -184,15 +183,15 @@ def _at_one_pace(
 
 
 def _longest_clear(frames: RadarFrames, targets: Sequence[Target]) -> slice:
-    """The longest stretch of frames in which all targets had about their usual amplitude, short flaws allowed."""
+    """The longest segment of frames in which all targets had about their usual amplitude, short flaws allowed."""
     clear = np.ones(len(frames.time_ns), dtype=np.bool_)
     for target in targets:
         z = together(at_place(frames.phasors, target.place_bin)[..., None], target, frames.valid)[:, 0] - target.leak
         share = np.abs(z) / target.amplitude
-        # A target that moves through its bin fades by itself.
+        # A target that moves through its bin fades on its own.
         low = MIN_SHARE if target.reach_bins == 0.0 else 0.0
         clear &= ~((share < low) | (share > MAX_SHARE))
-    flaws = [run for run in runs(~clear) if run[1] - run[0] >= LEAST_FLAW_FRAMES]
+    flaws = [run for run in runs(~clear) if run[1] - run[0] >= MIN_FLAW_FRAMES]
     edges = [0, *(int(k) for run in flaws for k in run), len(clear)]
     starts, ends = edges[0::2], edges[1::2]
     k = int(np.argmax(np.subtract(ends, starts)))
@@ -245,9 +244,9 @@ def nearest_peak(found: tuple[Target, ...], range_m: float) -> Target:
     if not known:
         raise DataError("radar.target_range_m: this file does not say the ranges of its bins. Take the key out.")
     target = min(known, key=lambda one: abs(one.range_m - range_m))
-    if abs(target.range_m - range_m) > FARTHEST_M:
+    if abs(target.range_m - range_m) > MAX_M:
         raise UsageError(
-            f"radar.target_range_m = {range_m:g}: must be within {FARTHEST_M:g} m of a target; the nearest is at "
+            f"radar.target_range_m = {range_m:g}: must be within {MAX_M:g} m of a target; the nearest is at "
             f"{target.range_m:.2f} m. `midspan inspect` lists the peaks."
         )
     return target
@@ -263,7 +262,7 @@ def one_clock(targets: Sequence[Target]) -> tuple[list[str], TimeOffset]:
     middle = float(offset[order][np.searchsorted(share, 0.5 * share[-1])])
     reasons = [
         f"its clock offset would be {1e3 * o:+.1f} ms, the others' is {1e3 * middle:+.1f} ms"
-        if abs(o - middle) > max(OFFSET_STD * s, LEAST_OFFSET_S)
+        if abs(o - middle) > max(OFFSET_STD * s, MIN_OFFSET_S)
         else ""
         for o, s in zip(offset, std, strict=True)
     ]
@@ -285,7 +284,7 @@ def searched(
     samples = prepared.rows(origin, window)
     variance = np.where(np.isfinite(series.value_m), series.variance_m2, np.inf)
     typical = float(np.median(variance[np.isfinite(variance)]))
-    thin = slice(None, None, max(1, -(-len(whole.time_ns) // MOST_ROWS)))
+    thin = slice(None, None, max(1, -(-len(whole.time_ns) // MAX_ROWS)))
     rows = measured_rows(whole.time_ns[thin], series.range_change_m[thin], variance[thin] / typical, 0)
     return search_offset(Pair(samples, rows, level_m_s2=prepared.level(window)), max_offset)
 
@@ -329,11 +328,11 @@ def _widened(targets: tuple[RadarTarget, ...], search: OffsetSearch) -> tuple[tu
         f"radar: the conversion factor of the target at {best.range_m:.2f} m is {best.conversion_factor:.5g} by its "
         f"acceleration and {1 / fit.ratio:.5g} by likelihood; the difference was added to its uncertainty."
     )
-    if np.hypot(best.relative_std, apart) > LARGEST_RELATIVE_STD:
+    if np.hypot(best.relative_std, apart) > MAX_RELATIVE_STD:
         raise UntrustedError(
             f"radar: the conversion factor of the target at {best.range_m:.2f} m is {best.conversion_factor:.4g} by "
             f"its acceleration and {1 / fit.ratio:.4g} by likelihood: {100 * apart:.2g} % apart, at most "
-            f"{100 * LARGEST_RELATIVE_STD:g} % are allowed. Something else moves in its bin, or it moves by itself. "
+            f"{100 * MAX_RELATIVE_STD:g} % are allowed. Something else moves in its bin, or it moves by itself. "
             "Choose another with radar.target_range_m, or calibrate (calibration.window_s) on a time without it."
         )
     return tuple(_wider(item, apart) if item.used else item for item in targets), [text]
@@ -363,7 +362,7 @@ def _warnings(calibration: RadarCalibration) -> list[str]:
         found.append(f"radar: the clock offset is known to ± {1e3 * std:.1f} ms only (one standard deviation).")
     best = calibration.best
     found += _too_small(calibration.used)
-    if best.clutter > LARGEST_CLUTTER and not best.leak:
+    if best.clutter > MAX_CLUTTER and not best.leak:
         found.append(
             f"radar: something else of {100 * best.clutter:.0f} % of its amplitude lies in the bin of the target at "
             f"{best.range_m:.2f} m and bends its phase; aim at a target that stands alone."
@@ -374,7 +373,7 @@ def _warnings(calibration: RadarCalibration) -> list[str]:
 def _too_small(used: Sequence[Target]) -> list[str]:
     """A sentence where a factor is below 1, which no fixed target has: it is one over the cosine of an angle."""
     worst = min(used, key=lambda target: abs(target.conversion_factor))
-    least = 1.0 - max(LEAST_SHORT, SHORT_STD * worst.relative_std)
+    least = 1.0 - max(MIN_SHORT, SHORT_STD * worst.relative_std)
     if abs(worst.conversion_factor) >= least:
         return []
     return [

@@ -5,20 +5,16 @@ import numpy as np
 from midspan.calibration.sensors.radar import RadarDiagnostics
 from midspan.radar.channels import noise_variance
 from midspan.radar.frames import RadarFrames
-from midspan.radar.measurement import TargetSeries
 from midspan.radar.peaks import at_place
 from midspan.radar.target import Target
-from midspan.records import NANOSECONDS, Floats
+from midspan.records import Floats
 
 # Points of the window that are kept for the report.
 KEPT = 2000
 
 
-def diagnostics_of(
-    range_m: Floats, limit_m_s: float, whole: RadarFrames, best: tuple[Target, TargetSeries, float]
-) -> RadarDiagnostics:
-    """What the report draws; best: target, its series and rad per m of range."""
-    target, series, unit = best
+def diagnostics_of(range_m: Floats, whole: RadarFrames, target: Target) -> RadarDiagnostics:
+    """What the report draws of the range profile and of the best target."""
     power = np.zeros(whole.phasors.shape[2])
     for part in np.array_split(np.arange(len(whole.phasors)), max(1, len(whole.phasors) // 256)):
         power += np.sum(np.abs(whole.phasors[part]) ** 2, axis=(0, 1))
@@ -26,13 +22,9 @@ def diagnostics_of(
     mean = power / (len(whole.phasors) * whole.phasors.shape[1])
     thin = slice(None, None, max(1, len(whole.time_ns) // KEPT))
     z = at_place(whole.phasors[thin], target.place_bin) @ target.weights.conj() / np.sqrt(len(target.weights))
-    time_s = whole.time_ns / NANOSECONDS
     return RadarDiagnostics(
         range_m=range_m,
         power_db=10.0 * np.log10(np.maximum(mean / max(noise, 1e-300), 1e-6)),
-        frame_s=time_s[thin],
         phasors=np.asarray(z, dtype=np.complex128),
-        phase_rad=unit * series.range_change_m[thin],
         leak=target.leak,
-        limit_speed_m_s=limit_m_s,
     )

@@ -44,7 +44,7 @@ from midspan.records import NANOSECONDS, Floats, TimeOffset
 from midspan.signals.acceleration import PreparedAcceleration
 
 # The window without its ends must be at least this long, s, and the frames at least this frequent, Hz.
-LEAST_INNER_S, LEAST_RATE_HZ = 4.0, 2.0
+MIN_INNER_S, MIN_RATE_HZ = 4.0, 2.0
 ONE_CLOCK = "fusion.literal: no target's phase tells the radar's clock offset; the clocks are taken for one."
 
 
@@ -67,7 +67,6 @@ def fit_radar_literal(
     offset, told = _clock(peaks)
     targets, series = _judged(peaks, window, info, offset)
     best = targets[0].target
-    unit = printed_phase_per_m(info)
     calibration = RadarCalibration(
         targets=targets,
         offset=offset,
@@ -76,7 +75,7 @@ def fit_radar_literal(
         carrier_hz=info.carrier_hz,
         channels=info.channels,
         literal=True,
-        diagnostics=diagnostics_of(info.axis.range_m, info.limit_speed_m_s, whole, (best, series, unit)),
+        diagnostics=diagnostics_of(info.axis.range_m, whole, best),
     )
     warnings = (*info.warnings, *window.told, *told, *_warnings(best, series))
     search = _accelerometer_by_clean_target((window, prepared, info), peaks, series)
@@ -91,15 +90,15 @@ def _at_the_end(factor: float) -> bool:
 def _check_length(frame_s: Floats) -> None:
     """DataError where the high-pass of 0.5 Hz has too little to settle in."""
     length_s, rate = float(frame_s[-1] - frame_s[0]), 1.0 / float(np.median(np.diff(frame_s)))
-    least_s = 2.0 * EDGE_S + LEAST_INNER_S
+    least_s = 2.0 * EDGE_S + MIN_INNER_S
     if length_s < least_s:
         raise DataError(
             f"fusion.literal: the radar's calibration window must be at least {least_s:g} s long, of which the printed "
             f"high-pass leaves {EDGE_S:g} s out at either end; it is {length_s:.3g} s. Widen calibration.window_s."
         )
-    if rate < LEAST_RATE_HZ:
+    if rate < MIN_RATE_HZ:
         raise DataError(
-            f"fusion.literal: the printed high-pass of 0.5 Hz needs at least {LEAST_RATE_HZ:g} frames a second; the "
+            f"fusion.literal: the printed high-pass of 0.5 Hz needs at least {MIN_RATE_HZ:g} frames a second; the "
             f"radar has {rate:.3g}. Leave fusion.literal out."
         )
 

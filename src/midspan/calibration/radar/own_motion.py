@@ -1,4 +1,4 @@
-"""Which of the chosen targets move by themselves, as the calibration window shows it, and what is made of it."""
+"""Which of the chosen targets move on their own, as the calibration window shows it, and what is made of it."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -49,7 +49,7 @@ def judged(
 
 
 def _reported(own: OwnMotions, targets: Sequence[Target]) -> list[str]:
-    """A sentence on each target that moves by itself."""
+    """A sentence on each target that moves on its own."""
     if own.undecided.any() and len(targets) == 2 and not own.left_out.any():
         power = np.where(own.undecided, own.power_m2[0], 0.0)
         if _matters(float(power.sum()), min(targets, key=lambda target: target.noise_m)):

@@ -11,9 +11,10 @@ from midspan.vision.lens import Lens
 
 @dataclass(frozen=True, slots=True)
 class TargetCalibration:
-    """What was learnt of one of several targets; scale None where it was refused.
+    """What was estimated of one of several targets; scale None where it was refused.
 
-    used: whether the result rests on it; reason: why not. variance_factor: the learnt variance over the tracker's own.
+    used: whether the result rests on it; reason: why not. variance_factor: the estimated variance over the tracker's
+    own.
     """
 
     region: Region
@@ -29,14 +30,14 @@ class TargetCalibration:
 class CameraCalibration:
     """Scale factor, clock offset, region, axis and noise of the camera; with several targets those of the best one.
 
-    variance_factor: the learnt variance over the tracker's own. phase_scale_m_per_rad: displacement per radian of the
-    active pixels' mean phase, with the trackers that use it. targets: all of them. fused: whether this axis has an
-    accelerometer; without one the scale factor is the other axis's. relative_scale_std: of all targets together.
-    lens: what the pixels were corrected by; the scale factor holds for that lens only. source: which camera it is.
+    variance_factor: the estimated variance over the tracker's own. phase_scale_m_per_rad: displacement per radian of
+    the active pixels' mean phase, with the trackers that use it. targets: all of them. fused: whether this axis has an
+    accelerometer; without one the scale factor is the other axis's. relative_scale_std: of all targets together. lens:
+    what the pixels were corrected by; the scale factor holds for that lens only. source: which camera it is.
     temperature_range_c: of a thermal camera what its tracker saw, °C. exposure_s: its exposure as the motion shows it,
-    0 where it is declared or does not show. apart_std_m: what it and the accelerometer contradict each other by,
-    rms, where nothing tells which is wrong. name: where there are several sensors
-    of a kind. diagnostics: what the best target's values rest on, for the report; not stored in the file.
+    0 where it is declared or does not show. apart_std_m: what it and the accelerometer contradict each other by, rms,
+    where nothing tells which is wrong. name: where there are several sensors of a kind. diagnostics: what the best
+    target's values rest on, for the report; not stored in the file.
     """
 
     scale: ScaleFactor
@@ -77,7 +78,7 @@ class CameraCalibration:
         return math.sqrt(self.scale.variance) / abs(self.scale.value_m_per_px)
 
     def without_gain(self, gain: float, std: float) -> "CameraCalibration":
-        """The same in metres: the scale was learnt from an accelerometer of this gain and relative deviation."""
+        """The same in metres: the scale was estimated from an accelerometer of this gain and relative deviation."""
 
         def metres(scale: ScaleFactor) -> ScaleFactor:
             return ScaleFactor(scale.value_m_per_px / gain, scale.variance / gain**2).wider(std)

@@ -12,7 +12,7 @@ class CameraScale:
     """From pixels to metres for one target along one image axis.
 
     scale_m_per_px: signed; direction: image axis "x" or "y"; time_offset_ns: added to the camera's stamps to get the
-    accelerometer's clock; variance_factor: learnt variance over the tracker's own; source: how its rows are marked;
+    accelerometer's clock; variance_factor: estimated variance over the tracker's own; source: how its rows are marked;
     relative_std: of the scale factor, by which targets may differ as the motion grows.
     """
 

@@ -1,4 +1,4 @@
-"""A displacement sensor's part of a calibration: its noise, its clock offset, and its scale where that was learnt."""
+"""A displacement sensor's part of a calibration: noise, clock offset, and scale where that was estimated."""
 
 import math
 from dataclasses import dataclass, replace
@@ -8,12 +8,12 @@ from midspan.records import Source, TimeOffset
 
 @dataclass(frozen=True, slots=True)
 class DisplacementCalibration:
-    """Noise per measurement (m) and clock offset of a displacement sensor, and its scale where that was learnt.
+    """Noise per measurement (m) and clock offset of a displacement sensor, and its scale where that was estimated.
 
     scale: displacement in one unit read, which is 1 for a sensor of known unit; scale_std: its standard deviation, 0
-    where it was not learnt; name: where there are several of these sensors. resolution_m: what its values, scaled, are
-    rounded to; None where that is not known. low_m, high_m: the ends of its range, scaled, where it was held
-    there: such values are left out. slow_std_m, slow_time_s: standard deviation and correlation time of its slow error
+    where it was not estimated; name: where there are several of these sensors. resolution_m: what its values, scaled,
+    are rounded to; None where that is not known. low_m, high_m: the ends of its range, scaled, where it was held there:
+    such values are left out. slow_std_m, slow_time_s: standard deviation and correlation time of its slow error
     (first-order Gauss-Markov). exposure_s: time over which it averages; effective_exposure_s: the one whose first term,
     exposure²/24 times the acceleration, did most nearly the same to the motion: with it measurements are taken.
     """
@@ -42,7 +42,7 @@ class DisplacementCalibration:
         return self.scale_std / abs(self.scale)
 
     def without_gain(self, gain: float, std: float) -> "DisplacementCalibration":
-        """The same in metres: a scale that was learnt is from an accelerometer of this gain and relative deviation."""
+        """The same in metres: an estimated scale is from an accelerometer of this gain and relative deviation."""
         if self.scale == 1.0:
             return self
         own = self.scale / gain

@@ -14,7 +14,7 @@ Diagnostics = TypeVar("Diagnostics")
 # Not slotted: Python 3.11 cannot make a frozen, slotted record by the name of a generic alias.
 @dataclass(frozen=True)
 class SensorFit(Generic[Calibrated, Diagnostics]):
-    """What was learnt of a sensor, of a camera along one axis.
+    """What was estimated of a sensor, of a camera along one axis.
 
     input_noise: of the acceleration; without an accelerometer the motion's own. bias: of the accelerometer, None
     without one. diagnostics: what the values rest on, None where the calibration holds it. gain,

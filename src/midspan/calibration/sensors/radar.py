@@ -14,19 +14,14 @@ from midspan.records import Floats, Source, TimeOffset
 class RadarDiagnostics:
     """What a radar's calibration rests on, for the report; not stored in calibration.json.
 
-    range_m, power_db (bins,): of the mean range profile, dB over the noise of one frame; frame_s (n,): seconds on the
-    radar's clock of thinned frames of the window; phasors, phase_rad (n,): of the best target, what stands still not
-    taken out of the phasors; the phase unwrapped. leak: what of the phasors stands still. limit_speed_m_s: from which
-    plain unwrapping fails.
+    range_m, power_db (bins,): of the mean range profile, dB over the noise of one frame; phasors (n,): of the best
+    target in some frames of the window, with what is static; leak: that part.
     """
 
     range_m: Floats
     power_db: Floats
-    frame_s: Floats
     phasors: NDArray[np.complex128]
-    phase_rad: Floats
     leak: complex
-    limit_speed_m_s: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +38,7 @@ class RadarCalibration:
     """Fixed targets, clock offset and noise of a radar.
 
     targets: all that were found, the used ones first and of these the best one first; offset: of the radar's clock,
-    shared by all; variance_factor: learnt variance over what the signal-to-noise ratio says; relative_std: of the
+    shared by all; variance_factor: estimated variance over what the signal-to-noise ratio says; relative_std: of the
     conversion factors of the used targets together; carrier_hz, channels: of the radar that it was made with; literal:
     target, factor and unwrapping as printed (`radar/literal.py`); name: where there are several radars.
     """
@@ -74,7 +69,7 @@ class RadarCalibration:
         return self.used[0]
 
     def without_gain(self, gain: float, std: float) -> "RadarCalibration":
-        """The same in metres: the factors were learnt from an accelerometer of this gain and relative deviation."""
+        """The same in metres: the factors were estimated from an accelerometer of this gain and relative deviation."""
 
         def metres(item: RadarTarget) -> RadarTarget:
             return replace(item, target=item.target.without_gain(gain, std))

@@ -1,1 +1,1 @@
-"""What a recording holds: its settings, its opened streams and their stretches of time."""
+"""What a recording holds: its settings, its opened streams and their segments of time."""

@@ -69,7 +69,7 @@ class Recording:
 
     @property
     def sensors(self) -> tuple[Sensor, ...]:
-        """All sensors beside the accelerometer, in the order camera, infrared, radar, displacement."""
+        """All sensors besides the accelerometer, in the order camera, infrared, radar, displacement."""
         return self.settings.sensors
 
     def has(self, section: str) -> bool:
@@ -100,18 +100,6 @@ class Recording:
         """The camera's exposure time, s; None where it is not told."""
         camera = self.settings.first_camera
         return None if camera is None else camera.exposure_s
-
-    @property
-    def learns_offset(self) -> bool:
-        """Whether the clock offset of [displacement] is to be learnt and applied."""
-        section = self.settings.displacement
-        return section is not None and section.estimate_offset
-
-    @property
-    def learns_scale(self) -> bool:
-        """Whether the scale of [displacement] is to be learnt and applied."""
-        section = self.settings.displacement
-        return section is not None and section.estimate_scale
 
     @property
     def own(self) -> Sensor:

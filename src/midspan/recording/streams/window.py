@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from midspan.calibration.measured import LEAST_MEASUREMENTS
+from midspan.calibration.measured import MIN_MEASUREMENTS
 from midspan.errors import DataError, UsageError
 from midspan.recording.streams.recording import Recording
 from midspan.records import NANOSECONDS, Nanoseconds, TimeSeries
@@ -27,7 +27,7 @@ def calibration_window(recording: Recording) -> slice:
         start = max(int(time_ns[0]), *firsts) if firsts else int(time_ns[0])
         return inside(time_ns, start, start + round(DEFAULT_WINDOW_S * NANOSECONDS))
     window = inside(time_ns, round(wanted[0] * NANOSECONDS), round(wanted[1] * NANOSECONDS))
-    if window.stop - window.start < LEAST_MEASUREMENTS:
+    if window.stop - window.start < MIN_MEASUREMENTS:
         raise UsageError(
             f"{recording.file}: calibration.window_s = {list(wanted)}: must overlap the accelerometer, which runs from "
             f"{time_ns[0] / NANOSECONDS:.3f} to {time_ns[-1] / NANOSECONDS:.3f} s."
@@ -49,9 +49,9 @@ def within_window(recording: Recording, series: TimeSeries) -> TimeSeries:
     time_ns = series.time_ns
     window = inside(time_ns, round(wanted[0] * NANOSECONDS), round(wanted[1] * NANOSECONDS))
     count = int(np.count_nonzero(np.isfinite(series.value[window])))
-    if count < LEAST_MEASUREMENTS:
+    if count < MIN_MEASUREMENTS:
         raise UsageError(
-            f"{recording.file}: calibration.window_s = {list(wanted)}: must hold at least {LEAST_MEASUREMENTS} values "
+            f"{recording.file}: calibration.window_s = {list(wanted)}: must hold at least {MIN_MEASUREMENTS} values "
             f"of [{recording.sensor}], which runs from {shown(int(time_ns[0]))} to {shown(int(time_ns[-1]))}; received "
             f"{count}. Widen it, or leave it out: then up to half an hour is used."
         )

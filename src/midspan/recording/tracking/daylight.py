@@ -14,11 +14,11 @@ from midspan.vision.light import is_dark
 
 # So many frames are looked at in the window, and in the whole recording where that is dark.
 LOOKED_AT, SEARCHED = 16, 240
-MOST_DARK_SHARE = 0.2
+MAX_DARK_SHARE = 0.2
 # A camera sees well where it is at least so bright beside its bright frames.
 FULL_SHARE = 0.7
 # Of fewer of the frames looked at in a row the first ones may be headlights, which make a poor reference.
-LEAST_LIT = 3
+MIN_LIT = 3
 
 
 def where_it_sees(recording: Recording) -> tuple[Recording, list[str]]:
@@ -36,7 +36,7 @@ def where_it_sees(recording: Recording) -> tuple[Recording, list[str]]:
     if not len(inside):
         return recording, []
     brightness = _brightness(recording, _spread(inside, LOOKED_AT))
-    if np.mean(brightness == 0.0) <= MOST_DARK_SHARE:
+    if np.mean(brightness == 0.0) <= MAX_DARK_SHARE:
         return recording, []
     looked = _spread(np.arange(len(times)), SEARCHED)
     brightness = _brightness(recording, looked)
@@ -45,7 +45,7 @@ def where_it_sees(recording: Recording) -> tuple[Recording, list[str]]:
     # Dusk and dawn are left out: a reference frame from there would be a poor one.
     lit = runs(brightness > FULL_SHARE * np.percentile(brightness[brightness > 0.0], 90))
     start, end = max(lit, key=lambda run: run[1] - run[0])
-    seen_from = next((run[0] for run in lit if run[1] - run[0] >= min(LEAST_LIT, end - start)), start)
+    seen_from = next((run[0] for run in lit if run[1] - run[0] >= min(MIN_LIT, end - start)), start)
     begun = int(times[looked[start]])
     ended = min(int(times[looked[min(end, len(looked)) - 1]]), begun + round(DEFAULT_WINDOW_S * NANOSECONDS))
     text = (

@@ -22,7 +22,7 @@ from midspan.vision.lens import Lens
 from midspan.vision.region_choice import Judge
 from midspan.vision.tracker import tracker_settings
 
-LEAST_FRAMES = 2
+MIN_FRAMES = 2
 
 
 def open_tracking(
@@ -48,27 +48,35 @@ def open_tracking(
     used = _frames_used(view, times)
     if view.sees_from_ns is not None:
         used = slice(max(used.start, int(np.searchsorted(times, view.sees_from_ns))), used.stop)
-    settings = TrackingSettings(
-        tracker=camera.tracker,
-        direction=view.axis,
+    settings = replace(
+        settings_of(view, camera),
         targets=calibrated_targets(given_targets(camera), known) if again is None else again[0],
-        automatic_targets=camera.automatic_targets,
         first=used.start,
         last=used.stop,
-        readout_s=camera.readout_s,
         trial_from_ns=window_ends(view)[0],
-        tracker_settings=tracker_settings(camera.tracker, **camera.tracker_settings),
-        lens=lens_of(view),
-        reference=camera.reference_rule,
-        thermal=isinstance(camera, InfraredSettings),
         levels=levels_of(view, known) if again is None else again[1],
-        sensor=view.sensor,
     )
     if known is not None:
         check_same_lens(settings.lens, known.lens)
     if view.frames.tracks:
         return StoredTracking(view.frames, settings, progress)
     return CameraTracking(view.frames, settings, progress, judge)
+
+
+def settings_of(view: Recording, camera: CameraSettings) -> TrackingSettings:
+    """What the section of a camera says of its tracking."""
+    return TrackingSettings(
+        tracker=camera.tracker,
+        direction=view.axis,
+        targets=given_targets(camera),
+        automatic_targets=camera.automatic_targets,
+        readout_s=camera.readout_s,
+        tracker_settings=tracker_settings(camera.tracker, **camera.tracker_settings),
+        lens=lens_of(view),
+        reference=camera.reference_rule,
+        thermal=isinstance(camera, InfraredSettings),
+        sensor=view.sensor,
+    )
 
 
 def _frames_used(view: Recording, times: Nanoseconds) -> slice:
@@ -80,7 +88,7 @@ def _frames_used(view: Recording, times: Nanoseconds) -> slice:
         # Stamps that could not be used are the likely reason.
         raise DataError(" ".join((str(error), *(f"{line}." for line in view.frames.info.damage)))) from None
     used = frames_used(times, acceleration_ns, round(view.max_offset_s * NANOSECONDS))
-    if used.stop - used.start < LEAST_FRAMES:
+    if used.stop - used.start < MIN_FRAMES:
         usual_s = float(np.median(np.diff(times))) / NANOSECONDS
         raise DataError(
             f"{view.sensor}: only {used.stop - used.start} of its {len(times)} frames lie within the acceleration, "

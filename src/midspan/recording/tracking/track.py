@@ -12,7 +12,7 @@ from midspan.engine.tracking import CameraTracking, TrackingSettings
 from midspan.errors import UsageError
 from midspan.progress import Progress, silent
 from midspan.recording.streams.recording import open_with_cameras
-from midspan.recording.tracking.opening import given_targets, lens_of
+from midspan.recording.tracking.opening import settings_of
 from midspan.recording.tracking.temperatures import levels_of
 from midspan.records import PixelTrack, Region, Status, seconds
 from midspan.settings.load import RECORDING_FILE
@@ -21,7 +21,7 @@ from midspan.sinks.table import ResultTable
 from midspan.sources.camera.frames import FrameRequest, timed_or_counted
 from midspan.sources.thermal.formats import is_thermal, open_pictures
 from midspan.vision.frame_source import FrameSource
-from midspan.vision.tracker import DEFAULT_TRACKER, tracker_settings
+from midspan.vision.tracker import DEFAULT_TRACKER
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,12 +120,8 @@ def _all_rows(tracking: CameraTracking) -> tuple[PixelTrack, ...]:
 
 
 def _of_recording(path: Path, request: TrackRequest) -> tuple[FrameSource, TrackingSettings, list[str]]:
-    changed: dict[str, Any] = {}
-    if request.every is not None:
-        changed["every"] = request.every
-    if request.tracker is not None:
-        changed["tracker"] = request.tracker
-    recording = open_with_cameras(path, changed)
+    changed = {"every": request.every, "tracker": request.tracker}
+    recording = open_with_cameras(path, {key: value for key, value in changed.items() if value is not None})
     views = recording.cameras
     camera = views[0].settings.camera if views else None
     if camera is None:
@@ -135,20 +131,8 @@ def _of_recording(path: Path, request: TrackRequest) -> tuple[FrameSource, Track
         )
     view = views[0]
     others = [f"Only the [{view.sensor}] was tracked; for [{one.sensor}] give its file as SOURCE." for one in views[1:]]
-    settings = TrackingSettings(
-        tracker=camera.tracker,
-        direction=view.axis,
-        targets=(Target(request.region),) if request.region else given_targets(camera),
-        automatic_targets=camera.automatic_targets,
-        readout_s=camera.readout_s,
-        tracker_settings=tracker_settings(camera.tracker, **camera.tracker_settings),
-        lens=lens_of(view),
-        reference=camera.reference_rule,
-        thermal=view.kind == "infrared",
-        levels=levels_of(view, None),
-        sensor=view.sensor,
-    )
-    return view.frames, settings, others
+    settings = replace(settings_of(view, camera), levels=levels_of(view, None))
+    return view.frames, replace(settings, targets=(Target(request.region),)) if request.region else settings, others
 
 
 def _of_file(path: Path, request: TrackRequest) -> tuple[FrameSource, list[str]]:

@@ -49,16 +49,15 @@ class Calibration:
     """Everything `calibrate` learns about a recording's sensors.
 
     noise_std_m_s2: white noise of the acceleration per sample; motion_noise_s: what its noise density has besides, per
-    mean square of the acceleration (m²/s⁴); bias_m_s2, bias_std_m_s2: the accelerometer's bias at
-    the end of the window and its standard deviation, infinite where that is not known. camera, infrared, radar,
-    displacement: the first sensor of each kind; others: further ones, each with its name. accelerometer_scale: gain of
-    the accelerometer relative to a displacement sensor, 1 where it cannot be learnt, with its standard deviation, which
-    then is that of its sensitivity as given; it is in the scales' standard deviations.
-    misfit: factor on the band's variance, as innovations that are not white show. slope: by which the accelerometer
-    leans as it moves, so that gravity reaches it, radians a metre.
-    across: the same along the second image axis, with camera.direction = "xy"; where that has no accelerometer, the
-    noise is the motion's own acceleration. left_out: the second axis "x" or "y" where nothing could be learnt of it,
-    else empty. usual: what is usual of the acceleration, None where the file does not tell it.
+    mean square of the acceleration (m²/s⁴); bias_m_s2, bias_std_m_s2: the accelerometer's bias at the end of the window
+    and its standard deviation, infinite where that is not known. camera, infrared, radar, displacement: the first
+    sensor of each kind; others: further ones, each with its name. accelerometer_scale: gain of the accelerometer
+    relative to a displacement sensor, 1 where it cannot be estimated, with its standard deviation, which then is that
+    of its sensitivity as given; it is in the scales' standard deviations. misfit: factor on the band's variance, as
+    innovations that are not white show. slope: by which the accelerometer leans as it moves, so that gravity reaches
+    it, radians a metre. across: the same along the second image axis, with camera.direction = "xy"; where that has no
+    accelerometer, the noise is the motion's own acceleration. left_out: the second axis "x" or "y" where nothing could
+    be estimated of it, else empty. usual: what is usual of the acceleration, None where the file does not tell it.
     diagnostics: what the estimates rest on, for the report; not stored in the file.
     """
 
@@ -127,7 +126,7 @@ class Calibration:
         return self.noise_std_m_s2**2 / rate_hz
 
     def without_gain(self, gain: float, std: float) -> "Calibration":
-        """The same in metres: scales were learnt from an accelerometer of this gain and relative deviation."""
+        """The same in metres: scales were estimated from an accelerometer of this gain and relative deviation."""
         return replace(self, **placed([one.without_gain(gain, std) for _, _, one in self.sensors]))
 
     def to_dict(self) -> dict[str, Any]:

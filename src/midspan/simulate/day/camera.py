@@ -13,7 +13,7 @@ from midspan.simulate.scene.scene import SAMPLES, Image, Scene, canvas_shape, sc
 from midspan.simulate.scene.texture import natural
 
 SOFT_PX = 1.5  # half-width of the border of a shadow
-LEAST_OUT = 0.05  # a sun that grazes the wall throws shadows without end
+MIN_OUT = 0.05  # a sun that grazes the wall throws shadows without end
 RELIEF_BLUR_PX = 1.2
 DROP_BLUR_PX = 5.0
 
@@ -40,7 +40,7 @@ class Wall:
         return self.reflection.rows, self.reflection.columns
 
     def brightness(self, moved_px: tuple[float, float], light: Light, lamps: Image | None) -> Image:
-        """What the wall sends back (rows, columns) beside a white one in full sun, moved by `moved_px` (x, y).
+        """What the wall sends back (rows, columns) relative to a white one in full sun, moved by `moved_px` (x, y).
 
         lamps: light (rows, columns) thrown by others, which comes straight from the front.
         """
@@ -59,7 +59,7 @@ class Wall:
         rows, columns = self.size_px
         x = np.arange(columns, dtype=np.float32) - np.float32(moved_px[0])
         y = np.arange(rows, dtype=np.float32) - np.float32(moved_px[1])
-        out = max(light.out, LEAST_OUT)
+        out = max(light.out, MIN_OUT)
         # A shadow falls away from the sun, as far as its object stands out.
         post = self.post_at_px - self.post_px * light.right / out
         beside = np.abs(x - post) - 0.5 * self.post_wide_px
@@ -115,7 +115,7 @@ class DayCamera:
     seed: int = 0
 
     def mean_image(self, moved_px: tuple[float, float], time_s: float) -> Image:
-        """The picture without noise (rows, columns) beside full well at gain 1, the scene moved by (x, y) px."""
+        """The picture without noise (rows, columns) relative to full well at gain 1, the scene moved by (x, y) px."""
         light = self.sky.light(time_s)
         lamps = self.cars.lights(self.wall.size_px, time_s)
         image = self.wall.brightness(moved_px, light, None if lamps is None else lamps[0])

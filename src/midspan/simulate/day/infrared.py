@@ -12,7 +12,7 @@ from midspan.simulate.scene.thermal import Course, ThermalView
 
 LAG_RAD = 0.35  # surfaces are warmest 1.3 hours after noon
 AIR_LAG_RAD = 0.6
-KEPT = 0.5  # contrast of what keeps its heat, beside that of what lies in the sun
+KEPT = 0.5  # contrast of what keeps its heat, relative to that of what lies in the sun
 FOG_SHARE = 0.25  # of the fog's optical depth that heat meets
 DROP_BELOW_K = 2.0
 
@@ -21,7 +21,7 @@ DROP_BELOW_K = 2.0
 class DayCourse(Course):
     """Warming from noon (time 0) on: what lies in the sun is warmer by day and colder by night than the rest.
 
-    In between, at dusk and at dawn, only what keeps its heat is told apart, by half the contrast.
+    In between, at dusk and at dawn, only what keeps its heat is distinguished, by half the contrast.
     """
 
     def level_c(self, time_s: float) -> float:

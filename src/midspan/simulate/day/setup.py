@@ -170,7 +170,7 @@ def _counted(pictures: Iterator[Image], done: Callable[[int], None]) -> Iterator
 
 
 def hours(day_s: float, *at: float) -> tuple[float, ...]:
-    """True times in s of so many hours after noon, where 24 hours last `day_s`."""
+    """True times in s of this many hours after noon, where 24 hours last `day_s`."""
     return tuple(day_s * hour / 24.0 for hour in at)
 
 

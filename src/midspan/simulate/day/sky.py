@@ -10,7 +10,7 @@ Span = tuple[float, float]  # start and end in s
 
 # Optical depth of the air over which the light falls by e when the sun stands overhead.
 AIR_DEPTH = 0.14
-# Light of the whole sky beside the full sun, the elevation below which it fades, and over how many degrees by ten.
+# Light of the whole sky relative to the full sun, the elevation below which it fades, and over how many degrees by ten.
 SKY_SHARE, FADES_DEG, TENTH_DEG = 0.3, 4.0, 4.0
 NIGHT_LIGHT = 1e-6
 
@@ -18,7 +18,7 @@ NIGHT_LIGHT = 1e-6
 @dataclass(frozen=True, slots=True)
 class Light:
     """The light that falls on a wall which faces south: towards the sun `right`, `down` and `out` of the wall (a unit
-    vector), the strength of the sun's `beam` and that of the `sky`, both beside the full sun.
+    vector), the strength of the sun's `beam` and that of the `sky`, both relative to the full sun.
     """
 
     right: float

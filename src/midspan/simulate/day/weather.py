@@ -8,7 +8,7 @@ from midspan.records import Floats
 from midspan.simulate.day.sky import Span
 from midspan.simulate.scene.scene import Image
 
-DRYING_S = 8.0  # a drop shrinks to nothing within so many seconds after the rain
+DRYING_S = 8.0  # a drop shrinks to nothing within this many seconds after the rain
 
 
 class Drops:
@@ -48,7 +48,8 @@ class Drops:
 class Headlights:
     """Cars at night, their lamps in row `row_px`, that pass from left to right in `crossing_s` from each of `starts_s`.
 
-    Lamps dazzle `lamp_px` around them, and throw light of `strength` (beside the full sun) on `reach_px` of the wall.
+    Lamps dazzle `lamp_px` around them, and throw light of `strength` (relative to the full sun) on `reach_px` of the
+    wall.
     """
 
     starts_s: tuple[float, ...] = ()
@@ -66,7 +67,9 @@ class Headlights:
         )
 
     def lights(self, size_px: tuple[int, int], time_s: float) -> tuple[Image, Image] | None:
-        """Light thrown on the wall and light into the lens (rows, columns), beside the full sun; None without a car."""
+        """Light thrown on the wall and light into the lens (rows, columns), relative to the full sun; None without a
+        car.
+        """
         place = self.place(time_s)
         if place is None:
             return None

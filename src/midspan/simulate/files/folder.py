@@ -21,7 +21,7 @@ MILLISECONDS = 1000  # Matroska's time stamps are whole milliseconds
 
 
 def write_table(path: Path, columns: dict[str, Floats], *, decimals: dict[str, int]) -> None:
-    """A CSV of equal columns (n,) with so many decimals each; NaN becomes an empty field."""
+    """A CSV of equal columns (n,) with this many decimals each; NaN becomes an empty field."""
     texts = [[_number(value, decimals[name]) for value in column.tolist()] for name, column in columns.items()]
     lines = [",".join(columns), *(",".join(row) for row in zip(*texts, strict=True))]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")

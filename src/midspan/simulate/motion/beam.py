@@ -10,7 +10,7 @@ from midspan.checks import positive, refuse
 from midspan.records import Floats
 from midspan.simulate.motion.motion import FineSteps, Motion, Pulse, Sines, Sum, Window
 
-LOWEST_STEP_RATE_HZ = 2000.0
+MIN_STEP_RATE_HZ = 2000.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,8 +67,8 @@ def respond(beam: Beam, force_n: Floats, *, step_rate_hz: float = 4000.0, start_
     Each mode is solved exactly for a force that is linear between the steps, so acceleration, velocity and displacement
     agree with each other whatever the step. `step_rate_hz` is at least 2000 Hz.
     """
-    if positive("step_rate_hz", step_rate_hz, "Hz") < LOWEST_STEP_RATE_HZ:
-        raise refuse("step_rate_hz", f"at least {LOWEST_STEP_RATE_HZ:g} Hz", step_rate_hz)
+    if positive("step_rate_hz", step_rate_hz, "Hz") < MIN_STEP_RATE_HZ:
+        raise refuse("step_rate_hz", f"at least {MIN_STEP_RATE_HZ:g} Hz", step_rate_hz)
     modal_mass = beam.mass_kg_m * beam.length_m / 2
     pressure = np.ascontiguousarray(force_n, dtype=np.float64) / modal_mass
     total: NDArray[np.float64] = np.zeros((3, len(pressure)))
@@ -90,7 +90,7 @@ def paper_force(rng: np.random.Generator | None = None, *, duration_s: float = 1
     """
     phase = np.zeros(4) if rng is None else rng.uniform(0, 2 * np.pi, 4)
     tones = Sines(1e5 * np.array([1, 0.5, 0.06, 0.17]), np.array([0.7, 3.1, 8.0, 10.3]), phase_rad=phase)
-    # A Gaussian of 6 s has 99.7 % of its spectrum below 0.08 Hz: pseudo-static beside a first mode of 6 Hz.
+    # A Gaussian of 6 s has 99.7 % of its spectrum below 0.08 Hz: pseudo-static compared with a first mode of 6 Hz.
     slow = (Pulse(2e5, 0.27 * duration_s, 0.06 * duration_s), Pulse(1.5e5, 0.68 * duration_s, 0.08 * duration_s))
     return Window(Sum((tones, *slow)), 0.0, duration_s, ramp_s=3.0)
 

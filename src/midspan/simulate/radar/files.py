@@ -1,4 +1,4 @@
-"""Captures as a radar's capture card writes them: 16-bit words, lost packets as zeros, settings beside them."""
+"""Captures as a radar's capture card writes them: 16-bit words, lost packets as zeros, with their settings."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -7,10 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from midspan.radar.chirp import ChirpProfile
-from midspan.radar.layout import Layout, pack
+from midspan.radar.layout import PACKET_BYTES, Layout, pack
 from midspan.simulate.radar.signal import Cubes
 
-PACKET_BYTES = 1456
 # The codes of bits in the settings.
 _BITS = {12: 0, 14: 1, 16: 2}
 

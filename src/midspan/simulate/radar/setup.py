@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from midspan.radar.chirp import ChirpProfile
-from midspan.radar.layout import Layout
+from midspan.radar.layout import PACKET_BYTES, Layout
 from midspan.radar.range_profile import bin_kernel
 from midspan.records import Floats
 from midspan.simulate.motion.motion import Motion
-from midspan.simulate.radar.files import PACKET_BYTES, Capture, demo_settings, write_capture
+from midspan.simulate.radar.files import Capture, demo_settings, write_capture
 from midspan.simulate.radar.signal import Cubes, RadarModel, Reflector, phase_bound_m
 
 RAW, CONFIG, SLOW_TIME = "adc_data.bin", "radar.cfg", "radar.h5"

@@ -1,4 +1,4 @@
-"""What `midspan simulate --break` breaks: a recording that no longer obeys the model, beside the truth that stays."""
+"""What `midspan simulate --break` breaks: a recording that no longer obeys the model, with its truth."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -8,6 +8,7 @@ import numpy as np
 from midspan.checks import option
 from midspan.errors import UsageError
 from midspan.records import Floats
+from midspan.signals.acceleration import GRAVITY_M_S2
 from midspan.simulate.motion.motion import Motion, random_motion
 from midspan.simulate.scenarios.stage import Scenario, Stage
 
@@ -15,7 +16,6 @@ Signal = Callable[[Floats], Floats]  # of times (n,) in s
 Facts = dict[str, float]  # what a break drew, as known.json says it
 Change = Callable[[Stage, np.random.Generator], tuple[Stage, Facts]]
 
-GRAVITY_M_S2 = 9.80665
 # The slope at the top of a cantilever in its first mode over its displacement there, times its height.
 CANTILEVER_SLOPE = 1.38
 VIEW_DISTANCE_M = 10.0

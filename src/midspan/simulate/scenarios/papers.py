@@ -158,7 +158,7 @@ def _footbridge(jumping_m: float, crossing_m: float) -> Excitation:
 class PaperScene:
     """One experiment: what was filmed from how far, how it was shaken, and the error that was published.
 
-    calibration: the excitation that the scale factor is learnt from; excitations: those that are measured. bound_px:
+    calibration: the excitation that the scale factor is estimated from; excitations: those that are measured. bound_px:
     the Cramér-Rao bound of the region along the motion that the texture's contrast is set to give. published_mm: root
     mean square error over all excitations after fusion.
     """

@@ -74,7 +74,7 @@ def sideways(rng: np.random.Generator) -> Motion:
 
 
 def _decoys(rng: np.random.Generator) -> tuple[Disturbance, ...]:
-    """Most of the picture moves by itself and has more contrast than the wall behind it."""
+    """Most of the picture moves on its own and has more contrast than the wall behind it."""
     rng_leaves, rng_water = rng.spawn(2)
     return (
         Foliage(Region(0, 0, 200, 120), std_dn=22.0, rng=rng_leaves),

@@ -1,4 +1,4 @@
-"""A part of the picture at another distance: nearer things move further in the image, and some move by themselves."""
+"""A part of the picture at another distance: nearer things move further in the image, and some move on their own."""
 
 from dataclasses import dataclass
 
@@ -13,7 +13,7 @@ from midspan.simulate.scene.scene import Image, Scene
 class Panel:
     """A scene seen in a fixed `region` of the picture, whose size it has.
 
-    nearness: its translation over that of the rest (2 at half the distance); own_px: what it moves by itself, down,
+    nearness: its translation over that of the rest (2 at half the distance); own_px: what it moves on its own, down,
     as a motion in px instead of m.
     """
 

@@ -1,6 +1,6 @@
 """What a reader hands over: the channels of one file, with unit and clock where the file tells them."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from typing import Any
 
@@ -91,3 +91,10 @@ def numbers(values: NDArray[np.generic]) -> Values | None:
     if values.dtype.kind in "iufb":
         return np.ascontiguousarray(values, dtype=np.float64)
     return None
+
+
+def distinct(name: str, taken: Collection[str]) -> str:
+    """The name, or with `_2`, `_3` … where it is taken."""
+    if name not in taken:
+        return name
+    return next(f"{name}_{k}" for k in range(2, len(taken) + 3) if f"{name}_{k}" not in taken)

@@ -136,7 +136,7 @@ def _stamps(series: "pd.Series[Any]") -> Nanoseconds:
 
 
 def _slashes_in_order(series: "pd.Series[Any]") -> tuple["pd.Series[Any]", tuple[str, ...]]:
-    """Dates such as 05/04/2024 rewritten with dots, day first; a note where day and month could not be told apart."""
+    """Dates such as 05/04/2024 rewritten with dots, day first; a note where day and month could be either way."""
     if not re.match(r"^\d{1,2}/\d{1,2}/\d{4}", str(series.dropna().iloc[0])):
         return series, ()
     parts = series.str.extract(r"^(\d{1,2})/(\d{1,2})/(\d{4})(.*)$")

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from midspan.errors import DataError
+from midspan.sources.accelerometer.channel import distinct
 from midspan.sources.accelerometer.clock import TIME_UNITS, is_clock, is_date, is_time_text
 from midspan.sources.accelerometer.units import ACCELERATION_UNITS, LENGTH_UNITS, VOLTAGE_UNITS
 
@@ -320,14 +321,8 @@ def named_unit(heading: str) -> tuple[str, str | None]:
 
 
 def _distinct(names: list[str]) -> tuple[str, ...]:
-    """The names with empty ones numbered and repeated ones told apart by `_2`, `_3` …"""
+    """The names with empty ones numbered and repeated ones distinguished by `_2`, `_3` …"""
     found: list[str] = []
     for k, name in enumerate(names):
-        wanted = name or f"column_{k + 1}"
-        repeated = wanted
-        count = 2
-        while repeated in found:
-            repeated = f"{wanted}_{count}"
-            count += 1
-        found.append(repeated)
+        found.append(distinct(name or f"column_{k + 1}", found))
     return tuple(found)

@@ -22,7 +22,7 @@ _NEIGHBOURS = 50
 _SHOWN = 40
 # Nine digits tell every number of single precision (IEEE 754): what may be missing after them is below any sensor.
 _ENOUGH_DIGITS = 9
-# A column that rises in so many lines or more counts as a clock; one whose steps differ from the middle one by this
+# A column that rises in this many lines or more counts as a clock; one whose steps differ from the middle one by this
 # share at most has an even step, which the last line must keep to the same share.
 _CLOCK_LINES, _EVEN_SHARE = 10, 0.5
 # What DOS programs write behind a text (Ctrl-Z).

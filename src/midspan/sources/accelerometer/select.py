@@ -48,7 +48,7 @@ _NOT_VALUES = re.compile(r"(^|[_ ])(std|sigma|err|error|var|variance)([_ ]|$)", 
 _COLUMN = re.compile(r"^(?P<name>.+)\[(?::\s*,)?\s*(?P<index>\d+)\s*\]$")
 # No structure moves by 1e9 m or is accelerated by 1e9 m/s²; the Earth's radius is 6.4e6 m.
 _MAX_VALUE = 1e9
-# A file's own rate and the one given may differ by this much before it is told.
+# A file's own rate and the one given may differ by this much before it is reported.
 _RATE_TOLERANCE = 0.01
 
 

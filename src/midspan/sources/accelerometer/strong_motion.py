@@ -13,7 +13,7 @@ import numpy as np
 
 from midspan.errors import DataError
 from midspan.records import Floats
-from midspan.sources.accelerometer.channel import Channel, ChannelSet
+from midspan.sources.accelerometer.channel import Channel, ChannelSet, distinct
 
 _CSMIP_BLOCK = re.compile(
     r"^\s*(?P<count>\d+)\s+points of (?P<kind>accel|veloc|displ)\w* data equally spaced at\s+(?P<step>[\d.]+)\s*sec"
@@ -55,7 +55,7 @@ class _Block:
 def read(path: Path) -> ChannelSet:
     """Acceleration, velocity and displacement of each channel as `channel_1_acceleration` … in the file's own unit.
 
-    Times start at zero at the first sample; the header's start time is told in the notes. Raises DataError where no
+    Times start at zero at the first sample; the header's start time is reported in the notes. Raises DataError where no
     block of values is found or one is shorter than its line says.
     """
     lines = path.read_text(encoding="latin-1").splitlines()
@@ -64,7 +64,7 @@ def read(path: Path) -> ChannelSet:
     for block in _blocks(lines):
         values = _values(path, lines, block)
         scale, unit = _plain_unit(block.unit)
-        name = _distinct(f"channel_{block.channel}_{_KINDS[block.kind]}", {c.name for c in channels})
+        name = distinct(f"channel_{block.channel}_{_KINDS[block.kind]}", {c.name for c in channels})
         channels.append(Channel(name, values * scale, unit, 1.0 / block.step_s, 0))
     if not channels:
         raise DataError(
@@ -141,9 +141,3 @@ def _directions(lines: list[str]) -> dict[str, str]:
         if match := _CHANNEL.search(line):
             found.setdefault(match["number"], match["direction"])
     return found
-
-
-def _distinct(name: str, taken: set[str]) -> str:
-    if name not in taken:
-        return name
-    return next(f"{name}_{k}" for k in range(2, len(taken) + 3) if f"{name}_{k}" not in taken)

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from midspan.sources.accelerometer.channel import Channel, ChannelSet
+from midspan.sources.accelerometer.channel import Channel, ChannelSet, distinct
 
 _TIME_FUNCTIONS = (0, 1)
 _ABSCISSA_IN_TIME = (0, 1, 17)
@@ -41,7 +41,7 @@ def _length_factor(units: dict[str, Any]) -> float:
 
 
 def _channel(entry: dict[str, Any], length: float, taken: set[str]) -> tuple[Channel, list[str]]:
-    name = _distinct(_name(entry), taken)
+    name = distinct(_name(entry), taken)
     label = str(entry.get("ordinate_axis_units_lab", "")).strip()
     kind = int(entry.get("ordinate_spec_data_type") or 0)
     values = np.ascontiguousarray(entry["data"], dtype=np.float64)
@@ -75,9 +75,3 @@ def _name(entry: dict[str, Any]) -> str:
     if title and title.upper() != "NONE":
         return title
     return f"{entry.get('rsp_node', 0)}:{_DIRECTIONS.get(int(entry.get('rsp_dir') or 0), '0')}"
-
-
-def _distinct(name: str, taken: set[str]) -> str:
-    if name not in taken:
-        return name
-    return next(f"{name}_{k}" for k in range(2, len(taken) + 3) if f"{name}_{k}" not in taken)

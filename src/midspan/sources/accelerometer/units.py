@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from midspan.checks import nearest
 from midspan.errors import UsageError
+from midspan.signals.acceleration import GRAVITY_M_S2
 
 if TYPE_CHECKING:
     import pint
@@ -41,7 +42,7 @@ _QUANTITIES = {
 # What most files hold, as the library spells it and to the bits that it gives: reading its definitions takes a third of
 # a second.
 _COMMON = {
-    "acceleration": {"m/s**2": 1.0, "standard_gravity": 9.80665},
+    "acceleration": {"m/s**2": 1.0, "standard_gravity": GRAVITY_M_S2},
     "displacement": {"m": 1.0, "mm": 0.001},
     "time": {"s": 1.0, "ms": 0.001},
     "voltage": {"V": 1.0},

@@ -23,8 +23,8 @@ from midspan.vision.lens import MODELS, Lens
 from midspan.writing import write_whole
 
 # Of a long video this many pictures, evenly spread, are searched for the board, and this many views are fitted.
-MOST_PICTURES = 150
-MOST_VIEWS = 60
+MAX_PICTURES = 150
+MAX_VIEWS = 60
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +110,7 @@ def lens_from_pictures(source: str | Path, request: LensRequest, progress: Progr
         if is_new(corners, views, size):
             views.append(corners)
     progress(1, 1, "looking for the board")
-    views = [views[i] for i in np.unique(np.linspace(0, len(views) - 1, MOST_VIEWS).astype(int))] if views else []
+    views = [views[i] for i in np.unique(np.linspace(0, len(views) - 1, MAX_VIEWS).astype(int))] if views else []
     try:
         fit = calibrate_lens(views, request.board, size, request.model)
     except UntrustedError as error:
@@ -127,5 +127,5 @@ def _open(source: Path, request: LensRequest) -> FrameSource:
     frames = opened(request.every or 1)
     if request.every is not None:
         return frames
-    every = -(-len(frames.times_ns()) // MOST_PICTURES)
+    every = -(-len(frames.times_ns()) // MAX_PICTURES)
     return opened(every) if every > 1 else frames

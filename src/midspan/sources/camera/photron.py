@@ -1,4 +1,4 @@
-"""Photron high-speed recordings: a text header (cih) beside the raw frames (mraw)."""
+"""Photron high-speed recordings: a text header (cih) with the raw frames (mraw)."""
 
 import glob
 from collections.abc import Iterator
@@ -21,7 +21,9 @@ _MAX_HEADER_NUMBER = 1e9
 
 
 class PhotronFrames(FrameSource):
-    """Monochrome frames of 8, 12 (packed) or 16 bit; `path` is the cih or the mraw file, the other lies beside it."""
+    """Monochrome frames of 8, 12 (packed) or 16 bit; `path` is the cih or the mraw file, the other is in the same
+    folder.
+    """
 
     def __init__(self, path: Path, request: FrameRequest) -> None:
         self._path, self._request = path, request

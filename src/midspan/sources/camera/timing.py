@@ -52,7 +52,7 @@ def rate_times(path: Path, request: FrameRequest, count: int) -> Nanoseconds:
 
 
 def grid(count: int, rate_hz: Fraction, start_ns: int) -> Nanoseconds:
-    """Time stamps (count,) of an exact rate, each rounded by itself so that nothing adds up."""
+    """Time stamps (count,) of an exact rate, each rounded on its own so that nothing adds up."""
     if rate_hz.numerator * count < 1 << 53:
         whole, rest = divmod(np.arange(count, dtype=np.int64) * rate_hz.denominator, rate_hz.numerator)
         fraction_ns = np.rint(rest * (1e9 / rate_hz.numerator)).astype(np.int64)

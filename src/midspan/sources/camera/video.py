@@ -55,8 +55,8 @@ _RATE_TOLERANCE = 0.01
 # Damaged frames that a message names by their numbers.
 _MAX_NAMED = 5
 # A video that holds this share, and at least this long, less than its header declares broke off while it was copied.
-MOST_LOST = 0.03
-LEAST_MISSING_S = 1.0
+MAX_LOST = 0.03
+MIN_MISSING_S = 1.0
 
 
 class VideoFrames(FrameSource):
@@ -128,7 +128,7 @@ class VideoFrames(FrameSource):
         if packets.ticks is not None:
             held_s = float(_container_times(packets.ticks, packets)[0][-1]) * 1e-9
         missing_s = declared_s - held_s
-        if lost > MOST_LOST * max(self._declared or 1, 1) or missing_s > max(MOST_LOST * declared_s, LEAST_MISSING_S):
+        if lost > MAX_LOST * max(self._declared or 1, 1) or missing_s > max(MAX_LOST * declared_s, MIN_MISSING_S):
             what = f"{lost} of {self._declared} frames" if lost > 0 else f"{missing_s:.1f} of {declared_s:.1f} s"
             raise DataError(
                 f"{self._path}: the video is truncated: {what} that its header declares are not in it. Copy it "
@@ -314,7 +314,7 @@ def _pictures(container: Any, stream: Any) -> Iterator[Any]:
             spoiled = checked
             continue
         if checked:
-            # Pictures up to the next key frame are decoded with what was learnt from the damaged one.
+            # Pictures up to the next key frame are decoded with what was estimated from the damaged one.
             wrong = any(_CHECKSUM_WRONG in message for _, _, message in reported)
             spoiled = wrong or (spoiled and not any(picture.key_frame for picture in pictures))
         for picture in () if spoiled else pictures:

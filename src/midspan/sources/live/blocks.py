@@ -3,6 +3,7 @@
 import json
 import math
 import struct
+from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import datetime
 
@@ -21,6 +22,9 @@ MAX_VALUES = 1_000_000
 FIRST_NS, LAST_NS = 946_684_800 * NANOSECONDS, 7_258_118_400 * NANOSECONDS
 MAX_STEP_NS = 3600 * NANOSECONDS
 SEQUENCES = 2**32
+
+
+Dated = Callable[[int, float, int], int]
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,9 +51,12 @@ def pack(block: Block) -> bytes:
     return head + values + (b"" if block.std is None else np.asarray(block.std, dtype="<f4").tobytes())
 
 
-def parse(payload: bytes, kind: int) -> Block:
-    """The block of a payload, of the kind that the topic is for; SourceFault with code `payload` for any other."""
-    block = _of_json(payload, kind) if payload[:1] in (b"{", b" ", b"\n") else _of_bytes(payload)
+def parse(payload: bytes, kind: int, dated: Dated | None = None) -> Block:
+    """The block of a payload, of the kind that the topic is for; SourceFault with code `payload` for any other.
+
+    dated: the first stamp (ns) of JSON without t0, from sequence, interval (s) and count of values; None: it needs t0.
+    """
+    block = _of_json(payload, kind, dated) if payload[:1] in (b"{", b" ", b"\n") else _of_bytes(payload)
     if block.kind != kind:
         raise _refuse(f"kind {block.kind} where {kind} is expected")
     if not FIRST_NS <= block.t0_ns <= LAST_NS:
@@ -68,12 +75,14 @@ def _of_bytes(payload: bytes) -> Block:
     columns = 2 if kind == RESULT else 1
     if count > MAX_VALUES or len(payload) != HEAD.size + 4 * count * columns:
         raise _refuse(f"{len(payload)} bytes, but {count} values need {HEAD.size + 4 * count * columns}")
-    numbers = np.frombuffer(payload, dtype="<f4", offset=HEAD.size).astype(np.float64)
+    # A signalling NaN is one like any other.
+    with np.errstate(invalid="ignore"):
+        numbers = np.frombuffer(payload, dtype="<f4", offset=HEAD.size).astype(np.float64)
     std = numbers[count:] if kind == RESULT else None
     return Block(kind, sequence, t0_ns, dt_ns, numbers[:count], std)
 
 
-def _of_json(payload: bytes, kind: int) -> Block:
+def _of_json(payload: bytes, kind: int, dated: Dated | None) -> Block:
     try:
         tree = json.loads(payload)
     except (ValueError, RecursionError):
@@ -89,6 +98,8 @@ def _of_json(payload: bytes, kind: int) -> Block:
         raise _refuse("values that are no list of numbers (null: missing)")
     numbers = np.array([np.nan if one is None else float(one) for one in values])
     step_ns = round(min(max(step_s, -1e9), 1e9) * NANOSECONDS)
+    if dated is not None and "t0" not in tree:
+        return Block(int(kind), sequence, dated(sequence, step_ns / NANOSECONDS, len(numbers)), step_ns, numbers)
     return Block(int(kind), sequence, _instant(tree.get("t0")), step_ns, numbers)
 
 

@@ -12,12 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from midspan.records import NANOSECONDS, Frame
+from midspan.sources.live.arrivals import ENVELOPE, ArrivalEnvelope
 from midspan.sources.live.fault import SourceFault
 
 # A camera that answers does so within this; a stream that brings nothing for so long is stopped.
 OPEN_S, READ_S = 3.0, 3.0
-# Stamps by arrival: the least delay among this number of frames is taken for none.
-ENVELOPE_FRAMES = 600
 MICROSECONDS = 1_000
 
 
@@ -40,20 +39,6 @@ class Stamped:
 
     frame: Frame
     kind: StampKind
-
-
-class ArrivalEnvelope:
-    """Instants of frames by their arrivals: stream time and the least delay that was seen."""
-
-    def __init__(self) -> None:
-        self._delays: list[float] = []
-
-    def instant_ns(self, stream_s: float, arrived_ns: int) -> int:
-        """The instant of a frame of the stream's time `stream_s` that came at `arrived_ns`."""
-        self._delays.append(arrived_ns / NANOSECONDS - stream_s)
-        if len(self._delays) > ENVELOPE_FRAMES:
-            self._delays.pop(0)
-        return round((stream_s + min(self._delays)) * NANOSECONDS)
 
 
 def frames(address: str) -> Iterator[Stamped]:
@@ -132,7 +117,7 @@ def _decoded(container: Any, stream: Any) -> Iterator[Stamped]:
                 stamp, kind = start_us * MICROSECONDS + round(stream_s * NANOSECONDS), StampKind.STREAM
             else:
                 stamp, kind = by_arrival_ns, StampKind.ARRIVAL
-            if len(sent_ns) > ENVELOPE_FRAMES:
+            if len(sent_ns) > ENVELOPE:
                 sent_ns.clear()
             if stamp > newest_ns:
                 newest_ns = stamp
@@ -154,9 +139,11 @@ def _sent_ns(packet: Any) -> int | None:
     return None
 
 
-def luma(picture: Any) -> NDArray[np.uint8]:
-    """The grey levels (rows, columns) of a decoded frame, as they were sent."""
+def luma(picture: Any) -> NDArray[Any]:
+    """The grey levels (rows, columns) of a decoded frame, as they were sent; an infrared camera's counts."""
     name = picture.format.name
+    if name.startswith("gray16"):
+        return np.asarray(picture.to_ndarray(format="gray16le"))
     if name.startswith(("yuv", "nv", "gray")) and not name.startswith(("yuyv", "gray1")):
         plane = picture.planes[0]
         rows = np.frombuffer(plane, dtype=np.uint8).reshape(plane.height, plane.line_size)

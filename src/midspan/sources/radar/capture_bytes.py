@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from midspan.errors import DataError
+from midspan.radar.layout import PACKET_BYTES
 from midspan.sources.declared_size import require_memory
 
 Bytes = NDArray[np.uint8]
 
-PACKET_BYTES = 1456
 # A packet comes late by fewer than this; its count is compared with that of so many packets around it.
 LATE_PACKETS, NEIGHBOURS = 64, 5
 # Of a capture with more of it absent nothing can be measured.

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from midspan.errors import DataError, UsageError
 from midspan.radar.info import RadarInfo
-from midspan.radar.iq_order import LEAST_DB, decide_order, swapped, weigh_orders
+from midspan.radar.iq_order import MIN_DB, decide_order, swapped, weigh_orders
 from midspan.radar.layout import WORD_BYTES, Layout, Words, block_words, sign_extended, unpack, word_weights
-from midspan.radar.range_profile import averaged, bin_kernel, range_profile, weighted_products
+from midspan.radar.range_profile import averaged, bin_kernel, range_profile, weighted_products, whole_channels
 from midspan.records import ChirpFrame, Floats, Nanoseconds, RangeFrames
 from midspan.sources.radar.capture_bytes import Bytes, CaptureBytes, missing_files, open_bytes
 from midspan.sources.radar.radar_source import RadarRequest, RadarSource, stamps
@@ -114,7 +114,7 @@ class RawCapture(RadarSource):
         for first, words, valid in self._blocks(start, stop):
             cube = range_profile(unpack(words, self._layout), profile)
             block = averaged(cube, profile)
-            yield RangeFrames(times[first : first + len(block)], block, self._channels(valid))
+            yield RangeFrames(times[first : first + len(block)], block, whole_channels(valid, self._layout.profile))
 
     def _slow_time(self, bins: Floats, start: int, stop: int | None) -> Iterator[RangeFrames]:
         """Only the wanted bins, straight from the stored words."""
@@ -125,7 +125,7 @@ class RawCapture(RadarSource):
         times, weights = self.times_ns(), word_weights(kernel, self._layout)
         for first, words, valid in self._blocks(start, stop):
             block = averaged(weighted_products(words, self._layout, weights), self._layout.profile)
-            yield RangeFrames(times[first : first + len(block)], block, self._channels(valid))
+            yield RangeFrames(times[first : first + len(block)], block, whole_channels(valid, self._layout.profile))
 
     def words(self, start: int = 0, stop: int | None = None) -> Iterator[tuple[Words, NDArray[np.bool_]]]:
         """Raw words (frames · words a frame,) in blocks, and which channels (frames, channels) are whole."""
@@ -133,13 +133,7 @@ class RawCapture(RadarSource):
 
     def _words(self, start: int, stop: int | None) -> Iterator[tuple[Words, NDArray[np.bool_]]]:
         for _, words, valid in self._blocks(start, stop):
-            yield words, self._channels(valid)
-
-    def _channels(self, valid: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Channels (frames, transmitters · receivers) of which no chirp has a hole."""
-        masks = np.array(self._layout.profile.transmitters)
-        unique = list(dict.fromkeys(self._layout.profile.transmitters))
-        return np.concatenate([valid[:, masks == mask].all(axis=1) for mask in unique], axis=1)
+            yield words, whole_channels(valid, self._layout.profile)
 
     def _blocks(self, start: int, stop: int | None) -> Iterator[tuple[int, Words, NDArray[np.bool_]]]:
         """First frame, words and valid (frames, chirps, receivers) of each block."""
@@ -269,7 +263,7 @@ def _ordered(
             f"{path}: radar.iq_order = {wanted!r} does not fit the samples. Energy of the nearer over the farther half "
             f"of the range: {evidence.told()}. Set radar.iq_order to {better!r}, or leave it out."
         )
-    if evidence.halves_db[chosen.order] < LEAST_DB:
+    if evidence.halves_db[chosen.order] < MIN_DB:
         return chosen, (), (decide_order(evidence, chosen.order, said=True).text,)
     return chosen, (f"I/Q order {wanted} as given ({evidence.told()})",), ()
 

@@ -11,7 +11,7 @@ from midspan.checks import CARRIER_HZ, RATE_HZ
 from midspan.errors import DataError
 from midspan.radar.chirp import SPEED_OF_LIGHT_M_S
 from midspan.radar.info import RadarInfo
-from midspan.records import Floats, Nanoseconds, RangeFrames
+from midspan.records import NANOSECONDS, Floats, Nanoseconds, RangeFrames
 from midspan.sources.boundary import reading
 from midspan.sources.declared_size import require_memory
 from midspan.sources.hdf5_members import open_hdf5
@@ -29,8 +29,8 @@ class SlowTimeFile(RadarSource):
     """Phasors (frames), (frames, channels) or (frames, channels, bins): complex, or a last axis of I and Q.
 
     An HDF5 file holds them as `iq` (complex, or the fields real and imag) or as `i` and `q`; beside them, as datasets
-    or attributes, `carrier_hz` or `wavelength_m`, `rate_hz` or `time_s`, and where known `range_m` of each bin. What is
-    not in the file comes from radar.config. Growing phase is growing range; NaN marks missing frames.
+    or attributes, `carrier_hz` or `wavelength_m`, `rate_hz`, `time_s` or `time_ns`, and where known `range_m` of each
+    bin. What is not in the file comes from radar.config. Growing phase is growing range; NaN marks missing frames.
     """
 
     file_kind = "slow-time I/Q"
@@ -49,7 +49,11 @@ class SlowTimeFile(RadarSource):
         if settings is None:
             beside = _completed(beside, request)
         self._carrier_hz = _carrier(path, beside, settings)
-        self._times_s = self._stamps(beside, settings)
+        own_ns = beside.get("time_ns")
+        self._times_ns = None if own_ns is None else _whole_stamps(path, own_ns, count)
+        self._times_s = np.asarray(
+            self._stamps(beside, settings) if self._times_ns is None else self._times_ns / NANOSECONDS, dtype=np.float64
+        )
         self._refuse_nothing()
         self._range_m = np.atleast_1d(np.asarray(beside.get("range_m", np.nan), dtype=np.float64))
 
@@ -69,7 +73,9 @@ class SlowTimeFile(RadarSource):
         )
 
     def times_ns(self) -> Nanoseconds:
-        """From `time_s` of the file, else evenly spaced; `start_s` is added."""
+        """From the file, else evenly spaced; `start_s` is added to what is in seconds."""
+        if self._times_ns is not None:
+            return self._times_ns
         return stamps(self._path, self._times_s, self._request.start_s)
 
     def _profiles(self, start: int, stop: int | None) -> Iterator[RangeFrames]:
@@ -121,6 +127,14 @@ class SlowTimeFile(RadarSource):
                 "or give radar.rate_hz."
             )
         return np.arange(count) / rate
+
+
+def _whole_stamps(path: Path, given: Any, count: int) -> Nanoseconds:
+    """The stamps (count,) of `time_ns`."""
+    stamps_ns = np.asarray(given)
+    if stamps_ns.shape != (count,) or stamps_ns.dtype.kind not in "iu" or not np.all(np.diff(stamps_ns) > 0):
+        raise DataError(f"{path}: time_ns must hold {count} increasing whole numbers (ns), one a frame. Correct it.")
+    return stamps_ns.astype(np.int64)
 
 
 def _carrier(path: Path, beside: dict[str, Any], settings: TiSettings | None) -> float:
@@ -191,7 +205,7 @@ def _opened_hdf5(path: Path) -> tuple[Any, tuple[int, ...], dict[str, Any]]:
     beside = {key: file.attrs[key] for key in file.attrs}
     beside |= {
         key: values(path, file, key)
-        for key in ("time_s", "range_m", "carrier_hz", "wavelength_m", "rate_hz")
+        for key in ("time_s", "time_ns", "range_m", "carrier_hz", "wavelength_m", "rate_hz")
         if key in file
     }
     name = next((name for name in _NAMES if name in file), None)

@@ -12,9 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from midspan.errors import DataError, UsageError
-from midspan.radar.layout import Layout, unpack
+from midspan.radar.layout import PACKET_BYTES, Layout, unpack
 from midspan.records import NANOSECONDS, ChirpFrame, Event
-from midspan.sources.radar.capture_bytes import PACKET_BYTES
 
 DATA_PORT = 4098
 HEAD_BYTES = 10

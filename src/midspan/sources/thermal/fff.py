@@ -18,8 +18,8 @@ MAGIC = b"FFF\0"
 _HEADER_BYTES, _ENTRY_BYTES = 64, 32
 _RAW, _CAMERA = 0x01, 0x20
 _RAW_HEADER_BYTES = 32
-_LARGEST_VERSION = 200  # a little-endian version above this is a big-endian one
-_MOST_RECORDS = 1024
+_MAX_VERSION = 200  # a little-endian version above this is a big-endian one
+_MAX_RECORDS = 1024
 _SHORT_TAIL_BYTES = 4  # the last block of a sequence may claim this much more than there is
 _MARK = 2  # a record's byte-order mark, read in the right order
 _CAMERA_BYTES = 0x38E
@@ -53,7 +53,7 @@ class Block:
 
 @dataclass(frozen=True, slots=True)
 class CameraInfo:
-    """What the camera wrote beside a frame: calibration, what lies between, model, time (ns since 1970, 0 where it is
+    """What the camera wrote with a frame: calibration, what lies between, model, time (ns since 1970, 0 where it is
     not set), nominal rate in Hz (0: not set), and the median count of the frame.
     """
 
@@ -116,10 +116,10 @@ def _is_frame(data: Bytes, offset: int) -> bool:
 def _block(data: Bytes, offset: int) -> Block | None:
     """The block at `offset`; None where its directory is cut off, empty or cannot be right."""
     version = struct.unpack_from("<I", data, offset + 0x14)[0]
-    order = ">" if version > _LARGEST_VERSION else "<"
+    order = ">" if version > _MAX_VERSION else "<"
     start, count = struct.unpack_from(f"{order}II", data, offset + 0x18)
     directory = offset + start
-    if count > _MOST_RECORDS or directory + count * _ENTRY_BYTES > len(data):
+    if count > _MAX_RECORDS or directory + count * _ENTRY_BYTES > len(data):
         return None
     records = []
     for k in range(count):

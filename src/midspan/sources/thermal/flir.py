@@ -22,8 +22,8 @@ from midspan.sources.thermal.request import Floats32, ThermalRequest, checked_ce
 from midspan.thermal.radiometry import OpticalPath, Planck, celsius_table
 from midspan.vision.frame_source import FrameInfo, FrameSource
 
-# With fewer stamps in their order than this share, none is believed.
-LEAST_IN_ORDER = 0.95
+# With fewer stamps in their order than this share, none is accepted.
+MIN_IN_ORDER = 0.95
 SUFFIXES = (".fff", ".seq", ".csq", ".fcf")
 
 
@@ -38,7 +38,7 @@ class _Place:
 
 
 class FlirFrames(FrameSource):
-    """Frames of FLIR files in °C, by the calibration and the surroundings that the camera wrote beside each one."""
+    """Frames of FLIR files in °C, by the calibration and the surroundings that the camera wrote with each one."""
 
     def __init__(self, files: Sequence[Path], request: ThermalRequest, left_out: int = 0) -> None:
         """`left_out`: the number of pictures without raw counts in the same folder."""
@@ -186,7 +186,7 @@ def wrong_stamps(stamps: NDArray[np.int64]) -> NDArray[np.int64]:
     if np.all(stamps[1:] > stamps[:-1]):
         return nothing
     kept = _longest_increasing(stamps)
-    if len(kept) < LEAST_IN_ORDER * len(stamps) or len(kept) < 2:
+    if len(kept) < MIN_IN_ORDER * len(stamps) or len(kept) < 2:
         return nothing
     steps = np.diff(kept)
     usual = float(np.median(np.diff(stamps[kept]) / steps))

@@ -18,7 +18,7 @@ Quartiles = tuple[float, float, float]
 WARMEST_WALL_C = 45.0
 # A frame follows the one before in another unit where its middle fits to this, K, after a change of more than the next,
 # and its contrast to this share.
-_SAME_K, _LEAST_CHANGE_K, _SAME_SHARE = 1.0, 10.0, 0.25
+_SAME_K, _MIN_CHANGE_K, _SAME_SHARE = 1.0, 10.0, 0.25
 
 AGC_NOTE = (
     "8-bit grey levels, not temperatures: the camera's automatic gain changes with what comes into view; "
@@ -71,7 +71,7 @@ class ThermalPictures(FrameSource):
         if before is None or now is None:
             return now or before
         for first, then, told in ((before, now, "from °C to °F"), (now, before, "from °F to °C")):
-            fits = abs(then[1] - (1.8 * first[1] + 32.0)) < _SAME_K and abs(then[1] - first[1]) > _LEAST_CHANGE_K
+            fits = abs(then[1] - (1.8 * first[1] + 32.0)) < _SAME_K and abs(then[1] - first[1]) > _MIN_CHANGE_K
             wide, wider = first[2] - first[0], then[2] - then[0]
             if fits and wide > 0.0 and abs(wider / wide - 1.8) < _SAME_SHARE:
                 raise DataError(

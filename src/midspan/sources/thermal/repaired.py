@@ -13,11 +13,11 @@ from midspan.thermal.dead_pixels import filled, stuck_pixels
 from midspan.vision.frame_source import FrameInfo, FrameSource
 
 # A frame of which more is missing is not used: what was filled would be tracked.
-MOST_MISSING = 0.2
+MAX_MISSING = 0.2
 # Frames spread over the file that tell which pixels are stuck, and the memory they may take.
 _LOOKED_AT = 32
-_MOST_BYTES = 200_000_000
-_MOST_NAMED = 3
+_MAX_BYTES = 200_000_000
+_MAX_NAMED = 3
 
 
 class RepairedFrames(FrameSource):
@@ -29,7 +29,7 @@ class RepairedFrames(FrameSource):
         self._passed: set[int] = set()
         self._holes: dict[int, int] = {}
         first = next(iter(source.frames(0, 1)), None)
-        if first is None or _missing_share(first.pixels) > MOST_MISSING:
+        if first is None or _missing_share(first.pixels) > MAX_MISSING:
             _ = self._stuck
 
     @property
@@ -48,7 +48,7 @@ class RepairedFrames(FrameSource):
         for frame in self._source.frames(start, stop):
             holes = ~np.isfinite(frame.pixels)
             missing = int(np.count_nonzero(holes))
-            if missing > MOST_MISSING * holes.size:
+            if missing > MAX_MISSING * holes.size:
                 self._passed.add(frame.index)
                 continue
             if missing:
@@ -60,7 +60,7 @@ class RepairedFrames(FrameSource):
     def _stuck(self) -> NDArray[np.bool_]:
         """Pixels (rows, columns) that are stuck, by frames from all over the file."""
         known = self._source.info
-        count = min(_LOOKED_AT, max(_MOST_BYTES // max(4 * known.width * known.height, 1), 1))
+        count = min(_LOOKED_AT, max(_MAX_BYTES // max(4 * known.width * known.height, 1), 1))
         places = np.unique(np.linspace(0, len(self.times_ns()) - 1, count).astype(int))
         usable = []
         refused: DataError | None = None
@@ -71,14 +71,14 @@ class RepairedFrames(FrameSource):
                 # Told where the frames are read in their order: the first that is wrong counts.
                 refused = refused or error
                 continue
-            if seen is not None and _missing_share(seen.pixels) <= MOST_MISSING:
+            if seen is not None and _missing_share(seen.pixels) <= MAX_MISSING:
                 usable.append(seen.pixels)
         if not usable and refused is not None:
             raise refused
         if not usable:
             raise DataError(
                 f"{self._name} must hold temperatures in °C; of the {len(places)} frames looked at all have more than "
-                f"{100 * MOST_MISSING:g} % of their values missing (all its values are missing, or most). Check how "
+                f"{100 * MAX_MISSING:g} % of their values missing (all its values are missing, or most). Check how "
                 "it was written."
             )
         return stuck_pixels(np.stack(usable).astype(np.float32, copy=False))
@@ -89,8 +89,8 @@ class RepairedFrames(FrameSource):
         stuck = self.__dict__.get("_stuck")
         if stuck is not None and stuck.any():
             places = np.argwhere(stuck)
-            named = ", ".join(f"({x}, {y})" for y, x in places[:_MOST_NAMED])
-            more = f" and {len(places) - _MOST_NAMED} more" if len(places) > _MOST_NAMED else ""
+            named = ", ".join(f"({x}, {y})" for y, x in places[:_MAX_NAMED])
+            more = f" and {len(places) - _MAX_NAMED} more" if len(places) > _MAX_NAMED else ""
             told.append(f"{len(places)} stuck pixels, at (x, y) = {named}{more}, are filled from their neighbours")
         if self._holes:
             told.append(
@@ -99,9 +99,9 @@ class RepairedFrames(FrameSource):
             )
         if self._passed:
             numbers = sorted(self._passed)
-            named = ", ".join(str(k) for k in numbers[:_MOST_NAMED]) + (" …" if len(numbers) > _MOST_NAMED else "")
+            named = ", ".join(str(k) for k in numbers[:_MAX_NAMED]) + (" …" if len(numbers) > _MAX_NAMED else "")
             told.append(
-                f"{len(numbers)} frames ({named}) have more than {100 * MOST_MISSING:g} % of their values missing "
+                f"{len(numbers)} frames ({named}) have more than {100 * MAX_MISSING:g} % of their values missing "
                 "(NaN) and were passed over"
             )
         return told

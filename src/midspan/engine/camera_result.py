@@ -9,16 +9,7 @@ from numpy.typing import NDArray
 from midspan.calibration.sensors.camera import CameraCalibration
 from midspan.engine.sensor_series import SensorSeries, agreed_series
 from midspan.engine.tracking import CameraTracking, TargetTracking
-from midspan.records import (
-    Displacement,
-    Estimate,
-    Event,
-    Floats,
-    PixelTrack,
-    Region,
-    Source,
-)
-from midspan.settings.camera import CameraSettings
+from midspan.records import Displacement, Estimate, Event, Floats, PixelTrack, Region, Source
 from midspan.thermal.temperature_range import RangeSurface
 from midspan.vision.active_pixels import ActivePixels
 from midspan.vision.roi import RegionChoice
@@ -46,17 +37,16 @@ class TargetResult:
 class CameraResult:
     """One camera of a recording at the end of an estimate.
 
-    sensor: its name; source: how the rows that rest on it are marked; calibrations: what was learnt along each measured
-    axis, the main one first; settings: its section; reference (rows, columns): pixels of the first frame used; best:
-    number of the best target along the main axis. choice: how the regions were chosen, None where they were given;
-    range_surface: how the temperature range was found, None where it was not looked for. events: what happened to its
-    targets, on the accelerometer's clock.
+    sensor: its name; source: how the rows that rest on it are marked; calibrations: what was estimated along each
+    measured axis, the main one first; reference (rows, columns): pixels of the first frame used; best: number of the
+    best target along the main axis. choice: how the regions were chosen, None where they were given; range_surface: how
+    the temperature range was found, None where it was not looked for. events: what happened to its targets, on the
+    accelerometer's clock.
     """
 
     sensor: str
     source: Source
     calibrations: tuple[CameraCalibration, ...]
-    settings: CameraSettings
     reference: NDArray[np.generic]
     targets: tuple[TargetResult, ...]
     best: int = 0
@@ -75,7 +65,7 @@ class CameraResult:
         more_x, more_y = found.reference_px2.T
         x, y = found.track.variance_x_px2 - more_x, found.track.variance_y_px2 - more_y
         single = mapping.displacement(replace(found.track, variance_x_px2=x, variance_y_px2=y))
-        # The learnt factor is of single frames; what the reference makes is not among them.
+        # The estimated factor is of single frames; what the reference makes is not among them.
         shared = mapping.scale_m_per_px**2 * (more_x, more_y)["xy".index(mapping.direction)]
         return replace(single, variance_m2=single.variance_m2 + shared)
 
@@ -83,7 +73,6 @@ class CameraResult:
 def camera_result(
     tracking: CameraTracking,
     sensor: str,
-    settings: CameraSettings,
     calibrations: Sequence[CameraCalibration],
     events: Sequence[Event] = (),
 ) -> CameraResult:
@@ -95,7 +84,6 @@ def camera_result(
         sensor=sensor,
         source=calibrations[0].source,
         calibrations=tuple(calibrations),
-        settings=settings,
         reference=tracking.reference.pixels,
         targets=tuple(_target_result(target) for target in tracking.targets),
         best=best_target([target.region for target in tracking.targets], calibrations[0]),

@@ -1,0 +1,241 @@
+"""What brings records to the points of a site: topics of the broker, cameras, serial lines, replayed recordings.
+
+All of it runs in the service's loop; cameras and lines have threads of their own, which hand over what they have.
+"""
+
+import asyncio
+import time
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from midspan.errors import MidspanError
+from midspan.records import NANOSECONDS, Arrival, Frame, RangeFrame, Readings, Region
+from midspan.service.camera_process import CameraProcess, Delivered, Failed, pasted
+from midspan.service.opening import Opened
+from midspan.service.reading_thread import ReadingThread
+from midspan.service.reasons import sentence
+from midspan.service.replayed import range_frames, readings
+from midspan.service.running import Running, Stream
+from midspan.settings.site import ACCELEROMETER
+from midspan.sources.live.blocks import ACCELERATION, DISPLACEMENT, Block, parse
+from midspan.sources.live.fault import SourceFault
+from midspan.sources.live.radar import profiles
+from midspan.sources.live.serial_line import blocks
+from midspan.sources.thermal.request import ThermalRequest, count_scale
+from midspan.thermal.radiometry import ICE_K
+
+# Stamps that far ahead of this machine's clock are refused, s: twice the clock offset that a calibration looks for.
+# What is kept is in the order of stamps: a record of the future would shut out those that come until then.
+AHEAD_S = 1.0
+# Of a camera's frame more than its region leaves the camera's process: by this many of its own widths on each side.
+MARGIN = 0.5
+PICTURES = ("camera", "infrared")
+BLOCK_KIND = {ACCELEROMETER: ACCELERATION, "displacement": DISPLACEMENT}
+MQTT, SERIAL, REPLAY, UDP = "mqtt:", "serial:", "replay:", "udp:"
+
+Tell = Callable[[Running, str, str], None]
+"""Takes a point, the kind of an event and its text."""
+
+
+class Intake:
+    """taken: called after each record that a point was given; tell: takes events. folder: of the site's file."""
+
+    def __init__(self, points: Sequence[Running], folder: Path, taken: Callable[[Running], None], tell: Tell) -> None:
+        self._points, self._folder, self._taken, self._tell = points, folder, taken, tell
+        self._started_ns = time.time_ns()
+        self._threads: list[ReadingThread] = []
+        self.topics: dict[str, list[tuple[Running, str]]] = {}
+        for one in points:
+            for name, address in one.live.plan.sources.items():
+                if address.startswith(MQTT):
+                    self.topics.setdefault(address.removeprefix(MQTT), []).append((one, name))
+
+    def begin(self) -> list[asyncio.Task[None]]:
+        """Start cameras, lines and radars; returns the tasks that replay recordings. Called in the service's loop."""
+        tasks = []
+        for one in self._points:
+            for name, address in one.live.plan.sources.items():
+                if one.kind(name) in PICTURES:
+                    self._begin_camera(one, name, address)
+                elif address.startswith((SERIAL, UDP)):
+                    self._begin_thread(one, name, address)
+                elif address.startswith(REPLAY):
+                    tasks.append(asyncio.create_task(self._replayed(one, name, address)))
+        return tasks
+
+    def end(self) -> None:
+        """Stop cameras, lines and radars."""
+        for one in self._points:
+            for camera in one.cameras.values():
+                camera.stop()
+        for thread in self._threads:
+            thread.stop()
+
+    def cut(self, one: Running, found: Opened) -> None:
+        """Let only the regions and what is around them leave the cameras' processes."""
+        for name, camera in one.cameras.items():
+            if name in found.regions:
+                camera.cut(wider(found.regions[name]))
+
+    def payload(self, topic: str, payload: bytes) -> None:
+        """A message of one of `topics`."""
+        for one, name in self.topics.get(topic, ()):
+            try:
+                block = parse(payload, BLOCK_KIND[one.kind(name)])
+            except SourceFault as fault:
+                self._refused(one, name, fault)
+            else:
+                self._block(one, name, block)
+
+    def _block(self, one: Running, name: str, block: Block) -> None:
+        """A block of values, unless it was there before; lost ones are an event."""
+        stream = one.streams[name]
+        if self._is_ahead(one, name, block.t0_ns + block.dt_ns * max(len(block.values) - 1, 0)):
+            return
+        lost = stream.lost_before(block.sequence, block.t0_ns)
+        if lost is None:
+            return
+        if lost:
+            self._tell(one, "lost_records", f"{name}: {lost} blocks were lost on their way.")
+        if len(block.values) and not np.isfinite(block.values).any():
+            self._refused(one, name, SourceFault("no_values", sentence("no_values")))
+        elif stream.dt_ns and block.dt_ns != stream.dt_ns:
+            text = f"{name}: values come every {block.dt_ns / 1e6:g} ms now, every {stream.dt_ns / 1e6:g} ms before."
+            self._tell(one, "rate", text)
+        stream.dt_ns = block.dt_ns
+        value = one.factors[name] * block.values[:, None]
+        self._heard(one, name, Arrival(name, 0, Readings(block.time_ns, value)))
+
+    def _is_ahead(self, one: Running, name: str, newest_ns: int) -> bool:
+        """Whether stamps are of the future, which is a fault."""
+        ahead_s = (newest_ns - time.time_ns()) / NANOSECONDS
+        if ahead_s > AHEAD_S:
+            text = f"stamps are {ahead_s:.6g} s ahead of this machine's clock; set both by NTP"
+            self._refused(one, name, SourceFault("clock_ahead", text))
+        return ahead_s > AHEAD_S
+
+    def _refused(self, one: Running, name: str, fault: SourceFault | Failed) -> None:
+        """Why a source gives nothing that can be used; once an event."""
+        text = fault.text if isinstance(fault, Failed) else str(fault)
+        if one.streams[name].refused(fault.code, text, time.time()):
+            self._tell(one, fault.code, f"{name}: {text}")
+
+    def _begin_camera(self, one: Running, name: str, address: str) -> None:
+        if address.startswith(REPLAY):
+            address = self._replay_address(address, name)
+        one.cameras[name] = CameraProcess(address, self._handed(self._pictured, one, name))
+        if one.live.opened is not None:
+            self.cut(one, one.live.opened)
+        one.cameras[name].start()
+
+    def _pictured(self, one: Running, name: str, item: Delivered | Failed) -> None:
+        stream = one.streams[name]
+        if isinstance(item, Failed):
+            self._refused(one, name, item)
+            return
+        stream.skipped = item.skipped
+        if one.sizes.setdefault(name, item.shape) != item.shape:
+            self._refused(one, name, SourceFault("size_changed", sentence("size_changed")))
+            return
+        if self._is_ahead(one, name, item.time_ns):
+            return
+        frame = pasted(item)
+        try:
+            frame = self._in_degrees(one, name, frame) if one.kind(name) == "infrared" else frame
+        except MidspanError as error:
+            self._refused(one, name, SourceFault("damaged", str(error)))
+            return
+        self._heard(one, name, Arrival(name, 0, frame))
+
+    def _in_degrees(self, one: Running, name: str, frame: Frame) -> Frame:
+        """An infrared camera's frame in °C, where it is one of counts; their scale is what fits the first frame."""
+        if frame.pixels.dtype != np.uint16:
+            return frame
+        if name not in one.scales:
+            one.scales[name] = count_scale(float(np.median(frame.pixels.astype(np.float64))), ThermalRequest(), name)
+        kelvin_per_count, zero_k = one.scales[name]
+        # In double precision: a count of 0.01 K is below float32's steps at 30 000 counts after a product with 0.01.
+        celsius = frame.pixels.astype(np.float64) * kelvin_per_count + (zero_k - ICE_K)
+        return replace(frame, pixels=celsius.astype(np.float32))
+
+    def _begin_thread(self, one: Running, name: str, address: str) -> None:
+        if address.startswith(SERIAL):
+            read: Callable[[], Iterable[Any]] = partial(
+                blocks, address.removeprefix(SERIAL), BLOCK_KIND[one.kind(name)]
+            )
+        else:
+            read = partial(profiles, address.removeprefix(UDP), one.layouts[name])
+        thread = ReadingThread(f"{one.name} {name}", read, self._handed(self._came, one, name))
+        self._threads.append(thread)
+        thread.start()
+
+    def _came(self, one: Running, name: str, item: Block | RangeFrame | SourceFault) -> None:
+        """What a line or a radar gave."""
+        if isinstance(item, SourceFault):
+            self._refused(one, name, item)
+        elif isinstance(item, RangeFrame):
+            if not self._is_ahead(one, name, item.time_ns):
+                self._heard(one, name, Arrival(name, 0, item))
+        else:
+            self._block(one, name, item)
+
+    def _handed(self, taken: Callable[[Running, str, Any], None], one: Running, name: str) -> Callable[[Any], None]:
+        """`taken` in the service's loop, to be called from another thread; nothing once the loop is closed."""
+        loop = asyncio.get_running_loop()
+
+        def hand(item: Any) -> None:
+            with suppress(RuntimeError):
+                loop.call_soon_threadsafe(taken, one, name, item)
+
+        return hand
+
+    def _replay_address(self, address: str, sensor: str) -> str:
+        path = self._folder / address.removeprefix(REPLAY)
+        return f"{REPLAY}{path}@{self._started_ns}#{sensor}"
+
+    async def _replayed(self, one: Running, name: str, address: str) -> None:
+        """The readings or range profiles of a recording as they come due."""
+        stream: Stream = one.streams[name]
+        try:
+            own = range_frames if one.kind(name) == "radar" else readings
+            for due_s, record in own(self._replay_address(address, name)):
+                left_s = due_s - time.time()
+                if left_s > 0:
+                    await asyncio.sleep(left_s)
+                self._heard(one, name, Arrival(name, 0, record))
+            stream.reason, stream.text = "ended", "the recording that is replayed has ended"
+        except MidspanError as error:
+            stream.reason, stream.text = "damaged", str(error)
+
+    def _heard(self, one: Running, name: str, arrival: Arrival) -> None:
+        stream = one.streams[name]
+        stream.heard(time.time())
+        if stream.reason and not _is_empty(arrival):
+            if stream.told:
+                self._tell(one, "returned", f"{name}: records come again.")
+            stream.reason, stream.text, stream.told = "", "", False
+        try:
+            one.live.push(arrival)
+        except MidspanError as error:
+            # One sensor's record that cannot be used leaves the others and the other points alone.
+            self._refused(one, name, SourceFault("damaged", str(error)))
+        self._taken(one)
+
+
+def _is_empty(arrival: Arrival) -> bool:
+    """Whether a record has no value at all."""
+    record = arrival.record
+    return isinstance(record, Readings) and not np.isfinite(record.value).any()
+
+
+def wider(region: Region) -> Region:
+    """A region with what is around it."""
+    x, y = round(MARGIN * region.width), round(MARGIN * region.height)
+    left, top = max(region.x - x, 0), max(region.y - y, 0)
+    return Region(left, top, region.x + region.width + x - left, region.y + region.height + y - top)

@@ -1,0 +1,181 @@
+"""How the points of a running site and their sources stand."""
+
+from collections import deque
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from midspan.engine.support import PointStatus
+from midspan.radar.layout import Layout
+from midspan.service.camera_process import CameraProcess
+from midspan.service.capture import capture_settings
+from midspan.service.point import LivePoint
+from midspan.service.reasons import sentence
+from midspan.service.replayed import radar_info
+from midspan.settings.site import ACCELEROMETER, PointPlan, without_secrets
+from midspan.sources.accelerometer.units import si_factor
+from midspan.sources.live.blocks import SEQUENCES
+from midspan.sources.live.radar import live_info, live_layout
+
+# A stream that brings nothing for so long, and for so many of its usual intervals, is not fresh.
+FRESH_S, FRESH_INTERVALS = 5.0, 3.0
+# The usual interval is averaged over about this many records.
+AVERAGED = 8
+# Blocks that are remembered, so that one that comes again is known; the broker has 20 on their way by default.
+RECENT = 256
+# A fault that goes on is an event so often, s.
+TELL_AGAIN_S = 60.0
+SI = {ACCELEROMETER: ("acceleration", "m/s^2"), "displacement": ("displacement", "m")}
+
+
+@dataclass(slots=True)
+class Stream:
+    """How one source stands: its address without secrets, when it was heard last, why it gives nothing, counts."""
+
+    point: str
+    sensor: str
+    address: str
+    heard_s: float | None = None
+    reason: str = "starting"
+    text: str = ""
+    records: int = 0
+    faults: int = 0
+    skipped: int = 0
+    interval_s: float = 0.0
+    # Whether the reason was an event, and when each code was one last.
+    told: bool = False
+    told_s: dict[str, float] = field(default_factory=dict)
+    # Of the newest block, and of those that may come doubled.
+    sequence: int | None = None
+    dt_ns: int = 0
+    recent: deque[tuple[int, int]] = field(default_factory=lambda: deque(maxlen=RECENT))
+
+    def standing(self, now_s: float, unseen: str) -> dict[str, Any]:
+        """As /readyz and the state show it; unseen: why the engine measures nothing with what comes."""
+        reason = self.reason or unseen
+        fresh_s = max(FRESH_S, FRESH_INTERVALS * self.interval_s)
+        if not self.reason and self.heard_s is not None and now_s - self.heard_s > fresh_s:
+            reason = "silent"
+        return {
+            "point": self.point,
+            "source": self.sensor,
+            "reason": reason,
+            "text": self.text or (sentence(reason) if reason else ""),
+            "age_s": None if self.heard_s is None else round(now_s - self.heard_s, 3),
+            "records": self.records,
+            "faults": self.faults,
+            "skipped": self.skipped,
+        }
+
+    def heard(self, now_s: float) -> None:
+        """A record came."""
+        if self.heard_s is not None:
+            self.interval_s += (max(now_s - self.heard_s, 0.0) - self.interval_s) / min(self.records, AVERAGED)
+        self.heard_s, self.records = now_s, self.records + 1
+
+    def lost_before(self, sequence: int, t0_ns: int) -> int | None:
+        """How many blocks were lost before the one of this number and stamp; None where it has come already."""
+        if (sequence, t0_ns) in self.recent:
+            self.faults += 1
+            return None
+        self.recent.append((sequence, t0_ns))
+        last = sequence - 1 if self.sequence is None else self.sequence
+        ahead = (sequence - last) % SEQUENCES
+        if ahead > SEQUENCES - len(self.recent):
+            # It changed places with others: the engine judges it by its stamps.
+            return 0
+        self.sequence = sequence
+        # A sender that was started again counts anew.
+        return ahead - 1 if ahead < SEQUENCES // 2 else 0
+
+    def refused(self, code: str, text: str, now_s: float) -> bool:
+        """Something came that cannot be used; returns whether that is an event: what goes on is one a minute."""
+        self.faults += 1
+        self.reason, self.text = code, text
+        is_event = now_s - self.told_s.get(code, -TELL_AGAIN_S) >= TELL_AGAIN_S
+        if is_event:
+            self.told, self.told_s[code] = True, now_s
+        return is_event
+
+
+@dataclass(slots=True)
+class Running:
+    """One point and its sources in the shell.
+
+    factors: SI units in one unit of each channel's readings; layouts: how the samples of each radar's card are ordered;
+    scales: kelvin per count, and at count 0, of each infrared camera.
+    """
+
+    live: LivePoint
+    streams: dict[str, Stream]
+    factors: dict[str, float]
+    layouts: dict[str, Layout]
+    cameras: dict[str, CameraProcess] = field(default_factory=dict)
+    sizes: dict[str, tuple[int, int]] = field(default_factory=dict)
+    scales: dict[str, tuple[float, float]] = field(default_factory=dict)
+    results: int = 0
+    busy: bool = False
+
+    @property
+    def name(self) -> str:
+        """The point's name."""
+        return self.live.name
+
+    @property
+    def reason(self) -> str:
+        """Why the point gives no row that a measurement supports, empty where it does."""
+        if self.live.reason or self.live.opened is None:
+            return self.live.reason or ("opening" if self.live.number else "calibrating")
+        return "lost" if self.live.status is PointStatus.LOST else ""
+
+    @property
+    def given(self) -> bool:
+        """Whether its calibration stands in the site's file, and was not made on the way."""
+        return self.live.plan.settings.calibration is not None
+
+    def kind(self, sensor: str) -> str:
+        """The kind of one of the point's sensors."""
+        return next((one.kind for one in self.live.plan.recording.sensors if one.name == sensor), ACCELEROMETER)
+
+    def standing(self, now_s: float) -> dict[str, Any]:
+        """As the topic `state` shows it."""
+        return {
+            "point": self.name,
+            "status": self.live.status.name.lower(),
+            "reason": self.reason,
+            "calibration": self.live.number,
+            "sources": [stream.standing(now_s, self.live.unseen(name)) for name, stream in self.streams.items()],
+        }
+
+
+def running(plan: PointPlan, captures: Path, site: Path) -> Running:
+    """A point that nothing has come for yet; captures: the folder of its captured recordings; site: of the site's file.
+
+    Raises what reading a radar's settings, or a recording that is replayed, does.
+    """
+    factors = {}
+    sections: dict[str, Any] = {ACCELEROMETER: plan.recording.accelerometer}
+    kinds = {ACCELEROMETER: ACCELEROMETER}
+    for sensor in plan.recording.sensors:
+        sections[sensor.name], kinds[sensor.name] = sensor.settings, sensor.kind
+    for name, kind in kinds.items():
+        if kind in SI:
+            quantity, unit = SI[kind]
+            sensitivity = getattr(sections[name], "sensitivity", 0.0) or None
+            replayed = plan.sources[name].startswith("replay:")
+            factors[name] = 1.0 if replayed else si_factor(sections[name].unit or unit, quantity, sensitivity)
+    layouts = {
+        name: live_layout(site / plan.configs[name], sections[name].iq_order)
+        for name, kind in kinds.items()
+        if kind == "radar" and plan.sources[name].startswith("udp:")
+    }
+    radars = {
+        name: live_info(layouts[name])
+        if name in layouts
+        else radar_info(str(site / plan.sources[name].removeprefix("replay:")), name)
+        for name, kind in kinds.items()
+        if kind == "radar"
+    }
+    live = LivePoint(plan, capture_settings(plan.recording, factors), captures, radars)
+    streams = {name: Stream(plan.name, name, without_secrets(at)) for name, at in plan.sources.items()}
+    return Running(live, streams, factors, layouts)
