@@ -160,8 +160,9 @@ def test_signals_of_different_events_do_not_agree(seed):
 
 
 def test_an_offset_outside_the_search_is_refused_not_misjudged():
-    text = refusal(observed(broadband(3), 3, offset_s=0.4), 0.1)
-    assert "No agreement" in text
+    for offset_s in (0.4, -4.0):
+        text = refusal(observed(broadband(3), 3, offset_s=offset_s), 0.1)
+        assert f"within ±0.1 s: their clocks seem to differ by {offset_s:+.3g} s" in text
 
 
 def test_a_single_tone_with_half_a_period_inside_the_search_is_ambiguous():
@@ -250,3 +251,25 @@ def test_missing_frames_and_jittered_stamps_do_no_harm():
     found = calibrate_scale(replace(pair, rows=pair.rows[kept]), 0.5)
     z = deviations([found])
     assert max(abs(z[0][0]), abs(z[1][0])) < 3.5
+
+
+def test_lost_frames_in_the_window_are_found_and_taken_out():
+    # Frames counted from a rate: after three lost ones every stamp is 0.3 s early.
+    pair = observed(broadband(5), 5)
+    stamps = pair.rows[:, 0].copy()
+    rows = np.delete(pair.rows, [300, 301, 302], axis=0)
+    rows[:, 0] = stamps[: len(rows)]
+    found = calibrate_scale(replace(pair, rows=rows), 0.15)
+    assert abs(found.scale.value_m_per_px - SCALE) < 4.0 * np.sqrt(found.scale.variance)
+    assert np.sqrt(found.scale.variance) < 0.002 * SCALE
+    assert abs(found.search.offset.value_s - OFFSET) < 2e-3
+    assert "jumps in the calibration window: +300 ms" in found.warnings[0]
+
+
+def test_two_places_with_lost_frames_are_not_called_too_little_motion():
+    pair = observed(broadband(5), 5)
+    rows = np.delete(pair.rows, [190, 191, 192, 400, 401], axis=0)
+    rows[:, 0] = pair.rows[: len(rows), 0]
+    text = refusal(replace(pair, rows=rows), 0.15)
+    assert "No agreement" in text
+    assert "Frames that are lost or doubled" in text

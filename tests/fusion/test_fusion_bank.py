@@ -35,7 +35,7 @@ def test_each_point_is_the_plain_filter():
         rows = np.zeros((len(own), 5))
         rows[:, 0], rows[:, 2], rows[:, 3] = own[:, MET_AT], own[:, VALUE], own[:, VARIANCE]
         samples = np.column_stack((time_s, acceleration[i], np.full(len(time_s), density[i])))
-        begin = Beginning(float(time_s[0]), acceleration[i, :1], np.zeros(1), np.ones(1), 0)
+        begin = Beginning(float(time_s[0]), acceleration[i, :1], np.zeros(1), np.ones(1), np.ones(1), 0)
         block = Block(samples, rows, np.zeros(len(rows), dtype=np.int64))
         left = run(Filter.begun(begin, settings), block, tables_of(settings), options_of(settings))
         # Picometres: the same algebra in another order.

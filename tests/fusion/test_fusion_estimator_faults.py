@@ -110,10 +110,6 @@ def test_faults_cost_little_and_the_band_holds_them(name):
     assert np.mean(inside) > 0.92
 
 
-@pytest.mark.xfail(
-    strict=True,
-    reason="Outliers that all are of one size, from the first measurement on, look like a level that shifts.",
-)
 def test_outliers_of_one_size_from_the_first_measurement_on():
     rng = np.random.default_rng(801)
     truth = oscillating(rng, 120.0)

@@ -71,7 +71,7 @@ def compiled(time, acceleration, met, value, cut=None):
     rows[0, 0], rows[0, 1] = met[0], SET_DATUM
     codes = np.full(len(rows), GOOD)
     codes[0] = DATUM
-    begin = Beginning(0.0, acceleration[:1], np.zeros(1), START[1:2], 0)
+    begin = Beginning(0.0, acceleration[:1], np.zeros(1), START[:1], START[1:2], 0)
     state, left = Filter.begun(begin, SETTINGS), []
     for part in (slice(0, cut), slice(cut, None)) if cut else (slice(None),):
         block = samples[part]

@@ -33,7 +33,7 @@ LAPSES_S = (0.04, 10.0, 3600.0, 86400.0, 2.6e6)
 def test_no_prior_is_more_than_certain(lapse_s, shifted):
     settings = EstimatorSettings((camera(),), motion=((2e-3, 10.0), (0.0, 0.0)), displacement_std_m=1e-4)
     tables, options = tables_of(settings), options_of(settings)
-    begin = Beginning(0.0, np.zeros(1), np.zeros(1), np.array([1e-3]), 0)
+    begin = Beginning(0.0, np.zeros(1), np.zeros(1), np.array([1e-4]), np.array([1e-3]), 0)
     hyps, motion, _ = hypotheses_at(begin, settings)
     hyp, scene, scratch = one_of(hyps, 0), (motion, 0.0, 0.0), (np.zeros(settings.size), np.zeros(1))
     mark = hyp[2][0]

@@ -121,10 +121,10 @@ def test_a_night_without_the_camera_leaves_no_gap_no_step_and_one_source_a_row(d
     night = (result.time_s > DUSK_S + 3.0) & (result.time_s < DAWN_S - 0.5)
     # While the shutter is closed by day the camera goes on; at night only infrared is left.
     assert set(rows.source[night]) <= {Source.INFRARED, Source.PREDICTION}
-    # By day both see; the camera's frames are a little less noisy.
+    # By day both see; their frames are alike in noise (0.0045 and 0.0042 mm as estimated), so each makes rows.
     by_day = rows.source[(result.time_s > 5.0) & (result.time_s < 17.0)]
     assert set(by_day) <= {Source.CAMERA, Source.INFRARED}
-    assert np.mean(by_day == Source.CAMERA) > 0.5
+    assert 0.2 < np.mean(by_day == Source.CAMERA) < 0.8
 
 
 def test_each_camera_has_its_own_scale_factor_and_clock(result):

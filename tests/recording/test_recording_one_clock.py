@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import midspan
+from lively_recordings import Lively, write
 from midspan.calibration.one_clock import _refuse_contradiction, one_clock
 from midspan.errors import UntrustedError
 from midspan.fusion.streams import KalmanSettings
@@ -132,3 +133,16 @@ def test_a_displacement_sensor_whose_clock_jumps_stays_in_its_band(broken, tmp_p
     # Without the correction it is off by millimetres.
     assert np.abs(error).max() < 0.1
     assert [event.kind for event in found.events if event.kind == "clock"] == ["clock"]
+
+
+def test_the_zero_stays_at_the_first_frame_where_the_calibration_holds_after_a_jump(tmp_path):
+    # Three of 10 frames a second are lost after 6 s: most of the window, and so the calibrated offset, is 0.3 s late.
+    case = Lively(duration_s=60.0, rate_hz=10.0, band_hz=(0.5, 4.0), rms_m=3e-3, seed=3)
+    write(tmp_path, case, "camera")
+    frames = np.load(tmp_path / "camera.npy")
+    np.save(tmp_path / "camera.npy", np.delete(frames, [60, 61, 62], axis=0))
+    result = midspan.estimate(tmp_path)
+    error = result.displacement_mm - case.from_zero_mm(result.time_s)
+    # A zero 0.3 s off would be wrong by millimetres, hundreds of standard deviations, in every row.
+    assert np.mean(np.abs(error) < 1.96 * result.displacement_std_mm) > 0.85
+    assert abs(np.mean(error)) < 0.3

@@ -1,5 +1,6 @@
 """Several targets of one camera at different distances: each with its own scale factor, one displacement in all."""
 
+import re
 import shutil
 
 import av
@@ -198,6 +199,28 @@ def test_two_targets_that_drift_apart_are_refused_and_a_third_decides(listed, si
     only(site_copy, *listed, "middle")
     found = midspan.calibrate(midspan.open_recording(site_copy))
     assert {target.name for target in found.camera.used} == {"wall", "middle"}
+
+
+@pytest.mark.parametrize("listed", [("near", "wall"), ("wall", "near")])
+def test_a_camera_that_tilts_is_named_with_what_it_makes_of_each_target(listed, site_copy):
+    # A tilt moves the whole picture by the same number of pixels: 0.3 px rms, in periods of 20 and 13 s.
+    n = np.arange(len(frames(site_copy)))
+    tilt_px = 0.3 * (np.sin(2 * np.pi * n / 200.0) + np.sin(2 * np.pi * n / 130.0))
+    shifted = [
+        np.clip(np.rint(ndimage.shift(picture.astype(float), (amount, 0.0), mode="nearest")), 0, 255).astype(np.uint8)
+        for picture, amount in zip(frames(site_copy), tilt_px, strict=True)
+    ]
+    write_stack(site_copy, np.array(shifted))
+    only(site_copy, *listed)
+    with pytest.raises(midspan.UntrustedError, match="either the camera tilts") as refused:
+        midspan.calibrate(midspan.open_recording(site_copy))
+    said = re.search(
+        r"displacement of near wrong by ([\d.]+) mm rms and that of wall by ([\d.]+) mm", str(refused.value)
+    )
+    window = tilt_px - tilt_px.mean()
+    # The mean over the window is the zero's; the tilt's fast part, a tenth, goes into the structure's path.
+    np.testing.assert_allclose(float(said[1]), 0.75 * np.std(window), rtol=0.25)
+    np.testing.assert_allclose(float(said[2]), 1.5 * np.std(window), rtol=0.25)
 
 
 def test_a_scale_factor_that_compression_makes_vague_is_refused(simulated, tmp_path):

@@ -16,6 +16,7 @@ from midspan.records import NANOSECONDS, Arrival, Readings
 from midspan.service.opening import checkpoint, head_of, opened, resumed
 from midspan.service.replay import point_name, replay
 from midspan.service.stored_rows import instant, stored_table
+from midspan.store.chunk import Chunk
 from midspan.store.store import Batch, open_store
 
 
@@ -50,6 +51,42 @@ def test_the_rows_are_those_of_estimate(bridge, tmp_path, method):
     check_values(table, result)
     np.testing.assert_array_equal(table.columns["status"], result.estimate.status)
     store.close()
+
+
+class Interrupted(BaseException):
+    """Somebody pressed Ctrl-C."""
+
+
+def test_an_interrupted_replay_leaves_the_store_as_it_was(bridge, tmp_path):
+    recording, calibration = bridge
+    store = open_store(tmp_path)
+    whole = replayed(bridge, tmp_path / "whole")
+    since_ns = int(recording.acceleration.time_ns[0])
+    earlier = Chunk("p", "rows", since_ns - NANOSECONDS * np.arange(30, 0, -1), {"displacement_mm": np.arange(30.0)},
+                    shown="displacement_mm")  # fmt: skip
+    store.write(Batch([earlier]))
+    before = [store.buckets("p", "rows", since_ns - 10**12, since_ns + 10**12, count) for count in (4, 400)]
+
+    def impatient(done, _of, task):
+        if task == "replaying" and done > 15:
+            raise Interrupted
+
+    with pytest.raises(Interrupted):
+        replay(recording, store, name="p", calibration=calibration, progress=impatient)
+    assert store.newest_ns("p", "rows") == since_ns - NANOSECONDS
+    assert store.streams("p") == ["rows"]
+    assert not store.calibrations("p")
+    assert not store.events("p", 0, 2**62)
+    for old, count in zip(before, (4, 400), strict=True):
+        now = store.buckets("p", "rows", since_ns - 10**12, since_ns + 10**12, count)
+        np.testing.assert_array_equal(now.low, old.low)
+        np.testing.assert_array_equal(now.high, old.high)
+    done = replay(recording, store, name="p", calibration=calibration)
+    again, once = stored_table(store, "p", since_ns, None), stored_table(whole, "p", None, None)
+    assert done.rows == len(once.time_ns)
+    np.testing.assert_array_equal(again.columns["displacement_mm"], once.columns["displacement_mm"])
+    store.close()
+    whole.close()
 
 
 def test_rows_end_with_the_last_measurement_however_early_it_is(gnss, tmp_path):

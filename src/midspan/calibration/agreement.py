@@ -36,6 +36,8 @@ CLIPPED = 4.0
 BAND_CORNERS, MIN_ORDINATES, COLOURED_BY_CHANCE = 0.5, 8, 1e-3
 # In a record longer than this a clock may drift, which windows of this length show.
 LONG_S, WINDOW_S = 100.0, 40.0
+# No clock drifts by more than this (s/s, a hundred times a cheap quartz): the search has run away.
+MAX_SKEW = 0.01
 
 
 def clearly_better(fit: Fit, other: Fit) -> bool:
@@ -145,6 +147,8 @@ def straightened(pair: Pair, fit: Fit) -> tuple[Fit, float] | None:
     samples = pair.samples * np.array([1.0, 1.0, fit.input_density])
     metres = rows / np.array([1.0, fit.ratio, fit.ratio**2 / fit.noise])
     rate = drift(Compared(samples, metres + np.array([fit.offset_s, 0.0, 0.0])), WINDOW_S).skew
+    if not abs(rate) < MAX_SKEW:
+        return None
     moved = pair.rows.copy()
     moved[:, 0] += rate * (moved[:, 0] - rows[:, 0].mean())
     pair = replace(pair, rows=moved)

@@ -54,6 +54,14 @@ class OneClock:
     jumps: tuple[ClockJump, ...] = ()
     running: RunningClock | None = None
 
+    def first_ns(self, time_ns: int) -> int:
+        """The first measurement's stamp (ns) with the jumps and the drift of its clock taken out."""
+        late_s = self.jumps[0].before_s if self.jumps else 0.0
+        course = None if self.running is None else self.running.course
+        if course is not None:
+            late_s += float(course.at(np.array([time_ns]))[0])
+        return time_ns + round(NANOSECONDS * late_s)
+
     def also(self, measured: Displacement) -> "OneClock":
         """Other measurements of the same frames on the same clock; what was to tell has been told.
 

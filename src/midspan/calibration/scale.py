@@ -1,14 +1,16 @@
 """The scale factor and clock offset of a camera from a minute with an accelerometer, or a refusal."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from midspan.calibration.agreement import clearly_better, misfit
+from midspan.calibration.clock_jumps import ClockJump
 from midspan.calibration.fit import Fit, Pair, aligned, best_corner, with_input_noise
 from midspan.calibration.frequency_response import FrequencyResponse, Kind, kinds_of, response_of, with_response
-from midspan.calibration.time_offset import OffsetSearch, search_offset
+from midspan.calibration.jumping_clock import jumps_text, without_jumps
+from midspan.calibration.time_offset import OffsetSearch, far_offset, search_offset
 from midspan.errors import NoAgreementError, UntrustedError
 from midspan.records import Floats, InputNoise, NoiseLevel, ScaleFactor, TimeOffset
 from midspan.signals.health import dominant_frequency
@@ -38,6 +40,8 @@ IMPLIED_NOISE = 4.0
 OWN_NOISE, LOWER = 3.0, 0.95
 # An alias below this is reported as the likely reason of a refusal: bias and drift of a minute look the same.
 SLOW_ALIAS_HZ = 0.05
+# A cause of every disagreement that shows in no figure.
+LOST_FRAMES = "Frames that are lost or doubled while only a rate is given look the same: give each frame a time stamp."
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,12 +81,25 @@ def calibrate_scale(pair: Pair, max_offset_s: float, *, exposure_declared: bool 
     # Relative variances near 1 keep the corner frequency what its name says, and the diffuse start above all noise.
     pair = replace(pair, rows=pair.rows / np.array([1.0, 1.0, typical]))
     kinds = kinds_of(pair, exposure_declared=exposure_declared)
+    jumps: Sequence[ClockJump] = ()
+
+    def refuse(search: OffsetSearch) -> None:
+        _refuse_no_motion(search.pair, search.fit, float(np.sqrt(typical)))
+        _refuse_disagreement(search.pair, search.fit, float(np.sqrt(typical)))
+        _refuse_ambiguity(search, max_offset_s)
+
     search, response = with_frequency(search_offset(pair, max_offset_s), pair, max_offset_s, kinds)
+    try:
+        refuse(search)
+    except UntrustedError:
+        pair, jumps = without_jumps(pair, max_offset_s, refuse)
+        if not jumps:
+            _refuse_farther(pair, max_offset_s, refuse)
+            raise
+        search, response = with_frequency(search_offset(pair, max_offset_s), pair, max_offset_s, kinds)
+        refuse(search)
     fit = search.fit
     relative = fit.relative_std
-    _refuse_no_motion(pair, fit, relative, float(np.sqrt(typical)))
-    _refuse_disagreement(search.pair, fit, float(np.sqrt(typical)))
-    _refuse_ambiguity(search, max_offset_s)
     value = 1.0 / fit.ratio
     return ScaleCalibration(
         scale=ScaleFactor(value, (relative * value) ** 2),
@@ -91,6 +108,7 @@ def calibrate_scale(pair: Pair, max_offset_s: float, *, exposure_declared: bool 
         variance_factor=fit.noise / typical,
         input_noise=search.pair.input_noise(fit.input_density),
         warnings=(
+            *jumps_text(jumps),
             *_warnings(search, relative, usable),
             *response.texts(dominant_frequency(pair.samples[:, 1], pair.sample_rate_hz) or 0.0),
         ),
@@ -132,8 +150,8 @@ def _with_logger(search: OffsetSearch) -> OffsetSearch:
     return replace(search, pair=pair, fit=replace(fit, ratio_variance=search.fit.ratio_variance))
 
 
-def _refuse_no_motion(pair: Pair, fit: Fit, relative: float, noise: float) -> None:
-    gain = fit.gain
+def _refuse_no_motion(pair: Pair, fit: Fit, noise: float) -> None:
+    gain, relative = fit.gain, fit.relative_std
     if gain >= MIN_GAIN and relative <= REFUSED_ABOVE:
         return
     rows = pair.rows[np.isfinite(pair.rows[:, 2])]
@@ -143,14 +161,39 @@ def _refuse_no_motion(pair: Pair, fit: Fit, relative: float, noise: float) -> No
         raise NoAgreementError(
             f"No agreement between image and accelerometer {figures}: the image moves, but not with the acceleration. "
             "Check camera.direction, that the region shows something fixed and that both files are of the same event; "
-            "where the clocks may differ by more, raise calibration.max_offset_s or set camera.start_s."
+            f"where the clocks may differ by more, raise calibration.max_offset_s or set camera.start_s. {LOST_FRAMES}"
+        )
+    would_be = (
+        f"it would be {1e3 / fit.ratio:.4g} mm/px ± {100 * relative:.2g} %, and at most ± {100 * REFUSED_ABOVE:g} % is "
+        "given out"
+    )
+    alias, shakes = alias_in_words(pair), shaken > CLEARLY_MOVING * white_noise(pair.samples[:, 1])
+    if seen > CLEARLY_MOVING * noise and shakes and not alias:
+        raise NoAgreementError(
+            f"No agreement between image and accelerometer {figures}: both move, but not alike enough for a scale "
+            f"factor: {would_be}. Check camera.direction and camera.roi; where the clocks may differ by more, raise "
+            f"calibration.max_offset_s or set camera.start_s. {LOST_FRAMES}"
         )
     raise UntrustedError(
-        f"Too little motion to calibrate the scale factor {figures}: it would be {1e3 / fit.ratio:.4g} mm/px "
-        f"± {100 * relative:.2g} %, and at most ± {100 * REFUSED_ABOVE:g} % is given out. "
-        f"{alias_in_words(pair)}Choose a calibration.window_s with "
-        "traffic or shaking, or pass a calibration made at a livelier time with -c. If the structure did move, check "
-        "camera.direction, camera.roi and calibration.max_offset_s."
+        f"Too little motion to calibrate the scale factor {figures}: {would_be}. {alias}Choose a calibration.window_s "
+        "with traffic or shaking, or pass a calibration made at a livelier time with -c. If the structure did move, "
+        "check camera.direction, camera.roi and calibration.max_offset_s."
+    )
+
+
+def _refuse_farther(pair: Pair, max_offset_s: float, refuse: Callable[[OffsetSearch], None]) -> None:
+    """NoAgreementError where image and acceleration agree as they should at an offset beyond the largest."""
+    offset_s = far_offset(pair, max_offset_s)
+    if offset_s is None:
+        return
+    try:
+        refuse(search_offset(replace(pair, rows=pair.rows + np.array([offset_s, 0.0, 0.0])), max_offset_s))
+    except UntrustedError:
+        return
+    raise NoAgreementError(
+        f"No agreement between image and accelerometer within ±{max_offset_s:g} s: their clocks seem to differ by "
+        f"{offset_s:+.3g} s, where they agree. Add it to camera.start_s or to the frames' times, or raise "
+        "calibration.max_offset_s."
     )
 
 
@@ -161,14 +204,14 @@ def _refuse_disagreement(pair: Pair, fit: Fit, usual: float) -> None:
         raise NoAgreementError(
             f"No agreement between image and accelerometer: {left:.2g} px of the image's {moved:.2g} px rms stay "
             f"unexplained, where a frame's own noise is {usual:.2g} px. Where the clocks may differ by more, raise "
-            "calibration.max_offset_s or set camera.start_s; else check camera.direction and camera.roi."
+            f"calibration.max_offset_s or set camera.start_s; else check camera.direction and camera.roi. {LOST_FRAMES}"
         )
     if needed := noise_needed(pair, fit):
         raise NoAgreementError(
             f"No agreement between image and accelerometer: {needed} and noise of about "
             f"{1e3 * white_noise(pair.samples[:, 1]):.2g} mm/s². Check that both files are of the same event, "
             "camera.direction, camera.roi and accelerometer.unit; where the clocks may differ by more, raise "
-            "calibration.max_offset_s or set camera.start_s."
+            f"calibration.max_offset_s or set camera.start_s. {LOST_FRAMES}"
         )
 
 

@@ -43,6 +43,8 @@ EXPLAINED_BY_NOISE = 0.3
 BEYOND, MAX_BEYOND = 3.0, 0.02
 # How much farther than the longest offset is looked, in s and as a share of it, and in so much of the record at most.
 FARTHER_S, FARTHER_SHARE, FARTHER_WINDOW_S = 5.0, 0.5, 120.0
+# Where nothing agrees, a clock offset is looked for up to this share of the record, on as many measurements at least.
+FAR_SHARE, MIN_FAR_ROWS = 0.35, 20
 # A clock that drifts has another offset in a part of the record than in the whole: by so much, s.
 DRIFTED_S = 0.1
 
@@ -234,3 +236,15 @@ def farther(pair: Pair, near: Fit, within_s: float, until_s: float) -> Fit | Non
     beside = [best_corner(pair, near.offset_s + aside) for aside in (-DRIFTED_S, 0.0, DRIFTED_S)]
     own = max((refine(pair, fit, 0.5 * DRIFTED_S) for fit in beside), key=_likelihood)
     return best if abs(best.offset_s) > within_s and clearly_better(best, own) else None
+
+
+def far_offset(pair: Pair, max_offset_s: float) -> float | None:
+    """A clock offset beyond the largest, up to FAR_SHARE of the record, that fits far better than any within."""
+    first, last = float(pair.samples[0, 0]), float(pair.samples[-1, 0])
+    until = FAR_SHARE * (last - first)
+    inner = (pair.rows[:, 0] > first + until) & (pair.rows[:, 0] < last - until) & np.isfinite(pair.rows[:, 2])
+    if np.count_nonzero(inner) < MIN_FAR_ROWS or until < 2.0 * max_offset_s:
+        return None
+    pair = replace(pair, rows=pair.rows[inner], reference=None)
+    found = farther(pair, search_offset(pair, max_offset_s).fit, max_offset_s, until)
+    return None if found is None else found.offset_s

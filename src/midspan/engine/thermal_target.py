@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from midspan.records import Frame, PixelTranslation, Prediction, Region, Status
-from midspan.thermal.cleaning import Cleaned, CleaningState, ThermalCleaner
+from midspan.thermal.cleaning import PATTERN_FRAMES, Cleaned, CleaningState, ThermalCleaner
 from midspan.thermal.limits import MARGIN, Limits
 from midspan.thermal.pattern import FixedPattern
 from midspan.thermal.temperature_range import grey
@@ -100,14 +100,37 @@ class ThermalTarget(Tracker):
 
     @property
     def frames_to_learn(self) -> int:
-        """How many frames the tracker can learn from."""
-        return self.tracker.frames_to_learn
+        """How many frames the tracker and the pattern can be learnt from."""
+        return max(PATTERN_FRAMES, self.tracker.frames_to_learn)
 
     def learn(self, frames: Sequence[Frame]) -> Any:
-        """Let the tracker learn from frames in °C, in the order of their times; closed ones are left out."""
+        """Learn the pattern, where it shows, and let the tracker learn, from frames in °C in the order of their times.
+
+        What moved before the pattern is known would be drawn to zero. Closed frames are left out.
+        """
+        begun = self.state
+        for frame in frames:
+            self.push(frame)
+        pattern = self._pattern
+        self.restore(begun)
         cleaner = ThermalCleaner(self.reference, self.region)
+        if pattern is not None:
+            self._pattern = pattern
+            self.tracker = self._opened()
+            self._cleaner.use(pattern)
+            cleaner.use(pattern)
+        if not self.tracker.frames_to_learn:
+            return None
         ready = [self._ready(cleaner, frame, self.region) for frame in frames]
         return self.tracker.learn([frame for frame in ready if frame is not None])
+
+    @property
+    def scale_share_std(self) -> float:
+        """The share by which translations may be too small because of what is left of the fixed pattern."""
+        found = self._cleaner.last_pattern
+        if found is None:
+            return 0.0
+        return found.share_std if self._pattern is not None else found.kept_share_std
 
     @property
     def phase_gain_px_per_rad(self) -> tuple[float, float] | None:

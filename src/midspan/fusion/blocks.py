@@ -45,8 +45,12 @@ from midspan.records import (
 )
 
 # The motion's first velocity lies within three times what the sensors say of its size; acceleration is taken to belong
-# to a motion of no less than 0.2 Hz.
-VELOCITY_WITHIN, SLOWEST_HZ = 3.0, 0.2
+# to a motion of no less than 0.2 Hz. Of the steps of a channel's first measurements this share is sound.
+VELOCITY_WITHIN, SLOWEST_HZ, SOUND_SHARE = 3.0, 0.2, 0.25
+# The structure lies within so many times what the first measurements of the only channel scatter by, or within so many
+# metres where they are fewer than these. A wider prior would make each measurement unlikely that begins it anew: of
+# two, the farther off the first one is, the more likely would the first one be.
+SCATTER_WITHIN, FARTHEST_M, FEW = 3.0, 1.0, 4
 # What became of a measurement, in its innovation.
 ACCEPTED, REJECTED, REACQUIRED = 0, 1, 2
 # By what the measurement was taken for.
@@ -116,23 +120,37 @@ def with_start(samples: Samples, first_s: float, origin_ns: int) -> Samples:
 
 def beginning(samples: Floats, rows: Floats, settings: EstimatorSettings) -> Beginning:
     """The state before the first sample, from the first samples (s, 1 + 2 axes) and measurements (m, 5)."""
-    displacement, velocity = np.zeros(settings.axes), np.zeros(settings.axes)
-    axis_of = np.array([channel.axis for channel in settings.channels])[rows[:, CHANNEL].astype(np.int64)]
-    per_m = np.array([channel.units_per_m for channel in settings.channels])
+    place, within, speed = np.zeros(settings.axes), np.full(settings.axes, FARTHEST_M), np.zeros(settings.axes)
+    number = rows[:, CHANNEL].astype(np.int64)
+    per_m = np.array([channel.units_per_m for channel in settings.channels])[number]
+    value_m, std_m = rows[:, VALUE] / per_m, np.sqrt(rows[:, VARIANCE]) / np.abs(per_m)
     for a in range(settings.axes):
-        own = rows[axis_of == a]
-        first = own[own[:, AT] == own[0, AT]] if len(own) else own
-        displacement[a] = np.median(first[:, VALUE] / per_m[first[:, CHANNEL].astype(int)]) if len(own) else 0.0
-        speed = np.std(samples[:, 1 + a]) / (2.0 * np.pi * SLOWEST_HZ)
-        for c in np.unique(own[:, CHANNEL]):
-            one = own[own[:, CHANNEL] == c]
-            steps = np.diff(one[:, VALUE]) / per_m[int(c)] / np.maximum(np.diff(one[:, AT]), 1e-3)
-            # The median: outliers among the first ones would let the velocity be anything.
-            speed = max(speed, np.median(np.abs(steps))) if len(steps) else speed
-        velocity[a] = VELOCITY_WITHIN * speed
+        speed[a] = moving(float(np.std(samples[:, 1 + a])), settings.motion[a])
+        along = [c for c in np.unique(number).tolist() if settings.channels[c].axis == a]
+        if along:
+            own = np.isin(number, along)
+            place[a] = np.median(value_m[own & (rows[:, AT] == rows[own, AT][0])])
+        for c in along:
+            time_s, met_m = rows[number == c, AT], value_m[number == c]
+            steps = np.abs(np.diff(met_m)) / np.maximum(np.diff(time_s), 1e-3)
+            speed[a] = max(speed[a], np.quantile(steps, SOUND_SHARE)) if len(steps) else speed[a]
+            if len(along) == 1 and len(met_m) >= FEW:
+                within[a] = SCATTER_WITHIN * (np.ptp(met_m) + np.max(std_m[number == c]))
+    speed *= VELOCITY_WITHIN
+    if settings.displacement_std_m is not None:
+        within[:] = settings.displacement_std_m
     if settings.velocity_std_m_s is not None:
-        velocity[:] = settings.velocity_std_m_s[: settings.axes]
-    return Beginning(float(samples[0, 0]), samples[0, 1 : 1 + settings.axes], displacement, velocity, len(rows))
+        speed[:] = settings.velocity_std_m_s[: settings.axes]
+    return Beginning(float(samples[0, 0]), samples[0, 1 : 1 + settings.axes], place, within, speed, len(rows))
+
+
+def moving(felt: float, motion: tuple[float, float]) -> float:
+    """Velocity (m/s) of a motion whose acceleration is `felt` (m/s²), by what is known of it: `EstimatorSettings`.
+
+    Its mean square is no more than those of displacement and acceleration allow.
+    """
+    moved, rate = motion
+    return float(np.sqrt(moved * max(moved * rate * rate, felt))) if moved > 0.0 else felt / (2.0 * np.pi * SLOWEST_HZ)
 
 
 def given_rows(samples: Samples, first_s: float, origin_ns: int) -> NDArray[np.bool_]:

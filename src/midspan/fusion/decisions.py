@@ -5,18 +5,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from midspan.fusion.filtering import trace
+from midspan.fusion.filtering import PARENT_STEP, trace
 from midspan.fusion.forward import AT, CHANNEL
-from midspan.fusion.hypotheses import CLOCK, DATUM, KINDS, LOST, MOST, NOISE, OUTLIER, RETURN, SHIFT, WRONG
+from midspan.fusion.hypotheses import CLOCK, DATUM, KINDS, LOST, MOST, NOISE, OUTLIER, RETURN, SHIFT, WILD, WRONG
 from midspan.records import NANOSECONDS, Channel, Event, Floats
 
 # The newest measurements, up to this number, may be undecided; what the older ones were the best hypothesis decides.
 MAX_UNDECIDED = 2048
-# Outliers in a row that are an event.
+# Outliers in a row that are an event; a wild one alone is.
 MIN_RUN = 5
 # Causes of one kind that are closer (s) are one.
 ONE_CAUSE_S = 2.0
 EVENT_KINDS = {
+    OUTLIER: "rejected",
     SHIFT: "level_shift",
     RETURN: "level_shift",
     WRONG: "acceleration",
@@ -45,6 +46,14 @@ class Undecided:
             np.concatenate((self.survivors, survivors)),
             np.concatenate((self.errors, errors)),
         )
+
+    def paths(self, count: int) -> NDArray[np.int64]:
+        """What each of so many hypotheses took each measurement for, (count, m)."""
+        codes, at = np.empty((count, len(self.rows)), dtype=np.int64), np.arange(count)
+        for j in range(len(self.rows) - 1, -1, -1):
+            codes[:, j] = self.survivors[j, at] % PARENT_STEP
+            at = self.survivors[j, at] // PARENT_STEP
+        return codes
 
     def decided(self, count: int, *, all_of_them: bool = False) -> "tuple[Decided, Undecided]":
         """What is final, given so many hypotheses, or what the best one says of all; and what stays open."""
@@ -105,10 +114,12 @@ def events_of(
         first_s, _, count, first_mm = runs[c]
         if kinds[j] == OUTLIER:
             runs[c] = (first_s, time_s, count + 1, first_mm) if count else (time_s, time_s, 1, size_mm)
-            continue
-        if count >= MIN_RUN:
-            events.append(_rejected(runs[c], channels[c], origin_ns))
-        runs[c] = (0.0, 0.0, 0, 0.0)
+            if count or size_mm**2 <= WILD * std_mm**2:
+                continue
+        else:
+            if count >= MIN_RUN:
+                events.append(_rejected(runs[c], channels[c], origin_ns))
+            runs[c] = (0.0, 0.0, 0, 0.0)
         if kinds[j] == 0:
             continue
         kind, group = EVENT_KINDS[int(kinds[j])], (channels[c].sensor, channels[c].axis)
@@ -149,6 +160,8 @@ def _rejected(run: tuple[float, float, int, float], channel: Channel, origin_ns:
 def _text(kind: int, channel: Channel, size: tuple[float, float]) -> str:
     name, off = _named(channel), f"{size[0]:.2f} ± {size[1]:.2f} mm"
     return {
+        OUTLIER: f"A measurement of {name} lies {off} off and is left out: nothing moves so fast. Check the sensor "
+        "and its connection.",
         SHIFT: f"The zero of {name} shifted by {off}; the displacement keeps its own. Check whether the target or the "
         "sensor has moved.",
         RETURN: f"The zero of {name} went back to where it was before its shift, or its clock to where it was.",

@@ -5,7 +5,7 @@ wrong (see `hypotheses`). Rows are held back until the first few measurements ha
 judged by those after it.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
@@ -23,6 +23,9 @@ from midspan.fusion.blocks import (
 )
 from midspan.fusion.decisions import ALL_DECIDED, Decided, Telling, Undecided, events_of, runs_left
 from midspan.fusion.filtering import (
+    FOUND_VARIANCE,
+    FOUND_VELOCITY,
+    FOUND_X,
     MET_CODE,
     MET_ERROR,
     MET_TOTAL,
@@ -330,9 +333,14 @@ class Estimator:
         self.log = Log(begin, first_s, self._origin, [], []) if self._keep else None
         open_block = Block.open(block, rows)
         left = run(self._filter, open_block, self.tables, self.options)
-        best, _ = Undecided(rows, left.survivors, left.errors).decided(self._filter.count, all_of_them=True)
-        again = Filter.begun(begin, self.settings)
-        judged = run(again, open_block.taken_as(best.codes), self.tables, self.options)
+        met = Undecided(rows, left.survivors, left.errors)
+        best, _ = met.decided(self._filter.count, all_of_them=True)
+        again = [
+            run(Filter.begun(begin, self.settings).resumed(1), open_block.taken_as(codes), self.tables, self.options)
+            for codes in met.paths(self._filter.count)
+        ]
+        weights = np.exp(self._filter.hyps[3][: self._filter.count, WEIGHT])
+        judged = replace(again[0], found=mixed(np.array([one.found for one in again]), weights / np.sum(weights)))
         judged.met[:, MET_ERROR], judged.met[:, MET_TOTAL] = best.errors.T
         judged.met[:, MET_CODE] = best.codes
         return self._rows(samples, rows, left, judged)
@@ -373,6 +381,16 @@ class Estimator:
         self._told, events = events_of(self._told, decided, self.settings.channels, self._origin)
         waited, self._events = self._events, []
         return [*waited, *events]
+
+
+def mixed(found: Floats, weights: Floats) -> Floats:
+    """What several hypotheses (b,) found (b, s, axes, 5) as one: means and variances by their weights (b,)."""
+    one: Floats = found[0].copy()
+    one[:, :, FOUND_X] = np.tensordot(weights, found[..., FOUND_X], 1)
+    one[:, :, FOUND_VELOCITY] = np.tensordot(weights, found[..., FOUND_VELOCITY], 1)
+    off = found[..., FOUND_X] - one[:, :, FOUND_X]
+    one[:, :, FOUND_VARIANCE] = np.tensordot(weights, found[..., FOUND_VARIANCE] + off**2, 1)
+    return one
 
 
 @njit(cache=True)

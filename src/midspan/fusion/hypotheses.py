@@ -62,8 +62,10 @@ ENDED = KINDS
 DATUM = 2 * KINDS
 # The prediction was wrong, and the samples' noise has it since the last good measurement (see `second_pass`).
 SPREAD = 4 * KINDS
-# How many hypotheses are kept.
-MOST = 16
+# How many hypotheses are kept while the first measurements are judged, any of which may be outliers, and later.
+MOST, LATER = 64, 32
+# Then one may fall behind by so many times the odds: three outliers in a row may look like motion until the fifth.
+FIRST_ODDS = 2.0
 # Two are one again where every state agrees to a fifth of its standard deviation, its variance to a tenth and the
 # noise to a fifth: what is lost by that is below a hundredth of the band.
 SAME_MEAN, SAME_VARIANCE, SAME_NOISE, TINY = 0.05, 0.1, 0.2, 1e-24
@@ -141,6 +143,9 @@ VAGUE = 25.0
 # A zero of which nothing is known is taken to lie within so many times (in variance) what the first measurement is off,
 # where it is asked whether that is an outlier.
 UNKNOWN_ZERO = 1e6
+# A measurement so many times (in variance) as far off as predicted is an outlier until the next one says otherwise: 100
+# deviations. The least weight of anything else would move the rows by that share of whatever size it has.
+WILD = 1e4
 # What the noise's factor rests on after a sudden rise, in measurements.
 ANEW = 12.0
 # What goes on as an error of the acceleration is so often one of the bias, which a state led away holds too.
@@ -169,6 +174,15 @@ def log_normal(e, total):  # type: ignore[no-untyped-def]
 def log_any_size(e, total):  # type: ignore[no-untyped-def]
     """Logarithm of the density of an error of unknown size: alike in all decades from the predicted deviation on."""
     return -np.log(2.0 * DECADES * np.log(10.0)) - 0.5 * np.log(max(e * e, total))
+
+
+@njit(cache=True)
+def log_wrong(e, total, own):  # type: ignore[no-untyped-def]
+    """Logarithm of the density of a measurement that is wrong: its error is alike in all decades from its own deviation
+    on, and those decades that the prediction cannot tell leave what is predicted.
+    """
+    hidden = min(0.5 * np.log10(total / own) / DECADES, 1.0)
+    return np.log(hidden * np.exp(log_normal(e, total)) + np.exp(log_any_size(e, total)))
 
 
 @njit(cache=True)
@@ -355,6 +369,21 @@ def weigh_return(hyp, row, seen, channel, options, scratch, chances):  # type: i
 
 
 @njit(cache=True)
+def weigh_step(hyp, row, seen, channels, options, chances):  # type: ignore[no-untyped-def]
+    """The weight of a clock that steps; seen = (innovation, its variance, time in which it may have happened, s)."""
+    _, _, marks, memory, _, _ = hyp
+    c, (error, total, lapse) = int(row[CHANNEL]), seen
+    mark, apart = marks[c], channels[c][APART]
+    if mark[SHIFTED] > 0.0 or apart == 0.0:
+        return
+    own_rate = P_STEPPED if mark[DOUBTED] > 0.0 else met_within(options[CLOCK_RATE], lapse)
+    rate = step_rate(marks, channels, c, row[AT], (own_rate, options[P_STAYS]))
+    if rate > 0.0:
+        stepped = log_normal(error, total + apart * channels[c][UNITS_PER_M] ** 2)
+        chances[CLOCK] = memory[WEIGHT] + np.log(rate) + stepped
+
+
+@njit(cache=True)
 def weigh(hyp, row, scene, tables, options, scratch, asked, chances):  # type: ignore[no-untyped-def]
     """Logarithms of the weights (8,) of what a hypothesis may become by a measurement; -inf: not looked at.
 
@@ -366,41 +395,38 @@ def weigh(hyp, row, scene, tables, options, scratch, asked, chances):  # type: i
     channel, mark, prior = tables[1][c], marks[c], memory[WEIGHT]
     error, _, wider, own = look(hyp, row, scene, tables, scratch)
     total = wider + own
+    chances[:] = -np.inf
+    if mark[STEPPED] > 0.0:
+        # What it measures of another instant neither is an outlier nor says that the motion's state is wrong.
+        chances[GOOD] = prior + log_normal(error, max(total, error * error))
+        weigh_return(hyp, row, (error, wider, own), channel, options, scratch, chances)
+        return
     same_frame = memory[OUTLIER_AT] == row[AT] and memory[OUTLIER_OF] == channel[SENSOR_OF]
     runs = mark[DISTURBED] > 0.0 or same_frame
     p_out = max(options[P_OUTLIER], min(mark[SHARE], MOST_OUTLIERS))
     p_out = options[P_STAYS] if runs else p_out
-    chances[:] = -np.inf
     chances[GOOD] = prior + log_normal(error, total) + np.log(1.0 - p_out)
-    size = kept = log_any_size(error, total)
+    size, wrong = log_any_size(error, total), log_wrong(error, total, own)
+    kept = wrong
     inside, doubted = error * error <= GATE * GATE * total, asked[0] or wider > VAGUE * own
-    if inside and not doubted and not runs:
-        pass
-    elif mark[DISTURBED] > 0.0:
+    if mark[DISTURBED] > 0.0:
         # A value near the first outlier's says nothing against the sensor where no hypothesis can tell the motion.
-        kept = max(size, log_normal(row[VALUE] - mark[KEPT], max(2.0 * own, asked[1])))
+        kept = max(wrong, log_normal(row[VALUE] - mark[KEPT], max(2.0 * own, asked[1])))
         chances[OUTLIER] = prior + np.log(0.5) + kept + np.log(p_out)
-    else:
-        chances[OUTLIER] = prior + size + np.log(p_out)
+    elif runs or doubted or not inside:
+        chances[OUTLIER] = prior + wrong + np.log(p_out)
     if memory[DENSITY] > 0.0:
         chances[LOST] = prior + np.log(BIAS_TOO) + log_normal(error, total)
     # Among outliers it may have happened at any time since the last measurement that was none.
     lapse = max(row[AT] - max(mark[ACCEPTED_AT], memory[BEGAN_AT]), SHORTEST_S)
-    if mark[SHIFTED] > 0.0 or mark[STEPPED] > 0.0:
+    if mark[SHIFTED] > 0.0:
         weigh_return(hyp, row, (error, wider, own), channel, options, scratch, chances)
-    may_step = mark[STEPPED] + mark[SHIFTED] == 0.0 and channel[APART] > 0.0 and not asked[0]
-    if may_step and (not inside or mark[DOUBTED] > 0.0):
-        own_rate = P_STEPPED if mark[DOUBTED] > 0.0 else met_within(options[CLOCK_RATE], lapse)
-        rate = step_rate(marks, tables[1], c, row[AT], (own_rate, options[P_STAYS]))
-        apart = channel[APART] * channel[UNITS_PER_M] ** 2
-        if rate > 0.0:
-            chances[CLOCK] = prior + np.log(rate) + log_normal(error, total + apart)
+    if not asked[0] and (not inside or mark[DOUBTED] > 0.0):
+        weigh_step(hyp, row, (error, total, lapse), tables[1], options, chances)
     # Of the first measurements it is asked only which are outliers: what is met once an hour is not met just then.
-    if inside or asked[0]:
+    if inside or asked[0] or (mark[DISTURBED] == 0.0 and error * error > WILD * total):
         return
-    if mark[STEPPED] > 0.0:
-        pass
-    elif memory[SHIFT_AT] == row[AT] and memory[SHIFT_OF] == channel[SENSOR_OF]:
+    if memory[SHIFT_AT] == row[AT] and memory[SHIFT_OF] == channel[SENSOR_OF]:
         # The sensor moved: all its targets shift, mostly by the same.
         alike_size = log_normal(error - channel[UNITS_PER_M] * memory[SHIFT_BY], 2.0 * own)
         chances[SHIFT] = prior + np.log(0.5 * options[P_STAYS]) + max(size, alike_size)
@@ -429,11 +455,43 @@ def reject(mark, memory, row, sensor):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
+def go_back(hyp, row, scene, tables, options, scratch):  # type: ignore[no-untyped-def]
+    """Let a channel's zero be where it was before its shift, or its clock; as well as one measurement tells, where that
+    comes later than returns do on the mean: what does not go back soon has moved for good, and a second shift has
+    nearly undone the first.
+    """
+    x, p, marks, memory, _, _ = hyp
+    channel, mark = tables[1][int(row[CHANNEL])], marks[int(row[CHANNEL])]
+    s = int(channel[ZERO]) + 1
+    scale_state(x, p, s, 0.0)
+    if mark[STEPPED] == 0.0:
+        told = look(hyp, row, scene, tables, scratch)
+        own_shift = memory[SHIFT_OF] == channel[SENSOR_OF]
+        if not own_shift or (row[AT] - memory[SHIFT_AT]) * options[RETURN_RATE] > 1.0:
+            p[s, s] += (told[2] + told[3]) / channel[UNITS_PER_M] ** 2
+    mark[SHIFTED] = mark[STEPPED] = 0.0
+
+
+@njit(cache=True)
+def let_go(p, i, missed, spread):  # type: ignore[no-untyped-def]
+    """Let an axis' state from place `i` on be what it may: missed = (by how much, m; in which time, s; bias' most).
+
+    spread: displacement and velocity have their noise already.
+    """
+    size, lapse, most = missed
+    bias = min(size / lapse**2, most)
+    p[i + 2, i + 2] += bias * bias
+    if not spread:
+        p[i, i] += size * size
+        p[i + 1, i + 1] += (size / lapse) ** 2
+
+
+@njit(cache=True)
 def become(code, hyp, row, scene, tables, options, scratch):  # type: ignore[no-untyped-def]
     """Turn a hypothesis into what a measurement makes of it, as `code` says; returns the innovation's variance that
     it was taken with (0: not at all) and the factor by which the shift's state was scaled.
     """
-    x, p, marks, memory, _, _ = hyp
+    _, p, marks, memory, _, _ = hyp
     c = int(row[CHANNEL])
     channel, mark = tables[1][c], marks[c]
     a, s, scaled = int(channel[AXIS]), int(channel[ZERO]) + 1, 1.0
@@ -461,8 +519,7 @@ def become(code, hyp, row, scene, tables, options, scratch):  # type: ignore[no-
         memory[SHIFT_AT], memory[SHIFT_OF], memory[SHIFT_BY] = row[AT], channel[SENSOR_OF], size
     elif kind == RETURN:
         scaled = 0.0
-        scale_state(x, p, s, scaled)
-        mark[SHIFTED] = mark[STEPPED] = 0.0
+        go_back(hyp, row, scene, tables, options, scratch)
     elif kind == CLOCK:
         p[s, s] += channel[APART]
         mark[STEPPED] = 1.0
@@ -473,15 +530,16 @@ def become(code, hyp, row, scene, tables, options, scratch):  # type: ignore[no-
     elif kind == LOST:
         lapse = max(row[AT] - max(mark[ACCEPTED_AT], memory[BEGAN_AT]), SHORTEST_S)
         size = max(abs(size), np.sqrt(total) / abs(channel[UNITS_PER_M]))
-        bias = min(size / lapse**2, options[BIAS_STD])
-        p[3 * a + 2, 3 * a + 2] += bias * bias
-        if not spread:
-            p[3 * a, 3 * a] += size * size
-            p[3 * a + 1, 3 * a + 1] += (size / lapse) ** 2
+        let_go(p, 3 * a, (size, lapse, options[BIAS_STD]), spread)
         memory[DENSITY] = 0.0
     elif kind == NOISE:
         mark[FACTOR], mark[RESTS_ON] = mark[FACTOR] * error * error / total, min(mark[RESTS_ON], ANEW)
     if kind != GOOD:
+        seen = look(hyp, row, scene, tables, scratch)
+    if mark[STEPPED] > 0.0 and seen[0] ** 2 > GATE * GATE * (seen[2] + seen[3]):
+        # The two instants are farther apart than usual, as in a passage: rejected, or taken for an error of the
+        # motion's state, it would leave the acceleration alone or begin a velocity that nothing moves with.
+        p[s, s] += seen[0] ** 2 / channel[UNITS_PER_M] ** 2
         seen = look(hyp, row, scene, tables, scratch)
     taken = accept(hyp, row, seen, tables, options, scratch)
     memory[ERROR], memory[TOTAL] = error, total
@@ -565,14 +623,15 @@ def split(hyps, count, row, scene, tables, options, scratch, doubted, chances): 
             chances[b] += np.log(options[P_STAYS])
     flat = chances[:count].ravel()
     order = np.argsort(-flat)
+    most, odds = (MOST, FIRST_ODDS * options[ODDS]) if doubted else (LATER, options[ODDS])
     made = rejecting = 0
     for place in order:
-        if made == MOST // 2 or not flat[place] > flat[order[0]] - options[ODDS]:
+        if made == most // 2 or not flat[place] > flat[order[0]] - odds:
             break
         b, kind = place // KINDS, place % KINDS
         if kind == OUTLIER:
             # Those that reject learn nothing: all of them together would keep out for ever what could take it.
-            if rejecting == MOST // 4:
+            if rejecting == most // 4:
                 continue
             rejecting += 1
         copy_hypothesis(hyps, MOST + made, b)
@@ -582,9 +641,9 @@ def split(hyps, count, row, scene, tables, options, scratch, doubted, chances): 
     for b in range(made):
         copy_hypothesis(hyps, b, MOST + b)
     for b in range(made):
-        if memory[b, DENSITY] > 0.0 and made < MOST:
+        if memory[b, DENSITY] > 0.0 and made < most:
             copy_hypothesis(hyps, made, b)
             memory[made, DENSITY], memory[made, CODE] = 0.0, memory[b, CODE] + ENDED
             memory[made, WEIGHT] += np.log(1.0 - options[P_STAYS]) - np.log(options[P_STAYS])
             made += 1
-    return prune(hyps, made, options[ODDS])
+    return prune(hyps, made, odds)

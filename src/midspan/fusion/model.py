@@ -101,8 +101,8 @@ class EstimatorSettings:
 
     channels: each is named by its number here. axes: 1 or 2. parameters: see `Parameter`. bias_m_s2, bias_std_m_s2
     (one an axis): expected bias of the acceleration. bias_walk: density of its random walk, (m/s²)²/s.
-    velocity_std_m_s: None to take it from the first measurements. displacement_std_m: how far from the first
-    measurement the structure may be. noise_memory: measurements over which a channel's noise is followed; fewer
+    velocity_std_m_s, displacement_std_m: how fast the structure may be, and how far from the first measurement; None to
+    take it from the first measurements. noise_memory: measurements over which a channel's noise is followed; fewer
     follow it faster, and it then scatters by sqrt(2/noise_memory). noise_weight: how many measurements the
     channels' variance factors rest on. motion (one an axis): standard deviation (m) of displacement and middle
     angular frequency (1/s): what a sensor measures whose clock has stepped; 0: clocks do not step. zero_ns: instant
@@ -119,7 +119,7 @@ class EstimatorSettings:
     bias_std_m_s2: tuple[float, ...] = (0.3, 0.3)
     bias_walk: float = 1e-8
     velocity_std_m_s: tuple[float, ...] | None = None
-    displacement_std_m: float = 1.0
+    displacement_std_m: float | None = None
     rates: Rates = field(default_factory=Rates)
     noise_memory: float = 100.0
     noise_weight: float = 20.0
@@ -208,11 +208,14 @@ def options_of(settings: EstimatorSettings) -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class Beginning:
-    """The state before the first sample: its time (s), acceleration, displacement and velocity's deviation (axes,)."""
+    """The state before the first sample: its time (s), acceleration, displacement, and the deviations of displacement
+    and velocity (axes,).
+    """
 
     time_s: float
     acceleration: Floats
     displacement_m: Floats
+    displacement_std_m: Floats
     velocity_std_m_s: Floats
     judged: int
 
@@ -225,7 +228,7 @@ def hypotheses_at(begin: Beginning, settings: EstimatorSettings) -> tuple[Hyps, 
     for a in range(settings.axes):
         i = 3 * a
         xs[0, i, 0], xs[0, i + 2, 0] = begin.displacement_m[a], settings.bias_m_s2[a]
-        stds = (settings.displacement_std_m, begin.velocity_std_m_s[a], settings.bias_std_m_s2[a])
+        stds = (begin.displacement_std_m[a], begin.velocity_std_m_s[a], settings.bias_std_m_s2[a])
         ps[0, range(i, i + 3), range(i, i + 3)] = np.square(stds)
     slow = settings.first_zero + 2 + ZERO_STATES * np.arange(c)
     ps[0, slow, slow] = [channel.slow_std_m**2 for channel in settings.channels]

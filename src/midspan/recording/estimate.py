@@ -40,7 +40,7 @@ from midspan.progress import Progress, silent
 from midspan.recording.calibrate import calibrate_and_track
 from midspan.recording.kinds import ROWS
 from midspan.recording.messages import channel_warnings, refuse_rejections, require_same_cameras, uncalibrated
-from midspan.recording.point import gain_std, measuring_point
+from midspan.recording.point import gain_std, measuring_point, zero_instant
 from midspan.recording.printed_radar import estimate_printed
 from midspan.recording.result import Result
 from midspan.recording.run import Outcome, run, used_when
@@ -268,6 +268,8 @@ def smoothed(first: FirstPass, ran: Mapping[str, OneClock], checked: Checked, *,
     if alone:
         settings = replace(settings, misfit=(1.0, 1.0), unseen_std_m=(0.0, 0.0))
     apart = {name: clock for name, clock in ran.items() if ran_apart(clock)}
+    if apart:
+        settings = replace(settings, zero_ns=zero_instant(first.sides[0], first.eyes, ran))
     if apart or settings != estimator.settings:
         blocks = {name: outcome.measured_by(name) for name in outcome.measured}
         blocks |= {name: on_its_clock(blocks[name], settings.channels, clock) for name, clock in apart.items()}

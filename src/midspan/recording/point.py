@@ -1,11 +1,12 @@
 """From a calibrated recording to its measuring point: channels, what is uncertain of each sensor, and the stages."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from math import hypot
 
 import numpy as np
 
+from midspan.calibration.one_clock import OneClock
 from midspan.calibration.whitening import BIAS_WALK_RATIO
 from midspan.engine.axis import AxisFigures
 from midspan.engine.camera_channels import camera_channels
@@ -76,16 +77,19 @@ def radar_frames_used(recording: Recording) -> slice:
     return frames_used(recording.radar.times_ns(), recording.prepared.time_ns, margin_ns)
 
 
-def zero_instant(main: Side, eyes: Sequence[Eye]) -> int | None:
+def zero_instant(main: Side, eyes: Sequence[Eye], ran: Mapping[str, OneClock] | None = None) -> int | None:
     """The instant (ns) that the displacement counts from: a camera's first frame; None: the sensor's own zero.
 
-    Of two cameras the first one's; where that one was dark when it began, the first frame of either. A radar's phase
-    counts from its first frame, whose noise is in its zero.
+    ran: how the sensors' clocks ran, by name, where that is known. Of two cameras the first one's; where that one was
+    dark when it began, the first frame of either. A radar's phase counts from its first frame, whose noise is in its
+    zero.
     """
     if not eyes:
         return None
     offsets_ns = clock_offsets_ns(main, eyes)
     firsts = [int(eye.tracking.time_ns[0]) + offsets_ns[eye.sensor] for eye in eyes]
+    if ran is not None:
+        firsts = [ran[eye.sensor].first_ns(first) for eye, first in zip(eyes, firsts, strict=True)]
     return min(firsts) if eyes[0].begins_dark else firsts[0]
 
 

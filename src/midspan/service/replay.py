@@ -75,17 +75,22 @@ def replay(
         lag_s = recording.settings.fusion.lag_s if METHODS[method].rows is Pass.LAGGED else None
         point = measuring_point(sides, eyes, lag_s=lag_s, given=given, log=False)
         axes = recording.settings.axes[: len(sides)] if len(sides) > 1 else ()
-        made_ns = int(recording.acceleration.time_ns[0])
+        first_ns, last_ns = (int(recording.acceleration.time_ns[k]) for k in (0, -1))
         body, settings = json.dumps(calibration.to_dict()), recording.settings.model_dump_json(exclude_none=True)
-        number = store.add_calibration(name, made_ns, body, settings, accept=True)
+        number = store.add_calibration(name, first_ns, body, settings, accept=False)
         journal = Journal(name, clock_offsets_ns(sides[0], eyes), axes=axes, calibration=number)
         player = Player(point, journal, store, speed, wait)
-        first_ns, last_ns = (int(recording.acceleration.time_ns[k]) for k in (0, -1))
-        for _, record in records_of(point, sides, eyes, block_s=BLOCK_S):
-            player.push(record)
-            done_s = (player.newest_ns - first_ns) / NANOSECONDS
-            progress(max(int(done_s), 0), max(int((last_ns - first_ns) / NANOSECONDS), 1), "replaying")
-        player.finish()
+        try:
+            for _, record in records_of(point, sides, eyes, block_s=BLOCK_S):
+                player.push(record)
+                done_s = (player.newest_ns - first_ns) / NANOSECONDS
+                progress(max(int(done_s), 0), max(int((last_ns - first_ns) / NANOSECONDS), 1), "replaying")
+            player.finish()
+        except BaseException:
+            # The store had nothing as new of this point.
+            store.forget_since(name, player.oldest_ns, number)
+            raise
+        store.accept(name, number)
         for eye in eyes:
             eye.tracking.close()
     progress(1, 1, "replaying")
@@ -107,6 +112,8 @@ class Player:
         self._first_ns, self._last_ns = LAST_NS, FIRST_NS
         # Rows since the last measurement.
         self._held: list[Chunk] = []
+        # What was written begins here.
+        self.oldest_ns = LAST_NS
         self.newest_ns, self.rows = 0, 0
 
     def push(self, record: Arrival | Complete) -> None:
@@ -141,6 +148,7 @@ class Player:
             if len(kept.time_ns):
                 chunks.append(kept)
                 self.rows += len(kept.time_ns) if kept.stream == ROWS else 0
+        self.oldest_ns = min([self.oldest_ns, *(int(one.time_ns[0]) for one in chunks)])
         if chunks or batch.events:
             self._store.write(Batch(chunks, batch.events))
 

@@ -179,11 +179,12 @@ class Store:
                     "AND t0_ns < ? AND level = ?"
                 )
                 found = self._site.execute(sql, (*place, level - 1))
-            self._site.execute(
-                "INSERT INTO pyramid VALUES (?, ?, ?, ?, ?, ?, ?) ON CONFLICT (point, stream, level, t0_ns) "
-                "DO UPDATE SET n = excluded.n, low = excluded.low, high = excluded.high",
-                (point, stream, level, begin_ns, *found[0]),
-            )
+            if found[0][0] is not None:
+                self._site.execute(
+                    "INSERT INTO pyramid VALUES (?, ?, ?, ?, ?, ?, ?) ON CONFLICT (point, stream, level, t0_ns) "
+                    "DO UPDATE SET n = excluded.n, low = excluded.low, high = excluded.high",
+                    (point, stream, level, begin_ns, *found[0]),
+                )
 
     def add_calibration(self, point: str, made_ns: int, body: str, settings: str, *, accept: bool) -> int:
         """Keep a calibration, in force (the one before is retired) or offered; returns its number, from 1 on."""
@@ -208,6 +209,23 @@ class Store:
     def forget_before(self, time_ns: int) -> None:
         """Remove the chunks of whole days before a time; events, calibrations and the pyramid stay."""
         self._days.forget_before(time_ns // DAY_NS)
+
+    def forget_since(self, point: str, time_ns: int, calibration: int) -> None:
+        """Remove what a point has from a time on, and a calibration that was made for it."""
+        shown = [
+            str(row[0]) for row in self._site.execute("SELECT DISTINCT stream FROM pyramid WHERE point = ?", (point,))
+        ]
+        for database in self._days.all():
+            database.execute("DELETE FROM chunk WHERE point = ? AND t0_ns >= ?", (point, time_ns))
+        self._newest.clear()
+        with self._site.transaction():
+            self._site.execute("DELETE FROM event WHERE point = ? AND time_ns >= ?", (point, time_ns))
+            self._site.execute("DELETE FROM calibration WHERE point = ? AND number = ?", (point, calibration))
+            for level, length_s in enumerate(LEVELS_S):
+                sql = "DELETE FROM pyramid WHERE point = ? AND level = ? AND t0_ns >= ?"
+                self._site.execute(sql, (point, level, _floor(time_ns, length_s)))
+        for stream in shown:
+            self._raise(self._days.of(time_ns // DAY_NS), point, stream, _floor(time_ns, CHUNK_S))
 
     # What is read
 

@@ -4,7 +4,7 @@ Nothing is rounded to grey levels: the tracker gets float temperatures, so that 
 """
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ from midspan.thermal.pattern import FixedPattern, estimate_pattern
 from midspan.thermal.shutter import ShutterState, ShutterWatch
 
 PATTERN_FRAMES = 24  # that the fixed pattern is learnt from
-PATTERN_K = 0.03  # its expected standard deviation
+AROUND_PX = 16  # of the target, where the pattern is learnt as well
 PATTERN_EVERY_S = 0.05  # least time between two frames that are learnt from
 
 
@@ -72,7 +72,16 @@ class ThermalCleaner:
     @property
     def pattern(self) -> FixedPattern | None:
         """The fixed pattern in use, None while it is not known."""
+        return self._pattern if self._pattern is not None and self._pattern.known else None
+
+    @property
+    def last_pattern(self) -> FixedPattern | None:
+        """The one in use, or what was tried in vain; None before the first try."""
         return self._pattern
+
+    def use(self, pattern: FixedPattern) -> None:
+        """Take this pattern out of the frames from now on."""
+        self._pattern = pattern
 
     @property
     def state(self) -> CleaningState:
@@ -111,7 +120,7 @@ class ThermalCleaner:
         target = _part(frame.pixels, region_now or self._region)
         limits = self._follower.push(target, frame.time_ns)
         self._last = frame
-        pixels = frame.pixels if self._pattern is None else self._pattern.removed(frame.pixels)
+        pixels = frame.pixels if self.pattern is None else self.pattern.removed(frame.pixels)
         clean = Frame(frame.time_ns, folded(pixels, limits), frame.index)
         return Cleaned(clean, verdict.events, foreign_share(target, limits))
 
@@ -121,7 +130,7 @@ class ThermalCleaner:
         Returns whether it is known from now on, and is that of the reference frame: no shutter has closed since.
         """
         frame = self._last
-        if frame is None or found.status is not Status.TRACKING or self._pattern is not None:
+        if frame is None or found.status is not Status.TRACKING or self.pattern is not None:
             return False
         if frame.time_ns - self._kept_ns < PATTERN_EVERY_S * NANOSECONDS:
             return False
@@ -130,12 +139,19 @@ class ThermalCleaner:
         self._tries += 1
         # Where the scene has not moved enough, another try comes when all frames are others.
         if len(self._kept) == PATTERN_FRAMES and self._tries % PATTERN_FRAMES == 0:
-            stack = np.stack([pixels for pixels, _, _ in self._kept]).astype(np.float64)
-            moved: Floats = np.array([(x, y) for _, x, y in self._kept])
-            moved = moved - np.round(moved.mean(axis=0))
-            limits = self.limits
-            self._pattern = estimate_pattern(folded(stack, limits, 1.0).astype(np.float64), moved, PATTERN_K)
-        return self._pattern is not None and not self._closed
+            self._pattern = self._estimated()
+        return self.pattern is not None and not self._closed
+
+    def _estimated(self) -> FixedPattern:
+        """The pattern of the frames kept, on the target as these show it and around it; 0 elsewhere."""
+        moved: Floats = np.array([(x, y) for _, x, y in self._kept])
+        middle = np.round(moved.mean(axis=0))
+        place = _around(self._region, middle, self._shape)
+        stack = np.stack([pixels[place] for pixels, _, _ in self._kept]).astype(np.float64)
+        found = estimate_pattern(folded(stack, self.limits, 1.0).astype(np.float64), moved - middle)
+        whole = np.zeros(self._shape)
+        whole[place] = found.values_k
+        return replace(found, values_k=whole)
 
     def _forget(self) -> None:
         self._pattern, self._tries, self._closed = None, 0, True
@@ -144,3 +160,11 @@ class ThermalCleaner:
 
 def _part(pixels: NDArray[np.generic], region: Region) -> NDArray[np.generic]:
     return pixels[region.y : region.y + region.height, region.x : region.x + region.width]
+
+
+def _around(region: Region, moved_px: Floats, shape: tuple[int, int]) -> tuple[slice, slice]:
+    """Rows and columns of a moved region with AROUND_PX about it, inside a picture of `shape`."""
+    right, down = (int(px) for px in moved_px)
+    top, left = (max(begin - AROUND_PX, 0) for begin in (region.y + down, region.x + right))
+    bottom, end = region.y + down + region.height + AROUND_PX, region.x + right + region.width + AROUND_PX
+    return slice(top, min(bottom, shape[0])), slice(left, min(end, shape[1]))

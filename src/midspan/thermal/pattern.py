@@ -2,95 +2,164 @@
 
 A pattern in the reference frame and in the present one draws every translation towards zero, and it is the larger the
 weaker the scene. Where the scene has moved by some tenths of a pixel or more, both can be distinguished: the mean of
-the frames moved back is the scene, the mean of what is left on each pixel is the pattern; the two are improved in turn.
+the frames moved back is the scene, the mean of what is left on each pixel is the pattern. Translations found before
+are too small by a share, and a pattern estimated with them holds that share of the scene's second derivative, which
+draws later ones as much: scene, pattern and translations are therefore improved in turn. What the frames then leave
+open of the share is stated; docs/infrared.md has the equations.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from midspan.checks import finite, positive, refuse
+from midspan.checks import finite, refuse
 from midspan.records import Floats
+from midspan.signals.medians import MEDIAN_DEVIATION
+from midspan.thermal.pattern_share import Pictured, kept_share, share_left
 
 MIN_TRAVEL_PX = 0.4  # standard deviation of the motion below which scene and pattern are one
 MIN_FRAMES = 8
-TURNS = 10
+TURNS, SHARED_EVERY = 20, 5  # every so many turns the share, which single turns find slowly, is estimated as a whole
 _ORDER = 5  # of the spline that moves the scene
 _EDGE_PX = 2  # from the edge inwards the spline is disturbed by what it takes to lie beyond
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FixedPattern:
-    """A fixed pattern (rows, columns) in K, mean 0."""
+    """A fixed pattern (rows, columns) in K, mean 0.
+
+    share_std: standard deviation of the share by which translations are too small with the pattern taken out of
+    reference and frames; kept_share_std: with the pattern left in. known: False where it could not be told from the
+    scene, and is 0 here.
+    """
 
     values_k: Floats
+    share_std: float
+    kept_share_std: float
+    known: bool = True
 
     def removed(self, celsius: NDArray[np.generic]) -> NDArray[np.float32]:
         """The picture (rows, columns) without the pattern."""
         return np.asarray(celsius, dtype=np.float32) - self.values_k.astype(np.float32)
 
 
-def estimate_pattern(frames: Floats, translation_px: Floats, expected_k: float = 0.03) -> FixedPattern | None:
-    """The fixed pattern of pictures in °C whose scene has moved by known translations.
+def estimate_pattern(frames: Floats, translation_px: Floats) -> FixedPattern:
+    """The fixed pattern of pictures in °C whose scene has moved by translations, which it may have drawn to zero.
 
-    frames (n, rows, columns), 8 or more, of one place on the sensor; translation_px (n, 2): x to the right and y down;
-    expected_k: standard deviation of the pattern to be expected, K, by which noise is told from it.
-    None where the scene has moved so little that the two cannot be distinguished. Raises UsageError for arrays of
-    other shapes.
+    frames (n, rows, columns), 8 or more, of one place on the sensor; translation_px (n, 2): x to the right and y down.
+    Not `known` where the scene has moved so little that the two cannot be distinguished. Raises UsageError for arrays
+    of other shapes.
     """
     stack = finite("frames", frames)
     moved = finite("translation_px", translation_px)
-    positive("expected_k", expected_k, "K")
     if stack.ndim != 3 or len(stack) < MIN_FRAMES or moved.shape != (len(stack), 2):
         raise refuse(
             f"frames and translation_px of shapes (n, rows, columns) and (n, 2), n from {MIN_FRAMES} on",
             "given",
             (stack.shape, moved.shape),
         )
-    if float(np.sqrt(np.sum(np.var(moved, axis=0)))) < MIN_TRAVEL_PX:
-        return None
     # A frame's level is what it has in common with the others after the scene was moved back; its median will do.
-    return _told_apart(stack - np.median(stack, axis=(1, 2), keepdims=True), moved, expected_k)
+    stack = stack - np.median(stack, axis=(1, 2), keepdims=True)
+    if float(np.sqrt(np.sum(np.var(moved, axis=0)))) < MIN_TRAVEL_PX:
+        return _not_told_apart(stack, moved)
+    return _told_apart(stack, moved)
 
 
-def _told_apart(stack: Floats, moved: Floats, expected_k: float) -> FixedPattern:
-    """Scene and pattern improved in turn; pixels that the scene's known part does not reach have the pattern 0.
+def _not_told_apart(stack: Floats, moved: Floats) -> FixedPattern:
+    """No pattern, and what it does at most: fine texture of the scene counts as pattern."""
+    scene = np.mean(stack, axis=0)
+    noise = _grain(stack[1:] - stack[:-1]) / math.sqrt(2.0)
+    spread = math.sqrt(max(_grain(scene) ** 2 - noise**2 / len(stack), 0.0))
+    kept = kept_share(Pictured(scene, moved, noise, spread))
+    return FixedPattern(np.zeros_like(scene), kept, kept, known=False)
+
+
+def _grain(pictures: Floats) -> float:
+    """Standard deviation of white noise in pictures (…, rows, columns), from their finest detail."""
+    fine = np.diff(np.diff(pictures, 2, axis=-1), 2, axis=-2) / 6.0  # the squares of 1 -2 1, twice, sum to 36
+    return float(np.median(np.abs(fine))) / MEDIAN_DEVIATION
+
+
+def _roughness(pattern: Floats) -> float:
+    """Standard deviation of white noise or stripes in a picture (rows, columns) with NaN around, from second
+    differences along its rougher axis.
+    """
+    fine = [np.diff(pattern, 2, axis=axis) / math.sqrt(6.0) for axis in (0, 1)]
+    known = [np.abs(one[np.isfinite(one)]) for one in fine]
+    return max(float(np.median(one)) / MEDIAN_DEVIATION if len(one) else 0.0 for one in known)
+
+
+def _told_apart(stack: Floats, moved: Floats) -> FixedPattern:
+    """Scene, pattern and translations improved in turn; pixels that the scene's known part does not reach have the
+    pattern 0.
+    """
+    pattern, known = np.zeros(stack.shape[1:]), Pictured(np.zeros(stack.shape[1:]), moved, 0.0, math.inf)
+    share_std = 0.0
+    for turn in range(TURNS):
+        pattern, known = _improved(stack, pattern, known)
+        if (turn + 1) % SHARED_EVERY == 0:
+            share, share_std = share_left(stack, known)
+            centre = np.mean(known.moved_px, axis=0)
+            known = replace(known, moved_px=known.moved_px + share * (known.moved_px - centre))
+    return FixedPattern(pattern, share_std, max(kept_share(known), share_std))
+
+
+def _improved(stack: Floats, pattern: Floats, known: Pictured) -> tuple[Floats, Pictured]:
+    """One turn: the scene that the pattern leaves, the pattern that the scene leaves, and the translations.
 
     A scene that warms or cools has another contrast in each frame; what its mean leaves of it would pass for pattern.
     """
-    back = [_shifted(f, -x, -y) for f, (x, y) in zip(stack, moved, strict=True)]
-    inside = [_covered(stack.shape[1:], -x, -y) for x, y in moved]
-    count = np.sum(inside, axis=0)
-    known = count > 0
-    seen = [_covered(known.shape, x, y) & (_shifted(known.astype(np.float64), x, y) > 0.999) for x, y in moved]
-    number = np.sum(seen, axis=0)
-    pattern, noise, contrast = np.zeros(stack.shape[1:]), expected_k, np.ones(len(stack))
-    for _ in range(TURNS):
-        scene, weight = np.zeros_like(pattern), np.zeros_like(pattern)
-        for image, mask, (x, y), share in zip(back, inside, moved, contrast, strict=True):
-            scene += np.where(mask, share * (image - _shifted(pattern, -x, -y)), 0.0)
-            weight += share**2 * mask
-        scene /= np.maximum(weight, 1e-3)
-        there = [np.where(mask, _shifted(scene, x, y), 0.0) for mask, (x, y) in zip(seen, moved, strict=True)]
-        contrast = _straight(
-            [_amount(f - pattern, expected, mask) for f, expected, mask in zip(stack, there, seen, strict=True)]
-        )
-        total, square = np.zeros_like(pattern), np.zeros_like(pattern)
-        for frame, mask, expected, share in zip(stack, seen, there, contrast, strict=True):
-            rest = np.where(mask, frame - share * expected, 0.0)
-            total += rest
-            square += rest**2
-        mean = total / np.maximum(number, 1)
-        full = number >= MIN_FRAMES
-        variance = square / np.maximum(number, 1) - mean**2
-        noise = float(np.sqrt(max(np.median(variance[full]), 0.0))) if full.any() else noise
-        # The mean of n noisy values, drawn to zero as far as it may be noise.
-        pattern = total / (number + (noise / expected_k) ** 2)
-        pattern -= np.mean(pattern[full]) if full.any() else 0.0
-        pattern[~full] = 0.0
-    return FixedPattern(pattern)
+    moved, shape = known.moved_px, pattern.shape
+    free = stack - pattern
+    inside = [_covered(shape, -x, -y) for x, y in moved]
+    reached = np.any(inside, axis=0).astype(np.float64)
+    seen = np.array([_covered(shape, x, y) & (_shifted(reached, x, y) > 0.999) for x, y in moved])
+    scene = _scene(free, inside, moved, known.scene)
+    there = np.array([np.where(mask, _shifted(scene, x, y), 0.0) for mask, (x, y) in zip(seen, moved, strict=True)])
+    shares = _straight([_amount(f, expected, mask) for f, expected, mask in zip(free, there, seen, strict=True)])
+    there *= shares[:, None, None]
+    rest = np.where(seen, stack - there, 0.0)
+    number = np.maximum(np.sum(seen, axis=0), 1)
+    full = number >= MIN_FRAMES
+    if not full.any():
+        return pattern, replace(known, scene=scene)
+    mean = np.sum(rest, axis=0) / number
+    variance = np.sum(rest**2, axis=0) / number - mean**2
+    noise2 = float(np.median(variance[full]))
+    mean -= np.mean(mean[full])
+    # The mean of n noisy values, drawn to zero as far as it may be noise; a body that came by makes single pixels so.
+    unsure = np.maximum(variance, noise2) / number
+    # Coarse parts of the scene pass for pattern where the motion is small: the finest ones tell how strong it is.
+    spread2 = max(_roughness(np.where(full, mean, np.nan)) ** 2 - float(np.median(unsure[full])), 0.0)
+    pattern = np.where(full, mean * spread2 / np.maximum(spread2 + unsure, 1e-12), 0.0)
+    steps = [_step(f - pattern, e, mask) for f, e, mask in zip(rest, there, seen, strict=True)]
+    return pattern, Pictured(scene, moved - np.array(steps), math.sqrt(noise2), math.sqrt(spread2))
+
+
+def _scene(free: Floats, inside: list[NDArray[np.bool_]], moved: Floats, before: Floats) -> Floats:
+    """The mean (rows, columns) of frames (n, rows, columns) moved back; 0 where none reaches.
+
+    before: the scene so far, by which each frame's contrast is weighed; all 0 at first.
+    """
+    total, weight = np.zeros_like(before), np.zeros_like(before)
+    back = [_shifted(f, -x, -y) for f, (x, y) in zip(free, moved, strict=True)]
+    shares = (
+        [_amount(f, before, mask) for f, mask in zip(back, inside, strict=True)] if before.any() else [1.0] * len(back)
+    )
+    for image, mask, share in zip(back, inside, _straight(shares), strict=True):
+        total += np.where(mask, share * image, 0.0)
+        weight += share**2 * mask
+    return total / np.maximum(weight, 1e-3)
+
+
+def _step(rest: Floats, scene: Floats, mask: NDArray[np.bool_]) -> Floats:
+    """How far (2,) in px the scene must go back to explain what is left, over the mask without its rim."""
+    rim = mask[:-2, 1:-1] & mask[2:, 1:-1] & mask[1:-1, :-2] & mask[1:-1, 2:]
+    down, right = np.gradient(scene, axis=0), np.gradient(scene, axis=1)
+    slopes = np.array([right[1:-1, 1:-1][rim], down[1:-1, 1:-1][rim]])
+    return np.asarray(np.linalg.pinv(slopes @ slopes.T) @ (slopes @ rest[1:-1, 1:-1][rim]))
 
 
 def _amount(seen: Floats, expected: Floats, mask: NDArray[np.bool_]) -> float:

@@ -98,7 +98,7 @@ def optimise_range(
     """The range whose translation agrees best with the expected one, out of (M + 1)² between region and field of view.
 
     frames: n of the calibration, in °C; region: the target's, px; follow: tracks frames in grey levels. All ranges are
-    compared on 16 frames, every third, and the best nine again on all.
+    compared on 16 frames, every third, and the best nine and the whole view again on all.
     Raises UntrustedError where no range keeps its target.
     """
     if len(frames) != len(expected.translation_px) or len(frames) < 8:
@@ -120,6 +120,8 @@ def optimise_range(
             f"{100 * lost.min():.0f} % of the frames are lost. Choose another region, or track °C as they are."
         )
     order = [divmod(int(flat), shape[1]) for flat in np.argsort(error, axis=None)[:REFINED]]
+    # The whole view is always among them: where hardly anything moves 16 frames rank the ranges by chance.
+    order += [(divisions, divisions)] if (divisions, divisions) not in order else []
     whole = _Trial(frames, follow, expected)
     for m, n in order:
         error[m, n], lost[m, n] = whole.judge(Limits(float(low[m]), float(high[n])))

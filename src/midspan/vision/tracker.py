@@ -72,6 +72,11 @@ class Tracker(ABC):
         return None
 
     @property
+    def scale_share_std(self) -> float:
+        """Standard deviation of the share by which all translations are too small or too large, as far as it knows."""
+        return 0.0
+
+    @property
     def phase_gain_px_per_rad(self) -> tuple[float, float] | None:
         """Translation by mean phase along x and y, px/rad, signed; None for trackers that measure no phase."""
         return None

@@ -8,12 +8,20 @@ import numpy as np
 from midspan.calibration.agreement import misfit
 from midspan.calibration.bias import bias_of
 from midspan.calibration.camera.one_displacement import camera_blocks, filter_settings, moves_by_itself
+from midspan.calibration.camera.tilt import tilt_error_m, tilt_text
 from midspan.calibration.camera.view import SeenTarget, View, camera_pair
 from midspan.calibration.common_offset import Fitted, common_offset, one_offset, pooled_variance, shared_part
 from midspan.calibration.fit import Pair
 from midspan.calibration.measured import measured_rows
 from midspan.calibration.noise import learn_motion
-from midspan.calibration.scale import MIN_FRAMES, REFUSED_ABOVE, ScaleCalibration, calibrate_scale, contradiction
+from midspan.calibration.scale import (
+    MIN_FRAMES,
+    REFUSED_ABOVE,
+    WARNED_ABOVE,
+    ScaleCalibration,
+    calibrate_scale,
+    contradiction,
+)
 from midspan.calibration.sensors.camera import CameraCalibration, TargetCalibration
 from midspan.calibration.sensors.fit import SensorFit
 from midspan.errors import UntrustedError
@@ -23,6 +31,11 @@ from midspan.vision.lens import ideal_gain
 from midspan.vision.region_choice import USELESS
 
 CameraFit = SensorFit[CameraCalibration, ScaleCalibration]
+
+MOVED_TEXT = (
+    "One of them moves by itself, as in a slow drift, and neither the accelerometer nor a majority tells which. Leave "
+    "out of camera.target the one that may not stand still, or add a third."
+)
 
 
 def fit_camera(
@@ -106,7 +119,8 @@ def _fitted(view: View, targets: Sequence[SeenTarget], told: Callable[[], Sequen
         try:
             pair = camera_pair(view, target.rows, target.blur_s)
             own = calibrate_scale(pair, view.max_offset_s, exposure_declared=view.exposure_s is not None)
-            _refuse_compression(target.with_codec_error(own.scale, view.axis), own.scale)
+            _refuse_pattern(target.tracker.scale_share_std, own.scale)
+            _refuse_compression(target.with_picture_error(own.scale, view.axis), own.scale)
             found.append(own)
             reasons.append("")
         except UntrustedError as error:
@@ -117,6 +131,28 @@ def _fitted(view: View, targets: Sequence[SeenTarget], told: Callable[[], Sequen
     alone = len(targets) == 1
     lines = [why if alone else f"Target {one.name}: {why}" for one, why in zip(targets, reasons, strict=True)]
     raise UntrustedError(" ".join((*lines, *told())))
+
+
+def _refuse_pattern(share_std: float, learnt: ScaleFactor) -> None:
+    """UntrustedError where a thermal camera's fixed pattern may draw the translations to zero by too much."""
+    if share_std <= REFUSED_ABOVE:
+        return
+    raise UntrustedError(
+        f"The thermal camera's fixed pattern is too strong for this scene to calibrate the scale factor: it would be "
+        f"{1e3 * learnt.value_m_per_px:.4g} mm/px, and the pattern may draw translations to zero by "
+        f"{100 * share_std:.2g} % (one standard deviation); at most {100 * REFUSED_ABOVE:g} % is accepted. Choose an "
+        "infrared.roi of more contrast, correct the camera's non-uniformity (its shutter) before recording, or begin "
+        "where the target moves by half a pixel or more, which tells the pattern from the scene."
+    )
+
+
+def _pattern_text(share_std: float) -> list[str]:
+    if share_std <= WARNED_ABOVE:
+        return []
+    return [
+        f"The thermal camera's fixed pattern may draw translations to zero by {100 * share_std:.1f} % (one standard "
+        "deviation), which the scale factor's deviation holds; more contrast or motion in the picture would lessen it."
+    ]
 
 
 def _refuse_compression(scale: ScaleFactor, learnt: ScaleFactor) -> None:
@@ -157,29 +193,32 @@ def _fit_of(seen: Sequence[SeenTarget], camera: CameraCalibration, fit: Fitted) 
         for target in camera.targets
         if not target.used
     ]
-    for one, target in used:
+    shares = [s.tracker.scale_share_std for s, t in zip(seen, camera.targets, strict=True) if t.used]
+    for (one, target), share_std in zip(used, shares, strict=True):
+        warnings += _pattern_text(share_std)
         warnings += [f"Target {target.name}: {line}" if several else line for line in one.warnings]
+    search, tilt_m = found.search, camera.apart_std_m
+    apart_m = contradiction(search.pair, search.fit) * abs(found.scale.value_m_per_px)
     camera = replace(
         _camera(seen, camera.direction, camera.targets, camera.offset),
         relative_scale_std=relative_scale_std(*zip(*used, strict=True)) if len(used) > 1 else None,
         exposure_s=found.response.exposure_s,
-        apart_std_m=contradiction(found.search.pair, found.search.fit) * abs(found.scale.value_m_per_px),
+        apart_std_m=float(np.hypot(apart_m, tilt_m)),
     )
-    search = found.search
     bias = bias_of(search.pair, search.fit, float(np.sqrt(search.offset.variance)))
     # The integrated acceleration that the pair keeps besides its fields is no part of the result.
     plain = replace(found, search=replace(search, pair=replace(search.pair)))
     coloured = misfit(search.pair, search.fit)
-    warnings += coloured.text("camera") if camera.apart_std_m == 0.0 else [_contradiction_text(camera)]
+    warnings += coloured.text("camera") if apart_m == 0.0 else [_contradiction_text(apart_m)]
     camera = camera.without_gain(1.0, float(np.sqrt(coloured.factor - 1.0)) * camera.relative_std)
     slope = found.response.slope
     return CameraFit(camera, found.input_noise, bias, tuple(warnings), plain, misfit=coloured, slope=slope)
 
 
-def _contradiction_text(camera: CameraCalibration) -> str:
+def _contradiction_text(apart_m: float) -> str:
     return (
         "camera: the target moves in the picture where the accelerometer feels nothing, or the other way round: they "
-        f"differ by {1e3 * camera.apart_std_m:.2g} mm rms, far more than their noise, and the error band holds it. "
+        f"differ by {1e3 * apart_m:.2g} mm rms, far more than their noise, and the error band holds it. "
         "Likely causes: the camera or its bracket vibrates, perhaps faster than half the frame rate, so that it shows "
         "as slow motion; cross motion that an inclined axis picks up; a mounting that is not stiff."
     )
@@ -188,17 +227,20 @@ def _contradiction_text(camera: CameraCalibration) -> str:
 def _target(target: SeenTarget, found: ScaleCalibration | None, reason: str, axis: str) -> TargetCalibration:
     if found is None:
         return TargetCalibration(target.region, target.name, None, used=False, reason=reason)
-    scale = target.with_codec_error(found.scale, axis).wider(found.response.relative_std)
+    scale = target.with_picture_error(found.scale, axis).wider(found.response.relative_std)
     return TargetCalibration(
         target.region, target.name, scale, found.noise.std, found.variance_factor, not reason, reason
     )
 
 
+def m_per_px(target: TargetCalibration) -> float:
+    """Size of a target's scale factor, in proportion to its distance; NaN where it was refused."""
+    return np.nan if target.scale is None else abs(target.scale.value_m_per_px)
+
+
 def noise_m(target: TargetCalibration) -> float:
     """Noise of one frame's displacement, m; infinite for a target that is not used."""
-    if not target.used or target.scale is None:
-        return np.inf
-    return abs(target.scale.value_m_per_px) * target.noise_std_px
+    return m_per_px(target) * target.noise_std_px if target.used and target.scale is not None else np.inf
 
 
 def _best(targets: Sequence[TargetCalibration]) -> int:
@@ -259,19 +301,24 @@ def _without_movers(
         found = moves_by_itself(blocks, camera.mappings(), acceleration, kalman, view.window_ns)
         if found is None:
             break
-        worst, beside = used[found.target], used[found.beside]
+        worst, beside = camera.targets[used[found.target]], camera.targets[used[found.beside]]
         size = f"{1e3 * found.apart_m:.2g} mm rms, more than its noise and scale factor explain."
+        scales = [m_per_px(camera.targets[k]) for k in used]
+        # A tilt errs least at the nearest target: where the accelerometer decides, it speaks for that one.
+        possible = found.undecided or m_per_px(beside) < m_per_px(worst)
+        tilt_m = tilt_error_m(scales, found.beside, found.target, found.apart_m) if possible else 0.0
+        cause = tilt_text((beside.name, m_per_px(beside)), (worst.name, m_per_px(worst)), tilt_m) if tilt_m else ""
         if found.undecided:
             raise UntrustedError(
-                f"Targets {camera.targets[beside].name} and {camera.targets[worst].name} contradict each other along "
-                f"{camera.direction}: the second differs from the first by {size} One of them moves by itself, as in a "
-                "slow drift, and neither the accelerometer nor a majority tells which. Leave out of camera.target the "
-                "one that may not stand still, or add a third."
+                f"Targets {beside.name} and {worst.name} contradict each other along {camera.direction}: the second "
+                f"differs from the first by {size} {cause or MOVED_TEXT}"
             )
         reason = f"it moves by itself: it differs from the others by {size}"
+        if tilt_m:
+            reason = f"it differs from {beside.name} by {size} {cause} The error band holds the tilt."
         known = list(camera.targets)
-        known[worst] = replace(known[worst], used=False, reason=reason)
-        camera = replace(camera, targets=tuple(known))
+        known[used[found.target]] = replace(worst, used=False, reason=reason)
+        camera = replace(camera, targets=tuple(known), apart_std_m=float(np.hypot(camera.apart_std_m, tilt_m)))
     return camera
 
 

@@ -1,6 +1,6 @@
 """What a camera is calibrated on: an image axis and its acceleration, and each target as it was tracked."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -60,12 +60,12 @@ class SeenTarget:
     tracker_settings: Any
     lens: Lens | None
 
-    def with_codec_error(self, scale: ScaleFactor, direction: str) -> ScaleFactor:
-        """A scale factor estimated along an image axis on the rows, with what compression may do to it."""
-        if self.picture is None:
-            return scale
-        relative = self.picture.relative_scale_std(direction)
-        return replace(scale, variance=scale.variance + (relative * scale.value_m_per_px) ** 2)
+    def with_picture_error(self, scale: ScaleFactor, direction: str) -> ScaleFactor:
+        """A scale factor estimated along an image axis on the rows, with what compression and a thermal camera's fixed
+        pattern may do to it.
+        """
+        codec = 0.0 if self.picture is None else self.picture.relative_scale_std(direction)
+        return scale.wider(float(np.hypot(codec, self.tracker.scale_share_std)))
 
 
 def camera_pair(view: View, track: PixelTrack, blur_s: float) -> Pair:
