@@ -72,7 +72,7 @@ def lived(point, records):
             calibration = midspan.calibrate(point.job.folder)
             point.calibrated(1)
         elif point.job is not None:
-            point.is_opened(opened(point.job.folder, "p", calibration, 1, given=False))
+            point.is_opened(opened(point.job.folder, "p", calibration, 1))
     assert point.phase is Phase.RUNNING
     assert point.status is PointStatus.TRACKING
     rows = [one for one in point.batch().chunks if one.stream == "rows"]

@@ -1,5 +1,7 @@
 """A live point without a shell: captures, jobs, a calibration beside the running one, and its acceptance."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -36,8 +38,8 @@ def live_point(folder, accept="auto"):
     return LivePoint(plan, capture_settings(plan.recording, {"displacement": 1e-3}), folder / "captures")
 
 
-def records(first_s, last_s, seed=0):
-    """Blocks of a second: three tones, the displacement at 10 Hz with 0.1 mm."""
+def records(first_s, last_s, seed=0, scale=1.0):
+    """Blocks of a second: three tones, the displacement at 10 Hz with 0.1 mm and a scale of its own."""
     rng = np.random.default_rng(seed)
     for second in range(first_s, last_s):
         for name, rate_hz in (("accelerometer", 100), ("displacement", 10)):
@@ -46,21 +48,22 @@ def records(first_s, last_s, seed=0):
             for a, f in ((3e-3, 1.3), (2e-3, 0.6), (1e-3, 2.9)):
                 factor = -((2 * np.pi * f) ** 2) if name == "accelerometer" else 1.0
                 value += factor * a * np.sin(2 * np.pi * f * at)
+            value *= scale if name == "displacement" else 1.0
             value += rng.normal(0, 2e-3 if name == "accelerometer" else 1e-4, rate_hz)
             time_ns = BEGIN_NS + np.round(at * NANOSECONDS).astype(np.int64)
             yield Arrival(name, 0, Readings(time_ns, value[:, None]))
 
 
-def pushed(point, first_s, last_s):
+def pushed(point, first_s, last_s, scale=1.0):
     """Push until the point asks for a job; returns the second that it asked in."""
-    for arrival in records(first_s, last_s):
+    for arrival in records(first_s, last_s, scale=scale):
         point.push(arrival)
         if point.job is not None:
             break
     return int((point.newest_ns - BEGIN_NS) / NANOSECONDS)
 
 
-def running(point):
+def running(point, scale=1.0):
     """The point opened from its first calibration, and the second that it has come to."""
     at_s = pushed(point, 0, 60)
     assert point.job.kind == "calibrate"
@@ -68,12 +71,12 @@ def running(point):
     assert point.status is PointStatus.CALIBRATING
     calibration = midspan.calibrate(point.job.folder)
     point.calibrated(1)
-    at_s = pushed(point, at_s + 1, at_s + 30)
+    at_s = pushed(point, at_s + 1, at_s + 30, scale)
     assert point.job.kind == "open"
     # What comes while it is opened waits, and is not lost.
-    for arrival in records(at_s + 1, at_s + 4):
+    for arrival in records(at_s + 1, at_s + 4, scale=scale):
         point.push(arrival)
-    point.is_opened(opened(point.job.folder, "p", calibration, 1, given=False))
+    point.is_opened(opened(point.job.folder, "p", calibration, 1))
     assert point.phase is Phase.RUNNING
     return calibration, at_s + 4
 
@@ -110,6 +113,28 @@ def test_a_new_calibration_stands_beside_the_old_one_until_it_is_accepted(tmp_pa
     pushed(point, at_s + 3, at_s + 20)
     assert point.job.kind == "open"
     assert point.number == 2
+
+
+@pytest.mark.parametrize("scale", [1.0, 1.06])
+def test_a_scale_that_has_changed_since_asks_for_a_new_calibration_once(tmp_path, scale):
+    point = live_point(tmp_path)
+    _, at_s = running(point, scale)
+    said = []
+    for second in range(at_s, at_s + 40):
+        pushed(point, second, second + 1, scale)
+        said += [event for _, event in point.batch().events if event.kind == "scale"]
+    if scale == 1.0:
+        assert said == []
+        assert point.job is None
+        return
+    (event,) = said
+    # Beside a displacement whose unit is right the accelerometer measures 1/1.06 of it.
+    percent, std = re.search(
+        r"accelerometer: .* a scale ([-+][\d.]+) ± ([\d.]+) % off calibration 1", event.text
+    ).groups()
+    assert abs(float(percent) - 100.0 * (1.0 / 1.06 - 1.0)) < 4.0 * float(std) + 0.1
+    assert point.job.kind == "calibrate"
+    assert point.number == 1
 
 
 def test_a_refused_calibration_is_an_event_and_tried_again_later(tmp_path):

@@ -146,11 +146,11 @@ def test_rows_are_never_overwritten(bridge, tmp_path, capsys):
 @pytest.mark.parametrize("cut_s", [3.0, 11.3, 19.9])
 def test_a_point_goes_on_from_its_checkpoint_with_the_same_rows(bridge, footbridge, tmp_path, cut_s):
     _, calibration = bridge
-    whole = opened(footbridge, "p", calibration, 1, given=True)
+    whole = opened(footbridge, "p", calibration, 1)
     expected = whole.journal.batch()
     # Another one is given the same records, is kept in the middle, and ends later than it was kept.
     store = open_store(tmp_path)
-    first = opened(footbridge, "p", calibration, 1, given=True, push=False)
+    first = opened(footbridge, "p", calibration, 1, push=False)
     kept = None
     for stream, arrival in arrivals(first, footbridge, calibration):
         stamp_ns = newest(arrival)
@@ -165,7 +165,7 @@ def test_a_point_goes_on_from_its_checkpoint_with_the_same_rows(bridge, footbrid
         first.journal.given(first.point.push(arrival))
     store.write(first.journal.batch())
     assert head_of(kept)["calibration"] == 1
-    second = opened(footbridge, "p", calibration, 1, given=True, push=False)
+    second = opened(footbridge, "p", calibration, 1, push=False)
     resumed(second, kept, store)
     last_ns = dict(second.newest_ns)
     for stream, arrival in arrivals(first, footbridge, calibration):

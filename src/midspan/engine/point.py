@@ -16,6 +16,7 @@ from midspan.engine.sensors import Seen, Sensor, SensorState
 from midspan.engine.support import PointStatus, Support
 from midspan.engine.switching import Switch, SwitchState
 from midspan.fusion.estimator import BLOCK, Estimator, EstimatorState, Rows
+from midspan.fusion.model import ParameterKind
 from midspan.fusion.second_pass import Lag, LagState
 from midspan.records import Arrival, ClockOffset, Complete, Event, PixelTranslation, Readings, Samples, Tick, cut
 
@@ -68,6 +69,20 @@ class Point:
     def unseen(self, stream: str) -> str:
         """Why a sensor's newest records measure nothing, once that lasts: dark, frozen, lost; else nothing."""
         return self.sensors[stream].unseen if stream in self.sensors else ""
+
+    def scale_errors(self) -> dict[str, tuple[float, float]]:
+        """Relative error of each sensor's scale, or of the accelerometer's gain beside sensors whose unit is right, as
+        estimated since the beginning, and its standard deviation.
+        """
+        settings, (values, variances) = self.estimator.settings, self.estimator.parameters
+        return {
+            settings.channels[one.channels[0]].sensor if one.kind is ParameterKind.SCALE_ERROR else "accelerometer": (
+                float(value),
+                float(np.sqrt(variance)),
+            )
+            for one, value, variance in zip(settings.parameters, values, variances, strict=True)
+            if one.kind is not ParameterKind.CLOCK_OFFSET
+        }
 
     @property
     def state(self) -> PointState:

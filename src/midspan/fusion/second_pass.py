@@ -237,6 +237,11 @@ class Lag:
         return self.estimator.predict(channel, time_ns)
 
     @property
+    def parameters(self) -> tuple[Floats, Floats]:
+        """As `Estimator.parameters`."""
+        return self.estimator.parameters
+
+    @property
     def state(self) -> LagState:
         """All that the stream remembers."""
         self._collect()

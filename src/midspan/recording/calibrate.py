@@ -13,11 +13,12 @@ from midspan.calibration.displacement.sensor import DisplacementFit
 from midspan.calibration.radar.calibrate import RadarFit
 from midspan.engine.axis import AxisFigures, usual_figures
 from midspan.engine.tracking import CameraTracking
+from midspan.errors import MidspanError, UntrustedError
 from midspan.progress import Progress, silent
 from midspan.recording.cameras import calibrate_cameras, together
 from midspan.recording.kinds import ROWS
 from midspan.recording.streams.recording import Recording, naming, open_recording
-from midspan.recording.streams.window import calibration_window
+from midspan.recording.streams.window import calibration_window, liveliest_minute
 from midspan.settings.sensor_words import in_words_of, worded
 from midspan.settings.stored.calibration import Calibration, placed
 
@@ -40,7 +41,29 @@ def calibrate(recording: Recording | str | Path, progress: Progress = silent) ->
 def calibrate_and_track(recording: Recording, progress: Progress = silent) -> tuple[Calibration, CameraTracking | None]:
     """The calibration, and the camera's tracking as far as it had to go, to be continued."""
     with naming(recording):
-        return _calibrate_and_track(recording, progress)
+        try:
+            return _calibrate_and_track(recording, progress)
+        except UntrustedError:
+            if (found := _in_liveliest_minute(recording, progress)) is None:
+                raise
+            return found
+
+
+def _in_liveliest_minute(recording: Recording, progress: Progress) -> tuple[Calibration, CameraTracking | None] | None:
+    """The calibration of the liveliest minute in place of the first; None where there is none, or it is no better."""
+    if (span := liveliest_minute(recording)) is None:
+        return None
+    window = recording.settings.calibration.model_copy(update={"window_s": span})
+    livelier = Recording(recording.file, recording.settings.model_copy(update={"calibration": window}))
+    try:
+        found, tracking = _calibrate_and_track(livelier, progress)
+    except MidspanError:
+        return None
+    text = (
+        "The first minute does not tell the calibration; it was made in the liveliest one, from "
+        f"{span[0]:.6g} to {span[1]:.6g} s. calibration.window_s chooses another."
+    )
+    return replace(found, warnings=(*found.warnings, text)), tracking
 
 
 def _calibrate_and_track(recording: Recording, progress: Progress) -> tuple[Calibration, CameraTracking | None]:

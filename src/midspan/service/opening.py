@@ -26,8 +26,9 @@ from midspan.settings.stored.calibration import Calibration
 from midspan.store.chunk import Chunk
 from midspan.store.store import Store
 
-# The others are waited for so long behind the accelerometer; a stream that is silent for longer than the second is out.
-LATENESS_S, SILENT_S = 0.5, 5.0
+# The others are waited for so long behind the accelerometer: the first value of a block of a second comes that late. A
+# stream that is silent for longer than the second is out.
+LATENESS_S, SILENT_S = 1.5, 5.0
 # Readings of a captured recording are pushed in blocks of this length: well below what the others are waited for.
 BLOCK_S = 0.1
 SEPARATOR = b"\n"
@@ -48,19 +49,20 @@ class Opened:
     bins: dict[str, Floats]
 
 
-def opened(folder: Path, name: str, calibration: Calibration, number: int, *, given: bool, push: bool = True) -> Opened:
+def opened(folder: Path, name: str, calibration: Calibration, number: int, *, push: bool = True) -> Opened:
     """The live point of a captured recording.
 
-    number: of the calibration in the store; given: not made on this site just now: its scales are in doubt. push: give
-    it the recording's own records, from which its rows begin. Raises what `estimate` raises.
+    number: of the calibration in the store; it is used for months, so that its scales are uncertain, and followed, as
+    those of any given one. push: give the point the recording's own records, from which its rows begin. Raises what
+    `estimate` raises.
     """
     recording = open_recording(folder)
     method = recording.settings.fusion.method
     require_same_cameras(recording, calibration)
-    sides = Asked(recording, calibration, method, given).sides
+    sides = Asked(recording, calibration, method, given=True).sides
     eyes = open_eyes(sides, None, _silent)
     lag_s = recording.settings.fusion.lag_s if METHODS[method].rows is Pass.LAGGED else None
-    point = measuring_point(sides, eyes, lag_s=lag_s, given=given, log=False, wait_s=(LATENESS_S, SILENT_S))
+    point = measuring_point(sides, eyes, lag_s=lag_s, given=True, log=False, wait_s=(LATENESS_S, SILENT_S))
     journal = Journal(name, clock_offsets_ns(sides[0], eyes), calibration=number)
     regions = {eye.sensor: around([target.region for target in eye.tracking.targets]) for eye in eyes}
     bins = {name: one.chain.bins for name, one in point.sensors.items() if isinstance(one, RadarSensor)}

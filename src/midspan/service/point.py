@@ -30,6 +30,8 @@ OPENING_S, OPENING_FRAMES = 5.0, 50
 CHECKPOINT_S = 10.0
 # Time that readings wait for at most while a point is being opened, and frames that do.
 HELD_S, HELD_FRAMES = 60.0, 200
+# A scale that is off by more than this share, and by so many standard deviations, asks for a new calibration.
+SCALE_OFF, SCALE_SURE = 0.02, 4.0
 # After a refused calibration the next one waits so long, s.
 AGAIN_S = 60.0
 
@@ -76,6 +78,8 @@ class LivePoint:
     _newest_ns: int = 0
     _kept_ns: int = 0
     _again_ns: int = 0
+    # The calibration whose scale was found to be off.
+    _doubted: int = 0
     # What is captured for while the point runs: "calibrate", "open" or nothing.
     _wanted: str = ""
 
@@ -196,10 +200,25 @@ class LivePoint:
             if self.phase is Phase.RUNNING and (last or self._newest_ns - self._kept_ns >= CHECKPOINT_S * NANOSECONDS):
                 kept[self.name] = (self._newest_ns, checkpoint(self.opened, self.settled_in))
                 self._kept_ns = self._newest_ns
+                self._doubt(self.opened)
         events = [(self.name, event) for event in self._events]
         self._events = []
         chunks = [chunk for one in batches for chunk in one.chunks]
         return Batch(chunks, [*(event for one in batches for event in one.events), *events], kept)
+
+    def _doubt(self, found: Opened) -> None:
+        """Calibrate anew, once, where the motion shows that a scale has changed."""
+        off = [
+            f"{sensor}: the motion shows a scale {100 * error:+.2g} ± {100 * std:.1g} % off calibration {self.number}; "
+            "the band holds it, and a new calibration is made."
+            for sensor, (error, std) in found.point.scale_errors().items()
+            if abs(error) > max(SCALE_OFF, SCALE_SURE * std)
+        ]
+        if off and self._doubted != self.number and not self.busy:
+            self._doubted = self.number
+            for line in off:
+                self._tell("scale", line)
+            self.calibrate()
 
     @property
     def settled_in(self) -> Path:

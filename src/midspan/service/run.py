@@ -141,7 +141,7 @@ class Service:
         if head["calibration"] != one.live.number or not (folder / "recording.toml").is_file():
             return
         calibration = loaded(one.live, store)
-        found = opened(folder, one.name, calibration, one.live.number, given=one.given, push=False)
+        found = opened(folder, one.name, calibration, one.live.number, push=False)
         resumed(found, kept, store)
         one.live.resumed(found, folder)
         self._say(f"{one.name}: goes on from its checkpoint.")
@@ -170,9 +170,7 @@ class Service:
                 self._say(f"{live.name}: calibration {number} {'is in force' if accept else 'waits to be accepted'}.")
             else:
                 calibration = loaded(live, self._keeper.store())
-                found = await asyncio.to_thread(
-                    opened, job.folder, live.name, calibration, live.number, given=one.given
-                )
+                found = await asyncio.to_thread(opened, job.folder, live.name, calibration, live.number)
                 self._intake.cut(one, found)
                 live.is_opened(found)
                 self._say(f"{live.name}: runs.")

@@ -128,11 +128,6 @@ class Running:
             return self.live.reason or ("opening" if self.live.number else "calibrating")
         return "lost" if self.live.status is PointStatus.LOST else ""
 
-    @property
-    def given(self) -> bool:
-        """Whether its calibration stands in the site's file, and was not made on the way."""
-        return self.live.plan.settings.calibration is not None
-
     def kind(self, sensor: str) -> str:
         """The kind of one of the point's sensors."""
         return next((one.kind for one in self.live.plan.recording.sensors if one.name == sensor), ACCELEROMETER)

@@ -8,6 +8,7 @@ from midspan.calibration.measured import MIN_MEASUREMENTS
 from midspan.errors import DataError, UsageError
 from midspan.recording.streams.recording import Recording
 from midspan.records import NANOSECONDS, Nanoseconds, TimeSeries
+from midspan.signals.liveliest import liveliest
 from midspan.signals.stamps import inside, shown
 
 # Two streams share enough when it lasts this long, or holds this many steps of the slower one: a high-speed camera
@@ -33,6 +34,16 @@ def calibration_window(recording: Recording) -> slice:
             f"{time_ns[0] / NANOSECONDS:.3f} to {time_ns[-1] / NANOSECONDS:.3f} s."
         )
     return window
+
+
+def liveliest_minute(recording: Recording) -> tuple[float, float] | None:
+    """The minute (s) in which the acceleration varies most; None where it is the first, or where one is given."""
+    if recording.settings.calibration.window_s is not None:
+        return None
+    streams = [recording.acceleration.time_ns, *(times for times in recording.frame_times if len(times))]
+    span_ns = max(int(times[0]) for times in streams), min(int(times[-1]) for times in streams)
+    begin_ns = liveliest(streams[0], recording.acceleration.value, span_ns, DEFAULT_WINDOW_S)
+    return None if begin_ns is None else (begin_ns / NANOSECONDS, begin_ns / NANOSECONDS + DEFAULT_WINDOW_S)
 
 
 def window_ends(recording: Recording) -> tuple[int, int]:
