@@ -16,9 +16,9 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.live.load import children, whole
-from benchmarks.live.sensors import Transmitter, film, motion
+from benchmarks.live.sensors import film, motion
 from benchmarks.live.servers import Mosquitto, RtspCamera
-from benchmarks.live.site import RunningSite
+from benchmarks.live.site import RunningSite, whole_site
 from benchmarks.table import goal
 
 TIMES, BACK_S, LEAST_INSIDE = 50, 5.0, 0.85
@@ -62,18 +62,8 @@ def main(times: int = TIMES) -> int:
         return 2
     with tempfile.TemporaryDirectory(prefix="midspan-kills-") as name, contextlib.ExitStack() as stack:
         folder, rng = Path(name), np.random.default_rng(0)
-        broker = Mosquitto(folder)
-        broker.start()
-        stack.callback(broker.stop)
         motions = {point: motion(seed) for seed, point in enumerate((FILMED, PLAIN))}
-        camera = RtspCamera(folder, film(motions[FILMED], SHAPE, CAMERA_HZ), CAMERA_HZ)
-        camera.start()
-        stack.callback(camera.stop)
-        sensors = Transmitter(broker.port, motions)
-        sensors.start()
-        stack.callback(sensors.stop)
-        site = RunningSite(folder, broker.port, motions, {FILMED: camera.address})
-        site.start()
+        site, _ = whole_site(stack, folder, motions, {FILMED: film(motions[FILMED], SHAPE, CAMERA_HZ)}, CAMERA_HZ)
         stack.callback(lambda: site.stop())
         new_again(site, time.monotonic() + 120.0)
         back_s: dict[str, list[float]] = {}

@@ -13,9 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.live.sensors import Transmitter, film, motion
+from benchmarks.live.sensors import film, motion
 from benchmarks.live.servers import Mosquitto, RtspCamera
-from benchmarks.live.site import RunningSite
+from benchmarks.live.site import RunningSite, whole_site
 from benchmarks.table import goal
 from midspan.records import NANOSECONDS
 from midspan.service.stored_rows import stored_table
@@ -70,24 +70,12 @@ def main(length_s: float = LENGTH_S) -> int:
         return 2
     with tempfile.TemporaryDirectory(prefix="midspan-load-") as name, contextlib.ExitStack() as stack:
         folder = Path(name)
-        broker = Mosquitto(folder)
-        broker.start()
-        stack.callback(broker.stop)
         motions = {f"p{number}": motion(number) for number in range(POINTS)}
-        cameras = {}
-        for number in range(CAMERAS):
-            camera = RtspCamera(folder, film(motions[f"p{number}"], SHAPE, RATE_HZ, number), RATE_HZ)
-            camera.start()
-            stack.callback(camera.stop)
-            cameras[f"p{number}"] = camera.address
-        sensors = Transmitter(broker.port, motions)
-        sensors.start()
-        stack.callback(sensors.stop)
-        site = RunningSite(folder, broker.port, motions, cameras)
-        site.start()
+        films = {f"p{n}": film(motions[f"p{n}"], SHAPE, RATE_HZ, n) for n in range(CAMERAS)}
+        site, _ = whole_site(stack, folder, motions, films, RATE_HZ)
         site.until(lambda reasons: not reasons and all(site.rows_s(one) < 30.0 for one in motions), READY_S)
         time.sleep(SETTLED_S)
-        measured(site, broker.port, length_s)
+        measured(site, site.broker, length_s)
         site.stop()
         whole(site)
     return 0

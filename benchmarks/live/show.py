@@ -13,7 +13,7 @@ import numpy as np
 
 from benchmarks.live.sensors import Transmitter, film, motion
 from benchmarks.live.servers import Mosquitto, RtspCamera
-from benchmarks.live.site import RunningSite
+from benchmarks.live.site import RunningSite, whole_site
 from midspan.records import NANOSECONDS
 
 LENGTH_S, STEP_S, SILENT_S = 100.0, 5.0, (70.0, 82.0)
@@ -27,18 +27,9 @@ def main() -> int:
         return 2
     with tempfile.TemporaryDirectory(prefix="midspan-live-") as name, contextlib.ExitStack() as stack:
         folder = Path(name)
-        broker = Mosquitto(folder)
-        broker.start()
-        stack.callback(broker.stop)
         motions = {point: motion(seed) for seed, point in enumerate(("quarter-span", "midspan", "pier"))}
-        camera = RtspCamera(folder, film(motions["quarter-span"], SHAPE, CAMERA_HZ), CAMERA_HZ)
-        camera.start()
-        stack.callback(camera.stop)
-        sensors = Transmitter(broker.port, motions)
-        sensors.start()
-        stack.callback(sensors.stop)
-        site = RunningSite(folder, broker.port, motions, {"quarter-span": camera.address})
-        site.start()
+        films = {"quarter-span": film(motions["quarter-span"], SHAPE, CAMERA_HZ)}
+        site, sensors = whole_site(stack, folder, motions, films, CAMERA_HZ)
         watch(site, sensors)
         code = site.stop()
         begun_ns = time.time_ns() - round(30 * NANOSECONDS)

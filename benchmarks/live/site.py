@@ -6,14 +6,16 @@ import time
 import urllib.error
 import urllib.request
 from collections.abc import Callable, Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from benchmarks.live.sensors import PERIOD_S
-from benchmarks.live.servers import command, free_port
+from benchmarks.live.sensors import PERIOD_S, Transmitter
+from benchmarks.live.servers import Mosquitto, RtspCamera, command, free_port
 from midspan.records import NANOSECONDS, Event
 from midspan.service.stored_rows import stored_table
 from midspan.simulate.motion.motion import Sines
@@ -52,6 +54,26 @@ class Held:
     rms_mm: float
 
 
+def whole_site(
+    stack: ExitStack, folder: Path, motions: Mapping[str, Sines], films: Mapping[str, NDArray[np.uint8]], rate_hz: int
+) -> "tuple[RunningSite, Transmitter]":
+    """A site that runs, with its broker, its senders and a camera for each film; `stack` ends all but the site."""
+    broker, cameras = Mosquitto(folder), {}
+    broker.start()
+    stack.callback(broker.stop)
+    for name, film in films.items():
+        camera = RtspCamera(folder, film, rate_hz)
+        camera.start()
+        stack.callback(camera.stop)
+        cameras[name] = camera.address
+    sensors = Transmitter(broker.port, dict(motions))
+    sensors.start()
+    stack.callback(sensors.stop)
+    site = RunningSite(folder, broker.port, motions, cameras)
+    site.start()
+    return site, sensors
+
+
 class RunningSite:
     """`midspan run` on a folder. cameras: address by the point's name; the other points have a displacement sensor.
 
@@ -69,7 +91,7 @@ class RunningSite:
         calibration_s: float = 20.0,
         calibrations: Mapping[str, Path] | None = None,
     ) -> None:
-        self.folder, self.motions, self.web = folder, dict(motions), free_port()
+        self.folder, self.motions, self.web, self.broker = folder, dict(motions), free_port(), broker
         self.store = store or str(folder / "store")
         given = f'url = "{store}"' if store else 'path = "store"'
         text = HEAD.format(store=given, broker=broker, web=self.web)

@@ -151,7 +151,7 @@ ANEW = 12.0
 # What goes on as an error of the acceleration is so often one of the bias, which a state led away holds too.
 BIAS_TOO = 0.05
 # After so many good measurements half the odds are enough to drop a hypothesis, after twice as many a third: what they
-# have not told apart they will not.
+# have not distinguished they will not.
 SETTLES = 20.0
 # Of the gaps and steps back in the stamps of a stream so many are one clock's step against the others.
 P_STEPPED = 0.1
@@ -465,10 +465,10 @@ def go_back(hyp, row, scene, tables, options, scratch):  # type: ignore[no-untyp
     s = int(channel[ZERO]) + 1
     scale_state(x, p, s, 0.0)
     if mark[STEPPED] == 0.0:
-        told = look(hyp, row, scene, tables, scratch)
+        seen = look(hyp, row, scene, tables, scratch)
         own_shift = memory[SHIFT_OF] == channel[SENSOR_OF]
         if not own_shift or (row[AT] - memory[SHIFT_AT]) * options[RETURN_RATE] > 1.0:
-            p[s, s] += (told[2] + told[3]) / channel[UNITS_PER_M] ** 2
+            p[s, s] += (seen[2] + seen[3]) / channel[UNITS_PER_M] ** 2
     mark[SHIFTED] = mark[STEPPED] = 0.0
 
 

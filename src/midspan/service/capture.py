@@ -89,14 +89,10 @@ class Capture:
         return next(sensor.settings.file for sensor in self.settings.sensors if sensor.name == name)
 
 
-class _Film:
-    """Frames of one size as a NumPy stack, and their stamps in a second file."""
+class _Stamped:
+    """What is known of frames by their stamps (ns)."""
 
-    def __init__(self, file: Path) -> None:
-        self._file = file
-        self._open: BinaryIO | None = None
-        self._shape: tuple[int, ...] = ()
-        self._dtype: np.dtype[Any] = np.dtype(np.uint8)
+    def __init__(self) -> None:
         self._stamps: list[int] = []
 
     @property
@@ -108,6 +104,17 @@ class _Film:
     def span(self) -> tuple[int, int] | None:
         """Stamps (ns) of the first and last frame."""
         return (self._stamps[0], self._stamps[-1]) if self._stamps else None
+
+
+class _Film(_Stamped):
+    """Frames of one size as a NumPy stack, and their stamps in a second file."""
+
+    def __init__(self, file: Path) -> None:
+        super().__init__()
+        self._file = file
+        self._open: BinaryIO | None = None
+        self._shape: tuple[int, ...] = ()
+        self._dtype: np.dtype[Any] = np.dtype(np.uint8)
 
     def add(self, frame: Frame) -> None:
         """Append a frame; one of another size, or whose stamp is not later, is left out."""
@@ -137,24 +144,14 @@ class _Film:
         np.lib.format.write_array_header_1_0(self._open, description)
 
 
-class _Profiles:
+class _Profiles(_Stamped):
     """Range profiles of a radar as slow-time I/Q; channels with a hole are NaN."""
 
     def __init__(self, file: Path, info: RadarInfo) -> None:
+        super().__init__()
         self._file, self._info = file, info
         self._open: Any = None
         self._waiting: list[NDArray[np.complex64]] = []
-        self._stamps: list[int] = []
-
-    @property
-    def count(self) -> int:
-        """How many frames there are."""
-        return len(self._stamps)
-
-    @property
-    def span(self) -> tuple[int, int] | None:
-        """Stamps (ns) of the first and last frame."""
-        return (self._stamps[0], self._stamps[-1]) if self._stamps else None
 
     def add(self, frame: RangeFrame) -> None:
         """Append a frame; one whose stamp is not later is left out."""

@@ -30,7 +30,7 @@ OPENING_S, OPENING_FRAMES = 5.0, 50
 CHECKPOINT_S = 10.0
 # Time that readings wait for at most while a point is being opened, and frames that do.
 HELD_S, HELD_FRAMES = 60.0, 200
-# A scale that is off by more than this share, and by so many standard deviations, asks for a new calibration.
+# A scale that is off by more than this share and this number of standard deviations asks for a new calibration.
 SCALE_OFF, SCALE_SURE = 0.02, 4.0
 # After a refused calibration the next one waits so long, s.
 AGAIN_S = 60.0
