@@ -58,6 +58,7 @@ def test_a_site_as_documented(tmp_path, monkeypatch):
         (('source = "mqtt:bridge/acc1"', 'source = "ftp://x"'), r"accelerometer.source: must be one of mqtt:"),
         (('source = "mqtt:bridge/acc1"', ""), r"accelerometer.source: is missing"),
         (('unit = "g"', 'unit = "g"\nfile = "a.csv"'), r"accelerometer.file: belongs to files"),
+        (('unit = "g"', 'unit = "g"\ncross_values = ["ax"]'), r"accelerometer.cross_values: belongs to files"),
         (('direction = "y"', 'direktion = "y"'), r"camera.direktion: is not a known key"),
         (('path = "store"', ""), r"must have path \(a folder\) or url"),
         (('"river-bridge"', '"river/bridge"'), r"name = 'river/bridge': must be 1 to 64 characters other than"),

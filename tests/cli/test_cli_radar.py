@@ -61,7 +61,7 @@ BAD = {
     "noise alone": (
         words(lambda w: np.random.default_rng(0).normal(0.0, 200.0, w.size)),
         4,
-        ("sees no target", "10 dB above the noise"),
+        ("sees no target", "4 dB above the noise"),
     ),
 }
 

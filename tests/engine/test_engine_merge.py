@@ -167,6 +167,21 @@ def test_a_silent_stream_is_out_until_it_returns():
     assert merge.health[0].state == StreamState.LIVE
 
 
+def test_nobody_is_silent_while_the_process_was_stopped():
+    """Ticks a minute apart: what was sent meanwhile is still on its way, and comes in the order that it was sent in."""
+    merge = Merge(("accel", "camera"), lateness_s=0.02, silent_s=5.0)
+    out = pushed(merge, Tick(0), Arrival("accel", 0, readings([0, 10])), Arrival("camera", 0, frame(10)))
+    for k in range(1, 100):
+        out += pushed(merge, Tick((60_000 + k) * MS), Arrival("accel", k, readings([10 * k + 10])))
+        out += pushed(merge, Arrival("camera", k, frame(10 * k + 10)))
+    assert all(not isinstance(what, str) for _, _, what in out)
+    assert sum(stream == "camera" for stream, _, _ in out) >= 98
+    # From here on they are silent.
+    assert [what for _, _, what in pushed(merge, *(Tick((60_000 + 1000 * k) * MS) for k in range(8)))].count(
+        "silent"
+    ) == 2
+
+
 def test_faults_within_a_stream_are_events_at_their_place():
     merge = Merge(("accel",))
     out = pushed(merge, Arrival("accel", 0, readings([0, 10, 10, 20, 5, 6, 30])), Arrival("accel", 3, readings([40])))

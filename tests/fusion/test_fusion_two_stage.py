@@ -90,7 +90,6 @@ def test_rows_equal_the_papers_steps_on_the_whole_record(settings_):
 def test_the_filters_are_those_of_the_transition_bands():
     branches = design(RATES, TwoStageSettings())
     assert branches.removed is not None
-    assert branches.probe is None
     frequency = np.array([0.0, 0.25, 0.5, 1.0, 2.0, 5.0, 10.0])
     low = response(branches.low, frequency, 100.0)
     np.testing.assert_allclose(low, [1, 1, 1, 0, 0, 0, 0], atol=1.1e-3)

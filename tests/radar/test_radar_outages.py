@@ -17,6 +17,22 @@ def test_clutter_left_behind_an_obstruction_is_not_taken_for_the_target() -> Non
     assert blocked(np.array([np.nan]), 100.0).all()
 
 
+def test_dips_of_a_weak_target_s_noise_are_no_obstruction_but_an_obstruction_is() -> None:
+    # Complex noise 8 dB below: 1 % of the amplitudes lie below 0.4, as all do where it is hidden for 1 s.
+    rng = np.random.default_rng(0)
+    noise = 10 ** (-8 / 10)
+    z = np.ones(20_000) + np.sqrt(noise / 2) * (rng.normal(size=20_000) + 1j * rng.normal(size=20_000))
+    assert np.mean(np.abs(z) < 0.4) > 0.003
+    # Single frames that noise hides by chance, once in 30 000, and the four after them.
+    assert np.mean(blocked(np.abs(z), 1.0, noise)) < 1e-3
+    hidden = z.copy()
+    hidden[1000:1100] -= 1.0
+    # Six frames' mean tells it, and the return.
+    found = blocked(np.abs(hidden), 1.0, noise)
+    assert found[1012:1100].mean() > 0.9
+    assert not found[1120:1140].any()
+
+
 def record(jump: int, *, std_m: float, clutter_m: float = 0.0, seed: int = 0):
     """Phase with `jump` cycles lost at frame 1000 and coarse ranges with noise, some of them missing."""
     rng = np.random.default_rng(seed)

@@ -138,6 +138,20 @@ def test_a_motion_through_several_bins_is_followed_at_full_strength() -> None:
 UNIT_AT = SHORT.phase_per_m(20.3 * SHORT.bin_m)
 
 
+def test_a_weak_target_s_zero_is_its_first_frame_though_frames_after_it_are_faint() -> None:
+    # 9 dB: of the first frames, by which the speed is found, many records have one below 0.4 of the usual amplitude.
+    moved = Sines(np.array([5e-3]), np.array([1.0])).displacement(np.arange(120) / RATE)
+    left = []
+    for seed in range(30):
+        chain = RadarChain([followed(target_at(20.0, snr_db=9.0))])
+        error = errors(
+            driven(chain, frames_of(profiles(chain, moved, place=20.0, snr_db=9.0, seed=seed))), moved, UNIT_AT
+        )
+        left.append(np.nanmean(error[-40:]))
+    # In 0.1 s the structure moves by 10 rad; the phase's noise is 0.25 rad, and that of the first frame is left.
+    assert np.max(np.abs(left)) < 4.0 * 0.25
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_without_predictions_it_begins_in_full_swing_and_follows_three_times_the_speed_of_plain_unwrapping(
     seed,
@@ -181,7 +195,8 @@ def test_an_outage_leaves_a_new_zero_until_the_range_tells_the_cycle() -> None:
     assert error[1204] == pytest.approx(6 * np.pi, abs=0.3)
     assert np.nanmax(np.abs(error[:1000])) < 0.3
     assert np.nanmax(np.abs(error[-1000:])) < 0.3
-    assert found[-1].reference_variance_rad2 == 0.0
+    # What is left is the chance of a slip among the first frames.
+    assert found[-1].reference_variance_rad2 < 1e-12
     kinds = [event.kind for one in found for event in one.events]
     assert kinds == ["blocked", "seen", "new datum", "cycle"]
     texts = [event.text for one in found for event in one.events]
@@ -193,7 +208,8 @@ def test_an_outage_leaves_a_new_zero_until_the_range_tells_the_cycle() -> None:
 def test_where_the_range_cannot_tell_the_zero_stays_a_new_one(chirp, beside) -> None:
     found, error = outage(chirp=chirp, beside=beside)
     right = abs(np.nanmedian(error[-500:]) - np.nanmedian(error[:1000])) < np.pi
-    assert right == (found[-1].reference_variance_rad2 == 0.0)
+    # What is left is the chance of a slip among the first frames.
+    assert right == (found[-1].reference_variance_rad2 < 1e-12)
     kinds = [event.kind for one in found for event in one.events]
     assert "new datum" in kinds
 

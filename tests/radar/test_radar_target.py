@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from radar_cases import RATE, SHORT, UNIT, accelerometer, phasors, profiles_of, sine
+from radar_cases import CARRIER, RATE, SHORT, UNIT, accelerometer, phasors, profiles_of, sine
 
 from midspan.errors import UntrustedError
 from midspan.radar.alignment import align
@@ -174,3 +174,19 @@ def test_stored_targets_without_a_profile_are_examined_all_the_same() -> None:
     assert first.conversion_factor == pytest.approx(1.2748, rel=1e-3)
     assert first.snr_db == pytest.approx(30.0, abs=0.5)
     assert "does not follow" in still.objection
+
+
+def test_a_target_that_no_frame_but_the_mean_of_all_shows_is_found_with_its_factor() -> None:
+    # Two receivers of 5 dB each, on 64 bins of noise.
+    rng = np.random.default_rng(3)
+    time = np.arange(FRAMES) / RATE
+    z = (rng.normal(size=(FRAMES, 2, 64)) + 1j * rng.normal(size=(FRAMES, 2, 64))) / np.sqrt(2)
+    z[:, :, 30] += 10 ** (5 / 20) * np.exp(1j * UNIT * MOTION.displacement(time) / 1.2)[:, None] * [1.0, 1j]
+    axis = RangeAxis(np.arange(64) * SHORT.bin_m, CARRIER)
+    best = ranked(find_targets(z, time, samples=SAMPLES, axis=axis))[0]
+    assert best.place_bin == pytest.approx(30.0, abs=0.2)
+    # Three of its deviations, and these are below 1 %.
+    assert best.conversion_factor == pytest.approx(1.2, abs=3.0 * best.conversion_factor_std)
+    assert best.relative_std < 0.01
+    # Of 0.09 mm of noise in each frame the accelerometer explains nothing.
+    assert best.coherence > 0.97

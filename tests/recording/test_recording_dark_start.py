@@ -53,8 +53,9 @@ def eye(sensor, first_s, sees_from_s=None):
     stamps = Frames([]).times_ns()
     view = SimpleNamespace(sensor=sensor, frames=Frames([]))
     view.sees_from_ns = None if sees_from_s is None else sees_from_s * NANOSECONDS
-    tracking = SimpleNamespace(skipped=0, time_ns=stamps[stamps >= first_s * NANOSECONDS])
-    return Eye(view, tracking, (SimpleNamespace(offset=SimpleNamespace(value_s=1.0)),))
+    target = SimpleNamespace(chain=SimpleNamespace(first_late_ns=0))
+    tracking = SimpleNamespace(skipped=0, time_ns=stamps[stamps >= first_s * NANOSECONDS], targets=(target,))
+    return Eye(view, tracking, (SimpleNamespace(offset=SimpleNamespace(value_s=1.0), best_used=0),))
 
 
 def test_the_zero_of_a_camera_that_begins_dark_is_the_first_frame_that_either_sees():

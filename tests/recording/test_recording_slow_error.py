@@ -20,12 +20,18 @@ def motion(time_s, rng):
     return moved
 
 
-def write(folder, seed, lasting_s, length_s=120.0, rate_hz=10.0):
-    """A recording of a sensor with white noise and a first-order Gauss-Markov error; returns its truth (s, mm)."""
+def write(folder, seed, lasting_s, length_s=120.0, rate_hz=10.0, cross=0.0):
+    """A recording of a sensor with white noise and a first-order Gauss-Markov error; returns its truth (s, mm).
+
+    cross: the motion fills but the middle, and so much of another one of its size is in the acceleration.
+    """
     rng = np.random.default_rng(seed)
     time = np.arange(0.0, length_s, 0.5e-3)
-    moved = motion(time, rng)
-    accelerated = np.gradient(np.gradient(moved, time), time)
+    shaken = np.clip(time / length_s - 0.4, 0.0, 0.4) / 0.4
+    lively = np.sin(np.pi * shaken) ** 2 if cross else np.ones(len(time))
+    moved = lively * motion(time, rng)
+    path = moved + (cross * lively * motion(time, rng) if cross else 0.0)
+    accelerated = np.gradient(np.gradient(path, time), time)
     met = np.arange(1000, len(time) - 1000, round(2000 / rate_hz)) + 7
     slow = np.zeros(len(met))
     if lasting_s:
@@ -67,6 +73,14 @@ def test_white_noise_is_no_slow_error(tmp_path):
     for seed in range(3):
         write(tmp_path, seed, 0.0)
         assert midspan.calibrate(tmp_path).displacement.slow_std_m == 0.0
+
+
+def test_an_error_that_goes_with_the_motion_is_no_slow_error(tmp_path):
+    for seed in range(3):
+        known = write(tmp_path, seed, 0.0, cross=0.4)
+        share, found = inside(tmp_path, known, "smoother")
+        assert found.slow_std_m == 0.0
+        assert share > 0.85
 
 
 def test_a_time_that_the_record_does_not_tell_can_be_given(tmp_path):

@@ -11,18 +11,24 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from midspan.calibration.fit import Fit, Pair, aligned, corner_range, evaluate
+from midspan.calibration.fit import Aligned, Fit, Pair, aligned, corner_range, evaluate
 
 # Logarithms of the corner frequency, relative to the best fit's, that are averaged over: reach and step.
 REACH, STEP = 3.0, 0.25
+# A drift is taken for one from this many standard deviations on.
+DRIFT_STD = 4.0
 
 
 @dataclass(frozen=True, slots=True)
 class Bias:
-    """The accelerometer's bias at the end of what a calibration looked at, and its standard deviation, m/s²."""
+    """The accelerometer's bias at the end of what a calibration looked at, and its standard deviation, m/s².
+
+    drift_m_s3: the rate at which it drifts there, 0 where none shows.
+    """
 
     value_m_s2: float
     std_m_s2: float
+    drift_m_s3: float = 0.0
 
 
 def bias_of(pair: Pair, fit: Fit, offset_std_s: float = 0.0) -> Bias:
@@ -33,15 +39,29 @@ def bias_of(pair: Pair, fit: Fit, offset_std_s: float = 0.0) -> Bias:
     here, (low, high) = aligned(pair, fit.offset_s), corner_range(pair)
     corners = fit.corner * np.exp(np.arange(-REACH, REACH + STEP, STEP))
     fits = [fit, *(here.fit(float(corner)) for corner in corners if low <= corner <= high and corner != fit.corner)]
-    weight = np.array([np.exp(one.likelihood - fit.likelihood) for one in fits])
+    likelihood = np.array([one.likelihood for one in fits])
+    weight = np.exp(likelihood - np.max(likelihood))
     value = np.array([_bias(pair, one) for one in fits])
     mean = float(np.average(value, weights=weight))
     spread = (value - mean) ** 2 + np.array([_variance(pair, one) for one in fits])
-    variance = float(np.average(spread, weights=weight))
+    # The slope of white noise of density S, 12 S / T³ (variance), was taken out with the cubic: at the end 3 S / T.
+    length_s = float(here.rows[-1, 0] - here.rows[0, 0])
+    variance = float(np.average(spread, weights=weight)) + 3.0 * fit.input_density / length_s
     if 0.0 < offset_std_s < np.inf:
         late = evaluate(pair, fit.offset_s + offset_std_s, fit.corner)
         variance += (_bias(pair, late) - _bias(pair, fit)) ** 2
-    return Bias(pair.level_m_s2 + mean, float(np.sqrt(variance)))
+    return Bias(pair.level_m_s2 + mean, float(np.sqrt(variance)), _drift(here, fit))
+
+
+def _drift(here: Aligned, fit: Fit) -> float:
+    """The rate of the bias, m/s³; 0 where it is no more than the noise of the acceleration makes.
+
+    White noise of density S integrated over T has a slope of variance 12 S / T³.
+    """
+    own = here.cubic[1, 1] + (here.cubic[1, 3] if here.pair.outside is not None else 0.0)
+    rate = float(own - here.cubic[1, 0] / fit.ratio)
+    length_s = float(here.rows[-1, 0] - here.rows[0, 0])
+    return rate if abs(rate) > DRIFT_STD * np.sqrt(12.0 * fit.input_density / length_s**3) else 0.0
 
 
 def _bias(pair: Pair, fit: Fit) -> float:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from midspan.calibration.agreement import misfit
 from midspan.calibration.fit import Fit, Pair, best_corner
 from midspan.calibration.minimum import global_minimum
 
@@ -32,7 +33,7 @@ def find_exposure(pair: Pair, fit: Fit) -> Exposed:
     """The pair with the most likely exposure of its measurements, none where the motion does not show it, and its fit.
 
     An exposure is taken where it gains more likelihood, with any gain, than a parameter without effect would (as in
-    `fit.with_input_noise`). It is no longer than the interval of the measurements.
+    `fit.with_input_noise`) and explains more than it leaves. It is no longer than the interval of the measurements.
     """
     longest_s, free = 1.0 / pair.rate_hz, replace(pair, ratio=None)
 
@@ -41,8 +42,11 @@ def find_exposure(pair: Pair, fit: Fit) -> Exposed:
 
     share = global_minimum(lambda one: -fitted(one).likelihood, 0.0, 1.0, tried=TRIED, tolerance=TOLERANCE)
     best = fitted(share)
-    gained = best.likelihood - fitted(0.0).likelihood >= 0.5 * np.log(max(len(fit.whitened.variance), 1))
-    if not gained or abs(best.ratio - 1.0) > MAX_GAIN_ERROR:
+    none = fitted(0.0)
+    gained = best.likelihood - none.likelihood >= 0.5 * np.log(max(len(fit.whitened.variance), 1))
+    # What leaves more than it explains, where it leaves most, is something else, which averaging happens to resemble.
+    explained = none.noise > misfit(replace(free, exposure_s=share * longest_s), best).factor * best.noise
+    if not (gained and explained) or abs(best.ratio - 1.0) > MAX_GAIN_ERROR:
         return Exposed(pair, fit)
     step, spread = STEP * share, 0.0
     for _ in range(ROUNDS):

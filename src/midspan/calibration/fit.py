@@ -63,6 +63,8 @@ class Pair:
     `signals.lively`), of the mean over the record.
     slow: variance of the slow error of the measurements (first-order Gauss-Markov) in units of their noise variance,
     and its rate, 1/s.
+    cross: acceleration (n, k) of the accelerometer's other axes at the samples, without its means (k,), and these; None
+    once the samples are along the sensor's axis (see `direction`).
     logger, lean: see `frequency_response`; what leaning takes from the acceleration is in the samples again.
     """
 
@@ -77,6 +79,7 @@ class Pair:
     slow: tuple[float, float] = NO_SLOW_ERROR
     logger: tuple[float, float] = (0.0, 0.0)
     lean: float = 0.0
+    cross: tuple[Floats, Floats] | None = None
 
     @property
     def rate_hz(self) -> float:
@@ -162,15 +165,15 @@ class Aligned:
     """A pair at a clock offset: the rows compared, and the columns that are whitened there.
 
     rows (k, 2): time and relative variance; values (k, c): translation, response to the acceleration, its velocity and,
-    with a band, the response to what is outside it, without their parabolas of second derivative parabola (c,);
-    index (k,): which rows of the pair these are.
+    with a band, the response to what is outside it, without their cubics, whose second derivative at the end and third
+    one cubic (2, c) are; index (k,): which rows of the pair these are.
     """
 
     pair: Pair
     offset_s: float
     rows: Floats
     values: Floats
-    parabola: Floats
+    cubic: Floats
     index: NDArray[np.int64]
 
     def whitened(self, corner: float) -> Whitened:
@@ -178,7 +181,7 @@ class Aligned:
         pair = self.pair
         density = corner**4 / pair.rate_hz
         w = whiten_columns(self.rows, self.values, pair.pieces, density, slow=pair.slow)
-        return replace(w, index=self.index[w.index], bias=w.bias - self.parabola)
+        return replace(w, index=self.index[w.index], bias=w.bias - self.cubic[0])
 
     def fit(self, corner: float) -> Fit:
         """The fit with a corner frequency (rad/s)."""
@@ -218,8 +221,8 @@ def aligned(pair: Pair, offset_s: float, *more: Callable[[Floats], Floats]) -> A
     columns = [rows[:, 1], inside.at(time_s, pair.exposure_s, pair.logger), inside.velocity(time_s, pair.exposure_s)]
     columns += [response.at(time_s, pair.exposure_s, pair.logger) for response in outside]
     columns += [column(time_s) for column in more]
-    values, parabola = levelled(time_s, np.column_stack(columns))
-    return Aligned(pair, offset_s, np.column_stack((time_s, rows[:, 2])), values, parabola, index)
+    values, cubic = levelled(time_s, np.column_stack(columns))
+    return Aligned(pair, offset_s, np.column_stack((time_s, rows[:, 2])), values, cubic, index)
 
 
 def evaluate(pair: Pair, offset_s: float, corner: float) -> Fit:

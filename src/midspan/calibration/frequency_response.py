@@ -139,10 +139,11 @@ def kinds_of(pair: Pair, *, exposure_declared: bool) -> tuple[Kind, ...]:
 
 
 def with_response(
-    pair: Pair, fit: Fit, kinds: Sequence[Kind], known: Sequence[Kind] = ()
+    pair: Pair, fit: Fit, kinds: Sequence[Kind], known: Sequence[Kind] = (), most_open: float = MAX_OPEN
 ) -> tuple[Pair, list[Kind], float]:
     """The pair without what of `kinds` shows in it, which of them do, and how far (relative, rms) the ratio would be
-    another if it were what explains nearly as much; known: those that it is without already.
+    another if it were what explains nearly as much; known: those that it is without already; most_open: how well the
+    ratio is known together with a kind that is found, relative.
 
     One is taken where it gains MIN_GAIN; the lag first, then the one that gains most.
     """
@@ -152,7 +153,7 @@ def with_response(
         here, before = _aligned(pair, fit), _columns(found)
         least = _regressed(here, before).likelihood + MIN_GAIN
         tried = {kind: _regressed(here, (*before, FIRST + kind)) for kind in kinds if kind not in found}
-        clear = {k: one for k, one in tried.items() if one.likelihood > least and one.relative_std < MAX_OPEN}
+        clear = {k: one for k, one in tried.items() if one.likelihood > least and one.relative_std < most_open}
         able = [k for k, one in clear.items() if _possible(pair, k, one.of(FIRST + k)[0])]
         if not able:
             break

@@ -4,8 +4,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from midspan.calibration.agreement import clearly_better, noise_share, straightened
-from midspan.calibration.exposure import find_exposure, first_term
+from midspan.calibration.agreement import clearly_better, misfit, noise_share, straightened
+from midspan.calibration.direction import Direction
+from midspan.calibration.exposure import Exposed, find_exposure, first_term
 from midspan.calibration.fit import (
     Fit,
     Pair,
@@ -16,13 +17,15 @@ from midspan.calibration.fit import (
     refine,
     with_input_noise,
 )
+from midspan.calibration.floor import noise_floor
+from midspan.calibration.low_pass import LowPass, find_low_pass
 from midspan.calibration.minimum import minimum
 from midspan.calibration.outliers import without_lonely_outliers
 from midspan.calibration.scale import MIN_GAIN as LEAST_AGREEMENT
-from midspan.calibration.scale import white_noise
 from midspan.calibration.slow_error import find_slow_error
 from midspan.calibration.time_offset import BEYOND, OffsetSearch, cleaned, curvature, search_offset
 from midspan.records import InputNoise, TimeOffset
+from midspan.signals.medians import white_noise
 
 # A clock offset is only applied when it is this certain and the likelihood gains this much over none.
 CERTAIN_S = 0.02
@@ -40,6 +43,10 @@ USUAL_GAIN_STD, MAX_GAIN_ERROR = 0.03, 0.2
 FASTEST = 100.0
 # Below this frequency, Hz, an accelerometer's drift may exceed a structure's acceleration.
 DRIFT_HZ = 0.2
+# Offset and exposure are sought in turn, so often.
+EXPOSURES = 3
+# The corner is raised by this factor until the sensor's noise is no more than its readings show.
+HIGHER = 1.05
 # How well the logarithm of the corner of a motion's noise is found: far better than any record tells it.
 MOTION_TOLERANCE = 1e-5
 
@@ -72,9 +79,11 @@ class NoiseCalibration:
     and 0: readings are taken as they are. noise_share: of the response to the acceleration that white noise alone would
     make; where it is large the motion tells no scale. gain: of the accelerometer relative to the sensor, where it was
     estimated, and its relative standard deviation, else 0. slow_std_m, slow_time_s: standard deviation and correlation
-    time of the sensor's slow error; 0: its noise is white. unseen_m: how far a slow error that is not taken into
-    account may drift unseen, see `SlowError`. exposure_s: time over which the sensor averages, as given or found;
-    effective_exposure_s, rest_std_m: as of `first_term`. warnings: sentences.
+    time of the sensor's slow error; 0: its noise is white. unseen_m: how far the sensor may drift, and step, without
+    that showing, see `SlowError`. exposure_s: time over which the sensor averages, as given or found;
+    effective_exposure_s, rest_std_m: as of `first_term`. direction: of the sensor's axis, None where the
+    accelerometer's other axes were not recorded. warnings: sentences. low_pass: of the accelerometer's logger, where
+    one shows: the offset is then that of slow motion.
     """
 
     variance_factor: float
@@ -91,11 +100,13 @@ class NoiseCalibration:
     gain_std: float = 0.0
     slow_std_m: float = 0.0
     slow_time_s: float = np.inf
-    unseen_m: float = 0.0
+    unseen_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     exposure_s: float = 0.0
     effective_exposure_s: float = 0.0
     rest_std_m: float = 0.0
+    direction: Direction | None = None
     warnings: tuple[str, ...] = ()
+    low_pass: LowPass | None = None
     findings: Findings | None = field(default=None, repr=False, compare=False)
 
 
@@ -116,34 +127,75 @@ def calibrate_noise(
     tells it better, and not at all with 0. noise_time_s: correlation time of the sensor's slow error where that is
     known, 0: none. Nothing is refused here: see `Findings`.
     """
-    pair, still = without_outliers(without_lonely_outliers(replace(pair, ratio=1.0)))
-    fit, offset, search = still, TimeOffset(0.0, np.inf), None
-    if max_offset_s > 0:
-        search = search_offset(pair, max_offset_s, edge_s(max_offset_s, length_s))
-        found, variance = nearest(search) if one_clock else (search.fit, search.offset.variance)
-        offset = applied(search, found, variance, max_offset_s)
-        if offset.value_s != 0.0 and not one_clock:
-            pair, fit = search.pair, found
-    spread = 0.0
-    if pair.exposure_s == 0.0:
-        exposed = find_exposure(pair, fit)
-        pair, fit, spread = exposed.pair, exposed.fit, exposed.spread
+    whole = pair.rows
+    sought = _sought(pair, max_offset_s, edge_s(max_offset_s, length_s), one_clock=one_clock)
+    pair, fit, offset, search = sought.pair, sought.fit, sought.offset, sought.search
+    low_pass = None
+    if search is not None and offset.value_s != 0.0:
+        # Without any delay there is no low-pass.
+        low_pass = find_low_pass(replace(pair, rows=search.pair.rows), sought.found)
+        if low_pass is not None:
+            offset = TimeOffset(low_pass.offset_s, offset.variance)
+            fit = fit if one_clock else best_corner(pair, low_pass.offset_s)
     # A wrong gain is no slow error.
     free = replace(pair, ratio=None) if gain_std > 0.0 else pair
-    slow = find_slow_error(free, best_corner(free, fit.offset_s), noise_time_s)
+    slow = find_slow_error(free, best_corner(free, fit.offset_s), noise_time_s, whole)
     if slow.pair.slow[0] > 0.0:
         pair = replace(pair, slow=slow.pair.slow)
         fit = best_corner(pair, fit.offset_s)
-    learnt = _with_scale(pair, fit, offset, search, max_offset_s, length_s)
+    believed = _within_floor(pair, fit)
+    learnt = _with_scale(pair, believed, offset, search, max_offset_s, length_s, floored=believed is not fit)
     effect_s, rest_m = first_term(pair, offset.value_s)
     learnt = replace(
         learnt,
-        scale_std=float(np.hypot(learnt.scale_std, spread)),
+        scale_std=float(np.hypot(learnt.scale_std, sought.spread)),
+        low_pass=low_pass,
         unseen_m=slow.unseen,
         effective_exposure_s=effect_s,
         rest_std_m=rest_m,
     )
-    return _without_gain(learnt, gain_std, spread)
+    return _without_gain(learnt, gain_std, sought.spread)
+
+
+@dataclass(frozen=True, slots=True)
+class _Sought:
+    """Clock offset and exposure of a sensor: the pair and its fit with those that are applied; found: the fit at the
+    offset that was found; spread: as of `Exposed`.
+    """
+
+    pair: Pair
+    fit: Fit
+    offset: TimeOffset
+    search: OffsetSearch | None
+    found: Fit
+    spread: float
+
+
+def _sought(pair: Pair, max_offset_s: float, edge: float, *, one_clock: bool) -> _Sought:
+    """Clock offset and exposure, where that is not declared: a sensor that averages seems to have another clock, and
+    one with another clock to average.
+    """
+    pair, still = without_outliers(without_lonely_outliers(replace(pair, ratio=1.0)))
+    declared = pair.exposure_s > 0.0
+    here = Exposed(pair, still) if declared else find_exposure(pair, still)
+    if max_offset_s <= 0.0:
+        return _Sought(here.pair, here.fit, TimeOffset(0.0, np.inf), None, here.fit, here.spread)
+    there = here
+    for _ in range(EXPOSURES):
+        search = search_offset(there.pair, max_offset_s, edge)
+        found, variance = nearest(search) if one_clock else (search.fit, search.offset.variance)
+        offset = applied(search, found, variance, max_offset_s)
+        if offset.value_s == 0.0:
+            return _Sought(here.pair, here.fit, offset, search, found, here.spread)
+        if declared:
+            there = Exposed(search.pair, found)
+            break
+        none = replace(search.pair, exposure_s=0.0)
+        before, there = there, find_exposure(none, best_corner(none, found.offset_s))
+        if there.pair.exposure_s == before.pair.exposure_s:
+            break
+    own = here if one_clock else there
+    return _Sought(own.pair, own.fit, offset, search, found, own.spread)
 
 
 def _without_gain(learnt: NoiseCalibration, known_std: float, spread: float) -> NoiseCalibration:
@@ -155,6 +207,7 @@ def _without_gain(learnt: NoiseCalibration, known_std: float, spread: float) -> 
         return learnt
     unknown = replace(learnt.findings.pair, ratio=None)
     pair, fit = with_input_noise(unknown, best_corner(unknown, learnt.offset.value_s))
+    fit = _within_floor(pair, fit)
     std = float(np.hypot(fit.relative_std, spread))
     if not (std < known_std and abs(fit.ratio - 1.0) < MAX_GAIN_ERROR):
         return learnt
@@ -171,12 +224,41 @@ def _without_gain(learnt: NoiseCalibration, known_std: float, spread: float) -> 
     )
 
 
+def _within_floor(pair: Pair, fit: Fit) -> Fit:
+    """The fit with no more noise of the sensor than its readings have, where innovations are not white at any scale.
+
+    What no white noise explains would else count as the sensor's; it is the accelerometer's, which then decides less.
+    """
+    most = noise_floor(pair.rows[fit.whitened.index, 1])
+    if fit.noise <= most:
+        return fit
+    unknown = replace(pair, ratio=None)
+    if misfit(unknown, best_corner(unknown, fit.offset_s, fit.corner)).factor <= 1.0:
+        return fit
+    here, highest = aligned(pair, fit.offset_s), corner_range(pair)[1]
+    while fit.noise > most and fit.corner < highest:
+        fit = here.fit(HIGHER * fit.corner)
+    return fit
+
+
 def _with_scale(
-    pair: Pair, fit: Fit, offset: TimeOffset, search: OffsetSearch | None, max_offset_s: float, length_s: float
+    pair: Pair,
+    fit: Fit,
+    offset: TimeOffset,
+    search: OffsetSearch | None,
+    max_offset_s: float,
+    length_s: float,
+    *,
+    floored: bool,
 ) -> NoiseCalibration:
-    """The calibration, and how it stands to one with any scale."""
+    """The calibration, and how it stands to one with any scale.
+
+    floored: whether the accelerometer's noise is no less than in the fit, see `_within_floor`.
+    """
     unknown = replace(pair, ratio=None)
     local = best_corner(unknown, offset.value_s)
+    if floored and local.corner < fit.corner:
+        local = aligned(unknown, offset.value_s).fit(fit.corner)
     likeliest = fit if search is None or search.fit.likelihood < fit.likelihood else search.fit
     others = [local]
     if search is not None:
@@ -205,7 +287,8 @@ def _with_scale(
         slow_std_m=float(np.sqrt(pair.slow[0] * fit.noise)),
         slow_time_s=1.0 / pair.slow[1] if pair.slow[0] > 0.0 else np.inf,
         exposure_s=pair.exposure_s,
-        noise_share=noise_share(pair, local, white_noise(pair.samples[:, 1])),
+        # What no white noise explains decides the ratio then.
+        noise_share=np.inf if floored else noise_share(pair, local, white_noise(pair.samples[:, 1])),
         findings=Findings(pair, fit, search, free, likeliest),
     )
 
@@ -232,7 +315,8 @@ def edge_s(max_offset_s: float, length_s: float = np.inf) -> float:
 def nearest(search: OffsetSearch) -> tuple[Fit, float]:
     """The fit next to no offset, unless one farther off is clearly better, and its offset's variance (s²)."""
     near = refine(search.pair, best_corner(search.pair, 0.0), NEXT_TO_NONE_S)
-    if clearly_better(search.fit, near):
+    # At the end of what is searched next to none it is no maximum.
+    if abs(near.offset_s) >= 1.5 * NEXT_TO_NONE_S or clearly_better(search.fit, near):
         return search.fit, search.offset.variance
     return near, curvature(search.pair, near)[0]
 

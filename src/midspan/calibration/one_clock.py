@@ -124,7 +124,7 @@ def _refuse_contradiction(moved: Displacement, acceleration: Acceleration, kalma
         f"{sensor}: its clock jumps, or frames are lost, more often than the motion tells: after the jumps that were "
         f"found {100 * share[worst]:.0f} % of the measurements from {shown(begin)} to "
         f"{shown(begin + round(WINDOW_S * NANOSECONDS))} still contradict the acceleration. Give a time stamp for each "
-        "frame, or cut the recording where its clock is set."
+        "frame, or cut the recording where its clock is set. Readings that are frozen look the same: leave them out."
     )
 
 

@@ -14,6 +14,9 @@ from midspan.signals.medians import SIGMA_OF_MEDIAN
 OUTLIER_LIMIT = 5.0
 # A measurement is lonely when it leaves its neighbours by this many times their own range.
 LONELY_LIMIT = 2.0
+# A structure is shaken where the mean square of its acceleration is this many times the usual: that of a stationary
+# narrow-band motion is so in 2 % of the time (it is exponential).
+SHAKEN = 4.0
 # Rounds of marking outliers, at most.
 MARKING_ROUNDS = 12
 
@@ -38,16 +41,28 @@ def mark_outliers(pair: Pair, fit: Fit) -> Pair:
 def without_lonely_outliers(pair: Pair) -> Pair:
     """Mark single measurements that leave their three neighbours on each side far more than these differ.
 
-    What the neighbours do is the measure, not the whole record: a passing vehicle in a quiet minute is no outlier.
+    What the neighbours do is the measure, not the whole record: a passing vehicle in a quiet minute is no outlier. Nor
+    is what a slow sensor sees of a structure that rings: the acceleration tells that there is motion.
     """
-    return replace(pair, rows=without_lonely(pair.rows))
+    return replace(pair, rows=without_lonely(pair.rows, _shaken(pair)))
 
 
-def without_lonely(rows: Floats) -> Floats:
-    """Rows (m, 3) of time, value and variance with the lonely outliers' variance made infinite."""
+def _shaken(pair: Pair) -> NDArray[np.bool_]:
+    """Whether the structure is shaken far more than usual about each measurement (m,), one of them more or less."""
+    shaken = np.interp(pair.rows[:, 0], pair.samples[:, 0], pair.lively)
+    about = sliding_window_view(np.pad(shaken, 1, mode="edge"), 3).max(axis=1)
+    return np.asarray(about > SHAKEN * np.median(shaken))
+
+
+def without_lonely(rows: Floats, shaken: NDArray[np.bool_]) -> Floats:
+    """Rows (m, 3) of time, value and variance with the lonely outliers' variance made infinite.
+
+    shaken (m,): those that may be motion.
+    """
     rows = rows.copy()
     for _ in range(MARKING_ROUNDS):
         bad = _lonely(rows)
+        bad = bad[~shaken[bad]]
         rows[bad, 2] = np.inf
         if not len(bad):
             break

@@ -7,14 +7,16 @@ import numpy as np
 
 from midspan.calibration.agreement import clearly_better, misfit
 from midspan.calibration.clock_jumps import ClockJump
+from midspan.calibration.direction import Direction, turned
 from midspan.calibration.fit import Fit, Pair, aligned, best_corner, with_input_noise
 from midspan.calibration.frequency_response import FrequencyResponse, Kind, kinds_of, response_of, with_response
 from midspan.calibration.jumping_clock import jumps_text, without_jumps
 from midspan.calibration.time_offset import OffsetSearch, far_offset, search_offset
+from midspan.calibration.whitening import SETTLING
 from midspan.errors import NoAgreementError, UntrustedError
-from midspan.records import Floats, InputNoise, NoiseLevel, ScaleFactor, TimeOffset
+from midspan.records import InputNoise, NoiseLevel, ScaleFactor, TimeOffset
 from midspan.signals.health import dominant_frequency
-from midspan.signals.medians import SIGMA_OF_MEDIAN
+from midspan.signals.medians import SIGMA_OF_MEDIAN, white_noise
 
 MIN_FRAMES = 20
 # How often the clock offset is searched anew with what depends on frequency taken out: it then shows more.
@@ -40,8 +42,15 @@ IMPLIED_NOISE = 4.0
 OWN_NOISE, LOWER = 3.0, 0.95
 # An alias below this is reported as the likely reason of a refusal: bias and drift of a minute look the same.
 SLOW_ALIAS_HZ = 0.05
-# A cause of every disagreement that shows in no figure.
-LOST_FRAMES = "Frames that are lost or doubled while only a rate is given look the same: give each frame a time stamp."
+# Frames that the zero rests on, and how many times noisier than usual they are noisier for certain: of frames alike the
+# median of so many exceeds that once in a million.
+START_FRAMES, START_NOISE = 16, 2.5
+# Causes of every disagreement that show in no figure.
+NOT_SHOWN = (
+    "Frames that are lost or doubled while only a rate is given look the same: give each frame a time stamp. So do "
+    "cross motion that an inclined accelerometer picks up, a camera or bracket that vibrates, a low-pass in the "
+    "accelerometer's logger, and an accelerometer that errs with its motion (loose, clipped)."
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +59,8 @@ class ScaleCalibration:
 
     noise: standard deviation of the translation, px; variance_factor: estimated variance over the tracker's own
     variance; input_noise: of the acceleration; search: what was tried, for the report; response: what depends on
-    frequency, whose uncertainty is not in the scale factor's; warnings: sentences.
+    frequency, whose uncertainty is not in the scale factor's; warnings: sentences; direction: of the camera's axis,
+    None where no cross axes were recorded.
     """
 
     scale: ScaleFactor
@@ -60,6 +70,7 @@ class ScaleCalibration:
     input_noise: InputNoise
     warnings: tuple[str, ...]
     response: FrequencyResponse = field(default_factory=FrequencyResponse)
+    direction: Direction | None = None
 
 
 def calibrate_scale(pair: Pair, max_offset_s: float, *, exposure_declared: bool = False) -> ScaleCalibration:
@@ -79,7 +90,8 @@ def calibrate_scale(pair: Pair, max_offset_s: float, *, exposure_declared: bool 
         )
     typical = float(np.median(pair.rows[np.isfinite(pair.rows[:, 2]), 2]))
     # Relative variances near 1 keep the corner frequency what its name says, and the diffuse start above all noise.
-    pair = replace(pair, rows=pair.rows / np.array([1.0, 1.0, typical]))
+    axis = turned(replace(pair, rows=pair.rows / np.array([1.0, 1.0, typical])), max_offset_s)
+    pair = axis.pair
     kinds = kinds_of(pair, exposure_declared=exposure_declared)
     jumps: Sequence[ClockJump] = ()
 
@@ -98,6 +110,7 @@ def calibrate_scale(pair: Pair, max_offset_s: float, *, exposure_declared: bool 
             raise
         search, response = with_frequency(search_offset(pair, max_offset_s), pair, max_offset_s, kinds)
         refuse(search)
+    search = axis.widened(search)
     fit = search.fit
     relative = fit.relative_std
     value = 1.0 / fit.ratio
@@ -113,6 +126,7 @@ def calibrate_scale(pair: Pair, max_offset_s: float, *, exposure_declared: bool 
             *response.texts(dominant_frequency(pair.samples[:, 1], pair.sample_rate_hz) or 0.0),
         ),
         response=response,
+        direction=axis.direction,
     )
 
 
@@ -161,7 +175,7 @@ def _refuse_no_motion(pair: Pair, fit: Fit, noise: float) -> None:
         raise NoAgreementError(
             f"No agreement between image and accelerometer {figures}: the image moves, but not with the acceleration. "
             "Check camera.direction, that the region shows something fixed and that both files are of the same event; "
-            f"where the clocks may differ by more, raise calibration.max_offset_s or set camera.start_s. {LOST_FRAMES}"
+            f"where the clocks may differ by more, raise calibration.max_offset_s or set camera.start_s. {NOT_SHOWN}"
         )
     would_be = (
         f"it would be {1e3 / fit.ratio:.4g} mm/px ± {100 * relative:.2g} %, and at most ± {100 * REFUSED_ABOVE:g} % is "
@@ -172,7 +186,7 @@ def _refuse_no_motion(pair: Pair, fit: Fit, noise: float) -> None:
         raise NoAgreementError(
             f"No agreement between image and accelerometer {figures}: both move, but not alike enough for a scale "
             f"factor: {would_be}. Check camera.direction and camera.roi; where the clocks may differ by more, raise "
-            f"calibration.max_offset_s or set camera.start_s. {LOST_FRAMES}"
+            f"calibration.max_offset_s or set camera.start_s. {NOT_SHOWN}"
         )
     raise UntrustedError(
         f"Too little motion to calibrate the scale factor {figures}: {would_be}. {alias}Choose a calibration.window_s "
@@ -204,14 +218,14 @@ def _refuse_disagreement(pair: Pair, fit: Fit, usual: float) -> None:
         raise NoAgreementError(
             f"No agreement between image and accelerometer: {left:.2g} px of the image's {moved:.2g} px rms stay "
             f"unexplained, where a frame's own noise is {usual:.2g} px. Where the clocks may differ by more, raise "
-            f"calibration.max_offset_s or set camera.start_s; else check camera.direction and camera.roi. {LOST_FRAMES}"
+            f"calibration.max_offset_s or set camera.start_s; else check camera.direction and camera.roi. {NOT_SHOWN}"
         )
     if needed := noise_needed(pair, fit):
         raise NoAgreementError(
             f"No agreement between image and accelerometer: {needed} and noise of about "
             f"{1e3 * white_noise(pair.samples[:, 1]):.2g} mm/s². Check that both files are of the same event, "
             "camera.direction, camera.roi and accelerometer.unit; where the clocks may differ by more, raise "
-            f"calibration.max_offset_s or set camera.start_s. {LOST_FRAMES}"
+            f"calibration.max_offset_s or set camera.start_s. {NOT_SHOWN}"
         )
 
 
@@ -242,10 +256,32 @@ def contradiction(pair: Pair, fit: Fit) -> float:
     return float(np.sqrt(own.noise))
 
 
-def white_noise(value: Floats) -> float:
-    """White noise per sample of a signal (n,) far slower than its rate: third differences sum 20 variances."""
-    third = np.diff(value, 3)
-    return float(SIGMA_OF_MEDIAN * np.median(np.abs(third)) / np.sqrt(20.0)) if len(third) else 0.0
+def start_noise(pair: Pair, fit: Fit) -> float:
+    """Noise of the first frames, in the translation's unit, where it is clearly more than a frame's usual; else 0.
+
+    Outliers count as well: frames that are all noisier than the rest seem to be some.
+    """
+    rows = pair.rows.copy()
+    first = rows[: SETTLING + START_FRAMES, 2]
+    first[np.isinf(first)] = 1.0
+    w = aligned(replace(pair, rows=rows), fit.offset_s).whitened(fit.corner)
+    left = (w.translation - fit.ratio * w.response)[:START_FRAMES] ** 2 / w.variance[:START_FRAMES]
+    size = SIGMA_OF_MEDIAN * float(np.sqrt(np.median(left))) if len(left) else 0.0
+    return size if size > START_NOISE * np.sqrt(fit.noise) else 0.0
+
+
+def strange_noise(pair: Pair, fit: Fit) -> str:
+    """What to tell where the accelerometer errs by far more than its own noise; else empty."""
+    implied = float(np.sqrt(pair.input_noise(fit.input_density).density * pair.sample_rate_hz))
+    own = white_noise(pair.samples[:, 1])
+    if not implied > OWN_NOISE * own > 0.0:
+        return ""
+    return (
+        f"accelerometer: it errs as if it had noise of {1e3 * implied:.2g} mm/s² per sample, where its own is "
+        f"{1e3 * own:.2g} mm/s². Likely causes: its bias drifts (1/f noise); cross motion that an inclined axis picks "
+        "up; a mounting or bracket that vibrates, which a slower sensor shows as slow motion; clipped crests. The "
+        "displacement rests more on the other sensor, and the error band takes it for noise."
+    )
 
 
 def alias_in_words(pair: Pair) -> str:

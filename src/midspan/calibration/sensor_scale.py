@@ -109,7 +109,7 @@ def _scaled(slow: SlowError, offset: TimeOffset, search: OffsetSearch | None) ->
         scale_std=relative,
         slow_std_m=abs(factor) * float(np.sqrt(pair.slow[0] * fit.noise)),
         slow_time_s=1.0 / pair.slow[1] if pair.slow[0] > 0.0 else np.inf,
-        unseen_m=abs(factor) * slow.unseen,
+        unseen_m=(abs(factor) * slow.unseen[0], abs(factor) * slow.unseen[1], abs(factor) * slow.unseen[2]),
         exposure_s=pair.exposure_s,
         effective_exposure_s=effect_s,
         rest_std_m=rest_m,

@@ -3,8 +3,8 @@
 It is modelled as a first-order Gauss-Markov process together with the white noise. A record mostly shows only how fast
 the error drifts, variance over correlation time: what is slower than the frequency at which the accelerometer's noise
 exceeds the sensor's looks like the motion's own start. So variance and time are not the most likely ones but means over
-all of them, each weighed by its likelihood, with an even prior of the standard deviation and of the time. What a record
-cannot exclude is reported where it is not taken into account.
+all of them, each weighed by its likelihood, with an even prior of the standard deviation and of the time. A drift that
+does not show is reported where none is taken into account.
 """
 
 from dataclasses import dataclass, replace
@@ -24,28 +24,43 @@ SMALLEST, FACTOR, LARGEST = 0.1, 1.6, 1000.0
 FALLEN = 12.0
 # What a record does not exclude with 99 %, by the ratio of likelihoods: half the chi-square of one degree of freedom.
 NOT_EXCLUDED = 3.32
+# A mean over all deviations has a long tail: it may drift this much farther (variance) than the readings.
+TAIL = 4.0
 # A drift that does not show is reported for this time, s.
 DRIFT_S = 10.0
+# A slow error is there all along: without the tenth of the record that gains most by it, the rest gains this share of
+# the whole at least (nine tenths are its due). What happens once is no error of all rows.
+ONCE, LASTS = 0.1, 0.25
+# Chi-square of one degree of freedom at which the estimator takes a step for likelier than none (`fusion.steps`).
+STEP_SHOWS = 26.0
+# Twice that it does so beyond doubt; what happens once and may not be taken out stays in the band as a slow error.
+BEYOND_DOUBT = 2.0
+# Measurements are missing where the next one comes after so many intervals.
+MISSING = 3.0
 
 
 @dataclass(frozen=True, slots=True)
 class SlowError:
     """The pair with the slow error of its measurements, and its fit.
 
-    unseen: how far a slow error that is left out may drift in DRIFT_S (standard deviation, in the translation's unit)
-    without the record showing it; 0 where one is taken into account or there is none.
+    unseen: how far the measurements may drift once in DRIFT_S without the record showing it, how far they may step, and
+    step while they are missing (0: they never are), in the translation's unit; 0 where a slow error is taken into
+    account or there is none.
     """
 
     pair: Pair
     fit: Fit
-    unseen: float = 0.0
+    unseen: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
-def find_slow_error(pair: Pair, fit: Fit, time_s: float | None = None) -> SlowError:
+def find_slow_error(pair: Pair, fit: Fit, time_s: float | None = None, whole: Floats | None = None) -> SlowError:
     """The slow error of the measurements; time_s: its correlation time where that is known, 0: there is none.
 
+    whole: rows as of `Pair` with those that were left out as outliers, where steps are looked for.
+
     Without one the noise stays white unless the slow error gains more likelihood than a parameter without effect would
-    (as in `fit.with_input_noise`).
+    (as in `fit.with_input_noise`) not in one place only, and no quiet part speaks against it: the sensor's own error is
+    there as well, what an accelerometer errs by with the motion is not.
     """
     white = replace(pair, slow=NO_SLOW_ERROR)
     if time_s == 0.0:
@@ -56,16 +71,103 @@ def find_slow_error(pair: Pair, fit: Fit, time_s: float | None = None) -> SlowEr
     times = np.geomspace(shortest, longest, TIMES_TRIED) if time_s is None else np.array([time_s])
     tried = [_along(white, fit, float(lasting)) for lasting in times]
     best = max(float(np.max(one.likelihood)) for one in tried)
-    none = aligned(white, fit.offset_s).fit(fit.corner).likelihood
-    if time_s is None and best - none < 0.5 * np.log(max(len(rows), 1)):
-        return SlowError(white, fit, tried[-1].unseen(longest))
     # Sums over standard deviations and times, each for the width of its part of the scale.
     weights = [t * one.width * np.exp(one.likelihood - best) for t, one in zip(times, tried, strict=True)]
     moments = [float(np.sum(weight * one.std**2)) for weight, one in zip(weights, tried, strict=True)]
     white_moment = sum(float(np.sum(weight * one.noise)) for weight, one in zip(weights, tried, strict=True))
     rate = sum(moment / lasting for moment, lasting in zip(moments, times, strict=True)) / sum(moments)
     slow = replace(pair, slow=(sum(moments) / white_moment, float(rate)))
-    return SlowError(slow, best_corner(slow, fit.offset_s))
+    found = best_corner(slow, fit.offset_s)
+    if time_s is None:
+        none = aligned(white, fit.offset_s).fit(fit.corner)
+        least = 0.5 * np.log(max(len(rows), 1))
+        gained = found.likelihood - none.likelihood
+        if (
+            gained < least
+            or _happened_once(replace(white, rows=pair.rows if whole is None else whole), none, found)
+            or _lost(white, none, found) > NOT_EXCLUDED
+            or _drifts_farther(slow, found)
+        ):
+            return SlowError(white, fit, _unseen(white, fit, rows, np.sqrt(2.0 * (least + NOT_EXCLUDED))))
+    return SlowError(slow, found)
+
+
+def _unseen(pair: Pair, fit: Fit, rows: Floats, drift_shows: float) -> tuple[float, float, float]:
+    """As of `SlowError`; rows (k,): times (s) of the measurements; drift_shows: at so many deviations a drift does."""
+    middle, lapses = 0.5 * (rows[0] + rows[-1]), np.diff(rows)
+    longest = int(np.argmax(lapses))
+    drift = shown_std(pair, fit, middle - 0.5 * DRIFT_S, DRIFT_S)
+    # Away from a gap.
+    steps = [shown_std(pair, fit, rows[0] + share * (rows[-1] - rows[0]), 0.0) for share in (0.25, 0.5, 0.75)]
+    missing = lapses[longest] > MISSING * float(np.median(lapses))
+    gap = shown_std(pair, fit, rows[longest] + 0.5 * lapses[longest], 0.0) if missing else 0.0
+    shows = float(np.sqrt(STEP_SHOWS))
+    return float(drift_shows) * drift, shows * float(np.median(steps)), shows * gap
+
+
+def shown_std(pair: Pair, fit: Fit, from_s: float, lasting_s: float) -> float:
+    """Standard deviation with which the measurements tell the size of a change of theirs from an instant on (s, on
+    their own clock) that takes so long (s; 0: a step), in the translation's unit; infinite where they do not tell it.
+    """
+
+    signature, _, noise = _change(pair, fit, from_s, lasting_s)
+    known = float(np.sum(signature * signature)) / noise
+    return float(1.0 / np.sqrt(known)) if known > 0.0 else float("inf")
+
+
+def _change(pair: Pair, fit: Fit, from_s: float, lasting_s: float) -> tuple[Floats, Floats, float]:
+    """Signature of a change as of `shown_std` and the innovations (k,), both over the root of their relative variance,
+    and the noise's variance.
+    """
+
+    def change(time_s: Floats) -> Floats:
+        since = time_s - fit.offset_s - from_s
+        done: Floats = np.clip(since / lasting_s, 0.0, 1.0) if lasting_s > 0.0 else (since >= 0.0).astype(float)
+        return done
+
+    w = aligned(pair, fit.offset_s, change).whitened(fit.corner)
+    root = np.sqrt(w.variance)
+    return w.columns[:, -1] / root, (w.translation - fit.ratio * w.response) / root, fit.noise
+
+
+def _happened_once(pair: Pair, without: Fit, found: Fit) -> bool:
+    """Whether a fit gains in one place only, by what the estimator takes out there as a step."""
+    gains = _deviance(without) - _deviance(found)
+    long = max(round(ONCE * len(gains)), 1)
+    total = np.r_[0.0, np.cumsum(gains)]
+    within = total[long:] - total[:-long]
+    if total[-1] - np.max(within) >= LASTS * total[-1]:
+        return False
+    first = int(np.argmax(within))
+    used = found.whitened.index
+    for j in range(used[max(first - 1, 0)] + 1, used[min(first + long, len(used) - 1)] + 1):
+        signature, left, noise = _change(pair, without, float(pair.rows[j, 0]), 0.0)
+        if np.sum(signature * left) ** 2 > BEYOND_DOUBT * STEP_SHOWS * noise * np.sum(signature * signature):
+            return True
+    return False
+
+
+def _drifts_farther(pair: Pair, fit: Fit) -> bool:
+    """Whether the slow error drifts twice as far in DRIFT_S as the readings themselves, whose error it would be."""
+    rows = pair.rows[pair.used(fit.offset_s)]
+    steps = min(max(round(DRIFT_S * pair.rate_hz), 1), len(rows) // 2)
+    own = float(np.mean((rows[steps:, 1] - rows[:-steps, 1]) ** 2))
+    return bool(-2.0 * np.expm1(-steps / pair.rate_hz * pair.slow[1]) * pair.slow[0] * fit.noise > TAIL * own)
+
+
+def _lost(pair: Pair, without: Fit, found: Fit) -> float:
+    """By how much a fit makes the quietest measurements, however many, less likely at most (logarithm).
+
+    Where the fit is right this exceeds c with a probability of exp(-c) at most (J. Ville, 1939).
+    """
+    at = np.searchsorted(pair.samples[:, 0], pair.rows[found.whitened.index, 0] + found.offset_s)
+    order = np.argsort(pair.lively[np.minimum(at, len(pair.lively) - 1)], kind="stable")
+    return float(np.max(np.cumsum((_deviance(found) - _deviance(without))[order])))
+
+
+def _deviance(fit: Fit) -> Floats:
+    """Minus the logarithm of each innovation's likelihood (k,), without constants."""
+    return 0.5 * fit.residual**2 + 0.5 * np.log(fit.noise * fit.whitened.variance)
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,16 +184,6 @@ class _Along:
     def width(self) -> Floats:
         """The part (k,) of the standard deviation's scale that each stands for."""
         return np.maximum(np.gradient(self.std), 0.0)
-
-    def unseen(self, lasting_s: float) -> float:
-        """How far a slow error may drift in DRIFT_S without showing."""
-        enough = np.max(self.likelihood) - NOT_EXCLUDED
-        last = int(np.flatnonzero(self.likelihood >= enough)[-1])
-        if last + 1 == len(self.std):
-            return float("inf")
-        share = (self.likelihood[last] - enough) / (self.likelihood[last] - self.likelihood[last + 1])
-        largest = self.std[last] * (self.std[last + 1] / self.std[last]) ** share
-        return float(largest * np.sqrt(-2.0 * np.expm1(-DRIFT_S / lasting_s)))
 
 
 def _along(white: Pair, fit: Fit, lasting_s: float) -> _Along:

@@ -35,7 +35,7 @@ def camera_channels(
         own_s = camera.exposure_s if exposure_s is None else exposure_s
         mappings = camera.mappings()
         noise = [abs(m.scale_m_per_px) * camera.used[k].noise_std_px for k, m in enumerate(mappings)]
-        best = int(np.argmin(noise))
+        best = camera.best_used
         for k, (target, mapping) in enumerate(zip(tracking.targets, mappings, strict=True)):
             zero_std_m = 0.0 if k == best else TEMPLATE_NOISE * float(np.hypot(noise[k], noise[best]))
             channel = Channel(

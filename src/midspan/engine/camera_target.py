@@ -126,6 +126,11 @@ class TargetChain:
         rows = self._settings.readout_s * self.region.height / max(self.tracker.reference.pixels.shape[0], 1)
         return math.hypot(exposure_s or 0.0, rows)
 
+    @property
+    def first_late_ns(self) -> int:
+        """How long after the reference frame's stamp the row of the target's middle was read out, ns."""
+        return self._row_ns(0.0, int(self.tracker.reference.pixels.shape[0]))
+
     def _frozen(self, frame: Frame) -> bool:
         """Whether the region's picture is bit for bit the one before: a frozen camera, or a codec that skipped it.
 
@@ -141,12 +146,12 @@ class TargetChain:
 
     def _late_ns(self, frame: Frame, found: PixelTranslation) -> int:
         """How long after a frame's stamp the row of the target's middle was read out, ns."""
-        if self._settings.readout_s == 0.0:
-            return 0
-        down_px = found.y_px if math.isfinite(found.y_px) else 0.0
+        return self._row_ns(found.y_px if math.isfinite(found.y_px) else 0.0, int(frame.pixels.shape[0]))
+
+    def _row_ns(self, down_px: float, rows: int) -> int:
+        """How long after the first of a frame's rows that of the target's middle is read out, ns."""
         row = self.region.y + 0.5 * (self.region.height - 1) + down_px
-        last_row = max(int(frame.pixels.shape[0]) - 1, 1)
-        return round(self._settings.readout_s * NANOSECONDS * row / last_row)
+        return round(self._settings.readout_s * NANOSECONDS * row / max(rows - 1, 1))
 
 
 def _with_reference_variance(found: PixelTranslation, more_px2: float) -> PixelTranslation:

@@ -134,9 +134,12 @@ class Merge:
         return self._names[name]
 
     def _tick(self, now_ns: int) -> None:
-        self._now_ns = now_ns if self._now_ns is None else max(now_ns, self._now_ns)
+        before_ns = now_ns if self._now_ns is None else self._now_ns
+        self._now_ns = max(now_ns, before_ns)
+        # Between ticks so far apart nobody listened: the process was stopped, and what came meanwhile is on its way.
+        deaf = self._silent_ns is not None and self._now_ns - before_ns > self._silent_ns
         for number, stream in enumerate(self._streams):
-            heard_ns = self._now_ns if stream.heard_ns is None else stream.heard_ns
+            heard_ns = self._now_ns if stream.heard_ns is None or deaf else stream.heard_ns
             silent_ns = self._now_ns - heard_ns
             out = stream.out or (self._silent_ns is not None and silent_ns > self._silent_ns)
             silent, stream.heard_ns, stream.out = out and not stream.out, heard_ns, out

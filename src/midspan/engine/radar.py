@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from midspan.checks import refuse
 from midspan.engine.radar_target import FollowedState, FollowedTarget
-from midspan.radar.blockage import CLEAR_FRAMES, MAX_SHARE, MIN_SHARE
+from midspan.radar.blockage import CLEAR_FRAMES, MAX_SHARE, MIN_SHARE, mean_power, power_gain
 from midspan.radar.channels import Phasors
 from midspan.radar.lobe import between, fraction_between, looked_at, noise_between
 from midspan.radar.range_gap import MEMORY_FRAMES, MIN_FRAMES, FirstFrames, RangeGap, cycles_lost
@@ -45,6 +45,10 @@ MEMORY = 50.0
 # target's own prediction and than half of what names a cycle: the accelerometer is wrong.
 REFUTED_RAD2 = (0.5 * UNSURE_CYCLES * TURN) ** 2
 MIN_JUDGED = 15.0
+# The amplitude's modulation is the mean over so many frames; noise alone makes it this many times as large as its own
+# mean once in 30 000 frames (chi squared of 19). Something else with two thirds of a target's amplitude bends its phase
+# by this variance, rad²; with as much it would lead it away.
+MODULATED_FRAMES, NOISY, MAX_BENT_RAD2 = 10.0, 2.7, 0.2
 # Shorter times without a target are no events, s.
 MIN_TOLD_S = 0.1
 # A target's swing has more power at its frequency than the process by which it is modelled: it is taken for so many
@@ -130,7 +134,10 @@ class _Follower:
         elif followed:
             # It was calibrated between two bins, where less of it is seen than at its peak.
             self.amplitude /= between(target.place_bin - math.floor(target.place_bin))
-        self.white_rad2 = target.phase_noise_rad2 + target.bent_rad**2
+        self.noise_share = self.noise / self.amplitude**2
+        self.gain = power_gain(self.noise_share)
+        self.bent_rad2 = target.bent_rad**2
+        self.white_rad2 = target.phase_noise_rad2 + self.bent_rad2
         own_m = OWN_RATIO * target.own_m if target.own_hz > 0.0 else 0.0
         self.own_rad2 = (own_m * TURN * self.cycles_per_m) ** 2
         self.forgets_per_ns = 2.0 * TURN * OWN_CORNER * target.own_hz / NANOSECONDS
@@ -150,10 +157,15 @@ class _Follower:
         seen = self._seen(phasors, valid, self._place(base))
         if seen is None:
             return self._unseen(time_ns, base, 0.0, "lost frames")
-        good = MIN_SHARE <= seen.strength <= MAX_SHARE
-        state.clear = min(state.clear + 1, CLEAR_FRAMES) if good else 0
-        if state.clear < CLEAR_FRAMES or not seen.variance_rad2 < BLIND_RAD**2:
+        state.power = mean_power(state.power, seen.strength, self.noise_share, self.gain)
+        good = state.power >= MIN_SHARE**2 and seen.strength <= MAX_SHARE
+        bent_rad2 = self._modulated(seen.strength) if good else 0.0
+        state.clear = min(state.clear + 1, CLEAR_FRAMES) if good and bent_rad2 < MAX_BENT_RAD2 else 0
+        blind = not seen.variance_rad2 < BLIND_RAD**2
+        # Of the first frames a faint one tells more than none: without it zero and speed would be sought anew.
+        if state.clear < CLEAR_FRAMES or (blind and (state.first is None or not seen.strength > 0.0)):
             return self._unseen(time_ns, base, seen.strength, "blocked")
+        seen = replace(seen, variance_rad2=seen.variance_rad2 + max(bent_rad2 - self.bent_rad2, 0.0))
         if state.first is not None:
             return self._begun(time_ns, seen, own, alone_rad)
         return self._used(time_ns, seen, (base, own, given))
@@ -224,6 +236,17 @@ class _Follower:
             return _Seen(0.0, math.inf, 0.0, at)
         return _Seen(cmath.phase(value), noise / (2.0 * size * size), size / gain / self.amplitude, at)
 
+    def _modulated(self, strength: float) -> float:
+        """Variance (rad²) by which something else that turns in the bin bends the phase: as it does the amplitude.
+
+        About the mean of the last frames, so that what changes slowly is none; 0 where noise explains it.
+        """
+        state, own = self.state, 0.5 * self.noise_share
+        away = 0.0 if math.isnan(state.strength) else strength - state.strength
+        state.strength = strength if math.isnan(state.strength) else state.strength + away / MEMORY
+        state.modulated += (away * away - state.modulated) / MODULATED_FRAMES
+        return state.modulated - own if state.modulated > NOISY * own else 0.0
+
     def _unseen(self, time_ns: int, base: PhasePrediction, strength: float, kind: str) -> PhaseMeasurement:
         """A frame in which the target is not used; kind: of the event."""
         state, events = self.state, tuple[Event, ...]()
@@ -273,18 +296,21 @@ class _Follower:
         if first is None or not first.count or time_ns - state.last_ns > 1.5 * self.item.period_s * NANOSECONDS:
             first = FirstFrames(math.nan if self.cycles_per_bin else self.item.moved_m * self.cycles_per_m)
             state.first_rad, state.speed_rad_s, state.last_ns = seen.phase_rad, 0.0, time_ns
+            # The calibrated zero has the noise of a usual frame, not of one that is hardly seen.
+            state.zero_rad2 = min(seen.variance_rad2, TURN**2) if seen.variance_rad2 > BLIND_RAD**2 else 0.0
             state.alone_rad, state.alone_ns, state.alone_rad_s = alone_rad, time_ns, 0.0
             state.phase_rad = 0.0 if math.isnan(alone_rad) else -alone_rad
         else:
             phase = own[0] + math.remainder(seen.phase_rad - state.first_rad - own[0], TURN)
             self._follow(time_ns, phase, own)
+            state.zero_rad2 += _slips(state.own_rad2)
         place = seen.place_bin * self.cycles_per_bin
         state.first = first.met(place - phase / TURN)
         speed = state.first.cycles_per_frame
         if speed is None:
             return PhaseMeasurement(time_ns, math.nan, math.inf, 0.0, Status.LOST, seen.strength)
         turns = TURN * (state.first.count - 1)
-        raised, state.lost_rad2 = turns * speed[0], turns**2 * speed[1]
+        raised, state.lost_rad2 = turns * speed[0], turns**2 * speed[1] + state.zero_rad2
         state.first = None
         phase, state.phase_rad = phase + raised, state.phase_rad + raised
         state.speed_rad_s += TURN * speed[0] / self.item.period_s

@@ -45,12 +45,15 @@ class FollowedTarget:
 class FollowedState:
     """What a chain remembers of one target.
 
-    first_rad: wrapped phase that counts as zero; first: the first frames, by which the speed is found, None afterwards;
+    first_rad: wrapped phase that counts as zero; zero_rad2: variance of its noise where that frame was hardly
+    seen, and of cycles lost among the first frames; first: these, by which the speed is found, None afterwards;
     phase_rad, speed_rad_s: the target's own prediction at last_ns, the last used frame, less what the acceleration
     alone tells there, while nothing else predicts (alone_rad at alone_ns and its speed alone_rad_s; NaN: nothing);
     own_rad2,
     given_rad2: mean squares of its innovations and of the given predictions'; own_count, given_count: over this many;
-    clear: frames in a row that show the target; unseen_ns: the first frame since it was seen last, -1 while it is seen;
+    clear: frames in a row that show the target; power: running mean of its power over the calibrated one;
+    strength: amplitude over the calibrated one in the last frame, modulated: running mean square of its steps, halved;
+    unseen_ns: the first frame since it was seen last, -1 while it is seen;
     told: whether an event was given for that; refuted: whether the given predictions are wrong; gap: range less phase;
     before: the same before the cycle was lost, while it is in doubt; doubt_rad2: variance of the zero while it is in
     doubt, lost_rad2: for good; astray_ns: when the given prediction last named another cycle than the target's
@@ -59,7 +62,11 @@ class FollowedState:
     """
 
     clear: int
+    power: float = 1.0
+    strength: float = math.nan
+    modulated: float = 0.0
     first_rad: float = 0.0
+    zero_rad2: float = 0.0
     first: FirstFrames | None = field(default_factory=FirstFrames)
     phase_rad: float = 0.0
     speed_rad_s: float = 0.0

@@ -21,6 +21,8 @@ class StoredTracker:
 
     phase_gain_px_per_rad: tuple[float, float] | None = None
     active_pixels: ActivePixels | None = None
+    # Of a fixed pattern nothing is known.
+    scale_share_std = 0.0
 
     def __init__(self, reference: Frame, region: Region) -> None:
         self.reference, self.region = reference, region
@@ -32,8 +34,10 @@ class StoredTarget:
     picture = light = None
     frozen_frames = 0
 
-    def __init__(self, reference: Frame, target: StoredTrack, readout_s: float) -> None:
+    def __init__(self, reference: Frame, target: StoredTrack, readout_s: float, first: int = 0) -> None:
         self.name, self.region = target.name, target.region
+        # The rows of a track are dated as they were tracked.
+        self.first_late_ns = int(target.rows.time_ns[first]) - reference.time_ns
         self.tracker: Any = StoredTracker(reference, target.region)
         self._readout_s = readout_s
 
@@ -73,7 +77,7 @@ class StoredTracking(CameraTracking):
         info = source.info
         self.reference = Frame(int(self.time_ns[0]), np.zeros((info.height, info.width), dtype=np.uint8))
         tracks = _chosen(source.tracks, settings.targets)
-        targets = [StoredTarget(self.reference, track, settings.readout_s) for track in tracks]
+        targets = [StoredTarget(self.reference, track, settings.readout_s, settings.first) for track in tracks]
         self.chain: Any = StoredChain(targets)
         self.targets = tuple(TargetTracking(target) for target in targets)  # type: ignore[arg-type]
         self.chosen = tuple(Target(track.region, track.name) for track in tracks)

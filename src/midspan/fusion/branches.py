@@ -51,15 +51,13 @@ class Branches:
 
     low: displacement on the grid → low-frequency displacement; high: acceleration → high-frequency displacement (m);
     rule: integration rule of `high`; removed: what is taken off each displacement before it is interpolated (the
-    anti-aliasing stage); probe: the displacement that tells how much folding is left in the result; warnings: in
-    sentences.
+    anti-aliasing stage); warnings: in sentences.
     """
 
     low: Floats
     high: Floats
     rule: str
     removed: AtFrames | None = None
-    probe: AtFrames | None = None
     warnings: tuple[str, ...] = ()
 
 

@@ -1,6 +1,7 @@
 """A record through the two branches of a complementary FIR method, stretch by stretch of even samples.
 
-Rows whose filters would reach over an end or a gap are those of the smoothed path, which the estimator makes.
+Rows whose filters would reach over an end or a gap are those of the smoothed path, which the estimator makes. What the
+sampling of the displacement and its interpolation make of such a motion (folding, imaging) is in the rows' band.
 """
 
 from collections.abc import Callable
@@ -43,22 +44,23 @@ USUAL_DENSITY, USUAL_VARIANCE = 1e-6, 1e-8
 
 @dataclass(frozen=True, slots=True)
 class Method:
-    """The branches with their rates, and the filters' transforms; knots (m, 3): time in s, displacement, variance."""
+    """The branches with their rates, and the filters' transforms; knots (m, 3): time in s, displacement, variance.
+
+    path: the smoothed record, whose motion shows what sampling makes of it.
+    """
 
     branches: Branches
     rates: Rates
     bank: FilterBank
     noise: NoiseGain
     knots: Floats
+    path: Estimate
 
     @classmethod
-    def make(cls, branches: Branches, rates: Rates, knots: Floats) -> "Method":
-        """Prepare the transforms: of displacement and acceleration the row, of probe and acceleration the folding."""
-        bank = FilterBank((branches.low, branches.high))
-        if branches.probe is not None:
-            unfolded = -np.convolve(branches.low, branches.probe.wanted)
-            bank = FilterBank((branches.low, branches.high, None), (None, unfolded, branches.low))
-        return cls(branches, rates, bank, NoiseGain(branches, rates), knots)
+    def make(cls, branches: Branches, rates: Rates, knots: Floats, path: Estimate) -> "Method":
+        """Prepare the transforms: of displacement and acceleration the row, of the sampled path what it is off by."""
+        bank = FilterBank((branches.low, branches.high, None), (None, None, branches.low))
+        return cls(branches, rates, bank, NoiseGain(branches, rates), knots, path)
 
 
 def smoothed_record(acceleration: Acceleration, displacement: Displacement, kalman: KalmanSettings) -> Smoothed:
@@ -102,7 +104,7 @@ def fused(
     slow = slower_events(knots, rates, origin_ns)
     knots = _filled(knots, rates, path, origin_ns) if fill else knots
     branches = design(rates, settings)
-    method = Method.make(branches, rates, knots)
+    method = Method.make(branches, rates, knots, path)
     for stretch in stretches(acceleration, rates.step_s):
         _overwrite(rows, _stretch(method, stretch, origin_ns))
     told = tuple(Event(origin_ns, "rate", text) for text in branches.warnings)
@@ -157,21 +159,19 @@ def _stretch(method: Method, block: Acceleration, origin_ns: int) -> Estimate:
     time_s = seconds(block.time_ns, origin_ns)
     even_s = even_clock(time_s)
     value = block.value_m_s2 if even_s is time_s else _resampled(even_s, time_s, block.value_m_s2)
-    displacement, folded, sound = _on_grid(method, even_s, value, block.noise_density)
+    displacement, sampled, sound = _on_grid(method, even_s, value, origin_ns)
     branches, half = method.branches, method.bank.half
     full = _full(sound, half + 1)
     if not full.any():
         return part(_rows_of(block.time_ns, np.zeros((3, len(even_s)))), full)
-    series = [displacement, value, *([folded] if branches.probe is not None else [])]
-    found, *folding = method.bank(*series)
+    found, off = method.bank(displacement, value, sampled)
     own = method.noise.half
     variance = np.full(len(even_s), np.inf)
     variance[own : len(even_s) - own] = method.noise.rows(_variance(method.knots, even_s), block.noise_density)
     inner = slice(half + 1, len(even_s) - half - 1)
     if branches.rule != EXACT_RULE:
         variance[inner] += integration_error(found, branches.rule) ** 2
-    for error in folding:
-        variance[inner] += error[1:-1] ** 2
+    variance[inner] += off[1:-1] ** 2
     rows = np.zeros((3, len(even_s)))
     rows[0, inner], rows[1] = found[1:-1], variance
     rows[2, inner] = velocity(found, value[half : len(value) - half], method.rates.step_s)
@@ -239,17 +239,20 @@ def _filled(knots: Floats, rates: Rates, path: Estimate, origin_ns: int) -> Floa
     return whole[np.argsort(whole[:, 0], kind="stable")]
 
 
-def _on_grid(method: Method, even_s: Floats, value: Floats, density: Floats) -> tuple[Floats, Floats, Mask]:
-    """Anti-aliased displacement, what folding leaves of the probe, and whether both are sound, at instants (n,)."""
+def _on_grid(method: Method, even_s: Floats, value: Floats, origin_ns: int) -> tuple[Floats, Floats, Mask]:
+    """Anti-aliased displacement, what sampling makes of the path, and whether both are sound, at instants (n,)."""
     branches, rates, knots = method.branches, method.rates, method.knots
     index = np.searchsorted(even_s, knots[:, 0], side="right") - 1
     removed = _at_knots(branches.removed, (even_s, value), index, knots[:, 0])
-    probe = _at_knots(branches.probe, (even_s, value), index, knots[:, 0])
-    columns = np.column_stack((knots[:, 1] - removed, probe - removed))
+    expected, there = (
+        at(method.path, origin_ns + np.rint(time_s * NANOSECONDS).astype(np.int64))[0]
+        for time_s in (knots[:, 0], even_s)
+    )
+    columns = np.column_stack((knots[:, 1] - removed, expected - removed))
     rows, sound = np.empty((2, len(even_s))), np.empty(len(even_s), dtype=np.bool_)
     limits = (LONGEST_STEPS * rates.frame_s, REACH_STEPS * rates.frame_s)
     spline_rows(even_s, np.ascontiguousarray(knots[:, 0]), columns, limits, rows, sound)
-    return rows[0], rows[1], sound
+    return rows[0], rows[1] - there, sound
 
 
 def _at_knots(taps: AtFrames | None, grid: tuple[Floats, Floats], index: NDArray[np.int64], time_s: Floats) -> Floats:

@@ -7,7 +7,20 @@ from numpy.typing import NDArray
 
 from midspan.fusion.filtering import PARENT_STEP, trace
 from midspan.fusion.forward import AT, CHANNEL
-from midspan.fusion.hypotheses import CLOCK, DATUM, KINDS, LOST, MOST, NOISE, OUTLIER, RETURN, SHIFT, WILD, WRONG
+from midspan.fusion.hypotheses import (
+    CLOCK,
+    DATUM,
+    KINDS,
+    LOST,
+    MOST,
+    NOISE,
+    OUTLIER,
+    RETURN,
+    SHIFT,
+    STEPPED_BEFORE,
+    WILD,
+    WRONG,
+)
 from midspan.records import NANOSECONDS, Channel, Event, Floats
 
 # The newest measurements, up to this number, may be undecided; what the older ones were the best hypothesis decides.
@@ -60,7 +73,7 @@ class Undecided:
         m = len(self.rows)
         if not m:
             return NOTHING_DECIDED, self
-        codes, errors = np.empty(m, dtype=np.int64), np.empty((m, 2))
+        codes, errors = np.empty(m, dtype=np.int64), np.empty((m, 3))
         final = max(int(trace(self.survivors, count, codes, self.errors, errors)), m - MAX_UNDECIDED)
         final = m if all_of_them else final
         if final == m:
@@ -71,15 +84,17 @@ class Undecided:
 
 @dataclass(frozen=True, slots=True)
 class Decided:
-    """Measurements (m, 5), what they were taken for (m,), their innovation and its predicted variance (m, 2)."""
+    """Measurements (m, 5), what they were taken for (m,), and (m, 3) their innovation and its predicted variance, or
+    size (m), variance (m²) and age (s) of the step that STEPPED_BEFORE tells.
+    """
 
     rows: Floats
     codes: NDArray[np.int64]
     errors: Floats
 
 
-ALL_DECIDED = Undecided(np.empty((0, 5)), np.empty((0, MOST), dtype=np.int16), np.empty((0, MOST, 2)))
-NOTHING_DECIDED = Decided(np.empty((0, 5)), np.empty(0, dtype=np.int64), np.empty((0, 2)))
+ALL_DECIDED = Undecided(np.empty((0, 5)), np.empty((0, MOST), dtype=np.int16), np.empty((0, MOST, 3)))
+NOTHING_DECIDED = Decided(np.empty((0, 5)), np.empty(0, dtype=np.int64), np.empty((0, 3)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,13 +119,15 @@ def events_of(
     if not decided.codes.any() and not any(run[2] for run in told.runs):
         return told, []
     runs, causes, events = list(told.runs), told.causes, []
-    kinds = decided.codes % KINDS
+    kinds = np.where(decided.codes == STEPPED_BEFORE, SHIFT, decided.codes % KINDS)
     running = np.array([run[2] > 0 for run in runs])
     channel_of = np.maximum(decided.rows[:, CHANNEL].astype(np.int64), 0)
     counted = (decided.codes != DATUM) & ((kinds != 0) | running[channel_of] | np.any(kinds == OUTLIER))
     for j in np.flatnonzero(counted):
         c, time_s = int(channel_of[j]), float(decided.rows[j, AT])
-        size_mm, std_mm = (1e3 * decided.errors[j] ** (1.0, 0.5) / abs(channels[c].units_per_m)).tolist()
+        before, unit = decided.codes[j] == STEPPED_BEFORE, abs(channels[c].units_per_m)
+        size_mm, std_mm = (1e3 * decided.errors[j, :2] ** (1.0, 0.5) / (1.0 if before else unit)).tolist()
+        time_s -= float(decided.errors[j, 2]) if before else 0.0
         first_s, _, count, first_mm = runs[c]
         if kinds[j] == OUTLIER:
             runs[c] = (first_s, time_s, count + 1, first_mm) if count else (time_s, time_s, 1, size_mm)

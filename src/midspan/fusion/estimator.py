@@ -341,7 +341,7 @@ class Estimator:
         ]
         weights = np.exp(self._filter.hyps[3][: self._filter.count, WEIGHT])
         judged = replace(again[0], found=mixed(np.array([one.found for one in again]), weights / np.sum(weights)))
-        judged.met[:, MET_ERROR], judged.met[:, MET_TOTAL] = best.errors.T
+        judged.met[:, MET_ERROR], judged.met[:, MET_TOTAL] = best.errors[:, :2].T
         judged.met[:, MET_CODE] = best.codes
         return self._rows(samples, rows, left, judged)
 
@@ -371,7 +371,10 @@ class Estimator:
         estimates = tuple(estimate_of(samples, shown.found[:, a], given, std) for a, std in enumerate(unseen))
         innovations = innovations_of(rows, shown.met, self.settings.channels, self._origin)
         p, channels, datum = self._filter.hyps[1][0], self.tables[1], self.tables[3]
-        zero = tuple(zero_variance(p, channels, a, datum, self.tables[5]) + std**2 for a, std in enumerate(unseen))
+        own = 0.0 if self.settings.zero_ns is None else 1.0
+        zero = tuple(
+            zero_variance(p, channels, a, datum, self.tables[5]) + own * std**2 for a, std in enumerate(unseen)
+        )
         return Rows(estimates, innovations, tuple(events), zero)
 
     def _settle(self, decided: Decided) -> list[Event]:
@@ -396,7 +399,7 @@ def mixed(found: Floats, weights: Floats) -> Floats:
 @njit(cache=True)
 def predict_value(time_s, c, motion, clock, hyps, tables):  # type: ignore[no-untyped-def]
     """Expected measurement of channel `c` at a time after the last sample and its variance, over all hypotheses."""
-    xs, ps, _, memory, thetas, spreads = hyps
+    xs, ps, _, memory, thetas, spreads, _ = hyps
     walks, channels, kinds = tables[:3]
     axes, n, columns = len(motion), xs.shape[1], xs.shape[2]
     x, p, ph, e = np.empty((n, columns)), np.empty((n, n)), np.empty(n), np.empty(columns)

@@ -52,12 +52,17 @@ from midspan.fusion.hypotheses import (
     MET_AT,
     MOST,
     PARENT,
+    STEP_AGO,
+    STEP_BY,
+    STEP_VARIANCE,
     STEPPED,
+    STEPPED_BEFORE,
     TOTAL,
     VAGUE,
     WEIGHT,
     accept,
     become,
+    find_step,
     follow_clock,
     look,
     meet_zero,
@@ -65,6 +70,7 @@ from midspan.fusion.hypotheses import (
     split,
 )
 from midspan.fusion.state_space import GAP_STEPS
+from midspan.fusion.steps import SURE
 from midspan.records import Status
 
 # What is left of each sample and axis: displacement relative to the datum, its variance, the true velocity, codes of
@@ -143,7 +149,7 @@ def mixed_row(hyps, count, a, datum, misfit):  # type: ignore[no-untyped-def]
     whole = mean = square = velocity = first = 0.0
     for b in range(count):
         weight = np.exp(hyps[3][b, WEIGHT])
-        x, p, _, _, theta, spread = one_of(hyps, b)
+        x, p, _, _, theta, spread, _ = one_of(hyps, b)
         value, variance, speed = row_of(x, p, theta, spread, a, datum, misfit)
         first = value if b == 0 else first
         off = value - first
@@ -193,7 +199,7 @@ def order_frame(rows, j, best, motion, now, tables, scratch):  # type: ignore[no
 @njit(cache=True)
 def judge(hyps, best, clock, row, scene, tables, options, scratch, chances):  # type: ignore[no-untyped-def]
     """Let all hypotheses meet a measurement; the number of them in `clock` follows."""
-    _, _, marks, memory, _, _ = best
+    _, _, marks, memory, _, _, _ = best
     count, c = int(clock[COUNT]), int(row[CHANNEL])
     if row[AT] - marks[c, MET_AT] > tables[1][c, COASTING_S]:
         hyps[2][:count, c, DOUBTED] = 1.0
@@ -207,19 +213,33 @@ def judge(hyps, best, clock, row, scene, tables, options, scratch, chances):  # 
             accept(best, row, seen, tables, options, scratch)
             marks[c, MET_AT] = row[AT]
             memory[PARENT], memory[CODE] = 0.0, GOOD
+            find_step(best, row, tables, SURE)
             return
     doubted = clock[JUDGED] > 0.0
-    clock[JUDGED] -= 1.0
     clock[COUNT] = split(hyps, count, row, scene, tables, options, scratch, doubted, chances)
+    pass_first(hyps, clock)
+
+
+@njit(cache=True)
+def pass_first(hyps, clock):  # type: ignore[no-untyped-def]
+    """Count one of the first measurements: no step is asked for among them, as little is known of the start."""
+    if clock[JUDGED] > 0.0:
+        hyps[6][: int(clock[COUNT])] = 0.0
+    clock[JUDGED] -= 1.0
 
 
 @njit(cache=True)
 def keep_survivors(hyps, count, survivors, errors, met):  # type: ignore[no-untyped-def]
-    """Write what each hypothesis took the last measurement for, and of which hypothesis it came."""
+    """Write what each hypothesis took the last measurement for, of which hypothesis it came, and its innovation with
+    the variance of that, or of a step that it told size (m), variance (m²) and how long ago (s) it was.
+    """
     memory = hyps[3]
     for b in range(count):
         survivors[b] = int(memory[b, PARENT]) * PARENT_STEP + int(memory[b, CODE])
-        errors[b, 0], errors[b, 1] = memory[b, ERROR], memory[b, TOTAL]
+        if memory[b, CODE] == STEPPED_BEFORE:
+            errors[b, 0], errors[b, 1], errors[b, 2] = memory[b, STEP_BY], memory[b, STEP_VARIANCE], memory[b, STEP_AGO]
+        else:
+            errors[b, 0], errors[b, 1] = memory[b, ERROR], memory[b, TOTAL]
     met[MET_ERROR], met[MET_TOTAL], met[MET_CODE] = memory[0, ERROR], memory[0, TOTAL], memory[0, CODE]
 
 
@@ -249,7 +269,7 @@ def move(x, p, memory, motion, samples, k, way, tables):  # type: ignore[no-unty
 def move_others(hyps, count, motion, samples, k, way, tables):  # type: ignore[no-untyped-def]
     """Move all hypotheses but the best."""
     for b in range(1, count):
-        x, p, _, memory, _, _ = one_of(hyps, b)
+        x, p, _, memory, _, _, _ = one_of(hyps, b)
         move(x, p, memory, motion, samples, k, way, tables)
 
 
@@ -260,6 +280,7 @@ def pass_mark(hyps, axes, clock, mark, j, out):  # type: ignore[no-untyped-def]
     for b in range(int(clock[COUNT])):
         if mark == SET_DATUM:
             copy_datum(hyps[0][b], hyps[1][b], axes)
+            hyps[6][b] = 0.0
         else:
             hyps[2][b, :, DOUBTED] = 1.0
         survivors[j, b] = b * PARENT_STEP + DATUM
@@ -293,6 +314,7 @@ def meet_row(j, ordered, place, block, state, hyps, best, tables, options, scrat
         keep_survivors(hyps, int(clock[COUNT]), survivors[j], errors[j], met[j])
     else:
         take_decided(decided[j], best, rows[j], scene, tables, options, own, record[j])
+        pass_first(hyps, clock)
     return ordered
 
 
@@ -306,14 +328,14 @@ def run_block(samples, rows, decided, state, hyps, tables, options, out):  # typ
     are taken in. decided (m,): OPEN, or the code that was decided. hyps: see `model.hypotheses_at`. tables = (walks
     (n,), channels (c, 13), kinds (c, k), first state of the datums or -1, parameters (k, 4), misfit (axes,), lean
     (axes,)). out = (found (s, axes,
-    5), met (m, 3), survivors (m, MOST), errors (m, MOST, 2), nodes (s or 0, axes, 2 (1 + k) + 2 n), record (m, 8 + k +
+    5), met (m, 3), survivors (m, MOST), errors (m, MOST, 3), nodes (s or 0, axes, 2 (1 + k) + 2 n), record (m, 8 + k +
     n)).
     """
     motion, clock = state
     channels, datum, found, nodes = tables[1], tables[3], out[0], out[4]
     gain_of, misfit, lean = tables[4][:, GAIN_OF], tables[5], tables[6]
     best = one_of(hyps, 0)
-    x, p, marks, memory, theta, spread = best
+    x, p, marks, memory, theta, spread, _ = best
     scratch = (np.zeros(len(x)), np.zeros(x.shape[1]), np.zeros(len(motion)), np.zeros((MOST, KINDS)))
     j = ordered = 0
     for k in range(len(samples)):
@@ -359,8 +381,8 @@ def run_block(samples, rows, decided, state, hyps, tables, options, out):  # typ
 
 @njit(cache=True)
 def trace(survivors, count, codes, errors, kept):  # type: ignore[no-untyped-def]
-    """Follow the hypotheses back: what the best one took each measurement for, to `codes` (m,), and innovation and
-    predicted variance, from `errors` to `kept` (m, 2). Returns up to which measurement all hypotheses have one past.
+    """Follow the hypotheses back: what the best one took each measurement for, to `codes` (m,), and its errors, from
+    `errors` to `kept` (m, 3). Returns up to which measurement all hypotheses have one past.
     """
     at = np.arange(count)
     final = len(survivors) if count == 1 else 0

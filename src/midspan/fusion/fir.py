@@ -26,7 +26,7 @@ from midspan.fusion.branches import AtFrames, Branches, Rates
 from midspan.fusion.complementary import fused, smoothed_record
 from midspan.fusion.streams import KalmanSettings, MethodSettings, Smoothed
 from midspan.records import Acceleration, Displacement, Estimate, Floats
-from midspan.signals.fir import Transition, complement, kaiser_low_pass
+from midspan.signals.fir import complement
 from midspan.signals.integrate import integrating, weights
 
 # Half the window: so many times the time constant 1/corner of matched noises, or periods of the target frequency.
@@ -35,11 +35,7 @@ TARGET_PERIODS = 1.5
 SHORTEST_HALF = 8
 # The corner stays below this share of the displacement's Nyquist frequency: above it folding would pass.
 NYQUIST_SHARE = 0.5
-# What folding is told with need not be sharp: it only widens the band. 1 %, over an octave below the Nyquist frequency.
-PROBE_RIPPLE = 0.01
 SECOND_DIFFERENCE = np.array([1.0, -2.0, 1.0])
-# Above this share of the accelerometer's rate nothing can fold.
-HIGHEST_NYQUIST = 0.4
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +100,7 @@ def window_filters(half: int, weight: float, step_s: float, *, rule: str, free_b
 
 
 def design(rates: Rates, settings: FirSettings) -> Branches:
-    """The two filters, and what tells folding, for given rates and noise levels."""
+    """The two filters for given rates and noise levels."""
     rule = "central-difference" if settings.literal else "numerov"
     if settings.literal:
         weight = target_weight(settings.target_hz, settings.accuracy, rates.step_s)
@@ -113,15 +109,7 @@ def design(rates: Rates, settings: FirSettings) -> Branches:
         weight, half = noise_weight(rates), round(CORNER_WINDOWS / (_corner(rates) * rates.step_s))
     half = max(half, SHORTEST_HALF) if settings.half_window is None else settings.half_window
     low, high = window_filters(half, weight, rates.step_s, rule=rule, free_bias=settings.free_bias)
-    return Branches(low, high, rule, probe=folding_probe(rates, 0.5 / rates.frame_s))
-
-
-def folding_probe(rates: Rates, from_hz: float) -> AtFrames | None:
-    """The filter that sees all displacement from `from_hz` on: what a sampling at twice that would fold."""
-    if from_hz * rates.step_s > HIGHEST_NYQUIST:
-        return None
-    band = Transition(0.5 * from_hz, from_hz, PROBE_RIPPLE)
-    return at_frames(kaiser_low_pass(band, 1.0 / rates.step_s), rates, "numerov")
+    return Branches(low, high, rule)
 
 
 def at_frames(low_pass: Floats, rates: Rates, rule: str) -> AtFrames:

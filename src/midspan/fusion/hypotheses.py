@@ -53,6 +53,21 @@ from midspan.fusion.forward import (
     update,
 )
 from midspan.fusion.forward import SENSOR as SENSOR_OF
+from midspan.fusion.steps import (
+    APART_BY,
+    INSTANTS,
+    NUMBER,
+    SINCE,
+    TAKEN_OVER,
+    begin_instant,
+    carry,
+    group_of,
+    meet_innovation,
+    moved_probability,
+    scale_changed,
+    step_of,
+    take_step,
+)
 
 GOOD, OUTLIER, SHIFT, RETURN, WRONG, LOST, NOISE, CLOCK = range(8)
 KINDS = 8
@@ -60,8 +75,12 @@ KINDS = 8
 ENDED = KINDS
 # The setting of the datum.
 DATUM = 2 * KINDS
+# A good measurement, by which the innovations up to it tell that the sensor's zero has stepped at an earlier one.
+STEPPED_BEFORE = 3 * KINDS
 # The prediction was wrong, and the samples' noise has it since the last good measurement (see `second_pass`).
 SPREAD = 4 * KINDS
+# A shift of a size that its own measurement does not tell, but those after it (see `second_pass`).
+SINCE_THEN = 8 * KINDS
 # How many hypotheses are kept while the first measurements are judged, any of which may be outliers, and later.
 MOST, LATER = 64, 32
 # Then one may fall behind by so many times the odds: three outliers in a row may look like motion until the fifth.
@@ -79,7 +98,7 @@ OUTLIER_MEMORY, MOST_OUTLIERS = 20.0, 0.3
 # was taken for, its innovation (with the parameters as estimated) and its predicted variance; then what happened to
 # several targets of a sensor in the same frame: time, sensor and size (m) of the last shift, time and sensor of the
 # last outlier; how many measurements were good since anything else was; when the parameters were met last; when the
-# record began.
+# record began; of a step found by the last measurement size (m), variance (m²), and how long ago (s) it was.
 (
     WEIGHT,
     DENSITY,
@@ -96,13 +115,16 @@ OUTLIER_MEMORY, MOST_OUTLIERS = 20.0, 0.3
     AGE,
     LAST_AT,
     BEGAN_AT,
-) = range(15)
-MEMORY_COLUMNS = 15
+    STEP_BY,
+    STEP_VARIANCE,
+    STEP_AGO,
+) = range(18)
+MEMORY_COLUMNS = 18
 # And for each channel: factor on its variance, and how many measurements it rests on; how many outliers in a row the
 # last ones were, and the value of the first of these; whether its zero has shifted; whether it was met; variance of its
 # reference (m²); when it was last met, when last accepted, and with which variance (m²), its reference's included;
 # whether its clock has stepped, and whether that is in doubt: stamps were missing or went back since the last
-# measurement; share of its last measurements that were outliers.
+# measurement; share of its last measurements that were outliers; mean square of its last innovations over variance.
 (
     FACTOR,
     RESTS_ON,
@@ -117,8 +139,9 @@ MEMORY_COLUMNS = 15
     STEPPED,
     DOUBTED,
     SHARE,
-) = range(13)
-MARK_COLUMNS = 13
+    RECENT,
+) = range(14)
+MARK_COLUMNS = 14
 # Options, see `Rates`; MEMORY: as of `EstimatorSettings.noise_memory`; BIAS_STD: of the bias at the start, m/s².
 (
     P_OUTLIER,
@@ -146,8 +169,9 @@ UNKNOWN_ZERO = 1e6
 # A measurement so many times (in variance) as far off as predicted is an outlier until the next one says otherwise: 100
 # deviations. The least weight of anything else would move the rows by that share of whatever size it has.
 WILD = 1e4
-# What the noise's factor rests on after a sudden rise, in measurements.
-ANEW = 12.0
+# What the noise's factor rests on after a sudden rise or fall, in measurements. It has fallen where over so many the
+# mean square of the innovations is less than this share of their variance: by chance once in 100 000 measurements.
+ANEW, FALLEN = 12.0, 0.25
 # What goes on as an error of the acceleration is so often one of the bias, which a state led away holds too.
 BIAS_TOO = 0.05
 # After so many good measurements half the odds are enough to drop a hypothesis, after twice as many a third: what they
@@ -193,8 +217,10 @@ def met_within(rate, lapse):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def one_of(hyps, b):  # type: ignore[no-untyped-def]
-    """Hypothesis `b`: its states X (n, 1 + k), P (n, n), marks (c, ...), memory, parameters (k,), their covariance."""
-    return hyps[0][b], hyps[1][b], hyps[2][b], hyps[3][b], hyps[4][b], hyps[5][b]
+    """Hypothesis `b`: its states X (n, 1 + k), P (n, n), marks (c, ...), memory, parameters (k,), their covariance, and
+    the sums of steps that may have been (groups, ...), see `steps`.
+    """
+    return hyps[0][b], hyps[1][b], hyps[2][b], hyps[3][b], hyps[4][b], hyps[5][b], hyps[6][b]
 
 
 @njit(cache=True)
@@ -203,7 +229,7 @@ def meet_zero(hyp, row, channel):  # type: ignore[no-untyped-def]
     on; returns the factor by which that state was scaled. An unknown zero is wide for the hypotheses' weights alone:
     the first measurement that is accepted begins it, see `begin_zero`.
     """
-    x, p, marks, _, _, _ = hyp
+    x, p, marks, _, theta, _, tests = hyp
     mark, z = marks[int(row[CHANNEL])], int(channel[ZERO])
     if mark[BEGUN] == 0.0:
         if channel[ZERO_VARIANCE] < np.inf:
@@ -214,13 +240,16 @@ def meet_zero(hyp, row, channel):  # type: ignore[no-untyped-def]
     if channel[SLOW_VARIANCE] > 0.0:
         factor = np.exp(-channel[SLOW_RATE] * (row[AT] - mark[MET_AT]))
         scale_state(x, p, z + 2, factor)
+        scale_changed(tests, z + 2, factor, len(theta), len(p))
         p[z + 2, z + 2] += (1.0 - factor * factor) * channel[SLOW_VARIANCE]
         return factor
     was = mark[REFERENCE_NOW]
     if was == row[REFERENCE]:
         return 1.0
     mark[REFERENCE_NOW] = row[REFERENCE]
-    return move_reference(x, p, z + 2, was, row[REFERENCE])
+    factor = move_reference(x, p, z + 2, was, row[REFERENCE])
+    scale_changed(tests, z + 2, factor, len(theta), len(p))
+    return factor
 
 
 @njit(cache=True)
@@ -228,7 +257,7 @@ def follow_clock(hyp, row, channel):  # type: ignore[no-untyped-def]
     """Where a sensor's clock has stepped, let the difference between its time's displacement and this one's go on to
     change as the motion does (first-order Gauss-Markov), in the place of a shift; returns the factor on that state.
     """
-    _, p, marks, _, _, _ = hyp
+    _, p, marks, _, _, _, _ = hyp
     mark, s = marks[int(row[CHANNEL])], int(channel[ZERO]) + 1
     if mark[STEPPED] == 0.0:
         return 1.0
@@ -260,7 +289,7 @@ def look(hyp, row, scene, tables, scratch):  # type: ignore[no-untyped-def]
     scene = (motion, acceleration at the instant, density of its noise); the sensitivities go to `scratch`, and P h with
     them. The variance of the prediction is (without, with) the parameters' part.
     """
-    x, p, marks, _, theta, spread = hyp
+    x, p, marks, _, theta, spread, _ = hyp
     channels, kinds = tables[1], tables[2]
     gain, e = scratch
     c = int(row[CHANNEL])
@@ -278,6 +307,9 @@ def look(hyp, row, scene, tables, scratch):  # type: ignore[no-untyped-def]
 @njit(cache=True)
 def adapt(marks, c, error, known, own, memory):  # type: ignore[no-untyped-def]
     """Follow the variance of a channel's noise after an accepted innovation; known, own: parts of its variance."""
+    # Noise that is taken as declared does not fall.
+    if marks[c, RECENT] < FALLEN and memory < np.inf:
+        marks[c, RESTS_ON] = min(marks[c, RESTS_ON], ANEW)
     rests = min(marks[c, RESTS_ON], memory - 1.0)
     ratio = 1.0
     for _ in range(ITERATIONS):
@@ -286,6 +318,9 @@ def adapt(marks, c, error, known, own, memory):  # type: ignore[no-untyped-def]
         ratio = (rests + left) / (rests + 1.0)
     marks[c, FACTOR] *= ratio
     marks[c, RESTS_ON] = rests + 1.0
+    if known < own:
+        # Else the innovation tells more of the prediction than of the noise.
+        marks[c, RECENT] += (error * error / (known + own) - marks[c, RECENT]) / ANEW
 
 
 @njit(cache=True)
@@ -313,15 +348,62 @@ def learn_parameters(theta, spread, e, error, variances, times, learning):  # ty
 
 
 @njit(cache=True)
+def ask_for_step(hyp, row, share, tables, options):  # type: ignore[no-untyped-def]
+    """Let a step of the sensor's zero be asked for from this measurement on, where the last such instant is far enough
+    away; share: what the update takes over of the innovation.
+    """
+    _, p, marks, memory, theta, _, tests = hyp
+    c, axes = int(row[CHANNEL]), len(tables[5])
+    own, k, n = tests[group_of(tables[1][c], axes)], len(theta), len(p)
+    carry(tests, row[AT], axes, k, n)
+    if marks[c, STEPPED] > 0.0 or marks[c, BEGUN] == 0.0:
+        # What it measures is of another instant, or begins its zero.
+        own[:] = 0.0
+        return
+    newest = (int(own[INSTANTS, NUMBER]) - 1) % INSTANTS
+    own[INSTANTS, TAKEN_OVER] += share
+    if options[SHIFT_RATE] > 0.0 and own[INSTANTS, TAKEN_OVER] >= APART_BY and own[newest, SINCE] != row[AT]:
+        last = max(marks[c, ACCEPTED_AT], memory[BEGAN_AT])
+        lapse = max(row[AT] - last, SHORTEST_S)
+        moved = moved_probability(lapse, tables[1][c], options[SHIFT_RATE])
+        priors = (np.log(moved), np.log(min(met_within(options[WRONG_RATE], lapse), 0.5)))
+        begin_instant(tests, c, tables[1], axes, (row[AT], row[AT] - lapse), priors, k, n)
+
+
+@njit(cache=True)
+def find_step(hyp, row, tables, least):  # type: ignore[no-untyped-def]
+    """Whether innovations tell by odds (logarithm) of `least` that the sensor's zero has stepped; then it is taken out
+    of the states, what it may be off by included, and the hypothesis remembers it.
+    """
+    x, p, marks, memory, theta, _, tests = hyp
+    channels, axes, c = tables[1], len(tables[5]), int(row[CHANNEL])
+    own, a = tests[group_of(channels[c], axes)], int(channels[c, AXIS])
+    best, odds = step_of(own, theta, tables[5][a], -np.log(2.0 * DECADES * np.log(10.0)), len(p))
+    if best < 0 or odds < least:
+        return False
+    since = own[best, SINCE]
+    memory[STEP_BY], memory[STEP_VARIANCE] = take_step(x, p, own[best], theta)
+    memory[STEP_AGO], memory[CODE] = row[AT] - since, STEPPED_BEFORE
+    memory[SHIFT_AT], memory[SHIFT_OF], memory[SHIFT_BY] = since, channels[c, SENSOR_OF], memory[STEP_BY]
+    for o in range(len(channels)):
+        if group_of(channels[o], axes) == group_of(channels[c], axes):
+            marks[o, SHIFTED] = 1.0
+    # The states have changed: all other sums were of those before.
+    tests[:] = 0.0
+    return True
+
+
+@njit(cache=True)
 def accept(hyp, row, seen, tables, options, scratch):  # type: ignore[no-untyped-def]
     """Update one hypothesis with a measurement; seen: what `look` returned, P h and sensitivities in `scratch`.
 
     Returns the innovation's variance that it was taken with, infinite where it began the channel's zero.
     """
-    x, p, marks, memory, theta, spread = hyp
+    x, p, marks, memory, theta, spread, tests = hyp
     gain, e = scratch
     c = int(row[CHANNEL])
     error, known, wider, own = seen
+    ask_for_step(hyp, row, known / (known + own), tables, options)
     g = tables[1][c, UNITS_PER_M]
     memory[ERROR], memory[TOTAL] = error, wider + own
     total = np.inf
@@ -337,6 +419,7 @@ def accept(hyp, row, seen, tables, options, scratch):  # type: ignore[no-untyped
             memory[LAST_AT] = row[AT]
             move_to_updated(e, tables[2][c], row[AT] >= tables[4][:, FROM_S], error * known / total)
         update(x, p, gain, e, total)
+    meet_innovation(tests, c, tables[1], len(tables[5]), gain, e, total)
     marks[c, DISTURBED] = 0.0
     marks[c, SHARE] -= marks[c, SHARE] / OUTLIER_MEMORY
     marks[c, ACCEPTED_AT], marks[c, ACCEPTED_VARIANCE] = row[AT], own / (g * g) + marks[c, REFERENCE_NOW]
@@ -355,7 +438,7 @@ def weigh_return(hyp, row, seen, channel, options, scratch, chances):  # type: i
 
     A shift is asked for its return outside the gate only; a clock that has stepped explains every measurement.
     """
-    x, p, marks, memory, _, _ = hyp
+    x, p, marks, memory, _, _, _ = hyp
     mark, (error, wider, own) = marks[int(row[CHANNEL])], seen
     if mark[STEPPED] == 0.0 and error * error <= GATE * GATE * (wider + own):
         return
@@ -371,7 +454,7 @@ def weigh_return(hyp, row, seen, channel, options, scratch, chances):  # type: i
 @njit(cache=True)
 def weigh_step(hyp, row, seen, channels, options, chances):  # type: ignore[no-untyped-def]
     """The weight of a clock that steps; seen = (innovation, its variance, time in which it may have happened, s)."""
-    _, _, marks, memory, _, _ = hyp
+    _, _, marks, memory, _, _, _ = hyp
     c, (error, total, lapse) = int(row[CHANNEL]), seen
     mark, apart = marks[c], channels[c][APART]
     if mark[SHIFTED] > 0.0 or apart == 0.0:
@@ -390,7 +473,7 @@ def weigh(hyp, row, scene, tables, options, scratch, asked, chances):  # type: i
     asked = (whether it is one of the first and may be an outlier even inside the gate, variance of the sharpest
     prediction that any hypothesis has of it).
     """
-    _, _, marks, memory, _, _ = hyp
+    _, _, marks, memory, _, _, _ = hyp
     c = int(row[CHANNEL])
     channel, mark, prior = tables[1][c], marks[c], memory[WEIGHT]
     error, _, wider, own = look(hyp, row, scene, tables, scratch)
@@ -460,7 +543,7 @@ def go_back(hyp, row, scene, tables, options, scratch):  # type: ignore[no-untyp
     comes later than returns do on the mean: what does not go back soon has moved for good, and a second shift has
     nearly undone the first.
     """
-    x, p, marks, memory, _, _ = hyp
+    x, p, marks, memory, _, _, _ = hyp
     channel, mark = tables[1][int(row[CHANNEL])], marks[int(row[CHANNEL])]
     s = int(channel[ZERO]) + 1
     scale_state(x, p, s, 0.0)
@@ -487,16 +570,35 @@ def let_go(p, i, missed, spread):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
+def forget_steps(tests, kind, channel, axes):  # type: ignore[no-untyped-def]
+    """No step before a change of a sensor's zero is asked for any more."""
+    if kind in (SHIFT, RETURN, CLOCK):
+        tests[group_of(channel, axes)] = 0.0
+
+
+@njit(cache=True)
+def shift_zero(hyp, row, channel, seen, since_then):  # type: ignore[no-untyped-def]
+    """Let a channel's zero have shifted; seen = (innovation, its variance). Where only later measurements tell the
+    size, nothing is known of it here: the prior takes a fiftieth of its deviation.
+    """
+    _, p, marks, memory, _, _, _ = hyp
+    s, (error, total), unit = int(channel[ZERO]) + 1, seen, channel[UNITS_PER_M]
+    p[s, s] += (VAGUE * total if since_then else error * error) / (unit * unit)
+    marks[int(row[CHANNEL]), SHIFTED] = 1.0
+    memory[SHIFT_AT], memory[SHIFT_OF], memory[SHIFT_BY] = row[AT], channel[SENSOR_OF], error / unit
+
+
+@njit(cache=True)
 def become(code, hyp, row, scene, tables, options, scratch):  # type: ignore[no-untyped-def]
     """Turn a hypothesis into what a measurement makes of it, as `code` says; returns the innovation's variance that
     it was taken with (0: not at all) and the factor by which the shift's state was scaled.
     """
-    _, p, marks, memory, _, _ = hyp
+    _, p, marks, memory, _, _, tests = hyp
     c = int(row[CHANNEL])
     channel, mark = tables[1][c], marks[c]
     a, s, scaled = int(channel[AXIS]), int(channel[ZERO]) + 1, 1.0
-    kind, lapse, spread = code % KINDS, max(row[AT] - mark[MET_AT], SHORTEST_S), code >= SPREAD
-    code -= SPREAD if spread else 0
+    kind, lapse, spread = code % KINDS, max(row[AT] - mark[MET_AT], SHORTEST_S), (code // SPREAD) % 2 == 1
+    since_then, code = code >= SINCE_THEN, code % SPREAD
     memory[CODE] = code
     memory[AGE] = memory[AGE] + 1.0 if code == GOOD else 0.0
     mark[MET_AT], mark[DOUBTED] = row[AT], 0.0
@@ -513,16 +615,14 @@ def become(code, hyp, row, scene, tables, options, scratch):  # type: ignore[no-
         return 0.0, scaled
     error, total = seen[0], seen[2] + seen[3]
     size = error / channel[UNITS_PER_M]
+    forget_steps(tests, kind, channel, len(tables[5]))
     if kind == SHIFT:
-        p[s, s] += size * size
-        mark[SHIFTED] = 1.0
-        memory[SHIFT_AT], memory[SHIFT_OF], memory[SHIFT_BY] = row[AT], channel[SENSOR_OF], size
+        shift_zero(hyp, row, channel, (error, total), since_then)
     elif kind == RETURN:
         scaled = 0.0
         go_back(hyp, row, scene, tables, options, scratch)
     elif kind == CLOCK:
-        p[s, s] += channel[APART]
-        mark[STEPPED] = 1.0
+        p[s, s], mark[STEPPED] = p[s, s] + channel[APART], 1.0
     elif kind == WRONG:
         memory[DENSITY], memory[ALONG] = led_away(size, lapse), a
         if not spread:
@@ -533,6 +633,7 @@ def become(code, hyp, row, scene, tables, options, scratch):  # type: ignore[no-
         let_go(p, 3 * a, (size, lapse, options[BIAS_STD]), spread)
         memory[DENSITY] = 0.0
     elif kind == NOISE:
+        mark[RECENT] = 1.0
         mark[FACTOR], mark[RESTS_ON] = mark[FACTOR] * error * error / total, min(mark[RESTS_ON], ANEW)
     if kind != GOOD:
         seen = look(hyp, row, scene, tables, scratch)
@@ -543,7 +644,9 @@ def become(code, hyp, row, scene, tables, options, scratch):  # type: ignore[no-
         seen = look(hyp, row, scene, tables, scratch)
     taken = accept(hyp, row, seen, tables, options, scratch)
     memory[ERROR], memory[TOTAL] = error, total
-    if code >= ENDED:
+    if code == STEPPED_BEFORE:
+        find_step(hyp, row, tables, -np.inf)
+    elif code >= ENDED:
         memory[DENSITY] = 0.0
     return taken, scaled
 
@@ -551,15 +654,15 @@ def become(code, hyp, row, scene, tables, options, scratch):  # type: ignore[no-
 @njit(cache=True)
 def copy_hypothesis(hyps, to, of):  # type: ignore[no-untyped-def]
     """Hypothesis `to` becomes a copy of `of`."""
-    xs, ps, marks, memory, thetas, spreads = hyps
+    xs, ps, marks, memory, thetas, spreads, tests = hyps
     xs[to], ps[to], marks[to], memory[to] = xs[of], ps[of], marks[of], memory[of]
-    thetas[to], spreads[to] = thetas[of], spreads[of]
+    thetas[to], spreads[to], tests[to] = thetas[of], spreads[of], tests[of]
 
 
 @njit(cache=True)
 def alike(hyps, b, o):  # type: ignore[no-untyped-def]
     """Whether two hypotheses have come to say the same of every state, of the noise and of what goes on."""
-    xs, ps, marks, memory, _, _ = hyps
+    xs, ps, marks, memory, _, _, _ = hyps
     if memory[o, DENSITY] != memory[b, DENSITY]:
         return False
     for c in range(marks.shape[1]):

@@ -30,9 +30,11 @@ from midspan.fusion.hypotheses import (
     MET_AT,
     MOST,
     OUTLIER_AT,
+    RECENT,
     RESTS_ON,
     SHIFT_AT,
 )
+from midspan.fusion.steps import CAUSES, INSTANTS, SUMS
 from midspan.records import NANOSECONDS, Channel, Floats
 
 # The state starts this long before the first sample; the same however the record is cut.
@@ -140,7 +142,7 @@ class EstimatorSettings:
         return self.first_zero + ZERO_STATES * len(self.channels)
 
 
-Hyps = tuple[Floats, Floats, Floats, Floats, Floats, Floats]
+Hyps = tuple[Floats, Floats, Floats, Floats, Floats, Floats, Floats]
 Tables = tuple[Floats, Floats, NDArray[np.int64], int, Floats, Floats, Floats]
 
 
@@ -238,14 +240,16 @@ def hypotheses_at(begin: Beginning, settings: EstimatorSettings) -> tuple[Hyps, 
             xs[0, 3 * parameter.axis + 2, 1 + q] = -settings.bias_m_s2[parameter.axis]
     marks[0, :, FACTOR] = [channel.variance_factor for channel in settings.channels]
     marks[0, :, RESTS_ON], marks[0, :, ACCEPTED_AT] = settings.noise_weight, -np.inf
-    marks[0, :, MET_AT] = begin.time_s - START_S
+    marks[0, :, MET_AT], marks[0, :, RECENT] = begin.time_s - START_S, 1.0
     memory[0, [SHIFT_AT, OUTLIER_AT]], memory[0, [LAST_AT, BEGAN_AT]] = -np.inf, begin.time_s
     spreads = np.zeros((count, k, k))
     spreads[0] = np.diag([p.std**2 for p in settings.parameters])
     motion, clock = np.zeros((settings.axes, MOTION_COLUMNS)), np.zeros(4)
     motion[:, INPUT] = begin.acceleration
     clock[[TIME, STEP, COUNT, JUDGED]] = (begin.time_s - START_S, np.inf, 1, begin.judged)
-    return (xs, ps, marks, memory, np.zeros((count, k)), spreads), motion, clock
+    groups = len({channel.sensor for channel in settings.channels}) * settings.axes
+    tests = np.zeros((count, groups, INSTANTS + 1, SUMS + CAUSES * (2 + k + n)))
+    return (xs, ps, marks, memory, np.zeros((count, k)), spreads, tests), motion, clock
 
 
 @dataclass(frozen=True, slots=True)
@@ -321,7 +325,7 @@ def run(state: Filter, block: Block, tables: Tables, options: Floats, *, back: b
         np.empty((s, axes, FOUND_COLUMNS)),
         np.zeros((m, MET_COLUMNS)),
         np.zeros((m, MOST), dtype=np.int16),
-        np.zeros((m, MOST, 2)),
+        np.zeros((m, MOST, 3)),
         np.empty((s if back else 0, axes, 2 * columns + 2 * n)),
         np.zeros((m, RECORD + columns + n)),
     )

@@ -14,8 +14,21 @@ from midspan.fusion.blocks import estimate_of, given_rows, sample_rows
 from midspan.fusion.decisions import NOTHING_DECIDED, Decided
 from midspan.fusion.estimator import BLOCK, Estimator, EstimatorState, Log, Rows
 from midspan.fusion.filtering import FOUND_VARIANCE, FOUND_VELOCITY, FOUND_X, backward_block, zero_variance
-from midspan.fusion.forward import AT, AXIS, CHANNEL, TIME, UNITS_PER_M, ZERO, ZERO_VARIANCE
-from midspan.fusion.hypotheses import BEGUN, KINDS, LOST, OUTLIER, SHORTEST_S, SPREAD, WRONG, led_away
+from midspan.fusion.forward import AT, AXIS, CHANNEL, SENSOR, TIME, UNITS_PER_M, ZERO, ZERO_VARIANCE
+from midspan.fusion.hypotheses import (
+    BEGUN,
+    GOOD,
+    KINDS,
+    LOST,
+    OUTLIER,
+    SHIFT,
+    SHORTEST_S,
+    SINCE_THEN,
+    SPREAD,
+    STEPPED_BEFORE,
+    WRONG,
+    led_away,
+)
 from midspan.fusion.model import Beginning, Block, EstimatorSettings, Filter, Left, options_of, run, tables_of
 from midspan.records import Estimate, Event, Floats, Measured, Samples, joined, part
 
@@ -126,6 +139,19 @@ def unforeseen(decided: Decided, channels: Floats) -> tuple[Unforeseen, NDArray[
     return Unforeseen(table[:, 0], table[:, 1], table[:, 2].astype(np.int64), table[:, 3]), codes
 
 
+def steps_in_place(decided: Decided, channels: Floats) -> Decided:
+    """Decisions with the steps that later measurements told as shifts where they were: of all targets of a sensor."""
+    codes, rows = decided.codes.copy(), decided.rows
+    codes[codes == STEPPED_BEFORE] = GOOD
+    for j in np.flatnonzero(decided.codes == STEPPED_BEFORE):
+        since_s, own = rows[j, AT] - decided.errors[j, 2] - SHORTEST_S, channels[int(rows[j, CHANNEL])]
+        first = int(np.searchsorted(rows[:, AT], since_s))
+        for c in np.flatnonzero((channels[:, SENSOR] == own[SENSOR]) & (channels[:, AXIS] == own[AXIS])):
+            met = (rows[first : j + 1, CHANNEL] == c) & (codes[first : j + 1] % KINDS != OUTLIER)
+            codes[first + np.flatnonzero(met)[:1]] = SHIFT + SINCE_THEN
+    return replace(decided, codes=codes)
+
+
 def joined_decisions(parts: list[Decided]) -> Decided:
     """Decisions in their order as one."""
     return Decided(
@@ -138,6 +164,7 @@ def joined_decisions(parts: list[Decided]) -> Decided:
 def smooth(log: Log, settings: EstimatorSettings) -> tuple[Estimate, ...]:
     """The rows of each axis, smoothed by the whole record; log: of an estimator that has finished."""
     work, decided = SecondPass(settings, log.origin_ns), joined_decisions(log.decided)
+    decided = steps_in_place(decided, work.tables[1])
     samples = joined(log.samples)
     errors, codes = unforeseen(decided, work.tables[1])
     decided = replace(decided, codes=codes)

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 
 from midspan.fusion.branches import Branches, Rates
 from midspan.fusion.complementary import fused, smoothed_record
-from midspan.fusion.fir import HIGHEST_NYQUIST, at_frames, folding_probe
+from midspan.fusion.fir import at_frames
 from midspan.fusion.streams import KalmanSettings, MethodSettings, Smoothed
 from midspan.records import Acceleration, Displacement, Estimate
 from midspan.signals.fir import Transition, complement, equiripple_low_pass
@@ -21,6 +21,8 @@ from midspan.signals.integrate import integrating
 
 # Least width of the anti-aliasing filter's transition band, Hz: half the displacement's rate is at least f_c + this.
 LEAST_WIDTH_HZ = 0.5
+# Above this share of the accelerometer's rate nothing can fold.
+HIGHEST_NYQUIST = 0.4
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,16 +64,13 @@ def design(rates: Rates, settings: TwoStageSettings) -> Branches:
     cut_off_hz = settings.band.stop_hz
     # A few parts in a million: rates learnt from stamps are not exact.
     if 2.0 * nyquist_hz < least_rate_hz(cut_off_hz) * (1.0 - 1e-3):
-        probe = folding_probe(rates, min(nyquist_hz, settings.band.pass_hz))
         # Below the least rate the complementary high-pass is the anti-aliasing filter too.
         removed = at_frames(low, rates, settings.rule)
-        return Branches(low, high, settings.rule, removed, probe, (_too_slow(rates, settings),))
+        return Branches(low, high, settings.rule, removed, (_too_slow(rates, settings),))
     if nyquist_hz * rates.step_s > HIGHEST_NYQUIST:
         return Branches(low, high, settings.rule)
     anti_alias = equiripple_low_pass(Transition(cut_off_hz, nyquist_hz, settings.anti_alias_ripple), rate_hz)
-    # What the trapezoidal rule leaves folded is told by what Numerov's rule would have taken off.
-    probe = at_frames(anti_alias, rates, "numerov") if settings.literal else None
-    return Branches(low, high, settings.rule, at_frames(anti_alias, rates, settings.rule), probe)
+    return Branches(low, high, settings.rule, at_frames(anti_alias, rates, settings.rule))
 
 
 def two_stage_fir(

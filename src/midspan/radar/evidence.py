@@ -14,13 +14,20 @@ COHERENCE_LAG_S = 0.12
 # Lag that shows what moves on its own at 0.3 to 1 Hz, as the wind moves trees; what is left over it counts as such from
 # this many times the variance on that the accelerometer's and the phase's noise make.
 OWN_LAG_S, OWN_EXCESS = 0.5, 1.5
+# The variance of a second difference of white noise over that of the noise: 1² + 2² + 1².
+SECOND_POWER = 6.0
 
 
-def coherence(los_m: Floats, time_s: Floats, integrals: Integrals, ratio: float) -> float:
-    """Share of the second differences of the range change (n,) that the accelerometer explains, 0 … 1."""
+def coherence(los_m: Floats, time_s: Floats, integrals: Integrals, ratio: float, noise_m2: float) -> float:
+    """Share of the second differences of the range change (n,) that the accelerometer explains, 0 … 1.
+
+    noise_m2: variance of one frame by the receiver's noise, which is no motion that could be explained.
+    """
     second, response = _over(los_m, time_s, integrals, COHERENCE_LAG_S)
-    rest, total = np.var(second - ratio * response), np.var(second)
-    return max(0.0, 1.0 - float(rest / total)) if len(second) and total > 0 else 0.0
+    white = SECOND_POWER * noise_m2
+    rest = max(float(np.var(second - ratio * response)) - white, 0.0)
+    total = float(np.var(second)) - white
+    return max(0.0, 1.0 - rest / total) if len(second) and total > 0 else 0.0
 
 
 def _over(los_m: Floats, time_s: Floats, integrals: Integrals, lag_s: float) -> tuple[Floats, Floats]:
@@ -39,10 +46,9 @@ def own_motion(los_m: Floats, time_s: Floats, integrals: Integrals, ratio: float
     second, response = _over(los_m, time_s, integrals, OWN_LAG_S)
     if len(second) == 0:
         return 0.0
-    # A second difference of white noise has six times its variance.
-    expected = 6.0 * noise_m2 + ratio**2 * integrals.noise_variance(OWN_LAG_S)
+    expected = SECOND_POWER * noise_m2 + ratio**2 * integrals.noise_variance(OWN_LAG_S)
     rest = float(np.var(second - ratio * response))
-    return float(np.sqrt((rest - expected) / 6.0)) if rest > OWN_EXCESS * expected else 0.0
+    return float(np.sqrt((rest - expected) / SECOND_POWER)) if rest > OWN_EXCESS * expected else 0.0
 
 
 def clutter_share(z: Phasors, phase_rad: Floats) -> float:

@@ -101,7 +101,8 @@ def _unwrapped(z: Phasors, target: Target, given: tuple[Floats, Floats, float]) 
     samples, and rad per m of range.
     """
     frame_s, samples, unit = given
-    variance = np.where(blocked(np.abs(z), target.amplitude), np.inf, phase_variance(z, target.noise_variance))
+    hidden = blocked(np.abs(z), target.amplitude, target.noise_variance)
+    variance = np.where(hidden, np.inf, phase_variance(z, target.noise_variance))
     return unwrap_aligned(
         frame_s,
         np.angle(z).astype(np.float64),

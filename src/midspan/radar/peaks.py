@@ -5,21 +5,26 @@ import numpy as np
 from midspan.radar.channels import MIN_BINS, Phasors
 from midspan.records import Floats
 
-# A peak counts from this power ratio to the noise on, and this many are looked at.
-MIN_POWER_RATIO, MAX_TARGETS = 10.0, 40
+# A peak counts from this power ratio to the noise on, and this many are looked at. A weak one has, receivers combined,
+# the least ratio at which the phase can be unwrapped (4 dB).
+MIN_POWER_RATIO, WEAK_POWER_RATIO, MAX_TARGETS = 10.0, 2.5, 40
 
 
-def peaks(profiles: Phasors, noise: float) -> tuple[float, ...]:
-    """Fractional bins of the peaks of the mean power, and of the power that changes, of (frames, channels, bins)."""
+def peaks(profiles: Phasors, noise: float, *, weak: bool = False) -> tuple[float, ...]:
+    """Fractional bins of the peaks of the mean power, and of the power that changes, of (frames, channels, bins).
+
+    noise: power of one receiver's; weak: also of targets that no single frame shows, but the mean of all does.
+    """
     z = np.asarray(profiles)
     if z.shape[2] < MIN_BINS:
         # Stored targets, not a profile.
         return tuple(float(k) for k in range(z.shape[2]))
     power = np.mean(np.abs(z) ** 2, axis=(0, 1))
     changing = np.maximum(power - np.mean(np.abs(z.mean(axis=0)) ** 2, axis=0), 0.0)
+    least = (1.0 + WEAK_POWER_RATIO / z.shape[1] if weak else MIN_POWER_RATIO) * noise
     found: dict[int, float] = {}
     for values in (power, changing):
-        for k in _summits(values, MIN_POWER_RATIO * noise):
+        for k in _summits(values, least):
             if not any(abs(k - known) <= 1 for known in found):
                 found[k] = k + _fraction(values[k - 1 : k + 2])
     strongest = sorted(found, key=lambda k: -power[k])[:MAX_TARGETS]

@@ -175,6 +175,8 @@ def find_targets(
     noise = noise_variance(whole if len(whole) > 1 else profiles)
     window = _Window(profiles, valid, np.asarray(frame_s, dtype=np.float64), samples, max_offset_s, axis, noise)
     found = tuple(_examined(window, place) for place in peaks(profiles, noise))
+    if all(target.objection for target in found) and window.profiles.shape[2] >= MIN_BINS:
+        found = tuple(_examined(window, place) for place in peaks(profiles, noise, weak=True))
     return tuple(target for k, target in enumerate(found) if not _repeated(target, found[:k]))
 
 
@@ -300,7 +302,8 @@ def _compared(plain: Target, z: Phasors, window: _Window) -> tuple[Target, Float
     integrals, time_s = Integrals.of(samples), frame_s + offset
     expected = unit * ratio * integrals.displacement(time_s)
     measured = measured_variance(unwrapped.phase_rad, expected)
-    beyond = max(measured - float(np.median(variance[~faint])), 0.0) if np.isfinite(measured) else 0.0
+    receiver = float(np.median(variance[~faint]))
+    beyond = max(measured - receiver, 0.0) if np.isfinite(measured) else 0.0
     bent = modulation(z, unwrapped.phase_rad, noise)
     spread = factor_spread(bent, abs(plain.leak) / amplitude, float(np.nanstd(unwrapped.phase_rad)))
     found_target = replace(
@@ -309,19 +312,13 @@ def _compared(plain: Target, z: Phasors, window: _Window) -> tuple[Target, Float
         conversion_factor_std=float(np.hypot(std / ratio**2, spread / ratio)),
         time_offset_s=offset,
         time_offset_std_s=found.offset_std_s if found else first.offset_std_s,
-        coherence=coherence(unwrapped.phase_rad / unit, time_s, integrals, ratio),
+        coherence=coherence(unwrapped.phase_rad / unit, time_s, integrals, ratio, receiver / unit**2),
         clutter=clutter_share(z + plain.leak, unwrapped.phase_rad),
-        noise_m=abs(1.0 / ratio) * float(np.sqrt(np.median(variance[~faint]) + beyond)) / unit,
+        noise_m=abs(1.0 / ratio) * float(np.sqrt(receiver + beyond)) / unit,
         modulation_rad=bent,
         phase_noise_rad2=beyond,
         own_m=abs(1.0 / ratio)
-        * own_motion(
-            unwrapped.phase_rad / unit,
-            time_s,
-            integrals,
-            ratio,
-            (float(np.median(variance[~faint])) + beyond) / unit**2,
-        ),
+        * own_motion(unwrapped.phase_rad / unit, time_s, integrals, ratio, (receiver + beyond) / unit**2),
     )
     return found_target, unwrapped.phase_rad / unit
 
@@ -363,7 +360,7 @@ def _expected_m(target: Target) -> float:
 
 def _no_target(targets: tuple[Target, ...]) -> str:
     if not targets:
-        return "The radar sees no target: no peak of the range profile stands 10 dB above the noise. Check its aim."
+        return "The radar sees no target: no peak of the range profile stands 4 dB above the noise. Check its aim."
     worst = sorted(targets, key=lambda target: -target.amplitude)[:3]
     told = "; ".join(f"{target.range_m:.2f} m ({target.snr_db:.0f} dB): {target.objection}" for target in worst)
     return (

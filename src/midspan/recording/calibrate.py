@@ -77,7 +77,10 @@ def _calibrate_and_track(recording: Recording, progress: Progress) -> tuple[Cali
     # What the accelerometer's sensitivity may be off by is in all that was compared with it.
     tolerance = recording.accelerometer.scale_std
     gain_std, gain = min(gains, default=(tolerance, 1.0))
-    main = _of_axis(recording, fits, (gain, gain_std), warnings)
+    # All compare with one accelerometer; the surest direction is taken.
+    fits = sorted(fits, key=lambda fit: np.inf if fit.direction is None else fit.direction.variance)
+    axis = fits[0].direction
+    main = _of_axis(recording.along(axis), fits, (gain, gain_std), warnings)
     view, across = recording.across, None
     if view is not None and seen and len(seen[0].parts) > 1:
         part = seen[0].parts[1]
@@ -87,6 +90,7 @@ def _calibrate_and_track(recording: Recording, progress: Progress) -> tuple[Cali
     calibration = replace(
         main,
         accelerometer_scale=gain,
+        sensor_axis=axis,
         warnings=tuple(warnings),
         across=across,
         left_out=view.axis if view is not None and across is None else "",
@@ -111,7 +115,8 @@ def _of_axis(view: Recording, fits: Sequence[Any], gain: tuple[float, float], wa
     if biases:
         warnings += [line for line in view.prepared.warnings if line not in warnings]
     # The accelerometer's noise is in each of them: they are no independent draws, and the surest one is taken.
-    bias = min(biases, key=lambda one: one.std_m_s2, default=Bias(0.0, 0.0))
+    # With several axes it is that along the axis taken.
+    bias = min(biases[: 1 if fits[0].direction else None], key=lambda one: one.std_m_s2, default=Bias(0.0, 0.0))
     density = max(fit.input_noise.density for fit in fits)
     return Calibration(
         accelerometer_scale_std=gain[1],
@@ -123,6 +128,7 @@ def _of_axis(view: Recording, fits: Sequence[Any], gain: tuple[float, float], wa
         slope=max(fit.slope for fit in fits),
         bias_m_s2=bias.value_m_s2,
         bias_std_m_s2=bias.std_m_s2,
+        bias_drift_m_s3=bias.drift_m_s3,
         **placed([fit.calibration.without_gain(*gain) for fit in fits]),
         usual=usual_in_window(view) if biases else None,
         diagnostics=next((fit.diagnostics for fit in fits if fit.diagnostics is not None), None),

@@ -31,6 +31,7 @@ from midspan.engine.second_look import (
 )
 from midspan.engine.sensor_series import SensorSeries
 from midspan.engine.tracking import CameraTracking
+from midspan.engine.unshaken import refuse_unshaken
 from midspan.errors import DataError, UntrustedError, UsageError
 from midspan.fusion.estimator import Estimator
 from midspan.fusion.methods import METHODS, Method, Pass, no_literal_form
@@ -40,7 +41,7 @@ from midspan.progress import Progress, silent
 from midspan.recording.calibrate import calibrate_and_track
 from midspan.recording.kinds import ROWS
 from midspan.recording.messages import channel_warnings, refuse_rejections, require_same_cameras, uncalibrated
-from midspan.recording.point import gain_std, measuring_point, zero_instant
+from midspan.recording.point import measuring_point, zero_instant
 from midspan.recording.printed_radar import estimate_printed
 from midspan.recording.result import Result
 from midspan.recording.run import Outcome, run, used_when
@@ -288,7 +289,7 @@ def on_series(asked: Asked, first: FirstPass, ran: Mapping[str, OneClock], check
     known = first.estimator.settings
     # What nothing measured shows is no reason to take a farther measurement for right: it enters at the end.
     found, method = smoothed(first, ran, checked, alone=True), asked.by_settings
-    gain = gain_std(asked.recording, asked.calibration, given=asked.given)
+    gain = asked.calibration.gain_std(asked.recording.accelerometer.scale_std, given=asked.given)
     rows, innovations = list(found.rows), list(found.innovations)
     warnings = list(found.warnings)
     events: list[Event] = []
@@ -315,7 +316,7 @@ def on_series(asked: Asked, first: FirstPass, ran: Mapping[str, OneClock], check
         found,
         rows=tuple(rows),
         zero_variance_m2=tuple(
-            known.misfit[axis] * zero + known.unseen_std_m[axis] ** 2
+            known.misfit[axis] * zero + (0.0 if known.zero_ns is None else known.unseen_std_m[axis] ** 2)
             for axis, zero in enumerate(found.zero_variance_m2)
         ),
         innovations=tuple(innovations),
@@ -344,6 +345,8 @@ def result_of(asked: Asked, first: FirstPass, found: Found, checked: Checked) ->
     """The result as plain data."""
     recording, main = asked.recording, found.rows[0]
     refuse_rejections(recording, found.innovations[0])
+    if not asked.by_settings.literal:
+        refuse_unshaken(main, first.sides[0].acceleration)
     sensors, radars = first.outcome.sensor_events, first.outcome.radars
     info = {view.sensor: view.radar.info for view, _ in known_sensors(first.sides[0]) if view.sensor in radars}
     fused = tuple(event for event in found.events if event.axis == 0)

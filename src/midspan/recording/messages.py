@@ -1,6 +1,6 @@
 """What an estimate refuses and what it warns of, in sentences."""
 
-from midspan.calibration.sensors.radar import RadarCalibration
+from midspan.calibration.sensors.radar import require_same_way
 from midspan.engine.row_messages import rejected_share
 from midspan.errors import UntrustedError, UsageError
 from midspan.recording.streams.recording import Recording
@@ -47,18 +47,6 @@ def require_same_cameras(recording: Recording, calibration: Calibration) -> None
                 f"{recording.file}: the main axis is {view.axis!r}: the calibration's is {known.direction!r}. "
                 "Calibrate again."
             )
-
-
-def require_same_way(calibration: RadarCalibration, literal: bool) -> None:
-    """UsageError where a calibration as printed would be followed otherwise, or the other way round."""
-    if calibration.literal == literal:
-        return
-    made, asked = (str(value).lower() for value in (calibration.literal, literal))
-    raise UsageError(
-        f"radar: the calibration was made with fusion.literal = {made}, this estimate has fusion.literal = {asked}; "
-        f"both must be the same. Write literal = {asked} under [fusion] of recording.toml and run `midspan calibrate` "
-        "again, or leave the calibration out."
-    )
 
 
 def refuse_rejections(recording: Recording, innovation: Innovation) -> None:

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from math import hypot
+from math import hypot, sqrt
 
 import numpy as np
 
@@ -21,18 +21,20 @@ from midspan.fusion.estimator import Estimator
 from midspan.fusion.model import EstimatorSettings
 from midspan.fusion.second_pass import Lag
 from midspan.fusion.streams import KalmanSettings
-from midspan.recording.band import tilt_std_m
 from midspan.recording.calibrate import usual_in_window
 from midspan.recording.kinds import ROWS
 from midspan.recording.streams.recording import Recording
 from midspan.recording.tracked import Eye, Side, known_sensors, offsets_of
-from midspan.records import NANOSECONDS, ClockOffset
-from midspan.settings.stored.calibration import Calibration
+from midspan.records import NANOSECONDS, ClockOffset, Source
+from midspan.settings.band import tilt_std_m
 from midspan.signals.acceleration import GRAVITY_M_S2
 from midspan.signals.stamps import frames_used
 
 # The bias is known to no better than this many samples' noise, m/s², and this (a tilt of 0.006°); unknown: this.
 BIAS_SAMPLES, MIN_BIAS_STD, UNKNOWN_BIAS_STD = 10.0, 1e-3, 0.3
+# A bias that drifts is a random walk that is as far off after the first time, s, of the order of the filter's memory,
+# and at the start by as much as it drifts in a calibration's minute.
+WALK_S, DRIFT_S = 10.0, 60.0
 
 
 def figures(side: Side, rate_hz: float) -> AxisFigures:
@@ -53,17 +55,17 @@ def bias_std(side: Side) -> float:
     """How well the bias is known at the start, m/s²."""
     known = side.calibration.bias_std_m_s2
     noise = BIAS_SAMPLES * side.calibration.noise_std_m_s2
-    return float(np.hypot(np.hypot(noise, MIN_BIAS_STD), known if np.isfinite(known) else UNKNOWN_BIAS_STD))
+    known = known if np.isfinite(known) else UNKNOWN_BIAS_STD
+    return float(np.linalg.norm((noise, MIN_BIAS_STD, DRIFT_S * side.calibration.bias_drift_m_s3, known)))
 
 
 def bias_walk(side: Side) -> float:
-    """Density of the bias's random walk, (m/s²)²/s: as its noise was estimated with, and what temperature makes."""
+    """Density of the bias's random walk, (m/s²)²/s: as its noise was estimated with, and what it drifts by."""
     if not side.recording.fused:
         return KalmanSettings().bias_walk
     known = figures(side, side.prepared.rate_hz)
-    return max(
-        KalmanSettings().bias_walk, BIAS_WALK_RATIO * (known.noise_density + known.motion_noise_s * known.variance)
-    )
+    noise = BIAS_WALK_RATIO * (known.noise_density + known.motion_noise_s * known.variance)
+    return max(KalmanSettings().bias_walk, noise + WALK_S * side.calibration.bias_drift_m_s3**2)
 
 
 def clock_offsets_ns(main: Side, eyes: Sequence[Eye]) -> dict[str, int]:
@@ -78,7 +80,8 @@ def radar_frames_used(recording: Recording) -> slice:
 
 
 def zero_instant(main: Side, eyes: Sequence[Eye], ran: Mapping[str, OneClock] | None = None) -> int | None:
-    """The instant (ns) that the displacement counts from: a camera's first frame; None: the sensor's own zero.
+    """The instant (ns) that the displacement counts from: a camera's first frame, at its target's row; None: the
+    sensor's own zero.
 
     ran: how the sensors' clocks ran, by name, where that is known. Of two cameras the first one's; where that one was
     dark when it began, the first frame of either. A radar's phase counts from its first frame, whose noise is in its
@@ -87,19 +90,22 @@ def zero_instant(main: Side, eyes: Sequence[Eye], ran: Mapping[str, OneClock] | 
     if not eyes:
         return None
     offsets_ns = clock_offsets_ns(main, eyes)
-    firsts = [int(eye.tracking.time_ns[0]) + offsets_ns[eye.sensor] for eye in eyes]
+    firsts = [eye.zero_ns + offsets_ns[eye.sensor] for eye in eyes]
     if ran is not None:
         firsts = [ran[eye.sensor].first_ns(first) for eye, first in zip(eyes, firsts, strict=True)]
     return min(firsts) if eyes[0].begins_dark else firsts[0]
 
 
-def unseen_std_m(eyes: Sequence[Eye], axis: int) -> float:
-    """What the tilt of the cameras, and their contradiction of the accelerometer, make of the displacement along an
-    axis, m: of several the most.
+def unseen_std_m(main: Side, eyes: Sequence[Eye], axis: int) -> float:
+    """What the tilt of the cameras, their contradiction of the accelerometer and its logger's low-pass make of the
+    displacement along an axis, m: of several the most.
     """
     settings = [(eye.view.settings.camera, eye.calibrations[axis]) for eye in eyes]
     tilts = (0.0 if camera is None else tilt_std_m(camera, known) for camera, known in settings)
-    return max((hypot(tilt, known.apart_std_m) for tilt, (_, known) in zip(tilts, settings, strict=True)), default=0.0)
+    seen = [hypot(tilt, known.apart_std_m) for tilt, (_, known) in zip(tilts, settings, strict=True)]
+    # A displacement sensor's own zero has no part of it, and each row holds it once, not twice.
+    lost = [known.apart_std_m / sqrt(2.0) for _, known in known_sensors(main) if known.kind == Source.DISPLACEMENT.word]
+    return max((*seen, *(lost if axis == 0 else ())), default=0.0)
 
 
 def estimator_settings(table: Table, sides: Sequence[Side], eyes: Sequence[Eye]) -> EstimatorSettings:
@@ -115,14 +121,8 @@ def estimator_settings(table: Table, sides: Sequence[Side], eyes: Sequence[Eye])
         zero_ns=zero_instant(sides[0], eyes),
         misfit=tuple(side.calibration.misfit for side in sides),
         lean=tuple(GRAVITY_M_S2 * side.calibration.slope for side in sides),
-        unseen_std_m=tuple(unseen_std_m(eyes, axis) for axis in range(len(sides))),
+        unseen_std_m=tuple(unseen_std_m(sides[0], eyes, axis) for axis in range(len(sides))),
     )
-
-
-def gain_std(recording: Recording, calibration: Calibration, *, given: bool) -> float:
-    """Relative standard deviation of the accelerometer's gain: as calibrated, else as the recording says of its own."""
-    known = calibration.accelerometer_scale_std
-    return known or recording.accelerometer.scale_std if given else known
 
 
 def measuring_point(
@@ -153,7 +153,7 @@ def measuring_point(
     for view, known in known_sensors(main):
         sensors[view.sensor] = ROWS[view.kind].stage(table, view, known, moved_m=moved_m, first=not sensors)
     section = recording.accelerometer
-    stds = [gain_std(recording, side.calibration, given=given) for side in sides]
+    stds = [side.calibration.gain_std(recording.accelerometer.scale_std, given=given) for side in sides]
     table.gain(stds, estimated=section.estimate_scale)
     offsets_ns = clock_offsets_ns(main, eyes)
     settings = estimator_settings(table, sides, eyes)

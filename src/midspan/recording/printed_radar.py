@@ -6,6 +6,7 @@ takes part.
 
 import numpy as np
 
+from midspan.calibration.sensors.radar import require_same_way
 from midspan.engine.channels import clock_std_s, without_gain
 from midspan.engine.one_series import literal_warnings, run_on_series, with_uncertain
 from midspan.engine.printed_radar import Printed, printed_displacement
@@ -20,8 +21,7 @@ from midspan.progress import Progress
 from midspan.radar.frames import fetched
 from midspan.recording.calibrate import calibrate_and_track
 from midspan.recording.kinds import radar_part
-from midspan.recording.messages import channel_warnings, require_same_way
-from midspan.recording.point import gain_std
+from midspan.recording.messages import channel_warnings
 from midspan.recording.result import Result
 from midspan.recording.streams.recording import Recording, naming
 from midspan.recording.tracked import side_of
@@ -67,7 +67,7 @@ def _fused(recording: Recording, calibration: Calibration, printed: Printed, met
     done = run_on_series(side.acceleration, printed.measured, method, settings, rate_hz=side.prepared.rate_hz)
     # What ran away is as uncertain as it is large.
     scale_std = without_gain(known.relative_std, calibration.accelerometer_scale_std)
-    gain = gain_std(recording, calibration, given=True)
+    gain = calibration.gain_std(recording.accelerometer.scale_std, given=True)
     relative = float(np.linalg.norm((scale_std, gain, 1.0 if printed.ran_away else 0.0)))
     zero_m2 = known.best.noise_m**2
     rows = with_uncertain(done.estimate, zero_m2, relative, clock_std_s(known.offset))

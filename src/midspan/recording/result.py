@@ -12,9 +12,9 @@ from midspan._version import __version__
 from midspan.engine.camera_result import CameraResult
 from midspan.engine.radar_trace import RadarTrace
 from midspan.engine.sensor_series import SensorSeries
-from midspan.recording.band import not_in_band
 from midspan.recording.streams.recording import Recording
 from midspan.records import Estimate, Event, Floats, Innovation, PixelTrack, Source, Status, TimeSeries, seconds
+from midspan.settings.band import not_in_band
 from midspan.settings.recording import RecordingSettings
 from midspan.settings.stored.calibration import Calibration
 from midspan.signals.thinning import envelope

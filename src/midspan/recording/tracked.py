@@ -4,6 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+
 from midspan.calibration.camera.one_displacement import filter_settings
 from midspan.calibration.sensors.camera import CameraCalibration
 from midspan.engine.tracking import CameraTracking
@@ -44,6 +46,12 @@ class Eye:
         return self.view.sensor
 
     @property
+    def zero_ns(self) -> int:
+        """The instant (ns on its own clock) at which the rows of its best target were exposed in the first frame."""
+        best = self.calibrations[0].best_used
+        return int(self.tracking.time_ns[0]) + self.tracking.targets[best].chain.first_late_ns
+
+    @property
     def begins_dark(self) -> bool:
         """Whether frames before the first one used were dark or not usable."""
         began_ns = self.view.sees_from_ns
@@ -64,7 +72,14 @@ def offsets_of(main: Side, eyes: Sequence[Eye]) -> dict[str, TimeOffset]:
 
 
 def side_of(recording: Recording, calibration: Calibration) -> Side:
-    """A recording's axis with its calibration; without an accelerometer there its acceleration is zero."""
+    """A recording's axis with its calibration; without an accelerometer there its acceleration is zero.
+
+    What the calibration leaves open of the sensors' axis makes noise of the cross motion.
+    """
+    if (axis := calibration.sensor_axis) is not None:
+        cross = np.sqrt(axis.noise_density(recording.prepared) * recording.prepared.rate_hz)
+        calibration = replace(calibration, noise_std_m_s2=float(np.hypot(calibration.noise_std_m_s2, cross)))
+    recording = recording.along(axis)
     camera = calibration.first_camera
     prepared = recording.prepared if camera is None or camera.fused else still(recording.prepared)
     density = calibration.noise_density(prepared.rate_hz)

@@ -127,6 +127,7 @@ def calibrated(found: Calibration) -> list[Row]:
         rows += [(f"{name}: {label}", value) for label, value in CALIBRATED[kind](sensor)]
     rows += [
         *_gain(found),
+        *_direction(found),
         ("accelerometer: noise", f"{1e3 * found.noise_std_m_s2:.4g} mm/s² per sample"),
         (
             "accelerometer: noise with the motion",
@@ -141,6 +142,14 @@ def calibrated(found: Calibration) -> list[Row]:
 def _gain(found: Calibration) -> list[Row]:
     std = found.accelerometer_scale_std
     return [("accelerometer: gain", f"{found.accelerometer_scale:.5g} ± {std:.2g}")] if std > 0.0 else []
+
+
+def _direction(found: Calibration) -> list[Row]:
+    axis = found.sensor_axis
+    if axis is None:
+        return []
+    parts = ", ".join(f"{s:+.4f} ± {std:.2g}" for s, std in zip(axis.components, axis.std, strict=True))
+    return [("accelerometer: the sensors' axis along cross_values", f"{parts} ({axis.angle_deg:.2g}° off its own)")]
 
 
 def _bias(found: Calibration) -> str:

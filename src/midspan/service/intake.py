@@ -140,6 +140,11 @@ class Intake:
             self._refused(one, name, item)
             return
         stream.skipped = item.skipped
+        if stream.stamps not in ("", item.kind.value):
+            # What a calibration took for the clock's offset changes by some hundredths of a second.
+            text = f"{name}: frames are dated by {item.kind.value} now, by {stream.stamps} before."
+            self._tell(one, "stamps", text)
+        stream.stamps = item.kind.value
         if one.sizes.setdefault(name, item.shape) != item.shape:
             self._refused(one, name, SourceFault("size_changed", sentence("size_changed")))
             return

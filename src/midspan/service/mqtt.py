@@ -17,6 +17,9 @@ KEEP_ALIVE_S = 15
 # What the broker keeps for us while we are away, s.
 SESSION_S = 3600
 MAX_QUEUED = 10_000
+# Messages that the broker may have on their way to us: all that MQTT allows. They are acknowledged once a second, and
+# with a broker's own limit (Mosquitto's is 20) no more than that would come in a second.
+MAX_UNACKNOWLEDGED = 65_535
 
 
 class Broker:
@@ -54,6 +57,7 @@ class Broker:
         client.on_connect_fail = self._not_met
         self._session = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
         self._session.SessionExpiryInterval = SESSION_S
+        self._session.ReceiveMaximum = MAX_UNACKNOWLEDGED
         self._client = client
 
     def start(self) -> None:

@@ -20,7 +20,17 @@ from midspan.recording.point import clock_offsets_ns, measuring_point
 from midspan.recording.run import records_of
 from midspan.recording.streams.recording import open_recording
 from midspan.recording.tracked import open_eyes
-from midspan.records import Arrival, Floats, PixelTranslation, RangeFrame, Readings, Region, Status, Tracked
+from midspan.records import (
+    NANOSECONDS,
+    Arrival,
+    Floats,
+    PixelTranslation,
+    RangeFrame,
+    Readings,
+    Region,
+    Status,
+    Tracked,
+)
 from midspan.service.journal import TRANSLATION, Journal, target_stream
 from midspan.settings.stored.calibration import Calibration
 from midspan.store.chunk import Chunk
@@ -139,7 +149,10 @@ def _chunks(found: Opened, store: Store, stream: str, kept_as: str) -> Iterator[
 def _readings(found: Opened, store: Store, stream: str) -> Iterator[tuple[int, Arrival]]:
     for chunk in _chunks(found, store, stream, stream):
         value = np.asarray(chunk.columns["value"], dtype=np.float64).reshape(len(chunk.time_ns), -1)
-        yield int(chunk.time_ns[0]), Arrival(stream, 0, Readings(chunk.time_ns, value))
+        # In blocks as short as they came: one stream's chunk of seconds would make the others' readings late.
+        ends = np.flatnonzero(np.diff(chunk.time_ns // round(BLOCK_S * NANOSECONDS))) + 1
+        for time_ns, part in zip(np.split(chunk.time_ns, ends), np.split(value, ends), strict=True):
+            yield int(time_ns[0]), Arrival(stream, 0, Readings(time_ns, part))
 
 
 def _phasors(found: Opened, store: Store, stream: str) -> Iterator[tuple[int, Arrival]]:

@@ -21,7 +21,7 @@ from midspan.sources.live.radar import live_info, live_layout
 FRESH_S, FRESH_INTERVALS = 5.0, 3.0
 # The usual interval is averaged over about this many records.
 AVERAGED = 8
-# Blocks that are remembered, so that one that comes again is known; the broker has 20 on their way by default.
+# Blocks that are remembered, so that one that comes again is known: 25 s of ten blocks a second.
 RECENT = 256
 # A fault that goes on is an event so often, s.
 TELL_AGAIN_S = 60.0
@@ -41,6 +41,8 @@ class Stream:
     records: int = 0
     faults: int = 0
     skipped: int = 0
+    # How a camera's frames are dated, see `StampKind`.
+    stamps: str = ""
     interval_s: float = 0.0
     # Whether the reason was an event, and when each code was one last.
     told: bool = False
@@ -65,6 +67,7 @@ class Stream:
             "records": self.records,
             "faults": self.faults,
             "skipped": self.skipped,
+            "stamps": self.stamps,
         }
 
     def heard(self, now_s: float) -> None:

@@ -1,5 +1,6 @@
 """A stretch of a store as a recording: raw acceleration, readings and tracks, to be computed again by any method."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -53,7 +54,8 @@ def stored_recording(
     known = store.calibration(point) or next(reversed(store.calibrations(point)), None)
     if known is None:
         raise DataError(f"The store has no calibration of {point!r}.")
-    calibration = _calibration(known)
+    # What is stored is along the calibrated axis already.
+    calibration = replace(_calibration(known), sensor_axis=None)
     settings = json_tree(known.settings)
     acceleration = stored_rows(store, point, "accelerometer", first_ns, last_ns)
     if acceleration is None or not len(acceleration.time_ns):

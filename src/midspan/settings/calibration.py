@@ -66,6 +66,8 @@ Ratio = Annotated[float, IsNumber, limited(1e-12, 1e12)]
 # Noise of one sample, from that of computed data without any (rounding) to the full scale of a shock sensor.
 AccelerationNoise = Annotated[float, IsNumber, limited(1e-15, 1e6, "m/s²")]
 Bias = Annotated[float, IsNumber, limited(-1e4, 1e4, "m/s²")]
+# Of a sensor's axis along a cross axis of the accelerometer, for one along its main axis: up to 84 degrees.
+Component = Annotated[float, IsNumber, limited(-10.0, 10.0)]
 # From rounding to above any range.
 Noise = Annotated[float, IsNumber, limited(1e-15, 1e6, "(px or mm)")]
 # Of a range profile, whose transform has fewer places.
@@ -107,11 +109,20 @@ class StoredAccelerometer(Stored):
     motion_noise_s: Std = 0.0
     bias_m_s2: Bias = 0.0
     bias_std_m_s2: StdOrInf = math.inf
+    bias_drift_m_s3: Number = 0.0
     scale: Factor = 1.0
     scale_std: Std = 0.0
     misfit: Annotated[float, IsNumber, limited(1.0, 1e12)] = 1.0
     slope_rad_m: Number = 0.0
+    direction: Annotated[tuple[Component, ...], Field(max_length=2)] = ()
+    direction_std: tuple[Std, ...] = ()
     usual: StoredUsual | None = None
+
+    @model_validator(mode="after")
+    def _has_pairs(self) -> "StoredAccelerometer":
+        if len(self.direction) != len(self.direction_std):
+            raise ValueError("must have one direction_std for each component of direction")
+        return self
 
 
 class StoredTarget(Stored):
@@ -159,6 +170,7 @@ class StoredAxis(StoredScale):
     accelerometer_motion_noise_s: Std = 0.0
     accelerometer_bias_m_s2: Bias = 0.0
     accelerometer_bias_std_m_s2: StdOrInf = math.inf
+    accelerometer_bias_drift_m_s3: Number = 0.0
     accelerometer_scale_std: Std = 0.0
     accelerometer_misfit: Annotated[float, IsNumber, limited(1.0, 1e12)] = 1.0
     accelerometer_slope_rad_m: Number = 0.0
@@ -288,6 +300,7 @@ class StoredDisplacement(StoredSensor):
     slow_time_s: StdOrInf = math.inf
     exposure_s: Duration = 0.0
     effective_exposure_s: Duration = 0.0
+    apart_std_mm: Std = 0.0
     scale: Factor = 1.0
     scale_std: Std = 0.0
 

@@ -129,6 +129,15 @@ class RecordingSettings(Section):
         return self
 
     @model_validator(mode="after")
+    def _direction_can_be_estimated(self) -> "RecordingSettings":
+        if self.accelerometer is None or not self.accelerometer.cross_values:
+            return self
+        if self.fusion.literal or self.calibration.band_hz is not None:
+            key = "fusion.literal" if self.fusion.literal else "calibration.band_hz"
+            raise ValueError(f"must not have accelerometer.cross_values with {key}: leave one of them out")
+        return self
+
+    @model_validator(mode="after")
     def _several_cameras_measure_one_axis(self) -> "RecordingSettings":
         cameras = (*self.cameras, *self.infrareds)
         if len(cameras) > 1 and "xy" in (camera.direction for camera in cameras):

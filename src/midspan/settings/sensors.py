@@ -40,6 +40,11 @@ class AccelerometerSettings(ChannelSettings):
 
     value_x: Name | None = Field(None, description="column along the image's x axis, with camera.direction = 'xy'")
     value_y: Name | None = Field(None, description="column along the image's y axis, with camera.direction = 'xy'")
+    cross_values: Annotated[tuple[Name, ...], Field(max_length=2)] = Field(
+        (),
+        description="columns of its other axes, in the same unit: the direction of the other sensors' axis is "
+        "estimated, so that cross motion of an inclined accelerometer is taken out; left out: it is that of `value`",
+    )
     sensitivity: Annotated[float, IsNumber, limited(0.0, 1e6, "V per m/s²")] = Field(
         0.0, description="V per m/s², with unit = 'V'; 0: not used"
     )
@@ -57,6 +62,10 @@ class AccelerometerSettings(ChannelSettings):
     def _one_way_to_name_a_column(self) -> "AccelerometerSettings":
         if self.value and (self.value_x or self.value_y):
             raise ValueError("must have value for one axis, or value_x and value_y for the image's axes, not both")
+        if self.cross_values and not self.value:
+            raise ValueError("must have value, the column of the main axis, with cross_values")
+        if len({self.value, *self.cross_values}) < 1 + len(self.cross_values):
+            raise ValueError("must have columns in cross_values that differ from each other and from value")
         return self
 
 

@@ -21,7 +21,7 @@ from midspan.trees import TreeError, read_toml
 
 ACCELEROMETER = "accelerometer"
 # Keys of a recording's section that say where its file is: a live section has `source` instead.
-FILE_KEYS = ("file", "times", "time", "value", "start_s")
+FILE_KEYS = ("file", "times", "time", "value", "start_s", "cross_values")
 # The files of a point's captured recordings, by the kind of sensor.
 CAPTURED = {
     ACCELEROMETER: "acceleration.npz",

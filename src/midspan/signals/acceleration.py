@@ -1,5 +1,6 @@
 """From a channel as it was read to acceleration that a filter can use: missing samples bridged, marked and told."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -52,6 +53,7 @@ class PreparedAcceleration:
 
     time_ns, value_m_s2 (n,); bridging_density (n,): extra noise density in (m/s²)²/Hz of the interval that ends at each
     sample, above zero where something had to be bridged; missing (n,): samples that carry no measurement.
+    cross_m_s2 (n, k): acceleration along the accelerometer's other axes where these were recorded.
     """
 
     time_ns: Nanoseconds
@@ -61,6 +63,7 @@ class PreparedAcceleration:
     rate_hz: float
     events: tuple[Event, ...]
     warnings: tuple[str, ...]
+    cross_m_s2: Floats | None = None
 
     def with_noise(self, density: float, motion_s: float = 0.0) -> Acceleration:
         """The acceleration for the filter, with white noise of `density` (m/s²)²/Hz besides what bridging adds, and
@@ -111,6 +114,45 @@ class PreparedAcceleration:
         block = part(block, inside(block.time_ns, int(self.time_ns[which.start]), int(self.time_ns[which.stop - 1])))
         relative = block.noise_density / max(usual, 1e-12)
         return np.column_stack((seconds(block.time_ns, origin_ns), block.value_m_s2 - self.level(which), relative))
+
+    def cross_rows(self, which: slice) -> tuple[Floats, Floats] | None:
+        """Acceleration (m, k) along the other axes at the rows of `rows`, without its means (k,), and these."""
+        if self.cross_m_s2 is None:
+            return None
+        own = [replace(self, value_m_s2=value, cross_m_s2=None) for value in self.cross_m_s2.T]
+        origin_ns = int(self.time_ns[which.start])
+        levels = np.array([one.level(which) for one in own])
+        return np.column_stack([one.rows(origin_ns, which)[:, 1] for one in own]), levels
+
+    def along(self, components: Sequence[float] | Floats) -> "PreparedAcceleration":
+        """The acceleration along an axis of these components, see `along`."""
+        if self.cross_m_s2 is None:
+            return self
+        return replace(self, value_m_s2=along(self.value_m_s2, self.cross_m_s2, components), cross_m_s2=None)
+
+
+def along(main: Floats, cross: Floats, components: Sequence[float] | Floats) -> Floats:
+    """Acceleration (n,) along an axis that has these components (k,) along the cross axes for each one along the main.
+
+    main (n,), cross (n, k): along the accelerometer's axes, which are at right angles.
+    """
+    own = np.asarray(components)
+    return np.asarray((main + cross @ own) / np.sqrt(1.0 + own @ own))
+
+
+def with_cross(main: PreparedAcceleration, cross: Sequence[PreparedAcceleration]) -> PreparedAcceleration:
+    """The main axis with the others: what had to be bridged along one of them is so along all."""
+    if not cross:
+        return main
+    every = (main, *cross)
+    return replace(
+        main,
+        cross_m_s2=np.column_stack([one.value_m_s2 for one in cross]),
+        bridging_density=np.max([one.bridging_density for one in every], axis=0),
+        missing=np.any([one.missing for one in every], axis=0),
+        events=tuple(event for one in every for event in one.events),
+        warnings=tuple(line for one in every for line in one.warnings),
+    )
 
 
 def prepare_acceleration(series: TimeSeries, where: str) -> PreparedAcceleration:

@@ -83,17 +83,12 @@ def equiripple_low_pass(band: Transition, rate_hz: float) -> Floats:
         count += 2 * max(1, int(0.5 * missing_db * rate_hz / (14.6 * (band.stop_hz - band.pass_hz))))
 
 
-def kaiser_low_pass(band: Transition, rate_hz: float) -> Floats:
+def _windowed(band: Transition, rate_hz: float) -> Floats:
     """A low-pass (n,), n odd, with a Kaiser window that keeps `band` at `rate_hz` (Hz); of any length.
 
     Reference: J. F. Kaiser, Nonrecursive digital filter design using the I0-sinh window function, IEEE Int. Symp.
     Circuits Syst. (1974) 20-23.
     """
-    _below_nyquist(band, rate_hz)
-    return flat_at_zero(_windowed(band, rate_hz))
-
-
-def _windowed(band: Transition, rate_hz: float) -> Floats:
     from scipy.signal import firwin, kaiserord
 
     width = (band.stop_hz - band.pass_hz) / (0.5 * rate_hz)

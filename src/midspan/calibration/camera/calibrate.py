@@ -21,12 +21,15 @@ from midspan.calibration.scale import (
     ScaleCalibration,
     calibrate_scale,
     contradiction,
+    start_noise,
+    strange_noise,
 )
 from midspan.calibration.sensors.camera import CameraCalibration, TargetCalibration
 from midspan.calibration.sensors.fit import SensorFit
 from midspan.errors import UntrustedError
 from midspan.records import InputNoise, ScaleFactor, TimeOffset
 from midspan.signals.stamps import inside
+from midspan.vision.fair_variance import TEMPLATE_NOISE
 from midspan.vision.lens import ideal_gain
 from midspan.vision.region_choice import USELESS
 
@@ -199,20 +202,33 @@ def _fit_of(seen: Sequence[SeenTarget], camera: CameraCalibration, fit: Fitted) 
         warnings += [f"Target {target.name}: {line}" if several else line for line in one.warnings]
     search, tilt_m = found.search, camera.apart_std_m
     apart_m = contradiction(search.pair, search.fit) * abs(found.scale.value_m_per_px)
+    # The noise of the reference frame is in all rows alike.
+    start_m = TEMPLATE_NOISE * start_noise(search.pair, search.fit) * abs(found.scale.value_m_per_px)
     camera = replace(
         _camera(seen, camera.direction, camera.targets, camera.offset),
         relative_scale_std=relative_scale_std(*zip(*used, strict=True)) if len(used) > 1 else None,
         exposure_s=found.response.exposure_s,
-        apart_std_m=float(np.hypot(apart_m, tilt_m)),
+        apart_std_m=float(np.sqrt(apart_m**2 + tilt_m**2 + start_m**2)),
     )
     bias = bias_of(search.pair, search.fit, float(np.sqrt(search.offset.variance)))
     # The integrated acceleration that the pair keeps besides its fields is no part of the result.
     plain = replace(found, search=replace(search, pair=replace(search.pair)))
     coloured = misfit(search.pair, search.fit)
-    warnings += coloured.text("camera") if apart_m == 0.0 else [_contradiction_text(apart_m)]
+    if start_m > 0.0:
+        warnings.append(
+            "camera: its first frames are far noisier than the others; the zero is known to "
+            f"{1e3 * start_m:.2g} mm only, and a shift that is seen among them may be none."
+        )
+    if apart_m > 0.0:
+        warnings.append(_contradiction_text(apart_m))
+    else:
+        warnings += coloured.text("camera") or filter(None, [strange_noise(search.pair, search.fit)])
     camera = camera.without_gain(1.0, float(np.sqrt(coloured.factor - 1.0)) * camera.relative_std)
     slope = found.response.slope
-    return CameraFit(camera, found.input_noise, bias, tuple(warnings), plain, misfit=coloured, slope=slope)
+    axis = found.direction
+    return CameraFit(
+        camera, found.input_noise, bias, tuple(warnings), plain, misfit=coloured, slope=slope, direction=axis
+    )
 
 
 def _contradiction_text(apart_m: float) -> str:

@@ -83,7 +83,8 @@ def camera_pair(view: View, track: PixelTrack, blur_s: float) -> Pair:
     inner = inside(track.time_ns, first + margin, last - margin)
     rows = measured_rows(track.time_ns[inner], value[inner], variance[inner], first)
     samples, outside = in_band(view.prepared.rows(first, window), view.band_hz)
-    return Pair(samples, rows, None, blur_s, outside, level_m_s2=view.prepared.level(window))
+    level, cross = view.prepared.level(window), view.prepared.cross_rows(window)
+    return Pair(samples, rows, None, blur_s, outside, level_m_s2=level, cross=cross)
 
 
 def in_band(samples: Floats, band_hz: tuple[float, float] | None) -> tuple[Floats, Floats | None]:

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from midspan.calibration.agreement import clearly_better, unexplained
+from midspan.calibration.direction import Turned, turned
 from midspan.calibration.fit import Fit, Pair
 from midspan.calibration.measured import MIN_MEASUREMENTS, measured_rows
 from midspan.calibration.noise import CERTAIN_S, Findings, NoiseCalibration, calibrate_noise, edge_s
@@ -106,9 +107,9 @@ class _Beside:
                 "both times are in s."
             )
         rows = measured_rows(series.time_ns[used], series.value[used], np.ones(used.stop - used.start), self.first_ns)
-        return Pair(
-            prepared.rows(self.first_ns, window), rows, 1.0, self.given.exposure_s, level_m_s2=prepared.level(window)
-        )
+        samples, level = prepared.rows(self.first_ns, window), prepared.level(window)
+        cross = prepared.cross_rows(window)
+        return Pair(samples, rows, 1.0, self.given.exposure_s, level_m_s2=level, cross=cross)
 
 
 def learn(given: Given, series: TimeSeries) -> NoiseCalibration:
@@ -119,7 +120,8 @@ def learn(given: Given, series: TimeSeries) -> NoiseCalibration:
     last = min(int(series.time_ns[used.stop - 1]), first + round(NOISE_WINDOW_S * NANOSECONDS))
     beside = _Beside(given, series, first, last)
     max_offset = beside.max_offset_s
-    pair = beside.pair(beside.reach_s)
+    axis = turned(beside.pair(beside.reach_s), 0.0 if beside.one_clock else max_offset)
+    pair = axis.pair
     notes: list[str] = []
     if given.learns_scale:
         learnt = calibrate_sensor_scale(
@@ -127,7 +129,7 @@ def learn(given: Given, series: TimeSeries) -> NoiseCalibration:
             max_offset,
             one_clock=beside.one_clock,
             length_s=beside.overlap_s,
-            look=lambda fit: notes.extend(_refuse_farther(beside, fit)),
+            look=lambda fit: notes.extend(_refuse_farther(beside, fit, axis)),
             noise_time_s=given.noise_time_s,
         )
         found = learnt.findings
@@ -144,16 +146,33 @@ def learn(given: Given, series: TimeSeries) -> NoiseCalibration:
         found = learnt.findings
         assert found is not None
         if found.search is not None and (not beside.one_clock or unexplained(found.pair, found.fit)):
-            notes += _refuse_farther(beside, found.free)
+            notes += _refuse_farther(beside, found.free, axis)
         _refuse_wrong_scale(learnt, found)
-    learnt = replace(learnt, warnings=(*learnt.warnings, *notes))
+    learnt = replace(_widened(learnt, axis), warnings=(*learnt.warnings, *notes))
     if beside.one_clock:
         return _on_one_clock(learnt, found)
     _refuse_doubtful_offset(beside, learnt, found)
     return replace(learnt, warnings=(*learnt.warnings, *_offset_warnings(beside, learnt)))
 
 
-def _refuse_farther(beside: _Beside, near: Fit) -> list[str]:
+def _widened(learnt: NoiseCalibration, axis: Turned) -> NoiseCalibration:
+    """The calibration with what the uncertain direction adds to everything that was compared."""
+    offset = replace(learnt.offset, variance=learnt.offset.variance + axis.offset_variance)
+
+    def wider(relative_std: float) -> float:
+        return float(np.hypot(relative_std, axis.relative_std)) if relative_std > 0.0 else 0.0
+
+    return replace(
+        learnt,
+        offset=offset,
+        scale_std=wider(learnt.scale_std),
+        gain_std=wider(learnt.gain_std),
+        factor_std=abs(learnt.factor) * wider(learnt.factor_std / abs(learnt.factor)),
+        direction=axis.direction,
+    )
+
+
+def _refuse_farther(beside: _Beside, near: Fit, axis: Turned) -> list[str]:
     """UntrustedError where the clocks agree far better farther apart than was searched.
 
     Returns a warning where the overlap is too short to look there.
@@ -161,7 +180,7 @@ def _refuse_farther(beside: _Beside, near: Fit) -> list[str]:
     reach = beside.reach_s
     until = min(reach + farther_s(beside.max_offset_s), FARTHER_SHARE * beside.overlap_s)
     try:
-        pair = beside.pair(until, FARTHER_WINDOW_S + 2.0 * until)
+        pair = axis.turning(beside.pair(until, FARTHER_WINDOW_S + 2.0 * until))
     except DataError:
         return [
             f"displacement: a clock offset beyond ±{beside.max_offset_s:.3g} s was not looked for: the overlap of "
@@ -269,12 +288,24 @@ def _on_one_clock(learnt: NoiseCalibration, found: Findings) -> NoiseCalibration
     shaken = float(np.std(value)) / (2.0 * np.pi * max(dominant_frequency(value, rate), 0.2))
     speed = max(shaken, _speed(found.pair, learnt.factor, noise))
     if abs(off) * speed > MAX_LATE * np.sqrt(noise):
-        raise UntrustedError(
-            f"displacement: its clock differs from the accelerometer's by {off:+.4f} s, which moves it by "
-            f"{1e3 * abs(off) * speed:.3g} mm rms. Set displacement.estimate_offset = true to have the offset "
-            "learnt and applied, or correct its time column."
-        )
+        raise UntrustedError(_late_text(learnt, off, 1e3 * abs(off) * speed))
     return replace(learnt, offset=TimeOffset(0.0, off * off))
+
+
+def _late_text(learnt: NoiseCalibration, off: float, moved_mm: float) -> str:
+    """What to tell of clocks that are not one, or a logger that delays."""
+    late = f"by {off:+.4f} s, which moves it by {moved_mm:.3g} mm rms"
+    if learnt.low_pass is not None:
+        return (
+            f"displacement: {learnt.low_pass.text()}. They differ {late}. Use a logger whose low-pass lies far above "
+            "the motion; with displacement.estimate_offset = true the delay of slow motion is taken for a clock's, so "
+            "that the result is late by it, and the error band holds what the low-pass took away."
+        )
+    return (
+        f"displacement: its clock differs from the accelerometer's {late}. Set displacement.estimate_offset = true to "
+        "have the offset learnt and applied, or correct its time column. A low-pass in the accelerometer's logger "
+        "delays alike: the result is then late by as much."
+    )
 
 
 def _speed(pair: Pair, factor: float, noise: float) -> float:

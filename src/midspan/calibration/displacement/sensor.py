@@ -7,8 +7,8 @@ import numpy as np
 from midspan.calibration.agreement import Misfit, misfit
 from midspan.calibration.bias import bias_of
 from midspan.calibration.displacement.learn import Given, learn
-from midspan.calibration.noise import DRIFT_HZ, NoiseCalibration
-from midspan.calibration.scale import white_noise
+from midspan.calibration.noise import DRIFT_HZ, Findings, NoiseCalibration
+from midspan.calibration.scale import IMPLIED_NOISE, strange_noise
 from midspan.calibration.scale_check import MAX_NOISE
 from midspan.calibration.sensors.displacement import DisplacementCalibration
 from midspan.calibration.sensors.fit import SensorFit
@@ -17,6 +17,7 @@ from midspan.errors import UntrustedError
 from midspan.records import NANOSECONDS, Event, TimeSeries, seconds
 from midspan.signals.acceleration import PreparedAcceleration
 from midspan.signals.health import Mask, runs
+from midspan.signals.medians import white_noise
 from midspan.signals.stamps import shown
 from midspan.signals.stuck import range_limits, resolution, stuck
 
@@ -39,6 +40,7 @@ def fit_displacement(given: Given) -> DisplacementFit:
     given = replace(given, series=without(given.series, held))
     learnt = _learnt(given)
     assert learnt.findings is not None
+    _refuse_impossible_noise(learnt, learnt.findings)
     part = displacement_part(given, learnt)
     low, high = sorted(learnt.factor * end for end in ends)
     part = replace(part, low_m=low, high_m=high)
@@ -49,9 +51,18 @@ def fit_displacement(given: Given) -> DisplacementFit:
     found = Misfit() if known else misfit(learnt.findings.pair, learnt.findings.fit)
     spread = float(np.sqrt(found.factor))
     part = replace(part, scale_std=spread * part.scale_std)
-    warnings = (*warnings, *found.text("displacement"))
+    strange = strange_noise(learnt.findings.pair, learnt.findings.fit)
+    warnings = (*warnings, *(found.text("displacement") or filter(None, [strange])))
     return DisplacementFit(
-        part, learnt.input_noise, bias, warnings, learnt, learnt.gain, spread * learnt.gain_std, found
+        part,
+        learnt.input_noise,
+        bias,
+        warnings,
+        learnt,
+        learnt.gain,
+        spread * learnt.gain_std,
+        found,
+        direction=learnt.direction,
     )
 
 
@@ -94,7 +105,34 @@ def displacement_part(given: Given, learnt: NoiseCalibration) -> DisplacementCal
         slow_time_s=learnt.slow_time_s,
         exposure_s=learnt.exposure_s,
         effective_exposure_s=learnt.effective_exposure_s,
+        apart_std_m=_lost_m(given, learnt),
     )
+
+
+def _refuse_impossible_noise(learnt: NoiseCalibration, found: Findings) -> None:
+    """UntrustedError where the accelerometer shows the motion well, and would need more noise than it reads at all."""
+    pair = found.pair
+    needed, shaken = float(np.sqrt(found.free.input_density * pair.sample_rate_hz)), float(np.std(pair.samples[:, 1]))
+    if learnt.drifts or needed <= shaken or shaken <= IMPLIED_NOISE * white_noise(pair.samples[:, 1]):
+        return
+    seen = abs(learnt.factor) * float(np.ptp(pair.rows[np.isfinite(pair.rows[:, 2]), 1]))
+    raise UntrustedError(
+        f"displacement: its values range over {1e3 * seen:.3g} mm, and differ from what the accelerometer tells as if "
+        f"that had a noise of {1e3 * needed:.3g} mm/s² per sample, where all of its signal is {1e3 * shaken:.3g} mm/s² "
+        "rms: they jump or drift by more than the structure can have moved, as a GNSS receiver's do between fixed and "
+        "float solutions. Leave such values out, or choose a calibration.window_s without them."
+    )
+
+
+def _lost_m(given: Given, learnt: NoiseCalibration) -> float:
+    """Motion (m, rms) that the logger's low-pass delays or takes away.
+
+    What it takes away altogether looks like noise of the sensor, of which no more is known than what is given.
+    """
+    if learnt.low_pass is None:
+        return 0.0
+    known_m = 0.0 if given.noise_std_m is None else given.noise_std_m * abs(learnt.factor)
+    return float(np.hypot(np.sqrt(max(learnt.variance_factor - known_m**2, 0.0)), learnt.low_pass.taken_m))
 
 
 def _range_warnings(part: DisplacementCalibration, held: Mask) -> list[str]:
@@ -131,6 +169,13 @@ def displacement_warnings(given: Given, learnt: NoiseCalibration, part: Displace
             f"{1e3 * np.sqrt(learnt.offset.variance):.3g} ms. Set "
             "displacement.estimate_offset = true to have the offset learnt and applied."
         )
+    if learnt.low_pass is not None:
+        found.append(
+            f"accelerometer: {learnt.low_pass.text()}. The error band holds that and what it may have taken away, "
+            f"{1e3 * part.apart_std_m:.2g} mm rms. Its delay of slow motion cannot be told from a clock offset: as "
+            f"far as the {learnt.offset.value_s:+.3g} s found are the logger's, the result is late. Use a logger whose "
+            "low-pass lies far above the motion."
+        )
     if learnt.gain_std > 0.0 and abs(learnt.gain - 1.0) > max(TOLD, CERTAIN * learnt.gain_std):
         found.append(
             f"displacement: relative to it the accelerometer has a gain of {learnt.gain:.4g} ± {learnt.gain_std:.2g}, "
@@ -147,28 +192,40 @@ def displacement_warnings(given: Given, learnt: NoiseCalibration, part: Displace
             f"accelerometer: its bias drifts by more than the structure moves below {DRIFT_HZ:g} Hz; the displacement "
             "rests mostly on the displacement sensor. Check its temperature, its mounting and its cable."
         )
-    found += _unseen_warnings(learnt)
+    found += _slow_warnings(given, learnt)
     if _scale_error(learnt) == 0.0:
         return found
     text = (
         f"displacement: follows the accelerometer with a factor of {learnt.scale:.3g} ± {learnt.scale_std:.2g} where 1 "
-        "is expected. Check displacement.unit, its sign, accelerometer.unit and that both sensors measure the same "
-        "axis."
+        "is expected. Check displacement.unit, its sign, accelerometer.unit, that both sensors measure the same axis, "
+        "and whether the accelerometer's bias drifts by more than the structure accelerates (1/f noise)."
     )
     if abs(learnt.scale - 1.0) > REFUSED:
         raise UntrustedError(text)
     return [*found, f"{text} The error band holds the difference; displacement.estimate_scale = true takes it out."]
 
 
-def _unseen_warnings(learnt: NoiseCalibration) -> list[str]:
-    """A sentence on slow errors that the record cannot tell from motion."""
-    if learnt.unseen_m == 0.0:
+def _slow_warnings(given: Given, learnt: NoiseCalibration) -> list[str]:
+    """A sentence on a slow error that was learnt, or on what the record cannot tell from motion."""
+    if learnt.slow_std_m > 0.0 and given.noise_time_s is None:
+        return [
+            f"displacement: its errors are correlated, as of a GNSS receiver or a total station: a slow error of "
+            f"{1e3 * learnt.slow_std_m:.2g} mm over {learnt.slow_time_s:.2g} s besides its noise is in the error band, "
+            "which is wider by it. displacement.noise_time_s declares the correlation time; 0 says that the sensor has "
+            "no slow error."
+        ]
+    drifts_m, steps_m, missing_m = learnt.unseen_m
+    if drifts_m == 0.0:
         return []
-    size = f"of up to {1e3 * learnt.unseen_m:.2g} mm" if np.isfinite(learnt.unseen_m) else "of any size"
+    size = f"of up to {1e3 * drifts_m:.2g} mm" if np.isfinite(drifts_m) else "of any size"
+    step = f"smaller than {1e3 * steps_m:.2g} mm" if np.isfinite(steps_m) else "of any size"
+    if missing_m > 0.0:
+        step += f", or {1e3 * missing_m:.2g} mm in its longest gap"
     return [
         f"displacement: the error band takes its errors as independent. A slow error, as a GNSS receiver or a total "
-        f"station has, {size} in {DRIFT_S:g} s would not show here. displacement.noise_time_s, its correlation time, "
-        "puts it into the band; 0 says that the sensor has none."
+        f"station has, {size} in {DRIFT_S:g} s would not show here, nor would a step of its zero that is {step}. "
+        "displacement.noise_time_s, its correlation time, puts the slow error into the band; 0 says that the sensor "
+        "has none."
     ]
 
 

@@ -11,16 +11,16 @@ from midspan.calibration.common_offset import MIN_OFFSET_S, OFFSET_STD
 from midspan.calibration.fit import Pair
 from midspan.calibration.frequency_response import Kind, kinds_of
 from midspan.calibration.measured import measured_rows
+from midspan.calibration.radar.clear_part import clearly_seen, found_targets, refuse_farther
 from midspan.calibration.radar.clock import Seen, clock_skew
 from midspan.calibration.radar.diagnostics import diagnostics_of
 from midspan.calibration.radar.own_motion import judged
-from midspan.calibration.radar.window import MIN_FRAMES, OpenedWindow
+from midspan.calibration.radar.window import OpenedWindow
 from midspan.calibration.scale import WARNED_ABOVE, is_ambiguous, with_frequency
 from midspan.calibration.sensors.fit import SensorFit
 from midspan.calibration.sensors.radar import RadarCalibration, RadarTarget
 from midspan.calibration.time_offset import OffsetSearch, search_offset
 from midspan.errors import DataError, UntrustedError, UsageError
-from midspan.radar.blockage import MAX_SHARE, MIN_SHARE
 from midspan.radar.frames import (
     RadarFrames,
     TargetPhasors,
@@ -37,12 +37,11 @@ from midspan.radar.target import (
     MAX_RELATIVE_STD,
     Target,
     at_place,
-    find_targets,
     ranked,
 )
 from midspan.records import NANOSECONDS, Floats, TimeOffset
 from midspan.signals.acceleration import PreparedAcceleration
-from midspan.signals.health import dominant_frequency, runs
+from midspan.signals.health import dominant_frequency
 from midspan.signals.stamps import inside
 
 # Rows that the likelihood is evaluated on at most; a faster radar is thinned.
@@ -56,9 +55,6 @@ WARNED_OFFSET_S = 2e-3
 MIN_SHORT, SHORT_STD = 0.02, 5.0
 # A target farther than this from the range that was asked for is another one, m.
 MAX_M = 0.5
-# Where targets are hidden in the window for this many frames on end, its longest clear part is used if it is this share
-# of it at least; above the other share nothing needs to be left out.
-MIN_FLAW_FRAMES, MIN_CLEAR, ALL_CLEAR = 20, 0.25, 0.99
 
 
 RadarFit = SensorFit[RadarCalibration, None]
@@ -78,7 +74,9 @@ def fit_radar(
     the reason, where no target follows the accelerometer well enough.
     """
     frames, samples, told, (origin, max_offset) = window.frames, window.samples, window.told, window.clock
-    found, frames, hidden = _clearly_seen(frames, samples, info, (max_offset, most_targets))
+    found, frames, hidden = clearly_seen(frames, samples, info, (max_offset, most_targets))
+    if all(target.objection for target in found):
+        refuse_farther(frames, prepared, info, (origin, max_offset))
     found, frames = _at_one_pace(found, frames, samples, (info, max_offset))
     whole = without_holes(frames)
     targets, offset = _chosen(found, most_targets, target_range_m)
@@ -122,43 +120,6 @@ def fit_radar(
     )
 
 
-def _clearly_seen(
-    frames: RadarFrames, samples: Floats, info: RadarInfo, given: tuple[float, int]
-) -> tuple[tuple[Target, ...], RadarFrames, list[str]]:
-    """The targets, the frames of the window in which the best ones were not hidden, and a sentence on those left out.
-
-    given: largest clock offset (s) and how many targets are used. What stands before a target would be taken for its
-    noise.
-    """
-    found = found_targets(frames, samples, info, given[0])
-    best = [target for target in found if not target.objection]
-    best = sorted(best, key=lambda target: target.noise_m)[: given[1]]
-    if not best:
-        return found, frames, []
-    longest = _longest_clear(frames, best)
-    if longest.stop - longest.start < MIN_CLEAR * len(frames.time_ns):
-        # What stands before one target may be taken for another, seen for a short time only.
-        longest = max((_longest_clear(frames, [target]) for target in best), key=lambda part: part.stop - part.start)
-    count = longest.stop - longest.start
-    if count >= ALL_CLEAR * len(frames.time_ns) or count < max(MIN_FRAMES, MIN_CLEAR * len(frames.time_ns)):
-        return found, frames, []
-    frames = RadarFrames(frames.time_ns[longest], frames.phasors[longest], frames.valid[longest])
-    length_s = float(frames.time_ns[-1] - frames.time_ns[0]) / NANOSECONDS
-    text = (
-        f"radar: something hid a target in the calibration window; its longest clear part, {length_s:.3g} s, was used."
-    )
-    return found_targets(frames, samples, info, given[0]), frames, [text]
-
-
-def found_targets(frames: RadarFrames, samples: Floats, info: RadarInfo, max_offset_s: float) -> tuple[Target, ...]:
-    """All targets of the frames, relative to the accelerometer."""
-    whole = without_holes(frames)
-    time_s = whole.time_ns / NANOSECONDS
-    return find_targets(
-        whole.phasors, time_s, samples=samples, axis=info.axis, max_offset_s=max_offset_s, valid=whole.valid
-    )
-
-
 def _at_one_pace(
     found: tuple[Target, ...], frames: RadarFrames, samples: Floats, given: tuple[RadarInfo, float]
 ) -> tuple[tuple[Target, ...], RadarFrames]:
@@ -172,7 +133,8 @@ def _at_one_pace(
     best = min(usable, key=lambda target: target.noise_m)
     z = together(at_place(frames.phasors, best.place_bin)[..., None], best, frames.valid)[:, 0] - best.leak
     unit = given[0].axis.phase_per_m(best.range_m)
-    seen = Seen(frames.time_ns, z, best.amplitude, best.time_offset_s, 1.0 / best.conversion_factor, unit)
+    told = best.amplitude, best.noise_variance, best.time_offset_s
+    seen = Seen(frames.time_ns, z, *told, 1.0 / best.conversion_factor, unit)
     skew = clock_skew(seen, samples)
     if skew == 0.0:
         return found, frames
@@ -180,22 +142,6 @@ def _at_one_pace(
     late_ns = np.rint(skew * (frames.time_ns - middle)).astype(np.int64)
     frames = replace(frames, time_ns=frames.time_ns + late_ns)
     return found_targets(frames, samples, given[0], given[1]), frames
-
-
-def _longest_clear(frames: RadarFrames, targets: Sequence[Target]) -> slice:
-    """The longest segment of frames in which all targets had about their usual amplitude, short flaws allowed."""
-    clear = np.ones(len(frames.time_ns), dtype=np.bool_)
-    for target in targets:
-        z = together(at_place(frames.phasors, target.place_bin)[..., None], target, frames.valid)[:, 0] - target.leak
-        share = np.abs(z) / target.amplitude
-        # A target that moves through its bin fades on its own.
-        low = MIN_SHARE if target.reach_bins == 0.0 else 0.0
-        clear &= ~((share < low) | (share > MAX_SHARE))
-    flaws = [run for run in runs(~clear) if run[1] - run[0] >= MIN_FLAW_FRAMES]
-    edges = [0, *(int(k) for run in flaws for k in run), len(clear)]
-    starts, ends = edges[0::2], edges[1::2]
-    k = int(np.argmax(np.subtract(ends, starts)))
-    return slice(starts[k], ends[k])
 
 
 def phasors_of(frames: RadarFrames, target: Target, info: RadarInfo) -> TargetPhasors:
@@ -277,6 +223,13 @@ def searched(
     prepared: PreparedAcceleration, whole: RadarFrames, series: TargetSeries, given: tuple[int, float]
 ) -> OffsetSearch:
     """Clock offset, factor and noise levels of the best target by maximum likelihood: a second way to all of them."""
+    return search_offset(radar_pair(prepared, whole, series, given), given[1])
+
+
+def radar_pair(
+    prepared: PreparedAcceleration, whole: RadarFrames, series: TargetSeries, given: tuple[int, float]
+) -> Pair:
+    """The range to a target, and the acceleration; given: stamp of the first frame (ns), largest clock offset (s)."""
     origin, max_offset = given
     span = int(whole.time_ns[0]) + origin, int(whole.time_ns[-1]) + origin
     margin = round((max_offset + 1.0) * NANOSECONDS)
@@ -286,7 +239,7 @@ def searched(
     typical = float(np.median(variance[np.isfinite(variance)]))
     thin = slice(None, None, max(1, -(-len(whole.time_ns) // MAX_ROWS)))
     rows = measured_rows(whole.time_ns[thin], series.range_change_m[thin], variance[thin] / typical, 0)
-    return search_offset(Pair(samples, rows, level_m_s2=prepared.level(window)), max_offset)
+    return Pair(samples, rows, level_m_s2=prepared.level(window), cross=prepared.cross_rows(window))
 
 
 def searched_bias(search: OffsetSearch) -> Bias:

@@ -29,12 +29,14 @@ MIN_LATE_S = 1e-4
 class Seen:
     """The best target's phasors (n,), without what is static, at stamps (n,) ns of the radar's clock.
 
-    amplitude: as calibrated; offset_s: as calibrated; ratio: range change per displacement; phase_per_m: rad per m.
+    amplitude, noise, offset_s: as calibrated, noise being the variance of a phasor; ratio: range change per
+    displacement; phase_per_m: rad per m.
     """
 
     time_ns: Nanoseconds
     phasors: np.ndarray[tuple[int, ...], np.dtype[np.complexfloating]]
     amplitude: float
+    noise: float
     offset_s: float
     ratio: float
     phase_per_m: float
@@ -75,7 +77,7 @@ def _lateness(seen: Seen, samples: Floats, window: tuple[float, float]) -> tuple
         return None
     places = even_places(seen.time_ns[own])
     phase = np.full(int(places[-1]) + 1, np.nan)
-    hidden = blocked(np.abs(np.nan_to_num(seen.phasors[own])), seen.amplitude)
+    hidden = blocked(np.abs(np.nan_to_num(seen.phasors[own])), seen.amplitude, seen.noise)
     phase[places] = np.where(hidden, np.nan, np.angle(seen.phasors[own]))
     time_s = np.interp(np.arange(len(phase)), places, seconds(seen.time_ns[own], 0)) + seen.offset_s
     near = slice(*np.searchsorted(samples[:, 0], (time_s[0] - 2.0 * REACH_S, time_s[-1] + 2.0 * REACH_S)))

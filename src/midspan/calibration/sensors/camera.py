@@ -71,6 +71,12 @@ class CameraCalibration:
         return found or (TargetCalibration(self.region, "1", self.scale, self.noise_std_px, self.variance_factor),)
 
     @property
+    def best_used(self) -> int:
+        """Number, among those used, of the target with the least noise, whose zero is that of the displacement."""
+        noise = [abs(m.scale_m_per_px) * t.noise_std_px for m, t in zip(self.mappings(), self.used, strict=True)]
+        return noise.index(min(noise))
+
+    @property
     def relative_std(self) -> float:
         """Relative standard deviation of the scale factor of all targets together."""
         if self.relative_scale_std is not None:

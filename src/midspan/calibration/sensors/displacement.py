@@ -16,6 +16,8 @@ class DisplacementCalibration:
     such values are left out. slow_std_m, slow_time_s: standard deviation and correlation time of its slow error
     (first-order Gauss-Markov). exposure_s: time over which it averages; effective_exposure_s: the one whose first term,
     exposure²/24 times the acceleration, did most nearly the same to the motion: with it measurements are taken.
+    apart_std_m: motion that a low-pass in the accelerometer's logger may have taken away (rms), which the error band
+    holds whole.
     """
 
     noise_std_m: float
@@ -30,6 +32,7 @@ class DisplacementCalibration:
     slow_time_s: float = math.inf
     exposure_s: float = 0.0
     effective_exposure_s: float = 0.0
+    apart_std_m: float = 0.0
 
     @property
     def kind(self) -> str:
@@ -52,6 +55,7 @@ class DisplacementCalibration:
             scale_std=math.hypot(self.scale_std / gain, std * own),
             noise_std_m=self.noise_std_m / gain,
             slow_std_m=self.slow_std_m / gain,
+            apart_std_m=self.apart_std_m / gain,
             resolution_m=None if self.resolution_m is None else self.resolution_m / gain,
             low_m=self.low_m / gain,
             high_m=self.high_m / gain,

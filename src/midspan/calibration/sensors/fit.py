@@ -5,6 +5,7 @@ from typing import Generic, TypeVar
 
 from midspan.calibration.agreement import Misfit
 from midspan.calibration.bias import Bias
+from midspan.calibration.direction import Direction
 from midspan.records import InputNoise
 
 Calibrated = TypeVar("Calibrated")
@@ -19,7 +20,8 @@ class SensorFit(Generic[Calibrated, Diagnostics]):
     input_noise: of the acceleration; without an accelerometer the motion's own. bias: of the accelerometer, None
     without one. diagnostics: what the values rest on, None where the calibration holds it. gain,
     gain_std: of the accelerometer relative to the sensor, 0 where that does not tell it. misfit: how far the
-    innovations are from white. slope: by which the accelerometer leans as it moves, radians a metre.
+    innovations are from white. slope: by which the accelerometer leans as it moves, radians a metre. direction: of the
+    sensor's axis, None where the accelerometer's other axes were not recorded.
     """
 
     calibration: Calibrated
@@ -31,3 +33,4 @@ class SensorFit(Generic[Calibrated, Diagnostics]):
     gain_std: float = 0.0
     misfit: Misfit = field(default_factory=Misfit)
     slope: float = 0.0
+    direction: Direction | None = None

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from midspan.errors import UsageError
 from midspan.radar.target import Target
 from midspan.records import Floats, Source, TimeOffset
 
@@ -76,3 +77,15 @@ class RadarCalibration:
 
         targets = tuple(metres(item) for item in self.targets)
         return replace(self, targets=targets, relative_std=math.hypot(self.relative_std, std))
+
+
+def require_same_way(calibration: RadarCalibration, literal: bool) -> None:
+    """UsageError where a calibration as printed would be followed otherwise, or the other way round."""
+    if calibration.literal == literal:
+        return
+    made, asked = (str(value).lower() for value in (calibration.literal, literal))
+    raise UsageError(
+        f"radar: the calibration was made with fusion.literal = {made}, this estimate has fusion.literal = {asked}; "
+        f"both must be the same. Write literal = {asked} under [fusion] of recording.toml and run `midspan calibrate` "
+        "again, or leave the calibration out."
+    )

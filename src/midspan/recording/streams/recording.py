@@ -2,10 +2,14 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from midspan.calibration.direction import Direction
 from midspan.errors import DataError, MidspanError, UsageError
 from midspan.records import NANOSECONDS, Nanoseconds, TimeSeries
 from midspan.settings.camera import InfraredSettings
@@ -13,7 +17,7 @@ from midspan.settings.kinds import CAMERAS, KINDS
 from midspan.settings.load import load_settings, settings_file
 from midspan.settings.recording import RecordingSettings, Sensor
 from midspan.settings.sensors import AccelerometerSettings, ChannelSettings
-from midspan.signals.acceleration import PreparedAcceleration, prepare_acceleration, still
+from midspan.signals.acceleration import PreparedAcceleration, prepare_acceleration, still, with_cross
 from midspan.sources.accelerometer.formats import list_channels
 from midspan.sources.accelerometer.select import SeriesRequest, read_series
 from midspan.sources.camera.formats import open_frames
@@ -49,6 +53,8 @@ class Recording:
         # Of a view: what it is a view of, and its sensor.
         self._beside: Recording | None = None
         self._own: Sensor | None = None
+        # Of the accelerometer with several axes: the one that the acceleration is along, once it is calibrated.
+        self._axis: Direction | None = None
         # A camera that is dark before this instant is used from it on.
         self.sees_from_ns: int | None = None
 
@@ -197,12 +203,30 @@ class Recording:
             )
         return self.settings.accelerometer
 
+    def along(self, axis: Direction | None) -> "Recording":
+        """The same with the acceleration along a calibrated axis; UsageError where its columns are others."""
+        named, wanted = self.accelerometer.cross_values, 0 if axis is None else len(axis.components)
+        if len(named) != wanted:
+            raise UsageError(
+                f"{self.file}: accelerometer.cross_values: names {len(named)} columns, and the calibration was made "
+                f"with {wanted}. Name the same ones, or calibrate again."
+            )
+        if axis is None:
+            return self
+        found = Recording(self.file, self.settings)
+        found._axis = axis
+        return found
+
     @cached_property
     def acceleration(self) -> TimeSeries:
         """The accelerometer's channel, m/s², on its own clock."""
         if self._beside is not None:
             return self._beside.acceleration
-        return self._series("accelerometer", self.accelerometer, "acceleration")
+        main = self._series("accelerometer", self.accelerometer, "acceleration")
+        if self._axis is None:
+            return main
+        every = self._with_cross(main)
+        return replace(main, value=np.where(every.missing, np.nan, every.along(self._axis.components).value_m_s2))
 
     @cached_property
     def prepared(self) -> PreparedAcceleration:
@@ -211,7 +235,20 @@ class Recording:
             return still(self._whole.prepared)
         if self._beside is not None:
             return self._beside.prepared
+        if self._axis is None and self.accelerometer.cross_values:
+            return self._with_cross(self.acceleration)
         return prepare_acceleration(self.acceleration, f"accelerometer ({self.accelerometer.file})")
+
+    def _with_cross(self, main: TimeSeries) -> PreparedAcceleration:
+        """The main axis and the others, each bridged as its own."""
+        own, where = self.accelerometer, f"accelerometer ({self.accelerometer.file}"
+        sections = [own.model_copy(update={"value": name}) for name in own.cross_values]
+        cross = [self._series("accelerometer", one, "acceleration") for one in sections]
+        if any(not np.array_equal(one.time_ns, main.time_ns) for one in cross):
+            raise DataError(f"{where}): the columns of cross_values have other times than {own.value!r}.")
+        names = zip((main, *cross), (own.value, *own.cross_values), strict=True)
+        first, *others = (prepare_acceleration(one, f"{where}, {name})") for one, name in names)
+        return with_cross(first, others)
 
     @cached_property
     def displacement(self) -> TimeSeries:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from midspan._version import __version__
+from midspan.calibration.direction import Direction
 from midspan.calibration.noise import NoiseCalibration
 from midspan.calibration.scale import ScaleCalibration
 from midspan.calibration.sensors.camera import CameraCalibration
@@ -50,20 +51,23 @@ class Calibration:
 
     noise_std_m_s2: white noise of the acceleration per sample; motion_noise_s: what its noise density has besides, per
     mean square of the acceleration (m²/s⁴); bias_m_s2, bias_std_m_s2: the accelerometer's bias at the end of the window
-    and its standard deviation, infinite where that is not known. camera, infrared, radar, displacement: the first
-    sensor of each kind; others: further ones, each with its name. accelerometer_scale: gain of the accelerometer
-    relative to a displacement sensor, 1 where it cannot be estimated, with its standard deviation, which then is that
-    of its sensitivity as given; it is in the scales' standard deviations. misfit: factor on the band's variance, as
-    innovations that are not white show. slope: by which the accelerometer leans as it moves, so that gravity reaches
-    it, radians a metre. across: the same along the second image axis, with camera.direction = "xy"; where that has no
-    accelerometer, the noise is the motion's own acceleration. left_out: the second axis "x" or "y" where nothing could
-    be estimated of it, else empty. usual: what is usual of the acceleration, None where the file does not tell it.
-    diagnostics: what the estimates rest on, for the report; not stored in the file.
+    and its standard deviation, infinite where that is not known; bias_drift_m_s3: how fast it drifts. camera, infrared,
+    radar, displacement: the first sensor of each kind; others: further ones, each with its name. accelerometer_scale:
+    gain of the accelerometer relative to a displacement sensor, 1 where it cannot be estimated, with its standard
+    deviation, which then is that of its sensitivity as given; it is in the scales' standard deviations. misfit: factor
+    on the band's variance, as innovations that are not white show. slope: by which the accelerometer leans as it moves,
+    so that gravity reaches it, radians a metre. sensor_axis: direction of the other sensors' axis among the
+    accelerometer's, None where only one was recorded. across: the same along the second image axis, with
+    camera.direction = "xy"; where that has no accelerometer, the noise is the motion's own acceleration. left_out: the
+    second axis "x" or "y" where nothing could be estimated of it, else empty. usual: what is usual of the acceleration,
+    None where the file does not tell it. diagnostics: what the estimates rest on, for the report; not stored in the
+    file.
     """
 
     noise_std_m_s2: float
     bias_m_s2: float
     bias_std_m_s2: float = math.inf
+    bias_drift_m_s3: float = 0.0
     motion_noise_s: float = 0.0
     camera: CameraCalibration | None = None
     infrared: CameraCalibration | None = None
@@ -79,8 +83,14 @@ class Calibration:
     accelerometer_scale_std: float = 0.0
     misfit: float = 1.0
     slope: float = 0.0
+    sensor_axis: Direction | None = None
     usual: AxisFigures | None = None
     diagnostics: "ScaleCalibration | NoiseCalibration | None" = field(default=None, compare=False, repr=False)
+
+    def gain_std(self, tolerance: float, *, given: bool) -> float:
+        """Relative standard deviation of the accelerometer's gain: as calibrated, else its tolerance where given."""
+        known = self.accelerometer_scale_std
+        return known or tolerance if given else known
 
     @property
     def first_camera(self) -> CameraCalibration | None:
@@ -138,6 +148,7 @@ class Calibration:
             "accelerometer": {
                 **_acceleration_tree(self),
                 "scale": self.accelerometer_scale,
+                **_direction_tree(self.sensor_axis),
             },
         }
         for kind, written in TREES.items():
@@ -172,10 +183,15 @@ def _acceleration_tree(part: Calibration, prefix: str = "") -> dict[str, Any]:
         f"{prefix}motion_noise_s": part.motion_noise_s,
         f"{prefix}bias_m_s2": part.bias_m_s2,
         f"{prefix}bias_std_m_s2": finite_or_none(part.bias_std_m_s2),
+        f"{prefix}bias_drift_m_s3": part.bias_drift_m_s3,
         f"{prefix}scale_std": part.accelerometer_scale_std,
         f"{prefix}misfit": part.misfit,
         f"{prefix}slope_rad_m": part.slope,
     }
+
+
+def _direction_tree(axis: Direction | None) -> dict[str, Any]:
+    return {} if axis is None else {"direction": list(axis.components), "direction_std": list(axis.std)}
 
 
 def _axis_tree(camera: CameraCalibration, part: Calibration) -> dict[str, Any]:

@@ -4,6 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from midspan.calibration.direction import Direction
 from midspan.errors import DataError
 from midspan.records import Source
 from midspan.settings.calibration import StoredCamera, validate_calibration
@@ -46,6 +47,7 @@ def calibration_from_dict(tree: Any, where: str = CALIBRATION_FILE) -> Calibrati
         motion_noise_s=own.motion_noise_s,
         bias_m_s2=own.bias_m_s2,
         bias_std_m_s2=own.bias_std_m_s2,
+        bias_drift_m_s3=own.bias_drift_m_s3,
         warnings=stored.warnings,
         left_out="" if first is None else first.left_out,
         created=stored.created,
@@ -55,6 +57,7 @@ def calibration_from_dict(tree: Any, where: str = CALIBRATION_FILE) -> Calibrati
         accelerometer_scale_std=own.scale_std,
         misfit=own.misfit,
         slope=own.slope_rad_m,
+        sensor_axis=Direction(own.direction, own.direction_std) if own.direction else None,
         usual=usual_of(own.usual),
     )
     return found if first is None or first.direction != "xy" else _with_second_axis(found, first)
@@ -72,6 +75,7 @@ def _with_second_axis(found: Calibration, first: StoredCamera) -> Calibration:
         motion_noise_s=part.accelerometer_motion_noise_s,
         bias_m_s2=part.accelerometer_bias_m_s2,
         bias_std_m_s2=part.accelerometer_bias_std_m_s2,
+        bias_drift_m_s3=part.accelerometer_bias_drift_m_s3,
         accelerometer_scale_std=part.accelerometer_scale_std,
         misfit=part.accelerometer_misfit,
         slope=part.accelerometer_slope_rad_m,

@@ -91,7 +91,8 @@ def displacement_tree(sensor: DisplacementCalibration) -> dict[str, Any]:
     slow = {"slow_std_mm": MM * sensor.slow_std_m, "slow_time_s": sensor.slow_time_s} if sensor.slow_std_m > 0.0 else {}
     times = {"exposure_s": sensor.exposure_s, "effective_exposure_s": sensor.effective_exposure_s}
     exposure = times if sensor.exposure_s > 0.0 else {}
-    own = {"noise_std_mm": MM * sensor.noise_std_m} | exposure
+    apart = {"apart_std_mm": MM * sensor.apart_std_m} if sensor.apart_std_m > 0.0 else {}
+    own = {"noise_std_mm": MM * sensor.noise_std_m} | exposure | apart
     return _sensor_tree(sensor) | own | slow | resolution | scale
 
 
@@ -149,8 +150,8 @@ def radar_of(part: StoredRadar) -> RadarCalibration:
 
 def displacement_of(part: StoredDisplacement) -> DisplacementCalibration:
     """The displacement sensor."""
-    white_m, slow_m = part.noise_std_mm / MM, part.slow_std_mm / MM
-    return DisplacementCalibration(noise_std_m=white_m, slow_std_m=slow_m, **_same(DisplacementCalibration, part))
+    metres = {f"{name}_m": getattr(part, f"{name}_mm") / MM for name in ("noise_std", "slow_std", "apart_std")}
+    return DisplacementCalibration(**metres, **_same(DisplacementCalibration, part))
 
 
 def _same(record: type, part: Stored) -> dict[str, Any]:

@@ -17,6 +17,9 @@ from midspan.sources.live.fault import SourceFault
 
 # A camera that answers does so within this; a stream that brings nothing for so long is stopped.
 OPEN_S, READ_S = 3.0, 3.0
+# A network camera says what its clock shows within this time (sender reports come every five seconds); frames before
+# are left out: dated by their arrival they would be tens of milliseconds off.
+REPORT_S = 10.0
 MICROSECONDS = 1_000
 
 
@@ -54,7 +57,7 @@ def frames(address: str) -> Iterator[Stamped]:
         if stream is None:
             raise SourceFault("no_video", "the stream holds no video")
         stream.thread_type = "SLICE"
-        yield from _decoded(container, stream)
+        yield from _decoded(container, stream, 0.0 if address.startswith("usb:") else REPORT_S)
     except av.error.ExitError:
         raise SourceFault("stopped", f"nothing came for {READ_S:g} s") from None
     except av.error.FFmpegError as error:
@@ -88,9 +91,11 @@ def _opened(address: str) -> Any:
         raise SourceFault("damaged", f"what answers is no video ({error.strerror or type(error).__name__})") from None
 
 
-def _decoded(container: Any, stream: Any) -> Iterator[Stamped]:
-    """Frames with their instants: the sender's where a packet brings it, else the stream's, else by arrival."""
-    envelope, reports, count = ArrivalEnvelope(), 0, 0
+def _decoded(container: Any, stream: Any, report_s: float) -> Iterator[Stamped]:
+    """Frames with their instants: the sender's where a packet brings it within `report_s` of the stream's beginning,
+    else the stream's, else by arrival.
+    """
+    envelope, reports, count, first_s = ArrivalEnvelope(), 0, 0, None
     base = float(stream.time_base)
     sent_ns: dict[int, int] = {}
     known: tuple[int, int] | None = None
@@ -119,6 +124,9 @@ def _decoded(container: Any, stream: Any) -> Iterator[Stamped]:
                 stamp, kind = by_arrival_ns, StampKind.ARRIVAL
             if len(sent_ns) > ENVELOPE:
                 sent_ns.clear()
+            first_s = stream_s if first_s is None else first_s
+            if kind is not StampKind.SENDER and stream_s - first_s < report_s:
+                continue
             if stamp > newest_ns:
                 newest_ns = stamp
                 yield Stamped(Frame(stamp, luma(picture), count), kind)

@@ -1,0 +1,60 @@
+"""A low-pass in the accelerometer's logger, as a displacement sensor shows it.
+
+It delays all motion, fast motion more, and weakens what is fast. The delay of slow motion is no different from a clock
+offset. How delay and weakening grow with frequency shows (see `frequency_response`); what the low-pass takes away
+altogether is motion that the accelerometer does not feel, and looks like noise of the sensor.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from midspan.calibration.fit import Fit, Pair, best_corner, refine
+from midspan.calibration.frequency_response import MAX_LATE, MIN_GAIN, Kind, with_response
+from midspan.signals.health import dominant_frequency
+
+
+@dataclass(frozen=True, slots=True)
+class LowPass:
+    """What shows of a low-pass: of motion of frequency_hz, relative to slow motion, the delay (s) and what is lost
+    (share); offset_s: clock offset of slow motion, its delay included; taken_m: what it makes of the displacement but
+    for that delay, rms.
+    """
+
+    frequency_hz: float
+    late_s: float
+    lost: float
+    offset_s: float
+    taken_m: float
+
+    def text(self) -> str:
+        """What it does, in words."""
+        later = [f"{1e3 * self.late_s:.2g} ms later"] if self.late_s > 0.0 else []
+        weaker = [f"{100.0 * self.lost:.2g} % weaker"] if self.lost > 0.0 else []
+        return (
+            "a low-pass in the accelerometer's logger delays and weakens fast motion: that of "
+            f"{self.frequency_hz:.2g} Hz comes {' and '.join((*later, *weaker))} than slow motion"
+        )
+
+
+def find_low_pass(pair: Pair, fit: Fit) -> LowPass | None:
+    """The low-pass that shows between a displacement sensor and the accelerometer at the clock offset of a fit; None
+    where none shows.
+
+    It shows where the delay grows with the frequency, or the acceleration weakens, and that explains the readings
+    better by frequency_response.MIN_GAIN (logarithm of the likelihood), with any gain of the accelerometer.
+    """
+    free = replace(pair, ratio=None, reference=None)
+    before = best_corner(free, fit.offset_s, fit.corner)
+    without, found, _ = with_response(free, before, (Kind.LAG, Kind.DROOP), most_open=np.inf)
+    droop, lag = without.logger
+    if not found or lag > 0.0:
+        return None
+    after = refine(without, best_corner(without, fit.offset_s), MAX_LATE / pair.rate_hz)
+    if after.likelihood - before.likelihood < MIN_GAIN:
+        return None
+    frequency_hz = dominant_frequency(pair.samples[:, 1], pair.sample_rate_hz) or 0.0
+    square = (2.0 * np.pi * frequency_hz) ** 2
+    path, time_s = pair.responses[0], pair.samples[:, 0]
+    taken_m = float(np.std(droop * path.derivative(time_s, 2) + lag * path.derivative(time_s, 3)))
+    return LowPass(frequency_hz, -lag * square, min(-droop * square, 1.0), after.offset_s, taken_m)

@@ -1,0 +1,168 @@
+"""Steps of a sensor's zero that no single measurement shows: the ratio of likelihoods over many innovations.
+
+A step that began at some instant leaves a signature in all innovations after it, through the filter's own gains. Its
+size and the ratio of likelihoods follow from sums of signature times innovation, and the estimate with the step from
+the one without it (A. S. Willsky, H. L. Jones, A generalized likelihood ratio approach to the detection and estimation
+of jumps in linear systems, IEEE Trans. Automat. Contr. 21 (1976) 108-112, doi 10.1109/TAC.1976.1101146; the exact
+correction is Friedland's, doi 10.1109/TAC.1969.1099223). Sums are kept for a bounded number of instants. An error of
+the acceleration that left a wrong velocity is weighed against each step: it asks for no correction, as the filter
+follows the sensor then.
+"""
+
+import numpy as np
+from numba import njit
+
+from midspan.fusion.forward import AXIS, BLUR, COASTING_S, SENSOR, UNITS_PER_M, ZERO
+
+# Instants at which a step may have begun, of each sensor along each axis.
+INSTANTS = 16
+# From one of them to the next the updates take over this share of what a measurement is off, all together: a step there
+# looks alike. So the instants reach back over four times the filter's memory at least.
+APART_BY = 0.25
+# A step is taken out where it is likelier than none (logarithm of the odds), as the likeliest hypothesis is believed.
+# With one an hour, five measurements a second and sizes alike in all decades that is at 5.1 deviations of its size.
+SURE = 0.0
+# After so many of the gaps a sensor has been moved or set up anew, as its clock may have been (`P_STEPPED`).
+P_MOVED = 0.1
+# Causes at an instant: the zero's step (1 m), and of the acceleration that of the velocity (1 m/s).
+STEP, VELOCITY = range(2)
+CAUSES = 2
+# Columns of an instant: time (s); logarithm of the probability of a step, of a wrong acceleration (0: not in use); then
+# of each cause the sum of its information, of signature times innovation (1 + k), and what it has changed of the
+# states that the filter does not know (n).
+SINCE, P_STEP, P_VELOCITY, SUMS = range(4)
+# The last row of a group: time (s) up to which all are carried, shares taken over since the last instant, its number.
+CARRIED, TAKEN_OVER, NUMBER = range(3)
+
+
+@njit(cache=True)
+def group_of(channel, axes):  # type: ignore[no-untyped-def]
+    """The group of a channel: all targets of a sensor along an axis step together."""
+    return int(channel[SENSOR]) * axes + int(channel[AXIS])
+
+
+@njit(cache=True)
+def changed_by(test, cause, k, n):  # type: ignore[no-untyped-def]
+    """What a cause of one size has changed of the states (n,), as a view; k: number of parameters."""
+    begin = SUMS + cause * (2 + k + n) + 2 + k
+    return test[begin : begin + n]
+
+
+@njit(cache=True)
+def carry(tests, at, axes, k, n):  # type: ignore[no-untyped-def]
+    """Move what all causes have changed to an instant."""
+    for g in range(len(tests)):
+        i, dt = 3 * (g % axes), at - tests[g, INSTANTS, CARRIED]
+        tests[g, INSTANTS, CARRIED] = at
+        if dt == 0.0:
+            continue
+        for t in range(INSTANTS):
+            if tests[g, t, P_STEP] != 0.0:
+                for cause in range(CAUSES):
+                    w = changed_by(tests[g, t], cause, k, n)
+                    w[i] += dt * w[i + 1] - 0.5 * dt * dt * w[i + 2]
+                    w[i + 1] -= dt * w[i + 2]
+
+
+@njit(cache=True)
+def scale_changed(tests, j, factor, k, n):  # type: ignore[no-untyped-def]
+    """State `j` has been scaled by a factor."""
+    for g in range(len(tests)):
+        for t in range(INSTANTS):
+            for cause in range(CAUSES):
+                changed_by(tests[g, t], cause, k, n)[j] *= factor
+
+
+@njit(cache=True)
+def begin_instant(tests, c, channels, axes, when, priors, k, n):  # type: ignore[no-untyped-def]
+    """Begin a candidate at a measurement of channel `c`, in the place of the oldest; when = (now, last measurement, s),
+    priors: logarithms of the probabilities of the causes (2,).
+    """
+    own = tests[group_of(channels[c], axes)]
+    number = int(own[INSTANTS, NUMBER])
+    own[INSTANTS, NUMBER], own[INSTANTS, TAKEN_OVER] = (number + 1) % INSTANTS, 0.0
+    test, i = own[number], 3 * int(channels[c, AXIS])
+    test[:] = 0.0
+    test[SINCE], test[P_STEP], test[P_VELOCITY] = when[0], priors[STEP], priors[VELOCITY]
+    for o in range(len(channels)):
+        if group_of(channels[o], axes) == group_of(channels[c], axes):
+            changed_by(test, STEP, k, n)[int(channels[o, ZERO]) + 1] = 1.0
+    faster = changed_by(test, VELOCITY, k, n)
+    # It happened some time since the measurement before.
+    faster[i], faster[i + 1] = 0.5 * (when[0] - when[1]), 1.0
+
+
+@njit(cache=True)
+def meet_innovation(tests, c, channels, axes, gain, e, total):  # type: ignore[no-untyped-def]
+    """Add an innovation `e` (1 + k) of channel `c` and variance `total` to the sums; gain (n,): K of its update."""
+    n, k, g = len(gain), len(e) - 1, channels[c, UNITS_PER_M]
+    i, z, blur = 3 * int(channels[c, AXIS]), int(channels[c, ZERO]), channels[c, BLUR]
+    for group in range(int(channels[c, AXIS]), len(tests), axes):
+        for t in range(INSTANTS):
+            test = tests[group, t]
+            if test[P_STEP] == 0.0:
+                continue
+            for cause in range(CAUSES):
+                first = SUMS + cause * (2 + k + n)
+                w = first + 2 + k
+                f = g * (test[w + i] - blur * test[w + i + 2] + test[w + z] + test[w + z + 1] + test[w + z + 2])
+                test[first] += f * f / total
+                for q in range(1 + k):
+                    test[first + 1 + q] += f * e[q] / total
+                for j in range(n):
+                    test[w + j] -= gain[j] * f
+
+
+@njit(cache=True)
+def ratio(test, cause, theta, n):  # type: ignore[no-untyped-def]
+    """Size of a cause, its variance, and chi-square of one degree of freedom by which it makes the record likelier."""
+    first = SUMS + cause * (2 + len(theta) + n)
+    known, matched = test[first], test[first + 1]
+    for q in range(len(theta)):
+        matched += test[first + 2 + q] * theta[q]
+    if known == 0.0:
+        return 0.0, np.inf, 0.0
+    return matched / known, 1.0 / known, matched * matched / known
+
+
+@njit(cache=True)
+def step_of(own, theta, misfit, even, n):  # type: ignore[no-untyped-def]
+    """The likeliest instant of a step among a group's (INSTANTS + 1, ...) and its odds (logarithm) against no step or
+    against a wrong acceleration, whichever is likelier; even: logarithm of the density of the size's logarithm.
+    """
+    best, odds, other = -1, -np.inf, 0.0
+    for t in range(INSTANTS):
+        if own[t, P_STEP] == 0.0:
+            continue
+        size, variance, chi = ratio(own[t], STEP, theta, n)
+        if chi > 1.0:
+            # The mean of the likelihood over all sizes, each decade of which is as likely.
+            one = own[t, P_STEP] + even + 0.5 * (chi / misfit + np.log(2.0 * np.pi * variance / (size * size)))
+            if one > odds:
+                best, odds = t, one
+        size, variance, chi = ratio(own[t], VELOCITY, theta, n)
+        if chi > 1.0:
+            one = own[t, P_VELOCITY] + even + 0.5 * (chi / misfit + np.log(2.0 * np.pi * variance / (size * size)))
+            other = max(other, one)
+    return best, odds - other
+
+
+@njit(cache=True)
+def take_step(x, p, test, theta):  # type: ignore[no-untyped-def]
+    """Correct states X (n, 1 + k) and P (n, n) by a step; returns its size (m) and the variance of that (m²)."""
+    n, k = len(p), len(theta)
+    size, variance, _ = ratio(test, STEP, theta, n)
+    w = changed_by(test, STEP, k, n)
+    for i in range(n):
+        for q in range(1 + k):
+            x[i, q] += w[i] * test[SUMS + 1 + q] * variance
+        for j in range(n):
+            p[i, j] += w[i] * w[j] * variance
+    return size, variance
+
+
+@njit(cache=True)
+def moved_probability(lapse, channel, rate):  # type: ignore[no-untyped-def]
+    """Probability that a sensor's zero has shifted since its last measurement, `lapse` (s) ago; rate: a second."""
+    met = min(-np.expm1(-rate * lapse), 0.5)
+    return max(met, P_MOVED) if lapse > channel[COASTING_S] else met
