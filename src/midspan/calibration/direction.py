@@ -152,18 +152,18 @@ def _step(pair: Pair, fit: Fit, cross: Floats, components: Floats) -> _Step:
     columns = w.columns[:, (RESPONSE, VELOCITY, *range(w.columns.shape[1] - k, w.columns.shape[1]))]
     power = np.einsum("mi,mj,m->ij", columns, columns, 1.0 / w.variance)
     aim = np.einsum("mi,m->i", columns, w.translation / w.variance)
-    told = 1.0 - _noise_share(pair, fit, w, cross, power)
+    shown = 1.0 - _noise_share(pair, fit, w, cross, power)
     # What is known before of the components themselves: near none.
     known = fit.noise * (length / (fit.ratio * USUAL_COMPONENT)) ** 2
     inverse = _inverse(power + np.diag([0.0, 0.0, *np.full(k, known)]))
     found = inverse @ (aim - np.r_[0.0, 0.0, known * components * fit.ratio / length])
-    std = told * length * np.sqrt(fit.noise * np.diag(inverse)[2:]) / abs(fit.ratio)
+    std = shown * length * np.sqrt(fit.noise * np.diag(inverse)[2:]) / abs(fit.ratio)
     # How ratio and offset go with the components, where the ratio is that of a vector of length 1.
     drag = np.vstack((components / length, np.zeros(k))) - _inverse(power[:2, :2]) @ power[:2, 2:]
-    spread = fit.noise / fit.ratio**2 * np.diag(drag * told @ inverse[2:, 2:] @ (drag * told).T)
+    spread = fit.noise / fit.ratio**2 * np.diag(drag * shown @ inverse[2:, 2:] @ (drag * shown).T)
     return _Step(
-        components=told * (components + found[2:] / found[0] * length),
-        std=np.hypot(std, (1.0 - told**2) * USUAL_COMPONENT),
+        components=shown * (components + found[2:] / found[0] * length),
+        std=np.hypot(std, (1.0 - shown**2) * USUAL_COMPONENT),
         relative_std=float(np.sqrt(spread[0])),
         offset_variance=float(spread[1]),
     )

@@ -143,8 +143,8 @@ def calibrate_noise(
     if slow.pair.slow[0] > 0.0:
         pair = replace(pair, slow=slow.pair.slow)
         fit = best_corner(pair, fit.offset_s)
-    believed = _within_floor(pair, fit)
-    learnt = _with_scale(pair, believed, offset, search, max_offset_s, length_s, floored=believed is not fit)
+    floored_fit = _within_floor(pair, fit)
+    learnt = _with_scale(pair, floored_fit, offset, search, max_offset_s, length_s, floored=floored_fit is not fit)
     effect_s, rest_m = first_term(pair, offset.value_s)
     learnt = replace(
         learnt,

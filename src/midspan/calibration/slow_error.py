@@ -35,7 +35,7 @@ ONCE, LASTS = 0.1, 0.25
 STEP_SHOWS = 26.0
 # Twice that it does so beyond doubt; what happens once and may not be taken out stays in the band as a slow error.
 BEYOND_DOUBT = 2.0
-# Measurements are missing where the next one comes after so many intervals.
+# Measurements are missing where the next one comes after this number of intervals.
 MISSING = 3.0
 
 
@@ -93,7 +93,7 @@ def find_slow_error(pair: Pair, fit: Fit, time_s: float | None = None, whole: Fl
 
 
 def _unseen(pair: Pair, fit: Fit, rows: Floats, drift_shows: float) -> tuple[float, float, float]:
-    """As of `SlowError`; rows (k,): times (s) of the measurements; drift_shows: at so many deviations a drift does."""
+    """As of `SlowError`; rows (k,): times (s) of the measurements; drift_shows: deviations at which a drift does."""
     middle, lapses = 0.5 * (rows[0] + rows[-1]), np.diff(rows)
     longest = int(np.argmax(lapses))
     drift = shown_std(pair, fit, middle - 0.5 * DRIFT_S, DRIFT_S)

@@ -19,10 +19,10 @@ INSTANTS = 16
 # From one of them to the next the updates take over this share of what a measurement is off, all together: a step there
 # looks alike. So the instants reach back over four times the filter's memory at least.
 APART_BY = 0.25
-# A step is taken out where it is likelier than none (logarithm of the odds), as the likeliest hypothesis is believed.
+# A step is taken out where it is likelier than none (logarithm of the odds), as the likeliest hypothesis is taken.
 # With one an hour, five measurements a second and sizes alike in all decades that is at 5.1 deviations of its size.
 SURE = 0.0
-# After so many of the gaps a sensor has been moved or set up anew, as its clock may have been (`P_STEPPED`).
+# After this share of the gaps a sensor has been moved or set up anew, as its clock may have been (`P_STEPPED`).
 P_MOVED = 0.1
 # Causes at an instant: the zero's step (1 m), and of the acceleration that of the velocity (1 m/s).
 STEP, VELOCITY = range(2)

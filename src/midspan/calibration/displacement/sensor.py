@@ -172,7 +172,7 @@ def displacement_warnings(given: Given, learnt: NoiseCalibration, part: Displace
     if learnt.low_pass is not None:
         found.append(
             f"accelerometer: {learnt.low_pass.text()}. The error band holds that and what it may have taken away, "
-            f"{1e3 * part.apart_std_m:.2g} mm rms. Its delay of slow motion cannot be told from a clock offset: as "
+            f"{1e3 * part.apart_std_m:.2g} mm rms. Its delay of slow motion looks like a clock offset: as "
             f"far as the {learnt.offset.value_s:+.3g} s found are the logger's, the result is late. Use a logger whose "
             "low-pass lies far above the motion."
         )
