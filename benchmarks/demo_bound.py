@@ -7,7 +7,7 @@ import numpy as np
 
 import midspan
 from benchmarks.table import goal, show
-from midspan.evaluate.metrics import compare
+from midspan.evaluate.metrics import Band, compare
 from midspan.evaluate.simulated import least_error_mm
 from midspan.records import TimeSeries
 from midspan.simulate.scenarios.write import write
@@ -24,7 +24,7 @@ def main() -> None:
             recording = midspan.open_recording(write("footbridge", Path(folder) / "recording", seed=seed))
             result = midspan.estimate(recording)
             rows_of = TimeSeries(result.estimate.time_ns, result.estimate.displacement_m)
-            found = compare(rows_of, recording.reference, std_m=np.sqrt(result.estimate.variance_m2))
+            found = compare(rows_of, recording.reference, band=Band(np.sqrt(result.estimate.variance_m2)))
             camera = result.calibration.camera
             rows.append(
                 [

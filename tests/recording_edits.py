@@ -51,6 +51,15 @@ def write_acceleration(folder: Path, time: np.ndarray, value: np.ndarray) -> Non
     (folder / "accel.csv").write_text("\n".join(["time_s,accel", *rows]) + "\n", encoding="utf-8")
 
 
+def write_displacement(folder: Path, shaken: tuple[np.ndarray, np.ndarray], met: tuple[np.ndarray, np.ndarray]) -> None:
+    """A recording of an accelerometer, times (s) and m/s², and a displacement sensor, times (s) and mm."""
+    for name, table in (("a", shaken), ("d", met)):
+        np.savetxt(folder / f"{name}.csv", np.column_stack(table), "%.9f", ",", header="time_s,value", comments="")
+    (folder / "recording.toml").write_text(
+        '[accelerometer]\nfile = "a.csv"\nunit = "m/s^2"\n[displacement]\nfile = "d.csv"\nunit = "mm"\n'
+    )
+
+
 def frames(folder: Path) -> np.ndarray:
     """All frames of camera.mkv, (frames, rows, columns)."""
     with av.open(str(folder / "camera.mkv")) as container:

@@ -204,6 +204,14 @@ def outliers(made: Scene) -> None:
         k += burst + max(int(made.rng.exponential(burst * (1 - share) / share)), 1)
 
 
+def rtk(made: Scene) -> None:
+    """A GNSS receiver loses its fixed solution twice: 3 to 12 s of a float solution, 0.2 to 0.4 m off and drifting."""
+    for start in (made.rng.uniform(5, 50), made.rng.uniform(60, 105)):
+        inside = (made.slow_s > start) & (made.slow_s < start + made.rng.uniform(3, 12))
+        off = made.rng.choice([-1, 1]) * made.rng.uniform(0.2, 0.4)
+        made.error_m[inside] = off + np.cumsum(made.rng.normal(0, 0.01, np.count_nonzero(inside)))
+
+
 def exposure(made: Scene) -> None:
     """The sensor averages over 50 to 90 % of its interval and does not say so."""
     made.seen = averaged(made.motion, made.rng.uniform(0.5, 0.9) * float(made.slow_s[1] - made.slow_s[0]))
@@ -231,4 +239,4 @@ def flicker(made: Scene) -> None:
 
 Change = Callable[[Scene], None]
 OBEYING: tuple[Change, ...] = (plain, aliased, train, impulse, drift, gaps, coarse, offset)
-BREAKING: tuple[Change, ...] = (gain, axis, colour, step, rain, outliers, exposure, logger, tilt, flicker)
+BREAKING: tuple[Change, ...] = (gain, axis, colour, step, rain, outliers, rtk, exposure, logger, tilt, flicker)

@@ -118,6 +118,7 @@ KINDS: tuple[Kind, ...] = (
             displacement.step: "step|jump|shift|level",
             displacement.rain: "noise|outlier|reject",
             displacement.outliers: "noise|outlier|reject",
+            displacement.rtk: "jump|float|outlier",
             displacement.exposure: "exposure|averag",
             displacement.logger: LOGGER,
             displacement.tilt: TILT,

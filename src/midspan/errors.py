@@ -35,4 +35,11 @@ class UntrustedError(MidspanError):
 
 
 class NoAgreementError(UntrustedError):
-    """What the image shows moves, but not with the accelerometer: another thing, axis or event."""
+    """What the image shows moves, but not with the accelerometer: another thing, axis or event.
+
+    clock_offset_s: what to add to the camera's times for both to agree, s; None where no offset does.
+    """
+
+    def __init__(self, text: str, clock_offset_s: float | None = None) -> None:
+        super().__init__(text)
+        self.clock_offset_s = clock_offset_s

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from calibration_cases import OFFSET, broadband, observed, spoilt, tones
 
+from midspan.calibration.bias import bias_of
 from midspan.calibration.fit import Pair, aligned
 from midspan.calibration.noise import calibrate_noise, learn_motion
 from midspan.fusion.streams import NO_ERRORS, KalmanSettings, smooth
@@ -70,18 +71,59 @@ def test_outliers_do_not_raise_the_learnt_noise():
     assert found.offset.value_s == pytest.approx(OFFSET, abs=1e-3)
 
 
-def test_whitened_innovations_are_those_of_the_filter():
+@pytest.mark.parametrize("seed", range(3))
+def test_outliers_in_bursts_are_found_and_no_others_even_at_the_start(seed):
+    # A fifth of a slow sensor's values, 30 times their noise off, in bursts of one to six; the first five are wrong.
+    rng = np.random.default_rng(seed)
+    pair = metres(broadband(seed), seed, noise_m=3e-4, rate_hz=4.0, offset_s=0.0)
+    n = len(pair.rows)
+    begins = rng.choice(np.arange(8, n, 8), n // 36, replace=False)
+    wrong = np.zeros(n, dtype=bool)
+    for begin, length in zip((0, *begins), (5, *rng.integers(1, 7, len(begins))), strict=True):
+        wrong[begin : begin + length] = True
+    rows = pair.rows.copy()
+    rows[wrong, 1] += rng.choice([-1.0, 1.0], n)[wrong] * rng.uniform(20, 60, n)[wrong] * 3e-4
+    found = calibrate_noise(replace(pair, rows=rows), 0.0)
+    marked = ~np.isfinite(found.findings.pair.rows[:, 2])
+    assert np.all(marked[wrong])
+    # One of a hundred good ones at most, which take less than a tenth of the noise with them.
+    assert np.mean(marked[~wrong]) <= 0.02
+    # Some 180 values are left: ± 11 % of the variance.
+    assert found.variance_factor == pytest.approx(9e-8, rel=0.4)
+
+
+@pytest.mark.parametrize("length_s", [15.0, 30.0, 60.0])
+def test_a_bias_that_drifts_is_told_from_none_in_a_record_of_any_length(length_s):
+    for seed in range(3):
+        whole = metres(broadband(seed), seed, offset_s=0.0)
+        samples, rows = (one[one[:, 0] < length_s] for one in (whole.samples, whole.rows))
+        found = [
+            calibrate_noise(replace(whole, samples=samples + np.outer(samples[:, 0], [0.0, rate, 0.0]), rows=rows), 0.0)
+            # 0.2 m/s² a minute, as electronics that warm up.
+            for rate in (0.0, 0.2 / 60.0)
+        ]
+        pairs = [one.findings.pair for one in found]
+        assert [pair.bias_drifts for pair in pairs] == [False, True]
+        # The drift is no noise.
+        still, drifting = (np.sqrt(one.input_noise.density) for one in found)
+        assert drifting == pytest.approx(still, rel=0.5)
+        rates = [bias_of(pair, one.findings.fit).drift_m_s3 for pair, one in zip(pairs, found, strict=True)]
+        assert rates == [0.0, pytest.approx(0.2 / 60.0, rel=0.05)]
+
+
+@pytest.mark.parametrize("drifts", [False, True])
+def test_whitened_innovations_are_those_of_the_filter(drifts):
     # Second route: the fusion filter itself, on the scaled signals, with the same noise levels and no gate.
-    pair = metres(broadband(9), 9, offset_s=0.0)
+    pair = replace(metres(broadband(9), 9, offset_s=0.0), bias_drifts=drifts)
     density, noise = 2e-3**2 / 100.0, 1e-8
     w = aligned(pair, 0.0).whitened((density / noise * pair.rate_hz) ** 0.25)
     time_ns = nanoseconds(pair.samples[:, 0])
     acceleration = Acceleration(time_ns, pair.samples[:, 1], np.full(len(time_ns), density))
     met = nanoseconds(pair.rows[:, 0])
-    # A bias that drifts at one rate, a cubic of the displacement, is taken out of ours.
+    # A start and a bias, and one that drifts at one rate, a cubic of the displacement, are taken out of ours.
     seconds = pair.rows[:, 0]
     apart = pair.rows[:, 1] - pair.responses[0].at(seconds)
-    moved = pair.rows[:, 1] - np.polynomial.Polynomial.fit(seconds, apart, 3)(seconds)
+    moved = pair.rows[:, 1] - np.polynomial.Polynomial.fit(seconds, apart, 3 if drifts else 2)(seconds)
     displacement = Displacement(met, moved, np.full(len(met), noise), np.full(len(met), 4, dtype=np.uint8))
     settings = KalmanSettings(
         bias_walk=0.003 * density,

@@ -99,6 +99,13 @@ def slow_and_late(folder):
     return folder
 
 
+def averaging(folder):
+    """Displacement of which each value is a mean over almost its interval: samples wait for half of that."""
+    write(folder, replace(LIVELY, rate_hz=5.0, duration_s=30.0), "displacement")
+    set_keys(folder, "displacement", exposure_s=0.17)
+    return folder
+
+
 def radar(folder):
     """Fifty frames a second of a motion that turns the phase by up to a cycle a frame, hidden for a second."""
     write(folder, replace(LIVELY, rate_hz=50.0, band_hz=(2.0, 3.0), rms_m=4e-3), "radar")
@@ -242,6 +249,7 @@ def one_ends_early(folder):
 
 
 CASES["one ends early"] = one_ends_early
+CASES["averaging"] = averaging
 CASES["two axes"] = two_axes
 CASES["two radars"] = two_radars
 

@@ -46,7 +46,7 @@ def test_every_format_of_a_result_comes_back_with_its_band_and_exact_times(suffi
     np.testing.assert_array_equal(stored.series.time_ns, TIME_NS)
     # CSV keeps nine decimals of a millimetre, 1e-12 m.
     np.testing.assert_allclose(stored.series.value, 1e-3 * (motion_mm(TIME_S) + 0.1), atol=1e-12)
-    np.testing.assert_allclose(stored.std_m, 2e-4, atol=1e-12)
+    np.testing.assert_allclose(stored.band.std_m, 2e-4, atol=1e-12)
 
 
 def test_two_files_compare(tmp_path, reference):
@@ -115,7 +115,7 @@ def both_axes(path):
 def test_the_second_axis_comes_back_from_every_format(suffix, tmp_path):
     stored = read_result(both_axes(tmp_path / f"result{suffix}"), axis="x")
     np.testing.assert_allclose(stored.series.value, 0.5e-3 * motion_mm(TIME_S), atol=1e-12)
-    np.testing.assert_allclose(stored.std_m, 1e-4, atol=1e-12)
+    np.testing.assert_allclose(stored.band.std_m, 1e-4, atol=1e-12)
 
 
 def test_a_reference_of_one_axis_is_not_taken_for_the_second(tmp_path, reference):

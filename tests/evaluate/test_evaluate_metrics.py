@@ -5,7 +5,7 @@ import pytest
 
 from midspan.errors import DataError, UsageError
 from midspan.evaluate.interpolation import piecewise
-from midspan.evaluate.metrics import compare, coverage, normalised_innovation
+from midspan.evaluate.metrics import Band, compare, coverage, normalised_innovation
 from midspan.records import Innovation, TimeSeries, nanoseconds
 
 
@@ -133,7 +133,7 @@ def test_an_honest_band_covers_what_its_level_says():
         assert coverage(error, std, level) == pytest.approx(level, abs=0.01)
     assert coverage(error, std / 2.0, 0.95) == pytest.approx(0.673, abs=0.01)
     t = np.arange(len(std)) / 100.0
-    found = compare(series(tones(t) + 1e-3 * error), series(tones(t)), std_m=1e-3 * std)
+    found = compare(series(tones(t) + 1e-3 * error), series(tones(t)), band=Band(1e-3 * std))
     assert found.coverage_95 == coverage(error, std, 0.95)
 
 
@@ -152,3 +152,37 @@ def test_normalised_innovations_leave_rejected_ones_out_and_have_unit_power():
     assert len(found) == 18_000
     # The mean square of n normal draws scatters by sqrt(2/n) = 0.0105; four of them.
     assert np.mean(found**2) == pytest.approx(1.0, abs=0.042)
+
+
+def test_another_zero_and_another_clock_are_named_and_taken_off():
+    """A reference 12 mm and 20 ms off is another datum and another clock, not a wrong displacement."""
+    rng, t = np.random.default_rng(5), np.arange(6000) / 100.0
+    zero_std, own_std, off = 0.1e-3, 0.02e-3, 12.3e-3
+    value = tones(t - 0.02) + rng.normal(0.0, own_std, len(t)) + 0.15e-3
+    band = Band(np.full(len(t), np.hypot(zero_std, own_std)), zero_std)
+    found = compare(series(value), series(tones(t) - off), band=band)
+    assert found.plain.coverage_95 == 0.0
+    assert found.plain.rmse_mm > 12.0
+    assert found.without_zero_and_lag.zero_mm == pytest.approx(12.45, abs=1e-3)
+    assert found.without_zero_and_lag.lag_s == pytest.approx(0.02, abs=1e-3)
+    # What is left is the displacement's own noise, and the band without the zero's part covers it: 5 % of 5996 ± 3 σ.
+    assert found.without_zero_and_lag.rmse_mm == pytest.approx(0.02, rel=0.03)
+    assert found.without_zero_and_lag.coverage_95 == pytest.approx(0.95, abs=0.01)
+    assert [line.split(":")[0] for line in found.notes] == [
+        "The reference has another zero",
+        "The reference has another clock",
+    ]
+    headline = compare(series(value), series(tones(t) - off), band=band, align="zero+lag")
+    assert headline.to_dict()["rmse_mm"] == found.without_zero_and_lag.rmse_mm
+    assert np.sqrt(np.mean(headline.error_mm**2)) == pytest.approx(headline.rmse_mm)
+
+
+def test_a_comparison_on_one_zero_and_clock_explains_nothing_away():
+    rng, t = np.random.default_rng(6), np.arange(3000) / 100.0
+    value = tones(t) + rng.normal(0.0, 0.02e-3, len(t))
+    assert compare(series(value), series(tones(t))).notes == ()
+
+
+def test_an_alignment_that_is_none_is_refused():
+    with pytest.raises(UsageError, match="align"):
+        compare(series(tones(np.arange(100) / 100)), series(tones(np.arange(100) / 100)), align="lag")

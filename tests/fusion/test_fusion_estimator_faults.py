@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
-from estimator_cases import NOISE_D, estimated, oscillating, samples_of, scores, sensor_of
+from estimator_cases import LIVELY, NOISE_D, camera, estimated, oscillating, samples_of, scores, sensor_of
 
+from midspan.fusion.second_pass import smooth
 from midspan.records import seconds
 
 SEEDS = range(801, 807)
@@ -116,3 +117,21 @@ def test_outliers_of_one_size_from_the_first_measurement_on():
     samples, sensor = samples_of(truth, rng), sensor_of(truth, rng)
     outliers(0.2, 5e-3, 5e-3)(rng, samples, sensor)
     assert scores(estimated(samples, [sensor]), truth)[2] > 0.9
+
+
+@pytest.mark.parametrize("step_m_s2", [0.5, 1.0, 2.0])
+def test_an_accelerometer_that_is_knocked_over_is_found_again(step_m_s2):
+    """Tilted by 3 to 12 degrees within a second it measures that much more of gravity from then on."""
+    for seed in range(700, 703):
+        rng = np.random.default_rng(seed)
+        truth = oscillating(rng, 60.0, LIVELY)
+        sensor = sensor_of(truth, rng, camera(coasting_s=0.8), rate_hz=3.0, length_s=60.0, std=1e-3)
+        samples = samples_of(truth, rng, length_s=60.0, std=0.3)
+        samples.value_m_s2[:, 0] += step_m_s2 * np.clip(seconds(samples.time_ns, 0) - 30.0, 0.0, 1.0)
+        found = estimated(samples, [sensor], log=True)
+        found.rows = smooth(found.estimator.log, found.estimator.settings)[0]
+        # Measurements of 1 mm; the acceleration's noise lets predictions spread to 5 mm between them, and what is
+        # smoothed from both sides to half of it where the bias is not known.
+        assert scores(found, truth, inner=(28.0, 59.0))[0] < 2.5
+        # All measurements are sound: none but a few of those before the bias is found again may be left out.
+        assert np.mean(found.rows.status == 0) > 0.95

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from fusion_oracles import input_over, van_loan
 
-from midspan.fusion.filtering import RECORD, TAKEN, THETA, backward_block
+from midspan.fusion.backward import backward_block
+from midspan.fusion.filtering import RECORD, TAKEN, THETA
 from midspan.fusion.forward import MEASUREMENT_COLUMNS, SET_DATUM
-from midspan.fusion.hypotheses import DATUM, GOOD
+from midspan.fusion.hypothesis import DATUM, GOOD
 from midspan.fusion.model import (
     START_S,
     Beginning,

@@ -5,7 +5,7 @@ import pytest
 from estimator_cases import camera
 
 from midspan.fusion.forward import MEASUREMENT_COLUMNS
-from midspan.fusion.hypotheses import (
+from midspan.fusion.hypothesis import (
     ACCEPTED_AT,
     CLOCK,
     KINDS,
@@ -16,13 +16,11 @@ from midspan.fusion.hypotheses import (
     SHIFT,
     SHIFTED,
     WRONG,
-    log_any_size,
-    log_normal,
-    look,
     one_of,
-    weigh,
 )
+from midspan.fusion.innovation import look
 from midspan.fusion.model import Beginning, EstimatorSettings, hypotheses_at, options_of, tables_of
+from midspan.fusion.weighing import log_any_size, log_normal, weigh
 
 # From a frame to a month.
 LAPSES_S = (0.04, 10.0, 3600.0, 86400.0, 2.6e6)

@@ -69,7 +69,8 @@ def test_a_bias_that_drifts_is_no_gain_and_no_noise(tmp_path, seed, band) -> Non
     # Before it was 6 % off, or refused as another unit or clock. One of 16 000 draws is four deviations off.
     off = abs(calibration.accelerometer_scale - 1.0)
     assert off < max(4.0 * calibration.accelerometer_scale_std, 1e-3)
-    assert calibration.accelerometer_scale_std < 5e-3
+    # An exposure of up to the sensor's interval, which nobody declared, would take 2 % of motion at 0.6 Hz.
+    assert calibration.accelerometer_scale_std < 1e-2
     assert calibration.bias_drift_m_s3 == pytest.approx(0.2 / 60.0, rel=0.02)
     error, std = errors(result, motion)
     # Of some ten independent rows a second over 80 s, 95 % are meant to lie inside.
@@ -125,7 +126,7 @@ def test_a_sensor_that_jumps_by_decimetres_in_the_window_is_refused_for_it(tmp_p
     def acceleration(time):
         return motion.acceleration(time) + rng.normal(0, 2e-3, len(time))
 
-    with pytest.raises(UntrustedError, match="where all of its signal is"):
+    with pytest.raises(UntrustedError, match="the accelerometer did not feel"):
         midspan.estimate(write(tmp_path, acceleration, write_displacement(tmp_path, met, value)))
 
 

@@ -7,7 +7,6 @@ import pytest
 
 from midspan.recording.estimate import unmeasured_ends
 from midspan.recording.point import zero_instant
-from midspan.recording.run import Outcome
 from midspan.recording.tracked import Eye
 from midspan.recording.tracking.daylight import where_it_sees
 from midspan.records import NANOSECONDS, Measured, nanoseconds
@@ -70,10 +69,9 @@ def test_a_result_that_begins_late_is_told():
     stamps = nanoseconds(np.arange(0.0, 60.0, 0.25))
     zeros = np.zeros(len(stamps))
     measured = Measured(stamps, zeros.astype(np.int64), np.where(stamps < 42 * NANOSECONDS, np.nan, 0.0), zeros, zeros)
-    outcome = Outcome(measured={"camera": [measured]})
-    recording = SimpleNamespace(acceleration=SimpleNamespace(time_ns=np.array([0, NANOSECONDS])))
+    sampled = np.array([0, NANOSECONDS])
     rows = SimpleNamespace(time_ns=np.array([42 * NANOSECONDS]))
-    (line,) = unmeasured_ends(recording, outcome, rows)
+    (line,) = unmeasured_ends(sampled, {"camera": [measured]}, rows)
     assert "from 0.000 s to 42.000 s" in line
     assert "42.0 s late" in line
-    assert not unmeasured_ends(recording, outcome, SimpleNamespace(time_ns=np.array([NANOSECONDS // 2])))
+    assert not unmeasured_ends(sampled, {"camera": [measured]}, SimpleNamespace(time_ns=np.array([NANOSECONDS // 2])))

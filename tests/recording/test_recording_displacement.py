@@ -8,7 +8,7 @@ import pytest
 import midspan
 from midspan.errors import DataError, MidspanError, UntrustedError, UsageError
 from midspan.records import Status
-from recording_edits import error_mm, read_columns, set_keys, write_acceleration
+from recording_edits import error_mm, read_columns, set_keys, write_acceleration, write_displacement
 
 NOISE_MM = 2.0
 
@@ -178,15 +178,8 @@ def test_a_record_of_a_twentieth_of_a_second_is_fused(tmp_path):
         return waves @ (amplitude * (-(turning**2)) ** (derivative // 2))
 
     time, met = np.arange(10_000) / 2e5, np.arange(1000) / 2e4
-    for name, stamps, value in (
-        ("a", time, 1e-3 * moved_mm(time, 2) + rng.normal(0.0, 1.0, time.size)),
-        ("d", met, moved_mm(met) + rng.normal(0.0, 2e-3, met.size)),
-    ):
-        table = np.column_stack((stamps, value))
-        np.savetxt(tmp_path / f"{name}.csv", table, delimiter=",", header=f"time_s,{name}", comments="", fmt="%.9f")
-    (tmp_path / "recording.toml").write_text(
-        '[accelerometer]\nfile = "a.csv"\nunit = "m/s^2"\n[displacement]\nfile = "d.csv"\nunit = "mm"\n'
-    )
+    shaken = 1e-3 * moved_mm(time, 2) + rng.normal(0.0, 1.0, time.size)
+    write_displacement(tmp_path, (time, shaken), (met, moved_mm(met) + rng.normal(0.0, 2e-3, met.size)))
     found = midspan.estimate(midspan.open_recording(tmp_path))
     error = found.displacement_mm - moved_mm(found.time_s)
     # Half of the sensor's noise of 2 µm; the band is 95 %.

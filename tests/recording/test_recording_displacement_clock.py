@@ -8,6 +8,7 @@ import pytest
 import midspan
 from midspan.errors import UntrustedError
 from midspan.simulate.motion.motion import Sines, random_motion
+from recording_edits import set_keys, write_displacement
 
 NOISE_MM, ACCELERATION_NOISE = 0.1, 5e-3
 
@@ -42,14 +43,10 @@ def site(tmp_path):
         accel = motion.acceleration(time) + 0.05 + ACCELERATION_NOISE * rng.standard_normal(len(time))
         value = (1e3 * motion.displacement(met) + NOISE_MM * rng.standard_normal(len(met))) / factor
         stamps = (met - late) / (1.0 + 1e-6 * ppm)
-        for name, table, head in (("a.csv", (time, accel), "time_s,accel"), ("d.csv", (stamps, value), "time_s,d")):
-            np.savetxt(tmp_path / name, np.column_stack(table), delimiter=",", header=head, comments="", fmt="%.9g")
-        keys = "".join(f"{key} = {str(value).lower()}\n" for key, value in displacement.items())
-        (tmp_path / "recording.toml").write_text(
-            f'[accelerometer]\nfile = "a.csv"\nunit = "m/s^2"\nestimate_scale = {str(gain).lower()}\n'
-            f'[displacement]\nfile = "d.csv"\nunit = "mm"\n{keys}'
-            f"[calibration]\nmax_offset_s = {max_offset_s}\n"
-        )
+        write_displacement(tmp_path, (time, accel), (stamps, value))
+        set_keys(tmp_path, "accelerometer", estimate_scale=gain)
+        set_keys(tmp_path, "displacement", **displacement)
+        set_keys(tmp_path, "calibration", max_offset_s=max_offset_s)
         return midspan.open_recording(tmp_path)
 
     return opened

@@ -5,7 +5,7 @@ import pytest
 
 import midspan
 from midspan.calibration.whitening import integrated
-from recording_edits import set_keys
+from recording_edits import set_keys, write_displacement
 
 EXPOSURE_S, NOISE_MM = 0.09, 0.1
 
@@ -22,11 +22,7 @@ def write(folder, seed, exposure_s, length_s=60.0, rate_hz=10.0):
     time, met = np.arange(0.0, length_s, 0.01), np.arange(0.503, length_s - 0.5, 1.0 / rate_hz)
     accel = 1e-3 * moved(time, -((2 * np.pi * hertz) ** 2)) + rng.normal(0.0, 2e-3, len(time))
     height = moved(met, np.sinc(hertz * exposure_s)) + rng.normal(0.0, NOISE_MM, len(met))
-    for name, table in (("a", (time, accel)), ("d", (met, height))):
-        np.savetxt(folder / f"{name}.csv", np.column_stack(table), "%.9f", ",", header="time_s,value", comments="")
-    (folder / "recording.toml").write_text(
-        '[accelerometer]\nfile = "a.csv"\nunit = "m/s^2"\n[displacement]\nfile = "d.csv"\nunit = "mm"\n'
-    )
+    write_displacement(folder, (time, accel), (met, height))
     return moved
 
 
@@ -95,4 +91,40 @@ def test_an_offset_is_found_beside_a_sensor_that_averages(tmp_path):
     result = midspan.estimate(tmp_path)
     assert result.calibration.displacement.exposure_s == pytest.approx(EXPOSURE_S, rel=0.1)
     error = result.displacement_mm - moved(result.time_s)
+    assert np.mean(np.abs(error) < 1.96 * result.displacement_std_mm) > 0.85
+
+
+def test_it_is_exact_for_fast_motion_too(tmp_path):
+    # Half a period of the fastest mode: the first term is 1.23 of what averaging takes there, of the slowest 1.01.
+    for seed in range(2):
+        moved = write(tmp_path, seed, 0.17, rate_hz=5.0)
+        set_keys(tmp_path, "displacement", exposure_s=0.17)
+        calibration = midspan.calibrate(tmp_path)
+        for given in (None, calibration):
+            for method in ("smoother", "kalman"):
+                result = midspan.estimate(tmp_path, calibration=given, method=method)
+                assert not any("clock" in line or "shifted" in line or "belong" in line for line in result.warnings)
+                error = result.displacement_mm - moved(result.time_s)
+                assert np.mean(np.abs(error) < 1.96 * result.displacement_std_mm) > 0.88
+                assert np.max(np.abs(error) / result.displacement_std_mm) < 5.0
+
+
+def test_zero_declares_that_it_does_not_average(tmp_path):
+    write(tmp_path, 0, EXPOSURE_S)
+    set_keys(tmp_path, "displacement", exposure_s=0.0)
+    assert midspan.calibrate(tmp_path).displacement.exposure_s == 0.0
+
+
+def test_an_accelerometer_that_resonates_on_its_mount_looks_the_same_and_is_in_the_band(tmp_path):
+    """Of the fastest mode it reads 10 % too much."""
+    moved = write(tmp_path, 0, 0.0)
+    rows = np.loadtxt(tmp_path / "a.csv", delimiter=",", skiprows=1)
+    time = rows[:, 0]
+    fast = np.fft.rfft(rows[:, 1])
+    fast[np.fft.rfftfreq(len(time), 0.01) > 2.2] *= 1.1
+    rows[:, 1] = np.fft.irfft(fast, len(time))
+    np.savetxt(tmp_path / "a.csv", rows, "%.9f", ",", header="time_s,value", comments="")
+    result = midspan.estimate(tmp_path)
+    error = result.displacement_mm - moved(result.time_s)
+    assert any("resonates on its mount" in line for line in result.warnings)
     assert np.mean(np.abs(error) < 1.96 * result.displacement_std_mm) > 0.85

@@ -13,7 +13,7 @@ from midspan.cli.main import run
 from midspan.errors import DataError, UntrustedError, UsageError
 from midspan.records import Status, TimeOffset, TimeSeries
 from midspan.simulate.motion.motion import random_motion
-from recording_edits import append, error_mm, read_columns, set_keys, truth
+from recording_edits import append, error_mm, read_columns, set_keys, truth, write_displacement
 
 NOISE_MM = 2.0
 
@@ -189,12 +189,8 @@ def test_a_clock_that_runs_apart_is_corrected_where_the_offset_is_to_be_learnt(t
     accel = motion.acceleration(time) + 2e-3 * rng.standard_normal(len(time))
     value = 1e3 * motion.displacement(met) + 0.1 * rng.standard_normal(len(met))
     stamps = met - 0.02 - 60e-6 * met
-    for name, table, head in (("a.csv", (time, accel), "time_s,accel"), ("d.csv", (stamps, value / 7.0), "time_s,d")):
-        np.savetxt(tmp_path / name, np.column_stack(table), delimiter=",", header=head, comments="", fmt="%.7f")
-    (tmp_path / "recording.toml").write_text(
-        '[accelerometer]\nfile = "a.csv"\nunit = "m/s^2"\n'
-        '[displacement]\nfile = "d.csv"\nunit = "mm"\nestimate_offset = true\nestimate_scale = true\n'
-    )
+    write_displacement(tmp_path, (time, accel), (stamps, value / 7.0))
+    set_keys(tmp_path, "displacement", estimate_offset=True, estimate_scale=True)
     found = midspan.estimate(midspan.open_recording(tmp_path))
     assert any(line.startswith("displacement: its clock leaves") and "ppm" in line for line in found.warnings)
     error = found.displacement_mm - 1e3 * motion.displacement(found.time_s)

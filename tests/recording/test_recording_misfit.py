@@ -6,7 +6,7 @@ import pytest
 import midspan
 from midspan.calibration.agreement import Misfit, misfit
 from midspan.calibration.fit import Pair, evaluate
-from recording_edits import set_keys
+from recording_edits import set_keys, write_displacement
 
 
 def write(folder, seed, inclined_deg=0.0, length_s=60.0):
@@ -26,11 +26,7 @@ def write(folder, seed, inclined_deg=0.0, length_s=60.0):
     accel += rng.normal(0.0, 2e-3, len(accel))
     met = np.arange(1000, len(time) - 1000, 400) + 7
     height = 1e3 * (moved[0][met] + rng.normal(0.0, 2e-4, len(met)))
-    for name, table in (("a", (time[::20], accel)), ("d", (time[met], height))):
-        np.savetxt(folder / f"{name}.csv", np.column_stack(table), "%.9f", ",", header="time_s,value", comments="")
-    (folder / "recording.toml").write_text(
-        '[accelerometer]\nfile = "a.csv"\nunit = "m/s^2"\n[displacement]\nfile = "d.csv"\nunit = "mm"\n'
-    )
+    write_displacement(folder, (time[::20], accel), (time[met], height))
     return time, 1e3 * moved[0]
 
 

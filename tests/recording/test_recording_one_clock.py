@@ -13,6 +13,7 @@ from midspan.errors import UntrustedError
 from midspan.fusion.streams import KalmanSettings
 from midspan.records import Acceleration, Displacement, Floats, Source, nanoseconds
 from midspan.simulate.motion.motion import Sines
+from recording_edits import set_keys, write_displacement
 
 ACCELERATION_NOISE, NOISE_M = 3e-3, 2e-5
 BRIDGE = Sines(np.array([5e-3, 2e-3, 1e-3]), np.array([0.41, 1.3, 0.07]), phase_rad=np.array([0.3, 1.0, 0.0]))
@@ -121,12 +122,8 @@ def test_a_displacement_sensor_whose_clock_jumps_stays_in_its_band(broken, tmp_p
     time = np.arange(0.0, 60.0, 0.01)
     pushed = BRIDGE.acceleration(time) + rng.normal(0.0, ACCELERATION_NOISE, time.size)
     value = 1e3 * (BRIDGE.displacement(true_s) + rng.normal(0.0, NOISE_M, true_s.size))
-    for name, table, head in (("a.csv", (time, pushed), "time_s,accel"), ("d.csv", (stamps, value), "time_s,d")):
-        np.savetxt(tmp_path / name, np.column_stack(table), delimiter=",", header=head, comments="", fmt="%.9g")
-    (tmp_path / "recording.toml").write_text(
-        '[accelerometer]\nfile = "a.csv"\nunit = "m/s^2"\n[displacement]\nfile = "d.csv"\nunit = "mm"\n'
-        "[calibration]\nwindow_s = [0.0, 35.0]\n"
-    )
+    write_displacement(tmp_path, (time, pushed), (stamps, value))
+    set_keys(tmp_path, "calibration", window_s=[0.0, 35.0])
     found = midspan.estimate(midspan.open_recording(tmp_path))
     error = found.displacement_mm - 1e3 * BRIDGE.displacement(found.time_s)
     assert np.mean(np.abs(error) < 1.96 * found.displacement_std_mm) > 0.85

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import midspan
-from recording_edits import set_keys
+from recording_edits import set_keys, write_displacement
 
 WHITE_M, SLOW_M, ACCELERATION_NOISE = 1e-3, 2e-3, 2e-3
 
@@ -40,11 +40,7 @@ def write(folder, seed, lasting_s, length_s=120.0, rate_hz=10.0, cross=0.0):
             slow[k] = kept * slow[k - 1] + np.sqrt(1.0 - kept**2) * rng.normal(0.0, SLOW_M)
     accel = accelerated[::20] + 0.03 + rng.normal(0.0, ACCELERATION_NOISE, len(time[::20]))
     height = 1e3 * (moved[met] + slow + rng.normal(0.0, WHITE_M, len(met)))
-    for name, table in (("a", (time[::20], accel)), ("d", (time[met], height))):
-        np.savetxt(folder / f"{name}.csv", np.column_stack(table), "%.9f", ",", header="time_s,value", comments="")
-    (folder / "recording.toml").write_text(
-        '[accelerometer]\nfile = "a.csv"\nunit = "m/s^2"\n[displacement]\nfile = "d.csv"\nunit = "mm"\n'
-    )
+    write_displacement(folder, (time[::20], accel), (time[met], height))
     return time, 1e3 * moved
 
 

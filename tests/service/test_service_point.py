@@ -7,7 +7,6 @@ import pytest
 
 import midspan
 from midspan.engine.support import PointStatus
-from midspan.errors import UntrustedError
 from midspan.records import NANOSECONDS, Arrival, Readings
 from midspan.service.capture import capture_settings
 from midspan.service.opening import opened
@@ -140,7 +139,7 @@ def test_a_scale_that_has_changed_since_asks_for_a_new_calibration_once(tmp_path
 def test_a_refused_calibration_is_an_event_and_tried_again_later(tmp_path):
     point = live_point(tmp_path)
     at_s = pushed(point, 0, 60)
-    point.refused(UntrustedError("Too little motion."))
+    point.refused("Too little motion.")
     assert point.reason == "calibration_refused"
     assert ["Too little motion" in event.text for _, event in point.batch().events] == [True]
     again_s = pushed(point, at_s + 1, at_s + 200)

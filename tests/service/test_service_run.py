@@ -1,5 +1,6 @@
 """A live site as a process, on a real broker: it calibrates itself, runs, is killed, and goes on without a lost row."""
 
+import asyncio
 import itertools
 import json
 import signal
@@ -14,8 +15,13 @@ import numpy as np
 import pytest
 from benchmarks.live.servers import command, free_port
 
+import midspan.service.run
+from midspan.errors import UntrustedError
 from midspan.records import NANOSECONDS
+from midspan.service.point import Job
+from midspan.service.run import Service
 from midspan.service.stored_rows import stored_table
+from midspan.settings.site import load_site
 from midspan.sources.live.blocks import ACCELERATION, DISPLACEMENT, RESULT, Block, pack, parse
 from midspan.sources.live.camera import StampKind, frames
 from midspan.sources.live.fault import SourceFault
@@ -231,3 +237,46 @@ def test_a_camera_that_accepts_and_is_silent_is_given_up():
             next(frames(f"rtsp://127.0.0.1:{server.getsockname()[1]}/cam"))
         assert fault.value.code == "no_answer"
         assert time.monotonic() - begun_s < 15.0
+
+
+def test_what_fails_unexpectedly_ends_the_service(tmp_path):
+    """A service that keeps nothing any more, or publishes nothing, must not live on as if it did."""
+    source = 'source = "serial:/dev/none"'
+    (tmp_path / "SITE.toml").write_text(
+        f'name = "site"\n[store]\npath = "store"\n[service]\nlisten = "127.0.0.1:{free_port()}"\n[[point]]\n'
+        f'name = "p"\n[point.accelerometer]\n{source}\n[point.displacement]\n{source}\n'
+    )
+    service = Service(load_site(tmp_path / "SITE.toml"), lambda _line: None)
+    service._keeper.write = lambda: 1 // 0
+    with pytest.raises(ZeroDivisionError):
+        asyncio.run(asyncio.wait_for(service.run(), 30.0))
+
+
+def test_one_calibration_at_a_time(tmp_path, monkeypatch):
+    """Points that begin together would otherwise calibrate together, and leave the engine no processor."""
+    counts = []
+
+    async def calibrated(_folder):
+        counts.append(1)
+        await asyncio.sleep(0.01)
+        counts.append(-1)
+        raise UntrustedError("Too little motion.")
+
+    monkeypatch.setattr(midspan.service.run, "calibrated_folder", calibrated)
+    (tmp_path / "SITE.toml").write_text(
+        'name = "site"\n[store]\npath = "store"\n'
+        + "".join(
+            f'[[point]]\nname = "p{k}"\n[point.accelerometer]\nsource = "serial:/dev/none"\n'
+            '[point.displacement]\nsource = "serial:/dev/none"\n'
+            for k in range(4)
+        )
+    )
+    service = Service(load_site(tmp_path / "SITE.toml"), lambda _line: None)
+
+    async def all_at_once():
+        job = Job("calibrate", tmp_path)
+        await asyncio.gather(*(service._work(one, job) for one in service._points))
+
+    asyncio.run(all_at_once())
+    assert max(itertools.accumulate(counts)) == 1
+    assert len(counts) == 8

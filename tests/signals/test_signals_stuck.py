@@ -111,3 +111,17 @@ def test_the_crests_of_a_coarse_sensor_are_no_ends_of_its_range(step_m):
     # Nor is rest before and after the motion.
     still = np.where((time > 20.0) & (time < 40.0), np.abs(motion), 0.0)
     assert range_limits(still) == (-np.inf, np.inf)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_an_end_of_the_range_that_a_slow_sensor_meets_one_value_at_a_time(seed):
+    # 2 values a second of motion near 0.8 Hz: a crest that is cut off holds one of them, at most two.
+    rng = np.random.default_rng(seed)
+    time = np.arange(0.0, 120.0, 0.5)
+    swing = 5e-3 * np.sin(2 * np.pi * 0.83 * time + seed) * (1.0 + 0.2 * np.sin(0.3 * time))
+    value = np.round(swing + rng.normal(0.0, 1e-4, len(time)), 6)
+    assert range_limits(np.clip(value, None, 4e-3)) == (-np.inf, 4e-3)
+    # A sine stays longest at its crests; in steps of any size it seems to have no end of its range.
+    for step_m in (1e-6, 1e-4, 1e-3, 3e-3):
+        for one in (value, 5e-3 * np.sin(2 * np.pi * 0.83 * time)):
+            assert range_limits(np.round(one / step_m) * step_m) == (-np.inf, np.inf)

@@ -15,8 +15,6 @@ from midspan.calibration.fit import Aligned, Fit, Pair, aligned, corner_range, e
 
 # Logarithms of the corner frequency, relative to the best fit's, that are averaged over: reach and step.
 REACH, STEP = 3.0, 0.25
-# A drift is taken for one from this many standard deviations on.
-DRIFT_STD = 4.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,9 +42,10 @@ def bias_of(pair: Pair, fit: Fit, offset_std_s: float = 0.0) -> Bias:
     value = np.array([_bias(pair, one) for one in fits])
     mean = float(np.average(value, weights=weight))
     spread = (value - mean) ** 2 + np.array([_variance(pair, one) for one in fits])
-    # The slope of white noise of density S, 12 S / T³ (variance), was taken out with the cubic: at the end 3 S / T.
-    length_s = float(here.rows[-1, 0] - here.rows[0, 0])
-    variance = float(np.average(spread, weights=weight)) + 3.0 * fit.input_density / length_s
+    variance = float(np.average(spread, weights=weight))
+    if pair.bias_drifts:
+        # The slope of white noise of density S over T, 12 S / T³ (variance), was taken out with it: at the end 3 S / T.
+        variance += 3.0 * fit.input_density / float(here.rows[-1, 0] - here.rows[0, 0])
     if 0.0 < offset_std_s < np.inf:
         late = evaluate(pair, fit.offset_s + offset_std_s, fit.corner)
         variance += (_bias(pair, late) - _bias(pair, fit)) ** 2
@@ -54,14 +53,9 @@ def bias_of(pair: Pair, fit: Fit, offset_std_s: float = 0.0) -> Bias:
 
 
 def _drift(here: Aligned, fit: Fit) -> float:
-    """The rate of the bias, m/s³; 0 where it is no more than the noise of the acceleration makes.
-
-    White noise of density S integrated over T has a slope of variance 12 S / T³.
-    """
+    """The rate of the bias, m/s³; 0 where it does not drift."""
     own = here.cubic[1, 1] + (here.cubic[1, 3] if here.pair.outside is not None else 0.0)
-    rate = float(own - here.cubic[1, 0] / fit.ratio)
-    length_s = float(here.rows[-1, 0] - here.rows[0, 0])
-    return rate if abs(rate) > DRIFT_STD * np.sqrt(12.0 * fit.input_density / length_s**3) else 0.0
+    return float(own - here.cubic[1, 0] / fit.ratio)
 
 
 def _bias(pair: Pair, fit: Fit) -> float:

@@ -34,6 +34,7 @@ def find_exposure(pair: Pair, fit: Fit) -> Exposed:
 
     An exposure is taken where it gains more likelihood, with any gain, than a parameter without effect would (as in
     `fit.with_input_noise`) and explains more than it leaves. It is no longer than the interval of the measurements.
+    Where none is taken those that the motion does not exclude make the gain uncertain.
     """
     longest_s, free = 1.0 / pair.rate_hz, replace(pair, ratio=None)
 
@@ -46,8 +47,14 @@ def find_exposure(pair: Pair, fit: Fit) -> Exposed:
     gained = best.likelihood - none.likelihood >= 0.5 * np.log(max(len(fit.whitened.variance), 1))
     # What leaves more than it explains, where it leaves most, is something else, which averaging happens to resemble.
     explained = none.noise > misfit(replace(free, exposure_s=share * longest_s), best).factor * best.noise
-    if not (gained and explained) or abs(best.ratio - 1.0) > MAX_GAIN_ERROR:
+    if abs(best.ratio - 1.0) > MAX_GAIN_ERROR:
         return Exposed(pair, fit)
+    if not (gained and explained):
+        # What the motion does not exclude, the gain may be off by: over all exposures, each by its likelihood.
+        tried = [fitted(float(one)) for one in np.linspace(0.0, 1.0, TRIED)]
+        weights = np.exp([one.likelihood - best.likelihood for one in tried])
+        away = np.array([one.ratio - none.ratio for one in tried])
+        return Exposed(pair, fit, float(np.sqrt(np.average(away**2, weights=weights))))
     step, spread = STEP * share, 0.0
     for _ in range(ROUNDS):
         below, above = fitted(share - step), fitted(share + step)
@@ -56,19 +63,3 @@ def find_exposure(pair: Pair, fit: Fit) -> Exposed:
         spread, step = std * abs(above.ratio - below.ratio) / (2.0 * step), std
     found = replace(pair, exposure_s=share * longest_s)
     return Exposed(found, best_corner(found, fit.offset_s, fit.corner), spread)
-
-
-def first_term(pair: Pair, offset_s: float) -> tuple[float, float]:
-    """The exposure (s) whose first term, exposure²/24 times the acceleration, does most nearly what averaging does to
-    the motion, and the standard deviation (m) of what is left.
-    """
-    if pair.exposure_s == 0.0:
-        return 0.0, 0.0
-    path, rows = pair.responses[0], pair.rows[pair.used(offset_s), 0]
-    inside = (pair.samples[:, 0] > rows[0] + offset_s) & (pair.samples[:, 0] < rows[-1] + offset_s)
-    time_s = pair.samples[inside, 0]
-    acceleration, changed = path.derivative(time_s, 2), path.at(time_s, pair.exposure_s) - path.at(time_s)
-    acceleration, changed = acceleration - np.mean(acceleration), changed - np.mean(changed)
-    blur = float(np.sum(changed * acceleration) / max(float(np.sum(acceleration**2)), 1e-300))
-    blur = float(np.clip(blur, 0.0, pair.exposure_s**2 / 24.0))
-    return float(np.sqrt(24.0 * blur)), float(np.std(changed - blur * acceleration))

@@ -66,6 +66,7 @@ class Pair:
     cross: acceleration (n, k) of the accelerometer's other axes at the samples, without its means (k,), and these; None
     once the samples are along the sensor's axis (see `direction`).
     logger, lean: see `frequency_response`; what leaning takes from the acceleration is in the samples again.
+    bias_drifts: whether the accelerometer's bias drifts at one rate, which is taken out: it is no noise.
     """
 
     samples: Floats
@@ -80,6 +81,7 @@ class Pair:
     logger: tuple[float, float] = (0.0, 0.0)
     lean: float = 0.0
     cross: tuple[Floats, Floats] | None = None
+    bias_drifts: bool = False
 
     @property
     def rate_hz(self) -> float:
@@ -155,6 +157,13 @@ class Fit:
         return self.likelihood - self.without
 
     @property
+    def motion_hz(self) -> float:
+        """Middle frequency (Hz) of the motion that is compared, by its speed over its displacement, both whitened."""
+        w = self.whitened
+        speed, moved = (w.product(column, column) for column in (w.columns[:, 2], w.response))
+        return float(np.sqrt(speed / max(moved, 1e-300)) / (2.0 * np.pi))
+
+    @property
     def relative_std(self) -> float:
         """Standard deviation of the ratio over its size."""
         return float(np.sqrt(self.ratio_variance)) / max(abs(self.ratio), 1e-300)
@@ -165,8 +174,8 @@ class Aligned:
     """A pair at a clock offset: the rows compared, and the columns that are whitened there.
 
     rows (k, 2): time and relative variance; values (k, c): translation, response to the acceleration, its velocity and,
-    with a band, the response to what is outside it, without their cubics, whose second derivative at the end and third
-    one cubic (2, c) are; index (k,): which rows of the pair these are.
+    with a band, the response to what is outside it, without what is open of them (see `levelled`); cubic (2, c): of
+    that the second derivative at the end and the third one; index (k,): which rows of the pair these are.
     """
 
     pair: Pair
@@ -221,7 +230,7 @@ def aligned(pair: Pair, offset_s: float, *more: Callable[[Floats], Floats]) -> A
     columns = [rows[:, 1], inside.at(time_s, pair.exposure_s, pair.logger), inside.velocity(time_s, pair.exposure_s)]
     columns += [response.at(time_s, pair.exposure_s, pair.logger) for response in outside]
     columns += [column(time_s) for column in more]
-    values, cubic = levelled(time_s, np.column_stack(columns))
+    values, cubic = levelled(time_s, np.column_stack(columns), drifts=pair.bias_drifts)
     return Aligned(pair, offset_s, np.column_stack((time_s, rows[:, 2])), values, cubic, index)
 
 
@@ -279,23 +288,31 @@ def likeliest_corner(pair: Pair, likelihood: Callable[[float], float], corner: f
 
 
 def with_input_noise(pair: Pair, fit: Fit) -> tuple[Pair, Fit]:
-    """The pair with the most likely share of the accelerometer's noise that goes with the motion, and its fit.
+    """The pair with what the accelerometer errs by, and its fit: a bias that drifts, and the most likely share of its
+    noise that goes with the motion.
 
-    A constant noise is kept unless the share gains more than a parameter costs that tells nothing (G. Schwarz,
-    Estimating the dimension of a model, Ann. Statist. 6 (1978) 461-464, doi 10.1214/aos/1176344136).
+    A bias that does not drift and a constant noise are kept unless either gains more than a parameter costs that tells
+    nothing (G. Schwarz, Estimating the dimension of a model, Ann. Statist. 6 (1978) 461-464, doi
+    10.1214/aos/1176344136).
     """
-    constant = replace(pair, motion_share=0.0)
+    constant = replace(pair, motion_share=0.0, bias_drifts=False)
+    without = best_corner(constant, fit.offset_s, fit.corner)
+    least = 0.5 * np.log(max(len(without.whitened.variance), 1))
+    drifting = replace(constant, bias_drifts=True)
+    found = best_corner(drifting, fit.offset_s)
+    if found.likelihood - without.likelihood > least:
+        constant, without = drifting, found
     here = aligned(constant, fit.offset_s)
 
     def with_odds(odds: float) -> Fit:
         share = float(1.0 / (1.0 + np.exp(-odds)))
-        return best_corner_here(replace(here, pair=replace(pair, motion_share=share)), fit.corner)
+        return best_corner_here(replace(here, pair=replace(constant, motion_share=share)), without.corner)
 
     odds = global_minimum(lambda one: -with_odds(one).likelihood, *ODDS, tried=ODDS_TRIED, tolerance=ODDS_TOLERANCE)
-    found, without = with_odds(odds), best_corner_here(here, fit.corner)
-    if found.likelihood - without.likelihood < 0.5 * np.log(max(len(here.rows), 1)):
+    found = with_odds(odds)
+    if found.likelihood - without.likelihood < least:
         return constant, without
-    return replace(pair, motion_share=float(1.0 / (1.0 + np.exp(-odds)))), found
+    return replace(constant, motion_share=float(1.0 / (1.0 + np.exp(-odds)))), found
 
 
 def refine(pair: Pair, fit: Fit, bound_s: float) -> Fit:

@@ -102,7 +102,7 @@ class FrequencyResponse:
     offset_variance: float = 0.0
 
     def texts(self, motion_hz: float) -> list[str]:
-        """A sentence for each kind that was found; motion_hz: middle frequency of the acceleration."""
+        """A sentence for each kind that was found; motion_hz: middle frequency of the motion."""
         found = []
         if Kind.EXPOSURE in self.known:
             found.append(

@@ -11,7 +11,6 @@ import numpy as np
 
 from midspan.calibration.fit import Fit, Pair, best_corner, refine
 from midspan.calibration.frequency_response import MAX_LATE, MIN_GAIN, Kind, with_response
-from midspan.signals.health import dominant_frequency
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +52,7 @@ def find_low_pass(pair: Pair, fit: Fit) -> LowPass | None:
     after = refine(without, best_corner(without, fit.offset_s), MAX_LATE / pair.rate_hz)
     if after.likelihood - before.likelihood < MIN_GAIN:
         return None
-    frequency_hz = dominant_frequency(pair.samples[:, 1], pair.sample_rate_hz) or 0.0
+    frequency_hz = after.motion_hz
     square = (2.0 * np.pi * frequency_hz) ** 2
     path, time_s = pair.responses[0], pair.samples[:, 0]
     taken_m = float(np.std(droop * path.derivative(time_s, 2) + lag * path.derivative(time_s, 3)))

@@ -6,7 +6,7 @@ import numpy as np
 
 from midspan.calibration.agreement import clearly_better, misfit, noise_share, straightened
 from midspan.calibration.direction import Direction
-from midspan.calibration.exposure import Exposed, find_exposure, first_term
+from midspan.calibration.exposure import Exposed, find_exposure
 from midspan.calibration.fit import (
     Fit,
     Pair,
@@ -80,10 +80,10 @@ class NoiseCalibration:
     make; where it is large the motion tells no scale. gain: of the accelerometer relative to the sensor, where it was
     estimated, and its relative standard deviation, else 0. slow_std_m, slow_time_s: standard deviation and correlation
     time of the sensor's slow error; 0: its noise is white. unseen_m: how far the sensor may drift, and step, without
-    that showing, see `SlowError`. exposure_s: time over which the sensor averages, as given or found;
-    effective_exposure_s, rest_std_m: as of `first_term`. direction: of the sensor's axis, None where the
-    accelerometer's other axes were not recorded. warnings: sentences. low_pass: of the accelerometer's logger, where
-    one shows: the offset is then that of slow motion.
+    that showing, see `SlowError`. exposure_s: time over which the sensor averages, as given or found. direction: of the
+    sensor's axis, None where the accelerometer's other axes were not recorded. warnings: sentences. low_pass: of the
+    accelerometer's logger, where one shows: the offset is then that of slow motion. late_m: what clocks that differ,
+    and are taken for one, make of the displacement, rms.
     """
 
     variance_factor: float
@@ -102,11 +102,10 @@ class NoiseCalibration:
     slow_time_s: float = np.inf
     unseen_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     exposure_s: float = 0.0
-    effective_exposure_s: float = 0.0
-    rest_std_m: float = 0.0
     direction: Direction | None = None
     warnings: tuple[str, ...] = ()
     low_pass: LowPass | None = None
+    late_m: float = 0.0
     findings: Findings | None = field(default=None, repr=False, compare=False)
 
 
@@ -118,6 +117,7 @@ def calibrate_noise(
     length_s: float = np.inf,
     gain_std: float = 0.0,
     noise_time_s: float | None = None,
+    exposure_declared: bool = False,
 ) -> NoiseCalibration:
     """Learn noise levels of a displacement sensor of known unit, and its clock offset where the motion tells it.
 
@@ -125,10 +125,13 @@ def calibrate_noise(
     be. one_clock: the clocks are one, so that the offset is only reported. length_s: of the record, see `edge_s`.
     gain_std: relative standard deviation of the accelerometer's gain as known before; it is estimated where the motion
     tells it better, and not at all with 0. noise_time_s: correlation time of the sensor's slow error where that is
-    known, 0: none. Nothing is refused here: see `Findings`.
+    known, 0: none. exposure_declared: the pair's exposure is the sensor's own, else it is estimated. Nothing is refused
+    here: see `Findings`.
     """
     whole = pair.rows
-    sought = _sought(pair, max_offset_s, edge_s(max_offset_s, length_s), one_clock=one_clock)
+    sought = _sought(
+        pair, max_offset_s, edge_s(max_offset_s, length_s), one_clock=one_clock, declared=exposure_declared
+    )
     pair, fit, offset, search = sought.pair, sought.fit, sought.offset, sought.search
     low_pass = None
     if search is not None and offset.value_s != 0.0:
@@ -145,14 +148,11 @@ def calibrate_noise(
         fit = best_corner(pair, fit.offset_s)
     floored_fit = _within_floor(pair, fit)
     learnt = _with_scale(pair, floored_fit, offset, search, max_offset_s, length_s, floored=floored_fit is not fit)
-    effect_s, rest_m = first_term(pair, offset.value_s)
     learnt = replace(
         learnt,
         scale_std=float(np.hypot(learnt.scale_std, sought.spread)),
         low_pass=low_pass,
         unseen_m=slow.unseen,
-        effective_exposure_s=effect_s,
-        rest_std_m=rest_m,
     )
     return _without_gain(learnt, gain_std, sought.spread)
 
@@ -171,12 +171,11 @@ class _Sought:
     spread: float
 
 
-def _sought(pair: Pair, max_offset_s: float, edge: float, *, one_clock: bool) -> _Sought:
+def _sought(pair: Pair, max_offset_s: float, edge: float, *, one_clock: bool, declared: bool) -> _Sought:
     """Clock offset and exposure, where that is not declared: a sensor that averages seems to have another clock, and
     one with another clock to average.
     """
     pair, still = without_outliers(without_lonely_outliers(replace(pair, ratio=1.0)))
-    declared = pair.exposure_s > 0.0
     here = Exposed(pair, still) if declared else find_exposure(pair, still)
     if max_offset_s <= 0.0:
         return _Sought(here.pair, here.fit, TimeOffset(0.0, np.inf), None, here.fit, here.spread)
@@ -209,7 +208,7 @@ def _without_gain(learnt: NoiseCalibration, known_std: float, spread: float) -> 
     pair, fit = with_input_noise(unknown, best_corner(unknown, learnt.offset.value_s))
     fit = _within_floor(pair, fit)
     std = float(np.hypot(fit.relative_std, spread))
-    if not (std < known_std and abs(fit.ratio - 1.0) < MAX_GAIN_ERROR):
+    if not (fit.relative_std < known_std and abs(fit.ratio - 1.0) < MAX_GAIN_ERROR):
         return learnt
     # What is known before counts as well: the mean of both, by their variances.
     weight = known_std**2 / (known_std**2 + std**2)

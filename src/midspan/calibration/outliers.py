@@ -6,7 +6,8 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from midspan.calibration.fit import Fit, Pair
+from midspan.calibration.fit import Fit, Pair, aligned
+from midspan.calibration.whitening import SETTLING, whiten_columns
 from midspan.records import Floats
 from midspan.signals.medians import SIGMA_OF_MEDIAN
 
@@ -24,18 +25,44 @@ MARKING_ROUNDS = 12
 def mark_outliers(pair: Pair, fit: Fit) -> Pair:
     """The pair with measurements far outside the fit marked unusable; the same object when there are none.
 
-    A wrong measurement kicks the filter, and the next innovations with it: only the largest of neighbours is marked.
+    A wrong measurement kicks the filter, and the next innovations with it, and at the start those of all that come
+    later: it is far outside in both directions of time, and only the largest of neighbours is marked. Where there is
+    none left, a step of the zero is far outside forwards, and its first measurements are marked.
     """
-    residual = fit.residual
-    spread = SIGMA_OF_MEDIAN * float(np.median(np.abs(residual - np.median(residual))))
-    size = np.abs(residual)
-    largest = sliding_window_view(np.pad(size, 2), 5).max(axis=1) if len(size) else size
-    bad = (size > OUTLIER_LIMIT * max(spread, 1e-12)) & (size == largest)
-    if not bad.any() or spread == 0.0:
+    index, size = _both_ways(pair, fit)
+    bad = _far_outside(size)
+    if not bad.any():
+        index, size = fit.whitened.index, np.abs(fit.residual)
+        bad = _far_outside(size)
+    if not bad.any():
         return pair
     rows = pair.rows.copy()
-    rows[fit.whitened.index[bad], 2] = np.inf
+    rows[index[bad], 2] = np.inf
     return replace(pair, rows=rows)
+
+
+def _far_outside(size: Floats) -> NDArray[np.bool_]:
+    """Which (k,) of the sizes of innovations are beyond the limit and the largest of their neighbours."""
+    # The smaller one of two directions is beyond a limit by chance even less often than this says.
+    spread = SIGMA_OF_MEDIAN * float(np.median(size)) if len(size) else 0.0
+    largest = sliding_window_view(np.pad(size, 2), 5).max(axis=1) if len(size) else size
+    return np.asarray((size > OUTLIER_LIMIT * max(spread, 1e-12)) & (size == largest) & (spread > 0.0))
+
+
+def _both_ways(pair: Pair, fit: Fit) -> tuple[NDArray[np.int64], Floats]:
+    """Which rows (k,) are compared, and of each the smaller one of its innovations forwards and backwards in time (k,),
+    in predicted standard deviations. The first ones of a direction settle its unknown start.
+    """
+    here = aligned(pair, fit.offset_s)
+    # A piece of the noise ends, backwards, where it begins.
+    ends, density = pair.pieces.T
+    pieces = np.column_stack((-np.r_[pair.samples[0, 0], ends[:-1]], density))[::-1]
+    rows, values = here.rows[::-1] * np.array([-1.0, 1.0]), here.values[::-1]
+    w = whiten_columns(rows, values, pieces, fit.corner**4 / pair.rate_hz, slow=pair.slow)
+    size = np.full((2, len(here.rows)), np.inf)
+    size[0, SETTLING:] = np.abs(fit.residual)
+    size[1, SETTLING:] = np.abs(w.translation - fit.ratio * w.response) / np.sqrt(fit.noise * w.variance)
+    return here.index, np.minimum(size[0], size[1, ::-1])
 
 
 def without_lonely_outliers(pair: Pair) -> Pair:

@@ -123,7 +123,7 @@ def calibrate_scale(pair: Pair, max_offset_s: float, *, exposure_declared: bool 
         warnings=(
             *jumps_text(jumps),
             *_warnings(search, relative, usable),
-            *response.texts(dominant_frequency(pair.samples[:, 1], pair.sample_rate_hz) or 0.0),
+            *response.texts(fit.motion_hz),
         ),
         response=response,
         direction=axis.direction,
@@ -207,7 +207,8 @@ def _refuse_farther(pair: Pair, max_offset_s: float, refuse: Callable[[OffsetSea
     raise NoAgreementError(
         f"No agreement between image and accelerometer within ±{max_offset_s:g} s: their clocks seem to differ by "
         f"{offset_s:+.3g} s, where they agree. Add it to camera.start_s or to the frames' times, or raise "
-        "calibration.max_offset_s."
+        "calibration.max_offset_s.",
+        offset_s,
     )
 
 

@@ -10,7 +10,6 @@ from dataclasses import replace
 import numpy as np
 
 from midspan.calibration.agreement import straightened, unexplained
-from midspan.calibration.exposure import first_term
 from midspan.calibration.fit import Fit, Pair
 from midspan.calibration.noise import Findings, NoiseCalibration, applied, edge_s, nearest, without_outliers
 from midspan.calibration.outliers import without_lonely_outliers
@@ -100,7 +99,6 @@ def _scaled(slow: SlowError, offset: TimeOffset, search: OffsetSearch | None) ->
                 f"{100 * REFUSED_ABOVE:g} % is given out. Correct its time column, or learn the scale on a shorter "
                 "recording."
             )
-    effect_s, rest_m = first_term(pair, fit.offset_s)
     return NoiseCalibration(
         variance_factor=fit.noise * factor * factor,
         input_noise=pair.input_noise(fit.input_density),
@@ -111,8 +109,6 @@ def _scaled(slow: SlowError, offset: TimeOffset, search: OffsetSearch | None) ->
         slow_time_s=1.0 / pair.slow[1] if pair.slow[0] > 0.0 else np.inf,
         unseen_m=(abs(factor) * slow.unseen[0], abs(factor) * slow.unseen[1], abs(factor) * slow.unseen[2]),
         exposure_s=pair.exposure_s,
-        effective_exposure_s=effect_s,
-        rest_std_m=rest_m,
         factor=factor,
         factor_std=abs(factor) * relative,
         findings=Findings(pair, fit, search, fit, fit),

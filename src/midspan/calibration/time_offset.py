@@ -127,7 +127,7 @@ def _likelihoods(pair: Pair, rows: Floats, offsets: Floats, corners: Floats) -> 
     """Likelihood (corners, offsets), all offsets in one run of the filter for each corner frequency (rad/s)."""
     count, time_s = len(offsets), rows[:, :1] + offsets
     responses = [response.at(time_s, pair.exposure_s, pair.logger) for response in pair.responses]
-    values = levelled(rows[:, 0], np.column_stack((rows[:, 1], *responses)))[0]
+    values = levelled(rows[:, 0], np.column_stack((rows[:, 1], *responses)), drifts=pair.bias_drifts)[0]
     at = np.column_stack((rows[:, 0] + float(np.mean(offsets)), rows[:, 2]))
     table = np.empty((len(corners), count))
     for k, corner in enumerate(corners):
@@ -228,9 +228,10 @@ def farther(pair: Pair, near: Fit, within_s: float, until_s: float) -> Fit | Non
 
     pair: measurements that keep `until_s` from both ends of the acceleration; near: the best fit within.
     """
-    pair = replace(pair, ratio=None, reference=None)
     if until_s - within_s < 3.0 / pair.sample_rate_hz:
         return None
+    pair = replace(pair, ratio=None, reference=None)
+    pair = with_input_noise(pair, best_corner(pair, near.offset_s))[0]
     sides = [_grid(pair, -until_s, -within_s), _grid(pair, within_s, until_s)]
     best = max((fit for side in sides for fit in _refined(pair, side, *scan(pair, side))), key=_likelihood)
     beside = [best_corner(pair, near.offset_s + aside) for aside in (-DRIFTED_S, 0.0, DRIFTED_S)]

@@ -50,8 +50,6 @@ NO_SLOW_ERROR = (0.0, 1.0)
 # periods of a motion. Below this exposure its derivative is that at none.
 NODES, WEIGHTS = (part / 2.0 for part in np.polynomial.legendre.leggauss(10))
 MIN_EXPOSURE_S = 1e-3
-# A bias that drifts does not show in a record shorter than this, s: its cubic is like slow motion there.
-DRIFT_SHOWS_S = 45.0
 # Longest step of the covariance, s: within it the walk of the bias reaches the displacement by 1 % of the noise's part.
 MAX_STEP_S = 5.0
 
@@ -293,17 +291,18 @@ def _whiten_slow(pieces, rows, density, slow, covariances, values, longer, out):
     return x[2]
 
 
-def levelled(time_s: Floats, values: Floats) -> tuple[Floats, Floats]:
-    """Columns (m, c) of values without their cubics, and (2, c): their second derivative at the last row and third one.
+def levelled(time_s: Floats, values: Floats, *, drifts: bool) -> tuple[Floats, Floats]:
+    """Columns (m, c) of values without what is open of them, and of that (2, c) the second derivative at the last row
+    and the third one.
 
-    A parabola is what the filter's unknown start leaves open: taken out first, it need not pass the filter. The rest of
-    a cubic is a bias that drifts at one rate, which is no noise of the acceleration.
+    A parabola is what the filter's unknown start leaves open: taken out first, it need not pass the filter. A bias that
+    drifts at one rate leaves a cubic open.
     """
     middle, half = 0.5 * (time_s[0] + time_s[-1]), 0.5 * (time_s[-1] - time_s[0])
     u = (time_s - middle) / half
     basis, shape = np.linalg.qr(np.column_stack((np.ones(len(u)), u, u * u, u * u * u)))
     share = np.einsum("mk,mc->kc", basis, values)
-    if 2.0 * half < DRIFT_SHOWS_S:
+    if not drifts:
         share[3] = 0.0
     left = values - np.einsum("mk,kc->mc", basis, share)
     cubic = 6.0 * share[3] / shape[3, 3]

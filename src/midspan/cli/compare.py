@@ -6,6 +6,9 @@ import click
 
 from midspan.cli.console import Console, common_options
 
+# As of `midspan.evaluate.metrics`, which would be slow to import for the options alone.
+ALIGNMENTS = ("none", "zero", "zero+lag")
+
 
 @click.command("compare")
 @click.argument("result", type=click.Path())
@@ -13,39 +16,55 @@ from midspan.cli.console import Console, common_options
 @click.option("--unit", help="Unit of the reference's values where its file does not say, for example mm.")
 @click.option("--axis", type=click.Choice(["x", "y"]), help="Image axis of a result that has both; left out: its main "
               "columns.")  # fmt: skip
+@click.option("--align", type=click.Choice(ALIGNMENTS), default=ALIGNMENTS[0], help="The headline: as they are, "
+              "without the mean error, or without lag and mean error; all three are printed.")  # fmt: skip
 @common_options
 def command(result: str, reference: str, quiet: bool, as_json: bool, **options: str | None) -> None:
     """Compare a result with a reference over their common time span.
 
-    REFERENCE is a file with time and displacement, or a recording with a [reference] section. Both must be on the
-    accelerometer's clock. The error is result minus reference.
+    The figures are given as the two are, without the mean error, which is another zero, and without the lag, which is
+    another clock; a note says where one of these is most of the error. REFERENCE is a file with time and displacement,
+    or a recording with a [reference] section. Both must be on the accelerometer's clock. The error is result minus
+    reference.
     """
     from midspan.evaluate.result_file import compare as compare_results
 
     console = Console(quiet, as_json)
-    figures = compare_results(result, reference, unit=options["unit"], axis=options["axis"]).to_dict()
+    align = options["align"] or ALIGNMENTS[0]
+    figures = compare_results(result, reference, unit=options["unit"], axis=options["axis"], align=align).to_dict()
     show(console, figures)
     console.document(figures)
 
 
 def show(console: Console, figures: dict[str, Any]) -> None:
-    """Print the figures of a comparison."""
+    """Print the figures of a comparison: the headline, then each way of taking zero and lag off in a row."""
 
-    def number(name: str, unit: str, digits: int = 4) -> str:
-        value = figures[name]
+    def number(value: float | None, unit: str, digits: int = 4) -> str:
         return "not defined" if value is None else f"{value:.{digits}g} {unit}".rstrip()
 
-    worst = f"{number('largest_error_mm', 'mm')} at {figures['largest_error_at_s']:.3f} s"
-    rows = [
-        ("compared", f"{figures['count']} instants from {figures['start_s']:.3f} to {figures['end_s']:.3f} s"),
-        ("RMSE", f"{number('rmse_mm', 'mm')} ({number('normalised_rmse_percent', '%', 3)} of the peak-to-peak)"),
-        ("bias", number("bias_mm", "mm")),
-        ("RMSE without the bias", number("rmse_without_bias_mm", "mm")),
-        ("largest error", worst),
-        ("correlation", number("correlation", "", 7)),
-        ("lag", f"{number('lag_s', 's')} (positive: the result is late)"),
-    ]
-    if figures["coverage_95"] is not None:
-        rows.append(("inside ±1.96 σ", f"{100 * figures['coverage_95']:.1f} %"))
-    console.table(rows)
+    def inside(found: dict[str, Any]) -> str:
+        share = found["coverage_95"]
+        return "" if share is None else f", {100 * share:.1f} % inside ±1.96 σ"
+
+    extent = number(figures["normalised_rmse_percent"], "%", 3)
+    worst = f"{number(figures['largest_error_mm'], 'mm')} at {figures['largest_error_at_s']:.3f} s"
+    console.table(
+        [
+            ("compared", f"{figures['count']} instants from {figures['start_s']:.3f} to {figures['end_s']:.3f} s"),
+            ("RMSE", f"{number(figures['rmse_mm'], 'mm')} ({extent} of the peak-to-peak){inside(figures)}"),
+            ("bias", number(figures["bias_mm"], "mm")),
+            ("largest error", worst),
+            ("correlation", number(figures["correlation"], "", 7)),
+            ("lag", f"{number(figures['lag_s'], 's')} (positive: the result is late)"),
+            *(
+                (label, f"RMSE {number(found['rmse_mm'], 'mm')}{inside(found)}")
+                for label, key in (
+                    ("as they are", "plain"),
+                    ("zero taken off", "without_zero"),
+                    ("zero and lag taken off", "without_zero_and_lag"),
+                )
+                if (found := figures[key]) is not None
+            ),
+        ]
+    )
     console.warn(figures["notes"])

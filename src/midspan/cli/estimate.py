@@ -1,4 +1,4 @@
-"""`midspan estimate RECORDING`."""
+"""`midspan estimate RECORDING`, or `midspan estimate ACCEL VIDEO`."""
 
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -16,6 +16,9 @@ if TYPE_CHECKING:
 
 @click.command("estimate")
 @click.argument("recording", type=click.Path())
+@click.argument("video", type=click.Path(), required=False)
+@click.option("--value", help="With two files: the accelerometer's channel along the measured motion.")
+@click.option("--unit", help="With two files: the unit of its values, where its file does not say.")
 @click.option(
     "-c", "--calibration", "calibration_file", type=click.Path(), help="Calibration to use; left out: calibrate."
 )
@@ -29,9 +32,18 @@ if TYPE_CHECKING:
 @click.option("--from", "begin", help="Of a store: first instant, ISO 8601 or seconds since 1970.")
 @click.option("--to", "end", help="Of a store: last instant.")
 @common_options
-def command(recording: str, quiet: bool, as_json: bool, **options: Any) -> None:
-    """Estimate displacement in mm at the accelerometer's rate, with its standard deviation."""
+def command(recording: str, video: str | None, quiet: bool, as_json: bool, **options: Any) -> None:
+    """Estimate displacement in mm at the accelerometer's rate, with its standard deviation.
+
+    RECORDING is a folder with recording.toml, or a store; or the accelerometer's file, with VIDEO after it.
+    """
     console = Console(quiet, as_json)
+    if video is not None:
+        _of_two_files(Path(recording), Path(video), console, options)
+        return
+    files = [name for key, name in (("value", "--value"), ("unit", "--unit")) if options[key]]
+    if files:
+        raise click.UsageError(f"{files[0]}: goes with two files, ACCEL VIDEO; a recording names it in its settings.")
     from midspan.service.replay import is_store
 
     if is_store(recording):
@@ -72,13 +84,54 @@ def _of_store(where: str, folder: Path, console: Console, options: dict[str, Any
 
 def _of_recording(recording: str, console: Console, options: dict[str, Any]) -> None:
     """Estimate a recording, and write and show what was asked for."""
+    opened = open_with(recording, options["tracker"], options["method"], options["literal"])
+    console.progress(0, 1, "reading the recording")
+    _of_opened(opened, console, options)
+
+
+def _of_two_files(accel: Path, video: Path, console: Console, options: dict[str, Any]) -> None:
+    """Estimate an accelerometer's file and a video; once more where their clocks are found to be apart."""
+    from midspan.cli.init import draft
+    from midspan.errors import NoAgreementError
+    from midspan.recording.streams.recording import Recording
+    from midspan.settings.load import validate
+
+    for given in ("point", "begin", "end"):
+        if options[given]:
+            raise click.UsageError("--point, --from and --to: are for a store, not for two files.")
+    where = f"{accel.name} and {video.name}"
+    tree = draft(accel, video, options["value"], options["unit"]).sections
+    section = next(name for name in ("camera", "infrared") if name in tree)
+    chosen = {"tracker": options["tracker"]} if options["tracker"] else {}
+    tree[section] |= chosen
+    tree["fusion"] = {"literal": bool(options["literal"])} | (
+        {"method": options["method"]} if options["method"] else {}
+    )
+    for channel in ("value", "unit"):
+        if channel in tree["accelerometer"]:
+            console.say(f"{accel.name}: {channel} {tree['accelerometer'][channel]}")
+
+    def opened() -> Recording:
+        return Recording(accel.absolute().parent / where, validate(tree, where))
+
+    try:
+        _of_opened(opened(), console, options)
+    except NoAgreementError as error:
+        if error.clock_offset_s is None or options["calibration_file"] is not None:
+            raise
+        tree[section]["start_s"] = tree[section].get("start_s", 0.0) + error.clock_offset_s
+        console.say(
+            f"{video.name} begins {error.clock_offset_s:+.3g} s later than its times say: by the motion itself."
+        )
+        _of_opened(opened(), console, options)
+
+
+def _of_opened(opened: "Recording", console: Console, options: dict[str, Any]) -> None:
     from midspan.cli.targets import check_result, report_path
     from midspan.recording.estimate import estimate
     from midspan.settings.stored.calibration_file import load_calibration
     from midspan.sinks.write import check_target
 
-    opened = open_with(recording, options["tracker"], options["method"], options["literal"])
-    console.progress(0, 1, "reading the recording")
     output = check_result(options["output"] or opened.folder / "result.csv", opened)
     check_target(output)
     report = report_path(options["report"])

@@ -13,12 +13,17 @@ if TYPE_CHECKING:
 COMMANDS: dict[str, tuple[str, str]] = {
     "demo": ("demo", "A complete run on a recording that it makes itself; under a minute."),
     "simulate": ("simulate", "Write a recording folder with its truth; --list names the scenarios."),
+    "init": ("init", "Write a recording.toml for an accelerometer's file and a video."),
     "inspect": ("inspect", "What is in a recording or a file: streams, rates, gaps, units, overlap."),
     "calibrate": ("calibrate", "Scale factor, clock offset and noise, written to calibration.json."),
-    "estimate": ("estimate", "The main job: displacement in mm at the accelerometer's rate."),
+    "estimate": (
+        "estimate",
+        "The main job: displacement in mm at the accelerometer's rate, of a recording or two files.",
+    ),
     "track": ("track", "Camera alone: translation of a target in pixels, frame by frame."),
     "lens": ("lens", "A camera's lens from pictures of a checkerboard, for [camera.lens]."),
     "compare": ("compare", "A result against a reference: RMSE, bias, correlation, lag."),
+    "spectrum": ("spectrum", "Natural frequencies of a result, with damping and standard deviations."),
     "run": ("run", "Live: sources to estimates to store, MQTT and /readyz."),
     "replay": ("replay", "Play a recording through a live point into a store."),
     "export": ("export", "Rows of a store as a result file."),

@@ -140,7 +140,7 @@ def plain_channel(
             lost_s=lost_s,
             slow_std_m=calibration.slow_std_m,
             slow_time_s=calibration.slow_time_s,
-            exposure_s=calibration.effective_exposure_s,
+            exposure_s=calibration.exposure_s,
         )
     )
     if calibration.relative_std > 0.0 or calibration.scale != 1.0:

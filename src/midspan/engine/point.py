@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from midspan.engine.averaging import Averaging, AveragingState
 from midspan.engine.guard import Guard, GuardState
 from midspan.engine.merge import Merge, MergeState
 from midspan.engine.order import STEPS
@@ -18,7 +19,18 @@ from midspan.engine.switching import Switch, SwitchState
 from midspan.fusion.estimator import BLOCK, Estimator, EstimatorState, Rows
 from midspan.fusion.model import ParameterKind
 from midspan.fusion.second_pass import Lag, LagState
-from midspan.records import Arrival, ClockOffset, Complete, Event, PixelTranslation, Readings, Samples, Tick, cut
+from midspan.records import (
+    Arrival,
+    ClockOffset,
+    Complete,
+    Event,
+    PixelTranslation,
+    Readings,
+    Samples,
+    Source,
+    Tick,
+    cut,
+)
 
 ACCELEROMETER = "accelerometer"
 
@@ -34,6 +46,7 @@ class PointState:
     estimator: EstimatorState | LagState
     sensors: tuple[SensorState, ...]
     support: Support
+    averaging: AveragingState
     switch: SwitchState | None = None
 
 
@@ -57,6 +70,9 @@ class Point:
         self.unmeasured = tuple(unmeasured)
         self.switch = switch
         self._support = Support()
+        # Cameras' exposures are short: averaging is their first term.
+        slow = [c for c, one in enumerate(estimator.settings.channels) if one.source == Source.DISPLACEMENT]
+        self._averaging = Averaging(estimator.settings.channels, slow)
 
     @property
     def status(self) -> PointStatus:
@@ -89,7 +105,15 @@ class Point:
         """All that has an effect on what comes later."""
         own = tuple(self.sensors[name].state for name in sorted(self.sensors))
         switch = None if self.switch is None else self.switch.state
-        return PointState(self.merge.state, self.guard.state, self.estimator.state, own, self._support, switch)
+        return PointState(
+            self.merge.state,
+            self.guard.state,
+            self.estimator.state,
+            own,
+            self._support,
+            self._averaging.state,
+            switch,
+        )
 
     def restore(self, state: PointState) -> None:
         """Go on from where `state` was read."""
@@ -99,6 +123,7 @@ class Point:
         for name, own in zip(sorted(self.sensors), state.sensors, strict=True):
             self.sensors[name].restore(own)
         self._support = state.support
+        self._averaging.restore(state.averaging)
         if self.switch is not None and state.switch is not None:
             self.switch.state = state.switch
 
@@ -111,6 +136,9 @@ class Point:
         out = self._run(self.merge.finish())
         for found in self.guard.finish():
             out += self._sampled(found)
+        complete, rest = self._averaging.finish()
+        if rest is not None:
+            out += [*self._measured(complete), *self._given(self.estimator.push(rest))]
         return [*out, *self._given(self.estimator.finish())]
 
     def _run(self, due: Sequence[Arrival]) -> list[Output]:
@@ -138,7 +166,8 @@ class Point:
         out: list[Output] = []
         for block in cut(found, BLOCK):
             out += [output for sensor in self.sensors.values() for output in self._seen(sensor.reached(block))]
-            out += self._given(self.estimator.push(block))
+            complete, due = self._averaging.sampled(block)
+            out += [*self._measured(complete), *self._given(self.estimator.push(due))]
         return out
 
     def _given(self, found: Sequence[Rows]) -> list[Rows]:
@@ -152,9 +181,14 @@ class Point:
             return []
         if self.switch is not None and seen.sensor in self.switch.sensors:
             seen = switched(self.switch, seen)
-        if seen.measured is not None:
-            self.estimator.push(seen.measured)
-        return [seen]
+        return self._measured([self._averaging.seen(seen)])
+
+    def _measured(self, found: Sequence[Seen]) -> list[Output]:
+        """Give complete measurements to the estimator."""
+        for seen in found:
+            if seen.measured is not None:
+                self.estimator.push(seen.measured)
+        return list(found)
 
 
 def switched(switch: Switch, seen: Seen) -> Seen:

@@ -1,9 +1,12 @@
 """What of a result's rows, innovations and events is worth telling, in sentences."""
 
+from collections.abc import Mapping, Sequence
+
 import numpy as np
 
 from midspan.fusion.blocks import REJECTED
-from midspan.records import Estimate, Event, Innovation, Status
+from midspan.records import NANOSECONDS, Estimate, Event, Innovation, Measured, Nanoseconds, Status
+from midspan.signals.stamps import shown
 
 # A share of rejections above this is worth a warning.
 NOTABLE_REJECTED = 0.02
@@ -44,3 +47,19 @@ def shares(innovation: Innovation, rows: Estimate, along: str = "") -> list[str]
                 f"± {widest:.3g} mm at worst (95 %)."
             )
     return found
+
+
+def unmeasured_ends(sampled_ns: Nanoseconds, measured: Mapping[str, Sequence[Measured]], rows: Estimate) -> list[str]:
+    """A sentence where the rows begin or end more than a second inside the span of acceleration and measurements.
+
+    sampled_ns (n,): stamps of the acceleration; measured: the blocks of each sensor.
+    """
+    stamps = [block.time_ns for listed in measured.values() for block in listed]
+    first, last = int(rows.time_ns[0]), int(rows.time_ns[-1])
+    begun = max(min(int(one[0]) for one in stamps), int(sampled_ns[0]))
+    ended = min(max(int(one[-1]) for one in stamps), int(sampled_ns[-1]))
+    late_s, early_s = (first - begun) / NANOSECONDS, (ended - last) / NANOSECONDS
+    span = f"{shown(begun)} to {shown(first)}"
+    late = [f"Nothing was measured from {span}; the result begins there, {late_s:.1f} s late."]
+    text = f"The target was lost from {shown(last)} to the end; the result stops there, {early_s:.1f} s early."
+    return (late if late_s > 1.0 else []) + ([text] if early_s > 1.0 else [])

@@ -1,13 +1,24 @@
 """What one sensor measured over a record, in metres: what a report draws as points."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from midspan.fusion.path import at
 from midspan.fusion.targets import agreeing, combine, relative_zeros
-from midspan.records import Channel, Displacement, Estimate, Floats, Measured, Nanoseconds, Source, part
+from midspan.records import (
+    Acceleration,
+    Channel,
+    Displacement,
+    Estimate,
+    Floats,
+    Measured,
+    Nanoseconds,
+    Source,
+    part,
+)
+from midspan.signals.averaging import at_instants
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,3 +90,14 @@ def channel_series(measured: Measured, channels: Sequence[Channel], sensor: str,
         variance = channel.variance_factor * own.variance / channel.units_per_m**2 + zero
         blocks.append(Displacement(own.time_ns, own.value / channel.units_per_m, variance, source))
     return agreed_series(sensor, Source(int(blocks[0].source[0])), (blocks, 0), path)
+
+
+def series_at_instants(
+    series: Mapping[str, SensorSeries], channels: Sequence[Channel], axis: int, acceleration: Acceleration
+) -> dict[str, SensorSeries]:
+    """The series of sensors along an axis, by name, without what their exposures take from fast motion."""
+    exposures = {one.sensor: one.exposure_s for one in channels if one.axis == axis}
+    return {
+        name: series_of(name, one.source, at_instants(one.displacement, exposures[name], acceleration))
+        for name, one in series.items()
+    }

@@ -1,11 +1,11 @@
 """A displacement against a reference, and a result against its own error band."""
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
-from midspan.checks import positive, same_length
+from midspan.checks import option, positive, same_length
 from midspan.errors import DataError, UsageError
 from midspan.evaluate.interpolation import Piecewise, piecewise, step_of
 from midspan.evaluate.lag import correlation, find_lag
@@ -15,97 +15,224 @@ from midspan.signals.stamps import shown
 
 MAX_LAG_S = 1.0
 MIN_INSTANTS = 2
+ALIGNMENTS = ("none", "zero", "zero+lag")
+# What takes off half of the error is named.
+MOSTLY = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class Band:
+    """Standard deviation (n,) of a displacement, m, and the part of it that is its zero's, common to all rows, m."""
+
+    std_m: Floats
+    zero_std_m: float = 0.0
+
+    @property
+    def without_zero(self) -> Floats:
+        """The standard deviation (n,) without that of the zero, m."""
+        return np.asarray(np.sqrt(np.maximum(np.asarray(self.std_m) ** 2 - self.zero_std_m**2, 0.0)))
+
+
+@dataclass(frozen=True, slots=True)
+class Agreement:
+    """How far a displacement is from a reference after `zero_mm` and `lag_s` were taken off the displacement.
+
+    rmse_mm; bias_mm: mean error; largest_error_mm: in absolute value, at largest_error_at_s. normalised_rmse_percent:
+    of the reference's peak-to-peak; None where that is zero. coverage_95: share of the errors within ±1.96 of the
+    estimate's standard deviation, without that of the zero where a zero was taken off; None where it has none.
+    """
+
+    zero_mm: float
+    lag_s: float
+    rmse_mm: float
+    bias_mm: float
+    largest_error_mm: float
+    largest_error_at_s: float
+    normalised_rmse_percent: float | None
+    coverage_95: float | None
 
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
     """A displacement against a reference at `count` of its own instants, from start_s to end_s on its clock.
 
-    rmse_mm; bias_mm: mean error; rmse_without_bias_mm: what is left without it; largest_error_mm: in absolute value,
-    at largest_error_at_s. normalised_rmse_percent: of the reference's peak-to-peak; None where that is zero.
+    plain, without_zero, without_zero_and_lag: as they are, after the mean error, and after the lag and the mean error
+    were taken off (None where there is no lag); align: "none", "zero" or "zero+lag", which of them is the headline.
     correlation, lag_s: None for constant signals; a positive lag: the estimate comes later than the reference.
-    coverage_95: share of the errors within ±1.96 of the estimate's standard deviation; None where it has none.
-    time_ns, error_mm (count,): estimate minus reference; notes: what was assumed and left out.
+    time_ns, error_mm (count,): estimate minus reference, of the headline; notes: what was assumed and left out.
     """
 
     start_s: float
     end_s: float
     count: int
-    rmse_mm: float
-    rmse_without_bias_mm: float
-    bias_mm: float
-    largest_error_mm: float
-    largest_error_at_s: float
-    normalised_rmse_percent: float | None
+    plain: Agreement
+    without_zero: Agreement
+    without_zero_and_lag: Agreement | None
+    align: str
     correlation: float | None
     lag_s: float | None
     peak_to_peak_mm: float
     reference_peak_to_peak_mm: float
-    coverage_95: float | None
     notes: tuple[str, ...] = ()
     time_ns: Nanoseconds = field(default_factory=lambda: np.empty(0, dtype=np.int64), repr=False, compare=False)
     error_mm: Floats = field(default_factory=lambda: np.empty(0), repr=False, compare=False)
 
+    @property
+    def headline(self) -> Agreement:
+        """The figures that `align` names; without a lag those without the zero."""
+        if self.align == "none":
+            return self.plain
+        return self.without_zero if self.align == "zero" else self.without_zero_and_lag or self.without_zero
+
+    @property
+    def rmse_mm(self) -> float:
+        """Root mean square of the headline's errors, mm."""
+        return self.headline.rmse_mm
+
+    @property
+    def bias_mm(self) -> float:
+        """Mean of the headline's errors, mm."""
+        return self.headline.bias_mm
+
+    @property
+    def rmse_without_bias_mm(self) -> float:
+        """Root mean square of the errors without their mean, mm."""
+        return self.without_zero.rmse_mm
+
+    @property
+    def largest_error_mm(self) -> float:
+        """Largest of the headline's errors in absolute value, mm."""
+        return self.headline.largest_error_mm
+
+    @property
+    def largest_error_at_s(self) -> float:
+        """When that is, s."""
+        return self.headline.largest_error_at_s
+
+    @property
+    def normalised_rmse_percent(self) -> float | None:
+        """Root mean square of the headline's errors over the reference's peak-to-peak, %; None where that is zero."""
+        return self.headline.normalised_rmse_percent
+
+    @property
+    def coverage_95(self) -> float | None:
+        """Share of the headline's errors within ±1.96 standard deviations; None where there are none."""
+        return self.headline.coverage_95
+
     def to_dict(self) -> dict[str, Any]:
-        """The figures as plain values, without the series."""
+        """The figures as plain values, without the series: those of the headline, then each of the three."""
         tree = asdict(self)
         del tree["time_ns"], tree["error_mm"]
-        return tree | {"notes": list(self.notes)}
+        own = {name: value for name, value in asdict(self.headline).items() if name not in ("zero_mm", "lag_s")}
+        return {**tree, **own, "rmse_without_bias_mm": self.rmse_without_bias_mm, "notes": list(self.notes)}
 
 
 def compare(
-    estimate: TimeSeries, reference: TimeSeries, *, std_m: Floats | None = None, max_lag_s: float = MAX_LAG_S
+    estimate: TimeSeries,
+    reference: TimeSeries,
+    *,
+    band: Band | None = None,
+    align: str = "none",
+    max_lag_s: float = MAX_LAG_S,
 ) -> Comparison:
     """Compare a displacement with a reference over their common span.
 
-    estimate, reference: displacement in m on one clock; std_m (n,): the estimate's standard deviation, m, where it has
-    one; max_lag_s: largest lag looked for, s, above 0. The reference is interpolated at the estimate's instants (cubic
-    spline, never across a gap of more than three of its intervals). Raises DataError without common instants.
+    estimate, reference: displacement in m on one clock; band: the estimate's standard deviation, where it has one;
+    align: the headline, "none", "zero" or "zero+lag"; max_lag_s: largest lag looked for, s, above 0. The reference is
+    interpolated at the estimate's instants (cubic spline, never across a gap of more than three of its intervals).
+    Raises DataError without common instants.
     """
     positive("max_lag_s", max_lag_s, "s")
+    option("align", align, ALIGNMENTS)
     splines = piecewise(reference)
     time_s = seconds(estimate.time_ns, splines.origin_ns)
-    expected = splines.at(time_s)
-    used = np.isfinite(expected) & np.isfinite(estimate.value)
-    if np.count_nonzero(used) < MIN_INSTANTS:
+    both = _Pair.at(estimate, splines.at(time_s), band)
+    if len(both.time_ns) < MIN_INSTANTS:
         raise _no_common_span(estimate, reference)
-    value = estimate.value[used]
-    error = value - expected[used]
-    std = None if std_m is None else np.asarray(std_m)[used]
-    lag_s = find_lag(time_s[used], value, splines, max_lag_s)
-    return _comparison(estimate.time_ns[used], (value, expected[used]), std, lag_s, _notes(estimate, splines, error))
-
-
-def _comparison(
-    time_ns: Nanoseconds,
-    pair: tuple[Floats, Floats],
-    std_m: Floats | None,
-    lag_s: float | None,
-    notes: tuple[str, ...],
-) -> Comparison:
-    error = pair[0] - pair[1]
-    rmse, bias = float(np.sqrt(np.mean(error**2))), float(np.mean(error))
-    extent = float(np.ptp(pair[1]))
-    worst = int(np.argmax(np.abs(error)))
-    return Comparison(
-        start_s=int(time_ns[0]) / 1e9,
-        end_s=int(time_ns[-1]) / 1e9,
-        count=len(time_ns),
-        rmse_mm=1e3 * rmse,
-        rmse_without_bias_mm=1e3 * float(np.std(error)),
-        bias_mm=1e3 * bias,
-        largest_error_mm=1e3 * abs(float(error[worst])),
-        largest_error_at_s=int(time_ns[worst]) / 1e9,
-        normalised_rmse_percent=100.0 * rmse / extent if extent > 0 else None,
-        correlation=correlation(*pair),
+    lag_s = find_lag(seconds(both.time_ns, splines.origin_ns), both.value, splines, max_lag_s)
+    late = None if lag_s is None else _Pair.at(estimate, splines.at(time_s - lag_s), band)
+    on_one_clock = None if late is None else late.agreement(zero=True, lag_s=lag_s or 0.0)
+    agreements = (both.agreement(), both.agreement(zero=True), on_one_clock)
+    found = Comparison(
+        start_s=int(both.time_ns[0]) / 1e9,
+        end_s=int(both.time_ns[-1]) / 1e9,
+        count=len(both.time_ns),
+        plain=agreements[0],
+        without_zero=agreements[1],
+        without_zero_and_lag=agreements[2],
+        align=align,
+        correlation=correlation(both.value, both.expected),
         lag_s=lag_s,
-        peak_to_peak_mm=1e3 * float(np.ptp(pair[0])),
-        reference_peak_to_peak_mm=1e3 * extent,
-        coverage_95=None if std_m is None else coverage(error, std_m, 0.95),
-        notes=notes,
-        time_ns=time_ns,
-        error_mm=1e3 * error,
+        peak_to_peak_mm=1e3 * float(np.ptp(both.value)),
+        reference_peak_to_peak_mm=1e3 * float(np.ptp(both.expected)),
+        notes=(*_explained(agreements), *_notes(estimate, splines, both.error)),
     )
+    shown_pair = late if late is not None and align == "zero+lag" else both
+    error_mm = 1e3 * shown_pair.error - found.headline.zero_mm
+    return replace(found, time_ns=shown_pair.time_ns, error_mm=error_mm)
+
+
+@dataclass(frozen=True, slots=True)
+class _Pair:
+    """Displacement and reference (n,) in m at common instants, and the displacement's band."""
+
+    time_ns: Nanoseconds
+    value: Floats
+    expected: Floats
+    band: Band | None
+
+    @classmethod
+    def at(cls, estimate: TimeSeries, expected: Floats, band: Band | None) -> "_Pair":
+        """Where both are known."""
+        used = np.isfinite(expected) & np.isfinite(estimate.value)
+        own = None if band is None else replace(band, std_m=np.asarray(band.std_m)[used])
+        return cls(estimate.time_ns[used], estimate.value[used], expected[used], own)
+
+    @property
+    def error(self) -> Floats:
+        """Displacement minus reference (n,), m."""
+        return self.value - self.expected
+
+    def agreement(self, *, zero: bool = False, lag_s: float = 0.0) -> Agreement:
+        """The figures, after the mean error was taken off or as they are; the lag is off already."""
+        off = float(np.mean(self.error)) if zero else 0.0
+        error, extent = self.error - off, float(np.ptp(self.expected))
+        rmse, worst = float(np.sqrt(np.mean(error**2))), int(np.argmax(np.abs(error)))
+        covered = None
+        if self.band is not None:
+            covered = coverage(error, self.band.without_zero if zero else self.band.std_m, 0.95)
+        return Agreement(
+            zero_mm=1e3 * off,
+            lag_s=lag_s,
+            rmse_mm=1e3 * rmse,
+            bias_mm=1e3 * float(np.mean(error)),
+            largest_error_mm=1e3 * abs(float(error[worst])),
+            largest_error_at_s=int(self.time_ns[worst]) / 1e9,
+            normalised_rmse_percent=100.0 * rmse / extent if extent > 0 else None,
+            coverage_95=covered,
+        )
+
+
+def _explained(agreements: tuple[Agreement, Agreement, Agreement | None]) -> tuple[str, ...]:
+    """What most of the error is, where that is a zero or a clock rather than the displacement's course."""
+    plain, zero, late = agreements
+    found = []
+    if zero.rmse_mm < MOSTLY * plain.rmse_mm:
+        found.append(
+            f"The reference has another zero: the displacement is {zero.zero_mm:+.4g} mm from it on average. Without "
+            f"that the RMSE is {zero.rmse_mm:.4g} mm{_inside(zero)} (--align zero)."
+        )
+    if late is not None and late.rmse_mm < MOSTLY * zero.rmse_mm:
+        which = "late" if late.lag_s > 0 else "early"
+        found.append(
+            f"The reference has another clock: the displacement is {1e3 * abs(late.lag_s):.4g} ms {which}. Without "
+            f"that and without the zero the RMSE is {late.rmse_mm:.4g} mm{_inside(late)} (--align zero+lag)."
+        )
+    return tuple(found)
+
+
+def _inside(found: Agreement) -> str:
+    return "" if found.coverage_95 is None else f", and {100 * found.coverage_95:.3g} % lie inside ±1.96 σ"
 
 
 def _notes(estimate: TimeSeries, splines: Piecewise, error: Floats) -> tuple[str, ...]:

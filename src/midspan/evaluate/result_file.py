@@ -9,10 +9,11 @@ import numpy as np
 from midspan.checks import option
 from midspan.errors import DataError, UsageError
 from midspan.evaluate import metrics
-from midspan.evaluate.metrics import MAX_LAG_S, Comparison
+from midspan.evaluate.metrics import MAX_LAG_S, Band, Comparison
 from midspan.recording.result import Result
-from midspan.records import Floats, TimeSeries
+from midspan.records import TimeSeries
 from midspan.settings.load import RECORDING_FILE
+from midspan.sinks.metadata import read_metadata
 from midspan.sinks.pair import mismatch
 from midspan.sources.accelerometer.channel import Channel
 from midspan.sources.accelerometer.formats import list_channels
@@ -26,10 +27,10 @@ USUAL_UNIT = "mm"
 
 @dataclass(frozen=True, slots=True)
 class StoredResult:
-    """A displacement read from a file: `series` in m and its standard deviation (n,) in m, None where it has none."""
+    """A displacement read from a file: `series` in m, and its error band, None where it has none."""
 
     series: TimeSeries
-    std_m: Floats | None
+    band: Band | None
 
 
 def read_result(path: str | Path, unit: str | None = None, axis: str | None = None) -> StoredResult:
@@ -48,7 +49,19 @@ def read_result(path: str | Path, unit: str | None = None, axis: str | None = No
         note = f"{path.name}: no unit in the file; {USUAL_UNIT} assumed."
         series = replace(series, notes=(*series.notes, note))
     std = None if own is None else own.replace("displacement_", "displacement_std_")
-    return StoredResult(series, _std(found.channels, std, series, unit) if std else None)
+    return StoredResult(
+        series, None if std is None else _band(found.channels, std, series, (unit, _zero_std_m(path, axis)))
+    )
+
+
+def _zero_std_m(path: Path, axis: str | None) -> float:
+    """The standard deviation of a result's zero by its metadata, m; 0 where they do not tell it."""
+    tree = read_metadata(path)
+    axes = tree.get("axes")
+    second = axes.get(axis) if isinstance(axes, dict) else None
+    found = second.get("zero_std_mm") if isinstance(second, dict) else None
+    found = tree.get("zero_std_mm") if found is None else found
+    return 1e-3 * float(found) if isinstance(found, int | float) and np.isfinite(found) else 0.0
 
 
 def column_of(names: Sequence[str], axis: str | None) -> str | None:
@@ -67,10 +80,12 @@ def _of_result(result: Result, axis: str | None) -> StoredResult:
     """The displacement of a result in memory along an image axis; None: the main one."""
     if axis is not None and result.across is None:
         raise UsageError(f"axis = {axis!r}: the result has one axis only. Leave the axis out.")
-    rows = result.estimate
+    along = result
     if result.across is not None and option("axis", axis or result.axis, ("x", "y")) == result.across.axis:
-        rows = result.across.estimate
-    return StoredResult(TimeSeries(rows.time_ns, rows.displacement_m), np.sqrt(rows.variance_m2))
+        along = result.across
+    rows = along.estimate
+    series = TimeSeries(rows.time_ns, rows.displacement_m)
+    return StoredResult(series, Band(np.sqrt(rows.variance_m2), along.zero_std_m))
 
 
 def _own(axis: str) -> str:
@@ -104,12 +119,12 @@ def _is_recording(path: Path) -> bool:
     return path.is_dir() or path.name == RECORDING_FILE or path.suffix == ".toml"
 
 
-def _std(channels: tuple[Channel, ...], name: str, series: TimeSeries, unit: str | None) -> Floats | None:
+def _band(channels: tuple[Channel, ...], name: str, series: TimeSeries, given: tuple[str | None, float]) -> Band | None:
+    """The band of a file's column of standard deviations; given: the unit that the user names, and the zero's, m."""
     for channel in channels:
         if channel.name == name and channel.size == len(series.value):
-            return channel.values.astype(np.float64) * si_factor(
-                unit or channel.unit or USUAL_UNIT, "displacement", None
-            )
+            factor = si_factor(given[0] or channel.unit or USUAL_UNIT, "displacement", None)
+            return Band(channel.values.astype(np.float64) * factor, given[1])
     return None
 
 
@@ -147,14 +162,16 @@ def compare(
     *,
     unit: str | None = None,
     axis: str | None = None,
+    align: str = "none",
     max_lag_s: float = MAX_LAG_S,
 ) -> Comparison:
     """Compare the displacement of a result with a reference over their common span, as `midspan compare` does.
 
     result: what `estimate` returned, or any file of `read_result`; reference: a file, or a recording with [reference];
-    unit: of the displacement of files that do not say it; axis: "x" or "y", of a result with both; max_lag_s: largest
-    lag looked for, s. Raises UsageError for an axis that there is not, DataError for files that cannot be read or have
-    no instants in common.
+    unit: of the displacement of files that do not say it; axis: "x" or "y", of a result with both; align: the headline
+    of the figures, plain ("none"), without the mean error ("zero"), or without lag and mean error ("zero+lag");
+    max_lag_s: largest lag looked for, s. Raises UsageError for an axis that there is not, DataError for files that
+    cannot be read or have no instants in common.
     """
     if isinstance(result, Result):
         stored, second = _of_result(result, axis), result.across is not None and result.across.axis == axis
@@ -164,7 +181,7 @@ def compare(
     if axis is not None and second:
         _refuse_other_axis(Path(reference), axis)
     wanted = read_reference(reference, unit, axis)
-    found = metrics.compare(stored.series, wanted, std_m=stored.std_m, max_lag_s=max_lag_s)
+    found = metrics.compare(stored.series, wanted, band=stored.band, align=align, max_lag_s=max_lag_s)
     assumed = [line for line in (*stored.series.notes, *wanted.notes) if line.endswith("assumed.")]
     assumed += [f"{line}." for line in (*stored.series.damage, *wanted.damage)]
     apart = [line for path in (result, reference) if not isinstance(path, Result) and (line := mismatch(Path(path)))]

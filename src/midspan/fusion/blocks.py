@@ -26,7 +26,7 @@ from midspan.fusion.forward import (
     VARIANCE,
     WENT_BACK,
 )
-from midspan.fusion.hypotheses import KINDS, LOST, OUTLIER
+from midspan.fusion.hypothesis import KINDS, LOST, OUTLIER
 from midspan.fusion.model import Beginning, EstimatorSettings
 from midspan.records import (
     NANOSECONDS,

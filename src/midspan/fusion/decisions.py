@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from midspan.fusion.filtering import PARENT_STEP, trace
 from midspan.fusion.forward import AT, CHANNEL
-from midspan.fusion.hypotheses import (
+from midspan.fusion.hypothesis import (
     CLOCK,
     DATUM,
     KINDS,
@@ -18,9 +18,9 @@ from midspan.fusion.hypotheses import (
     RETURN,
     SHIFT,
     STEPPED_BEFORE,
-    WILD,
     WRONG,
 )
+from midspan.fusion.weighing import WILD
 from midspan.records import NANOSECONDS, Channel, Event, Floats
 
 # The newest measurements, up to this number, may be undecided; what the older ones were the best hypothesis decides.

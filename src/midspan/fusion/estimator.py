@@ -8,7 +8,6 @@ judged by those after it.
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit
 
 from midspan.fusion.blocks import (
     beginning,
@@ -33,24 +32,16 @@ from midspan.fusion.filtering import (
 )
 from midspan.fusion.forward import (
     AT,
-    AXIS,
     CHANNEL,
-    COUNT,
-    INPUT,
-    LEAD,
     MEASUREMENT_COLUMNS,
     SET_DATUM,
-    SLOPE,
     STEP,
     TIME,
     UNITS_PER_M,
     WENT_BACK,
-    innovate,
-    predict_covariance,
-    project,
-    quadratic,
 )
-from midspan.fusion.hypotheses import WEIGHT
+from midspan.fusion.hypothesis import WEIGHT
+from midspan.fusion.innovation import predict_value
 from midspan.fusion.model import Beginning, Block, EstimatorSettings, Filter, Left, options_of, run, tables_of
 from midspan.fusion.state_space import GAP_STEPS
 from midspan.fusion.unmeasured import Integrated, integrated
@@ -394,38 +385,3 @@ def mixed(found: Floats, weights: Floats) -> Floats:
     off = found[..., FOUND_X] - one[:, :, FOUND_X]
     one[:, :, FOUND_VARIANCE] = np.tensordot(weights, found[..., FOUND_VARIANCE] + off**2, 1)
     return one
-
-
-@njit(cache=True)
-def predict_value(time_s, c, motion, clock, hyps, tables):  # type: ignore[no-untyped-def]
-    """Expected measurement of channel `c` at a time after the last sample and its variance, over all hypotheses."""
-    xs, ps, _, memory, thetas, spreads, _ = hyps
-    walks, channels, kinds = tables[:3]
-    axes, n, columns = len(motion), xs.shape[1], xs.shape[2]
-    x, p, ph, e = np.empty((n, columns)), np.empty((n, n)), np.empty(n), np.empty(columns)
-    still = np.zeros((axes, 3))
-    dt = max(time_s - clock[TIME], 0.0)
-    a = int(channels[c, AXIS])
-    whole = mean = square = 0.0
-    first = 0.0
-    for b in range(int(clock[COUNT])):
-        x[:], p[:] = xs[b], ps[b]
-        for i in range(axes):
-            x[3 * i + 1, 0] -= motion[i, LEAD] * motion[i, SLOPE]
-            for q in range(columns):
-                held = motion[i, INPUT] if q == 0 else 0.0
-                x[3 * i, q] += dt * x[3 * i + 1, q] + 0.5 * dt * dt * (held - x[3 * i + 2, q])
-                x[3 * i + 1, q] += dt * (held - x[3 * i + 2, q])
-        predict_covariance(p, axes, dt, walks)
-        innovate(x, still, channels, kinds, c, motion[a, INPUT], 0.0, e)
-        value = -e[0]
-        for q in range(columns - 1):
-            value -= e[1 + q] * thetas[b, q]
-        variance = project(p, channels, c, ph) + quadratic(e[1:], spreads[b])
-        if b == 0:
-            first = value
-        weight = np.exp(memory[b, WEIGHT])
-        whole += weight
-        mean += weight * (value - first)
-        square += weight * (variance + (value - first) ** 2)
-    return first + mean / whole, square / whole - (mean / whole) ** 2

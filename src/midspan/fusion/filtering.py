@@ -1,12 +1,13 @@
-"""The one loop of the estimator over a block of samples and measurements, what it leaves, and the pass back over that.
+"""The one loop of the estimator over a block of samples and measurements, and what it leaves.
 
 Measurements are either judged as they come, by hypotheses (see `hypotheses`), or taken as was decided before: then one
-hypothesis is enough, and what the pass back needs is left behind.
+hypothesis is enough, and what the pass back (`backward`) needs is left behind.
 """
 
 import numpy as np
 from numba import njit
 
+from midspan.fusion.acceptance import accept, find_step
 from midspan.fusion.forward import (
     AT,
     AXIS,
@@ -25,18 +26,12 @@ from midspan.fusion.forward import (
     TIME,
     ZERO,
     add_noise,
-    back_through_datum,
-    back_through_measurement,
-    back_through_time,
     begin_interval,
     copy_datum,
-    count_from,
-    narrow,
     predict,
-    quadratic,
-    row_back,
 )
-from midspan.fusion.hypotheses import (
+from midspan.fusion.hypotheses import split
+from midspan.fusion.hypothesis import (
     ACCEPTED_AT,
     ACCEPTED_VARIANCE,
     ALONG,
@@ -46,7 +41,6 @@ from midspan.fusion.hypotheses import (
     DISTURBED,
     DOUBTED,
     ERROR,
-    GATE,
     GOOD,
     KINDS,
     MET_AT,
@@ -58,19 +52,14 @@ from midspan.fusion.hypotheses import (
     STEPPED,
     STEPPED_BEFORE,
     TOTAL,
-    VAGUE,
     WEIGHT,
-    accept,
-    become,
-    find_step,
-    follow_clock,
-    look,
-    meet_zero,
     one_of,
-    split,
 )
+from midspan.fusion.innovation import follow_clock, look, meet_zero
+from midspan.fusion.outcomes import become
 from midspan.fusion.state_space import GAP_STEPS
 from midspan.fusion.steps import SURE
+from midspan.fusion.weighing import GATE, VAGUE
 from midspan.records import Status
 
 # What is left of each sample and axis: displacement relative to the datum, its variance, the true velocity, codes of
@@ -396,91 +385,3 @@ def trace(survivors, count, codes, errors, kept):  # type: ignore[no-untyped-def
         if one and final == 0:
             final = j
     return final
-
-
-@njit(cache=True)
-def back_to(at, until, adjoint, axes, used):  # type: ignore[no-untyped-def]
-    """Carry the adjoint back from one instant to another; returns the instant it has reached."""
-    if at > until:
-        back_through_time(adjoint, axes, at - until, used)
-        return until
-    return at
-
-
-@njit(cache=True)
-def back_through_row(row, adjoint, used, columns, channels, counted):  # type: ignore[no-untyped-def]
-    """Carry the adjoint back through a decided measurement's record; returns how many of its columns are used."""
-    if row[OF_CHANNEL] < 0.0:
-        if row[OF_CHANNEL] == SET_DATUM:
-            back_through_datum(adjoint, counted)
-        return used
-    channel = channels[int(row[OF_CHANNEL])]
-    if row[TAKEN] > 0.0:
-        e, gain = row[RECORD : RECORD + columns], row[RECORD + columns : RECORD + columns + len(adjoint)]
-        count_from(gain, channels, counted)
-        states, entries = row_back(channel, counted)
-        used = back_through_measurement(adjoint, used, states, entries, gain, e, row[TAKEN])
-    for i, factor in ((int(channel[ZERO]) + 1, row[SHIFT_SCALED]), (int(channel[ZERO]) + 2, row[REFERENCE_SCALED])):
-        if factor != 1.0:
-            adjoint[i] *= factor
-    return used
-
-
-@njit(cache=True)
-def smooth_node(node, adjoint, used, own, parameters, out):  # type: ignore[no-untyped-def]
-    """Smoothed displacement, its variance and the velocity of one axis, to `out` (3,), from what `leave_node` wrote.
-
-    own = (filtered variance, factor on what is left of it, covariances (n) with all states as the pass back counts
-    them, those of the velocity); parameters = (theta (k,), covariance (k, k)).
-    """
-    theta, spread = parameters
-    filtered, misfit, pc, pv = own
-    columns = 1 + len(theta)
-    met = np.zeros(used)
-    for q in range(len(adjoint)):
-        for c in range(used):
-            met[c] += pc[q] * adjoint[q, c]
-    sensitivity, velocity = np.zeros(columns - 1), 0.0
-    for c in range(columns):
-        faster = node[columns + c]
-        for q in range(len(adjoint)):
-            faster -= pv[q] * adjoint[q, c]
-        velocity += faster * (1.0 if c == 0 else theta[c - 1])
-    value = node[0] - met[0]
-    for c in range(1, columns):
-        sensitivity[c - 1] = node[c] - met[c]
-        value += sensitivity[c - 1] * theta[c - 1]
-    known = 0.0
-    for c in range(columns, used):
-        known += met[c] * met[c]
-    out[0], out[2] = value, velocity
-    out[1] = misfit * max(filtered - known, LEAST_SHARE * filtered) + quadratic(sensitivity, spread)
-
-
-@njit(cache=True)
-def backward_block(time_s, start_s, tables, counted, left, adjoint, parameters, rows):  # type: ignore[no-untyped-def]
-    """Run the pass back over one block; `adjoint` (n, 1 + k + 2 n) is changed in place and carries on.
-
-    time_s (s,): the samples, start_s: time of the state before them; left = (nodes, record) that `run_block` left of
-    decided measurements, changed in place; tables: as of `run_block`; counted: as of `count_from`; parameters = (theta
-    (k,), covariance (k, k)). rows (s, axes, 3) take displacement relative to the datum, its variance, and velocity.
-    """
-    nodes, record = left
-    channels, datum = tables[1], tables[3]
-    axes, j, n, columns = nodes.shape[1], len(record) - 1, len(adjoint), 1 + len(parameters[0])
-    used = narrow(adjoint, columns)
-    for k in range(len(time_s) - 1, -1, -1):
-        for a in range(axes):
-            node = nodes[k, a]
-            pc, pv = node[2 * columns : 2 * columns + n], node[2 * columns + n :]
-            filtered = pc[3 * a] - (pc[datum + a] if datum >= 0 else 0.0)
-            count_from(pc, channels, counted)
-            count_from(pv, channels, counted)
-            smooth_node(node, adjoint, used, (filtered, tables[5][a], pc, pv), parameters, rows[k, a])
-        before = time_s[k - 1] if k > 0 else start_s
-        at, dt = time_s[k], time_s[k] - before
-        while j >= 0 and record[j, INTERVAL] == k:
-            at = back_to(at, before + record[j, THETA] * dt, adjoint, axes, used)
-            used = back_through_row(record[j], adjoint, used, columns, channels, counted)
-            j -= 1
-        back_to(at, before, adjoint, axes, used)

@@ -1,4 +1,4 @@
-"""The compiled algebra of the estimator's states: forward to a measurement, through it, and back again.
+"""The compiled algebra of the estimator's states: forward to a measurement and through it.
 
 The motion of each axis is three states: displacement x, velocity v and bias b of the accelerometer, driven by the
 measured acceleration as in `state_space`. Every other state is constant or walks at random: the datum of each axis (its
@@ -15,15 +15,8 @@ matrix X (n, 1 + parameters) are the estimate, and what one unit of each paramet
 equations and share the gains, so that covariance and gains are those of the filter without parameters (separate bias
 estimation: B. Friedland, Treatment of bias in recursive filtering, IEEE Trans. Automat. Contr. 14 (1969) 359-367, doi
 10.1109/TAC.1969.1099223).
-
-The pass back is the modified Bryson-Frazier smoother (G. J. Bierman, Fixed interval smoothing with discrete
-measurements, Int. J. Control 18 (1973) 65-75): it carries an adjoint L and its information M, needs no inverse, and
-what only adds variance to a state leaves it as it is. M is carried as a factor W, M = W W': what later measurements say
-of a combination of states that was widely uncertain is a small difference of what they say of each. `adjoint` holds
-both, (n, 1 + k + 2 n): L, then W; they obey the same equations.
 """
 
-import numpy as np
 from numba import njit
 
 from midspan.fusion.state_space import GAP_STEPS, input_response
@@ -293,115 +286,3 @@ def quadratic(u, m):  # type: ignore[no-untyped-def]
         for r in range(len(u)):
             total += u[q] * m[q, r] * u[r]
     return total
-
-
-@njit(cache=True)
-def back_through_time(adjoint, axes, dt, used):  # type: ignore[no-untyped-def]
-    """The first `used` columns of the adjoint `dt` earlier: Phi' times them."""
-    half = 0.5 * dt * dt
-    for a in range(axes):
-        i = 3 * a
-        for c in range(used):
-            adjoint[i + 2, c] += -half * adjoint[i, c] - dt * adjoint[i + 1, c]
-            adjoint[i + 1, c] += dt * adjoint[i, c]
-
-
-@njit(cache=True)
-def count_from(v, channels, counted):  # type: ignore[no-untyped-def]
-    """A vector (n,) of covariances or gains in place, as the pass back counts the states.
-
-    counted (axes,): zero of the channel that all of an axis count from, or -1. x becomes x + z of that channel, and the
-    zeros of the others of which nothing is known become what they differ from it by. Until a known zero begins, x and
-    those zeros are only known relative to each other; so they are wide in one of the new states alone.
-    """
-    for a in range(len(counted)):
-        if counted[a] >= 0:
-            own = v[counted[a]]
-            v[3 * a] += own
-            for c in range(len(channels)):
-                z = int(channels[c, ZERO])
-                if int(channels[c, AXIS]) == a and z != counted[a] and not channels[c, ZERO_VARIANCE] < np.inf:
-                    v[z] -= own
-
-
-@njit(cache=True)
-def row_back(channel, counted):  # type: ignore[no-untyped-def]
-    """States (6,) of a channel's measurement as the pass back counts them, and their entries; see `count_from`."""
-    a, z, g = int(channel[AXIS]), int(channel[ZERO]), channel[UNITS_PER_M]
-    common = counted[a]
-    known = channel[ZERO_VARIANCE] < np.inf
-    states = (3 * a, 3 * a + 2, z, z + 1, z + 2, max(common, 0))
-    return states, (g, -g * channel[BLUR], 0.0 if z == common else g, g, g, -g if known and common >= 0 else 0.0)
-
-
-@njit(cache=True)
-def back_through_measurement(adjoint, used, states, row, gain, e, total):  # type: ignore[no-untyped-def]
-    """Before an accepted measurement: (I − K h')' [L, W] with − h e'/S in L and a new column h/√S in W.
-
-    Returns how many columns are used. 1 − K h is taken first where a state is on both sides: behind a wide prior it is
-    a small difference. S is infinite where the measurement began a zero.
-    """
-    for c in range(used):
-        apply_row(adjoint[:, c], gain, states, row)
-    for q in range(len(row)):
-        for c in range(len(e)):
-            adjoint[states[q], c] -= row[q] * e[c] / total
-        adjoint[states[q], used] += row[q] / np.sqrt(total)
-    used += 1
-    return used if used < adjoint.shape[1] else narrow(adjoint, len(e))
-
-
-@njit(cache=True)
-def narrow(adjoint, first):  # type: ignore[no-untyped-def]
-    """Rotate the columns of W, from `first` on, to as many as there are states; W W' stays. Returns how many are used.
-
-    By Householder's reflections, to a lower triangle.
-    """
-    n, end = len(adjoint), adjoint.shape[1]
-    for j in range(n):
-        begin = first + j
-        v = adjoint[j, begin:].copy()
-        norm = np.sqrt(np.sum(v * v))
-        if norm == 0.0:
-            continue
-        pivot = -norm if v[0] > 0.0 else norm
-        v[0] -= pivot
-        square = np.sum(v * v)
-        for i in range(j + 1, n):
-            dot = 0.0
-            for c in range(begin, end):
-                dot += v[c - begin] * adjoint[i, c]
-            dot *= 2.0 / square
-            for c in range(begin, end):
-                adjoint[i, c] -= dot * v[c - begin]
-        adjoint[j, begin] = pivot
-        adjoint[j, begin + 1 :] = 0.0
-    adjoint[:, first + n :] = 0.0
-    return first + n
-
-
-@njit(cache=True)
-def apply_row(v, gain, states, row):  # type: ignore[no-untyped-def]
-    """(I − K h')' v in place, h having the entries `row` at `states`; a state may be twice where one entry is 0."""
-    moved = np.empty(len(row))
-    for q in range(len(row)):
-        rest = 0.0
-        for j in range(len(v)):
-            if j != states[q]:
-                rest += gain[j] * v[j]
-        moved[q] = (1.0 - gain[states[q]] * row[q]) * v[states[q]] - row[q] * rest
-    for q in range(len(row)):
-        if row[q] != 0.0:
-            v[states[q]] = moved[q]
-
-
-@njit(cache=True)
-def back_through_datum(adjoint, counted):  # type: ignore[no-untyped-def]
-    """Before the datum was copied from the displacement; counted: as of `count_from`."""
-    axes = len(counted)
-    for a in range(axes):
-        datum = adjoint[3 * axes + a]
-        adjoint[3 * a] += datum
-        if counted[a] >= 0:
-            adjoint[counted[a]] -= datum
-        datum[:] = 0.0

@@ -20,7 +20,7 @@ from midspan.fusion.forward import (
     STEP,
     TIME,
 )
-from midspan.fusion.hypotheses import (
+from midspan.fusion.hypothesis import (
     ACCEPTED_AT,
     BEGAN_AT,
     FACTOR,
@@ -196,14 +196,13 @@ def apart(settings: EstimatorSettings, channel: Channel) -> tuple[float, float]:
 
 
 def options_of(settings: EstimatorSettings) -> Floats:
-    """Rates, the noise's memory and the bias's deviation as `hypotheses` takes them."""
+    """Rates and the noise's memory as `hypotheses` takes them."""
     rates = settings.rates
     return np.array(
         [
             *(rates.outlier, rates.stays, rates.shift, rates.back, rates.wrong, rates.rough, rates.noise, rates.lost),
             *(rates.clock, rates.odds),
             settings.noise_memory,
-            max(settings.bias_std_m_s2[: settings.axes]),
         ]
     )
 

@@ -10,26 +10,26 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from midspan.fusion.backward import backward_block
 from midspan.fusion.blocks import estimate_of, given_rows, sample_rows
-from midspan.fusion.decisions import NOTHING_DECIDED, Decided
+from midspan.fusion.decisions import NOTHING_DECIDED, ONE_CAUSE_S, Decided
 from midspan.fusion.estimator import BLOCK, Estimator, EstimatorState, Log, Rows
-from midspan.fusion.filtering import FOUND_VARIANCE, FOUND_VELOCITY, FOUND_X, backward_block, zero_variance
+from midspan.fusion.filtering import FOUND_VARIANCE, FOUND_VELOCITY, FOUND_X, zero_variance
 from midspan.fusion.forward import AT, AXIS, CHANNEL, SENSOR, TIME, UNITS_PER_M, ZERO, ZERO_VARIANCE
-from midspan.fusion.hypotheses import (
+from midspan.fusion.hypothesis import (
     BEGUN,
     GOOD,
     KINDS,
     LOST,
     OUTLIER,
     SHIFT,
-    SHORTEST_S,
     SINCE_THEN,
     SPREAD,
     STEPPED_BEFORE,
     WRONG,
-    led_away,
 )
 from midspan.fusion.model import Beginning, Block, EstimatorSettings, Filter, Left, options_of, run, tables_of
+from midspan.fusion.weighing import SHORTEST_S, led_away
 from midspan.records import Estimate, Event, Floats, Measured, Samples, joined, part
 
 # Of the lag, the part by which the window moves on at once.
@@ -118,10 +118,12 @@ def unforeseen(decided: Decided, channels: Floats) -> tuple[Unforeseen, NDArray[
     """What led predictions away that were found wrong, and the codes (m,) by which measurements then are taken.
 
     The filter learns of it by the measurement that it contradicts; but it happened since the last good one before, of
-    the same channel. Measurements between that were taken for outliers are asked again. Without a good one before
-    nothing is changed.
+    the same channel. Measurements between are asked again, and those that were taken for outliers before, as far as
+    they belong to the same cause: they contradicted a state that was wrong. Without a good one before nothing is
+    changed.
     """
     codes, time_s, channel_of, found = decided.codes.copy(), decided.rows[:, AT], decided.rows[:, CHANNEL], []
+    again = np.zeros(len(codes), dtype=np.bool_)
     led = np.isin(decided.codes % KINDS, (WRONG, LOST)) & (channel_of >= 0.0)
     for c in np.unique(channel_of[led]).astype(np.int64):
         own = np.flatnonzero(channel_of == c)
@@ -134,9 +136,19 @@ def unforeseen(decided: Decided, channels: Floats) -> tuple[Unforeseen, NDArray[
             lapse = max(time_s[j] - time_s[own[first]], SHORTEST_S)
             density = led_away(decided.errors[j, 0] / channels[c, UNITS_PER_M], lapse)
             found.append((time_s[j] - lapse, time_s[j], channels[c, AXIS], density))
-            codes[own[first + 1 : place + 1]] += SPREAD
+            again[own[first + 1 : place + 1]] = True
+            again[outliers_of_one_cause(own[: place + 1], time_s, codes)] = True
+    codes[again] += SPREAD
     table = np.array(found).reshape(-1, 4)
     return Unforeseen(table[:, 0], table[:, 1], table[:, 2].astype(np.int64), table[:, 3]), codes
+
+
+def outliers_of_one_cause(own: NDArray[np.int64], time_s: Floats, codes: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Which of a channel's measurements `own` are the outliers that led to what the last of them was taken for."""
+    odd = own[codes[own] % KINDS != GOOD]
+    apart = np.flatnonzero(np.diff(time_s[odd]) >= ONE_CAUSE_S)
+    same: NDArray[np.int64] = odd[apart[-1] + 1 :] if len(apart) else odd
+    return np.extract(codes[same] % KINDS == OUTLIER, same)
 
 
 def steps_in_place(decided: Decided, channels: Floats) -> Decided:

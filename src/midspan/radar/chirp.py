@@ -1,6 +1,7 @@
 """The chirp settings of a radar and everything that follows from them: carrier, ranges, rates, limit speed."""
 
-from dataclasses import dataclass
+import json
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
@@ -133,3 +134,14 @@ class RangeAxis:
         """Phase in rad that one metre more of range adds, for a target at `range_m` (not known: NaN)."""
         delay = 2.0 * range_m / SPEED_OF_LIGHT_M_S if np.isfinite(range_m) else 0.0
         return float(4.0 * np.pi * (self.carrier_hz - self.slope_hz_s * delay) / SPEED_OF_LIGHT_M_S)
+
+
+def profile_to_json(profile: ChirpProfile) -> str:
+    """The fields of a chirp's settings as JSON, as `profile_from_json` reads them."""
+    return json.dumps(asdict(profile))
+
+
+def profile_from_json(text: str) -> ChirpProfile:
+    """The chirp's settings of their fields as JSON. Raises UsageError, TypeError and ValueError for others."""
+    fields = json.loads(text)
+    return ChirpProfile(**{**fields, "transmitters": tuple(fields["transmitters"])})

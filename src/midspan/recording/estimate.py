@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from midspan.calibration.one_clock import OneClock
+from midspan.calibration.unfelt import refuse_unfelt_rows
 from midspan.checks import option
 from midspan.engine.camera_result import CameraResult, camera_result, camera_series
 from midspan.engine.channels import clock_std_s, without_gain
@@ -18,7 +19,7 @@ from midspan.engine.one_series import (
     with_uncertain,
 )
 from midspan.engine.radar_messages import REPORTED, radar_warnings
-from midspan.engine.row_messages import event_warnings, shares
+from midspan.engine.row_messages import event_warnings, shares, unmeasured_ends
 from midspan.engine.second_look import (
     clocks,
     on_clock,
@@ -29,9 +30,8 @@ from midspan.engine.second_look import (
     with_levels_of,
     with_scales,
 )
-from midspan.engine.sensor_series import SensorSeries
+from midspan.engine.sensor_series import SensorSeries, series_at_instants
 from midspan.engine.tracking import CameraTracking
-from midspan.engine.unshaken import refuse_unshaken
 from midspan.errors import DataError, UntrustedError, UsageError
 from midspan.fusion.estimator import Estimator
 from midspan.fusion.methods import METHODS, Method, Pass, no_literal_form
@@ -54,7 +54,7 @@ from midspan.recording.tracked import (
     open_eyes,
     side_of,
 )
-from midspan.records import NANOSECONDS, Channel, Estimate, Event, Innovation, Nanoseconds, joined, part
+from midspan.records import Channel, Estimate, Event, Innovation, Nanoseconds, joined, part
 from midspan.settings.sensor_words import worded
 from midspan.settings.sensors import DisplacementSettings
 from midspan.settings.stored.calibration import Calibration
@@ -148,6 +148,12 @@ class FirstPass:
     cameras: tuple[CameraResult, ...]
     series: tuple[dict[str, SensorSeries], ...]
 
+    def at_instants(self, axis: int) -> dict[str, SensorSeries]:
+        """The series along an axis, without what the sensors' exposures take from fast motion."""
+        return series_at_instants(
+            self.series[axis], self.estimator.settings.channels, axis, self.sides[axis].acceleration
+        )
+
 
 @dataclass(frozen=True, slots=True)
 class Checked:
@@ -180,7 +186,7 @@ def _estimate(asked: Asked, tracking: CameraTracking | None, progress: Progress)
     main = first.sides[0]
     ran: dict[str, OneClock] = {}
     if looks or asked.given:
-        ran = clocks(first.series[0], main.acceleration, main.kalman, clocks_shared(asked.recording))
+        ran = clocks(first.at_instants(0), main.acceleration, main.kalman, clocks_shared(asked.recording))
     checked = check(asked, first, ran)
     found = by_method(asked, first, ran, checked)
     progress(1, 1, "fusing")
@@ -219,9 +225,10 @@ def check(asked: Asked, first: FirstPass, ran: Mapping[str, OneClock]) -> Checke
     if not asked.given:
         return Checked((), stated, left_out=False)
     warnings, omitted, found = uncalibrated(asked.recording, asked.calibration), False, list(stated)
-    for axis, (side, own) in enumerate(zip(first.sides, first.series, strict=True)):
+    for axis, side in enumerate(first.sides):
         if axis and not side.recording.fused:
             continue
+        own = first.at_instants(axis)
         series = {name: on_clock(one, ran[name]) if ran_apart(ran[name]) else one for name, one in own.items()}
         along, reach_s = f" along {side.recording.axis}" if axis else "", asked.recording.max_offset_s
         followed = not asked.on_series
@@ -298,7 +305,7 @@ def on_series(asked: Asked, first: FirstPass, ran: Mapping[str, OneClock], check
         if not side.recording.fused:
             rows[axis] = replace(rows[axis], variance_m2=rows[axis].variance_m2 + 2.0 * tilt_m2)
             continue
-        named = {name: on_clock(one, ran[name]) for name, one in first.series[axis].items()}
+        named = {name: on_clock(one, ran[name]) for name, one in first.at_instants(axis).items()}
         measured = one_series(named, found.rows[axis], first.outcome.restarts_ns)
         own, rate_hz = replace(method, kalman=side.kalman), side.prepared.rate_hz
         done = run_on_series(side.acceleration, measured, asked.method, own, found.rows[axis], rate_hz=rate_hz)
@@ -346,7 +353,7 @@ def result_of(asked: Asked, first: FirstPass, found: Found, checked: Checked) ->
     recording, main = asked.recording, found.rows[0]
     refuse_rejections(recording, found.innovations[0])
     if not asked.by_settings.literal:
-        refuse_unshaken(main, first.sides[0].acceleration)
+        refuse_unfelt_rows(first.sides[0].prepared, judged(asked, first, found), found.innovations[0])
     sensors, radars = first.outcome.sensor_events, first.outcome.radars
     info = {view.sensor: view.radar.info for view, _ in known_sensors(first.sides[0]) if view.sensor in radars}
     fused = tuple(event for event in found.events if event.axis == 0)
@@ -357,7 +364,7 @@ def result_of(asked: Asked, first: FirstPass, found: Found, checked: Checked) ->
         *event_warnings(fused),
         *event_warnings(tuple(event for event in sensors if event.kind in ("frozen", "lost", *REPORTED))),
         *(worded(line, name) for name, log in radars.items() for line in radar_warnings(log, info[name].warnings)),
-        *unmeasured_ends(recording, first.outcome, main),
+        *unmeasured_ends(recording.acceleration.time_ns, first.outcome.measured, main),
         *shares(found.innovations[0], main),
         *found.warnings,
         *more,
@@ -392,6 +399,15 @@ def result_of(asked: Asked, first: FirstPass, found: Found, checked: Checked) ->
         zero_std_m=float(np.sqrt(found.zero_variance_m2[1])),
     )
     return replace(result, across=across)
+
+
+def judged(asked: Asked, first: FirstPass, found: Found) -> Estimate:
+    """The rows that are judged: the band of a causal method opens for a jump, that of the whole record does not."""
+    own = first.estimator
+    if asked.row.rows is Pass.SMOOTHED or asked.on_series or not isinstance(own, Estimator) or not found.events:
+        return found.rows[0]
+    assert own.log is not None
+    return smooth(own.log, own.settings)[0]
 
 
 def _second_axis(first: FirstPass, found: Found, checked: Checked) -> tuple[bool, list[str]]:
@@ -440,16 +456,3 @@ def _no_overlap(recording: Recording, measured_ns: Nanoseconds) -> str:
         f"runs from {shown(int(sampled[0]))} to {shown(int(sampled[-1]))}. Check the calibration's time_offset_s and "
         "the start_s of both."
     )
-
-
-def unmeasured_ends(recording: Recording, outcome: Outcome, rows: Estimate) -> list[str]:
-    """A sentence where the rows begin or end more than a second inside the span of both streams."""
-    stamps = [block.time_ns for listed in outcome.measured.values() for block in listed]
-    sampled, first, last = recording.acceleration.time_ns, int(rows.time_ns[0]), int(rows.time_ns[-1])
-    begun = max(min(int(one[0]) for one in stamps), int(sampled[0]))
-    ended = min(max(int(one[-1]) for one in stamps), int(sampled[-1]))
-    late_s, early_s = (first - begun) / NANOSECONDS, (ended - last) / NANOSECONDS
-    span = f"{shown(begun)} to {shown(first)}"
-    late = [f"Nothing was measured from {span}; the result begins there, {late_s:.1f} s late."]
-    text = f"The target was lost from {shown(last)} to the end; the result stops there, {early_s:.1f} s early."
-    return (late if late_s > 1.0 else []) + ([text] if early_s > 1.0 else [])

@@ -13,8 +13,7 @@ import numpy as np
 from midspan.calibration.displacement.learn import Given
 from midspan.calibration.displacement.sensor import DisplacementFit, fit_displacement, read_with
 from midspan.calibration.noise import USUAL_GAIN_STD
-from midspan.calibration.radar.calibrate import RadarFit
-from midspan.calibration.radar.direction import fit_radar_along
+from midspan.calibration.radar.calibrate import RadarFit, fit_radar
 from midspan.calibration.radar.literal import fit_radar_literal
 from midspan.calibration.sensors.displacement import DisplacementCalibration
 from midspan.calibration.sensors.radar import RadarCalibration
@@ -49,7 +48,7 @@ def calibrate_radar(view: Recording, progress: Progress) -> RadarFit:
     if view.settings.fusion.literal:
         return fit_radar_literal(window, view.prepared, info, target_range_m=section.target_range_m)
     wanted_m = section.target_range_m
-    return fit_radar_along(window, view.prepared, info, most_targets=section.targets, target_range_m=wanted_m)
+    return fit_radar(window, view.prepared, info, most_targets=section.targets, target_range_m=wanted_m)
 
 
 def _known(view: Recording, calibration: Calibration) -> Any:
@@ -102,7 +101,7 @@ def calibrate_displacement(view: Recording, progress: Progress) -> DisplacementF
             gives_zero=view.gives_zero,
             gain_std=(own.scale_std or USUAL_GAIN_STD) if own.estimate_scale else 0.0,
             noise_time_s=section.noise_time_s,
-            exposure_s=section.exposure_s or 0.0,
+            exposure_s=section.exposure_s,
         )
     )
 

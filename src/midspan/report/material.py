@@ -9,7 +9,7 @@ from midspan.engine.camera_result import CameraResult
 from midspan.engine.sensor_series import SensorSeries
 from midspan.errors import DataError
 from midspan.evaluate.interpolation import step_of
-from midspan.evaluate.metrics import Comparison, compare
+from midspan.evaluate.metrics import Band, Comparison, compare
 from midspan.recording.result import Result
 from midspan.records import Floats, Nanoseconds, TimeSeries, seconds
 from midspan.settings.camera import CameraSettings
@@ -91,7 +91,8 @@ def gather(result: Result, reference: TimeSeries | None, across: TimeSeries | No
         return material
     own = TimeSeries(result.estimate.time_ns, result.estimate.displacement_m)
     try:
-        found = compare(own, reference, std_m=np.sqrt(result.estimate.variance_m2))
+        band = Band(np.sqrt(result.estimate.variance_m2), result.zero_std_m)
+        found = compare(own, reference, band=band)
     except DataError as error:
         return replace(material, problem=str(error))
     which = inside(reference.time_ns, int(own.time_ns[0]), int(own.time_ns[-1]))

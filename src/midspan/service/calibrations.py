@@ -2,14 +2,20 @@
 
 import json
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
+from midspan.radar.chirp import profile_to_json
+from midspan.radar.info import RadarInfo
 from midspan.service.point import LivePoint
+from midspan.settings.recording import RecordingSettings
 from midspan.settings.stored.calibration import Calibration
 from midspan.settings.stored.calibration_file import calibration_from_dict, load_calibration
 from midspan.store.store import Store, open_store
+
+# Where the chirps stand among the settings.
+CHIRPS = "chirps"
 
 
 def number_in_force(live: LivePoint, store: Store, folder: Path) -> int:
@@ -26,9 +32,15 @@ def number_in_force(live: LivePoint, store: Store, folder: Path) -> int:
     return known.number if known else added(live, store, body, accept=True)
 
 
+def settings_json(settings: RecordingSettings, radars: Mapping[str, RadarInfo]) -> str:
+    """A point's settings as the store keeps them with a calibration; with them the chirp of each radar, by its name."""
+    chirps = {name: json.loads(profile_to_json(info.profile)) for name, info in radars.items() if info.profile}
+    return json.dumps({**settings.model_dump(mode="json", exclude_none=True), CHIRPS: chirps})
+
+
 def added(live: LivePoint, store: Store, body: str, *, accept: bool) -> int:
     """Keep a calibration of now, in force or offered; returns its number."""
-    settings = live.settings.model_dump_json(exclude_none=True)
+    settings = settings_json(live.settings, live.radars)
     return store.add_calibration(live.name, time.time_ns(), body, settings, accept=accept)
 
 

@@ -58,14 +58,18 @@ class CameraProcess:
         self.address, self._taken = address, taken
         self._context = multiprocessing.get_context("spawn")
         self._region: Region | None = None
-        self._ending, self._pauses = threading.Event(), Pauses()
+        self._ending, self._taking, self._pauses = threading.Event(), threading.Event(), Pauses()
         self._process: Any = None
         self._pipe: Connection | None = None
         self._thread = threading.Thread(target=self._watch, daemon=True, name=f"camera {address.partition(':')[0]}")
 
     def start(self) -> None:
-        """Start the process."""
+        """Start the process; what it gives waits there until `take`."""
         self._thread.start()
+
+    def take(self) -> None:
+        """From now on hand on what it gives."""
+        self._taking.set()
 
     def cut(self, region: Region | None) -> None:
         """From now on only this part of each frame is needed; None: whole frames."""
@@ -75,6 +79,7 @@ class CameraProcess:
     def stop(self) -> None:
         """End the process, by force after a second."""
         self._ending.set()
+        self._taking.set()
         if self._pipe is not None:
             with suppress(OSError):
                 self._pipe.send("end")
@@ -105,6 +110,7 @@ class CameraProcess:
         self._process.start()
         child.close()
         self._send()
+        self._taking.wait()
         heard_s = time.monotonic()
         try:
             while not self._ending.is_set():

@@ -7,6 +7,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from midspan.radar.chirp import profile_to_json
 from midspan.radar.info import RadarInfo
 from midspan.records import NANOSECONDS, Arrival, Frame, RangeFrame, Readings
 from midspan.settings.recording import RecordingSettings
@@ -170,6 +171,8 @@ class _Profiles(_Stamped):
         self._open["time_ns"] = np.array(self._stamps, dtype=np.int64)
         self._open["range_m"] = self._info.range_m
         self._open.attrs["carrier_hz"] = self._info.carrier_hz
+        if self._info.profile is not None:
+            self._open.attrs["chirp"] = profile_to_json(self._info.profile)
         self._open.close()
         self._open, self._stamps = None, []
 

@@ -17,6 +17,7 @@ import numpy as np
 from midspan.errors import MidspanError
 from midspan.records import NANOSECONDS, Arrival, Frame, RangeFrame, Readings, Region
 from midspan.service.camera_process import CameraProcess, Delivered, Failed, pasted
+from midspan.service.mqtt import SESSION_S
 from midspan.service.opening import Opened
 from midspan.service.reading_thread import ReadingThread
 from midspan.service.reasons import sentence
@@ -56,13 +57,22 @@ class Intake:
                 if address.startswith(MQTT):
                     self.topics.setdefault(address.removeprefix(MQTT), []).append((one, name))
 
-    def begin(self) -> list[asyncio.Task[None]]:
-        """Start cameras, lines and radars; returns the tasks that replay recordings. Called in the service's loop."""
-        tasks = []
+    def start_cameras(self) -> None:
+        """Start the cameras' processes, which takes seconds; their frames wait until `begin`. Called in the loop."""
         for one in self._points:
             for name, address in one.live.plan.sources.items():
                 if one.kind(name) in PICTURES:
-                    self._begin_camera(one, name, address)
+                    self._start_camera(one, name, address)
+
+    def begin(self) -> list[asyncio.Task[None]]:
+        """Let records come; returns the tasks that replay recordings. Called in the service's loop."""
+        tasks = []
+        for one in self._points:
+            if one.live.opened is not None:
+                self.cut(one, one.live.opened)
+            for name, address in one.live.plan.sources.items():
+                if name in one.cameras:
+                    one.cameras[name].take()
                 elif address.startswith((SERIAL, UDP)):
                     self._begin_thread(one, name, address)
                 elif address.startswith(REPLAY):
@@ -98,7 +108,8 @@ class Intake:
         stream = one.streams[name]
         if self._is_ahead(one, name, block.t0_ns + block.dt_ns * max(len(block.values) - 1, 0)):
             return
-        lost = stream.lost_before(block.sequence, block.t0_ns)
+        again = stream.sequence is None and self._was_kept(one, name, block)
+        lost = None if again else stream.lost_before(block.sequence, block.t0_ns)
         if lost is None:
             return
         if lost:
@@ -111,6 +122,14 @@ class Intake:
         stream.dt_ns = block.dt_ns
         value = one.factors[name] * block.values[:, None]
         self._heard(one, name, Arrival(name, 0, Readings(block.time_ns, value)))
+
+    @staticmethod
+    def _was_kept(one: Running, name: str, block: Block) -> bool:
+        """Whether a point that goes on has a block already: the broker brings again what was not acknowledged."""
+        if one.live.opened is None or not len(block.values):
+            return False
+        newest_ns = one.live.opened.newest_ns.get(name, 0)
+        return newest_ns - SESSION_S * NANOSECONDS < int(block.time_ns[-1]) <= newest_ns
 
     def _is_ahead(self, one: Running, name: str, newest_ns: int) -> bool:
         """Whether stamps are of the future, which is a fault."""
@@ -126,12 +145,10 @@ class Intake:
         if one.streams[name].refused(fault.code, text, time.time()):
             self._tell(one, fault.code, f"{name}: {text}")
 
-    def _begin_camera(self, one: Running, name: str, address: str) -> None:
+    def _start_camera(self, one: Running, name: str, address: str) -> None:
         if address.startswith(REPLAY):
             address = self._replay_address(address, name)
         one.cameras[name] = CameraProcess(address, self._handed(self._pictured, one, name))
-        if one.live.opened is not None:
-            self.cut(one, one.live.opened)
         one.cameras[name].start()
 
     def _pictured(self, one: Running, name: str, item: Delivered | Failed) -> None:

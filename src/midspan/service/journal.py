@@ -144,7 +144,10 @@ class Journal:
         """Raw rows with increasing stamps: a clock that ran back is in the events, and what it repeated is not kept."""
         newest = np.maximum.accumulate(time_ns)
         new = np.concatenate(([True], time_ns[1:] > newest[:-1]))
-        return Chunk(self.point, stream, time_ns[new], {name: value[new] for name, value in columns.items()})
+        # The calibration chooses a radar's bins: before there is one, whole profiles come.
+        calibration = self.calibration if "phasors" in columns else 0
+        own = {name: value[new] for name, value in columns.items()}
+        return Chunk(self.point, stream, time_ns[new], own, calibration)
 
 
 def row_columns(estimate: Estimate, zero_m2: float) -> dict[str, NDArray[Any]]:

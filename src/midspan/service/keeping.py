@@ -69,8 +69,10 @@ class Keeper:
 
     def close(self) -> None:
         """Write what waits and let the store go."""
-        self.write()
-        self._close()
+        try:
+            self.write()
+        finally:
+            self._close()
 
     def _close(self) -> None:
         if self._store is not None:

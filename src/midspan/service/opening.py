@@ -157,6 +157,9 @@ def _readings(found: Opened, store: Store, stream: str) -> Iterator[tuple[int, A
 
 def _phasors(found: Opened, store: Store, stream: str) -> Iterator[tuple[int, Arrival]]:
     for chunk in _chunks(found, store, stream, stream):
+        if chunk.calibration != found.journal.calibration:
+            # Bins of other targets.
+            continue
         for k, stamp in enumerate(chunk.time_ns.tolist()):
             valid = np.asarray(chunk.columns["valid"][k], dtype=np.bool_)
             phasors = np.asarray(chunk.columns["phasors"][k], dtype=np.complex64).reshape(len(valid), -1)

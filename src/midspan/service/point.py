@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 from midspan.engine.support import PointStatus
-from midspan.errors import MidspanError
 from midspan.radar.info import RadarInfo
 from midspan.records import NANOSECONDS, Arrival, Event, Frame, RangeFrame, Readings, Tick
 from midspan.service.capture import Capture
@@ -167,7 +166,7 @@ class LivePoint:
                 self._run(arrival)
         self._held.clear()
 
-    def refused(self, error: MidspanError) -> None:
+    def refused(self, why: str) -> None:
         """A calibration or an opening failed: it is tried again after a while."""
         self.job, self.reason = None, "calibration_refused"
         if self.opened is None:
@@ -175,7 +174,7 @@ class LivePoint:
             self._again_ns = self._newest_ns + round(AGAIN_S * NANOSECONDS)
         else:
             self._wanted, self.phase = "", Phase.RUNNING
-        self._tell("calibration_refused", f"{self.name}: {error}")
+        self._tell("calibration_refused", f"{self.name}: {why}")
 
     def resumed(self, found: Opened, folder: Path) -> None:
         """The point is open again, from its checkpoint and the folder that it was opened from then."""

@@ -22,6 +22,7 @@ from midspan.recording.run import records_of
 from midspan.recording.streams.recording import Recording, naming
 from midspan.recording.tracked import open_eyes
 from midspan.records import NANOSECONDS, Arrival, Complete, Readings
+from midspan.service.calibrations import settings_json
 from midspan.service.journal import ROWS, SHOWN, Journal
 from midspan.service.stored_rows import FIRST_NS, LAST_NS
 from midspan.settings.site import is_a_point
@@ -76,7 +77,8 @@ def replay(
         point = measuring_point(sides, eyes, lag_s=lag_s, given=given, log=False)
         axes = recording.settings.axes[: len(sides)] if len(sides) > 1 else ()
         first_ns, last_ns = (int(recording.acceleration.time_ns[k]) for k in (0, -1))
-        body, settings = json.dumps(calibration.to_dict()), recording.settings.model_dump_json(exclude_none=True)
+        radars = {view.sensor: view.radar.info for view in recording.views if view.kind == "radar"}
+        body, settings = json.dumps(calibration.to_dict()), settings_json(recording.settings, radars)
         number = store.add_calibration(name, first_ns, body, settings, accept=False)
         journal = Journal(name, clock_offsets_ns(sides[0], eyes), axes=axes, calibration=number)
         player = Player(point, journal, store, speed, wait)

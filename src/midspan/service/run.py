@@ -2,10 +2,11 @@
 
 import asyncio
 import json
+import math
 import socket
 import time
 from collections import deque
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Coroutine, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -56,6 +57,8 @@ class Service:
         self._old_ns: int | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
         self._jobs: set[asyncio.Task[None]] = set()
+        # One calibration at a time, and one opening, which waits for none: the engine needs the processor.
+        self._one_at_a_time = {"calibrate": asyncio.Lock(), "open": asyncio.Lock()}
 
     # Life
 
@@ -70,6 +73,7 @@ class Service:
     async def _serve(self, listener: socket.socket, for_s: float | None) -> dict[str, Any]:
         self._loop = asyncio.get_running_loop()
         await asyncio.to_thread(self._keeper.store)
+        self._intake.start_cameras()
         for one in self._points:
             await asyncio.to_thread(self._begin_point, one)
         replays = self._intake.begin()
@@ -86,8 +90,7 @@ class Service:
         ]
         self._say(f"{self.site.name}: {len(self._points)} points, http://{listen}/readyz")
         notify("READY=1")
-        with suppress(asyncio.TimeoutError):
-            await asyncio.wait_for(self._stop.wait(), for_s)
+        failed = await self._until_stopped(tasks, for_s)
         notify("STOPPING=1")
         web.should_exit, last = True, self.record()
         with suppress(asyncio.TimeoutError):
@@ -97,7 +100,26 @@ class Service:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
         await self._end()
+        if failed is not None:
+            raise failed
         return last
+
+    async def _until_stopped(self, tasks: Sequence[asyncio.Task[None]], for_s: float | None) -> BaseException | None:
+        """Wait until `stop`, the end of the time, or a task's failure, which is returned: without it nothing would be
+        kept any more, and a service manager starts the whole again.
+        """
+        stopping = asyncio.create_task(self._stop.wait())
+        waiting: set[asyncio.Task[Any]] = {stopping, *tasks}
+        end_s = math.inf if for_s is None else time.monotonic() + for_s
+        while not self._stop.is_set() and (left_s := end_s - time.monotonic()) > 0.0:
+            timeout = None if left_s == math.inf else left_s
+            done, waiting = await asyncio.wait(waiting, timeout=timeout, return_when=asyncio.FIRST_COMPLETED)
+            failed = next((task.exception() for task in done if task.exception() is not None), None)
+            if failed is not None:
+                stopping.cancel()
+                return failed
+        stopping.cancel()
+        return None
 
     def stop(self) -> None:
         """End the run soon."""
@@ -161,24 +183,31 @@ class Service:
         """Do a point's job, and hand it the result."""
         live = one.live
         try:
-            if job.kind == "calibrate":
-                self._say(f"{live.name}: calibrating on {job.folder.name}.")
-                body = await calibrated_folder(job.folder)
-                accept = live.plan.settings.accept == "auto"
-                number = await asyncio.to_thread(self._add_calibration, one, body, accept)
-                live.calibrated(number) if accept else live.offered(number)
-                self._say(f"{live.name}: calibration {number} {'is in force' if accept else 'waits to be accepted'}.")
-            else:
-                calibration = loaded(live, self._keeper.store())
-                found = await asyncio.to_thread(opened, job.folder, live.name, calibration, live.number)
-                self._intake.cut(one, found)
-                live.is_opened(found)
-                self._say(f"{live.name}: runs.")
-        except MidspanError as error:
-            live.refused(error)
+            async with self._one_at_a_time[job.kind]:
+                await (self._calibrate(one, job) if job.kind == "calibrate" else self._open(one, job))
+        except Exception as error:
+            # Whatever it is, the other points go on, and this one is tried again.
+            live.refused(str(error) if isinstance(error, MidspanError) else f"{type(error).__name__}: {error}")
             self._say(f"{live.name}: {error}")
         finally:
             one.busy = False
+
+    async def _calibrate(self, one: Running, job: Job) -> None:
+        live = one.live
+        self._say(f"{live.name}: calibrating on {job.folder.name}.")
+        body = await calibrated_folder(job.folder)
+        accept = live.plan.settings.accept == "auto"
+        number = await asyncio.to_thread(self._add_calibration, one, body, accept)
+        live.calibrated(number) if accept else live.offered(number)
+        self._say(f"{live.name}: calibration {number} {'is in force' if accept else 'waits to be accepted'}.")
+
+    async def _open(self, one: Running, job: Job) -> None:
+        live = one.live
+        calibration = loaded(live, self._keeper.store())
+        found = await asyncio.to_thread(opened, job.folder, live.name, calibration, live.number)
+        self._intake.cut(one, found)
+        live.is_opened(found)
+        self._say(f"{live.name}: runs.")
 
     def _add_calibration(self, one: Running, body: str, accept: bool) -> int:
         with of_a_thread(self.site.store) as store:

@@ -1,14 +1,21 @@
 """A stretch of a store as a recording: raw acceleration, readings and tracks, to be computed again by any method."""
 
-from dataclasses import replace
+import json
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from midspan.errors import DataError, UsageError
+from midspan.calibration.sensors.radar import RadarCalibration
+from midspan.engine.radar_target import FollowedTarget
+from midspan.errors import DataError
+from midspan.radar.chirp import ChirpProfile, profile_from_json, profile_to_json
+from midspan.radar.frames import bin_m_of
+from midspan.radar.info import RadarInfo
 from midspan.records import NANOSECONDS
+from midspan.service.calibrations import CHIRPS
 from midspan.service.journal import target_stream
 from midspan.service.stored_rows import stored_rows
 from midspan.settings.load import RECORDING_FILE
@@ -19,6 +26,8 @@ from midspan.store.store import Store, StoredCalibration, is_address
 from midspan.trees import TreeError, json_tree
 
 ACCELERATION_FILE = "acceleration.npz"
+# A radar's frames are written together, so many at a time.
+FRAMES_AT_A_TIME = 1024
 # What messages advise for files, and for a store in its place.
 ADVICE = {
     "Sort or correct the rows, or give rate_hz instead.": "Choose a span without them (--from, --to).",
@@ -29,6 +38,15 @@ ADVICE = {
     "Check the calibration's time_offset_s and the start_s of both.": "Choose another span (--from, --to), or check "
     "the calibration's time_offset_s.",
 }
+
+
+@dataclass(frozen=True, slots=True)
+class _Own:
+    """The calibration that chose a radar's bins, its number in the store, and the chirps of the point's radars."""
+
+    calibration: Calibration
+    number: int
+    chirps: dict[str, Any]
 
 
 def in_words_of_a_store(text: str, folder: Path, where: str, point: str) -> str:
@@ -47,7 +65,7 @@ def stored_recording(
 ) -> tuple[Path, Calibration]:
     """Write a point's raw records as a recording into `folder`; returns it with the calibration that was in force.
 
-    Raises DataError where there are none, UsageError for sensors whose raw records cannot be computed again.
+    Raises DataError where there are none.
     """
     import tomli_w
 
@@ -68,7 +86,11 @@ def stored_recording(
     for kind in ("camera", "infrared", "displacement", "radar"):
         sections = settings.get(kind, [])
         sections = sections if isinstance(sections, list) else [sections]
-        written = [_section(store, point, kind, section, folder, span) for section in sections]
+        if kind == "radar":
+            own = _Own(calibration, known.number, settings.get(CHIRPS, {}))
+            written = [_radar_section(store, point, section, folder, span, own) for section in sections]
+        else:
+            written = [_section(store, point, kind, section, folder, span) for section in sections]
         if written:
             tree[kind] = written if len(written) > 1 else written[0]
     (folder / RECORDING_FILE).write_text(tomli_w.dumps(tree), encoding="utf-8")
@@ -109,10 +131,6 @@ def _section(
 ) -> dict[str, Any]:
     """A sensor's section with its files written."""
     name = section.get("name") or kind
-    if kind == "radar":
-        raise UsageError(
-            f"{name}: a radar's raw phasors cannot be computed again from a store; use its rows (`export`)."
-        )
     kept = {key: value for key, value in section.items() if key not in ("file", "times", "rate_hz", "start_s", "every")}
     if kind == "displacement":
         found = stored_rows(store, point, name, *span)
@@ -134,6 +152,51 @@ def _section(
     for key in ("roi", "target", "automatic_targets", "temperature_range_c"):
         kept.pop(key, None)
     return {**kept, "file": f"{name}.npz"}
+
+
+def _radar_section(
+    store: Store, point: str, section: dict[str, Any], folder: Path, span: tuple[int, int], own: _Own
+) -> dict[str, Any]:
+    """A radar's section with its phasors written as slow-time I/Q."""
+    name = section.get("name") or "radar"
+    radar, chirp = own.calibration.of(name), own.chirps.get(name)
+    found = stored_rows(store, point, name, *span, own.number)
+    if found is None or not isinstance(radar, RadarCalibration):
+        raise DataError(f"The store has no phasors of {name} by calibration {own.number} in that time.")
+    profile = None if chirp is None else profile_from_json(json.dumps(chirp))
+    _save_slow_time(folder / f"{name}.h5", found, radar, profile)
+    of_files = ("file", "config", "rate_hz", "start_s", "iq_order", "carrier_hz")
+    return {**{key: value for key, value in section.items() if key not in of_files}, "file": f"{name}.h5"}
+
+
+def _save_slow_time(file: Path, found: Chunk, radar: RadarCalibration, profile: ChirpProfile | None) -> None:
+    """Write phasors of the bins that a calibration needs, each at its place: what lies between two bins into both, and
+    zeros where nothing was kept.
+    """
+    import h5py
+
+    range_m = np.full(1, np.nan) if profile is None else profile.axis.range_m
+    info = RadarInfo("store", radar.carrier_hz, np.nan, None, radar.channels, range_m, profile=profile)
+    step_m = bin_m_of(info)
+    followed = [FollowedTarget.of(one, 1.0, step_m, period_s=1.0, bins=info.bins) for one in radar.used]
+    bins = np.unique(np.concatenate([one.bins for one in followed]))
+    low = np.floor(bins).astype(np.int64)
+    valid = np.asarray(found.columns["valid"], dtype=np.bool_)
+    phasors = found.columns["phasors"].reshape(*valid.shape, len(bins))
+    shape = (*valid.shape, int(low[-1]) + 2 if profile is None else info.bins)
+    with h5py.File(file, "w") as slow_time:
+        iq = slow_time.create_dataset("iq", shape, np.complex64, chunks=(1, *shape[1:]), compression="lzf")
+        for begin in range(0, len(valid), FRAMES_AT_A_TIME):
+            some = slice(begin, begin + FRAMES_AT_A_TIME)
+            part = np.where(valid[some, :, None], phasors[some], np.nan)
+            block = np.zeros((len(part), *shape[1:]), np.complex64)
+            block[:, :, np.minimum(low + 1, shape[2] - 1)] = part
+            block[:, :, low] = part
+            iq[begin : begin + len(block)] = block
+        slow_time["time_ns"] = found.time_ns
+        slow_time.attrs["carrier_hz"] = radar.carrier_hz
+        if profile is not None:
+            slow_time.attrs["chirp"] = profile_to_json(profile)
 
 
 def _track(found: Chunk, end: str) -> dict[str, NDArray[Any]]:

@@ -52,14 +52,20 @@ def chosen_point(store: Store, name: str | None) -> str:
     return name
 
 
-def stored_rows(store: Store, point: str, stream: str, first_ns: int | None, last_ns: int | None) -> Chunk | None:
-    """A stream's rows from `first_ns` to `last_ns` as one block, None where there are none."""
+def stored_rows(
+    store: Store, point: str, stream: str, first_ns: int | None, last_ns: int | None, calibration: int | None = None
+) -> Chunk | None:
+    """A stream's rows from `first_ns` to `last_ns` as one block, None where there are none.
+
+    calibration: only those of this one; None: of all.
+    """
     newest_ns = store.newest_ns(point, stream)
     if newest_ns is None:
         return None
     found = list(
         store.chunks(point, stream, FIRST_NS if first_ns is None else first_ns, min(last_ns or LAST_NS, newest_ns))
     )
+    found = [one for one in found if calibration in (None, one.calibration)]
     return join(found) if found else None
 
 

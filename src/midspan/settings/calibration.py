@@ -299,7 +299,6 @@ class StoredDisplacement(StoredSensor):
     slow_std_mm: Std = 0.0
     slow_time_s: StdOrInf = math.inf
     exposure_s: Duration = 0.0
-    effective_exposure_s: Duration = 0.0
     apart_std_mm: Std = 0.0
     scale: Factor = 1.0
     scale_std: Std = 0.0

@@ -29,4 +29,5 @@ def in_words_of(sensor: str) -> Iterator[None]:
     try:
         yield
     except MidspanError as error:
-        raise type(error)(worded(str(error), sensor)) from None
+        error.args = (worded(str(error), sensor),)
+        raise

@@ -1,8 +1,8 @@
-"""Acceleration to displacement on an even grid: one family of rules, as a sum and as a finite filter.
+"""Acceleration to displacement: over uneven times, and on an even grid by one family of rules as a finite filter.
 
-All rules are x[k+1] − 2 x[k] + x[k−1] = dt² (beta a[k+1] + (1 − 2 beta) a[k] + beta a[k−1]) (Newmark's family); none
-delays. At the frequency f the amplitude is wrong by about (1/12 − beta) (2 pi f dt)²; Numerov's is right to fourth
-order.
+On an even grid all rules are x[k+1] − 2 x[k] + x[k−1] = dt² (beta a[k+1] + (1 − 2 beta) a[k] + beta a[k−1]) (Newmark's
+family); none delays. At the frequency f the amplitude is wrong by about (1/12 − beta) (2 pi f dt)²; Numerov's is right
+to fourth order.
 """
 
 import numpy as np
@@ -15,6 +15,20 @@ from midspan.records import Floats
 RULES = {"numerov": 1.0 / 12.0, "linear": 1.0 / 6.0, "trapezoid": 1.0 / 4.0, "central-difference": 0.0}
 # How far the sums that must vanish may be from zero, relative to the sum of magnitudes.
 ROUNDING = 1e-9
+
+
+def path(time_s: Floats, sampled_s: Floats, value: Floats) -> Floats:
+    """Displacement (k,) from rest at increasing times (k,), s, by an acceleration (n,), m/s², without its mean.
+
+    sampled_s (n,): its times, s, evenly spaced or not; by the trapezoidal rule twice, which does not delay.
+    """
+    velocity = _integral(sampled_s, value - np.mean(value))
+    return np.asarray(np.interp(time_s, sampled_s, _integral(sampled_s, velocity)))
+
+
+def _integral(time_s: Floats, value: Floats) -> Floats:
+    steps = 0.5 * (value[1:] + value[:-1]) * np.diff(time_s)
+    return np.concatenate(([0.0], np.cumsum(steps)))
 
 
 def weights(rule: str) -> Floats:

@@ -4,6 +4,7 @@ import numpy as np
 
 from midspan.records import Floats
 from midspan.signals.health import CLIPPED_RUN, CREST_STEPS, Mask, overshoot, runs
+from midspan.signals.integrate import path
 
 # This many exactly equal values in a row are looked at.
 MIN_EQUAL = 5
@@ -16,6 +17,9 @@ RESOLUTIONS = 2.0
 NOISE_SPAN = 0.5
 # Values that differ by this share differ by rounding alone.
 LAST_DIGITS = 1e-9
+# Values this many steps of the resolution from the largest are looked at; one record in a million without an end of the
+# range seems to have one.
+NEAR_STEPS, RECURS = 100.0, 1e-6
 # Differences below this share of the values' span are rounding, not resolution.
 ROUNDING = 1e-6
 
@@ -51,7 +55,7 @@ def range_limits(value: Floats) -> tuple[float, float]:
     """The ends of the sensor's range, in the unit of the values (n,), where they are held there; ∓ infinite where not.
 
     It is held at its smallest or largest value where that comes back, once at least for three values that the slopes
-    on both sides would have carried clearly beyond.
+    on both sides would have carried clearly beyond, or for fewer, more often than chance makes it.
     """
     known = value[np.isfinite(value)]
     limits = [-np.inf, np.inf]
@@ -61,9 +65,24 @@ def range_limits(value: Floats) -> tuple[float, float]:
     for side, level in enumerate((float(known.min()), float(known.max()))):
         visits = [(int(a), int(b)) for a, b in runs(known == level) if a >= 2 and b + 1 < len(known)]
         beyond = [b - a >= CLIPPED_RUN and overshoot(known, a, b) > clear for a, b in visits]
-        if len(visits) > 1 and any(beyond):
+        if (len(visits) > 1 and any(beyond)) or _recurs(known, level):
             limits[side] = level
     return limits[0], limits[1]
+
+
+def _recurs(value: Floats, level: float) -> bool:
+    """Whether values (n,) come to their smallest or largest one more often than those of a motion do.
+
+    Of all motions a sine stays near its crests for longest: within d of a crest as the root of d. So of the values
+    within so many steps of the crest one over the root of that number are on it at most. Long runs may be rest.
+    """
+    from scipy.special import bdtrc
+
+    step = resolution(value)
+    steps = min(NEAR_STEPS, 0.5 * float(np.ptp(value)) / step) if step > 0.0 else 0.0
+    brief = [int(b - a) for a, b in runs(value == level) if b - a < CLIPPED_RUN]
+    near = int(np.count_nonzero(np.abs(value - level) <= steps * step))
+    return steps > 1.0 and len(brief) > 1 and float(bdtrc(sum(brief) - 1, near, steps**-0.5)) < RECURS
 
 
 def resolution(value: Floats) -> float:
@@ -97,14 +116,8 @@ def moved(time_s: Floats, samples: Floats, least_m: float) -> bool:
     near = samples[max(first - 1, 0) : last + 1]
     if len(near) < MIN_EQUAL or near[-1, 0] < time_s[-1] or near[0, 0] > time_s[0]:
         return False
-    velocity = _integral(near[:, 0], near[:, 1] - np.mean(near[:, 1]))
-    path = np.interp(time_s, near[:, 0], _integral(near[:, 0], velocity))
+    swept = path(time_s, near[:, 0], near[:, 1])
     length = float(time_s[-1] - time_s[0])
     powers = np.vander((time_s - time_s[0]) / length, 3)
-    left = path - powers @ np.linalg.lstsq(powers, path, rcond=None)[0]
+    left = swept - powers @ np.linalg.lstsq(powers, swept, rcond=None)[0]
     return bool(np.ptp(left) > max(least_m, NOISE_SPAN * np.sqrt(np.max(near[:, 2]) * length**3)))
-
-
-def _integral(time_s: Floats, value: Floats) -> Floats:
-    steps = 0.5 * (value[1:] + value[:-1]) * np.diff(time_s)
-    return np.concatenate(([0.0], np.cumsum(steps)))

@@ -41,7 +41,8 @@ def require_file(path: Path, *, folder: bool = False) -> None:
     except ValueError:
         raise DataError(f"{str(path)!r} must be a path without zero characters. Correct the path.") from None
     except FileNotFoundError:
-        raise DataError(f"{path} does not exist. Correct the path; it is relative to recording.toml.") from None
+        where = path.absolute().parent
+        raise DataError(f"{path} does not exist; it was looked for in the folder {where}. Correct the path.") from None
     except OSError as error:
         raise DataError(f"{_start(path)} cannot be opened: {error.strerror}. Correct the path.") from None
     if not stat.S_ISREG(kind) and not (folder and stat.S_ISDIR(kind)):

@@ -26,7 +26,7 @@ from midspan.calibration.scale import (
 )
 from midspan.calibration.sensors.camera import CameraCalibration, TargetCalibration
 from midspan.calibration.sensors.fit import SensorFit
-from midspan.errors import UntrustedError
+from midspan.errors import NoAgreementError, UntrustedError
 from midspan.records import InputNoise, ScaleFactor, TimeOffset
 from midspan.signals.stamps import inside
 from midspan.vision.fair_variance import TEMPLATE_NOISE
@@ -118,6 +118,7 @@ def _fitted(view: View, targets: Sequence[SeenTarget], told: Callable[[], Sequen
     """Each target's own calibration along an axis; UntrustedError where all are refused."""
     found: list[ScaleCalibration | None] = []
     reasons: list[str] = []
+    apart_s: list[float] = []
     for target in targets:
         try:
             pair = camera_pair(view, target.rows, target.blur_s)
@@ -129,11 +130,14 @@ def _fitted(view: View, targets: Sequence[SeenTarget], told: Callable[[], Sequen
         except UntrustedError as error:
             found.append(None)
             reasons.append(str(error))
+            if isinstance(error, NoAgreementError) and error.clock_offset_s is not None:
+                apart_s.append(error.clock_offset_s)
     if any(found):
         return Fitted(tuple(found), tuple(reasons))
     alone = len(targets) == 1
     lines = [why if alone else f"Target {one.name}: {why}" for one, why in zip(targets, reasons, strict=True)]
-    raise UntrustedError(" ".join((*lines, *told())))
+    text = " ".join((*lines, *told()))
+    raise NoAgreementError(text, float(np.median(apart_s))) if apart_s else UntrustedError(text)
 
 
 def _refuse_pattern(share_std: float, learnt: ScaleFactor) -> None:

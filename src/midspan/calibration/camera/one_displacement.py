@@ -14,6 +14,7 @@ from midspan.fusion.streams import KalmanSettings, smooth
 from midspan.fusion.targets import AGREE_STD
 from midspan.records import NANOSECONDS, Acceleration, Displacement, Estimate, Floats, Innovation, part
 from midspan.signals.acceleration import PreparedAcceleration
+from midspan.signals.averaging import at_instants
 
 # A target whose displacement leaves the others' by this many times what noise and scale explain moves on its own.
 DISAGREES = 2.5
@@ -49,20 +50,12 @@ def camera_blocks(
     pairs = list(zip(targets, camera.mappings(), strict=True))
     # An exposure that was found is that of a camera of which none was declared.
     blocks = [
-        unblurred(m.displacement(t.rows), float(np.hypot(t.blur_s, camera.exposure_s)), acceleration) for t, m in pairs
+        at_instants(m.displacement(t.rows), float(np.hypot(t.blur_s, camera.exposure_s)), acceleration)
+        for t, m in pairs
     ]
     # What the reference frame makes is not among what the factor was estimated from.
     more = [m.scale_m_per_px**2 * t.reference_px2[:, "xy".index(m.direction)] for t, m in pairs]
     return [replace(b, variance_m2=b.variance_m2 + v) for b, v in zip(blocks, more, strict=True)]
-
-
-def unblurred(measured: Displacement, blur_s: float, acceleration: Acceleration) -> Displacement:
-    """The camera's displacement without what averaging over `blur_s` added: blur²/24 of the acceleration."""
-    if blur_s == 0.0:
-        return measured
-    value = acceleration.value_m_s2 - np.mean(acceleration.value_m_s2)
-    added = blur_s**2 / 24.0 * np.interp(measured.time_ns, acceleration.time_ns, value)
-    return replace(measured, value_m=measured.value_m - added)
 
 
 def filter_settings(prepared: PreparedAcceleration, density: float, bias: float | None = None) -> KalmanSettings:

@@ -12,10 +12,12 @@ from midspan.calibration.noise import CERTAIN_S, Findings, NoiseCalibration, cal
 from midspan.calibration.scale import MIN_GAIN, is_ambiguous
 from midspan.calibration.sensor_scale import calibrate_sensor_scale, unexplained_text
 from midspan.calibration.time_offset import BEYOND, FARTHER_WINDOW_S, OffsetSearch, farther, farther_s
+from midspan.calibration.unfelt import refuse_unfelt
 from midspan.errors import DataError, UntrustedError
 from midspan.records import NANOSECONDS, TimeOffset, TimeSeries
 from midspan.signals.acceleration import PreparedAcceleration
 from midspan.signals.health import dominant_frequency
+from midspan.signals.medians import white_noise
 from midspan.signals.stamps import inside
 
 # Noise levels of a displacement sensor are estimated from this much at most, in one piece, for speed.
@@ -47,7 +49,7 @@ class Given:
     these are applied; noise_std_m: of its values as read, None where it is not given; gives_zero: whether its zero is
     that of the displacement; gain_std: how well the accelerometer's gain is known before, relative; 0: it is not
     estimated; noise_time_s: correlation time of its slow error, None where it is not given;
-    exposure_s: time over which it averages, 0 where that is not given.
+    exposure_s: time over which it averages, None where that is not given.
     """
 
     prepared: PreparedAcceleration
@@ -59,7 +61,7 @@ class Given:
     gives_zero: bool = True
     gain_std: float = 0.0
     noise_time_s: float | None = None
-    exposure_s: float = 0.0
+    exposure_s: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,7 +111,7 @@ class _Beside:
         rows = measured_rows(series.time_ns[used], series.value[used], np.ones(used.stop - used.start), self.first_ns)
         samples, level = prepared.rows(self.first_ns, window), prepared.level(window)
         cross = prepared.cross_rows(window)
-        return Pair(samples, rows, 1.0, self.given.exposure_s, level_m_s2=level, cross=cross)
+        return Pair(samples, rows, 1.0, self.given.exposure_s or 0.0, level_m_s2=level, cross=cross)
 
 
 def learn(given: Given, series: TimeSeries) -> NoiseCalibration:
@@ -142,12 +144,15 @@ def learn(given: Given, series: TimeSeries) -> NoiseCalibration:
             length_s=beside.overlap_s,
             gain_std=given.gain_std,
             noise_time_s=given.noise_time_s,
+            exposure_declared=given.exposure_s is not None,
         )
         found = learnt.findings
         assert found is not None
         if found.search is not None and (not beside.one_clock or unexplained(found.pair, found.fit)):
             notes += _refuse_farther(beside, found.free, axis)
         _refuse_wrong_scale(learnt, found)
+    along = prepared if axis.direction is None else prepared.along(axis.direction.components)
+    _refuse_jumps(along, first, found)
     learnt = replace(_widened(learnt, axis), warnings=(*learnt.warnings, *notes))
     if beside.one_clock:
         return _on_one_clock(learnt, found)
@@ -222,6 +227,20 @@ def _refuse_wrong_scale(learnt: NoiseCalibration, found: Findings) -> None:
         )
 
 
+def _refuse_jumps(prepared: PreparedAcceleration, origin_ns: int, found: Findings) -> None:
+    """UntrustedError where readings that are no outliers move by what the accelerometer did not feel.
+
+    origin_ns: what the rows' times count from.
+    """
+    pair, fit = found.pair, found.fit
+    rows = pair.rows[pair.used(fit.offset_s)]
+    time_s, moved_m = rows[:, 0] + fit.offset_s, rows[:, 1] / fit.ratio
+    # Of each reading; some jumps do not show in the median.
+    noise_m = white_noise(moved_m - pair.responses[0].at(time_s))
+    time_ns = origin_ns + np.rint(NANOSECONDS * time_s).astype(np.int64)
+    refuse_unfelt(prepared, time_ns, moved_m, np.full(len(rows), noise_m**2))
+
+
 def _refuse_doubtful_offset(beside: _Beside, learnt: NoiseCalibration, found: Findings) -> None:
     """UntrustedError where the clock offset that was asked for is not to be accepted."""
     search, limit = found.search, beside.max_offset_s
@@ -289,7 +308,7 @@ def _on_one_clock(learnt: NoiseCalibration, found: Findings) -> NoiseCalibration
     speed = max(shaken, _speed(found.pair, learnt.factor, noise))
     if abs(off) * speed > MAX_LATE * np.sqrt(noise):
         raise UntrustedError(_late_text(learnt, off, 1e3 * abs(off) * speed))
-    return replace(learnt, offset=TimeOffset(0.0, off * off))
+    return replace(learnt, offset=TimeOffset(0.0, off * off), late_m=abs(off) * speed)
 
 
 def _late_text(learnt: NoiseCalibration, off: float, moved_mm: float) -> str:

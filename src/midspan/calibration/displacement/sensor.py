@@ -7,8 +7,8 @@ import numpy as np
 from midspan.calibration.agreement import Misfit, misfit
 from midspan.calibration.bias import bias_of
 from midspan.calibration.displacement.learn import Given, learn
-from midspan.calibration.noise import DRIFT_HZ, Findings, NoiseCalibration
-from midspan.calibration.scale import IMPLIED_NOISE, strange_noise
+from midspan.calibration.noise import DRIFT_HZ, NoiseCalibration
+from midspan.calibration.scale import strange_noise
 from midspan.calibration.scale_check import MAX_NOISE
 from midspan.calibration.sensors.displacement import DisplacementCalibration
 from midspan.calibration.sensors.fit import SensorFit
@@ -16,6 +16,7 @@ from midspan.calibration.slow_error import DRIFT_S
 from midspan.errors import UntrustedError
 from midspan.records import NANOSECONDS, Event, TimeSeries, seconds
 from midspan.signals.acceleration import PreparedAcceleration
+from midspan.signals.averaging import taken_by_averaging
 from midspan.signals.health import Mask, runs
 from midspan.signals.medians import white_noise
 from midspan.signals.stamps import shown
@@ -28,6 +29,8 @@ TOLD, CERTAIN, REFUSED = 0.015, 4.5, 0.5
 MAX_OPTIMISTIC = 1.5
 # Where this many values would count as frozen, the sensor's resolution is coarse compared with the motion.
 MAX_FROZEN = 0.5
+# What an exposure takes is looked at at so many instants at most.
+MAX_INSTANTS = 20_000
 
 
 DisplacementFit = SensorFit[DisplacementCalibration, NoiseCalibration]
@@ -40,7 +43,6 @@ def fit_displacement(given: Given) -> DisplacementFit:
     given = replace(given, series=without(given.series, held))
     learnt = _learnt(given)
     assert learnt.findings is not None
-    _refuse_impossible_noise(learnt, learnt.findings)
     part = displacement_part(given, learnt)
     low, high = sorted(learnt.factor * end for end in ends)
     part = replace(part, low_m=low, high_m=high)
@@ -96,7 +98,7 @@ def displacement_part(given: Given, learnt: NoiseCalibration) -> DisplacementCal
     scale_std = float(np.hypot(learnt.factor_std, abs(learnt.factor) * _scale_error(learnt)))
     step_m = resolution(learnt.factor * given.series.value)
     return DisplacementCalibration(
-        float(np.hypot(std, learnt.rest_std_m)),
+        std,
         learnt.offset,
         learnt.factor,
         scale_std,
@@ -104,35 +106,27 @@ def displacement_part(given: Given, learnt: NoiseCalibration) -> DisplacementCal
         slow_std_m=learnt.slow_std_m,
         slow_time_s=learnt.slow_time_s,
         exposure_s=learnt.exposure_s,
-        effective_exposure_s=learnt.effective_exposure_s,
         apart_std_m=_lost_m(given, learnt),
     )
 
 
-def _refuse_impossible_noise(learnt: NoiseCalibration, found: Findings) -> None:
-    """UntrustedError where the accelerometer shows the motion well, and would need more noise than it reads at all."""
-    pair = found.pair
-    needed, shaken = float(np.sqrt(found.free.input_density * pair.sample_rate_hz)), float(np.std(pair.samples[:, 1]))
-    if learnt.drifts or needed <= shaken or shaken <= IMPLIED_NOISE * white_noise(pair.samples[:, 1]):
-        return
-    seen = abs(learnt.factor) * float(np.ptp(pair.rows[np.isfinite(pair.rows[:, 2]), 1]))
-    raise UntrustedError(
-        f"displacement: its values range over {1e3 * seen:.3g} mm, and differ from what the accelerometer tells as if "
-        f"that had a noise of {1e3 * needed:.3g} mm/s² per sample, where all of its signal is {1e3 * shaken:.3g} mm/s² "
-        "rms: they jump or drift by more than the structure can have moved, as a GNSS receiver's do between fixed and "
-        "float solutions. Leave such values out, or choose a calibration.window_s without them."
-    )
-
-
 def _lost_m(given: Given, learnt: NoiseCalibration) -> float:
-    """Motion (m, rms) that the logger's low-pass delays or takes away.
+    """Motion (m, rms) that only one of the two sensors may have seen: what clocks that are not one or the logger's
+    low-pass delay or take away, and what an exposure takes that was not declared: an accelerometer that resonates on
+    its mount looks the same.
 
-    What it takes away altogether looks like noise of the sensor, of which no more is known than what is given.
+    What a low-pass takes away altogether looks like noise of the sensor, of which no more is known than what is given.
     """
-    if learnt.low_pass is None:
-        return 0.0
-    known_m = 0.0 if given.noise_std_m is None else given.noise_std_m * abs(learnt.factor)
-    return float(np.hypot(np.sqrt(max(learnt.variance_factor - known_m**2, 0.0)), learnt.low_pass.taken_m))
+    lost = [learnt.late_m]
+    if learnt.low_pass is not None:
+        known_m = 0.0 if given.noise_std_m is None else given.noise_std_m * abs(learnt.factor)
+        lost += [float(np.sqrt(max(learnt.variance_factor - known_m**2, 0.0))), learnt.low_pass.taken_m]
+    if given.exposure_s is None and learnt.exposure_s > 0.0:
+        shaken = given.prepared.with_noise(1.0)
+        at_ns = shaken.time_ns[:: max(len(shaken.time_ns) // MAX_INSTANTS, 1)]
+        taken = taken_by_averaging(shaken.time_ns, shaken.value_m_s2, at_ns, learnt.exposure_s)
+        lost.append(float(np.std(taken)))
+    return float(np.linalg.norm(lost))
 
 
 def _range_warnings(part: DisplacementCalibration, held: Mask) -> list[str]:
@@ -166,8 +160,9 @@ def displacement_warnings(given: Given, learnt: NoiseCalibration, part: Displace
     if not given.learns_offset and 0.0 < learnt.offset.variance < np.inf:
         found.append(
             "displacement: its clock seems to differ from the accelerometer's by "
-            f"{1e3 * np.sqrt(learnt.offset.variance):.3g} ms. Set "
-            "displacement.estimate_offset = true to have the offset learnt and applied."
+            f"{1e3 * np.sqrt(learnt.offset.variance):.3g} ms; the error band holds what that makes, "
+            f"{1e3 * learnt.late_m:.2g} mm rms. Set displacement.estimate_offset = true to have the offset learnt and "
+            "applied."
         )
     if learnt.low_pass is not None:
         found.append(
@@ -182,10 +177,11 @@ def displacement_warnings(given: Given, learnt: NoiseCalibration, part: Displace
             "which is taken out. Check accelerometer.unit and accelerometer.sensitivity, and that both sensors measure "
             "the same axis; accelerometer.estimate_scale = false leaves it as it is."
         )
-    if learnt.exposure_s != given.exposure_s:
+    if given.exposure_s is None and learnt.exposure_s > 0.0:
         found.append(
             f"displacement: fast motion comes out smaller than slow motion, as of a sensor that averages over "
-            f"{learnt.exposure_s:.3g} s; that is taken into account. displacement.exposure_s declares it."
+            f"{learnt.exposure_s:.3g} s, or of an accelerometer that resonates on its mount. The first is corrected, "
+            "and the error band holds both; displacement.exposure_s declares it."
         )
     if learnt.drifts:
         found.append(

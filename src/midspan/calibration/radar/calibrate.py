@@ -1,13 +1,14 @@
 """The radar's part of a calibration: fixed targets, their conversion factors, one clock offset."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from midspan.calibration.agreement import misfit
 from midspan.calibration.bias import Bias, bias_of
 from midspan.calibration.common_offset import MIN_OFFSET_S, OFFSET_STD
+from midspan.calibration.direction import Direction, turned
 from midspan.calibration.fit import Pair
 from midspan.calibration.frequency_response import Kind, kinds_of
 from midspan.calibration.measured import measured_rows
@@ -26,6 +27,7 @@ from midspan.radar.frames import (
     TargetPhasors,
     bin_m_of,
     bins_of,
+    samples_of,
     target_series,
     together,
     without_holes,
@@ -41,7 +43,6 @@ from midspan.radar.target import (
 )
 from midspan.records import NANOSECONDS, Floats, TimeOffset
 from midspan.signals.acceleration import PreparedAcceleration
-from midspan.signals.health import dominant_frequency
 from midspan.signals.stamps import inside
 
 # Rows that the likelihood is evaluated on at most; a faster radar is thinned.
@@ -70,10 +71,12 @@ def fit_radar(
 ) -> RadarFit:
     """Choose fixed targets and learn their conversion factors and the clock offset in the calibration window.
 
-    most_targets: this many are used at most; target_range_m: where the only one is wanted. Raises UntrustedError, with
-    the reason, where no target follows the accelerometer well enough.
+    most_targets: this many are used at most; target_range_m: where the only one is wanted. Where the accelerometer's
+    other axes were recorded, the acceleration is that along the direction which the clearest target shows. Raises
+    UntrustedError, with the reason, where no target follows the accelerometer well enough.
     """
-    frames, samples, told, (origin, max_offset) = window.frames, window.samples, window.told, window.clock
+    own = _along_axis(window, prepared, info)
+    prepared, samples, frames, (origin, max_offset) = own.prepared, own.samples, window.frames, window.clock
     found, frames, hidden = clearly_seen(frames, samples, info, (max_offset, most_targets))
     if all(target.objection for target in found):
         refuse_farther(frames, prepared, info, (origin, max_offset))
@@ -81,8 +84,7 @@ def fit_radar(
     whole = without_holes(frames)
     targets, offset = _chosen(found, most_targets, target_range_m)
     seen = [series_of(frames, item.target, info, samples) for item in targets if item.used]
-    frame_s = whole.time_ns / NANOSECONDS + offset.value_s
-    targets, moving = judged(targets, seen, frame_s, samples)
+    targets, moving = judged(targets, seen, whole.time_ns / NANOSECONDS + offset.value_s, samples)
     best = next(item.target for item in targets if item.used)
     series = series_of(frames, best, info, samples)
     search = searched(prepared, whole, series, (origin, max_offset))
@@ -96,28 +98,58 @@ def fit_radar(
         targets = tuple(replace(item, target=item.target.without_gain(gain, 0.0)) for item in targets)
         best = next(item.target for item in targets if item.used)
     targets, told_factor = _widened(targets, search)
-    used = [item.target for item in targets if item.used]
     calibration = RadarCalibration(
         targets=targets,
-        offset=offset,
+        offset=TimeOffset(offset.value_s, offset.variance + own.offset_variance),
         variance_factor=_variance_factor(search, best, series),
-        relative_std=_relative_std(used),
+        relative_std=_relative_std([item.target for item in targets if item.used]),
         carrier_hz=info.carrier_hz,
         channels=info.channels,
         diagnostics=diagnostics_of(info.axis.range_m, whole, best),
     )
     coloured = misfit(search.pair, search.fit)
-    about = (*told_factor, *response.texts(dominant_frequency(samples[:, 1], prepared.rate_hz)))
-    warnings = (*info.warnings, *told, *hidden, *moving, *about, *_warnings(calibration), *coloured.text("radar"))
-    more = float(np.hypot(np.sqrt(coloured.factor - 1.0) * calibration.relative_std, response.relative_std))
+    about = response.texts(search.fit.motion_hz)
+    about += [*_warnings(calibration), *coloured.text("radar")]
+    warnings = (*info.warnings, *window.told, *hidden, *moving, *told_factor, *about)
+    more = (np.sqrt(coloured.factor - 1.0) * calibration.relative_std, response.relative_std, own.relative_std)
     return RadarFit(
-        calibration.without_gain(1.0, more),
+        calibration.without_gain(1.0, float(np.linalg.norm(more))),
         search.pair.input_noise(search.fit.input_density),
         searched_bias(search),
-        tuple(warnings),
+        warnings,
         misfit=coloured,
         slope=response.slope,
+        direction=own.direction,
     )
+
+
+@dataclass(frozen=True, slots=True)
+class _Along:
+    """The acceleration along the radar's axis and its `samples_of`, that direction, and what it leaves open: of the
+    factors (relative) and of the clock offset (s²).
+    """
+
+    prepared: PreparedAcceleration
+    samples: Floats
+    direction: Direction | None = None
+    relative_std: float = 0.0
+    offset_variance: float = 0.0
+
+
+def _along_axis(window: OpenedWindow, prepared: PreparedAcceleration, info: RadarInfo) -> _Along:
+    """The acceleration along the direction that the clearest target shows, as it is where there is one axis only."""
+    (origin, max_offset), samples = window.clock, window.samples
+    if prepared.cross_m_s2 is None:
+        return _Along(prepared, samples)
+    found = found_targets(window.frames, samples, info, max_offset)
+    best = min(found, key=lambda one: (bool(one.objection), one.noise_m))
+    series = series_of(window.frames, best, info, samples)
+    axis = turned(radar_pair(prepared, without_holes(window.frames), series, window.clock), max_offset)
+    assert axis.direction is not None
+    prepared = prepared.along(axis.direction.components)
+    first_ns, last_ns = (origin + int(np.rint(NANOSECONDS * time_s)) for time_s in samples[[0, -1], 0])
+    samples = samples_of(prepared, origin, (first_ns, last_ns))
+    return _Along(prepared, samples, axis.direction, axis.relative_std, axis.offset_variance)
 
 
 def _at_one_pace(

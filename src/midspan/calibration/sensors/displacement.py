@@ -14,10 +14,8 @@ class DisplacementCalibration:
     where it was not estimated; name: where there are several of these sensors. resolution_m: what its values, scaled,
     are rounded to; None where that is not known. low_m, high_m: the ends of its range, scaled, where it was held there:
     such values are left out. slow_std_m, slow_time_s: standard deviation and correlation time of its slow error
-    (first-order Gauss-Markov). exposure_s: time over which it averages; effective_exposure_s: the one whose first term,
-    exposure²/24 times the acceleration, did most nearly the same to the motion: with it measurements are taken.
-    apart_std_m: motion that a low-pass in the accelerometer's logger may have taken away (rms), which the error band
-    holds whole.
+    (first-order Gauss-Markov). exposure_s: time over which it averages. apart_std_m: motion that a low-pass in the
+    accelerometer's logger may have taken away (rms), which the error band holds whole.
     """
 
     noise_std_m: float
@@ -31,7 +29,6 @@ class DisplacementCalibration:
     slow_std_m: float = 0.0
     slow_time_s: float = math.inf
     exposure_s: float = 0.0
-    effective_exposure_s: float = 0.0
     apart_std_m: float = 0.0
 
     @property

@@ -39,9 +39,9 @@ def naming(recording: "Recording") -> Iterator[None]:
         yield
     except MidspanError as error:
         text = str(error)
-        if str(recording.file) in text:
-            raise
-        raise type(error)(f"{recording.file}: {text}") from None
+        if str(recording.file) not in text:
+            error.args = (f"{recording.file}: {text}",)
+        raise
 
 
 class Recording:

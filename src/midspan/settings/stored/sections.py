@@ -89,8 +89,7 @@ def displacement_tree(sensor: DisplacementCalibration) -> dict[str, Any]:
     ends = {"low_m": finite_or_none(sensor.low_m), "high_m": finite_or_none(sensor.high_m)}
     resolution = _known({"resolution_m": sensor.resolution_m, **ends})
     slow = {"slow_std_mm": MM * sensor.slow_std_m, "slow_time_s": sensor.slow_time_s} if sensor.slow_std_m > 0.0 else {}
-    times = {"exposure_s": sensor.exposure_s, "effective_exposure_s": sensor.effective_exposure_s}
-    exposure = times if sensor.exposure_s > 0.0 else {}
+    exposure = {"exposure_s": sensor.exposure_s} if sensor.exposure_s > 0.0 else {}
     apart = {"apart_std_mm": MM * sensor.apart_std_m} if sensor.apart_std_m > 0.0 else {}
     own = {"noise_std_mm": MM * sensor.noise_std_m} | exposure | apart
     return _sensor_tree(sensor) | own | slow | resolution | scale

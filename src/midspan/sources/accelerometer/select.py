@@ -140,22 +140,37 @@ def _is_clock(channel: Channel) -> bool:
     return channel.unit == "ns" or _is_time_name(channel.name)
 
 
+def candidates(
+    found: ChannelSet, quantity: str, clock: Channel | None = None, *, timed: bool = False
+) -> tuple[Channel, ...]:
+    """The channels that a quantity ("acceleration", "displacement") could be in, the more likely ones alone.
+
+    clock: the channel of times, where it is named; timed: whether the times are known otherwise. Those in the
+    quantity's unit and by its name come before those of either, and these before all the others.
+    """
+    left = [c for c in found.channels if c is not clock and not _is_clock(c) and not _NOT_VALUES.search(c.name)]
+    untimed = clock is None and not timed and not any(_is_clock(c) for c in found.channels)
+    if len(left) == 2 and untimed and _rising(left[0]):
+        left = left[1:]
+    by_unit = [c for c in left if measures(c.unit, quantity)]
+    by_name = [c for c in left if _VALUE_NAMES[quantity].search(c.name)]
+    both = [c for c in by_unit if c in by_name]
+    ways = [left, by_unit, by_name, both]
+    alone = next((choice for choice in ways if len(choice) == 1), None)
+    return tuple(alone or next((choice for choice in reversed(ways) if choice), []))
+
+
 def _value_channel(path: Path, found: ChannelSet, request: SeriesRequest, clock: Channel | None) -> Channel:
     if request.value is not None:
         return find_channel(path, found, request.value, "value")
-    left = [c for c in found.channels if c is not clock and not _is_clock(c) and not _NOT_VALUES.search(c.name)]
-    untimed = clock is None and request.rate_hz is None and not any(_is_clock(c) for c in found.channels)
-    if len(left) == 2 and untimed and _rising(left[0]):
-        left = left[1:]
-    by_unit = [c for c in left if measures(c.unit, request.quantity)]
-    by_name = [c for c in left if _VALUE_NAMES[request.quantity].search(c.name)]
-    both = [c for c in by_unit if c in by_name]
-    for choice in (left, by_unit, by_name, both):
-        if len(choice) == 1:
-            return choice[0]
+    choice = candidates(found, request.quantity, clock, timed=request.rate_hz is not None)
+    if len(choice) == 1:
+        return choice[0]
+    units = {one.unit for one in choice}
+    alike = f" (all in {choice[0].unit})" if len(units) == 1 and choice and choice[0].unit else ""
     raise UsageError(
-        f"{path}: value must name the channel of {request.quantity}; it was left out and {len(left)} could be meant. "
-        f"Give value as one of {_listing(found.names)}."
+        f"{path}: value must name the channel of {request.quantity}; it was left out and {len(choice)} could be meant. "
+        f"Give value as one of {_listing(tuple(one.name for one in choice) or found.names)}{alike}."
     )
 
 

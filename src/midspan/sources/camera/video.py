@@ -4,6 +4,7 @@ import errno
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from datetime import datetime
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -256,6 +257,18 @@ def _opened(path: Path) -> Any:
         container.close()
         raise
     return container
+
+
+def made_s(path: Path) -> float | None:
+    """When a video was made by its own header, s since 1970; None where it does not say, or cannot be read.
+
+    Cameras write when they began to record, or when they ended.
+    """
+    try:
+        with _opened(path) as container:
+            return datetime.fromisoformat(container.metadata["creation_time"]).timestamp()
+    except (DataError, KeyError, ValueError, OSError):
+        return None
 
 
 def _prepare(path: Path, container: Any) -> None:

@@ -46,6 +46,7 @@ def live_info(layout: Layout) -> RadarInfo:
         frame_count=None,
         channels=profile.receivers * len(set(profile.transmitters)),
         range_m=profile.axis.range_m,
+        profile=profile,
     )
 
 

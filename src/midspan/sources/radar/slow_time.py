@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from midspan.checks import CARRIER_HZ, RATE_HZ
-from midspan.errors import DataError
-from midspan.radar.chirp import SPEED_OF_LIGHT_M_S
+from midspan.errors import DataError, UsageError
+from midspan.radar.chirp import SPEED_OF_LIGHT_M_S, ChirpProfile, profile_from_json
 from midspan.radar.info import RadarInfo
 from midspan.records import NANOSECONDS, Floats, Nanoseconds, RangeFrames
 from midspan.sources.boundary import reading
@@ -30,7 +30,8 @@ class SlowTimeFile(RadarSource):
 
     An HDF5 file holds them as `iq` (complex, or the fields real and imag) or as `i` and `q`; beside them, as datasets
     or attributes, `carrier_hz` or `wavelength_m`, `rate_hz`, `time_s` or `time_ns`, and where known `range_m` of each
-    bin. What is not in the file comes from radar.config. Growing phase is growing range; NaN marks missing frames.
+    bin, or `chirp`: the fields of `ChirpProfile` as JSON, where all bins of its range profiles are stored. What is not
+    in the file comes from radar.config. Growing phase is growing range; NaN marks missing frames.
     """
 
     file_kind = "slow-time I/Q"
@@ -56,6 +57,9 @@ class SlowTimeFile(RadarSource):
         )
         self._refuse_nothing()
         self._range_m = np.atleast_1d(np.asarray(beside.get("range_m", np.nan), dtype=np.float64))
+        self._chirp = _chirp(path, beside["chirp"], bins) if "chirp" in beside else None
+        if self._chirp is not None:
+            self._range_m = self._chirp.axis.range_m
 
     @property
     def info(self) -> RadarInfo:
@@ -70,6 +74,7 @@ class SlowTimeFile(RadarSource):
             frame_count=count,
             channels=channels,
             range_m=self._range_m if known else np.full(bins, np.nan),
+            profile=self._chirp,
         )
 
     def times_ns(self) -> Nanoseconds:
@@ -135,6 +140,17 @@ def _whole_stamps(path: Path, given: Any, count: int) -> Nanoseconds:
     if stamps_ns.shape != (count,) or stamps_ns.dtype.kind not in "iu" or not np.all(np.diff(stamps_ns) > 0):
         raise DataError(f"{path}: time_ns must hold {count} increasing whole numbers (ns), one a frame. Correct it.")
     return stamps_ns.astype(np.int64)
+
+
+def _chirp(path: Path, given: Any, bins: int) -> ChirpProfile:
+    """The chirp of `bins` range bins that an attribute describes."""
+    try:
+        found = profile_from_json(str(given))
+    except (UsageError, TypeError, ValueError) as error:
+        raise DataError(f"{path}: chirp must be the settings of a chirp as JSON ({error}). Take it out.") from None
+    if found.bins != bins:
+        raise DataError(f"{path}: its chirp has {found.bins} range bins, its I/Q {bins}. Take the attribute out.")
+    return found
 
 
 def _carrier(path: Path, beside: dict[str, Any], settings: TiSettings | None) -> float:

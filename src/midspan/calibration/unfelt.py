@@ -1,0 +1,79 @@
+"""Whether the accelerometer felt a displacement: a sensor that jumps makes decimetres where it shows millimetres.
+
+What an accelerometer errs by (noise, drift, cross motion, tilt) is in its signal, in addition to the motion. So the
+displacement differs from the acceleration integrated twice by no more than that itself shows there, or usually where it
+has lost something: a cable breaks, or an error happens to cancel the motion. One that differs by more would need an
+acceleration that the accelerometer would have shown.
+"""
+
+import numpy as np
+
+from midspan.errors import UntrustedError
+from midspan.fusion.blocks import REJECTED
+from midspan.records import NANOSECONDS, Estimate, Floats, Innovation, Nanoseconds, part, seconds
+from midspan.signals.acceleration import PreparedAcceleration
+from midspan.signals.integrate import path
+from midspan.signals.stamps import shown
+
+# Both are compared over windows of this length, s, or of twice as many values as there are unknowns where these take
+# longer, about a cubic: a start, its velocity, a bias and its drift are open.
+WINDOW_S, CUBIC = 5.0, 4
+# Of white noise of density S, integrated twice over T, S T³ over this is left about its cubic (mean square).
+NOISE_LEFT = 6930.0
+# A clean record is refused with this probability: the power of a narrow band in a window is exponentially distributed,
+# so that of n windows one exceeds the mean ln(n / p) times with a probability p.
+CHANCE = 1e-6
+
+
+def refuse_unfelt(prepared: PreparedAcceleration, time_ns: Nanoseconds, moved_m: Floats, variance_m2: Floats) -> None:
+    """UntrustedError where a displacement (n,) differs from the acceleration by far more than that shows.
+
+    time_ns (n,): on the accelerometer's clock, within the acceleration; variance_m2 (n,): of the displacement.
+    """
+    step_s = float(np.median(np.diff(time_ns))) / NANOSECONDS if len(time_ns) > 1 else np.inf
+    count = max(int(WINDOW_S / step_s), 2 * CUBIC)
+    starts = np.arange(0, len(time_ns) - count + 1, count // 2)
+    if not len(starts):
+        return
+    windows = [slice(int(a), int(a) + count) for a in starts]
+    felt, differs, missed = np.array([_powers(prepared, time_ns[one], moved_m[one]) for one in windows]).T
+    uncertain = np.array([np.mean(variance_m2[one]) for one in windows])
+    allowed = felt + np.log(len(windows) / CHANCE) * (np.mean(felt) + missed + uncertain)
+    k = int(np.argmax(differs / allowed))
+    if differs[k] > allowed[k]:
+        first, last = (int(time_ns[one]) for one in (windows[k].start, windows[k].stop - 1))
+        raise UntrustedError(
+            f"From {shown(first)} to {shown(last)} the displacement moves by {1e3 * np.sqrt(differs[k]):.3g} mm rms "
+            "that the accelerometer did not feel and would have shown: it shows "
+            f"{1e3 * np.sqrt(felt[k]):.2g} mm there and {1e3 * np.sqrt(np.mean(felt)):.2g} mm on the whole. A sensor "
+            "jumps, as a GNSS receiver does between fixed and float solutions, or its clock or stamps do; or the "
+            "accelerometer drifts, as it does while it warms up. Leave such values out of the file."
+        )
+
+
+def refuse_unfelt_rows(prepared: PreparedAcceleration, rows: Estimate, innovation: Innovation) -> None:
+    """UntrustedError where rows move by what the accelerometer did not feel.
+
+    Judged are those that follow an accepted measurement: there a band that was opened for the jump is closed again.
+    """
+    met_ns = innovation.time_ns[innovation.verdict != REJECTED]
+    place = np.unique(np.searchsorted(rows.time_ns, met_ns))
+    met = part(rows, place[place < len(rows.time_ns)])
+    refuse_unfelt(prepared, met.time_ns, met.displacement_m, met.variance_m2)
+
+
+def _powers(prepared: PreparedAcceleration, time_ns: Nanoseconds, moved_m: Floats) -> tuple[float, float, float]:
+    """Mean squares, m², about their cubics: of the acceleration integrated twice, of what a displacement (n,) differs
+    from it by, and of what acceleration that is missing leaves open.
+    """
+    first, last = np.searchsorted(prepared.time_ns, (time_ns[0], time_ns[-1]))
+    near = slice(max(int(first) - 1, 0), int(last) + 1)
+    origin = int(time_ns[0])
+    time_s, sampled_s = seconds(time_ns, origin), seconds(prepared.time_ns[near], origin)
+    felt_m = path(time_s, sampled_s, prepared.value_m_s2[near])
+    length_s = float(time_s[-1])
+    basis = np.linalg.qr(np.vander(time_s / length_s, CUBIC))[0]
+    both = np.column_stack((felt_m, moved_m - felt_m))
+    left = np.mean((both - basis @ (basis.T @ both)) ** 2, axis=0)
+    missed = float(np.mean(prepared.bridging_density[near])) * length_s**3 / NOISE_LEFT
+    return float(left[0]), float(left[1]), missed

@@ -1,0 +1,42 @@
+"""`midspan spectrum RESULT`."""
+
+from pathlib import Path
+
+import click
+
+from midspan.cli.console import Console, common_options
+
+
+@click.command("spectrum")
+@click.argument("result", type=click.Path())
+@click.option("--axis", type=click.Choice(["x", "y"]), help="Image axis of a result that has both.")
+@click.option("--unit", help="Unit of the displacement where the file does not say, for example mm.")
+@click.option("-o", "--output", type=click.Path(), help="Write frequency and density as CSV.")
+@common_options
+def command(result: str, quiet: bool, as_json: bool, **options: str | None) -> None:
+    """The spectrum of a displacement: natural frequencies with damping and their standard deviations.
+
+    Each peak that chance does not make is fitted as an oscillator with white force on a level of its own, by the
+    likelihood of the periodogram (Whittle).
+    """
+    from midspan.evaluate.result_file import read_result
+    from midspan.evaluate.spectrum import spectrum
+    from midspan.writing import write_whole
+
+    console = Console(quiet, as_json)
+    found = spectrum(read_result(result, options["unit"], options["axis"]).series)
+    for mode in found.modes:
+        console.say(
+            f"  {mode.frequency_hz:9.4f} ± {mode.frequency_std_hz:.4f} Hz   damping {100 * mode.damping:6.2f} ± "
+            f"{100 * mode.damping_std:.2f} %   {mode.rms_mm:.3g} mm rms"
+        )
+    if not found.modes:
+        console.say("No peak stands out of the spectrum beyond chance.")
+    written = None
+    if options["output"]:
+        lines = ["frequency_hz,density_mm2_hz"]
+        lines += [f"{f:.9g},{s:.9g}" for f, s in zip(found.frequency_hz, found.density_mm2_hz, strict=True)]
+        write_whole(Path(options["output"]), ("\n".join(lines) + "\n").encode())
+        written = options["output"]
+        console.say(f"{written}: written.")
+    console.document({**found.to_dict(), "written": written})

@@ -1,0 +1,190 @@
+"""Natural frequencies of a displacement, with damping and their standard deviations.
+
+Around each peak the periodogram is that of an oscillator with white force, on what noise and higher modes (B) and the
+flanks of lower ones (C) make:
+
+    S(f) = A / ((f₀² − f²)² + (2 ζ f₀ f)²) + B + C (f₀ / f)⁴
+
+Its ordinates are independent and exponentially distributed (P. Whittle, Estimation and information in stationary time
+series, Ark. Mat. 2 (1953) 423-434, doi 10.1007/BF02590998), so that the likelihood of these is known; its
+curvature gives the standard deviations. Damping by the width of a smoothed spectrum would be that of the window.
+"""
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from midspan.checks import positive
+from midspan.errors import DataError
+from midspan.records import NANOSECONDS, Floats, TimeSeries
+
+# A peak stands out of the median about it by what chance makes in one of a million records.
+CHANCE = 1e-6
+# The spectrum that peaks are looked for in has segments of this many s, or an eighth of the record; the median is over
+# this many times the width that they resolve.
+SEGMENT_S, SEGMENTS, AROUND = 60.0, 8, 40
+# An oscillator is compared over this many widths of its peak on each side, and no fewer than so many ordinates.
+WIDTHS, MIN_ORDINATES = 12.0, 24
+# Damping ratios that are looked for, and those of what is called a mode.
+MIN_DAMPING, MAX_DAMPING = 1e-4, 0.2
+# Peaks closer than so many widths that are resolved, or than so many half widths of a mode, are one. A peak farther
+# away than this share of the frequency is no part of the mode's own.
+APART, OWN, CLOSE = 4.0, 6.0, 0.1
+# Of the rate: above it the displacement rests on samples too few for a period.
+MAX_SHARE = 0.4
+
+
+@dataclass(frozen=True, slots=True)
+class Mode:
+    """A natural frequency, Hz, its damping ratio, and their standard deviations; rms_mm: of the displacement in it."""
+
+    frequency_hz: float
+    frequency_std_hz: float
+    damping: float
+    damping_std: float
+    rms_mm: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Spectrum:
+    """One-sided power spectral density (k,), mm²/Hz, of a displacement at frequency_hz (k,), by Welch's method with
+    segments of segment_s; modes: by frequency.
+    """
+
+    frequency_hz: Floats
+    density_mm2_hz: Floats
+    segment_s: float
+    modes: tuple[Mode, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """The modes as plain values."""
+        return {"segment_s": self.segment_s, "modes": [asdict(mode) for mode in self.modes]}
+
+
+def spectrum(series: TimeSeries, *, max_modes: int = 6) -> Spectrum:
+    """The spectrum of a displacement and its first natural frequencies.
+
+    series: displacement in m at even times; what is not finite is bridged by straight lines. max_modes: as many of the
+    strongest peaks are fitted at most. Raises DataError for a record that is too short for a spectrum.
+    """
+    positive("max_modes", max_modes, "")
+    rate_hz, value = _even(series)
+    segment = int(min(SEGMENT_S * rate_hz, len(value) / SEGMENTS))
+    if segment < 2 * MIN_ORDINATES:
+        raise DataError(
+            f"The displacement has {len(value)} rows, of which {SEGMENTS} segments of {2 * MIN_ORDINATES} or more are "
+            "needed for a spectrum. Give a longer record."
+        )
+    from scipy.signal import welch
+
+    frequency, density = welch(1e3 * value, rate_hz, nperseg=segment, detrend="linear")
+    width_hz = rate_hz / segment
+    peaks = frequency[_peaks(frequency, density, (2 * len(value)) // segment - 1, rate_hz)]
+    ordinates = _periodogram(1e3 * value, rate_hz)
+    modes: list[Mode] = []
+    for peak_hz in peaks.tolist():
+        # Chance splits a peak: what lies in one that is fitted is no other.
+        apart_hz = [max(APART * width_hz, OWN * one.damping * one.frequency_hz) for one in modes]
+        if any(abs(peak_hz - one.frequency_hz) < apart for one, apart in zip(modes, apart_hz, strict=True)):
+            continue
+        others = np.sort(peaks[np.abs(peaks - peak_hz) > max(APART * width_hz, CLOSE * peak_hz)])
+        found = _fitted(*ordinates, peak_hz, others, width_hz)
+        if found is not None:
+            modes.append(found)
+        if len(modes) == max_modes:
+            break
+    return Spectrum(frequency, density, segment / rate_hz, tuple(sorted(modes, key=lambda one: one.frequency_hz)))
+
+
+def _even(series: TimeSeries) -> tuple[float, Floats]:
+    """Rate (Hz) and values at even times, m."""
+    if len(series.time_ns) < 2:
+        raise DataError("The displacement has fewer than two rows. Give a longer record.")
+    step_ns = float(np.median(np.diff(series.time_ns)))
+    known = np.isfinite(series.value)
+    if not known.any():
+        raise DataError("The displacement has no number. Check its column.")
+    at_ns = np.arange(series.time_ns[0], series.time_ns[-1] + 1, step_ns)
+    return NANOSECONDS / step_ns, np.interp(at_ns, series.time_ns[known], series.value[known])
+
+
+def _periodogram(value: Floats, rate_hz: float) -> tuple[Floats, Floats]:
+    """Frequencies (k,) and one-sided densities (k,) of the whole record, tapered at its ends."""
+    from scipy.signal import periodogram
+    from scipy.signal.windows import tukey
+
+    return periodogram(value, rate_hz, window=tukey(len(value), 0.1), detrend="linear")  # type: ignore[no-any-return]
+
+
+def _peaks(frequency: Floats, density: Floats, averaged: int, rate_hz: float) -> list[int]:
+    """Places of the peaks that chance does not make, the one that stands out most first.
+
+    averaged: how many segments, of which half overlap, the density is the mean of.
+    """
+    from scipy.ndimage import median_filter
+    from scipy.signal import find_peaks
+    from scipy.stats import chi2
+
+    # The spectrum of the acceleration is more even, so that a median tells the level about a peak.
+    even = density * frequency**4
+    level = median_filter(even, AROUND | 1)
+    freedom = 2.0 * max(averaged / 2.0, 1.0)
+    beyond = chi2.isf(CHANCE / len(even), freedom) / chi2.median(freedom)
+    near = np.asarray(find_peaks(even)[0])
+    usable = near[(even[near] > beyond * level[near]) & (frequency[near] < MAX_SHARE * rate_hz) & (near > 1)]
+    order = np.argsort(-(even[usable] / level[usable]))
+    return [int(k) for k in usable[order]]
+
+
+def _fitted(frequency: Floats, power: Floats, peak_hz: float, others: Floats, width_hz: float) -> Mode | None:
+    """The oscillator at a peak; None where there is none. others: the peaks of others, Hz; width_hz: resolved."""
+    from scipy.optimize import minimize
+
+    step = float(frequency[1] - frequency[0])
+    half = max(WIDTHS * max(width_hz, 0.02 * peak_hz), MIN_ORDINATES * step)
+    below, above = others[others < peak_hz], others[others > peak_hz]
+    low = max(peak_hz - half, 0.5 * (below[-1] + peak_hz) if len(below) else step)
+    high = min(peak_hz + half, 0.5 * (above[0] + peak_hz) if len(above) else np.inf)
+    near = (frequency > low) & (frequency < high)
+    f, p = frequency[near], power[near]
+    if len(f) < MIN_ORDINATES:
+        return None
+    top = float(np.max(p))
+
+    def expected(q: Floats) -> Floats:
+        f0, zeta = peak_hz * np.exp(q[0]), np.exp(q[1])
+        at_peak = (2.0 * zeta * f0 * f0) ** 2
+        mode = np.exp(q[2]) * at_peak / ((f0**2 - f**2) ** 2 + (2.0 * zeta * f0 * f) ** 2)
+        return np.asarray(mode + np.exp(q[3]) + np.exp(q[4]) * (peak_hz / f) ** 4)
+
+    def surprise(q: Floats) -> float:
+        s = expected(q)
+        return float(np.sum(np.log(s) + p / s))
+
+    level = np.log(max(0.5 * float(np.median(p)), 1e-9 * top))
+    start = [np.array([0.0, np.log(zeta), np.log(top / 3.0), level, level]) for zeta in (0.002, 0.01, 0.05)]
+    found = min((minimize(surprise, one, method="Nelder-Mead", options=_FINE) for one in start), key=lambda r: r.fun)
+    q = np.asarray(found.x)
+    zeta, f0 = float(np.exp(q[1])), float(peak_hz * np.exp(q[0]))
+    covariance = _covariance(expected, q)
+    if covariance is None or not MIN_DAMPING < zeta < MAX_DAMPING or not low < f0 < high:
+        return None
+    std = np.sqrt(np.diag(covariance))
+    # ∫ A / (…) df over all f is the variance: π/2 · peak · ζ f₀ for one-sided densities.
+    rms = float(np.sqrt(0.5 * np.pi * np.exp(q[2]) * 2.0 * zeta * f0))
+    return Mode(f0, f0 * float(std[0]), zeta, zeta * float(std[1]), rms)
+
+
+RIDGE = 1e-6
+_FINE = {"xatol": 1e-6, "fatol": 1e-6, "maxiter": 4000, "maxfev": 4000}
+
+
+def _covariance(expected: Any, q: Floats) -> Floats | None:
+    """Inverse of the information Σ (∂ ln S)(∂ ln S)' of independent exponential ordinates; None where it has none."""
+    steps = 1e-4
+    units = steps * np.eye(len(q))
+    slopes = np.array([(np.log(expected(q + one)) - np.log(expected(q - one))) / (2.0 * steps) for one in units])
+    # A level that does not show is no reason to know the rest less.
+    found = np.linalg.inv(slopes @ slopes.T + RIDGE * np.eye(len(q)))
+    return found if np.all(np.diag(found) > 0.0) else None

@@ -1,0 +1,103 @@
+"""From two files on a desk: `midspan init ACCEL VIDEO` and `midspan estimate ACCEL VIDEO`."""
+
+import json
+from dataclasses import replace
+
+import av
+import numpy as np
+import pytest
+
+from lively_recordings import Lively, write
+from midspan.cli.main import run
+from midspan.settings.load import load_settings
+
+LIVELY = Lively(duration_s=24.0, band_hz=(1.0, 3.0), rms_m=2e-3)
+GRAVITY_M_S2 = 9.80665
+
+
+@pytest.fixture(scope="module")
+def desk(tmp_path_factory):
+    """A logger's file of three axes in g as a spreadsheet in German saves it, and a video without losses."""
+    folder = tmp_path_factory.mktemp("desk")
+    recording = write(folder, LIVELY, "camera")
+    (recording / "recording.toml").unlink()
+    film = np.load(recording / "camera.npy")
+    with av.open(str(folder / "phone.mkv"), "w") as container:
+        stream = container.add_stream("ffv1", rate=10)
+        stream.height, stream.width, stream.pix_fmt = *film.shape[1:], "gray"
+        for picture in film:
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="gray")))
+        container.mux(stream.encode())
+    time, value = np.loadtxt(recording / "accel.csv", delimiter=",", skiprows=1).T
+    table(folder / "logger.csv", time, value)
+    return folder
+
+
+def table(path, time, value):
+    rng = np.random.default_rng(0)
+    across = rng.normal(0.0, 2e-4, (len(time), 2))
+    lines = ["Zeit [s];Beschl X [g];Beschl Y [g];Beschl Z [g];Temp [°C]"]
+    for at, (x, y), z in zip(time, across, 1.0 + value / GRAVITY_M_S2, strict=True):
+        lines.append(f"{at:.4f};{x:.7f};{y:.7f};{z:.7f};21.3".replace(".", ","))
+    path.write_text("\r\n".join(lines), encoding="latin-1")
+
+
+def test_several_channels_are_named_with_their_unit(desk, capsys):
+    assert run(["estimate", str(desk / "logger.csv"), str(desk / "phone.mkv")]) == 2
+    text = capsys.readouterr().err
+    assert "3 channels could be meant: 'Beschl X', 'Beschl Y', 'Beschl Z' (all in g)" in text
+    assert "--value 'Beschl Z'" in text
+
+
+@pytest.mark.parametrize("apart_s", [0.0, 7.0])
+def test_two_files_become_a_result_with_the_right_sign_and_scale(desk, tmp_path, capsys, apart_s):
+    # The video's times begin at 0, its first frame is 1 s after the logger's first sample, which may begin later.
+    logger = desk / "logger.csv"
+    if apart_s:
+        value = np.loadtxt(desk / "accel.csv", delimiter=",", skiprows=1)[:, 1]
+        early = replace(LIVELY, first_s=0.0)
+        more = np.arange(-apart_s, 0.0, 0.01)
+        noise = np.random.default_rng(1).normal(0.0, LIVELY.noise_m_s2, len(more))
+        value = np.concatenate((early.motion(more, 2) + LIVELY.bias_m_s2 + noise, value))
+        logger = tmp_path / "early.csv"
+        table(logger, 0.01 * np.arange(len(value)), value)
+    output = tmp_path / "result.csv"
+    assert run(["estimate", str(logger), str(desk / "phone.mkv"), "--value", "Beschl Z", "-o", str(output)]) == 0
+    if apart_s:
+        assert f"begins +{apart_s + 1.0:.0f}" in capsys.readouterr().out
+    camera = json.loads(output.with_suffix(".json").read_text())["calibration"]["camera"]
+    error = camera["scale_mm_per_px"] - LIVELY.mm_per_px
+    assert abs(error) < 4.0 * camera["scale_std_mm_per_px"]
+    rows = np.genfromtxt(output, delimiter=",", names=True, dtype=None, encoding="utf-8")
+    expected = LIVELY.from_zero_mm(rows["time_s"] - apart_s)
+    assert np.mean(np.abs(rows["displacement_mm"] - expected) < 1.96 * rows["displacement_std_mm"]) > 0.85
+
+
+def test_init_writes_a_recording_that_is_read(desk, tmp_path, capsys):
+    assert run(["init", str(desk / "logger.csv"), str(desk / "phone.mkv"), "-o", str(tmp_path / "new")]) == 0
+    found = load_settings(tmp_path / "new")
+    assert found.accelerometer.value == "Beschl Z"
+    assert found.accelerometer.unit == "g"
+    assert (tmp_path / "new" / found.cameras[0].file).resolve() == desk / "phone.mkv"
+    text = (tmp_path / "new" / "recording.toml").read_text()
+    assert "or 'Beschl X', 'Beschl Y'" in text
+    assert "# exposure_s" in text
+    assert run(["init", str(desk / "logger.csv"), str(desk / "phone.mkv"), "-o", str(tmp_path / "new")]) == 2
+    assert "exists already" in capsys.readouterr().err
+
+
+def test_init_leaves_open_what_the_files_do_not_say(desk, tmp_path, capsys):
+    assert run(["init", str(desk / "accel.csv"), str(desk / "phone.mkv"), "-o", str(tmp_path)]) == 0
+    assert "accelerometer.unit is not in the files" in capsys.readouterr().out
+    assert "# unit = " in (tmp_path / "recording.toml").read_text()
+    assert run(["estimate", str(tmp_path)]) == 2
+    assert "unit" in capsys.readouterr().err
+    assert run(["estimate", str(desk / "accel.csv"), str(desk / "phone.mkv")]) == 2
+    assert "Give --unit" in capsys.readouterr().err
+
+
+def test_options_of_two_files_go_with_two_files(desk, capsys):
+    assert run(["estimate", str(desk), "--unit", "g"]) == 2
+    assert "--unit: goes with two files" in capsys.readouterr().err
+    assert run(["estimate", str(desk / "logger.csv"), str(desk / "phone.mkv"), "--point", "p"]) == 2
+    assert "--point" in capsys.readouterr().err
