@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from midspan.calibration.unfelt import CUBIC, NOISE_LEFT, refuse_unfelt
+from midspan.calibration.unfelt import NOISE_LEFT, UNKNOWNS, refuse_unfelt
 from midspan.errors import UntrustedError
 from midspan.records import nanoseconds
 from midspan.signals.acceleration import PreparedAcceleration
@@ -75,6 +75,6 @@ def test_what_is_left_of_white_noise_integrated_twice() -> None:
     # The response to an impulse at u is t - u from there on; each leaves its own, and so does their sum on average.
     at = (np.arange(400) + 0.5) / 400.0
     response = np.clip(at[:, None] - at[None, :], 0.0, None)
-    basis = np.linalg.qr(np.vander(at, CUBIC))[0]
+    basis = np.linalg.qr(np.vander(at, UNKNOWNS))[0]
     left = response - basis @ (basis.T @ response)
     assert np.mean(np.sum(left**2, axis=1)) / 400.0 == pytest.approx(1.0 / NOISE_LEFT, rel=1e-3)

@@ -49,6 +49,8 @@ def calls(footbridge, done, target):
         "track": ["track", f"{footbridge}", "-o", f"{target}/track.csv"],
         "lens": ["lens", f"{done}/boards", "-o", f"{target}/lens.json"],
         "compare": ["compare", f"{done}/result.csv", f"{footbridge}/truth.csv"],
+        "init": ["init", f"{footbridge}/accel.csv", f"{footbridge}/camera.mkv", "-o", f"{target}/made"],
+        "spectrum": ["spectrum", f"{done}/result.csv"],
         "formats": ["formats"],
         "methods": ["methods"],
         "check-config": ["check-config", f"{footbridge}"],

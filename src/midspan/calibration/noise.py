@@ -175,7 +175,7 @@ def _sought(pair: Pair, max_offset_s: float, edge: float, *, one_clock: bool, de
     """Clock offset and exposure, where that is not declared: a sensor that averages seems to have another clock, and
     one with another clock to average.
     """
-    pair, still = without_outliers(without_lonely_outliers(replace(pair, ratio=1.0)))
+    pair, still = without_outliers(without_lonely_outliers(replace(pair, ratio=1.0)), steps=one_clock)
     here = Exposed(pair, still) if declared else find_exposure(pair, still)
     if max_offset_s <= 0.0:
         return _Sought(here.pair, here.fit, TimeOffset(0.0, np.inf), None, here.fit, here.spread)
@@ -331,10 +331,10 @@ def applied(search: OffsetSearch, fit: Fit, variance: float, max_offset_s: float
     return TimeOffset(fit.offset_s if abs(fit.offset_s) < max_offset_s + BEYOND * std else 0.0, variance)
 
 
-def without_outliers(pair: Pair) -> tuple[Pair, Fit]:
-    """The pair without outliers and its fit at no offset."""
+def without_outliers(pair: Pair, *, steps: bool = False) -> tuple[Pair, Fit]:
+    """The pair without outliers and its fit at no offset; steps: as of `mark_outliers`."""
     pair, fit = with_input_noise(pair, best_corner(pair, 0.0))
-    pair = cleaned(pair, fit)
+    pair = cleaned(pair, fit, steps=steps)
     return with_input_noise(pair, best_corner(pair, 0.0))
 
 

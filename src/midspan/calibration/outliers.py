@@ -22,18 +22,18 @@ SHAKEN = 4.0
 MARKING_ROUNDS = 12
 
 
-def mark_outliers(pair: Pair, fit: Fit) -> Pair:
+def mark_outliers(pair: Pair, fit: Fit, *, steps: bool = False) -> Pair:
     """The pair with measurements far outside the fit marked unusable; the same object when there are none.
 
     A wrong measurement kicks the filter, and the next innovations with it, and at the start those of all that come
-    later: it is far outside in both directions of time, and only the largest of neighbours is marked. Where there is
-    none left, a step of the zero is far outside forwards, and its first measurements are marked.
+    later: it is far outside in both directions of time, and only the largest of neighbours is marked. steps: where
+    there is none left, what is far outside forwards alone is marked, as the first ones after a step of the zero; not
+    where the clocks may differ, for that looks the same where a structure is struck.
     """
-    index, size = _both_ways(pair, fit)
-    bad = _far_outside(size)
-    if not bad.any():
-        index, size = fit.whitened.index, np.abs(fit.residual)
-        bad = _far_outside(size)
+    index, forwards, backwards = _both_ways(pair, fit)
+    bad = _far_outside(np.minimum(forwards, backwards))
+    if steps and not bad.any():
+        bad = _far_outside(np.where(np.isfinite(forwards), forwards, 0.0))
     if not bad.any():
         return pair
     rows = pair.rows.copy()
@@ -43,15 +43,15 @@ def mark_outliers(pair: Pair, fit: Fit) -> Pair:
 
 def _far_outside(size: Floats) -> NDArray[np.bool_]:
     """Which (k,) of the sizes of innovations are beyond the limit and the largest of their neighbours."""
-    # The smaller one of two directions is beyond a limit by chance even less often than this says.
+    # The smaller one of two is beyond a limit by chance even less often than this says.
     spread = SIGMA_OF_MEDIAN * float(np.median(size)) if len(size) else 0.0
     largest = sliding_window_view(np.pad(size, 2), 5).max(axis=1) if len(size) else size
     return np.asarray((size > OUTLIER_LIMIT * max(spread, 1e-12)) & (size == largest) & (spread > 0.0))
 
 
-def _both_ways(pair: Pair, fit: Fit) -> tuple[NDArray[np.int64], Floats]:
-    """Which rows (k,) are compared, and of each the smaller one of its innovations forwards and backwards in time (k,),
-    in predicted standard deviations. The first ones of a direction settle its unknown start.
+def _both_ways(pair: Pair, fit: Fit) -> tuple[NDArray[np.int64], Floats, Floats]:
+    """Which rows (k,) are compared, and of each its innovation forwards and backwards in time (k,), in predicted
+    standard deviations. The first ones of a direction settle its unknown start.
     """
     here = aligned(pair, fit.offset_s)
     # A piece of the noise ends, backwards, where it begins.
@@ -62,7 +62,7 @@ def _both_ways(pair: Pair, fit: Fit) -> tuple[NDArray[np.int64], Floats]:
     size = np.full((2, len(here.rows)), np.inf)
     size[0, SETTLING:] = np.abs(fit.residual)
     size[1, SETTLING:] = np.abs(w.translation - fit.ratio * w.response) / np.sqrt(fit.noise * w.variance)
-    return here.index, np.minimum(size[0], size[1, ::-1])
+    return here.index, size[0], size[1, ::-1]
 
 
 def without_lonely_outliers(pair: Pair) -> Pair:

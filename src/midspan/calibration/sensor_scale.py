@@ -77,7 +77,7 @@ def calibrate_sensor_scale(
 def _clocks_differ(offset: TimeOffset) -> UntrustedError:
     return UntrustedError(
         f"displacement: its clock differs from the accelerometer's by {offset.value_s:+.4f} s, too much to learn "
-        "its scale on one clock. Set displacement.estimate_offset = true to have the offset learnt and applied, "
+        "its scale on one clock. Set displacement.estimate_offset = true to have the offset estimated and applied, "
         "or correct its time column."
     )
 

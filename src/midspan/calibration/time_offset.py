@@ -193,13 +193,14 @@ def _may_shrink(pair: Pair, others: list[Fit], best: Fit) -> bool:
     return bool(share * abs(drag / best.ratio) * np.sqrt(variance) > MAX_PULLED)
 
 
-def cleaned(pair: Pair, fit: Fit, bound_s: float = 0.0) -> Pair:
+def cleaned(pair: Pair, fit: Fit, bound_s: float = 0.0, *, steps: bool = False) -> Pair:
     """The pair without outliers; each round takes out the largest, which had hidden the smaller ones.
 
-    bound_s: how far the offset may move from the fit's meanwhile. The same object where there are none.
+    bound_s: how far the offset may move from the fit's meanwhile; steps: as of `mark_outliers`. The same object
+    where there are none.
     """
     for _ in range(MARKING_ROUNDS):
-        marked = mark_outliers(pair, fit)
+        marked = mark_outliers(pair, fit, steps=steps)
         if marked is pair:
             break
         pair = marked

@@ -17,7 +17,7 @@ from midspan.signals.stamps import shown
 
 # Both are compared over windows of this length, s, or of twice as many values as there are unknowns where these take
 # longer, about a cubic: a start, its velocity, a bias and its drift are open.
-WINDOW_S, CUBIC = 5.0, 4
+WINDOW_S, UNKNOWNS = 5.0, 4
 # Of white noise of density S, integrated twice over T, S T³ over this is left about its cubic (mean square).
 NOISE_LEFT = 6930.0
 # A clean record is refused with this probability: the power of a narrow band in a window is exponentially distributed,
@@ -31,7 +31,7 @@ def refuse_unfelt(prepared: PreparedAcceleration, time_ns: Nanoseconds, moved_m:
     time_ns (n,): on the accelerometer's clock, within the acceleration; variance_m2 (n,): of the displacement.
     """
     step_s = float(np.median(np.diff(time_ns))) / NANOSECONDS if len(time_ns) > 1 else np.inf
-    count = max(int(WINDOW_S / step_s), 2 * CUBIC)
+    count = max(int(WINDOW_S / step_s), 2 * UNKNOWNS)
     starts = np.arange(0, len(time_ns) - count + 1, count // 2)
     if not len(starts):
         return
@@ -46,8 +46,9 @@ def refuse_unfelt(prepared: PreparedAcceleration, time_ns: Nanoseconds, moved_m:
             f"From {shown(first)} to {shown(last)} the displacement moves by {1e3 * np.sqrt(differs[k]):.3g} mm rms "
             "that the accelerometer did not feel and would have shown: it shows "
             f"{1e3 * np.sqrt(felt[k]):.2g} mm there and {1e3 * np.sqrt(np.mean(felt)):.2g} mm on the whole. A sensor "
-            "jumps, as a GNSS receiver does between fixed and float solutions, or its clock or stamps do; or the "
-            "accelerometer drifts, as it does while it warms up. Leave such values out of the file."
+            "jumps, as a GNSS receiver does between fixed and float solutions, or its clock or stamps do: leave such "
+            "values out of the file. Or the accelerometer drifts, as it does while it warms up, or does not measure "
+            "slow motion (a piezoelectric one, a logger with a high-pass): use one that measures down to 0 Hz."
         )
 
 
@@ -72,7 +73,7 @@ def _powers(prepared: PreparedAcceleration, time_ns: Nanoseconds, moved_m: Float
     time_s, sampled_s = seconds(time_ns, origin), seconds(prepared.time_ns[near], origin)
     felt_m = path(time_s, sampled_s, prepared.value_m_s2[near])
     length_s = float(time_s[-1])
-    basis = np.linalg.qr(np.vander(time_s / length_s, CUBIC))[0]
+    basis = np.linalg.qr(np.vander(time_s / length_s, UNKNOWNS))[0]
     both = np.column_stack((felt_m, moved_m - felt_m))
     left = np.mean((both - basis @ (basis.T @ both)) ** 2, axis=0)
     missed = float(np.mean(prepared.bridging_density[near])) * length_s**3 / NOISE_LEFT

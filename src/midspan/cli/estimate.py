@@ -100,7 +100,13 @@ def _of_two_files(accel: Path, video: Path, console: Console, options: dict[str,
         if options[given]:
             raise click.UsageError("--point, --from and --to: are for a store, not for two files.")
     where = f"{accel.name} and {video.name}"
-    tree = draft(accel, video, options["value"], options["unit"]).sections
+    found = draft(accel, video, options["value"], options["unit"])
+    if found.needed:
+        raise click.UsageError(
+            f"{where}: {', '.join(found.needed)} is in neither file. Run `midspan init {accel} {video}`, and write it "
+            "into the recording.toml."
+        )
+    tree = found.sections
     section = next(name for name in ("camera", "infrared") if name in tree)
     chosen = {"tracker": options["tracker"]} if options["tracker"] else {}
     tree[section] |= chosen

@@ -1,11 +1,12 @@
 """The estimator's channels and parameters as a recording's sensors put them together, one after another."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from midspan.calibration.sensors.displacement import DisplacementCalibration
+from midspan.engine.averaging import in_displacement_alone
 from midspan.engine.order import FIRST_NS
 from midspan.engine.plain import PlainChain, PlainSettings
 from midspan.engine.sensors import PlainSensor
@@ -72,6 +73,16 @@ class Table:
         self.parameters.append(
             Parameter(ParameterKind.SCALE_ERROR, tuple(channels), std, FIRST_NS, SCALE_WALK, CLEAR_MOTION)
         )
+
+    def by_first_terms(self) -> None:
+        """Let displacement sensors beside others average by the first term that is right at the motion's frequency."""
+        if not in_displacement_alone(self.channels):
+            self.channels = [
+                replace(one, exposure_s=as_first_term(one.exposure_s, self.motion_hz))
+                if one.source == Source.DISPLACEMENT
+                else one
+                for one in self.channels
+            ]
 
     def gain(self, stds: Sequence[float], *, estimated: bool) -> None:
         """Put the error of the accelerometer's gain along each axis to the table; stds: its relative deviations.

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from midspan.engine.averaging import Averaging, AveragingState
+from midspan.engine.averaging import Averaging, AveragingState, in_displacement_alone
 from midspan.engine.guard import Guard, GuardState
 from midspan.engine.merge import Merge, MergeState
 from midspan.engine.order import STEPS
@@ -27,7 +27,6 @@ from midspan.records import (
     PixelTranslation,
     Readings,
     Samples,
-    Source,
     Tick,
     cut,
 )
@@ -70,9 +69,8 @@ class Point:
         self.unmeasured = tuple(unmeasured)
         self.switch = switch
         self._support = Support()
-        # Cameras' exposures are short: averaging is their first term.
-        slow = [c for c, one in enumerate(estimator.settings.channels) if one.source == Source.DISPLACEMENT]
-        self._averaging = Averaging(estimator.settings.channels, slow)
+        channels = estimator.settings.channels
+        self._averaging = Averaging(channels, range(len(channels)) if in_displacement_alone(channels) else ())
 
     @property
     def status(self) -> PointStatus:

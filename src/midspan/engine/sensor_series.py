@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from midspan.engine.averaging import in_displacement_alone
 from midspan.fusion.path import at
 from midspan.fusion.targets import agreeing, combine, relative_zeros
 from midspan.records import (
@@ -96,8 +97,12 @@ def series_at_instants(
     series: Mapping[str, SensorSeries], channels: Sequence[Channel], axis: int, acceleration: Acceleration
 ) -> dict[str, SensorSeries]:
     """The series of sensors along an axis, by name, without what their exposures take from fast motion."""
-    exposures = {one.sensor: one.exposure_s for one in channels if one.axis == axis}
+    # The first one of a sensor is its best target's.
+    exposures = {one.sensor: one.exposure_s for one in reversed(channels) if one.axis == axis}
+    first = not in_displacement_alone(channels)
     return {
-        name: series_of(name, one.source, at_instants(one.displacement, exposures[name], acceleration))
+        name: series_of(
+            name, one.source, at_instants(one.displacement, exposures[name], acceleration, first_term=first)
+        )
         for name, one in series.items()
     }

@@ -30,7 +30,8 @@ class Band:
     @property
     def without_zero(self) -> Floats:
         """The standard deviation (n,) without that of the zero, m."""
-        return np.asarray(np.sqrt(np.maximum(np.asarray(self.std_m) ** 2 - self.zero_std_m**2, 0.0)))
+        with np.errstate(over="ignore"):
+            return np.asarray(np.sqrt(np.maximum(np.asarray(self.std_m) ** 2 - self.zero_std_m**2, 0.0)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -214,7 +215,7 @@ class _Pair:
 
 
 def _explained(agreements: tuple[Agreement, Agreement, Agreement | None]) -> tuple[str, ...]:
-    """What most of the error is, where that is a zero or a clock rather than the displacement's course."""
+    """What most of the error is, where that is a zero or a clock rather than the displacement's form."""
     plain, zero, late = agreements
     found = []
     if zero.rmse_mm < MOSTLY * plain.rmse_mm:

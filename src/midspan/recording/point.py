@@ -152,6 +152,7 @@ def measuring_point(
         )
     for view, known in known_sensors(main):
         sensors[view.sensor] = ROWS[view.kind].stage(table, view, known, moved_m=moved_m, first=not sensors)
+    table.by_first_terms()
     section = recording.accelerometer
     stds = [side.calibration.gain_std(recording.accelerometer.scale_std, given=given) for side in sides]
     table.gain(stds, estimated=section.estimate_scale)

@@ -74,8 +74,12 @@ class Service:
         self._loop = asyncio.get_running_loop()
         await asyncio.to_thread(self._keeper.store)
         self._intake.start_cameras()
-        for one in self._points:
-            await asyncio.to_thread(self._begin_point, one)
+        try:
+            for one in self._points:
+                await asyncio.to_thread(self._begin_point, one)
+        except BaseException:
+            await asyncio.to_thread(self._intake.end)
+            raise
         replays = self._intake.begin()
         self._begin_broker()
         listen = self.site.settings.service.listen
@@ -99,9 +103,11 @@ class Service:
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
-        await self._end()
-        if failed is not None:
-            raise failed
+        try:
+            await self._end()
+        finally:
+            if failed is not None:
+                raise failed
         return last
 
     async def _until_stopped(self, tasks: Sequence[asyncio.Task[None]], for_s: float | None) -> BaseException | None:

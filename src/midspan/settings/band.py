@@ -15,6 +15,10 @@ TILT = (
     "tilt not observed. A camera's own tilt shows as 0.0175 mm for each millidegree and metre of distance. "
     "tilt_std_mdeg puts it in."
 )
+DELAY = (
+    "The delay of the accelerometer's logger (of its anti-alias filter, some samples): it looks like a clock offset, "
+    "and the displacement is late by it."
+)
 
 
 def not_in_band(settings: RecordingSettings, calibration: Calibration) -> tuple[str, ...]:
@@ -22,7 +26,10 @@ def not_in_band(settings: RecordingSettings, calibration: Calibration) -> tuple[
     found = (SENSITIVITY,) if sensitivity_left_out(settings, calibration) else ()
     cameras = [(one.name, one.settings) for one in settings.sensors if isinstance(one.settings, CameraSettings)]
     tilting = ", ".join(name for name, camera in cameras if camera.tilt_std_mdeg == 0.0)
-    return (*found, f"{tilting}: {TILT}") if tilting else found
+    # The clock offset of all sensors but those of a displacement is estimated.
+    known = [one for one in settings.displacements if not one.estimate_offset]
+    delay = (DELAY,) if len(known) < len(settings.sensors) else ()
+    return (*found, *delay, f"{tilting}: {TILT}") if tilting else (*found, *delay)
 
 
 def tilt_std_m(camera: CameraSettings, calibration: CameraCalibration) -> float:

@@ -45,13 +45,18 @@ def taken_by_averaging(
     return taken
 
 
-def at_instants(averaged: Displacement, exposure_s: float, acceleration: Acceleration) -> Displacement:
+def at_instants(
+    averaged: Displacement, exposure_s: float, acceleration: Acceleration, *, first_term: bool = False
+) -> Displacement:
     """Measurements that are means over exposures as the displacement at their middles.
 
-    The mean of the acceleration is taken for its bias.
+    The mean of the acceleration is taken for its bias. first_term: T²/24 a(t) alone is taken away.
     """
     if exposure_s == 0.0:
         return averaged
     shaken = acceleration.value_m_s2 - np.mean(acceleration.value_m_s2)
-    taken = taken_by_averaging(acceleration.time_ns, shaken, averaged.time_ns, exposure_s)
+    if first_term:
+        taken = exposure_s**2 / 24.0 * np.interp(averaged.time_ns, acceleration.time_ns, shaken)
+    else:
+        taken = taken_by_averaging(acceleration.time_ns, shaken, averaged.time_ns, exposure_s)
     return replace(averaged, value_m=averaged.value_m - taken)

@@ -322,7 +322,7 @@ def _late_text(learnt: NoiseCalibration, off: float, moved_mm: float) -> str:
         )
     return (
         f"displacement: its clock differs from the accelerometer's {late}. Set displacement.estimate_offset = true to "
-        "have the offset learnt and applied, or correct its time column. A low-pass in the accelerometer's logger "
+        "have the offset estimated and applied, or correct its time column. A low-pass in the accelerometer's logger "
         "delays alike: the result is then late by as much."
     )
 

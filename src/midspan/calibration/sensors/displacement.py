@@ -14,8 +14,8 @@ class DisplacementCalibration:
     where it was not estimated; name: where there are several of these sensors. resolution_m: what its values, scaled,
     are rounded to; None where that is not known. low_m, high_m: the ends of its range, scaled, where it was held there:
     such values are left out. slow_std_m, slow_time_s: standard deviation and correlation time of its slow error
-    (first-order Gauss-Markov). exposure_s: time over which it averages. apart_std_m: motion that a low-pass in the
-    accelerometer's logger may have taken away (rms), which the error band holds whole.
+    (first-order Gauss-Markov). exposure_s: time over which it averages. apart_std_m: motion that only one of the
+    two sensors may have seen (rms), which the error band holds whole.
     """
 
     noise_std_m: float

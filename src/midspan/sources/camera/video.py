@@ -4,7 +4,7 @@ import errno
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from datetime import datetime
+from datetime import UTC, datetime
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -266,7 +266,8 @@ def made_s(path: Path) -> float | None:
     """
     try:
         with _opened(path) as container:
-            return datetime.fromisoformat(container.metadata["creation_time"]).timestamp()
+            made = datetime.fromisoformat(container.metadata["creation_time"])
+            return (made if made.tzinfo else made.replace(tzinfo=UTC)).timestamp()
     except (DataError, KeyError, ValueError, OSError):
         return None
 
