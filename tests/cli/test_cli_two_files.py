@@ -64,7 +64,8 @@ def test_two_files_become_a_result_with_the_right_sign_and_scale(desk, tmp_path,
     output = tmp_path / "result.csv"
     assert run(["estimate", str(logger), str(desk / "phone.mkv"), "--value", "Beschl Z", "-o", str(output)]) == 0
     if apart_s:
-        assert f"begins +{apart_s + 1.0:.0f}" in capsys.readouterr().out
+        assert f"begins +{apart_s + 1.0:.0f}" in capsys.readouterr().err
+        assert "begins +8" in json.loads(output.with_suffix(".json").read_text())["warnings"][0]
     camera = json.loads(output.with_suffix(".json").read_text())["calibration"]["camera"]
     error = camera["scale_mm_per_px"] - LIVELY.mm_per_px
     assert abs(error) < 4.0 * camera["scale_std_mm_per_px"]

@@ -26,7 +26,7 @@ def measured(at_s):
 
 @pytest.mark.parametrize("length", [7, 400])
 def test_a_mean_becomes_what_its_first_term_says(length):
-    held = Averaging([CHANNEL], [0])
+    held = Averaging([CHANNEL])
     assert held.seen(Seen("level", measured(np.arange(0.57, 3.4, 0.23)))).measured is None
     time_s = np.arange(0.0, 4.0, 0.005)
     complete, given = [], []

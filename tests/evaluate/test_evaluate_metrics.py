@@ -164,7 +164,7 @@ def test_another_zero_and_another_clock_are_named_and_taken_off():
     assert found.plain.coverage_95 == 0.0
     assert found.plain.rmse_mm > 12.0
     assert found.without_zero_and_lag.zero_mm == pytest.approx(12.45, abs=1e-3)
-    assert found.without_zero_and_lag.lag_s == pytest.approx(0.02, abs=1e-3)
+    assert found.without_zero_and_lag.late_s == pytest.approx(0.02, abs=1e-3)
     # What is left is the displacement's own noise, and the band without the zero's part covers it: 5 % of 5996 ± 3 σ.
     assert found.without_zero_and_lag.rmse_mm == pytest.approx(0.02, rel=0.03)
     assert found.without_zero_and_lag.coverage_95 == pytest.approx(0.95, abs=0.01)

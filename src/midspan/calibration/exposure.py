@@ -5,6 +5,7 @@ gain is the same at all frequencies, so that both can be distinguished where the
 """
 
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
@@ -38,6 +39,7 @@ def find_exposure(pair: Pair, fit: Fit) -> Exposed:
     """
     longest_s, free = 1.0 / pair.rate_hz, replace(pair, ratio=None)
 
+    @cache
     def fitted(share: float) -> Fit:
         return best_corner(replace(free, exposure_s=share * longest_s), fit.offset_s, fit.corner)
 

@@ -43,7 +43,7 @@ OWN_NOISE, LOWER = 3.0, 0.95
 # An alias below this is reported as the likely reason of a refusal: bias and drift of a minute look the same.
 SLOW_ALIAS_HZ = 0.05
 # Frames that the zero rests on, and how many times noisier than usual they are noisier for certain: of frames alike the
-# median of so many exceeds that once in a million.
+# median of this many exceeds that once in a million.
 START_FRAMES, START_NOISE = 16, 2.5
 # Causes of every disagreement that show in no figure.
 NOT_SHOWN = (

@@ -1,5 +1,6 @@
 """`midspan estimate RECORDING`, or `midspan estimate ACCEL VIDEO`."""
 
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -126,13 +127,12 @@ def _of_two_files(accel: Path, video: Path, console: Console, options: dict[str,
         if error.clock_offset_s is None or options["calibration_file"] is not None:
             raise
         tree[section]["start_s"] = tree[section].get("start_s", 0.0) + error.clock_offset_s
-        console.say(
-            f"{video.name} begins {error.clock_offset_s:+.3g} s later than its times say: by the motion itself."
-        )
-        _of_opened(opened(), console, options)
+        moved = f"{video.name} begins {error.clock_offset_s:+.3g} s later than its times say: by the motion itself."
+        _of_opened(opened(), console, options, (moved,))
 
 
-def _of_opened(opened: "Recording", console: Console, options: dict[str, Any]) -> None:
+def _of_opened(opened: "Recording", console: Console, options: dict[str, Any], warnings: tuple[str, ...] = ()) -> None:
+    """Estimate what is open, and write and show what was asked for; warnings: besides the result's own."""
     from midspan.cli.targets import check_result, report_path
     from midspan.recording.estimate import estimate
     from midspan.settings.stored.calibration_file import load_calibration
@@ -145,6 +145,7 @@ def _of_opened(opened: "Recording", console: Console, options: dict[str, Any]) -
     references = (opened.reference, opened.reference_across) if compared else (None, None)
     calibration = load_calibration(options["calibration_file"]) if options["calibration_file"] else None
     result = estimate(opened, calibration, progress=console.progress)
+    result = replace(result, warnings=(*warnings, *result.warnings))
     console.done()
     written = [str(output)]
     if report is not None:

@@ -17,9 +17,9 @@ if TYPE_CHECKING:
 # Stamps from here on (s) are dates, not seconds after a start: 2001.
 DATED_FROM_S = 1e9
 GRAVITY_M_S2 = 9.80665
-# A mean acceleration within this share of gravity's is that of an upright axis.
+# A mean acceleration within this share of gravity's is that of an axis upright to 25 degrees.
 UPRIGHT = 0.1
-# Two recorders that were started by hand, s.
+# A video is dated by when it was begun or ended; one that is dated farther away than this, s, is of another clock.
 BY_HAND_S = 60.0
 
 

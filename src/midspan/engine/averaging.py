@@ -36,12 +36,13 @@ class AveragingState:
 class Averaging:
     """Holds samples and measurements back by half of the longest exposure, and completes the measurements.
 
-    channels: the estimator's; completed: numbers of those whose measurements are, each with a sensor of its own.
-    Without any with an exposure everything passes through at once.
+    channels: the estimator's, each with a sensor of its own. Without any with an exposure, or with others than those of
+    displacement sensors among them, everything passes through at once.
     """
 
-    def __init__(self, channels: Sequence[Channel], completed: Sequence[int] = ()) -> None:
-        self._channels = {c: channels[c] for c in completed if channels[c].exposure_s > 0.0}
+    def __init__(self, channels: Sequence[Channel]) -> None:
+        alone = in_displacement_alone(channels)
+        self._channels = {c: one for c, one in enumerate(channels) if alone and one.exposure_s > 0.0}
         longest_s = max((one.exposure_s for one in self._channels.values()), default=0.0)
         self._reach_ns = round(longest_s / 2.0 * NANOSECONDS)
         self._samples: Samples | None = None

@@ -75,7 +75,7 @@ class Table:
         )
 
     def by_first_terms(self) -> None:
-        """Let displacement sensors beside others average by the first term that is right at the motion's frequency."""
+        """Let displacement sensors together with others average by the first term, at the motion's frequency."""
         if not in_displacement_alone(self.channels):
             self.channels = [
                 replace(one, exposure_s=as_first_term(one.exposure_s, self.motion_hz))

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from midspan.engine.averaging import Averaging, AveragingState, in_displacement_alone
+from midspan.engine.averaging import Averaging, AveragingState
 from midspan.engine.guard import Guard, GuardState
 from midspan.engine.merge import Merge, MergeState
 from midspan.engine.order import STEPS
@@ -69,8 +69,7 @@ class Point:
         self.unmeasured = tuple(unmeasured)
         self.switch = switch
         self._support = Support()
-        channels = estimator.settings.channels
-        self._averaging = Averaging(channels, range(len(channels)) if in_displacement_alone(channels) else ())
+        self._averaging = Averaging(estimator.settings.channels)
 
     @property
     def status(self) -> PointStatus:

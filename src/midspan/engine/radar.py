@@ -45,7 +45,7 @@ MEMORY = 50.0
 # target's own prediction and than half of what names a cycle: the accelerometer is wrong.
 REFUTED_RAD2 = (0.5 * UNSURE_CYCLES * TURN) ** 2
 MIN_JUDGED = 15.0
-# The amplitude's modulation is the mean over so many frames; noise alone makes it this many times as large as its own
+# The amplitude's modulation is the mean over these frames; noise alone makes it this many times as large as its own
 # mean once in 30 000 frames (chi squared of 19). Something else with two thirds of a target's amplitude bends its phase
 # by this variance, rad²; with as much it would lead it away.
 MODULATED_FRAMES, NOISY, MAX_BENT_RAD2 = 10.0, 2.7, 0.2

@@ -36,7 +36,7 @@ class Band:
 
 @dataclass(frozen=True, slots=True)
 class Agreement:
-    """How far a displacement is from a reference after `zero_mm` and `lag_s` were taken off the displacement.
+    """How far a displacement is from a reference after `zero_mm` and `late_s` were taken off the displacement.
 
     rmse_mm; bias_mm: mean error; largest_error_mm: in absolute value, at largest_error_at_s. normalised_rmse_percent:
     of the reference's peak-to-peak; None where that is zero. coverage_95: share of the errors within ±1.96 of the
@@ -44,7 +44,7 @@ class Agreement:
     """
 
     zero_mm: float
-    lag_s: float
+    late_s: float
     rmse_mm: float
     bias_mm: float
     largest_error_mm: float
@@ -54,11 +54,12 @@ class Agreement:
 
 
 @dataclass(frozen=True, slots=True)
-class Comparison:
+class Comparison(Agreement):
     """A displacement against a reference at `count` of its own instants, from start_s to end_s on its clock.
 
     plain, without_zero, without_zero_and_lag: as they are, after the mean error, and after the lag and the mean error
-    were taken off (None where there is no lag); align: "none", "zero" or "zero+lag", which of them is the headline.
+    were taken off (None where there is no lag). align: "none", "zero" or "zero+lag": which of them is the headline,
+    whose figures are its own; without a lag those without the zero.
     correlation, lag_s: None for constant signals; a positive lag: the estimate comes later than the reference.
     time_ns, error_mm (count,): estimate minus reference, of the headline; notes: what was assumed and left out.
     """
@@ -79,53 +80,15 @@ class Comparison:
     error_mm: Floats = field(default_factory=lambda: np.empty(0), repr=False, compare=False)
 
     @property
-    def headline(self) -> Agreement:
-        """The figures that `align` names; without a lag those without the zero."""
-        if self.align == "none":
-            return self.plain
-        return self.without_zero if self.align == "zero" else self.without_zero_and_lag or self.without_zero
-
-    @property
-    def rmse_mm(self) -> float:
-        """Root mean square of the headline's errors, mm."""
-        return self.headline.rmse_mm
-
-    @property
-    def bias_mm(self) -> float:
-        """Mean of the headline's errors, mm."""
-        return self.headline.bias_mm
-
-    @property
     def rmse_without_bias_mm(self) -> float:
         """Root mean square of the errors without their mean, mm."""
         return self.without_zero.rmse_mm
-
-    @property
-    def largest_error_mm(self) -> float:
-        """Largest of the headline's errors in absolute value, mm."""
-        return self.headline.largest_error_mm
-
-    @property
-    def largest_error_at_s(self) -> float:
-        """When that is, s."""
-        return self.headline.largest_error_at_s
-
-    @property
-    def normalised_rmse_percent(self) -> float | None:
-        """Root mean square of the headline's errors over the reference's peak-to-peak, %; None where that is zero."""
-        return self.headline.normalised_rmse_percent
-
-    @property
-    def coverage_95(self) -> float | None:
-        """Share of the headline's errors within ±1.96 standard deviations; None where there are none."""
-        return self.headline.coverage_95
 
     def to_dict(self) -> dict[str, Any]:
         """The figures as plain values, without the series: those of the headline, then each of the three."""
         tree = asdict(self)
         del tree["time_ns"], tree["error_mm"]
-        own = {name: value for name, value in asdict(self.headline).items() if name not in ("zero_mm", "lag_s")}
-        return {**tree, **own, "rmse_without_bias_mm": self.rmse_without_bias_mm, "notes": list(self.notes)}
+        return {**tree, "rmse_without_bias_mm": self.rmse_without_bias_mm, "notes": list(self.notes)}
 
 
 def compare(
@@ -152,9 +115,12 @@ def compare(
         raise _no_common_span(estimate, reference)
     lag_s = find_lag(seconds(both.time_ns, splines.origin_ns), both.value, splines, max_lag_s)
     late = None if lag_s is None else _Pair.at(estimate, splines.at(time_s - lag_s), band)
-    on_one_clock = None if late is None else late.agreement(zero=True, lag_s=lag_s or 0.0)
+    on_one_clock = None if late is None else late.agreement(zero=True, late_s=lag_s or 0.0)
     agreements = (both.agreement(), both.agreement(zero=True), on_one_clock)
-    found = Comparison(
+    headline = agreements[ALIGNMENTS.index(align)] or agreements[1]
+    drawn = late if late is not None and headline is on_one_clock else both
+    return Comparison(
+        **asdict(headline),
         start_s=int(both.time_ns[0]) / 1e9,
         end_s=int(both.time_ns[-1]) / 1e9,
         count=len(both.time_ns),
@@ -167,10 +133,9 @@ def compare(
         peak_to_peak_mm=1e3 * float(np.ptp(both.value)),
         reference_peak_to_peak_mm=1e3 * float(np.ptp(both.expected)),
         notes=(*_explained(agreements), *_notes(estimate, splines, both.error)),
+        time_ns=drawn.time_ns,
+        error_mm=1e3 * drawn.error - headline.zero_mm,
     )
-    shown_pair = late if late is not None and align == "zero+lag" else both
-    error_mm = 1e3 * shown_pair.error - found.headline.zero_mm
-    return replace(found, time_ns=shown_pair.time_ns, error_mm=error_mm)
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,7 +159,7 @@ class _Pair:
         """Displacement minus reference (n,), m."""
         return self.value - self.expected
 
-    def agreement(self, *, zero: bool = False, lag_s: float = 0.0) -> Agreement:
+    def agreement(self, *, zero: bool = False, late_s: float = 0.0) -> Agreement:
         """The figures, after the mean error was taken off or as they are; the lag is off already."""
         off = float(np.mean(self.error)) if zero else 0.0
         error, extent = self.error - off, float(np.ptp(self.expected))
@@ -204,7 +169,7 @@ class _Pair:
             covered = coverage(error, self.band.without_zero if zero else self.band.std_m, 0.95)
         return Agreement(
             zero_mm=1e3 * off,
-            lag_s=lag_s,
+            late_s=late_s,
             rmse_mm=1e3 * rmse,
             bias_mm=1e3 * float(np.mean(error)),
             largest_error_mm=1e3 * abs(float(error[worst])),
@@ -224,9 +189,9 @@ def _explained(agreements: tuple[Agreement, Agreement, Agreement | None]) -> tup
             f"that the RMSE is {zero.rmse_mm:.4g} mm{_inside(zero)} (--align zero)."
         )
     if late is not None and late.rmse_mm < MOSTLY * zero.rmse_mm:
-        which = "late" if late.lag_s > 0 else "early"
+        which = "late" if late.late_s > 0 else "early"
         found.append(
-            f"The reference has another clock: the displacement is {1e3 * abs(late.lag_s):.4g} ms {which}. Without "
+            f"The reference has another clock: the displacement is {1e3 * abs(late.late_s):.4g} ms {which}. Without "
             f"that and without the zero the RMSE is {late.rmse_mm:.4g} mm{_inside(late)} (--align zero+lag)."
         )
     return tuple(found)

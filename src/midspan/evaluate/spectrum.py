@@ -21,17 +21,18 @@ from midspan.records import NANOSECONDS, Floats, TimeSeries
 
 # A peak stands out of the median about it by what chance makes in one of a million records.
 CHANCE = 1e-6
-# The spectrum that peaks are looked for in has segments of this many s, or an eighth of the record; the median is over
-# this many times the width that they resolve.
+# The spectrum that peaks are looked for in has segments of this length, s, or an eighth of the record: at least eight
+# are averaged. The level about a peak is the median over 40 widths that they resolve, of which a mode fills a quarter.
 SEGMENT_S, SEGMENTS, AROUND = 60.0, 8, 40
-# An oscillator is compared over this many widths of its peak on each side, and no fewer than so many ordinates.
-WIDTHS, MIN_ORDINATES = 12.0, 24
-# Damping ratios that are looked for, and those of what is called a mode.
+# An oscillator is compared over twelve widths of its peak on each side, where it is below a hundredth of its peak, and
+# over five ordinates for each of its five parameters.
+WIDTHS, MIN_ORDINATES = 12.0, 25
+# What is outside these damping ratios is a tone or no peak.
 MIN_DAMPING, MAX_DAMPING = 1e-4, 0.2
-# Peaks closer than so many widths that are resolved, or than so many half widths of a mode, are one. A peak farther
-# away than this share of the frequency is no part of the mode's own.
-APART, OWN, CLOSE = 4.0, 6.0, 0.1
-# Of the rate: above it the displacement rests on samples too few for a period.
+# Peaks closer than the main lobe of the segments' window, four widths, or than six half widths of a mode, where it
+# is at a thirtieth of its peak, are one. What is farther away than a tenth of the frequency is another mode.
+LOBE_WIDTHS, OWN_HALF_WIDTHS, OTHER_SHARE = 4.0, 6.0, 0.1
+# Of the rate: 2.5 samples a period.
 MAX_SHARE = 0.4
 
 
@@ -85,10 +86,10 @@ def spectrum(series: TimeSeries, *, max_modes: int = 6) -> Spectrum:
     modes: list[Mode] = []
     for peak_hz in peaks.tolist():
         # Chance splits a peak: what lies in one that is fitted is no other.
-        apart_hz = [max(APART * width_hz, OWN * one.damping * one.frequency_hz) for one in modes]
+        apart_hz = [max(LOBE_WIDTHS * width_hz, OWN_HALF_WIDTHS * one.damping * one.frequency_hz) for one in modes]
         if any(abs(peak_hz - one.frequency_hz) < apart for one, apart in zip(modes, apart_hz, strict=True)):
             continue
-        others = np.sort(peaks[np.abs(peaks - peak_hz) > max(APART * width_hz, CLOSE * peak_hz)])
+        others = np.sort(peaks[np.abs(peaks - peak_hz) > max(LOBE_WIDTHS * width_hz, OTHER_SHARE * peak_hz)])
         found = _fitted(*ordinates, peak_hz, others, width_hz)
         if found is not None:
             modes.append(found)

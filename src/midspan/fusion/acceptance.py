@@ -2,7 +2,7 @@
 
 The variance of each channel's noise is followed in each hypothesis by the variational Bayes filter (S. Särkkä, A.
 Nummenmaa, Recursive noise adaptive Kalman filtering by variational Bayesian approximations, IEEE Trans. Automat.
-Contr. 54 (2009) 596-600, doi 10.1109/TAC.2008.2008348): a mean, over so many measurements as are remembered, of what
+Contr. 54 (2009) 596-600, doi 10.1109/TAC.2008.2008348): a mean, over the measurements that are remembered, of what
 is left of each innovation after its update and of what the updated state's variance adds to it.
 """
 
@@ -67,7 +67,7 @@ from midspan.fusion.steps import (
 )
 from midspan.fusion.weighing import DECADES, OUTLIER_MEMORY, SHORTEST_S, met_within
 
-# What the noise's factor rests on after a sudden rise or fall, in measurements. It has fallen where over so many the
+# What the noise's factor rests on after a sudden rise or fall, in measurements. It has fallen where over them the
 # mean square of the innovations is less than this share of their variance: by chance once in 100 000 measurements.
 ANEW, FALLEN = 12.0, 0.25
 # Iterations of the variance's fixed point: the third changes it by less than a thousandth.

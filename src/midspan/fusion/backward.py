@@ -14,7 +14,7 @@ from midspan.fusion.filtering import INTERVAL, OF_CHANNEL, RECORD, REFERENCE_SCA
 from midspan.fusion.forward import AXIS, BLUR, SET_DATUM, UNITS_PER_M, ZERO, ZERO_VARIANCE, quadratic
 
 # A smoothed variance is no smaller than this share of the filtered one: beyond it rounding speaks.
-LEAST_SHARE = 1e-12
+MIN_VARIANCE_SHARE = 1e-12
 
 
 @njit(cache=True)
@@ -185,7 +185,7 @@ def smooth_node(node, adjoint, used, own, parameters, out):  # type: ignore[no-u
     for c in range(columns, used):
         known += met[c] * met[c]
     out[0], out[2] = value, velocity
-    out[1] = misfit * max(filtered - known, LEAST_SHARE * filtered) + quadratic(sensitivity, spread)
+    out[1] = misfit * max(filtered - known, MIN_VARIANCE_SHARE * filtered) + quadratic(sensitivity, spread)
 
 
 @njit(cache=True)

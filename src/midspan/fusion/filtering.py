@@ -77,8 +77,6 @@ TRACKING, COASTING, LOST_STATUS = float(Status.TRACKING), float(Status.COASTING)
 # In `decided`: not decided, the hypotheses judge.
 OPEN = -1
 PARENT_STEP = 32
-# A smoothed variance is no smaller than this share of the filtered one: beyond it rounding speaks.
-LEAST_SHARE = 1e-12
 
 
 @njit(cache=True)

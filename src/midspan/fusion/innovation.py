@@ -33,8 +33,8 @@ from midspan.fusion.forward import (
 from midspan.fusion.hypothesis import BEGUN, FACTOR, MET_AT, REFERENCE_NOW, STEPPED, WEIGHT
 from midspan.fusion.steps import scale_changed
 
-# A zero of which nothing is known is taken to lie within so many times (in variance) what the first measurement is off,
-# where it is asked whether that is an outlier.
+# A zero of which nothing is known is taken to lie within this many times (in variance) what the first measurement is
+# off, where it is asked whether that is an outlier.
 UNKNOWN_ZERO = 1e6
 
 

@@ -42,15 +42,15 @@ from midspan.fusion.hypothesis import (
 )
 from midspan.fusion.innovation import look
 
-# Innovations beyond so many standard deviations are asked what happened: one in 16 000 is by chance.
+# Innovations beyond this number of standard deviations are asked what happened: one in 16 000 is by chance.
 GATE = 4.0
-# A measurement so many times (in variance) as far off as predicted is an outlier until the next one says otherwise: 100
-# deviations. The least weight of anything else would move the rows by that share of whatever size it has.
+# A measurement this many times (in variance) as far off as predicted is an outlier until the next one says otherwise:
+# 100 deviations. The least weight of anything else would move the rows by that share of whatever size it has.
 WILD = 1e4
-# A prediction whose variance is so many times the measurement's own cannot tell an outlier from a measurement inside
+# A prediction whose variance is this many times the measurement's own cannot tell an outlier from a measurement inside
 # the gate: later ones decide. At 25 an outlier at the gate moves the state by five times what a sound one leaves.
 VAGUE = 25.0
-# The share of outliers is what it was of so many measurements, and never more than this: a sensor that is mostly wrong
+# The share of outliers is that of this number of measurements, and never more than this: a sensor that is mostly wrong
 # cannot be distinguished from one that has shifted.
 OUTLIER_MEMORY, MOST_OUTLIERS = 20.0, 0.3
 LOG_2PI = np.log(2.0 * np.pi)
@@ -58,7 +58,7 @@ LOG_2PI = np.log(2.0 * np.pi)
 DECADES = 4.0
 # What goes on as an error of the acceleration is so often one of the bias, which a state led away holds too.
 BIAS_TOO = 0.05
-# Of the gaps and steps back in the stamps of a stream so many are one clock's step against the others.
+# Of the gaps and steps back in the stamps of a stream this share is one clock's step against the others.
 P_STEPPED = 0.1
 # Errors of the acceleration up to this many times (in variance) its noise are met more often: 30 deviations. At 100
 # lively records (`python -m benchmarks broad`) had measurements rejected that were right.

@@ -12,7 +12,7 @@ from midspan.settings.stored.calibration import CALIBRATION_FILE
 
 # A calibration of an hour's recording takes minutes.
 LONGEST_S = 1800.0
-# Of the process, as of POSIX: 0 usual, 19 least urgent.
+# Of the process, as of POSIX (0 usual, 19 least urgent): a tenth of the processor where the engine needs it all.
 NICENESS = 10
 COMMAND = "from midspan.cli.main import main; main()"
 

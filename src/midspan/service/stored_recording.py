@@ -26,7 +26,7 @@ from midspan.store.store import Store, StoredCalibration, is_address
 from midspan.trees import TreeError, json_tree
 
 ACCELERATION_FILE = "acceleration.npz"
-# A radar's frames are written together, so many at a time.
+# A radar's frames that are written together.
 FRAMES_AT_A_TIME = 1024
 # What messages advise for files, and for a store in its place.
 ADVICE = {

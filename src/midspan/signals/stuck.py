@@ -74,7 +74,7 @@ def _recurs(value: Floats, level: float) -> bool:
     """Whether values (n,) come to their smallest or largest one more often than those of a motion do.
 
     Of all motions a sine stays near its crests for longest: within d of a crest as the root of d. So of the values
-    within so many steps of the crest one over the root of that number are on it at most. Long runs may be rest.
+    within this number of steps of the crest one over the root of that number are on it at most. Long runs may be rest.
     """
     from scipy.special import bdtrc
 

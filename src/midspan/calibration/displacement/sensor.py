@@ -29,8 +29,6 @@ TOLD, CERTAIN, REFUSED = 0.015, 4.5, 0.5
 MAX_OPTIMISTIC = 1.5
 # Where this many values would count as frozen, the sensor's resolution is coarse compared with the motion.
 MAX_FROZEN = 0.5
-# What an exposure takes is looked at at so many instants at most.
-MAX_INSTANTS = 20_000
 
 
 DisplacementFit = SensorFit[DisplacementCalibration, NoiseCalibration]
@@ -123,8 +121,7 @@ def _lost_m(given: Given, learnt: NoiseCalibration) -> float:
         lost += [float(np.sqrt(max(learnt.variance_factor - known_m**2, 0.0))), learnt.low_pass.taken_m]
     if given.exposure_s is None and learnt.exposure_s > 0.0:
         shaken = given.prepared.with_noise(1.0)
-        at_ns = shaken.time_ns[:: max(len(shaken.time_ns) // MAX_INSTANTS, 1)]
-        taken = taken_by_averaging(shaken.time_ns, shaken.value_m_s2, at_ns, learnt.exposure_s)
+        taken = taken_by_averaging(shaken.time_ns, shaken.value_m_s2, given.series.time_ns, learnt.exposure_s)
         lost.append(float(np.std(taken)))
     return float(np.linalg.norm(lost))
 
