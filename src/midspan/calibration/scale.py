@@ -174,7 +174,8 @@ def _refuse_no_motion(pair: Pair, fit: Fit, noise: float) -> None:
     if seen > CLEARLY_MOVING * noise and gain < MIN_GAIN:
         raise NoAgreementError(
             f"No agreement between image and accelerometer {figures}: the image moves, but not with the acceleration. "
-            "Check camera.direction, that the region shows something fixed and that both files are of the same event; "
+            "Check camera.direction, that both files are of the same event, and that the region shows something fixed "
+            "where the camera is on the structure, or the structure at the accelerometer where it is on a tripod; "
             f"where the clocks may differ by more, raise calibration.max_offset_s or set camera.start_s. {NOT_SHOWN}"
         )
     would_be = (

@@ -72,7 +72,7 @@ class LensSettings(Section):
 
 
 class CameraSettings(Section):
-    """A camera on the structure that looks at fixed surroundings."""
+    """A camera: on the structure, looking at fixed surroundings, or on a tripod, looking at the structure."""
 
     name: SensorName | None = Field(None, description="what it is called where there are several of a kind")
     file: FileName
