@@ -19,6 +19,7 @@ from midspan.recording.cameras import calibrate_cameras, together
 from midspan.recording.kinds import ROWS
 from midspan.recording.streams.recording import Recording, naming, open_recording
 from midspan.recording.streams.window import calibration_window, liveliest_minute
+from midspan.settings.plausible import implausible
 from midspan.settings.sensor_words import in_words_of, worded
 from midspan.settings.stored.calibration import Calibration, placed
 
@@ -91,7 +92,7 @@ def _calibrate_and_track(recording: Recording, progress: Progress) -> tuple[Cali
         main,
         accelerometer_scale=gain,
         sensor_axis=axis,
-        warnings=tuple(warnings),
+        warnings=(*warnings, *implausible(recording.settings, main)),
         across=across,
         left_out=view.axis if view is not None and across is None else "",
     )

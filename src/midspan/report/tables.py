@@ -16,6 +16,7 @@ from midspan.radar.target import Target
 from midspan.records import NANOSECONDS, Event, Region, TimeOffset
 from midspan.report.material import Material
 from midspan.settings.camera import CameraSettings
+from midspan.settings.plausible import GRAVITY_M_S2
 from midspan.settings.stored.calibration import Calibration
 from midspan.trees import flattened
 from midspan.vision.roi import RegionChoice
@@ -134,6 +135,7 @@ def calibrated(found: Calibration) -> list[Row]:
             f"{motion_s:.2g} s times its mean square" if motion_s else "none found",
         ),
         ("accelerometer: bias", _bias(found)),
+        *_motion(found),
         ("made", f"{found.created} by midspan {found.version}"),
     ]
     return rows
@@ -155,6 +157,15 @@ def _direction(found: Calibration) -> list[Row]:
 def _bias(found: Calibration) -> str:
     std = f" ± {1e3 * found.bias_std_m_s2:.2g}" if math.isfinite(found.bias_std_m_s2) else ""
     return f"{1e3 * found.bias_m_s2:.4g}{std} mm/s²"
+
+
+def _motion(found: Calibration) -> list[Row]:
+    """How lively the calibration was, in units in which a wrong one shows."""
+    usual = found.usual
+    if usual is None or not math.isfinite(usual.low_m_s2) or usual.moved_m <= 0.0:
+        return []
+    peak = max(usual.high_m_s2 - usual.mean_m_s2, usual.mean_m_s2 - usual.low_m_s2) / GRAVITY_M_S2
+    return [("accelerometer: motion calibrated on", f"up to {peak:.2g} g; {1e3 * usual.moved_m:.3g} mm rms")]
 
 
 def _camera(camera: CameraCalibration) -> list[Row]:

@@ -100,6 +100,12 @@ class CameraSettings(Section):
     distance_m: Annotated[float, IsNumber, limited(1e-3, 1e6, "m")] | None = Field(
         None, description="from camera to target, for tilt_std_mdeg; left out: from lens and scale factor"
     )
+    focal_length_mm: Annotated[float, IsNumber, limited(1e-2, 1e5, "mm")] | None = Field(
+        None, description="of the lens; with pixel_pitch_um and distance_m the scale factor is checked"
+    )
+    pixel_pitch_um: Annotated[float, IsNumber, limited(1e-2, 1e3, "µm")] | None = Field(
+        None, description="from pixel to pixel on the image sensor, at the video's resolution"
+    )
     tracker: Annotated[str, known(TRACKERS, "tracker")] = Field(DEFAULT_TRACKER, description="how the target is found")
     tracker_settings: dict[str, Any] = Field(
         default_factory=dict, description="settings of the tracker by name, see docs/methods.md; left out: its defaults"
@@ -126,6 +132,13 @@ class CameraSettings(Section):
         rois = [target.roi for target in self.target]
         if len(set(rois)) < len(rois):
             raise ValueError("must give each [[camera.target]] its own roi; two are the same")
+        return self
+
+    @model_validator(mode="after")
+    def _optics_are_whole(self) -> "CameraSettings":
+        optics = (self.focal_length_mm, self.pixel_pitch_um)
+        if any(optics) and not (all(optics) and self.distance_m):
+            raise ValueError("must have focal_length_mm, pixel_pitch_um and distance_m together: they give mm/px")
         return self
 
     @model_validator(mode="after")
