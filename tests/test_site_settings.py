@@ -3,7 +3,9 @@
 import pytest
 
 from midspan.errors import DataError, UsageError
-from midspan.settings.site import is_site, load_site, without_secrets
+from midspan.settings.addresses import without_secrets
+from midspan.settings.site import is_site, load_site
+from midspan.settings.site_folders import require_folders
 
 SITE = """
 name = "river-bridge"
@@ -53,8 +55,8 @@ def test_a_site_as_documented(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (('name = "quarter-span"', 'name = "a b"'), r"point\[1\]: name = 'a b': must be 1 to 64 letters"),
-        (('method = "lag"', 'method = "smoother"'), r"point\[1\]: method = 'smoother'"),
+        (('name = "quarter-span"', 'name = "a b"'), r"point 'a b': name = 'a b': must be 1 to 64 letters"),
+        (('method = "lag"', 'method = "smoother"'), r"point 'quarter-span': method = 'smoother'"),
         (('source = "mqtt:bridge/acc1"', 'source = "ftp://x"'), r"accelerometer.source: must be one of mqtt:"),
         (('source = "mqtt:bridge/acc1"', ""), r"accelerometer.source: is missing"),
         (('unit = "g"', 'unit = "g"\nfile = "a.csv"'), r"accelerometer.file: belongs to files"),
@@ -66,8 +68,32 @@ def test_a_site_as_documented(tmp_path, monkeypatch):
         (('"river-bridge"', '"a\\u0007"'), r"must be 1 to 64 characters other than \+, #, / and control"),
         (('"river-bridge"', '""'), r"name = ''"),
         (("[[point]]", "[point]"), r"must be one \[\[point\]\]"),
-        (('[mqtt]\npassword = "{SITE_SECRET}"', ""), r"mqtt: is missing"),
-        (("[point.accelerometer]", "[point.accelerometre]"), r"accelerometre: is not a known section"),
+        (('[mqtt]\npassword = "{SITE_SECRET}"', ""), r"accelerometer.source: is mqtt:…, but \[mqtt\] is missing"),
+        (
+            ("[point.accelerometer]", "[point.accelerometre]"),
+            r"point 'quarter-span': accelerometre: is not a known section. Did you mean 'accelerometer'\? Known: .*"
+            r"accelerometer, camera, infrared, radar, displacement",
+        ),
+        (('name = "quarter-span"\n', ""), r"point\[1\]: name: is missing"),
+        (("[[point]]", "[[points]]"), r"is not a known section. Did you mean 'point'\?"),
+        (("[store]", "foo = 1\n[store]"), r"foo: is not a known key. Known: name, store, mqtt, service, point"),
+        (
+            ('method = "lag"', "calibraton_s = 40"),
+            r"calibraton_s: is not a known key. Did you mean 'calibration_s'\? Known: name, method, lag_s, cal",
+        ),
+        (
+            ('unit = "g"', 'unitt = "g"'),
+            r"accelerometer.unitt: is not a known key. Did you mean 'unit'\? Known: source, unit, rate_hz, noise_std,",
+        ),
+        (('direction = "y"', 'direction = "xy"'), r"""camera.direction = "xy": must be "x" or "y"; both axes are"""),
+        (('method = "lag"', "lag_s = 0.4"), r"""'quarter-span': must have method = "lag" with lag_s"""),
+        (("mqtt:bridge/acc1", "mqtt:bridge/#"), r"accelerometer.source: must be one topic, without the wildcards"),
+        (("mqtt:bridge/acc1", "mqtt:+/acc1"), r"accelerometer.source: must be one topic, without the wildcards"),
+        (
+            ("mqtt:bridge/acc1", "mqtt:midspan/v1/river-bridge/quarter-span/displacement"),
+            r"accelerometer.source: must be another topic than the site's own results, midspan/v1/river-bridge/",
+        ),
+        (("rtsp://user:{SITE_SECRET}@127.0.0.1:8554/cam", "usb:x"), r"camera.source: must be usb: and the number"),
     ],
 )
 def test_a_wrong_setting_is_one_message_with_file_key_and_rule(tmp_path, monkeypatch, change, words):
@@ -98,8 +124,42 @@ def test_two_points_of_one_name_are_refused(tmp_path, monkeypatch):
 
 
 def test_a_missing_secret_is_named(tmp_path, monkeypatch):
-    with pytest.raises(UsageError, match=r"mqtt.password: \{SITE_SECRET\} is taken from the environment"):
+    with pytest.raises(UsageError, match=r"mqtt.password: \{SITE_SECRET\} is taken .* is not set"):
         loaded(tmp_path, monkeypatch, secret=None)
+    with pytest.raises(UsageError, match=r"mqtt.password: \{SITE_SECRET\} is taken .* is empty"):
+        loaded(tmp_path, monkeypatch, secret="")
+    with pytest.raises(UsageError, match=r"point 'quarter-span'.camera.source: \{NONE_SUCH\} is taken"):
+        loaded(tmp_path, monkeypatch, SITE.replace("user:{SITE_SECRET}", "user:{NONE_SUCH}"))
+
+
+def test_the_folder_of_a_site_is_the_site(tmp_path, monkeypatch):
+    loaded(tmp_path, monkeypatch)
+    assert is_site(tmp_path)
+    assert load_site(tmp_path).file == tmp_path / "SITE.toml"
+    (tmp_path / "SITE.toml").write_text("")
+    assert is_site(tmp_path)
+    with pytest.raises(UsageError, match=r"SITE.toml: is empty"):
+        load_site(tmp_path)
+    (tmp_path / "recording.toml").write_text("")
+    assert not is_site(tmp_path)
+
+
+@pytest.mark.parametrize("key", ["path", "archive"])
+def test_folders_that_cannot_be_made_are_named_with_their_key(tmp_path, monkeypatch, key):
+    before = 'path = "store"' if key == "path" else 'path = "store"\narchive = "archive"'
+    text = SITE.replace('path = "store"', before)
+    site = loaded(tmp_path, monkeypatch, text)
+    require_folders(site)
+    assert [file.name for file in tmp_path.iterdir()] == ["SITE.toml"]
+    named = "store" if key == "path" else "archive"
+    (tmp_path / named).mkdir()
+    touched_ns = (tmp_path / named).stat().st_mtime_ns
+    require_folders(site)
+    assert (tmp_path / named).stat().st_mtime_ns == touched_ns
+    for place, why in (("SITE.toml", "SITE.toml is a file"), ("SITE.toml/below", "is a file"), ("/proc/x", "/proc: ")):
+        site = loaded(tmp_path, monkeypatch, text.replace(f'{key} = "{named}"', f'{key} = "{place}"'))
+        with pytest.raises(UsageError, match=rf"SITE.toml: store.{key} = '{place}': must be a folder .*{why}"):
+            require_folders(site)
 
 
 def test_a_missing_file_is_no_traceback(tmp_path):

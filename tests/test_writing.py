@@ -12,7 +12,7 @@ from midspan.cli.main import run
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="kills and limits of a POSIX system")
 
-SUFFIXES = [".csv", ".parquet", ".h5", ".mat", ".mseed", ".uff"]
+SUFFIXES = [".csv", ".parquet", ".h5", ".mat", ".xlsx", ".tdms", ".mseed", ".uff"]
 FEW_BYTES = 1000  # less than any of the files
 
 

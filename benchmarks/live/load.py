@@ -109,6 +109,9 @@ def whole(site: RunningSite) -> None:
         lost += round((raw[-1] - raw[0]) * 100 / NANOSECONDS) + 1 - len(raw)
         rows = stored_table(store, point, None, None).time_ns
         missing += round((rows[-1] - rows[0]) * 100 / NANOSECONDS) + 1 - len(rows)
+        steps_s = np.diff(rows) / NANOSECONDS
+        for k in np.flatnonzero(steps_s > 0.015):
+            print(f"        {point}: no row for {steps_s[k]:g} s after {(rows[k] - rows[0]) / NANOSECONDS:g} s")
     store.close()
     goal("samples lost", lost, 0)
     goal("rows missing", missing, 0)

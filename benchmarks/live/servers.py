@@ -1,5 +1,7 @@
 """Servers on loopback that can be stopped and started again at the same port: an MQTT broker, an RTSP camera."""
 
+import base64
+import hashlib
 import os
 import secrets
 import shutil
@@ -25,12 +27,12 @@ def free_port() -> int:
         return int(server.getsockname()[1])
 
 
-def wait_for(port: int, seconds: float = 20.0) -> None:
+def wait_for(port: int, seconds: float = 120.0) -> None:
     """Wait until something listens on a port."""
     until_s = time.monotonic() + seconds
     while time.monotonic() < until_s:
         try:
-            socket.create_connection(("127.0.0.1", port), timeout=1.0).close()
+            socket.create_connection(("127.0.0.1", port), timeout=10.0).close()
         except OSError:
             time.sleep(0.1)
         else:
@@ -62,7 +64,7 @@ class Server:
         """End it; nothing where it does not run."""
         if self._process is not None:
             self._process.kill()
-            self._process.wait(timeout=10)
+            self._process.wait(timeout=60)
             self._process = None
 
 
@@ -75,6 +77,17 @@ class Mosquitto(Server):
         self._file.write_text(
             f"listener {self.port} 127.0.0.1\nallow_anonymous true\npersistence false\nmax_queued_messages 0\n"
         )
+
+    def require(self, user: str, password: str) -> None:
+        """Let only one user in, from the next start on."""
+        salt = secrets.token_bytes(12)
+        key = hashlib.pbkdf2_hmac("sha512", password.encode(), salt, 101)
+        coded = "$".join(base64.b64encode(part).decode() for part in (salt, key))
+        known = self._file.with_name("mosquitto.passwords")
+        known.write_text(f"{user}:$7$101${coded}\n")
+        text = self._file.read_text().replace("allow_anonymous true", "allow_anonymous false")
+        # Started by root it would read the file as another user, who may not.
+        self._file.write_text(f"{text}password_file {known}\nuser root\n")
 
     @staticmethod
     def program() -> str | None:

@@ -45,6 +45,7 @@ _PLACES = {
     "open_recording": "recording.streams.recording",
     "open_tracker": "vision.tracker",
     "smooth": "fusion.streams",
+    "track": "recording.tracking.track",
     "write_report": "report.report",
 }
 

@@ -7,12 +7,16 @@ import difflib
 import reprlib
 from collections.abc import Iterable
 from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from midspan.errors import UsageError
 
+Kind = TypeVar("Kind")
 _SHORT = reprlib.Repr()
 _SHORT.maxlevel, _SHORT.maxdict, _SHORT.maxlist, _SHORT.maxtuple = 4, 8, 16, 16
 _SHORT.maxstring = _SHORT.maxother = _SHORT.maxlong = 80
@@ -40,6 +44,17 @@ RATE_HZ = ValueRange(1e-6, 1e9, "Hz")
 # The carrier of chirp and pulsed radars.
 CARRIER_HZ = ValueRange(1e9, 1e12, "Hz")
 
+# What other programs call a key or a tracker of midspan's.
+SYNONYMS = {
+    **dict.fromkeys(("fps", "frame-rate", "framerate", "sample-rate", "sampling-rate", "fs"), "rate_hz"),
+    **dict.fromkeys(("lucas-kanade", "klt", "optical-flow", "dic", "ecc"), "registration"),
+    **dict.fromkeys(("ncc", "zncc", "template-matching"), "template"),
+    **dict.fromkeys(("surf", "sift", "orb", "akaze"), "features"),
+    **dict.fromkeys(("pbm", "phase-based"), "phase"),
+    **dict.fromkeys(("rts", "rauch-tung-striebel"), "smoother"),
+    **dict.fromkeys(("amkf", "akf"), "adaptive-kalman"),
+}
+
 
 def shown(value: object) -> str:
     """A value as messages show it, long and deep ones shortened."""
@@ -48,7 +63,7 @@ def shown(value: object) -> str:
 
 def within(name: str, value: float, limits: ValueRange) -> float:
     """Return `value` if it is a number within `limits`."""
-    if value not in limits:
+    if not isinstance(value, int | float | np.number) or value not in limits:
         raise refuse(name, str(limits), value)
     return value
 
@@ -57,6 +72,20 @@ def refuse(name: str, rule: str, received: object, remedy: str = "") -> UsageErr
     """The error for an argument `name` that breaks `rule`; the caller raises it."""
     text = f"{name} must be {rule}; received {shown(received)}."
     return UsageError(f"{text} {remedy}".rstrip())
+
+
+def path_of(name: str, value: object) -> Path:
+    """The path that a text or a path object names; UsageError for anything else and for an empty one."""
+    if not isinstance(value, str | PathLike) or not str(value):
+        raise refuse(name, "a path, as text or pathlib.Path", value)
+    return Path(value)
+
+
+def instance(name: str, value: object, kinds: type[Kind] | tuple[type[Kind], ...], rule: str, remedy: str = "") -> Kind:
+    """Return `value` if it is an instance of one of `kinds`; `rule` says in words what it must be."""
+    if not isinstance(value, kinds):
+        raise refuse(name, rule, value, remedy)
+    return value
 
 
 def positive(name: str, value: float, unit: str = "") -> float:
@@ -94,11 +123,12 @@ def option(name: str, value: str, known: Iterable[str]) -> str:
     """Return `value` if it is one of `known`; the message names the nearest."""
     names = list(known)
     if value not in names:
-        raise refuse(name, f"one of {', '.join(names)}", value, nearest(value, names))
+        raise refuse(name, f"one of {', '.join(names)}", value, nearest(value, names) if isinstance(value, str) else "")
     return value
 
 
 def nearest(value: str, known: Iterable[str]) -> str:
-    """A sentence that names the known word nearest to `value`, or an empty text."""
-    close = difflib.get_close_matches(value, list(known), n=1, cutoff=0.5)
+    """A sentence that names the known word that means `value` or is nearest to it, or an empty text."""
+    names, meant = list(known), SYNONYMS.get(value.lower().replace("_", "-"))
+    close = [meant] if meant in names else difflib.get_close_matches(value, names, n=1, cutoff=0.5)
     return f"Did you mean {close[0]!r}?" if close else ""

@@ -1,6 +1,7 @@
 """Trees of plain values from TOML and JSON files, which people edit: encoding, depth and numbers are checked here."""
 
 import json
+import re
 import stat
 import tomllib
 from collections.abc import Iterator, Mapping
@@ -53,13 +54,22 @@ def read_toml(path: Path) -> dict[str, Any]:
     try:
         tree = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise TreeError(f"is not valid TOML: {error}. Text values need quotes") from None
+        raise TreeError(f"is not valid TOML: {error}. {_toml_remedy(text, str(error))}") from None
     except RecursionError:
         raise _too_deep() from None
     except ValueError:
         raise TreeError("holds a number of thousands of digits. Correct it") from None
     _check(tree)
     return tree
+
+
+def _toml_remedy(text: str, said: str) -> str:
+    """What to do where TOML is not valid: a backslash in the line that is named is that of a Windows path."""
+    place = re.search(r"at line (\d+)", said)
+    line = text.splitlines()[int(place[1]) - 1] if place else ""
+    if "\\" in line:
+        return "Between double quotes a backslash begins a code: write / in Windows paths, or put them in single quotes"
+    return "Text values need quotes"
 
 
 def read_json(path: Path) -> Any:
@@ -115,6 +125,15 @@ def _check(tree: Any) -> None:
 
 def _too_deep() -> TreeError:
     return TreeError(f"must have at most {MAX_LEVELS} levels of brackets; it has more. Check that it is the right file")
+
+
+def toml_value(value: Any) -> str:
+    """A value as TOML writes it, in one line."""
+    import tomli_w
+
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(toml_value, value))}]"
+    return tomli_w.dumps({"key": value}).partition("= ")[2].rstrip("\n")
 
 
 def flattened(tree: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:

@@ -87,9 +87,11 @@ def test_track_names_the_targets_and_one_region_wins_over_them(targets, tmp_path
 
 def test_track_shows_three_digits_of_a_deviation(targets, tmp_path, capsys):
     assert run(["track", str(targets), "--roi", "84,20,48,48", "-o", str(tmp_path / "one.csv")]) == 0
-    shown = re.findall(r"median std [xy] px +(\S+)", capsys.readouterr().out)
+    text = capsys.readouterr().out
+    shown = re.findall(r"standard deviation (\S+) px \(median\)", text)
     assert len(shown) == 2
     assert all(f"{float(value):.3g}" == value for value in shown)
+    assert "x 84, y 20, 48 × 48 px" in text
 
 
 def test_a_target_outside_the_image_is_wrong_use(targets, tmp_path, capsys):

@@ -12,7 +12,7 @@ from lens_cases import write_pictures
 from midspan.cli.main import COMMANDS, run
 from recording_edits import append, error_mm, read_columns, set_keys
 
-FORMATS = [".csv", ".parquet", ".h5", ".mat", ".mseed", ".uff"]
+FORMATS = [".csv", ".parquet", ".h5", ".mat", ".xlsx", ".tdms", ".mseed", ".uff"]
 RESULT_COLUMNS = "time_s,displacement_mm,displacement_std_mm,velocity_mm_s,source,status"
 TRACK_COLUMNS = "time_s,x_px,y_px,std_x_px,std_y_px,status"
 
@@ -336,6 +336,8 @@ def test_demo_makes_a_recording_and_comes_close_to_the_bound(tmp_path, capsys):
     assert figures["correlation"] > 0.9999
     assert {"recording", "report.html", "result.csv", "result.json"} <= {path.name for path in folder.iterdir()}
     assert (folder / "recording" / "calibration.json").is_file()
+    # A minute at 100 Hz with all its rows and pictures can be sent by mail.
+    assert (folder / "report.html").stat().st_size <= 1.5e6
 
 
 def test_a_calibration_of_another_sensor_is_refused_by_name(gnss, done, tmp_path, capsys):

@@ -83,25 +83,51 @@ def test_what_a_site_names_and_is_not_there_is_said(tmp_path, capsys):
     code, found = checked(tmp_path, capsys)
     assert code == 0
     assert [line.partition("SITE.toml: ")[2] for line in found["warnings"]] == [
-        "point[1].calibration = 'p.json': no such file yet.",
-        "point[1].accelerometer.unit: is left out; m/s^2 is taken.",
-        "point[2].accelerometer.source = 'replay:bridge': no such recording yet.",
-        "point[2].camera.source = 'replay:bridge': no such recording yet.",
+        "point 'p': calibration = 'p.json': no such file yet.",
+        "point 'p': accelerometer.unit: is left out; m/s^2 is taken.",
+        "point 'q': accelerometer.source = 'replay:bridge': no such recording yet.",
+        "point 'q': camera.source = 'replay:bridge': no such recording yet.",
     ]
-    (tmp_path / "p.json").write_text("{}")
+    (tmp_path / "p.json").write_text("no calibration")
+    code, found = checked(tmp_path, capsys)
+    assert code == 3
+    assert "SITE.toml: point 'p': calibration: " in found["error"]
+    (tmp_path / "p.json").unlink()
     (tmp_path / "bridge").mkdir()
     (tmp_path / "bridge" / "recording.toml").write_text("")
-    code, found = checked(tmp_path, capsys, SITE.replace('"mqtt:a"', '"mqtt:a"\nunit = "g"'))
+    text = SITE.replace('"mqtt:a"', '"mqtt:a"\nunit = "g"').replace('calibration = "p.json"\n', "")
+    code, found = checked(tmp_path, capsys, text)
     assert (code, found["warnings"]) == (0, [])
 
 
 def test_a_unit_of_something_else_and_a_site_without_points_are_refused(tmp_path, capsys):
     code, found = checked(tmp_path, capsys, SITE.replace('"mm"', '"g"'))
     assert code == 2
-    assert "point[1].displacement: " in found["error"]
+    assert "point 'p': displacement: " in found["error"]
     code, found = checked(tmp_path, capsys, SITE[: SITE.index("[[point]]")])
     assert code == 2
     assert "point: is missing. Add one [[point]]" in found["error"]
+
+
+def test_a_folder_with_a_site_is_that_site_and_a_store_in_the_place_of_a_file_is_refused(tmp_path, capsys):
+    text = SITE.replace('path = "store"', 'path = "SITE.toml"')
+    code, found = checked(tmp_path, capsys, text)
+    assert (code, "store.path = 'SITE.toml': must be a folder" in found["error"]) == (2, True)
+    for command in ("check-config", "run"):
+        assert run([command, str(tmp_path), "--json"]) == 2
+        assert "store.path = 'SITE.toml': must be a folder" in json.loads(capsys.readouterr().out)["error"]
+
+
+def test_an_empty_file_is_neither_a_recording_nor_a_site(tmp_path, capsys):
+    (tmp_path / "new.toml").write_text("")
+    assert run(["check-config", str(tmp_path / "new.toml"), "--json"]) == 2
+    assert "is empty. A recording has [accelerometer]" in json.loads(capsys.readouterr().out)["error"]
+
+
+def test_a_replay_by_a_method_for_files_leaves_no_store(gnss, tmp_path, capsys):
+    assert run(["replay", str(gnss), "-o", str(tmp_path / "new"), "--method", "smoother"]) == 2
+    assert "kalman" in capsys.readouterr().err
+    assert not (tmp_path / "new").exists()
 
 
 @pytest.fixture(scope="module")

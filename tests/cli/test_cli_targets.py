@@ -12,7 +12,7 @@ from midspan.report.lens import draw_lens
 from midspan.sources.camera.lens import LensRequest, lens_from_pictures
 from midspan.vision.checkerboard import Board
 
-RESULTS = [".csv", ".parquet", ".h5", ".mat", ".mseed", ".uff"]
+RESULTS = [".csv", ".parquet", ".h5", ".mat", ".xlsx", ".tdms", ".mseed", ".uff"]
 
 
 @pytest.fixture(scope="module")

@@ -136,6 +136,9 @@ def test_a_frozen_channel_is_bridged_from_its_first_repeated_sample(length):
     for k in range(6000):
         out += guard.push(Readings(TIME_NS[k : k + 1], value[k : k + 1, None]))
         waits.append(len(guard.state.stamps.time_ns))
+        # Live, somebody has to know within some seconds.
+        assert not guard.unseen or 3000 < k <= 3000 + length
+        assert guard.unseen == "frozen" or not 3300 < k < 3000 + length
     out += guard.finish()
     found = joined([item for item in out if isinstance(item, Samples)])
     np.testing.assert_array_equal(np.flatnonzero(found.kind), np.arange(3001, 3000 + length))

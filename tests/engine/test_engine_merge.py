@@ -182,6 +182,27 @@ def test_nobody_is_silent_while_the_process_was_stopped():
     ) == 2
 
 
+@pytest.mark.parametrize("first", ["accel", "camera"])
+def test_what_goes_on_after_the_process_was_stopped_is_no_clock_set_ahead(first):
+    """Senders that keep nothing: after a stop of 40 s their stamps go on 40 s later, whichever comes first."""
+    merge = Merge(("accel", "camera"), lateness_s=0.02, silent_s=5.0)
+    out = pushed(merge, Tick(0), Arrival("accel", 0, readings([0, 10])), Arrival("camera", 0, frame(10)))
+    other = Merge(("accel", "camera"), lateness_s=0.02, silent_s=5.0)
+    other.restore(merge.state)
+    out = pushed(other, Tick(40_000 * MS))
+    for k in range(1, 200):
+        both = [
+            Arrival("accel", k, readings([40_000 + 10 * k])),
+            Arrival("camera", k, frame(40_000 + 10 * k)),
+        ]
+        out += pushed(other, Tick((40_000 + 10 * k) * MS), *(both if first == "accel" else both[::-1]))
+    assert all(not isinstance(what, str) for _, _, what in out)
+    assert sum(stream == "accel" for stream, _, _ in out) >= 198
+    # A clock that is set ahead while somebody listens is one still.
+    pushed(other, Arrival("accel", 200, readings([90_000])))
+    assert other.health[0].disordered == 1
+
+
 def test_faults_within_a_stream_are_events_at_their_place():
     merge = Merge(("accel",))
     out = pushed(merge, Arrival("accel", 0, readings([0, 10, 10, 20, 5, 6, 30])), Arrival("accel", 3, readings([40])))

@@ -58,10 +58,11 @@ def settings(value, step_s, **more):
 
 
 @pytest.mark.parametrize(("rate_hz", "count"), [(1.0, 12), (10.0, 40), (100.0, 300)])
+@pytest.mark.parametrize("late_s", [0.0, 0.0037], ids=["stamps of samples", "stamps between samples"])
 @pytest.mark.parametrize("seed", range(4))
-def test_a_stuck_value_is_left_out_until_it_changes(rate_hz, count, seed):
+def test_a_stuck_value_is_left_out_until_it_changes(rate_hz, count, late_s, seed):
     motion = random_motion((0.3, 8.0), 3e-3, rng=np.random.default_rng(seed), flat="velocity")
-    time = np.arange(0.5, 59.5, 1.0 / rate_hz)
+    time = np.arange(0.5, 59.5, 1.0 / rate_hz) + late_s
     value = motion.displacement(time) + 1e-4 * np.random.default_rng(seed).standard_normal(len(time))
     first = len(time) // 3
     value[first : first + count] = value[first]
@@ -89,10 +90,11 @@ def test_coarse_resolution_at_rest_is_no_fault(step_m):
         assert used(run(PlainChain(settings(value, 0.1)), samples, time, value), time).all()
 
 
-def test_any_cutting_gives_the_same():
+@pytest.mark.parametrize("late_s", [0.0, 0.0037])
+def test_any_cutting_gives_the_same(late_s):
     motion = random_motion((0.3, 8.0), 3e-3, rng=np.random.default_rng(7), flat="velocity")
     samples = samples_of(motion, 7)
-    time = np.arange(0.5, 59.5, 0.1)
+    time = np.arange(0.5, 59.5, 0.1) + late_s
     value = motion.displacement(time)
     value[100:140], value[300:303], value[400:590] = value[100], value[300], value[400]
     value[[110, 120, 500]] = np.nan

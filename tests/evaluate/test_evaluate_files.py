@@ -9,7 +9,7 @@ from midspan.records import Source, Status, nanoseconds
 from midspan.sinks.table import ResultTable
 from midspan.sinks.write import write_result
 
-SUFFIXES = [".csv", ".parquet", ".h5", ".mat", ".mseed", ".uff"]
+SUFFIXES = [".csv", ".parquet", ".h5", ".mat", ".xlsx", ".tdms", ".mseed", ".uff"]
 TIME_NS = nanoseconds(1.25 + np.arange(1500) / 100.0)
 TIME_S = TIME_NS / 1e9
 

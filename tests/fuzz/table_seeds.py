@@ -90,6 +90,10 @@ def _hdf5(**how):
     return write
 
 
+def _xlsx(path):
+    pd.DataFrame({"time_s": TIME_S, "accel": ACCEL, "word": ["a", "b"] * (TABLE_ROWS // 2)}).to_excel(path, index=False)
+
+
 def _tdms(path):
     properties = {"wf_increment": 1 / TABLE_HZ, "wf_start_time": np.datetime64("2024-05-01T12:00:00", "us"),
                   "wf_start_offset": 0.0, "unit_string": "m/s^2"}  # fmt: skip
@@ -192,6 +196,7 @@ TABLES = (
     Seed("hdf5", "HDF5", "a.h5", table(_hdf5(), "a.h5", 'value = "deck/accel"\n')),
     Seed("hdf5-packed", "HDF5", "a.h5",
          table(_hdf5(chunks=True, compression="gzip", fletcher32=True), "a.h5", 'value = "deck/accel"\n')),
+    Seed("xlsx", "Excel workbook", "a.xlsx", table(_xlsx, "a.xlsx")),
     Seed("tdms", "TDMS", "a.tdms", table(_tdms, "a.tdms", 'value = "a1"\n')),
     Seed("lvm", "LVM", "a.lvm", table(_lvm, "a.lvm", 'value = "acc"\nunit = "g"\n'), text=True),
     Seed("mseed2", "miniSEED 2", "a.mseed", table(_miniseed(2, STEIM1, "i"), "a.mseed")),

@@ -78,4 +78,4 @@ def test_a_recording_of_anything_else_must_have_an_accelerometer(
 ) -> None:
     (tmp_path / "recording.toml").write_text(section)
     assert run(["check-config", str(tmp_path)]) == 2
-    assert "must have [accelerometer]" in capsys.readouterr().err
+    assert "has no [accelerometer]" in capsys.readouterr().err

@@ -10,7 +10,7 @@ import pytest
 import midspan
 from midspan.errors import UsageError
 from midspan.evaluate.metrics import compare
-from midspan.recording.tracking.track import TrackRequest, track
+from midspan.recording.tracking.track import track
 from midspan.records import Source, Status, TimeSeries, nanoseconds
 from midspan.report.report import report_html
 from midspan.simulate.motion.motion import Sum, random_motion
@@ -324,7 +324,7 @@ def test_an_exposure_that_is_told_does_not_shrink_the_scale(simulated):
 
 
 def test_the_translation_times_the_scale_is_the_displacement(footbridge, result):
-    tracked = track(footbridge, TrackRequest())
+    tracked = track(footbridge)
     known = truth(footbridge)
     time_s = tracked.track.time_ns / 1e9 + TRUE_OFFSET
     expected = np.interp(time_s, known[:, 0], known[:, 1])
@@ -380,7 +380,7 @@ def test_a_result_is_compared_and_reported_by_itself(footbridge, result, tmp_pat
     assert direct.coverage_95 == pytest.approx(by_file.coverage_95, abs=1e-3)
     page = result.report(tmp_path / "report.html")
     assert page == tmp_path / "report.html"
-    assert "RMSE against reference" in page.read_text(encoding="utf-8")
+    assert "RMSE, reference as it is" in page.read_text(encoding="utf-8")
     with pytest.raises(UsageError, match="one axis only"):
         midspan.compare(result, footbridge / "truth.csv", axis="x")
 

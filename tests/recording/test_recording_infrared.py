@@ -12,7 +12,7 @@ from midspan.calibration.camera.best_range import compared_band
 from midspan.cli.main import run as command_line
 from midspan.errors import DataError, UntrustedError, UsageError
 from midspan.recording.inspect import inspect_recording
-from midspan.recording.tracking.track import TrackRequest, track
+from midspan.recording.tracking.track import track
 from midspan.records import Region, Source, Status
 from midspan.settings.stored.calibration_file import load_calibration
 from midspan.simulate.motion.motion import Sines
@@ -163,7 +163,7 @@ def test_a_hand_before_the_lens_is_no_displacement(day_copy, tracker):
     rng = np.random.default_rng(0)
     pictures[covered] = np.clip(90 + 2 * rng.standard_normal(pictures[covered].shape), 0, 255).astype(np.uint8)
     np.savez(day_copy / "camera.npz", frames=pictures, time_s=stamps)
-    found = track(day_copy, TrackRequest(tracker=tracker)).track
+    found = track(day_copy, tracker=tracker).track
     assert np.all(found.status[covered] == Status.LOST)
     assert np.all(found.status[:50] == Status.TRACKING)
 
@@ -364,12 +364,12 @@ def test_inspect_names_the_temperatures(day):
 
 
 def test_a_file_of_temperatures_can_be_tracked_by_itself(day, alone):
-    request = TrackRequest(region=Region(14, 10, 60, 60))
-    found = track(day / "infrared.npz", request)
+    region = Region(14, 10, 60, 60)
+    found = track(day / "infrared.npz", roi=region)
     assert np.mean(found.track.status == Status.TRACKING) > 0.95
     events = found.table().metadata["events"]
     assert [event["kind"] for event in events if event["kind"] == "shutter"] == ["shutter"]
-    by_recording = track(alone[0], request).track
+    by_recording = track(alone[0], roi=region).track
     np.testing.assert_array_equal(by_recording.y_px, found.track.y_px)
 
 

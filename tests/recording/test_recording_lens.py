@@ -11,7 +11,7 @@ from midspan.errors import UsageError
 from midspan.recording.calibrate import calibrate
 from midspan.recording.estimate import estimate
 from midspan.recording.streams.recording import open_recording
-from midspan.recording.tracking.track import TrackRequest, track
+from midspan.recording.tracking.track import track
 from midspan.simulate.motion.motion import Sines
 from midspan.simulate.scene.camera import Camera
 from midspan.simulate.scene.texture import textured_scene
@@ -75,7 +75,7 @@ def test_the_displacement_is_right_with_the_lens_and_bent_without(folder, tmp_pa
 
 
 def test_the_tracked_pixels_are_those_of_the_ideal_camera(folder):
-    rows = track(folder, TrackRequest()).track
+    rows = track(folder).track
     frame_s = np.arange(0, 24.8, 0.1)
     ideal = (MOTION.displacement(frame_s) - MOTION.displacement(frame_s[:1])) / SCALE_M_PER_PX
     # One frame's noise is 0.004 px of the picture and 1.5 times that here; the zero is one frame.

@@ -8,7 +8,7 @@ import pytest
 import midspan
 from midspan.cli.main import run
 from midspan.recording.inspect import inspect_recording
-from midspan.recording.tracking.track import TrackRequest, track
+from midspan.recording.tracking.track import track
 from midspan.records import Region
 from midspan.settings.stored.calibration_file import calibration_from_dict
 
@@ -97,13 +97,12 @@ def test_inspect_shows_every_sensor_under_its_name(folder):
 
 
 def test_the_printed_forms_take_one_sensor_of_a_kind_and_name_the_sections(folder):
-    recording = midspan.open_recording(folder, fusion={"method": "adaptive-kalman", "literal": True})
-    with pytest.raises(midspan.UsageError, match=r"\[\[camera\]\] must be one section here; received 2: left, right"):
-        midspan.calibrate(recording)
+    with pytest.raises(midspan.UsageError, match=r"\[\[camera\]\] must be one section with fusion.literal; received 2"):
+        midspan.open_recording(folder, fusion={"method": "adaptive-kalman", "literal": True})
 
 
 def test_track_follows_the_first_camera_and_tells_of_the_other(folder):
-    found = track(folder, TrackRequest(region=Region(5, 5, 20, 20), tracker="template"))
+    found = track(folder, roi=Region(5, 5, 20, 20), tracker="template")
     assert len(found.track.time_ns) == 12
     assert "Only the [left] was tracked; for [right] give its file as SOURCE." in found.warnings
 

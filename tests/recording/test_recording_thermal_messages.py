@@ -59,9 +59,9 @@ def test_what_was_mended_is_told_with_what_was_tracked(folder):
     stack[:, 20, 20] = np.nan
     stack[30] = np.nan
     np.save(folder / "infrared.npy", stack)
-    from midspan.recording.tracking.track import TrackRequest, track
+    from midspan.recording.tracking.track import track
 
-    found = track(folder, TrackRequest())
+    found = track(folder)
     assert len(found.track.time_ns) == 54
     told = " ".join(found.warnings)
     assert "infrared: 54 frames have missing values (NaN), at most 1 a frame, filled" in told

@@ -8,7 +8,7 @@ import midspan
 from midspan.cli.main import run as command_line
 from midspan.errors import DataError, UsageError
 from midspan.recording.inspect import inspect_recording
-from midspan.recording.tracking.track import TrackRequest, track
+from midspan.recording.tracking.track import track
 from midspan.records import Region, Status
 from midspan.sources.inspect import inspect_file
 from recording_edits import acceleration, frames, set_keys, write_acceleration, write_stack
@@ -41,8 +41,8 @@ def test_there_is_one_row_for_each_frame_and_the_first_is_zero(footbridge):
 def test_every_second_frame_is_every_second_row(footbridge):
     region = Region(16, 16, 57, 57)
     # A tracker that learns would see other frames; this one does not.
-    whole = track(footbridge, TrackRequest(region=region, tracker="template")).track
-    half = track(footbridge, TrackRequest(region=region, tracker="template", every=2)).track
+    whole = track(footbridge, roi=region, tracker="template").track
+    half = track(footbridge, roi=region, tracker="template", every=2).track
     np.testing.assert_array_equal(half.time_ns, whole.time_ns[::2])
     # The search starts elsewhere, the peak is the same to the tracker's resolution.
     np.testing.assert_allclose(half.y_px, whole.y_px[::2], atol=2e-3)
@@ -53,20 +53,20 @@ def test_frames_without_times_are_counted_and_this_is_told(footbridge_copy):
     found = track(footbridge_copy / "camera.npy")
     np.testing.assert_array_equal(found.track.time_ns, np.arange(30) * 1_000_000_000)
     assert any("rate-hz" in line for line in found.warnings)
-    timed = track(footbridge_copy / "camera.npy", TrackRequest(rate_hz=10.0, start_s=5.0))
+    timed = track(footbridge_copy / "camera.npy", rate_hz=10.0, start_s=5.0)
     assert timed.track.time_ns[1] == 5_100_000_000
 
 
 def test_a_region_outside_the_image_is_wrong_use(footbridge):
     with pytest.raises(UsageError, match="96x96"):
-        track(footbridge, TrackRequest(region=Region(60, 60, 57, 57)))
+        track(footbridge, roi=Region(60, 60, 57, 57))
 
 
 def test_a_dark_frame_is_lost_and_told(footbridge_copy):
     stack = frames(footbridge_copy)[:40]
     stack[20:23] = 0
     write_stack(footbridge_copy, stack)
-    found = track(footbridge_copy, TrackRequest(region=Region(16, 16, 57, 57)))
+    found = track(footbridge_copy, roi=Region(16, 16, 57, 57))
     assert np.flatnonzero(found.track.status == Status.LOST).tolist() == [20, 21, 22]
     assert np.all(np.isnan(found.track.y_px[20:23]))
     assert any("3 of 40" in line for line in found.warnings)

@@ -244,7 +244,7 @@ def test_columns_metadata_and_data_frame_name_the_axes(result, tmp_path):
     assert set(tree["calibration"]["camera"]["axes"]) == {"x", "y"}
 
 
-@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".h5", ".mat", ".mseed", ".uff"])
+@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".h5", ".mat", ".xlsx", ".tdms", ".mseed", ".uff"])
 def test_every_format_holds_the_second_axis(result, suffix, tmp_path):
     path = result.save(tmp_path / f"result{suffix}")
     channels = {channel.name: channel for channel in list_channels(path).channels}

@@ -147,5 +147,5 @@ def test_targets_of_unknown_range_are_named_by_their_bin(result):
     assert figures(text) == FIGURES
     assert f"in bin {radar.best.place_bin:.1f}" in text
     assert "nan" not in re.sub(
-        r"base64,[^\"]*", "", re.search(r'<section id="radar">.*?</section>', text, re.DOTALL)[0]
+        r'src="data:[^"]*"', "", re.search(r'<section id="radar">.*?</section>', text, re.DOTALL)[0]
     )

@@ -115,7 +115,7 @@ def test_doubled_blocks_are_dropped_and_lost_ones_told(site):
     # One came twice; what changed places is the engine's to judge.
     assert (stream.records, stream.faults) == (6, 1)
     assert [text for _, kind, text in events if kind == "lost_records"] == [
-        "accelerometer: 3 blocks were lost on their way."
+        "accelerometer: blocks were lost on their way: 3."
     ]
     # A sender that was started again counts from 0.
     intake.payload("a/acc", pack(block(120)))
@@ -125,6 +125,33 @@ def test_doubled_blocks_are_dropped_and_lost_ones_told(site):
     intake.payload("a/acc", pack(block(1, ahead_s=-50.0)))
     intake.payload("a/acc", pack(block(1, ahead_s=-100.0)))
     assert (stream.records, stream.faults) == (10, 1)
+
+
+def test_lost_blocks_are_one_event_a_minute_with_their_sum(site, monkeypatch):
+    (first, _), intake, events = site
+    now_s = time.time()
+    for number in range(0, 400, 2):
+        # Every second block is lost; two blocks last 0.4 s.
+        monkeypatch.setattr(time, "time", lambda at_s=now_s + 0.2 * number: at_s)
+        intake.payload("a/acc", pack(block(number)))
+    told = [text for _, kind, text in events if kind == "lost_records"]
+    assert told == [f"accelerometer: blocks were lost on their way: {n}." for n in (1, 150)]
+    assert first.streams["accelerometer"].lost == 48
+
+
+def test_another_senders_number_is_no_loss(site):
+    (first, _), intake, events = site
+    for number in range(100, 110):
+        intake.payload("a/acc", pack(block(number)))
+        foreign = block(number)
+        intake.payload("a/acc", pack(Block(foreign.kind, 5000 + number, foreign.t0_ns, foreign.dt_ns, foreign.values)))
+    assert first.streams["accelerometer"].records == 20
+    assert "lost_records" not in [kind for _, kind, _ in events]
+
+
+def test_rubbish_on_a_serial_line_is_called_a_line_that_is_no_block():
+    with pytest.raises(SourceFault, match=r"a line must be one block as JSON, \{…\}; received one that begins b'lxyz'"):
+        block_of(b"lxyz\n", ACCELERATION, Dating(), NOW_NS)
 
 
 @pytest.mark.parametrize(

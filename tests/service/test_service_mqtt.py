@@ -1,16 +1,22 @@
 """What is published: blocks whose stamps are those of the rows, whatever is missing between them."""
 
+import re
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+import midspan
+from midspan.engine import order
+from midspan.fusion.decisions import EVENT_KINDS
 from midspan.records import NANOSECONDS
 from midspan.service.mqtt import Broker, even_parts, result_payload
 from midspan.settings.site import MqttSettings
-from midspan.sources.live.blocks import RESULT, parse
+from midspan.sources.live.blocks import ACCELERATION, DISPLACEMENT, RESULT, parse
 from midspan.store.chunk import Chunk
 
+EVENT = re.compile(r'\bEvent\(\s*[^"()]*(?:\([^"]*\))?[^"()]*,\s*"([\w -]+)"|_(?:tell|event)\((?:\w+, )?"([\w -]+)"')
 BEGIN_NS = 1_790_000_000 * NANOSECONDS
 
 
@@ -46,7 +52,7 @@ def test_what_waits_to_be_kept_does_not_hold_back_what_comes(broker):
     sender.connect("127.0.0.1", broker)
     sender.loop_start()
     try:
-        until_s = time.monotonic() + 30.0
+        until_s = time.monotonic() + 120.0
         while not held.connected and time.monotonic() < until_s:
             time.sleep(0.05)
         time.sleep(0.5)
@@ -60,3 +66,105 @@ def test_what_waits_to_be_kept_does_not_hold_back_what_comes(broker):
         sender.loop_stop()
     # None of them was acknowledged yet.
     assert [int(one) for one in came] == list(range(count))
+
+
+def documented(begin, end):
+    """A part of live.md."""
+    text = (Path(__file__).parents[2] / "docs" / "live.md").read_text(encoding="utf-8")
+    return text.split(begin, 1)[1].split(end, 1)[0]
+
+
+def test_the_documented_publisher_is_understood():
+    names = {}
+    exec(documented("```python\n", "```"), names)
+    values = np.linspace(-1.0, 1.0, 20)
+    found = parse(names["block"](7, BEGIN_NS, 10**7, values), ACCELERATION)
+    assert (found.sequence, found.t0_ns, found.dt_ns) == (7, BEGIN_NS, 10**7)
+    np.testing.assert_array_equal(found.values, values.astype(np.float32))
+    assert parse(names["block"](2**32 + 1, BEGIN_NS, 10**8, values, kind=2), DISPLACEMENT).sequence == 1
+    # As the shell writes it: date fills the stamp in.
+    line = documented("  -m '", "'\n").replace("'$(date -u +%FT%T.%3NZ)'", "2026-11-22T10:00:00.123Z")
+    found = parse(line.encode(), ACCELERATION)
+    assert found.values.tolist() == [0.012, 0.013, 0.011]
+    assert found.t0_ns % NANOSECONDS == 123_000_000
+
+
+def test_the_documented_publisher_publishes(broker):
+    names, came = {}, []
+    exec(documented("```python\n", "```"), names)
+    held = Broker(MqttSettings(port=broker), "site", {"acc": 1}, lambda _topic, payload, _kept: came.append(payload))
+    held.start()
+
+    blocks = iter(range(3))
+
+    def read(count):
+        # Ends with StopIteration once all of them came.
+        number = next(blocks, None)
+        if number is None:
+            until(lambda: len(came) == 3)
+            raise StopIteration
+        return BEGIN_NS + number * 200_000_000, np.zeros(count)
+
+    try:
+        assert until(lambda: held.connected)
+        time.sleep(0.5)
+        with pytest.raises(StopIteration):
+            names["publish"](read, "acc", port=broker)
+    finally:
+        held.stop()
+    assert [parse(one, ACCELERATION).sequence for one in came] == [0, 1, 2]
+
+
+def test_every_kind_of_event_is_in_the_documentation():
+    text = documented("### Events", "\n## ") + documented("| code |", "\n\n")
+    given = {*filter(None, order.KINDS), order.CLOCK_SET, *EVENT_KINDS.values(), "lost frames", "blocked", "hidden"}
+    for room in ("service", "engine", "vision", "thermal"):
+        for file in (Path(midspan.__file__).parent / room).rglob("*.py"):
+            for found in EVENT.findall(file.read_text(encoding="utf-8")):
+                given |= set(filter(None, found))
+    assert {"returned", "gap", "lost_records", "shutter", "command"} <= given
+    assert [kind for kind in sorted(given) if f"\n| `{kind}` |" not in text] == []
+
+
+def until(condition, seconds=30.0):
+    end_s = time.monotonic() + seconds
+    while not condition() and time.monotonic() < end_s:
+        time.sleep(0.02)
+    return condition()
+
+
+def test_a_wrong_password_is_no_broker_that_is_gone(mosquitto, tmp_path):
+    mosquitto.stop()
+    mosquitto.require("midspan", "right")
+    mosquitto.start()
+    refused = Broker(MqttSettings(port=mosquitto.port, user="midspan", password="wrong"), "a", {}, lambda *_: None)
+    nobody = Broker(MqttSettings(port=mosquitto.port), "b", {}, lambda *_: None)
+    known = Broker(MqttSettings(port=mosquitto.port, user="midspan", password="right"), "c", {}, lambda *_: None)
+    for one in (refused, nobody, known):
+        one.start()
+    try:
+        assert until(lambda: known.connected)
+        for one in (refused, nobody):
+            assert until(lambda one=one: one.reason == "unauthorized")
+            # Neither the end of that connection nor the next attempt changes why.
+            seen = set()
+            until(lambda one=one, seen=seen: seen.add(one.reason), 3.0)
+            assert seen == {"unauthorized"}
+    finally:
+        for one in (refused, nobody, known):
+            one.stop()
+
+
+def test_it_connects_again_within_two_seconds_of_the_brokers_return(mosquitto):
+    broker = Broker(MqttSettings(port=mosquitto.port), "site", {}, lambda *_: None)
+    broker.start()
+    try:
+        assert until(lambda: broker.connected)
+        mosquitto.stop()
+        assert until(lambda: broker.reason == "broker_gone")
+        # Long enough for delays that double to have grown.
+        time.sleep(8.0)
+        mosquitto.start()
+        assert until(lambda: broker.connected, 2.0)
+    finally:
+        broker.stop()

@@ -98,18 +98,21 @@ def test_a_point_captures_calibrates_opens_and_runs(tmp_path):
 def test_a_new_calibration_stands_beside_the_old_one_until_it_is_accepted(tmp_path):
     point = live_point(tmp_path, "manual")
     _, at_s = running(point)
-    point.calibrate()
+    assert "records 20 s for a new calibration" in point.calibrate()
+    assert "is being calibrated or opened already" in point.calibrate()
     at_s = pushed(point, at_s, at_s + 40)
     assert point.job.kind == "calibrate"
     assert point.phase is Phase.RUNNING
     point.offered(2)
     assert point.reason == "calibration_offered"
     assert point.number == 1
-    for arrival in records(at_s + 1, at_s + 3):
+    # No other one is made until someone asks.
+    for arrival in records(at_s + 1, at_s + 41):
         point.push(arrival)
     assert point.job is None
+    assert not point.busy
     point.calibrated(2)
-    pushed(point, at_s + 3, at_s + 20)
+    pushed(point, at_s + 41, at_s + 60)
     assert point.job.kind == "open"
     assert point.number == 2
 

@@ -101,7 +101,7 @@ def listened(port):
 def ready(port):
     """Status and document of /readyz; None while nothing answers."""
     try:
-        with urllib.request.urlopen(f"http://127.0.0.1:{port}/readyz", timeout=2) as answer:
+        with urllib.request.urlopen(f"http://127.0.0.1:{port}/readyz", timeout=30) as answer:
             return answer.status, json.loads(answer.read())
     except urllib.error.HTTPError as error:
         return error.code, json.loads(error.read())
@@ -134,10 +134,11 @@ def test_a_site_runs_is_killed_and_loses_nothing(broker, tmp_path):
     sender = threading.Thread(target=send, args=(broker, begin_ns, ending, sent))
     sender.start()
     until(lambda: "midspan/v1/site/p/displacement" in seen)
-    # Long enough for a checkpoint, and then in the middle of a second.
-    time.sleep(4.6)
+    # After a checkpoint, and in the middle of a second.
+    until(lambda: kept(tmp_path))
+    time.sleep(0.6)
     process.kill()
-    process.wait(timeout=10)
+    process.wait(timeout=60)
     process = start()
     until(lambda: (ready(web) or (0,))[0] == 200)
     time.sleep(LATER_S / FASTER)
@@ -151,6 +152,15 @@ def test_a_site_runs_is_killed_and_loses_nothing(broker, tmp_path):
     listener.loop_stop()
     table = check_rows(tmp_path, begin_ns, length_s)
     check_messages(seen, table)
+
+
+def kept(folder):
+    """The newest checkpoint; None before there is one."""
+    store = open_store(folder / "store", read_only=True)
+    try:
+        return store.checkpoint("p")
+    finally:
+        store.close()
 
 
 def newest_s(folder, begin_ns):
@@ -236,7 +246,8 @@ def test_a_camera_that_accepts_and_is_silent_is_given_up():
         with pytest.raises(SourceFault) as fault:
             next(frames(f"rtsp://127.0.0.1:{server.getsockname()[1]}/cam"))
         assert fault.value.code == "no_answer"
-        assert time.monotonic() - begun_s < 15.0
+        # Three seconds to open it and three to read; a busy machine takes its time.
+        assert time.monotonic() - begun_s < 60.0
 
 
 def test_what_fails_unexpectedly_ends_the_service(tmp_path):
@@ -249,7 +260,7 @@ def test_what_fails_unexpectedly_ends_the_service(tmp_path):
     service = Service(load_site(tmp_path / "SITE.toml"), lambda _line: None)
     service._keeper.write = lambda: 1 // 0
     with pytest.raises(ZeroDivisionError):
-        asyncio.run(asyncio.wait_for(service.run(), 30.0))
+        asyncio.run(asyncio.wait_for(service.run(), 120.0))
 
 
 def test_one_calibration_at_a_time(tmp_path, monkeypatch):
@@ -280,3 +291,35 @@ def test_one_calibration_at_a_time(tmp_path, monkeypatch):
     asyncio.run(all_at_once())
     assert max(itertools.accumulate(counts)) == 1
     assert len(counts) == 8
+
+
+def test_every_command_is_answered_at_once(tmp_path):
+    (tmp_path / "SITE.toml").write_text(
+        'name = "site"\n[store]\npath = "store"\n[mqtt]\n[[point]]\nname = "p"\n'
+        '[point.accelerometer]\nsource = "mqtt:a"\n[point.displacement]\nsource = "mqtt:d"\n'
+    )
+    service = Service(load_site(tmp_path / "SITE.toml"), lambda _line: None)
+    answers, acknowledged = [], []
+
+    class Recorder:
+        def publish(self, topic, payload, *, qos):
+            answers.append((topic, json.loads(payload)["kind"], json.loads(payload)["text"]))
+
+    service._broker = Recorder()
+
+    async def commanded(place, payload=b""):
+        service._loop = asyncio.get_running_loop()
+        service._taken(f"midspan/v1/site/{place}", payload, lambda: acknowledged.append(place))
+        await asyncio.gather(*service._jobs)
+        return answers.pop()
+
+    asked = {
+        "p/cmd/calibrate": ("p/event", "p: records 60 s for a new calibration."),
+        "p/cmd/accept": ("p/event", "p: no calibration 7 is offered."),
+        "p/cmd/nonsense": ("p/event", "p: cmd/nonsense is no command. Commands: calibrate, accept."),
+        "q/cmd/calibrate": ("q/event", "q: is no point of this site. Points: p."),
+    }
+    for place, (topic, text) in asked.items():
+        assert asyncio.run(commanded(place, b"7")) == (topic, "command", text)
+    assert acknowledged == list(asked)
+    assert answers == []

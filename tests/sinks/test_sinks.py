@@ -13,10 +13,13 @@ import pyarrow.parquet as pq
 import pymseed
 import pytest
 import pyuff
+from nptdms import TdmsFile
+from openpyxl import load_workbook
 from scipy.io import loadmat
 
 from midspan.errors import UsageError
 from midspan.records import Source, Status
+from midspan.sinks.metadata import read_metadata
 from midspan.sinks.table import ResultTable
 from midspan.sinks.write import FORMATS, check_target, write_result
 from midspan.sources.accelerometer.select import SeriesRequest, read_series
@@ -28,7 +31,7 @@ SOURCE = RNG.integers(0, 5, COUNT).astype(np.uint8)
 STATUS = RNG.integers(0, 3, COUNT).astype(np.uint8)
 METADATA = {"version": "0.1.0", "settings": {"lag_s": np.float64(0.5)}, "path": Path("a/b"), "roi": np.array([1, 2])}
 READABLE = {"version": "0.1.0", "settings": {"lag_s": 0.5}, "path": "a/b", "roi": [1, 2]}
-SUFFIXES = [".csv", ".parquet", ".h5", ".mat", ".mseed", ".uff"]
+SUFFIXES = [".csv", ".parquet", ".h5", ".mat", ".xlsx", ".tdms", ".mseed", ".uff"]
 # 300 Hz: an interval that is no whole number of nanoseconds; near 1970 and today, with a fraction of a microsecond.
 STARTS = {"from zero": 0, "negative": -1_500_000_001, "epoch": 1_714_564_800_123_456_789}
 
@@ -62,8 +65,10 @@ def test_a_result_reads_back_as_time_and_displacement(tmp_path: Path, suffix: st
     write_result(path, table(STARTS[start]))
     series = read_series(path, SeriesRequest("displacement", "time_s", "displacement_mm", "mm"))
     # Text has every nanosecond, miniSEED a start and a rate; the others a float of seconds, for times of today rounded
-    # twice: from whole nanoseconds (128 ns) and to seconds (2^-23 s, 119 ns).
+    # twice: from whole nanoseconds (128 ns) and to seconds (2^-23 s, 119 ns). A workbook has sixteen digits, the sixth
+    # decimal of such times: half of it more.
     tolerance = {".csv": 0, ".mseed": 2}.get(suffix, 250 if start == "epoch" else 1)
+    tolerance += 500 if suffix == ".xlsx" and start == "epoch" else 0
     np.testing.assert_allclose(series.time_ns, times(STARTS[start]), rtol=0, atol=tolerance)
     # Text has nine decimals of a millimetre.
     np.testing.assert_allclose(series.value * 1e3, MM, rtol=1e-15, atol=5.1e-10 if suffix == ".csv" else 0)
@@ -112,6 +117,37 @@ def test_matlab_variables_are_columns_and_character_matrices(tmp_path: Path) -> 
     assert json.loads(str(found["midspan"][0])) == READABLE
 
 
+def test_a_workbook_has_the_rows_in_its_first_sheet_and_the_metadata_in_its_second(tmp_path: Path) -> None:
+    long = ResultTable(table().columns, table().time_ns, METADATA | {"text": 40_000 * "ä"})
+    write_result(tmp_path / "r.xlsx", long)
+    book = load_workbook(tmp_path / "r.xlsx")
+    assert book.sheetnames == ["result", "midspan"]
+    frame = pd.read_excel(tmp_path / "r.xlsx")
+    assert list(frame.columns) == list(table().columns)
+    # Sixteen digits are written.
+    np.testing.assert_allclose(frame["displacement_mm"], MM, rtol=1e-15)
+    assert frame["source"].tolist() == [Source(code).word for code in SOURCE]
+    # A cell holds 32 767 characters: the text goes over two rows.
+    assert read_metadata(tmp_path / "r.xlsx") == READABLE | {"text": 40_000 * "ä"}
+
+
+def test_more_rows_than_a_sheet_holds_are_refused(tmp_path: Path) -> None:
+    count = 1_048_576
+    long = ResultTable({"time_s": np.zeros(count)}, np.zeros(count, np.int64))
+    with pytest.raises(UsageError, match=r"holds 1048575 rows; received 1048576\. Choose \.csv or \.parquet"):
+        write_result(tmp_path / "r.xlsx", long)
+
+
+def test_tdms_has_a_channel_for_each_column_with_its_unit(tmp_path: Path) -> None:
+    write_result(tmp_path / "r.tdms", table())
+    group = TdmsFile.read(tmp_path / "r.tdms")["midspan"]
+    assert [channel.name for channel in group.channels()] == list(table().columns)
+    np.testing.assert_array_equal(group["velocity_mm_s"][:], 10 * MM)
+    assert group["velocity_mm_s"].properties["unit_string"] == "mm/s"
+    assert list(group["source"][:]) == [Source(code).word for code in SOURCE]
+    assert read_metadata(tmp_path / "r.tdms") == READABLE
+
+
 def test_miniseed_starts_a_new_segment_after_a_gap(tmp_path: Path) -> None:
     time_ns = times(STARTS["epoch"])
     time_ns[400:] += 1_000_000_000
@@ -148,7 +184,7 @@ def test_uff_functions_are_named_and_labelled_in_millimetres(tmp_path: Path) -> 
     np.testing.assert_allclose(found["displacement_mm"]["x"], times(STARTS["negative"]) * 1e-9, atol=3e-5)
 
 
-@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".h5", ".mat"])
+@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".h5", ".mat", ".xlsx", ".tdms"])
 def test_a_camera_track_is_a_table_too(tmp_path: Path, suffix: str) -> None:
     time_ns = times(0)
     x = MM.copy()
@@ -161,6 +197,10 @@ def test_a_camera_track_is_a_table_too(tmp_path: Path, suffix: str) -> None:
         found = pd.read_csv(path)["x_px"].to_numpy()
     elif suffix == ".parquet":
         found = pd.read_parquet(path)["x_px"].to_numpy()
+    elif suffix == ".xlsx":
+        found = pd.read_excel(path, sheet_name="result")["x_px"].to_numpy()
+    elif suffix == ".tdms":
+        found = TdmsFile.read(path)["midspan"]["x_px"][:]
     elif suffix == ".h5":
         with h5py.File(path) as file:
             found = file["x_px"][:]
@@ -169,7 +209,7 @@ def test_a_camera_track_is_a_table_too(tmp_path: Path, suffix: str) -> None:
     np.testing.assert_allclose(found, x, atol=5.1e-10)
 
 
-@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".h5", ".mat"])
+@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".h5", ".mat", ".xlsx", ".tdms"])
 def test_a_table_without_rows_is_written(tmp_path: Path, suffix: str) -> None:
     empty = ResultTable({"time_s": np.zeros(0), "x_px": np.zeros(0), "status": []}, np.zeros(0, np.int64))
     write_result(tmp_path / f"r{suffix}", empty)
@@ -199,7 +239,7 @@ def test_a_failure_leaves_the_old_file_and_nothing_else(tmp_path: Path, suffix: 
 @pytest.mark.parametrize(
     ("name", "changed", "said"),
     [
-        ("r.xlsx", {}, [".xlsx", ".csv", ".parquet"]),
+        ("r.doc", {}, [".doc", ".csv", ".parquet"]),
         ("none/r.csv", {}, ["none", "does not exist"]),
         ("folder.csv", {}, ["it is a folder"]),
         ("r.csv", {"status": ["tracked"] * COUNT}, ["status", "tracking", "tracked"]),

@@ -193,6 +193,16 @@ def test_a_truncated_video_is_refused_with_what_is_missing(tmp_path: Path, suffi
     assert str(cut) in str(caught.value)
 
 
+def test_a_video_that_breaks_off_behind_its_first_frame_says_so(tmp_path: Path) -> None:
+    whole, cut = tmp_path / "a.mkv", tmp_path / "cut.mkv"
+    write_video(whole, noise(40))
+    content = whole.read_bytes()
+    # The first cluster begins with this element, and all frames are in clusters: one and a part of the second are left.
+    cut.write_bytes(content[: content.index(b"\x1f\x43\xb6\x75") + 3 * len(content) // (2 * 40)])
+    with pytest.raises(DataError, match=r"its header declares 4\.\d s, and one frame is in it\. Copy it again\.$"):
+        open_frames(cut, FrameRequest(rate_hz=10)).times_ns()
+
+
 @pytest.mark.parametrize(("codec", "pixel_format"), [("mpeg4", "yuv420p"), ("libx264", "yuv420p")])
 def test_a_frame_that_does_not_decode_is_passed_over_and_counted(tmp_path: Path, codec: str, pixel_format: str) -> None:
     path = tmp_path / "a.mkv"

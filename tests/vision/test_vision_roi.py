@@ -95,7 +95,7 @@ def test_an_image_without_texture_is_an_error_that_asks_for_a_region(make_frame,
 
 
 def test_frames_must_be_there_and_of_one_size(make_frame):
-    with pytest.raises(UsageError, match="at least one frame"):
+    with pytest.raises(UsageError, match="at least one Frame"):
         choose_region([])
     with pytest.raises(DataError, match="one size"):
         choose_region([make_frame(np.zeros((50, 60))), make_frame(np.zeros((60, 50)))])

@@ -24,6 +24,7 @@ from midspan.calibration.outliers import without_lonely_outliers
 from midspan.calibration.scale import MIN_GAIN as LEAST_AGREEMENT
 from midspan.calibration.slow_error import find_slow_error
 from midspan.calibration.time_offset import BEYOND, OffsetSearch, cleaned, curvature, search_offset
+from midspan.checks import instance
 from midspan.records import InputNoise, TimeOffset
 from midspan.signals.medians import white_noise
 
@@ -128,6 +129,7 @@ def calibrate_noise(
     known, 0: none. exposure_declared: the pair's exposure is the sensor's own, else it is estimated. Nothing is refused
     here: see `Findings`.
     """
+    instance("pair", pair, Pair, "a Pair of acceleration and displacement")
     whole = pair.rows
     sought = _sought(
         pair, max_offset_s, edge_s(max_offset_s, length_s), one_clock=one_clock, declared=exposure_declared

@@ -13,6 +13,7 @@ from midspan.calibration.frequency_response import FrequencyResponse, Kind, kind
 from midspan.calibration.jumping_clock import jumps_text, without_jumps
 from midspan.calibration.time_offset import OffsetSearch, far_offset, search_offset
 from midspan.calibration.whitening import SETTLING
+from midspan.checks import instance
 from midspan.errors import NoAgreementError, UntrustedError
 from midspan.records import InputNoise, NoiseLevel, ScaleFactor, TimeOffset
 from midspan.signals.health import dominant_frequency
@@ -81,6 +82,7 @@ def calibrate_scale(pair: Pair, max_offset_s: float, *, exposure_declared: bool 
     own. Raises UntrustedError with the reason when there is too little
     motion, when two offsets fit alike, or when the sensors do not agree.
     """
+    instance("pair", pair, Pair, "a Pair of acceleration and translation")
     usable = int(np.count_nonzero(np.isfinite(pair.rows[:, 2])))
     if usable < MIN_FRAMES:
         raise UntrustedError(

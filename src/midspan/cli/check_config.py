@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from midspan.cli.console import Console, common_options
+from midspan.trees import flattened, toml_value
 
 if TYPE_CHECKING:
     from midspan.settings.recording import RecordingSettings
@@ -16,10 +17,9 @@ if TYPE_CHECKING:
 @click.argument("file", type=click.Path())
 @common_options
 def command(file: str, quiet: bool, as_json: bool) -> None:
-    """Validate a recording.toml (or the folder that holds it) or a SITE.toml without running it."""
+    """Validate a recording.toml or a SITE.toml (or the folder that holds it) without running it."""
     from midspan.settings.load import load_settings, settings_file
     from midspan.settings.site import is_site
-    from midspan.trees import flattened
 
     console = Console(quiet, as_json)
     if is_site(file):
@@ -40,12 +40,25 @@ def command(file: str, quiet: bool, as_json: bool) -> None:
                 continue
             if not (path.parent / file_name).exists():
                 missing.append(f"{path}: {name}.{key} = {file_name!r}: no such file yet.")
-    console.say(f"{path}: valid.")
-    console.table((key, str(value)) for key, value in flattened(settings.model_dump(exclude_none=True)))
+    console.table(_rows(settings.model_dump(exclude_none=True)))
     console.warn(missing)
+    console.say(_verdict(str(path), missing))
     console.document(
         {"file": str(path), "valid": True, "warnings": missing, "settings": settings.model_dump(mode="json")}
     )
+
+
+def _rows(tree: dict[str, Any]) -> list[tuple[str, str]]:
+    """The settings as a file of TOML writes them, one a row; without those that are empty."""
+    return [(key, toml_value(value)) for key, value in flattened(tree) if value not in ("", (), [], {})]
+
+
+def _verdict(file: str, missing: list[str]) -> str:
+    """The last line: whether the settings are valid, and whether what they name is there."""
+    if not missing:
+        return f"{file}: valid."
+    are = "file is" if len(missing) == 1 else "files are"
+    return f"{file}: valid, but {len(missing)} {are} missing."
 
 
 def _require_units(path: str, settings: "RecordingSettings") -> None:
@@ -68,10 +81,13 @@ def _require_units(path: str, settings: "RecordingSettings") -> None:
 
 def _site(file: str, console: Console) -> None:
     """A site's settings, without its secrets."""
-    from midspan.settings.site import load_site, without_secrets
-    from midspan.trees import flattened
+    from midspan.settings.addresses import without_secrets
+    from midspan.settings.site import load_site
+    from midspan.settings.site_folders import require_folders
 
     site = load_site(file)
+    file = str(site.file)
+    require_folders(site)
     settings = site.settings.model_dump(mode="json", exclude_none=True)
     points = [
         {
@@ -80,25 +96,35 @@ def _site(file: str, console: Console) -> None:
         }
         for plan in site.points
     ]
-    warnings = [
-        f"{file}: point[{number}].{line}"
-        for number, plan in enumerate(site.points, start=1)
-        for line in (*_missing(plan, site.file.parent), *_units(plan, f"{file}: point[{number}]"))
-    ]
-    console.say(f"{file}: valid.")
-    console.table((key, str(value)) for key, value in flattened({**settings, "point": points}))
+    warnings, missing = list[str](), list[str]()
+    for plan in site.points:
+        where = f"{file}: point {plan.name!r}"
+        absent = [f"{where}: {line}" for line in _missing(plan, site.file.parent, where)]
+        warnings += [*absent, *(f"{where}: {line}" for line in _units(plan, where))]
+        missing += absent
+    console.table(_rows({**settings, "point": points}))
     console.warn(warnings)
+    console.say(_verdict(file, missing))
     console.document({"file": file, "valid": True, "warnings": warnings, "settings": {**settings, "point": points}})
 
 
-def _missing(plan: "PointPlan", folder: Path) -> list[str]:
-    """What a point names that is not there yet: its calibration, the recordings that it replays, radars' settings."""
+def _missing(plan: "PointPlan", folder: Path, where: str) -> list[str]:
+    """What a point names that is not there yet: its calibration, the recordings that it replays, radars' settings.
+
+    DataError for a calibration that is there and is none.
+    """
     from midspan.errors import DataError
     from midspan.settings.load import settings_file
+    from midspan.settings.stored.calibration_file import load_calibration
 
     named = {} if plan.settings.calibration is None else {"calibration": plan.settings.calibration}
     named |= {f"{name}.config": config for name, config in plan.configs.items()}
     lines = [f"{key} = {name!r}: no such file yet." for key, name in named.items() if not (folder / name).is_file()]
+    if plan.settings.calibration is not None and (folder / plan.settings.calibration).is_file():
+        try:
+            load_calibration(folder / plan.settings.calibration)
+        except DataError as error:
+            raise DataError(f"{where}: calibration: {error}") from None
     for name, address in plan.sources.items():
         if address.startswith("replay:"):
             try:
@@ -127,5 +153,5 @@ def _units(plan: "PointPlan", where: str) -> list[str]:
         try:
             si_factor(section.unit, quantity, getattr(section, "sensitivity", 0.0) or None)
         except UsageError as error:
-            raise UsageError(f"{where}.{name}: {error}") from None
+            raise UsageError(f"{where}: {name}: {error}") from None
     return lines

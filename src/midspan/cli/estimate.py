@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from midspan.cli.console import Console, common_options
+from midspan.cli.every_method import ALL, compare_methods
 
 if TYPE_CHECKING:
     from midspan.recording.result import Result
@@ -23,10 +24,15 @@ if TYPE_CHECKING:
 @click.option(
     "-c", "--calibration", "calibration_file", type=click.Path(), help="Calibration to use; left out: calibrate."
 )
-@click.option("-o", "--output", type=click.Path(), help="Result file (.csv .parquet .h5 .mat .mseed .uff); "
+@click.option("-o", "--output", type=click.Path(), help="Result file (.csv .parquet .h5 .mat .xlsx .tdms .mseed .uff); "
               "left out: result.csv in the recording.")  # fmt: skip
-@click.option("--method", help="Fusion method, over the recording's own; see `midspan methods`.")
-@click.option("--literal", is_flag=True, help="A paper's method exactly as printed, without guard.")
+@click.option("--method", help="Fusion method, over the recording's own; see `midspan methods`. `all` compares them: a "
+              "table, and a picture (-o FILE.png; left out: methods.png).")  # fmt: skip
+@click.option("--reference", type=click.Path(), help="With --method all: a file with times and displacement, over the "
+              "recording's [reference].")  # fmt: skip
+@click.option("--reference-unit", help="Unit of its values, where the file does not say, for example mm.")
+@click.option("--literal", is_flag=True, help="A paper's method exactly as printed, without guard; see "
+              "`midspan methods --papers`.")  # fmt: skip
 @click.option("--tracker", help="Tracker, over the recording's own.")
 @click.option("--report", type=click.Path(), help="Write a self-contained HTML report.")
 @click.option("--point", help="RECORDING is a store: the point whose raw records are computed again.")
@@ -39,6 +45,11 @@ def command(recording: str, video: str | None, quiet: bool, as_json: bool, **opt
     RECORDING is a folder with recording.toml, or a store; or the accelerometer's file, with VIDEO after it.
     """
     console = Console(quiet, as_json)
+    options["every"] = options["method"] == ALL
+    if options["every"]:
+        options["method"] = None
+    elif options["reference"] or options["reference_unit"]:
+        raise click.UsageError("--reference: goes with --method all; `midspan compare` compares one result.")
     if video is not None:
         _of_two_files(Path(recording), Path(video), console, options)
         return
@@ -133,6 +144,10 @@ def _of_two_files(accel: Path, video: Path, console: Console, options: dict[str,
 
 def _of_opened(opened: "Recording", console: Console, options: dict[str, Any], warnings: tuple[str, ...] = ()) -> None:
     """Estimate what is open, and write and show what was asked for; warnings: besides the result's own."""
+    if options["every"]:
+        console.warn(warnings)
+        compare_methods(opened, console, options)
+        return
     from midspan.cli.targets import check_result, report_path
     from midspan.recording.estimate import estimate
     from midspan.settings.stored.calibration_file import load_calibration

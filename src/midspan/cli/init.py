@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from midspan.cli.console import Console, common_options
+from midspan.trees import toml_value
 
 if TYPE_CHECKING:
     from midspan.records import TimeSeries
@@ -52,7 +53,7 @@ class Draft:
         for section, keys in self.sections.items():
             lines += ["", f"[{section}]"]
             written = [
-                (key, f"{key} = {_toml(value)}", self.remarks.get((section, key))) for key, value in keys.items()
+                (key, f"{key} = {toml_value(value)}", self.remarks.get((section, key))) for key, value in keys.items()
             ]
             open_keys = [(key, f"# {key} = ", why) for (own, key), why in self.left_out.items() if own == section]
             lines += [f"{line:<40}  # {remark}" if remark else line for _, line, remark in [*written, *open_keys]]
@@ -211,10 +212,3 @@ def _begin(found: Draft, section: str, video: Path, first_s: tuple[float, float]
         found.put(section, "start_s", made - camera_s, "the video's date, on the accelerometer's clock")
     else:
         found.put(section, "start_s", accelerometer_s - camera_s, "as the accelerometer begins, whose times are dates")
-
-
-def _toml(value: Any) -> str:
-    """A value as TOML writes it."""
-    import tomli_w
-
-    return tomli_w.dumps({"key": value}).partition("= ")[2].rstrip("\n")

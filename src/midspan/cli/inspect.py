@@ -1,37 +1,98 @@
 """`midspan inspect RECORDING`."""
 
 import math
+import os
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from midspan.cli.console import Console, common_options
 
+if TYPE_CHECKING:
+    from midspan.recording.streams.recording import Recording
+
 
 @click.command("inspect")
 @click.argument("recording", type=click.Path())
 @click.option("--all-frames", is_flag=True, help="Look at every frame, not only the first 600.")
+@click.option("--picture", type=click.Path(), help="Write the camera's first frame with pixel grid, places to track "
+              "and a strip of motion (.png .svg .pdf).")  # fmt: skip
 @common_options
-def command(recording: str, all_frames: bool, quiet: bool, as_json: bool) -> None:
+def command(recording: str, all_frames: bool, picture: str | None, quiet: bool, as_json: bool) -> None:
     """What is in a recording (or in a single file): streams, rates, gaps, clipping, frozen frames, overlap, units."""
-    from midspan.recording.inspect import inspect_recording, is_single
+    from midspan.recording.inspect import inspect_recording
     from midspan.recording.streams.recording import open_recording
     from midspan.sources.inspect import inspect_file
 
     console = Console(quiet, as_json)
     path = Path(recording)
-    if is_single(path):
+    if _is_single(path):
+        target = None if picture is None else _target(picture)
         tree = inspect_file(path, console.progress)
         console.done()
         _show_file(console, tree)
+        if target is not None:
+            tree |= _picture(console, target, path)
         console.document(tree)
         return
-    tree = inspect_recording(open_recording(path), all_frames, console.progress)
+    opened = open_recording(path)
+    target = None if picture is None else _target(picture, opened)
+    tree = inspect_recording(opened, all_frames, console.progress)
     console.done()
     show(console, tree)
+    if target is not None:
+        tree |= _picture(console, target, opened)
     console.document(tree)
     _fail_if_unreadable(tree)
+
+
+def _is_single(path: Path) -> bool:
+    """Whether a path is a single file to look at, or a folder of pictures or FLIR frames that is no recording."""
+    from midspan.settings.load import RECORDING_FILE
+    from midspan.sources.inspect import PICTURES
+    from midspan.sources.thermal.formats import is_thermal
+
+    if os.path.isdir(path):
+        names = [] if (path / RECORDING_FILE).is_file() else [file.suffix.lower() for file in path.iterdir()]
+        return any(name in PICTURES for name in names) or (bool(names) and is_thermal(path))
+    try:
+        path.stat()
+    except FileNotFoundError:
+        return False
+    except (OSError, ValueError):
+        # No path that can be: refused with the reason as the file that it is not.
+        return True
+    return path.suffix.lower() != ".toml"
+
+
+def _target(picture: str, *recordings: "Recording") -> Path:
+    """The picture's path, refused before the work where it could not be written."""
+    from midspan.cli.targets import check_picture
+
+    return check_picture(picture, "--picture", *recordings)
+
+
+def _picture(console: Console, target: Path, source: "Path | Recording") -> dict[str, Any]:
+    """Write the picture and print the places to track."""
+    from midspan.report.first_look import draw_first_look, look_at_file, look_at_recording, verdict
+
+    if isinstance(source, Path):
+        found = look_at_file(source, console.progress)
+    else:
+        found = look_at_recording(source, console.progress)
+    console.done()
+    draw_first_look(found, target)
+    console.say("\nplaces to track:")
+    rows = []
+    for number, place in enumerate(found.places, start=1):
+        r, score = place.region, f"{place.predicted_std_px:.4f} px"
+        rows.append((str(number), f"{r.x},{r.y},{r.width},{r.height}", score, verdict(place)))
+    console.columns(("no", "roi", "expected σ", "verdict"), rows)
+    for note in found.notes:
+        console.say(f"  {note}")
+    console.say(f"{target}: written.")
+    return {"picture": str(target), "regions": found.to_dict()}
 
 
 def show(console: Console, tree: dict[str, Any]) -> None:
@@ -50,13 +111,9 @@ def _show_stream(console: Console, section: str, branch: dict[str, Any]) -> None
         return
     rows = _times(branch)
     if "samples" in branch:
-        unit = branch["value_unit"]
-        digits = _digits(branch["smallest"], branch["largest"], 4)
         rows += [
             ("channel", f"{branch['channel']} in {branch['unit']}, {branch['samples']} samples"),
-            ("values", f"{branch['smallest']:.{digits}g} … {branch['largest']:.{digits}g} {unit}, "
-                       f"mean {branch['mean']:.{digits}g}, "
-                       f"rms about it {branch['std']:.4g}"),
+            ("values", _in_own_unit(branch)),
             ("missing, frozen, clipped", f"{branch['missing_samples']}, {branch['frozen_samples']}, "
                                          f"{branch['clipped_samples']} samples"),
         ]  # fmt: skip
@@ -75,6 +132,16 @@ def _show_stream(console: Console, section: str, branch: dict[str, Any]) -> None
     rows += [("found", note) for note in branch["notes"]]
     rows += [("warning", line) for line in branch.get("warnings", ())]
     console.table(rows)
+
+
+def _in_own_unit(branch: dict[str, Any]) -> str:
+    """The range of a channel in the file's unit; in SI where that takes a sensitivity."""
+    factor, unit = branch["unit_in_si"], branch["unit"]
+    if factor is None:
+        factor, unit = 1.0, branch["value_unit"]
+    low, high, mean, std = (branch[name] / factor for name in ("smallest", "largest", "mean", "std"))
+    digits = _digits(low, high, 4)
+    return f"{low:.{digits}g} … {high:.{digits}g} {unit}, mean {mean:.{digits}g}, rms about it {std:.4g}"
 
 
 def _times(branch: dict[str, Any]) -> list[tuple[str, str]]:

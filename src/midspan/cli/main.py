@@ -26,7 +26,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "spectrum": ("spectrum", "Natural frequencies of a result, with damping and standard deviations."),
     "run": ("run", "Live: sources to estimates to store, MQTT and /readyz."),
     "replay": ("replay", "Play a recording through a live point into a store."),
-    "export": ("export", "Rows of a store as a result file."),
+    "export": ("export", "Rows of a store as a result file, or a result in another format."),
     "formats": ("formats", "What can be read and written."),
     "methods": ("methods", "Trackers and fusion methods, and when to use each."),
     "check-config": ("check_config", "Validate a recording.toml or a SITE.toml without running it."),

@@ -6,24 +6,67 @@ from midspan.cli.console import Console, common_options
 
 
 @click.command("methods")
+@click.option("--papers", is_flag=True, help="The papers: tracker, method, options and command of each.")
 @common_options
-def command(quiet: bool, as_json: bool) -> None:
-    """Trackers and fusion methods, and when to use each."""
+def command(papers: bool, quiet: bool, as_json: bool) -> None:
+    """Trackers and fusion methods, and when to use each; or the papers that they are from."""
     from midspan.fusion.methods import DEFAULT_METHOD, METHODS
     from midspan.vision.tracker import DEFAULT_TRACKER, TRACKERS
 
     console = Console(quiet, as_json)
+    if papers:
+        _show_papers(console)
+        return
     trackers = {name: entry.use for name, entry in TRACKERS.items()}
     methods = {name: row.use for name, row in METHODS.items()}
     for title, table, default in (("trackers", trackers, DEFAULT_TRACKER), ("fusion methods", methods, DEFAULT_METHOD)):
         console.say(f"{title} (default: {default}):")
         console.table(table.items())
         console.say()
+    console.say("`midspan methods --papers` says which paper is which; `midspan estimate --method all` compares them.")
     console.document(
         {
             "trackers": trackers,
             "default_tracker": DEFAULT_TRACKER,
             "methods": methods,
             "default_method": DEFAULT_METHOD,
+        }
+    )
+
+
+def _show_papers(console: Console) -> None:
+    """Each paper with what it is here."""
+    from midspan.evaluate.published import PAPERS
+
+    for paper in PAPERS:
+        console.say(f"{paper.name}: {paper.citation}{f'; {paper.where}' if paper.where else ''}")
+        console.table(
+            [
+                ("sensors", ", ".join(("accelerometer", *paper.sensors))),
+                *([("tracker", paper.tracker)] if paper.tracker else []),
+                ("method", paper.method),
+                *((key, value) for key, value in paper.settings.items()),
+                ("command", paper.command),
+            ]
+        )
+        console.say()
+    console.say(
+        "Without --literal a method has the guards of midspan: outliers, gaps, bias, a band that holds the errors."
+    )
+    console.document(
+        {
+            "papers": [
+                {
+                    "name": paper.name,
+                    "citation": paper.citation,
+                    "where": paper.where or None,
+                    "sensors": list(paper.sensors),
+                    "tracker": paper.tracker or None,
+                    "method": paper.method,
+                    "settings": paper.settings,
+                    "command": paper.command,
+                }
+                for paper in PAPERS
+            ]
         }
     )

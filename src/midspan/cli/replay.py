@@ -18,12 +18,14 @@ from midspan.cli.console import Console, common_options
 def command(recording: str, store: str, quiet: bool, as_json: bool, **options: Any) -> None:
     """Play a recording through a live point into a store: the rows are those of `estimate --method kalman`."""
     console = Console(quiet, as_json)
+    from midspan.checks import option
     from midspan.cli.targets import check_store
     from midspan.recording.streams.recording import open_recording
-    from midspan.service.replay import point_called, replay
+    from midspan.service.replay import LIVE, point_called, replay
     from midspan.settings.stored.calibration_file import load_calibration
     from midspan.store.store import open_store
 
+    option("method", options["method"], LIVE)
     opened = open_recording(recording)
     calibration = load_calibration(options["calibration_file"]) if options["calibration_file"] else None
     name = point_called(options["point"], opened)

@@ -10,7 +10,7 @@ from midspan.cli.console import Console, common_options
 @click.option("--for", "for_s", type=click.FloatRange(0.0, min_open=True), help="Seconds; left out: until stopped.")
 @common_options
 def command(site: str, for_s: float | None, quiet: bool, as_json: bool) -> None:
-    """Run a live site: sources to estimates to the store, MQTT and /readyz."""
+    """Run a live site, a SITE.toml or the folder that holds it: sources to estimates to the store, MQTT and /readyz."""
     import asyncio
     import json
     import signal
@@ -18,8 +18,10 @@ def command(site: str, for_s: float | None, quiet: bool, as_json: bool) -> None:
     console = Console(quiet, as_json)
     from midspan.service.run import Service
     from midspan.settings.site import load_site
+    from midspan.settings.site_folders import require_folders
 
     loaded = load_site(site)
+    require_folders(loaded)
 
     def note(record: dict[str, object]) -> None:
         """A line of the log for programs."""

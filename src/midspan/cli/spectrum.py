@@ -1,5 +1,6 @@
 """`midspan spectrum RESULT`."""
 
+import math
 from pathlib import Path
 
 import click
@@ -26,9 +27,10 @@ def command(result: str, quiet: bool, as_json: bool, **options: str | None) -> N
     console = Console(quiet, as_json)
     found = spectrum(read_result(result, options["unit"], options["axis"]).series)
     for mode in found.modes:
+        damping = f"damping {100 * mode.damping:6.2f} ± {100 * mode.damping_std:.2f} %"
+        known = damping if math.isfinite(mode.damping) else "a tone, or no single mode"
         console.say(
-            f"  {mode.frequency_hz:9.4f} ± {mode.frequency_std_hz:.4f} Hz   damping {100 * mode.damping:6.2f} ± "
-            f"{100 * mode.damping_std:.2f} %   {mode.rms_mm:.3g} mm rms"
+            f"  {mode.frequency_hz:9.4f} ± {mode.frequency_std_hz:.4f} Hz   {known:25}   {mode.rms_mm:.3g} mm rms"
         )
     if not found.modes:
         console.say("No peak stands out of the spectrum beyond chance.")

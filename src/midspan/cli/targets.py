@@ -14,6 +14,8 @@ from midspan.sinks.pair import partner
 from midspan.store.store import is_address
 from midspan.trees import TreeError, read_json
 
+# Pictures that can say who wrote them.
+PICTURES = (".png", ".svg", ".pdf")
 # What a file of midspan's holds somewhere: JSON of its metadata, a text where its format has room, a station's name.
 _MARKS = (b'"midspan": "', b"written by midspan", b"FDSN:XX_MIDSP__")
 # The keys of the JSON files that midspan writes: each kind may be replaced by its own kind only.
@@ -38,6 +40,17 @@ def check_result(output: str | Path, *recordings: Recording, option: str = "-o")
     for target in written:
         _refuse_foreign(f"{option} {output}", target, kind, known=known)
     return path
+
+
+def check_picture(output: str | Path, option: str, *recordings: Recording) -> Path:
+    """Refuse a picture of another format, and one in place of anything but its like; returns the path."""
+    path = Path(output)
+    if path.suffix.lower() not in PICTURES:
+        raise click.UsageError(f"{option} {path}: the picture's suffix must be one of {', '.join(PICTURES)}.")
+    folder = path.absolute().parent
+    if not folder.is_dir():
+        raise click.UsageError(f"{option} {path}: the folder {folder} does not exist; make it first.")
+    return check_result(path, *recordings, option=option)
 
 
 def check_calibration(output: str | Path, recording: Recording) -> Path:

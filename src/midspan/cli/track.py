@@ -9,6 +9,7 @@ from midspan.cli.console import Console, RegionType, common_options
 
 if TYPE_CHECKING:
     from midspan.recording.tracking.track import Tracked
+    from midspan.records import Region
 
 
 @click.command("track")
@@ -18,7 +19,9 @@ if TYPE_CHECKING:
 @click.option("--every", type=click.IntRange(min=1), help="Use every n-th frame.")
 @click.option("--rate-hz", type=float, help="Frames a second, where the source has no time stamps.")
 @click.option("--start-s", type=float, default=0.0, help="Time of the first frame, s.")
-@click.option("-o", "--output", required=True, type=click.Path(), help="File to write (.csv .parquet .h5 .mat).")
+@click.option(
+    "-o", "--output", required=True, type=click.Path(), help="File to write (.csv .parquet .h5 .mat .xlsx .tdms)."
+)
 @common_options
 def command(source: str, output: str, quiet: bool, as_json: bool, **options: Any) -> None:
     """Translation of a target in pixels (x right, y down) for each frame: camera alone, no accelerometer needed.
@@ -27,39 +30,32 @@ def command(source: str, output: str, quiet: bool, as_json: bool, **options: Any
     """
     import numpy as np
 
-    from midspan.checks import option, positive
+    from midspan.checks import RATE_HZ, option, within
     from midspan.cli.targets import check_result
     from midspan.recording.streams.recording import open_recording
-    from midspan.recording.tracking.track import TrackRequest, track
-    from midspan.records import Region, Status
+    from midspan.recording.tracking.track import track
+    from midspan.records import Status
     from midspan.settings.load import RECORDING_FILE
-    from midspan.sinks.write import check_target, write_result
+    from midspan.sinks.write import check_target
     from midspan.vision.tracker import TRACKERS
 
     console = Console(quiet, as_json)
     check_target(Path(output))
     if Path(output).suffix.lower() in (".mseed", ".uff"):
-        raise click.UsageError(f"-o {output}: a track is written as .csv, .parquet, .h5 or .mat.")
+        raise click.UsageError(f"-o {output}: a track is written as .csv, .parquet, .h5, .mat, .xlsx or .tdms.")
     if Path(source).name == RECORDING_FILE or (Path(source) / RECORDING_FILE).is_file():
         check_result(output, open_recording(source))
         if options["rate_hz"] is not None or options["start_s"]:
             raise click.UsageError("--rate-hz and --start-s: a recording says these itself, in [camera].")
     else:
         check_result(output)
+    if options["rate_hz"] is not None:
+        within("--rate-hz", options["rate_hz"], RATE_HZ)
     if options["tracker"] is not None:
         option("--tracker", options["tracker"], TRACKERS)
-    if options["rate_hz"] is not None:
-        positive("--rate-hz", options["rate_hz"], "Hz")
-    request = TrackRequest(
-        region=Region(*options["roi"]) if options["roi"] else None,
-        tracker=options["tracker"],
-        every=options["every"],
-        rate_hz=options["rate_hz"],
-        start_s=options["start_s"],
-    )
-    tracked = track(source, request, console.progress)
+    tracked = track(source, **options, progress=console.progress)
     console.done()
-    write_result(Path(output), tracked.table())
+    tracked.save(output)
     rows, region = tracked.track, tracked.region
     lost = int(np.count_nonzero(rows.status == Status.LOST))
     figures = {
@@ -74,7 +70,7 @@ def command(source: str, output: str, quiet: bool, as_json: bool, **options: Any
         "written": output,
         "warnings": list(tracked.warnings),
     }
-    console.table((name.replace("_", " "), _text(value)) for name, value in figures.items() if name != "warnings")
+    console.table(_rows(figures, tracked))
     console.warn(tracked.warnings)
     console.document(figures)
 
@@ -88,9 +84,27 @@ def _others(tracked: "Tracked") -> dict[str, Any]:
     return {"targets": regions}
 
 
-def _text(value: Any) -> str:
-    """A figure for a person: three digits of a deviation."""
-    return f"{value:.3g}" if isinstance(value, float) else str(value)
+def _rows(figures: dict[str, Any], tracked: "Tracked") -> list[tuple[str, str]]:
+    """The figures for a person."""
+    several = len(tracked.tracking.targets) > 1
+    return [
+        ("frames", f"{figures['frames']}, {figures['lost']} lost"),
+        *((f"target {one.name}" if several else "roi", _place(one.region)) for one in tracked.tracking.targets),
+        *((axis, _along(figures, axis)) for axis in "xy"),
+        ("written", figures["written"]),
+    ]
+
+
+def _place(region: "Region") -> str:
+    return f"x {region.x}, y {region.y}, {region.width} × {region.height} px"
+
+
+def _along(figures: dict[str, Any], axis: str) -> str:
+    """The range of the translation along an image axis, and its typical standard deviation."""
+    found, std = figures[f"range_{axis}_px"], figures[f"median_std_{axis}_px"]
+    if found is None or std is None:
+        return "not measured"
+    return f"{found[0]:.4g} … {found[1]:.4g} px, standard deviation {std:.3g} px (median)"
 
 
 def _range(values: Any) -> list[float] | None:

@@ -373,7 +373,9 @@ def _filled(
         else:
             drawn[start:stop], density[start : stop + 1] = figures.mean_m_s2, figures.unknown_density
         if count >= limits.long > before:
-            events.append(Event(since, "missing", f"{figures.name}: samples are missing from here on."))
+            events.append(
+                Event(since, "missing", f"{figures.name}: samples are missing, frozen or clipped from here on.")
+            )
         if not is_open:
             events.append(Event(since, "bridged", f"{figures.name}: {count} samples bridged."))
         lost = (count, since) if is_open else (0, 0)

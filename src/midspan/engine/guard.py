@@ -76,6 +76,11 @@ class Guard:
         self._state = GuardState(None, False, none, memories, tuple(nothing for _ in settings.axes))
 
     @property
+    def unseen(self) -> str:
+        """Whether the newest samples are one value over and over, and have been for longer than they are held back."""
+        return "frozen" if any(axis.lost and axis.equal > axis.lost for axis in self._state.axes) else ""
+
+    @property
     def state(self) -> GuardState:
         """All that has an effect on what comes later."""
         return self._state

@@ -139,6 +139,7 @@ class Merge:
         # Between ticks so far apart nobody listened: the process was stopped, and what came meanwhile is on its way.
         deaf = self._silent_ns is not None and self._now_ns - before_ns > self._silent_ns
         for number, stream in enumerate(self._streams):
+            stream.pause_ns += self._now_ns - before_ns if deaf else 0
             heard_ns = self._now_ns if stream.heard_ns is None or deaf else stream.heard_ns
             silent_ns = self._now_ns - heard_ns
             out = stream.out or (self._silent_ns is not None and silent_ns > self._silent_ns)
@@ -252,7 +253,7 @@ class Merge:
         if stream.out:
             self._tell(number, "returned", f"{stream.name}: records come again.")
         stream.newest_ns, stream.heard_ns, stream.out, stream.fault = newest_ns, self._now_ns, False, fault
-        stream.used, stream.elsewhere = stream.used + used, None
+        stream.used, stream.elsewhere, stream.pause_ns = stream.used + used, None, 0
 
     def _words(self, number: int, code: int, time_ns: int, newest_ns: int) -> str:
         """What is wrong with a stamp, as a person should read it."""
@@ -281,7 +282,7 @@ class Merge:
         if number == 0 and self._now_ns is None:
             # Without ticks a pause of the first stream cannot be told from a clock that was set ahead.
             return LAST_NS
-        return first.newest_ns + MAX_AHEAD * self._silent_ns
+        return first.newest_ns + first.pause_ns + MAX_AHEAD * self._silent_ns
 
     def _limit(self) -> int | None:
         """Up to which stamp (ns) everything is due: no live stream can bring anything earlier, or has had its time."""

@@ -219,7 +219,8 @@ class PlainChain:
         met = time_ns[: int(np.searchsorted(time_ns, state.time_ns[-1], side="right"))]
         if len(met) < MIN_EQUAL:
             return False
-        origin_ns, end = int(met[0]), int(np.searchsorted(state.time_ns, met[-1], side="right"))
+        # Up to the sample that reaches the last of them: stamps seldom coincide.
+        origin_ns, end = int(met[0]), int(np.searchsorted(state.time_ns, met[-1])) + 1
         samples = np.column_stack(
             (seconds(state.time_ns[:end], origin_ns), state.acceleration[:end], state.density[:end])
         )

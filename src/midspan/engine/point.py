@@ -81,6 +81,8 @@ class Point:
 
     def unseen(self, stream: str) -> str:
         """Why a sensor's newest records measure nothing, once that lasts: dark, frozen, lost; else nothing."""
+        if stream == ACCELEROMETER:
+            return self.guard.unseen
         return self.sensors[stream].unseen if stream in self.sensors else ""
 
     def scale_errors(self) -> dict[str, tuple[float, float]]:

@@ -63,14 +63,15 @@ class StreamMemory:
     """What is known of a stream; a state holds a copy.
 
     newest_ns, late_ns: its newest stamp, and the newest one that came too late, on the common clock; heard_ns: the tick
-    at its newest good record; offsets: still to come, in the order of their stamps; out: silent for too long; fault:
-    code of what is wrong with its newest record; elsewhere: its newest records, where their stamps go on elsewhere;
-    used, late, disordered, lost: counts.
+    at its newest good record; pause_ns: for how long nobody listened since then; offsets: still to come, in the order
+    of their stamps; out: silent for too long; fault: code of what is wrong with its newest record; elsewhere: its
+    newest records, where their stamps go on elsewhere; used, late, disordered, lost: counts.
     """
 
     name: str
     newest_ns: int | None = None
     heard_ns: int | None = None
+    pause_ns: int = 0
     sequence: int | None = None
     offset_ns: int = 0
     offsets: tuple[ClockOffset, ...] = ()

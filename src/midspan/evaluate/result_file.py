@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from midspan.checks import option
+from midspan.checks import instance, option, path_of
 from midspan.errors import DataError, UsageError
 from midspan.evaluate import metrics
 from midspan.evaluate.metrics import MAX_LAG_S, Band, Comparison
@@ -34,7 +34,7 @@ class StoredResult:
 
 
 def read_result(path: str | Path, unit: str | None = None, axis: str | None = None) -> StoredResult:
-    """Read a result file (.csv, .parquet, .h5, .mat, .mseed, .uff), or any other file of times and displacement.
+    """Read a result file of any format that `estimate` writes, or any other file of times and displacement.
 
     unit: of the displacement, over what the file says; left out: the file's own, else mm (reported in `series.notes`).
     axis: image axis "x" or "y" of a result that has both; left out: the main columns, or the only ones. Raises
@@ -76,7 +76,7 @@ def column_of(names: Sequence[str], axis: str | None) -> str | None:
     return own if own in names else main
 
 
-def _of_result(result: Result, axis: str | None) -> StoredResult:
+def of_result(result: Result, axis: str | None = None) -> StoredResult:
     """The displacement of a result in memory along an image axis; None: the main one."""
     if axis is not None and result.across is None:
         raise UsageError(f"axis = {axis!r}: the result has one axis only. Leave the axis out.")
@@ -173,16 +173,20 @@ def compare(
     max_lag_s: largest lag looked for, s. Raises UsageError for an axis that there is not, DataError for files that
     cannot be read or have no instants in common.
     """
+    reference = path_of("reference", reference)
+    if unit is not None:
+        instance("unit", unit, str, "the name of a unit of length, such as 'mm'")
     if isinstance(result, Result):
-        stored, second = _of_result(result, axis), result.across is not None and result.across.axis == axis
+        stored, second = of_result(result, axis), result.across is not None and result.across.axis == axis
     else:
-        stored = read_result(result, axis=_of_both(Path(result), axis))
-        second = axis is not None and _own(axis) in list_channels(Path(result)).names
+        result = path_of("result", result)
+        stored = read_result(result, axis=_of_both(result, axis))
+        second = axis is not None and _own(axis) in list_channels(result).names
     if axis is not None and second:
-        _refuse_other_axis(Path(reference), axis)
+        _refuse_other_axis(reference, axis)
     wanted = read_reference(reference, unit, axis)
     found = metrics.compare(stored.series, wanted, band=stored.band, align=align, max_lag_s=max_lag_s)
     assumed = [line for line in (*stored.series.notes, *wanted.notes) if line.endswith("assumed.")]
     assumed += [f"{line}." for line in (*stored.series.damage, *wanted.damage)]
-    apart = [line for path in (result, reference) if not isinstance(path, Result) and (line := mismatch(Path(path)))]
+    apart = [line for path in (result, reference) if not isinstance(path, Result) and (line := mismatch(path))]
     return replace(found, notes=(*apart, *assumed, *found.notes))

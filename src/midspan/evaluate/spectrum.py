@@ -38,7 +38,11 @@ MAX_SHARE = 0.4
 
 @dataclass(frozen=True, slots=True)
 class Mode:
-    """A natural frequency, Hz, its damping ratio, and their standard deviations; rms_mm: of the displacement in it."""
+    """A natural frequency, Hz, its damping ratio, and their standard deviations; rms_mm: of the displacement in it.
+
+    damping, damping_std: NaN where the peak is no oscillator's under white force: a tone, as of a machine or of people
+    in step, or several modes close together; its frequency is known to the record's resolution then.
+    """
 
     frequency_hz: float
     frequency_std_hz: float
@@ -60,7 +64,8 @@ class Spectrum:
 
     def to_dict(self) -> dict[str, Any]:
         """The modes as plain values."""
-        return {"segment_s": self.segment_s, "modes": [asdict(mode) for mode in self.modes]}
+        modes = [{k: v if np.isfinite(v) else None for k, v in asdict(mode).items()} for mode in self.modes]
+        return {"segment_s": self.segment_s, "modes": modes}
 
 
 def spectrum(series: TimeSeries, *, max_modes: int = 6) -> Spectrum:
@@ -86,13 +91,11 @@ def spectrum(series: TimeSeries, *, max_modes: int = 6) -> Spectrum:
     modes: list[Mode] = []
     for peak_hz in peaks.tolist():
         # Chance splits a peak: what lies in one that is fitted is no other.
-        apart_hz = [max(LOBE_WIDTHS * width_hz, OWN_HALF_WIDTHS * one.damping * one.frequency_hz) for one in modes]
+        apart_hz = [np.fmax(LOBE_WIDTHS * width_hz, OWN_HALF_WIDTHS * one.damping * one.frequency_hz) for one in modes]
         if any(abs(peak_hz - one.frequency_hz) < apart for one, apart in zip(modes, apart_hz, strict=True)):
             continue
         others = np.sort(peaks[np.abs(peaks - peak_hz) > max(LOBE_WIDTHS * width_hz, OTHER_SHARE * peak_hz)])
-        found = _fitted(*ordinates, peak_hz, others, width_hz)
-        if found is not None:
-            modes.append(found)
+        modes.append(_fitted(*ordinates, peak_hz, others, width_hz) or _tone(*ordinates, peak_hz, width_hz))
         if len(modes) == max_modes:
             break
     return Spectrum(frequency, density, segment / rate_hz, tuple(sorted(modes, key=lambda one: one.frequency_hz)))
@@ -136,6 +139,14 @@ def _peaks(frequency: Floats, density: Floats, averaged: int, rate_hz: float) ->
     usable = near[(even[near] > beyond * level[near]) & (frequency[near] < MAX_SHARE * rate_hz) & (near > 1)]
     order = np.argsort(-(even[usable] / level[usable]))
     return [int(k) for k in usable[order]]
+
+
+def _tone(frequency: Floats, power: Floats, peak_hz: float, width_hz: float) -> Mode:
+    """A peak that is no oscillator's: its centre and what lies in it. width_hz: resolved by the segments."""
+    near = np.abs(frequency - peak_hz) < 0.5 * LOBE_WIDTHS * width_hz
+    step, inside = float(frequency[1] - frequency[0]), float(np.sum(power[near]))
+    centre = float(np.sum(power[near] * frequency[near])) / inside
+    return Mode(centre, step, np.nan, np.nan, float(np.sqrt(inside * step)))
 
 
 def _fitted(frequency: Floats, power: Floats, peak_hz: float, others: Floats, width_hz: float) -> Mode | None:

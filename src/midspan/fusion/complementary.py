@@ -108,7 +108,14 @@ def fused(
     for stretch in stretches(acceleration, rates.step_s):
         _overwrite(rows, _stretch(method, stretch, origin_ns))
     told = tuple(Event(origin_ns, "rate", text) for text in branches.warnings)
-    return replace(smoothed, estimate=rows, events=(*smoothed.events, *told, *slow))
+    events = (*smoothed.events, *told, *slow)
+    return replace(smoothed, estimate=rows, events=events, delay_s=_delay_s(method))
+
+
+def _delay_s(method: Method) -> float:
+    """Reach of a row into what comes later: of the filters, the anti-aliasing stage's, and the spline, s."""
+    before = 0 if method.branches.removed is None else method.branches.removed.half
+    return (method.bank.half + before) * method.rates.step_s + REACH_STEPS * method.rates.frame_s
 
 
 def slower_events(knots: Floats, rates: Rates, origin_ns: int) -> list[Event]:

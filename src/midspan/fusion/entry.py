@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from midspan.checks import refuse, same_length
+from midspan.checks import instance, refuse, same_length
 from midspan.records import Acceleration, Displacement, Nanoseconds, Source
 
 # Beyond any structure: a thousand kilometres, and a thousand times the shock range of a sensor.
@@ -14,6 +14,7 @@ MAX_M, MAX_M_S2 = 1e6, 1e7
 
 def sound_acceleration(record: Acceleration) -> Acceleration:
     """The block itself; UsageError where it is not as `Acceleration` promises."""
+    instance("acceleration", record, Acceleration, "a block of midspan.Acceleration")
     same_length(time_ns=record.time_ns, value_m_s2=record.value_m_s2, noise_density=record.noise_density)
     _stamps("time_ns of the acceleration", record.time_ns, strictly=True)
     remedy = "Leave such samples out, or bridge them and raise noise_density there."
@@ -25,6 +26,7 @@ def sound_acceleration(record: Acceleration) -> Acceleration:
 
 def sound_displacement(record: Displacement, *, ordered: bool = True) -> Displacement:
     """The block itself; UsageError where it is not as `Displacement` promises; ordered: its stamps must be."""
+    instance("displacement", record, Displacement, "a block of midspan.Displacement")
     value, variance, source = record.value_m, record.variance_m2, record.source
     same_length(time_ns=record.time_ns, value_m=value, variance_m2=variance, source=source)
     _stamps("time_ns of the displacement", np.sort(record.time_ns) if not ordered else record.time_ns, strictly=False)

@@ -324,7 +324,8 @@ def run_block(samples, rows, decided, state, hyps, tables, options, out):  # typ
     best = one_of(hyps, 0)
     x, p, marks, memory, theta, spread, _ = best
     scratch = (np.zeros(len(x)), np.zeros(x.shape[1]), np.zeros(len(motion)), np.zeros((MOST, KINDS)))
-    j = ordered = 0
+    # Not the literal 0: Numba would compile all that takes them a second time, for that constant.
+    j = ordered = np.int64(0)
     for k in range(len(samples)):
         begun, end = clock[TIME], samples[k, 0]
         gap = end - begun > GAP_STEPS * clock[STEP]

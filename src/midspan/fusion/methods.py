@@ -19,7 +19,7 @@ class Pass(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Method:
-    """One row of the table: when to use the method, and what makes its rows.
+    """One row of the table: the method's name in words, when to use it, and what makes its rows.
 
     rows: those of the estimator, which takes each sensor's measurements as they come. on_series: module and function
     that make them from one series of displacements, an `OnSeries` of `runners`; with both it makes those as printed.
@@ -32,6 +32,7 @@ class Method:
     on_series: str = ""
     literal: bool = False
     follows_noise: bool = False
+    title: str = ""
 
     def __post_init__(self) -> None:
         if self.rows is None and not self.on_series:
@@ -48,32 +49,39 @@ METHODS: dict[str, Method] = {
     "smoother": Method(
         "offline default: uses measurements before and after each sample; half the error of `kalman`",
         Pass.SMOOTHED,
+        title="Kalman smoother over the whole record",
     ),
     "kalman": Method(
         "causal: uses only what came before each sample; for real time and for control",
         Pass.CAUSAL,
+        title="causal Kalman filter",
     ),
     "lag": Method(
         "live with a short delay (fusion.lag_s): nearly the smoother's error from half a second on",
         Pass.LAGGED,
+        title="Kalman smoother with a fixed lag",
     ),
     "adaptive-kalman": Method(
-        "causal, learns the displacement's noise as it goes: for light or weather that changes; "
-        "with fusion.literal the adaptive multirate filter exactly as published",
+        "causal, estimates the displacement's noise all the time: for light or weather that changes; "
+        "with fusion.literal the adaptive multi-rate Kalman filter (AMKF paper) exactly as published",
         Pass.CAUSAL,
         "midspan.fusion.adaptive:run_printed",
         literal=True,
         follows_noise=True,
+        title="adaptive multirate Kalman filter",
     ),
     "fir": Method(
-        "two FIR branches with a delay of seconds: to compare with Lee's method, where nothing folds",
+        "two FIR branches with a delay of seconds (Lee and others 2010; radar paper): to compare with it, where no "
+        "motion is above the Nyquist frequency of the displacement",
         on_series="midspan.fusion.fir:run_fir",
         literal=True,
+        title="regularised FIR filters of Lee",
     ),
     "two-stage-fir": Method(
-        "the same with folded motion taken off first: to compare with the two-stage method",
+        "the same after aliased motion is subtracted (two-stage paper): to compare with it",
         on_series="midspan.fusion.two_stage:run_two_stage",
         literal=True,
+        title="two-stage FIR filters with aliased motion removed first",
     ),
 }
 DEFAULT_METHOD = "smoother"

@@ -114,13 +114,15 @@ class Smoothed:
     """What a method returns for a whole record: the estimate, the innovations of its forward pass, and events.
 
     innovation: of each measurement that was met, in time order. variance_m2 (m,): what each of them was taken to vary
-    by, of the adaptive filter as printed alone.
+    by, of the adaptive filter as printed alone. delay_s: by how much a row needs what comes later, of a method with
+    filters of a fixed length.
     """
 
     estimate: Estimate
     innovation: Innovation
     events: tuple[Event, ...]
     variance_m2: Floats | None = None
+    delay_s: float = 0.0
 
 
 class KalmanFilter:

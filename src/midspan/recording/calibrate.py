@@ -17,7 +17,7 @@ from midspan.errors import MidspanError, UntrustedError
 from midspan.progress import Progress, silent
 from midspan.recording.cameras import calibrate_cameras, together
 from midspan.recording.kinds import ROWS
-from midspan.recording.streams.recording import Recording, naming, open_recording
+from midspan.recording.streams.recording import Recording, naming, opened
 from midspan.recording.streams.window import calibration_window, liveliest_minute
 from midspan.settings.plausible import implausible
 from midspan.settings.sensor_words import in_words_of, worded
@@ -31,8 +31,7 @@ def calibrate(recording: Recording | str | Path, progress: Progress = silent) ->
     [displacement] sensor's noise and clock offset are estimated relative to it. Raises UntrustedError, with the reason,
     when the result could not be trusted, DataError for unusable streams.
     """
-    if isinstance(recording, str | Path):
-        recording = open_recording(recording)
+    recording = opened(recording)
     calibration, tracking = calibrate_and_track(recording, progress)
     if tracking is not None:
         tracking.close()
@@ -68,8 +67,6 @@ def _in_liveliest_minute(recording: Recording, progress: Progress) -> tuple[Cali
 
 
 def _calibrate_and_track(recording: Recording, progress: Progress) -> tuple[Calibration, CameraTracking | None]:
-    if recording.settings.fusion.literal:
-        recording.require_one_of_a_kind()
     seen = calibrate_cameras(recording, progress) if recording.cameras else ()
     fits = [one.parts[0] for one in seen] + [_fitted(view, progress) for view in recording.views if view.kind in ROWS]
     warnings = [*recording.channel_warnings, *(line for one in seen for line in one.warnings)]

@@ -8,7 +8,7 @@ import numpy as np
 
 from midspan.calibration.one_clock import OneClock
 from midspan.calibration.unfelt import refuse_unfelt_rows
-from midspan.checks import option
+from midspan.checks import option, path_of
 from midspan.engine.camera_result import CameraResult, camera_result, camera_series
 from midspan.engine.channels import clock_std_s, without_gain
 from midspan.engine.one_series import (
@@ -45,7 +45,7 @@ from midspan.recording.point import measuring_point, zero_instant
 from midspan.recording.printed_radar import estimate_printed
 from midspan.recording.result import Result
 from midspan.recording.run import Outcome, run, used_when
-from midspan.recording.streams.recording import Recording, naming, open_recording
+from midspan.recording.streams.recording import Recording, naming, opened
 from midspan.recording.tracked import (
     Eye,
     Side,
@@ -68,28 +68,27 @@ def estimate(
     *,
     method: str | None = None,
     tracking: CameraTracking | None = None,
+    given: bool | None = None,
     progress: Progress = silent,
 ) -> Result:
     """Estimate the displacement of a recording, which may be given by its path.
 
     calibration: or its file; left out, it is made first (and the camera is tracked once for both). method: a name of
-    `midspan methods`, over the recording's own. tracking: what `calibrate_and_track` left, to go on with. Returns one
-    row for each accelerometer sample in the streams' common span.
+    `midspan methods`, over the recording's own. tracking: what `calibrate_and_track` left, to go on with. given:
+    whether the calibration is that of another record; left out: where there is no tracking. Returns one row for each
+    accelerometer sample in the streams' common span.
     Raises UntrustedError when calibration is refused, DataError for unusable streams.
     """
-    if isinstance(recording, str | Path):
-        recording = open_recording(recording)
-    if isinstance(calibration, str | Path):
-        calibration = load_calibration(calibration)
+    recording = opened(recording)
+    if calibration is not None and not isinstance(calibration, Calibration):
+        calibration = load_calibration(path_of("calibration", calibration))
     # The method is checked first: tracking may take long.
     method = option("method", method or recording.settings.fusion.method, METHODS)
     if recording.has("radar") and recording.settings.fusion.literal:
         return estimate_printed(recording, calibration, method, progress)
-    if recording.settings.fusion.literal:
-        recording.require_one_of_a_kind()
-        if not METHODS[method].literal:
-            raise UsageError(f"{recording.file}: fusion: {no_literal_form(method)}.")
-    given = calibration is not None and tracking is None
+    if recording.settings.fusion.literal and not METHODS[method].literal:
+        raise UsageError(f"{recording.file}: fusion: {no_literal_form(method)}.")
+    given = (calibration is not None and tracking is None) if given is None else given
     if calibration is None:
         calibration, tracking = calibrate_and_track(recording, progress)
     with naming(recording):
@@ -169,7 +168,7 @@ class Checked:
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """Rows, innovations and the zero's variance along each axis, when each sensor was used, events, warnings."""
+    """Rows, innovations and the zero's variance along each axis, when each sensor was used, events, warnings, delay."""
 
     rows: tuple[Estimate, ...]
     innovations: tuple[Innovation, ...]
@@ -177,6 +176,7 @@ class Found:
     used: dict[str, list[tuple[int, int]]]
     events: tuple[Event, ...]
     warnings: tuple[str, ...]
+    delay_s: float = 0.0
 
 
 def _estimate(asked: Asked, tracking: CameraTracking | None, progress: Progress) -> Result:
@@ -318,6 +318,7 @@ def on_series(asked: Asked, first: FirstPass, ran: Mapping[str, OneClock], check
         rows[axis] = part(own_rows, np.isin(own_rows.time_ns, found.rows[axis].time_ns))
         innovations[axis] = done.innovation if len(done.innovation.time_ns) else innovations[axis]
         events += done.events
+        found = replace(found, delay_s=max(found.delay_s, done.delay_s))
         warnings += literal_warnings(measured, done) if method.literal else []
     return replace(
         found,
@@ -382,6 +383,9 @@ def result_of(asked: Asked, first: FirstPass, found: Found, checked: Checked) ->
         radars={name: log.trace(info[name].limit_speed_m_s) for name, log in radars.items()},
         zero_std_m=float(np.sqrt(found.zero_variance_m2[0])),
         used=found.used,
+        delay_s={Pass.SMOOTHED: np.inf, Pass.LAGGED: asked.by_settings.lag_s}.get(
+            asked.row.rows or Pass.CAUSAL, found.delay_s
+        ),
         file=recording.file,
         name=recording.name,
     )

@@ -1,18 +1,13 @@
 """`inspect`: what is in a recording, stream by stream, without changing or judging anything."""
 
-import os
 from collections.abc import Callable, Iterator
 from functools import partial
-from pathlib import Path
 
 from midspan.errors import MidspanError
 from midspan.progress import Progress, silent
 from midspan.recording.streams.recording import Recording
-from midspan.records import NANOSECONDS, Nanoseconds
-from midspan.settings.load import RECORDING_FILE
-from midspan.signals.stamps import shown
-from midspan.sources.inspect import PICTURES, Tree, acceleration_tree, frames_tree, radar_tree, series_tree
-from midspan.sources.thermal.formats import is_thermal
+from midspan.records import Nanoseconds
+from midspan.sources.inspect import Tree, acceleration_tree, frames_tree, overlap, radar_tree, series_tree
 
 
 def inspect_recording(recording: Recording, every_frame: bool = False, progress: Progress = silent) -> Tree:
@@ -30,7 +25,7 @@ def inspect_recording(recording: Recording, every_frame: bool = False, progress:
             spans[section] = (int(time_ns[0]), int(time_ns[-1]))
         except MidspanError as error:
             tree[section] = {"file": file, "error": str(error), "exit_code": error.exit_code}
-    tree["overlap"] = _overlap({name: span for name, span in spans.items() if name != "reference"})
+    tree["overlap"] = overlap({name: span for name, span in spans.items() if name != "reference"})
     return tree
 
 
@@ -56,31 +51,3 @@ def _streams(recording: Recording, every_frame: bool, progress: Progress) -> Ite
         yield view.sensor, view.own.settings.file, partial(readers[view.kind], view)
     if settings.reference is not None:
         yield "reference", settings.reference.file, lambda: series_tree(recording.reference, "m")
-
-
-def is_single(path: Path) -> bool:
-    """Whether a path is a single file to look at, or a folder of pictures or FLIR frames that is no recording."""
-    if os.path.isdir(path):
-        names = [] if (path / RECORDING_FILE).is_file() else [file.suffix.lower() for file in path.iterdir()]
-        return any(name in PICTURES for name in names) or (bool(names) and is_thermal(path))
-    try:
-        path.stat()
-    except FileNotFoundError:
-        return False
-    except (OSError, ValueError):
-        # No path that can be: refused with the reason as the file that it is not.
-        return True
-    return path.suffix.lower() != ".toml"
-
-
-def _overlap(spans: dict[str, tuple[int, int]]) -> Tree:
-    if len(spans) < 2:
-        return {}
-    first = max(span[0] for span in spans.values())
-    last = min(span[1] for span in spans.values())
-    return {
-        "start": shown(first),
-        "duration_s": max(0.0, (last - first) / NANOSECONDS),
-        "streams": list(spans),
-        "overlapping": last > first,
-    }

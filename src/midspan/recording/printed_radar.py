@@ -44,7 +44,6 @@ def estimate_printed(recording: Recording, calibration: Calibration | None, meth
             f"{recording.file}: fusion.literal = true with [radar]: the printed radar takes no other sensor. Leave "
             "[camera], [infrared] and [displacement] out, or leave fusion.literal out."
         )
-    recording.require_one_of_a_kind()
     if calibration is None:
         calibration, _ = calibrate_and_track(recording, progress)
     with naming(recording):

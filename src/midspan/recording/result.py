@@ -1,6 +1,5 @@
 """The result of an estimate: rows, figures, and ways to look at them and keep them."""
 
-import html
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -9,9 +8,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from midspan._version import __version__
+from midspan.checks import instance
 from midspan.engine.camera_result import CameraResult
 from midspan.engine.radar_trace import RadarTrace
 from midspan.engine.sensor_series import SensorSeries
+from midspan.notebook import table
 from midspan.recording.streams.recording import Recording
 from midspan.records import Estimate, Event, Floats, Innovation, PixelTrack, Source, Status, TimeSeries, seconds
 from midspan.settings.band import not_in_band
@@ -19,7 +20,7 @@ from midspan.settings.recording import RecordingSettings
 from midspan.settings.stored.calibration import Calibration
 from midspan.signals.thinning import envelope
 from midspan.sinks.table import ResultTable
-from midspan.sinks.write import check_target, write_result
+from midspan.sinks.write import write_result
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -40,7 +41,8 @@ class Result:
     what each sensor measured, in metres; radars: what the targets of each showed, by its name; across: the same along
     the second image axis, with camera.direction = "xy". zero_std_m: the part of every row's standard deviation that is
     the zero's, common to the whole record. used: segments (first and last stamp, ns) in which measurements of each
-    sensor, by its name, were used. file: the recording's settings file; name: the recording's name.
+    sensor, by its name, were used. delay_s: how much of the record after it a row needs, infinite: all. file: the
+    recording's settings file; name: the recording's name.
     """
 
     estimate: Estimate
@@ -56,6 +58,7 @@ class Result:
     across: "Result | None" = field(default=None, repr=False)
     zero_std_m: float = 0.0
     used: Mapping[str, Sequence[tuple[int, int]]] = field(default_factory=dict, repr=False)
+    delay_s: float = 0.0
     file: Path | None = None
     name: str = ""
 
@@ -110,6 +113,17 @@ class Result:
     def velocity_mm_s(self) -> Floats:
         """Velocity of each row, mm/s."""
         return 1e3 * self.estimate.velocity_m_s
+
+    def __repr__(self) -> str:
+        return f"Result({self.name!r}: {self.summary()})"
+
+    def summary(self) -> str:
+        """Method, span, range and typical standard deviation of the displacement in a line."""
+        f = self.figures()
+        return (
+            f"{f['smallest_mm']:.4g} … {f['largest_mm']:.4g} mm ± {f['median_std_mm']:.2g} mm, {f['rows']} rows from "
+            f"{f['start_s']:.2f} to {f['end_s']:.2f} s, {self.method}"
+        )
 
     def table(self) -> ResultTable:
         """The columns of the result files with their metadata."""
@@ -209,33 +223,26 @@ class Result:
 
     def to_pandas(self) -> "pd.DataFrame":
         """The rows as a data frame indexed by time_s, with words for source and status."""
-        import pandas as pd
-
-        words = {"source": [s.word for s in Source], "status": [s.word for s in Status]}
-        columns: dict[str, Any] = dict(self.table().columns)
-        for name, values in columns.items():
-            known = words.get(name.split("_")[0])
-            columns[name] = values if known is None else pd.Categorical.from_codes(values, pd.Index(known))
-        return pd.DataFrame(columns, index=pd.Index(columns.pop("time_s"), name="time_s"))
+        return self.table().to_pandas()
 
     def save(self, path: str | Path) -> Path:
-        """Write the result; the suffix chooses the format (.csv, .parquet, .h5, .mat, .mseed, .uff)."""
-        check_target(Path(path))
-        write_result(Path(path), self.table())
-        return Path(path)
+        """Write the result; the suffix chooses the format (.csv, .parquet, .h5, .mat, .xlsx, .tdms, .mseed, .uff)."""
+        return write_result(path, self.table())
 
     def plot(self, axes: "Axes | None" = None) -> "Figure":
         """Draw the time history with its ±1.96 standard deviations; returns the figure.
 
         axes: where to draw; left out: in a new figure of pyplot, which `matplotlib.pyplot.show()` shows in a script.
         """
-        if axes is None:
-            from matplotlib import pyplot
+        from matplotlib import axes as kinds
+        from matplotlib import pyplot
 
+        if axes is None:
             figure, axes = pyplot.subplots(figsize=FIGURE_INCHES, layout="constrained")
             if "inline" in pyplot.get_backend():
                 # A notebook shows the figure that a cell returns; it would show one that is still open once more.
                 pyplot.close(figure)
+        instance("axes", axes, kinds.Axes, "axes of matplotlib", "Leave axes out for a figure of its own.")
         for one in (self,) if self.across is None else (self, self.across):
             one._draw(axes, "displacement" if self.across is None else f"displacement along {one.axis}")
         axes.set_xlabel("time (s)")
@@ -281,15 +288,9 @@ class Result:
         self.plot(figure.subplots())
         picture = io.BytesIO()
         figure.savefig(picture, format="png", dpi=96)
-        f = self.figures()
-        text = (
-            f"{f['rows']} rows, {f['start_s']:.2f} … {f['end_s']:.2f} s, "
-            f"{f['smallest_mm']:.3f} … {f['largest_mm']:.3f} mm, "
-            f"standard deviation {f['median_std_mm']:.4f} mm ({self.method})"
-        )
-        notes = "".join(f"<li>{html.escape(line)}</li>" for line in self.warnings)
         data = base64.b64encode(picture.getvalue()).decode()
-        return f'<p>{html.escape(text)}</p><img src="data:image/png;base64,{data}"/><ul>{notes}</ul>'
+        rows = [("displacement", self.summary()), *self.calibration.summary()]
+        return f'<img src="data:image/png;base64,{data}"/>{table(self.name, rows, self.warnings)}'
 
 
 def _events(events: tuple[Event, ...]) -> list[dict[str, Any]]:

@@ -7,6 +7,7 @@ import numpy as np
 from midspan.calibration.scale import ScaleCalibration
 from midspan.engine.camera_result import CameraResult
 from midspan.records import PixelTrack, Region, Status
+from midspan.report.columns import round_below
 from midspan.report.drawing import (
     BLACK,
     BLUE,
@@ -15,6 +16,7 @@ from midspan.report.drawing import (
     ORANGE,
     SKY,
     VERMILLION,
+    WIDTH_IN,
     Picture,
     draw_line,
     draw_points,
@@ -22,6 +24,7 @@ from midspan.report.drawing import (
     sheet,
 )
 from midspan.report.material import Clock
+from midspan.report.tables import partly_static
 from midspan.signals.thinning import envelope
 from midspan.vision.roi import RegionChoice
 
@@ -31,15 +34,21 @@ if TYPE_CHECKING:
 # The longer side of the picture that is kept of a frame, px.
 MAX_FRAME_PX = 960
 MAX_PATH_POINTS = 3000
+# The height of a camera's frame across the page, inches.
+MAX_FRAME_IN = 6.0
+# Under white text on a photograph, in a dark page too.
+LABEL_GROUND: dict[str, Any] = {"facecolor": "#000000", "edgecolor": "none", "alpha": 0.6, "pad": 1.5}
 
 
 def frame(camera: CameraResult) -> Picture:
-    """A camera's first frame with the regions, the best target's region itself, and the path of that target."""
+    """A camera's first frame with the regions and a scale bar; below, the best target's region and its path."""
     pixels = camera.reference
     regions = {target.name: target.region for target in camera.targets}
     region = camera.targets[camera.best].region
-    figure = sheet(3.5)
-    whole, close, path = figure.subplots(1, 3, width_ratios=(1.5, 1, 1))
+    tall = min(WIDTH_IN * pixels.shape[0] / pixels.shape[1], MAX_FRAME_IN)
+    figure = sheet(tall + 3.2)
+    grid = figure.add_gridspec(2, 2, height_ratios=(tall, 2.8))
+    whole, close, path = (figure.add_subplot(place) for place in (grid[0, :], grid[1, 0], grid[1, 1]))
     _image(whole, pixels)
     for name, place in regions.items():
         _box(whole, place, color=VERMILLION, linewidth=1.6)
@@ -49,23 +58,35 @@ def frame(camera: CameraResult) -> Picture:
         if not target.used:
             _box(whole, target.region, color=ORANGE, linewidth=1.2, linestyle="--")
             _label(whole, target.region, target.name)
+    _scale_bar(whole, pixels.shape, 1e3 * abs(camera.calibrations[0].scale.value_m_per_px))
     whole.set_title(f"first frame, {pixels.shape[1]} × {pixels.shape[0]} px", fontsize=9)
-    _image(close, pixels)
-    close.set_xlim(region.x - 0.5, region.x + region.width - 0.5)
-    close.set_ylim(region.y + region.height - 0.5, region.y - 0.5)
+    _image(close, pixels, region)
     close.set_title(f"region, {region.width} × {region.height} px", fontsize=9)
     _path(path, camera.track)
-    return picture(figure, dots=True)
+    return picture(figure)
 
 
-def _image(axes: "Axes", pixels: Any) -> None:
-    """An image in its own pixel coordinates, thinned to what the page can show."""
+def _scale_bar(axes: "Axes", shape: tuple[int, ...], mm_per_px: float) -> None:
+    """A round length, of a quarter of the width or less, at the distance of the best target."""
+    rows, columns = shape
+    length_mm = round_below(0.25 * columns * mm_per_px)
+    left, bottom = 0.03 * columns, 0.95 * rows
+    line = axes.plot((left, left + length_mm / mm_per_px), (bottom, bottom), color="white", linewidth=3.0)[0]
+    line.set_solid_capstyle("butt")
+    text = f"{length_mm:g} mm at the target's distance"
+    axes.text(left, bottom - 0.02 * rows, text, color="white", fontsize=8, va="bottom", bbox=LABEL_GROUND)
+
+
+def _image(axes: "Axes", pixels: Any, region: Region | None = None) -> None:
+    """An image, or a region of it, in its own pixel coordinates, thinned to what the page can show."""
     rows, columns = pixels.shape
-    step = max(1, -(-max(rows, columns) // MAX_FRAME_PX))
-    thinned = np.asarray(pixels[::step, ::step], dtype=np.float64)
+    place = region or Region(0, 0, columns, rows)
+    cut = pixels[place.y : place.y + place.height, place.x : place.x + place.width]
+    step = max(1, -(-max(cut.shape) // MAX_FRAME_PX))
+    thinned = np.asarray(cut[::step, ::step], dtype=np.float64)
     low, high = np.nanpercentile(thinned, (0.5, 99.5))
-    extent = (-0.5, columns - 0.5, rows - 0.5, -0.5)
-    axes.imshow(thinned, cmap="gray", vmin=low, vmax=max(high, low + 1e-9), extent=extent, interpolation="nearest")
+    extent = (place.x - 0.5, place.x + place.width - 0.5, place.y + place.height - 0.5, place.y - 0.5)
+    axes.imshow(thinned, cmap="gray", vmin=low, vmax=max(high, low + 1e-9), extent=extent, interpolation="none")
     axes.grid(False)
     axes.set_xlabel("x (px)")
     axes.set_ylabel("y (px)")
@@ -81,8 +102,7 @@ def _box(axes: "Axes", region: Region, **options: Any) -> None:
 def _label(axes: "Axes", region: Region, text: str) -> None:
     """A word in the upper left corner of a region."""
     spot = (region.x + 0.06 * region.width, region.y + 0.06 * region.height)
-    ground = {"facecolor": BLACK, "edgecolor": "none", "alpha": 0.6, "pad": 1.5}
-    axes.text(*spot, text, color="white", fontsize=7, va="top", zorder=3, clip_on=True, bbox=ground)
+    axes.text(*spot, text, color="white", fontsize=7, va="top", zorder=3, clip_on=True, bbox=LABEL_GROUND)
 
 
 def _path(axes: "Axes", track: PixelTrack) -> None:
@@ -109,6 +129,7 @@ def choice(found: RegionChoice, pixels: Any) -> Picture:
     heard = any(np.isfinite(candidate.displacement_std_m) for candidate in found.candidates)
     for number, candidate in enumerate(found.candidates, start=1):
         fits = candidate.fixed if not heard else bool(np.isfinite(candidate.displacement_std_m))
+        fits = fits and not partly_static(candidate, found)
         colour, line = (SKY, "-") if fits else (ORANGE, "--")
         _box(places, candidate.region, color=colour, linewidth=1.0, linestyle=line, zorder=2)
         _label(places, candidate.region, str(number))
@@ -120,7 +141,7 @@ def choice(found: RegionChoice, pixels: Any) -> Picture:
         axes.set_aspect("equal")
         axes.set_xlim(-0.5, pixels.shape[1] - 0.5)
         axes.set_ylim(pixels.shape[0] - 0.5, -0.5)
-    return picture(figure, dots=True)
+    return picture(figure)
 
 
 def has_map(found: RegionChoice) -> bool:

@@ -17,17 +17,18 @@ def _one(material: Material, found: CameraResult) -> str:
     """Frame, region, path, choice and quality of the tracking."""
     learnt = found.calibrations[0]
     caption = (
-        "The first frame used with the region of interest, the region enlarged, and the target's translation in "
+        "The first frame used with the region of interest; below, the region enlarged, and the target's translation in "
         "the image since then (dot: start). The path should be long in the measured direction "
         f"({learnt.direction}) and short across it."
     )
     if found.source is Source.INFRARED:
         caption += " Grey levels are temperatures: brighter is warmer."
     pieces = [page.figure(camera_figures.frame(found), "Region of interest", caption)]
-    pieces += [_targets(learnt), _choice(found), _active_pixels(found)]
+    pieces += [_targets(learnt), _choice(material, found), _active_pixels(found)]
     caption = (
-        "Quality from 0 to 1 and standard deviation of each frame's translation. Drops tell of fog, glare, something "
-        "in front of the target, or a blurred picture; their measurements count for less."
+        "Quality, how well the target of the first frame is found again, from 0 (not at all) to 1 (as it was), and the "
+        "standard deviation of each frame's translation. Drops show fog, glare, something in front of the target or "
+        "blur; these measurements count for less."
     )
     pieces.append(page.figure(camera_figures.tracker(found, material.clock), "Tracking", caption))
     return page.section(found.sensor, found.sensor.capitalize(), *pieces)
@@ -49,12 +50,17 @@ def _active_pixels(found: CameraResult) -> str:
     return page.figure(phase_figures.active_pixels(active, found.reference), "Active pixels", caption)
 
 
-def _choice(found: CameraResult) -> str:
+def _choice(material: Material, found: CameraResult) -> str:
     if found.choice is None:
-        return page.paragraph("The region was given, by the settings or by the calibration.", "note")
+        own = material.section_of(found)
+        where = (
+            "the settings" if own.roi is not None or own.target else "the calibration file, without how it was chosen"
+        )
+        return page.paragraph(f"The region was given by {where}.", "note")
     caption = (
-        "Numbered boxes were tracked for some seconds. Solid ones fit the accelerometer or, where it could not tell, "
-        "move like most of the picture; dashed ones do not; red ones were taken."
+        "Numbered boxes were tracked for some seconds. Red: selected. Solid: fits the accelerometer or, where that "
+        "does not decide, moves like most of the image. Dashed: does not, or was not compared with the accelerometer; "
+        "the table below says why."
     )
     if camera_figures.has_map(found.choice):
         caption += (

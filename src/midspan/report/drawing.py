@@ -1,10 +1,14 @@
 """How the report's figures look, and how they become pictures inside the page."""
 
+import base64
 import io
-from collections.abc import Iterator
+import re
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from midspan.records import Floats
 from midspan.signals.thinning import Envelope
@@ -18,13 +22,31 @@ BLUE, VERMILLION, GREEN = "#0072B2", "#D55E00", "#009E73"
 SKY, ORANGE, PURPLE, GREY, BLACK = "#56B4E9", "#E69F00", "#CC79A7", "#7A7A7A", "#222222"
 
 WIDTH_IN = 9.6
-# A drawing in lines that grows beyond this is kept in dots instead.
-MAX_SVG = 400_000
+# Lines of a drawing that grows beyond this are kept as dots instead.
+MAX_SVG = 200_000
+DOTS_PER_INCH = 150
+# Of photographs, 0 to 100: artefacts stay below what a screen shows.
+JPEG_QUALITY = 85
+# Colours of a drawing and what they are on a dark page.
+DARK = {
+    BLACK: "#e0e4ea",
+    "#444444": "#a9b2bd",
+    "#888888": "#66707c",
+    "#e3e3e3": "#323a44",
+    BLUE: "#63bdf0",
+    VERMILLION: "#ff8a3d",
+    GREEN: "#35c79c",
+    GREY: "#9aa3ad",
+}
 _STYLE: dict[Any, Any] = {
     "font.size": 9,
     "font.family": ["DejaVu Sans"],
+    "figure.facecolor": "none",
+    "axes.facecolor": "none",
     "axes.edgecolor": "#888888",
     "axes.labelcolor": BLACK,
+    "axes.titlecolor": BLACK,
+    "text.color": BLACK,
     "axes.linewidth": 0.7,
     "axes.spines.top": False,
     "axes.spines.right": False,
@@ -67,13 +89,63 @@ def sheet(height_in: float = 3.0, width_in: float = WIDTH_IN) -> "Figure":
     return Figure(figsize=(width_in, height_in), layout="constrained")
 
 
-def picture(figure: "Figure", *, dots: bool = False) -> Picture:
-    """The figure as lines (SVG), or as dots (PNG) where asked for or where lines would be larger."""
-    if not dots:
-        lines = saved(figure, "svg", metadata={"Date": None, "Creator": None})
-        if len(lines) <= MAX_SVG:
-            return Picture("image/svg+xml", lines)
-    return Picture("image/png", saved(figure, "png", dpi=150, metadata={"Software": None}))
+def picture(figure: "Figure") -> Picture:
+    """The figure as lines (SVG) that follow the page's colour scheme, transparent; photographs lie inside."""
+    drawn = _drawing(figure)
+    if len(drawn) > MAX_SVG:
+        for axes in figure.axes:
+            for artist in (*axes.lines, *axes.collections):
+                artist.set_rasterized(True)
+        drawn = _drawing(figure)
+    return Picture("image/svg+xml", drawn.encode())
+
+
+def _drawing(figure: "Figure") -> str:
+    text = saved(figure, "svg", metadata={"Date": None, "Creator": None}, dpi=DOTS_PER_INCH).decode()
+    text = re.sub(r"<metadata>.*?</metadata>", "", text[text.index("<svg") :], flags=re.DOTALL)
+    text = re.sub(r' d="([^"]*)"', lambda found: f' d="{_shorter(found[1])}"', text)
+    text = re.sub(r"data:image/png;base64,([^\"]*)", lambda found: _smaller(found[1]), text)
+    for light in DARK:
+        text = text.replace(f": {light.lower()}", f": var(--{_variable(light)})")
+    return text.replace("<defs>", f"<style>{_COLOURS}</style>\n <defs>", 1)
+
+
+def _variable(colour: str) -> str:
+    return f"c{colour[1:].lower()}"
+
+
+def _set(colours: Iterable[tuple[str, str]]) -> str:
+    return f":root{{{''.join(f'--{_variable(name)}:{value};' for name, value in colours)}}}"
+
+
+_COLOURS = (
+    f"{_set((light, light) for light in DARK)}@media screen and (prefers-color-scheme:dark){{{_set(DARK.items())}}}"
+)
+
+
+def _shorter(path: str) -> str:
+    """A path with two digits after the point, and no command written twice."""
+    found, last = list[str](), ""
+    for line in re.sub(r"(\.\d\d)\d+", r"\1", path).split("\n"):
+        command, *rest = line.split() or [""]
+        # What follows a move is a line.
+        again = (command == last and command in "LQC") or (command, last) == ("L", "M")
+        found.append(" ".join(rest) if again else f"{command}{' '.join(rest)}")
+        last = last if again else command
+    return " ".join(found)
+
+
+def _smaller(data: str) -> str:
+    """The address of an embedded picture: a grey one without gaps, a photograph, as JPEG."""
+    from PIL import Image
+
+    with Image.open(io.BytesIO(base64.b64decode(data))) as found:
+        red, green, blue, alpha = np.moveaxis(np.asarray(found.convert("RGBA")), 2, 0)
+        if alpha.min() < 255 or not (np.array_equal(red, green) and np.array_equal(red, blue)):
+            return f"data:image/png;base64,{data}"
+        file = io.BytesIO()
+        Image.fromarray(red).save(file, "JPEG", quality=JPEG_QUALITY)
+    return f"data:image/jpeg;base64,{base64.b64encode(file.getvalue()).decode()}"
 
 
 def saved(figure: "Figure", kind: str, **options: Any) -> bytes:

@@ -1,12 +1,16 @@
 """The figures of the displacement: time history, error, zoom, spectra, innovations. Each one: Material → Picture."""
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from midspan.errors import DataError
+from midspan.evaluate.interpolation import step_of
 from midspan.evaluate.metrics import normalised_innovation
+from midspan.evaluate.spectrum import SEGMENT_S, SEGMENTS, Mode, spectrum
 from midspan.fusion.blocks import REJECTED
-from midspan.records import Floats, Innovation, Nanoseconds, Status, part, seconds
+from midspan.records import NANOSECONDS, Floats, Innovation, Nanoseconds, Status, TimeSeries, part, seconds
 from midspan.report.drawing import (
     BLACK,
     BLUE,
@@ -22,17 +26,20 @@ from midspan.report.drawing import (
     picture,
     sheet,
 )
-from midspan.report.material import Material, Measured
+from midspan.report.material import BAND, Material, Measured
 from midspan.signals.stamps import inside
 from midspan.signals.thinning import envelope, logarithmic_means, spans
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-BAND = 1.96
 ZOOM_S = 8.0
-SEGMENTS = 8
+# Of the highest natural frequency.
+MODES_SHOWN = 3.0
+MIN_VALUES = 64
 MAX_SEGMENT = 2**16
+# Innovations are drawn to this many of their median standard deviations, or as far as 95 % of them lie.
+CLIPPED_STD = 6.0
 # Measurements that a zoom can show one by one.
 MAX_CLEAR = 250
 
@@ -75,7 +82,7 @@ def _reference(axes: "Axes", material: Material) -> None:
     found = _reference_within(material, slice(0, len(material.t)))
     if found is not None:
         drawn = envelope(found[0], found[1], found[1])
-        draw_line(axes, drawn, VERMILLION, "reference", linewidth=1.7, alpha=0.8)
+        draw_line(axes, drawn, VERMILLION, "reference", linewidth=0.9)
 
 
 def _shade(axes: "Axes", material: Material) -> None:
@@ -176,28 +183,100 @@ def _between(time_ns: Nanoseconds, material: Material, which: slice) -> slice:
     return inside(time_ns, int(rows[which.start]), int(rows[which.stop - 1]))
 
 
-def spectra(material: Material) -> Picture:
-    """Power spectral densities of result, reference and the sensors alone."""
-    figure = sheet(3.6)
-    axes = figure.subplots()
-    result = material.result
-    for measured, colour in zip(material.measured, (GREY, GREEN, PURPLE, ORANGE), strict=False):
+def spectra(material: Material, modes: Sequence[Mode]) -> Picture:
+    """Amplitude densities of result, reference and the sensors alone over the first natural frequencies, and below how
+
+    coherent each sensor is with the acceleration.
+    """
+    coherent = [(one, found) for one in material.measured if (found := _coherence(material, one)) is not None]
+    figure = sheet(3.4 if not coherent else 4.8)
+    grid = figure.subplots(
+        1 + bool(coherent), 1, sharex=True, squeeze=False, height_ratios=(2.2, 1)[: 1 + bool(coherent)]
+    )
+    axes, nyquist_hz = grid[0, 0], 0.5 / step_of(material.result.estimate.time_ns)
+    limit_hz = min(MODES_SHOWN * modes[-1].frequency_hz, nyquist_hz) if modes else nyquist_hz
+    _densities(axes, material, limit_hz)
+    for mode in modes:
+        over = axes.get_xaxis_transform()
+        axes.axvline(mode.frequency_hz, color=BLACK, linewidth=0.6, linestyle=":")
+        axes.text(mode.frequency_hz, 0.99, f" {mode.frequency_hz:.3g} Hz", transform=over, fontsize=7.5, va="top")
+    axes.set_xlim(0.0, limit_hz)
+    axes.set_ylabel("amplitude density (mm/√Hz)")
+    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4, borderaxespad=0.2)
+    if coherent:
+        _coherences(grid[1, 0], coherent)
+    grid[-1, 0].set_xlabel("frequency (Hz)")
+    figure.align_ylabels()
+    return picture(figure)
+
+
+def _densities(axes: "Axes", material: Material, limit_hz: float) -> None:
+    result, alone = material.result, (GREY, GREEN, PURPLE, ORANGE)
+    for number, (measured, colour) in enumerate(zip(material.measured, alone, strict=False)):
         found = density(measured.time_ns, measured.value_mm)
         if found is not None:
-            axes.loglog(*found, color=colour, label=f"{measured.name} alone, to {0.5 * measured.rate_hz:.3g} Hz")
+            axes.semilogy(found[0], np.sqrt(found[1]), color=colour, label=f"{measured.name} alone")
+        if number == 0:
+            label = f"alias-free band of the {measured.name}, to {0.5 * measured.rate_hz:.3g} Hz"
+            axes.axvspan(0.0, min(0.5 * measured.rate_hz, limit_hz), color=SKY, alpha=0.13, linewidth=0, label=label)
+    reference = material.reference
+    found = None if reference is None else density(reference.time_ns, reference.value)
+    if found is not None:
+        axes.semilogy(found[0], np.sqrt(found[1]), color=VERMILLION, linewidth=1.8, alpha=0.8, label="reference")
     found = density(result.estimate.time_ns, result.displacement_mm)
     if found is not None:
-        axes.loglog(*found, color=BLUE, linewidth=1.2, label="displacement")
+        root = np.sqrt(found[1])
+        axes.semilogy(found[0], root, color=BLUE, linewidth=1.2, label="displacement")
         # A simulated truth has no noise floor and would squeeze everything else.
-        axes.set_ylim(bottom=max(1e-2 * float(found[1].min()), 1e-16 * float(found[1].max()), 1e-30))
-    if material.reference is not None:
-        found = density(material.reference.time_ns, material.reference.value)
-        if found is not None:
-            axes.loglog(*found, color=VERMILLION, linestyle=(0, (4, 2)), label="reference")
-    axes.set_xlabel("frequency (Hz)")
-    axes.set_ylabel("power spectral density (mm²/Hz)")
-    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4, borderaxespad=0.2)
-    return picture(figure)
+        shown = root[found[0] <= limit_hz]
+        axes.set_ylim(max(0.3 * float(shown.min()), 1e-8 * float(shown.max()), 1e-15))
+
+
+def _coherences(axes: "Axes", coherent: Sequence[tuple[Measured, tuple[Floats, Floats, float]]]) -> None:
+    for (measured, (frequency, share, chance)), colour in zip(coherent, (GREY, GREEN, PURPLE, ORANGE), strict=False):
+        label = f"{measured.name} and acceleration" if len(coherent) > 1 else None
+        axes.plot(frequency, share, color=colour, linewidth=1.2, label=label)
+        axes.axhline(chance, color=BLACK, linewidth=0.7, linestyle="--")
+    axes.set_ylim(0.0, 1.05)
+    axes.set_ylabel("coherence")
+    if len(coherent) > 1:
+        axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4, borderaxespad=0.2)
+
+
+def _coherence(material: Material, measured: Measured) -> tuple[Floats, Floats, float] | None:
+    """Frequencies (Hz) up to the sensor's Nyquist frequency, coherence of its measurements with the acceleration, and
+
+    what unrelated records stay below in 95 % of the frequencies; None for short records and without an acceleration.
+    """
+    from scipy.signal import coherence
+
+    felt, known = material.acceleration, np.isfinite(measured.value_mm)
+    if felt is None or np.count_nonzero(known) < MIN_VALUES:
+        return None
+    heard = np.isfinite(felt.value)
+    origin, step = int(measured.time_ns[0]), step_of(felt.time_ns)
+    even = np.arange(0.0, (int(measured.time_ns[-1]) - origin) / NANOSECONDS, step)
+    segment = int(min(SEGMENT_S / step, len(even) / SEGMENTS))
+    if segment < MIN_VALUES:
+        return None
+    seen = np.interp(even, seconds(measured.time_ns[known], origin), measured.value_mm[known])
+    moved = np.interp(even, seconds(felt.time_ns[heard], origin), felt.value[heard])
+    with np.errstate(invalid="ignore", divide="ignore"):
+        # Nothing moves: no share is defined.
+        frequency, share = coherence(seen, moved, 1.0 / step, nperseg=segment, detrend="linear")
+    # Half overlapping Hann windows are worth about as many as fit side by side.
+    chance = 1.0 - 0.05 ** (1.0 / (len(even) / segment - 1.0))
+    usable = (frequency > 0.0) & (frequency < 0.5 * measured.rate_hz) & np.isfinite(share)
+    return frequency[usable], share[usable], chance
+
+
+def natural_frequencies(material: Material) -> tuple[Mode, ...]:
+    """The first modes of the displacement; none where the record is too short for them."""
+    rows = material.result.estimate
+    try:
+        return spectrum(TimeSeries(rows.time_ns, rows.displacement_m)).modes
+    except DataError:
+        return ()
 
 
 def density(time_ns: Nanoseconds, value: Floats) -> tuple[Floats, Floats] | None:
@@ -208,14 +287,14 @@ def density(time_ns: Nanoseconds, value: Floats) -> tuple[Floats, Floats] | None
     from scipy.signal import welch
 
     known = np.isfinite(value)
-    if np.count_nonzero(known) < 64:
+    if np.count_nonzero(known) < MIN_VALUES:
         return None
     t, value = seconds(time_ns[known], int(time_ns[0])), value[known]
     step = float(np.median(np.diff(t)))
     even = np.arange(t[0], t[-1], step)
-    if len(even) < 64:
+    if len(even) < MIN_VALUES:
         return None
-    segment = min(max(len(even) // SEGMENTS * 2, 64), MAX_SEGMENT, len(even))
+    segment = min(max(len(even) // SEGMENTS * 2, MIN_VALUES), MAX_SEGMENT, len(even))
     frequency, power = welch(np.interp(even, t, value), 1.0 / step, nperseg=segment, detrend="linear")
     return logarithmic_means(frequency[1:], np.maximum(power[1:], 1e-300))
 
@@ -260,13 +339,17 @@ def _met(axes: "Axes", material: Material, found: Innovation) -> None:
     axes.plot(drawn.t, 2 * drawn.high, color=BLUE, linewidth=0.9, label="±2 σ expected")
     axes.plot(drawn.t, -2 * drawn.high, color=BLUE, linewidth=0.9)
     rejected = found.verdict == REJECTED
-    usual = 1.25 * max(2.0 * float(np.median(2.0 * std)), 1e-9)
-    reach = 1.05 * float(np.quantile(np.abs(value[~rejected]), 0.95)) if not rejected.all() else 0.0
-    limit = max(usual, reach)
+    usual = max(float(np.median(std)), 1e-9)
+    reach = float(np.quantile(np.abs(value[~rejected]), 0.95)) if not rejected.all() else 0.0
+    limit = max(CLIPPED_STD * usual, 1.05 * reach)
+    beyond = int(np.count_nonzero(np.abs(value) > limit))
     value = np.clip(value, -0.97 * limit, 0.97 * limit)
-    draw_points(axes, t[~rejected], value[~rejected], marker=".", markersize=2.2, color=BLACK, label="innovation")
+    draw_points(axes, t[~rejected], value[~rejected], marker=".", markersize=2.2, color=GREY, label="innovation")
     if rejected.any():
         draw_points(axes, t[rejected], value[rejected], marker="x", markersize=5, color=VERMILLION, label="rejected")
+    if beyond:
+        text = f"{beyond} beyond ±{limit / usual:.2g} median σ, at the border"
+        axes.text(0.995, 0.98, text, transform=axes.transAxes, ha="right", va="top", fontsize=8)
     axes.set_ylim(-limit, limit)
     _finish(axes, material, "measured − predicted (mm)")
 

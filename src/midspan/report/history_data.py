@@ -1,75 +1,149 @@
-"""The numbers behind the time history that can be zoomed: float32 columns in base64."""
+"""What stands behind the time history that can be zoomed: every row, sensor and reference, as columns."""
 
-import base64
 import json
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
-from midspan.records import Floats, Status
-from midspan.report.figures import BAND
-from midspan.report.material import Material
-from midspan.signals.thinning import PAUSE_STEPS, spans, starts
+from midspan.records import NANOSECONDS, Floats, Nanoseconds, TimeSeries
+from midspan.report.columns import Column, packed, round_below
+from midspan.report.material import BAND, Material
+from midspan.signals.thinning import PAUSE_STEPS, starts
 
-# Rows that are kept; longer records keep the extremes of this many segments.
-MAX_ROWS = 20_000
+# Longer records (an hour at 200 Hz is 720 000 rows) keep the extremes of half as many segments.
+MAX_ROWS = 800_000
+# A quantum is this share of a standard deviation or less, which rounding widens by 0.02 %, and this share of the range.
+QUANTUM_STD, QUANTUM_RANGE = 1 / 16, 1 / 5000
+QUANTUM_S = 1e-6
+# Of the standard deviations themselves.
+QUANTUM_OF_STD = 1 / 500
 
 
-def history_attributes(material: Material) -> dict[str, str]:
-    """Attributes of the figure: `data-history`, the columns one after another, and `data-layout`, what they are."""
-    d, s = material.result.displacement_mm, material.result.displacement_std_mm
-    t = material.t
-    at = starts(len(t), MAX_ROWS // 2)
-    columns = {
-        "t": t[at] - t[0],
-        "low": np.fmin.reduceat(d, at),
-        "high": np.fmax.reduceat(d, at),
-        "band_low": np.fmin.reduceat(d - BAND * s, at),
-        "band_high": np.fmax.reduceat(d + BAND * s, at),
-    }
-    reference = _reference(material, t[at])
-    if reference is not None:
-        columns["reference_low"], columns["reference_high"] = reference
-    data = np.concatenate(list(columns.values())).astype("<f4").tobytes()
-    pause = PAUSE_STEPS * float(np.median(np.diff(t[at]))) if len(at) > 2 else 0.0
+@dataclass(slots=True)
+class Packing:
+    """Columns that are collected; equal times of several series are one column."""
+
+    material: Material
+    columns: list[Column] = field(default_factory=list)
+    stamps: list[tuple[Nanoseconds, int]] = field(default_factory=list)
+
+    def add(self, value: Floats, quantum: float) -> int:
+        """A column; its number."""
+        self.columns.append(Column(np.asarray(value, dtype=np.float64), quantum))
+        return len(self.columns) - 1
+
+    def times(self, time_ns: Nanoseconds) -> int:
+        """The column of these times, s after the first row."""
+        for known, number in self.stamps:
+            if np.array_equal(known, time_ns):
+                return number
+        t = self.material.clock.at(time_ns) - float(self.material.t[0])
+        self.stamps.append((time_ns, self.add(t, QUANTUM_S)))
+        return self.stamps[-1][1]
+
+    def series(self, time_ns: Nanoseconds, value: Floats, fine: float, std: Floats | None = None) -> dict[str, Any]:
+        """The columns of a series: times, values to `fine` or finer, standard deviations; what is not finite is left
+
+        out, and more than MAX_ROWS are thinned.
+        """
+        known = np.isfinite(value) & (True if std is None else np.isfinite(std))
+        time_ns, value = time_ns[known], value[known]
+        at = starts(len(value), MAX_ROWS // 2)
+        every = len(at) == len(value)
+        if not every:
+            time_ns = np.repeat(time_ns[at], 2)
+            value = np.column_stack((np.minimum.reduceat(value, at), np.maximum.reduceat(value, at))).ravel()
+        quantum = quantum_of(value, fine)
+        found: dict[str, Any] = {"time": self.times(time_ns), "value": self.add(value, quantum), "every": every}
+        if len(value) > 1:
+            found["pause"] = PAUSE_STEPS * float(np.median(np.diff(time_ns[:: 1 if every else 2]))) / NANOSECONDS
+        if std is not None:
+            std = std[known] if every else np.repeat(np.maximum.reduceat(std[known], at), 2)
+            typical = float(np.median(std)) if len(std) else 0.0
+            found |= {"typical": typical, "std": self.add(std, round_below(max(typical, 1e-9) * QUANTUM_OF_STD))}
+        return found
+
+    def attributes(self, layout: dict[str, Any]) -> dict[str, str]:
+        """The attributes of the figure: `data-rows`, the columns, and `data-chart`, what they are."""
+        columns, text = packed(self.columns)
+        return {"data-rows": text, "data-chart": json.dumps(layout | {"columns": columns})}
+
+
+def quantum_of(value: Floats, fine: float) -> float:
+    """A quantum of `fine` or finer that shows the values in 5000 steps or more, so that no zoom shows any."""
+    extent = float(np.ptp(value)) if len(value) else 0.0
+    return round_below(max(min(fine or np.inf, QUANTUM_RANGE * extent), 1e-12 * extent, 1e-9))
+
+
+def chart_of(material: Material) -> tuple[dict[str, str], str]:
+    """Attributes of the figure that the script makes a chart of, and in a sentence what the page holds."""
+    result, packing = material.result, Packing(material)
+    rows, std = result.estimate, result.displacement_std_mm
+    own = 1e3 * float(np.sqrt(max(float(np.median(rows.variance_m2)) - result.zero_std_m**2, 0.0)))
+    fine = QUANTUM_STD * (own or float(np.median(std)))
+    main = packing.series(rows.time_ns, result.displacement_mm, fine, std)
+    known = np.isfinite(result.displacement_mm) & np.isfinite(std)
+    status = rows.status[known].astype(np.float64)
+    if not main["every"]:
+        status = np.repeat(np.maximum.reduceat(status, starts(len(status), MAX_ROWS // 2)), 2)
+    lines = [
+        {"name": "displacement", "unit": "mm", "panel": "displacement", "shape": "line"} | main,
+        *_reference(packing, fine),
+        *_measured(packing),
+        {"name": "velocity", "unit": "mm/s", "panel": "velocity", "shape": "line"}
+        | packing.series(rows.time_ns, result.velocity_mm_s, _velocity_fine(material)),
+        *_acceleration(packing),
+    ]
+    # One value is no line.
+    lines = [line for line in lines if len(packing.columns[line["value"]].value) > 1]
     layout = {
-        "pause": pause,
-        "rows": len(at),
-        "names": list(columns),
-        "first": float(t[0]),
+        "first": float(material.t[0]),
         "label": material.clock.label,
-        "grounds": _grounds(material),
+        "band": BAND,
+        "lines": lines,
+        "status": packing.add(status, 1.0),
     }
-    return {"data-history": base64.b64encode(data).decode(), "data-layout": json.dumps(layout)}
+    which = "every row" if main["every"] else "the extremes of short segments"
+    quantum = packing.columns[main["value"]].quantum
+    return packing.attributes(layout), f"The page holds {which}, to {quantum:g} mm."
 
 
-def _grounds(material: Material) -> list[list[float | str]]:
-    """Start (s after the first row), length (s) and colour of the segments that no measurement supports."""
-    status, first = material.result.estimate.status, float(material.t[0])
-    colours = ((Status.COASTING, "rgba(230,159,0,0.28)"), (Status.LOST, "rgba(213,94,0,0.28)"))
+def _reference(packing: Packing, fine: float) -> list[dict[str, Any]]:
+    reference = packing.material.reference
+    if reference is None:
+        return []
+    value = reference.value + packing.material.reference_moved_mm
+    found = packing.series(reference.time_ns, value, fine)
+    return [{"name": "reference", "unit": "mm", "panel": "displacement", "shape": "under"} | found]
+
+
+def _measured(packing: Packing) -> list[dict[str, Any]]:
+    """What the sensors measured, as points."""
     return [
-        [round(start - first, 4), round(length, 4), colour]
-        for code, colour in colours
-        for start, length in spans(material.t, status == code)
+        {"name": one.name, "unit": "mm", "panel": "displacement", "shape": "points"}
+        | packing.series(one.time_ns, one.value_mm, QUANTUM_STD * _typical(one.std_mm), one.std_mm)
+        for one in packing.material.measured
+        if np.isfinite(one.value_mm).any()
     ]
 
 
-def _reference(material: Material, starts_s: Floats) -> tuple[Floats, Floats] | None:
-    """Lowest and highest value of the reference in each segment that begins at `starts_s`; NaN where it has none."""
-    reference = material.reference
-    if reference is None:
-        return None
-    value = reference.value + material.reference_moved_mm
-    t = material.clock.at(reference.time_ns)
-    stretch = np.searchsorted(starts_s, t, side="right") - 1
-    # What lies in a pause of the result belongs to no segment.
-    known = np.isfinite(value) & (stretch >= 0) & (t - starts_s[stretch] < 2.0 * np.median(np.diff(starts_s)))
-    low, high = np.full(len(starts_s), np.inf), np.full(len(starts_s), -np.inf)
-    np.fmin.at(low, stretch[known], value[known])
-    np.fmax.at(high, stretch[known], value[known])
-    empty = ~np.isfinite(low)
-    low[empty] = high[empty] = np.nan
-    # A slower reference has nothing in most segments; straight lines join what it has.
-    if np.mean(empty) > 0.3 and not empty.all():
-        middle = np.interp(starts_s, starts_s[~empty], 0.5 * (low + high)[~empty])
-        return middle, middle
-    return low, high
+def _velocity_fine(material: Material) -> float:
+    """Half of what the noise of one sample of the acceleration changes the velocity by, mm/s."""
+    step_s = float(np.median(np.diff(material.result.estimate.time_ns))) / NANOSECONDS
+    return 0.5 * 1e3 * material.result.calibration.noise_std_m_s2 * step_s
+
+
+def _acceleration(packing: Packing) -> list[dict[str, Any]]:
+    """The acceleration to a quarter of its noise."""
+    found: TimeSeries | None = packing.material.acceleration
+    if found is None:
+        return []
+    fine = 0.25 * packing.material.result.calibration.noise_std_m_s2
+    columns = packing.series(found.time_ns, found.value, fine)
+    return [{"name": "acceleration", "unit": "m/s²", "panel": "acceleration", "shape": "line"} | columns]
+
+
+def _typical(std: Floats) -> float:
+    known = std[np.isfinite(std)]
+    return float(np.median(known)) if len(known) else 0.0

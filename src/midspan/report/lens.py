@@ -27,12 +27,12 @@ def draw_lens(fit: LensFit, picture: NDArray[Any], path: Path) -> Path:
         left, right = figure.subplots(1, 2, width_ratios=(1.5, 1.0))
         _coverage(left, fit, picture)
         _correction(right, fit)
-        content = saved(figure, path.suffix.lower().lstrip("."), dpi=110, **_described(path))
+        content = saved(figure, path.suffix.lower().lstrip("."), dpi=110, facecolor="white", **described(path))
     write_whole(path, content)
     return path
 
 
-def _described(path: Path) -> dict[str, Any]:
+def described(path: Path) -> dict[str, Any]:
     """Where a picture of this suffix says what wrote it."""
     if path.suffix.lower() in (".jpg", ".jpeg"):
         return {"pil_kwargs": {"comment": WRITTEN_BY}}

@@ -7,7 +7,7 @@ import numpy as np
 
 from midspan.engine.camera_result import CameraResult
 from midspan.engine.sensor_series import SensorSeries
-from midspan.errors import DataError
+from midspan.errors import DataError, MidspanError
 from midspan.evaluate.interpolation import step_of
 from midspan.evaluate.metrics import Band, Comparison, compare
 from midspan.recording.result import Result
@@ -15,6 +15,8 @@ from midspan.records import Floats, Nanoseconds, TimeSeries, seconds
 from midspan.settings.camera import CameraSettings
 from midspan.signals.stamps import EPOCH_FROM_NS, inside
 
+# Standard deviations on each side of a band that holds 95 % of the truth.
+BAND = 1.96
 # A reference whose zero is off by more than this share of its motion is drawn moved, and the caption says so.
 MOVED_SHARE = 0.2
 
@@ -55,6 +57,7 @@ class Material:
 
     reference: cut to the result's span, mm; comparison: None without one; problem: why it could not be compared.
     reference_moved_mm: what was added to the drawn reference. second: the same along the second image axis.
+    acceleration: of the accelerometer within that span, m/s²; None where its file is not at hand.
     """
 
     result: Result
@@ -65,6 +68,7 @@ class Material:
     reference_moved_mm: float = 0.0
     problem: str | None = None
     second: "Material | None" = None
+    acceleration: TimeSeries | None = None
 
     @property
     def t(self) -> Floats:
@@ -86,7 +90,8 @@ def gather(result: Result, reference: TimeSeries | None, across: TimeSeries | No
     """The material of a result and its references along the main and the second axis (m); None: without one."""
     second = None if result.across is None else gather(result.across, across)
     measured = tuple(_aligned(result, series) for series in result.measured)
-    material = Material(result, clock_of(int(result.estimate.time_ns[0])), measured, second=second)
+    clock, felt = clock_of(int(result.estimate.time_ns[0])), _acceleration(result)
+    material = Material(result, clock, measured, second=second, acceleration=felt)
     if reference is None:
         return material
     own = TimeSeries(result.estimate.time_ns, result.estimate.displacement_m)
@@ -99,6 +104,22 @@ def gather(result: Result, reference: TimeSeries | None, across: TimeSeries | No
     cut = TimeSeries(reference.time_ns[which], 1e3 * reference.value[which])
     moved = found.bias_mm if abs(found.bias_mm) > MOVED_SHARE * found.reference_peak_to_peak_mm else 0.0
     return replace(material, reference=cut, comparison=found, reference_moved_mm=moved)
+
+
+def _acceleration(result: Result) -> TimeSeries | None:
+    """The acceleration along the result's axis; None where the recording's files cannot be read again."""
+    recording = result.recording
+    if recording is None or not result.fused:
+        return None
+    try:
+        own = recording if recording.axis == result.axis else recording.across
+        if own is None:
+            return None
+        found = own.along(result.calibration.sensor_axis).acceleration
+    except MidspanError:
+        return None
+    which = inside(found.time_ns, int(result.estimate.time_ns[0]), int(result.estimate.time_ns[-1]))
+    return TimeSeries(found.time_ns[which], found.value[which])
 
 
 def clock_of(first_ns: int) -> Clock:

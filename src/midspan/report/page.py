@@ -1,12 +1,18 @@
 """The page: small pieces of HTML, every text of the data escaped, every picture inside."""
 
 import base64
+import hashlib
+import re
 from collections.abc import Iterable, Mapping
 from html import escape
 from pathlib import Path
+from urllib.parse import quote
 
 from midspan.report.drawing import Picture
 from midspan.writing import WRITTEN_BY
+
+# In this order one script.
+SCRIPTS = ("columns.js", "drawing.js", "history.js")
 
 
 def _own(name: str) -> str:
@@ -14,20 +20,34 @@ def _own(name: str) -> str:
     return Path(__file__).with_name(name).read_text(encoding="utf-8")
 
 
+def _policy(style: str, script: str) -> str:
+    """What a browser may load and run for the page: its own style and script and the pictures inside, no network."""
+    style_hash, script_hash = (
+        f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'" for text in (style, script)
+    )
+    return (
+        f"default-src 'none'; img-src data:; style-src {style_hash}; script-src {script_hash}; base-uri 'none'; "
+        "form-action 'none'"
+    )
+
+
 def document(title: str, body: Iterable[str]) -> str:
     """A whole page with its style and its one script inside."""
+    style = f"\n{_own('style.css')}"
+    script = f'\n"use strict";\n(() => {{\n{"".join(_own(name) for name in SCRIPTS)}}})();\n'
     return "\n".join(
         [
             "<!DOCTYPE html>",
             '<html lang="en"><head><meta charset="utf-8">',
+            f'<meta http-equiv="Content-Security-Policy" content="{_policy(style, script)}">',
             '<meta name="viewport" content="width=device-width, initial-scale=1">',
             f'<meta name="generator" content="{WRITTEN_BY}">',
             f"<title>{escape(title)}</title>",
-            f"<style>\n{_own('style.css')}</style></head>",
+            f"<style>{style}</style></head>",
             "<body><main>",
             *body,
             "</main>",
-            f"<script>\n{_own('history.js')}</script>",
+            f"<script>{script}</script>",
             "</body></html>\n",
         ]
     )
@@ -41,6 +61,13 @@ def heading(title: str, lines: Iterable[str]) -> str:
 def section(identity: str, title: str, *pieces: str) -> str:
     """A section with its heading; `pieces` are HTML already."""
     return f'<section id="{escape(identity)}"><h2>{escape(title)}</h2>\n' + "\n".join(pieces) + "\n</section>"
+
+
+def contents(pieces: Iterable[str]) -> str:
+    """Links to the sections among the pieces."""
+    found = re.findall(r'<section id="([^"]*)"><h2>(.*?)</h2>', "".join(pieces))
+    links = "".join(f'<a href="#{identity}">{title}</a>' for identity, title in found)
+    return f'<nav aria-label="Contents">{links}</nav>'
 
 
 def paragraph(text: str, kind: str = "") -> str:
@@ -75,10 +102,11 @@ def table(rows: Iterable[tuple[str, ...]], header: tuple[str, ...] = ()) -> str:
 
 def figure(drawn: Picture, title: str, caption: str, attributes: Mapping[str, str] | None = None) -> str:
     """A picture with its title and how to read it."""
-    data = base64.b64encode(drawn.data).decode()
+    # Smaller than base64, and characters that end an address or an attribute are escaped.
+    data = quote(drawn.data, safe=" /:;,.=+-*()|!?'{}").replace("://", "%3A//")
     more = "".join(f' {name}="{escape(value)}"' for name, value in (attributes or {}).items())
     return (
-        f'<figure{more}><img alt="{escape(title)}" src="data:{drawn.media_type};base64,{data}">'
+        f'<figure{more}><div class=wide><img alt="{escape(title)}" src="data:{drawn.media_type},{data}"></div>'
         f"<figcaption><b>{escape(title)}.</b> {escape(caption)}</figcaption></figure>"
     )
 

@@ -31,7 +31,7 @@ def active_pixels(found: ActivePixels, reference: NDArray[Any]) -> Picture:
     for axes in (whole, *others):
         axes.grid(False)
         axes.set_xlabel("x in the region (px)")
-    return picture(figure, dots=True)
+    return picture(figure)
 
 
 def _title(axis: str, mask: Mask, fit: float) -> str:

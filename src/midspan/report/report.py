@@ -4,9 +4,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from midspan._version import __version__
+from midspan.checks import instance, path_of
 from midspan.recording.result import Result
 from midspan.records import TimeSeries
-from midspan.report import camera_sections, page, sections
+from midspan.report import camera_sections, page, sections, tables
 from midspan.report.drawing import style
 from midspan.report.material import Material, gather
 from midspan.signals.stamps import shown
@@ -22,19 +23,27 @@ def write_report(
     across: the same along the second image axis. Needs no network to be read. Raises UsageError where the file cannot
     be written.
     """
-    path = Path(path)
-    with style():
-        text = report_html(result, reference, across)
-    write_whole(path, text.encode())
+    path = path_of("path", path)
+    instance("result", result, Result, "what `midspan.estimate` returns")
+    for name, given in (("reference", reference), ("across", across)):
+        if given is not None:
+            instance(name, given, TimeSeries, "a TimeSeries", "Name its file in the recording's [reference].")
+    write_whole(path, report_html(result, reference, across).encode())
     return path
 
 
 def report_html(result: Result, reference: TimeSeries | None = None, across: TimeSeries | None = None) -> str:
     """The page's text; reference, across: as for `write_report`."""
     material = gather(result, reference, across)
-    body = [
-        page.heading(material.name, _lines(material)),
-        sections.summary(material),
+    with style():
+        body = _sections(material)
+    top = [page.heading(material.name, _lines(material)), page.contents(body), sections.summary(material)]
+    return page.document(f"{material.name} – midspan report", [*top, *body])
+
+
+def _sections(material: Material) -> list[str]:
+    """The sections that there are, in their order."""
+    found = [
         sections.warnings(material),
         sections.displacement(material),
         sections.second_axis(material),
@@ -47,7 +56,7 @@ def report_html(result: Result, reference: TimeSeries | None = None, across: Tim
         sections.numbers(material),
         sections.footer(material),
     ]
-    return page.document(f"{material.name} – midspan report", [piece for piece in body if piece])
+    return [piece for piece in found if piece]
 
 
 def _lines(material: Material) -> list[str]:
@@ -56,7 +65,7 @@ def _lines(material: Material) -> list[str]:
     sensors = " and ".join(["accelerometer", *(m.name for m in material.measured)])
     where = "" if result.file is None else f" · {result.file}"
     return [
-        f"Displacement from {sensors} · method {result.method}{where}",
+        f"Displacement from {sensors} · {tables.method_words(result.method)}{where}",
         f"From {shown(int(rows[0]))} to {shown(int(rows[-1]))} on the accelerometer's clock",
         f"Written {datetime.now(UTC):%Y-%m-%d %H:%M} UTC by midspan {__version__}",
     ]

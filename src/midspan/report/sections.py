@@ -8,7 +8,7 @@ from midspan.calibration.sensors.radar import RadarCalibration
 from midspan.engine.radar_trace import RadarTrace
 from midspan.records import NANOSECONDS
 from midspan.report import camera_figures, figures, page, radar_figures, tables
-from midspan.report.history_data import history_attributes
+from midspan.report.history_data import chart_of
 from midspan.report.material import Material
 from midspan.settings.stored.calibration import Calibration
 from midspan.sinks.table import ResultTable, metadata_json
@@ -51,13 +51,13 @@ def _events(material: Material) -> list[str]:
 
 def displacement(material: Material) -> str:
     """Time history, error against the reference, zoom."""
+    attributes, kept = chart_of(material)
     caption = (
-        "The blue line is the estimate, the light area its band of ±1.96 standard deviations: 95 % of the truth should "
-        "lie inside. Orange ground: coasting, the accelerometer alone carries on; red ground: lost for long."
+        "The line is the estimate, the light area its band of ±1.96 standard deviations σ: 95 % of the truth should "
+        "lie inside. Orange shading: coasting, from the accelerometer alone; red shading: no measurement for long. "
+        f"{_moved(material)}{kept}"
     )
-    if material.reference is not None:
-        caption += " Red, dashed where it can be zoomed: the reference." + _moved(material)
-    whole = page.figure(figures.history(material), "Displacement", caption, history_attributes(material))
+    whole = page.figure(figures.history(material), "Displacement", caption, attributes)
     pieces = [whole]
     if material.comparison is not None:
         caption = (
@@ -79,7 +79,7 @@ def displacement(material: Material) -> str:
 def _moved(material: Material) -> str:
     if material.reference_moved_mm == 0.0:
         return ""
-    return f" It is drawn moved by {material.reference_moved_mm:+.4g} mm, the mean difference of the two zeros."
+    return f"The reference is drawn moved by {material.reference_moved_mm:+.4g} mm, the mean difference of the zeros. "
 
 
 def second_axis(material: Material) -> str:
@@ -98,8 +98,9 @@ def second_axis(material: Material) -> str:
     pieces = [
         page.paragraph(f"The axis {axis} of the image; all else on this page is along {material.result.axis}. {how}")
     ]
-    caption = "The blue line is the estimate, the light area its band of ±1.96 standard deviations."
-    pieces.append(page.figure(figures.history(second), f"Displacement along {axis}", caption))
+    attributes, kept = chart_of(second)
+    caption = f"As above, along this axis. {_moved(second)}{kept}"
+    pieces.append(page.figure(figures.history(second), f"Displacement along {axis}", caption, attributes))
     if second.comparison is not None:
         caption = "What is left after the reference along this axis is taken away."
         pieces.append(page.figure(figures.error(second), f"Error along {axis}", caption))
@@ -111,12 +112,28 @@ def second_axis(material: Material) -> str:
 
 
 def spectra(material: Material) -> str:
-    """Power spectra."""
+    """Natural frequencies, spectra and coherence."""
+    modes = figures.natural_frequencies(material)
     caption = (
-        "Welch's power spectral density, on logarithmic axes. Modes are peaks; the flat floor of a sensor alone is its "
-        "noise, which fusion lowers; a sensor alone ends at its Nyquist frequency, with faster motion aliased."
+        "Amplitude densities by Welch's method. Peaks are natural frequencies, or what drives the structure steadily; "
+        "the floor of a sensor alone is its noise, which fusion lowers. Above its alias-free band, which is shaded, a "
+        "sensor alone shows nothing, and faster motion appears in it at wrong frequencies."
     )
-    return page.section("spectra", "Spectra", page.figure(figures.spectra(material), "Spectra", caption))
+    if material.acceleration is not None and material.measured:
+        caption += (
+            " Below: coherence of the sensor's own measurements with the acceleration, 1 where both measure the same "
+            "motion; dashed: what unrelated records stay below in 95 % of the frequencies."
+        )
+    pieces = [page.figure(figures.spectra(material, modes), "Spectra", caption)]
+    if modes:
+        how = (
+            "Each peak is fitted as an oscillator with white force by the likelihood of the periodogram (Whittle "
+            "1953); ± is a standard deviation."
+        )
+        pieces += [page.table(tables.modes(modes), tables.MODES_HEADER), page.paragraph(how, "note")]
+    else:
+        pieces.append(page.paragraph("No peak stands out beyond chance, or the record is too short for one.", "note"))
+    return page.section("spectra", "Natural frequencies and spectra", *pieces)
 
 
 def calibration(material: Material) -> str:
@@ -132,21 +149,26 @@ def calibration(material: Material) -> str:
             "Left: translation in the image against the motion that the acceleration predicts, both passed through the "
             "same filter, one point a frame. The slope is the inverse of the scale factor; a thin straight cloud is a "
             f"good calibration (here the acceleration explains {tables.percent(share)} of the variance). Right: how "
-            "much less likely other clock offsets are; one clear summit is needed, the runner-up is the next best."
+            "much less likely other clock offsets are; one clear peak is needed, the runner-up is the next best."
         )
         title = "Scale factor and clock offset" + ("" if sensor == first else f" of the {sensor}")
         pieces.append(page.figure(camera_figures.scale(diagnostics, sensor), title, caption))
     if not shown:
         pieces.append(page.paragraph(_no_figures(found), "note"))
-    if found.warnings:
-        pieces.append(page.bullets(found.warnings, "warnings"))
+    above = material.result.warnings
+    more = [line for line in found.warnings if not any(line in one for one in above)]
+    if more:
+        pieces.append(page.bullets(more, "warnings"))
     return page.section("calibration", "Calibration", *pieces)
 
 
 def _no_figures(found: Calibration) -> str:
     """Why there is no figure of what a calibration rests on, in a sentence."""
     if found.first_camera is not None:
-        return "The calibration came from a file, which holds its values but not what they rest on: no figures here."
+        return (
+            "The calibration came from a file, which holds its values and not the measurements behind them. A report "
+            "of the recording that was calibrated, made without a calibration file, draws these."
+        )
     if found.radar is not None and found.displacement is None:
         return "What the radar's conversion factor and clock offset rest on is shown in the section on the radar."
     if found.displacement is not None and found.displacement.scale_std > 0.0:
@@ -162,8 +184,8 @@ def innovations(material: Material) -> str:
     caption = (
         "Each measurement minus what the filter expected just before it. About 95 % should lie between the lines, "
         "without a pattern; the histogram should follow the normal curve. Wider: noise is underestimated or the target "
-        "moves by itself. Crosses were rejected as outliers; what lies beyond is drawn at the border. After a gap more "
-        "is expected and allowed."
+        "moves on its own. Crosses were rejected as outliers. What lies beyond the axis is drawn at its border and "
+        "counted in the corner. After a gap more is expected and allowed."
     )
     if len(found) > 1:
         caption += " A row for each sensor: of one more is expected than of another."

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,15 +11,18 @@ from midspan.calibration.sensors.camera import CameraCalibration
 from midspan.calibration.sensors.displacement import DisplacementCalibration
 from midspan.calibration.sensors.radar import RadarCalibration
 from midspan.engine.camera_result import CameraResult
-from midspan.evaluate.metrics import Comparison, normalised_innovation
+from midspan.evaluate.metrics import Agreement, Comparison, normalised_innovation
+from midspan.evaluate.spectrum import Mode
 from midspan.fusion.blocks import REJECTED
+from midspan.fusion.methods import METHODS
 from midspan.radar.target import Target
 from midspan.records import NANOSECONDS, Event, Region, TimeOffset
-from midspan.report.material import Material
+from midspan.report.material import BAND, Material
 from midspan.settings.camera import CameraSettings
-from midspan.settings.plausible import GRAVITY_M_S2
+from midspan.settings.plausible import GRAVITY_M_S2, expected_m_per_px
 from midspan.settings.stored.calibration import Calibration
 from midspan.trees import flattened
+from midspan.vision.candidates import Candidate
 from midspan.vision.roi import RegionChoice
 
 # This many events stand in one table; more are grouped by their kinds.
@@ -31,28 +35,90 @@ def summary(material: Material) -> list[Card]:
     """The cards on top: label, value, a smaller line."""
     f = material.result.figures()
     length_s = f["end_s"] - f["start_s"]
-    status = f["status"]
+    status, value = f["status"], material.result.displacement_mm
     shares = (f"{percent(status['coasting'])} coasting", f"{percent(status['lost'])} lost")
-    found = [
-        ("Largest displacement", f"{f['largest_mm']:+.4g} mm", "along the accelerometer's axis"),
-        ("Smallest displacement", f"{f['smallest_mm']:+.4g} mm", "same axis"),
+    return [
+        ("Maximum", f"{f['largest_mm']:+.4g} mm", f"at {material.t[int(value.argmax())]:.3f} s"),
+        ("Minimum", f"{f['smallest_mm']:+.4g} mm", f"at {material.t[int(value.argmin())]:.3f} s"),
         ("Motion", f"{f['rms_mm']:.4g} mm rms", f"{f['largest_mm'] - f['smallest_mm']:.4g} mm peak to peak"),
         (
             "Typical band (95 %)",
-            f"± {1.96 * f['median_std_mm']:.3g} mm",
-            f"σ = {f['median_std_mm']:.3g} mm: zero {f['zero_std_mm']:.2g}, row {f['median_own_std_mm']:.2g}",
+            f"± {BAND * f['median_std_mm']:.3g} mm",
+            f"σ {f['median_std_mm']:.3g} mm; each row's own {f['median_own_std_mm']:.4g} mm",
         ),
+        ("Zero", f"± {f['zero_std_mm']:.4g} mm", "σ of the zero, common to all rows"),
+        ("Direction", *_direction_words(material)),
+        *_peak(material),
+        *_sensor_cards(material),
         ("Span", duration(length_s), f"{f['rows']:,} rows at {rate_hz(material):.5g} Hz".replace(",", " ")),
         ("Tracking", percent(status["tracking"]), ", ".join(shares)),
+        *_against(material.comparison),
     ]
-    if material.comparison is not None:
-        against = material.comparison
-        relative = against.normalised_rmse_percent
-        more = "" if relative is None else f"{relative:.2g} % of its peak to peak"
-        found.append(("RMSE against reference", f"{against.rmse_mm:.3g} mm", more))
-        if against.coverage_95 is not None:
-            found.append(("Errors inside the band", percent(against.coverage_95), "95 % is expected"))
-    return found
+
+
+def _direction_words(material: Material) -> tuple[str, str]:
+    """The accelerometer's channel and what a positive displacement is."""
+    sensor, axis = material.result.settings.accelerometer, material.result.axis
+    name = "" if sensor is None else sensor.value or getattr(sensor, f"value_{axis}", None) or Path(sensor.file).name
+    camera, more = material.result.calibration.first_camera, "positive where this acceleration is positive"
+    if camera is not None:
+        ways = ("left", "right") if camera.direction == "x" else ("up", "down")
+        more += f"; the target then moves {ways[camera.scale.value_m_per_px > 0.0]} in the image"
+    return name or "accelerometer", more
+
+
+def _peak(material: Material) -> list[Card]:
+    """The largest acceleration without its bias."""
+    felt = material.acceleration
+    if felt is None or not np.isfinite(felt.value).any():
+        return []
+    peak = float(np.nanmax(np.abs(felt.value - material.result.calibration.bias_m_s2)))
+    largest = float(np.max(np.abs(material.result.displacement_mm)))
+    return [("Peak", f"{peak / GRAVITY_M_S2:.3g} g, {largest:.4g} mm", "acceleration without its bias; displacement")]
+
+
+def _sensor_cards(material: Material) -> list[Card]:
+    """Scale factor and clock offset of each camera, clock offset of the other sensors, with σ."""
+    rows, known = list[Card](), {one.name: one.settings for one in material.result.settings.sensors}
+    for name, _, sensor in material.result.calibration.sensors:
+        if isinstance(sensor, CameraCalibration):
+            value, std = 1e3 * sensor.scale.value_m_per_px, 1e3 * math.sqrt(sensor.scale.variance)
+            more, settings = f"σ is {100 * std / abs(value):.2g} %", known.get(name)
+            expected = expected_m_per_px(settings, sensor) if isinstance(settings, CameraSettings) else None
+            more += "" if expected is None else f"; by its optics {1e3 * expected:.3g} mm/px"
+            rows.append((f"Scale of the {name}", with_std(value, std, "mm/px"), more))
+        if math.isfinite(sensor.offset.variance):
+            rows.append((f"Clock of the {name}", _offset(sensor.offset), "σ; added to its time stamps"))
+    return rows
+
+
+def with_std(value: float, std: float, unit: str) -> str:
+    """A value with its standard deviation, both to its second digit."""
+    digits = 6 if not 0.0 < std < math.inf else min(max(1 - math.floor(math.log10(std)), 0), 9)
+    return f"{value:.{digits}f} ± {std:.2g} {unit}"
+
+
+def _against(found: Comparison | None) -> list[Card]:
+    """The comparison with the reference as it is, and without its zero and clock."""
+    if found is None:
+        return []
+    rows = []
+    for label, one in agreements(found):
+        share = one.normalised_rmse_percent
+        more = [] if share is None else [f"{share:.2g} % of its peak to peak"]
+        more += [] if one.coverage_95 is None else [f"{percent(one.coverage_95)} inside ±{BAND} σ"]
+        rows.append((f"RMSE, reference {label}", f"{one.rmse_mm:.3g} mm", ", ".join(more)))
+    return rows
+
+
+def agreements(found: Comparison) -> list[tuple[str, Agreement]]:
+    """Each way of comparing, as `midspan compare` has them."""
+    ways = (
+        ("as it is", found.plain),
+        ("zero taken off", found.without_zero),
+        ("zero and lag taken off", found.without_zero_and_lag),
+    )
+    return [(label, one) for label, one in ways if one is not None]
 
 
 def rate_hz(material: Material) -> float:
@@ -80,16 +146,9 @@ def figures(material: Material) -> list[Row]:
     """The figures of the result."""
     f = material.result.figures()
     rows = [
-        ("method", material.result.method),
-        ("rows", str(f["rows"])),
+        ("method", method_words(material.result.method)),
         ("start, end", f"{f['start_s']:.6f} s, {f['end_s']:.6f} s on the accelerometer's clock"),
-        ("largest, smallest", f"{f['largest_mm']:.6g} mm, {f['smallest_mm']:.6g} mm"),
-        ("rms about the mean", f"{f['rms_mm']:.6g} mm"),
-        ("standard deviation, median", f"{f['median_std_mm']:.4g} mm"),
-        ("of it the zero's, common to all rows", f"{f['zero_std_mm']:.4g} mm"),
-        ("of it a row's own", f"{f['median_own_std_mm']:.4g} mm"),
         ("standard deviation, largest", f"{float(np.max(material.result.displacement_std_mm)):.4g} mm"),
-        *((f"status {word}", percent(share)) for word, share in f["status"].items()),
     ]
     innovation = material.result.innovation
     if len(innovation.verdict):
@@ -103,22 +162,46 @@ def figures(material: Material) -> list[Row]:
     return rows
 
 
+def method_words(method: str) -> str:
+    """A method's name in words, with the one it has in the settings."""
+    row = METHODS.get(method)
+    return f"{row.title} ({method})" if row is not None and row.title else method
+
+
 def comparison(found: Comparison) -> list[Row]:
     """The figures against the reference."""
     lag = "not determined" if found.lag_s is None else f"{1e3 * found.lag_s:+.3f} ms (+: the result is later)"
-    rows = [
+    return [
         ("compared", f"{found.count} rows from {found.start_s:.3f} to {found.end_s:.3f} s"),
-        ("RMSE", f"{found.rmse_mm:.5g} mm"),
-        ("RMSE without the bias", f"{found.rmse_without_bias_mm:.5g} mm"),
+        *((f"RMSE {label}", _error(one)) for label, one in agreements(found)),
         ("bias (result − reference)", f"{found.bias_mm:+.5g} mm"),
         ("largest error", f"{found.largest_error_mm:.5g} mm at {found.largest_error_at_s:.3f} s"),
         ("correlation", "not defined" if found.correlation is None else f"{found.correlation:.6f}"),
         ("lag", lag),
         ("peak to peak", f"{found.peak_to_peak_mm:.5g} mm; reference {found.reference_peak_to_peak_mm:.5g} mm"),
     ]
-    if found.coverage_95 is not None:
-        rows.append(("errors within ±1.96 σ", f"{percent(found.coverage_95)} (95 % is honest)"))
-    return rows
+
+
+def _error(found: Agreement) -> str:
+    covered = "" if found.coverage_95 is None else f"; {percent(found.coverage_95)} inside ±{BAND} σ (95 % is honest)"
+    return f"{found.rmse_mm:.5g} mm{covered}"
+
+
+MODES_HEADER = ("frequency", "damping ratio", "rms in it")
+
+
+def modes(found: Sequence[Mode]) -> list[tuple[str, ...]]:
+    """The first natural frequencies with damping and σ."""
+    return [
+        (
+            with_std(mode.frequency_hz, mode.frequency_std_hz, "Hz"),
+            with_std(100 * mode.damping, 100 * mode.damping_std, "%")
+            if math.isfinite(mode.damping)
+            else "a tone, or no single mode",
+            f"{mode.rms_mm:.3g} mm",
+        )
+        for mode in found
+    ]
 
 
 def calibrated(found: Calibration) -> list[Row]:
@@ -247,6 +330,8 @@ def radar_targets(radar: RadarCalibration) -> list[tuple[str, ...]]:
 
 
 CANDIDATES_HEADER = ("place", "region (px)", "predicted σ (px)", "relative to the others (px)", "decision")
+# An image that moves less than half as much as the others: its target would be more than twice as far away.
+FAR_OFF = 2.0
 
 
 def candidates(choice: RegionChoice) -> list[tuple[str, ...]]:
@@ -257,10 +342,16 @@ def candidates(choice: RegionChoice) -> list[tuple[str, ...]]:
             _place(found.region),
             f"{found.predicted_std_px:.2g}",
             f"{found.disagreement_px:.2g}" if math.isfinite(found.disagreement_px) else "",
-            found.verdict,
+            found.verdict + ("; a part of it is static" if partly_static(found, choice) else ""),
         )
         for number, found in enumerate(choice.candidates, start=1)
     ]
+
+
+def partly_static(found: Candidate, choice: RegionChoice) -> bool:
+    """Whether a place moves so much less in the image than the one taken that part of it does not move at all."""
+    taken = [abs(one.scale_m_per_px) for one in choice.candidates if one.region == choice.region]
+    return any(abs(found.scale_m_per_px) > FAR_OFF * scale for scale in taken)
 
 
 def _place(region: Region) -> str:

@@ -3,6 +3,7 @@
 Frames wait in the camera's process, a few at most: where the engine does not keep up the oldest is skipped and counted.
 """
 
+import math
 import multiprocessing
 import threading
 import time
@@ -103,6 +104,10 @@ class CameraProcess:
             self._taken(Failed("process_ended", "the camera's process ended; it is started again"))
             self._ending.wait(self._pauses.next_s())
 
+    def _is_over(self, item: Delivered | Failed) -> bool:
+        """Whether a recording that is replayed has ended, which nothing brings back."""
+        return self.address.startswith("replay:") and isinstance(item, Failed) and item.code == "ended"
+
     def _run_once(self) -> None:
         """One life of the process."""
         self._pipe, child = self._context.Pipe()
@@ -115,9 +120,12 @@ class CameraProcess:
         try:
             while not self._ending.is_set():
                 if self._pipe.poll(0.5):
-                    self._taken(self._pipe.recv())
+                    item = self._pipe.recv()
+                    self._taken(item)
                     self._pauses.worked()
                     heard_s = time.monotonic()
+                    if self._is_over(item):
+                        self._ending.wait()
                 elif not self._process.is_alive() or time.monotonic() - heard_s > HUNG_S:
                     return
         except (EOFError, OSError):
@@ -143,6 +151,8 @@ def serve(address: str, pipe: Connection) -> None:
                 pauses.worked()
         except SourceFault as fault:
             sender.say(Failed(fault.code, str(fault)))
+            if fault.code == "ended" and address.startswith("replay:"):
+                sender.wait(math.inf)
         except MidspanError as error:
             sender.say(Failed("damaged", str(error)))
         sender.wait(pauses.next_s())

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from midspan.radar.chirp import profile_to_json
 from midspan.radar.info import RadarInfo
 from midspan.records import NANOSECONDS, Arrival, Frame, RangeFrame, Readings
+from midspan.settings.kinds import ACCELEROMETER
 from midspan.settings.recording import RecordingSettings
-from midspan.settings.site import ACCELEROMETER
 from midspan.writing import write_whole
 
 # Profiles are written together, so many at a time.

@@ -23,7 +23,7 @@ from midspan.service.reading_thread import ReadingThread
 from midspan.service.reasons import sentence
 from midspan.service.replayed import range_frames, readings
 from midspan.service.running import Running, Stream
-from midspan.settings.site import ACCELEROMETER
+from midspan.settings.kinds import ACCELEROMETER
 from midspan.sources.live.blocks import ACCELERATION, DISPLACEMENT, Block, parse
 from midspan.sources.live.fault import SourceFault
 from midspan.sources.live.radar import profiles
@@ -36,6 +36,8 @@ from midspan.thermal.radiometry import ICE_K
 AHEAD_S = 1.0
 # Of a camera's frame more than its region leaves the camera's process: by this many of its own widths on each side.
 MARGIN = 0.5
+# Recordings that are replayed begin so long after the site does, s: the processes of cameras take a while to start.
+REPLAY_AFTER_S = 5.0
 PICTURES = ("camera", "infrared")
 BLOCK_KIND = {ACCELEROMETER: ACCELERATION, "displacement": DISPLACEMENT}
 MQTT, SERIAL, REPLAY, UDP = "mqtt:", "serial:", "replay:", "udp:"
@@ -49,7 +51,7 @@ class Intake:
 
     def __init__(self, points: Sequence[Running], folder: Path, taken: Callable[[Running], None], tell: Tell) -> None:
         self._points, self._folder, self._taken, self._tell = points, folder, taken, tell
-        self._started_ns = time.time_ns()
+        self._started_ns = time.time_ns() + round(REPLAY_AFTER_S * NANOSECONDS)
         self._threads: list[ReadingThread] = []
         self.topics: dict[str, list[tuple[Running, str]]] = {}
         for one in points:
@@ -109,11 +111,10 @@ class Intake:
         if self._is_ahead(one, name, block.t0_ns + block.dt_ns * max(len(block.values) - 1, 0)):
             return
         again = stream.sequence is None and self._was_kept(one, name, block)
-        lost = None if again else stream.lost_before(block.sequence, block.t0_ns)
-        if lost is None:
+        if again or not stream.is_new(block):
             return
-        if lost:
-            self._tell(one, "lost_records", f"{name}: {lost} blocks were lost on their way.")
+        if lost := stream.lost_to_say(time.time()):
+            self._tell(one, "lost_records", f"{name}: blocks were lost on their way: {lost}.")
         if len(block.values) and not np.isfinite(block.values).any():
             self._refused(one, name, SourceFault("no_values", sentence("no_values")))
         elif stream.dt_ns and block.dt_ns != stream.dt_ns:
@@ -247,6 +248,11 @@ class Intake:
         except MidspanError as error:
             # One sensor's record that cannot be used leaves the others and the other points alone.
             self._refused(one, name, SourceFault("damaged", str(error)))
+        except OSError as error:
+            # Of a capture that is cut off nothing can be used: the next one begins anew.
+            one.live.close()
+            text = f"{sentence('capture_failed')} {one.live.folder}: {error.strerror}."
+            self._refused(one, name, SourceFault("capture_failed", text))
         self._taken(one)
 
 

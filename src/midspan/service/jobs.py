@@ -1,4 +1,4 @@
-"""Long work in a process of its own: calibrating a captured recording, by the ordinary command."""
+"""Long work in processes of their own: calibrating a captured recording, and compiling what opening a point needs."""
 
 import asyncio
 import json
@@ -8,13 +8,20 @@ from contextlib import suppress
 from pathlib import Path
 
 from midspan.errors import DataError, UntrustedError
-from midspan.settings.stored.calibration import CALIBRATION_FILE
+from midspan.settings.stored.calibration import CALIBRATION_FILE, Calibration
 
 # A calibration of an hour's recording takes minutes.
 LONGEST_S = 1800.0
 # Of the process, as of POSIX (0 usual, 19 least urgent): a tenth of the processor where the engine needs it all.
 NICENESS = 10
 COMMAND = "from midspan.cli.main import main; main()"
+OPENING = """
+import sys
+from pathlib import Path
+from midspan.service.opening import opened
+from midspan.settings.stored.calibration_file import load_calibration
+opened(Path(sys.argv[1]), "point", load_calibration(sys.argv[2]), 1)
+"""
 
 
 async def calibrated_folder(folder: Path) -> str:
@@ -22,8 +29,31 @@ async def calibrated_folder(folder: Path) -> str:
 
     Raises UntrustedError where it is refused, DataError where it fails or lasts too long.
     """
+    code, printed = await _ran(COMMAND, "calibrate", str(folder), "--json", "--quiet")
+    if code == 0:
+        return (folder / CALIBRATION_FILE).read_text(encoding="utf-8")
+    try:
+        text = json.loads(printed)["error"]
+    except (ValueError, KeyError, TypeError):
+        text = f"The calibration's process ended with code {code}."
+    raise UntrustedError(text) if code == UntrustedError.exit_code else DataError(text)
+
+
+async def compiled(folder: Path, calibration: Calibration) -> None:
+    """Open a captured recording once where nobody waits for it, so that what this compiles is in Numba's cache.
+
+    Compiling takes up to a minute, and holds up the process that it is done in. What goes wrong is left to the opening.
+    """
+    file = await asyncio.to_thread(calibration.save, folder)
+    await _ran(OPENING, str(folder), str(file))
+
+
+async def _ran(program: str, *arguments: str) -> tuple[int | None, bytes]:
+    """Run Python on a program at low urgency; returns its exit code and what it printed. Raises DataError where it was
+    stopped or lasted too long.
+    """
     process = await asyncio.create_subprocess_exec(
-        sys.executable, "-c", COMMAND, "calibrate", str(folder), "--json", "--quiet",
+        sys.executable, "-c", program, *arguments,
         stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.DEVNULL,
     )  # fmt: skip
     with suppress(OSError):
@@ -35,11 +65,5 @@ async def calibrated_folder(folder: Path) -> str:
         with suppress(ProcessLookupError):
             process.kill()
         await process.wait()
-        raise DataError(f"The calibration lasted longer than {LONGEST_S:g} s, or was stopped.") from None
-    if process.returncode == 0:
-        return (folder / CALIBRATION_FILE).read_text(encoding="utf-8")
-    try:
-        text = json.loads(printed)["error"]
-    except (ValueError, KeyError, TypeError):
-        text = f"The calibration's process ended with code {process.returncode}."
-    raise UntrustedError(text) if process.returncode == UntrustedError.exit_code else DataError(text)
+        raise DataError(f"The work lasted longer than {LONGEST_S:g} s, or was stopped.") from None
+    return process.returncode, printed

@@ -1,6 +1,7 @@
 """The broker: blocks of the sensors in, results, events and states out."""
 
 import json
+import re
 from collections.abc import Callable, Mapping
 from itertools import pairwise
 from typing import Any
@@ -14,6 +15,9 @@ from midspan.sources.live.blocks import RESULT, Block, pack
 from midspan.store.chunk import Chunk
 
 KEEP_ALIVE_S = 15
+# Between two attempts to connect, s: a second in which the broker may have lost nothing yet. Where it refuses the user,
+# up to REFUSED_S, as many attempts are what brokers lock out.
+AGAIN_S, REFUSED_S = 1, 30
 # What the broker keeps for us while we are away, s.
 SESSION_S = 3600
 MAX_QUEUED = 10_000
@@ -52,7 +56,7 @@ class Broker:
             client.username_pw_set(settings.user, secret)
         client.will_set(f"{self.root}/available", "offline", qos=1, retain=True)
         client.max_queued_messages_set(MAX_QUEUED)
-        client.reconnect_delay_set(1, 30)
+        client.reconnect_delay_set(AGAIN_S, AGAIN_S)
         client.on_connect, client.on_disconnect, client.on_message = self._met, self._left, self._came
         client.on_connect_fail = self._not_met
         self._session = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
@@ -85,8 +89,11 @@ class Broker:
 
     def _met(self, client: Any, _data: Any, _flags: Any, code: Any, _properties: Any) -> None:
         if code.is_failure:
-            self.reason = "unauthorized" if "auth" in str(code).lower() else "refused"
+            # "Not authorized", "Bad user name or password", "Bad authentication method".
+            self.reason = "unauthorized" if re.search("auth|password", str(code).lower()) else "refused"
+            client.reconnect_delay_set(AGAIN_S, REFUSED_S)
             return
+        client.reconnect_delay_set(AGAIN_S, AGAIN_S)
         self.connected, self.reason = True, ""
         if self._topics:
             client.subscribe([(topic, qos) for topic, qos in self._topics.items()])
@@ -96,7 +103,9 @@ class Broker:
         self.reason = "broker_gone"
 
     def _left(self, _client: Any, _data: Any, _flags: Any, _code: Any, _properties: Any) -> None:
-        self.connected, self.reason = False, "broker_gone"
+        # A connection that was refused is left too, and why stays.
+        if self.connected or self.reason == "starting":
+            self.connected, self.reason = False, "broker_gone"
 
     def _came(self, client: Any, _data: Any, message: Any) -> None:
         number, qos = message.mid, message.qos
@@ -139,9 +148,9 @@ def summary(rows: Chunk, status: str) -> str:
     )
 
 
-def event_payload(event: Event) -> str:
-    """An event as JSON."""
-    return json.dumps({"time_s": event.time_ns / 1e9, "kind": event.kind, "text": event.text})
+def event_tree(event: Event) -> dict[str, Any]:
+    """An event as it is published and logged."""
+    return {"time_s": event.time_ns / 1e9, "kind": event.kind, "text": event.text}
 
 
 def rows_of(chunks: Any) -> list[Chunk]:

@@ -6,6 +6,7 @@ whose result is handed back.
 
 from collections import deque
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from pathlib import Path
@@ -15,6 +16,7 @@ from midspan.engine.support import PointStatus
 from midspan.radar.info import RadarInfo
 from midspan.records import NANOSECONDS, Arrival, Event, Frame, RangeFrame, Readings, Tick
 from midspan.service.capture import Capture
+from midspan.service.captures import forget
 from midspan.service.journal import Journal
 from midspan.service.opening import Opened, checkpoint
 from midspan.settings.recording import RecordingSettings
@@ -124,19 +126,20 @@ class LivePoint:
         if self.phase is Phase.RUNNING and self.opened is not None:
             self.opened.journal.given(self.opened.point.push(Tick(now_ns)))
 
-    def calibrate(self) -> None:
-        """Begin a new calibration; the rows go on with the one in force until another is accepted."""
-        if self.busy:
-            self._tell("command", f"{self.name}: is calibrated or opened already; the command is left out.")
-            return
+    def calibrate(self) -> str:
+        """Begin a new calibration, or say why not; the rows go on with the one in force until another is accepted."""
+        if self.busy or (self._wanted and self.opened is not None):
+            return f"{self.name}: is being calibrated or opened already; the command is left out."
         self._wanted = "calibrate"
         if self.opened is None:
             self.phase, self._again_ns = Phase.CAPTURING, self._newest_ns
+        return f"{self.name}: records {self.plan.settings.calibration_s:g} s for a new calibration."
 
     def close(self) -> None:
         """Let go of what is being captured."""
         if self._capture is not None:
-            self._capture.discard()
+            with suppress(OSError):
+                self._capture.discard()
             self._capture = None
 
     @property
@@ -153,7 +156,7 @@ class LivePoint:
 
     def offered(self, number: int) -> None:
         """A calibration was made that someone has to accept."""
-        self.job, self.reason = None, "calibration_offered"
+        self.job, self.reason, self._wanted = None, "calibration_offered", ""
         if self.opened is None:
             self.phase = Phase.OFFERED
         self._tell("calibration_offered", f"{self.name}: calibration {number} waits to be accepted.")
@@ -199,6 +202,8 @@ class LivePoint:
             if self.phase is Phase.RUNNING and (last or self._newest_ns - self._kept_ns >= CHECKPOINT_S * NANOSECONDS):
                 kept[self.name] = (self._newest_ns, checkpoint(self.opened, self.settled_in))
                 self._kept_ns = self._newest_ns
+                if not self.busy:
+                    forget(self.folder, self.settled_in)
                 self._doubt(self.opened)
         events = [(self.name, event) for event in self._events]
         self._events = []

@@ -11,14 +11,17 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from midspan.errors import MidspanError
 from midspan.records import NANOSECONDS, Event
 from midspan.service.calibrations import accepted, added, loaded, number_in_force, of_a_thread
 from midspan.service.figures import figures
 from midspan.service.intake import Intake
-from midspan.service.jobs import calibrated_folder
+from midspan.service.jobs import calibrated_folder, compiled
+from midspan.service.journal import ROWS
 from midspan.service.keeping import Keeper
-from midspan.service.mqtt import Broker, even_parts, event_payload, result_payload, rows_of, summary
+from midspan.service.mqtt import Broker, even_parts, event_tree, result_payload, rows_of, summary
 from midspan.service.notify import notify
 from midspan.service.opening import head_of, opened, resumed
 from midspan.service.point import Job
@@ -26,13 +29,16 @@ from midspan.service.reasons import sentence
 from midspan.service.running import Running, running
 from midspan.service.web import application, listening, server
 from midspan.settings.site import Site
+from midspan.settings.site_folders import captures_of
 from midspan.store.archive import archive
 from midspan.store.store import Batch, Store
 
-TICK_S, WRITE_S, LOG_S = 0.1, 1.0, 60.0
+TICK_S, WRITE_S, LOG_S = 0.05, 1.0, 60.0
 # Days are archived, and removed once they are too old, so often.
 SWEEP_S, DAY_S = 3600.0, 86_400.0
 COMMANDS = ("calibrate", "accept")
+# Of a command's payload no more bytes are looked at: a calibration's number has fewer.
+MAX_WANTED = 20
 
 
 class Service:
@@ -42,12 +48,11 @@ class Service:
         self, site: Site, say: Callable[[str], None], note: Callable[[dict[str, Any]], None] | None = None
     ) -> None:
         self.site, self._say, self._note = site, say, note
-        folder = Path(site.store) if site.settings.store.path else site.file.parent / f"{site.name}-captures"
+        self._captures = captures_of(site)
         self._keeper = Keeper(site.store, [plan.name for plan in site.points])
-        self._points = [running(plan, folder / "captures" / plan.name, site.file.parent) for plan in site.points]
+        self._points = [running(plan, self._captures / plan.name, site.file.parent) for plan in site.points]
         self._intake = Intake(self._points, site.file.parent, self._begin_job, self._event)
         self._broker: Broker | None = None
-        self._commands: dict[str, tuple[Running, str]] = {}
         self._stop = asyncio.Event()
         self._acknowledge: deque[Callable[[], None]] = deque()
         self._swept_s, self._dropped = 0.0, 0
@@ -57,6 +62,8 @@ class Service:
         self._old_ns: int | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
         self._jobs: set[asyncio.Task[None]] = set()
+        # Methods and kinds of sensors that a point was opened with, so that nothing is left to compile.
+        self._compiled: set[tuple[str, ...]] = set()
         # One calibration at a time, and one opening, which waits for none: the engine needs the processor.
         self._one_at_a_time = {"calibrate": asyncio.Lock(), "open": asyncio.Lock()}
 
@@ -172,6 +179,9 @@ class Service:
         found = opened(folder, one.name, calibration, one.live.number, push=False)
         resumed(found, kept, store)
         one.live.resumed(found, folder)
+        one.published_ns = store.newest_ns(one.name, ROWS) or 0
+        # That nobody listened meanwhile has to be known before the first record.
+        one.live.tick(time.time_ns())
         self._say(f"{one.name}: goes on from its checkpoint.")
 
     def _begin_job(self, one: Running) -> None:
@@ -210,6 +220,10 @@ class Service:
     async def _open(self, one: Running, job: Job) -> None:
         live = one.live
         calibration = loaded(live, self._keeper.store())
+        kernels = (live.plan.settings.method, *sorted(one.kind(name) for name in live.plan.sources))
+        if kernels not in self._compiled:
+            await compiled(job.folder, calibration)
+            self._compiled.add(kernels)
         found = await asyncio.to_thread(opened, job.folder, live.name, calibration, live.number)
         self._intake.cut(one, found)
         live.is_opened(found)
@@ -224,9 +238,9 @@ class Service:
     def _begin_broker(self) -> None:
         if self.site.settings.mqtt is None:
             return
-        root = f"{self.site.settings.mqtt.prefix}/v1/{self.site.name}"
-        self._commands = {f"{root}/{one.name}/cmd/{word}": (one, word) for one in self._points for word in COMMANDS}
-        topics = dict.fromkeys((*self._intake.topics, *self._commands), 1)
+        topics = dict.fromkeys(
+            (*self._intake.topics, f"{self.site.settings.mqtt.prefix}/v1/{self.site.name}/+/cmd/+"), 1
+        )
         self._broker = Broker(self.site.settings.mqtt, self.site.name, topics, self._message)
         self._broker.start()
 
@@ -238,19 +252,33 @@ class Service:
 
     def _taken(self, topic: str, payload: bytes, acknowledge: Callable[[], None]) -> None:
         """A message, in the loop: a block is acknowledged once it is kept."""
-        if topic in self._commands:
-            acknowledge()
-            self._command(*self._commands[topic], payload.decode("ascii", "replace").strip())
-        else:
+        if topic in self._intake.topics:
             self._intake.payload(topic, payload)
             self._acknowledge.append(acknowledge)
-
-    def _command(self, one: Running, command: str, wanted: str) -> None:
-        """`cmd/calibrate`, or `cmd/accept` with the calibration's number (left out: the newest one offered)."""
-        if command == "calibrate":
-            one.live.calibrate()
         else:
+            acknowledge()
+            name, _, command = topic.split("/")[-3:]
+            self._command(name, command, payload[:MAX_WANTED].decode("ascii", "replace").strip())
+
+    def _command(self, name: str, command: str, wanted: str) -> None:
+        """`cmd/calibrate`, or `cmd/accept` with the calibration's number (left out: the newest one offered).
+
+        Each is answered at once with an event; those for no point of the site on the topic of the point that is meant.
+        """
+        one = next((point for point in self._points if point.name == name), None)
+        if one is None:
+            listed = ", ".join(point.name for point in self._points)
+            text = f"{name}: is no point of this site. Points: {listed}."
+            if self._broker is not None:
+                self._broker.publish(
+                    f"{name}/event", json.dumps(event_tree(Event(time.time_ns(), "command", text))), qos=1
+                )
+        elif command == "calibrate":
+            self._event(one, "command", one.live.calibrate())
+        elif command == "accept":
             self._begin(self._accept(one, wanted))
+        else:
+            self._event(one, "command", f"{name}: cmd/{command} is no command. Commands: {', '.join(COMMANDS)}.")
 
     async def _accept(self, one: Running, wanted: str) -> None:
         number = await asyncio.to_thread(self._put_in_force, one, wanted)
@@ -266,8 +294,15 @@ class Service:
     def _event(self, one: Running, kind: str, text: str) -> None:
         now = Event(time.time_ns(), kind, text)
         self._keeper.put(Batch(events=[(one.name, now)]))
+        self._publish_event(one, now)
+
+    def _publish_event(self, one: Running, event: Event) -> None:
+        """An event in the log and to the broker."""
+        self._say(f"{one.name}: {event.kind}: {event.text}")
+        if self._note is not None:
+            self._note({"point": one.name, **event_tree(event)})
         if self._broker is not None:
-            self._broker.publish(f"{one.name}/event", event_payload(now), qos=1)
+            self._broker.publish(f"{one.name}/event", json.dumps(event_tree(event)), qos=1)
 
     # Out
 
@@ -344,17 +379,19 @@ class Service:
         rows = one.live.fresh() if self._broker is not None else None
         if self._broker is None or rows is None:
             return
-        for part in even_parts(rows):
+        new = int(np.searchsorted(rows.time_ns, one.published_ns, side="right"))
+        one.published_ns = max(int(rows.time_ns[-1]), one.published_ns)
+        for part in even_parts(rows.rows(slice(new, None))) if new < len(rows.time_ns) else []:
             self._broker.publish(f"{one.name}/displacement", result_payload(part, one.results))
             one.results += 1
 
     def _publish(self, one: Running, batch: Batch) -> None:
+        for _, event in batch.events:
+            self._publish_event(one, event)
         if self._broker is None:
             return
         for rows in rows_of(batch.chunks):
             self._broker.publish(f"{one.name}/summary", summary(rows, one.live.status.name.lower()))
-        for _, event in batch.events:
-            self._broker.publish(f"{one.name}/event", event_payload(event), qos=1)
         self._broker.publish(f"{one.name}/state", json.dumps(self._standing_of(one, time.time())), qos=1, retain=True)
 
     def standing(self) -> dict[str, Any]:

@@ -12,9 +12,11 @@ from midspan.service.capture import capture_settings
 from midspan.service.point import LivePoint
 from midspan.service.reasons import sentence
 from midspan.service.replayed import radar_info
-from midspan.settings.site import ACCELEROMETER, PointPlan, without_secrets
+from midspan.settings.addresses import without_secrets
+from midspan.settings.kinds import ACCELEROMETER
+from midspan.settings.site import PointPlan
 from midspan.sources.accelerometer.units import si_factor
-from midspan.sources.live.blocks import SEQUENCES
+from midspan.sources.live.blocks import SEQUENCES, Block
 from midspan.sources.live.radar import live_info, live_layout
 
 # A stream that brings nothing for so long, and for so many of its usual intervals, is not fresh.
@@ -49,8 +51,11 @@ class Stream:
     told_s: dict[str, float] = field(default_factory=dict)
     # Of the newest block, and of those that may come doubled.
     sequence: int | None = None
+    end_ns: int = 0
     dt_ns: int = 0
     recent: deque[tuple[int, int]] = field(default_factory=lambda: deque(maxlen=RECENT))
+    # Blocks that were lost since that was last an event.
+    lost: int = 0
 
     def standing(self, now_s: float, unseen: str) -> dict[str, Any]:
         """As /readyz and the state show it; unseen: why the engine measures nothing with what comes."""
@@ -76,29 +81,42 @@ class Stream:
             self.interval_s += (max(now_s - self.heard_s, 0.0) - self.interval_s) / min(self.records, AVERAGED)
         self.heard_s, self.records = now_s, self.records + 1
 
-    def lost_before(self, sequence: int, t0_ns: int) -> int | None:
-        """How many blocks were lost before the one of this number and stamp; None where it has come already."""
-        if (sequence, t0_ns) in self.recent:
+    def is_new(self, block: Block) -> bool:
+        """Whether a block has not come before; those that were lost between it and the newest are counted."""
+        if (block.sequence, block.t0_ns) in self.recent:
             self.faults += 1
-            return None
-        self.recent.append((sequence, t0_ns))
-        last = sequence - 1 if self.sequence is None else self.sequence
-        ahead = (sequence - last) % SEQUENCES
+            return False
+        self.recent.append((block.sequence, block.t0_ns))
+        last = block.sequence - 1 if self.sequence is None else self.sequence
+        ahead = (block.sequence - last) % SEQUENCES
         if ahead > SEQUENCES - len(self.recent):
             # It changed places with others: the engine judges it by its stamps.
-            return 0
-        self.sequence = sequence
-        # A sender that was started again counts anew.
-        return ahead - 1 if ahead < SEQUENCES // 2 else 0
+            return True
+        length_ns = block.dt_ns * len(block.values)
+        if 1 < ahead < SEQUENCES // 2 and length_ns:
+            # No more than fit into the time without values: a sender that was started again counts from anywhere.
+            self.lost += min(ahead - 1, max(round((block.t0_ns - self.end_ns) / length_ns), 0))
+        self.sequence, self.end_ns = block.sequence, block.t0_ns + length_ns
+        return True
+
+    def lost_to_say(self, now_s: float) -> int:
+        """How many blocks were lost since that was last an event; 0 where there is none, or the minute is not over."""
+        count = self.lost if self._is_due("lost_records", now_s) else 0
+        if count:
+            self.lost, self.told_s["lost_records"] = 0, now_s
+        return count
 
     def refused(self, code: str, text: str, now_s: float) -> bool:
         """Something came that cannot be used; returns whether that is an event: what goes on is one a minute."""
         self.faults += 1
         self.reason, self.text = code, text
-        is_event = now_s - self.told_s.get(code, -TELL_AGAIN_S) >= TELL_AGAIN_S
+        is_event = self._is_due(code, now_s)
         if is_event:
             self.told, self.told_s[code] = True, now_s
         return is_event
+
+    def _is_due(self, code: str, now_s: float) -> bool:
+        return now_s - self.told_s.get(code, -TELL_AGAIN_S) >= TELL_AGAIN_S
 
 
 @dataclass(slots=True)
@@ -106,7 +124,8 @@ class Running:
     """One point and its sources in the shell.
 
     factors: SI units in one unit of each channel's readings; layouts: how the samples of each radar's card are ordered;
-    scales: kelvin per count, and at count 0, of each infrared camera.
+    scales: kelvin per count, and at count 0, of each infrared camera; published_ns: stamp of the newest row that the
+    broker was given, or that the store had when the point went on.
     """
 
     live: LivePoint
@@ -117,6 +136,7 @@ class Running:
     sizes: dict[str, tuple[int, int]] = field(default_factory=dict)
     scales: dict[str, tuple[float, float]] = field(default_factory=dict)
     results: int = 0
+    published_ns: int = 0
     busy: bool = False
 
     @property

@@ -92,7 +92,8 @@ def known(table: dict[str, Any], kind: str) -> AfterValidator:
 
     def check(value: str) -> str:
         if value not in table:
-            raise ValueError(f"must be one of {', '.join(table)} ({kind}s of this version). {nearest(value, table)}")
+            rule = f"must be one of {', '.join(table)} ({kind}s of this version). {nearest(value, table)}"
+            raise ValueError(rule.rstrip())
         return value
 
     return AfterValidator(check)

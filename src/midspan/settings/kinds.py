@@ -1,4 +1,4 @@
-"""The kinds of sensors besides the accelerometer, of which there may be several each: their lists and names."""
+"""The kinds of sensors: the accelerometer, and those of which there may be several each, with their lists and names."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -6,13 +6,14 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, BeforeValidator
 
+ACCELEROMETER = "accelerometer"
 # In the order in which they count: the first one of a recording gives the zero.
 KINDS = ("camera", "infrared", "radar", "displacement")
 CAMERAS = ("camera", "infrared")
 # Words of the files and of results that mean something else than one sensor.
 TAKEN = (
     *KINDS,
-    "accelerometer",
+    ACCELEROMETER,
     "accelerometer_x",
     "accelerometer_y",
     "calibration",

@@ -5,7 +5,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from midspan.checks import option
+from midspan.checks import instance, option, path_of
 from midspan.errors import DataError, UsageError
 from midspan.settings.messages import explain
 from midspan.settings.recording import RecordingSettings
@@ -18,7 +18,7 @@ OPTIONAL_SECTIONS = ("calibration", "fusion")
 
 def settings_file(path: str | Path) -> Path:
     """The `recording.toml` meant by a folder or by the file itself; DataError where there is none."""
-    path = Path(path)
+    path = path_of("path", path)
     hint = f"A recording is a folder with {RECORDING_FILE}, or that file; `midspan demo` makes one to look at."
     try:
         file = path / RECORDING_FILE if path.is_dir() else path
@@ -49,9 +49,15 @@ def load_settings(path: str | Path, overrides: dict[str, dict[str, Any]] | None 
         raise UsageError(f"{file}: {error}.") from None
     except OSError as error:
         raise DataError(f"{file}: cannot be read ({error.strerror}).") from None
+    if not tree:
+        raise UsageError(
+            f"{file}: is empty. A recording has [accelerometer] and a section for each other sensor, a site has "
+            "[store] and [[point]]."
+        )
     for section, keys in (overrides or {}).items():
         known = [field.alias or name for name, field in RecordingSettings.model_fields.items() if name != "name"]
         option("section", section, known)
+        instance(section, keys, dict, "a dictionary of settings", f"Write {section}={{'KEY': VALUE}}.")
         if section not in tree and section not in OPTIONAL_SECTIONS:
             raise UsageError(
                 f"{file}: has no [{section}] section, so {', '.join(keys) or 'nothing'} of it cannot be changed. "

@@ -1,5 +1,6 @@
 """What is wrong with a tree of settings, in words: the key, the rule with its unit, the value received, the remedy."""
 
+from collections.abc import Sequence
 from typing import Any
 
 from pydantic import BaseModel
@@ -40,11 +41,13 @@ def explain(item: Any, tree: dict[str, Any], model: type[BaseModel]) -> str:
     text = str(item["msg"]).removeprefix("Value error, ")
     for words, plain in PLAIN.items():
         text = text.replace(words, plain)
-    if place and place[0] == "infrared":
+    if not place:
+        return f"{text}."
+    if place[0] == "infrared":
         text = text.replace("[[camera.", "[[infrared.")
     return (
         f"{key}: {text}."
-        if key == "settings" or isinstance(value, dict)
+        if isinstance(value, dict)
         else f"{key} = {_plain(value)}: {text}.".replace("..", ".").replace("?.", "?")
     )
 
@@ -68,11 +71,19 @@ def _plain(value: Any) -> str:
 
 def _unknown(key: str, place: list[str], value: Any, model: type[BaseModel]) -> str:
     known = _keys_at(place[:-1], model)
-    section = isinstance(value, dict) or (isinstance(value, list) and any(isinstance(one, dict) for one in value))
     if len(place) == 1:
-        known = [name for name in known if name != "name"] if section else ["name"]
-    hint, what = nearest(place[-1], known), "section" if section else "key"
+        known = [name for name in known if name != "name"] if _is_section(value) else ["name"]
+    return unknown(key, value, known)
+
+
+def unknown(key: str, value: Any, known: Sequence[str]) -> str:
+    """One sentence for a key, or a section, that is none of the known ones."""
+    hint, what = nearest(key.rpartition(".")[2], known), "section" if _is_section(value) else "key"
     return f"{key}: is not a known {what}. {hint + ' ' if hint else ''}Known: {', '.join(known)}."
+
+
+def _is_section(value: Any) -> bool:
+    return isinstance(value, dict) or (isinstance(value, list) and any(isinstance(one, dict) for one in value))
 
 
 def _keys_at(place: list[str], model: Any) -> list[str]:

@@ -103,11 +103,15 @@ class RecordingSettings(Section):
             # A camera alone can be tracked and looked at.
             if self.first_camera is None:
                 raise ValueError(
-                    "must have [accelerometer]; only a recording with [camera] or [infrared] can do without"
+                    "has no [accelerometer]. Add the section; only [camera] and [infrared] can do without it, for "
+                    "`midspan track`"
                 )
             return self
         if self.first_camera is None and self.radar is None and self.displacement is None:
-            raise ValueError("must have [camera], [infrared], [radar] or [displacement] beside [accelerometer]")
+            raise ValueError(
+                "has [accelerometer] only. Add the section of a sensor that measures displacement: [camera], "
+                "[infrared], [radar] or [displacement]"
+            )
         return self
 
     @model_validator(mode="after")
@@ -150,6 +154,16 @@ class RecordingSettings(Section):
     @model_validator(mode="after")
     def _sensors_are_told_apart(self) -> "RecordingSettings":
         sensor_names({kind: [section.name for section in self.of_kind(kind)] for kind in KINDS})
+        return self
+
+    @model_validator(mode="after")
+    def _printed_methods_take_one_of_a_kind(self) -> "RecordingSettings":
+        for kind in KINDS if self.fusion.literal else ():
+            if len(listed := self.of_kind(kind)) > 1:
+                raise ValueError(
+                    f"[[{kind}]] must be one section with fusion.literal; received {len(listed)}. A printed method "
+                    f"takes one sensor of each kind: leave one [{kind}], or fusion.literal out"
+                )
         return self
 
     @model_serializer(mode="wrap")

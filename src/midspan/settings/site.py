@@ -3,7 +3,7 @@
 import os
 import re
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -11,17 +11,26 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Field, SecretStr, ValidationError, model_validator
 
 from midspan.errors import DataError, UsageError
+from midspan.settings.addresses import address_of
+from midspan.settings.camera import CameraSettings, InfraredSettings
 from midspan.settings.fields import FileName, IsNumber, Section, limited
-from midspan.settings.kinds import KINDS
-from midspan.settings.messages import explain
+from midspan.settings.kinds import ACCELEROMETER
+from midspan.settings.load import RECORDING_FILE
+from midspan.settings.messages import explain, unknown
 from midspan.settings.recording import RecordingSettings
-from midspan.sources.live.radar import host_and_port
-from midspan.sources.live.serial_line import device_and_baud
+from midspan.settings.sensors import AccelerometerSettings, DisplacementSettings, RadarSettings
 from midspan.trees import TreeError, read_toml
 
-ACCELEROMETER = "accelerometer"
+SITE_FILE = "SITE.toml"
+SENSORS: dict[str, type[Section]] = {
+    ACCELEROMETER: AccelerometerSettings,
+    "camera": CameraSettings,
+    "infrared": InfraredSettings,
+    "radar": RadarSettings,
+    "displacement": DisplacementSettings,
+}
 # Keys of a recording's section that say where its file is: a live section has `source` instead.
-FILE_KEYS = ("file", "times", "time", "value", "start_s", "cross_values")
+FILE_KEYS = ("file", "times", "time", "value", "value_x", "value_y", "start_s", "cross_values")
 # The files of a point's captured recordings, by the kind of sensor.
 CAPTURED = {
     ACCELEROMETER: "acceleration.npz",
@@ -29,13 +38,6 @@ CAPTURED = {
     "infrared": "infrared",
     "radar": "radar",
     "displacement": "displacement.npz",
-}
-ADDRESSES = {
-    ACCELEROMETER: ("mqtt:", "serial:", "replay:"),
-    "camera": ("rtsp://", "usb:", "replay:"),
-    "infrared": ("rtsp://", "usb:", "replay:"),
-    "radar": ("udp:", "replay:"),
-    "displacement": ("mqtt:", "serial:", "replay:"),
 }
 VARIABLE = re.compile(r"\{([A-Za-z_][A-Za-z0-9_]*)\}")
 
@@ -69,6 +71,9 @@ class StoreSettings(Section):
 
     path: FileName | None = Field(None, description="folder for SQLite files, relative to this file")
     url: SecretStr | None = Field(None, description="postgresql://user@host/database, instead of path")
+    captures: FileName | None = Field(
+        None, description="folder for the recordings that points are calibrated on and opened from; left out: in path"
+    )
     keep_days: Annotated[float, IsNumber, limited(1.0, 36500.0, "days")] = Field(
         365.0, description="how long rows and raw records are kept, in days"
     )
@@ -122,6 +127,12 @@ class PointSettings(Section):
         60.0, description="how long a calibration on the way records, s; longer needs less motion"
     )
 
+    @model_validator(mode="after")
+    def _lag_has_its_method(self) -> "PointSettings":
+        if "lag_s" in self.model_fields_set and self.method != "lag":
+            raise ValueError('must have method = "lag" with lag_s; add it, or take lag_s out')
+        return self
+
 
 class SiteFile(Section):
     """The sections of the file apart from the points."""
@@ -172,36 +183,75 @@ class Site:
 
 
 def load_site(path: str | Path) -> Site:
-    """Read and validate a SITE.toml. Raises UsageError for what it may not say, DataError where it is missing."""
+    """Read and validate a SITE.toml (or the folder that holds it).
+
+    Raises UsageError for what it may not say, DataError where it is missing.
+    """
     file = Path(path)
+    file = file / SITE_FILE if file.is_dir() else file
     try:
         tree = read_toml(file)
     except TreeError as error:
         raise UsageError(f"{file}: {error}.") from None
     except OSError as error:
         raise DataError(f"{file}: cannot be read ({error.strerror}).") from None
+    if not tree:
+        raise UsageError(f"{file}: is empty. A site has name, [store] and one [[point]] for each measuring point.")
     tree = filled(tree, str(file), lambda name: os.environ.get(name))
+    _require_known(tree, SiteFile, ("point",), f"{file}: ")
     points = tree.pop("point", [])
     if not points:
         raise UsageError(f"{file}: point: is missing. Add one [[point]] for each measuring point.")
     if not isinstance(points, list) or not all(isinstance(one, dict) for one in points):
         raise UsageError(f"{file}: point: must be one [[point]] for each measuring point, at least one.")
     settings = _validated(SiteFile, tree, str(file))
-    plans = tuple(_plan(point, f"{file}: point[{number}]") for number, point in enumerate(points, start=1))
+    plans = tuple(_plan(point, f"{file}: {point_at(number, point)}") for number, point in enumerate(points, start=1))
     name, count = Counter(plan.name for plan in plans).most_common(1)[0]
     if count > 1:
         raise UsageError(f"{file}: point.name: must be another one for each point; {count} have the name {name!r}.")
-    if settings.mqtt is None and (
-        needs := [p.name for p in plans if any(s.startswith("mqtt:") for s in p.sources.values())]
-    ):
-        raise UsageError(f"{file}: mqtt: is missing, but the point {needs[0]!r} has a source mqtt:…. Add [mqtt].")
+    for plan in plans:
+        _require_topics(settings, plan, f"{file}: point {plan.name!r}")
     return Site(file, settings, plans)
 
 
+def _require_topics(settings: SiteFile, plan: PointPlan, where: str) -> None:
+    """UsageError for a source of MQTT without a broker, and for a topic that the site itself publishes."""
+    for sensor, address in plan.sources.items():
+        if not address.startswith("mqtt:"):
+            continue
+        if settings.mqtt is None:
+            raise UsageError(f"{where}: {sensor}.source: is mqtt:…, but [mqtt] is missing. Add [mqtt].")
+        own = f"{settings.mqtt.prefix}/v1/{settings.name}/"
+        if address.removeprefix("mqtt:").startswith(own):
+            raise UsageError(
+                f"{where}: {sensor}.source: must be another topic than the site's own results, {own}…; "
+                f"received {address!r}."
+            )
+
+
+def _require_known(tree: dict[str, Any], model: type[Section], others: Sequence[str], where: str) -> None:
+    """UsageError for a key or section that is neither one of a model nor one of the others."""
+    for key, value in tree.items():
+        known = [*model.model_fields, *others]
+        if key not in known:
+            raise UsageError(where + unknown(key, value, known))
+
+
+def point_at(number: int, point: Any) -> str:
+    """How messages name a point: by its name, where it has one, else by its number."""
+    name = point.get("name") if isinstance(point, dict) else None
+    return f"point {name!r}" if isinstance(name, str) and name else f"point[{number}]"
+
+
 def is_site(path: str | Path) -> bool:
-    """Whether a file is a SITE.toml: it has a section that only such a file has."""
+    """Whether a file is a SITE.toml, by its name or by a section that only such a file has, or a folder with one."""
+    file = Path(path)
     try:
-        return not read_toml(Path(path)).keys().isdisjoint(("point", "store", "mqtt", "service"))
+        if file.is_dir():
+            return (file / SITE_FILE).is_file() and not (file / RECORDING_FILE).exists()
+        if file.name == SITE_FILE and file.is_file():
+            return True
+        return not read_toml(file).keys().isdisjoint(("point", "store", "mqtt", "service"))
     except (TreeError, OSError, ValueError):
         return False
 
@@ -211,15 +261,17 @@ def filled(tree: Any, where: str, value_of: Callable[[str], str | None], key: st
     if isinstance(tree, dict):
         return {name: filled(one, where, value_of, f"{key}.{name}".lstrip(".")) for name, one in tree.items()}
     if isinstance(tree, list):
-        return [filled(one, where, value_of, f"{key}[{number}]") for number, one in enumerate(tree, start=1)]
+        places = [point_at(n, one) if key == "point" else f"{key}[{n}]" for n, one in enumerate(tree, start=1)]
+        return [filled(one, where, value_of, place) for place, one in zip(places, tree, strict=True)]
     if not isinstance(tree, str):
         return tree
 
     def found(match: re.Match[str]) -> str:
         value = value_of(match[1])
-        if value is None:
+        if not value:
+            state = "not set" if value is None else "empty"
             raise UsageError(
-                f"{where}: {key}: {{{match[1]}}} is taken from the environment, where {match[1]} is not set. Set it."
+                f"{where}: {key}: {{{match[1]}}} is taken from the environment, where {match[1]} is {state}. Set it."
             )
         return value
 
@@ -228,27 +280,26 @@ def filled(tree: Any, where: str, value_of: Callable[[str], str | None], key: st
 
 def _plan(tree: dict[str, Any], where: str) -> PointPlan:
     """One point of plain values; `where` names it in messages."""
-    own = {key: value for key, value in tree.items() if key not in (ACCELEROMETER, *KINDS)}
+    _require_known(tree, PointSettings, tuple(SENSORS), f"{where}: ")
+    own = {key: value for key, value in tree.items() if key not in SENSORS}
     settings = _validated(PointSettings, own, where)
     sections: dict[str, Any] = {}
     addresses: dict[str, list[str]] = {}
-    for kind in (ACCELEROMETER, *KINDS):
+    for kind in SENSORS:
         if kind not in tree:
             continue
         given = tree[kind] if isinstance(tree[kind], list) else [tree[kind]]
         if not given or not all(isinstance(one, dict) for one in given):
-            raise UsageError(f"{where}.{kind}: must be a section with keys, [point.{kind}].")
+            raise UsageError(f"{where}: {kind}: must be a section with keys, [point.{kind}].")
         if kind == ACCELEROMETER and len(given) > 1:
-            raise UsageError(f"{where}.{kind}: must be one section.")
+            raise UsageError(f"{where}: {kind}: must be one section.")
         sections[kind] = [_captured(kind, number, one, where) for number, one in enumerate(given)]
-        addresses[kind] = [_address(kind, one, f"{where}.{kind}") for one in given]
+        addresses[kind] = [address_of(kind, one, f"{where}: {kind}") for one in given]
     fusion = {"method": settings.method, "lag_s": settings.lag_s}
     plain = {key: value if len(value) > 1 else value[0] for key, value in sections.items()}
-    recording = _validated(RecordingSettings, {"name": settings.name, "fusion": fusion, **plain}, where)
-    if recording.accelerometer is None:
+    if ACCELEROMETER not in plain:
         raise UsageError(f"{where}: accelerometer: is missing. Add [point.accelerometer] with its source.")
-    if any(getattr(sensor.settings, "direction", "") == "xy" for sensor in recording.sensors):
-        raise UsageError(f'{where}.camera.direction = "xy": must be "x" or "y"; both axes are for recordings.')
+    recording = _validated(RecordingSettings, {"name": settings.name, "fusion": fusion, **plain}, where)
     named = {sensor.name: (sensor.kind, k) for k, sensor in enumerate(recording.sensors)}
     counts: Counter[str] = Counter()
     sources = {ACCELEROMETER: addresses[ACCELEROMETER][0]}
@@ -264,7 +315,7 @@ def _plan(tree: dict[str, Any], where: str) -> PointPlan:
         name for name, (kind, _) in named.items() if kind == "radar" and _needs(sources[name], configs, name)
     ]:
         raise UsageError(
-            f"{where}.radar.config: is missing for {missing[0]!r}. Add the .cfg or .json that the radar runs with."
+            f"{where}: radar.config: is missing for {missing[0]!r}. Add the .cfg or .json that the radar runs with."
         )
     return PointPlan(settings, recording, sources, configs)
 
@@ -279,29 +330,18 @@ def _captured(kind: str, number: int, section: dict[str, Any], where: str) -> di
     refused = [key for key in FILE_KEYS if key in section]
     if refused:
         raise UsageError(
-            f"{where}.{kind}.{refused[0]}: belongs to files; a live section has source instead. Take it out."
+            f"{where}: {kind}.{refused[0]}: belongs to files; a live section has source instead. Take it out."
         )
+    if section.get("direction") == "xy":
+        raise UsageError(f'{where}: {kind}.direction = "xy": must be "x" or "y"; both axes are for recordings.')
+    known = ["source", *(key for key in SENSORS[kind].model_fields if key not in FILE_KEYS)]
+    for key, value in section.items():
+        if key not in known:
+            raise UsageError(f"{where}: {unknown(f'{kind}.{key}', value, known)}")
     name = CAPTURED[kind]
     stem, dot, suffix = name.partition(".")
     own = {"file": f"{stem}-{number + 1}{dot}{suffix}" if number else name}
     return {**{key: value for key, value in section.items() if key != "source"}, **own}
-
-
-def _address(kind: str, section: dict[str, Any], where: str) -> str:
-    value = section.get("source")
-    known = ADDRESSES[kind]
-    if not isinstance(value, str) or not value.startswith(known) or value in known:
-        listed = ", ".join(f"{one}…" for one in known)
-        raise UsageError(f"{where}.source: must be one of {listed}; received {value!r}." if value is not None else
-                         f"{where}.source: is missing. Add one of {listed}.")  # fmt: skip
-    try:
-        if value.startswith("serial:"):
-            device_and_baud(value.removeprefix("serial:"))
-        elif value.startswith("udp:"):
-            host_and_port(value.removeprefix("udp:"))
-    except ValueError as error:
-        raise UsageError(f"{where}.source: {error}; received {value!r}.") from None
-    return value
 
 
 def _validated(model: Any, tree: dict[str, Any], where: str) -> Any:
@@ -310,9 +350,3 @@ def _validated(model: Any, tree: dict[str, Any], where: str) -> Any:
     except ValidationError as error:
         lines = [explain(item, tree, model) for item in error.errors()]
         raise UsageError("\n".join(f"{where}: {line}" for line in lines)) from None
-
-
-def without_secrets(address: str) -> str:
-    """An address without user and password."""
-    scheme, at, rest = address.partition("://")
-    return f"{scheme}://{rest.rpartition('@')[2]}" if at else address

@@ -12,7 +12,7 @@ def encode(table: ResultTable) -> Iterator[bytes]:
     import h5py
 
     # In memory: the HDF5 library crashes where the disk is full when it closes a file.
-    with h5py.File("result.h5", "w", driver="core", backing_store=False) as file:
+    with h5py.File("result.h5", "w", driver="core", backing_store=False, track_order=True) as file:
         file.attrs["midspan"] = metadata_json(table)
         for name, values in table.columns.items():
             coded = codes(name, values)

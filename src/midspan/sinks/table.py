@@ -3,13 +3,16 @@
 import json
 import re
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from midspan.checks import refuse
 from midspan.records import Nanoseconds, Source, Status
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Column = NDArray[np.generic] | list[str]
 
@@ -53,6 +56,16 @@ class ResultTable:
     columns: dict[str, Column]
     time_ns: Nanoseconds
     metadata: dict[str, Any] = field(default_factory=dict)
+
+    def to_pandas(self) -> "pd.DataFrame":
+        """The rows as a data frame indexed by `time_s`, with words for source and status."""
+        import pandas as pd
+
+        columns: dict[str, Any] = dict(self.columns)
+        for name, values in columns.items():
+            coded, words = codes(name, values), words_of(name) or ()
+            columns[name] = values if coded is None else pd.Categorical.from_codes(coded, pd.Index(words))
+        return pd.DataFrame(columns, index=pd.Index(columns.pop("time_s"), name="time_s"))
 
     def __post_init__(self) -> None:
         lengths = {name: len(values) for name, values in self.columns.items()} | {"time_ns": len(self.time_ns)}

@@ -5,10 +5,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from midspan.checks import path_of
 from midspan.errors import UsageError
 from midspan.sinks.pair import write_pair
 from midspan.sinks.table import ResultTable
-from midspan.writing import replacing
+from midspan.writing import cannot_be_written, replacing
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,6 +25,8 @@ _FORMATS = (
     _Format("Parquet", (".parquet",), "pyarrow", "parquet"),
     _Format("HDF5", (".h5", ".hdf5"), "h5py", "hdf5"),
     _Format("MATLAB 5", (".mat",), "scipy", "matlab"),
+    _Format("Excel workbook", (".xlsx",), "openpyxl", "xlsx"),
+    _Format("TDMS", (".tdms",), "npTDMS", "tdms"),
     _Format("miniSEED 3", (".mseed",), "pymseed", "miniseed"),
     _Format("Universal file, dataset 58", (".uff",), "midspan", "uff"),
 )
@@ -52,17 +55,19 @@ def _format(path: Path) -> _Format:
     return row
 
 
-def write_result(path: Path, table: ResultTable) -> None:
-    """Write a table in the format of the path's suffix; the file appears whole or not at all.
+def write_result(path: str | Path, table: ResultTable) -> Path:
+    """Write a table in the format of the path's suffix; the file appears whole or not at all. Returns its path.
 
     A CSV gets a `.json` of the same name with its metadata. Raises UsageError for an unknown suffix, a folder that is
     missing or cannot be written, and a table that the format cannot hold.
     """
+    path = path_of("path", path)
     row = _format(path)
     encoded: Iterator[bytes] = importlib.import_module(f"midspan.sinks.{row.module}").encode(table)
     if row.module == "csv":
         write_pair(path, encoded, table)
-        return
-    with replacing(path) as (file,):
+        return path
+    with replacing(path) as (file,), cannot_be_written(path):
         for piece in encoded:
             file.write(piece)
+    return path

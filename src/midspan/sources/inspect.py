@@ -15,6 +15,7 @@ from midspan.signals.stamps import shown
 from midspan.sources.accelerometer.channel import Channel, Stored
 from midspan.sources.accelerometer.clock import NOT_A_TIME
 from midspan.sources.accelerometer.formats import list_channels
+from midspan.sources.accelerometer.units import SI_UNITS, measures, si_factor
 from midspan.sources.camera.formats import is_stack, is_table, open_frames, require_readable
 from midspan.sources.camera.frames import FrameRequest, timed_or_counted
 from midspan.sources.declared_size import available_bytes, shown_bytes
@@ -162,6 +163,7 @@ def series_tree(series: TimeSeries, unit: str) -> tuple[Tree, Nanoseconds]:
         "smallest": float(finite.min()),
         "largest": float(finite.max()),
         "value_unit": unit,
+        "unit_in_si": _si_or_none(series.unit, unit),
         "missing_samples": int(len(value) - len(finite)),
         "frozen_samples": int(np.count_nonzero(frozen(value, rate))),
         "clipped_samples": int(np.count_nonzero(clipped(value))),
@@ -169,6 +171,12 @@ def series_tree(series: TimeSeries, unit: str) -> tuple[Tree, Nanoseconds]:
         "warnings": list(series.damage),
     }
     return branch, series.time_ns
+
+
+def _si_or_none(unit: str, si: str) -> float | None:
+    """What one of a file's unit is in `si`; None where that takes a sensitivity."""
+    quantity = next(name for name, own in SI_UNITS.items() if own == si)
+    return si_factor(unit, quantity, None) if measures(unit, quantity) else None
 
 
 def acceleration_tree(series: TimeSeries) -> tuple[Tree, Nanoseconds]:
@@ -222,3 +230,17 @@ def radar_tree(source: RadarSource, every_frame: bool, progress: Progress) -> tu
     """What is in a radar's file, and the stamps of its frames; every_frame: look for holes in all of them."""
     branch, times = inspect_radar(source, every_frame, progress)
     return {**branch, **_clock(times)}, times
+
+
+def overlap(spans: dict[str, tuple[int, int]]) -> Tree:
+    """Where streams overlap, by the first and last stamp (ns) of each."""
+    if len(spans) < 2:
+        return {}
+    first = max(span[0] for span in spans.values())
+    last = min(span[1] for span in spans.values())
+    return {
+        "start": shown(first),
+        "duration_s": max(0.0, (last - first) / NANOSECONDS),
+        "streams": list(spans),
+        "overlapping": last > first,
+    }

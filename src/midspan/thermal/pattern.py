@@ -23,6 +23,7 @@ MIN_TRAVEL_PX = 0.4  # standard deviation of the motion below which scene and pa
 MIN_FRAMES = 8
 TURNS, SHARED_EVERY = 20, 5  # every so many turns the share, which single turns find slowly, is estimated as a whole
 _ORDER = 5  # of the spline that moves the scene
+_KNOTS, _BINOMIALS = 3.0 - np.arange(7), np.array([1.0, -6.0, 15.0, -20.0, 15.0, -6.0, 1.0])  # of its basis function
 _EDGE_PX = 2  # from the edge inwards the spline is disturbed by what it takes to lie beyond
 
 
@@ -115,9 +116,11 @@ def _improved(stack: Floats, pattern: Floats, known: Pictured) -> tuple[Floats, 
     free = stack - pattern
     inside = [_covered(shape, -x, -y) for x, y in moved]
     reached = np.any(inside, axis=0).astype(np.float64)
-    seen = np.array([_covered(shape, x, y) & (_shifted(reached, x, y) > 0.999) for x, y in moved])
+    reach = _spline(reached)
+    seen = np.array([_covered(shape, x, y) & (_shifted(reach, x, y) > 0.999) for x, y in moved])
     scene = _scene(free, inside, moved, known.scene)
-    there = np.array([np.where(mask, _shifted(scene, x, y), 0.0) for mask, (x, y) in zip(seen, moved, strict=True)])
+    smooth = _spline(scene)
+    there = np.array([np.where(mask, _shifted(smooth, x, y), 0.0) for mask, (x, y) in zip(seen, moved, strict=True)])
     shares = _straight([_amount(f, expected, mask) for f, expected, mask in zip(free, there, seen, strict=True)])
     there *= shares[:, None, None]
     rest = np.where(seen, stack - there, 0.0)
@@ -144,7 +147,7 @@ def _scene(free: Floats, inside: list[NDArray[np.bool_]], moved: Floats, before:
     before: the scene so far, by which each frame's contrast is weighed; all 0 at first.
     """
     total, weight = np.zeros_like(before), np.zeros_like(before)
-    back = [_shifted(f, -x, -y) for f, (x, y) in zip(free, moved, strict=True)]
+    back = [_shifted(_spline(f), -x, -y) for f, (x, y) in zip(free, moved, strict=True)]
     shares = (
         [_amount(f, before, mask) for f, mask in zip(back, inside, strict=True)] if before.any() else [1.0] * len(back)
     )
@@ -179,11 +182,17 @@ def _straight(shares: list[float]) -> Floats:
     return np.maximum(np.asarray(1.0 + slope * place, dtype=np.float64), 0.05)
 
 
-def _shifted(image: Floats, x_px: float, y_px: float) -> Floats:
-    """The picture moved by x (right) and y (down) px with a quintic spline; its edge is repeated beyond it."""
-    from scipy.ndimage import correlate1d, spline_filter
+def _spline(image: Floats) -> Floats:
+    """Coefficients (rows, columns) of the quintic spline through a picture whose edge is repeated beyond it."""
+    from scipy.ndimage import spline_filter
 
-    grid = spline_filter(image, order=_ORDER, mode="nearest")
+    return np.asarray(spline_filter(image, order=_ORDER, mode="nearest"), dtype=np.float64)
+
+
+def _shifted(grid: Floats, x_px: float, y_px: float) -> Floats:
+    """The picture of these coefficients moved by x (right) and y (down) px; its edge is repeated beyond it."""
+    from scipy.ndimage import correlate1d
+
     whole_x, whole_y = round(x_px), round(y_px)
     for axis, (whole, exact) in enumerate(((whole_y, y_px), (whole_x, x_px))):
         grid = correlate1d(grid, _spline_weights(exact - whole), axis=axis, mode="nearest")
@@ -195,11 +204,8 @@ def _shifted(image: Floats, x_px: float, y_px: float) -> Floats:
 def _spline_weights(fraction: float) -> Floats:
     """Weights (7,) of the coefficients around a pixel for the value `fraction` px before it."""
     distance = np.abs(np.arange(-3, 4) + fraction)
-    powers = sum(
-        sign * math.comb(6, k) * np.maximum(3.0 - k - distance, 0.0) ** 5
-        for k, sign in enumerate((1, -1, 1, -1, 1, -1, 1))
-    )
-    return np.asarray(powers / math.factorial(_ORDER), dtype=np.float64)
+    powers = _BINOMIALS[:, None] * np.maximum(_KNOTS[:, None] - distance, 0.0) ** _ORDER
+    return np.asarray(np.sum(powers, axis=0) / math.factorial(_ORDER), dtype=np.float64)
 
 
 def _covered(shape: tuple[int, ...], x_px: float, y_px: float) -> NDArray[np.bool_]:

@@ -26,7 +26,7 @@ class Candidate:
 
     quality: median correlation. disagreement_px: rms difference from the common motion. fixed: whether it moves with
     most of the others. verdict: why it was taken or not, in words. displacement_std_m: noise of one frame's
-    displacement where an accelerometer told the scale factor, NaN elsewhere.
+    displacement where an accelerometer gave the scale factor, NaN elsewhere. scale_m_per_px: that factor.
     """
 
     region: Region
@@ -37,6 +37,7 @@ class Candidate:
     fixed: bool = False
     verdict: str = ""
     displacement_std_m: float = np.nan
+    scale_m_per_px: float = np.nan
 
     def status_share(self, status: Status) -> float:
         """Share of the frames with this status."""

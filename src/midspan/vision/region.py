@@ -1,9 +1,23 @@
 """Arithmetic of regions of interest: check, clamp, shift."""
 
+from collections.abc import Sequence
+
+import numpy as np
+
+from midspan.checks import refuse
 from midspan.errors import DataError, UsageError
 from midspan.records import Frame, Region
 
 SMALLEST_SIDE_PX = 12  # a window below this has too few pixels for a sub-pixel peak
+
+
+def region_of(roi: Region | Sequence[int]) -> Region:
+    """The region of x, y, width and height in px; UsageError for anything but four whole numbers."""
+    if isinstance(roi, Region):
+        return roi
+    if not isinstance(roi, Sequence) or len(roi) != 4 or not all(isinstance(one, int | np.integer) for one in roi):
+        raise refuse("roi", "four whole numbers x, y, width, height (px)", roi)
+    return Region(*map(int, roi))
 
 
 def check_region(region: Region, columns: int, rows: int) -> Region:

@@ -42,13 +42,15 @@ class Agreement:
     """What the accelerometer says of a place.
 
     std_m: noise of one frame's displacement, infinite where no scale factor could be found; contradicts: whether the
-    place moves, but not with the accelerometer; text: in words; missed: share (0 to 1) of the frames without a value.
+    place moves, but not with the accelerometer; text: in words; missed: share (0 to 1) of the frames without a value;
+    scale_m_per_px: the scale factor, NaN where there is none.
     """
 
     std_m: float
     contradicts: bool
     text: str
     missed: float = 0.0
+    scale_m_per_px: float = np.nan
 
     @property
     def cost_m(self) -> float:
@@ -164,7 +166,8 @@ def _told(
     if candidate.region not in fitting:
         poor = np.isfinite(agreement.std_m)
         return replace(candidate, verdict=f"moves by itself: {verdict}" if poor else verdict)
-    return replace(candidate, verdict=verdict, displacement_std_m=agreement.std_m)
+    found = replace(candidate, verdict=verdict, displacement_std_m=agreement.std_m)
+    return replace(found, scale_m_per_px=agreement.scale_m_per_px)
 
 
 @dataclass(frozen=True, slots=True)

@@ -118,8 +118,8 @@ def _told(ranked: list[Candidate], count: int) -> list[Candidate]:
 
 
 def _first_image(frames: Sequence[Frame]) -> NDArray[np.generic]:
-    if not frames:
-        raise refuse("frames", "at least one frame", 0)
+    if not isinstance(frames, Sequence) or not frames or not all(isinstance(one, Frame) for one in frames):
+        raise refuse("frames", "a list of at least one Frame", frames, "Frame(time_ns, pixels) makes one of an array.")
     shapes = {f.pixels.shape for f in frames}
     if len(shapes) > 1 or len(frames[0].pixels.shape) != 2:
         raise DataError(f"All frames must be image planes of one size (rows, columns); received {sorted(shapes)}.")

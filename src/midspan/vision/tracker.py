@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from midspan.checks import option, refuse
+from midspan.checks import instance, option, refuse
 from midspan.errors import DataError
 from midspan.records import Frame, PixelTranslation, Prediction, Region
-from midspan.vision.region import check_region, clamp, shift
+from midspan.vision.region import check_region, clamp, region_of, shift
 
 if TYPE_CHECKING:
     from midspan.vision.active_pixels import ActivePixels
@@ -156,14 +156,15 @@ def _check_kind(key: str, value: Any, default: Any) -> None:
         raise refuse(key, words, value)
 
 
-def open_tracker(name: str, reference: Frame, region: Region, settings: Any = None) -> Tracker:
-    """A tracker for the target in `region` (px) of the frame `reference`.
+def open_tracker(name: str, reference: Frame, region: Region | Sequence[int], settings: Any = None) -> Tracker:
+    """A tracker for the target in `region` (x, y, width, height in px) of the frame `reference`.
 
     `name` is a key of TRACKERS; `settings` is that tracker's settings record, its defaults when left out.
     Raises UsageError for an unknown name, a region outside the image or without texture; DataError for a frame that is
     not one image plane.
     """
-    entry = TRACKERS[option("tracker", name, TRACKERS)]
+    entry, region = TRACKERS[option("tracker", name, TRACKERS)], region_of(region)
+    instance("reference", reference, Frame, "a Frame", "Frame(time_ns, pixels) makes one of an array.")
     if reference.pixels.ndim != 2:
         raise DataError(
             f"A frame must be one image plane (rows, columns); received an array of shape {reference.pixels.shape}. "

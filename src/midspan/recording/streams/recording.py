@@ -10,10 +10,12 @@ from typing import Any
 import numpy as np
 
 from midspan.calibration.direction import Direction
+from midspan.checks import path_of
 from midspan.errors import DataError, MidspanError, UsageError
+from midspan.notebook import table
 from midspan.records import NANOSECONDS, Nanoseconds, TimeSeries
 from midspan.settings.camera import InfraredSettings
-from midspan.settings.kinds import CAMERAS, KINDS
+from midspan.settings.kinds import CAMERAS
 from midspan.settings.load import load_settings, settings_file
 from midspan.settings.recording import RecordingSettings, Sensor
 from midspan.settings.sensors import AccelerometerSettings, ChannelSettings
@@ -59,9 +61,19 @@ class Recording:
         self.sees_from_ns: int | None = None
 
     def __repr__(self) -> str:
-        names = ["accelerometer", *(sensor.name for sensor in self.sensors), "reference"]
-        shown = [name for name in names if name not in ("accelerometer", "reference") or self.has(name)]
-        return f"Recording({str(self.file)!r}, {self.name!r}: {', '.join(shown)})"
+        shown = ", ".join(f"{name} {file}" for name, file in self.streams)
+        return f"Recording({str(self.file)!r}, {self.name!r}: {shown})"
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: the file of each stream."""
+        return table(f"{self.name} ({self.file})", self.streams)
+
+    @property
+    def streams(self) -> list[tuple[str, str]]:
+        """Name and file of each stream, the accelerometer's first and the reference's last."""
+        own, last = self.settings.accelerometer, self.settings.reference
+        named = [("accelerometer", own), *((one.name, one.settings) for one in self.sensors), ("reference", last)]
+        return [(name, section.file) for name, section in named if section is not None]
 
     @property
     def folder(self) -> Path:
@@ -333,16 +345,6 @@ class Recording:
         )
         return open_radar(self.path(radar.file, f"{key}.file"), request)
 
-    def require_one_of_a_kind(self) -> None:
-        """UsageError naming the sections where there are several sensors of one kind, for what takes one of each."""
-        for kind in KINDS:
-            names = [sensor.name for sensor in self.sensors if sensor.kind == kind]
-            if len(names) > 1:
-                raise UsageError(
-                    f"{self.file}: [[{kind}]] must be one section here; received {len(names)}: {', '.join(names)}. "
-                    f"A printed method takes one sensor of each kind: leave one [{kind}], or fusion.literal out."
-                )
-
     def _section(self, *kinds: str) -> tuple[Any, str]:
         """The section of this view's sensor, or of the first one of these kinds, and how messages call it."""
         own = self._own or next((sensor for sensor in self.sensors if sensor.kind in kinds), None)
@@ -387,6 +389,13 @@ def open_recording(path: str | Path, **overrides: dict[str, Any]) -> Recording:
     Nothing but the settings is read yet. Raises UsageError for wrong settings, DataError where there is no recording.
     """
     return Recording(settings_file(path), load_settings(path, overrides))
+
+
+def opened(recording: Recording | str | Path) -> Recording:
+    """A recording, opened where it is given by its path."""
+    if isinstance(recording, Recording):
+        return recording
+    return open_recording(path_of("recording", recording))
 
 
 def open_with_cameras(path: str | Path, changed: dict[str, Any], **overrides: dict[str, Any]) -> Recording:

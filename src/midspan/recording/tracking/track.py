@@ -1,12 +1,14 @@
 """`track`: the camera alone, translation in pixels for each frame, no accelerometer needed."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from midspan._version import __version__
+from midspan.checks import option, path_of
 from midspan.engine.camera_target import Target
 from midspan.engine.tracking import CameraTracking, TrackingSettings
 from midspan.errors import UsageError
@@ -18,24 +20,15 @@ from midspan.records import PixelTrack, Region, Status, seconds
 from midspan.settings.load import RECORDING_FILE
 from midspan.settings.sensor_words import in_words_of, worded
 from midspan.sinks.table import ResultTable
+from midspan.sinks.write import write_result
 from midspan.sources.camera.frames import FrameRequest, timed_or_counted
 from midspan.sources.thermal.formats import is_thermal, open_pictures
 from midspan.vision.frame_source import FrameSource
-from midspan.vision.tracker import DEFAULT_TRACKER
+from midspan.vision.region import region_of
+from midspan.vision.tracker import DEFAULT_TRACKER, TRACKERS
 
-
-@dataclass(frozen=True, slots=True)
-class TrackRequest:
-    """What to track. region: chosen when None; tracker: the recording's or the default when None; every: n-th frame.
-
-    rate_hz, start_s: frame times where the source has none.
-    """
-
-    region: Region | None = None
-    tracker: str | None = None
-    every: int | None = None
-    rate_hz: float | None = None
-    start_s: float = 0.0
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +40,18 @@ class Tracked:
     tracker: str
     warnings: tuple[str, ...]
     tracking: CameraTracking = field(repr=False)
+
+    def __repr__(self) -> str:
+        lost, place = int(np.count_nonzero(self.track.status == Status.LOST)), ", ".join(map(str, _listed(self.region)))
+        return f"Tracked({len(self.track.time_ns)} frames, {lost} lost, roi {place} px, {self.tracker})"
+
+    def to_pandas(self) -> "pd.DataFrame":
+        """The columns of a track file as a data frame indexed by time_s."""
+        return self.table().to_pandas()
+
+    def save(self, path: str | Path) -> Path:
+        """Write the track; the suffix chooses the format (.csv, .parquet, .h5, .mat, .xlsx, .tdms)."""
+        return write_result(path, self.table())
 
     def table(self) -> ResultTable:
         """The columns of a track file."""
@@ -84,21 +89,37 @@ def _listed(region: Region) -> list[int]:
     return [region.x, region.y, region.width, region.height]
 
 
-def track(source: str | Path, request: TrackRequest | None = None, progress: Progress = silent) -> Tracked:
+def track(
+    source: str | Path,
+    *,
+    roi: Region | Sequence[int] | None = None,
+    tracker: str | None = None,
+    every: int | None = None,
+    rate_hz: float | None = None,
+    start_s: float = 0.0,
+    progress: Progress = silent,
+) -> Tracked:
     """Track a target through a recording's camera, a video, a folder or glob of images, or a stack.
 
-    Raises UsageError for a region outside the image, DataError for a source that cannot be read.
+    roi: x, y, width, height in px of the first frame; left out: the recording's, else chosen. tracker: a name of
+    `midspan methods`; every: use every n-th frame; both left out: the recording's own. rate_hz, start_s: frame times
+    where the source has none. Raises UsageError for a region outside the image, DataError for a source that cannot be
+    read.
     """
-    request = request or TrackRequest()
-    path = Path(source)
+    path, region = path_of("source", source), None if roi is None else region_of(roi)
+    changed = {"every": every, "tracker": tracker}
+    if tracker is not None:
+        option("tracker", tracker, TRACKERS)
+    request = FrameRequest(rate_hz=rate_hz, start_s=start_s, every=1 if every is None else every)
     if path.name == RECORDING_FILE or (path / RECORDING_FILE).is_file():
-        frames, settings, warnings = _of_recording(path, request)
+        frames, settings, warnings = _of_recording(path, {key: one for key, one in changed.items() if one is not None})
     else:
         frames, warnings = _of_file(path, request)
-        given = (Target(request.region),) if request.region else ()
-        settings = TrackingSettings(request.tracker or DEFAULT_TRACKER, targets=given)
+        settings = TrackingSettings(tracker or DEFAULT_TRACKER)
         if is_thermal(path):
             settings = replace(settings, thermal=True, reference="key-frames", sensor="infrared")
+    if region is not None:
+        settings = replace(settings, targets=(Target(region),))
     with in_words_of(settings.sensor):
         tracking = CameraTracking(frames, settings, progress)
         rows = _all_rows(tracking)
@@ -119,9 +140,8 @@ def _all_rows(tracking: CameraTracking) -> tuple[PixelTrack, ...]:
     return tracking.tracks
 
 
-def _of_recording(path: Path, request: TrackRequest) -> tuple[FrameSource, TrackingSettings, list[str]]:
-    changed = {"every": request.every, "tracker": request.tracker}
-    recording = open_with_cameras(path, {key: value for key, value in changed.items() if value is not None})
+def _of_recording(path: Path, changed: dict[str, Any]) -> tuple[FrameSource, TrackingSettings, list[str]]:
+    recording = open_with_cameras(path, changed)
     views = recording.cameras
     camera = views[0].settings.camera if views else None
     if camera is None:
@@ -131,16 +151,14 @@ def _of_recording(path: Path, request: TrackRequest) -> tuple[FrameSource, Track
         )
     view = views[0]
     others = [f"Only the [{view.sensor}] was tracked; for [{one.sensor}] give its file as SOURCE." for one in views[1:]]
-    settings = replace(settings_of(view, camera), levels=levels_of(view, None))
-    return view.frames, replace(settings, targets=(Target(request.region),)) if request.region else settings, others
+    return view.frames, replace(settings_of(view, camera), levels=levels_of(view, None)), others
 
 
-def _of_file(path: Path, request: TrackRequest) -> tuple[FrameSource, list[str]]:
+def _of_file(path: Path, request: FrameRequest) -> tuple[FrameSource, list[str]]:
     """The source with its own times, or counting frames where it has none."""
 
     def opened(rate_hz: float | None) -> FrameSource:
-        wanted = FrameRequest(rate_hz=rate_hz, start_s=request.start_s, every=request.every or 1)
-        return open_pictures(path, wanted)
+        return open_pictures(path, replace(request, rate_hz=rate_hz))
 
     if request.rate_hz is not None:
         source = opened(request.rate_hz)

@@ -15,7 +15,9 @@ from midspan.calibration.scale import ScaleCalibration
 from midspan.calibration.sensors.camera import CameraCalibration
 from midspan.calibration.sensors.displacement import DisplacementCalibration
 from midspan.calibration.sensors.radar import RadarCalibration
+from midspan.checks import path_of
 from midspan.engine.axis import AxisFigures
+from midspan.notebook import table
 from midspan.settings.kinds import KINDS, sensor_names
 from midspan.settings.recording import Sensor
 from midspan.settings.stored.sections import (
@@ -26,6 +28,7 @@ from midspan.settings.stored.sections import (
     scale_tree,
     usual_tree,
 )
+from midspan.settings.stored.summaries import camera_summary, displacement_summary, radar_summary
 from midspan.writing import write_whole
 
 CALIBRATION_FILE = "calibration.json"
@@ -36,6 +39,13 @@ TREES: dict[str, Callable[[Any], dict[str, Any]]] = {
     "infrared": camera_tree,
     "radar": radar_tree,
     "displacement": displacement_tree,
+}
+# What is shown of each kind in a line.
+SUMMARIES: dict[str, Callable[[Any], str]] = {
+    "camera": camera_summary,
+    "infrared": camera_summary,
+    "radar": radar_summary,
+    "displacement": displacement_summary,
 }
 
 
@@ -86,6 +96,20 @@ class Calibration:
     sensor_axis: Direction | None = None
     usual: AxisFigures | None = None
     diagnostics: "ScaleCalibration | NoiseCalibration | None" = field(default=None, compare=False, repr=False)
+
+    def __repr__(self) -> str:
+        return f"Calibration({'; '.join(f'{name} {value}' for name, value in self.summary())})"
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: the values with their standard deviations, and the warnings."""
+        return table(f"calibration of {self.created}", self.summary(), self.warnings)
+
+    def summary(self) -> list[tuple[str, str]]:
+        """What was estimated of each sensor with its standard deviations, as text; a row a sensor."""
+        rows = [(name, SUMMARIES[kind](sensor)) for name, kind, sensor in self.sensors]
+        gain_std = self.accelerometer_scale_std
+        gain = f", gain {self.accelerometer_scale:.5g} ± {gain_std:.2g}" if gain_std > 0.0 else ""
+        return [*rows, ("accelerometer", f"noise {1e3 * self.noise_std_m_s2:.3g} mm/s² per sample{gain}")]
 
     def gain_std(self, tolerance: float, *, given: bool) -> float:
         """Relative standard deviation of the accelerometer's gain: as calibrated, else its tolerance where given."""
@@ -170,7 +194,7 @@ class Calibration:
 
     def save(self, path: str | Path) -> Path:
         """Write `calibration.json`; a folder gets a file of that name."""
-        path = Path(path)
+        path = path_of("path", path)
         path = path / CALIBRATION_FILE if path.is_dir() else path
         write_whole(path, (json.dumps(self.to_dict(), indent=2) + "\n").encode())
         return path

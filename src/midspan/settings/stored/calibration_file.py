@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from midspan.calibration.direction import Direction
+from midspan.checks import path_of
 from midspan.errors import DataError
 from midspan.records import Source
 from midspan.settings.calibration import StoredCamera, validate_calibration
@@ -18,7 +19,7 @@ def load_calibration(path: str | Path) -> Calibration:
 
     Raises DataError naming file and key where it is missing, damaged or holds a value that cannot be.
     """
-    path = Path(path)
+    path = path_of("path", path)
     path = path / CALIBRATION_FILE if path.is_dir() else path
     try:
         tree = read_json(path)

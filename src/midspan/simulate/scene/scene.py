@@ -59,18 +59,20 @@ def _gather(coefficients: NDArray[np.float32], weight: Image, starts: NDArray[np
 
     `weight` (1 or rows, taps down, taps across) and `starts` (1 or rows, 2: down, across) serve all rows or one each.
     """
+    columns = out.shape[1]
     for r in range(out.shape[0]):
         k = r if weight.shape[0] > 1 else 0
+        row = out[r]
         for j in range(weight.shape[1]):
             layer = coefficients[SAMPLES * r + starts[k, 0] + j]
             for i in range(weight.shape[2]):
                 w = weight[k, j, i]
                 if w != 0:
                     place = starts[k, 1] + i
-                    line = layer[place % SAMPLES]
-                    shift = place // SAMPLES
-                    for c in range(out.shape[1]):
-                        out[r, c] += w * line[shift + c]
+                    # Places count from 0 here, so that Numba sees none below it and takes several of a line at once.
+                    line = layer[place % SAMPLES, place // SAMPLES : place // SAMPLES + columns]
+                    for c in range(columns):
+                        row[c] += w * line[c]
 
 
 def _taps(x_px: Floats, y_px: Floats, margin: int, order: tuple[int, int]) -> tuple[Image, NDArray[np.int64]]:

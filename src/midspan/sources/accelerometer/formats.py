@@ -28,6 +28,7 @@ _FORMATS = (
     Format("NumPy", (".npy", ".npz"), "numpy", "numpy"),
     Format("MATLAB 5 to 7.3", (".mat",), "scipy, h5py", "matlab"),
     Format("HDF5", (".h5", ".hdf5", ".hdf"), "h5py", "hdf5"),
+    Format("Excel workbook", (".xlsx", ".xlsm"), "openpyxl", "xlsx"),
     Format("TDMS", (".tdms",), "npTDMS", "tdms"),
     Format("LabVIEW measurement", (".lvm",), "lvm_read", "lvm"),
     Format("miniSEED", (".mseed", ".msd", ".miniseed"), "pymseed", "miniseed"),

@@ -16,6 +16,8 @@ from midspan.sources.declared_size import require_memory
 _UNITS = ("unit_string", "NI_UnitDescription", "unit", "Unit")
 # LabVIEW's zero of time, 1904: a waveform that starts there was never given a start.
 _UNSET_BEFORE_NS = int(np.datetime64("1971-01-01", "ns").astype(np.int64))
+# The group of a result that midspan wrote.
+_RESULT = "midspan"
 # A segment's lead-in: its mark, flags, version, and the bytes that follow ("NI: TDMS file format internal structure").
 _MARK, _LEAD_IN_BYTES, _BIG_ENDIAN = b"TDSm", 28, 1 << 6
 
@@ -30,7 +32,7 @@ def read(path: Path) -> ChannelSet:
     channels: list[Channel] = []
     notes: list[str] = []
     with _WithinFile(path) as opened, _quiet(), TdmsFile.open(opened) as file:
-        items = {f"{group.name}/{item.name}": item for group in file.groups() for item in group.channels()}
+        items = {_name(group.name, item.name): item for group in file.groups() for item in group.channels()}
         # As the file has them, and as numbers of eight bytes.
         require_memory(path, sum(16 * len(item) for item in items.values()), "its channels")
         counts = _common_counts(file, list(items.values()))
@@ -44,6 +46,11 @@ def read(path: Path) -> ChannelSet:
         () if _is_whole(path) else ("it is cut off: its last segment is not complete, and the rest of it is missing",)
     )
     return ChannelSet(tuple(channels), tuple(notes), damage)
+
+
+def _name(group: str, channel: str) -> str:
+    """The channel's path; of a result that midspan wrote the name of its column."""
+    return channel if group == _RESULT else f"{group}/{channel}"
 
 
 class _WithinFile(io.BufferedReader):

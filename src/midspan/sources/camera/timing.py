@@ -14,9 +14,10 @@ from midspan.sources.camera.frames import FrameRequest
 
 def check_request(path: Path, request: FrameRequest) -> None:
     """Raise UsageError for a rate, start or step outside its range."""
-    if request.every < 1:
+    if not isinstance(request.every, int) or request.every < 1:
         raise UsageError(f"every must be 1 or more (use every n-th frame); received {request.every!r} for {path}.")
-    if request.rate_hz is not None and not (np.isfinite(request.rate_hz) and request.rate_hz > 0):
+    known = request.rate_hz is None or isinstance(request.rate_hz, int | float | np.number)
+    if not known or (request.rate_hz is not None and not (np.isfinite(request.rate_hz) and request.rate_hz > 0)):
         raise UsageError(f"rate_hz must be above zero (Hz); received {request.rate_hz!r} for {path}.")
     if not np.isfinite(request.start_s):
         raise UsageError(f"start_s must be a finite time in s; received {request.start_s!r} for {path}.")

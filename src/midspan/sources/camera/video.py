@@ -131,10 +131,11 @@ class VideoFrames(FrameSource):
         missing_s = declared_s - held_s
         if lost > MAX_LOST * max(self._declared or 1, 1) or missing_s > max(MAX_LOST * declared_s, MIN_MISSING_S):
             what = f"{lost} of {self._declared} frames" if lost > 0 else f"{missing_s:.1f} of {declared_s:.1f} s"
-            raise DataError(
-                f"{self._path}: the video is truncated: {what} that its header declares are not in it. Copy it "
-                "again; to use what is there, rewrite it first (ffmpeg -i IN -c copy OUT)."
-            )
+            found = f"{what} that its header declares are not in it"
+            remedy = "Copy it again; to use what is there, rewrite it first (ffmpeg -i IN -c copy OUT)."
+            if packets.count == 1:
+                found, remedy = f"its header declares {declared_s:.1f} s, and one frame is in it", "Copy it again."
+            raise DataError(f"{self._path}: the video is truncated: {found}. {remedy}")
         if lost > 0:
             self._damage.append(f"the file ends early: {lost} of {self._declared} frames are not in it")
 

@@ -59,6 +59,8 @@ def block_of(line: bytes, kind: int, dating: Dating, arrived_ns: int) -> Block:
         if given.upper() != b"%02X" % found:
             raise SourceFault("payload", "a line whose check sum is wrong")
         text = body
+    if not text.startswith(b"{"):
+        raise SourceFault("payload", f"a line must be one block as JSON, {{…}}; received one that begins {text[:16]!r}")
     return parse(text, kind, lambda sequence, dt_s, count: dating.t0_ns(sequence, dt_s, count, arrived_ns))
 
 

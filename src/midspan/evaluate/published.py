@@ -1,0 +1,83 @@
+"""The papers whose methods midspan has: which tracker and fusion method each one is, and its command.
+
+The table costs no import.
+"""
+
+from dataclasses import dataclass, field
+
+
+@dataclass(frozen=True, slots=True)
+class Paper:
+    """A paper: what it is called here, authors and title, where it appeared, the sensors besides the accelerometer.
+
+    tracker: empty without a camera; method: a fusion method; settings: keys of recording.toml that it needs besides.
+    """
+
+    name: str
+    citation: str
+    where: str
+    sensors: tuple[str, ...]
+    tracker: str
+    method: str
+    settings: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def flags(self) -> tuple[str, ...]:
+        """Options of `midspan estimate` for the method as printed."""
+        tracker = ("--tracker", self.tracker) if self.tracker else ()
+        return (*tracker, "--method", self.method, "--literal")
+
+    @property
+    def command(self) -> str:
+        """The command for a recording."""
+        return f"midspan estimate RECORDING {' '.join(self.flags)}"
+
+
+PAPERS = (
+    Paper(
+        "two-stage",
+        "Ma, Liu, Choi, Sohn: High-sampled structural displacement estimation through the FIR filter-based two-stage "
+        "fusion of high-sampled acceleration and temporally aliased low-sampled displacement measurements",
+        "",
+        ("camera",),
+        "template",
+        "two-stage-fir",
+    ),
+    Paper(
+        "AMKF",
+        "Ma, Choi, Sohn: Real-time structural displacement estimation by fusing asynchronous acceleration and computer "
+        "vision measurements",
+        "doi:10.1111/mice.12767",
+        ("camera",),
+        "features",
+        "adaptive-kalman",
+    ),
+    Paper(
+        "radar",
+        "Ma, Choi, Yang, Sohn: Structural displacement estimation using accelerometer and FMCW millimeter wave radar",
+        "doi:10.1016/j.ymssp.2022.109582",
+        ("radar",),
+        "",
+        "fir",
+    ),
+    Paper(
+        "vision and infrared",
+        "Choi, Ma, Kim, Sohn: Continuous structural displacement monitoring using accelerometer, vision, and infrared "
+        "(IR) cameras",
+        "doi:10.3390/s23115241",
+        ("camera", "infrared"),
+        "features",
+        "adaptive-kalman",
+        {"camera.reference": '"updating"', "infrared.reference": '"updating"', "fusion.switching": '"matches"'},
+    ),
+    Paper(
+        "hybrid phase",
+        "Ma, Choi, Liu, Sohn: Structural displacement estimation by fusing vision camera and accelerometer using "
+        "hybrid computer vision algorithm and adaptive multi-rate Kalman filter",
+        "",
+        ("camera",),
+        "hybrid",
+        "adaptive-kalman",
+    ),
+)
+"""The papers, in the order of their methods here."""

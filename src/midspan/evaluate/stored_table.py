@@ -1,0 +1,112 @@
+"""A table of results back from its file, to be written in another format."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from midspan.errors import DataError, UsageError
+from midspan.records import NANOSECONDS, Nanoseconds
+from midspan.sinks.metadata import read_metadata
+from midspan.sinks.pair import KEY
+from midspan.sinks.table import ResultTable, words_of
+from midspan.sinks.tdms import GROUP
+from midspan.sinks.xlsx import ROWS_SHEET
+from midspan.sources.boundary import reading, require_file
+
+TIME = "time_s"
+
+
+def read_table(path: Path) -> ResultTable:
+    """The columns and the metadata of a file that `write_result` wrote, of the formats that hold all of them.
+
+    Raises UsageError for another format, DataError for a file that is no such table.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in READERS:
+        raise UsageError(
+            f"{path}: must be a result in one of {', '.join(READERS)}, which hold all columns and the metadata; "
+            f"received {suffix!r}. Name the result in one of these formats."
+        )
+    require_file(path)
+    with reading(path, "a result"):
+        columns: dict[str, Any] = {name: _column(name, values) for name, values in READERS[suffix](path).items()}
+    if not len(columns.get(TIME, ())):
+        raise DataError(f"{path} holds no rows with a column {TIME}. Name a file that midspan wrote.")
+    time_ns = _stamps(columns[TIME])
+    columns[TIME] = time_ns / NANOSECONDS
+    metadata = {key: value for key, value in read_metadata(path).items() if key != KEY}
+    return ResultTable(columns=columns, time_ns=time_ns, metadata=metadata)
+
+
+def _stamps(values: Any) -> Nanoseconds:
+    """Stamps (n,) in ns: of decimal numbers exactly, of floats to the nearest."""
+    if values.dtype == object:
+        return np.array([int(one.scaleb(9)) for one in values], dtype=np.int64)
+    return np.asarray(np.rint(NANOSECONDS * values.astype(np.float64)), dtype=np.int64)
+
+
+def _column(name: str, values: Any) -> Any:
+    """Words as texts without the blanks of formats with a fixed length, numbers as they are."""
+    array = np.asarray(values)
+    if words_of(name) is None:
+        return array
+    return [str(one.decode() if isinstance(one, bytes) else one).strip() for one in array.tolist()]
+
+
+def _of_csv(path: Path) -> dict[str, Any]:
+    import pyarrow as pa
+    from pyarrow import csv
+
+    # The digits of the file: a float keeps seven decimals of a time of today.
+    exact = csv.ConvertOptions(column_types={TIME: pa.decimal128(28, 9)})
+    table = csv.read_csv(path, convert_options=exact)
+    return {name: table[name].to_numpy() for name in table.column_names}
+
+
+def _of_parquet(path: Path) -> dict[str, Any]:
+    import pyarrow.parquet as pq
+
+    table = pq.read_table(path)
+    return {name: np.asarray(table[name].to_pylist()) for name in table.column_names}
+
+
+def _of_hdf5(path: Path) -> dict[str, Any]:
+    import h5py
+
+    with h5py.File(path) as file:
+        return {name: file[name][()] for name in file}
+
+
+def _of_matlab(path: Path) -> dict[str, Any]:
+    from scipy.io import loadmat
+
+    found = loadmat(path)
+    names = [name for name in found if not name.startswith("__") and name != "midspan"]
+    return {name: found[name].ravel() for name in names}
+
+
+def _of_xlsx(path: Path) -> dict[str, Any]:
+    import pandas as pd
+
+    frame = pd.read_excel(path, sheet_name=ROWS_SHEET, engine="openpyxl")
+    return {str(name): frame[name].to_numpy() for name in frame}
+
+
+def _of_tdms(path: Path) -> dict[str, Any]:
+    from nptdms import TdmsFile
+
+    with TdmsFile.open(path) as file:
+        return {channel.name: channel[:] for channel in file[GROUP].channels()}
+
+
+READERS: dict[str, Callable[[Path], dict[str, Any]]] = {
+    ".csv": _of_csv,
+    ".parquet": _of_parquet,
+    ".h5": _of_hdf5,
+    ".hdf5": _of_hdf5,
+    ".mat": _of_matlab,
+    ".xlsx": _of_xlsx,
+    ".tdms": _of_tdms,
+}

@@ -1,0 +1,90 @@
+"""Excel workbooks: the rows in a sheet `result`, the metadata in a sheet `midspan`."""
+
+import io
+from collections.abc import Iterator
+from contextlib import suppress
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+from zipfile import ZIP_DEFLATED, ZIP_STORED, ZipFile, ZipInfo
+
+import numpy as np
+
+from midspan.errors import UsageError
+from midspan.sinks.table import ResultTable, codes, is_text, metadata_json, words_of
+from midspan.writing import WRITTEN_BY
+
+ROWS_SHEET, METADATA_SHEET = "result", "midspan"
+# Rows of a sheet, and characters of a cell; source: Microsoft, "Excel specifications and limits".
+MAX_ROWS, MAX_CHARACTERS = 1_048_576, 32_767
+_PROPERTIES = "docProps/core.xml"
+# The first date of a ZIP archive stands for none.
+_NO_DATE = datetime(1980, 1, 1)
+
+
+class _Archive(ZipFile):
+    """An archive without dates, so that the same table gives the same bytes, whose properties, which say who wrote it,
+    are not compressed: they can be found.
+    """
+
+    def writestr(self, name: Any, data: Any, *_: Any) -> None:
+        """Add a file."""
+        super().writestr(ZipInfo(name), data, ZIP_STORED if name == _PROPERTIES else ZIP_DEFLATED)
+
+    def write(self, filename: Any, arcname: Any = None, *_: Any) -> None:
+        """Add a file that the library keeps on disk."""
+        self.writestr(arcname, Path(filename).read_bytes())
+
+
+def encode(table: ResultTable) -> Iterator[bytes]:
+    """A heading and the rows; words as texts, NaN as empty cells; the metadata as JSON text in pieces, a row each.
+
+    Raises UsageError for more rows than a sheet holds.
+    """
+    from openpyxl import Workbook
+    from openpyxl.writer.excel import ExcelWriter
+
+    count = len(table.time_ns)
+    if count >= MAX_ROWS:
+        raise UsageError(f"A sheet of .xlsx holds {MAX_ROWS - 1} rows; received {count}. Choose .csv or .parquet.")
+    columns = [_cells(name, values) for name, values in table.columns.items()]
+    book = Workbook(write_only=True)
+    book.properties.creator = WRITTEN_BY
+    book.properties.created = book.properties.modified = _NO_DATE
+    rows, metadata = book.create_sheet(ROWS_SHEET), book.create_sheet(METADATA_SHEET)
+    stream = io.BytesIO()
+    try:
+        rows.append(list(table.columns))
+        for row in zip(*columns, strict=True):
+            rows.append(row)
+        text = metadata_json(table)
+        for start in range(0, len(text), MAX_CHARACTERS):
+            metadata.append([text[start : start + MAX_CHARACTERS]])
+        with _Archive(stream, "w", ZIP_DEFLATED, allowZip64=True) as archive:
+            ExcelWriter(book, archive).save()
+    except OSError:
+        # The library keeps sheets in temporary files, which would complain of a full disk once more, later.
+        _let_go(rows, metadata)
+        raise
+    yield stream.getvalue()
+
+
+def _let_go(*sheets: Any) -> None:
+    """Close what writes sheets, whatever it says."""
+    for sheet in sheets:
+        for writing in (sheet._rows, getattr(sheet._writer, "xf", None)):
+            if writing is not None:
+                with suppress(OSError):
+                    writing.close()
+
+
+def _cells(name: str, values: Any) -> list[Any]:
+    coded = codes(name, values)
+    if coded is not None:
+        return list(np.array(words_of(name))[coded].tolist())
+    if is_text(values):
+        return list(np.asarray(values).astype(str).tolist())
+    array = np.asarray(values)
+    found = array.astype(object)
+    found[~np.isfinite(array)] = None
+    return list(found)

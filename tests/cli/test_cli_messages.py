@@ -1,0 +1,137 @@
+"""What the commands say of mistakes that everybody makes once, and of what they print for a person."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from midspan.cli.main import run
+from recording_edits import acceleration
+
+
+def refused(arguments: list[str], capsys: pytest.CaptureFixture[str], code: int = 2) -> str:
+    capsys.readouterr()
+    assert run(arguments) == code
+    return capsys.readouterr().err
+
+
+def written(folder: Path, text: str) -> str:
+    (folder / "recording.toml").write_text(text, encoding="utf-8")
+    return str(folder)
+
+
+@pytest.mark.parametrize(("typed", "meant"), [("estimat", "estimate"), ("compere", "compare"), ("tracks", "track")])
+def test_a_mistyped_command_is_answered_with_the_nearest(
+    typed: str, meant: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert f"Did you mean {meant!r}?" in refused([typed, "."], capsys)
+
+
+@pytest.mark.parametrize("key", ["fps", "frame_rate"])
+def test_the_words_of_other_programs_lead_to_the_key(
+    key: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = written(tmp_path, f'[accelerometer]\nfile = "a.csv"\n[camera]\nfile = "c.mkv"\n{key} = 30\n')
+    assert f"camera.{key}: is not a known key. Did you mean 'rate_hz'?" in refused(["check-config", folder], capsys)
+
+
+def test_the_name_of_a_family_of_trackers_leads_to_the_tracker(
+    footbridge: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    told = refused(["calibrate", str(footbridge), "--tracker", "lucas-kanade"], capsys)
+    assert "Did you mean 'registration'?" in told
+
+
+def test_a_windows_path_between_double_quotes_is_explained(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = written(tmp_path, '[accelerometer]\nfile = "C:\\Users\\me\\a.csv"\n')
+    told = refused(["check-config", folder], capsys)
+    assert "at line 2" in told
+    assert "write / in Windows paths, or put them in single quotes" in told
+    assert "need quotes" not in told
+
+
+def test_a_value_without_quotes_is_explained(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = written(tmp_path, "[accelerometer]\nfile = a.csv\n")
+    assert "Text values need quotes" in refused(["check-config", folder], capsys)
+
+
+def test_a_section_that_is_missing_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = written(tmp_path, '[accelerometer]\nfile = "a.csv"\n')
+    told = refused(["estimate", folder], capsys)
+    assert "has [accelerometer] only. Add the section" in told
+    assert "[camera]" in told
+    assert "settings:" not in told
+    folder = written(tmp_path, '[radar]\nfile = "r.h5"\n')
+    assert "has no [accelerometer]. Add the section" in refused(["estimate", folder], capsys)
+
+
+def test_a_camera_alone_is_led_to_track(footbridge_copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = written(footbridge_copy, '[camera]\nfile = "camera.mkv"\n')
+    for command in ("calibrate", "estimate"):
+        told = refused([command, folder], capsys)
+        assert "has no [accelerometer]" in told
+        assert "midspan track" in told
+
+
+def test_check_config_ends_with_its_verdict_and_writes_values_as_toml(
+    footbridge_copy: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["check-config", str(footbridge_copy)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[-1] == f"{footbridge_copy / 'recording.toml'}: valid."
+    shown = "\n".join(lines)
+    for word in ("False", "True", "()", "None"):
+        assert word not in shown
+    assert re.search(r"fusion\.literal +false", shown)
+    # A key without a value says nothing, and has no row.
+    assert all(len(line.split()) > 1 for line in lines)
+    for name in ("accel.csv", "camera.mkv"):
+        (footbridge_copy / name).unlink()
+    assert run(["check-config", str(footbridge_copy)]) == 0
+    assert capsys.readouterr().out.splitlines()[-1].endswith("valid, but 2 files are missing.")
+
+
+def test_a_result_that_is_missing_is_looked_for_where_the_command_runs(
+    footbridge: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    told = refused(["compare", "result.csv", str(footbridge)], capsys, code=3)
+    assert str(tmp_path) in told
+    assert "recording.toml" not in told
+
+
+def test_inspect_shows_values_in_the_unit_of_the_file(
+    footbridge_copy: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """An accelerometer in g and a reference in mm: numbers and unit of a row belong together."""
+    time_s, value = acceleration(footbridge_copy)
+    in_g = value / 9.80665
+    rows = "".join(f"{t:.6f},{a:.9f}\n" for t, a in zip(time_s, in_g, strict=True))
+    (footbridge_copy / "accel.csv").write_text("time_s,accel [g]\n" + rows, encoding="utf-8")
+    settings = footbridge_copy / "recording.toml"
+    text = re.sub(r'unit = "m/s\^2"\n', "", settings.read_text(encoding="utf-8")).replace(
+        'value = "accel"', 'value = "accel [g]"'
+    )
+    settings.write_text(text, encoding="utf-8")
+    assert run(["inspect", str(footbridge_copy)]) == 0
+    shown = capsys.readouterr().out
+    low, high = (float(part) for part in re.search(r"values +(\S+) … (\S+) g,", shown).groups())  # type: ignore[union-attr]
+    # Four significant digits are shown.
+    np.testing.assert_allclose((low, high), (in_g.min(), in_g.max()), rtol=1e-3)
+    assert re.search(r"values +\S+ … \S+ mm,", shown)
+    assert run(["inspect", str(footbridge_copy), "--json"]) == 0
+    tree = json.loads(capsys.readouterr().out)["accelerometer"]
+    assert tree["value_unit"] == "m/s^2"
+    np.testing.assert_allclose(tree["largest"], value.max(), atol=1e-8)
+
+
+def test_inspect_names_only_channels_of_the_right_unit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rows = "".join(f"{k / 100:.2f};{k % 3};{k % 5};{k % 7};20\n" for k in range(300))
+    header = "Zeit [s];Beschl X [g];Beschl Y [g];Beschl Z [g];Temp [°C]\n"
+    (tmp_path / "a.csv").write_text(header + rows, encoding="utf-8")
+    folder = written(tmp_path, '[accelerometer]\nfile = "a.csv"\n[camera]\nfile = "c.mkv"\n')
+    told = refused(["inspect", folder], capsys, code=2)
+    assert "'Beschl X', 'Beschl Y', 'Beschl Z' (all in g)" in told
+    assert "Temp" not in told
