@@ -8,7 +8,7 @@ import sys
 import time
 from pathlib import Path
 
-SUPPORT = {"__init__", "__main__", "cases", "radar_loop", "table"}
+SUPPORT = {"__init__", "__main__", "cases", "peer_work", "radar_loop", "table"}
 
 
 def names() -> list[str]:

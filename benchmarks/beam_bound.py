@@ -19,7 +19,7 @@ METHODS = (
     ("adaptive-kalman", 0.0, np.inf, np.inf),
     ("adaptive-kalman --literal", 0.0, np.inf, np.inf),
     ("fir", 2.0, np.inf, np.inf),
-    ("fir --literal", 2.6, np.inf, np.inf),
+    ("fir --literal", 1.0, np.inf, np.inf),
     ("two-stage-fir", 4.9, np.inf, np.inf),
     ("two-stage-fir --literal", 4.9, np.inf, np.inf),
 )

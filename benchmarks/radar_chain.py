@@ -295,7 +295,7 @@ def fir_of(at: Floats, value: Floats, samples: Floats) -> Floats:
         Displacement(
             nanoseconds(at + 10.0), value, np.full(count, 1e-10), np.full(count, Source.RADAR, dtype=np.uint8)
         ),
-        FirSettings(literal=True, half_window=50),
+        FirSettings(literal=True, half_window=50, cut_off_hz=1.0),
     )
     return np.interp(at, estimate.time_ns / 1e9 - 10.0, estimate.displacement_m)
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.lib.format import open_memmap
 
 from benchmarks.table import goal, show
-from midspan.recording.tracking.track import TrackRequest, track
+from midspan.recording.tracking.track import track
 from midspan.records import Floats, Region
 
 FRAMES, SHORT, DISTINCT = 20_000, 1_000, 500
@@ -48,7 +48,7 @@ def write(path: Path) -> None:
 
 def by_midspan(path: Path) -> Floats:
     """`midspan track` as a function: translation (n, 2) in px."""
-    found = track(path, TrackRequest(region=REGION, rate_hz=RATE_HZ)).track
+    found = track(path, roi=REGION, rate_hz=RATE_HZ).track
     return np.stack([found.x_px, found.y_px], axis=1)
 
 

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.table import goal, show
-from midspan.recording.tracking.track import TrackRequest, track
+from midspan.recording.tracking.track import track
 from midspan.records import Floats, Frame, Region
 from midspan.sources.camera.formats import open_frames
 from midspan.sources.camera.frames import FrameRequest
@@ -96,7 +96,7 @@ class Pushes:
 
 def by_midspan_file(path: Path, name: str) -> Floats:
     """`midspan track` as a function, from a file."""
-    found = track(path, TrackRequest(region=REGION, tracker=name, rate_hz=RATE_HZ)).track
+    found = track(path, roi=REGION, tracker=name, rate_hz=RATE_HZ).track
     return np.stack([found.x_px, found.y_px], axis=1)
 
 
@@ -249,14 +249,14 @@ def decoding_share(folder: Path, count: int) -> None:
     """Wall time of `midspan track` on a 1080p file, and what of it is not decoding."""
     path = folder / f"hd{count}.mkv"
     write_hd(path, count)
-    request = TrackRequest(region=Region(896, 476, 128, 128), tracker="registration")
+    region = Region(896, 476, 128, 128)
 
     def decode() -> int:
         return sum(1 for _ in open_frames(path, FrameRequest()).frames())
 
     best = np.full((2, 2), np.inf)  # track and decoding alone; wall and processor time, s
     for _ in range(ROUNDS):
-        for k, work in enumerate((lambda: track(path, request), decode)):
+        for k, work in enumerate((lambda: track(path, roi=region, tracker="registration"), decode)):
             start = time.perf_counter(), time.process_time()
             work()
             best[k] = np.minimum(best[k], np.array([time.perf_counter(), time.process_time()]) - start)

@@ -18,7 +18,7 @@ from midspan.simulate.motion.beam import paper_beam_motion
 from midspan.simulate.motion.sensors import AccelerometerModel, DisplacementSensorModel, noise_std_for, simulate_pair
 
 METHODS = {
-    "fir, fixed cut-off": lambda a, d: fir(a, d, FirSettings(literal=True)),
+    "fir, fixed cut-off": lambda a, d: fir(a, d, FirSettings(literal=True, cut_off_hz=1.0)),
     "two-stage-fir, as printed": lambda a, d: two_stage_fir(a, d, TwoStageSettings(literal=True)),
     "two-stage-fir": two_stage_fir,
     "smoother": lambda a, d: smooth(a, d).estimate,

@@ -183,6 +183,20 @@ def test_a_recording_is_a_folder_or_its_file(tmp_path):
         settings_file(tmp_path / "nowhere")
 
 
+def test_the_updating_rule_takes_its_settings_by_name():
+    rule = {"literal": True, "threshold_frames": 20, "average_frames": 5}
+    camera = CAMERA | {"reference": "updating", "reference_settings": rule}
+    assert validate(tree_with(camera=camera), "recording.toml").camera.reference_settings == rule
+    for wrong, words in (
+        (camera | {"reference": "first"}, 'reference = "updating"'),
+        (camera | {"reference_settings": {"treshold_frames": 20}}, "threshold_frames"),
+        (camera | {"reference_settings": {"tracker": "template"}}, "tracker"),
+        (camera | {"reference_settings": {"threshold_frames": 1}}, "2 and 1 or more"),
+        (camera | {"reference_settings": {"literal": 1}}, "true or false"),
+    ):
+        assert words in message_of(tree_with(camera=wrong))
+
+
 def test_overrides_win_over_the_file(tmp_path):
     text = '[accelerometer]\nfile = "a.csv"\n[camera]\nfile = "c.mkv"\nevery = 2\n[fusion]\nmethod = "smoother"\n'
     (tmp_path / "recording.toml").write_text(text, encoding="utf-8")

@@ -111,7 +111,11 @@ def whole(site: RunningSite) -> None:
         missing += round((rows[-1] - rows[0]) * 100 / NANOSECONDS) + 1 - len(rows)
         steps_s = np.diff(rows) / NANOSECONDS
         for k in np.flatnonzero(steps_s > 0.015):
-            print(f"        {point}: no row for {steps_s[k]:g} s after {(rows[k] - rows[0]) / NANOSECONDS:g} s")
+            held = int(np.count_nonzero((raw > rows[k]) & (raw < rows[k + 1])))
+            gap = f"no row for {steps_s[k]:g} s after {(rows[k] - rows[0]) / NANOSECONDS:g} s"
+            print(f"        {point}: {gap}, {held} raw samples")
+            for event in store.events(point, int(rows[k]) - NANOSECONDS, int(rows[k + 1]) + NANOSECONDS):
+                print(f"            {(event.time_ns - rows[k]) / NANOSECONDS:+.3f} s {event.kind}: {event.text}")
     store.close()
     goal("samples lost", lost, 0)
     goal("rows missing", missing, 0)

@@ -7,7 +7,7 @@ import pytest
 from calibration_cases import OFFSET, SCALE, beam_in_pixels, broadband, observed, spoilt, tones
 
 from midspan.calibration.fit import Pair
-from midspan.calibration.scale import calibrate_scale
+from midspan.calibration.scale import calibrate_scale, uncertain_scale
 from midspan.errors import NoAgreementError, UntrustedError
 from midspan.simulate.motion.motion import Pulse, Sum, Window, random_motion
 
@@ -241,7 +241,13 @@ def test_a_barely_known_scale_brings_a_warning_with_its_figure():
     found = calibrate_scale(observed(broadband(8), 8, noise_px=0.4), 0.15)
     relative = np.sqrt(found.scale.variance) / abs(found.scale.value_m_per_px)
     assert 0.01 < relative < 0.05
-    assert any(f"± {100 * relative:.1f} %" in line for line in found.warnings)
+    (line,) = uncertain_scale("camera", relative, {"motion": relative, "compression": 0.5 * relative})
+    assert line.code == "scale-uncertain"
+    assert f"± {100 * relative:.1f} % only" in line
+    assert "comes from little motion for the noise. More motion" in line
+    (line,) = uncertain_scale("camera", 0.015, {"motion": 0.001, "compression": 0.0149})
+    assert "the largest part, ± 1.5 %, comes from the compression of the video" in line
+    assert uncertain_scale("camera", 0.0099, {"motion": 0.0099}) == []
 
 
 def test_missing_frames_and_jittered_stamps_do_no_harm():

@@ -56,6 +56,41 @@ def test_every_digit_of_a_csvs_times_is_kept(result: Path) -> None:
     assert copy.read_bytes() == result.read_bytes()
 
 
+def test_a_csv_of_another_program_has_more_digits_than_nanoseconds(tmp_path: Path) -> None:
+    time_s = np.arange(300) / 3 + 0.1
+    pd.DataFrame({"time_s": time_s, "displacement_mm": MM}).to_csv(tmp_path / "plain.csv", index=False)
+    assert run(["export", str(tmp_path / "plain.csv"), "-o", str(tmp_path / "plain.mat"), "--quiet"]) == 0
+    found = loadmat(tmp_path / "plain.mat")
+    np.testing.assert_allclose(found["time_s"][:, 0], time_s, rtol=0, atol=0.5e-9)  # the nearest nanosecond
+    np.testing.assert_array_equal(found["displacement_mm"][:, 0], MM)
+
+
+@pytest.mark.parametrize(
+    ("column", "value", "said"),
+    [
+        ("time_s", "", "time_s must be a number of seconds in every row"),
+        ("time_s", "abc", "time_s must be a number of seconds in every row"),
+        ("time_s", "inf", "time_s must be a number of seconds in every row"),
+        ("time_s", "0.1", "time_s must grow from row to row; the row at 0.1 s follows that at"),
+        ("displacement_mm", "abc", "the column displacement_mm holds text"),
+    ],
+)
+@pytest.mark.parametrize("suffix", [".csv", ".xlsx"])
+def test_a_mutilated_table_is_refused(
+    tmp_path: Path, column: str, value: str, said: str, suffix: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    frame = pd.DataFrame({"time_s": np.arange(300) / 3 + 0.1, "displacement_mm": MM}).astype(object)
+    frame.loc[7, column] = float(value) if suffix == ".xlsx" and value == "0.1" else value
+    path = tmp_path / f"table{suffix}"
+    if suffix == ".csv":
+        frame.to_csv(path, index=False)
+    else:
+        frame.to_excel(path, index=False, sheet_name="result")
+    assert run(["export", str(path), "-o", str(tmp_path / "x.mat"), "--quiet"]) == 3
+    assert said in capsys.readouterr().err
+    assert not (tmp_path / "x.mat").exists()
+
+
 def test_matlab_gets_named_column_vectors(result: Path) -> None:
     target = result.with_name("result.mat")
     assert run(["export", str(result), "-o", str(target), "--quiet"]) == 0

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -119,7 +120,7 @@ def test_the_five_papers_are_named_with_trackers_methods_and_settings_that_exist
         tree["fusion"] = {"method": paper.method, "literal": True}
         for key, value in paper.settings.items():
             section, name = key.split(".")
-            tree[section][name] = value.strip('"')
+            tree[section][name] = tomllib.loads(f"value = {value}")["value"]
         validate(tree, paper.name)
     assert run(["methods", "--papers"]) == 0
     shown = capsys.readouterr().out

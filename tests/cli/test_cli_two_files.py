@@ -7,6 +7,7 @@ import av
 import numpy as np
 import pytest
 
+import midspan
 from lively_recordings import Lively, write
 from midspan.cli.main import run
 from midspan.settings.load import load_settings
@@ -72,6 +73,21 @@ def test_two_files_become_a_result_with_the_right_sign_and_scale(desk, tmp_path,
     rows = np.genfromtxt(output, delimiter=",", names=True, dtype=None, encoding="utf-8")
     expected = LIVELY.from_zero_mm(rows["time_s"] - apart_s)
     assert np.mean(np.abs(rows["displacement_mm"] - expected) < 1.96 * rows["displacement_std_mm"]) > 0.85
+
+
+def test_two_files_from_python_give_what_the_command_gives(desk, tmp_path):
+    files = desk / "logger.csv", desk / "phone.mkv"
+    assert (
+        run(["estimate", *map(str, files), "--value", "Beschl Z", "-o", str(tmp_path / "result.csv"), "--quiet"]) == 0
+    )
+    rows = np.genfromtxt(tmp_path / "result.csv", delimiter=",", names=True, dtype=None, encoding="utf-8")
+    found = midspan.estimate(*files, value="Beschl Z")
+    # The file holds nine digits.
+    np.testing.assert_allclose(found.displacement_mm, rows["displacement_mm"], rtol=1e-7, atol=1e-9)
+    with pytest.raises(midspan.UsageError, match="3 channels could be meant"):
+        midspan.estimate(*map(str, files))
+    with pytest.raises(midspan.UsageError, match="go with two files"):
+        midspan.estimate(desk / "recording", value="Beschl Z")
 
 
 def test_init_writes_a_recording_that_is_read(desk, tmp_path, capsys):

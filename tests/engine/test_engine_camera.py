@@ -11,12 +11,15 @@ import pytest
 from midspan.engine.camera import WARM_UP_FRAMES, CameraChain
 from midspan.engine.camera_target import ChainSettings, Target
 from midspan.engine.target_opening import Opening
+from midspan.errors import DataError
 from midspan.records import Frame, PixelTrack, PixelTranslation, Prediction, Region, Status
 from midspan.simulate.scene.camera import Camera
 from midspan.simulate.scene.texture import textured_scene
 from midspan.simulate.scene.thermal import ThermalCamera, ThermalView
+from midspan.thermal.temperature_range import Expected
 from midspan.vision.compression import CHECK_FRAMES, CHECKS_KEPT
 from midspan.vision.fair_variance import TEMPLATE_NOISE
+from midspan.vision.hybrid import PhaseSettings
 from midspan.vision.lens import Lens, ideal_translation
 from midspan.vision.light import LIGHT_PX
 from midspan.vision.tracker import open_tracker
@@ -150,6 +153,28 @@ def test_a_frame_s_row_does_not_know_of_later_frames(case):
         chain.learn(frames)
         for frame, row in zip(frames, rows, strict=False):
             assert same(chain.push(frame, expected(frame, chain)), row)
+
+
+def test_the_settings_of_the_updating_rule_reach_it():
+    rule = {"literal": True, "threshold_frames": 7}
+    chain = untaught(film(), TARGETS[:1], tracker="template", reference="updating", reference_settings=rule)
+    settings = chain.targets[0].tracker.settings
+    assert (settings.literal, settings.threshold_frames, settings.average_frames) == (True, 7, 10)
+
+
+def test_a_tracker_that_learns_by_acceleration_is_taught_with_it_or_not_at_all():
+    frames = film()
+    felt = Expected(PATH[: len(frames)], "y", (0.3, 2.0))
+    settings = PhaseSettings(literal=True, matcher="template")
+    chains = [untaught(frames, TARGETS[:1], tracker="hybrid", settings=settings) for _ in range(2)]
+    chains[0].learn(frames)
+    chains[1].learn(frames, felt)
+    without, taught = (chain.targets[0].tracker.model for chain in chains)
+    assert (without.ratios, without.along) == (None, None)
+    assert taught.along == 1
+    assert taught.r_squared[1] > 0.9
+    with pytest.raises(DataError, match="at least 5 frames"):
+        chains[1].learn(frames, replace(felt, translation_px=np.full(len(frames), np.nan)))
 
 
 def test_learning_what_is_usual_leaves_the_translations_as_they_are():

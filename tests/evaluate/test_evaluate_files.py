@@ -85,7 +85,9 @@ def test_a_unit_wins_and_its_absence_is_told(tmp_path, reference):
     result = write(tmp_path / "result.csv")
     assert compare(result, bare, unit="cm").bias_mm == pytest.approx(0.1, abs=1e-8)
     assumed = compare(result, bare)
-    assert assumed.notes == ("bare.csv: no unit in the file; mm assumed.",)
+    first, second = assumed.notes
+    assert first == "bare.csv: no unit in the file; mm assumed."
+    assert "the displacement is 10 times the reference. Check the units" in second
     assert assumed.reference_peak_to_peak_mm == pytest.approx(assumed.peak_to_peak_mm / 10.0, rel=1e-9)
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from midspan.evaluate.papers import Fused, fused
+from midspan.evaluate.papers.films import Fused, Way, fused
 from midspan.recording.calibrate import calibrate
 from midspan.recording.streams.recording import open_recording
 from midspan.simulate.scenarios.papers import ACCELEROMETER, CAMERA, FilmSettings, film, write_recording
@@ -14,8 +14,11 @@ CUT = {
     "four-storey": FilmSettings(10.0, 8.0, ("multitone", "pseudo-static")),
     "footbridge": FilmSettings(12.0, 8.0, ("jumping", "crossing")),
 }
-PUBLISHED = ("features", ("adaptive-kalman", "adaptive-kalman as printed"))
-OURS = ("registration", ("smoother",))
+WAYS = {
+    "adaptive-kalman": Way({"tracker": "features"}, {"method": "adaptive-kalman"}),
+    "adaptive-kalman as printed": Way({"tracker": "features"}, {"method": "adaptive-kalman", "literal": True}),
+    "smoother": Way({"tracker": "registration"}, {"method": "smoother"}),
+}
 
 
 @pytest.fixture(scope="module")
@@ -38,10 +41,7 @@ def results(recorded):
     def run(name):
         if name not in known:
             scene, folder = recorded(name)
-            found = {}
-            for tracker, methods in (PUBLISHED, OURS):
-                found |= fused(scene, folder, tracker=tracker, methods=methods)
-            known[name] = found
+            known[name] = fused(scene, folder, WAYS)
         return known[name]
 
     return run

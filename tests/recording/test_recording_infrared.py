@@ -291,6 +291,23 @@ def test_switching_by_matches_uses_one_camera_at_a_time(day, result):
     assert np.sqrt(np.mean(error_mm(day, found) ** 2)) < 0.03
 
 
+def test_a_printed_filter_takes_the_camera_that_the_rule_lets_measure(day, result):
+    rule = {"switching": "matches", "method": "adaptive-kalman", "literal": True}
+    found = midspan.estimate(midspan.open_recording(day, fusion=rule), result.calibration)
+    switches = [event for event in found.events if event.kind == "switch"]
+    rows = found.estimate
+    assert len(switches) >= 2
+    kinds = {"camera": Source.CAMERA, "infrared": Source.INFRARED}
+    chosen = np.full(len(rows.time_ns), kinds[switches[0].text.split(" → ")[0]])
+    for event in switches:
+        chosen[rows.time_ns > event.time_ns] = kinds[event.text.split(" → ")[1].split(":")[0]]
+    # The rows about a switch, up to two frames of 0.17 s, may rest on the frame before it.
+    near = np.min(np.abs(rows.time_ns[:, None] - [event.time_ns for event in switches]), axis=1) < 4e8
+    measured = np.isin(rows.source, (Source.CAMERA, Source.INFRARED)) & ~near
+    assert np.mean(measured) > 0.5
+    assert np.mean(rows.source[measured] == chosen[measured]) > 0.99
+
+
 def test_a_camera_that_is_dark_in_the_window_is_calibrated_where_it_sees(day):
     night = midspan.open_recording(day, calibration={"window_s": (DUSK_S, DAWN_S + 1.0)})
     found = midspan.calibrate(night)

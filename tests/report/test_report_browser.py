@@ -61,6 +61,27 @@ def opened(browser):
     assert [url for url in asked if not url.startswith(("file:", "data:"))] == []
 
 
+def test_the_shown_range_is_a_csv_file(opened, report, camera_result):
+    page = opened(report)
+    page.click("text=10 s")
+    first, last = view(page)
+    with page.expect_download() as waiting:
+        page.click("button.save")
+    assert waiting.value.suggested_filename.startswith("displacement_")
+    found = pd.read_csv(waiting.value.path())
+    rows = camera_result.to_pandas()
+    rows = rows[(rows.index >= first - 1e-3) & (rows.index <= last + 1e-3)]
+    assert len(found) == pytest.approx(len(rows), abs=2)
+    near = camera_result.to_pandas().index.get_indexer(found.time_s, method="nearest")
+    whole = camera_result.to_pandas().iloc[near]
+    # The page holds values to a sixteenth of a standard deviation.
+    half = whole.displacement_std_mm.median() / 16
+    assert np.max(np.abs(found.displacement_mm.to_numpy() - whole.displacement_mm.to_numpy())) < half
+    np.testing.assert_allclose(found.displacement_std_mm, whole.displacement_std_mm, rtol=5e-3)
+    assert list(found.columns[:3]) == ["time_s", "displacement_mm", "displacement_std_mm"]
+    assert {"velocity_mm_s", "status"} <= set(found.columns)
+
+
 def view(page):
     """First and last time shown, s, as the chart's label says."""
     page.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")

@@ -142,12 +142,18 @@ def test_the_cards_say_what_result_and_comparison_say(camera_text, camera_result
     assert without == pytest.approx(1e3 * np.std(error), rel=0.01)
 
 
-def test_a_calibration_from_a_file_says_that_it_has_no_figures(camera, camera_result, tmp_path):
+def test_a_calibration_from_a_file_is_shown_with_what_the_recording_itself_says(camera, camera_result, tmp_path):
     camera_result.calibration.save(tmp_path / "calibration.json")
     result = estimate(camera, load_calibration(tmp_path / "calibration.json"))
     text = report_html(result)
     assert "came from a file" in text
-    assert "Scale factor and clock offset" not in [title for title, _ in Page(text).pictures]
+    assert "Scale factor and clock offset" in [title for title, _ in Page(text).pictures]
+    here, std = re.search(r"itself shows, (\S+) ± (\S+) mm/px", text).groups()
+    # Of the same frames, tracked once more with the filter's prediction.
+    assert abs(float(here) - 1e3 * SCALE_M_PER_PX) < 4.0 * float(std)
+    # Without the recording's files nothing can be drawn.
+    alone = report_html(replace(result, file=None))
+    assert "which holds its values and not the measurements" in alone
     assert "The region was given by the calibration file" in text
 
 

@@ -64,10 +64,10 @@ def test_a_result_reads_back_as_time_and_displacement(tmp_path: Path, suffix: st
     path = tmp_path / f"result{suffix}"
     write_result(path, table(STARTS[start]))
     series = read_series(path, SeriesRequest("displacement", "time_s", "displacement_mm", "mm"))
-    # Text has every nanosecond, miniSEED a start and a rate; the others a float of seconds, for times of today rounded
-    # twice: from whole nanoseconds (128 ns) and to seconds (2^-23 s, 119 ns). A workbook has sixteen digits, the sixth
-    # decimal of such times: half of it more.
-    tolerance = {".csv": 0, ".mseed": 2}.get(suffix, 250 if start == "epoch" else 1)
+    # Text has every nanosecond, miniSEED a start in whole microseconds and a rate; the others a float of seconds, for
+    # times of today rounded twice: from whole nanoseconds (128 ns) and to seconds (2^-23 s, 119 ns). A workbook has
+    # sixteen digits, the sixth decimal of such times: half of it more.
+    tolerance = {".csv": 0, ".mseed": 502}.get(suffix, 250 if start == "epoch" else 1)
     tolerance += 500 if suffix == ".xlsx" and start == "epoch" else 0
     np.testing.assert_allclose(series.time_ns, times(STARTS[start]), rtol=0, atol=tolerance)
     # Text has nine decimals of a millimetre.
@@ -157,10 +157,23 @@ def test_miniseed_starts_a_new_segment_after_a_gap(tmp_path: Path) -> None:
     assert sorted(found.sourceids()) == [f"FDSN:XX_MIDSP__{a}_{b}_{c}" for a, b, c in ("DSP", "STD", "VEL")]
     segments = list(found[0])
     assert [s.numsamples for s in segments] == [400, 500]
-    assert [s.starttime for s in segments] == [time_ns[0], time_ns[400]]
+    # Version 2 has whole microseconds.
+    np.testing.assert_allclose([s.starttime for s in segments], time_ns[[0, 400]], rtol=0, atol=500)
     np.testing.assert_array_equal(np.concatenate([s.np_datasamples for s in segments]), MM)
     # The rate comes from intervals rounded to whole nanoseconds, a third of a nanosecond in 3.3 ms.
     assert abs(segments[0].samprate - 300) < 300 * 1e-6
+
+
+def test_miniseed_is_read_by_obspy(tmp_path: Path) -> None:
+    obspy = pytest.importorskip("obspy")
+    write_result(tmp_path / "r.mseed", table(STARTS["epoch"]))
+    stream = obspy.read(tmp_path / "r.mseed")
+    assert sorted(trace.id for trace in stream) == ["XX.MIDSP..DSP", "XX.MIDSP..STD", "XX.MIDSP..VEL"]
+    (trace,) = stream.select(channel="DSP")
+    np.testing.assert_array_equal(trace.data, MM)
+    assert abs(trace.stats.starttime.ns - STARTS["epoch"]) <= 500  # whole microseconds
+    # A third of a nanosecond in 3.3 ms by the whole nanoseconds of the stamps.
+    assert trace.stats.sampling_rate == pytest.approx(300, rel=1e-7)
 
 
 def test_miniseed_stamps_do_not_drift_in_a_day_of_jittered_samples(tmp_path: Path) -> None:

@@ -35,7 +35,7 @@ def by_sift(frames):
 
 def test_limits_go_in_equal_steps_from_the_regions_to_the_field_of_views() -> None:
     # The published example: 16.79 °C is the region's lower limit less eight of nine steps of 0.857 K, and so on.
-    low, high = candidates(Limits(23.65, 28.08), Limits(15.94, 33.52), 9)
+    low, high = candidates(Limits(23.65, 28.08), Limits(15.94, 33.52))
     assert low[8] == pytest.approx(16.79, abs=0.01)
     assert (low[0], high[0], low[-1], high[-1]) == pytest.approx((23.65, 28.08, 15.94, 33.52))
     assert np.diff(low) == pytest.approx(np.full(9, -0.857), abs=0.001)

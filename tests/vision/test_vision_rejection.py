@@ -38,6 +38,9 @@ def test_the_distance_limits_are_those_of_equation_16():
     least, largest = distance_limits(np.array([[3.0, -4.0], [0.4, 10.0]]), 0.5)
     assert least == pytest.approx([math.sqrt(13), 9.0])
     assert largest == pytest.approx([math.sqrt(41), math.hypot(1.4, 11.0)])
+    # As printed the equation squares (0.4 - 1), which counts as 0.6.
+    least, _ = distance_limits(np.array([[3.0, -4.0], [0.4, 10.0]]), 0.5, literal=True)
+    assert least == pytest.approx([math.sqrt(13), math.hypot(0.6, 9.0)])
 
 
 def test_the_best_match_belongs_to_the_pair_whose_distance_is_kept(rng):

@@ -11,6 +11,7 @@ import numpy as np
 
 from midspan.calibration.clock import Compared, drift
 from midspan.calibration.fit import Fit, Pair, best_corner, refine
+from midspan.notices import Notice
 from midspan.records import Floats
 from midspan.signals.medians import SIGMA_OF_MEDIAN
 
@@ -60,15 +61,18 @@ class Misfit:
     factor: float = 1.0
     frequency_hz: float = 0.0
 
-    def text(self, sensor: str) -> list[str]:
+    def text(self, sensor: str) -> list[Notice]:
         """A sentence where the model does not hold."""
         if self.factor <= 1.0:
             return []
         return [
-            f"{sensor}: what it and the accelerometer differ by is no white noise: near {self.frequency_hz:.2g} Hz it "
-            f"is {self.factor:.2g} times as strong as on the whole, and the error band is wider by the root of that. "
-            "Likely causes: cross motion that an inclined axis picks up, an exposure or low-pass that was not "
-            "declared, a structure that tilts, a mounting that is not stiff, slow errors of the sensor."
+            Notice(
+                "misfit",
+                f"{sensor}: what it and the accelerometer differ by is no white noise: near {self.frequency_hz:.2g} Hz "
+                f"it is {self.factor:.2g} times as strong as on the whole, and the error band is wider by the root of "
+                "that. Likely causes: cross motion that an inclined axis picks up, an exposure or low-pass that was "
+                "not declared, a structure that tilts, a mounting that is not stiff, slow errors of the sensor.",
+            )
         ]
 
 

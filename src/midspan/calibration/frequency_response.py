@@ -24,6 +24,7 @@ import numpy as np
 
 from midspan.calibration.fit import PRIOR_POWER, Aligned, Fit, Pair, aligned, best_corner, likeliest_corner
 from midspan.calibration.whitening import Whitened, integrated
+from midspan.notices import Notice
 from midspan.records import Floats
 from midspan.signals.acceleration import GRAVITY_M_S2
 
@@ -101,30 +102,44 @@ class FrequencyResponse:
     relative_std: float = 0.0
     offset_variance: float = 0.0
 
-    def texts(self, motion_hz: float) -> list[str]:
+    def texts(self, motion_hz: float) -> list[Notice]:
         """A sentence for each kind that was found; motion_hz: middle frequency of the motion."""
         found = []
         if Kind.EXPOSURE in self.known:
             found.append(
-                "camera: fast motion comes out smaller than slow motion, as with an exposure of "
-                f"{1e3 * self.exposure_s:.2g} ms, which was not declared. It is taken for that; declare exposure_s."
+                Notice(
+                    "exposure",
+                    "camera: fast motion comes out smaller than slow motion, as with an exposure of "
+                    f"{1e3 * self.exposure_s:.2g} ms, which was not declared. It is taken for that; declare "
+                    "exposure_s.",
+                )
             )
         if Kind.LEAN in self.known:
             found.append(
-                f"accelerometer: it seems to tilt by {1e3 * self.slope:.2g} mrad for each metre that it moves, as on a "
-                "tower that leans, so that gravity reaches it. The scale factor is without it."
+                Notice(
+                    "tilt",
+                    f"accelerometer: it seems to tilt by {1e3 * self.slope:.2g} mrad for each metre that it moves, as "
+                    "on a tower that leans, so that gravity reaches it. The scale factor is without it.",
+                )
             )
         square = (2.0 * np.pi * motion_hz) ** 2
         if Kind.DROOP in self.known:
             found.append(
-                f"accelerometer: it weakens motion of {motion_hz:.2g} Hz by {100.0 * self.droop_s2 * square:.2g} %, as "
-                "behind a logger's low-pass. The scale factor is without it; the error band is wider."
+                Notice(
+                    "logger-low-pass",
+                    f"accelerometer: it weakens motion of {motion_hz:.2g} Hz by {100.0 * self.droop_s2 * square:.2g} "
+                    "%, as behind a logger's low-pass. The scale factor is without it; the error band is wider.",
+                )
             )
         if Kind.LAG in self.known:
             late_s = -self.lag_s3 * square
             found.append(
-                f"accelerometer: its delay changes with frequency, by {1e3 * late_s:+.2g} ms from 0 to {motion_hz:.2g} "
-                "Hz, as behind a logger's low-pass. The clock offset is that of slow motion; the error band is wider."
+                Notice(
+                    "logger-low-pass",
+                    f"accelerometer: its delay changes with frequency, by {1e3 * late_s:+.2g} ms from 0 to "
+                    f"{motion_hz:.2g} Hz, as behind a logger's low-pass. The clock offset is that of slow motion; the "
+                    "error band is wider.",
+                )
             )
         return found
 

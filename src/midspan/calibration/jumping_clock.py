@@ -14,6 +14,7 @@ from midspan.calibration.clock_jumps import ClockJump, clock_jumps, lateness
 from midspan.calibration.fit import Pair
 from midspan.calibration.time_offset import OffsetSearch, search_offset
 from midspan.errors import UntrustedError
+from midspan.notices import Notice
 from midspan.records import Floats
 
 
@@ -55,11 +56,15 @@ def _moved(rows: Floats, jumps: list[ClockJump]) -> Floats:
     return rows[kept]
 
 
-def jumps_text(jumps: Sequence[ClockJump]) -> tuple[str, ...]:
+def jumps_text(jumps: Sequence[ClockJump]) -> tuple[Notice, ...]:
     """A sentence for each jump that was taken out."""
     return tuple(
-        f"The frames' clock jumps in the calibration window: {1e3 * jump.late_s:+.3g} ms must be added to the stamps "
-        f"from frame {jump.row} of the window on, as where frames were lost or the clock was set. The calibration "
-        "counts with it; give each frame a time stamp, or choose a calibration.window_s without the jump."
+        Notice(
+            "clock-corrected",
+            f"The frames' clock jumps in the calibration window: {1e3 * jump.late_s:+.3g} ms must be added to the "
+            f"stamps from frame {jump.row} of the window on, as where frames were lost or the clock was set. The "
+            "calibration counts with it; give each frame a time stamp, or choose a calibration.window_s without the "
+            "jump.",
+        )
         for jump in jumps
     )

@@ -25,6 +25,7 @@ from midspan.calibration.scale import MIN_GAIN as LEAST_AGREEMENT
 from midspan.calibration.slow_error import find_slow_error
 from midspan.calibration.time_offset import BEYOND, OffsetSearch, cleaned, curvature, search_offset
 from midspan.checks import instance
+from midspan.notices import Notice
 from midspan.records import InputNoise, TimeOffset
 from midspan.signals.medians import white_noise
 
@@ -104,7 +105,7 @@ class NoiseCalibration:
     unseen_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     exposure_s: float = 0.0
     direction: Direction | None = None
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[Notice, ...] = ()
     low_pass: LowPass | None = None
     late_m: float = 0.0
     findings: Findings | None = field(default=None, repr=False, compare=False)

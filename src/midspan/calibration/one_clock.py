@@ -11,6 +11,7 @@ from midspan.calibration.running_clock import RunningClock, on_one_clock
 from midspan.errors import UntrustedError
 from midspan.fusion.path import at
 from midspan.fusion.streams import NO_ERRORS, KalmanSettings, filtered, smooth
+from midspan.notices import Notice
 from midspan.records import (
     NANOSECONDS,
     Acceleration,
@@ -48,7 +49,7 @@ class OneClock:
     """
 
     measured: Displacement
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[Notice, ...] = ()
     events: tuple[Event, ...] = ()
     levels: tuple[CourseError, ...] = ()
     jumps: tuple[ClockJump, ...] = ()
@@ -103,7 +104,9 @@ def one_clock(
     _refuse_contradiction(moved, acceleration, kalman, sensor)
     moved, levels = _either_side(moved, jumps, acceleration, kalman)
     events = tuple(_event(measured, jump, sensor) for jump in jumps)
-    return OneClock(moved, (*(event.text for event in events), *told), events, levels, jumps, running)
+    return OneClock(
+        moved, (*(Notice("clock-corrected", event.text) for event in events), *told), events, levels, jumps, running
+    )
 
 
 def _refuse_contradiction(moved: Displacement, acceleration: Acceleration, kalman: KalmanSettings, sensor: str) -> None:

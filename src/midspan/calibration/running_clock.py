@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from midspan.calibration.clock import ClockCourse, clock_course
+from midspan.notices import Notice
 from midspan.records import NANOSECONDS, Acceleration, Displacement
 
 # In this time a cheap quartz (20 ppm) drifts by 2.4 ms; a shorter record is not much longer than its calibration.
@@ -24,7 +25,7 @@ class RunningClock:
     """
 
     measured: Displacement
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[Notice, ...] = ()
     course: ClockCourse | None = None
 
     def also(self, measured: Displacement) -> "RunningClock":
@@ -55,10 +56,10 @@ def on_one_clock(measured: Displacement, acceleration: Acceleration, sensor: str
         f"{1e3 * late[-1]:+.2f} ms at the end ({1e6 * course.skew:+.1f} ± {1e6 * skew_std:.1f} ppm); "
         "this was corrected."
     )
-    return RunningClock(course.corrected(measured), (text, *told), course)
+    return RunningClock(course.corrected(measured), (Notice("clock-corrected", text), *told), course)
 
 
-def _jumps(course: ClockCourse, sensor: str) -> list[str]:
+def _jumps(course: ClockCourse, sensor: str) -> list[Notice]:
     """A warning where single windows leave the straight line by more than noise: the clock was set, or frames lost."""
     left = course.lateness_s - course.at(course.time_ns)
     far = (np.abs(left) > 2.0 * SIGNIFICANT * course.std_s) & (np.abs(left) > 2.0 * MIN_LATE_S)
@@ -66,6 +67,9 @@ def _jumps(course: ClockCourse, sensor: str) -> list[str]:
         return []
     worst = int(np.argmax(np.where(far, np.abs(left), 0.0)))
     return [
-        f"{sensor}: its clock does not run evenly: around {course.time_ns[worst] / NANOSECONDS:.0f} s it is off by "
-        f"{1e3 * left[worst]:+.2f} ms beside a straight line. Check for lost frames, or split the recording there."
+        Notice(
+            "clock-differs",
+            f"{sensor}: its clock does not run evenly: around {course.time_ns[worst] / NANOSECONDS:.0f} s it is off by "
+            f"{1e3 * left[worst]:+.2f} ms beside a straight line. Check for lost frames, or split the recording there.",
+        )
     ]

@@ -1,6 +1,6 @@
 """The scale factor and clock offset of a camera from a minute with an accelerometer, or a refusal."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -15,6 +15,7 @@ from midspan.calibration.time_offset import OffsetSearch, far_offset, search_off
 from midspan.calibration.whitening import SETTLING
 from midspan.checks import instance
 from midspan.errors import NoAgreementError, UntrustedError
+from midspan.notices import Notice
 from midspan.records import InputNoise, NoiseLevel, ScaleFactor, TimeOffset
 from midspan.signals.health import dominant_frequency
 from midspan.signals.medians import SIGMA_OF_MEDIAN, white_noise
@@ -27,6 +28,33 @@ CLEARLY_MOVING = 8.0
 # The largest relative standard deviation of a scale factor that is still given out, and the one that brings a warning.
 REFUSED_ABOVE = 0.05
 WARNED_ABOVE = 0.01
+# What the relative standard deviation of a camera's scale factor is made of: each part in words, and what lessens it.
+PARTS = {
+    "motion": (
+        "little motion for the noise",
+        "More motion in calibration.window_s, or a longer one, would sharpen it.",
+    ),
+    "compression": (
+        "the compression of the video",
+        "Record raw or lossless, or move by more pixels: nearer, or with a longer lens.",
+    ),
+    "pattern": (
+        "the thermal camera's fixed pattern, which may draw translations to zero",
+        "More contrast or motion in the picture would lessen it.",
+    ),
+    "response": (
+        "an exposure or a logger's low-pass, which weakens fast motion",
+        "Declare camera.exposure_s, and set the low-pass far above the motion.",
+    ),
+    "misfit": (
+        "a difference of the two sensors that is no white noise",
+        "Look for cross motion, tilt, and a mounting that is not stiff.",
+    ),
+    "gain": (
+        "the accelerometer's sensitivity (accelerometer.scale_std)",
+        "Calibrate the accelerometer, or compare it with a displacement sensor.",
+    ),
+}
 # Gain of the logarithmic likelihood that the acceleration must bring. Scanning some hundred offsets lets pure noise
 # gain about ln(200) + 3; ten more is one chance in twenty thousand.
 MIN_GAIN = 20.0
@@ -49,6 +77,7 @@ START_FRAMES, START_NOISE = 16, 2.5
 # Causes of every disagreement that show in no figure.
 NOT_SHOWN = (
     "Frames that are lost or doubled while only a rate is given look the same: give each frame a time stamp. So do "
+    "a wrong camera.rate_hz, as of a slow-motion file, "
     "cross motion that an inclined accelerometer picks up, a camera or bracket that vibrates, a low-pass in the "
     "accelerometer's logger, and an accelerometer that errs with its motion (loose, clipped)."
 )
@@ -69,7 +98,7 @@ class ScaleCalibration:
     noise: NoiseLevel
     variance_factor: float
     input_noise: InputNoise
-    warnings: tuple[str, ...]
+    warnings: tuple[Notice, ...]
     response: FrequencyResponse = field(default_factory=FrequencyResponse)
     direction: Direction | None = None
 
@@ -124,7 +153,7 @@ def calibrate_scale(pair: Pair, max_offset_s: float, *, exposure_declared: bool 
         input_noise=search.pair.input_noise(fit.input_density),
         warnings=(
             *jumps_text(jumps),
-            *_warnings(search, relative, usable),
+            *_warnings(search, usable),
             *response.texts(fit.motion_hz),
         ),
         response=response,
@@ -176,9 +205,11 @@ def _refuse_no_motion(pair: Pair, fit: Fit, noise: float) -> None:
     if seen > CLEARLY_MOVING * noise and gain < MIN_GAIN:
         raise NoAgreementError(
             f"No agreement between image and accelerometer {figures}: the image moves, but not with the acceleration. "
-            "Check camera.direction, that both files are of the same event, and that the region shows something fixed "
+            "Check camera.direction, accelerometer.value, that both files are of the same event, and that the region "
+            "shows something fixed "
             "where the camera is on the structure, or the structure at the accelerometer where it is on a tripod; "
-            f"where the clocks may differ by more, raise calibration.max_offset_s or set camera.start_s. {NOT_SHOWN}"
+            f"where the clocks may differ by more, raise calibration.max_offset_s or set camera.start_s. "
+            f"{_slow_samples(pair)}{NOT_SHOWN}"
         )
     would_be = (
         f"it would be {1e3 / fit.ratio:.4g} mm/px ± {100 * relative:.2g} %, and at most ± {100 * REFUSED_ABOVE:g} % is "
@@ -188,13 +219,32 @@ def _refuse_no_motion(pair: Pair, fit: Fit, noise: float) -> None:
     if seen > CLEARLY_MOVING * noise and shakes and not alias:
         raise NoAgreementError(
             f"No agreement between image and accelerometer {figures}: both move, but not alike enough for a scale "
-            f"factor: {would_be}. Check camera.direction and camera.roi; where the clocks may differ by more, raise "
-            f"calibration.max_offset_s or set camera.start_s. {NOT_SHOWN}"
+            f"factor: {would_be}. Check camera.direction, camera.roi, accelerometer.value, and that both files are of "
+            "the same event; where the clocks may differ by more, raise calibration.max_offset_s or set "
+            f"camera.start_s. {_slow_samples(pair)}{NOT_SHOWN}"
         )
-    raise UntrustedError(
-        f"Too little motion to calibrate the scale factor {figures}: {would_be}. {alias}Choose a calibration.window_s "
-        "with traffic or shaking, or pass a calibration made at a livelier time with -c. If the structure did move, "
-        "check camera.direction, camera.roi and calibration.max_offset_s."
+    livelier = (
+        "Choose a calibration.window_s with traffic or shaking, or pass a calibration made at a livelier time with -c. "
+    )
+    static = (
+        "check camera.direction, camera.roi (what is fixed to the camera shows no motion), calibration.max_offset_s, "
+        "and that no stabiliser takes the motion out of the film."
+    )
+    cause = (
+        f"The accelerometer moves and the image does not: {static} {livelier}".rstrip()
+        if shakes and not alias
+        else f"{alias}{livelier}If the structure did move, {static}"
+    )
+    raise UntrustedError(f"Too little motion to calibrate the scale factor {figures}: {would_be}. {cause}")
+
+
+def _slow_samples(pair: Pair) -> str:
+    """A sentence where the acceleration comes no faster than the frames, which it has to bridge; else empty."""
+    if pair.sample_rate_hz > pair.rate_hz:
+        return ""
+    return (
+        f"The accelerometer has {pair.sample_rate_hz:.3g} samples a second, fewer than the camera's {pair.rate_hz:.3g} "
+        "frames: check whether its times are in ms (they are read as s), and whether its file was thinned out. "
     )
 
 
@@ -222,7 +272,8 @@ def _refuse_disagreement(pair: Pair, fit: Fit, usual: float) -> None:
         raise NoAgreementError(
             f"No agreement between image and accelerometer: {left:.2g} px of the image's {moved:.2g} px rms stay "
             f"unexplained, where a frame's own noise is {usual:.2g} px. Where the clocks may differ by more, raise "
-            f"calibration.max_offset_s or set camera.start_s; else check camera.direction and camera.roi. {NOT_SHOWN}"
+            f"calibration.max_offset_s or set camera.start_s; else check camera.direction, camera.roi and rate_hz. "
+            f"{_slow_samples(pair)}{NOT_SHOWN}"
         )
     if needed := noise_needed(pair, fit):
         raise NoAgreementError(
@@ -274,18 +325,32 @@ def start_noise(pair: Pair, fit: Fit) -> float:
     return size if size > START_NOISE * np.sqrt(fit.noise) else 0.0
 
 
-def strange_noise(pair: Pair, fit: Fit) -> str:
-    """What to tell where the accelerometer errs by far more than its own noise; else empty."""
+def uncertain_scale(sensor: str, relative_std: float, parts: Mapping[str, float]) -> list[Notice]:
+    """A sentence where a scale factor is known to more than WARNED_ABOVE only; parts: of PARTS, relative."""
+    if relative_std <= WARNED_ABOVE:
+        return []
+    largest = max(parts, key=lambda part: parts[part])
+    cause, remedy = PARTS[largest]
+    text = (
+        f"{sensor}: the scale factor is known to ± {100 * relative_std:.1f} % only (one standard deviation); the "
+        f"largest part, ± {100 * parts[largest]:.1f} %, comes from {cause}. {remedy}"
+    )
+    return [Notice("scale-uncertain", text)]
+
+
+def strange_noise(pair: Pair, fit: Fit) -> list[Notice]:
+    """A sentence where the accelerometer errs by far more than its own noise."""
     implied = float(np.sqrt(pair.input_noise(fit.input_density).density * pair.sample_rate_hz))
     own = white_noise(pair.samples[:, 1])
     if not implied > OWN_NOISE * own > 0.0:
-        return ""
-    return (
+        return []
+    text = (
         f"accelerometer: it errs as if it had noise of {1e3 * implied:.2g} mm/s² per sample, where its own is "
         f"{1e3 * own:.2g} mm/s². Likely causes: its bias drifts (1/f noise); cross motion that an inclined axis picks "
         "up; a mounting or bracket that vibrates, which a slower sensor shows as slow motion; clipped crests. The "
         "displacement rests more on the other sensor, and the error band takes it for noise."
     )
+    return [Notice("accelerometer-noisy", text)]
 
 
 def alias_in_words(pair: Pair) -> str:
@@ -316,17 +381,16 @@ def _refuse_ambiguity(search: OffsetSearch, max_offset_s: float) -> None:
         )
 
 
-def _warnings(search: OffsetSearch, relative: float, usable: int) -> list[str]:
+def _warnings(search: OffsetSearch, usable: int) -> list[Notice]:
     found = []
-    if relative > WARNED_ABOVE:
-        found.append(
-            f"The scale factor is known to ± {100 * relative:.1f} % only (one standard deviation); more motion in "
-            "the calibration window would sharpen it."
-        )
     std = float(np.sqrt(search.offset.variance))
     if std > 2e-3:
-        found.append(f"The clock offset is known to ± {1e3 * std:.1f} ms only (one standard deviation).")
+        found.append(
+            Notice(
+                "clock-uncertain", f"The clock offset is known to ± {1e3 * std:.1f} ms only (one standard deviation)."
+            )
+        )
     left_out = usable - int(np.count_nonzero(np.isfinite(search.pair.rows[:, 2])))
     if left_out > 0.05 * usable:
-        found.append(f"{left_out} of {usable} frames were left out of the calibration as outliers.")
+        found.append(Notice("outliers", f"{left_out} of {usable} frames were left out of the calibration as outliers."))
     return found

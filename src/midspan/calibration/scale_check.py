@@ -12,6 +12,7 @@ from midspan.calibration.noise import nearest, without_outliers
 from midspan.calibration.outliers import without_lonely_outliers
 from midspan.calibration.time_offset import search_offset
 from midspan.errors import UntrustedError
+from midspan.notices import Notice
 from midspan.records import NANOSECONDS, Acceleration, Displacement, Floats, Source, part, seconds
 from midspan.signals.stamps import inside
 
@@ -82,7 +83,7 @@ class Fitting:
     scale_std: relative standard deviations by the sensors' names.
     """
 
-    warnings: list[str]
+    warnings: list[Notice]
     scale_std: dict[str, float]
 
 
@@ -118,7 +119,9 @@ def _with_surplus(scale: ApparentScale, known: float) -> float:
     return float(np.sqrt(known**2 + max((scale.value - 1.0) ** 2 - expected**2, 0.0)))
 
 
-def _scale_warnings(scale: ApparentScale, sensed: Sensed, along: str, refused: float, *, followed: bool) -> list[str]:
+def _scale_warnings(
+    scale: ApparentScale, sensed: Sensed, along: str, refused: float, *, followed: bool
+) -> list[Notice]:
     known = sensed.relative_scale_std
     off, least = abs(scale.value - 1.0), CERTAIN * float(np.hypot(scale.std, known))
     if off <= max(TOLD, least):
@@ -130,12 +133,12 @@ def _scale_warnings(scale: ApparentScale, sensed: Sensed, along: str, refused: f
     )
     if off <= max(refused, least):
         held = FOLLOWED if followed else f"the error band holds the {100.0 * off:.2g} %"
-        return [f"{text}; {held}. Calibrate this recording."]
+        return [Notice("calibration-foreign", f"{text}; {held}. Calibrate this recording.")]
     turned = " The sign is reversed." if abs(scale.value + 1.0) < max(refused, least) else ""
     raise UntrustedError(f"{text}.{turned} Calibrate this recording.")
 
 
-def _clock_warnings(scale: ApparentScale, known: Sensed) -> list[str]:
+def _clock_warnings(scale: ApparentScale, known: Sensed) -> list[Notice]:
     std = float(np.hypot(scale.late_std_s, known.clock_std_s))
     if not abs(scale.late_s) > CERTAIN * std or scale.moved_m <= CLOCK_TOLD * scale.noise_m:
         return []
@@ -147,7 +150,7 @@ def _clock_warnings(scale: ApparentScale, known: Sensed) -> list[str]:
     )
     if scale.moved_m > CLOCK_REFUSED * scale.noise_m:
         raise UntrustedError(text)
-    return [text]
+    return [Notice("calibration-foreign", text)]
 
 
 def apparent_scale(acceleration: Acceleration, sensed: Sensed, max_offset_s: float = 0.0) -> ApparentScale | None:

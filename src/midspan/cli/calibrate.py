@@ -17,15 +17,16 @@ if TYPE_CHECKING:
 @click.argument("recording", type=click.Path())
 @click.option("-o", "--output", type=click.Path(), help="File to write; left out: calibration.json in the recording.")
 @click.option("--tracker", help="Tracker, over the recording's own; see `midspan methods`.")
+@click.option("--literal", is_flag=True, help="Scale factor and clock offset of a camera as the papers print them.")
 @common_options
-def command(recording: str, output: str | None, tracker: str | None, quiet: bool, as_json: bool) -> None:
+def command(recording: str, output: str | None, tracker: str | None, literal: bool, quiet: bool, as_json: bool) -> None:
     """Find scale factor, clock offset and noise levels, and write them to calibration.json."""
     console = Console(quiet, as_json)
     from midspan.cli.estimate import open_with
     from midspan.cli.targets import check_calibration
     from midspan.recording.calibrate import calibrate
 
-    opened = open_with(recording, tracker)
+    opened = open_with(recording, tracker, literal=literal, fused=False)
     console.progress(0, 1, "reading the recording")
     target = check_calibration(output, opened) if output else opened.folder
     calibration = calibrate(opened, console.progress)

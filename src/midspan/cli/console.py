@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 import click
 
 from midspan.cli.process import stop_if_asked
+from midspan.notices import Notice
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -55,10 +56,11 @@ class Console:
             self.say(f"{' ' * indent}{'  '.join(cells)}".rstrip())
 
     def warn(self, lines: Iterable[str]) -> None:
-        """Print warnings on standard error."""
+        """Print warnings on standard error, those of the table with their severity and code."""
         if not self.quiet:
             for line in lines:
-                click.echo(f"warning: {line}", err=True)
+                coded = f"{line.severity}: {line} [{line.code}]" if isinstance(line, Notice) else f"warning: {line}"
+                click.echo(coded, err=True)
 
     def document(self, tree: dict[str, Any]) -> None:
         """Print the JSON document where it was asked for; numbers that are not finite become null."""

@@ -9,6 +9,7 @@ import click
 
 from midspan.cli.console import Console, common_options
 from midspan.cli.every_method import ALL, compare_methods
+from midspan.notices import Notice, notice_trees
 
 if TYPE_CHECKING:
     from midspan.recording.result import Result
@@ -103,25 +104,17 @@ def _of_recording(recording: str, console: Console, options: dict[str, Any]) -> 
 
 def _of_two_files(accel: Path, video: Path, console: Console, options: dict[str, Any]) -> None:
     """Estimate an accelerometer's file and a video; once more where their clocks are found to be apart."""
-    from midspan.cli.init import draft
-    from midspan.errors import NoAgreementError
     from midspan.recording.streams.recording import Recording
-    from midspan.settings.load import validate
+    from midspan.settings.recording import RecordingSettings
+    from midspan.settings.two_files import draft, on_one_clock
 
     for given in ("point", "begin", "end"):
         if options[given]:
             raise click.UsageError("--point, --from and --to: are for a store, not for two files.")
-    where = f"{accel.name} and {video.name}"
     found = draft(accel, video, options["value"], options["unit"])
-    if found.needed:
-        raise click.UsageError(
-            f"{where}: {', '.join(found.needed)} is in neither file. Run `midspan init {accel} {video}`, and write it "
-            "into the recording.toml."
-        )
     tree = found.sections
-    section = next(name for name in ("camera", "infrared") if name in tree)
     chosen = {"tracker": options["tracker"]} if options["tracker"] else {}
-    tree[section] |= chosen
+    tree[found.camera] |= chosen
     tree["fusion"] = {"literal": bool(options["literal"])} | (
         {"method": options["method"]} if options["method"] else {}
     )
@@ -129,20 +122,16 @@ def _of_two_files(accel: Path, video: Path, console: Console, options: dict[str,
         if channel in tree["accelerometer"]:
             console.say(f"{accel.name}: {channel} {tree['accelerometer'][channel]}")
 
-    def opened() -> Recording:
-        return Recording(accel.absolute().parent / where, validate(tree, where))
+    def work(file: Path, settings: RecordingSettings, warnings: tuple[Notice, ...]) -> None:
+        settings = settings.calibrated_as_printed() if options["literal"] else settings
+        _of_opened(Recording(file, settings), console, options, warnings)
 
-    try:
-        _of_opened(opened(), console, options)
-    except NoAgreementError as error:
-        if error.clock_offset_s is None or options["calibration_file"] is not None:
-            raise
-        tree[section]["start_s"] = tree[section].get("start_s", 0.0) + error.clock_offset_s
-        moved = f"{video.name} begins {error.clock_offset_s:+.3g} s later than its times say: by the motion itself."
-        _of_opened(opened(), console, options, (moved,))
+    on_one_clock(found, work, again=options["calibration_file"] is None)
 
 
-def _of_opened(opened: "Recording", console: Console, options: dict[str, Any], warnings: tuple[str, ...] = ()) -> None:
+def _of_opened(
+    opened: "Recording", console: Console, options: dict[str, Any], warnings: tuple[Notice, ...] = ()
+) -> None:
     """Estimate what is open, and write and show what was asked for; warnings: besides the result's own."""
     if options["every"]:
         console.warn(warnings)
@@ -171,20 +160,27 @@ def _of_opened(opened: "Recording", console: Console, options: dict[str, Any], w
     show(console, result, written)
 
 
-def open_with(recording: str, tracker: str | None, method: str | None = None, literal: bool = False) -> "Recording":
-    """Open a recording with the tracker and method of the command line, which win over its own."""
+def open_with(
+    recording: str, tracker: str | None, method: str | None = None, literal: bool = False, fused: bool = True
+) -> "Recording":
+    """Open a recording with the tracker and method of the command line, which win over its own.
+
+    literal: calibration, tracker and, where it is `fused`, method are as printed.
+    """
     from midspan.checks import option
     from midspan.fusion.methods import METHODS
     from midspan.recording.streams.recording import open_with_cameras
     from midspan.vision.tracker import TRACKERS
 
     overrides: dict[str, dict[str, Any]] = {}
-    chosen = {} if tracker is None else {"tracker": option("--tracker", tracker, TRACKERS)}
+    chosen: dict[str, Any] = {} if tracker is None else {"tracker": option("--tracker", tracker, TRACKERS)}
     if method is not None:
         overrides["fusion"] = {"method": option("--method", method, METHODS)}
-    if literal:
+    if literal and fused:
         overrides["fusion"] = overrides.get("fusion", {}) | {"literal": True}
     opened = open_with_cameras(recording, chosen, **overrides)
+    if literal:
+        opened = type(opened)(opened.file, opened.settings.calibrated_as_printed())
     if tracker is not None and not opened.cameras:
         raise click.UsageError(f"--tracker {tracker}: {opened.file} has no [camera] or [infrared] to track.")
     return opened
@@ -246,6 +242,7 @@ def show(console: Console, result: "Result", written: list[str]) -> None:
             "method": result.method,
             "written": written,
             "warnings": list(result.warnings),
+            "notices": notice_trees(result.warnings),
             "not_in_band": list(result.not_in_band),
             "calibration": result.calibration.to_dict(),
         }

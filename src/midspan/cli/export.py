@@ -30,9 +30,10 @@ def command(store: str, quiet: bool, as_json: bool, **options: str | None) -> No
     formats.
     """
     console = Console(quiet, as_json)
+    from midspan.evaluate.stored_table import READERS
     from midspan.sinks.write import write_result
 
-    of_file = Path(store).is_file()
+    of_file = Path(store).is_file() or (Path(store).suffix.lower() in READERS and not Path(store).exists())
     name, target, table = (_of_file if of_file else _of_store)(store, options)
     write_result(target, table)
     count = len(table.time_ns)

@@ -30,17 +30,18 @@ def command(
 ) -> None:
     """Write a recording folder with its truth (truth.csv)."""
     from midspan.checks import option
-    from midspan.simulate.scenarios.table import NAMES
+    from midspan.simulate.scenarios.table import NAMES, PAPER_NAMES, chosen_here
     from midspan.simulate.scenarios.write import write
 
     console = Console(quiet, as_json)
+    names = NAMES | PAPER_NAMES
     if listed:
-        console.table(NAMES.items(), indent=0)
-        console.document(dict(NAMES))
+        console.table(names.items(), indent=0)
+        console.document(names)
         return
     if scenario is None or output is None:
         raise click.UsageError("give a SCENARIO and -o DIR; --list names the scenarios.")
-    option("SCENARIO", scenario, NAMES)
+    option("SCENARIO", scenario, names)
     wanted = [name.strip() for text in breaks for name in text.split(",")]
     folder = write(
         scenario,
@@ -50,6 +51,8 @@ def command(
         progress=lambda done, total: console.progress(done, total, "rendering"),
     )
     console.done()
-    console.say(f"{folder}: {NAMES[scenario]}")
+    console.say(f"{folder}: {names[scenario]}")
+    if free := chosen_here(scenario):
+        console.say(f"The paper does not print, and is chosen here: {free}.")
     document = {"folder": str(folder), "scenario": scenario, "seed": seed}
     console.document(document | ({"broken": wanted} if wanted else {}))

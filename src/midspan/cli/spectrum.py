@@ -7,6 +7,8 @@ import click
 
 from midspan.cli.console import Console, common_options
 
+_HEADER = "frequency_hz,density_mm2_hz"
+
 
 @click.command("spectrum")
 @click.argument("result", type=click.Path())
@@ -25,6 +27,7 @@ def command(result: str, quiet: bool, as_json: bool, **options: str | None) -> N
     from midspan.writing import write_whole
 
     console = Console(quiet, as_json)
+    target = _target(options["output"]) if options["output"] else None
     found = spectrum(read_result(result, options["unit"], options["axis"]).series)
     for mode in found.modes:
         damping = f"damping {100 * mode.damping:6.2f} ± {100 * mode.damping_std:.2f} %"
@@ -35,10 +38,20 @@ def command(result: str, quiet: bool, as_json: bool, **options: str | None) -> N
     if not found.modes:
         console.say("No peak stands out of the spectrum beyond chance.")
     written = None
-    if options["output"]:
-        lines = ["frequency_hz,density_mm2_hz"]
+    if target:
+        lines = [_HEADER]
         lines += [f"{f:.9g},{s:.9g}" for f, s in zip(found.frequency_hz, found.density_mm2_hz, strict=True)]
-        write_whole(Path(options["output"]), ("\n".join(lines) + "\n").encode())
-        written = options["output"]
+        write_whole(target, ("\n".join(lines) + "\n").encode())
+        written = str(target)
         console.say(f"{written}: written.")
     console.document({**found.to_dict(), "written": written})
+
+
+def _target(output: str) -> Path:
+    """The file to write; UsageError for one of another format, or in place of anything but a spectrum."""
+    path = Path(output)
+    if path.suffix.lower() != ".csv":
+        raise click.UsageError(f"-o {path}: the suffix must be .csv.")
+    if path.is_file() and not path.read_bytes().startswith(_HEADER.encode()):
+        raise click.UsageError(f"-o {path}: is no spectrum and is not overwritten. Choose another name.")
+    return path

@@ -17,7 +17,7 @@ from midspan.trees import TreeError, read_json
 # Pictures that can say who wrote them.
 PICTURES = (".png", ".svg", ".pdf")
 # What a file of midspan's holds somewhere: JSON of its metadata, a text where its format has room, a station's name.
-_MARKS = (b'"midspan": "', b"written by midspan", b"FDSN:XX_MIDSP__")
+_MARKS = (b'"midspan": "', b"written by midspan", b"FDSN:XX_MIDSP__", b"D MIDSP  ")
 # The keys of the JSON files that midspan writes: each kind may be replaced by its own kind only.
 _CALIBRATION, _LENS, _METADATA = {"version", "created", "accelerometer"}, {"midspan", "created"}, {"midspan"}
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from midspan.cli.console import Console, RegionType, common_options
+from midspan.notices import notice_trees
 
 if TYPE_CHECKING:
     from midspan.recording.tracking.track import Tracked
@@ -69,6 +70,7 @@ def command(source: str, output: str, quiet: bool, as_json: bool, **options: Any
         "median_std_y_px": float(np.nanmedian(np.sqrt(rows.variance_y_px2))) if lost < len(rows.time_ns) else None,
         "written": output,
         "warnings": list(tracked.warnings),
+        "notices": notice_trees(tracked.warnings),
     }
     console.table(_rows(figures, tracked))
     console.warn(tracked.warnings)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from midspan.engine.camera_target import ChainSettings, Target, TargetChain, TargetState
 from midspan.errors import DataError
 from midspan.records import Frame, PixelTranslation, Prediction
+from midspan.thermal.temperature_range import Expected
 from midspan.vision.light import is_dark
 
 # Every so many rows and columns, or this many rows where a frame has more, tell a black frame from a lit one.
@@ -60,17 +61,21 @@ class CameraChain:
         """How many frames are worth learning from, the reference frame among them."""
         return max(WARM_UP_FRAMES, *(target.tracker.frames_to_learn for target in self.targets))
 
-    def learn(self, frames: Sequence[Frame]) -> None:
+    def learn(self, frames: Sequence[Frame], felt: Expected | None = None) -> None:
         """Learn from the first frames, in the order of their times from the reference on; they are pushed afterwards.
 
+        felt: the translation in them as the accelerometer shows it; without it trackers that need it are not taught,
+        and with too little of it they raise DataError.
         The trackers are taught; then the frames are gone through once, and of that only the usual variances, the usual
         sharpness and what the codec does are kept.
         """
-        for target in self.targets:
-            # Frames that do not show the target teach nothing; the tracker then stays with its reference.
-            with suppress(DataError):
-                if target.tracker.frames_to_learn:
-                    target.tracker.learn(frames)
+        for tracker in (target.tracker for target in self.targets if target.tracker.frames_to_learn):
+            if not tracker.learns_by_acceleration:
+                # Frames that do not show the target teach nothing; the tracker then stays with its reference.
+                with suppress(DataError):
+                    tracker.learn(frames)
+            elif felt is not None:
+                tracker.learn(frames, felt.translation_px, direction=felt.direction, band_hz=felt.band_hz)
         begun = self.state
         for frame in frames[:WARM_UP_FRAMES]:
             self.push(frame)

@@ -146,6 +146,8 @@ class TargetChain:
 
     def _late_ns(self, frame: Frame, found: PixelTranslation) -> int:
         """How long after a frame's stamp the row of the target's middle was read out, ns."""
+        if self._settings.readout_s == 0.0:
+            return 0
         return self._row_ns(found.y_px if math.isfinite(found.y_px) else 0.0, int(frame.pixels.shape[0]))
 
     def _row_ns(self, down_px: float, rows: int) -> int:

@@ -11,17 +11,19 @@ import numpy as np
 
 from midspan.engine.sensor_series import SensorSeries
 from midspan.errors import UntrustedError
+from midspan.fusion.adaptive import speed_of
 from midspan.fusion.blocks import VELOCITY_WITHIN
 from midspan.fusion.complementary import OUTLIER_STD
 from midspan.fusion.in_turn import in_turn
 from midspan.fusion.path import at
 from midspan.fusion.runners import run_method
 from midspan.fusion.streams import MethodSettings, Smoothed, no_innovation
-from midspan.records import Acceleration, Displacement, Estimate, Floats, Nanoseconds, joined, part, seconds
+from midspan.notices import Notice
+from midspan.records import Acceleration, Displacement, Estimate, Floats, Nanoseconds, joined, part
 from midspan.signals.acceleration import from_first_measurement
 from midspan.signals.stamps import shown
 
-# Noise estimated by a method as printed, over the calibrated one, beyond which it is called a run-away.
+# Noise estimated by a method as printed, over that of its start, beyond which it is called a run-away.
 RUN_AWAY = 10.0
 
 
@@ -97,13 +99,6 @@ def run_on_series(
     )
 
 
-def speed_of(measured: Displacement) -> float:
-    """Rms of the speed of a series, m/s."""
-    known = np.isfinite(measured.value_m)
-    time_s = seconds(measured.time_ns[known], int(measured.time_ns[0]))
-    return rms(np.diff(measured.value_m[known]) / np.diff(time_s))
-
-
 def rms(values: Floats) -> float:
     """Root mean square of values (n,) that are finite."""
     return float(np.sqrt(np.nanmean(values**2)))
@@ -119,22 +114,32 @@ def with_uncertain(rows: Estimate, zero_variance_m2: float, scale_std: float, cl
     return replace(rows, variance_m2=rows.variance_m2 + zero_variance_m2 + more)
 
 
-def literal_warnings(measured: Displacement, done: Smoothed) -> list[str]:
+def literal_warnings(measured: Displacement, done: Smoothed) -> list[Notice]:
     """What to know of the adaptive filter as printed; the FIR methods need no such word."""
     if done.variance_m2 is None or not len(done.variance_m2):
         return []
     found = [
-        "fusion.literal: the filter was run exactly as printed, without bias, gate and limits. Its own covariance does "
-        "not hold its error; the band was widened by what the innovations show."
+        Notice(
+            "literal",
+            "fusion.literal: the filter was run exactly as printed, without bias, gate and limits. Its own covariance "
+            "does not hold its error; the band was widened by what the innovations show.",
+        )
     ]
     declared = float(np.median(measured.variance_m2[np.isfinite(measured.variance_m2)]))
-    grown = float(np.sqrt(np.max(done.variance_m2) / declared))
+    grown = float(np.sqrt(np.max(done.variance_m2) / max(declared, done.variance_m2[0])))
     if grown > RUN_AWAY:
         found.append(
-            f"fusion.literal: the learnt noise grew to {grown:.3g} times the calibrated one: it runs away, most often "
-            "under a bias of the accelerometer. Leave fusion.literal out."
+            Notice(
+                "literal",
+                f"fusion.literal: the learnt noise grew to {grown:.3g} times that of the start: it runs away, most "
+                "often under a bias of the accelerometer. Leave fusion.literal out.",
+            )
         )
     share = float(np.mean(done.variance_m2 < 0.0))
     if share > 0.0:
-        found.append(f"fusion.literal: equation 20 gave a negative variance in {100 * share:.2g} % of the frames.")
+        found.append(
+            Notice(
+                "literal", f"fusion.literal: equation 20 gave a negative variance in {100 * share:.2g} % of the frames."
+            )
+        )
     return found

@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from midspan.fusion.blocks import REJECTED
+from midspan.notices import Notice
 from midspan.records import NANOSECONDS, Estimate, Event, Innovation, Measured, Nanoseconds, Status
 from midspan.signals.stamps import shown
 
@@ -12,18 +13,37 @@ from midspan.signals.stamps import shown
 NOTABLE_REJECTED = 0.02
 # Events of one kind that are warnings.
 MAX_WARNED = 3
+# Coasting is reported where it holds more than this share of the rows' summed variance. Less widens the rms band by
+# 2.5 % at most, and each row's own band says it.
+NOTABLE_VARIANCE = 0.05
+# Under which code an event of each kind is reported.
+EVENT_CODES = {
+    "rejected": "outliers",
+    "noise": "outliers",
+    "late": "outliers",
+    "overflow": "outliers",
+    "level_shift": "zero-shifted",
+    "acceleration": "acceleration-wrong",
+    "reacquired": "acceleration-wrong",
+    "clock": "clock-differs",
+    "rate": "method-rates",
+    "frozen": "frozen",
+    "lost": "lost",
+    "new datum": "radar-zero",
+    "contradiction": "radar-zero",
+}
 
 
-def event_warnings(events: tuple[Event, ...]) -> list[str]:
+def event_warnings(events: tuple[Event, ...]) -> list[Notice]:
     """The texts of the events but of those that say that all is well again; of what comes often only how often."""
-    found = []
+    found = list[Notice]()
     events = tuple(event for event in events if event.kind != "seen")
     for kind in dict.fromkeys(event.kind for event in events):
         texts = [event.text for event in events if event.kind == kind]
         rest = (
             [f"{len(texts) - MAX_WARNED} more such stretches stand in the events."] if len(texts) > MAX_WARNED else []
         )
-        found += [*texts[:MAX_WARNED], *rest]
+        found += [Notice(EVENT_CODES[kind], text) for text in (*texts[:MAX_WARNED], *rest)]
     return found
 
 
@@ -32,24 +52,30 @@ def rejected_share(innovation: Innovation) -> float:
     return float(np.mean(innovation.verdict == REJECTED)) if len(innovation.verdict) else 0.0
 
 
-def shares(innovation: Innovation, rows: Estimate, along: str = "") -> list[str]:
+def shares(innovation: Innovation, rows: Estimate, along: str = "") -> list[Notice]:
     """A sentence for many rejected measurements, and for rows that none supports; along: a second axis in words."""
     found = []
     rejected = rejected_share(innovation)
     if rejected > NOTABLE_REJECTED:
-        found.append(f"{100 * rejected:.1f} % of the measurements{along} were rejected as outliers.")
+        found.append(
+            Notice("outliers", f"{100 * rejected:.1f} % of the measurements{along} were rejected as outliers.")
+        )
     for status in (Status.COASTING, Status.LOST):
         own = rows.status == status
-        if own.any():
+        held = float(np.sum(rows.variance_m2[own])) / float(np.sum(rows.variance_m2))
+        if own.any() and (status is Status.LOST or held > NOTABLE_VARIANCE):
             share, widest = 100.0 * float(np.mean(own)), 1.96e3 * float(np.sqrt(np.max(rows.variance_m2[own])))
-            found.append(
+            text = (
                 f"{share:.2g} % of the rows{along} are {status.word}: no measurement supports them; they are known to "
                 f"± {widest:.3g} mm at worst (95 %)."
             )
+            found.append(Notice(status.word, text))
     return found
 
 
-def unmeasured_ends(sampled_ns: Nanoseconds, measured: Mapping[str, Sequence[Measured]], rows: Estimate) -> list[str]:
+def unmeasured_ends(
+    sampled_ns: Nanoseconds, measured: Mapping[str, Sequence[Measured]], rows: Estimate
+) -> list[Notice]:
     """A sentence where the rows begin or end more than a second inside the span of acceleration and measurements.
 
     sampled_ns (n,): stamps of the acceleration; measured: the blocks of each sensor.
@@ -60,6 +86,6 @@ def unmeasured_ends(sampled_ns: Nanoseconds, measured: Mapping[str, Sequence[Mea
     ended = min(max(int(one[-1]) for one in stamps), int(sampled_ns[-1]))
     late_s, early_s = (first - begun) / NANOSECONDS, (ended - last) / NANOSECONDS
     span = f"{shown(begun)} to {shown(first)}"
-    late = [f"Nothing was measured from {span}; the result begins there, {late_s:.1f} s late."]
+    late = [Notice("lost", f"Nothing was measured from {span}; the result begins there, {late_s:.1f} s late.")]
     text = f"The target was lost from {shown(last)} to the end; the result stops there, {early_s:.1f} s early."
-    return (late if late_s > 1.0 else []) + ([text] if early_s > 1.0 else [])
+    return (late if late_s > 1.0 else []) + ([Notice("lost", text)] if early_s > 1.0 else [])

@@ -106,3 +106,8 @@ def series_at_instants(
         )
         for name, one in series.items()
     }
+
+
+def taken(series: SensorSeries, measured: Measured) -> SensorSeries:
+    """The series with nothing where the estimator was given no measurement of the sensor: another one measured."""
+    return replace(series, value_m=np.where(np.isin(series.time_ns, measured.time_ns), series.value_m, np.nan))

@@ -23,6 +23,7 @@ class StoredTracker:
     active_pixels: ActivePixels | None = None
     # Of a fixed pattern nothing is known.
     scale_share_std = 0.0
+    learns_by_acceleration = False
 
     def __init__(self, reference: Frame, region: Region) -> None:
         self.reference, self.region = reference, region

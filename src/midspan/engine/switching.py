@@ -7,6 +7,7 @@ each with its variance: numbers of matches of two cameras cannot be compared, va
 
 from dataclasses import dataclass, replace
 
+from midspan.engine.twilight import Place, light_of_day
 from midspan.records import NANOSECONDS, Event
 
 # The mean is over this many seconds: the paper gives no length; 60 frames of its 30 Hz do not follow single ones.
@@ -27,9 +28,12 @@ class SwitchState:
 class Switch:
     """Takes the matches in each frame of two cameras, in the order of time, and tells which one measures."""
 
-    def __init__(self, sensors: tuple[str, str]) -> None:
-        """sensors: names of the cameras; the first one measures to begin with."""
-        self.sensors = sensors
+    def __init__(self, sensors: tuple[str, str], place: Place | None = None) -> None:
+        """sensors: names of the cameras; the first one measures to begin with.
+
+        place: where the first one alone measures by day and the second by night, and matches decide in between only.
+        """
+        self.sensors, self.place = sensors, place
         self.state = SwitchState()
 
     @property
@@ -47,14 +51,17 @@ class Switch:
         frames = [tuple(frame for frame in own if frame[0] > since_ns) for own in state.frames]
         frames[number] = (*frames[number], (time_ns, matches))
         mine, theirs = (mean_matches(frames[k]) for k in (state.chosen, 1 - state.chosen))
-        other = theirs > mine
-        chosen = 1 - state.chosen if other else state.chosen
+        light = "transition" if self.place is None else light_of_day(time_ns, self.place)
+        by_matches = 1 - state.chosen if theirs > mine else state.chosen
+        chosen = {"day": 0, "night": 1}.get(light, by_matches)
+        other = chosen != state.chosen
         begun = state.begun or max(mine, theirs) > 0.0
         self.state = replace(state, chosen=chosen, begun=begun, frames=tuple(frames))
         if not other or not state.begun:
             return None
         before, after = self.sensors[state.chosen], self.sensors[chosen]
-        return Event(time_ns, "switch", f"{before} → {after}: {theirs:.3g} matches beside {mine:.3g}")
+        why = f"{theirs:.3g} matches beside {mine:.3g}" if light == "transition" else light
+        return Event(time_ns, "switch", f"{before} → {after}: {why}")
 
 
 def mean_matches(frames: tuple[tuple[int, float], ...]) -> float:

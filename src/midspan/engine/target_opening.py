@@ -1,6 +1,7 @@
 """How a target's tracker is opened: its rule for the reference frame, and temperatures made ready."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any, get_type_hints
 
 import numpy as np
@@ -12,7 +13,7 @@ from midspan.thermal.limits import Limits
 from midspan.vision.lens import Lens, check_lens
 from midspan.vision.reference.policy import KeyFrameSettings
 from midspan.vision.reference.tracker import KeyFrameTracker
-from midspan.vision.reference.updating import UpdatingSettings, UpdatingTracker
+from midspan.vision.reference.updating import UpdatingTracker, updating_settings
 from midspan.vision.tracker import TRACKERS, Tracker, open_tracker, tracker_class
 
 # Temperatures throw no shadows: what no mix explains of them is no motion. Their places were seen to drift by 0.01 to
@@ -34,13 +35,15 @@ class Opening:
     """What a target is tracked with.
 
     tracker, settings: its name and settings record (None: its defaults). reference: "first", "key-frames" or
-    "updating". thermal: whether frames are temperatures; those of whole numbers are pictures all the same. levels: the
-    range of temperatures shown in 256 grey levels, None: °C as they are. lens: None: none is corrected.
+    "updating"; reference_settings: of the last one, by name. thermal: whether frames are temperatures; those of whole
+    numbers are pictures all the same. levels: the range of temperatures shown in 256 grey levels, None: °C as they are.
+    lens: None: none is corrected.
     """
 
     tracker: str
     settings: Any = None
     reference: str = "first"
+    reference_settings: Mapping[str, Any] = field(default_factory=dict)
     thermal: bool = False
     levels: Limits | None = None
     lens: Lens | None = None
@@ -69,7 +72,9 @@ class Opening:
             settings = KeyFrameSettings(**own, **HEAT) if heat else KeyFrameSettings(**own)
             return KeyFrameTracker(frame, region, settings)
         if self.reference == "updating":
-            return UpdatingTracker(frame, region, UpdatingSettings(self.tracker, self.settings))
+            return UpdatingTracker(
+                frame, region, updating_settings(self.tracker, self.settings, self.reference_settings)
+            )
         return open_tracker(self.tracker, frame, region, self.settings)
 
 

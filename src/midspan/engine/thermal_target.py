@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from midspan.records import Frame, PixelTranslation, Prediction, Region, Status
+from midspan.records import Floats, Frame, PixelTranslation, Prediction, Region, Status
 from midspan.thermal.cleaning import PATTERN_FRAMES, Cleaned, CleaningState, ThermalCleaner
 from midspan.thermal.limits import MARGIN, Limits
 from midspan.thermal.pattern import FixedPattern
@@ -103,7 +103,19 @@ class ThermalTarget(Tracker):
         """How many frames the tracker and the pattern can be learnt from."""
         return max(PATTERN_FRAMES, self.tracker.frames_to_learn)
 
-    def learn(self, frames: Sequence[Frame]) -> Any:
+    @property
+    def learns_by_acceleration(self) -> bool:
+        """Whether the tracker does."""
+        return self.tracker.learns_by_acceleration
+
+    def learn(
+        self,
+        frames: Sequence[Frame],
+        translation_px: Floats | None = None,
+        *,
+        direction: str = "y",
+        band_hz: tuple[float, float] | None = None,
+    ) -> Any:
         """Learn the pattern, where it shows, and let the tracker learn, from frames in °C in the order of their times.
 
         What moved before the pattern is known would be drawn to zero. Closed frames are left out.
@@ -122,7 +134,10 @@ class ThermalTarget(Tracker):
         if not self.tracker.frames_to_learn:
             return None
         ready = [self._ready(cleaner, frame, self.region) for frame in frames]
-        return self.tracker.learn([frame for frame in ready if frame is not None])
+        kept = [k for k, frame in enumerate(ready) if frame is not None]
+        moved = None if translation_px is None else translation_px[kept]
+        shown = [frame for frame in ready if frame is not None]
+        return self.tracker.learn(shown, moved, direction=direction, band_hz=band_hz)
 
     @property
     def scale_share_std(self) -> float:

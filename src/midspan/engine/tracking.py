@@ -2,8 +2,8 @@
 
 import math
 from collections import deque
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
 from itertools import islice
 from operator import attrgetter
 from typing import Any
@@ -16,6 +16,7 @@ from midspan.engine.camera_target import ChainSettings, Target, TargetChain
 from midspan.engine.first_frame import begun
 from midspan.engine.target_opening import Opening, refuse_empty_range
 from midspan.errors import DataError
+from midspan.notices import Notice
 from midspan.progress import Progress, silent
 from midspan.records import (
     Event,
@@ -30,7 +31,7 @@ from midspan.records import (
 from midspan.signals.growing import Columns
 from midspan.signals.stamps import shown
 from midspan.thermal.limits import Limits
-from midspan.thermal.temperature_range import RangeSurface
+from midspan.thermal.temperature_range import Expected, RangeSurface
 from midspan.vision.frame_source import FrameSource
 from midspan.vision.lens import Lens, lens_warnings
 from midspan.vision.light import LightState
@@ -45,6 +46,7 @@ MOST_AHEAD_BYTES = 200_000_000
 # The first columns of a target's rows.
 _track_row = attrgetter(*(field.name for field in fields(PixelTrack)))
 STRENGTH, REFERENCE_X, REFERENCE_Y = range(len(fields(PixelTrack)), len(fields(PixelTrack)) + 3)
+Felt = Callable[[Nanoseconds], Expected]
 # Why a target was not looked for in a frame, see `PixelTranslation.unseen`.
 REASONS = ("", "dark", "frozen")
 
@@ -53,8 +55,8 @@ REASONS = ("", "dark", "frozen")
 class TrackingSettings:
     """What to track: the tracker's name, the measured image axis, the targets (none: chosen) and the frames used.
 
-    reference: how the reference frame is kept, see `Opening`; thermal: frames are temperatures, of which `levels` are
-    shown in grey (None: all, as they are). sensor: what messages call it.
+    reference, reference_settings: how the reference frame is kept, see `Opening`; thermal: frames are temperatures, of
+    which `levels` are shown in grey (None: all, as they are). sensor: what messages call it.
     automatic_targets: how many are chosen; trial_from_ns: where the calibration begins, on the camera's clock.
     first: index of the reference frame; last: index after the last frame used. readout_s: rolling shutter, s from the
     first row (which the stamps belong to) to the last: the track's times are those of the target's middle row.
@@ -73,6 +75,7 @@ class TrackingSettings:
     tracker_settings: Any = None
     lens: Lens | None = None
     reference: str = "first"
+    reference_settings: Mapping[str, Any] = field(default_factory=dict)
     thermal: bool = False
     levels: Limits | None = None
     sensor: str = "camera"
@@ -80,7 +83,8 @@ class TrackingSettings:
     @property
     def opening(self) -> Opening:
         """What each target is tracked with."""
-        return Opening(self.tracker, self.tracker_settings, self.reference, self.thermal, self.levels, self.lens)
+        rule = (self.reference, self.reference_settings)
+        return Opening(self.tracker, self.tracker_settings, *rule, self.thermal, self.levels, self.lens)
 
 
 class TargetTracking:
@@ -156,35 +160,47 @@ class TargetTracking:
             time_ns, x, y, variance_x, variance_y, quality, Status(status), strength, more_x, more_y, told, REASONS[why]
         )
 
-    def warnings(self, axes: str) -> list[str]:
+    def warnings(self, axes: str) -> list[Notice]:
         """What of the frames tracked so far is worth telling, measured along the image axes "x", "y" or "xy"."""
         found, chain = [], self.chain
         if chain.frozen_frames:
             found.append(
-                f"camera: {chain.frozen_frames} frames only repeat the picture before them (frozen); they were not "
-                "used."
+                Notice(
+                    "frozen",
+                    f"camera: {chain.frozen_frames} frames only repeat the picture before them (frozen); they were not "
+                    "used.",
+                )
             )
         if chain.picture is not None:
             found += picture_warnings(chain.picture, axes)
         return found + (light_warnings(chain.light.state) if chain.light is not None else [])
 
 
-def light_warnings(light: LightState) -> list[str]:
+def light_warnings(light: LightState) -> list[Notice]:
     """A sentence where light may have moved a target with a fixed reference."""
     if light.notable_ns is None:
         return []
     return [
-        f"camera: from {shown(light.notable_ns)} on light has changed the target beside its reference frame; its "
-        f"shading may have moved the result by up to {math.sqrt(light.largest_px2):.2g} px (standard deviation), which "
-        'the band holds. Take camera.reference = "key-frames".'
+        Notice(
+            "light-changed",
+            f"camera: from {shown(light.notable_ns)} on light has changed the target beside its reference frame; its "
+            f"shading may have moved the result by up to {math.sqrt(light.largest_px2):.2g} px (standard deviation), "
+            "which "
+            'the band holds. Take camera.reference = "key-frames".',
+        )
     ]
+
+
+# The code of what compression does, which is said once for all targets.
+COMPRESSED = "video-compressed"
 
 
 class CameraTracking:
     """Frames from the first one used, every target tracked through one after another; `targets` hold the rows.
 
     Frames before the first usable one are skipped (`skipped` tells how many), see `begun`.
-    judge: what decides between places by more than the picture; left out, the picture alone decides.
+    judge: what decides between places by more than the picture; left out, the picture alone decides. felt: gives the
+    translation in frames of these stamps (n,), as the accelerometer shows it, to trackers that learn from that.
     """
 
     def __init__(
@@ -193,6 +209,7 @@ class CameraTracking:
         settings: TrackingSettings,
         progress: Progress = silent,
         judge: Judge | None = None,
+        felt: Felt | None = None,
     ) -> None:
         self.source, self.progress = source, progress
         start = begun(source, settings.first, settings.last, [target.region for target in settings.targets])
@@ -218,7 +235,7 @@ class CameraTracking:
         chain = ChainSettings(settings.opening, settings.readout_s, source.info.lossless is True)
         self.chain = CameraChain(self.reference, targets, chain)
         self.targets = tuple(TargetTracking(target) for target in self.chain.targets)
-        self._teach()
+        self._teach(felt)
         self.done, self.ended = 0, False
         # The trackings of further cameras of the same recording; how a thermal camera's range was found.
         self.beside: tuple[CameraTracking, ...] = ()
@@ -282,26 +299,49 @@ class CameraTracking:
         for one in self.beside:
             one.close()
 
-    def warnings(self, axes: str | None = None) -> list[str]:
+    def warnings(self, axes: str | None = None) -> list[Notice]:
         """What of the frames tracked so far is worth telling, along the image `axes` (left out: the measured one).
 
         They call the sensor by its kind.
         """
-        found = []
+        found, compressed = list[Notice](), list[Notice]()
         if self.skipped:
-            found.append(f"camera: {self._skipped_for}.")
-        found += [f"camera: {line}." for line in self.source.info.damage]
+            found.append(Notice("frames-skipped", f"camera: {self._skipped_for}."))
+        found += [Notice("file-damaged", f"camera: {line}.") for line in self.source.info.damage]
         for target in self.targets:
             own = target.warnings(axes or self.settings.direction)
             if self.settings.lens is not None:
                 own += lens_warnings(target.region, self.settings.lens)
-            found += own if len(self.targets) == 1 else [f"target {target.name}: {line}" for line in own]
-        return found
+            # Compression is one cause in all targets.
+            shared = [line for line in own if line.code == COMPRESSED]
+            compressed = compressed or shared
+            own = [line for line in own if line not in shared]
+            found += own if len(self.targets) == 1 else [line.worded(f"target {target.name}: {line}") for line in own]
+        return found + (compressed or self._codec_warnings())
 
-    def _teach(self) -> None:
+    def _codec_warnings(self) -> list[Notice]:
+        """A sentence where the codec may have lost what the frames themselves do not show."""
+        info = self.source.info
+        if info.lossless is not False:
+            return []
+        text = (
+            f"camera: the video is compressed ({info.codec}). Compression freezes parts of the picture: motion of "
+            "a few hundredths of a pixel can be lost and the scale factor can be off by 1 % or more. "
+            "Record raw or lossless where you can."
+        )
+        return [Notice(COMPRESSED, text)]
+
+    def _teach(self, felt: Felt | None) -> None:
         """Show the first frames to the chain, which learns from them; they are kept to be tracked afterwards."""
         wanted = self._read_ahead(self.chain.frames_to_learn, "learning the target")
-        self.chain.learn(list(islice(self._ahead, wanted)))
+        frames = list(islice(self._ahead, wanted))
+        stamps = np.array([frame.time_ns for frame in frames], dtype=np.int64)
+        self.chain.learn(frames, felt(stamps) if felt is not None and self.learns_by_acceleration else None)
+
+    @property
+    def learns_by_acceleration(self) -> bool:
+        """Whether a target's tracker is to be taught with what the accelerometer shows."""
+        return any(target.tracker.learns_by_acceleration for target in self.targets)
 
     def _read_ahead(self, wanted: int, what: str = "") -> int:
         """Have the first `wanted` frames at hand, fewer where they do not fit or end; returns how many there are."""

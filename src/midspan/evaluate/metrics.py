@@ -18,6 +18,10 @@ MIN_INSTANTS = 2
 ALIGNMENTS = ("none", "zero", "zero+lag")
 # What takes off half of the error is named.
 MOSTLY = 0.5
+# Displacement and reference correlated like this have one form: a fifth of the variance is another (1 - 0.9² = 0.19).
+ALIKE = 0.9
+# Units of length are ten times apart or more; nearer than half of that it may be a scale.
+UNITS_APART = 5.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,6 +83,13 @@ class Comparison(Agreement):
     time_ns: Nanoseconds = field(default_factory=lambda: np.empty(0, dtype=np.int64), repr=False, compare=False)
     error_mm: Floats = field(default_factory=lambda: np.empty(0), repr=False, compare=False)
 
+    def __repr__(self) -> str:
+        inside = "" if self.coverage_95 is None else f", {100 * self.coverage_95:.1f} % inside ±1.96 σ"
+        return (
+            f"Comparison(RMSE {self.rmse_mm:.4g} mm, bias {self.bias_mm:.4g} mm{inside}; {self.count} instants from "
+            f"{self.start_s:g} to {self.end_s:g} s)"
+        )
+
     @property
     def rmse_without_bias_mm(self) -> float:
         """Root mean square of the errors without their mean, mm."""
@@ -132,7 +143,7 @@ def compare(
         lag_s=lag_s,
         peak_to_peak_mm=1e3 * float(np.ptp(both.value)),
         reference_peak_to_peak_mm=1e3 * float(np.ptp(both.expected)),
-        notes=(*_explained(agreements), *_notes(estimate, splines, both.error)),
+        notes=(*_explained(both, agreements), *_notes(estimate, splines, both.error)),
         time_ns=drawn.time_ns,
         error_mm=1e3 * drawn.error - headline.zero_mm,
     )
@@ -179,10 +190,15 @@ class _Pair:
         )
 
 
-def _explained(agreements: tuple[Agreement, Agreement, Agreement | None]) -> tuple[str, ...]:
-    """What most of the error is, where that is a zero or a clock rather than the displacement's form."""
+def _explained(both: _Pair, agreements: tuple[Agreement, Agreement, Agreement | None]) -> tuple[str, ...]:
+    """What most of the error is, where that is a unit, a zero or a clock rather than the displacement's form."""
     plain, zero, late = agreements
     found = []
+    if (ratio := _of_another_scale(both)) is not None:
+        found.append(
+            f"Displacement and reference have the same form, but the displacement is {ratio:.3g} times the reference. "
+            "Check the units of both (--unit) and their signs."
+        )
     if zero.rmse_mm < MOSTLY * plain.rmse_mm:
         found.append(
             f"The reference has another zero: the displacement is {zero.zero_mm:+.4g} mm from it on average. Without "
@@ -195,6 +211,15 @@ def _explained(agreements: tuple[Agreement, Agreement, Agreement | None]) -> tup
             f"that and without the zero the RMSE is {late.rmse_mm:.4g} mm{_inside(late)} (--align zero+lag)."
         )
     return tuple(found)
+
+
+def _of_another_scale(both: _Pair) -> float | None:
+    """How many times the reference the displacement is, where they are alike but for a unit or the sign."""
+    alike = correlation(both.value, both.expected)
+    if alike is None or abs(alike) < ALIKE:
+        return None
+    ratio = alike * float(np.std(both.value) / np.std(both.expected))
+    return None if 1 / UNITS_APART < ratio < UNITS_APART else ratio
 
 
 def _inside(found: Agreement) -> str:

@@ -10,9 +10,11 @@ from dataclasses import dataclass, field
 class Paper:
     """A paper: what it is called here, authors and title, where it appeared, the sensors besides the accelerometer.
 
-    tracker: empty without a camera; method: a fusion method; settings: keys of recording.toml that it needs besides.
+    key: of `midspan papers --only`; tracker: empty without a camera; method: a fusion method; settings: keys of
+    recording.toml that it needs besides.
     """
 
+    key: str
     name: str
     citation: str
     where: str
@@ -35,6 +37,7 @@ class Paper:
 
 PAPERS = (
     Paper(
+        "003",
         "two-stage",
         "Ma, Liu, Choi, Sohn: High-sampled structural displacement estimation through the FIR filter-based two-stage "
         "fusion of high-sampled acceleration and temporally aliased low-sampled displacement measurements",
@@ -44,6 +47,7 @@ PAPERS = (
         "two-stage-fir",
     ),
     Paper(
+        "004",
         "AMKF",
         "Ma, Choi, Sohn: Real-time structural displacement estimation by fusing asynchronous acceleration and computer "
         "vision measurements",
@@ -53,6 +57,7 @@ PAPERS = (
         "adaptive-kalman",
     ),
     Paper(
+        "002",
         "radar",
         "Ma, Choi, Yang, Sohn: Structural displacement estimation using accelerometer and FMCW millimeter wave radar",
         "doi:10.1016/j.ymssp.2022.109582",
@@ -61,6 +66,7 @@ PAPERS = (
         "fir",
     ),
     Paper(
+        "001",
         "vision and infrared",
         "Choi, Ma, Kim, Sohn: Continuous structural displacement monitoring using accelerometer, vision, and infrared "
         "(IR) cameras",
@@ -68,9 +74,16 @@ PAPERS = (
         ("camera", "infrared"),
         "features",
         "adaptive-kalman",
-        {"camera.reference": '"updating"', "infrared.reference": '"updating"', "fusion.switching": '"matches"'},
+        {
+            "camera.reference": '"updating"',
+            "camera.reference_settings": "{ literal = true }",
+            "infrared.reference": '"updating"',
+            "infrared.reference_settings": "{ literal = true }",
+            "fusion.switching": '"matches"',
+        },
     ),
     Paper(
+        "000",
         "hybrid phase",
         "Ma, Choi, Liu, Sohn: Structural displacement estimation by fusing vision camera and accelerometer using "
         "hybrid computer vision algorithm and adaptive multi-rate Kalman filter",

@@ -17,7 +17,7 @@ from midspan.sinks.metadata import read_metadata
 from midspan.sinks.pair import mismatch
 from midspan.sources.accelerometer.channel import Channel
 from midspan.sources.accelerometer.formats import list_channels
-from midspan.sources.accelerometer.select import SeriesRequest, read_series
+from midspan.sources.accelerometer.select import SeriesRequest, named_after, read_series
 from midspan.sources.accelerometer.units import measures, si_factor
 
 VALUE = "displacement_mm"
@@ -41,10 +41,20 @@ def read_result(path: str | Path, unit: str | None = None, axis: str | None = No
     UsageError where no channel of displacement can be chosen, DataError for a file that cannot be read.
     """
     path = Path(path)
+    if path.is_dir():
+        raise UsageError(
+            f"{path} is a folder; a result's file is needed. Run `midspan estimate {path} -o result.csv` first, then "
+            "name result.csv."
+        )
     found = list_channels(path)
     own = column_of(found.names, axis)
     assumed = unit is None and own is None and not any(measures(c.unit, "displacement") for c in found.channels)
     series = read_series(path, SeriesRequest("displacement", value=own, unit=USUAL_UNIT if assumed else unit))
+    if assumed and named_after(series.name, "acceleration") and not named_after(series.name, "displacement"):
+        raise UsageError(
+            f"{path}: {series.name!r} is acceleration by its name, and the file has no channel of displacement. Name a "
+            "file with displacement, such as a result of `midspan estimate`; --unit mm takes the channel as it is."
+        )
     if assumed:
         note = f"{path.name}: no unit in the file; {USUAL_UNIT} assumed."
         series = replace(series, notes=(*series.notes, note))

@@ -1,6 +1,7 @@
 """A table of results back from its file, to be written in another format."""
 
 from collections.abc import Callable
+from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ from midspan.errors import DataError, UsageError
 from midspan.records import NANOSECONDS, Nanoseconds
 from midspan.sinks.metadata import read_metadata
 from midspan.sinks.pair import KEY
-from midspan.sinks.table import ResultTable, words_of
+from midspan.sinks.table import ResultTable, is_text, unit_of, words_of
 from midspan.sinks.tdms import GROUP
 from midspan.sinks.xlsx import ROWS_SHEET
 from midspan.sources.boundary import reading, require_file
@@ -34,17 +35,35 @@ def read_table(path: Path) -> ResultTable:
         columns: dict[str, Any] = {name: _column(name, values) for name, values in READERS[suffix](path).items()}
     if not len(columns.get(TIME, ())):
         raise DataError(f"{path} holds no rows with a column {TIME}. Name a file that midspan wrote.")
-    time_ns = _stamps(columns[TIME])
+    texts = [name for name, values in columns.items() if name != TIME and unit_of(name) and is_text(values)]
+    if texts:
+        raise DataError(f"{path}: the column {texts[0]} holds text; it must hold numbers only. Correct the file.")
+    time_ns = _stamps(path, columns[TIME])
     columns[TIME] = time_ns / NANOSECONDS
     metadata = {key: value for key, value in read_metadata(path).items() if key != KEY}
     return ResultTable(columns=columns, time_ns=time_ns, metadata=metadata)
 
 
-def _stamps(values: Any) -> Nanoseconds:
-    """Stamps (n,) in ns: of decimal numbers exactly, of floats to the nearest."""
-    if values.dtype == object:
-        return np.array([int(one.scaleb(9)) for one in values], dtype=np.int64)
-    return np.asarray(np.rint(NANOSECONDS * values.astype(np.float64)), dtype=np.int64)
+def _stamps(path: Path, values: Any) -> Nanoseconds:
+    """Stamps (n,) to the nearest ns of texts or floats of seconds.
+
+    Raises DataError for a stamp that is no number, or not later than the one before.
+    """
+    try:
+        if is_text(values):
+            # The digits of the file: a float keeps seven decimals of a time of today.
+            time_ns = np.array([int(Decimal(one).scaleb(9).to_integral_value()) for one in values], dtype=np.int64)
+        else:
+            time_ns = np.array([round(NANOSECONDS * float(one)) for one in values], dtype=np.int64)
+    except (ArithmeticError, ValueError, TypeError):
+        raise DataError(f"{path}: {TIME} must be a number of seconds in every row. Correct the file.") from None
+    late = np.flatnonzero(np.diff(time_ns) <= 0)
+    if late.size:
+        before, after = time_ns[late[0] : late[0] + 2] / NANOSECONDS
+        raise DataError(
+            f"{path}: {TIME} must grow from row to row; the row at {after} s follows that at {before} s. Sort the rows."
+        )
+    return time_ns
 
 
 def _column(name: str, values: Any) -> Any:
@@ -59,8 +78,7 @@ def _of_csv(path: Path) -> dict[str, Any]:
     import pyarrow as pa
     from pyarrow import csv
 
-    # The digits of the file: a float keeps seven decimals of a time of today.
-    exact = csv.ConvertOptions(column_types={TIME: pa.decimal128(28, 9)})
+    exact = csv.ConvertOptions(column_types={TIME: pa.string()})
     table = csv.read_csv(path, convert_options=exact)
     return {name: table[name].to_numpy() for name in table.column_names}
 

@@ -28,8 +28,8 @@ MET_COLUMNS = 4
 ROW_X, ROW_VARIANCE, ROW_VELOCITY, ROW_ACCEPTED, ROW_SOURCE = range(5)
 # Memory of the error beyond the noise: 20 frames.
 MEMORY = 0.95
-# Equation 20 as printed begins with this frame: while the start is settling, its variance is many times the noise's.
-FIRST_FRAMES = 10.0
+# Frames in which the band does not take G off: while the start is settling, it is many times the noise's.
+SETTLING_FRAMES = 10.0
 
 
 @njit(cache=True, inline="always")
@@ -51,16 +51,6 @@ def _moved(p, dt, noise):  # type: ignore[no-untyped-def]
     )
 
 
-@njit(cache=True, error_model="numpy")
-def _declare(s, frames, j):  # type: ignore[no-untyped-def]
-    """The first usable frame's declared variance starts the noise; the first position is known no better than that."""
-    for i in range(j, len(frames)):
-        if frames[i, 2] < np.inf:
-            s[NOISE] = frames[i, 2]
-            s[P00] += frames[i, 2]
-            return
-
-
 @njit(cache=True, inline="always")
 def _follow_beyond(s, eta, g00, declared):  # type: ignore[no-untyped-def]
     """Follow how far innovations exceed what G and the declared noise explain.
@@ -69,22 +59,24 @@ def _follow_beyond(s, eta, g00, declared):  # type: ignore[no-untyped-def]
     start settles, the variance G is too wide to be taken off.
     """
     beyond = eta * eta - declared - g00
-    if s[COUNT] <= FIRST_FRAMES:
+    if s[COUNT] <= SETTLING_FRAMES:
         beyond = max(beyond, -declared)
     kept = min(MEMORY, 1.0 - 1.0 / s[COUNT])
     s[BEYOND] = kept * s[BEYOND] + (1.0 - kept) * beyond
 
 
 @njit(cache=True, error_model="numpy")
-def _frames_as_printed(s, frames, j, met, interval, beta):  # type: ignore[no-untyped-def]
+def _frames_as_printed(s, frames, j, met, interval, learning):  # type: ignore[no-untyped-def]
     """Type II and III: the frames of an interval (its end, a_k, q), then on to the end by equations 21 to 26.
 
     W1 and W2 carry what state and acceleration noise at the interval's start have become, N what the frames' own noise
-    has; for one frame they are equations 23 to 25, and more frames in one interval go on from there.
+    has; for one frame they are equations 23 to 25, and more frames in one interval go on from there. The position is
+    known no better before the first frame than a frame's noise. learning: beta, and the frames in which R stays.
     """
     t1, a, q = interval
-    if np.isnan(s[NOISE]):
-        _declare(s, frames, j)
+    beta, first_frames = learning
+    if s[COUNT] == 0.0:
+        s[P00] += s[NOISE]
     p00, p01, p11 = s[P00], s[P01], s[P11]
     w00, w01, w10, w11 = 1.0, 0.0, 0.0, 1.0
     b0, b1 = 0.0, 0.0
@@ -111,7 +103,7 @@ def _frames_as_printed(s, frames, j, met, interval, beta):  # type: ignore[no-un
         eta = frames[j, 1] - s[X]
         s[COUNT] += 1.0
         r = s[NOISE]
-        if s[COUNT] > FIRST_FRAMES:
+        if s[COUNT] > first_frames:
             r = beta * r + (1.0 - beta) * (eta * eta - g00)
         s[NOISE] = r
         k0, k1 = g00 / (g00 + r), g01 / (g00 + r)
@@ -133,12 +125,13 @@ def _frames_as_printed(s, frames, j, met, interval, beta):  # type: ignore[no-un
 
 
 @njit(cache=True, error_model="numpy")
-def printed_block(samples, frames, s, beta, rows, met):  # type: ignore[no-untyped-def]
+def printed_block(samples, frames, s, learning, rows, met):  # type: ignore[no-untyped-def]
     """Equations 7 to 26 over one block, as printed; the state vector `s` carries over to the next block.
 
     samples (n, 3): time in s, acceleration and its noise density; the state's bias is taken off the acceleration.
-    frames (m, 4): time in s, displacement, declared variance (infinite: ignored), source, in time order. rows (n, 5)
-    and met (m, 4), see the column names, take the result.
+    frames (m, 4): time in s, displacement, declared variance (infinite: ignored), source, in time order. learning: the
+    factor beta and the number of frames in which R stays. rows (n, 5) and met (m, 4), see the column names, take the
+    result.
     """
     j = 0
     for k in range(len(samples)):
@@ -146,7 +139,7 @@ def printed_block(samples, frames, s, beta, rows, met):  # type: ignore[no-untyp
         dt = t1 - s[TIME]
         q = samples[k, 2] / dt if dt > 0.0 else 0.0
         if j < len(frames) and frames[j, 0] <= t1:
-            j = _frames_as_printed(s, frames, j, met, (t1, s[INPUT], q), beta)
+            j = _frames_as_printed(s, frames, j, met, (t1, s[INPUT], q), learning)
         else:
             _held(s, dt, s[INPUT])
             s[P00], s[P01], s[P11] = _moved((s[P00], s[P01], s[P11]), dt, q)
@@ -168,8 +161,10 @@ def printed(acceleration: Acceleration, displacement: Displacement, settings: Me
     """Equations 7 to 26 over a whole record: one row a sample; a displacement before the first one is ignored.
 
     Without bias, gate and limits; only the expected bias is taken off the acceleration. The paper leaves the start
-    open: here it is at zero, with the first declared variance for the position and as R, kept through ten frames, and
-    velocity_std for the velocity. `variance_m2` tells the noise that each measurement was taken with.
+    open. Here it is at zero; velocity_std is the velocity's deviation unless `start_velocity_m_s` says it; R stays for
+    `first_frames` frames, and is the position's variance, at the square of `start_noise_m`: left out, the first
+    declared variance and the error of the held acceleration, see `start_noise`. `variance_m2` tells the noise that each
+    measurement was taken with.
     """
     origin_ns = int(acceleration.time_ns[0])
     time_s = seconds(acceleration.time_ns, origin_ns)
@@ -180,7 +175,11 @@ def printed(acceleration: Acceleration, displacement: Displacement, settings: Me
         (seconds(met_by.time_ns, origin_ns), met_by.value_m, met_by.variance_m2, met_by.source.astype(np.float64))
     )
     rows, met = np.empty((len(samples), 5)), np.zeros((len(frames), MET_COLUMNS))
-    printed_block(samples, frames, state_before(settings.kalman), settings.forgetting, rows, met)
+    step_s = float(np.median(np.diff(time_s))) if len(time_s) > 1 else 0.0
+    first_m2 = float(frames[np.searchsorted(frames[:, 0], 0.0) :, 2][:1].sum())
+    noise_m2 = start_noise(settings, first_m2, step_s, speed_of(met_by))
+    state = state_before(settings, noise_m2)
+    printed_block(samples, frames, state, (settings.forgetting, float(settings.first_frames)), rows, met)
     used = met[:, MET_USED] > 0.0
     verdict = np.full(int(np.count_nonzero(used)), ACCEPTED, dtype=np.int8)
     innovation = Innovation(met_by.time_ns[used], met[used, MET_INNOVATION], met[used, MET_TOTAL], verdict)
@@ -188,15 +187,36 @@ def printed(acceleration: Acceleration, displacement: Displacement, settings: Me
     return Smoothed(estimate, innovation, (), met[used, MET_NOISE])
 
 
-def state_before(kalman: KalmanSettings) -> Floats:
-    """The state vector at the first sample."""
-    state = np.zeros(STATE_SIZE)
+def start_noise(settings: MethodSettings, declared_m2: float, step_s: float, speed_m_s: float) -> float:
+    """The variance R (m²) of the first frames.
+
+    A held acceleration lags by half a step, and its displacement is off by the velocity (rms `speed_m_s`) over that
+    time: where R holds no more than the declared variance of a fine camera, the first frames fix a velocity that is
+    wrong by it, and equation 20 takes what follows for noise.
+    """
+    if settings.start_noise_m is not None:
+        return settings.start_noise_m**2
+    return declared_m2 + (0.5 * step_s * speed_m_s) ** 2
+
+
+def state_before(settings: MethodSettings, noise_m2: float) -> Floats:
+    """The state vector at the first sample; noise_m2: R of the first frames."""
+    state, kalman = np.zeros(STATE_SIZE), settings.kalman
     # The printed equations know no bias: what is known of it is taken off the acceleration, gravity above all.
-    state[B], state[NOISE], state[LAST_ACCEPTED] = kalman.bias, np.nan, -np.inf
-    state[P11] = kalman.velocity_std**2
+    state[B], state[NOISE], state[LAST_ACCEPTED] = kalman.bias, noise_m2, -np.inf
+    velocity_std = kalman.velocity_std if settings.start_velocity_m_s is None else settings.start_velocity_m_s
+    state[P11] = velocity_std**2
     # Until the first frame nothing is known of the position that the printed start puts to zero.
     state[BEYOND] = kalman.displacement_std**2
     return state
+
+
+def speed_of(series: Displacement) -> float:
+    """Rms of the speed of a series, m/s."""
+    known = np.isfinite(series.value_m)
+    step_s, moved_m = np.diff(seconds(series.time_ns[known], 0)), np.diff(series.value_m[known])
+    later = step_s > 0.0
+    return float(np.sqrt(np.mean((moved_m[later] / step_s[later]) ** 2))) if later.any() else 0.0
 
 
 def _estimate(acceleration: Acceleration, rows: Floats, age_s: Floats, kalman: KalmanSettings) -> Estimate:

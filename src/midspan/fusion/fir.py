@@ -17,7 +17,7 @@ millimeter wave radar, Mech. Syst. Signal Process. 182 (2023) 109582, doi 10.101
 21.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -29,9 +29,11 @@ from midspan.records import Acceleration, Displacement, Estimate, Floats
 from midspan.signals.fir import complement
 from midspan.signals.integrate import integrating, weights
 
-# Half the window: so many times the time constant 1/corner of matched noises, or periods of the target frequency.
+# Half the window: so many times the time constant 1/corner of matched noises, or periods of the cut-off (Lee and
+# others, 2010); as printed in the radar paper, s.
 CORNER_WINDOWS = 5.0
-TARGET_PERIODS = 1.5
+CUT_OFF_PERIODS = 1.5
+PRINTED_HALF_S = 0.5
 SHORTEST_HALF = 8
 # The corner stays below this share of the displacement's Nyquist frequency: above it folding would pass.
 NYQUIST_SHARE = 0.5
@@ -42,34 +44,35 @@ SECOND_DIFFERENCE = np.array([1.0, -2.0, 1.0])
 class FirSettings:
     """How the two branches share the frequencies.
 
-    literal: as in the papers, with a fixed cut-off and the second difference as the acceleration; otherwise the weight
-    follows from the measured noise levels and the integration is Numerov's. target_hz, accuracy: for literal, the
-    frequency (Hz) from which the acceleration gives this share (0 to 1) of the amplitude; lower leaves more to the
-    accelerometer and lengthens the delay. half_window: samples on each side, None: 1.5 periods of the target frequency,
-    or 5 time constants of the matched filter. free_bias: a constant bias is one more unknown of the least squares;
-    False: as printed, a bias shows.
+    literal: as in the papers, with a fixed cut-off, the second difference as the acceleration and no bias among the
+    unknowns; otherwise the weight follows from the measured noise levels, the integration is Numerov's, and a constant
+    bias is one more unknown of the least squares. cut_off_hz, accuracy: for literal, the frequency (Hz) from which the
+    acceleration gives this share (0 to 1) of the amplitude; lower leaves more to the accelerometer and lengthens the
+    delay. half_window: samples on each side. As printed a window holds three periods of the cut-off: what is None of
+    half_window and cut_off_hz follows from the other, and with both None the window reaches 0.5 s to each side, the
+    order of 101 at 100 Hz of the radar paper. Otherwise None is 5 time constants of the matched filter.
     """
 
     literal: bool = False
-    target_hz: float = 1.0
+    cut_off_hz: float | None = None
     accuracy: float = 0.97
     half_window: int | None = None
-    free_bias: bool = True
 
     def __post_init__(self) -> None:
-        positive("target_hz", self.target_hz, "Hz")
+        if self.cut_off_hz is not None:
+            positive("cut_off_hz", self.cut_off_hz, "Hz")
         if not 0.0 < self.accuracy < 1.0:
             raise refuse("accuracy", "between 0 and 1 (share of the amplitude)", self.accuracy)
         if self.half_window is not None and self.half_window < SHORTEST_HALF:
             raise refuse("half_window", f"at least {SHORTEST_HALF} samples", self.half_window)
 
 
-def target_weight(target_hz: float, accuracy: float, step_s: float) -> float:
-    """Regularisation factor lambda for which the acceleration gives `accuracy` of the amplitude at `target_hz`.
+def cut_off_weight(cut_off_hz: float, accuracy: float, step_s: float) -> float:
+    """Regularisation factor lambda for which the acceleration gives `accuracy` of the amplitude at `cut_off_hz`.
 
-    From the response of a long window: lambda = sqrt((1 − accuracy)/accuracy) · (2 − 2 cos(2 pi target_hz step_s)).
+    From the response of a long window: lambda = sqrt((1 − accuracy)/accuracy) · (2 − 2 cos(2 pi cut_off_hz step_s)).
     """
-    turn = 2.0 - 2.0 * np.cos(2.0 * np.pi * target_hz * step_s)
+    turn = 2.0 - 2.0 * np.cos(2.0 * np.pi * cut_off_hz * step_s)
     return float(np.sqrt((1.0 - accuracy) / accuracy) * turn)
 
 
@@ -101,14 +104,16 @@ def window_filters(half: int, weight: float, step_s: float, *, rule: str, free_b
 
 def design(rates: Rates, settings: FirSettings) -> Branches:
     """The two filters for given rates and noise levels."""
-    rule = "central-difference" if settings.literal else "numerov"
+    half_s = PRINTED_HALF_S if settings.cut_off_hz is None else CUT_OFF_PERIODS / settings.cut_off_hz
+    if not settings.literal:
+        half_s = CORNER_WINDOWS / _corner(rates)
+    half = settings.half_window or max(round(half_s / rates.step_s), SHORTEST_HALF)
     if settings.literal:
-        weight = target_weight(settings.target_hz, settings.accuracy, rates.step_s)
-        half = round(TARGET_PERIODS / (settings.target_hz * rates.step_s))
+        cut_off_hz = settings.cut_off_hz or CUT_OFF_PERIODS / (half * rates.step_s)
+        weight, rule = cut_off_weight(cut_off_hz, settings.accuracy, rates.step_s), "central-difference"
     else:
-        weight, half = noise_weight(rates), round(CORNER_WINDOWS / (_corner(rates) * rates.step_s))
-    half = max(half, SHORTEST_HALF) if settings.half_window is None else settings.half_window
-    low, high = window_filters(half, weight, rates.step_s, rule=rule, free_bias=settings.free_bias)
+        weight, rule = noise_weight(rates), "numerov"
+    low, high = window_filters(half, weight, rates.step_s, rule=rule, free_bias=not settings.literal)
     return Branches(low, high, rule)
 
 
@@ -119,17 +124,30 @@ def at_frames(low_pass: Floats, rates: Rates, rule: str) -> AtFrames:
 
 
 def fir(acceleration: Acceleration, displacement: Displacement, settings: FirSettings | None = None) -> Estimate:
-    """Fuse a whole record: one row a sample, from acceleration (n samples) and displacement (m) in time order."""
+    """Fuse a whole record: one row a sample, from acceleration (n samples) and displacement (m) in time order.
+
+    As printed a bias shows: the mean of the acceleration is taken off for it.
+    """
     smoothed = smoothed_record(acceleration, displacement, KalmanSettings())
-    return fused(design, settings or FirSettings(), (acceleration, displacement), smoothed).estimate
+    settings = settings or FirSettings()
+    bias = float(np.mean(acceleration.value_m_s2)) if settings.literal else 0.0
+    return _fused(acceleration, displacement, settings, smoothed, bias).estimate
 
 
 def run_fir(
     acceleration: Acceleration, displacement: Displacement, settings: MethodSettings, path: Smoothed | None
 ) -> Smoothed:
-    """The same as `on_series` of METHODS, see `fused`."""
+    """The same as `on_series` of METHODS, see `fused`; as printed, the bias of the settings is taken off."""
     smoothed = path or smoothed_record(acceleration, displacement, settings.kalman)
-    return fused(design, FirSettings(literal=settings.literal), (acceleration, displacement), smoothed)
+    own = FirSettings(settings.literal, settings.cut_off_hz, settings.accuracy, settings.half_window)
+    return _fused(acceleration, displacement, own, smoothed, settings.kalman.bias if settings.literal else 0.0)
+
+
+def _fused(
+    acceleration: Acceleration, displacement: Displacement, settings: FirSettings, smoothed: Smoothed, bias: float
+) -> Smoothed:
+    without = replace(acceleration, value_m_s2=acceleration.value_m_s2 - bias)
+    return fused(design, settings, (without, displacement), smoothed)
 
 
 def _corner(rates: Rates) -> float:

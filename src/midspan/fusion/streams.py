@@ -92,16 +92,26 @@ class MethodSettings:
 
     lag_s: delay of `lag`, s. literal: a paper's method exactly as printed. forgetting: factor beta of
     `adaptive-kalman`, above 0 and below 1; nearer to 1 is steadier and slower: at 10 Hz 0.95 remembers 2 s.
+    What the papers leave open: first_frames, start_noise_m, start_velocity_m_s of `adaptive-kalman`, see
+    `adaptive.printed`; half_window, cut_off_hz, accuracy of `fir`, see `fir.FirSettings`.
     """
 
     kalman: KalmanSettings = field(default_factory=KalmanSettings)
     lag_s: float = 0.5
     literal: bool = False
     forgetting: float = 0.95
+    first_frames: int = 10
+    start_noise_m: float | None = None
+    start_velocity_m_s: float | None = None
+    half_window: int | None = None
+    cut_off_hz: float | None = None
+    accuracy: float = 0.97
 
     def __post_init__(self) -> None:
         if not 0.0 < self.forgetting < 1.0:
             raise refuse("forgetting", "above 0 and below 1", self.forgetting)
+        if self.first_frames < 1:
+            raise refuse("first_frames", "1 or more", self.first_frames)
 
     @property
     def noise_memory(self) -> float:

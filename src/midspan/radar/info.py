@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+from midspan.notices import Notice
 from midspan.radar.chirp import SPEED_OF_LIGHT_M_S, ChirpProfile, RangeAxis
 from midspan.records import Floats
 
@@ -25,7 +26,7 @@ class RadarInfo:
     profile: ChirpProfile | None = None
     missing_frames: int = 0
     notes: tuple[str, ...] = ()
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[Notice, ...] = ()
 
     @property
     def bins(self) -> int:

@@ -11,16 +11,18 @@ from midspan.calibration.bias import Bias
 from midspan.calibration.camera.calibrate import CameraFit
 from midspan.calibration.displacement.sensor import DisplacementFit
 from midspan.calibration.radar.calibrate import RadarFit
+from midspan.calibration.scale import uncertain_scale
 from midspan.engine.axis import AxisFigures, usual_figures
 from midspan.engine.tracking import CameraTracking
 from midspan.errors import MidspanError, UntrustedError
+from midspan.notices import Notice
 from midspan.progress import Progress, silent
 from midspan.recording.cameras import calibrate_cameras, together
 from midspan.recording.kinds import ROWS
 from midspan.recording.streams.recording import Recording, naming, opened
 from midspan.recording.streams.window import calibration_window, liveliest_minute
 from midspan.settings.plausible import implausible
-from midspan.settings.sensor_words import in_words_of, worded
+from midspan.settings.sensor_words import in_words_of, renamed
 from midspan.settings.stored.calibration import Calibration, placed
 
 
@@ -63,7 +65,7 @@ def _in_liveliest_minute(recording: Recording, progress: Progress) -> tuple[Cali
         "The first minute does not tell the calibration; it was made in the liveliest one, from "
         f"{span[0]:.6g} to {span[1]:.6g} s. calibration.window_s chooses another."
     )
-    return replace(found, warnings=(*found.warnings, text)), tracking
+    return replace(found, warnings=(*found.warnings, Notice("window-moved", text))), tracking
 
 
 def _calibrate_and_track(recording: Recording, progress: Progress) -> tuple[Calibration, CameraTracking | None]:
@@ -85,6 +87,7 @@ def _calibrate_and_track(recording: Recording, progress: Progress) -> tuple[Cali
         # Its own accelerometer is as good as its tolerance; without one its scale is the main axis's.
         own_gain = (1.0, tolerance) if part.calibration.fused else (gain, gain_std)
         across = _of_axis(view, [part], own_gain, warnings)
+    warnings += [line for one in seen for part in one.parts for line in _uncertain(part, one.tracking, gain_std)]
     calibration = replace(
         main,
         accelerometer_scale=gain,
@@ -101,10 +104,10 @@ def _fitted(view: Recording, progress: Progress) -> CameraFit | RadarFit | Displ
     with in_words_of(view.sensor):
         fit = ROWS[view.kind].calibrate(view, progress)
     own: Any = replace(fit.calibration, name=view.own.settings.name)
-    return replace(fit, calibration=own, warnings=tuple(worded(line, view.sensor) for line in fit.warnings))
+    return replace(fit, calibration=own, warnings=tuple(renamed(line, view.sensor) for line in fit.warnings))
 
 
-def _of_axis(view: Recording, fits: Sequence[Any], gain: tuple[float, float], warnings: list[str]) -> Calibration:
+def _of_axis(view: Recording, fits: Sequence[Any], gain: tuple[float, float], warnings: list[Notice]) -> Calibration:
     """The calibration along one axis; without an accelerometer there, the motion itself is its noise.
 
     gain: of the accelerometer that the sensors were compared with, and its relative standard deviation.
@@ -133,18 +136,29 @@ def _of_axis(view: Recording, fits: Sequence[Any], gain: tuple[float, float], wa
     )
 
 
+def _uncertain(part: CameraFit, tracking: CameraTracking, gain_std: float) -> list[Notice]:
+    """A sentence where the scale factor along an image axis is vague; gain_std: of the accelerometer, relative."""
+    if not part.parts:
+        return []
+    total = float(np.hypot(part.calibration.relative_std, gain_std))
+    return uncertain_scale(tracking.settings.sensor, total, {**part.parts, "gain": gain_std})
+
+
 def usual_in_window(recording: Recording) -> AxisFigures:
     """What is usual of the acceleration in the calibration window."""
     return usual_figures(recording.acceleration.value[calibration_window(recording)], recording.prepared.rate_hz)
 
 
-def _white_noise(recording: Recording | None, learnt: float, warnings: list[str]) -> float:
+def _white_noise(recording: Recording | None, learnt: float, warnings: list[Notice]) -> float:
     """White noise per sample of the acceleration, m/s²: as estimated, or as its section says where that holds."""
     given = None if recording is None else recording.accelerometer.noise_std
     if given is None or learnt <= 2.0 * given:
         return learnt if given is None else given
     warnings.append(
-        f"accelerometer.noise_std = {given:g} m/s² is given, but the two sensors differ as if it were "
-        f"{learnt:.2g} m/s²; the larger one is used. Check the region, the mounting and the axes."
+        Notice(
+            "accelerometer-noisy",
+            f"accelerometer.noise_std = {given:g} m/s² is given, but the two sensors differ as if it were "
+            f"{learnt:.2g} m/s²; the larger one is used. Check the region, the mounting and the axes.",
+        )
     )
     return learnt

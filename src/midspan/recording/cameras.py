@@ -8,8 +8,9 @@ import numpy as np
 from midspan.calibration.camera.best_range import FRAMES, best_range
 from midspan.calibration.camera.calibrate import CameraFit, fit_camera
 from midspan.calibration.camera.view import SeenTarget, View, judged_by
-from midspan.engine.tracking import CameraTracking
+from midspan.engine.tracking import COMPRESSED, CameraTracking
 from midspan.errors import UntrustedError
+from midspan.notices import Notice
 from midspan.progress import Progress
 from midspan.recording.streams.recording import Recording
 from midspan.recording.streams.window import calibration_window, window_ends
@@ -18,8 +19,9 @@ from midspan.recording.tracking.opening import open_tracking
 from midspan.recording.tracking.temperatures import IN_GREY, is_grey, range_seen
 from midspan.records import Frame, Source
 from midspan.settings.camera import InfraredSettings
-from midspan.settings.sensor_words import in_words_of, worded
+from midspan.settings.sensor_words import in_words_of, renamed
 from midspan.sources.thermal.pictures import AGC_NOTE
+from midspan.thermal.temperature_range import DIVISIONS
 
 SOURCES = {"camera": Source.CAMERA, "infrared": Source.INFRARED}
 
@@ -30,7 +32,7 @@ class SeenBy:
 
     parts: tuple[CameraFit, ...]
     tracking: CameraTracking
-    warnings: tuple[str, ...]
+    warnings: tuple[Notice, ...]
 
 
 def calibrate_cameras(recording: Recording, progress: Progress) -> tuple[SeenBy, ...]:
@@ -50,7 +52,9 @@ def calibrate_cameras(recording: Recording, progress: Progress) -> tuple[SeenBy,
         if len(refused) == 1:
             raise refused[0][1]
         raise UntrustedError(" ".join(f"{view.sensor}: {error}" for view, error in refused))
-    told = tuple(f"[{view.sensor}] is left out of the result. {error}" for view, error in refused)
+    told = tuple(
+        Notice("part-left-out", f"[{view.sensor}] is left out of the result. {error}") for view, error in refused
+    )
     found[0] = replace(found[0], warnings=(*told, *found[0].warnings))
     return tuple(found)
 
@@ -71,9 +75,15 @@ def _calibrated(recording: Recording, progress: Progress) -> SeenBy:
         parts = calibrate_camera(view, tracking)
         if wants_range(view):
             tracking, parts = _in_best_range(view, tracking, parts, progress)
+        if tracking.learns_by_acceleration:
+            tracking, parts = _taught(view, tracking, parts, progress)
         parts = tuple(_named(view, tracking, part) for part in parts)
-    told = [*moved, *_codec_warnings(view), *(line for part in parts for line in part.warnings)]
-    return SeenBy(parts, tracking, tuple(worded(line, view.sensor) for line in told))
+    told = [
+        *(Notice("window-moved", line) for line in moved),
+        *_picture_warnings(view, tracking),
+        *(line for part in parts for line in part.warnings),
+    ]
+    return SeenBy(parts, tracking, tuple(renamed(line, view.sensor) for line in told))
 
 
 def _in_best_range(
@@ -83,27 +93,56 @@ def _in_best_range(
     on one.
     """
     try:
-        surface = best_range(_frames_compared(view, tracking), view_of(view), seen_targets(view, tracking), parts[0])
+        frames, seen = _frames_compared(view, tracking), seen_targets(view, tracking)
+        surface = best_range(frames, view_of(view), seen, parts[0], divisions_of(view))
     except UntrustedError as error:
         told = (
             f"infrared: no temperature range was found for the tracker {tracking.settings.tracker!r}, which was made "
             f"for grey levels: it sees °C as they are, and may lose the target. {error} Or give "
             "infrared.temperature_range_c."
         )
-        return tracking, (replace(parts[0], warnings=(*parts[0].warnings, told)), *parts[1:])
+        return tracking, (replace(parts[0], warnings=(*parts[0].warnings, Notice("thermal", told))), *parts[1:])
     tracking.close()
     again = open_tracking(view, None, progress, again=(tuple(tracking.chosen), surface.best))
     again.range_surface = surface
     return again, calibrate_camera(view, again)
 
 
+def _taught(
+    view: Recording, tracking: CameraTracking, parts: tuple[CameraFit, ...], progress: Progress
+) -> tuple[CameraTracking, tuple[CameraFit, ...]]:
+    """Tracking and noise anew with trackers that have learnt from the accelerometer, by the first calibration.
+
+    Scale factor and clock offset stay: what was learnt rests on them, and is learnt again wherever they are given.
+    """
+    tracking.close()
+    again = open_tracking(view, parts[0].calibration, progress)
+    again.choice = tracking.choice
+    taught = calibrate_camera(view, again)
+    return again, tuple(_at_scale_of(first, own) for first, own in zip(parts, taught, strict=False))
+
+
+def _at_scale_of(first: CameraFit, own: CameraFit) -> CameraFit:
+    """What was estimated along an axis, with the scale factors and the clock offset of `first`."""
+    then, now = first.calibration, own.calibration
+    scales = {target.region: target.scale for target in then.targets}
+    targets = tuple(replace(target, scale=scales.get(target.region, target.scale)) for target in now.targets)
+    beta = now.phase_scale_m_per_rad
+    ratio = then.scale.value_m_per_px / now.scale.value_m_per_px
+    phase_scale = None if beta is None else beta * ratio
+    known = replace(now, scale=then.scale, offset=then.offset, targets=targets, phase_scale_m_per_rad=phase_scale)
+    return replace(own, calibration=known)
+
+
 def view_of(recording: Recording) -> View:
     """What the axis of a recording is calibrated on."""
     wanted = recording.settings.calibration
     window = calibration_window(recording)
-    return View(
-        recording.axis, recording.prepared, window, recording.max_offset_s, wanted.band_hz, recording.exposure_s
-    )
+    camera = recording.settings.first_camera
+    camera = recording.settings.first_camera
+    scale, printed = None if camera is None else camera.known_scale, wanted.printed(camera)
+    reach_s, band_hz, blur_s = recording.max_offset_s, wanted.band_hz, recording.exposure_s
+    return View(recording.axis, recording.prepared, window, reach_s, band_hz, blur_s, scale, printed)
 
 
 def seen_targets(view: Recording, tracking: CameraTracking) -> list[SeenTarget]:
@@ -137,6 +176,12 @@ def wants_range(view: Recording) -> bool:
     )
 
 
+def divisions_of(view: Recording) -> int:
+    """Into how many parts the temperatures between region and whole view are divided."""
+    camera = view.settings.camera
+    return camera.range_divisions if isinstance(camera, InfraredSettings) else DIVISIONS
+
+
 def _frames_compared(view: Recording, tracking: CameraTracking) -> list[Frame]:
     """The frames of the calibration that temperature ranges are compared on."""
     first = tracking.settings.first
@@ -158,14 +203,8 @@ def _named(view: Recording, tracking: CameraTracking, part: CameraFit) -> Camera
     return replace(part, calibration=own)
 
 
-def _codec_warnings(view: Recording) -> list[str]:
-    info = view.frames.info
+def _picture_warnings(view: Recording, tracking: CameraTracking) -> list[Notice]:
+    """What of the pictures the scale factor suffers from."""
     if view.kind == "infrared" and is_grey(view):
-        return [f"infrared: {AGC_NOTE}."]
-    if info.lossless is not False:
-        return []
-    return [
-        f"camera: the video is compressed ({info.codec}). Compression freezes parts of the picture: motion of "
-        "a few hundredths of a pixel can be lost and the scale factor can be off by 1 % or more. "
-        "Record raw or lossless where you can."
-    ]
+        return [Notice("thermal", f"infrared: {AGC_NOTE}.")]
+    return [line for line in tracking.warnings() if line.code in (COMPRESSED, "frozen")]

@@ -30,17 +30,18 @@ from midspan.engine.second_look import (
     with_levels_of,
     with_scales,
 )
-from midspan.engine.sensor_series import SensorSeries, series_at_instants
+from midspan.engine.sensor_series import SensorSeries, series_at_instants, taken
 from midspan.engine.tracking import CameraTracking
 from midspan.errors import DataError, UntrustedError, UsageError
 from midspan.fusion.estimator import Estimator
 from midspan.fusion.methods import METHODS, Method, Pass, no_literal_form
 from midspan.fusion.second_pass import Lag, smooth
 from midspan.fusion.streams import MethodSettings
+from midspan.notices import Notice, once
 from midspan.progress import Progress, silent
 from midspan.recording.calibrate import calibrate_and_track
 from midspan.recording.kinds import ROWS
-from midspan.recording.messages import channel_warnings, refuse_rejections, require_same_cameras, uncalibrated
+from midspan.recording.messages import refuse_rejections, require_same_cameras, uncalibrated
 from midspan.recording.point import measuring_point, zero_instant
 from midspan.recording.printed_radar import estimate_printed
 from midspan.recording.result import Result
@@ -55,10 +56,12 @@ from midspan.recording.tracked import (
     side_of,
 )
 from midspan.records import Channel, Estimate, Event, Innovation, Nanoseconds, joined, part
-from midspan.settings.sensor_words import worded
+from midspan.settings.recording import RecordingSettings
+from midspan.settings.sensor_words import renamed
 from midspan.settings.sensors import DisplacementSettings
 from midspan.settings.stored.calibration import Calibration
 from midspan.settings.stored.calibration_file import load_calibration
+from midspan.settings.two_files import Draft, draft, is_sensor_file, on_one_clock
 from midspan.signals.stamps import inside, shown
 
 
@@ -69,19 +72,32 @@ def estimate(
     method: str | None = None,
     tracking: CameraTracking | None = None,
     given: bool | None = None,
+    video: str | Path | None = None,
+    value: str | None = None,
+    unit: str | None = None,
     progress: Progress = silent,
 ) -> Result:
-    """Estimate the displacement of a recording, which may be given by its path.
+    """Estimate the displacement of a recording (or its path), or of two files: `estimate(ACCEL, VIDEO)`.
 
     calibration: or its file; left out, it is made first (and the camera is tracked once for both). method: a name of
     `midspan methods`, over the recording's own. tracking: what `calibrate_and_track` left, to go on with. given:
-    whether the calibration is that of another record; left out: where there is no tracking. Returns one row for each
-    accelerometer sample in the streams' common span.
+    whether the calibration is that of another record; left out: where there is no tracking. video: with an
+    accelerometer's file as `recording`; the second argument is taken for it. value, unit: with two files, the channel
+    along the motion and its unit. Returns one row for each accelerometer sample in the streams' common span.
     Raises UntrustedError when calibration is refused, DataError for unusable streams.
     """
-    recording = opened(recording)
+    if video is None and is_sensor_file(recording) and isinstance(calibration, str | Path):
+        video, calibration = calibration, None
     if calibration is not None and not isinstance(calibration, Calibration):
         calibration = load_calibration(path_of("calibration", calibration))
+    if video is not None:
+        files = draft(path_of("recording", recording), path_of("video", video), value, unit)
+        return _of_two_files(files, calibration, method, progress)
+    if value or unit:
+        raise UsageError(
+            "value, unit: go with two files, estimate(ACCEL, VIDEO); a recording names them in its settings."
+        )
+    recording = opened(recording)
     # The method is checked first: tracking may take long.
     method = option("method", method or recording.settings.fusion.method, METHODS)
     if recording.has("radar") and recording.settings.fusion.literal:
@@ -97,6 +113,16 @@ def estimate(
             if view.kind in ROWS:
                 ROWS[view.kind].known(view, calibration)
         return _estimate(Asked(recording, calibration, method, given), tracking, progress)
+
+
+def _of_two_files(files: Draft, calibration: Calibration | None, method: str | None, progress: Progress) -> Result:
+    """The result of two files, whose clocks the motion brings together where they are apart."""
+
+    def work(file: Path, settings: RecordingSettings, warnings: tuple[Notice, ...]) -> Result:
+        found = estimate(Recording(file, settings), calibration, method=method, progress=progress)
+        return replace(found, warnings=(*warnings, *found.warnings))
+
+    return on_one_clock(files, work, again=calibration is None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,8 +147,7 @@ class Asked:
     @property
     def by_settings(self) -> MethodSettings:
         """What the recording says of methods."""
-        fusion = self.recording.settings.fusion
-        return MethodSettings(lag_s=fusion.lag_s, literal=fusion.literal, forgetting=fusion.forgetting)
+        return self.recording.settings.fusion.of_method()
 
     @property
     def sides(self) -> tuple[Side, ...]:
@@ -161,7 +186,7 @@ class Checked:
     scale_std: relative standard deviation of each sensor's scale along each axis, with what a given one is off by.
     """
 
-    warnings: tuple[str, ...]
+    warnings: tuple[Notice, ...]
     scale_std: tuple[dict[str, float], ...]
     left_out: bool
 
@@ -175,7 +200,7 @@ class Found:
     zero_variance_m2: tuple[float, ...]
     used: dict[str, list[tuple[int, int]]]
     events: tuple[Event, ...]
-    warnings: tuple[str, ...]
+    warnings: tuple[Notice, ...]
     delay_s: float = 0.0
 
 
@@ -214,9 +239,9 @@ def first_pass(asked: Asked, tracking: CameraTracking | None, progress: Progress
     return replace(first, series=tuple(_series(first, axis) for axis in range(len(sides))))
 
 
-def left_out(side: Side, error: UntrustedError) -> str:
+def left_out(side: Side, error: UntrustedError) -> Notice:
     """Why the second axis is left out of the result."""
-    return f"The second axis {side.recording.axis} is left out of the result. {error}"
+    return Notice("part-left-out", f"The second axis {side.recording.axis} is left out of the result. {error}")
 
 
 def check(asked: Asked, first: FirstPass, ran: Mapping[str, OneClock]) -> Checked:
@@ -305,7 +330,10 @@ def on_series(asked: Asked, first: FirstPass, ran: Mapping[str, OneClock], check
         if not side.recording.fused:
             rows[axis] = replace(rows[axis], variance_m2=rows[axis].variance_m2 + 2.0 * tilt_m2)
             continue
-        named = {name: on_clock(one, ran[name]) for name, one in first.at_instants(axis).items()}
+        series = first.at_instants(axis)
+        if asked.recording.settings.fusion.switching == "matches":
+            series = {name: taken(one, first.outcome.measured_by(name)) for name, one in series.items()}
+        named = {name: on_clock(one, ran[name]) for name, one in series.items()}
         measured = one_series(named, found.rows[axis], first.outcome.restarts_ns)
         own, rate_hz = replace(method, kalman=side.kalman), side.prepared.rate_hz
         done = run_on_series(side.acceleration, measured, asked.method, own, found.rows[axis], rate_hz=rate_hz)
@@ -360,14 +388,14 @@ def result_of(asked: Asked, first: FirstPass, found: Found, checked: Checked) ->
     fused = tuple(event for event in found.events if event.axis == 0)
     two, more = _second_axis(first, found, checked)
     warnings = (
-        *channel_warnings(recording, asked.calibration),
-        *(worded(line, eye.sensor) for eye in first.eyes for line in eye.tracking.warnings()),
+        *recording.channel_warnings,
+        *(renamed(line, eye.sensor) for eye in first.eyes for line in eye.tracking.warnings()),
+        *found.warnings,
         *event_warnings(fused),
         *event_warnings(tuple(event for event in sensors if event.kind in ("frozen", "lost", *REPORTED))),
-        *(worded(line, name) for name, log in radars.items() for line in radar_warnings(log, info[name].warnings)),
+        *(renamed(line, name) for name, log in radars.items() for line in radar_warnings(log, info[name].warnings)),
         *unmeasured_ends(recording.acceleration.time_ns, first.outcome.measured, main),
         *shares(found.innovations[0], main),
-        *found.warnings,
         *more,
     )
     result = Result(
@@ -377,7 +405,7 @@ def result_of(asked: Asked, first: FirstPass, found: Found, checked: Checked) ->
         method=asked.method,
         innovation=found.innovations[0],
         events=tuple(sorted((*sensors, *fused), key=lambda event: event.time_ns)),
-        warnings=tuple(dict.fromkeys(warnings)),
+        warnings=once(warnings, asked.calibration.warnings),
         cameras=first.cameras,
         measured=tuple(first.series[0].values()),
         radars={name: log.trace(info[name].limit_speed_m_s) for name, log in radars.items()},
@@ -414,7 +442,7 @@ def judged(asked: Asked, first: FirstPass, found: Found) -> Estimate:
     return smooth(own.log, own.settings)[0]
 
 
-def _second_axis(first: FirstPass, found: Found, checked: Checked) -> tuple[bool, list[str]]:
+def _second_axis(first: FirstPass, found: Found, checked: Checked) -> tuple[bool, list[Notice]]:
     """Whether there is a second image axis that can be trusted, and its warnings."""
     if len(first.sides) < 2 or checked.left_out:
         return False, []
@@ -424,7 +452,10 @@ def _second_axis(first: FirstPass, found: Found, checked: Checked) -> tuple[bool
     except UntrustedError as error:
         return False, [left_out(first.sides[1], error)]
     told = event_warnings(tuple(event for event in found.events if event.axis == 1))
-    return True, [*(f"Along {view.axis}: {line}" for line in told), *shares(innovation, rows, f" along {view.axis}")]
+    return True, [
+        *(line.worded(f"Along {view.axis}: {line}") for line in told),
+        *shares(innovation, rows, f" along {view.axis}"),
+    ]
 
 
 def _series(first: FirstPass, axis: int) -> dict[str, SensorSeries]:

@@ -3,6 +3,7 @@
 from midspan.calibration.sensors.radar import require_same_way
 from midspan.engine.row_messages import rejected_share
 from midspan.errors import UntrustedError, UsageError
+from midspan.notices import Notice
 from midspan.recording.streams.recording import Recording
 from midspan.records import Innovation
 from midspan.settings.stored.calibration import Calibration
@@ -11,11 +12,14 @@ from midspan.settings.stored.calibration import Calibration
 MAX_REJECTED = 0.5
 
 
-def uncalibrated(recording: Recording, calibration: Calibration) -> list[str]:
+def uncalibrated(recording: Recording, calibration: Calibration) -> list[Notice]:
     """What to tell of a camera that the recording has and the calibration that was given has not."""
     return [
-        f"[{view.sensor}] is left out of the result: the calibration that was given has no {view.sensor} part. Run "
-        "`midspan calibrate` on a recording with both cameras."
+        Notice(
+            "part-left-out",
+            f"[{view.sensor}] is left out of the result: the calibration that was given has no {view.sensor} part. Run "
+            "`midspan calibrate` on a recording with both cameras.",
+        )
         for view in recording.cameras
         if calibration.of_sensor(view.own, view.beside) is None
     ]
@@ -67,9 +71,3 @@ def _looked_at(recording: Recording) -> str:
     found += ["what the radar sees (`midspan inspect` lists it)"] if recording.has("radar") else []
     found += ["the unit and sign of its displacement file"] if recording.has("displacement") else []
     return " and ".join(found)
-
-
-def channel_warnings(recording: Recording, calibration: Calibration) -> tuple[str, ...]:
-    """What the calibration says, and what is wrong with this recording's channels where it is another's."""
-    own = recording.channel_warnings
-    return (*calibration.warnings, *(line for line in own if line not in calibration.warnings))

@@ -17,6 +17,7 @@ from midspan.engine.order import FIRST_NS
 from midspan.engine.point import ACCELEROMETER, Point
 from midspan.engine.sensors import Sensor
 from midspan.engine.switching import Switch
+from midspan.engine.twilight import Place
 from midspan.fusion.estimator import Estimator
 from midspan.fusion.model import EstimatorSettings
 from midspan.fusion.second_pass import Lag
@@ -167,7 +168,15 @@ def measuring_point(
     guard = Guard(GuardSettings(rate_hz, tuple(figures(side, rate_hz) for side in measured)))
     unmeasured = [side.calibration.noise_density(rate_hz) for side in sides if side not in measured]
     one_at_a_time = recording.settings.fusion.switching == "matches" and len(eyes) > 1
-    switch = Switch((eyes[0].sensor, eyes[1].sensor)) if one_at_a_time else None
+    switch = Switch((eyes[0].sensor, eyes[1].sensor), _place(recording, eyes)) if one_at_a_time else None
     lag = None if lag_s is None else max(1, round(lag_s * rate_hz))
     estimator = Estimator(settings, log=log) if lag is None else Lag(settings, lag)
     return Point(merge, guard, sensors, estimator, unmeasured, switch)
+
+
+def _place(recording: Recording, eyes: Sequence[Eye]) -> Place | None:
+    """Where day and night decide between vision and infrared as printed; None where they do not."""
+    site, kinds = recording.settings.site, [eye.view.kind for eye in eyes[:2]]
+    if site is None or not recording.settings.fusion.literal or kinds != ["camera", "infrared"]:
+        return None
+    return Place(site.latitude_deg, site.longitude_deg)

@@ -16,12 +16,11 @@ from midspan.engine.sensor_series import series_of
 from midspan.engine.support import Support
 from midspan.errors import UsageError
 from midspan.fusion.methods import METHODS, no_literal_form
-from midspan.fusion.streams import MethodSettings
+from midspan.notices import Notice, once
 from midspan.progress import Progress
 from midspan.radar.frames import fetched
 from midspan.recording.calibrate import calibrate_and_track
 from midspan.recording.kinds import radar_part
-from midspan.recording.messages import channel_warnings
 from midspan.recording.result import Result
 from midspan.recording.streams.recording import Recording, naming
 from midspan.recording.tracked import side_of
@@ -29,9 +28,10 @@ from midspan.records import NANOSECONDS, Displacement, Estimate, Source, part
 from midspan.settings.stored.calibration import Calibration
 from midspan.signals.stamps import frames_used, inside
 
-RAN_AWAY = (
+RAN_AWAY = Notice(
+    "literal",
     "radar: the printed unwrapping (fusion.literal) lost cycles and ran away (equations 12 to 15 do not return): the "
-    "displacement is wrong from there on. Leave fusion.literal out."
+    "displacement is wrong from there on. Leave fusion.literal out.",
 )
 
 
@@ -60,9 +60,9 @@ def estimate_printed(recording: Recording, calibration: Calibration | None, meth
 
 def _fused(recording: Recording, calibration: Calibration, printed: Printed, method: str) -> Result:
     """The printed displacement fused by a method."""
-    fusion, side, known = recording.settings.fusion, side_of(recording, calibration), calibration.radar
+    side, known = side_of(recording, calibration), calibration.radar
     assert known is not None
-    settings = MethodSettings(kalman=side.kalman, lag_s=fusion.lag_s, literal=True, forgetting=fusion.forgetting)
+    settings = recording.settings.fusion.of_method(side.kalman)
     done = run_on_series(side.acceleration, printed.measured, method, settings, rate_hz=side.prepared.rate_hz)
     # What ran away is as uncertain as it is large.
     scale_std = without_gain(known.relative_std, calibration.accelerometer_scale_std)
@@ -73,7 +73,7 @@ def _fused(recording: Recording, calibration: Calibration, printed: Printed, met
     rows = _measured_rows(rows, printed.measured)
     _, alone = Support().over(rows)
     warnings = (
-        *channel_warnings(recording, calibration),
+        *recording.channel_warnings,
         *event_warnings((*done.events, *alone)),
         *radar_warnings(printed.log, recording.radar.info.warnings),
         *([RAN_AWAY] if printed.ran_away else []),
@@ -87,7 +87,7 @@ def _fused(recording: Recording, calibration: Calibration, printed: Printed, met
         method=method,
         innovation=done.innovation,
         events=tuple(sorted((*recording.prepared.events, *done.events, *alone), key=lambda event: event.time_ns)),
-        warnings=tuple(dict.fromkeys(warnings)),
+        warnings=once(warnings, calibration.warnings),
         measured=(series_of("radar", Source.RADAR, printed.measured),),
         radars={"radar": printed.log.trace(recording.radar.info.limit_speed_m_s)},
         zero_std_m=float(np.sqrt(zero_m2)),

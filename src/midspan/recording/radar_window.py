@@ -4,6 +4,7 @@ import numpy as np
 
 from midspan.calibration.radar.window import MIN_FRAMES, OpenedWindow, opened
 from midspan.errors import DataError
+from midspan.notices import Notice
 from midspan.progress import Progress
 from midspan.radar.frames import RadarFrames, collected
 from midspan.recording.streams.recording import Recording
@@ -23,7 +24,7 @@ def opened_window(recording: Recording, progress: Progress) -> OpenedWindow:
     return opened(frames, recording.prepared, window_ends(recording), recording.max_offset_s, told)
 
 
-def _window(recording: Recording, progress: Progress) -> tuple[RadarFrames, list[str]]:
+def _window(recording: Recording, progress: Progress) -> tuple[RadarFrames, list[Notice]]:
     """The range profiles of the calibration window, no more of them than memory allows."""
     source, prepared = recording.radar, recording.prepared
     times = source.times_ns()
@@ -47,10 +48,20 @@ def _window(recording: Recording, progress: Progress) -> tuple[RadarFrames, list
     if used.stop - used.start > most:
         used = slice(used.start, used.start + max(most, MIN_FRAMES))
         length_s = (int(times[used.stop - 1]) - int(times[used.start])) / NANOSECONDS
-        told.append(f"radar: only the first {length_s:.3g} s of the calibration window are used, to save memory.")
+        told.append(
+            Notice(
+                "window-moved",
+                f"radar: only the first {length_s:.3g} s of the calibration window are used, to save memory.",
+            )
+        )
     blocks = source.profiles(used.start, used.stop)
     frames = collected(blocks, used.stop - used.start, progress, "reading the radar's calibration window")
     holes = float(np.mean(~frames.valid.all(axis=1)))
     if holes > WARNED_LOST:
-        told.append(f"radar: {100 * holes:.2g} % of the frames in the calibration window have holes (lost packets).")
+        told.append(
+            Notice(
+                "radar-data",
+                f"radar: {100 * holes:.2g} % of the frames in the calibration window have holes (lost packets).",
+            )
+        )
     return frames, told

@@ -13,6 +13,7 @@ from midspan.engine.camera_result import CameraResult
 from midspan.engine.radar_trace import RadarTrace
 from midspan.engine.sensor_series import SensorSeries
 from midspan.notebook import table
+from midspan.notices import Notice, notice_trees
 from midspan.recording.streams.recording import Recording
 from midspan.records import Estimate, Event, Floats, Innovation, PixelTrack, Source, Status, TimeSeries, seconds
 from midspan.settings.band import not_in_band
@@ -51,7 +52,7 @@ class Result:
     method: str
     innovation: Innovation
     events: tuple[Event, ...]
-    warnings: tuple[str, ...]
+    warnings: tuple[Notice, ...]
     cameras: tuple[CameraResult, ...] = field(default=(), repr=False)
     measured: tuple[SensorSeries, ...] = field(default=(), repr=False)
     radars: Mapping[str, RadarTrace] = field(default_factory=dict, repr=False)
@@ -157,6 +158,7 @@ class Result:
             "settings": self.settings.model_dump(mode="json", exclude_none=True),
             "calibration": self.calibration.to_dict(),
             "warnings": list(self.warnings),
+            "notices": notice_trees(self.warnings),
             "events": _events(self.events),
         }
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from midspan.errors import DataError
 from midspan.evaluate.interpolation import step_of
-from midspan.evaluate.metrics import normalised_innovation
+from midspan.evaluate.metrics import Band, normalised_innovation
 from midspan.evaluate.spectrum import SEGMENT_S, SEGMENTS, Mode, spectrum
 from midspan.fusion.blocks import REJECTED
 from midspan.records import NANOSECONDS, Floats, Innovation, Nanoseconds, Status, TimeSeries, part, seconds
@@ -59,20 +59,22 @@ def history(material: Material) -> Picture:
 
 
 def error(material: Material) -> Picture:
-    """Displacement minus reference with the band that the result claims."""
+    """Displacement minus reference, each counted from its own mean, with the band that the result claims for that."""
     found = material.comparison
     assert found is not None
     figure = sheet(2.3)
     axes = figure.subplots()
-    s = material.result.displacement_std_mm
+    s = 1e3 * Band(np.sqrt(material.result.estimate.variance_m2), material.result.zero_std_m).without_zero
     band = envelope(material.t, -BAND * s, BAND * s)
-    axes.fill_between(band.t, band.low, band.high, color=SKY, alpha=0.45, linewidth=0, label="±1.96 σ claimed")
-    drawn = envelope(material.clock.at(found.time_ns), found.error_mm, found.error_mm)
-    draw_line(axes, drawn, VERMILLION, "result − reference", linewidth=0.8)
-    axes.axhline(found.bias_mm, color=BLACK, linewidth=0.8, linestyle="--", label=f"mean {found.bias_mm:.3g} mm")
+    label = "±1.96 σ claimed, the zero's part taken off"
+    axes.fill_between(band.t, band.low, band.high, color=SKY, alpha=0.45, linewidth=0, label=label)
+    error_mm = found.error_mm - found.bias_mm
+    drawn = envelope(material.clock.at(found.time_ns), error_mm, error_mm)
+    draw_line(axes, drawn, VERMILLION, f"result − reference, its mean {found.bias_mm:.3g} mm taken off", linewidth=0.8)
+    axes.axhline(0.0, color=BLACK, linewidth=0.8, linestyle="--")
     _shade(axes, material)
     # A band that grows beyond all in a gap must not hide the error itself.
-    limit = 1.15 * max(float(np.max(np.abs(found.error_mm))), float(np.quantile(BAND * s, 0.97)), 1e-9)
+    limit = 1.15 * max(float(np.max(np.abs(error_mm))), float(np.quantile(BAND * s, 0.97)), 1e-9)
     axes.set_ylim(-limit, limit)
     _finish(axes, material, "error (mm)")
     return picture(figure)

@@ -39,6 +39,12 @@ class TimeHistory {
       bar.append(button);
       return { button, length };
     });
+    if (this.main.every) {
+      const save = made("button", "save", "CSV");
+      save.type = "button"; save.title = "Rows of the shown range as a CSV file";
+      save.addEventListener("click", () => this.#save());
+      bar.append(save);
+    }
     const key = (text, colour, shape, toggle, on) => {
       const found = made(toggle ? "button" : "span", "key"), swatch = made("i", `swatch ${shape}`);
       swatch.style.setProperty("--own", `var(--${colour})`);
@@ -152,14 +158,34 @@ class TimeHistory {
       button.setAttribute("aria-pressed", Math.abs(Math.min(own, this.end - this.start) - length) < 1e-6 * length);
     this.readout.textContent = this.cursor === null ? "" : this.#values(this.cursor).join(" · ");
   }
+  /** The shown rows as a file: times, what has a value at each of them, status. */
+  #save() {
+    const { main } = this;
+    const named = this.lines.filter((line) => line.time === main.time).flatMap((line) => {
+      const unit = line.unit.replace("/", "_").replace("²", "2");
+      const value = [`${line.name}_${unit}`, line.v, this.#digits(line.value)];
+      return line.s ? [value, [`${line.name}_std_${unit}`, line.s, this.#digits(line.std)]] : [value];
+    });
+    const clock = this.label === "time (s)" ? "time_s" : this.label;
+    const rows = [[clock, ...named.map(([name]) => name), "status"].join(",")];
+    for (let row = rowAt(main.t, this.from); row < main.t.length && main.t[row] <= this.to; row++) {
+      const values = named.map(([, value, digits]) => value[row].toFixed(digits));
+      rows.push([(main.t[row] + this.first).toFixed(6), ...values, WORDS[this.codes[0].low[row]]].join(","));
+    }
+    const link = document.createElement("a"), ends = [this.from, this.to].map((t) => (t + this.first).toFixed(2));
+    link.href = URL.createObjectURL(new Blob([rows.join("\n"), "\n"], { type: "text/csv" }));
+    link.download = `displacement_${ends.join("_to_")}_s.csv`;
+    link.click();
+    setTimeout(() => URL.revokeObjectURL(link.href), 0);
+  }
+  #digits(column) { return Math.max(0, Math.ceil(-Math.log10(this.columns[column].quantum) - 1e-9)); }
   #values(time) {
     const sign = (value, digits) => `${value < 0 ? "−" : "+"}${Math.abs(value).toFixed(digits)}`;
-    const digitsOf = (column) => Math.max(0, Math.ceil(-Math.log10(this.columns[column].quantum) - 1e-9));
     const code = this.codes[0].low[nearest(this.main.t, time)];
     const shown = (t) => `${(t + this.first).toFixed(Math.max(3, Math.ceil(-Math.log10(this.step)) + 1))} s`;
     const texts = [`t = ${shown(time)}`];
     for (const line of this.lines.filter((one) => one.shown)) {
-      const row = nearest(line.t, time), digits = digitsOf(line.value);
+      const row = nearest(line.t, time), digits = this.#digits(line.value);
       if (Math.abs(line.t[row] - time) > 2 * Math.max(this.step, (line.t.at(-1) - line.t[0]) / line.t.length)) continue;
       const half = line.s ? ` ± ${(this.band * line.s[row]).toPrecision(3)}` : "";
       const own = Math.abs(line.t[row] - time) > this.step / 2 ? ` at ${shown(line.t[row])}` : "";

@@ -5,11 +5,14 @@ from datetime import UTC, datetime
 
 import numpy as np
 
+from midspan.calibration.camera.view import camera_pair
+from midspan.calibration.scale import ScaleCalibration, calibrate_scale
 from midspan.engine.camera_result import CameraResult
 from midspan.engine.sensor_series import SensorSeries
 from midspan.errors import DataError, MidspanError
 from midspan.evaluate.interpolation import step_of
 from midspan.evaluate.metrics import Band, Comparison, compare
+from midspan.recording.cameras import view_of
 from midspan.recording.result import Result
 from midspan.records import Floats, Nanoseconds, TimeSeries, seconds
 from midspan.settings.camera import CameraSettings
@@ -120,6 +123,22 @@ def _acceleration(result: Result) -> TimeSeries | None:
         return None
     which = inside(found.time_ns, int(result.estimate.time_ns[0]), int(result.estimate.time_ns[-1]))
     return TimeSeries(found.time_ns[which], found.value[which])
+
+
+def shown_here(result: Result, sensor: str) -> ScaleCalibration | None:
+    """What a recording shows of the scale of a camera whose calibration came from a file, along the main axis; None
+    where it cannot: its files are gone, or it is too quiet.
+    """
+    recording, seen = result.recording, next((one for one in result.cameras if one.sensor == sensor), None)
+    if recording is None or seen is None:
+        return None
+    try:
+        views = recording.along(result.calibration.sensor_axis).views
+        view = view_of(next(one for one in views if one.sensor == sensor))
+        pair = camera_pair(view, seen.track, view.exposure_s or 0.0)
+        return calibrate_scale(pair, view.max_offset_s, exposure_declared=view.exposure_s is not None)
+    except MidspanError:
+        return None
 
 
 def clock_of(first_ns: int) -> Clock:

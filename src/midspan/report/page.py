@@ -8,6 +8,7 @@ from html import escape
 from pathlib import Path
 from urllib.parse import quote
 
+from midspan.notices import Notice
 from midspan.report.drawing import Picture
 from midspan.writing import WRITTEN_BY
 
@@ -76,8 +77,14 @@ def paragraph(text: str, kind: str = "") -> str:
 
 
 def bullets(lines: Iterable[str], kind: str) -> str:
-    """A list of plain texts."""
-    return f"<ul{_kind(kind)}>{''.join(f'<li>{escape(line)}</li>' for line in lines)}</ul>"
+    """A list of plain texts; notices with their severity as class, and their code."""
+    return f"<ul{_kind(kind)}>{''.join(map(_bullet, lines))}</ul>"
+
+
+def _bullet(line: str) -> str:
+    if not isinstance(line, Notice):
+        return f"<li>{escape(line)}</li>"
+    return f"<li class={line.severity}>{escape(line)} <code>{line.code}</code></li>"
 
 
 def cards(rows: Iterable[tuple[str, str, str]]) -> str:

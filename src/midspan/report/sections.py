@@ -9,7 +9,7 @@ from midspan.engine.radar_trace import RadarTrace
 from midspan.records import NANOSECONDS
 from midspan.report import camera_figures, figures, page, radar_figures, tables
 from midspan.report.history_data import chart_of
-from midspan.report.material import Material
+from midspan.report.material import Material, shown_here
 from midspan.settings.stored.calibration import Calibration
 from midspan.sinks.table import ResultTable, metadata_json
 
@@ -21,7 +21,7 @@ def summary(material: Material) -> str:
 
 def warnings(material: Material) -> str:
     """Warnings and events, the first ones where there are many."""
-    found = list(material.result.warnings)
+    found = list[str](material.result.warnings)
     if material.problem is not None:
         found.append(f"The reference could not be used. {material.problem}")
     if material.comparison is not None:
@@ -61,8 +61,9 @@ def displacement(material: Material) -> str:
     pieces = [whole]
     if material.comparison is not None:
         caption = (
-            "What is left after the reference is taken away. An honest band holds 95 % of it; a mean away from zero is "
-            "a difference of the two zeros or a drift; error that looks like the motion is a wrong scale or clock."
+            "What is left after the reference is taken away, counted from its mean: the two zeros may differ, and the "
+            "legend says by how much. An honest band holds 95 % of it; a slope is a drift; error that looks like the "
+            "motion is a wrong scale or clock."
         )
         pieces.append(page.figure(figures.error(material), "Error against the reference", caption))
     caption = (
@@ -102,7 +103,7 @@ def second_axis(material: Material) -> str:
     caption = f"As above, along this axis. {_moved(second)}{kept}"
     pieces.append(page.figure(figures.history(second), f"Displacement along {axis}", caption, attributes))
     if second.comparison is not None:
-        caption = "What is left after the reference along this axis is taken away."
+        caption = "What is left after the reference along this axis is taken away, counted from its mean."
         pieces.append(page.figure(figures.error(second), f"Error along {axis}", caption))
         pieces.append(page.table(tables.comparison(second.comparison)))
     caption = "The segment with the largest velocity along this axis, with the camera's own measurements."
@@ -141,9 +142,11 @@ def calibration(material: Material) -> str:
     found = material.result.calibration
     pieces = [page.table(tables.calibrated(found))]
     cameras = [(name, camera) for name, _, camera in found.sensors if isinstance(camera, CameraCalibration)]
-    shown = [(name, camera.diagnostics) for name, camera in cameras if camera.diagnostics is not None]
+    shown = [(name, camera, camera.diagnostics or shown_here(material.result, name)) for name, camera in cameras]
     first = cameras[0][0] if cameras else ""
-    for sensor, diagnostics in shown:
+    for sensor, camera, diagnostics in shown:
+        if diagnostics is None:
+            continue
         share = camera_figures.explained(diagnostics)
         caption = (
             "Left: translation in the image against the motion that the acceleration predicts, both passed through the "
@@ -151,14 +154,16 @@ def calibration(material: Material) -> str:
             f"good calibration (here the acceleration explains {tables.percent(share)} of the variance). Right: how "
             "much less likely other clock offsets are; one clear peak is needed, the runner-up is the next best."
         )
+        if camera.diagnostics is None:
+            here = diagnostics.scale
+            caption += (
+                f" The calibration came from a file, with {1e3 * camera.scale.value_m_per_px:.6g} mm/px: this is what "
+                f"the recording itself shows, {1e3 * here.value_m_per_px:.6g} ± {1e3 * here.variance**0.5:.2g} mm/px."
+            )
         title = "Scale factor and clock offset" + ("" if sensor == first else f" of the {sensor}")
         pieces.append(page.figure(camera_figures.scale(diagnostics, sensor), title, caption))
-    if not shown:
+    if all(diagnostics is None for _, _, diagnostics in shown):
         pieces.append(page.paragraph(_no_figures(found), "note"))
-    above = material.result.warnings
-    more = [line for line in found.warnings if not any(line in one for one in above)]
-    if more:
-        pieces.append(page.bullets(more, "warnings"))
     return page.section("calibration", "Calibration", *pieces)
 
 
@@ -166,8 +171,8 @@ def _no_figures(found: Calibration) -> str:
     """Why there is no figure of what a calibration rests on, in a sentence."""
     if found.first_camera is not None:
         return (
-            "The calibration came from a file, which holds its values and not the measurements behind them. A report "
-            "of the recording that was calibrated, made without a calibration file, draws these."
+            "The calibration came from a file, which holds its values and not the measurements behind them, and this "
+            "recording cannot show them. A report of the recording that was calibrated draws these."
         )
     if found.radar is not None and found.displacement is None:
         return "What the radar's conversion factor and clock offset rest on is shown in the section on the radar."

@@ -49,8 +49,9 @@ async def compiled(folder: Path, calibration: Calibration) -> None:
 
 
 async def _ran(program: str, *arguments: str) -> tuple[int | None, bytes]:
-    """Run Python on a program at low urgency; returns its exit code and what it printed. Raises DataError where it was
-    stopped or lasted too long.
+    """Run Python on a program at low urgency; returns its exit code and what it printed.
+
+    Raises DataError where it lasted too long. Where it is cancelled its process ends too.
     """
     process = await asyncio.create_subprocess_exec(
         sys.executable, "-c", program, *arguments,
@@ -61,9 +62,11 @@ async def _ran(program: str, *arguments: str) -> tuple[int | None, bytes]:
         os.setpriority(os.PRIO_PROCESS, process.pid, NICENESS)
     try:
         printed, _ = await asyncio.wait_for(process.communicate(), LONGEST_S)
-    except (TimeoutError, asyncio.CancelledError):
+    except (TimeoutError, asyncio.CancelledError) as ended:
         with suppress(ProcessLookupError):
             process.kill()
         await process.wait()
-        raise DataError(f"The work lasted longer than {LONGEST_S:g} s, or was stopped.") from None
+        if isinstance(ended, asyncio.CancelledError):
+            raise
+        raise DataError(f"The work lasted longer than {LONGEST_S:g} s.") from None
     return process.returncode, printed

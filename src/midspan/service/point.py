@@ -29,8 +29,9 @@ from midspan.store.store import Batch
 OPENING_S, OPENING_FRAMES = 5.0, 50
 # A checkpoint is made so often, s of the records' time.
 CHECKPOINT_S = 10.0
-# Time that readings wait for at most while a point is being opened, and frames that do.
-HELD_S, HELD_FRAMES = 60.0, 200
+# Time that readings wait for at most while a point is being opened (the first opening compiles, and the points of a
+# site open one after another), and frames that do.
+HELD_S, HELD_FRAMES = 600.0, 200
 # A scale that is off by more than this share and this number of standard deviations asks for a new calibration.
 SCALE_OFF, SCALE_SURE = 0.02, 4.0
 # After a refused calibration the next one waits so long, s.
@@ -260,9 +261,10 @@ class LivePoint:
     def _hold(self, arrival: Arrival) -> None:
         """Let a record wait; of frames the oldest is dropped, readings are kept for HELD_S."""
         self._held.append(arrival)
-        frames = [one for one in self._held if isinstance(one.record, Frame)]
-        if len(frames) > HELD_FRAMES:
-            self._held.remove(frames[0])
+        if isinstance(arrival.record, Frame):
+            frames = [one for one in self._held if isinstance(one.record, Frame)]
+            if len(frames) > HELD_FRAMES:
+                self._held.remove(frames[0])
         while self._held and _stamp(arrival) - _stamp(self._held[0]) > HELD_S * NANOSECONDS:
             self._held.popleft()
 

@@ -13,6 +13,7 @@ from midspan.engine.point import Output, Point
 from midspan.engine.sensors import Seen
 from midspan.errors import UsageError
 from midspan.fusion.methods import METHODS, Pass
+from midspan.notices import Notice
 from midspan.progress import Progress, silent
 from midspan.recording.calibrate import calibrate_and_track
 from midspan.recording.estimate import Asked
@@ -42,7 +43,7 @@ class Replayed:
 
     rows: int
     length_s: float
-    warnings: tuple[str, ...]
+    warnings: tuple[Notice, ...]
 
 
 def replay(

@@ -209,6 +209,7 @@ class StoredCamera(StoredSensor, StoredScale):
     lens: Annotated[Lens | None, BeforeValidator(_lens)] = None
     temperature_range_c: Annotated[tuple[Celsius, Celsius] | None, AfterValidator(second_is_larger)] = None
     exposure_s: Duration = 0.0
+    literal: Yes = False
 
     @model_validator(mode="after")
     def _has_both_axes(self) -> "StoredCamera":
@@ -304,12 +305,21 @@ class StoredDisplacement(StoredSensor):
     scale_std: Std = 0.0
 
 
+class StoredNotice(Stored):
+    """A warning with its code."""
+
+    code: Text
+    severity: Text
+    text: Text
+
+
 class StoredCalibration(Stored):
     """The whole file; of each kind of sensor one section, or a list of several with a name each."""
 
     version: Text = ""
     created: Text = ""
     warnings: tuple[Text, ...] = ()
+    notices: tuple[StoredNotice, ...] = ()
     accelerometer: StoredAccelerometer
     camera: Annotated[tuple[StoredCamera, ...], Listed] = ()
     infrared: Annotated[tuple[StoredCamera, ...], Listed] = ()

@@ -1,10 +1,13 @@
 """Settings of cameras: what they look at, how it is tracked, their lens, and what a thermal camera has besides."""
 
-from typing import Annotated, Any, Literal
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
 from midspan.errors import UsageError
+from midspan.records import ScaleFactor
 from midspan.settings.fields import (
     Duration,
     FileName,
@@ -20,6 +23,7 @@ from midspan.settings.fields import (
     second_is_larger,
 )
 from midspan.settings.kinds import SensorName
+from midspan.thermal.temperature_range import DIVISIONS
 from midspan.vision.lens import MODELS as LENS_MODELS
 from midspan.vision.lens import Lens
 from midspan.vision.tracker import DEFAULT_TRACKER, TRACKERS, tracker_settings
@@ -27,6 +31,18 @@ from midspan.vision.tracker import DEFAULT_TRACKER, TRACKERS, tracker_settings
 Celsius = Annotated[float, IsNumber, limited(-273.15, 1e5, "°C")]
 # Settings of trackers are pixels, shares and counts; each tracker has rules of its own within this.
 MAX_TRACKER_SETTING = 1e9
+
+
+@contextmanager
+def _in_words_of(section: str, values: Mapping[str, Any]) -> Iterator[None]:
+    """What a tracker or its rule refuses of a section's values, as a message of the section."""
+    for key, value in values.items():
+        if isinstance(value, int | float) and not abs(value) <= MAX_TRACKER_SETTING:
+            raise ValueError(f"{section}: {key} must be a number up to {MAX_TRACKER_SETTING:g}")
+    try:
+        yield
+    except UsageError as error:
+        raise ValueError(f"{section}: {error}".rstrip(".")) from None
 
 
 class TargetSettings(Section):
@@ -94,6 +110,12 @@ class CameraSettings(Section):
     )
     exposure_s: Duration | None = Field(None, description="exposure time, s; its averaging is corrected")
     readout_s: Duration = Field(0.0, description="rolling shutter: seconds from first to last row")
+    scale_mm_per_px: Annotated[float, IsNumber, limited(-1e6, 1e6, "mm/px")] | None = Field(
+        None, description="displacement for one pixel, signed, of a target of known size; left out: calibrated"
+    )
+    scale_std_mm_per_px: Annotated[float, IsNumber, limited(0.0, 1e6, "mm/px")] = Field(
+        0.0, description="its standard deviation, mm/px; more widens the band as the motion grows"
+    )
     tilt_std_mdeg: Annotated[float, IsNumber, limited(0.0, 1e5, "mdeg")] = Field(
         0.0, description="standard deviation of the camera's own tilt, mdeg, in the band; 0: not in it"
     )
@@ -108,11 +130,16 @@ class CameraSettings(Section):
     )
     tracker: Annotated[str, known(TRACKERS, "tracker")] = Field(DEFAULT_TRACKER, description="how the target is found")
     tracker_settings: dict[str, Any] = Field(
-        default_factory=dict, description="settings of the tracker by name, see docs/methods.md; left out: its defaults"
+        default_factory=dict,
+        description="settings of the tracker by name, see docs/trackers.md; left out: its defaults",
     )
     lens: LensSettings | None = Field(None, description="the lens's distortion; left out: none is corrected")
     reference: Literal["first", "key-frames", "updating"] | None = Field(
         None, description="the frame that each one is compared with: the first, several, or a new one; left out: first"
+    )
+    reference_settings: dict[str, Any] = Field(
+        default_factory=dict,
+        description='settings of reference = "updating" by name, see docs/infrared.md; left out: its defaults',
     )
 
     @property
@@ -142,6 +169,18 @@ class CameraSettings(Section):
         return self
 
     @model_validator(mode="after")
+    def _scale_is_of_one_target(self) -> "CameraSettings":
+        if self.scale_mm_per_px is None and self.scale_std_mm_per_px > 0.0:
+            raise ValueError("must have scale_mm_per_px together with scale_std_mm_per_px")
+        if self.scale_mm_per_px is None:
+            return self
+        if self.scale_mm_per_px == 0.0:
+            raise ValueError("must have a scale_mm_per_px other than 0")
+        if self.direction == "xy" or len(self.target) > 1 or self.automatic_targets > 1:
+            raise ValueError('must have one target and direction = "x" or "y" together with scale_mm_per_px')
+        return self
+
+    @model_validator(mode="after")
     def _tilt_has_a_distance(self) -> "CameraSettings":
         if self.tilt_std_mdeg > 0.0 and self.distance_m is None and self.lens is None:
             raise ValueError(
@@ -153,14 +192,33 @@ class CameraSettings(Section):
     @model_validator(mode="after")
     def _tracker_knows_its_settings(self) -> "CameraSettings":
         if self.tracker_settings:
-            for key, value in self.tracker_settings.items():
-                if isinstance(value, int | float) and not abs(value) <= MAX_TRACKER_SETTING:
-                    raise ValueError(f"tracker_settings: {key} must be a number up to {MAX_TRACKER_SETTING:g}")
-            try:
+            with _in_words_of("tracker_settings", self.tracker_settings):
                 tracker_settings(self.tracker, **self.tracker_settings)
-            except UsageError as error:
-                raise ValueError(f"tracker_settings: {error}".rstrip(".")) from None
         return self
+
+    @model_validator(mode="after")
+    def _reference_knows_its_settings(self) -> "CameraSettings":
+        if self.reference_settings:
+            if self.reference_rule != "updating":
+                raise ValueError('must have reference = "updating" together with reference_settings')
+            from midspan.vision.reference.updating import updating_settings
+
+            with _in_words_of("reference_settings", self.reference_settings):
+                updating_settings(self.tracker, None, self.reference_settings)
+        return self
+
+    def as_printed(self) -> Self:
+        """The same with the tracker as printed where it has such a form, and the settings do not say otherwise."""
+        if not hasattr(tracker_settings(self.tracker), "literal"):
+            return self
+        return self.model_copy(update={"tracker_settings": {"literal": True, **self.tracker_settings}})
+
+    @property
+    def known_scale(self) -> ScaleFactor | None:
+        """The scale factor that is known beforehand."""
+        if self.scale_mm_per_px is None:
+            return None
+        return ScaleFactor(1e-3 * self.scale_mm_per_px, (1e-3 * self.scale_std_mm_per_px) ** 2)
 
     @property
     def target_names(self) -> tuple[str, ...]:
@@ -176,6 +234,9 @@ class InfraredSettings(CameraSettings):
     )
     temperature_range_c: Annotated[tuple[Celsius, Celsius] | None, AfterValidator(second_is_larger)] = Field(
         None, description="°C shown in 256 grey levels; left out: temperatures as they are, or optimised for features"
+    )
+    range_divisions: Annotated[int, IsNumber, Field(ge=1, le=64)] = Field(
+        DIVISIONS, description="equal parts M between region and whole view that ranges are made of; more is slower"
     )
     kelvin_per_count: Annotated[float, IsNumber, limited(1e-9, 1e3, "K a count")] | None = Field(
         None, description="K a count of 16-bit pictures; left out: as the file says"

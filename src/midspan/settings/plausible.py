@@ -1,6 +1,7 @@
 """What a calibration found against what is known of it otherwise: gravity, and the camera's optics."""
 
 from midspan.calibration.sensors.camera import CameraCalibration
+from midspan.notices import Notice
 from midspan.settings.camera import CameraSettings
 from midspan.settings.recording import RecordingSettings
 from midspan.settings.stored.calibration import Calibration
@@ -8,24 +9,37 @@ from midspan.settings.stored.calibration import Calibration
 GRAVITY_M_S2 = 9.80665
 # Bias over gravity of an axis that is level to 17 degrees, or upright to 26: that of a motion up, down or sideways.
 LEVEL, UPRIGHT = 0.3, (0.9, 1.1)
+# A reading this near to 1 m/s² at rest is taken for 1 g in a wrong unit: zero offset and inclination of an upright axis
+# change it by 2 % at most; an axis that is level to 5.7 ± 0.12 degrees shows the same by chance.
+SWAPPED_WITHIN = 0.02
 # A paced distance and a nominal focal length are good to a tenth each, rms: three times both together.
 OPTICS_WITHIN = 1.4
 
 
-def implausible(settings: RecordingSettings, calibration: Calibration) -> tuple[str, ...]:
+def implausible(settings: RecordingSettings, calibration: Calibration) -> tuple[Notice, ...]:
     """Warnings on what a wrong unit, sensitivity or optics would explain."""
     found = []
     share = abs(calibration.bias_m_s2) / GRAVITY_M_S2
+    swapped = abs(share * GRAVITY_M_S2 - 1.0) < SWAPPED_WITHIN
+    if settings.accelerometer is not None and swapped:
+        text = (
+            f"accelerometer: it reads {calibration.bias_m_s2:+.3f} m/s² at rest, which is just what 1 g reads where g "
+            "is taken for m/s². Check accelerometer.unit and sensitivity: all millimetres may be 9.81 times too small."
+        )
+        found.append(Notice("unit-doubtful", text))
     if settings.accelerometer is not None and share > LEVEL and not UPRIGHT[0] < share < UPRIGHT[1]:
         found.append(
-            f"accelerometer: it reads {calibration.bias_m_s2 / GRAVITY_M_S2:.3g} g at rest, where a level axis reads 0 "
-            "and an upright one 1 g. Check accelerometer.unit and sensitivity (all millimetres are off by the same "
-            "factor), or its inclination."
+            Notice(
+                "unit-doubtful",
+                f"accelerometer: it reads {calibration.bias_m_s2 / GRAVITY_M_S2:.3g} g at rest, where a level axis "
+                "reads 0 and an upright one 1 g. Check accelerometer.unit and sensitivity (all millimetres are off by "
+                "the same factor), or its inclination.",
+            )
         )
     for one in settings.sensors:
         if isinstance(one.settings, CameraSettings):
             own = [c for name, _, c in calibration.sensors if name == one.name and isinstance(c, CameraCalibration)]
-            found += [line for camera in own if (line := _against_optics(one.name, one.settings, camera))]
+            found += [line for camera in own for line in _against_optics(one.name, one.settings, camera)]
     return tuple(found)
 
 
@@ -39,14 +53,15 @@ def expected_m_per_px(camera: CameraSettings, calibration: CameraCalibration) ->
     return None if camera.distance_m is None or focal_px is None else camera.distance_m / focal_px
 
 
-def _against_optics(name: str, camera: CameraSettings, calibration: CameraCalibration) -> str:
-    """A sentence where the scale factor is not what the optics make it; else empty."""
+def _against_optics(name: str, camera: CameraSettings, calibration: CameraCalibration) -> list[Notice]:
+    """A sentence where the scale factor is not what the optics make it."""
     expected = expected_m_per_px(camera, calibration)
     found = abs(calibration.scale.value_m_per_px)
     if expected is None or 1.0 / OPTICS_WITHIN < found / expected < OPTICS_WITHIN:
-        return ""
-    return (
+        return []
+    text = (
         f"{name}: distance and focal length make {1e3 * expected:.3g} mm/px, the accelerometer "
         f"{1e3 * found:.3g} mm/px, {found / expected:.3g} times as much. Check accelerometer.unit and sensitivity; "
         "distance_m, focal_length_mm and pixel_pitch_um of the camera; and whether the video was resized or zoomed."
     )
+    return [Notice("scale-implausible", text)]

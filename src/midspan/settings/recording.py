@@ -1,11 +1,12 @@
 """The whole tree of `recording.toml`: its sensors, the calibration and the fusion."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, SerializationInfo, model_serializer, model_validator
 
+from midspan.calibration.printed import PrintedSteps
 from midspan.checks import RATE_HZ
 from midspan.fusion.methods import METHODS, no_literal_form
 from midspan.settings.camera import CameraSettings, InfraredSettings
@@ -20,6 +21,9 @@ from midspan.settings.fields import (
 from midspan.settings.kinds import KINDS, Listed, sensor_names
 from midspan.settings.sensors import AccelerometerSettings, DisplacementSettings, RadarSettings, ReferenceSettings
 
+if TYPE_CHECKING:
+    from midspan.fusion.streams import KalmanSettings, MethodSettings
+
 Frequency = Annotated[float, IsNumber, limited(0.0, RATE_HZ.high, "Hz")]
 
 
@@ -33,13 +37,25 @@ class CalibrationSettings(Section):
     )
     band_hz: Annotated[tuple[Frequency, Frequency] | None, AfterValidator(second_is_larger)] = Field(
         None,
-        description="band of acceleration compared with the camera, Hz; left out: all that rates and noise allow",
+        description="band of acceleration compared with the camera, Hz; left out: all that rates and noise allow, with "
+        "literal the papers'",
+    )
+    literal: bool = Field(False, strict=True, description="scale factor and clock offset of a camera as printed")
+    spline: bool = Field(
+        True, strict=True, description="with literal: the cross-correlation is interpolated; false: to the frame only"
     )
     max_offset_s: Annotated[float, IsNumber, Field(ge=0, le=3600)] = Field(
         0.5,
         description="largest clock offset searched for, s; a larger one finds clocks farther apart and is refused more "
         "often as ambiguous",
     )
+
+    def printed(self, camera: CameraSettings | None) -> PrintedSteps | None:
+        """How a camera is calibrated as printed, None: by likelihood; with `template` as in that tracker's paper."""
+        if not self.literal:
+            return None
+        template = camera is not None and camera.tracker == "template"
+        return PrintedSteps(self.band_hz, self.spline, sampled_first=template)
 
 
 class FusionSettings(Section):
@@ -56,6 +72,24 @@ class FusionSettings(Section):
     forgetting: Annotated[float, IsNumber, Field(gt=0, lt=1)] = Field(
         0.95, description="factor beta of `adaptive-kalman`; nearer to 1 learns more slowly"
     )
+    first_frames: Annotated[int, IsNumber, Field(ge=1, le=1_000_000)] = Field(
+        10, description="`adaptive-kalman` as printed: frames before its noise R is learnt"
+    )
+    start_noise_mm: Annotated[float, IsNumber, limited(1e-9, 1e6, "mm")] | None = Field(
+        None, description="its noise in these frames, mm; left out: as calibrated, and half a sample of the speed"
+    )
+    start_velocity_mm_s: Annotated[float, IsNumber, limited(0.0, 1e9, "mm/s")] | None = Field(
+        None, description="standard deviation of its first velocity, mm/s; left out: three times the rms speed"
+    )
+    half_window: Annotated[int, IsNumber, Field(ge=8, le=1_000_000)] | None = Field(
+        None, description="`fir` as printed: samples on each side of a row; left out: 0.5 s, or by cut_off_hz"
+    )
+    cut_off_hz: Annotated[float, IsNumber, limited(1e-6, RATE_HZ.high, "Hz")] | None = Field(
+        None, description="`fir` as printed: from where the acceleration counts, Hz; left out: 1.5 / half_window in s"
+    )
+    accuracy: Annotated[float, IsNumber, Field(gt=0, lt=1)] = Field(
+        0.97, description="`fir` as printed: share of the amplitude at cut_off_hz that the acceleration gives"
+    )
 
     @model_validator(mode="after")
     def _has_a_literal_form(self) -> "FusionSettings":
@@ -63,9 +97,26 @@ class FusionSettings(Section):
             raise ValueError(no_literal_form(self.method))
         return self
 
+    def of_method(self, kalman: "KalmanSettings | None" = None) -> "MethodSettings":
+        """What a method is run with; kalman: what is known of the axis, the usual where it is left out."""
+        from midspan.fusion.streams import MethodSettings
+
+        own = MethodSettings(
+            lag_s=self.lag_s,
+            literal=self.literal,
+            forgetting=self.forgetting,
+            first_frames=self.first_frames,
+            start_noise_m=None if self.start_noise_mm is None else 1e-3 * self.start_noise_mm,
+            start_velocity_m_s=None if self.start_velocity_mm_s is None else 1e-3 * self.start_velocity_mm_s,
+            half_window=self.half_window,
+            cut_off_hz=self.cut_off_hz,
+            accuracy=self.accuracy,
+        )
+        return own if kalman is None else replace(own, kalman=kalman)
+
 
 class SiteSettings(Section):
-    """Where the structure stands: kept with the result; no number depends on it."""
+    """Where the structure stands: kept with the result; only the published rule of two cameras uses it."""
 
     latitude_deg: Annotated[float, IsNumber, Field(ge=-90, le=90)] = Field(description="degrees, north positive")
     longitude_deg: Annotated[float, IsNumber, Field(ge=-180, le=180)] = Field(description="degrees, east positive")
@@ -175,6 +226,17 @@ class RecordingSettings(Section):
             if listed or not info.exclude_none:
                 tree[kind] = listed if len(listed) > 1 else (*listed, None)[0]
         return tree
+
+    def calibrated_as_printed(self) -> "RecordingSettings":
+        """The same with cameras calibrated as printed, and with trackers as printed where they have such a form."""
+        calibration = self.calibration.model_copy(update={"literal": True})
+        return self.model_copy(
+            update={
+                "calibration": calibration,
+                "cameras": tuple(camera.as_printed() for camera in self.cameras),
+                "infrareds": tuple(camera.as_printed() for camera in self.infrareds),
+            }
+        )
 
     def of_kind(self, kind: str) -> tuple[SensorSettings, ...]:
         """The sections of one of KINDS."""

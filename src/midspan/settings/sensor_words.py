@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from midspan.errors import MidspanError
+from midspan.notices import Notice
 from midspan.settings.camera import InfraredSettings
 from midspan.settings.kinds import KINDS
 from midspan.settings.sensors import DisplacementSettings, RadarSettings
@@ -21,6 +22,11 @@ def worded(text: str, sensor: str) -> str:
     if sensor in KINDS and sensor != "infrared":
         return text
     return (_CAMERA if sensor == "infrared" else _ANY).sub(sensor, text)
+
+
+def renamed(notice: Notice, sensor: str) -> Notice:
+    """A notice as it reads for the sensor of this name."""
+    return notice.worded(worded(notice, sensor))
 
 
 @contextmanager

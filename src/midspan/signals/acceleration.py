@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from midspan.errors import DataError
+from midspan.notices import Notice
 from midspan.records import (
     NANOSECONDS,
     Acceleration,
@@ -42,6 +43,9 @@ FASTEST_SHARE = 0.2
 # White noise crosses zero as often. It is motion where samples next to each other or but one are correlated by more:
 # a tone above that share by 0.8 and more where it is all there is.
 MIN_CORRELATED = 0.3
+# Values are held where nearly all their changes lie a multiple of the usual number of samples apart: by chance, as in a
+# coarse resolution, half of them do at most.
+MIN_CHANGES, HELD_SHARE = 20, 0.9
 # Share of samples that may be missing, frozen or clipped before the channel is refused.
 MAX_MISSING = 0.2
 MAX_CLIPPED = 0.05
@@ -62,7 +66,7 @@ class PreparedAcceleration:
     missing: Mask
     rate_hz: float
     events: tuple[Event, ...]
-    warnings: tuple[str, ...]
+    warnings: tuple[Notice, ...]
     cross_m_s2: Floats | None = None
 
     def with_noise(self, density: float, motion_s: float = 0.0) -> Acceleration:
@@ -169,17 +173,37 @@ def prepare_acceleration(series: TimeSeries, where: str) -> PreparedAcceleration
     straight = towards_mean(bridged(series.value, missing), missing, usual.rate_hz)
     value = np.where(held, with_crests(series.value, held), straight)
     density = _bridging_density(value, missing, usual)
-    warnings = [f"{where}: {line}." for line in series.damage]
-    warnings += [f"{where}: {line}; they were bridged and marked." for line in unusable_samples(series)]
+    warnings = [Notice("file-damaged", f"{where}: {line}.") for line in series.damage]
+    warnings += [
+        Notice("samples-bridged", f"{where}: {line}; they were bridged and marked.")
+        for line in unusable_samples(series)
+    ]
     if len(usual.gaps):
         longest = float(np.max(usual.gap_s))
-        warnings.append(f"{where}: gaps in time: {len(usual.gaps)}, the longest {longest:.3g} s; bridged and marked.")
+        warnings.append(
+            Notice(
+                "samples-bridged",
+                f"{where}: gaps in time: {len(usual.gaps)}, the longest {longest:.3g} s; bridged and marked.",
+            )
+        )
     fastest = dominant_frequency(value, usual.rate_hz)
     if fastest > FASTEST_SHARE * usual.rate_hz and _correlated(value):
         warnings.append(
-            f"{where}: most of the acceleration lies near {fastest:.3g} Hz, too close to the rate of "
-            f"{usual.rate_hz:.4g} Hz: "
-            "integration then errs by more than 1 %. Record at ten times the highest frequency or more."
+            Notice(
+                "rate-too-low",
+                f"{where}: most of the acceleration lies near {fastest:.3g} Hz, too close to the rate of "
+                f"{usual.rate_hz:.4g} Hz: "
+                "integration then errs by more than 1 %. Record at ten times the highest frequency or more.",
+            )
+        )
+    if (step := held_samples(series.value)) > 1:
+        warnings.append(
+            Notice(
+                "rate-too-low",
+                f"{where}: its values change with every {step}th sample only: it was recorded or sent at "
+                f"{usual.rate_hz / step:.4g} Hz and filled up by holding, which delays and bends fast motion. Export "
+                "it at the rate at which it was sampled.",
+            )
         )
     events = [Event(int(series.time_ns[a]), "bridged", f"{where}: {b - a} samples bridged.") for a, b in runs(missing)]
     events += [
@@ -187,6 +211,16 @@ def prepare_acceleration(series: TimeSeries, where: str) -> PreparedAcceleration
         for i, s in zip(usual.gaps, usual.gap_s, strict=True)
     ]
     return PreparedAcceleration(series.time_ns, value, density, missing, usual.rate_hz, tuple(events), tuple(warnings))
+
+
+def held_samples(value: Floats) -> int:
+    """Over how many samples (n,) each value is held where all are held alike; 1 where they are not."""
+    places = np.flatnonzero(np.diff(value))
+    if len(places) < MIN_CHANGES:
+        return 1
+    steps = np.diff(places)
+    usual = int(np.median(steps))
+    return usual if usual > 1 and np.mean(steps % usual == 0) >= HELD_SHARE else 1
 
 
 def _unusable(series: TimeSeries) -> tuple[Mask, Mask, Mask, Mask]:

@@ -1,4 +1,4 @@
-"""miniSEED version 3: displacement, its standard deviation and velocity as 64-bit floats."""
+"""miniSEED version 2: displacement, its standard deviation and velocity as 64-bit floats."""
 
 from collections.abc import Iterator
 from itertools import pairwise
@@ -29,8 +29,9 @@ def encode(table: ResultTable) -> Iterator[bytes]:
     """Channels DSP (mm), STD (mm) and VEL (mm/s), of a second axis DSX or DSY and so on, at the median interval.
 
     A new segment begins after each gap.
-    Version 3 because its start times are exact to the ns and its rate has 64 bits. Source, status and metadata have no
-    place in the format. Raises UsageError for a table without displacement or with fewer than two rows.
+    Version 2 because ObsPy and most of seismology read no other; its start times are rounded to the µs. Source, status
+    and metadata have no place in the format. Raises UsageError for a table without displacement or with fewer than two
+    rows.
     """
     from pymseed import DataEncoding, MS3TraceList
 
@@ -48,7 +49,7 @@ def encode(table: ResultTable) -> Iterator[bytes]:
         for first, last in pairwise(edges):
             start_ns = int(table.time_ns[first])
             traces.add_data(_SOURCE.format(*code), values[first:last], "d", 1e9 / step_ns, starttime=start_ns)
-    yield b"".join(traces.generate(encoding=DataEncoding.FLOAT64, format_version=3))
+    yield b"".join(traces.generate(encoding=DataEncoding.FLOAT64, format_version=2))
 
 
 def _step_ns(time_ns: Nanoseconds) -> float:

@@ -27,7 +27,7 @@ _FORMATS = (
     _Format("MATLAB 5", (".mat",), "scipy", "matlab"),
     _Format("Excel workbook", (".xlsx",), "openpyxl", "xlsx"),
     _Format("TDMS", (".tdms",), "npTDMS", "tdms"),
-    _Format("miniSEED 3", (".mseed",), "pymseed", "miniseed"),
+    _Format("miniSEED 2", (".mseed",), "pymseed", "miniseed"),
     _Format("Universal file, dataset 58", (".uff",), "midspan", "uff"),
 )
 

@@ -1,6 +1,8 @@
 """Excel workbooks: the rows in a sheet `result`, the metadata in a sheet `midspan`."""
 
+import errno
 import io
+import os
 from collections.abc import Iterator
 from contextlib import suppress
 from datetime import datetime
@@ -62,10 +64,14 @@ def encode(table: ResultTable) -> Iterator[bytes]:
             metadata.append([text[start : start + MAX_CHARACTERS]])
         with _Archive(stream, "w", ZIP_DEFLATED, allowZip64=True) as archive:
             ExcelWriter(book, archive).save()
-    except OSError:
+    except Exception as error:
         # The library keeps sheets in temporary files, which would complain of a full disk once more, later.
         _let_go(rows, metadata)
-        raise
+        # Where lxml is installed it writes them, and has errors of its own: IO_ENOSPC.
+        code = getattr(errno, str(error).removeprefix("IO_"), None)
+        if code is None:
+            raise
+        raise OSError(code, os.strerror(code)) from error
     yield stream.getvalue()
 
 
@@ -74,7 +80,7 @@ def _let_go(*sheets: Any) -> None:
     for sheet in sheets:
         for writing in (sheet._rows, getattr(sheet._writer, "xf", None)):
             if writing is not None:
-                with suppress(OSError):
+                with suppress(Exception):
                     writing.close()
 
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from midspan.checks import option, positive, refuse
 from midspan.errors import UntrustedError
+from midspan.notices import Notice
 from midspan.records import Floats
 from midspan.vision.lens import MODELS, Lens, bent, straight
 
@@ -76,7 +77,7 @@ class LensFit:
     reach: tuple[float, ...]
     corners: Floats
     residuals: Floats
-    warnings: tuple[str, ...]
+    warnings: tuple[Notice, ...]
 
     @property
     def boards(self) -> int:
@@ -185,10 +186,10 @@ def calibrate_lens(views: Sequence[Floats], board: Board, size: tuple[int, int],
     left_out = f"Left out, as they do not fit the others: {dropped} of {len(kept)} views of the board."
     seen = replace(seen, corners=seen.corners[kept])
     _refuse_few(len(seen.corners), f" that fit one another ({dropped} do not)")
-    return _judged(_solve(seen), seen, (left_out,))
+    return _judged(_solve(seen), seen, (Notice("lens", left_out),))
 
 
-def _judged(solution: _Solution, seen: _Views, warnings: tuple[str, ...]) -> LensFit:
+def _judged(solution: _Solution, seen: _Views, warnings: tuple[Notice, ...]) -> LensFit:
     residuals = _residuals(solution, seen)
     rms = float(np.sqrt(np.mean(np.sum(residuals**2, axis=2))))
     _refuse_poor_fit(rms, seen.model)
@@ -363,28 +364,44 @@ def _coverage(places: Floats, size: tuple[int, int], centre: Floats) -> tuple[fl
     return filled, tuple(reach), min(covered)
 
 
-def _doubts(fit: LensFit) -> list[str]:
+def _doubts(fit: LensFit) -> list[Notice]:
     """What a user should know before relying on the lens."""
     found = []
     if fit.boards < MANY_BOARDS:
-        found.append(f"{fit.boards} views of the board; {MANY_BOARDS} to 30 make the result more certain.")
+        found.append(
+            Notice("lens", f"{fit.boards} views of the board; {MANY_BOARDS} to 30 make the result more certain.")
+        )
     if fit.rms_px > WARNED_RMS_PX:
         found.append(
-            f"The corners miss the model by {fit.rms_px:.2f} px rms (0.1 to 0.3 px is usual). Check that the board is "
-            "flat, the pictures sharp and the stabiliser off."
+            Notice(
+                "lens",
+                f"The corners miss the model by {fit.rms_px:.2f} px rms (0.1 to 0.3 px is usual). Check that the board "
+                "is flat, the pictures sharp and the stabiliser off.",
+            )
         )
     if fit.focal_std > WARNED_FOCAL:
-        found.append(f"The focal length is known to ± {100 * fit.focal_std:.2g} % only. Tilt the board more.")
+        found.append(
+            Notice("lens", f"The focal length is known to ± {100 * fit.focal_std:.2g} % only. Tilt the board more.")
+        )
     if fit.coverage < ENOUGH_CELLS:
         found.append(
-            f"The boards cover {100 * fit.coverage:.0f} % of the picture; fill at least {100 * ENOUGH_CELLS:.0f} %."
+            Notice(
+                "lens",
+                f"The boards cover {100 * fit.coverage:.0f} % of the picture; fill at least {100 * ENOUGH_CELLS:.0f} "
+                "%.",
+            )
         )
     missing = [name for name, reach in zip(QUADRANTS, fit.reach, strict=True) if reach < ENOUGH_REACH]
     if missing:
         found.append(
-            f"The rim is not covered ({', '.join(missing)}): the model is extrapolated there. Move the board into the "
-            "corners of the picture."
+            Notice(
+                "lens",
+                f"The rim is not covered ({', '.join(missing)}): the model is extrapolated there. Move the board into "
+                "the corners of the picture.",
+            )
         )
     if not math.isfinite(fit.rim_std):
-        found.append("The model does not reach the corners of the picture; regions there will be refused.")
+        found.append(
+            Notice("lens", "The model does not reach the corners of the picture; regions there will be refused.")
+        )
     return found

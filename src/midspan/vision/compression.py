@@ -6,7 +6,7 @@ the rounding of its motion. The noise of the difference to the frame before, ove
 long ago, is 1 in raw frames; what is missing from 1 is the inherited share. Codecs that take each picture by itself
 show steps at the edges of blocks.
 
-The constants that turn these into pixels were set on simulated frames through x264 and MJPEG (see docs/methods.md).
+The constants that turn these into pixels were set on simulated frames through x264 and MJPEG (see docs/validation.md).
 """
 
 import math

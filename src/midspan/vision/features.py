@@ -262,7 +262,7 @@ def good_matches(
     """Indices of the matches (n, 2), px, that rejection I and, with a prediction, II keep; see `literal`."""
     kept, epsilon = np.arange(len(first)), settings.epsilon_px
     if settings.literal:
-        kept = kept[rejection_one(first, now, epsilon, rng=rng)]
+        kept = kept[rejection_one(first, now, epsilon, rng=rng, literal=True)]
         return kept if prediction is None else kept[rejection_two((now - first)[kept], prediction, epsilon)]
     if prediction is not None:
         kept = kept[rejection_two(now - first, prediction, epsilon)]

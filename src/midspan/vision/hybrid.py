@@ -3,6 +3,10 @@
 After the paper on hybrid phase and feature matching, equations 4 and 14 to 19. The prediction rounded to whole pixels
 moves the region; the mean phase of the active pixels measures what is left. Before anything has been learnt, active
 pixels are those of large amplitude and the gain comes from the slope of the reference's own phase.
+
+With `literal` the phase tracker is the paper's section 2 (the region stays where it is, equations 3 and 4), the hybrid
+its section 3: one axis alone, all active pixels alike, nothing taken back. Until they have learnt from the
+accelerometer both give what the matcher finds, which is step 1 of the paper's calibration.
 """
 
 import math
@@ -15,9 +19,9 @@ from numpy.typing import NDArray
 
 from midspan.checks import option, refuse
 from midspan.errors import DataError, UsageError
-from midspan.records import Floats, Frame, PixelTranslation, Prediction, Region, Status
+from midspan.records import NANOSECONDS, Floats, Frame, PixelTranslation, Prediction, Region, Status
 from midspan.vision.active_pixels import ActivePixels
-from midspan.vision.phase_flow import gradient_form, phase_change, phase_slopes
+from midspan.vision.phase_flow import SMALLEST_SLOPE, gradient_form, phase_change, phase_slopes
 from midspan.vision.phase_model import (
     INSET_PX,
     SPLIT_FRAMES,
@@ -27,17 +31,19 @@ from midspan.vision.phase_model import (
     first_model,
     learnt_model,
     measure,
+    measure_printed,
     reference_field,
     region_patch,
 )
+from midspan.vision.printed_phase import PrintedRule, printed_model
 from midspan.vision.region import SMALLEST_SIDE_PX, check_size
 from midspan.vision.spline import Floats32
 from midspan.vision.steerable import AXES, MARGIN_PX, quadrature, responses
 from midspan.vision.target import FULL_QUALITY, Motion, lost
 from midspan.vision.texture import values
-from midspan.vision.tracker import Tracker, open_tracker
+from midspan.vision.tracker import TRACKERS, Tracker, open_tracker, tracker_settings
 
-MOST_LEARNT_FRAMES = 240
+MOST_LEARNT_FRAMES, PRINTED_FRAMES = 240, 500  # printed: 50 s at 10 frames a second
 MOST_LEARNT_VALUES = 30_000_000  # phases of all pixels in all frames: 120 MB
 FARTHEST_RESIDUAL_PX = 0.6  # a residual above this moves the region once more: half a pixel, and some play
 CHANCE_COHERENCE = 0.25  # unrelated texture reaches about 0.1
@@ -47,30 +53,33 @@ CHANCE_COHERENCE = 0.25  # unrelated texture reaches about 0.1
 class PhaseSettings:
     """Settings of the phase and hybrid trackers.
 
+    literal: exactly the published steps, see above; least_information, weighted and min_coherence are then not used.
     form: "gain" (mean phase times the phase scale factor) or "gradient" (the conventional mean of phase by slope).
-    active_pixels: "correlation" (learnt, maximum R²) or "amplitude" (the conventional threshold). least_information:
-    share of the information that active pixels must keep, 0 to 1. weighted: whether pixels count by the square of
-    their amplitude in the mean, or equally as in the paper. matcher: the tracker that finds the target's whole-pixel
-    place. spacing: of the filters' taps in widths of their Gaussian, 0.3 (long waves) to 1 (short).
-    min_coherence: share of the agreement of phases that noise allows below which the target counts as lost, 0 to 1.
-    bias_floor_px: standard
-    deviation added for what the linear gain gets wrong, 0 px or more.
+    active_pixels: "correlation" (learnt, maximum R²), "amplitude" (the conventional threshold) or "all".
+    least_information: share of the information that active pixels must keep, 0 to 1. weighted: whether pixels count by
+    the square of their amplitude in the mean, or equally as in the paper. matcher: the tracker that finds the target's
+    whole-pixel place; left out: template, with literal features as printed. spacing: of the filters' taps in widths of
+    their Gaussian, 0.3 (long waves) to 1 (short). min_coherence: share of the agreement of phases that noise allows
+    below which the target counts as lost, 0 to 1. bias_floor_px: standard deviation added for what the linear gain gets
+    wrong, 0 px or more.
     """
 
+    literal: bool = False
     form: str = "gain"
     active_pixels: str = "correlation"
     least_information: float = 0.5
     weighted: bool = True
-    matcher: str = "template"
+    matcher: str = ""
     spacing: float = 0.67
     min_coherence: float = 0.5
     bias_floor_px: float = 0.0005
 
     def __post_init__(self) -> None:
         option("form", self.form, ("gain", "gradient"))
-        option("active_pixels", self.active_pixels, ("correlation", "amplitude"))
+        option("active_pixels", self.active_pixels, ("correlation", "amplitude", "all"))
         if self.matcher in ("phase", "hybrid"):
             raise refuse("matcher", "a tracker that works without phase, such as template", self.matcher)
+        option("matcher", self.matched_by, TRACKERS)
         if not 0.0 <= self.least_information <= 1.0:
             raise refuse("least_information", "from 0 to 1", self.least_information)
         if not 0.3 <= self.spacing <= 1.0:
@@ -79,6 +88,16 @@ class PhaseSettings:
             raise refuse("min_coherence", "above 0 and below 1", self.min_coherence)
         if not 0.0 <= self.bias_floor_px < math.inf:
             raise refuse("bias_floor_px", "0 px or more", self.bias_floor_px)
+
+    @property
+    def matched_by(self) -> str:
+        """Name of the tracker that finds the whole-pixel place."""
+        return self.matcher or ("features" if self.literal else "template")
+
+    @property
+    def needs_motion(self) -> bool:
+        """Whether it must have learnt before it measures as printed; the conventional forms need not."""
+        return self.literal and (self.form == "gain" or self.active_pixels == "correlation")
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,7 +138,10 @@ class PhaseTracker(Tracker):
         self._fields = tuple(reference_field(patch, axis, settings.spacing) for axis in AXES)
         noise = max(f.noise_share for f in self._fields)
         self._least_coherence = max(settings.min_coherence * (1.0 - noise), CHANCE_COHERENCE)
-        self._first = first_model(self._fields, weighted=settings.weighted)
+        everywhere = settings.active_pixels == "all"
+        self._first = first_model(
+            self._fields, weighted=settings.weighted and not settings.literal, everywhere=everywhere
+        )
         self._state = PhaseState(matcher=self._matcher.state)
 
     def restore(self, state: PhaseState) -> None:
@@ -147,6 +169,8 @@ class PhaseTracker(Tracker):
     def push(self, frame: Frame, prediction: Prediction | None = None) -> PixelTranslation:
         """Measure the translation (px) of the target in `frame`; LOST with NaN where it cannot be found."""
         self._check_size(frame)
+        if self.settings.needs_motion and self._state.model is None:
+            return self._by_matcher(frame, prediction)
         fix = self._find(frame, prediction)
         if fix is None:
             self._state = self._state.missed()
@@ -159,34 +183,64 @@ class PhaseTracker(Tracker):
 
     @property
     def frames_to_learn(self) -> int:
-        """How many frames are worth learning from: 240, fewer for large regions."""
+        """How many frames are worth learning from: 240, literal 500, fewer for large regions."""
         values_of_frame = 2 * self._window.width * self._window.height
-        return min(MOST_LEARNT_FRAMES, max(MOST_LEARNT_VALUES // values_of_frame, SPLIT_FRAMES))
+        most = PRINTED_FRAMES if self.settings.literal else MOST_LEARNT_FRAMES
+        return min(most, max(MOST_LEARNT_VALUES // values_of_frame, SPLIT_FRAMES))
+
+    @property
+    def learns_by_acceleration(self) -> bool:
+        """Whether it is to be taught with the accelerometer's translation."""
+        return self.settings.needs_motion
 
     def learn(
-        self, frames: Sequence[Frame], translation_px: Floats | None = None, *, direction: str = "y"
+        self,
+        frames: Sequence[Frame],
+        translation_px: Floats | None = None,
+        *,
+        direction: str = "y",
+        band_hz: tuple[float, float] | None = None,
     ) -> PhaseModel:
         """Choose active pixels and learn the gains from frames in which the target moves.
 
         `translation_px` (n,) px along the image axis `direction`, from any zero and without drift (say from the
-        accelerometer); without it, and for the other axis, the matcher's own translations. An axis that hardly moves
-        keeps what is known from the reference. Returns the model now in use. Raises DataError with too few frames.
+        accelerometer); without it, and for the other axis, the matcher's own translations. `band_hz`: of the
+        comparison, with literal; else it is ignored. An axis that hardly moves keeps what is known from the reference.
+        Returns the model now in use. Raises DataError with too few frames.
         """
         option("direction", direction, AXES)
         if translation_px is not None and len(translation_px) != len(frames):
             raise refuse("translation_px", f"one value for each of the {len(frames)} frames", len(translation_px))
+        if self.settings.literal:
+            return self._learn_printed(frames, translation_px, direction, band_hz)
         step = max(1, math.ceil(len(frames) / self.frames_to_learn))
         given = None if translation_px is None else np.asarray(translation_px, dtype=np.float64)[::step]
         learning = self._observe(frames[::step], given, AXES.index(direction))
-        if self.settings.active_pixels == "correlation":
+        if self.settings.active_pixels != "amplitude":
             model = learnt_model(
                 self._fields,
                 self._first,
                 learning,
                 weighted=self.settings.weighted,
-                least_information=self.settings.least_information,
+                least_information=1.0 if self.settings.active_pixels == "all" else self.settings.least_information,
             )
             self._state = replace(self._state, model=model)
+        return self.model
+
+    def _learn_printed(
+        self,
+        frames: Sequence[Frame],
+        translation_px: Floats | None,
+        direction: str,
+        band_hz: tuple[float, float] | None,
+    ) -> PhaseModel:
+        """Step 3 of the calibration, from the first frames, evenly spaced but for those that the matcher loses."""
+        frames, axis = frames[: self.frames_to_learn], AXES.index(direction)
+        given = None if translation_px is None else np.asarray(translation_px, dtype=np.float64)[: len(frames)]
+        rate_hz = NANOSECONDS / max(float(np.median(np.diff([frame.time_ns for frame in frames]))), 1.0)
+        rule = PrintedRule(self.settings.active_pixels, None if given is None else axis, band_hz, rate_hz)
+        learning = self._observe(frames, given, axis)
+        self._state = replace(self._state, model=printed_model(self._fields, self._first, learning, rule))
         return self.model
 
     def _observe(self, frames: Sequence[Frame], given: Floats | None, axis: int) -> Learning:
@@ -214,8 +268,18 @@ class PhaseTracker(Tracker):
             raise DataError(f"Learning needs at least 5 frames that show the target; received {len(residual)}.")
         return Learning((np.stack(phases[0]), np.stack(phases[1])), np.array(residual))
 
+    def _by_matcher(self, frame: Frame, prediction: Prediction | None) -> PixelTranslation:
+        """The matcher's translation, until active pixels and gain are known."""
+        found = self._matcher.push(frame, prediction)
+        tracked = found.status is Status.TRACKING
+        state = self._state.seen(frame.time_ns, (found.x_px, found.y_px)) if tracked else self._state.missed()
+        self._state = replace(state, matcher=self._matcher.state)
+        return found
+
     def _find(self, frame: Frame, prediction: Prediction | None) -> PhaseFix | None:
         """Phase about the expected place; a target that was lost before is looked for first."""
+        if self.settings.literal:
+            return self._by_phase(frame, (0, 0))
         place, _ = self._expected(prediction)
         if self._state.lost_frames > 0:
             return self._matched(frame, prediction)
@@ -224,17 +288,18 @@ class PhaseTracker(Tracker):
     def _expected(self, prediction: Prediction | None) -> tuple[tuple[int, int], float]:
         """Whole-pixel place by equation 14, or the last one, and the standard deviation of that, px.
 
-        Of the two axes the better predicted one counts: it is the one that the structure moves along; a miss along the
-        other shows in the coherence.
+        The axis that the accelerometer showed counts, else the better predicted one: it is the one that the structure
+        moves along; a miss along the other shows in the coherence.
         """
         if prediction is not None and math.isfinite(prediction.x_px + prediction.y_px):
-            std = min(prediction.std_x_px, prediction.std_y_px)
+            both = (prediction.std_x_px, prediction.std_y_px)
+            std = min(both) if self.model.along is None else both[self.model.along]
             return (round(prediction.x_px), round(prediction.y_px)), std
         return (round(self._state.x_px), round(self._state.y_px)), math.inf
 
     def _matched(self, frame: Frame, prediction: Prediction | None) -> PhaseFix | None:
         """Equations 18 and 19: the matcher finds the whole-pixel place, phase measures the rest."""
-        if prediction is None and self._state.lost_frames == 0:
+        if prediction is None and self._state.lost_frames == 0 and not self.settings.literal:
             prediction = self._state.extrapolated(frame.time_ns)
         found = self._matcher.push(frame, prediction)
         self._state = replace(self._state, matcher=self._matcher.state, matched_frames=self._state.matched_frames + 1)
@@ -247,6 +312,8 @@ class PhaseTracker(Tracker):
 
         The linear gain holds for small residuals only.
         """
+        if self.settings.literal:
+            return self._printed(frame, place)
         x, y = place
         for _ in range(4):
             now = self._responses(frame.pixels, (x, y))
@@ -261,6 +328,16 @@ class PhaseTracker(Tracker):
                 return replace(fix, shift_px=fix.shift_px + np.array([x, y]))
             x, y = x + round(float(fix.shift_px[0])), y + round(float(fix.shift_px[1]))
         return None
+
+    def _printed(self, frame: Frame, place: tuple[int, int]) -> PhaseFix | None:
+        """Equation 17, or 3, about the whole-pixel `place`; None outside the image."""
+        now = self._responses(frame.pixels, place)
+        if now is None:
+            return None
+        fix = measure_printed(self.model, now)
+        if self.settings.form == "gradient":
+            fix = replace(fix, shift_px=self._gradient_form(frame.pixels, place))
+        return replace(fix, shift_px=fix.shift_px + np.array(place)) if np.isfinite(fix.shift_px).all() else None
 
     def _responses(
         self, pixels: NDArray[np.generic], place: tuple[int, int]
@@ -288,11 +365,13 @@ class PhaseTracker(Tracker):
             slope = phase_slopes(now)[k].ravel()[axis.index]
             inner = np.ascontiguousarray(now[1:-1, 1:-1])
             change = phase_change((inner.real.copy(), inner.imag.copy()), axis.reference, axis.index)
-            out.append(gradient_form(change, slope))
+            out.append(gradient_form(change, slope, 0.0 if self.settings.literal else SMALLEST_SLOPE))
         return np.array(out)
 
     def _open_matcher(self) -> Tracker:
-        return open_tracker(self.settings.matcher, self._reference, self._region)
+        name = self.settings.matched_by
+        printed = {"literal": True} if self.settings.literal and name == "features" else {}
+        return open_tracker(name, self._reference, self._region, tracker_settings(name, **printed))
 
     def _check_size(self, frame: Frame) -> None:
         check_size(frame, self._reference)
@@ -304,9 +383,11 @@ class HybridTracker(PhaseTracker):
     def could_wrap(self, prediction: Prediction | None) -> bool:
         """Whether the 99.7 % bound of the residual motion reaches π times the gain (equation 16)."""
         _, std = self._expected(prediction)
-        return not 3.0 * std + 0.5 < math.pi * min(abs(gain) for gain in self.phase_gain_px_per_rad)
+        gains, along = np.abs(self.phase_gain_px_per_rad), self.model.along
+        return not 3.0 * std + 0.5 < math.pi * float(gains.min() if along is None else gains[along])
 
     def _find(self, frame: Frame, prediction: Prediction | None) -> PhaseFix | None:
+        """Equations 14 to 19."""
         if self._state.lost_frames == 0 and not self.could_wrap(prediction):
             place, _ = self._expected(prediction)
             fix = self._by_phase(frame, place)

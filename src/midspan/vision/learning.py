@@ -147,30 +147,39 @@ def fit(items: list[Sample], start: Floats32, penalty: float, least: float = 0.0
 
 
 @njit(cache=True)
-def _laplacian(grid: Floats) -> Floats:
-    """Sum of the four neighbours less four times the value; beyond the edge the value itself."""
-    rows, columns = grid.shape
-    out = np.empty_like(grid)
+def _laplacian(grid: Floats, out: Floats) -> None:
+    """Fill `out` with the sum of the four neighbours less four times the value; beyond the edge the value itself."""
+    rows, last = grid.shape[0], grid.shape[1] - 1
     for r in range(rows):
-        up, down = max(r - 1, 0), min(r + 1, rows - 1)
-        for c in range(columns):
-            before, after = max(c - 1, 0), min(c + 1, columns - 1)
-            out[r, c] = grid[up, c] + grid[down, c] + grid[r, before] + grid[r, after] - 4.0 * grid[r, c]
-    return out
+        own, up, down, into = grid[r], grid[max(r - 1, 0)], grid[min(r + 1, rows - 1)], out[r]
+        # The two edges apart: the rest then runs without a question, several values at once.
+        for c in (0, last):
+            into[c] = up[c] + down[c] + own[max(c - 1, 0)] + own[min(c + 1, last)] - 4.0 * own[c]
+        before, middle, after = own[: last - 1], own[1:last], own[2:]
+        up, down, into = up[1:last], down[1:last], into[1:last]
+        for c in range(last - 1):
+            into[c] = up[c] + down[c] + before[c] + after[c] - 4.0 * middle[c]
 
 
 @njit(cache=True)
+def _powered(grid: Floats32, twice: int) -> Floats:
+    """The Laplacian applied two times or, `twice` being 2, four times."""
+    out = grid.astype(np.float64)
+    other = np.empty_like(out)
+    for _ in range(twice):
+        _laplacian(out, other)
+        _laplacian(other, out)
+    return out
+
+
 def _fourth(grid: Floats32) -> Floats:
     """The Laplacian applied four times: the gradient of half the squared Laplacian's squares."""
-    out = grid.astype(np.float64)
-    for _ in range(4):
-        out = _laplacian(out)
-    return out
+    return _powered(grid, 2)
 
 
 def _roughness(grid: Floats32) -> float:
     """Mean square of the Laplacian's Laplacian."""
-    return float(np.mean(_laplacian(_laplacian(grid.astype(np.float64)))[8:-8, 8:-8] ** 2))
+    return float(np.mean(_powered(grid, 1)[8:-8, 8:-8] ** 2))
 
 
 def _expected(item: Sample, grid: Floats32) -> Floats32:
@@ -220,12 +229,14 @@ def _normal(moved: Floats32, pixels: Floats32) -> tuple[Floats, Floats]:
     """Normal matrix (4, 4) and right side (4,) of pixels (h, w) by shift along x and y, gain and level; `moved`
     (3, h, w): values and slopes of what they are compared with.
     """
-    matrix, right, column = np.zeros((4, 4)), np.zeros(4), np.ones(4)
+    xx = xy = xt = x1 = yy = yt = y1 = tt = t1 = xp = yp = tp = sp = 0.0
     for r in range(pixels.shape[0]):
         for c in range(pixels.shape[1]):
-            column[0], column[1], column[2] = -moved[1, r, c], -moved[2, r, c], moved[0, r, c]
-            for i in range(4):
-                right[i] += column[i] * pixels[r, c]
-                for j in range(4):
-                    matrix[i, j] += column[i] * column[j]
-    return matrix, right
+            x, y = -np.float64(moved[1, r, c]), -np.float64(moved[2, r, c])
+            t, p = np.float64(moved[0, r, c]), np.float64(pixels[r, c])
+            xx, xy, xt, x1 = xx + x * x, xy + x * y, xt + x * t, x1 + x
+            yy, yt, y1, tt, t1 = yy + y * y, yt + y * t, y1 + y, tt + t * t, t1 + t
+            xp, yp, tp, sp = xp + x * p, yp + y * p, tp + t * p, sp + p
+    count = float(pixels.size)
+    matrix = np.array([[xx, xy, xt, x1], [xy, yy, yt, y1], [xt, yt, tt, t1], [x1, y1, t1, count]])
+    return matrix, np.array([xp, yp, tp, sp])

@@ -14,6 +14,7 @@ import numpy as np
 
 from midspan.checks import ValueRange, finite, option, positive, refuse, within
 from midspan.errors import UsageError
+from midspan.notices import Notice
 from midspan.records import Floats, PixelTranslation, Prediction, Region
 from midspan.vision.target import lost
 
@@ -178,16 +179,19 @@ def ideal_gain(gain: tuple[float, float], region: Region, lens: Lens | None) -> 
     return float(slope[0, 0] * gain[0]), float(slope[1, 1] * gain[1])
 
 
-def lens_warnings(region: Region, lens: Lens) -> list[str]:
+def lens_warnings(region: Region, lens: Lens) -> list[Notice]:
     """What is worth telling of a region under this lens: whether it lies where the board was never seen."""
     middle = _middle(region, lens)[0]
     distance = float(np.hypot(*(middle - np.array(lens.matrix[2:]))))
     if lens.covered_px is None or distance <= lens.covered_px:
         return []
     return [
-        f"camera.lens: the region lies {distance:.0f} px from the principal point, but the board was only seen up to "
-        f"{lens.covered_px:.0f} px. The correction is extrapolated there. Calibrate the lens with pictures that show "
-        "the board at the rim."
+        Notice(
+            "lens",
+            f"camera.lens: the region lies {distance:.0f} px from the principal point, but the board was only seen up "
+            f"to {lens.covered_px:.0f} px. The correction is extrapolated there. Calibrate the lens with pictures that "
+            "show the board at the rim.",
+        )
     ]
 
 

@@ -57,13 +57,13 @@ def phase_curvatures(field: Complex64) -> tuple[Floats, Floats, Floats]:
     return x.astype(np.float64), y.astype(np.float64), xy.astype(np.float64)
 
 
-def gradient_form(change: Floats32, slope: Floats) -> float:
+def gradient_form(change: Floats32, slope: Floats, smallest_slope: float = SMALLEST_SLOPE) -> float:
     """Translation in px as the mean of -change / slope over the pixels (k,): equation 3 without its scale factor.
 
     `change` in rad, `slope` of the current frame's phase along the axis in rad/px; pixels with next to no slope are
-    left out. NaN without any.
+    left out (below `smallest_slope`, rad/px; the equation has no such limit: 0). NaN without any.
     """
-    steep = np.abs(slope) >= SMALLEST_SLOPE
+    steep = np.abs(slope) >= max(smallest_slope, 1e-300)
     if not steep.any():
         return float("nan")
     return float(np.mean(-change[steep].astype(np.float64) / slope[steep]))

@@ -63,11 +63,17 @@ class PhaseAxis:
 
 @dataclass(frozen=True, slots=True)
 class PhaseModel:
-    """Both axes of a target, whether learnt from its motion, and R² of that (NaN where it was not)."""
+    """Both axes of a target, whether learnt from its motion, and R² of that (NaN where it was not).
+
+    ratios: translation by mean phase along x and y, px/rad, by least squares (None: from the slopes). along: number of
+    the axis that the accelerometer showed, None where both were learnt alike.
+    """
 
     x: PhaseAxis
     y: PhaseAxis
     r_squared: tuple[float, float] = (math.nan, math.nan)
+    ratios: tuple[float, float] | None = None
+    along: int | None = None
 
     @property
     def axes(self) -> tuple[PhaseAxis, PhaseAxis]:
@@ -77,7 +83,7 @@ class PhaseModel:
     @property
     def gains_px_per_rad(self) -> tuple[float, float]:
         """Translation by mean phase along x and y, signed: negative, as phase falls when the image moves forward."""
-        return 1.0 / float(self.x.mean_slope[0]), 1.0 / float(self.y.mean_slope[1])
+        return self.ratios or (1.0 / float(self.x.mean_slope[0]), 1.0 / float(self.y.mean_slope[1]))
 
     def mask(self, axis: str, shape: tuple[int, int]) -> Mask:
         """Active pixels of `axis` "x" or "y" in a region of `shape` (rows, columns)."""
@@ -141,14 +147,17 @@ def reference_field(patch: Floats32, axis: str, spacing: float) -> Field:
     return Field(np.ascontiguousarray(wide[1:-1, 1:-1]), slope, curve, axis, spacing, noise)
 
 
-def first_model(fields: Sequence[Field], *, weighted: bool) -> PhaseModel:
-    """Active pixels by amplitude and the gain from the reference's own phase slopes: what is known before learning."""
-    x, y = (_by_amplitude(field, weighted) for field in fields)
+def first_model(fields: Sequence[Field], *, weighted: bool, everywhere: bool = False) -> PhaseModel:
+    """Active pixels by amplitude and the gain from the reference's own phase slopes: what is known before learning.
+
+    everywhere: all pixels are active.
+    """
+    x, y = (_before_learning(field, weighted, everywhere) for field in fields)
     return PhaseModel(x, y)
 
 
-def _by_amplitude(field: Field, weighted: bool) -> PhaseAxis:
-    active = by_amplitude(field.amplitude).ravel()
+def _before_learning(field: Field, weighted: bool, everywhere: bool) -> PhaseAxis:
+    active = by_amplitude(field.amplitude).ravel() | everywhere
     amplitude = field.amplitude.ravel()[active]
     weight = amplitude**2 if weighted else np.ones(len(amplitude))
     gain_error = FIRST_GAIN_ERROR + GAIN_ERROR_OF_NOISE * field.noise_share
@@ -312,6 +321,20 @@ def measure(model: PhaseModel, now: Sequence[tuple[Floats32, Floats32]]) -> Phas
     coherence = min(_coherence(n, e, a.reference, a.index) for n, e, a in rows)
     gain_errors = np.array([axis.gain_error for axis in model.axes])
     return PhaseFix(shift, np.asarray((inverse**2) @ variance) + (gain_errors * shift) ** 2, coherence)
+
+
+def measure_printed(model: PhaseModel, now: Sequence[tuple[Floats32, Floats32]]) -> PhaseFix:
+    """Translation along each axis alone, the ratio times the mean phase of all active pixels: equations 4 and 17.
+
+    The variance is not the paper's: what one frame's noise makes of the mean phase.
+    """
+    phases = [phase_change(n, axis.reference, axis.index) for n, axis in zip(now, model.axes, strict=True)]
+    ratios = np.array(model.gains_px_per_rad)
+    shift = ratios * np.array([_mean(p, a.weight) for p, a in zip(phases, model.axes, strict=True)])
+    errors = [_errors(p, a.slope, a.curve, shift) for p, a in zip(phases, model.axes, strict=True)]
+    variance = ratios**2 * np.array([_variance(e, a) for e, a in zip(errors, model.axes, strict=True)])
+    rows = zip(now, errors, model.axes, strict=True)
+    return PhaseFix(shift, variance, min(_coherence(n, e, a.reference, a.index) for n, e, a in rows))
 
 
 def _solve(

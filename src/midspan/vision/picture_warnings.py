@@ -2,6 +2,7 @@
 
 import math
 
+from midspan.notices import Notice
 from midspan.vision.picture_counts import AxisCounts
 from midspan.vision.picture_quality import SATURATED_SHARE, PictureWatch
 
@@ -11,11 +12,16 @@ TOLD_SHARE, TOLD_FRAMES = 0.02, 3  # of the frames; and not less than so many
 MOST_FRAMES = 0.5
 
 
-def picture_warnings(watch: PictureWatch, axes: str) -> list[str]:
+def picture_warnings(watch: PictureWatch, axes: str) -> list[Notice]:
     """What `watch` found in the frames so far, measured along the image axes "x", "y" or "xy"."""
     along = [watch.counts.x if axis == "x" else watch.counts.y for axis in axes]
-    found = (_compression(watch, along), _blur(watch), _saturation(watch), _texture(along))
-    return [text for text in found if text]
+    found = {
+        "video-compressed": _compression(watch, along),
+        "frames-blurred": _blur(watch),
+        "region-exposure": _saturation(watch),
+        "region-texture": _texture(along),
+    }
+    return [Notice(code, text) for code, text in found.items() if text]
 
 
 def _compression(watch: PictureWatch, along: list[AxisCounts]) -> str:

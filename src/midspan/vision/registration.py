@@ -153,12 +153,19 @@ class RegistrationTracker(Tracker):
         strength = FULL_QUALITY * pose.share
         return PixelTranslation(frame.time_ns, x, y, var_x, var_y, pose.share, Status.TRACKING, strength=strength)
 
-    def learn(self, frames: Sequence[Frame], translation_px: Floats | None = None, *, direction: str = "y") -> Learnt:
+    def learn(
+        self,
+        frames: Sequence[Frame],
+        translation_px: Floats | None = None,
+        *,
+        direction: str = "y",
+        band_hz: tuple[float, float] | None = None,
+    ) -> Learnt:
         """Make the template anew from frames that show the target, best at many sub-pixel places.
 
-        The zero stays where it is for these frames, within their noise. `translation_px` and `direction` are taken so
-        that all trackers that learn are called alike; the tracker's own translations are the more exact. Returns what
-        is now in use. Raises DataError where fewer than 5 frames show the target undisturbed.
+        The zero stays where it is for these frames, within their noise. All but the frames is taken so that all
+        trackers that learn are called alike; the tracker's own translations are the more exact. Returns what is now in
+        use. Raises DataError where fewer than 5 frames show the target undisturbed.
         """
         option("direction", direction, ("x", "y"))
         step = max(1, math.ceil(len(frames) / MOST_LEARNT_FRAMES))

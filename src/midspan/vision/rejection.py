@@ -40,23 +40,27 @@ def best_match(first: Floats, now: Floats, rng: np.random.Generator) -> int:
     return int(a[np.argmin(index)])
 
 
-def distance_limits(difference: Floats, epsilon_px: float) -> tuple[Floats, Floats]:
+def distance_limits(difference: Floats, epsilon_px: float, *, literal: bool = False) -> tuple[Floats, Floats]:
     """Least and largest true distance (n,) of points that lie `difference` (n, 2) apart on the pixel grid: equation 16.
 
-    `epsilon_px` is the discretisation error of a coordinate. A coordinate within 2 epsilon may be no difference at all.
+    `epsilon_px` is the discretisation error of a coordinate. A coordinate within 2 epsilon may be no difference at all;
+    literal: the equation squares what is then below zero, so that equal coordinates count as 2 epsilon apart.
     """
     size = np.abs(difference)
-    least = np.maximum(size - 2.0 * epsilon_px, 0.0)
+    least = size - 2.0 * epsilon_px
+    least = least if literal else np.maximum(least, 0.0)
     return np.hypot(*least.T), np.hypot(*(size + 2.0 * epsilon_px).T)
 
 
-def rejection_one(first: Floats, now: Floats, epsilon_px: float, *, rng: np.random.Generator) -> Mask:
+def rejection_one(
+    first: Floats, now: Floats, epsilon_px: float, *, rng: np.random.Generator, literal: bool = False
+) -> Mask:
     """Matches (n,) whose distance to the best match is the same then and now: equations 15 to 17."""
     if len(first) < 2:
         return np.zeros(len(first), dtype=bool)
     best = best_match(first, now, rng)
-    then_least, then_largest = distance_limits(first - first[best], epsilon_px)
-    now_least, now_largest = distance_limits(now - now[best], epsilon_px)
+    then_least, then_largest = distance_limits(first - first[best], epsilon_px, literal=literal)
+    now_least, now_largest = distance_limits(now - now[best], epsilon_px, literal=literal)
     return np.asarray((then_largest >= now_least) & (now_largest >= then_least))
 
 

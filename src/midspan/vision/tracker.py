@@ -2,13 +2,13 @@
 
 import importlib
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from midspan.checks import instance, option, refuse
 from midspan.errors import DataError
-from midspan.records import Frame, PixelTranslation, Prediction, Region
+from midspan.records import Floats, Frame, PixelTranslation, Prediction, Region
 from midspan.vision.region import check_region, clamp, region_of, shift
 
 if TYPE_CHECKING:
@@ -67,8 +67,24 @@ class Tracker(ABC):
         """How many frames are worth learning from before the first is tracked; 0: none."""
         return 0
 
-    def learn(self, frames: Sequence[Frame]) -> Any:
-        """Learn from frames, in the order of their times, that begin with the reference frame; the zero stays there."""
+    @property
+    def learns_by_acceleration(self) -> bool:
+        """Whether it is to be taught with the accelerometer's translation, and not without."""
+        return False
+
+    def learn(
+        self,
+        frames: Sequence[Frame],
+        translation_px: Floats | None = None,
+        *,
+        direction: str = "y",
+        band_hz: tuple[float, float] | None = None,
+    ) -> Any:
+        """Learn from frames, in the order of their times, that begin with the reference frame; the zero stays there.
+
+        translation_px (n,): along the image axis `direction` as the accelerometer shows it, where it is known, to be
+        compared within `band_hz` only. Trackers that learn from the picture alone leave all three aside.
+        """
         return None
 
     @property
@@ -137,10 +153,15 @@ def tracker_settings(name: str, **values: Any) -> Any:
     """The settings record of the tracker `name` with `values` in place of its defaults; UsageError if unknown."""
     entry = TRACKERS[option("tracker", name, TRACKERS)]
     made = getattr(importlib.import_module(entry.module), entry.settings)
-    for key, value in values.items():
-        option(f"setting of the tracker {name!r}", key, made.__dataclass_fields__)
-        _check_kind(key, value, made.__dataclass_fields__[key].default)
+    check_values(f"setting of the tracker {name!r}", values, made.__dataclass_fields__)
     return made(**values)
+
+
+def check_values(what: str, values: Mapping[str, Any], known: Mapping[str, Any]) -> None:
+    """UsageError unless each key is one of the fields `known` of a settings record, its value of that one's kind."""
+    for key, value in values.items():
+        option(what, key, known)
+        _check_kind(key, value, known[key].default)
 
 
 def _check_kind(key: str, value: Any, default: Any) -> None:

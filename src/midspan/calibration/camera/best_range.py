@@ -12,7 +12,7 @@ from midspan.errors import UntrustedError
 from midspan.fusion.path import at
 from midspan.fusion.streams import smooth
 from midspan.records import NANOSECONDS, Floats, Frame, Nanoseconds, PixelTrack, Region
-from midspan.thermal.temperature_range import ROUGH, THINNED, Expected, RangeSurface, optimise_range
+from midspan.thermal.temperature_range import DIVISIONS, ROUGH, THINNED, Expected, RangeSurface, optimise_range
 from midspan.vision.tracker import open_tracker
 
 # This many frames of the calibration are compared; displacement is let in so much more weakly than it is known, that
@@ -25,11 +25,17 @@ SLOWEST_HZ, FASTEST_SHARE = 0.5, 0.45
 SHOWN_SHARE, NOT_THINNED, SHOWN_NOT_THINNED = 0.05, ROUGH * THINNED - 1, 0.18
 
 
-def best_range(frames: Sequence[Frame], view: View, targets: Sequence[SeenTarget], fit: CameraFit) -> RangeSurface:
+def best_range(
+    frames: Sequence[Frame],
+    view: View,
+    targets: Sequence[SeenTarget],
+    fit: CameraFit,
+    divisions: int = DIVISIONS,
+) -> RangeSurface:
     """The errors of all ranges on frames from the reference frame on, against the accelerometer.
 
-    frames: FRAMES at most; targets, fit: of the temperatures as they are, which gave the scale factor. Raises
-    UntrustedError where nothing decides, with the reason.
+    frames: FRAMES at most; targets, fit: of the temperatures as they are, which gave the scale factor; divisions: M.
+    Raises UntrustedError where nothing decides, with the reason.
     """
     if len(frames) < MIN_FRAMES:
         raise UntrustedError(
@@ -45,7 +51,7 @@ def best_range(frames: Sequence[Frame], view: View, targets: Sequence[SeenTarget
     def follow(greys: Sequence[Frame]) -> PixelTrack:
         return _followed(greys, region, fit.calibration.tracker, settings)
 
-    return optimise_range(frames, region, follow, Expected(expected, view.axis, band))
+    return optimise_range(frames, region, follow, Expected(expected, view.axis, band), divisions)
 
 
 def compared_band(given: tuple[float, float] | None, rate: float) -> tuple[tuple[float, float], int]:

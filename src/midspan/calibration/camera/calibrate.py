@@ -9,7 +9,7 @@ from midspan.calibration.agreement import misfit
 from midspan.calibration.bias import bias_of
 from midspan.calibration.camera.one_displacement import camera_blocks, filter_settings, moves_by_itself
 from midspan.calibration.camera.tilt import tilt_error_m, tilt_text
-from midspan.calibration.camera.view import SeenTarget, View, camera_pair
+from midspan.calibration.camera.view import SeenTarget, View, camera_pair, printed_along
 from midspan.calibration.common_offset import Fitted, common_offset, one_offset, pooled_variance, shared_part
 from midspan.calibration.fit import Pair
 from midspan.calibration.measured import measured_rows
@@ -17,7 +17,6 @@ from midspan.calibration.noise import learn_motion
 from midspan.calibration.scale import (
     MIN_FRAMES,
     REFUSED_ABOVE,
-    WARNED_ABOVE,
     ScaleCalibration,
     calibrate_scale,
     contradiction,
@@ -27,6 +26,7 @@ from midspan.calibration.scale import (
 from midspan.calibration.sensors.camera import CameraCalibration, TargetCalibration
 from midspan.calibration.sensors.fit import SensorFit
 from midspan.errors import NoAgreementError, UntrustedError
+from midspan.notices import Notice
 from midspan.records import InputNoise, ScaleFactor, TimeOffset
 from midspan.signals.stamps import inside
 from midspan.vision.fair_variance import TEMPLATE_NOISE
@@ -35,6 +35,10 @@ from midspan.vision.region_choice import USELESS
 
 CameraFit = SensorFit[CameraCalibration, ScaleCalibration]
 
+PRINTED = (
+    "calibration.literal: scale factor and clock offset are as printed (band-pass, double integration, "
+    "cross-correlation, least squares). Their standard deviations are those of the fit, which are no band."
+)
 MOVED_TEXT = (
     "One of them moves by itself, as in a slow drift, and neither the accelerometer nor a majority tells which. Leave "
     "out of camera.target the one that may not stand still, or add a third."
@@ -72,10 +76,43 @@ def fit_camera(
     cameras = used_along_both([_judged(view, targets, fit, offset) for view, fit in axes])
     if len(cameras) < len(axes):
         refused = f"Along {second} the target is only tracked: no target is of use along both axes."
-    parts = [_fit_of(targets, camera, fit) for camera, (_, fit) in zip(cameras, axes, strict=False)]
+    parts = [
+        _given(view, targets, _fit_of(targets, camera, fit)) for camera, (view, fit) in zip(cameras, axes, strict=False)
+    ]
     if second and len(parts) == 1:
         return _with_tracked(main, targets, parts[0], refused)
     return tuple(parts)
+
+
+def _given(view: View, seen: Sequence[SeenTarget], fit: CameraFit) -> CameraFit:
+    """The calibration with the scale factor that is known beforehand, or with scale and clock offset as printed."""
+    if view.printed is None and view.scale is None:
+        return fit
+    camera, known, offset = fit.calibration, list(fit.calibration.targets), fit.calibration.offset
+    best = next(k for k, target in enumerate(known) if target.region == camera.region)
+    for k, target in enumerate(known):
+        if not target.used:
+            continue
+        scale = view.scale
+        if view.printed is not None:
+            scale, own = printed_along(view, seen[k])
+            offset = own if k == best else offset
+        known[k] = replace(target, scale=scale)
+    scale = known[best].scale
+    assert scale is not None
+    share = scale.value_m_per_px / camera.scale.value_m_per_px
+    phase = camera.phase_scale_m_per_rad
+    camera = replace(
+        camera,
+        scale=scale,
+        offset=offset,
+        targets=tuple(known),
+        relative_scale_std=None,
+        phase_scale_m_per_rad=None if phase is None else share * phase,
+        literal=view.printed is not None,
+    )
+    told = (Notice("literal", PRINTED),) if view.printed is not None else ()
+    return replace(fit, calibration=camera, warnings=(*fit.warnings, *told))
 
 
 def used_along_both(cameras: Sequence[CameraCalibration]) -> list[CameraCalibration]:
@@ -104,12 +141,12 @@ def _beside(own: TargetCalibration, other: TargetCalibration, axis: str) -> Targ
 
 def _with_tracked(view: View, targets: Sequence[SeenTarget], main: CameraFit, refused: str) -> tuple[CameraFit, ...]:
     """The main axis and the second one tracked only, which is left out with a warning where that cannot be trusted."""
-    told = (refused,) if refused else ()
+    told = (Notice("part-left-out", refused),) if refused else ()
     try:
         only = _tracked_only(view, targets, main.calibration)
     except UntrustedError as error:
         axis = "x" if main.calibration.direction == "y" else "y"
-        left_out = f"The second axis {axis} is left out of the result. {error}"
+        left_out = Notice("part-left-out", f"The second axis {axis} is left out of the result. {error}")
         return (replace(main, warnings=(*main.warnings, *told, left_out)),)
     return main, replace(only, warnings=told)
 
@@ -153,15 +190,6 @@ def _refuse_pattern(share_std: float, learnt: ScaleFactor) -> None:
     )
 
 
-def _pattern_text(share_std: float) -> list[str]:
-    if share_std <= WARNED_ABOVE:
-        return []
-    return [
-        f"The thermal camera's fixed pattern may draw translations to zero by {100 * share_std:.1f} % (one standard "
-        "deviation), which the scale factor's deviation holds; more contrast or motion in the picture would lessen it."
-    ]
-
-
 def _refuse_compression(scale: ScaleFactor, learnt: ScaleFactor) -> None:
     """UntrustedError where a scale factor with what compression may do to it is too vague to be given out."""
     if (relative := np.sqrt(scale.variance) / abs(scale.value_m_per_px)) <= REFUSED_ABOVE:
@@ -196,14 +224,12 @@ def _fit_of(seen: Sequence[SeenTarget], camera: CameraCalibration, fit: Fitted) 
     used = [(f, t) for f, t in zip(fit.found, camera.targets, strict=True) if f is not None and t.used]
     several = len(camera.targets) > 1
     warnings = [
-        f"Target {target.name} is left out along {camera.direction}: {target.reason}"
+        Notice("part-left-out", f"Target {target.name} is left out along {camera.direction}: {target.reason}")
         for target in camera.targets
         if not target.used
     ]
-    shares = [s.tracker.scale_share_std for s, t in zip(seen, camera.targets, strict=True) if t.used]
-    for (one, target), share_std in zip(used, shares, strict=True):
-        warnings += _pattern_text(share_std)
-        warnings += [f"Target {target.name}: {line}" if several else line for line in one.warnings]
+    for one, target in used:
+        warnings += [line.worded(f"Target {target.name}: {line}") if several else line for line in one.warnings]
     search, tilt_m = found.search, camera.apart_std_m
     apart_m = contradiction(search.pair, search.fit) * abs(found.scale.value_m_per_px)
     # The noise of the reference frame is in all rows alike.
@@ -220,19 +246,42 @@ def _fit_of(seen: Sequence[SeenTarget], camera: CameraCalibration, fit: Fitted) 
     coloured = misfit(search.pair, search.fit)
     if start_m > 0.0:
         warnings.append(
-            "camera: its first frames are far noisier than the others; the zero is known to "
-            f"{1e3 * start_m:.2g} mm only, and a shift that is seen among them may be none."
+            Notice(
+                "zero-uncertain",
+                "camera: its first frames are far noisier than the others; the zero is known to "
+                f"{1e3 * start_m:.2g} mm only, and a shift that is seen among them may be none.",
+            )
         )
     if apart_m > 0.0:
-        warnings.append(_contradiction_text(apart_m))
+        warnings.append(Notice("motion-not-shared", _contradiction_text(apart_m)))
     else:
-        warnings += coloured.text("camera") or filter(None, [strange_noise(search.pair, search.fit)])
-    camera = camera.without_gain(1.0, float(np.sqrt(coloured.factor - 1.0)) * camera.relative_std)
+        warnings += coloured.text("camera") or strange_noise(search.pair, search.fit)
+    parts = _parts(seen[_best(camera.targets)], found, camera.direction)
+    parts["misfit"] = float(np.sqrt(coloured.factor - 1.0)) * camera.relative_std
+    camera = camera.without_gain(1.0, parts["misfit"])
     slope = found.response.slope
     axis = found.direction
     return CameraFit(
-        camera, found.input_noise, bias, tuple(warnings), plain, misfit=coloured, slope=slope, direction=axis
+        camera,
+        found.input_noise,
+        bias,
+        tuple(warnings),
+        plain,
+        misfit=coloured,
+        slope=slope,
+        direction=axis,
+        parts=parts,
     )
+
+
+def _parts(seen: SeenTarget, found: ScaleCalibration, axis: str) -> dict[str, float]:
+    """What the relative standard deviation of a target's scale factor is made of."""
+    return {
+        "motion": float(np.sqrt(found.scale.variance)) / abs(found.scale.value_m_per_px),
+        "compression": seen.codec_std(axis),
+        "pattern": seen.tracker.scale_share_std,
+        "response": found.response.relative_std,
+    }
 
 
 def _contradiction_text(apart_m: float) -> str:

@@ -1,16 +1,18 @@
 """What a camera is calibrated on: an image axis and its acceleration, and each target as it was tracked."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from midspan.calibration.fit import Pair
 from midspan.calibration.measured import measured_rows
+from midspan.calibration.printed import PrintedSteps, calibrate_printed
 from midspan.calibration.scale import calibrate_scale
 from midspan.errors import NoAgreementError, UntrustedError, UsageError
-from midspan.records import NANOSECONDS, Floats, PixelTrack, Region, ScaleFactor
+from midspan.records import NANOSECONDS, Floats, PixelTrack, Region, ScaleFactor, TimeOffset
 from midspan.signals.acceleration import PreparedAcceleration
+from midspan.signals.band_pass import band_passed
 from midspan.signals.stamps import inside
 from midspan.vision.lens import Lens
 from midspan.vision.picture_quality import PictureWatch
@@ -23,7 +25,8 @@ class View:
     """One image axis "x" or "y" of a camera with the acceleration along it.
 
     window: the samples of the calibration window; max_offset_s: largest clock offset looked for; band_hz: where the
-    acceleration decides the scale factor (None: everywhere); exposure_s: None where it is not told.
+    acceleration decides the scale factor (None: everywhere); exposure_s: None where it is not told. scale: where it is
+    known beforehand; printed: how scale and offset are calibrated as printed, None: by likelihood.
     """
 
     axis: str
@@ -32,6 +35,8 @@ class View:
     max_offset_s: float
     band_hz: tuple[float, float] | None = None
     exposure_s: float | None = None
+    scale: ScaleFactor | None = None
+    printed: PrintedSteps | None = None
 
     @property
     def window_ns(self) -> tuple[int, int]:
@@ -64,8 +69,11 @@ class SeenTarget:
         """A scale factor estimated along an image axis on the rows, with what compression and a thermal camera's fixed
         pattern may do to it.
         """
-        codec = 0.0 if self.picture is None else self.picture.relative_scale_std(direction)
-        return scale.wider(float(np.hypot(codec, self.tracker.scale_share_std)))
+        return scale.wider(float(np.hypot(self.codec_std(direction), self.tracker.scale_share_std)))
+
+    def codec_std(self, direction: str) -> float:
+        """What compression may do to a scale factor along an image axis, relative."""
+        return 0.0 if self.picture is None else self.picture.relative_scale_std(direction)
 
 
 def camera_pair(view: View, track: PixelTrack, blur_s: float) -> Pair:
@@ -84,15 +92,21 @@ def camera_pair(view: View, track: PixelTrack, blur_s: float) -> Pair:
     rows = measured_rows(track.time_ns[inner], value[inner], variance[inner], first)
     samples, outside = in_band(view.prepared.rows(first, window), view.band_hz)
     level, cross = view.prepared.level(window), view.prepared.cross_rows(window)
-    return Pair(samples, rows, None, blur_s, outside, level_m_s2=level, cross=cross)
+    ratio = None if view.scale is None else 1.0 / view.scale.value_m_per_px
+    return Pair(samples, rows, ratio, blur_s, outside, level_m_s2=level, cross=cross)
+
+
+def printed_along(view: View, seen: SeenTarget) -> tuple[ScaleFactor, TimeOffset]:
+    """Scale factor and clock offset of a target as printed, the scale factor as known where it is."""
+    pair = camera_pair(replace(view, band_hz=None), seen.rows, seen.blur_s)
+    scale, offset = calibrate_printed(pair, view.max_offset_s, view.printed or PrintedSteps())
+    return view.scale or scale, offset
 
 
 def in_band(samples: Floats, band_hz: tuple[float, float] | None) -> tuple[Floats, Floats | None]:
     """Samples (n, 3) with the acceleration of a band (zero phase), and those with the rest of it; None for no band."""
     if band_hz is None:
         return samples, None
-    from scipy.signal import butter, sosfiltfilt
-
     length_s = float(samples[-1, 0] - samples[0, 0])
     rate = (len(samples) - 1) / length_s
     low, high = band_hz[0], min(band_hz[1], 0.49 * rate)
@@ -108,9 +122,8 @@ def in_band(samples: Floats, band_hz: tuple[float, float] | None) -> tuple[Float
         raise UsageError(
             f"calibration.band_hz = {list(band_hz)}: must lie below half the accelerometer's rate of {rate:.4g} Hz."
         )
-    kind, edges = ("bandpass", [low, high]) if low > 0 else ("lowpass", high)
     inside, outside = samples.copy(), samples.copy()
-    inside[:, 1] = sosfiltfilt(butter(4, edges, kind, fs=rate, output="sos"), samples[:, 1])
+    inside[:, 1] = band_passed(samples[:, 1], rate, (low, high))
     outside[:, 1] -= inside[:, 1]
     return inside, outside
 

@@ -14,6 +14,7 @@ from midspan.calibration.sensor_scale import calibrate_sensor_scale, unexplained
 from midspan.calibration.time_offset import BEYOND, FARTHER_WINDOW_S, OffsetSearch, farther, farther_s
 from midspan.calibration.unfelt import refuse_unfelt
 from midspan.errors import DataError, UntrustedError
+from midspan.notices import Notice
 from midspan.records import NANOSECONDS, TimeOffset, TimeSeries
 from midspan.signals.acceleration import PreparedAcceleration
 from midspan.signals.health import dominant_frequency
@@ -124,7 +125,7 @@ def learn(given: Given, series: TimeSeries) -> NoiseCalibration:
     max_offset = beside.max_offset_s
     axis = turned(beside.pair(beside.reach_s), 0.0 if beside.one_clock else max_offset)
     pair = axis.pair
-    notes: list[str] = []
+    notes: list[Notice] = []
     if given.learns_scale:
         learnt = calibrate_sensor_scale(
             pair,
@@ -177,7 +178,7 @@ def _widened(learnt: NoiseCalibration, axis: Turned) -> NoiseCalibration:
     )
 
 
-def _refuse_farther(beside: _Beside, near: Fit, axis: Turned) -> list[str]:
+def _refuse_farther(beside: _Beside, near: Fit, axis: Turned) -> list[Notice]:
     """UntrustedError where the clocks agree far better farther apart than was searched.
 
     Returns a warning where the overlap is too short to look there.
@@ -188,8 +189,12 @@ def _refuse_farther(beside: _Beside, near: Fit, axis: Turned) -> list[str]:
         pair = axis.turning(beside.pair(until, FARTHER_WINDOW_S + 2.0 * until))
     except DataError:
         return [
-            f"displacement: a clock offset beyond ±{beside.max_offset_s:.3g} s was not looked for: the overlap of "
-            f"{beside.overlap_s:.3g} s holds too few measurements or too little motion. A longer recording would tell."
+            Notice(
+                "clock-uncertain",
+                f"displacement: a clock offset beyond ±{beside.max_offset_s:.3g} s was not looked for: the overlap of "
+                f"{beside.overlap_s:.3g} s holds too few measurements or too little motion. A longer recording would "
+                "tell.",
+            )
         ]
     other = farther(pair, near, reach, until)
     if other is not None:
@@ -277,16 +282,23 @@ def _ambiguous(search: OffsetSearch) -> bool:
     return fit.likelihood - other.likelihood < max(MIN_LEAD, MIN_LEAD_SHARE * (fit.likelihood - fit.without))
 
 
-def _offset_warnings(beside: _Beside, learnt: NoiseCalibration) -> list[str]:
+def _offset_warnings(beside: _Beside, learnt: NoiseCalibration) -> list[Notice]:
     told = []
     if beside.max_offset_s < beside.wanted_s:
         told.append(
-            f"displacement: clock offsets up to ±{beside.max_offset_s:.3g} s only were searched, a quarter of the "
-            f"overlap of {beside.overlap_s:.3g} s; calibration.max_offset_s is {beside.wanted_s:g} s."
+            Notice(
+                "window-moved",
+                f"displacement: clock offsets up to ±{beside.max_offset_s:.3g} s only were searched, a quarter of the "
+                f"overlap of {beside.overlap_s:.3g} s; calibration.max_offset_s is {beside.wanted_s:g} s.",
+            )
         )
     if beside.max_offset_s > 0.0 and (np.isinf(learnt.offset.variance) or _not_told(learnt)):
         told.append(
-            "displacement: the motion does not tell its clock offset, which is taken for 0; with more motion it would."
+            Notice(
+                "clock-uncertain",
+                "displacement: the motion does not tell its clock offset, which is taken for 0; with more motion it "
+                "would.",
+            )
         )
     return told
 

@@ -14,6 +14,7 @@ from midspan.calibration.sensors.displacement import DisplacementCalibration
 from midspan.calibration.sensors.fit import SensorFit
 from midspan.calibration.slow_error import DRIFT_S
 from midspan.errors import UntrustedError
+from midspan.notices import Notice
 from midspan.records import NANOSECONDS, Event, TimeSeries, seconds
 from midspan.signals.acceleration import PreparedAcceleration
 from midspan.signals.averaging import taken_by_averaging
@@ -52,7 +53,7 @@ def fit_displacement(given: Given) -> DisplacementFit:
     spread = float(np.sqrt(found.factor))
     part = replace(part, scale_std=spread * part.scale_std)
     strange = strange_noise(learnt.findings.pair, learnt.findings.fit)
-    warnings = (*warnings, *(found.text("displacement") or filter(None, [strange])))
+    warnings = (*warnings, *(found.text("displacement") or strange))
     return DisplacementFit(
         part,
         learnt.input_noise,
@@ -126,14 +127,17 @@ def _lost_m(given: Given, learnt: NoiseCalibration) -> float:
     return float(np.linalg.norm(lost))
 
 
-def _range_warnings(part: DisplacementCalibration, held: Mask) -> list[str]:
+def _range_warnings(part: DisplacementCalibration, held: Mask) -> list[Notice]:
     """A sentence where values (`held` (n,)) are held at the end of the sensor's range."""
     if not held.any():
         return []
     ends = " and ".join(f"{1e3 * end:.6g} mm" for end in (part.low_m, part.high_m) if np.isfinite(end))
     return [
-        f"displacement: {np.count_nonzero(held)} values are held at {ends}, the end of its range (clipped); they were "
-        "left out. Check the sensor's range."
+        Notice(
+            "samples-bridged",
+            f"displacement: {np.count_nonzero(held)} values are held at {ends}, the end of its range (clipped); they "
+            "were left out. Check the sensor's range.",
+        )
     ]
 
 
@@ -148,42 +152,39 @@ def _scale_error(learnt: NoiseCalibration) -> float:
     return float(np.hypot(1.0 / learnt.scale - 1.0, learnt.scale_std))
 
 
-def displacement_warnings(given: Given, learnt: NoiseCalibration, part: DisplacementCalibration) -> list[str]:
+def displacement_warnings(given: Given, learnt: NoiseCalibration, part: DisplacementCalibration) -> list[Notice]:
     """What to know of the displacement sensor; UntrustedError where its unit is wrong beyond doubt."""
     series = read_with(given.series, part)
     frozen = frozen_events(series, frozen_values(given.prepared, series))
     found = [*frozen_warnings(frozen), *_zero_warnings(given, part)]
     found += learnt.warnings
-    if not given.learns_offset and 0.0 < learnt.offset.variance < np.inf:
-        found.append(
-            "displacement: its clock seems to differ from the accelerometer's by "
-            f"{1e3 * np.sqrt(learnt.offset.variance):.3g} ms; the error band holds what that makes, "
-            f"{1e3 * learnt.late_m:.2g} mm rms. Set displacement.estimate_offset = true to have the offset learnt and "
-            "applied."
-        )
-    if learnt.low_pass is not None:
-        found.append(
-            f"accelerometer: {learnt.low_pass.text()}. The error band holds that and what it may have taken away, "
-            f"{1e3 * part.apart_std_m:.2g} mm rms. Its delay of slow motion looks like a clock offset: as "
-            f"far as the {learnt.offset.value_s:+.3g} s found are the logger's, the result is late. Use a logger whose "
-            "low-pass lies far above the motion."
-        )
+    found += _lateness_warnings(given, learnt, part)
     if learnt.gain_std > 0.0 and abs(learnt.gain - 1.0) > max(TOLD, CERTAIN * learnt.gain_std):
         found.append(
-            f"displacement: relative to it the accelerometer has a gain of {learnt.gain:.4g} ± {learnt.gain_std:.2g}, "
-            "which is taken out. Check accelerometer.unit and accelerometer.sensitivity, and that both sensors measure "
-            "the same axis; accelerometer.estimate_scale = false leaves it as it is."
+            Notice(
+                "unit-doubtful",
+                f"displacement: relative to it the accelerometer has a gain of {learnt.gain:.4g} ± "
+                f"{learnt.gain_std:.2g}, which is taken out. Check accelerometer.unit and accelerometer.sensitivity, "
+                "and that both sensors measure the same axis; accelerometer.estimate_scale = false leaves it as it is.",
+            )
         )
     if given.exposure_s is None and learnt.exposure_s > 0.0:
         found.append(
-            f"displacement: fast motion comes out smaller than slow motion, as of a sensor that averages over "
-            f"{learnt.exposure_s:.3g} s, or of an accelerometer that resonates on its mount. The first is corrected, "
-            "and the error band holds both; displacement.exposure_s declares it."
+            Notice(
+                "exposure",
+                f"displacement: fast motion comes out smaller than slow motion, as of a sensor that averages over "
+                f"{learnt.exposure_s:.3g} s, or of an accelerometer that resonates on its mount. The first is "
+                "corrected, and the error band holds both; displacement.exposure_s declares it.",
+            )
         )
     if learnt.drifts:
         found.append(
-            f"accelerometer: its bias drifts by more than the structure moves below {DRIFT_HZ:g} Hz; the displacement "
-            "rests mostly on the displacement sensor. Check its temperature, its mounting and its cable."
+            Notice(
+                "accelerometer-noisy",
+                f"accelerometer: its bias drifts by more than the structure moves below {DRIFT_HZ:g} Hz; the "
+                "displacement rests mostly on the displacement sensor. Check its temperature, its mounting and its "
+                "cable.",
+            )
         )
     found += _slow_warnings(given, learnt)
     if _scale_error(learnt) == 0.0:
@@ -195,17 +196,52 @@ def displacement_warnings(given: Given, learnt: NoiseCalibration, part: Displace
     )
     if abs(learnt.scale - 1.0) > REFUSED:
         raise UntrustedError(text)
-    return [*found, f"{text} The error band holds the difference; displacement.estimate_scale = true takes it out."]
+    return [
+        *found,
+        Notice(
+            "unit-doubtful",
+            f"{text} The error band holds the difference; displacement.estimate_scale = true takes it out.",
+        ),
+    ]
 
 
-def _slow_warnings(given: Given, learnt: NoiseCalibration) -> list[str]:
+def _lateness_warnings(given: Given, learnt: NoiseCalibration, part: DisplacementCalibration) -> list[Notice]:
+    """Sentences on a clock offset that is not applied, and on a logger's delay."""
+    found = []
+    if not given.learns_offset and 0.0 < learnt.offset.variance < np.inf:
+        found.append(
+            Notice(
+                "clock-differs",
+                "displacement: its clock seems to differ from the accelerometer's by "
+                f"{1e3 * np.sqrt(learnt.offset.variance):.3g} ms; the error band holds what that makes, "
+                f"{1e3 * learnt.late_m:.2g} mm rms. Set displacement.estimate_offset = true to have the offset learnt "
+                "and applied.",
+            )
+        )
+    if learnt.low_pass is not None:
+        found.append(
+            Notice(
+                "logger-low-pass",
+                f"accelerometer: {learnt.low_pass.text()}. The error band holds that and what it may have taken away, "
+                f"{1e3 * part.apart_std_m:.2g} mm rms. Its delay of slow motion looks like a clock offset: as "
+                f"far as the {learnt.offset.value_s:+.3g} s found are the logger's, the result is late. Use a logger "
+                "whose low-pass lies far above the motion.",
+            )
+        )
+    return found
+
+
+def _slow_warnings(given: Given, learnt: NoiseCalibration) -> list[Notice]:
     """A sentence on a slow error that was learnt, or on what the record cannot tell from motion."""
     if learnt.slow_std_m > 0.0 and given.noise_time_s is None:
         return [
-            f"displacement: its errors are correlated, as of a GNSS receiver or a total station: a slow error of "
-            f"{1e3 * learnt.slow_std_m:.2g} mm over {learnt.slow_time_s:.2g} s besides its noise is in the error band, "
-            "which is wider by it. displacement.noise_time_s declares the correlation time; 0 says that the sensor has "
-            "no slow error."
+            Notice(
+                "slow-error",
+                f"displacement: its errors are correlated, as of a GNSS receiver or a total station: a slow error of "
+                f"{1e3 * learnt.slow_std_m:.2g} mm over {learnt.slow_time_s:.2g} s besides its noise is in the error "
+                "band, which is wider by it. displacement.noise_time_s declares the correlation time; 0 says that the "
+                "sensor has no slow error.",
+            )
         ]
     drifts_m, steps_m, missing_m = learnt.unseen_m
     if drifts_m == 0.0:
@@ -215,10 +251,13 @@ def _slow_warnings(given: Given, learnt: NoiseCalibration) -> list[str]:
     if missing_m > 0.0:
         step += f", or {1e3 * missing_m:.2g} mm in its longest gap"
     return [
-        f"displacement: the error band takes its errors as independent. A slow error, as a GNSS receiver or a total "
-        f"station has, {size} in {DRIFT_S:g} s would not show here, nor would a step of its zero that is {step}. "
-        "displacement.noise_time_s, its correlation time, puts the slow error into the band; 0 says that the sensor "
-        "has none."
+        Notice(
+            "slow-error",
+            "displacement: the error band takes its errors as independent. A slow error, as a GNSS receiver or a "
+            f"total station has, {size} in {DRIFT_S:g} s would not show here, nor would a step of its zero that is "
+            f"{step}. displacement.noise_time_s, its correlation time, puts the slow error into the band; 0 says that "
+            "the sensor has none.",
+        )
     ]
 
 
@@ -262,22 +301,25 @@ def frozen_events(series: TimeSeries, held: Mask) -> tuple[Event, ...]:
     )
 
 
-def frozen_warnings(events: tuple[Event, ...]) -> list[str]:
+def frozen_warnings(events: tuple[Event, ...]) -> list[Notice]:
     """One sentence for all frozen segments."""
     if not events:
         return []
     more = f"So were {len(events) - 1} more such stretches. " if len(events) > 1 else ""
-    return [f"{events[0].text} {more}Check the sensor."]
+    return [Notice("frozen", f"{events[0].text} {more}Check the sensor.")]
 
 
-def _zero_warnings(given: Given, part: DisplacementCalibration) -> list[str]:
+def _zero_warnings(given: Given, part: DisplacementCalibration) -> list[Notice]:
     """A sentence where the uncertain scale of a large reading hides the zero, which counts in the error band."""
     value = part.scale * given.series.value
     level, moved = abs(float(np.nanmedian(value))), float(np.nanstd(value))
     if not given.gives_zero or part.relative_std * level < max(moved, part.noise_std_m):
         return []
     return [
-        f"displacement: it reads about {1e3 * level:.4g} mm, of which the scale's deviation of "
-        f"{100 * part.relative_std:.2g} % is {1e3 * part.relative_std * level:.2g} mm: the error band holds the "
-        "uncertain zero. Take the reading at rest off the column to see the motion's own band."
+        Notice(
+            "zero-uncertain",
+            f"displacement: it reads about {1e3 * level:.4g} mm, of which the scale's deviation of "
+            f"{100 * part.relative_std:.2g} % is {1e3 * part.relative_std * level:.2g} mm: the error band holds the "
+            "uncertain zero. Take the reading at rest off the column to see the motion's own band.",
+        )
     ]

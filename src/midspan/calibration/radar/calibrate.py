@@ -22,6 +22,7 @@ from midspan.calibration.sensors.fit import SensorFit
 from midspan.calibration.sensors.radar import RadarCalibration, RadarTarget
 from midspan.calibration.time_offset import OffsetSearch, search_offset
 from midspan.errors import DataError, UntrustedError, UsageError
+from midspan.notices import Notice
 from midspan.radar.frames import (
     RadarFrames,
     TargetPhasors,
@@ -302,7 +303,7 @@ def _variance_factor(search: OffsetSearch, best: Target, series: TargetSeries) -
     return max(1.0, best.conversion_factor**2 * search.fit.noise / stated)
 
 
-def _widened(targets: tuple[RadarTarget, ...], search: OffsetSearch) -> tuple[tuple[RadarTarget, ...], list[str]]:
+def _widened(targets: tuple[RadarTarget, ...], search: OffsetSearch) -> tuple[tuple[RadarTarget, ...], list[Notice]]:
     """The targets with their factors' deviations widened where the likelihood finds another factor for the best one."""
     best, fit = targets[0].target, search.fit
     apart = abs(1.0 / (fit.ratio * best.conversion_factor) - 1.0)
@@ -320,7 +321,7 @@ def _widened(targets: tuple[RadarTarget, ...], search: OffsetSearch) -> tuple[tu
             f"{100 * MAX_RELATIVE_STD:g} % are allowed. Something else moves in its bin, or it moves by itself. "
             "Choose another with radar.target_range_m, or calibrate (calibration.window_s) on a time without it."
         )
-    return tuple(_wider(item, apart) if item.used else item for item in targets), [text]
+    return tuple(_wider(item, apart) if item.used else item for item in targets), [Notice("scale-uncertain", text)]
 
 
 def _wider(item: RadarTarget, relative: float) -> RadarTarget:
@@ -335,34 +336,48 @@ def _relative_std(used: Sequence[Target]) -> float:
     return float(np.average([target.relative_std for target in used], weights=weight))
 
 
-def _warnings(calibration: RadarCalibration) -> list[str]:
+def _warnings(calibration: RadarCalibration) -> list[Notice]:
     found = []
     if calibration.relative_std > WARNED_ABOVE:
         found.append(
-            f"radar: the conversion factor is known to ± {100 * calibration.relative_std:.1f} % only (one standard "
-            "deviation); more motion in the calibration window would sharpen it."
+            Notice(
+                "scale-uncertain",
+                f"radar: the conversion factor is known to ± {100 * calibration.relative_std:.1f} % only (one standard "
+                "deviation); more motion in the calibration window would sharpen it.",
+            )
         )
     std = float(np.sqrt(calibration.offset.variance))
     if std > WARNED_OFFSET_S:
-        found.append(f"radar: the clock offset is known to ± {1e3 * std:.1f} ms only (one standard deviation).")
+        found.append(
+            Notice(
+                "clock-uncertain",
+                f"radar: the clock offset is known to ± {1e3 * std:.1f} ms only (one standard deviation).",
+            )
+        )
     best = calibration.best
     found += _too_small(calibration.used)
     if best.clutter > MAX_CLUTTER and not best.leak:
         found.append(
-            f"radar: something else of {100 * best.clutter:.0f} % of its amplitude lies in the bin of the target at "
-            f"{best.range_m:.2f} m and bends its phase; aim at a target that stands alone."
+            Notice(
+                "radar-target",
+                f"radar: something else of {100 * best.clutter:.0f} % of its amplitude lies in the bin of the target "
+                f"at {best.range_m:.2f} m and bends its phase; aim at a target that stands alone.",
+            )
         )
     return found
 
 
-def _too_small(used: Sequence[Target]) -> list[str]:
+def _too_small(used: Sequence[Target]) -> list[Notice]:
     """A sentence where a factor is below 1, which no fixed target has: it is one over the cosine of an angle."""
     worst = min(used, key=lambda target: abs(target.conversion_factor))
     least = 1.0 - max(MIN_SHORT, SHORT_STD * worst.relative_std)
     if abs(worst.conversion_factor) >= least:
         return []
     return [
-        f"radar: the conversion factor {worst.conversion_factor:.4g} of the target at {worst.range_m:.2f} m is below "
-        "1, which a fixed target cannot have. Check accelerometer.unit (1 g is 9.81 m/s²) and the accelerometer's "
-        "sensitivity, carrier and slope in radar.config, and that the path is not reflected twice."
+        Notice(
+            "unit-doubtful",
+            f"radar: the conversion factor {worst.conversion_factor:.4g} of the target at {worst.range_m:.2f} m is "
+            "below 1, which a fixed target cannot have. Check accelerometer.unit (1 g is 9.81 m/s²) and the "
+            "accelerometer's sensitivity, carrier and slope in radar.config, and that the path is not reflected twice.",
+        )
     ]

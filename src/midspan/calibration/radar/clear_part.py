@@ -6,6 +6,7 @@ import numpy as np
 
 from midspan.calibration.radar.window import MIN_FRAMES
 from midspan.errors import UntrustedError
+from midspan.notices import Notice
 from midspan.radar.blockage import MAX_SHARE, MIN_SHARE
 from midspan.radar.frames import RadarFrames, samples_of, together, without_holes
 from midspan.radar.info import RadarInfo
@@ -23,7 +24,7 @@ FAR_SHARE = 0.5
 
 def clearly_seen(
     frames: RadarFrames, samples: Floats, info: RadarInfo, given: tuple[float, int]
-) -> tuple[tuple[Target, ...], RadarFrames, list[str]]:
+) -> tuple[tuple[Target, ...], RadarFrames, list[Notice]]:
     """The targets, the frames of the window in which the best ones were not hidden, and a sentence on those left out.
 
     given: largest clock offset (s) and how many targets are used. What stands before a target would be taken for its
@@ -46,18 +47,18 @@ def clearly_seen(
     text = (
         f"radar: something hid a target in the calibration window; its longest clear part, {length_s:.3g} s, was used."
     )
-    return found_targets(frames, samples, info, given[0]), frames, [text]
+    return found_targets(frames, samples, info, given[0]), frames, [Notice("window-moved", text)]
 
 
 def _in_a_half(
     found: tuple[Target, ...], frames: RadarFrames, samples: Floats, given: tuple[RadarInfo, float]
-) -> tuple[tuple[Target, ...], RadarFrames, list[str]]:
+) -> tuple[tuple[Target, ...], RadarFrames, list[Notice]]:
     """The targets in the half of the window that shows one better, where the whole shows none that can be used.
 
     What passes through a target's bin spoils all of the window, but seldom lasts for more than half of it.
     """
     middle = len(frames.time_ns) // 2
-    least, kept, text = np.inf, (found, frames), list[str]()
+    least, kept, text = np.inf, (found, frames), list[Notice]()
     for word, half in (("first", slice(0, middle)), ("second", slice(middle, None))):
         part = _part(frames, half)
         if len(part.time_ns) < MIN_FRAMES:
@@ -66,9 +67,10 @@ def _in_a_half(
         std = min((target.relative_std for target in seen if not target.objection), default=np.inf)
         if std < least:
             least, kept = std, (seen, part)
-            text = [
+            line = (
                 f"radar: only the {word} half of the calibration window shows a fixed target undisturbed; it was used."
-            ]
+            )
+            text = [Notice("window-moved", line)]
     return *kept, text
 
 

@@ -25,6 +25,7 @@ from midspan.calibration.radar.window import OpenedWindow
 from midspan.calibration.sensors.radar import RadarCalibration, RadarTarget
 from midspan.calibration.time_offset import OffsetSearch
 from midspan.errors import DataError
+from midspan.notices import Notice
 from midspan.radar.frames import without_holes
 from midspan.radar.info import RadarInfo
 from midspan.radar.literal import (
@@ -45,7 +46,9 @@ from midspan.signals.acceleration import PreparedAcceleration
 
 # The window without its ends must be at least this long, s, and the frames at least this frequent, Hz.
 MIN_INNER_S, MIN_RATE_HZ = 4.0, 2.0
-ONE_CLOCK = "fusion.literal: no target's phase tells the radar's clock offset; the clocks are taken for one."
+ONE_CLOCK = Notice(
+    "clock-uncertain", "fusion.literal: no target's phase tells the radar's clock offset; the clocks are taken for one."
+)
 
 
 def fit_radar_literal(
@@ -103,7 +106,7 @@ def _check_length(frame_s: Floats) -> None:
         )
 
 
-def _clock(peaks: Sequence[Target]) -> tuple[TimeOffset, list[str]]:
+def _clock(peaks: Sequence[Target]) -> tuple[TimeOffset, list[Notice]]:
     """The radar's clock offset by the targets that follow the accelerometer."""
     telling = [peak for peak in peaks if not peak.objection]
     telling = telling or [peak for peak in peaks if np.isfinite(peak.time_offset_std_s)]
@@ -169,22 +172,32 @@ def _factor_std(change_m: Floats, grid: GridFactor, period_s: float) -> float:
     return float(np.hypot(grid.error_m / max(moved, 1e-9), GRID[2] / np.sqrt(12.0)))
 
 
-def _warnings(best: Target, series: TargetSeries) -> list[str]:
+def _warnings(best: Target, series: TargetSeries) -> list[Notice]:
     found = [
-        "fusion.literal: target, conversion factor and unwrapping of the radar are as printed: one receiver, start "
-        f"frequency, factors from {GRID[0]:g} to {GRID[1]:g}. What blocks the target or shares its bin goes unnoticed, "
-        "a lost cycle is not found again, and the band rests on the least error E alone."
+        Notice(
+            "literal",
+            "fusion.literal: target, conversion factor and unwrapping of the radar are as printed: one receiver, start "
+            f"frequency, factors from {GRID[0]:g} to {GRID[1]:g}. What blocks the target or shares its bin goes "
+            "unnoticed, a lost cycle is not found again, and the band rests on the least error E alone.",
+        )
     ]
     if _at_the_end(best.conversion_factor):
         found.append(
-            "fusion.literal: the radar's least error E lies at the end of the grid, factor "
-            f"{best.conversion_factor:g}: a factor beyond {GRID[0]:g} to {GRID[1]:g} or a negative one cannot be found "
-            "that way, and the displacement is wrong. Leave fusion.literal out, or aim at another target."
+            Notice(
+                "literal",
+                "fusion.literal: the radar's least error E lies at the end of the grid, factor "
+                f"{best.conversion_factor:g}: a factor beyond {GRID[0]:g} to {GRID[1]:g} or a negative one cannot be "
+                "found that way, and the displacement is wrong. Leave fusion.literal out, or aim at another target.",
+            )
         )
     if best.noise_m > best.conversion_factor * float(np.nanstd(series.range_change_m)):
         found.append(
-            f"fusion.literal: the radar's least error E, {1e3 * best.noise_m:.3g} mm, is larger than the motion that "
-            f"it sees of the target at {best.range_m:.2f} m: that target does not follow the accelerometer, and the "
-            "displacement is wrong. Leave fusion.literal out, or name another one with radar.target_range_m."
+            Notice(
+                "literal",
+                f"fusion.literal: the radar's least error E, {1e3 * best.noise_m:.3g} mm, is larger than the motion "
+                f"that it sees of the target at {best.range_m:.2f} m: that target does not follow the accelerometer, "
+                "and the displacement is wrong. Leave fusion.literal out, or name another one with "
+                "radar.target_range_m.",
+            )
         )
     return found

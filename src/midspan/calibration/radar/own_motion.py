@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from midspan.calibration.sensors.radar import RadarTarget
+from midspan.notices import Notice
 from midspan.radar.measurement import TargetSeries
 from midspan.radar.own_motion import OwnMotions, Shown, own_motions
 from midspan.radar.target import Target
@@ -17,7 +18,7 @@ REPORTED_M, REPORTED_SHARE = 1e-5, 0.3
 
 def judged(
     targets: tuple[RadarTarget, ...], series: Sequence[TargetSeries], frame_s: Floats, samples: Floats
-) -> tuple[tuple[RadarTarget, ...], list[str]]:
+) -> tuple[tuple[RadarTarget, ...], list[Notice]]:
     """The targets with their own motions, those left out whose motion others do without, and a sentence on each.
 
     series: of each target in use, on even frames at frame_s (n,) on the accelerometer's clock, s; samples (m, 2): its
@@ -48,16 +49,19 @@ def judged(
     return (*sorted(found, key=lambda item: not item.used), *rest), _reported(own, used)
 
 
-def _reported(own: OwnMotions, targets: Sequence[Target]) -> list[str]:
+def _reported(own: OwnMotions, targets: Sequence[Target]) -> list[Notice]:
     """A sentence on each target that moves on its own."""
     if own.undecided.any() and len(targets) == 2 and not own.left_out.any():
         power = np.where(own.undecided, own.power_m2[0], 0.0)
         if _matters(float(power.sum()), min(targets, key=lambda target: target.noise_m)):
             at_hz = float(own.frequency_hz[np.argmax(power)])
             return [
-                f"radar: the targets at {targets[0].range_m:.2f} and {targets[1].range_m:.2f} m differ by about "
-                f"{1e3 * np.sqrt(power.sum()):.2g} mm (rms, at {at_hz:.2g} Hz): one of them moves by itself, and the "
-                "accelerometer cannot tell which. The error band holds it."
+                Notice(
+                    "radar-target",
+                    f"radar: the targets at {targets[0].range_m:.2f} and {targets[1].range_m:.2f} m differ by about "
+                    f"{1e3 * np.sqrt(power.sum()):.2g} mm (rms, at {at_hz:.2g} Hz): one of them moves by itself, and "
+                    "the accelerometer cannot tell which. The error band holds it.",
+                )
             ]
     found = []
     for k, target in enumerate(targets):
@@ -71,8 +75,11 @@ def _reported(own: OwnMotions, targets: Sequence[Target]) -> list[str]:
             else "the error band holds it"
         )
         found.append(
-            f"radar: the target at {target.range_m:.2f} m moves by about {1e3 * own.std_m(k):.2g} mm by itself (rms, "
-            f"at {own.main_hz(k):.2g} Hz): {end}."
+            Notice(
+                "radar-target",
+                f"radar: the target at {target.range_m:.2f} m moves by about {1e3 * own.std_m(k):.2g} mm by itself "
+                f"(rms, at {own.main_hz(k):.2g} Hz): {end}.",
+            )
         )
     return found
 

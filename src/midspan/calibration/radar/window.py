@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from midspan.notices import Notice
 from midspan.radar.frames import RadarFrames, samples_of
 from midspan.records import NANOSECONDS, Floats
 from midspan.signals.acceleration import PreparedAcceleration
@@ -24,12 +25,12 @@ class OpenedWindow:
 
     frames: RadarFrames
     samples: Floats
-    told: list[str]
+    told: list[Notice]
     clock: tuple[int, float]
 
 
 def opened(
-    frames: RadarFrames, prepared: PreparedAcceleration, ends: tuple[int, int], max_offset_s: float, told: list[str]
+    frames: RadarFrames, prepared: PreparedAcceleration, ends: tuple[int, int], max_offset_s: float, told: list[Notice]
 ) -> OpenedWindow:
     """The frames of a window, and the acceleration with a margin for the clock offset, without long gaps.
 
@@ -45,8 +46,11 @@ def opened(
         origin, last = origin + begin, int(frames.time_ns[-1])
         told = [
             *told,
-            "radar: samples of the accelerometer are missing in the calibration window; its longest part without a "
-            f"gap, {last / NANOSECONDS:.3g} s, was used.",
+            Notice(
+                "window-moved",
+                "radar: samples of the accelerometer are missing in the calibration window; its longest part without a "
+                f"gap, {last / NANOSECONDS:.3g} s, was used.",
+            ),
         ]
         ends, margin = (origin, origin + last), round(max_offset * NANOSECONDS)
     samples = samples_of(prepared, origin, (ends[0] - margin, ends[1] + margin))

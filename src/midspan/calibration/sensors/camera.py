@@ -36,8 +36,9 @@ class CameraCalibration:
     what the pixels were corrected by; the scale factor holds for that lens only. source: which camera it is.
     temperature_range_c: of a thermal camera what its tracker saw, °C. exposure_s: its exposure as the motion shows it,
     0 where it is declared or does not show. apart_std_m: what it and the accelerometer contradict each other by, rms,
-    where nothing tells which is wrong. name: where there are several sensors of a kind. diagnostics: what the best
-    target's values rest on, for the report; not stored in the file.
+    where nothing tells which is wrong. name: where there are several sensors of a kind. literal: scale and offset are
+    as printed (`calibration/printed.py`). diagnostics: what the best target's values rest on, for the report; not
+    stored in the file.
     """
 
     scale: ScaleFactor
@@ -57,6 +58,7 @@ class CameraCalibration:
     exposure_s: float = 0.0
     apart_std_m: float = 0.0
     name: str | None = None
+    literal: bool = False
     diagnostics: ScaleCalibration | None = field(default=None, compare=False, repr=False)
 
     @property

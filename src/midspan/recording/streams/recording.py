@@ -13,6 +13,7 @@ from midspan.calibration.direction import Direction
 from midspan.checks import path_of
 from midspan.errors import DataError, MidspanError, UsageError
 from midspan.notebook import table
+from midspan.notices import Notice
 from midspan.records import NANOSECONDS, Nanoseconds, TimeSeries
 from midspan.settings.camera import InfraredSettings
 from midspan.settings.kinds import CAMERAS
@@ -288,12 +289,12 @@ class Recording:
         return (*cameras, *(view.radar.times_ns() for view in self.views if view.kind == "radar"))
 
     @property
-    def channel_warnings(self) -> tuple[str, ...]:
+    def channel_warnings(self) -> tuple[Notice, ...]:
         """What is wrong with the acceleration and with the file of each [displacement], as they were read."""
         told = list(self.prepared.warnings)
         for view in self.views:
             damage = view.displacement.damage if view.kind == "displacement" else ()
-            told += [f"{view.sensor} ({view.own.settings.file}): {line}." for line in damage]
+            told += [Notice("file-damaged", f"{view.sensor} ({view.own.settings.file}): {line}.") for line in damage]
         return tuple(told)
 
     @cached_property

@@ -4,14 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 
+from midspan.calibration.camera.felt import felt_motion
 from midspan.calibration.sensors.camera import CameraCalibration
 from midspan.engine.camera_target import Target
 from midspan.engine.stored_tracking import StoredTracking
-from midspan.engine.tracking import CameraTracking, TrackingSettings
+from midspan.engine.tracking import CameraTracking, Felt, TrackingSettings
 from midspan.errors import DataError, UsageError
 from midspan.progress import Progress
 from midspan.recording.streams.recording import Recording
-from midspan.recording.streams.window import require_overlap, window_ends
+from midspan.recording.streams.window import calibration_window, require_overlap, window_ends
 from midspan.recording.tracking.temperatures import levels_of
 from midspan.records import NANOSECONDS, Nanoseconds, Region
 from midspan.settings.camera import CameraSettings, InfraredSettings
@@ -60,7 +61,13 @@ def open_tracking(
         check_same_lens(settings.lens, known.lens)
     if view.frames.tracks:
         return StoredTracking(view.frames, settings, progress)
-    return CameraTracking(view.frames, settings, progress, judge)
+    return CameraTracking(view.frames, settings, progress, judge, None if known is None else _felt(view, known))
+
+
+def _felt(view: Recording, known: CameraCalibration) -> Felt:
+    """The translation that the accelerometer shows, by a calibration of the camera."""
+    prepared, window, band_hz = view.prepared, calibration_window(view), view.settings.calibration.band_hz
+    return lambda stamps: felt_motion(prepared, window, known, stamps, band_hz)
 
 
 def settings_of(view: Recording, camera: CameraSettings) -> TrackingSettings:
@@ -74,6 +81,7 @@ def settings_of(view: Recording, camera: CameraSettings) -> TrackingSettings:
         tracker_settings=tracker_settings(camera.tracker, **camera.tracker_settings),
         lens=lens_of(view),
         reference=camera.reference_rule,
+        reference_settings=camera.reference_settings,
         thermal=isinstance(camera, InfraredSettings),
         sensor=view.sensor,
     )

@@ -12,13 +12,14 @@ from midspan.checks import option, path_of
 from midspan.engine.camera_target import Target
 from midspan.engine.tracking import CameraTracking, TrackingSettings
 from midspan.errors import UsageError
+from midspan.notices import Notice, notice_trees
 from midspan.progress import Progress, silent
 from midspan.recording.streams.recording import open_with_cameras
 from midspan.recording.tracking.opening import settings_of
 from midspan.recording.tracking.temperatures import levels_of
 from midspan.records import PixelTrack, Region, Status, seconds
 from midspan.settings.load import RECORDING_FILE
-from midspan.settings.sensor_words import in_words_of, worded
+from midspan.settings.sensor_words import in_words_of, renamed
 from midspan.sinks.table import ResultTable
 from midspan.sinks.write import write_result
 from midspan.sources.camera.frames import FrameRequest, timed_or_counted
@@ -38,7 +39,7 @@ class Tracked:
     track: PixelTrack
     region: Region
     tracker: str
-    warnings: tuple[str, ...]
+    warnings: tuple[Notice, ...]
     tracking: CameraTracking = field(repr=False)
 
     def __repr__(self) -> str:
@@ -65,6 +66,7 @@ class Tracked:
             "roi": _listed(self.region),
             "targets": [{"name": t.name, "roi": _listed(t.region)} for t in self.tracking.targets],
             "warnings": list(self.warnings),
+            "notices": notice_trees(self.warnings),
             "events": [
                 {"time_s": event.time_ns / 1e9, "kind": event.kind, "text": f"target {target.name}: {event.text}"}
                 for target in self.tracking.targets
@@ -124,12 +126,14 @@ def track(
         tracking = CameraTracking(frames, settings, progress)
         rows = _all_rows(tracking)
     progress(1, 1, "tracking")
-    warnings += [worded(line, settings.sensor) for line in tracking.warnings("xy")]
+    warnings += [renamed(line, settings.sensor) for line in tracking.warnings("xy")]
     for target, found in zip(tracking.targets, rows, strict=True):
         lost = int(np.count_nonzero(found.status == Status.LOST))
         if lost:
             which = "The target" if len(rows) == 1 else f"Target {target.name}"
-            warnings.append(f"{which} was lost in {lost} of {len(found.time_ns)} frames; their values are empty.")
+            warnings.append(
+                Notice("lost", f"{which} was lost in {lost} of {len(found.time_ns)} frames; their values are empty.")
+            )
     return Tracked(rows[0], tracking.targets[0].region, settings.tracker, tuple(warnings), tracking)
 
 
@@ -140,7 +144,7 @@ def _all_rows(tracking: CameraTracking) -> tuple[PixelTrack, ...]:
     return tracking.tracks
 
 
-def _of_recording(path: Path, changed: dict[str, Any]) -> tuple[FrameSource, TrackingSettings, list[str]]:
+def _of_recording(path: Path, changed: dict[str, Any]) -> tuple[FrameSource, TrackingSettings, list[Notice]]:
     recording = open_with_cameras(path, changed)
     views = recording.cameras
     camera = views[0].settings.camera if views else None
@@ -150,11 +154,12 @@ def _of_recording(path: Path, changed: dict[str, Any]) -> tuple[FrameSource, Tra
             f"{recording.file}: has no [camera] or [infrared] section, so there is nothing to track.{hint}"
         )
     view = views[0]
-    others = [f"Only the [{view.sensor}] was tracked; for [{one.sensor}] give its file as SOURCE." for one in views[1:]]
+    texts = [f"Only the [{view.sensor}] was tracked; for [{one.sensor}] give its file as SOURCE." for one in views[1:]]
+    others = [Notice("part-left-out", text) for text in texts]
     return view.frames, replace(settings_of(view, camera), levels=levels_of(view, None)), others
 
 
-def _of_file(path: Path, request: FrameRequest) -> tuple[FrameSource, list[str]]:
+def _of_file(path: Path, request: FrameRequest) -> tuple[FrameSource, list[Notice]]:
     """The source with its own times, or counting frames where it has none."""
 
     def opened(rate_hz: float | None) -> FrameSource:
@@ -165,6 +170,5 @@ def _of_file(path: Path, request: FrameRequest) -> tuple[FrameSource, list[str]]
         source.times_ns()
         return source, []
     source, timed = timed_or_counted(opened)
-    return source, [] if timed else [
-        "The frames have no time stamps: time_s counts the frames. Give --rate-hz for seconds."
-    ]
+    text = "The frames have no time stamps: time_s counts the frames. Give --rate-hz for seconds."
+    return source, [] if timed else [Notice("frames-untimed", text)]

@@ -18,6 +18,7 @@ from midspan.calibration.sensors.radar import RadarCalibration
 from midspan.checks import path_of
 from midspan.engine.axis import AxisFigures
 from midspan.notebook import table
+from midspan.notices import Notice, notice_trees
 from midspan.settings.kinds import KINDS, sensor_names
 from midspan.settings.recording import Sensor
 from midspan.settings.stored.sections import (
@@ -83,7 +84,7 @@ class Calibration:
     infrared: CameraCalibration | None = None
     radar: RadarCalibration | None = None
     displacement: DisplacementCalibration | None = None
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[Notice, ...] = ()
     across: "Calibration | None" = None
     left_out: str = ""
     created: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds"))
@@ -169,6 +170,7 @@ class Calibration:
             "version": self.version,
             "created": self.created,
             "warnings": list(self.warnings),
+            "notices": notice_trees(self.warnings),
             "accelerometer": {
                 **_acceleration_tree(self),
                 "scale": self.accelerometer_scale,

@@ -7,8 +7,9 @@ from typing import Any
 from midspan.calibration.direction import Direction
 from midspan.checks import path_of
 from midspan.errors import DataError
+from midspan.notices import NOTICES, Notice
 from midspan.records import Source
-from midspan.settings.calibration import StoredCamera, validate_calibration
+from midspan.settings.calibration import StoredCalibration, StoredCamera, validate_calibration
 from midspan.settings.stored.calibration import CALIBRATION_FILE, Calibration, SensorCalibration, placed
 from midspan.settings.stored.sections import camera_across, camera_of, displacement_of, radar_of, usual_of
 from midspan.trees import TreeError, read_json
@@ -49,7 +50,7 @@ def calibration_from_dict(tree: Any, where: str = CALIBRATION_FILE) -> Calibrati
         bias_m_s2=own.bias_m_s2,
         bias_std_m_s2=own.bias_std_m_s2,
         bias_drift_m_s3=own.bias_drift_m_s3,
-        warnings=stored.warnings,
+        warnings=_notices(stored),
         left_out="" if first is None else first.left_out,
         created=stored.created,
         version=stored.version,
@@ -62,6 +63,12 @@ def calibration_from_dict(tree: Any, where: str = CALIBRATION_FILE) -> Calibrati
         usual=usual_of(own.usual),
     )
     return found if first is None or first.direction != "xy" else _with_second_axis(found, first)
+
+
+def _notices(stored: StoredCalibration) -> tuple[Notice, ...]:
+    """The warnings with their codes; earlier versions wrote none."""
+    codes = {one.text: one.code for one in stored.notices if one.code in NOTICES}
+    return tuple(Notice(codes.get(text, "uncoded"), text) for text in stored.warnings)
 
 
 def _with_second_axis(found: Calibration, first: StoredCamera) -> Calibration:

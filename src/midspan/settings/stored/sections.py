@@ -46,6 +46,7 @@ def camera_tree(camera: CameraCalibration) -> dict[str, Any]:
     own = {"roi": _roi(camera.region), "direction": camera.direction, "tracker": camera.tracker}
     more = {
         "exposure_s": camera.exposure_s or None,
+        "literal": camera.literal or None,
         "lens": None if camera.lens is None else camera.lens.to_dict(),
         "temperature_range_c": None if camera.temperature_range_c is None else list(camera.temperature_range_c),
     }

@@ -134,6 +134,26 @@ class Pulse:
 
 
 @dataclass(frozen=True, slots=True)
+class Later:
+    """A motion whose time begins at `start_s`."""
+
+    motion: Motion
+    start_s: float
+
+    def displacement(self, time_s: Floats) -> Floats:
+        """Displacement (n,) in m at times (n,) in s."""
+        return self.motion.displacement(np.asarray(time_s) - self.start_s)
+
+    def velocity(self, time_s: Floats) -> Floats:
+        """Velocity (n,) in m/s at times (n,) in s."""
+        return self.motion.velocity(np.asarray(time_s) - self.start_s)
+
+    def acceleration(self, time_s: Floats) -> Floats:
+        """Acceleration (n,) in m/s² at times (n,) in s."""
+        return self.motion.acceleration(np.asarray(time_s) - self.start_s)
+
+
+@dataclass(frozen=True, slots=True)
 class Sum:
     """The sum of several motions."""
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from midspan.checks import option, positive
 from midspan.records import Floats, Region, TimeSeries
 from midspan.simulate.files.folder import whole_folder, write_table, write_video
-from midspan.simulate.motion.motion import Motion, Pulse, Sines, Sum, Sweep, Window, random_motion
+from midspan.simulate.motion.motion import Later, Motion, Pulse, Sines, Sum, Sweep, Window, random_motion
 from midspan.simulate.motion.sensors import AccelerometerModel, exposed
 from midspan.simulate.scene.camera import Camera, View, cramer_rao_std_px
 from midspan.simulate.scene.scene import Scene
@@ -39,26 +39,6 @@ CRF = 20
 CALIBRATION = "calibration"  # the name of the span that the scale factor is learnt in
 
 Frames = NDArray[np.uint8]
-
-
-@dataclass(frozen=True, slots=True)
-class Later:
-    """A motion whose time begins at `start_s`."""
-
-    motion: Motion
-    start_s: float
-
-    def displacement(self, time_s: Floats) -> Floats:
-        """Displacement (n,) in m at times (n,) in s."""
-        return self.motion.displacement(np.asarray(time_s) - self.start_s)
-
-    def velocity(self, time_s: Floats) -> Floats:
-        """Velocity (n,) in m/s at times (n,) in s."""
-        return self.motion.velocity(np.asarray(time_s) - self.start_s)
-
-    def acceleration(self, time_s: Floats) -> Floats:
-        """Acceleration (n,) in m/s² at times (n,) in s."""
-        return self.motion.acceleration(np.asarray(time_s) - self.start_s)
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,6 +173,12 @@ _STOREYS = {
 }
 # A wall or a column nearby, and a window of a building far away.
 NEAR, FAR = ("natural", 0.0046), ("facade", 0.0035)
+
+# What the papers do not print, and is chosen here.
+FREE = (
+    "amplitudes within the largest displacements that the paper names, texture, exposure of 8 ms, noise of a consumer "
+    "camera, noise and bias of the accelerometer, 0.037 s between the clocks; calibration and excitations in one record"
+)
 
 PAPER_SCENES: dict[str, PaperScene] = {
     "shaking-table": PaperScene(

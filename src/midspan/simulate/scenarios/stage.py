@@ -60,7 +60,8 @@ class Scenario:
 
     With `snr_db` the accelerometer's noise is set from the motion. Accelerometer rows in `absent` are missing, values
     in `unread` are left empty; spans are in s of true time. `across` draws the motion along the other image axis, which
-    has a column of acceleration of its own. `window_s` is written as calibration.window_s.
+    has a column of acceleration of its own. `window_s` is written as calibration.window_s. `free`: of a paper's test,
+    what the paper does not print and is chosen here.
     """
 
     line: str
@@ -77,6 +78,7 @@ class Scenario:
     radar: RadarSetup | None = None
     window_s: Span | None = None
     day: DaySetup | None = None
+    free: str = ""
 
 
 @dataclass(frozen=True, slots=True)

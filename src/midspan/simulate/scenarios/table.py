@@ -10,6 +10,8 @@ from midspan.simulate.motion.beam import paper_beam_motion
 from midspan.simulate.motion.motion import Motion, Rest, Sum, Window, random_motion
 from midspan.simulate.motion.sensors import AccelerometerModel, DisplacementSensorModel
 from midspan.simulate.scenarios.day import DAY_SCENARIOS
+from midspan.simulate.scenarios.papers import FREE, PAPER_SCENES
+from midspan.simulate.scenarios.published import PUBLISHED
 from midspan.simulate.scenarios.radar import RADAR_SCENARIOS, lively
 from midspan.simulate.scenarios.stage import CameraSetup, GnssSetup, Scenario
 from midspan.simulate.scenarios.stage import pixel_bound as _pixel_bound
@@ -17,6 +19,8 @@ from midspan.simulate.scene.camera import Camera, Light
 from midspan.simulate.scene.disturbances import Car, Disturbance, Foliage, Water
 from midspan.simulate.scene.panel import Panel
 from midspan.simulate.scene.texture import textured_scene
+
+PHASE_SCENES = {"indoor", "outdoor", "footbridge-phase"}
 
 
 def pedestrians(rng: np.random.Generator) -> Motion:
@@ -226,6 +230,18 @@ SCENARIOS: dict[str, Scenario] = {
 }
 
 NAMES: dict[str, str] = {name: scenario.line for name, scenario in SCENARIOS.items()}
+
+# The papers' tests: films by their name in PAPER_SCENES, all others as scenarios.
+FILMS = {f"{'000' if name in PHASE_SCENES else '004'}-{name}": name for name in PAPER_SCENES}
+PAPER_NAMES: dict[str, str] = {
+    **{name: f"{name[:3]}, {PAPER_SCENES[film].title}" for name, film in FILMS.items()},
+    **{name: scenario.line for name, scenario in PUBLISHED.items()},
+}
+
+
+def chosen_here(name: str) -> str:
+    """What a paper does not print of its test `name`; empty for a scenario of our own."""
+    return FREE if name in FILMS else (SCENARIOS | PUBLISHED)[name].free
 
 
 def pixel_bound(name: str, region: Region | None = None, *, seed: int = 0) -> tuple[float, float]:

@@ -8,11 +8,14 @@ from typing import Any
 import numpy as np
 
 from midspan.checks import option
+from midspan.errors import UsageError
 from midspan.records import Floats
 from midspan.simulate.files.folder import MARK, check_free, exact_in_video, whole_folder, write_table, write_video
 from midspan.simulate.scenarios.breaks import broken
+from midspan.simulate.scenarios.papers import film, write_recording
+from midspan.simulate.scenarios.published import PUBLISHED
 from midspan.simulate.scenarios.stage import CameraSetup, GnssSetup, Stage, stage, within
-from midspan.simulate.scenarios.table import SCENARIOS
+from midspan.simulate.scenarios.table import FILMS, SCENARIOS
 from midspan.simulate.scene.camera import Pixels, cramer_rao_std_px
 
 Progress = Callable[[int, int], None]
@@ -21,17 +24,20 @@ Progress = Callable[[int, int], None]
 def write(
     name: str, folder: str | Path, *, seed: int = 0, breaks: Sequence[str] = (), progress: Progress | None = None
 ) -> Path:
-    """Write the recording of scenario `name`, one of NAMES, into `folder`, and return the folder.
+    """Write the recording of scenario `name`, one of NAMES or PAPER_NAMES, into `folder`, and return the folder.
 
     It holds recording.toml, accel.csv, the other sensors' files, truth.csv (accelerometer's clock; zero at the first
     frame) and known.json (what an estimate should find). The same `seed` gives the same files. `breaks`: names of
     BREAKS, ways in which the sensors leave the model; the truth stays. `progress` is called with frames done and frames
     in all. Raises UsageError for an unknown name, a break that does not fit, or a folder with other content.
     """
-    option("scenario", name, SCENARIOS)
+    scenarios = SCENARIOS | PUBLISHED
+    option("scenario", name, {**scenarios, **FILMS})
     target = Path(folder).resolve()
     check_free(target)
-    staged, drawn = broken(stage(SCENARIOS[name], seed), name, breaks, SCENARIOS)
+    if name in FILMS:
+        return _write_film(name, target, seed, breaks)
+    staged, drawn = broken(stage(scenarios[name], seed), name, breaks, scenarios)
     with whole_folder(target) as partial:
         _write_acceleration(partial, staged)
         known = {
@@ -42,6 +48,8 @@ def write(
         }
         if drawn:
             known["broken"] = drawn
+        if staged.scenario.free:
+            known["chosen_here"] = staged.scenario.free
         if staged.scenario.camera is not None:
             known["camera"] = _write_camera(
                 partial, staged, staged.scenario.camera, progress or (lambda done, total: None)
@@ -57,6 +65,13 @@ def write(
         _write_settings(partial, staged)
         (partial / MARK).write_text(json.dumps(known, indent=2) + "\n", encoding="utf-8")
     return target
+
+
+def _write_film(name: str, target: Path, seed: int, breaks: Sequence[str]) -> Path:
+    """The film of a paper, which no break fits."""
+    if breaks:
+        raise UsageError(f"--break {breaks[0]} does not fit {name!r}, a paper's film. Leave it out.")
+    return write_recording(film(FILMS[name], seed=seed), target)
 
 
 def _known_noise(staged: Stage) -> dict[str, float]:

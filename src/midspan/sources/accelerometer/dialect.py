@@ -246,6 +246,13 @@ def _score(row: list[str], values: list[bool]) -> int:
     return sum(values) - sum(pieces)
 
 
+# How the note begins on a file with decimal commas and commas between the columns.
+SPLIT = (
+    "the same comma seems to stand between columns and before decimals, which cannot be read; export with ';' or tab "
+    "between columns, or with a decimal point"
+)
+
+
 def _headings(
     lines: list[str], guess: _Guess, joined: int | None
 ) -> tuple[tuple[str, ...], tuple[str | None, ...], tuple[str, ...]]:
@@ -265,6 +272,8 @@ def _headings(
     else:
         names = [f"column_{k + 1}" for k in range(guess.width)]
         notes.append("no header: columns are named column_1, column_2 …")
+        if rows and guess.delimiter == "," and guess.width == 2 * len(rows[0]) and _is_name_row(rows[0], guess.decimal):
+            notes.append(f"{SPLIT}: {len(rows[0])} names, but {guess.width} columns")
     if len(names) == guess.width - 1 and joined is not None:
         names = [*names[: joined + 1], f"{names[joined]} of day", *names[joined + 1 :]]
         units = [*units[: joined + 1], None, *units[joined + 1 :]]

@@ -11,7 +11,7 @@ from midspan.errors import DataError, UsageError
 from midspan.records import Floats, Nanoseconds, TimeSeries
 from midspan.sources.accelerometer.channel import Channel, ChannelSet
 from midspan.sources.accelerometer.clock import NOT_A_TIME, numbers_to_ns
-from midspan.sources.accelerometer.dialect import named_unit
+from midspan.sources.accelerometer.dialect import SPLIT, named_unit
 from midspan.sources.accelerometer.formats import list_channels
 from midspan.sources.accelerometer.units import SI_UNITS, measures, si_factor
 
@@ -112,9 +112,12 @@ def find_channel(path: Path, found: ChannelSet, wanted: str, key: str) -> Channe
     left_out = next((note for note in found.notes if note.startswith(f"{wanted} left out")), None)
     if left_out is not None and not matches:
         raise DataError(f"{path}: {key} = {wanted!r}: {left_out}.")
+    split = next((f"{note[:1].upper()}{note[1:]}. " for note in found.notes if note.startswith(SPLIT)), "")
     problem = f"stands for {len(matches)} channels" if matches else "is not in the file"
     hint = nearest(wanted, names)
-    raise UsageError(f"{path}: {key} = {wanted!r} {problem}. {hint} It holds {_listing(names)}.".replace("  ", " "))
+    raise UsageError(
+        f"{path}: {key} = {wanted!r} {problem}. {split}{hint} It holds {_listing(names)}.".replace("  ", " ")
+    )
 
 
 def _listing(names: tuple[str, ...]) -> str:
@@ -140,6 +143,11 @@ def _is_clock(channel: Channel) -> bool:
     return channel.unit == "ns" or _is_time_name(channel.name)
 
 
+def named_after(name: str, quantity: str) -> bool:
+    """Whether a channel's name says that it holds a quantity ("acceleration", "displacement")."""
+    return bool(_VALUE_NAMES[quantity].search(name))
+
+
 def candidates(
     found: ChannelSet, quantity: str, clock: Channel | None = None, *, timed: bool = False
 ) -> tuple[Channel, ...]:
@@ -153,7 +161,7 @@ def candidates(
     if len(left) == 2 and untimed and _rising(left[0]):
         left = left[1:]
     by_unit = [c for c in left if measures(c.unit, quantity)]
-    by_name = [c for c in left if _VALUE_NAMES[quantity].search(c.name)]
+    by_name = [c for c in left if named_after(c.name, quantity)]
     both = [c for c in by_unit if c in by_name]
     ways = [left, by_unit, by_name, both]
     alone = next((choice for choice in ways if len(choice) == 1), None)

@@ -44,6 +44,11 @@ FORMATS = (
 _TABLES = {suffix for _, suffixes, _ in TABLE_FORMATS for suffix in suffixes} - set(_STACKS)
 
 
+def is_video(path: Path) -> bool:
+    """Whether a file is a video by its name."""
+    return path.suffix.lower() in _VIDEO
+
+
 def is_table(path: Path) -> bool:
     """Whether a file is a table of numbers by its name; arrays of NumPy can be tables or frames."""
     return path.suffix.lower() in _TABLES

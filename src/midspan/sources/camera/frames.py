@@ -54,8 +54,6 @@ def luma(image: NDArray[np.generic], reversed_colours: bool) -> NDArray[np.gener
         colours = image[:, :, 2::-1] if reversed_colours else image[:, :, :3]
         mixed = colours.astype(np.float32) @ weights
         image = np.rint(mixed).astype(image.dtype) if image.dtype.kind in "iu" else mixed
-    if image.dtype == np.bool_ or image.dtype == np.int8:
-        image = image.astype(np.uint8)
-    elif image.dtype not in (np.uint8, np.uint16, np.float32):
-        image = image.astype(np.float32)
+    if image.dtype not in (np.uint8, np.uint16, np.float32):
+        image = image.astype(np.uint8 if image.dtype in (np.bool_, np.int8) else np.float32)
     return np.ascontiguousarray(image)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from midspan.errors import DataError
+from midspan.notices import Notice
 from midspan.radar.layout import PACKET_BYTES
 from midspan.sources.declared_size import require_memory
 
@@ -33,7 +34,7 @@ class CaptureBytes(Protocol):
 
     size: int
     notes: tuple[str, ...]
-    warnings: tuple[str, ...]
+    warnings: tuple[Notice, ...]
 
     def read(self, start: int, count: int) -> tuple[Bytes, Bytes | None]:
         """`count` bytes from `start`, and which of them were never received (1), or None where that is not known."""
@@ -116,7 +117,7 @@ class _Plain:
         self._ends = np.cumsum([len(data) for data in maps])
         self.size = int(self._ends[-1])
         self.notes: tuple[str, ...] = ()
-        self.warnings: tuple[str, ...] = ()
+        self.warnings: tuple[Notice, ...] = ()
         if len(files) > 1:
             self.notes = (f"{len(files)} files are read as one: {files[0].name} … {files[-1].name}",)
 
@@ -185,12 +186,13 @@ class _Packets:
             f"{files[0].name} keeps packet headers of {head} bytes, which are taken out; {absent} of "
             f"{self.size} bytes were never received, {late} packets came late",
         )
-        self.warnings: tuple[str, ...] = ()
+        self.warnings: tuple[Notice, ...] = ()
         if damaged:
-            self.warnings = (
+            text = (
                 f"radar: {damaged} of {len(sound)} packets in {files[0].name} have a damaged count of bytes and are "
-                "left out. Copy the file again if the original is whole.",
+                "left out. Copy the file again if the original is whole."
             )
+            self.warnings = (Notice("radar-data", text),)
 
     def read(self, start: int, count: int) -> tuple[Bytes, Bytes | None]:
         """Bytes by their count in the headers."""

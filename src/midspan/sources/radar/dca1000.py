@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from midspan.errors import DataError, UsageError
+from midspan.notices import Notice
 from midspan.radar.info import RadarInfo
 from midspan.radar.iq_order import MIN_DB, decide_order, swapped, weigh_orders
 from midspan.radar.layout import WORD_BYTES, Layout, Words, block_words, sign_extended, unpack, word_weights
@@ -184,19 +185,25 @@ def _frame_count(path: Path, data: CaptureBytes, settings: TiSettings, layout: L
     return whole, tuple(notes)
 
 
-def _missing(path: Path, count: int, settings: TiSettings) -> tuple[str, ...]:
+def _missing(path: Path, count: int, settings: TiSettings) -> tuple[Notice, ...]:
     """Sentences on files of a split capture, and on frames of the settings, that are not there."""
     absent = missing_files(path)
     told = []
     if absent:
         told.append(
-            f"radar: {', '.join(absent)} is missing beside {path.name}, and later files are there: the capture is read "
-            "only up to the gap. Put the file back."
+            Notice(
+                "radar-data",
+                f"radar: {', '.join(absent)} is missing beside {path.name}, and later files are there: the capture is "
+                "read only up to the gap. Put the file back.",
+            )
         )
     if settings.frames - count > max(FEW_FRAMES, FEW_SHARE * settings.frames):
         told.append(
-            f"radar: {path.name} holds {count} of the {settings.frames} frames that radar.config says; the result ends "
-            "with them. Check that the capture is whole."
+            Notice(
+                "radar-data",
+                f"radar: {path.name} holds {count} of the {settings.frames} frames that radar.config says; the result "
+                "ends with them. Check that the capture is whole.",
+            )
         )
     return tuple(told)
 
@@ -242,7 +249,7 @@ def _saturation_notes(probe: Words, layout: Layout) -> tuple[str, ...]:
 
 def _ordered(
     path: Path, probe: Words, layout: Layout, settings: TiSettings, wanted: str
-) -> tuple[Layout, tuple[str, ...], tuple[str, ...]]:
+) -> tuple[Layout, tuple[str, ...], tuple[Notice, ...]]:
     """The layout with its order of I and Q, notes and warnings."""
     if not layout.profile.complex_samples:
         return layout, (), ()
@@ -250,7 +257,8 @@ def _ordered(
     if wanted == "auto":
         decision = decide_order(evidence, settings.order, said=settings.order_said)
         told = (decision.text,)
-        return replace(layout, order=decision.order), *((told, ()) if decision.certain else ((), told))
+        notices = () if decision.certain else (Notice("radar-data", decision.text),)
+        return replace(layout, order=decision.order), told if decision.certain else (), notices
     chosen = replace(layout, order=wanted)
     if layout.lanes == 4 and wanted not in evidence.halves_db:
         chosen = replace(layout, order="IIQQ" if wanted[0] == "I" else "QQII")
@@ -264,7 +272,7 @@ def _ordered(
             f"of the range: {evidence.told()}. Set radar.iq_order to {better!r}, or leave it out."
         )
     if evidence.halves_db[chosen.order] < MIN_DB:
-        return chosen, (), (decide_order(evidence, chosen.order, said=True).text,)
+        return chosen, (), (Notice("radar-data", decide_order(evidence, chosen.order, said=True).text),)
     return chosen, (f"I/Q order {wanted} as given ({evidence.told()})",), ()
 
 

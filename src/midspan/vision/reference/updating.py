@@ -8,6 +8,7 @@ robust scale. `midspan.vision.reference.tracker` has another way that keeps its 
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -20,7 +21,7 @@ from midspan.signals.medians import SIGMA_OF_MEDIAN
 from midspan.vision.reference.inner import InnerTrackers
 from midspan.vision.reference.records import KeyFrame, place_of, relative, variance_of
 from midspan.vision.region import check_size, clamp, shift
-from midspan.vision.tracker import TRACKERS, Tracker
+from midspan.vision.tracker import TRACKERS, Tracker, check_values
 
 PRINTED_SIGMAS = 3.0
 
@@ -51,6 +52,16 @@ class UpdatingSettings:
             )
         if not (0.0 <= self.sigmas < math.inf and 0.0 <= self.least_matches < math.inf):
             raise refuse("sigmas, least_matches", "0 or more", (self.sigmas, self.least_matches))
+
+
+def updating_settings(tracker: str, tracker_settings: Any, values: Mapping[str, Any]) -> UpdatingSettings:
+    """The rule for a tracker with `values` in place of its defaults; UsageError for an unknown one or another kind."""
+    known = UpdatingSettings.__dataclass_fields__
+    check_values("setting of the reference rule 'updating'", values, {key: known[key] for key in known if key in _OWN})
+    return UpdatingSettings(tracker, tracker_settings, **values)
+
+
+_OWN = ("literal", "threshold_frames", "average_frames", "sigmas", "least_matches")
 
 
 def moving_average(matches: list[float], frames: int) -> float:

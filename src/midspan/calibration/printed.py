@@ -1,0 +1,144 @@
+"""Scale factor and clock offset of a camera as the papers print them, to compare with.
+
+The acceleration is integrated twice (trapezoids), both series are band-passed, the clock offset is where their
+cross-correlation at the camera's rate is largest, and the scale factor is the least-squares fit of the displacement on
+the translation: Ma, Choi, Sohn (2022), section 3.1.1, doi 10.1111/mice.12767, which Choi, Ma, Kim, Sohn (2023), section
+2.1.1, and Ma, Choi, Liu, Sohn (hybrid phase), section 3.1, repeat; Ma, Liu, Choi, Sohn (two-stage), section 3, steps 1
+to 4, with the displacement sampled as the camera samples before it is filtered.
+
+The papers do not print the filter: here it is Butterworth's of order 4, forwards and backwards, and the seconds at
+both ends in which it has not settled are left out. Lost frames are interpolated. Translation on acceleration, as in
+`fit`, is the other regression.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from midspan.calibration.fit import Pair
+from midspan.errors import UntrustedError
+from midspan.records import Floats, ScaleFactor, TimeOffset
+from midspan.signals.integrate import path
+
+# Lower end of the band, Hz: AMKF paper, section 4.1, and infrared paper, section 3.1.
+LOW_HZ = 0.3
+# Upper end as a share of the frame rate. For a slower camera than this, Hz, all up to half the rate, as the two-stage
+# paper has it for "a rather small" rate: a tenth of it would be below 2 Hz, where footbridges and houses do not move.
+HIGH_SHARE, SLOW_CAMERA_HZ = 0.1, 20.0
+# Left out at both ends, in periods of the lower end of the band.
+SETTLING_PERIODS = 1.0
+# The series are mirrored so far beyond their ends, in the same periods, before they are filtered.
+PAD_PERIODS = 2.0
+# Frames that a scale factor is fitted to, and lags that a cubic spline is laid through, at least.
+MIN_ROWS, MIN_LAGS = 20, 4
+
+
+@dataclass(frozen=True, slots=True)
+class PrintedSteps:
+    """How the steps are done, which the papers leave to the reader.
+
+    band_hz: lower and upper end; None: `printed_band`. spline: the cross-correlation is interpolated (two-stage paper,
+    step 3); without, the offset is a whole number of frame intervals. sampled_first: the displacement is brought to the
+    camera's rate before it is filtered (two-stage paper, step 2), so that both series are aliased alike; otherwise
+    after (AMKF paper).
+    """
+
+    band_hz: tuple[float, float] | None = None
+    spline: bool = True
+    sampled_first: bool = True
+
+
+def printed_band(rate_hz: float) -> tuple[float, float]:
+    """The band (Hz) that is compared at a frame rate: from 0.3 Hz to a tenth of the rate, or half of a slow one."""
+    return LOW_HZ, (HIGH_SHARE if rate_hz >= SLOW_CAMERA_HZ else 0.5) * rate_hz
+
+
+def printed_offset(pair: Pair, max_offset_s: float, steps: PrintedSteps) -> float:
+    """The clock offset (s) of largest cross-correlation within ±`max_offset_s`; either sign of the scale factor."""
+    time_s, translation, rate_hz, band_hz = _translation(pair, steps)
+    displacement = _displacement(pair, time_s, band_hz, steps)
+    most = int(max_offset_s * rate_hz)
+    whole = np.correlate(displacement, translation, mode="full")
+    middle = len(translation) - 1
+    most = min(most, middle)
+    lags, near = np.arange(-most, most + 1), whole[middle - most : middle + most + 1]
+    best = float(lags[np.argmax(np.abs(near))])
+    if steps.spline and len(lags) >= MIN_LAGS:
+        from scipy.interpolate import CubicSpline
+
+        curve = CubicSpline(lags, near)
+        turns = curve.derivative().roots(extrapolate=False)
+        best = max((*turns.tolist(), best), key=lambda lag: abs(float(curve(lag))))
+    return best / rate_hz
+
+
+def printed_scale(pair: Pair, offset_s: float, steps: PrintedSteps) -> tuple[ScaleFactor, float]:
+    """Scale factor (m/px, signed) by least squares of displacement on translation at a clock offset; AMKF, eq. 14.
+
+    Its variance is that of the fit, as if the residuals were independent: no band. The second value is the offset's
+    variance (s²) by the same residuals.
+    """
+    time_s, translation, _, band_hz = _translation(pair, steps)
+    displacement = _displacement(pair, time_s + offset_s, band_hz, steps)
+    margin_s = SETTLING_PERIODS / band_hz[0]
+    inner = (time_s >= time_s[0] + margin_s) & (time_s <= time_s[-1] - margin_s)
+    if np.count_nonzero(inner) < MIN_ROWS:
+        raise UntrustedError(
+            f"calibration.literal: the calibration window must hold {MIN_ROWS} frames or more besides "
+            f"{margin_s:.3g} s at both ends, in which the printed band-pass from {band_hz[0]:g} Hz on settles; it "
+            f"holds {np.count_nonzero(inner)}. Widen calibration.window_s, or raise calibration.band_hz."
+        )
+    d, u = translation[inner], displacement[inner]
+    power = float(d @ d)
+    value = float(u @ d) / power
+    left = float(np.sum((u - value * d) ** 2)) / (len(d) - 1)
+    speed = np.gradient(displacement, time_s)[inner]
+    return ScaleFactor(value, left / power), left / float(speed @ speed)
+
+
+def calibrate_printed(pair: Pair, max_offset_s: float, steps: PrintedSteps) -> tuple[ScaleFactor, TimeOffset]:
+    """Both, one after the other."""
+    offset_s = printed_offset(pair, max_offset_s, steps)
+    scale, variance = printed_scale(pair, offset_s, steps)
+    return scale, TimeOffset(offset_s, variance)
+
+
+def _translation(pair: Pair, steps: PrintedSteps) -> tuple[Floats, Floats, float, tuple[float, float]]:
+    """Times (m,) in s of an even grid at the frame rate, the band-passed translation (m,) there, rate and band."""
+    seen = pair.rows[np.isfinite(pair.rows[:, 2])]
+    step_s = float(np.median(np.diff(pair.rows[:, 0])))
+    count = int(np.rint((seen[-1, 0] - seen[0, 0]) / step_s)) + 1
+    time_s = np.linspace(seen[0, 0], seen[-1, 0], count)
+    rate_hz = (count - 1) / float(time_s[-1] - time_s[0])
+    band_hz = steps.band_hz or printed_band(rate_hz)
+    return time_s, band_passed(np.interp(time_s, seen[:, 0], seen[:, 1]), band_hz, rate_hz), rate_hz, band_hz
+
+
+def _displacement(pair: Pair, time_s: Floats, band_hz: tuple[float, float], steps: PrintedSteps) -> Floats:
+    """The band-passed displacement (m,) by the acceleration at times (m,) on its own clock."""
+    own_s, value = pair.samples[:, 0], pair.samples[:, 1]
+    if steps.sampled_first:
+        rate_hz = (len(time_s) - 1) / float(time_s[-1] - time_s[0])
+        return band_passed(_without_drift(path(time_s, own_s, value)), band_hz, rate_hz)
+    even_s = np.linspace(own_s[0], own_s[-1], len(own_s))
+    whole = band_passed(_without_drift(path(even_s, own_s, value)), band_hz, pair.sample_rate_hz)
+    return np.interp(time_s, even_s, whole)
+
+
+def _without_drift(value: Floats) -> Floats:
+    """Values (n,) without their parabola: first velocity and bias are not known, and the filter would ring."""
+    number = np.arange(len(value))
+    return np.asarray(value - np.polynomial.Polynomial.fit(number, value, 2)(number))
+
+
+def band_passed(value: Floats, band_hz: tuple[float, float], rate_hz: float) -> Floats:
+    """Values (n,) of an even grid within a band: Butterworth of order 4, forwards and backwards.
+
+    A band that reaches half the rate has no upper end.
+    """
+    from scipy.signal import butter, sosfiltfilt
+
+    low, high = band_hz
+    kind, edges = ("bandpass", [low, high]) if high < 0.49 * rate_hz else ("highpass", low)
+    beyond = min(round(PAD_PERIODS * rate_hz / low), len(value) - 1)
+    return np.asarray(sosfiltfilt(butter(4, edges, kind, fs=rate_hz, output="sos"), value, padlen=beyond))

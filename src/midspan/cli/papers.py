@@ -1,0 +1,83 @@
+"""`midspan papers [--only KEY]`."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from midspan.cli.console import Console, common_options
+from midspan.evaluate.published import PAPERS
+
+if TYPE_CHECKING:
+    from midspan.evaluate.papers.claims import Row
+    from midspan.evaluate.papers.table import Outcome
+
+
+@click.command("papers")
+@click.option("--only", type=click.Choice(sorted(paper.key for paper in PAPERS)), help="One paper; left out: all.")
+@click.option("--quick", is_flag=True, help="One seed, short records, few points: some two minutes.")
+@click.option("--seeds", type=click.IntRange(min=1), help="Draws of everything random.  [default: 3; 1 with --quick]")
+@click.option("--report", type=click.Path(), help="Also write one page with the figures: .html, or .md with its "
+              "figures in a folder beside it.")  # fmt: skip
+@common_options
+def command(only: str | None, quick: bool, seeds: int | None, report: str | None, quiet: bool, as_json: bool) -> None:
+    """Repeat the papers' experiments in simulation: what they print, as printed here, our default, their claims.
+
+    Each claim is an inequality of measured numbers, judged on the mean of the seeds. Known truth, the papers' geometry,
+    rates and chirps; what they do not print is chosen here and named.
+    """
+    from midspan.evaluate.papers.table import MODULES, QUICK_SEEDS, SEEDS, experiments, repeat
+
+    console = Console(quiet, as_json)
+    path = _report_file(report)
+    wanted = experiments([only] if only else MODULES)
+    count = seeds or (QUICK_SEEDS if quick else SEEDS)
+    outcomes = repeat(wanted, quick=quick, seeds=count, progress=console.progress)
+    console.done()
+    for paper in PAPERS:
+        _show(console, paper.key, [row for one in outcomes if one.experiment.paper == paper.key for row in one.rows])
+    rows = [row for one in outcomes for row in one.rows]
+    console.say(_counted(rows))
+    document = {"seeds": count, "quick": quick, "rows": [row.to_dict() for row in rows]}
+    if path is not None:
+        from midspan.report.papers import write_papers
+
+        write_papers(outcomes, path, _how(only, quick, count))
+        console.say(f"{path}: the page")
+        document["report"] = str(path)
+    console.document(document | {"chosen_here": _free(outcomes)})
+
+
+def _report_file(report: str | None) -> Path | None:
+    if report is None:
+        return None
+    path = Path(report)
+    if path.suffix not in (".html", ".md"):
+        raise click.UsageError(f"--report must end in .html or .md; received {report!r}. Give one of these endings.")
+    return path
+
+
+def _how(only: str | None, quick: bool, seeds: int) -> str:
+    """The command line."""
+    options = [f" --only {only}"] * bool(only) + [" --quick"] * quick
+    return f"midspan papers{''.join(options)} --seeds {seeds}"
+
+
+def _show(console: Console, key: str, rows: "list[Row]") -> None:
+    for row in rows:
+        console.say(f"{key} {row.entry.where}: {row.entry.what}")
+        better = f" ({row.factor:.3g} times less)" if row.factor == row.factor else ""
+        lines = [("paper", row.entry.paper), ("as printed", row.printed), ("our default", f"{row.ours}{better}")]
+        console.table([(name, text) for name, text in lines if text])
+        console.table([("claim", f"{row.verdict.value}: {row.why}")])
+
+
+def _counted(rows: "list[Row]") -> str:
+    from midspan.evaluate.papers.claims import Verdict
+
+    return ", ".join(f"{sum(row.verdict is verdict for row in rows)} {verdict.value}" for verdict in Verdict)
+
+
+def _free(outcomes: "list[Outcome]") -> dict[str, str]:
+    """What the papers do not print, by experiment."""
+    return {f"{one.experiment.paper} {one.experiment.name}": one.experiment.free for one in outcomes}

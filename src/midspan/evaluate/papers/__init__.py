@@ -1,0 +1,1 @@
+"""The papers' experiments, repeated in simulation: what is measured, and whether their claims hold."""

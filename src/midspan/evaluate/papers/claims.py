@@ -1,0 +1,181 @@
+"""What a repeated table or figure of a paper is: measured numbers, the claims about them, and whether they hold."""
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from midspan.records import Floats
+
+Values = Mapping[str, float | Sequence[float] | Floats]
+
+
+class Verdict(Enum):
+    """What became of a claim."""
+
+    HOLDS = "holds"
+    FAILS = "does not hold"
+    UNTRIED = "cannot be tried"
+
+
+@dataclass(frozen=True, slots=True)
+class Effort:
+    """How much is spent: the seed of everything random, and whether records are short and points few."""
+
+    seed: int = 0
+    quick: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Curve:
+    """A figure like the paper's own: named lines (x, y) in the same axes; dots: drawn as points; log: the y axis."""
+
+    figure: str
+    x: str
+    y: str
+    lines: Mapping[str, tuple[Floats, Floats]]
+    log: bool = False
+    dots: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """What an experiment gave once: numbers by name, each one or one for each case, and its figures."""
+
+    values: Values
+    curves: tuple[Curve, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Claim:
+    """An inequality that holds in every case: left < factor · right; above: left > factor · right.
+
+    left, right: names of measured numbers; without `right` the factor itself is the limit.
+    """
+
+    text: str
+    left: str
+    factor: float
+    right: str = ""
+    above: bool = False
+
+    def holds(self, values: Mapping[str, Floats]) -> bool:
+        """Whether the numbers, each an array over the cases, satisfy it; a number that is missing does not."""
+        limit = self.factor * (values[self.right] if self.right else 1.0)
+        return bool(np.all(values[self.left] > limit if self.above else values[self.left] < limit))
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """A table or figure of a paper: what it prints, the measured names to show for it, and its claims.
+
+    where: "Fig. 14"; paper: the paper's own figure; printed, ours: names of measured numbers of the method as printed
+    and of our default. errors: both are errors, so that the factor between their least can be given. because: why the
+    claim does not hold here, or, without claims, why it cannot be tried.
+    """
+
+    where: str
+    what: str
+    paper: str
+    printed: tuple[str, ...] = ()
+    ours: tuple[str, ...] = ()
+    claims: tuple[Claim, ...] = ()
+    unit: str = "mm"
+    errors: bool = False
+    because: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Experiment:
+    """Entries that one measurement gives. free: what the paper does not print, and what is chosen here."""
+
+    paper: str
+    name: str
+    measure: Callable[[Effort], Measured]
+    entries: tuple[Entry, ...]
+    free: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """An entry with what was measured, mean over the seeds: texts to show, the verdict and the numbers themselves.
+
+    factor: least error as printed over ours; NaN where there are not both.
+    """
+
+    paper: str
+    entry: Entry
+    printed: str
+    ours: str
+    verdict: Verdict
+    why: str
+    values: Mapping[str, Floats]
+    factor: float = float("nan")
+
+    def to_dict(self) -> dict[str, object]:
+        """For scripts."""
+        return {
+            "paper": self.paper,
+            "where": self.entry.where,
+            "what": self.entry.what,
+            "published": self.entry.paper,
+            "as_printed": self.printed,
+            "our_default": self.ours,
+            "verdict": self.verdict.value,
+            "why": self.why,
+            "factor": self.factor,
+            "values": {name: value.tolist() for name, value in self.values.items()},
+            "claims": {claim.text: claim.holds(self.values) for claim in self.entry.claims},
+        }
+
+
+def mean_of(found: Sequence[Measured]) -> dict[str, Floats]:
+    """Each number's mean over the seeds, as arrays over the cases."""
+    return {
+        name: np.mean([np.atleast_1d(np.asarray(one.values[name], dtype=np.float64)) for one in found], axis=0)
+        for name in (found[0].values if found else ())
+    }
+
+
+def judged(experiment: Experiment, found: Sequence[Measured]) -> list[Row]:
+    """The experiment's rows; an experiment that was not run has entries that cannot be tried."""
+    values = mean_of(found)
+    return [_row(experiment.paper, entry, values) for entry in experiment.entries]
+
+
+def _row(paper: str, entry: Entry, values: dict[str, Floats]) -> Row:
+    names = {*entry.printed, *entry.ours} | {name for claim in entry.claims for name in (claim.left, claim.right)}
+    own = {name: value for name, value in values.items() if name in names}
+    shown, ours = (_shown(part, own, entry) for part in (entry.printed, entry.ours))
+    if not entry.claims:
+        return Row(paper, entry, shown, ours, Verdict.UNTRIED, entry.because, own)
+    failed = [claim.text for claim in entry.claims if not claim.holds(own)]
+    if failed:
+        why = f"not that {'; '.join(failed)}. {entry.because}".rstrip()
+    else:
+        why = "; ".join(claim.text for claim in entry.claims)
+    verdict = Verdict.FAILS if failed else Verdict.HOLDS
+    return Row(paper, entry, shown, ours, verdict, why, own, _factor(entry, own))
+
+
+def _factor(entry: Entry, values: Mapping[str, Floats]) -> float:
+    if not (entry.errors and entry.printed and entry.ours):
+        return float("nan")
+    printed, ours = (min(float(np.mean(values[name])) for name in part) for part in (entry.printed, entry.ours))
+    return printed / ours
+
+
+def _shown(names: Sequence[str], values: Mapping[str, Floats], entry: Entry) -> str:
+    """ "existing 0.13 / 0.12, proposed 0.03 / 0.02 mm"; what all names of the entry end with is left out."""
+    tail = _common_tail((*entry.printed, *entry.ours))
+    parts = [f"{name.removesuffix(tail)} {' / '.join(f'{value:.3g}' for value in values[name])}" for name in names]
+    return f"{', '.join(parts)} {entry.unit}".rstrip() if parts else ""
+
+
+def _common_tail(names: Sequence[str]) -> str:
+    """What all names end with, from a comma or a preposition on."""
+    parts = [re.split(r"(?=, | at | in )", name, maxsplit=1) for name in names]
+    tails = {part[1] if len(part) > 1 else "" for part in parts}
+    return tails.pop() if len(tails) == 1 else ""

@@ -1,0 +1,437 @@
+"""The paper on vision and infrared: temperature ranges, references that follow the light, a day and a night.
+
+J. Choi, Z. Ma, K. Kim, H. Sohn, Continuous structural displacement monitoring using accelerometer, vision, and infrared
+(IR) cameras, Sensors 23 (2023) 5241, doi 10.3390/s23115241, section 3. "FOV", "ROI" and "optimised" are ranges of
+temperature shown in grey levels.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from midspan.calibration.sensors.camera_scale import CameraScale
+from midspan.engine.switching import Switch
+from midspan.engine.thermal_target import ThermalTarget
+from midspan.errors import UsageError
+from midspan.evaluate.papers.claims import Curve, Effort, Measured
+from midspan.evaluate.papers.films import Loop, with_predictions
+from midspan.fusion.runners import run_method
+from midspan.fusion.streams import KalmanSettings, MethodSettings
+from midspan.records import (
+    Acceleration,
+    Displacement,
+    Floats,
+    Frame,
+    PixelTrack,
+    PixelTranslation,
+    Region,
+    Source,
+    TimeSeries,
+)
+from midspan.simulate.day.camera import Wall, wall_in_relief
+from midspan.simulate.day.sky import Light
+from midspan.simulate.motion.motion import Motion, Pulse, Sines, Sum, Sweep, Window, random_motion
+from midspan.simulate.motion.sensors import AccelerometerModel
+from midspan.simulate.scene.scene import Image
+from midspan.simulate.scene.texture import textured_scene
+from midspan.simulate.scene.thermal import Course, ThermalView, WarmBody
+from midspan.thermal.limits import Limits
+from midspan.thermal.temperature_range import (
+    Expected,
+    RangeSurface,
+    candidates,
+    field_range,
+    in_grey,
+    optimise_range,
+    region_range,
+)
+from midspan.vision.reference.policy import KeyFrameSettings
+from midspan.vision.reference.tracker import KeyFrameTracker
+from midspan.vision.reference.updating import UpdatingSettings, UpdatingTracker
+from midspan.vision.tracker import Tracker, open_tracker, tracker_settings
+
+# Scale factors of the paper, mm/px: camera, infrared, infrared on the bridge.
+CAMERA_MM, INFRARED_MM, BRIDGE_MM = 0.945, 1.094, 3.827
+BAND_HZ = (0.3, 3.0)
+# As printed: its l and h divide the differences by nine; SURF matches with rejection I and II.
+DIVISIONS = 9
+FEATURES = tracker_settings("features", literal=True)
+IN_GREY = tracker_settings("features", literal=True, detector="sift")
+INFRARED_SIZE, INFRARED_ROI = (90, 112), Region(20, 14, 72, 60)
+WALL_SIZE, WALL_ROI, WALL_HZ = (96, 96), Region(20, 20, 56, 56), 10.0
+BIAS_M_S2, NOISE_M_S2 = 0.02, 5e-4
+STARTED = 5  # frames before the first prediction
+
+
+@dataclass(frozen=True, slots=True)
+class Standing(WarmBody):
+    """Something warm or cold that stands near the target: it moves in the picture as the target does."""
+
+    moved_px: Callable[[float], float] = float
+
+    def paint(self, image: Image, time_s: float) -> None:
+        """Paint it over `image` (rows, columns) in °C."""
+        body = WarmBody(0.0, self.left_px, self.top_px + self.moved_px(time_s), 12.0, 24.0, 0.0, self.celsius)
+        body.paint(image, time_s)
+
+
+@dataclass(frozen=True, slots=True)
+class Filmed:
+    """Frames with their stamps, the true translation (n,) in px, the scale factor in mm/px, and the acceleration."""
+
+    frames: list[Frame]
+    px: Floats
+    scale_mm: float
+    acceleration: TimeSeries
+
+    def followed(self, tracker: Tracker, frames: Sequence[Frame] | None = None) -> list[PixelTranslation]:
+        """The track with the filter's prediction for every frame after the first five; frames: other pictures."""
+        frames = self.frames if frames is None else frames
+        begun = [tracker.push(frame) for frame in frames[:STARTED]]
+        loop = Loop(CameraScale(1e-3 * self.scale_mm, "y", 0), self.acceleration)
+        return begun + with_predictions(frames[STARTED:], tracker, PixelTrack.stack(begun), loop)
+
+    def error_mm(self, track: PixelTrack) -> float:
+        """Standard deviation of a track's error where it is known, mm."""
+        return self.scale_mm * float(np.nanstd(track.y_px - self.px))
+
+
+# Infrared: cases 1 to 5 and the bridge.
+
+
+def infrared(motion: Motion, view: ThermalView, seed: int, *, length_s: float, rate_hz: float, scale: float) -> Filmed:
+    """The motion before a thermal camera."""
+    at_s = np.arange(int(length_s * rate_hz)) / rate_hz
+    moved = motion.displacement(at_s) / (1e-3 * scale)
+    moved -= moved[0]
+    pictures = view.film(np.stack([0.0 * moved, moved], axis=1), at_s, rng=np.random.default_rng([1, seed]))
+    frames = [Frame(round(1e9 * s), p, k) for k, (s, p) in enumerate(zip(at_s, pictures, strict=True))]
+    return Filmed(frames, moved, scale, felt(motion, length_s, seed))
+
+
+def felt(motion: Motion, length_s: float, seed: int) -> TimeSeries:
+    """The motion by the accelerometer."""
+    model = AccelerometerModel(100.0, NOISE_M_S2, BIAS_M_S2)
+    return model.measure(motion, (0.0, length_s), rng=np.random.default_rng([11, seed]))
+
+
+def cups(motion: Motion, scale: float, warm_c: float, cold_c: float) -> tuple[WarmBody, WarmBody]:
+    """Two cups of water on either side of the target."""
+
+    def moved(time_s: float) -> float:
+        return float(motion.displacement(np.array([time_s]))[0] - motion.displacement(np.zeros(1))[0]) / (1e-3 * scale)
+
+    return (
+        Standing(left_px=0.0, top_px=18.0, celsius=warm_c, moved_px=moved),
+        Standing(left_px=98.0, top_px=44.0, celsius=cold_c, moved_px=moved),
+    )
+
+
+def fans(seed: int, *bodies: WarmBody, contrast_k: float = 0.9, mean_c: float = 25.9) -> ThermalView:
+    """A target with a contrast of `contrast_k`, and what else is in view."""
+    scene = textured_scene("natural", INFRARED_SIZE, rng=np.random.default_rng([2, seed]), reach_px=10.0, lens_px=1.0)
+    return ThermalView((scene,), contrast_k, Course(mean_c), bodies)
+
+
+def in_range(frames: Sequence[Frame]) -> PixelTrack:
+    """Matched features in grey levels; UsageError where the range shows too few."""
+    tracker = open_tracker("features", frames[0], INFRARED_ROI, IN_GREY)
+    return PixelTrack.stack([tracker.push(frame) for frame in frames])
+
+
+def learnt(one: Filmed) -> RangeSurface:
+    """The optimised range of a calibration."""
+    expected = Expected(one.px, "y", BAND_HZ)
+    return optimise_range(one.frames, INFRARED_ROI, in_range, expected, DIVISIONS)
+
+
+def by_range(one: Filmed, surface: RangeSurface, known: Filmed) -> dict[str, float]:
+    """Errors in mm and frames lost in % by each range, which the calibration `known` gave, and by ours in °C."""
+    ranges = {
+        "FOV": field_range(known.frames),
+        "ROI": region_range(known.frames, INFRARED_ROI),
+        "optimised": surface.best,
+    }
+    found: dict[str, float] = {}
+    for name, limits in ranges.items():
+        track = _tracked(one, limits)
+        found[name] = one.error_mm(track) if track is not None else float("nan")
+        found[f"{name} lost %"] = 100 * float(np.mean(~np.isfinite(track.y_px))) if track is not None else 100.0
+    tracker = ThermalTarget(one.frames[0], INFRARED_ROI, lambda frame: open_tracker("template", frame, INFRARED_ROI))
+    ours = PixelTrack.stack(one.followed(tracker))
+    return found | {"°C": one.error_mm(ours), "°C lost %": 100 * float(np.mean(~np.isfinite(ours.y_px)))}
+
+
+def _tracked(one: Filmed, limits: Limits) -> PixelTrack | None:
+    try:
+        grey = in_grey(one.frames, limits)
+        return PixelTrack.stack(one.followed(open_tracker("features", grey[0], INFRARED_ROI, IN_GREY), grey))
+    except UsageError:
+        return None
+
+
+def ranges(effort: Effort) -> Measured:
+    """Cases 1 to 5: the range is learnt from case 1 and used in the others; a finger crosses in case 2."""
+    length_s, rate_hz = (12.0, 15.0) if effort.quick else (30.0, 15.0)
+    finger = WarmBody(length_s - 6.5, 8.0, 14.0, 12.0, 60.0, 24.0, celsius=33.0)
+    rng, seed = np.random.default_rng([3, effort.seed]), effort.seed
+    motions: dict[str, Motion] = {
+        "case 1": _sine(1.0),
+        "case 2": _sine(1.0),
+        "case 3": _sine(2.0),
+        "case 4": Sweep(4e-3, 0.0, 3.0, length_s),
+        "case 5": random_motion((0.3, 3.0), 1.5e-3, rng=rng),
+    }
+    motions = {name: from_rest(motion, length_s) for name, motion in motions.items()}
+    films = {
+        name: infrared(
+            motion,
+            fans(seed, *cups(motion, INFRARED_MM, 33.5, 16.5), *((finger,) if name == "case 2" else ())),
+            10 * seed + int(name[-1]),
+            length_s=length_s,
+            rate_hz=rate_hz,
+            scale=INFRARED_MM,
+        )
+        for name, motion in motions.items()
+    }
+    case_1 = films.pop("case 1")
+    few = slice(None, 200)
+    known = replace(case_1, frames=case_1.frames[few], px=case_1.px[few])
+    surface = learnt(known)
+    found = {name: by_range(one, surface, known) for name, one in films.items()}
+    quiet = ("case 3", "case 4", "case 5")
+    values: dict[str, Any] = {f"{key}, case 2": value for key, value in found["case 2"].items()}
+    values |= {f"{key}, cases 3 to 5": [found[name][key] for name in quiet] for key in found["case 2"]}
+    values |= {f"{key}, mean": float(np.mean([found[name][key] for name in quiet])) for key in found["case 2"]}
+    values |= _corners(surface)
+    return Measured(values)
+
+
+def from_rest(motion: Motion, length_s: float) -> Motion:
+    """The motion from rest: the filter that predicts starts at rest."""
+    return Window(motion, 0.5, length_s + 2.0, ramp_s=1.0)
+
+
+def _sine(frequency_hz: float) -> Motion:
+    return Sines(np.array([4e-3]), np.array([frequency_hz]))
+
+
+def _corners(surface: RangeSurface) -> dict[str, float]:
+    """The best range, whether it is one of the corners, and the steps l and h."""
+    region, field = (surface.low_c[0], surface.high_c[0]), (surface.low_c[-1], surface.high_c[-1])
+    best = (surface.best.low_c, surface.best.high_c)
+    corner = any(np.allclose(best, other) for other in (region, field))
+    return {
+        "best low °C": best[0],
+        "best high °C": best[1],
+        "is a corner": float(corner),
+        "ranges": float(surface.error_px.size),
+    }
+
+
+def grid(effort: Effort) -> Measured:
+    """Figure 11: the candidates between the paper's own ranges."""
+    low, high = candidates(Limits(23.65, 28.08), Limits(15.94, 33.52), DIVISIONS)
+    return Measured(
+        {
+            "l K": low[0] - low[1],
+            "h K": high[1] - high[0],
+            "l, off by K": abs(low[0] - low[1] - 0.857),
+            "h, off by K": abs(high[1] - high[0] - 0.604),
+            "[16.79, 28.08] off the grid by K": float(np.min(np.abs(low - 16.79)) + np.min(np.abs(high - 28.08))),
+        }
+    )
+
+
+def bridge(effort: Effort) -> Measured:
+    """Figure 20: four people jump on a cold bridge, a bus passes with its exhaust."""
+    length_s, rate_hz = (12.0, 15.0) if effort.quick else (30.0, 15.0)
+    rng = np.random.default_rng([4, effort.seed])
+    motion = from_rest(random_motion((2.0, 2.3), 2.5e-3, rng=rng), length_s)
+    cold = cups(motion, BRIDGE_MM, 9.0, -14.0)
+    exhaust = WarmBody(0.7 * length_s, -20.0, 40.0, 20.0, 26.0, 60.0, celsius=25.0)
+    setting = {"length_s": length_s, "rate_hz": rate_hz, "scale": BRIDGE_MM}
+    case = [
+        infrared(motion, fans(effort.seed, *cold, *more, mean_c=-1.0), 50 + effort.seed, **setting)
+        for more in ((), (exhaust,))
+    ]
+    few = slice(None, int(10 * rate_hz), 3)
+    known = replace(case[0], frames=case[0].frames[few], px=case[0].px[few])
+    surface = learnt(known)
+    return Measured(by_range(case[1], surface, known) | _corners(surface))
+
+
+# Vision: cases 6 and 7.
+
+
+def lit(wall: Wall, moved: Floats, lights: Sequence[Light], seed: int) -> list[Frame]:
+    """Frames (8 bit, noise of 2 DN) of a wall under one light each."""
+    rng, frames = np.random.default_rng([5, seed]), []
+    for k, (y, light) in enumerate(zip(moved, lights, strict=True)):
+        picture = 300.0 * wall.brightness((0.0, float(y)), light, None) + rng.normal(0.0, 2.0, wall.size_px)
+        frames.append(Frame(round(1e9 * k / WALL_HZ), np.clip(np.rint(picture), 0, 255).astype(np.uint8), k))
+    return frames
+
+
+def relief(rng: np.random.Generator) -> Wall:
+    """A stone whose bumps are all that throws shade."""
+    wall = wall_in_relief(WALL_SIZE, rng=rng, slope=0.25)
+    return replace(wall, post_at_px=-1e4, eaves_px=0.0)
+
+
+def lamp(angle_rad: float, strength: float) -> Light:
+    """A flashlight at an angle from the wall's normal, in a room with some light of its own."""
+    return Light(float(np.sin(angle_rad)), 0.2, float(np.cos(angle_rad)), strength, 0.02)
+
+
+def moving_light(effort: Effort) -> Measured:
+    """Case 6: for 210 s under a flashlight that moves from 30 s on."""
+    length_s = 90.0 if effort.quick else 210.0
+    at_s = np.arange(int(length_s * WALL_HZ)) / WALL_HZ
+    pushes = tuple(Pulse(h, t, 8.0) for h, t in ((3e-3, 50.0), (-2e-3, 110.0), (3e-3, 170.0)))
+    motion = from_rest(Sum((Sines(np.array([2e-3]), np.array([1.0])), *pushes)), length_s)
+    moved = motion.displacement(at_s) / (1e-3 * CAMERA_MM)
+    moved -= moved[0]
+    later = np.clip(at_s - 30.0, 0.0, None)
+    angles = 1.05 * np.sin(2 * np.pi * later / 120.0)
+    wall = relief(np.random.default_rng([6, effort.seed]))
+    lights = [lamp(float(a), 0.9 - 0.5 * abs(np.sin(a))) for a in angles]
+    one = Filmed(lit(wall, moved, lights, effort.seed), moved, CAMERA_MM, felt(motion, length_s, effort.seed))
+    updating = UpdatingTracker(one.frames[0], WALL_ROI, UpdatingSettings("features", FEATURES, literal=True))
+    trackers: dict[str, Tracker] = {
+        "fixed": open_tracker("features", one.frames[0], WALL_ROI, FEATURES),
+        "updating": updating,
+        "key frames": KeyFrameTracker(one.frames[0], WALL_ROI, KeyFrameSettings(tracker="template")),
+    }
+    tracks = {name: one.followed(tracker) for name, tracker in trackers.items()}
+    values = {name: one.error_mm(PixelTrack.stack(rows)) for name, rows in tracks.items()}
+    lost = {name: 100 * float(np.mean([not np.isfinite(row.y_px) for row in rows])) for name, rows in tracks.items()}
+    matches = {name: np.array([_matches(row) for row in tracks[name]]) for name in ("fixed", "updating")}
+    values |= {f"{name} lost %": share for name, share in lost.items()}
+    values["updates"] = updating.state.updates
+    curve = Curve("Fig. 16 (b)", "time (s)", "matches", {name: (at_s, one) for name, one in matches.items()})
+    return Measured(values, (curve,))
+
+
+def _matches(row: PixelTranslation) -> float:
+    return row.strength if np.isfinite(row.y_px) else 0.0
+
+
+# Case 7: [0, 38] day, [38, 52] transition, [52, 92] night, [92, 108] transition, [108, 120] day, s.
+DAY_S, NIGHT_S, LENGTH_S = (38.0, 108.0), (52.0, 92.0), 120.0
+
+
+def day_and_night(effort: Effort) -> Measured:
+    """Case 7: the light goes out between 38 and 60 s and comes back before 100 s; the air cools from 60 s on."""
+    at_s = np.arange(int(LENGTH_S * WALL_HZ)) / WALL_HZ
+    motion = from_rest(random_motion((0.3, 2.2), 1.5e-3, rng=np.random.default_rng([7, effort.seed])), LENGTH_S)
+    true = motion.displacement(at_s) - motion.displacement(np.zeros(1))
+    strength = np.interp(at_s, [38.0, 56.0, 60.0, 94.0, 100.0], [0.8, 0.02, 0.0, 0.0, 0.8])
+    lights = [lamp(float(a), float(s)) for a, s in zip(np.interp(at_s, [0, 60], [-0.3, 0.3]), strength, strict=True)]
+    wall = relief(np.random.default_rng([8, effort.seed]))
+    sensed = felt(motion, LENGTH_S, effort.seed)
+    px = true / (1e-3 * CAMERA_MM)
+    seen = Filmed(lit(wall, px, lights, effort.seed), px, CAMERA_MM, sensed)
+    warm = Filmed(_cooling(true, at_s, effort.seed), true / (1e-3 * INFRARED_MM), INFRARED_MM, sensed)
+    calibration = slice(None, 100, 2)
+    known = replace(warm, frames=warm.frames[calibration], px=warm.px[calibration])
+    levels = learnt(known).best
+    grey = in_grey(warm.frames, levels)
+    rule = UpdatingSettings("features", FEATURES, literal=True)
+    printed = {
+        "camera": seen.followed(UpdatingTracker(seen.frames[0], WALL_ROI, rule)),
+        "infrared": warm.followed(
+            UpdatingTracker(grey[0], INFRARED_ROI, replace(rule, tracker_settings=IN_GREY)), grey
+        ),
+    }
+    chosen = _chosen(at_s, printed)
+    rows = [printed[name][k] for k, name in enumerate(chosen)]
+    scale = np.array([{"camera": CAMERA_MM, "infrared": INFRARED_MM}[name] for name in chosen])
+    value_mm = scale * np.array([row.y_px for row in rows])
+    acceleration = Acceleration(sensed.time_ns, sensed.value, np.full(len(sensed.value), NOISE_M_S2**2 / 100.0))
+    truth = motion.displacement(sensed.time_ns / 1e9) - motion.displacement(np.zeros(1))
+    changes = np.flatnonzero(np.array(chosen[1:]) != np.array(chosen[:-1])) + 1
+    seen_s = np.concatenate(([0.0], at_s[np.isfinite(value_mm)], [at_s[-1]]))
+    gaps = np.diff(seen_s)
+    variance = (scale * 1e-3) ** 2 * np.array([row.variance_y_px2 for row in rows])
+    fused = _fused(acceleration, (at_s, value_mm, variance), truth, literal=True)
+    alone = seen.error_mm(PixelTrack.stack(printed["camera"]))
+    values: dict[str, Any] = {
+        "vision lost %": 100 * float(np.mean([not np.isfinite(row.y_px) for row in printed["camera"]])),
+        "vision alone": alone,
+        "switched": float(np.nanstd(value_mm - 1e3 * true)),
+        "switched and fused": fused,
+        "switches": len(changes),
+        "to infrared s": float(at_s[changes[0]]) if len(changes) else float("nan"),
+        "to vision s": float(at_s[changes[-1]]) if len(changes) else float("nan"),
+        "longest gap s": float(gaps.max()),
+        "gap from s": float(seen_s[np.argmax(gaps)]),
+        "ours": _ours(acceleration, (seen, warm), at_s, truth),
+    }
+    counts = {name: (at_s, np.array([_matches(row) for row in rows])) for name, rows in printed.items()}
+    return Measured(values, (Curve("Fig. 18 (d)", "time (s)", "matches", counts),))
+
+
+def _cooling(true_m: Floats, at_s: Floats, seed: int) -> list[Frame]:
+    """A target that keeps its temperatures for 60 s, then cools until 100 s: another pattern comes through."""
+    scenes = tuple(
+        textured_scene("natural", INFRARED_SIZE, rng=np.random.default_rng([9, k, seed]), reach_px=10.0, lens_px=1.0)
+        for k in range(2)
+    )
+    view = ThermalView(scenes, 0.9, Course(25.9, -3.0, 240.0))
+    cooled = np.clip(at_s - 60.0, 0.0, 40.0)
+    moved = true_m / (1e-3 * INFRARED_MM)
+    pictures = view.film(np.stack([0.0 * moved, moved], axis=1), cooled, rng=np.random.default_rng([10, seed]))
+    return [Frame(round(1e9 * s), p, k) for k, (s, p) in enumerate(zip(at_s, pictures, strict=True))]
+
+
+def _chosen(at_s: Floats, rows: dict[str, list[PixelTranslation]]) -> list[str]:
+    """Which camera measures in each frame: by day vision, by night infrared, between them that with more matches."""
+    switch, chosen = Switch(("camera", "infrared")), []
+    for k, time_s in enumerate(at_s):
+        for name, own in rows.items():
+            switch.push(name, own[k].time_ns, _matches(own[k]))
+        if time_s < DAY_S[0] or time_s >= DAY_S[1]:
+            chosen.append("camera")
+        else:
+            chosen.append("infrared" if NIGHT_S[0] <= time_s < NIGHT_S[1] else switch.chosen)
+    return chosen
+
+
+def _fused(
+    acceleration: Acceleration, series: tuple[Floats, Floats, Floats], truth_m: Floats, *, literal: bool
+) -> float:
+    """Error in mm of a series (time in s, mm, m²) after fusion, its first seconds left out."""
+    at_s, value_mm, variance = series
+    good = np.isfinite(value_mm) & np.isfinite(variance)
+    source = np.full(int(good.sum()), Source.CAMERA, dtype=np.uint8)
+    stamps = np.round(1e9 * at_s[good]).astype(np.int64)
+    displacement = Displacement(stamps, 1e-3 * value_mm[good], variance[good], source)
+    method = "adaptive-kalman" if literal else "smoother"
+    settings = MethodSettings(KalmanSettings(bias=BIAS_M_S2), literal=literal)
+    rows = run_method(method, acceleration, displacement, settings).estimate
+    error = 1e3 * (rows.displacement_m - truth_m[-len(rows.time_ns) :])
+    return float(np.std(error[1000:]))
+
+
+def _ours(acceleration: Acceleration, films: tuple[Filmed, Filmed], at_s: Floats, truth_m: Floats) -> float:
+    """Error in mm of key frames before both cameras, infrared in °C, each with its variance, smoothed."""
+    seen, warm = films
+    camera = KeyFrameTracker(seen.frames[0], WALL_ROI, KeyFrameSettings(tracker="template"))
+    thermal = ThermalTarget(
+        warm.frames[0],
+        INFRARED_ROI,
+        lambda frame: KeyFrameTracker(frame, INFRARED_ROI, KeyFrameSettings(tracker="template")),
+    )
+    parts = []
+    for tracker, one in ((camera, seen), (thermal, warm)):
+        rows = one.followed(tracker)
+        variance = np.array([row.variance_y_px2 + row.reference_variance_y_px2 for row in rows])
+        parts.append((at_s, one.scale_mm * np.array([row.y_px for row in rows]), (1e-3 * one.scale_mm) ** 2 * variance))
+    # The second camera's frames come a little later: two measurements of one instant have no order.
+    both = [np.concatenate(columns) for columns in zip(*parts, strict=True)]
+    both[0][len(at_s) :] += 1e-3
+    order = np.argsort(both[0])
+    return _fused(acceleration, (both[0][order], both[1][order], both[2][order]), truth_m, literal=False)

@@ -1,0 +1,116 @@
+"""The page of the papers' repeated experiments: a table for each paper and figures like the papers' own."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from midspan.evaluate.papers.claims import Curve, Row
+from midspan.evaluate.papers.table import Outcome
+from midspan.evaluate.published import PAPERS, Paper
+from midspan.report import page
+from midspan.report.drawing import BLUE, GREEN, GREY, ORANGE, PURPLE, VERMILLION, picture, saved, sheet, style
+from midspan.writing import write_whole
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+HEADER = ("", "paper", "as printed, here", "our default", "times less", "claim")
+# Ours is blue in every figure; what the papers compare with has the colours after it.
+OURS, OTHERS = ("smoother", "ours"), (VERMILLION, GREEN, ORANGE, PURPLE, GREY, "#8C564B")
+HEIGHT_IN, PICTURE_IN = 2.6, 6.4
+DOTS_PER_INCH = 110
+
+
+def write_papers(outcomes: Sequence[Outcome], path: Path, command: str) -> Path:
+    """Write the page to `path`: one HTML file, or Markdown whose figures go into images/ of its folder.
+
+    Raises UsageError where it cannot be written.
+    """
+    with style():
+        if path.suffix == ".md":
+            write_whole(path, _markdown(outcomes, path, command).encode())
+        else:
+            write_whole(path, _html(outcomes, command).encode())
+    return path
+
+
+def _html(outcomes: Sequence[Outcome], command: str) -> str:
+    body = []
+    for paper in _repeated(outcomes):
+        own = [one for one in outcomes if one.experiment.paper == paper.key]
+        rows = [_cells(row) for one in own for row in one.rows]
+        drawn = [_figure(curve, paper) for one in own for curve in one.curves]
+        free = page.bullets([f"{name}: {text}" for name, text in _free(own)], "")
+        chosen = page.folded("What the paper does not print, chosen here", free)
+        body.append(
+            page.section(
+                paper.key, _title(paper), page.paragraph(paper.citation), page.table(rows, HEADER), chosen, *drawn
+            )
+        )
+    title = "The papers' experiments, repeated in simulation"
+    return page.document(title, [page.heading(title, [_made(command)]), page.contents(body), *body])
+
+
+def _figure(curve: Curve, paper: Paper) -> str:
+    return page.figure(picture(_axes(curve)), f"{paper.key} {curve.figure}", f"{curve.y} over {curve.x}.")
+
+
+def _axes(curve: Curve) -> "Figure":
+    figure = sheet(HEIGHT_IN, PICTURE_IN)
+    axes = figure.subplots()
+    others = iter(OTHERS)
+    for name, (x, y) in curve.lines.items():
+        colour = BLUE if name.startswith(OURS) else next(others)
+        axes.plot(x, y, marker="o" if curve.dots else "", markersize=3.5, color=colour, label=name)
+    axes.set_xlabel(curve.x)
+    axes.set_ylabel(curve.y)
+    if curve.log:
+        axes.set_yscale("log")
+    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4)
+    return figure
+
+
+def _markdown(outcomes: Sequence[Outcome], path: Path, command: str) -> str:
+    lines = ["# The papers' tables and figures, repeated", "", f"{_made(command)}", ""]
+    for paper in _repeated(outcomes):
+        own = [one for one in outcomes if one.experiment.paper == paper.key]
+        lines += [f"## {paper.key}: {_title(paper)}", "", f"{paper.citation}.", ""]
+        lines += [_line(HEADER), _line(["---"] * len(HEADER))]
+        lines += [_line(_cells(row)) for one in own for row in one.rows]
+        lines += ["", "The paper does not print, and is chosen here:", ""]
+        lines += [f"- {name}: {text}." for name, text in _free(own)]
+        for one in own:
+            for curve in one.curves:
+                name = "".join(c for c in f"paper_{paper.key}_{curve.figure.lower()}" if c.isalnum() or c == "_")
+                picture_file = path.parent / "images" / f"{name}.png"
+                write_whole(picture_file, saved(_axes(curve), "png", dpi=DOTS_PER_INCH))
+                lines += ["", f"![{curve.figure}: {curve.y} over {curve.x}](images/{name}.png)"]
+        lines.append("")
+    return "\n".join(lines)
+
+
+def _cells(row: Row) -> tuple[str, ...]:
+    factor = f"{row.factor:.3g}" if row.factor == row.factor else ""
+    where = f"{row.entry.where}: {row.entry.what}"
+    return where, row.entry.paper, row.printed, row.ours, factor, f"{row.verdict.value}: {row.why}"
+
+
+def _line(cells: Sequence[str]) -> str:
+    return f"| {' | '.join(cell.replace('|', '/') for cell in cells)} |"
+
+
+def _repeated(outcomes: Sequence[Outcome]) -> list[Paper]:
+    keys = {one.experiment.paper for one in outcomes}
+    return [paper for paper in sorted(PAPERS, key=lambda paper: paper.key) if paper.key in keys]
+
+
+def _free(outcomes: Sequence[Outcome]) -> list[tuple[str, str]]:
+    return [(one.experiment.name, one.experiment.free) for one in outcomes if one.experiment.free]
+
+
+def _title(paper: Paper) -> str:
+    return f"{paper.name}"
+
+
+def _made(command: str) -> str:
+    return f"Made by `{command}`, in simulation with known truth; errors without their mean unless the row says else."

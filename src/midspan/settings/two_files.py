@@ -1,0 +1,225 @@
+"""The settings of a recording of two files, an accelerometer's and a video, as they are found in these."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from midspan.errors import NoAgreementError, UsageError
+from midspan.notices import Notice
+from midspan.settings.load import validate
+from midspan.settings.recording import RecordingSettings
+from midspan.trees import toml_value
+
+if TYPE_CHECKING:
+    from midspan.records import TimeSeries
+    from midspan.sources.accelerometer.channel import Channel
+    from midspan.sources.accelerometer.select import SeriesRequest
+
+Made = TypeVar("Made")
+
+# Stamps from here on (s) are dates, not seconds after a start: 2001.
+DATED_FROM_S = 1e9
+GRAVITY_M_S2 = 9.80665
+# A mean acceleration within this share of gravity's is that of an axis upright to 25 degrees.
+UPRIGHT = 0.1
+# A video is dated by when it was begun or ended; one that is dated farther away than this, s, is of another clock.
+BY_HAND_S = 60.0
+
+
+@dataclass(slots=True)
+class Draft:
+    """Settings of a recording of two files: keys of each section, with a remark on some of them.
+
+    left_out: keys that the files do not tell, with what they mean; needed: those of them that cannot be done without.
+    """
+
+    sections: dict[str, dict[str, Any]] = field(default_factory=dict)
+    remarks: dict[tuple[str, str], str] = field(default_factory=dict)
+    left_out: dict[tuple[str, str], str] = field(default_factory=dict)
+    needed: list[str] = field(default_factory=list)
+
+    @property
+    def camera(self) -> str:
+        """The video's section."""
+        return "infrared" if "infrared" in self.sections else "camera"
+
+    def put(self, section: str, key: str, value: Any, remark: str = "") -> None:
+        """Set a key."""
+        self.sections.setdefault(section, {})[key] = value
+        if remark:
+            self.remarks[section, key] = remark
+
+    def need(self, section: str, key: str, meaning: str) -> None:
+        """Leave a key to the person who knows it."""
+        self.left_out[section, key] = meaning
+        self.needed.append(f"{section}.{key}")
+
+    def text(self) -> str:
+        """As a commented recording.toml."""
+        lines = []
+        for section, keys in self.sections.items():
+            lines += ["", f"[{section}]"]
+            written = [
+                (key, f"{key} = {toml_value(value)}", self.remarks.get((section, key))) for key, value in keys.items()
+            ]
+            open_keys = [(key, f"# {key} = ", why) for (own, key), why in self.left_out.items() if own == section]
+            lines += [f"{line:<40}  # {remark}" if remark else line for _, line, remark in [*written, *open_keys]]
+        return "\n".join(["# Written by midspan init; every key is explained in docs/configuration.md.", *lines, ""])
+
+
+def is_sensor_file(given: object) -> bool:
+    """Whether this is the path of a file that is no recording.toml."""
+    return isinstance(given, str | Path) and Path(given).is_file() and Path(given).suffix != ".toml"
+
+
+def draft(accel: Path, video: Path, value: str | None, unit: str | None, *, choose: bool = False) -> Draft:
+    """The settings of a recording of an accelerometer's file and a video (or infrared sequence).
+
+    value, unit: where the file leaves a choice. choose: take one of several channels, for a person to look at; else
+    UsageError names them. Raises what reading the files does.
+    """
+    from midspan.sources.accelerometer.formats import list_channels
+    from midspan.sources.accelerometer.select import SeriesRequest, candidates, find_channel, read_series
+    from midspan.sources.camera.formats import is_table, is_video
+
+    if is_video(accel) and is_table(video):
+        raise UsageError(
+            f"{accel} is a video and {video} a table of numbers. Name the accelerometer's file first, then the video."
+        )
+    found = Draft()
+    channels = list_channels(accel)
+    found.put("accelerometer", "file", str(accel.absolute()))
+    if value is not None:
+        channel, others = find_channel(accel, channels, value, "--value"), tuple[str, ...]()
+    else:
+        channel, others = _chosen(accel, candidates(channels, "acceleration"), choose)
+    _channel(found, channel, others, unit, channels.names)
+    request = SeriesRequest("acceleration", value=channel.name, unit=unit)
+    acceleration = _read(found, accel, request, choose, read_series)
+    _camera(found, video, acceleration)
+    return found
+
+
+def _chosen(path: Path, found: "tuple[Channel, ...]", choose: bool) -> "tuple[Channel, tuple[str, ...]]":
+    """The channel along the motion, of those that could be; with the names of the others."""
+    if not found:
+        raise UsageError(f"{path}: holds no channel of acceleration by name or unit. Name one with --value.")
+    names = tuple(one.name for one in found)
+    if len(found) > 1 and not choose:
+        units = {one.unit for one in found}
+        said = f" (all in {units.pop()})" if len(units) == 1 and found[0].unit else ""
+        raise UsageError(
+            f"{path}: {len(found)} channels could be meant: {', '.join(map(repr, names))}{said}. Name the one "
+            f"along the measured motion, for example --value {names[-1]!r}."
+        )
+    upright = [one for one in found if _is_upright(one)]
+    chosen = upright[0] if len(upright) == 1 else found[0]
+    return chosen, tuple(name for name in names if name != chosen.name)
+
+
+def _is_upright(channel: "Channel") -> bool:
+    """Whether a channel reads gravity."""
+    import numpy as np
+
+    from midspan.sources.accelerometer.units import measures, si_factor
+
+    if not measures(channel.unit, "acceleration"):
+        return False
+    mean = float(np.nanmean(channel.values)) * si_factor(str(channel.unit), "acceleration", None)
+    return abs(abs(mean) / GRAVITY_M_S2 - 1.0) < UPRIGHT
+
+
+def _channel(
+    found: Draft, channel: "Channel", others: tuple[str, ...], unit: str | None, names: tuple[str, ...]
+) -> None:
+    """The keys of the accelerometer's channel."""
+    remark = f"or {', '.join(map(repr, others))}: the one along the measured motion" if others else ""
+    if len(names) > 1:
+        found.put("accelerometer", "value", channel.name, remark)
+    if unit is not None:
+        found.put("accelerometer", "unit", unit)
+    elif channel.unit:
+        found.put("accelerometer", "unit", channel.unit, "from the file")
+    else:
+        found.need("accelerometer", "unit", "such as m/s^2 or g; every millimetre depends on it")
+
+
+def _read(found: Draft, path: Path, request: "SeriesRequest", choose: bool, read: Any) -> "TimeSeries | None":
+    """The acceleration; where it has no time or unit and the settings are to be looked at, None."""
+    try:
+        return read(path, request)  # type: ignore[no-any-return]
+    except UsageError as error:
+        if not choose:
+            text = str(error).replace("Give unit,", "Give --unit,")
+            raise UsageError(text) from None
+        if "has no time" in str(error):
+            found.need("accelerometer", "rate_hz", "samples a second")
+        return None
+
+
+def _camera(found: Draft, video: Path, acceleration: "TimeSeries | None") -> None:
+    """The keys of the camera."""
+    from midspan.sources.camera.formats import open_frames
+    from midspan.sources.camera.frames import FrameRequest, timed_or_counted
+    from midspan.sources.thermal.formats import is_thermal, open_thermal
+    from midspan.sources.thermal.request import ThermalRequest
+
+    thermal = is_thermal(video)
+    section = "infrared" if thermal else "camera"
+
+    def opened(rate_hz: float | None) -> Any:
+        request = FrameRequest(rate_hz=rate_hz)
+        return open_thermal(video, ThermalRequest(frames=request)) if thermal else open_frames(video, request)
+
+    source, timed = timed_or_counted(opened)
+    info = source.info
+    found.put(section, "file", str(video.absolute()), f"{info.width} × {info.height} px, {info.codec}")
+    found.put(section, "direction", "y", 'image axis of the motion: "x" (right +), "y" (down +) or "xy"')
+    if not timed:
+        found.need(section, "rate_hz", "frames a second: the file has no times of its own")
+    elif acceleration is not None:
+        _begin(found, section, video, (float(source.times_ns()[0]) * 1e-9, float(acceleration.time_ns[0]) * 1e-9))
+    found.left_out[section, "exposure_s"] = "time a frame is exposed, s; left out: estimated, or in the error band"
+    found.left_out[section, "roi"] = "x, y, width, height in px; left out: chosen automatically"
+
+
+def _begin(found: Draft, section: str, video: Path, first_s: tuple[float, float]) -> None:
+    """When the video began on the accelerometer's clock, where the two count from different instants."""
+    from midspan.sources.camera.video import made_s
+
+    camera_s, accelerometer_s = first_s
+    if accelerometer_s < DATED_FROM_S or camera_s >= DATED_FROM_S:
+        return
+    made = made_s(video)
+    if made is not None and abs(made - accelerometer_s) < BY_HAND_S:
+        found.put(section, "start_s", made - camera_s, "the video's date, on the accelerometer's clock")
+    else:
+        found.put(section, "start_s", accelerometer_s - camera_s, "as the accelerometer begins, whose times are dates")
+
+
+def on_one_clock(
+    found: Draft, work: Callable[[Path, RecordingSettings, tuple[Notice, ...]], Made], *, again: bool = True
+) -> Made:
+    """What `work` makes of the two files; once more where it finds their clocks apart, with both on one.
+
+    work: takes the name that stands for a recording.toml, the settings, and what is to be warned of. again: False where
+    a calibration is given, whose clock offset holds. Raises UsageError where the files do not tell all that is needed.
+    """
+    accel, section, tree = Path(found.sections["accelerometer"]["file"]), found.camera, found.sections
+    video = Path(tree[section]["file"])
+    where = f"{accel.name} and {video.name}"
+    if found.needed:
+        raise UsageError(
+            f"{where}: {', '.join(found.needed)} is in neither file. Run `midspan init {accel} {video}`, and write it "
+            "into the recording.toml."
+        )
+    file = accel.parent / where
+    try:
+        return work(file, validate(tree, where), ())
+    except NoAgreementError as error:
+        if error.clock_offset_s is None or not again:
+            raise
+        tree[section]["start_s"] = tree[section].get("start_s", 0.0) + error.clock_offset_s
+        moved = f"{video.name} begins {error.clock_offset_s:+.3g} s later than its times say: by the motion itself."
+    return work(file, validate(tree, where), (Notice("clock-corrected", moved),))

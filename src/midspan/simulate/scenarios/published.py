@@ -1,0 +1,214 @@
+"""The papers' other tests as recordings: two-stage FIR (003), radar (002), vision and infrared (001).
+
+Geometry, scale factors, rates, chirps and kinds of excitation are theirs; `free` of each says what is chosen here. The
+films of the papers on feature matching (004) and on phase (000) are in `papers`.
+"""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from midspan.simulate.day.infrared import DayCourse
+from midspan.simulate.day.setup import DaySetup, Eye
+from midspan.simulate.day.sky import Sky
+from midspan.simulate.motion.motion import Later, Motion, Pulse, Sines, Sum, Sweep, Window, random_motion
+from midspan.simulate.motion.sensors import AccelerometerModel
+from midspan.simulate.radar.setup import RadarSetup
+from midspan.simulate.radar.signal import LONG_RANGE, SHORT_RANGE, Reflector, noise_for
+from midspan.simulate.scenarios.stage import CameraSetup, Scenario
+from midspan.simulate.scene.camera import Camera
+from midspan.simulate.scene.thermal import ThermalCamera, WarmBody
+
+FORCE_BALANCE = AccelerometerModel(rate_hz=100.0, noise_std_m_s2=5e-4, bias_m_s2=0.02)
+FULL_RATE_HZ = 30000 / 1001
+Drawn = Callable[[np.random.Generator], Motion]
+
+
+def _tones(sizes_m: Sequence[float], hertz: Sequence[float], length_s: float) -> Drawn:
+    """Sines of random phase, from rest and to rest."""
+
+    def drawn(rng: np.random.Generator) -> Motion:
+        phase = rng.uniform(0, 2 * np.pi, len(hertz))
+        return Window(Sines(np.array(sizes_m), np.array(hertz), phase_rad=phase), 1.0, length_s - 1.0, ramp_s=2.0)
+
+    return drawn
+
+
+def _in_turn(parts: Sequence[Drawn], each_s: float) -> Drawn:
+    """One excitation after the other, each `each_s` long and at rest in between."""
+
+    def drawn(rng: np.random.Generator) -> Motion:
+        return Sum(
+            tuple(
+                Window(Later(part(rng), 1.0 + k * each_s), 1.0 + k * each_s, 0.5 + (k + 1) * each_s, ramp_s=1.5)
+                for k, part in enumerate(parts)
+            )
+        )
+
+    return drawn
+
+
+def _random(low_hz: float, high_hz: float, std_m: float) -> Drawn:
+    return lambda rng: random_motion((low_hz, high_hz), std_m, rng=rng, lines=120)
+
+
+def _sine(amplitude_m: float, frequency_hz: float) -> Drawn:
+    return lambda rng: Sines(np.array([amplitude_m]), np.array([frequency_hz]))
+
+
+def _crossing(band_hz: tuple[float, float]) -> Drawn:
+    """Sixteen people cross slowly while two jump."""
+
+    def drawn(rng: np.random.Generator) -> Motion:
+        crowd = tuple(Pulse(-1.2e-3, at_s, 5.0) for at_s in (15.0, 33.0))
+        return Window(Sum((random_motion(band_hz, 0.6e-3, rng=rng, lines=12), *crowd)), 1.0, 48.0, ramp_s=2.0)
+
+    return drawn
+
+
+def _pushes(rng: np.random.Generator) -> Motion:
+    """1 Hz and slow pushes by hand."""
+    slow = tuple(Pulse(height, at_s, 8.0) for height, at_s in ((3e-3, 50.0), (-2e-3, 110.0), (3e-3, 170.0)))
+    return Window(Sum((Sines(np.array([2e-3]), np.array([1.0])), *slow)), 1.0, 209.0, ramp_s=2.0)
+
+
+def _eye(scale_mm_per_px: float, every: int) -> CameraSetup:
+    """A camera at 29.97 Hz of which every N-th frame is used."""
+    return CameraSetup(
+        rate_hz=FULL_RATE_HZ,
+        time_offset_s=0.061,
+        scale_mm_per_px=-scale_mm_per_px,
+        direction="x",
+        size_px=(128, 128),
+        camera=Camera(exposure_s=0.004),
+        every=every,
+    )
+
+
+_STOREY_FREE = (
+    "8 mm at 0.1 Hz, 2.8 mm of the tone, phases, texture, noise, 0.061 s between the clocks; 6.4346 is taken as "
+)
+_STOREY_FREE += "mm/px (the paper prints pixels/mm)"
+_BRIDGE_FREE = "amplitudes, the jumpers' frequencies in excitations 1 and 2, texture, noise, 0.061 s between the clocks"
+
+
+def _storey(number: int, tone_hz: float) -> Scenario:
+    return Scenario(
+        line=f"003, storey model before stones at 1 m, excitation {number}: 0.1 + {tone_hz} Hz, 3 frames/s",
+        title=f"storey model of the two-stage paper, excitation {number}",
+        duration_s=56.0,
+        motion=_tones((8e-3, 2.8e-3), (0.1, tone_hz), 56.0),
+        accelerometer=FORCE_BALANCE,
+        camera=_eye(6.4346, 10),
+        free=_STOREY_FREE,
+    )
+
+
+def _footbridge(number: int, motion: Drawn) -> Scenario:
+    return Scenario(
+        line=f"003, footbridge at 2 m, excitation {number}, 3 frames/s",
+        title=f"footbridge of the two-stage paper, excitation {number}",
+        duration_s=50.0,
+        motion=motion,
+        accelerometer=FORCE_BALANCE,
+        camera=_eye(1.345, 10),
+        free=_BRIDGE_FREE,
+    )
+
+
+def _view(range_m: float, bin_m: float, factor: float, *others: Reflector) -> RadarSetup:
+    """The target, 10 % of another reflector of its bin at another angle, and what else is in view."""
+    clutter = Reflector(range_m + 0.5 * bin_m, 100.0, 0.4 / factor, 0.5)
+    seen = (Reflector(range_m, 1000.0, 1.0 / factor), clutter, *others)
+    long = bin_m > 0.1
+    return RadarSetup(
+        lambda rng: seen,
+        profile=LONG_RANGE if long else SHORT_RANGE,
+        noise_std=noise_for(1000.0, -5.0 if long or others else 0.0),
+        phase_noise_rad=0.02,
+    )
+
+
+_RADAR_FREE = (
+    "amplitudes (31 to 51.6 mm at 0.3 and 0.5 Hz, above 15.5 mm at 1 Hz), clutter, noise of the receiver, clocks"
+)
+_TEST = _in_turn((_sine(0.02, 1.0), _sine(0.04, 0.3), _sine(0.04, 0.5), _random(0.3, 3.0, 0.01)), 10.0)
+_WALK = _in_turn((_random(0.3, 4.0, 0.7e-3), _random(0.3, 3.0, 0.7e-3), _random(0.3, 3.0, 1e-3)), 13.0)
+
+
+def _radar(line: str, setup: RadarSetup, motion: Drawn = _TEST) -> Scenario:
+    return Scenario(
+        line=f"002, {line}",
+        title=f"radar paper, {line}",
+        duration_s=42.0,
+        motion=motion,
+        accelerometer=FORCE_BALANCE,
+        radar=setup,
+        window_s=(0.0, 11.0) if motion is _TEST else (0.0, 14.0),
+        free=_RADAR_FREE,
+    )
+
+
+_TREE = Reflector(4.1, 2200.0, 1.0, 0.3, own=random_motion((0.2, 1.5), 0.4e-3, rng=np.random.default_rng(6)))
+_FENCE = Reflector(5.6, 1500.0, 0.9, -0.3, own=random_motion((0.5, 3.0), 0.2e-3, rng=np.random.default_rng(7)))
+_PARTS = tuple(Reflector(r, 900.0, 1.0, a) for r, a in ((31.0, 0.2), (34.5, -0.2), (38.0, 0.1), (42.0, -0.1)))
+
+# A cup of hot and one of cold water at the edges, and a finger that crosses the target from 23.5 s to 27 s.
+_CUPS = (
+    WarmBody(0.0, 0.0, 18.0, 12.0, 24.0, 0.0, celsius=33.5),
+    WarmBody(0.0, 98.0, 44.0, 12.0, 24.0, 0.0, celsius=16.5),
+)
+_FINGER = WarmBody(23.5, 8.0, 14.0, 12.0, 60.0, 24.0, celsius=33.0)
+_LAB_FREE = (
+    "amplitudes, textures of 96 × 96 and 90 × 112 px, 0.9 K of contrast, noise of 0.05 K; the flashlight is a sun"
+)
+
+
+def _lab(
+    line: str, motion: Drawn, *bodies: WarmBody, length_s: float = 30.0, sky_s: float = 86400.0, rate_hz: float = 30.0
+) -> Scenario:
+    """The storey model of the paper on vision and infrared."""
+    setup = DaySetup(
+        sky=Sky(length_s=sky_s),
+        camera=Eye((96, 96), scale_mm_per_px=-0.945, rate_hz=rate_hz),
+        infrared=Eye((90, 112), scale_mm_per_px=-1.094, rate_hz=rate_hz, start_s=0.01),
+        contrast_k=0.9,
+        course=DayCourse(mean_c=25.9, swing_k=1.5 if sky_s < 1e4 else 0.0, period_s=sky_s),
+        thermal=ThermalCamera(netd_k=0.05, pattern_k=0.03),
+        bodies=bodies,
+        camera_roi=(20, 20, 56, 56),
+        infrared_roi=(20, 14, 72, 60),
+    )
+    return Scenario(
+        line=f"001, {line}",
+        title=f"vision and infrared, {line}",
+        duration_s=length_s,
+        motion=lambda rng: Window(motion(rng), 0.5, length_s, ramp_s=1.0),
+        accelerometer=FORCE_BALANCE,
+        day=setup,
+        free=_LAB_FREE,
+    )
+
+
+PUBLISHED: dict[str, Scenario] = {
+    **{f"003-storey-{k}": _storey(k, tone) for k, tone in enumerate((2.2, 3.3, 5.1, 6.3, 10.3), start=1)},
+    "003-bridge-1": _footbridge(1, _crossing((2.46, 2.56))),
+    "003-bridge-2": _footbridge(2, _crossing((1.50, 1.62))),
+    "003-bridge-3": _footbridge(3, _tones((0.8e-3, 1.2e-3, 0.6e-3, 0.5e-3), (2.0, 2.102, 2.224, 2.51), 50.0)),
+    "002-wall": _radar("wall at 1.318 m, four excitations in turn", _view(1.318, SHORT_RANGE.bin_m, 1.0)),
+    "002-building": _radar("building at 48 m, four excitations", _view(48.0, LONG_RANGE.bin_m, 1.0, *_PARTS)),
+    "002-angled": _radar("model at 2.0543 m, factor 1.2748", _view(2.0543, SHORT_RANGE.bin_m, 1.2748)),
+    "002-bridge": _radar(
+        "footbridge at 7.4605 m, two stronger targets", _view(7.4605, SHORT_RANGE.bin_m, 1.0, _TREE, _FENCE), _WALK
+    ),
+    "001-case-1": _lab("case 1, calibration at 1 Hz", _sine(4e-3, 1.0), *_CUPS),
+    "001-case-2": _lab("case 2, 1 Hz with a finger from 23.5 to 27 s", _sine(4e-3, 1.0), *_CUPS, _FINGER),
+    "001-case-3": _lab("case 3, 2 Hz", _sine(4e-3, 2.0), *_CUPS),
+    "001-case-4": _lab("case 4, sweep to 3 Hz", lambda rng: Sweep(4e-3, 0.0, 3.0, 30.0), *_CUPS),
+    "001-case-5": _lab("case 5, recorded bridge", _random(0.3, 3.0, 1.5e-3), *_CUPS),
+    "001-case-6": _lab("case 6, light that swings for 210 s", _pushes, length_s=210.0, sky_s=900.0, rate_hz=10.0),
+    "001-case-7": _lab(
+        "case 7, day, night and day in 120 s", _random(0.3, 2.2, 1.5e-3), length_s=120.0, sky_s=140.0, rate_hz=10.0
+    ),
+}
+"""Name → scenario; the first three digits are the paper's key."""

@@ -1,0 +1,281 @@
+"""Deliberate mistakes, as users make them: each is refused or warned of, with the cause named."""
+
+import json
+import os
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import tomli_w
+
+from midspan.cli.main import run
+from midspan.sources.camera.frames import FrameRequest
+from midspan.sources.thermal.formats import open_pictures
+
+GRAVITY = 9.80665
+SECONDS, RATE_HZ, FRAMES_HZ = 30.0, 100.0, 10.0
+# Parts of the film, side by side: what the camera should look at, dirt on the lens, a thing with its own motion, sky.
+TARGET, STILL, MOVER, SKY = ([4 + 90 * k, 8, 64, 64] for k in range(4))
+
+
+@dataclass
+class Desk:
+    """A recording as its user has it, to be spoilt: columns of the accelerometer's file, frames, their times, keys."""
+
+    time_s: np.ndarray
+    up: np.ndarray
+    displacement_mm: np.ndarray
+    frames: np.ndarray
+    frame_s: np.ndarray
+    keys: dict[str, dict[str, object]]
+    folder: Path
+
+    def key(self, section: str, **values: object) -> None:
+        self.keys.setdefault(section, {}).update(values)
+
+    def write(self) -> None:
+        rng = np.random.default_rng(5)
+        across = rng.normal(0.0, 0.01, (2, len(self.time_s)))
+        columns = {"time_s": self.time_s, "x": across[0], "y": across[1], "z": self.up, "mm": self.displacement_mm}
+        np.savetxt(
+            self.folder / "accel.csv",
+            np.column_stack(list(columns.values())),
+            fmt="%.6f",
+            delimiter=",",
+            header=",".join(columns),
+            comments="",
+        )
+        np.save(self.folder / "film.npy", self.frames)
+        np.savetxt(self.folder / "times.csv", self.frame_s, fmt="%.6f", header="time_s", comments="")
+        (self.folder / "recording.toml").write_text(tomli_w.dumps(self.keys), encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def film(tmp_path_factory) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Time, acceleration, displacement of half a minute of the footbridge, and its film in four parts."""
+    folder = tmp_path_factory.mktemp("film")
+    assert run(["simulate", "footbridge", "-q", "-o", str(folder)]) == 0
+    time_s, value = np.loadtxt(folder / "accel.csv", delimiter=",", skiprows=1).T
+    displacement = np.loadtxt(folder / "truth.csv", delimiter=",", skiprows=1)[:, 1]
+    count, first = round(SECONDS * FRAMES_HZ), round(15.0 * FRAMES_HZ)
+    source = open_pictures(folder / "camera.mkv", FrameRequest(rate_hz=FRAMES_HZ))
+    seen = np.stack([frame.pixels[96:176, 108:188] for frame in source.frames(first, first + count)])
+    noise = np.random.default_rng(3).normal(0.0, 1.0, (2, *seen.shape))
+    still = np.clip(seen[0] + noise[0], 0, 255).astype(np.uint8)
+    sky = np.clip(180.0 + noise[1], 0, 255).astype(np.uint8)
+    gap = np.full((count, 80, 10), 90, dtype=np.uint8)
+    frames = np.concatenate((seen, gap, still, gap, seen[::-1], gap, sky, gap), axis=2)
+    used = slice(round(15.0 * RATE_HZ), round(45.0 * RATE_HZ))
+    return time_s[used] - 15.0, value[used], displacement[used], frames
+
+
+@pytest.fixture
+def desk(film, tmp_path) -> Desk:
+    time_s, value, displacement, frames = film
+    camera = {"file": "film.npy", "rate_hz": FRAMES_HZ, "roi": TARGET, "direction": "y"}
+    accelerometer = {"file": "accel.csv", "time": "time_s", "value": "z", "unit": "m/s^2"}
+    return Desk(
+        time_s,
+        value - np.mean(value) + GRAVITY,
+        displacement,
+        frames.copy(),
+        np.arange(len(frames)) / FRAMES_HZ,
+        {"accelerometer": accelerometer, "camera": camera},
+        tmp_path,
+    )
+
+
+def scaled(factor: float, unit: str) -> Callable[[Desk], None]:
+    def spoil(desk: Desk) -> None:
+        desk.up = desk.up * factor
+        desk.key("accelerometer", unit=unit)
+
+    return spoil
+
+
+def keys(section: str, **values: object) -> Callable[[Desk], None]:
+    return lambda desk: desk.key(section, **values)
+
+
+def level_and_optics(desk: Desk) -> None:
+    desk.up = desk.up - GRAVITY
+    desk.key("accelerometer", unit="g")
+    # The simulated camera: 1.5 mm a pixel.
+    desk.key("camera", distance_m=15.0, focal_length_mm=50.0, pixel_pitch_um=5.0)
+
+
+def milliseconds(desk: Desk) -> None:
+    desk.time_s = 1e3 * desk.time_s
+
+
+def sign_of_times(desk: Desk) -> None:
+    desk.time_s = desk.time_s[::-1]
+
+
+def apart(desk: Desk) -> None:
+    desk.frame_s = desk.frame_s + 3600.0
+    desk.key("camera", times="times.csv", rate_hz=None)
+
+
+def other_day(desk: Desk) -> None:
+    value = desk.up - GRAVITY
+    desk.up = GRAVITY + value[::-1]
+
+
+def rotated(desk: Desk) -> None:
+    desk.frames = np.ascontiguousarray(desk.frames[:, :, :90].transpose(0, 2, 1))
+    desk.key("camera", roi=[8, 4, 64, 64])
+
+
+def stabilised(desk: Desk) -> None:
+    rng = np.random.default_rng(2)
+    steady = desk.frames[:1, :, 90:170].astype(float) + rng.normal(0.0, 1.0, desk.frames[:, :, 90:170].shape)
+    desk.frames[:, :, :80] = np.clip(steady, 0, 255).astype(np.uint8)
+
+
+def displacement_as_acceleration(desk: Desk) -> None:
+    desk.key("accelerometer", value="mm")
+
+
+def thinned_and_held(desk: Desk) -> None:
+    desk.up = np.repeat(desk.up[::10], 10)[: len(desk.up)]
+
+
+def thinned(desk: Desk) -> None:
+    desk.time_s, desk.up, desk.displacement_mm = desk.time_s[::25], desk.up[::25], desk.displacement_mm[::25]
+
+
+def drops_frames(desk: Desk) -> None:
+    kept = np.ones(len(desk.frames), dtype=bool)
+    kept[[90, 91, 92, 160, 161, 220]] = False
+    desk.frames = desk.frames[kept]
+
+
+def repeats_frames(desk: Desk) -> None:
+    desk.frames = np.repeat(desk.frames[::2], 2, axis=0)
+
+
+def clipped(desk: Desk) -> None:
+    middle, reach = GRAVITY, 0.2 * np.max(np.abs(desk.up - GRAVITY))
+    desk.up = np.clip(desk.up, middle - reach, middle + reach)
+
+
+def other_clock(desk: Desk) -> None:
+    desk.frame_s = desk.frame_s + 4.0
+    desk.key("camera", times="times.csv", rate_hz=None)
+
+
+def too_short(desk: Desk) -> None:
+    desk.frames, desk.frame_s = desk.frames[:12], desk.frame_s[:12]
+
+
+def at_rest(desk: Desk) -> None:
+    rng = np.random.default_rng(1)
+    desk.up = GRAVITY + rng.normal(0.0, 0.002, len(desk.up))
+    stabilised(desk)
+
+
+def cut_off(desk: Desk) -> None:
+    desk.write()
+    file = desk.folder / "accel.csv"
+    file.write_bytes(file.read_bytes()[:-15])
+
+
+def decimal_comma(desk: Desk) -> None:
+    desk.write()
+    file = desk.folder / "accel.csv"
+    file.write_text(file.read_text().replace(".", ","))
+
+
+def frames_cut_off(desk: Desk) -> None:
+    desk.write()
+    os.truncate(desk.folder / "film.npy", os.path.getsize(desk.folder / "film.npy") // 2)
+
+
+# name: what is spoilt, exit code, and what is said.
+MISTAKES: dict[str, tuple[Callable[[Desk], None], int, str]] = {
+    "m/s² declared as g": (scaled(1.0, "g"), 0, r"serious: .*unit.*\[unit-doubtful\]"),
+    "g declared as m/s²": (scaled(1.0 / GRAVITY, "m/s^2"), 0, r"serious: .*unit.*\[unit-doubtful\]"),
+    "mg declared as m/s²": (scaled(1e3 / GRAVITY, "m/s^2"), 0, r"serious: .*unit.*\[unit-doubtful\]"),
+    "m/s² declared as g, gravity taken off": (level_and_optics, 0, r"accelerometer.unit.*\[scale-implausible\]"),
+    "unit that is no acceleration": (keys("accelerometer", unit="cm"), 2, "unit.*cm"),
+    "channel of another axis": (keys("accelerometer", value="x"), 4, "Check camera.direction, accelerometer.value"),
+    "channel that is not there": (keys("accelerometer", value="accel_z"), 2, "accel_z.*'z'"),
+    "displacement as acceleration": (displacement_as_acceleration, 4, "accelerometer.value"),
+    "image axes swapped": (keys("camera", direction="x"), 4, "the image does not: check camera.direction"),
+    "film rotated": (rotated, 4, "the image does not: check camera.direction"),
+    "film stabilised": (stabilised, 4, "the image does not: .*no stabiliser"),
+    "region on dirt on the lens": (keys("camera", roi=STILL), 4, "the image does not: .*fixed to the camera"),
+    "region on something that moves by itself": (keys("camera", roi=MOVER), 4, "both move, but not alike.*camera.roi"),
+    "region on the sky": (keys("camera", roi=SKY), 2, "roi must hold texture"),
+    "region outside the picture": (keys("camera", roi=[400, 8, 64, 64]), 2, "roi"),
+    "another frame rate": (keys("camera", rate_hz=12.0), 4, "wrong camera.rate_hz"),
+    "slow motion played at a quarter of its speed": (keys("camera", rate_hz=FRAMES_HZ / 4), 4, "slow-motion file"),
+    "times in milliseconds": (milliseconds, 4, "times are in ms"),
+    "decimal comma and comma between columns": (
+        decimal_comma,
+        2,
+        "same comma seems to stand between columns and before decimals",
+    ),
+    "times backwards": (sign_of_times, 3, "increas|back"),
+    "logger and film an hour apart": (apart, 3, "overlap"),
+    "logger and film four seconds apart": (other_clock, 4, "clocks seem to differ by"),
+    "files of different days": (other_day, 4, "both files are of the same event"),
+    "acceleration thinned to 4 Hz": (thinned, 4, "4 samples a second.*thinned out"),
+    "acceleration held between samples": (thinned_and_held, 0, r"every 10th sample only.*\[rate-too-low\]"),
+    "acceleration clipped": (clipped, 3, "clipped"),
+    "camera that drops frames": (drops_frames, 4, "Frames that are lost"),
+    "camera that repeats frames": (repeats_frames, 0, r"\[frozen\]"),
+    "film of a second": (too_short, 4, "Only 9 usable frames"),
+    "nothing moves": (at_rest, 4, "Too little motion.*Choose a calibration.window_s with traffic"),
+    "logger's file cut off": (cut_off, 0, r"\[file-damaged\]"),
+    "film cut off": (frames_cut_off, 3, "film.npy"),
+}
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_a_mistake_is_refused_or_warned_of_with_its_cause(mistake: str, desk: Desk, capsys) -> None:
+    spoil, code, said = MISTAKES[mistake]
+    spoil(desk)
+    desk.keys = {name: {k: v for k, v in own.items() if v is not None} for name, own in desk.keys.items()}
+    if not (desk.folder / "accel.csv").exists():
+        desk.write()
+    found = run(["calibrate", str(desk.folder)])
+    text = capsys.readouterr().err
+    assert (found, bool(re.search(said, text))) == (code, True), text
+
+
+def calibrated(desk: Desk) -> dict[str, Any]:
+    """The calibration of the recording as it should be, as its file holds it."""
+    desk.write()
+    assert run(["calibrate", str(desk.folder), "-q"]) == 0
+    return json.loads((desk.folder / "calibration.json").read_text())
+
+
+@pytest.mark.parametrize(("factor", "said"), [(-1.0, "The sign is reversed"), (1.3, "scale_mm_per_px does not belong")])
+def test_a_calibration_of_another_set_up_is_refused(desk: Desk, capsys, factor: float, said: str) -> None:
+    tree = calibrated(desk)
+    tree["camera"]["scale_mm_per_px"] *= factor
+    (desk.folder / "other.json").write_text(json.dumps(tree))
+    assert run(["estimate", str(desk.folder), "-c", str(desk.folder / "other.json")]) == 4
+    assert said in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("value", "said"), [("Z-axis", "is not in the file"), ("mm", "unit must measure acceleration")]
+)
+def test_a_wrong_value_for_two_files_is_named(desk: Desk, capsys, value: str, said: str) -> None:
+    desk.write()
+    files = [str(desk.folder / "accel.csv"), str(desk.folder / "film.npy")]
+    unit = ["--unit", "mm"] if value == "mm" else ["--unit", "m/s^2"]
+    assert run(["estimate", *files, "--value", value, *unit]) == 2
+    assert said in capsys.readouterr().err
+
+
+def test_the_recording_without_a_mistake_has_no_warning(desk: Desk, capsys) -> None:
+    assert calibrated(desk)["notices"] == []
+    assert capsys.readouterr().err == ""
