@@ -150,6 +150,16 @@ def test_a_refused_calibration_is_an_event_and_tried_again_later(tmp_path):
     assert 60 + 20 <= again_s - at_s <= 60 + 25
 
 
+def test_what_waits_while_a_point_is_opened_leaves_no_row_out_and_none_doubled(tmp_path):
+    point = live_point(tmp_path)
+    running(point)
+    rows = [one for one in point.batch().chunks if one.stream == "rows"]
+    steps_ns = np.diff(np.concatenate([one.time_ns for one in rows]))
+    # Three seconds came after what the point was opened from; rows are 1.5 s late at most.
+    assert len(steps_ns) > 100 * (5 + 1)
+    assert set(steps_ns.tolist()) == {NANOSECONDS // 100}
+
+
 def test_what_waits_while_a_point_is_opened_is_bounded(tmp_path):
     point = live_point(tmp_path)
     at_s = pushed(point, 0, 60)
