@@ -1,4 +1,4 @@
-"""midspan beside other software in one run: trackers on a film of 2000 frames, fusion on a record of 1000 s.
+"""midspan next to other software in one run: trackers on a film of 2000 frames, fusion on a record of 1000 s.
 
 `python -m benchmarks peers`; with `--docs` it writes docs/peers.md. Each library works in a process of its own, on
 one thread, in the environment that `sh tools/peers.sh` makes (pyidi brings another OpenCV than midspan's). Time is

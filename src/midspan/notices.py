@@ -125,7 +125,7 @@ NOTICES: dict[str, tuple[Severity, str, str]] = {
     "outliers": (
         _WARNING,
         "measurements contradict the other sensors and were left out",
-        "see the innovations in the report: something passes in front of the target, or it moves by itself",
+        "see the innovations in the report: something passes in front of the target, or it moves on its own",
     ),
     "part-left-out": (
         _WARNING,
@@ -139,7 +139,7 @@ NOTICES: dict[str, tuple[Severity, str, str]] = {
     ),
     "radar-target": (
         _WARNING,
-        "a target of the radar is seldom seen, shares its range, or moves by itself",
+        "a target of the radar is seldom seen, shares its range, or moves on its own",
         "aim at a target that stands alone; name it with radar.target_range_m",
     ),
     "radar-zero": (

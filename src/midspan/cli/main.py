@@ -29,7 +29,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "export": ("export", "Rows of a store as a result file, or a result in another format."),
     "formats": ("formats", "What can be read and written."),
     "methods": ("methods", "Trackers and fusion methods, and when to use each."),
-    "papers": ("papers", "The papers' experiments repeated in simulation: their figures beside ours."),
+    "papers": ("papers", "The papers' experiments repeated in simulation: their figures next to ours."),
     "check-config": ("check_config", "Validate a recording.toml or a SITE.toml without running it."),
 }
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 @click.option("--quick", is_flag=True, help="One seed, short records, few points: some two minutes.")
 @click.option("--seeds", type=click.IntRange(min=1), help="Draws of everything random.  [default: 3; 1 with --quick]")
 @click.option("--report", type=click.Path(), help="Also write one page with the figures: .html, or .md with its "
-              "figures in a folder beside it.")  # fmt: skip
+              "figures in a folder next to it.")  # fmt: skip
 @common_options
 def command(only: str | None, quick: bool, seeds: int | None, report: str | None, quiet: bool, as_json: bool) -> None:
     """Repeat the papers' experiments in simulation: what they print, as printed here, our default, their claims.

@@ -183,7 +183,7 @@ def light_warnings(light: LightState) -> list[Notice]:
     return [
         Notice(
             "light-changed",
-            f"camera: from {shown(light.notable_ns)} on light has changed the target beside its reference frame; its "
+            f"camera: from {shown(light.notable_ns)} on light has changed the target against its reference frame; its "
             f"shading may have moved the result by up to {math.sqrt(light.largest_px2):.2g} px (standard deviation), "
             "which "
             'the band holds. Take camera.reference = "key-frames".',

@@ -32,7 +32,7 @@ from midspan.writing import write_whole
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-# The strip of motion: at most so many frames of the first seconds that the choice of the region looks at.
+# The strip of motion: at most this number of frames of the first seconds that the choice of the region looks at.
 MAX_STRIP_FRAMES = 400
 # Lines of the pixel grid along the longer side of the image.
 GRID_LINES = 16

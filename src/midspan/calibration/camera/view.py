@@ -25,7 +25,7 @@ class View:
     """One image axis "x" or "y" of a camera with the acceleration along it.
 
     window: the samples of the calibration window; max_offset_s: largest clock offset looked for; band_hz: where the
-    acceleration decides the scale factor (None: everywhere); exposure_s: None where it is not told. scale: where it is
+    acceleration decides the scale factor (None: everywhere); exposure_s: None where undeclared. scale: where it is
     known beforehand; printed: how scale and offset are calibrated as printed, None: by likelihood.
     """
 
