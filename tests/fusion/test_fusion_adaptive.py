@@ -7,11 +7,11 @@ import pytest
 from fusion_oracles import acceleration_block, displacement_block, filtered
 
 from midspan.errors import UsageError
-from midspan.fusion.adaptive import printed
+from midspan.fusion.adaptive import PrintedFilter, printed
 from midspan.fusion.blocks import REJECTED
 from midspan.fusion.runners import run_method
 from midspan.fusion.streams import KalmanSettings, MethodSettings
-from midspan.records import Status
+from midspan.records import Status, part
 
 LITERAL = MethodSettings(
     literal=True, forgetting=0.9, start_noise_m=1e-2, start_velocity_m_s=1e-2, kalman=KalmanSettings()
@@ -356,3 +356,54 @@ def test_rows_age(literal):
     assert np.all(estimate.status[(time > 40.6) & (time < 49.0)] == Status.COASTING)
     assert np.all(estimate.status[(time > 51.0) & (time < 60.0)] == Status.LOST)
     assert np.all(estimate.status[(time > 61.0) & (time < 118.0)] == Status.TRACKING)
+
+
+def as_stream(acceleration, displacement, cuts, settings=LITERAL, *, resumed=False):
+    """Rows (n, 5) of the stream that is pushed in pieces which end at these samples, and the prediction for each frame
+    from all that came before it.
+    """
+    step_s = float(np.median(np.diff(acceleration.time_ns))) / 1e9
+    stream = PrintedFilter(settings, int(acceleration.time_ns[0]), step_s=step_s, speed_m_s=0.1)
+    rows, expected, frame, first = [], [], 0, 0
+    for stop in (*cuts, len(acceleration.time_ns)):
+        last_ns = acceleration.time_ns[stop - 1]
+        while frame < len(displacement.time_ns) and displacement.time_ns[frame] <= last_ns:
+            stream.wait(part(displacement, slice(frame, frame + 1)))
+            frame += 1
+        rows.append(stream.push(part(acceleration, slice(first, stop)))[0])
+        first = stop
+        if resumed:
+            state, stream = stream.state, PrintedFilter(settings, stream.origin_ns, step_s=step_s, speed_m_s=0.1)
+            stream.restore(state)
+        if frame < len(displacement.time_ns):
+            expected.append(stream.predict(int(displacement.time_ns[frame])))
+    return np.concatenate(rows), expected
+
+
+def test_any_cutting_of_the_stream_gives_the_same_rows_also_after_a_restart():
+    time, acceleration, met, value = asynchronous(5)
+    blocks = acceleration_block(time, acceleration, 1e-3), displacement_block(met, value, 1e-4)
+    whole, _ = as_stream(*blocks, ())
+    for cuts in ((1, 2, 3), (50, 51, 120), range(1, 200)):
+        assert np.array_equal(as_stream(*blocks, cuts)[0], whole)
+        assert np.array_equal(as_stream(*blocks, cuts, resumed=True)[0], whole)
+
+
+def test_the_stream_predicts_what_equations_7_and_8_expect_of_each_frame():
+    time, acceleration, met, value = asynchronous(6)
+    met = met[1:]
+    q, declared, frames = 0.3**2, 1e-4, list(zip(met, value[1:], strict=True))
+    blocks = acceleration_block(time, acceleration, q / RATE_A), displacement_block(met, value[1:], declared)
+    # Sample by sample: the prediction that counts is the last one before a frame.
+    cuts = range(1, 200)
+    _, expected = as_stream(*blocks, cuts)
+    number = np.searchsorted(met, time[:199])
+    states, covariances, _ = as_printed(time, acceleration, q, frames, LITERAL.forgetting)
+    for i in range(1, len(met)):
+        last = int(np.flatnonzero(number == i)[-1])
+        # A frame on a sample's own instant is met before that sample's state is final.
+        before = last if time[last] < met[i] else last - 1
+        dt = met[i] - time[before]
+        y = transition(dt) @ states[before] + hold(dt) * acceleration[before]
+        g = transition(dt) @ covariances[before] @ transition(dt).T + q * np.outer(hold(dt), hold(dt))
+        assert expected[before] == pytest.approx((y[0], g[0, 0]), rel=1e-9, abs=1e-15)

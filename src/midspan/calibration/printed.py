@@ -14,6 +14,7 @@ both ends in which it has not settled are left out. Lost frames are interpolated
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from midspan.calibration.fit import Pair
 from midspan.errors import UntrustedError
@@ -54,22 +55,46 @@ def printed_band(rate_hz: float) -> tuple[float, float]:
 
 
 def printed_offset(pair: Pair, max_offset_s: float, steps: PrintedSteps) -> float:
-    """The clock offset (s) of largest cross-correlation within ±`max_offset_s`; either sign of the scale factor."""
+    """The clock offset (s) of largest cross-correlation within ±`max_offset_s`.
+
+    The papers know the sign of the scale factor; here it may be either, and the one whose fit leaves less is taken: in
+    a narrow band the correlation half a period away is nearly as large, and a spline through few frames a period may
+    show it larger.
+    """
+    return min(_offsets(pair, max_offset_s, steps), key=lambda offset_s: _fitted(pair, offset_s, steps).left)
+
+
+def _offsets(pair: Pair, max_offset_s: float, steps: PrintedSteps) -> tuple[float, float]:
+    """The offsets (s) where the cross-correlation is largest and where it is least."""
     time_s, translation, rate_hz, band_hz = _translation(pair, steps)
     displacement = _displacement(pair, time_s, band_hz, steps)
-    most = int(max_offset_s * rate_hz)
     whole = np.correlate(displacement, translation, mode="full")
     middle = len(translation) - 1
-    most = min(most, middle)
+    most = min(int(max_offset_s * rate_hz), middle)
     lags, near = np.arange(-most, most + 1), whole[middle - most : middle + most + 1]
-    best = float(lags[np.argmax(np.abs(near))])
-    if steps.spline and len(lags) >= MIN_LAGS:
-        from scipy.interpolate import CubicSpline
+    return _peak(lags, near, steps) / rate_hz, _peak(lags, -near, steps) / rate_hz
 
-        curve = CubicSpline(lags, near)
-        turns = curve.derivative().roots(extrapolate=False)
-        best = max((*turns.tolist(), best), key=lambda lag: abs(float(curve(lag))))
-    return best / rate_hz
+
+def _peak(lags: NDArray[np.int64], near: Floats, steps: PrintedSteps) -> float:
+    """The lag, in frames, of the largest value; with the spline, of its maximum."""
+    best = float(lags[np.argmax(near)])
+    if not steps.spline or len(lags) < MIN_LAGS:
+        return best
+    from scipy.interpolate import CubicSpline
+
+    curve = CubicSpline(lags, near)
+    turns = curve.derivative().roots(extrapolate=False)
+    return float(max((*turns.tolist(), best), key=lambda lag: float(curve(lag))))
+
+
+@dataclass(frozen=True, slots=True)
+class _Fitted:
+    """The least-squares fit: scale factor, m/px, mean square that it leaves, m², and power of translation and speed."""
+
+    value_m_per_px: float
+    left: float
+    power_px2: float
+    speed_power: float
 
 
 def printed_scale(pair: Pair, offset_s: float, steps: PrintedSteps) -> tuple[ScaleFactor, float]:
@@ -78,6 +103,11 @@ def printed_scale(pair: Pair, offset_s: float, steps: PrintedSteps) -> tuple[Sca
     Its variance is that of the fit, as if the residuals were independent: no band. The second value is the offset's
     variance (s²) by the same residuals.
     """
+    fit = _fitted(pair, offset_s, steps)
+    return ScaleFactor(fit.value_m_per_px, fit.left / fit.power_px2), fit.left / fit.speed_power
+
+
+def _fitted(pair: Pair, offset_s: float, steps: PrintedSteps) -> _Fitted:
     time_s, translation, _, band_hz = _translation(pair, steps)
     displacement = _displacement(pair, time_s + offset_s, band_hz, steps)
     margin_s = SETTLING_PERIODS / band_hz[0]
@@ -93,7 +123,7 @@ def printed_scale(pair: Pair, offset_s: float, steps: PrintedSteps) -> tuple[Sca
     value = float(u @ d) / power
     left = float(np.sum((u - value * d) ** 2)) / (len(d) - 1)
     speed = np.gradient(displacement, time_s)[inner]
-    return ScaleFactor(value, left / power), left / float(speed @ speed)
+    return _Fitted(value, left, power, float(speed @ speed))
 
 
 def calibrate_printed(pair: Pair, max_offset_s: float, steps: PrintedSteps) -> tuple[ScaleFactor, TimeOffset]:

@@ -6,7 +6,7 @@ import numpy as np
 
 from midspan.calibration.sensors.camera import CameraCalibration
 from midspan.engine.channels import Table, ages, as_first_term, clock_std_s, interval_s
-from midspan.engine.sensors import CameraSensor
+from midspan.engine.sensors import MIN_STD_PX, CameraSensor
 from midspan.engine.tracking import CameraTracking
 from midspan.fusion.model import ParameterKind
 from midspan.records import Channel
@@ -20,10 +20,12 @@ def camera_channels(
     exposure_s: float | None,
     *,
     first: bool,
+    min_std_px: float = MIN_STD_PX,
 ) -> CameraSensor:
     """A camera's sensor, and its channels in the table.
 
     calibrations: along each axis, the main one first; first: whether its zero is the zero of the displacement.
+    min_std_px: see `CameraSensor`.
     """
     sensor = tracking.settings.sensor
     step_s = interval_s(tracking.time_ns)
@@ -59,4 +61,4 @@ def camera_channels(
     every = [number for numbers in along for number in numbers]
     table.uncertain(ParameterKind.CLOCK_OFFSET, every, clock_std_s(calibrations[0].offset))
     directions = [camera.direction for camera in calibrations]
-    return CameraSensor(sensor, tracking.chain, rows, directions, step_s=step_s)
+    return CameraSensor(sensor, tracking.chain, rows, directions, step_s=step_s, min_std_px=min_std_px)

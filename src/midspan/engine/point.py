@@ -18,6 +18,7 @@ from midspan.engine.support import PointStatus, Support
 from midspan.engine.switching import Switch, SwitchState
 from midspan.fusion.estimator import BLOCK, Estimator, EstimatorState, Rows
 from midspan.fusion.model import ParameterKind
+from midspan.fusion.printed_prediction import PredictedState
 from midspan.fusion.second_pass import Lag, LagState
 from midspan.records import (
     Arrival,
@@ -42,7 +43,7 @@ class PointState:
 
     merge: MergeState
     guard: GuardState
-    estimator: EstimatorState | LagState
+    estimator: EstimatorState | LagState | PredictedState
     sensors: tuple[SensorState, ...]
     support: Support
     averaging: AveragingState

@@ -101,7 +101,8 @@ SensorState = CameraSensorState | tuple[FollowedState, ...] | PlainState | None
 class CameraSensor:
     """A camera: channels[target][axis] are numbers in the estimator's table, directions the image axis of each.
 
-    step_s: the usual interval of its frames; 0: not known, and gaps are not reported.
+    step_s: the usual interval of its frames; 0: not known, and gaps are not reported. min_std_px: a prediction is
+    trusted to no better than this.
     """
 
     def __init__(
@@ -112,7 +113,9 @@ class CameraSensor:
         directions: Sequence[str],
         *,
         step_s: float = 0.0,
+        min_std_px: float = MIN_STD_PX,
     ) -> None:
+        self._min_std_px = min_std_px
         self.name, self.chain, self._step_s, self._unseen = name, chain, step_s, Unseen()
         self.channels, self.directions = tuple(tuple(row) for row in channels), tuple(directions)
         self._seen_px = [(0.0, 0.0)] * len(self.channels)
@@ -164,7 +167,7 @@ class CameraSensor:
         (x_px, y_px), x_std, y_std = self._seen_px[target], ACROSS_STD_PX, ACROSS_STD_PX
         for number, (channel, direction) in enumerate(zip(self.channels[target], self.directions, strict=True)):
             value, variance = expect(channel, time_ns)
-            std = max(math.sqrt(max(variance, 0.0)), MIN_STD_PX)
+            std = max(math.sqrt(max(variance, 0.0)), self._min_std_px)
             if math.isfinite(value) and std <= MAX_STD_PX:
                 if direction == "x":
                     x_px, x_std = value, std

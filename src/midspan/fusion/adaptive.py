@@ -7,20 +7,31 @@ as there: G the covariance before a frame, K the gain, R the noise variance of a
 The guarded form is the estimator with a memory of as many measurements.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
 
 from midspan.fusion.blocks import ACCEPTED
 from midspan.fusion.streams import KalmanSettings, MethodSettings, Smoothed
-from midspan.records import Acceleration, Displacement, Estimate, Floats, Innovation, Source, Status, part, seconds
+from midspan.records import (
+    NANOSECONDS,
+    Acceleration,
+    Displacement,
+    Estimate,
+    Floats,
+    Innovation,
+    Source,
+    Status,
+    part,
+    seconds,
+)
 
 # The state vector: displacement, velocity, the bias that is taken off, covariance, time and the acceleration held; the
 # noise variance R of a frame, the running mean of the innovation's square beyond the declared noise (m²); how many
-# frames were used, when the last one, and its source.
-X, V, B, P00, P01, P11, TIME, INPUT, NOISE, BEYOND, COUNT, LAST_ACCEPTED, SOURCE = range(13)
-STATE_SIZE = 13
+# frames were used, when the last one, and its source; the variance of the acceleration of the last interval.
+X, V, B, P00, P01, P11, TIME, INPUT, NOISE, BEYOND, COUNT, LAST_ACCEPTED, SOURCE, INPUT_NOISE = range(14)
+STATE_SIZE = 14
 # What is left for each frame.
 MET_INNOVATION, MET_TOTAL, MET_NOISE, MET_USED = range(4)
 MET_COLUMNS = 4
@@ -131,7 +142,7 @@ def printed_block(samples, frames, s, learning, rows, met):  # type: ignore[no-u
     samples (n, 3): time in s, acceleration and its noise density; the state's bias is taken off the acceleration.
     frames (m, 4): time in s, displacement, declared variance (infinite: ignored), source, in time order. learning: the
     factor beta and the number of frames in which R stays. rows (n, 5) and met (m, 4), see the column names, take the
-    result.
+    result. Returns how many frames are done.
     """
     j = 0
     for k in range(len(samples)):
@@ -143,9 +154,74 @@ def printed_block(samples, frames, s, learning, rows, met):  # type: ignore[no-u
         else:
             _held(s, dt, s[INPUT])
             s[P00], s[P01], s[P11] = _moved((s[P00], s[P01], s[P11]), dt, q)
-        s[TIME], s[INPUT] = t1, samples[k, 1] - s[B]
+        s[TIME], s[INPUT], s[INPUT_NOISE] = t1, samples[k, 1] - s[B], q
         rows[k, ROW_X], rows[k, ROW_VARIANCE] = s[X], max(s[P00], 0.0) + max(s[BEYOND], 0.0)
         rows[k, ROW_VELOCITY], rows[k, ROW_ACCEPTED], rows[k, ROW_SOURCE] = s[V], s[LAST_ACCEPTED], s[SOURCE]
+    return j
+
+
+@dataclass(frozen=True, slots=True)
+class PrintedState:
+    """What a `PrintedFilter` remembers: the state vector, and the frames that wait (k, 4)."""
+
+    vector: Floats
+    waiting: Floats
+
+
+class PrintedFilter:
+    """Equations 7 to 26 as a stream: displacement is pushed ahead of the acceleration that covers it.
+
+    Any cutting of the input gives the same rows. Without bias, gate and limits; only the expected bias is taken off the
+    acceleration, and a displacement before the first sample is ignored. The paper leaves the start open. Here it is at
+    zero; velocity_std is the velocity's deviation unless `start_velocity_m_s` says it; R stays for `first_frames`
+    frames, and is the position's variance, at the square of `start_noise_m`: left out, the first declared variance and
+    the error of the held acceleration, see `start_noise`. Q is the square of `input_noise_m_s2`: left out, what the
+    samples' noise density says.
+    """
+
+    def __init__(self, settings: MethodSettings, origin_ns: int, *, step_s: float, speed_m_s: float) -> None:
+        """origin_ns: the first sample's stamp; step_s: the samples' usual interval; speed_m_s: the rms velocity."""
+        self.settings, self.origin_ns, self._usual = settings, origin_ns, (step_s, speed_m_s)
+        self._vector, self._waiting = state_before(settings), np.empty((0, 4))
+
+    @property
+    def state(self) -> PrintedState:
+        """All that has an effect on what comes later."""
+        return PrintedState(self._vector.copy(), self._waiting.copy())
+
+    def restore(self, state: PrintedState) -> None:
+        """Go on from where `state` was read."""
+        self._vector, self._waiting = state.vector.copy(), state.waiting.copy()
+
+    def wait(self, met: Displacement) -> None:
+        """Take frames that are later than the last sample, all of them finite."""
+        frames = (seconds(met.time_ns, self.origin_ns), met.value_m, met.variance_m2, met.source.astype(np.float64))
+        self._waiting = np.concatenate((self._waiting, np.column_stack(frames)))
+
+    def push(self, acceleration: Acceleration) -> tuple[Floats, Floats]:
+        """Rows (n, 5) of the samples, and of the frames that they cover what they met (m, 4), see the column names."""
+        time_s = seconds(acceleration.time_ns, self.origin_ns)
+        density, (step_s, _) = acceleration.noise_density, self._usual
+        if self.settings.input_noise_m_s2 is not None:
+            density = np.full(len(density), self.settings.input_noise_m_s2**2 * step_s)
+        samples = np.column_stack((time_s, acceleration.value_m_s2, density))
+        first = int(np.searchsorted(self._waiting[:, 0], self._vector[TIME]))
+        if self._vector[COUNT] == 0.0 and first < len(self._waiting):
+            self._vector[NOISE] = start_noise(self.settings, float(self._waiting[first, 2]), *self._usual)
+        rows, met = np.empty((len(samples), 5)), np.zeros((len(self._waiting), MET_COLUMNS))
+        learning = (self.settings.forgetting, float(self.settings.first_frames))
+        done = printed_block(samples, self._waiting, self._vector, learning, rows, met)
+        self._waiting = self._waiting[done:]
+        return rows, met[:done]
+
+    def predict(self, time_ns: int) -> tuple[float, float]:
+        """Displacement (m) and variance (m²) at a time after the last sample, before a frame there: equations 7 and 8.
+
+        Infinite variance before the first frame, which the zero belongs to.
+        """
+        s, dt = self._vector, (time_ns - self.origin_ns) / NANOSECONDS - self._vector[TIME]
+        variance = _moved((s[P00], s[P01], s[P11]), dt, s[INPUT_NOISE])[0] if s[COUNT] > 0.0 else np.inf
+        return float(s[X] + dt * s[V] + 0.5 * dt * dt * s[INPUT]), float(max(variance, 0.0))
 
 
 def run_printed(
@@ -158,30 +234,19 @@ def run_printed(
 
 
 def printed(acceleration: Acceleration, displacement: Displacement, settings: MethodSettings) -> Smoothed:
-    """Equations 7 to 26 over a whole record: one row a sample; a displacement before the first one is ignored.
+    """Equations 7 to 26 over a whole record: one row a sample, see `PrintedFilter`.
 
-    Without bias, gate and limits; only the expected bias is taken off the acceleration. The paper leaves the start
-    open. Here it is at zero; velocity_std is the velocity's deviation unless `start_velocity_m_s` says it; R stays for
-    `first_frames` frames, and is the position's variance, at the square of `start_noise_m`: left out, the first
-    declared variance and the error of the held acceleration, see `start_noise`. `variance_m2` tells the noise that each
-    measurement was taken with.
+    `variance_m2` tells the noise that each measurement was taken with.
     """
-    origin_ns = int(acceleration.time_ns[0])
-    time_s = seconds(acceleration.time_ns, origin_ns)
-    samples = np.column_stack((time_s, acceleration.value_m_s2, acceleration.noise_density))
     usable = np.isfinite(displacement.value_m) & np.isfinite(displacement.variance_m2)
     met_by = part(displacement, usable)
-    frames = np.column_stack(
-        (seconds(met_by.time_ns, origin_ns), met_by.value_m, met_by.variance_m2, met_by.source.astype(np.float64))
-    )
-    rows, met = np.empty((len(samples), 5)), np.zeros((len(frames), MET_COLUMNS))
+    time_s = seconds(acceleration.time_ns, int(acceleration.time_ns[0]))
     step_s = float(np.median(np.diff(time_s))) if len(time_s) > 1 else 0.0
-    first_m2 = float(frames[np.searchsorted(frames[:, 0], 0.0) :, 2][:1].sum())
-    noise_m2 = start_noise(settings, first_m2, step_s, speed_of(met_by))
-    state = state_before(settings, noise_m2)
-    printed_block(samples, frames, state, (settings.forgetting, float(settings.first_frames)), rows, met)
-    used = met[:, MET_USED] > 0.0
-    verdict = np.full(int(np.count_nonzero(used)), ACCEPTED, dtype=np.int8)
+    filtered = PrintedFilter(settings, int(acceleration.time_ns[0]), step_s=step_s, speed_m_s=speed_of(met_by))
+    filtered.wait(met_by)
+    rows, met = filtered.push(acceleration)
+    used = np.flatnonzero(met[:, MET_USED] > 0.0)
+    verdict = np.full(len(used), ACCEPTED, dtype=np.int8)
     innovation = Innovation(met_by.time_ns[used], met[used, MET_INNOVATION], met[used, MET_TOTAL], verdict)
     estimate = _estimate(acceleration, rows, time_s - rows[:, ROW_ACCEPTED], settings.kalman)
     return Smoothed(estimate, innovation, (), met[used, MET_NOISE])
@@ -199,11 +264,11 @@ def start_noise(settings: MethodSettings, declared_m2: float, step_s: float, spe
     return declared_m2 + (0.5 * step_s * speed_m_s) ** 2
 
 
-def state_before(settings: MethodSettings, noise_m2: float) -> Floats:
-    """The state vector at the first sample; noise_m2: R of the first frames."""
+def state_before(settings: MethodSettings) -> Floats:
+    """The state vector at the first sample."""
     state, kalman = np.zeros(STATE_SIZE), settings.kalman
     # The printed equations know no bias: what is known of it is taken off the acceleration, gravity above all.
-    state[B], state[NOISE], state[LAST_ACCEPTED] = kalman.bias, noise_m2, -np.inf
+    state[B], state[LAST_ACCEPTED] = kalman.bias, -np.inf
     velocity_std = kalman.velocity_std if settings.start_velocity_m_s is None else settings.start_velocity_m_s
     state[P11] = velocity_std**2
     # Until the first frame nothing is known of the position that the printed start puts to zero.

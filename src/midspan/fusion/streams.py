@@ -92,8 +92,8 @@ class MethodSettings:
 
     lag_s: delay of `lag`, s. literal: a paper's method exactly as printed. forgetting: factor beta of
     `adaptive-kalman`, above 0 and below 1; nearer to 1 is steadier and slower: at 10 Hz 0.95 remembers 2 s.
-    What the papers leave open: first_frames, start_noise_m, start_velocity_m_s of `adaptive-kalman`, see
-    `adaptive.printed`; half_window, cut_off_hz, accuracy of `fir`, see `fir.FirSettings`.
+    What the papers leave open: first_frames, input_noise_m_s2, start_noise_m, start_velocity_m_s of `adaptive-kalman`,
+    see `adaptive.PrintedFilter`; half_window, cut_off_hz, accuracy of `fir`, see `fir.FirSettings`.
     """
 
     kalman: KalmanSettings = field(default_factory=KalmanSettings)
@@ -101,6 +101,7 @@ class MethodSettings:
     literal: bool = False
     forgetting: float = 0.95
     first_frames: int = 10
+    input_noise_m_s2: float | None = None
     start_noise_m: float | None = None
     start_velocity_m_s: float | None = None
     half_window: int | None = None

@@ -42,7 +42,7 @@ from midspan.progress import Progress, silent
 from midspan.recording.calibrate import calibrate_and_track
 from midspan.recording.kinds import ROWS
 from midspan.recording.messages import refuse_rejections, require_same_cameras, uncalibrated
-from midspan.recording.point import measuring_point, zero_instant
+from midspan.recording.point import measuring_point, with_input_noise, zero_instant
 from midspan.recording.printed_radar import estimate_printed
 from midspan.recording.result import Result
 from midspan.recording.run import Outcome, run, used_when
@@ -225,7 +225,9 @@ def first_pass(asked: Asked, tracking: CameraTracking | None, progress: Progress
     wanted = asked.by_settings
     lag_s = wanted.lag_s if asked.row.rows is Pass.LAGGED else None
     memory = wanted.noise_memory if asked.row.follows_noise else None
-    point = measuring_point(sides, eyes, lag_s=lag_s, noise_memory=memory, given=asked.given)
+    # As printed, a paper's tracker works with the predictions of the paper's own filter.
+    printed = wanted if wanted.literal and asked.row.rows is not None else None
+    point = measuring_point(sides, eyes, lag_s=lag_s, noise_memory=memory, printed=printed, given=asked.given)
     outcome = run(point, sides, eyes)
     for eye in eyes:
         eye.tracking.close()
@@ -335,7 +337,7 @@ def on_series(asked: Asked, first: FirstPass, ran: Mapping[str, OneClock], check
             series = {name: taken(one, first.outcome.measured_by(name)) for name, one in series.items()}
         named = {name: on_clock(one, ran[name]) for name, one in series.items()}
         measured = one_series(named, found.rows[axis], first.outcome.restarts_ns)
-        own, rate_hz = replace(method, kalman=side.kalman), side.prepared.rate_hz
+        own, rate_hz = replace(with_input_noise(method, side), kalman=side.kalman), side.prepared.rate_hz
         done = run_on_series(side.acceleration, measured, asked.method, own, found.rows[axis], rate_hz=rate_hz)
         scale_std = float(np.hypot(max(checked.scale_std[axis][name] for name in named), gain))
         clock_std = max(clock_std_s(one) for one in offsets_of(first.sides[0], first.eyes).values())

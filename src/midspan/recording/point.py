@@ -10,18 +10,20 @@ from midspan.calibration.one_clock import OneClock
 from midspan.calibration.whitening import BIAS_WALK_RATIO
 from midspan.engine.axis import AxisFigures
 from midspan.engine.camera_channels import camera_channels
-from midspan.engine.channels import Table, interval_s
+from midspan.engine.channels import Table, clock_std_s, interval_s
 from midspan.engine.guard import Guard, GuardSettings
 from midspan.engine.merge import Merge
 from midspan.engine.order import FIRST_NS
 from midspan.engine.point import ACCELEROMETER, Point
-from midspan.engine.sensors import Sensor
+from midspan.engine.sensors import MIN_STD_PX, Sensor
 from midspan.engine.switching import Switch
 from midspan.engine.twilight import Place
+from midspan.fusion.blocks import VELOCITY_WITHIN
 from midspan.fusion.estimator import Estimator
 from midspan.fusion.model import EstimatorSettings
+from midspan.fusion.printed_prediction import PredictedAsPrinted, StartOfPrinted
 from midspan.fusion.second_pass import Lag
-from midspan.fusion.streams import KalmanSettings
+from midspan.fusion.streams import KalmanSettings, MethodSettings
 from midspan.recording.calibrate import usual_in_window
 from midspan.recording.kinds import ROWS
 from midspan.recording.streams.recording import Recording
@@ -132,6 +134,7 @@ def measuring_point(
     *,
     lag_s: float | None = None,
     noise_memory: float | None = None,
+    printed: MethodSettings | None = None,
     given: bool = False,
     log: bool = True,
     wait_s: tuple[float, float] = (np.inf, np.inf),
@@ -139,17 +142,20 @@ def measuring_point(
     """The point of a recording's axes and sensors.
 
     lag_s: rows are given out so much later, smoothed; noise_memory: measurements over which their noise is followed.
-    log: keep what was decided, for a second pass over the whole. wait_s: how long other streams are waited for behind
-    the accelerometer's, and after what silence no longer; those of a recording for ever.
+    printed: of the adaptive filter as printed, whose predictions the trackers then work with. log: keep what was
+    decided, for a second pass over the whole. wait_s: how long other streams are waited for behind the accelerometer's,
+    and after what silence no longer; those of a recording for ever.
     """
     main = sides[0]
     recording, usual = main.recording, main.calibration.usual or usual_in_window(main.recording)
     gain_stds = tuple(side.calibration.accelerometer_scale_std for side in sides)
     table, moved_m = Table(given=given, motion_hz=usual.dominant_hz, gain_std=gain_stds), usual.moved_m
     sensors: dict[str, Sensor] = {}
+    # As printed, the filter's own deviation bounds the search, however small it is.
+    min_std_px = MIN_STD_PX if printed is None else 0.0
     for number, eye in enumerate(eyes):
         sensors[eye.sensor] = camera_channels(
-            table, eye.tracking, eye.calibrations, eye.view.exposure_s, first=number == 0
+            table, eye.tracking, eye.calibrations, eye.view.exposure_s, first=number == 0, min_std_px=min_std_px
         )
     for view, known in known_sensors(main):
         sensors[view.sensor] = ROWS[view.kind].stage(table, view, known, moved_m=moved_m, first=not sensors)
@@ -171,7 +177,33 @@ def measuring_point(
     switch = Switch((eyes[0].sensor, eyes[1].sensor), _place(recording, eyes)) if one_at_a_time else None
     lag = None if lag_s is None else max(1, round(lag_s * rate_hz))
     estimator = Estimator(settings, log=log) if lag is None else Lag(settings, lag)
+    if printed is not None:
+        estimator = PredictedAsPrinted(settings, start_of_printed(printed, main), log=log)
     return Point(merge, guard, sensors, estimator, unmeasured, switch)
+
+
+def with_input_noise(printed: MethodSettings, side: Side) -> MethodSettings:
+    """The settings of the adaptive filter as printed with its noise of the acceleration, which the paper leaves open.
+
+    It is the calibrated one, and what scale factor and clock offset as uncertain as calibrated make of the motion:
+    without these, the noise R (equation 20) takes up what a printed calibration is off by, and runs away.
+    """
+    camera = side.calibration.first_camera
+    if printed.input_noise_m_s2 is not None or camera is None:
+        return printed
+    usual = figures(side, side.prepared.rate_hz)
+    scale_m_s2 = camera.relative_std * sqrt(usual.variance)
+    clock_m_s2 = clock_std_s(camera.offset) * 2.0 * np.pi * usual.dominant_hz * sqrt(usual.variance)
+    own_m_s2 = sqrt(float(np.mean(side.acceleration.noise_density)) * side.prepared.rate_hz)
+    return replace(printed, input_noise_m_s2=hypot(own_m_s2, scale_m_s2, clock_m_s2))
+
+
+def start_of_printed(printed: MethodSettings, main: Side) -> StartOfPrinted:
+    """The start of the filter as printed, by what is usual of the acceleration."""
+    moved_m, omega = figures(main, main.prepared.rate_hz).motion
+    kalman = replace(main.kalman, velocity_std=VELOCITY_WITHIN * omega * moved_m)
+    step_s = interval_s(main.recording.acceleration.time_ns)
+    return StartOfPrinted(replace(with_input_noise(printed, main), kalman=kalman), step_s, omega * moved_m)
 
 
 def _place(recording: Recording, eyes: Sequence[Eye]) -> Place | None:

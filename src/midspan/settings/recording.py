@@ -75,6 +75,9 @@ class FusionSettings(Section):
     first_frames: Annotated[int, IsNumber, Field(ge=1, le=1_000_000)] = Field(
         10, description="`adaptive-kalman` as printed: frames before its noise R is learnt"
     )
+    input_noise_m_s2: Annotated[float, IsNumber, limited(1e-12, 1e6, "m/s²")] | None = Field(
+        None, description="its noise of the acceleration; left out: as calibrated, with what scale and clock leave open"
+    )
     start_noise_mm: Annotated[float, IsNumber, limited(1e-9, 1e6, "mm")] | None = Field(
         None, description="its noise in these frames, mm; left out: as calibrated, and half a sample of the speed"
     )
@@ -106,6 +109,7 @@ class FusionSettings(Section):
             literal=self.literal,
             forgetting=self.forgetting,
             first_frames=self.first_frames,
+            input_noise_m_s2=self.input_noise_m_s2,
             start_noise_m=None if self.start_noise_mm is None else 1e-3 * self.start_noise_mm,
             start_velocity_m_s=None if self.start_velocity_mm_s is None else 1e-3 * self.start_velocity_mm_s,
             half_window=self.half_window,

@@ -1,0 +1,93 @@
+"""The estimator with the predictions of `adaptive-kalman` as printed, which a paper's tracker is to work with.
+
+The papers shift the region, reject matches and choose between phase and features by what their own filter predicts:
+Ma, Choi and Sohn 2022, doi 10.1111/mice.12767, equations 27 to 29; Ma, Choi, Liu and Sohn 2022, doi
+10.1016/j.autcon.2022.104338, equations 14 to 16.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from midspan.fusion.adaptive import PrintedFilter, PrintedState
+from midspan.fusion.estimator import Estimator, EstimatorState, Rows
+from midspan.fusion.model import EstimatorSettings
+from midspan.fusion.streams import MethodSettings
+from midspan.records import Acceleration, Displacement, Event, Measured, Samples
+
+
+@dataclass(frozen=True, slots=True)
+class StartOfPrinted:
+    """The start of the printed filter: its settings, the samples' usual interval in s and the rms velocity in m/s."""
+
+    settings: MethodSettings
+    step_s: float
+    speed_m_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class PredictedState:
+    """What a `PredictedAsPrinted` remembers; printed: None before the first sample, which origin_ns is the stamp of."""
+
+    estimator: EstimatorState
+    printed: PrintedState | None
+    origin_ns: int
+
+
+class PredictedAsPrinted(Estimator):
+    """The estimator as it is, except that along the main axis the printed filter predicts the measurements.
+
+    It takes the first target that is seen in a frame, as the papers have one, on the zero of the first frame.
+    """
+
+    def __init__(self, settings: EstimatorSettings, start: StartOfPrinted, *, log: bool = False) -> None:
+        super().__init__(settings, log=log)
+        self._printed_start = start
+        self._printed: PrintedFilter | None = None
+
+    def push(self, record: Samples | Measured | Event) -> list[Rows]:
+        """Take one block, as the estimator does."""
+        if isinstance(record, Samples) and len(record.time_ns):
+            if self._printed is None:
+                self._printed = self._begun(int(record.time_ns[0]))
+            self._printed.push(Acceleration(record.time_ns, record.value_m_s2[:, 0], record.noise_density[:, 0]))
+        elif isinstance(record, Measured) and self._printed is not None:
+            self._printed.wait(self._displacement(record))
+        return super().push(record)
+
+    def predict(self, channel: int, time_ns: int) -> tuple[float, float]:
+        """Expected measurement of a channel at a time after the last sample, in its unit, and the variance of that."""
+        known = self.settings.channels[channel]
+        if known.axis or self._printed is None:
+            return super().predict(channel, time_ns)
+        value_m, variance_m2 = self._printed.predict(time_ns)
+        return known.units_per_m * value_m, known.units_per_m**2 * variance_m2
+
+    @property
+    def state(self) -> PredictedState:  # type: ignore[override]
+        """All that is remembered besides the log."""
+        one = self._printed
+        return PredictedState(super().state, None if one is None else one.state, 0 if one is None else one.origin_ns)
+
+    def restore(self, state: PredictedState) -> None:  # type: ignore[override]
+        """Go on from a state of an estimator with the same settings."""
+        super().restore(state.estimator)
+        self._printed = None
+        if state.printed is not None:
+            self._printed = self._begun(state.origin_ns)
+            self._printed.restore(state.printed)
+
+    def _begun(self, origin_ns: int) -> PrintedFilter:
+        start = self._printed_start
+        return PrintedFilter(start.settings, origin_ns, step_s=start.step_s, speed_m_s=start.speed_m_s)
+
+    def _displacement(self, record: Measured) -> Displacement:
+        """The first measurement of each instant along the main axis that is finite, in m."""
+        channels = self.settings.channels
+        along = np.array([one.axis == 0 for one in channels])[record.channel]
+        usable = np.flatnonzero(along & np.isfinite(record.value) & np.isfinite(record.variance))
+        stamps, first = np.unique(record.time_ns[usable], return_index=True)
+        taken = usable[first]
+        units = np.array([one.units_per_m for one in channels])[record.channel[taken]]
+        source = np.array([one.source for one in channels], dtype=np.uint8)[record.channel[taken]]
+        return Displacement(stamps, record.value[taken] / units, record.variance[taken] / units**2, source)
