@@ -120,7 +120,7 @@ def recording_of(folder: Path, day_s: float, duration_s: float, seed: int = 0) -
     camera, infrared = recording.cameras
     # What is read from files otherwise is put in its place.
     recording.acceleration = TimeSeries(nanoseconds(time), value, "acceleration", "m/s^2")
-    camera.frames = rendered(setup.camera, motion, duration_s, setup.day_camera(rng_camera))
+    camera.frames = rendered(setup.camera, motion, duration_s, setup.day_camera(setup.camera, rng_camera))
     infrared.frames = rendered(setup.infrared, motion, duration_s, setup.day_infrared(rng_infrared))
     return recording, motion
 

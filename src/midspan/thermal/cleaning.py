@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from midspan.checks import refuse
 from midspan.errors import DataError
 from midspan.records import NANOSECONDS, Event, Floats, Frame, PixelTranslation, Region, Status
-from midspan.thermal.limits import LimitFollower, Limits, LimitState, folded, foreign_share
+from midspan.thermal.limits import LimitFollower, Limits, LimitState, folded, foreign_share, is_foreign
 from midspan.thermal.pattern import FixedPattern, estimate_pattern
 from midspan.thermal.shutter import ShutterState, ShutterWatch
 
@@ -146,12 +146,13 @@ class ThermalCleaner:
         """The pattern of the frames kept, on the target as these show it and around it; 0 elsewhere."""
         moved: Floats = np.array([(x, y) for _, x, y in self._kept])
         middle = np.round(moved.mean(axis=0))
-        place = _around(self._region, middle, self._shape)
-        stack = np.stack([pixels[place] for pixels, _, _ in self._kept]).astype(np.float64)
+        whole = np.stack([pixels for pixels, _, _ in self._kept])
+        place = _around(self._region, middle, np.any(is_foreign(whole, self.limits), axis=0))
+        stack = whole[:, place[0], place[1]].astype(np.float64)
         found = estimate_pattern(folded(stack, self.limits, 1.0).astype(np.float64), moved - middle)
-        whole = np.zeros(self._shape)
-        whole[place] = found.values_k
-        return replace(found, values_k=whole)
+        values = np.zeros(self._shape)
+        values[place] = found.values_k
+        return replace(found, values_k=values)
 
     def _forget(self) -> None:
         self._pattern, self._tries, self._closed = None, 0, True
@@ -162,9 +163,22 @@ def _part(pixels: NDArray[np.generic], region: Region) -> NDArray[np.generic]:
     return pixels[region.y : region.y + region.height, region.x : region.x + region.width]
 
 
-def _around(region: Region, moved_px: Floats, shape: tuple[int, int]) -> tuple[slice, slice]:
-    """Rows and columns of a moved region with AROUND_PX about it, inside a picture of `shape`."""
+def _around(region: Region, moved_px: Floats, foreign: NDArray[np.bool_]) -> tuple[slice, slice]:
+    """Rows and columns of a moved region with up to AROUND_PX about it, inside a picture, as far as nothing foreign
+    (rows, columns) lies there: a warm body that stands still next to the target would count as a pattern that is many
+    times the target's contrast, and lead the translations astray with it.
+    """
     right, down = (int(px) for px in moved_px)
-    top, left = (max(begin - AROUND_PX, 0) for begin in (region.y + down, region.x + right))
-    bottom, end = region.y + down + region.height + AROUND_PX, region.x + right + region.width + AROUND_PX
-    return slice(top, min(bottom, shape[0])), slice(left, min(end, shape[1]))
+    top, left = max(region.y + down, 0), max(region.x + right, 0)
+    bottom = min(region.y + down + region.height, foreign.shape[0])
+    end = min(region.x + right + region.width, foreign.shape[1])
+    columns = np.any(foreign[top:bottom], axis=0)
+    left, end = left - _clear(columns[:left][::-1]), end + _clear(columns[end:])
+    rows = np.any(foreign[:, left:end], axis=1)
+    return slice(top - _clear(rows[:top][::-1]), bottom + _clear(rows[bottom:])), slice(left, end)
+
+
+def _clear(foreign: NDArray[np.bool_]) -> int:
+    """How many lines, from the target outwards, hold nothing foreign (n,), AROUND_PX at most."""
+    near = foreign[:AROUND_PX]
+    return int(np.argmax(near)) if near.any() else len(near)

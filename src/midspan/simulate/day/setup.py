@@ -52,12 +52,13 @@ class Eye:
 class DaySetup:
     """Both cameras, their day and what happens in it; all times are true ones in s, 0 at noon.
 
-    contrast_k: of the surfaces' temperatures; thermal: what the thermal camera adds. Where targets are given
-    (`camera_roi`, `infrared_roi`: x, y, width, height in px) they are written into the settings.
+    camera: None where there is the thermal one alone. contrast_k: of the surfaces' temperatures; thermal: what the
+    thermal camera adds. Where targets are given (`camera_roi`, `infrared_roi`: x, y, width, height in px) they are
+    written into the settings.
     """
 
     sky: Sky
-    camera: Eye
+    camera: Eye | None
     infrared: Eye
     contrast_k: float = 1.5
     course: DayCourse = field(default_factory=DayCourse)
@@ -71,13 +72,14 @@ class DaySetup:
     @property
     def first_s(self) -> float:
         """True time of the camera's first frame, the zero of the displacement."""
-        return self.camera.start_s + self.camera.time_offset_s
+        eye = self.camera or self.infrared
+        return eye.start_s + eye.time_offset_s
 
-    def day_camera(self, rng: np.random.Generator) -> DayCamera:
+    def day_camera(self, eye: Eye, rng: np.random.Generator) -> DayCamera:
         """The camera before its wall."""
         rng_wall, rng_drops, rng_seed = rng.spawn(3)
-        wall = wall_in_relief(self.camera.size_px, rng=rng_wall, reach_px=self.reach_px)
-        drops = Drops(self.camera.size_px, self.sky.rain, rng=rng_drops) if self.sky.rain else None
+        wall = wall_in_relief(eye.size_px, rng=rng_wall, reach_px=self.reach_px)
+        drops = Drops(eye.size_px, self.sky.rain, rng=rng_drops) if self.sky.rain else None
         return DayCamera(wall, self.sky, drops=drops, cars=self.cars, seed=int(rng_seed.integers(2**31)))
 
     def day_infrared(self, rng: np.random.Generator) -> DayInfrared:
@@ -92,17 +94,17 @@ class DaySetup:
         return DayInfrared(view, self.sky, drops, seed=int(rng_seed.integers(2**31)))
 
     def settings(self, duration_s: float) -> dict[str, Any]:
-        """The sections [camera] and [infrared] of recording.toml."""
-        camera: dict[str, Any] = {"file": VIDEO}
-        if not exact_in_video(self.camera.stamps_s(duration_s)):
-            camera["times"] = TIMES
-        camera |= {"rate_hz": self.camera.rate_hz, "direction": "y"}
+        """The sections [camera], where there is one, and [infrared] of recording.toml."""
         # Temperatures turn around, so that key frames are needed; a template tells best how well they still match.
-        infrared: dict[str, Any] = {"file": INFRARED, "direction": "y", "tracker": "template"}
-        for section, roi in ((camera, self.camera_roi), (infrared, self.infrared_roi)):
+        sections: dict[str, Any] = {"infrared": {"file": INFRARED, "direction": "y", "tracker": "template"}}
+        if self.camera is not None:
+            times = {} if exact_in_video(self.camera.stamps_s(duration_s)) else {"times": TIMES}
+            camera = {"file": VIDEO, **times, "rate_hz": self.camera.rate_hz, "direction": "y"}
+            sections = {"camera": camera, **sections}
+        for name, roi in (("camera", self.camera_roi), ("infrared", self.infrared_roi)):
             if roi is not None:
-                section["roi"] = list(roi)
-        return {"camera": camera, "infrared": infrared}
+                sections[name]["roi"] = list(roi)
+        return sections
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,24 +119,24 @@ class DayRun:
     def write(self, folder: Path, progress: Progress) -> dict[str, Any]:
         """Write both cameras' files frame by frame; returns what is known of them."""
         rng_camera, rng_infrared = self.rng.spawn(2)
-        setup = self.setup
-        frames = [len(eye.stamps_s(self.duration_s)) for eye in (setup.camera, setup.infrared)]
-        self._write_video(folder, setup.day_camera(rng_camera), lambda done: progress(done, sum(frames)))
+        setup, eye = self.setup, self.setup.camera
+        frames = [0 if one is None else len(one.stamps_s(self.duration_s)) for one in (eye, setup.infrared)]
+        if eye is not None:
+            camera = setup.day_camera(eye, rng_camera)
+            self._write_video(folder, eye, camera, lambda done: progress(done, sum(frames)))
         stamps = setup.infrared.stamps_s(self.duration_s)
         pictures = self._thermal_film(setup.day_infrared(rng_infrared), stamps)
         counted = _counted(pictures, lambda done: progress(frames[0] + done, sum(frames)))
         write_celsius(folder / INFRARED, counted, stamps, setup.infrared.size_px)
         return self._known()
 
-    def _write_video(self, folder: Path, camera: DayCamera, done: Callable[[int], None]) -> None:
-        eye = self.setup.camera
+    def _write_video(self, folder: Path, eye: Eye, camera: DayCamera, done: Callable[[int], None]) -> None:
         stamps = eye.stamps_s(self.duration_s)
-        write_video(folder / VIDEO, self._film(camera, stamps), stamps_s=stamps, rate_hz=eye.rate_hz, done=done)
+        write_video(folder / VIDEO, self._film(eye, camera, stamps), stamps_s=stamps, rate_hz=eye.rate_hz, done=done)
         if not exact_in_video(stamps):
             write_table(folder / TIMES, {"time_s": stamps}, decimals={"time_s": 9})
 
-    def _film(self, camera: DayCamera, stamps_s: Floats) -> Iterator[Pixels]:
-        eye = self.setup.camera
+    def _film(self, eye: Eye, camera: DayCamera, stamps_s: Floats) -> Iterator[Pixels]:
         moved = eye.moved_px(self.motion, stamps_s)
         for number, stamp in enumerate(stamps_s):
             yield camera.picture(number, moved[number], float(stamp) + eye.time_offset_s)
@@ -151,6 +153,7 @@ class DayRun:
         eyes = {
             name: {"scale_mm_per_px": eye.scale_mm_per_px, "time_offset_s": eye.time_offset_s}
             for name, eye in (("camera", setup.camera), ("infrared", setup.infrared))
+            if eye is not None
         }
         day: dict[str, list[Any]] = {
             "night_s": [list(sky.night(k)) for k in range(days)],

@@ -190,6 +190,36 @@ def _lab(
     )
 
 
+def _jumps(rng: np.random.Generator) -> Motion:
+    """Four people jump."""
+    return Window(random_motion((2.0, 2.3), 2.5e-3, rng=rng, lines=12), 0.5, 60.0, ramp_s=1.0)
+
+
+# Cold air, a warm and a cold body at the edges, and the exhaust of a bus that passes in a second.
+_COLD = (
+    WarmBody(0.0, 0.0, 18.0, 12.0, 24.0, 0.0, celsius=9.0),
+    WarmBody(0.0, 98.0, 44.0, 12.0, 24.0, 0.0, celsius=-14.0),
+    WarmBody(43.0, -20.0, 40.0, 20.0, 26.0, 60.0, celsius=25.0),
+)
+_COLD_BRIDGE = Scenario(
+    line="001, footbridge, infrared alone, 3.827 mm/px, four people jump, a bus's exhaust at 43 s",
+    title="footbridge of the paper on vision and infrared",
+    duration_s=60.0,
+    motion=_jumps,
+    accelerometer=FORCE_BALANCE,
+    day=DaySetup(
+        sky=Sky(),
+        camera=None,
+        infrared=Eye((90, 112), scale_mm_per_px=-3.827, rate_hz=30.0, start_s=0.01),
+        contrast_k=1.5,
+        course=DayCourse(mean_c=-1.0, swing_k=0.0),
+        thermal=ThermalCamera(netd_k=0.05, pattern_k=0.015),
+        bodies=_COLD,
+        infrared_roi=(20, 14, 72, 60),
+    ),
+    free="2.5 mm near 2.1 Hz, texture of 90 × 112 px, 1.5 K of contrast, noise of 0.05 K, bodies of 9, -14 and 25 °C",
+)
+
 PUBLISHED: dict[str, Scenario] = {
     **{f"003-storey-{k}": _storey(k, tone) for k, tone in enumerate((2.2, 3.3, 5.1, 6.3, 10.3), start=1)},
     "003-bridge-1": _footbridge(1, _crossing((2.46, 2.56))),
@@ -210,5 +240,6 @@ PUBLISHED: dict[str, Scenario] = {
     "001-case-7": _lab(
         "case 7, day, night and day in 120 s", _random(0.3, 2.2, 1.5e-3), length_s=120.0, sky_s=140.0, rate_hz=10.0
     ),
+    "001-bridge": _COLD_BRIDGE,
 }
 """Name → scenario; the first three digits are the paper's key."""
