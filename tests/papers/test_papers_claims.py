@@ -16,7 +16,7 @@ from midspan.report.papers import write_papers
 FAILING = {
     ("000", "Table 1"), ("000", "Table 2"), ("000", "Fig. 16"),
     ("003", "Table 3"), ("003", "Fig. 16 (b)"), ("003", "Fig. 20, 21"), ("003", "Fig. 22"),
-    ("003", "Fig. 23"), ("003", "Fig. 24"),
+    ("003", "Fig. 23"), ("003", "Fig. 24"), ("002", "Table 1"),
 }  # fmt: skip
 
 

@@ -224,6 +224,24 @@ def tested(name: str, effort: Effort) -> Measured:
     return Measured(values)
 
 
+def chirp(effort: Effort) -> Measured:
+    """Table 1: what slope, samples and sampling rate of the chirp give, and the bin that a simulated target is in."""
+    far = 10.0
+    model = RadarModel((Reflector(far, 1000.0, 0.0),), SHORT_RANGE, 0.0)
+    cube = np.concatenate(list(model.blocks(sine(0.0, 1.0), 8, rng=np.random.default_rng(effort.seed))))
+    power = np.abs(np.fft.fft(cube[0, 0, 0], 16 * SHORT_RANGE.samples))
+    place = float(np.argmax(power)) / 16
+    return Measured(
+        {
+            "resolution cm": 100 * SHORT_RANGE.bin_m,
+            "of a simulated target cm": 100 * far / place,
+            "largest range m": SHORT_RANGE.bin_m * SHORT_RANGE.bins,
+            "resolution, off by %": 100 * abs(SHORT_RANGE.bin_m / 0.0489 - 1),
+            "of a simulated target, off by %": 100 * abs(far / place / SHORT_RANGE.bin_m - 1),
+        }
+    )
+
+
 def wall(effort: Effort) -> Measured:
     """Section 4.1."""
     return tested("wall", effort)
