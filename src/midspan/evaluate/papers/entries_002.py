@@ -68,7 +68,7 @@ CHIRP = Experiment(
                 Claim("the resolution is the printed one within 1 %", "resolution, off by %", 1.0),
             ),
             unit="",
-            because="Slope, samples and rate of Table 1 make 2.77 GHz: 5.41 cm and 13.8 m. 4.89 and 12 are 0.9 of these.",
+            because="Slope, samples and rate of Table 1 make 2.77 GHz: 5.41 cm and 13.8 m; printed are 0.9 of these.",
         ),
     ),
 )
