@@ -12,9 +12,35 @@ WITHOUT = "With the range of the whole view the target has next to no grey level
 
 
 def _by_range(suffix: str) -> tuple[str, ...]:
-    return (f"ROI{suffix}", f"optimised{suffix}", f"FOV lost %{suffix}")
+    return (f"ROI{suffix}", f"optimised{suffix}", f"optimised, fused{suffix}", f"FOV lost %{suffix}")
 
 
+def _ours(suffix: str) -> tuple[str, ...]:
+    return (f"°C{suffix}", f"°C, smoothed{suffix}")
+
+
+FACTORS = Experiment(
+    "001",
+    "scale factors",
+    measured.scale_factors,
+    (
+        Entry(
+            "Fig. 10",
+            "scale factors of both cameras from case 1, mm/px",
+            "0.945 and 1.094",
+            ("vision, printed", "infrared, printed", "vision, true", "infrared, true"),
+            ("vision, ours", "infrared, ours", "vision, ours, off by %", "infrared, ours, off by %"),
+            (
+                Claim("vision's is within 2 % of the truth", "vision, off by %", 2.0),
+                Claim("infrared's is within 2 %", "infrared, off by %", 2.0),
+                Claim("ours are within 0.5 %", "vision, ours, off by %", 0.5),
+                Claim("both", "infrared, ours, off by %", 0.5),
+            ),
+            unit="",
+        ),
+    ),
+    f"{SIZES}; vision as in case 6, under a light that stays",
+)
 SCALE = Experiment(
     "001",
     "grid of ranges",
@@ -54,7 +80,7 @@ RANGES = Experiment(
             "case 2: RMSE with a finger that crosses, by range; frames lost by the view's range in %",
             "optimised best; the view's range loses the target, the target's own is wrong with the finger",
             _by_range(", case 2"),
-            ("°C, case 2",),
+            _ours(", case 2"),
             (
                 Claim("the view's range loses the target", "FOV lost %, case 2", 40.0, above=True),
                 Claim("optimised is below the target's own range", "optimised, case 2", 1.0, "ROI, case 2"),
@@ -67,11 +93,36 @@ RANGES = Experiment(
             ),
         ),
         Entry(
+            "Fig. 12 (b), 13",
+            "case 2: good matches by range, without the finger and with it",
+            "view's range 1 and 0; target's own 27, many of them wrong, and fewer; optimised 4 and 4",
+            (
+                *(f"matches, {name}, case 2" for name in ("FOV", "ROI", "optimised")),
+                *(f"matches with the finger, {name}, case 2" for name in ("FOV", "ROI", "optimised")),
+                "left with the finger %, ROI",
+                "left with the finger %, optimised",
+            ),
+            (),
+            (
+                Claim("the view's range has next to no match", "matches, FOV, case 2", 2.0),
+                Claim("none with the finger", "matches with the finger, FOV, case 2", 0.5),
+                Claim(
+                    "the finger takes a smaller share of the optimised range's matches than of the target's own",
+                    "left with the finger %, optimised",
+                    1.0,
+                    "left with the finger %, ROI",
+                    above=True,
+                ),
+            ),
+            unit="",
+            because="The finger hides the same part of the target in both ranges.",
+        ),
+        Entry(
             "Fig. 14",
             "cases 3 to 5: RMSE by range; frames lost by the view's range in %",
             "optimised 72.57 % below the target's own, below 0.8; the view's range loses the target",
             _by_range(", cases 3 to 5"),
-            ("°C, cases 3 to 5",),
+            _ours(", cases 3 to 5"),
             (
                 Claim("the view's range loses the target", "FOV lost %, cases 3 to 5", 40.0, above=True),
                 Claim("optimised is below 0.8 mm", "optimised, cases 3 to 5", 0.8),
@@ -98,7 +149,7 @@ BRIDGE = Experiment(
             "RMSE by range with a bus's exhaust; frames lost by the view's range in %",
             "optimised 0.189, [-10.2, 6.4]; the view's range loses the target",
             (*_by_range(""), "best low °C", "best high °C"),
-            ("°C",),
+            _ours(""),
             (
                 Claim("the view's range loses the target", "FOV lost %", 40.0, above=True),
                 Claim("optimised is below the target's own range", "optimised", 1.0, "ROI"),
@@ -125,7 +176,7 @@ LIGHT = Experiment(
                 Claim("updating sees all but 1 %", "updating lost %", 1.0),
                 Claim("with more than five updates", "updates", 5.0, above=True),
                 Claim("its error is below 1 mm", "updating", 1.0),
-                Claim("a fixed reference loses the target for more than 20 %", "fixed lost %", 20.0, above=True),
+                Claim("a fixed reference loses the target for more than 40 %", "fixed lost %", 40.0, above=True),
                 Claim("our key frames err less", "key frames", 1.0, "updating"),
             ),
             unit="",
@@ -165,4 +216,4 @@ DAY = Experiment(
     "comes back before 100 s, a second pattern of temperature from 60 s on; D = 30 and Q = 9 frames",
 )
 
-EXPERIMENTS = (SCALE, RANGES, BRIDGE, LIGHT, DAY)
+EXPERIMENTS = (FACTORS, SCALE, RANGES, BRIDGE, LIGHT, DAY)
