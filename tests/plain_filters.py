@@ -23,7 +23,7 @@ def adaptive_kalman(time, acceleration, q, frames, beta, *, first=10, begun=(1e-
     """AMKF, equations 7 to 26 with plain matrices, for at most one frame in an interval of the accelerometer.
 
     frames: time and displacement of each, or what measures it by the prior state and its covariance, as equations 27
-    to 30 ask. Returns displacement and velocity (n, 2), covariance (n, 2, 2) and R of each
+    to 30 ask; NaN is no frame. Returns displacement and velocity (n, 2), covariance (n, 2, 2) and R of each
     frame. begun: R of the first frames, `first` of them, which is the variance of the position at the start of the
     first frame's interval too, and that of the velocity.
     """
@@ -35,15 +35,19 @@ def adaptive_kalman(time, acceleration, q, frames, beta, *, first=10, begun=(1e-
     for k in range(len(time)):
         start, a = (time[k - 1], acceleration[k - 1]) if k else (time[0], 0.0)
         dt = time[k] - start
-        if i < len(frames) and frames[i][0] <= time[k]:
+        met, u = i < len(frames) and frames[i][0] <= time[k], np.nan
+        if met:
             stamp, u = frames[i]
+            i += 1
             if r is None:
                 r = begun[0]
                 p = p + np.diag([r, 0.0])
             before, after = stamp - start, time[k] - stamp
             y = transition(before) @ x + hold(before) * a  # eq. 7 with the shorter step
             g = transition(before) @ p @ transition(before).T + q * np.outer(hold(before), hold(before))  # eq. 8
-            eta = (u(y, g) if callable(u) else u) - row @ y  # eq. 19
+            u = u(y, g) if callable(u) else u
+        if np.isfinite(u):
+            eta = u - row @ y  # eq. 19
             if len(noises) >= first:
                 r = beta * r + (1.0 - beta) * (eta**2 - row @ g @ row)  # eq. 20
             gain = g @ row / (row @ g @ row + r)  # eq. 9
@@ -51,10 +55,9 @@ def adaptive_kalman(time, acceleration, q, frames, beta, *, first=10, begun=(1e-
             w1 = transition(after) @ kept @ transition(before)  # eq. 23
             w2 = transition(after) @ kept @ hold(before) + hold(after)  # eq. 24
             w3 = transition(after) @ gain  # eq. 25
-            x = w1 @ x + w2 * a + w3 * (eta + row @ y)  # eq. 22
+            x = w1 @ x + w2 * a + w3 * u  # eq. 22
             p = w1 @ p @ w1.T + q * np.outer(w2, w2) + r * np.outer(w3, w3)  # eq. 26
             noises.append(r)
-            i += 1
         else:
             x = transition(dt) @ x + hold(dt) * a  # eqs. 7 and 12
             p = transition(dt) @ p @ transition(dt).T + q * np.outer(hold(dt), hold(dt))  # eqs. 8 and 13
