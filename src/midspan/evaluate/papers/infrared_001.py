@@ -254,8 +254,9 @@ def learnt(one: Filmed) -> RangeSurface:
 
 def by_range(
     one: Filmed, surface: RangeSurface, known: Filmed, finger_s: tuple[float, float] = (np.inf, np.inf)
-) -> dict[str, float]:
-    """Errors in mm, frames lost in % and matches by each range, which the calibration `known` gave, and ours in °C.
+) -> tuple[dict[str, float], dict[str, Floats]]:
+    """Errors in mm, frames lost in % and matches by each range, which the calibration `known` gave, and ours in °C;
+    and the matches (n,) of each.
 
     finger_s: from when to when something warm is in front of the target; matches are counted apart there.
     """
@@ -266,19 +267,21 @@ def by_range(
     }
     warm = (one.at_s >= finger_s[0]) & (one.at_s < finger_s[1])
     found: dict[str, float] = {}
+    counts: dict[str, Floats] = {}
     for name, own in limits.items():
         rows = _tracked(one, own)
         track = PixelTrack.stack(rows)
-        matches = np.array([_matches(row) for row in rows])
-        found[name], found[f"{name} lost %"] = one.error_mm(track), 100 * float(np.mean(~np.isfinite(track.y_px)))
-        found[f"matches, {name}"] = float(np.mean(matches[~warm]))
-        found[f"matches with the finger, {name}"] = float(np.mean(matches[warm])) if warm.any() else float("nan")
+        matches = counts[name] = np.array([_matches(row) for row in rows])
+        found[name], found[f"{name} lost (%)"] = one.error_mm(track), 100 * float(np.mean(~np.isfinite(track.y_px)))
+        found[f"{name} (matches)"] = float(np.mean(matches[~warm]))
+        found[f"{name} with the finger (matches)"] = float(np.mean(matches[warm])) if warm.any() else float("nan")
         if name == "optimised":
             found["optimised, fused"] = one.fused_mm(track, literal=True)
     tracker = ThermalTarget(one.frames[0], INFRARED_ROI, lambda frame: open_tracker("template", frame, INFRARED_ROI))
     ours = PixelTrack.stack(one.followed(tracker))
     lost = 100 * float(np.mean(~np.isfinite(ours.y_px)))
-    return found | {"°C": one.error_mm(ours), "°C lost %": lost, "°C, smoothed": one.fused_mm(ours, literal=False)}
+    found |= {"°C": one.error_mm(ours), "°C lost (%)": lost, "°C, smoothed": one.fused_mm(ours, literal=False)}
+    return found, counts
 
 
 def _tracked(one: Filmed, limits: Limits) -> list[PixelTranslation]:
@@ -320,16 +323,24 @@ def ranges(effort: Effort) -> Measured:
     surface = learnt(known)
     # The finger is 12 px wide and goes by at 24 px/s: from its way into the region to its way out.
     front = (length_s - 6.5 + 0.5, length_s - 6.5 + 3.5)
-    found = {name: by_range(one, surface, known, *([front] if name == "case 2" else [])) for name, one in films.items()}
+    both = {name: by_range(one, surface, known, *([front] if name == "case 2" else [])) for name, one in films.items()}
+    found = {name: values for name, (values, _) in both.items()}
     quiet = ("case 3", "case 4", "case 5")
-    values: dict[str, Any] = {f"{key}, case 2": value for key, value in found["case 2"].items()}
-    values |= {f"{key}, cases 3 to 5": [found[name][key] for name in quiet] for key in found["case 2"]}
+    values: dict[str, Any] = {_of(key, "case 2"): value for key, value in found["case 2"].items()}
+    values |= {_of(key, "cases 3 to 5"): [found[name][key] for name in quiet] for key in found["case 2"]}
     values |= {f"{key}, mean": float(np.mean([found[name][key] for name in quiet])) for key in found["case 2"]}
     for name in ("ROI", "optimised"):
-        left = found["case 2"][f"matches with the finger, {name}"] / found["case 2"][f"matches, {name}"]
-        values[f"left with the finger %, {name}"] = 100 * left
+        left = found["case 2"][f"{name} with the finger (matches)"] / found["case 2"][f"{name} (matches)"]
+        values[f"{name}, left with the finger (%)"] = 100 * left
     values |= _corners(surface)
-    return Measured(values)
+    counts = {name: (films["case 2"].at_s, one) for name, one in both["case 2"][1].items()}
+    return Measured(values, (Curve("Fig. 12 (b)", "time (s)", "matches", counts),))
+
+
+def _of(key: str, case: str) -> str:
+    """The name of a number of one case; its unit in brackets comes last."""
+    name, bracket, unit = key.partition(" (")
+    return f"{name}, {case}{bracket}{unit}"
 
 
 def from_rest(motion: Motion, length_s: float) -> Motion:
@@ -347,8 +358,8 @@ def _corners(surface: RangeSurface) -> dict[str, float]:
     best = (surface.best.low_c, surface.best.high_c)
     corner = any(np.allclose(best, other) for other in (region, field))
     return {
-        "best low °C": best[0],
-        "best high °C": best[1],
+        "best low (°C)": best[0],
+        "best high (°C)": best[1],
         "is a corner": float(corner),
         "ranges": float(surface.error_px.size),
     }
@@ -383,7 +394,7 @@ def bridge(effort: Effort) -> Measured:
     few = slice(None, int(10 * rate_hz), 3)
     known = replace(case[0], frames=case[0].frames[few], px=case[0].px[few])
     surface = learnt(known)
-    return Measured(by_range(case[1], surface, known) | _corners(surface))
+    return Measured(by_range(case[1], surface, known)[0] | _corners(surface))
 
 
 # Vision: cases 6 and 7.
@@ -411,14 +422,15 @@ def lamp(angle_rad: float, strength: float) -> Light:
 
 def moving_light(effort: Effort) -> Measured:
     """Case 6: for 210 s under a flashlight that moves from 30 s on."""
-    length_s = 90.0 if effort.quick else 210.0
+    length_s = 150.0 if effort.quick else 210.0
     at_s = np.arange(int(length_s * WALL_HZ)) / WALL_HZ
     pushes = tuple(Pulse(h, t, 8.0) for h, t in ((3e-3, 50.0), (-2e-3, 110.0), (3e-3, 170.0)))
     motion = from_rest(Sum((Sines(np.array([2e-3]), np.array([1.0])), *pushes)), length_s)
     moved = motion.displacement(at_s) / (1e-3 * CAMERA_MM)
     moved -= moved[0]
     later = np.clip(at_s - 30.0, 0.0, None)
-    angles = 1.05 * np.sin(2 * np.pi * later / 120.0)
+    # To the side until 80 s, where it swings from then on: a fixed reference never sees its light again.
+    angles = np.where(later < 50.0, 1.2 * later / 50.0, 1.05 + 0.15 * np.cos(2 * np.pi * (later - 50.0) / 60.0))
     wall = relief(np.random.default_rng([6, effort.seed]))
     lights = [lamp(float(a), 0.9 - 0.5 * abs(np.sin(a))) for a in angles]
     one = filmed(lit(wall, moved, lights, effort.seed), moved, CAMERA_MM, motion, length_s, effort.seed)
@@ -435,8 +447,8 @@ def moving_light(effort: Effort) -> Measured:
     values = {name: one.error_mm(PixelTrack.stack(rows)) for name, rows in tracks.items()}
     lost = {name: 100 * float(np.mean([not np.isfinite(row.y_px) for row in rows])) for name, rows in tracks.items()}
     matches = {name: np.array([_matches(row) for row in tracks[name]]) for name in ("fixed", "updating")}
-    values |= {f"{name} lost %": share for name, share in lost.items()}
-    values["updates"] = updating.state.updates
+    values |= {f"{name} lost (%)": share for name, share in lost.items()}
+    values["updating (updates)"] = updating.state.updates
     curve = Curve("Fig. 16 (b)", "time (s)", "matches", {name: (at_s, one) for name, one in matches.items()})
     return Measured(values, (curve,))
 
@@ -484,15 +496,15 @@ def day_and_night(effort: Effort) -> Measured:
     fused = _fused(acceleration, (at_s, value_mm, variance), seen.truth_m, literal=True)
     alone = seen.error_mm(PixelTrack.stack(printed["camera"]))
     values: dict[str, Any] = {
-        "vision lost %": 100 * float(np.mean([not np.isfinite(row.y_px) for row in printed["camera"]])),
+        "vision lost (%)": 100 * float(np.mean([not np.isfinite(row.y_px) for row in printed["camera"]])),
         "vision alone": alone,
         "switched": float(np.nanstd(value_mm - 1e3 * true)),
         "switched and fused": fused,
         "switches": len(changes),
-        "to infrared s": float(at_s[changes[0]]) if len(changes) else float("nan"),
-        "to vision s": float(at_s[changes[-1]]) if len(changes) else float("nan"),
-        "longest gap s": float(gaps.max()),
-        "gap from s": float(seen_s[np.argmax(gaps)]),
+        "to infrared (s)": float(at_s[changes[0]]) if len(changes) else float("nan"),
+        "to vision (s)": float(at_s[changes[-1]]) if len(changes) else float("nan"),
+        "longest gap (s)": float(gaps.max()),
+        "gap from (s)": float(seen_s[np.argmax(gaps)]),
         "ours": _ours(acceleration, (seen, warm), at_s, seen.truth_m),
     }
     counts = {name: (at_s, np.array([_matches(row) for row in rows])) for name, rows in printed.items()}

@@ -269,11 +269,11 @@ def storey(effort: Effort) -> Measured:
         values[f"{name}, aliased below 0.5 Hz"] = np.mean([found[key][name] for key in low])
         values[f"{name}, mean of all"] = np.mean([one[name] for one in found.values()])
     values["proposed in 2.5 s at 3 frames/s"] = np.array([error for error, _, _ in short])
-    values["delay s"], values["delay of 201 taps s"] = short[0][1:]
-    values["cases in which proposed is best"] = sum(
+    values["delay (s)"], values["delay of 201 taps (s)"] = short[0][1:]
+    values["proposed is best (cases)"] = sum(
         one["proposed"] < min(one["existing"], one["Kalman"]) for one in found.values()
     )
-    values["cases"] = len(found)
+    values["all (cases)"] = len(found)
     rates = np.array([CAMERA_HZ / n for n in every])
     curves = tuple(
         Curve(
