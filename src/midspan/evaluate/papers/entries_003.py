@@ -63,7 +63,7 @@ BEAM = Experiment(
             "amplitude of the error at the two aliases",
             "0.3 Hz stays in existing, not in proposed; 2 Hz in neither",
             (*_suffixed(PRINTED, " at 0.3 Hz"), *_suffixed(PRINTED, " at 2 Hz")),
-            _suffixed(OURS, " at 0.3 Hz"),
+            (*_suffixed(OURS, " at 0.3 Hz"), *_suffixed(OURS, " at 2 Hz")),
             (
                 Claim("at 0.3 Hz proposed is below 0.2 of existing", "proposed at 0.3 Hz", 0.2, "existing at 0.3 Hz"),
                 Claim("2 Hz is in neither", "existing at 2 Hz", 0.05, "10 Hz record at 2 Hz"),
