@@ -192,7 +192,7 @@ def beam_displacement(effort: Effort) -> Measured:
     values: dict[str, Any] = dict(rms)
     values["reduction"] = 100 * (1 - rms["proposed"] / rms["existing"])
     values |= {f"{name} at 0.3 Hz": one[0] for name, one in spectrum.items()}
-    values |= {f"{name} at 2 Hz": one[1] for name, one in spectrum.items()}
+    values |= {f"{name} at 2 Hz (mm)": one[1] for name, one in spectrum.items()}
     values |= {f"10 Hz record at {f:g} Hz": amplitude(slow, f, 10.0) for f in ALIASES_HZ}
     values |= {f"motion at {f:g} Hz": amplitude(lines["reference"], f, RATE_HZ) for f in ALIASES_HZ}
     return Measured(
