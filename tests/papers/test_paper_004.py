@@ -147,26 +147,23 @@ def test_the_whole_system_is_the_papers_steps_with_plain_matrices(tmp_path):
     assert np.std((table["displacement_mm"] - LIVELY.from_zero_mm(table["time_s"]))[100:]) < 0.53
 
 
-def test_the_printed_calibration_makes_the_printed_filter_run_away_where_q_is_the_accelerometers_noise_alone(recorded):
+def test_printed_calibration_tracker_and_filter_are_as_good_as_published_and_their_band_holds(recorded):
     scene, folder = recorded("shaking-table")
-    errors = []
-    for alone in (True, False):
-        fusion = {"method": "adaptive-kalman", "literal": True}
-        camera = {"tracker": "features", "tracker_settings": {"literal": True}}
-        asked = open_recording(folder, camera=camera, calibration={"literal": True}, fusion=fusion)
-        calibration = calibrate(asked)
-        if alone:
-            fusion["input_noise_m_s2"] = calibration.noise_std_m_s2
-            asked = open_recording(folder, camera=camera, calibration={"literal": True}, fusion=fusion)
-        rows = estimate(asked, calibration, given=False).estimate
-        found = by_excitation(
-            scene, rows.time_ns / 1e9, 1e3 * (rows.displacement_m - scene.truth_m(rows.time_ns / 1e9))
-        )
-        errors.append(found["sine"])
-    # The scale factor is half a percent low: of 1.1 m/s² rms that is 6 mm/s², where 0.2 mm/s² are the noise. R takes it
-    # up and the filter drifts; with what scale and clock leave open in Q the held acceleration's lag is left, 0.8 mm.
-    assert errors[0] > 5.0 * errors[1]
-    assert errors[1] < 1.0
+    asked = open_recording(
+        folder,
+        camera={"tracker": "features", "tracker_settings": {"literal": True}},
+        calibration={"literal": True},
+        fusion={"method": "adaptive-kalman", "literal": True},
+    )
+    rows = estimate(asked).estimate
+    time_s = rows.time_ns / 1e9
+    error_mm = 1e3 * (rows.displacement_m - scene.truth_m(time_s))
+    found = by_excitation(scene, time_s, error_mm)
+    # Half a sample of the held acceleration, of 40 mm at 1 Hz: 0.8 mm rms; the paper has 0.53 mm over its excitations.
+    # Where measurements that the estimator rejects were left out, the filter drifted by 13 mm between them.
+    assert max(found.values()) < 0.9
+    # Its own covariance holds none of that; the band is made from the innovations and from what the scale is off by.
+    assert np.mean(np.abs(error_mm) < 1.96e3 * np.sqrt(rows.variance_m2)) > 0.9
 
 
 def test_two_routes_to_the_motion_agree():

@@ -328,6 +328,8 @@ def test_the_literal_steps_look_for_the_target_in_the_region_only(reference, pic
     for _ in range(2):  # once lost, the guarded form looks everywhere
         found = guarded.push(picture(1, *moved, change=covered))
     assert error(found, *moved) < 0.1
-    assert printed.push(picture(1, *moved, change=covered)).status is Status.LOST
+    near = printed.push(picture(1, *moved, change=covered))
+    # Chance matches of noise, which rejection I lets through, are near the region: never the target.
+    assert near.status is Status.LOST or error(near, *moved) > 20.0
     predicted = Prediction(63.0, -62.0, 1.0, 1.0)
     assert error(printed.push(picture(2, *moved, change=covered), predicted), *moved) < 0.1

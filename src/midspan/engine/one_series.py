@@ -3,7 +3,7 @@
 The series is what the sensors measured along an axis, each in its turn, on the zero that the engine's estimator found.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 
@@ -46,6 +46,23 @@ def one_series(
             apart[span] -= np.median(apart[span][seen[span]]) if seen[span].any() else 0.0
         far = seen & (apart**2 > OUTLIER_STD**2 * (block.variance_m2 + variance))
         blocks.append(replace(block, value_m=np.where(far, np.nan, expected + apart)))
+    return _in_turn(blocks, series)
+
+
+def unguarded(series: Mapping[str, SensorSeries]) -> Displacement:
+    """What the sensors measured, each in its turn, in time order, as it is: for a filter as printed, which has no gate.
+
+    Each counts from its own zero.
+    """
+    blocks = [
+        replace(one.displacement, source=np.full(len(one.displacement.time_ns), number, dtype=np.uint8))
+        for number, one in enumerate(series.values())
+    ]
+    return _in_turn(blocks, series)
+
+
+def _in_turn(blocks: Sequence[Displacement], series: Mapping[str, SensorSeries]) -> Displacement:
+    """Blocks whose source is their sensor's number, as one series with the sensors' own sources."""
     both = joined(blocks)
     found = in_turn(part(both, np.argsort(both.time_ns, kind="stable")))
     sources = np.array([one.source for one in series.values()], dtype=np.uint8)

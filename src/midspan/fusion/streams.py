@@ -94,8 +94,9 @@ class MethodSettings:
     lag_s: delay of `lag`, s. literal: a paper's method exactly as printed. forgetting: factor beta of
     `adaptive-kalman`, above 0 and below 1; nearer to 1 is steadier and slower: at 10 Hz 0.95 remembers 2 s.
     What the papers leave open: first_frames, input_noise_m_s2, start_noise_m, start_velocity_m_s of `adaptive-kalman`,
-    see `adaptive.PrintedFilter`; half_window, cut_off_hz, accuracy of `fir`, see `fir.FirSettings`; transition_hz,
-    taps, anti_alias_taps of `two-stage-fir`, see `two_stage.TwoStageSettings`; spline_frames of both.
+    see `adaptive.PrintedFilter`; half_window, cut_off_hz, accuracy of `fir`,
+    see `fir.FirSettings`; transition_hz, taps, anti_alias_taps of `two-stage-fir`, see `two_stage.TwoStageSettings`;
+    spline_frames of both.
     """
 
     kalman: KalmanSettings = field(default_factory=KalmanSettings)

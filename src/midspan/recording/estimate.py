@@ -15,6 +15,7 @@ from midspan.engine.one_series import (
     literal_warnings,
     one_series,
     run_on_series,
+    unguarded,
     with_levels_since,
     with_uncertain,
 )
@@ -42,7 +43,7 @@ from midspan.progress import Progress, silent
 from midspan.recording.calibrate import calibrate_and_track
 from midspan.recording.kinds import ROWS
 from midspan.recording.messages import refuse_rejections, require_same_cameras, uncalibrated
-from midspan.recording.point import measuring_point, with_input_noise, zero_instant
+from midspan.recording.point import measuring_point, zero_instant
 from midspan.recording.printed_radar import estimate_printed
 from midspan.recording.result import Result
 from midspan.recording.run import Outcome, run, used_when
@@ -336,8 +337,10 @@ def on_series(asked: Asked, first: FirstPass, ran: Mapping[str, OneClock], check
         if asked.recording.settings.fusion.switching == "matches":
             series = {name: taken(one, first.outcome.measured_by(name)) for name, one in series.items()}
         named = {name: on_clock(one, ran[name]) for name, one in series.items()}
-        measured = one_series(named, found.rows[axis], first.outcome.restarts_ns)
-        own, rate_hz = replace(with_input_noise(method, side), kalman=side.kalman), side.prepared.rate_hz
+        # The filter as printed takes every measurement; what it wins by a gate would not be its own.
+        printed = method.literal and asked.row.rows is not None
+        measured = unguarded(named) if printed else one_series(named, found.rows[axis], first.outcome.restarts_ns)
+        own, rate_hz = replace(method, kalman=side.kalman), side.prepared.rate_hz
         done = run_on_series(side.acceleration, measured, asked.method, own, found.rows[axis], rate_hz=rate_hz)
         scale_std = float(np.hypot(max(checked.scale_std[axis][name] for name in named), gain))
         clock_std = max(clock_std_s(one) for one in offsets_of(first.sides[0], first.eyes).values())

@@ -10,7 +10,7 @@ from midspan.calibration.one_clock import OneClock
 from midspan.calibration.whitening import BIAS_WALK_RATIO
 from midspan.engine.axis import AxisFigures
 from midspan.engine.camera_channels import camera_channels
-from midspan.engine.channels import Table, clock_std_s, interval_s
+from midspan.engine.channels import Table, interval_s
 from midspan.engine.guard import Guard, GuardSettings
 from midspan.engine.merge import Merge
 from midspan.engine.order import FIRST_NS
@@ -182,28 +182,12 @@ def measuring_point(
     return Point(merge, guard, sensors, estimator, unmeasured, switch)
 
 
-def with_input_noise(printed: MethodSettings, side: Side) -> MethodSettings:
-    """The settings of the adaptive filter as printed with its noise of the acceleration, which the paper leaves open.
-
-    It is the calibrated one, and what scale factor and clock offset as uncertain as calibrated make of the motion:
-    without these, the noise R (equation 20) takes up what a printed calibration is off by, and runs away.
-    """
-    camera = side.calibration.first_camera
-    if printed.input_noise_m_s2 is not None or camera is None:
-        return printed
-    usual = figures(side, side.prepared.rate_hz)
-    scale_m_s2 = camera.relative_std * sqrt(usual.variance)
-    clock_m_s2 = clock_std_s(camera.offset) * 2.0 * np.pi * usual.dominant_hz * sqrt(usual.variance)
-    own_m_s2 = sqrt(float(np.mean(side.acceleration.noise_density)) * side.prepared.rate_hz)
-    return replace(printed, input_noise_m_s2=hypot(own_m_s2, scale_m_s2, clock_m_s2))
-
-
 def start_of_printed(printed: MethodSettings, main: Side) -> StartOfPrinted:
     """The start of the filter as printed, by what is usual of the acceleration."""
     moved_m, omega = figures(main, main.prepared.rate_hz).motion
     kalman = replace(main.kalman, velocity_std=VELOCITY_WITHIN * omega * moved_m)
     step_s = interval_s(main.recording.acceleration.time_ns)
-    return StartOfPrinted(replace(with_input_noise(printed, main), kalman=kalman), step_s, omega * moved_m)
+    return StartOfPrinted(replace(printed, kalman=kalman), step_s, omega * moved_m)
 
 
 def _place(recording: Recording, eyes: Sequence[Eye]) -> Place | None:

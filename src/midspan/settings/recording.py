@@ -92,7 +92,7 @@ class FusionSettings(Section):
         10, description="`adaptive-kalman` as printed: frames before its noise R is learnt"
     )
     input_noise_m_s2: Annotated[float, IsNumber, limited(1e-12, 1e6, "m/s²")] | None = Field(
-        None, description="its noise of the acceleration; left out: as calibrated, with what scale and clock leave open"
+        None, description="its noise of the acceleration (the root of Q); left out: as calibrated"
     )
     start_noise_mm: Annotated[float, IsNumber, limited(1e-9, 1e6, "mm")] | None = Field(
         None, description="its noise in these frames, mm; left out: as calibrated, and half a sample of the speed"

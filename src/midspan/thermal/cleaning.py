@@ -147,7 +147,8 @@ class ThermalCleaner:
         moved: Floats = np.array([(x, y) for _, x, y in self._kept])
         middle = np.round(moved.mean(axis=0))
         whole = np.stack([pixels for pixels, _, _ in self._kept])
-        place = _around(self._region, middle, np.any(is_foreign(whole, self.limits), axis=0))
+        # What stands there in most frames; what only passes by is weighed down as noise.
+        place = _around(self._region, middle, np.median(is_foreign(whole, self.limits), axis=0) > 0.5)
         stack = whole[:, place[0], place[1]].astype(np.float64)
         found = estimate_pattern(folded(stack, self.limits, 1.0).astype(np.float64), moved - middle)
         values = np.zeros(self._shape)

@@ -37,7 +37,7 @@ CameraFit = SensorFit[CameraCalibration, ScaleCalibration]
 
 PRINTED = (
     "calibration.literal: scale factor and clock offset are as printed (band-pass, double integration, "
-    "cross-correlation, least squares). Their standard deviations are those of the fit, which are no band."
+    "cross-correlation, least squares). Their standard deviations hold the distance from those of the likelihood."
 )
 MOVED_TEXT = (
     "One of them moves by itself, as in a slow drift, and neither the accelerometer nor a majority tells which. Leave "
@@ -96,7 +96,8 @@ def _given(view: View, seen: Sequence[SeenTarget], fit: CameraFit) -> CameraFit:
         scale = view.scale
         if view.printed is not None:
             scale, own = printed_along(view, seen[k])
-            offset = own if k == best else offset
+            scale = view.scale or wider_by(scale, target.scale)
+            offset = replace(own, variance=own.variance + (own.value_s - offset.value_s) ** 2) if k == best else offset
         known[k] = replace(target, scale=scale)
     scale = known[best].scale
     assert scale is not None
@@ -113,6 +114,12 @@ def _given(view: View, seen: Sequence[SeenTarget], fit: CameraFit) -> CameraFit:
     )
     told = (Notice("literal", PRINTED),) if view.printed is not None else ()
     return replace(fit, calibration=camera, warnings=(*fit.warnings, *told))
+
+
+def wider_by(printed: ScaleFactor, likely: ScaleFactor | None) -> ScaleFactor:
+    """A printed scale factor with its distance from the likelihood's in the variance: no fit knows its own error."""
+    off = 0.0 if likely is None else printed.value_m_per_px - likely.value_m_per_px
+    return replace(printed, variance=printed.variance + off**2)
 
 
 def used_along_both(cameras: Sequence[CameraCalibration]) -> list[CameraCalibration]:

@@ -76,7 +76,7 @@ def _eye(scale_mm_per_px: float, every: int) -> CameraSetup:
     """A camera at 29.97 Hz of which every N-th frame is used."""
     return CameraSetup(
         rate_hz=FULL_RATE_HZ,
-        time_offset_s=0.061,
+        time_offset_s=10 / FULL_RATE_HZ,
         scale_mm_per_px=-scale_mm_per_px,
         direction="x",
         size_px=(128, 128),
@@ -85,11 +85,12 @@ def _eye(scale_mm_per_px: float, every: int) -> CameraSetup:
     )
 
 
+_CLOCKS = "one interval of the used frames between the clocks"
 _STOREY_FREE = (
-    "8 mm at 0.1 Hz, 2.8 mm of the tone, phases, texture, noise, 0.061 s between the clocks; 6.4346 is taken as "
+    f"8 mm at 0.1 Hz, 2.8 mm of the tone, phases, texture, noise, {_CLOCKS}; 6.4346 is taken as mm/px (the paper "
+    "prints pixels/mm)"
 )
-_STOREY_FREE += "mm/px (the paper prints pixels/mm)"
-_BRIDGE_FREE = "amplitudes, the jumpers' frequencies in excitations 1 and 2, texture, noise, 0.061 s between the clocks"
+_BRIDGE_FREE = f"amplitudes, the jumpers' frequencies in excitations 1 and 2, texture, noise, {_CLOCKS}"
 
 
 def _storey(number: int, tone_hz: float) -> Scenario:
