@@ -90,7 +90,7 @@ def _markdown(outcomes: Sequence[Outcome], path: Path, command: str) -> str:
 
 
 def _cells(row: Row) -> tuple[str, ...]:
-    factor = f"{row.factor:.3g}" if row.factor == row.factor else ""
+    factor = row.compared.removesuffix(" times less")
     where = f"{row.entry.where}: {row.entry.what}"
     return where, row.entry.paper, row.printed, row.ours, factor, f"{row.verdict.value}: {row.why}"
 
