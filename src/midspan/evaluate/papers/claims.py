@@ -191,20 +191,16 @@ def _own_unit(name: str) -> str:
 
 
 def _shown(names: Sequence[str], values: Mapping[str, Floats], entry: Entry) -> str:
-    """ "existing 0.13 / 0.12, proposed 0.03 / 0.02 mm"; what all names of the entry end with is left out."""
+    """ "existing 0.13 / 0.12; proposed 0.03 / 0.02 mm"; what all names of the entry end with is left out."""
     tail = _common_tail((*entry.printed, *entry.ours))
+    units = [_own_unit(name) or entry.unit for name in names]
     parts = []
-    for name in names:
-        unit = _own_unit(name)
-        label = name.removesuffix(f" ({unit})").removesuffix(tail)
-        parts.append((f"{label} {' / '.join(f'{value:.3g}' for value in values[name])}", unit or entry.unit))
-    # A unit stands behind the last number that it belongs to.
-    following = [unit for _, unit in parts[1:]] + [""]
-    own = (
-        text if unit == after else f"{text} {unit}".rstrip()
-        for (text, unit), after in zip(parts, following, strict=True)
-    )
-    return ", ".join(own)
+    for k, name in enumerate(names):
+        label = name.removesuffix(f" ({units[k]})").removesuffix(tail)
+        numbers = " / ".join(f"{value:.3g}" for value in values[name])
+        # A unit stands behind the last number that it belongs to.
+        parts.append(f"{label} {numbers} {'' if units[k : k + 2] == 2 * [units[k]] else units[k]}".rstrip())
+    return "; ".join(parts)
 
 
 def _common_tail(names: Sequence[str]) -> str:

@@ -22,9 +22,9 @@ HELD = (
 def _scale(where: str, paper: str) -> Entry:
     claim = Claim(
         "the calibrated one is nearer to the truth than the known size's",
-        "proposed, factor off by",
+        "proposed off by",
         1.0,
-        "known size, factor off by",
+        "known size off by",
     )
     return Entry(
         where,
@@ -32,12 +32,12 @@ def _scale(where: str, paper: str) -> Entry:
         paper,
         (
             "true factor (mm/px)",
-            "proposed, factor (mm/px)",
-            "known size, factor (mm/px)",
-            "proposed, factor off by",
-            "known size, factor off by",
+            "factor of proposed (mm/px)",
+            "factor of known size (mm/px)",
+            "proposed off by",
+            "known size off by",
         ),
-        ("registration and smoother, factor (mm/px)", "registration and smoother, factor off by"),
+        ("factor of registration and smoother (mm/px)", "registration and smoother off by"),
         (claim,),
         unit="%",
         errors=True,

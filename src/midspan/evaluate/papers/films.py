@@ -124,6 +124,11 @@ class Run:
         return abs(self.scale_m_per_px / self.track.film.scale_m_per_px - 1.0)
 
 
+def mean_mm(errors: Mapping[str, float]) -> float:
+    """Mean of the excitations' errors, mm."""
+    return float(np.mean(list(errors.values())))
+
+
 def with_means(values: Mapping[str, Any]) -> dict[str, Any]:
     """Numbers by name, and "…, mean" of each that is a list over the excitations."""
     return dict(values) | {f"{key}, mean": float(np.mean(one)) for key, one in values.items() if isinstance(one, list)}

@@ -31,6 +31,7 @@ WAYS = {
     "proposed": Way("features", "adaptive-kalman", literal=True),
     "registration": Way("registration", "smoother"),
 }
+OURS = "registration and smoother"  # what our default is called where it is fused
 # The papers calibrate with 50 s. In much less, what the printed calibration leaves hides what its trackers differ by.
 CALIBRATION_S, QUICK_CALIBRATION_S = 50.0, 30.0
 QUICK_EXCITATION_S = 8.0
@@ -53,10 +54,10 @@ def fused_values(one: Film, runs: dict[str, Run]) -> dict[str, Any]:
     """Errors after fusion by way, what their scale factors are off by, and the processor time of a frame."""
     values: dict[str, Any] = {"half a sample late (mm)": list(half_sample_mm(one).values())}
     for way, run in runs.items():
-        name = "registration and smoother" if way == "registration" else way
+        name = OURS if way == "registration" else way
         values[f"{name}, fused"] = list(run.fused_mm.values())
-        values[f"{name}, factor (mm/px)"] = abs(1e3 * run.scale_m_per_px)
-        values[f"{name}, factor off by"] = values[f"{name}, factor off by (%)"] = 100.0 * run.scale_off
+        values[f"factor of {name} (mm/px)"] = abs(1e3 * run.scale_m_per_px)
+        values[f"{name} off by"] = values[f"factor of {name} off by (%)"] = 100.0 * run.scale_off
         values[f"{name}, frame"] = run.frame_ms
         if run.apart_mm:
             values[f"{name}, fused, true factor"] = list(run.apart_mm.values())
@@ -71,8 +72,8 @@ def scene(name: str, effort: Effort) -> Measured:
     existing = existing_technique(one, LARGEST_MM[name] / abs(1e3 * known))
     proposed, ours = runs["proposed"], runs["registration"]
     values: dict[str, Any] = {
-        "known size, factor (mm/px)": abs(1e3 * known),
-        "known size, factor off by": 100 * abs(KNOWN_SIZE[name] - 1),
+        "factor of known size (mm/px)": abs(1e3 * known),
+        "known size off by": 100 * abs(KNOWN_SIZE[name] - 1),
         "proposed, calibrated factor": list(proposed.track.errors_mm(proposed.scale_m_per_px).values()),
         "proposed, known size": list(proposed.track.errors_mm(known).values()),
         "proposed, true factor": list(proposed.track.errors_mm().values()),
