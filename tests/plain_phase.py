@@ -63,11 +63,16 @@ def active_pixels(phase, residual):
     return best
 
 
-def existing_flow(image, first, region, axis, active):
-    """Equation 3 without its scale factor, px: mean of -(slope of the present phase)^-1 times the variation."""
+def flow_terms(image, first, region, axis):
+    """Slope of the present phase along an axis (k,), rad/px, and variation of equation 2 (k,), rad."""
     x, y, width, height = region
     wide = local_phase(image, (x - 1, y - 1, width + 2, height + 2), axis)
     steps = np.angle(wide[:, 1:] * np.conj(wide[:, :-1])) if axis == 0 else np.angle(wide[1:] * np.conj(wide[:-1]))
     slope = steps[1:-1, 1:] + steps[1:-1, :-1] if axis == 0 else steps[1:, 1:-1] + steps[:-1, 1:-1]
-    change = phase_variation(image, first, region, (0, 0), axis)
-    return np.mean((-change / (slope.ravel() / 2))[active])
+    return slope.ravel() / 2, phase_variation(image, first, region, (0, 0), axis)
+
+
+def existing_flow(image, first, region, axis, active):
+    """Equation 3 without its scale factor, px: mean of -(slope of the present phase)^-1 times the variation."""
+    slope, change = flow_terms(image, first, region, axis)
+    return np.mean((-change / slope)[active])

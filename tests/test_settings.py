@@ -118,6 +118,12 @@ def test_an_unknown_key_or_section_names_the_nearest_known_one(tree, words):
         ("calibration", "max_offset_s", -0.5),
         ("fusion", "method", "smother"),
         ("fusion", "lag_s", 0.0),
+        ("fusion", "transition_hz", [1.0, 0.5]),
+        ("fusion", "transition_hz", [0.0, 1.0]),
+        ("fusion", "taps", 500),
+        ("fusion", "anti_alias_taps", 3),
+        ("fusion", "anti_alias_taps", 2001),
+        ("fusion", "spline_frames", 5),
     ],
 )
 def test_a_value_outside_its_rule_is_refused_with_file_key_and_value(section, key, value):

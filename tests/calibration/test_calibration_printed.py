@@ -102,9 +102,11 @@ def excitation(tmp_path_factory):
 
 
 def test_a_recording_calibrates_as_printed_by_its_key_and_by_the_option(excitation):
-    view = midspan.open_recording(excitation, calibration={"literal": True}, camera={"tracker": "template"})
+    # The option makes the tracker as printed too, the key the calibration alone.
+    chosen = {"tracker": "template", "tracker_settings": {"literal": True}}
+    view = midspan.open_recording(excitation, calibration={"literal": True}, camera=chosen)
     calibration = midspan.calibrate(view)
-    usual = midspan.calibrate(midspan.open_recording(excitation, camera={"tracker": "template"}))
+    usual = midspan.calibrate(midspan.open_recording(excitation, camera=chosen))
     camera = calibration.camera
     assert camera.literal
     assert camera.scale.value_m_per_px == pytest.approx(-1.6e-3, rel=0.02)

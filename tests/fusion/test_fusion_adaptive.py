@@ -12,6 +12,7 @@ from midspan.fusion.blocks import REJECTED
 from midspan.fusion.runners import run_method
 from midspan.fusion.streams import KalmanSettings, MethodSettings
 from midspan.records import Status, part
+from plain_filters import adaptive_kalman, hold, transition
 
 LITERAL = MethodSettings(
     literal=True, forgetting=0.9, start_noise_m=1e-2, start_velocity_m_s=1e-2, kalman=KalmanSettings()
@@ -24,57 +25,6 @@ def adapt(acceleration, displacement, settings=None):
     if settings is not None and settings.literal:
         return printed(acceleration, displacement, settings)
     return run_method("adaptive-kalman", acceleration, displacement, settings)
-
-
-def transition(dt):
-    return np.array([[1.0, dt], [0.0, 1.0]])
-
-
-def hold(dt):
-    return np.array([0.5 * dt * dt, dt])
-
-
-def as_printed(time, acceleration, q, frames, beta, *, first=10, begun=(1e-4, 1e-4)):
-    """Equations 7 to 26 with plain matrices, for at most one frame in an interval of the accelerometer.
-
-    frames: time and displacement of each. Returns displacement and velocity (n, 2), covariance (n, 2, 2) and R of each
-    frame. begun: R of the first frames, `first` of them, which is the variance of the position at the start of the
-    first frame's interval too, and that of the velocity.
-    """
-    row = np.array([1.0, 0.0])
-    x, p, r, i = np.zeros(2), np.diag([0.0, begun[1]]), None, 0
-    states, covariances, noises = [], [], []
-    while i < len(frames) and frames[i][0] < time[0]:
-        i += 1
-    for k in range(len(time)):
-        start, a = (time[k - 1], acceleration[k - 1]) if k else (time[0], 0.0)
-        dt = time[k] - start
-        if i < len(frames) and frames[i][0] <= time[k]:
-            stamp, u = frames[i]
-            if r is None:
-                r = begun[0]
-                p = p + np.diag([r, 0.0])
-            before, after = stamp - start, time[k] - stamp
-            y = transition(before) @ x + hold(before) * a  # eq. 7 with the shorter step
-            g = transition(before) @ p @ transition(before).T + q * np.outer(hold(before), hold(before))  # eq. 8
-            eta = u - row @ y  # eq. 19
-            if len(noises) >= first:
-                r = beta * r + (1.0 - beta) * (eta**2 - row @ g @ row)  # eq. 20
-            gain = g @ row / (row @ g @ row + r)  # eq. 9
-            kept = np.eye(2) - np.outer(gain, row)
-            w1 = transition(after) @ kept @ transition(before)  # eq. 23
-            w2 = transition(after) @ kept @ hold(before) + hold(after)  # eq. 24
-            w3 = transition(after) @ gain  # eq. 25
-            x = w1 @ x + w2 * a + w3 * u  # eq. 22
-            p = w1 @ p @ w1.T + q * np.outer(w2, w2) + r * np.outer(w3, w3)  # eq. 26
-            noises.append(r)
-            i += 1
-        else:
-            x = transition(dt) @ x + hold(dt) * a  # eqs. 7 and 12
-            p = transition(dt) @ p @ transition(dt).T + q * np.outer(hold(dt), hold(dt))  # eqs. 8 and 13
-        states.append(x)
-        covariances.append(p)
-    return np.array(states), np.array(covariances), np.array(noises)
 
 
 def asynchronous(seed, *, offset_s=0.0037):
@@ -92,7 +42,7 @@ def asynchronous(seed, *, offset_s=0.0037):
 def test_the_literal_form_equals_a_plain_implementation_of_the_printed_equations(seed):
     time, acceleration, met, value = asynchronous(seed)
     q, declared = 0.3**2, 1e-4
-    states, covariances, noises = as_printed(
+    states, covariances, noises = adaptive_kalman(
         time, acceleration, q, list(zip(met, value, strict=True)), LITERAL.forgetting
     )
     found = adapt(acceleration_block(time, acceleration, q / RATE_A), displacement_block(met, value, declared), LITERAL)
@@ -172,7 +122,7 @@ def test_a_whole_record_with_the_default_start_is_that_of_plain_matrices(rate_hz
     speed = np.sqrt(np.mean((np.diff(value) / np.diff(met)) ** 2))
     begun = (5e-6**2 + (0.5 / RATE_A * speed) ** 2, 0.1**2)
     frames = list(zip(met, value, strict=True))
-    states, _, noises = as_printed(time, acceleration.value_m_s2, 4e-8, frames, 0.95, begun=begun)
+    states, _, noises = adaptive_kalman(time, acceleration.value_m_s2, 4e-8, frames, 0.95, begun=begun)
     found = adapt(acceleration, displacement, MethodSettings(literal=True, start_velocity_m_s=0.1))
     error = found.estimate.displacement_m - states[:, 0]
     # The recursion to rounding; nanosecond stamps of frames at 2.997 Hz are off by 5e-10 s, times 50 mm/s.
@@ -398,7 +348,7 @@ def test_the_stream_predicts_what_equations_7_and_8_expect_of_each_frame():
     cuts = range(1, 200)
     _, expected = as_stream(*blocks, cuts)
     number = np.searchsorted(met, time[:199])
-    states, covariances, _ = as_printed(time, acceleration, q, frames, LITERAL.forgetting)
+    states, covariances, _ = adaptive_kalman(time, acceleration, q, frames, LITERAL.forgetting)
     for i in range(1, len(met)):
         last = int(np.flatnonzero(number == i)[-1])
         # A frame on a sample's own instant is met before that sample's state is final.

@@ -261,7 +261,7 @@ def test_rows_come_for_every_sample_however_little_there_is():
 
 @pytest.mark.parametrize(
     "wrong",
-    [{"cut_off_hz": 0.0}, {"accuracy": 1.0}, {"accuracy": 0.0}, {"half_window": 2}],
+    [{"cut_off_hz": 0.0}, {"accuracy": 1.0}, {"accuracy": 0.0}, {"half_window": 2}, {"spline_frames": -1}],
 )
 def test_wrong_settings_are_told(wrong):
     with pytest.raises(UsageError, match="must be"):

@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 from fusion_oracles import acceleration_block, displacement_block
 from scipy.interpolate import CubicSpline
+from scipy.signal import remez
 
 from midspan.errors import UsageError
 from midspan.fusion.branches import Rates
 from midspan.fusion.fir import FirSettings, fir
 from midspan.fusion.runners import run_method
-from midspan.fusion.streams import smooth
+from midspan.fusion.streams import MethodSettings, smooth
 from midspan.fusion.two_stage import TwoStageSettings, design, least_rate_hz, two_stage_fir
 from midspan.records import Status, part
 from midspan.signals.fir import Transition, complement, equiripple_low_pass, response
@@ -258,8 +259,44 @@ def test_a_poor_stretch_of_the_displacement_widens_the_band_there():
     assert np.mean(told) > 20 * estimate.variance_m2[4000]
 
 
+@pytest.mark.parametrize("keys", [{"taps": 501, "anti_alias_taps": 301}, {"taps": 201, "spline_frames": 0}])
+def test_lengths_decide_the_delay_and_the_filters_are_scipys(keys):
+    rates = replace(RATES, frame_s=0.25)
+    branches = design(rates, TwoStageSettings(Transition(0.4, 1.1), **keys))
+    assert len(branches.low) == keys["taps"]
+    # The exchange algorithm with the weights of the two bands, then the least correction that keeps a parabola.
+    plain = remez(keys["taps"], [0.0, 0.4, 1.1, 50.0], [1.0, 0.0], weight=[2.0, 1.0], fs=100.0, maxiter=100)
+    ripple = np.max(np.abs(response(plain, np.linspace(1.1, 50.0, 400), 100.0)))
+    assert np.max(np.abs(response(branches.low - plain, np.linspace(0.0, 50.0, 400), 100.0))) < 3.0 * ripple
+    index = np.arange(len(branches.low)) - len(branches.low) // 2
+    np.testing.assert_allclose((branches.low.sum(), branches.low @ index**2.0), (1.0, 0.0), atol=1e-9)
+    acceleration, displacement, _ = tones(4.0, 2.2)
+    found = run_method("two-stage-fir", acceleration, displacement, MethodSettings(transition_hz=(0.4, 1.1), **keys))
+    expected = (keys["taps"] // 2 + len(branches.removed.wanted) // 2) / 100.0
+    expected += (keys.get("spline_frames", 4) + 1.5) * 0.25
+    # The interval between displacements is that of their stamps, whole nanoseconds.
+    assert found.delay_s == pytest.approx(expected, abs=1e-6)
+
+
+def test_with_the_papers_delay_every_excitation_is_found_as_well_as_published():
+    # 2.5 s at 3 frames a second, in all: 100 samples of each filter, and the next frame at the latest.
+    paper = MethodSettings(literal=True, taps=201, anti_alias_taps=201, spline_frames=0)
+    for tone in (2.2, 3.3, 5.1, 6.3, 10.3):
+        acceleration, displacement, truth = tones(3.0, tone)
+        found = run_method("two-stage-fir", acceleration, displacement, paper)
+        error = (found.estimate.displacement_m - truth)[INNER]
+        assert found.delay_s == pytest.approx(2.5, abs=0.01)
+        # The paper's own claim for its five excitations: below 0.3 mm.
+        assert rms(error) < 0.3e-3
+        assert np.mean(np.abs(error) <= 1.96 * np.sqrt(found.estimate.variance_m2[INNER])) > 0.9
+
+
 def test_a_band_beyond_the_accelerometers_rate_is_refused():
     with pytest.raises(UsageError, match="below half the rate"):
         design(RATES, TwoStageSettings(Transition(10.0, 60.0)))
     with pytest.raises(UsageError, match="ripple"):
         TwoStageSettings(anti_alias_ripple=0.7)
+    with pytest.raises(UsageError, match="anti_alias_taps must be an odd number"):
+        TwoStageSettings(anti_alias_taps=300)
+    with pytest.raises(UsageError, match="spline_frames must be from 0 to 4"):
+        TwoStageSettings(spline_frames=5)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from midspan.calibration.camera.felt import printed_band
-from midspan.evaluate.papers.films import Way, calibration_frames, frames_of, mean_mm, run
+from midspan.evaluate.papers.films import Way, calibration_frames, frames_of, mean_mm, run_film
 from midspan.progress import silent
 from midspan.recording.calibrate import calibrate_and_track
 from midspan.recording.estimate import estimate
@@ -50,7 +50,7 @@ def runs(recorded):
         key = name, tracker, method, compressed, *values
         if key not in known:
             scene, folder = recorded(name, compressed=compressed)
-            known[key] = run(scene, folder, Way(tracker, method, settings=values))
+            known[key] = run_film(scene, folder, Way(tracker, method, settings=values))
         return known[key]
 
     return make

@@ -312,3 +312,22 @@ def test_the_order_of_the_rejections_matters_where_most_matches_are_equal_mismat
 def test_the_earlier_rules_join_pre_purification_and_consensus():
     translation = np.array([[1.0, 0], [2.0, 0], [60.0, 0], [60.0, 1], [60.0, 2], [-20.0, 0]])
     assert earlier_rules(translation, FeatureSettings(max_displacement_px=30.0)).tolist() == [0, 1]
+
+
+def test_the_literal_steps_look_for_the_target_in_the_region_only(reference, picture):
+    # Something even stands where the region with its margin of 12 px was. The guarded form searches, the printed one
+    # has no such step.
+    region, moved = Region(76, 76, 48, 48), (64.0, -62.0)
+
+    def covered(image):
+        image = image.copy()
+        image[60:140, 60:140] = 120.0
+        return image
+
+    guarded, printed = (FeatureTracker(reference, region, FeatureSettings(literal=one)) for one in (False, True))
+    for _ in range(2):  # once lost, the guarded form looks everywhere
+        found = guarded.push(picture(1, *moved, change=covered))
+    assert error(found, *moved) < 0.1
+    assert printed.push(picture(1, *moved, change=covered)).status is Status.LOST
+    predicted = Prediction(63.0, -62.0, 1.0, 1.0)
+    assert error(printed.push(picture(2, *moved, change=covered), predicted), *moved) < 0.1

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from scipy.signal import butter, sosfiltfilt
 
-from midspan.errors import DataError
+from midspan.errors import DataError, UsageError
 from midspan.records import Prediction, Region, Status
 from midspan.signals.band_pass import band_passed
 from midspan.vision.active_pixels import by_amplitude, by_ratio, by_threshold
 from midspan.vision.hybrid import HybridTracker, PhaseSettings, PhaseTracker
 from midspan.vision.tracker import open_tracker, tracker_settings
-from plain_phase import active_pixels, existing_flow, filtered, local_phase, phase_variation
+from plain_phase import active_pixels, existing_flow, filtered, flow_terms, local_phase, phase_variation
 
 SIDE, NOISE, RATE_HZ = 128, 1.5, 1e9 / 33e6
 REGION = Region(40, 40, 40, 40)
@@ -134,6 +134,34 @@ def test_the_existing_flow_is_equation_3_in_a_region_that_stays(start, film):
     for frame in film([(0.0, 0.2), (0.0, -0.4)], seed=5):
         found = tracker.push(frame, Prediction(0.0, 30.0, 0.1, 0.1))  # a prediction moves nothing
         assert found.y_px == pytest.approx(existing_flow(frame.pixels, first, BOX, 1, active), abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("values", "least"),
+    [
+        ({}, 0.0),
+        ({"min_slope_rad_px": 0.5}, 0.5),
+        ({"literal": False}, 0.1),
+        ({"literal": False, "min_slope_rad_px": 0.0}, 0.0),
+    ],
+)
+def test_the_least_slope_is_the_settings(film, values, least):
+    # As a recording's [camera.tracker_settings] gives them; the existing flow of the paper is the first.
+    chosen = {"literal": True, "form": "gradient", "active_pixels": "all", "matcher": "template"} | values
+    tracker = open_tracker("phase", film([(0.0, 0.0)], seed=0)[0], REGION, tracker_settings("phase", **chosen))
+    (frame,) = film([(0.1, 0.3)], seed=6)
+    slope, change = flow_terms(frame.pixels, tracker.reference.pixels, BOX, 1)
+    steep = np.abs(slope) >= least
+    assert np.count_nonzero(steep) < len(slope) or least == 0.0
+    expected = np.mean(-change[steep] / slope[steep])
+    # Single precision in slopes next to zero where there is no limit, see above.
+    assert tracker.push(frame).y_px == pytest.approx(expected, abs=1e-3 if least == 0.0 else 1e-5)
+
+
+@pytest.mark.parametrize("slope", [-0.1, 4.0])
+def test_a_least_slope_beyond_what_phases_have_is_refused(slope):
+    with pytest.raises(UsageError, match="min_slope_rad_px must be from 0 to below"):
+        PhaseSettings(form="gradient", min_slope_rad_px=slope)
 
 
 class Waves:

@@ -229,6 +229,7 @@ def show(console: Console, result: "Result", written: list[str]) -> None:
             ("of it, common to all rows", f"{f['zero_std_mm']:.3g} mm: the zero"),
             ("of it, each row's own", f"{f['median_own_std_mm']:.3g} mm"),
             *_second(result),
+            *([("delay", f"{f['delay_s']:.3g} s: so much of what comes later a row needs")] if f["delay_s"] else []),
             ("status", share),
             *_sources(f["source"]),
             *(("not in the band", line) for line in result.not_in_band),

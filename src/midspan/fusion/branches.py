@@ -8,10 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from midspan.checks import refuse
 from midspan.records import Floats
 from midspan.signals.fir import FilterSum
 from midspan.signals.integrate import RULES
-from midspan.signals.resample import spline_kernel
+from midspan.signals.resample import SIDE, spline_kernel, spline_reach
 
 # Its own error counts as none: 0.07 % at a tenth of the rate, 1.1 % at a fifth.
 EXACT_RULE = "numerov"
@@ -51,14 +52,27 @@ class Branches:
 
     low: displacement on the grid → low-frequency displacement; high: acceleration → high-frequency displacement (m);
     rule: integration rule of `high`; removed: what is taken off each displacement before it is interpolated (the
-    anti-aliasing stage); warnings: in sentences.
+    anti-aliasing stage); spline_frames: how many displacements after an interval the spline looks at; warnings: in
+    sentences.
     """
 
     low: Floats
     high: Floats
     rule: str
     removed: AtFrames | None = None
+    spline_frames: int = SIDE
     warnings: tuple[str, ...] = ()
+
+    @property
+    def reach_steps(self) -> float:
+        """How far the spline looks behind the start of an interval, displacement intervals."""
+        return spline_reach(self.spline_frames)
+
+
+def check_spline_frames(count: int) -> None:
+    """UsageError unless the spline to the grid can look at so many displacements after an interval."""
+    if not 0 <= count <= SIDE:
+        raise refuse("spline_frames", f"from 0 to {SIDE} displacements", count)
 
 
 class NoiseGain:
@@ -71,7 +85,7 @@ class NoiseGain:
 
     def __init__(self, branches: Branches, rates: Rates) -> None:
         steps = max(rates.frame_s / rates.step_s, 1.0)
-        spread = np.convolve(branches.low, spline_kernel(steps)) if steps > 1.0 else branches.low
+        spread = np.convolve(branches.low, spline_kernel(steps, branches.reach_steps)) if steps > 1.0 else branches.low
         keep = min(len(spread) // 2, max(len(branches.low), len(branches.high)) // 2)
         power = spread**2 / steps
         inner = power[len(power) // 2 - keep : len(power) // 2 + keep + 1]

@@ -115,7 +115,7 @@ def fused(
 def _delay_s(method: Method) -> float:
     """Reach of a row into what comes later: of the filters, the anti-aliasing stage's, and the spline, s."""
     before = 0 if method.branches.removed is None else method.branches.removed.half
-    return (method.bank.half + before) * method.rates.step_s + REACH_STEPS * method.rates.frame_s
+    return (method.bank.half + before) * method.rates.step_s + method.branches.reach_steps * method.rates.frame_s
 
 
 def slower_events(knots: Floats, rates: Rates, origin_ns: int) -> list[Event]:
@@ -257,7 +257,7 @@ def _on_grid(method: Method, even_s: Floats, value: Floats, origin_ns: int) -> t
     )
     columns = np.column_stack((knots[:, 1] - removed, expected - removed))
     rows, sound = np.empty((2, len(even_s))), np.empty(len(even_s), dtype=np.bool_)
-    limits = (LONGEST_STEPS * rates.frame_s, REACH_STEPS * rates.frame_s)
+    limits = (LONGEST_STEPS * rates.frame_s, branches.reach_steps * rates.frame_s)
     spline_rows(even_s, np.ascontiguousarray(knots[:, 0]), columns, limits, rows, sound)
     return rows[0], rows[1] - there, sound
 

@@ -22,12 +22,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from midspan.checks import positive, refuse
-from midspan.fusion.branches import AtFrames, Branches, Rates
+from midspan.fusion.branches import AtFrames, Branches, Rates, check_spline_frames
 from midspan.fusion.complementary import fused, smoothed_record
 from midspan.fusion.streams import KalmanSettings, MethodSettings, Smoothed
 from midspan.records import Acceleration, Displacement, Estimate, Floats
 from midspan.signals.fir import complement
 from midspan.signals.integrate import integrating, weights
+from midspan.signals.resample import SIDE
 
 # Half the window: so many times the time constant 1/corner of matched noises, or periods of the cut-off (Lee and
 # others, 2010); as printed in the radar paper, s.
@@ -50,13 +51,16 @@ class FirSettings:
     acceleration gives this share (0 to 1) of the amplitude; lower leaves more to the accelerometer and lengthens the
     delay. half_window: samples on each side. As printed a window holds three periods of the cut-off: what is None of
     half_window and cut_off_hz follows from the other, and with both None the window reaches 0.5 s to each side, the
-    order of 101 at 100 Hz of the radar paper. Otherwise None is 5 time constants of the matched filter.
+    order of 101 at 100 Hz of the radar paper. Otherwise None is 5 time constants of the matched filter. spline_frames:
+    displacements after an interval that the spline to the accelerometer's grid looks at, 0 to 4; fewer shortens the
+    delay by a displacement interval each.
     """
 
     literal: bool = False
     cut_off_hz: float | None = None
     accuracy: float = 0.97
     half_window: int | None = None
+    spline_frames: int = SIDE
 
     def __post_init__(self) -> None:
         if self.cut_off_hz is not None:
@@ -65,6 +69,7 @@ class FirSettings:
             raise refuse("accuracy", "between 0 and 1 (share of the amplitude)", self.accuracy)
         if self.half_window is not None and self.half_window < SHORTEST_HALF:
             raise refuse("half_window", f"at least {SHORTEST_HALF} samples", self.half_window)
+        check_spline_frames(self.spline_frames)
 
 
 def cut_off_weight(cut_off_hz: float, accuracy: float, step_s: float) -> float:
@@ -114,7 +119,7 @@ def design(rates: Rates, settings: FirSettings) -> Branches:
     else:
         weight, rule = noise_weight(rates), "numerov"
     low, high = window_filters(half, weight, rates.step_s, rule=rule, free_bias=not settings.literal)
-    return Branches(low, high, rule)
+    return Branches(low, high, rule, spline_frames=settings.spline_frames)
 
 
 def at_frames(low_pass: Floats, rates: Rates, rule: str) -> AtFrames:
@@ -139,7 +144,9 @@ def run_fir(
 ) -> Smoothed:
     """The same as `on_series` of METHODS, see `fused`; as printed, the bias of the settings is taken off."""
     smoothed = path or smoothed_record(acceleration, displacement, settings.kalman)
-    own = FirSettings(settings.literal, settings.cut_off_hz, settings.accuracy, settings.half_window)
+    own = FirSettings(
+        settings.literal, settings.cut_off_hz, settings.accuracy, settings.half_window, settings.spline_frames
+    )
     return _fused(acceleration, displacement, own, smoothed, settings.kalman.bias if settings.literal else 0.0)
 
 

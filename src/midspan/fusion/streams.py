@@ -30,6 +30,7 @@ from midspan.records import (
     joined,
     part,
 )
+from midspan.signals.resample import SIDE
 
 Output = Estimate | Innovation | Event
 # Every measurement is as good as its variance says: none is rejected.
@@ -93,7 +94,8 @@ class MethodSettings:
     lag_s: delay of `lag`, s. literal: a paper's method exactly as printed. forgetting: factor beta of
     `adaptive-kalman`, above 0 and below 1; nearer to 1 is steadier and slower: at 10 Hz 0.95 remembers 2 s.
     What the papers leave open: first_frames, input_noise_m_s2, start_noise_m, start_velocity_m_s of `adaptive-kalman`,
-    see `adaptive.PrintedFilter`; half_window, cut_off_hz, accuracy of `fir`, see `fir.FirSettings`.
+    see `adaptive.PrintedFilter`; half_window, cut_off_hz, accuracy of `fir`, see `fir.FirSettings`; transition_hz,
+    taps, anti_alias_taps of `two-stage-fir`, see `two_stage.TwoStageSettings`; spline_frames of both.
     """
 
     kalman: KalmanSettings = field(default_factory=KalmanSettings)
@@ -107,6 +109,10 @@ class MethodSettings:
     half_window: int | None = None
     cut_off_hz: float | None = None
     accuracy: float = 0.97
+    transition_hz: tuple[float, float] = (0.5, 1.0)
+    taps: int | None = None
+    anti_alias_taps: int | None = None
+    spline_frames: int = SIDE
 
     def __post_init__(self) -> None:
         if not 0.0 < self.forgetting < 1.0:

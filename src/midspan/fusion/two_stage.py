@@ -11,13 +11,15 @@ and 2.3.
 
 from dataclasses import dataclass, field
 
-from midspan.fusion.branches import Branches, Rates
+from midspan.checks import refuse
+from midspan.fusion.branches import Branches, Rates, check_spline_frames
 from midspan.fusion.complementary import fused, smoothed_record
 from midspan.fusion.fir import at_frames
 from midspan.fusion.streams import KalmanSettings, MethodSettings, Smoothed
-from midspan.records import Acceleration, Displacement, Estimate
-from midspan.signals.fir import Transition, complement, equiripple_low_pass
+from midspan.records import Acceleration, Displacement, Estimate, Floats
+from midspan.signals.fir import MAX_TAPS, MIN_TAPS, Transition, complement, equiripple_low_pass, equiripple_of_length
 from midspan.signals.integrate import integrating
+from midspan.signals.resample import SIDE
 
 # Least width of the anti-aliasing filter's transition band, Hz: half the displacement's rate is at least f_c + this.
 LEAST_WIDTH_HZ = 0.5
@@ -32,15 +34,26 @@ class TwoStageSettings:
     band: of the complementary pair, from where only the displacement counts to where only the acceleration does; its
     stop_hz is the cut-off f_c. A wider band shortens the delay, a higher one leaves less to the accelerometer.
     anti_alias_ripple: of the anti-aliasing filter, relative amplitude. literal: the double integral by the trapezoidal
-    rule, as the paper's; otherwise Numerov's.
+    rule, as the paper's; otherwise Numerov's. taps, anti_alias_taps: length of the pair and of the anti-aliasing
+    filter, odd; None: the shortest that keeps the ripple. Fewer shortens the delay by half a sample each and lets more
+    of the other band through. spline_frames: displacements after an interval that the spline to the accelerometer's
+    grid looks at, 0 to 4; fewer shortens the delay by a displacement interval each.
     """
 
     band: Transition = field(default_factory=lambda: Transition(0.5, 1.0))
     anti_alias_ripple: float = 1e-3
     literal: bool = False
+    taps: int | None = None
+    anti_alias_taps: int | None = None
+    spline_frames: int = SIDE
 
     def __post_init__(self) -> None:
         Transition(1.0, 2.0, self.anti_alias_ripple)
+        for name in ("taps", "anti_alias_taps"):
+            value = getattr(self, name)
+            if value is not None and not (value % 2 and MIN_TAPS <= value <= MAX_TAPS):
+                raise refuse(name, f"an odd number from {MIN_TAPS} to {MAX_TAPS}", value)
+        check_spline_frames(self.spline_frames)
 
     @property
     def rule(self) -> str:
@@ -59,18 +72,25 @@ def design(rates: Rates, settings: TwoStageSettings) -> Branches:
     Raises UsageError where the band reaches half the accelerometer's rate.
     """
     rate_hz, nyquist_hz = 1.0 / rates.step_s, 0.5 / rates.frame_s
-    low = equiripple_low_pass(settings.band, rate_hz)
+    low = _low_pass(settings.band, rate_hz, settings.taps)
+    knots = settings.spline_frames
     high = integrating(complement(low), rates.step_s, rule=settings.rule)
     cut_off_hz = settings.band.stop_hz
     # A few parts in a million: rates learnt from stamps are not exact.
     if 2.0 * nyquist_hz < least_rate_hz(cut_off_hz) * (1.0 - 1e-3):
         # Below the least rate the complementary high-pass is the anti-aliasing filter too.
         removed = at_frames(low, rates, settings.rule)
-        return Branches(low, high, settings.rule, removed, (_too_slow(rates, settings),))
+        return Branches(low, high, settings.rule, removed, knots, (_too_slow(rates, settings),))
     if nyquist_hz * rates.step_s > HIGHEST_NYQUIST:
-        return Branches(low, high, settings.rule)
-    anti_alias = equiripple_low_pass(Transition(cut_off_hz, nyquist_hz, settings.anti_alias_ripple), rate_hz)
-    return Branches(low, high, settings.rule, at_frames(anti_alias, rates, settings.rule))
+        return Branches(low, high, settings.rule, spline_frames=knots)
+    band = Transition(cut_off_hz, nyquist_hz, settings.anti_alias_ripple)
+    anti_alias = _low_pass(band, rate_hz, settings.anti_alias_taps)
+    return Branches(low, high, settings.rule, at_frames(anti_alias, rates, settings.rule), knots)
+
+
+def _low_pass(band: Transition, rate_hz: float, taps: int | None) -> Floats:
+    """The equiripple low-pass of `band` at `rate_hz` (Hz): of so many taps, or the shortest that keeps its ripple."""
+    return equiripple_low_pass(band, rate_hz) if taps is None else equiripple_of_length(band, rate_hz, taps)
 
 
 def two_stage_fir(
@@ -86,7 +106,14 @@ def run_two_stage(
 ) -> Smoothed:
     """The same as `on_series` of METHODS, see `fused`."""
     smoothed = path or smoothed_record(acceleration, displacement, settings.kalman)
-    return fused(design, TwoStageSettings(literal=settings.literal), (acceleration, displacement), smoothed)
+    own = TwoStageSettings(
+        band=Transition(*settings.transition_hz),
+        literal=settings.literal,
+        taps=settings.taps,
+        anti_alias_taps=settings.anti_alias_taps,
+        spline_frames=settings.spline_frames,
+    )
+    return fused(design, own, (acceleration, displacement), smoothed)
 
 
 def _too_slow(rates: Rates, settings: TwoStageSettings) -> str:

@@ -91,6 +91,7 @@ def _fused(recording: Recording, calibration: Calibration, printed: Printed, met
         measured=(series_of("radar", Source.RADAR, printed.measured),),
         radars={"radar": printed.log.trace(recording.radar.info.limit_speed_m_s)},
         zero_std_m=float(np.sqrt(zero_m2)),
+        delay_s=done.delay_s,
         file=recording.file,
         name=recording.name,
     )

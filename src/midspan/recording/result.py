@@ -151,6 +151,7 @@ class Result:
         return {
             "midspan": __version__,
             "method": self.method,
+            "delay_s": self._finite_delay_s,
             "zero_std_mm": 1e3 * self.zero_std_m,
             "not_in_band": list(self.not_in_band),
             **self._axes(),
@@ -161,6 +162,11 @@ class Result:
             "notices": notice_trees(self.warnings),
             "events": _events(self.events),
         }
+
+    @property
+    def _finite_delay_s(self) -> float | None:
+        """The delay, None where it is the whole record, which JSON has no number for."""
+        return self.delay_s if np.isfinite(self.delay_s) else None
 
     def _sensors(self) -> dict[str, Any]:
         """Which sensor stands behind `source` when; nothing where there is one of each kind."""
@@ -210,6 +216,7 @@ class Result:
             "rms_mm": float(np.sqrt(np.mean((d - d.mean()) ** 2))),
             "median_std_mm": float(np.median(self.displacement_std_mm)),
             "zero_std_mm": 1e3 * self.zero_std_m,
+            "delay_s": self._finite_delay_s,
             "median_own_std_mm": 1e3 * float(np.sqrt(max(np.median(rows.variance_m2) - self.zero_std_m**2, 0.0))),
             "status": {s.word: float(np.mean(rows.status == s)) for s in Status},
             "source": {s.word: float(np.mean(rows.source == s)) for s in Source if np.any(rows.source == s)},

@@ -20,11 +20,27 @@ from midspan.settings.fields import (
 )
 from midspan.settings.kinds import KINDS, Listed, sensor_names
 from midspan.settings.sensors import AccelerometerSettings, DisplacementSettings, RadarSettings, ReferenceSettings
+from midspan.signals.fir import MAX_TAPS, MIN_TAPS
+from midspan.signals.resample import SIDE
 
 if TYPE_CHECKING:
     from midspan.fusion.streams import KalmanSettings, MethodSettings
 
 Frequency = Annotated[float, IsNumber, limited(0.0, RATE_HZ.high, "Hz")]
+
+
+def _is_a_transition(value: tuple[float, float]) -> tuple[float, float]:
+    """Two frequencies above 0 in rising order."""
+    if not 0.0 < value[0] < value[1]:
+        raise ValueError("must be two frequencies above 0 Hz, the second larger")
+    return value
+
+
+def _is_a_length(value: int) -> int:
+    """A number of taps that a filter of whole delay has."""
+    if not (value % 2 and MIN_TAPS <= value <= MAX_TAPS):
+        raise ValueError(f"must be an odd number from {MIN_TAPS} to {MAX_TAPS}")
+    return value
 
 
 class CalibrationSettings(Section):
@@ -93,6 +109,22 @@ class FusionSettings(Section):
     accuracy: Annotated[float, IsNumber, Field(gt=0, lt=1)] = Field(
         0.97, description="`fir` as printed: share of the amplitude at cut_off_hz that the acceleration gives"
     )
+    transition_hz: Annotated[tuple[Frequency, Frequency], AfterValidator(_is_a_transition)] = Field(
+        (0.5, 1.0),
+        description="`two-stage-fir`: up to the first the displacement alone counts, from the second, f_c, on the "
+        "acceleration, Hz; wider shortens the delay",
+    )
+    taps: Annotated[int, IsNumber, AfterValidator(_is_a_length)] | None = Field(
+        None, description="`two-stage-fir`: length of its complementary filters, odd; left out: by a ripple of 0.001"
+    )
+    anti_alias_taps: Annotated[int, IsNumber, AfterValidator(_is_a_length)] | None = Field(
+        None, description="`two-stage-fir`: length of its anti-aliasing filter, odd; left out: by a ripple of 0.001"
+    )
+    spline_frames: Annotated[int, IsNumber, Field(ge=0, le=SIDE)] = Field(
+        SIDE,
+        description="`fir`, `two-stage-fir`: displacements ahead that the spline through them uses; fewer shortens the "
+        "delay",
+    )
 
     @model_validator(mode="after")
     def _has_a_literal_form(self) -> "FusionSettings":
@@ -115,6 +147,10 @@ class FusionSettings(Section):
             half_window=self.half_window,
             cut_off_hz=self.cut_off_hz,
             accuracy=self.accuracy,
+            transition_hz=self.transition_hz,
+            taps=self.taps,
+            anti_alias_taps=self.anti_alias_taps,
+            spline_frames=self.spline_frames,
         )
         return own if kalman is None else replace(own, kalman=kalman)
 

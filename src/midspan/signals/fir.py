@@ -17,6 +17,8 @@ from midspan.records import Floats
 
 # Beyond this many taps the exchange algorithm fails to converge; the filter is then designed at a lower rate.
 MAX_TAPS = 1500
+# Fewer taps than this leave `flat_at_zero` nothing to shape.
+MIN_TAPS = 9
 # `flat_at_zero` adds ripple to the pass band only; the exchange leaves room for it. Measured at 0.5 to 1 Hz and 100 Hz:
 # with these two 721 taps keep 1e-3, a Blackman window and even weights need 861, no flatness at all 653.
 PASS_WEIGHT, CORRECTION_SHAPE = 2.0, 3.0
@@ -81,6 +83,15 @@ def equiripple_low_pass(band: Transition, rate_hz: float) -> Floats:
         # The attenuation in dB grows by 14.6 · transition / rate a tap; steps of at least two.
         missing_db = 20.0 * np.log10(worst / band.ripple)
         count += 2 * max(1, int(0.5 * missing_db * rate_hz / (14.6 * (band.stop_hz - band.pass_hz))))
+
+
+def equiripple_of_length(band: Transition, rate_hz: float, taps: int) -> Floats:
+    """The equiripple low-pass (taps,) for the transition of `band` at `rate_hz` (Hz), whatever ripple that leaves.
+
+    taps: odd, at most `MAX_TAPS`, so that the filter delays by (taps - 1) / 2 samples.
+    """
+    _below_nyquist(band, rate_hz)
+    return flat_at_zero(_exchange(band, rate_hz, taps))
 
 
 def _windowed(band: Transition, rate_hz: float) -> Floats:

@@ -120,13 +120,21 @@ def filtered_at(series: Floats, index: NDArray[np.int64], fraction: Floats, taps
     return result
 
 
-def spline_kernel(knot_step: float) -> Floats:
-    """The spline's response (n,) to one knot, on a grid of which `knot_step` (at least 1) steps lie between knots."""
+def spline_reach(knots_ahead: int) -> float:
+    """How far, in usual steps behind an interval's start, a spline looks that uses so many knots after the interval."""
+    return knots_ahead + 1.5
+
+
+def spline_kernel(knot_step: float, reach: float = REACH_STEPS) -> Floats:
+    """The spline's response (n,) to one knot, on a grid of which `knot_step` (at least 1) steps lie between knots.
+
+    reach: how far the spline looks behind the start of an interval, steps between knots.
+    """
     half = int(np.ceil((SIDE + 2) * knot_step))
     knots = np.arange(-WIDEST, WIDEST + 1, dtype=np.float64)
     value = np.repeat(np.where(knots == 0.0, 1.0, 0.0)[:, None], 2, axis=1)
     grid = np.arange(-half, half + 1) / knot_step
     rows, good = np.empty((2, len(grid))), np.empty(len(grid), dtype=np.bool_)
-    spline_rows(grid, knots, value, (1.5, REACH_STEPS), rows, good)
+    spline_rows(grid, knots, value, (1.5, reach), rows, good)
     result: Floats = rows[0]
     return result

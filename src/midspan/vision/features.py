@@ -51,8 +51,12 @@ WIDE_SHARE = 0.25  # a prediction no better than this share of the region's side
 class FeatureSettings:
     """Settings of the feature tracker.
 
-    technique: one of TECHNIQUES. detector: one of DETECTORS. literal: exactly the published steps; else rejection II
-    comes before I, I is paired anew while few matches pass, and what is far from the median translation is left out.
+    technique: one of TECHNIQUES. detector: one of DETECTORS. literal: exactly the published steps; else the target is
+    looked for elsewhere where few match, rejection II comes before I, I is paired anew while few matches pass, and what
+    is far from the median translation is left out. Not the paper's in either: without a prediction, in a calibration,
+    the region follows the last place, where a fixed one of the paper is as large as the motion asks; the features of
+    a frame may lie `MARGIN_PX` outside it; they match mutually; and fewer than three matches count as lost, since they
+    do not tell the variance of their mean.
     max_features: the strongest so many in the region, 10 to 5000; more is slower and a little quieter.
     threshold, octaves, upright: of SURF, see `midspan.vision.surf.SurfSettings`.
     epsilon_px: discretisation error of a coordinate in rejection I and II, above 0 to 5 px; more rejects less.
@@ -162,7 +166,7 @@ class FeatureTracker(Tracker):
             return self._match(frame, self._region, None)
         expected = shift(self._region, *self._state.expected(frame.time_ns, prediction))
         found = self._match(frame, expected, prediction)
-        if found is not None:
+        if found is not None or self.settings.literal:
             return found
         reach = self._reach(prediction)
         if reach == 0.0:

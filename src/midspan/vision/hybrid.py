@@ -55,6 +55,8 @@ class PhaseSettings:
 
     literal: exactly the published steps, see above; least_information, weighted and min_coherence are then not used.
     form: "gain" (mean phase times the phase scale factor) or "gradient" (the conventional mean of phase by slope).
+    min_slope_rad_px: only with "gradient", slope below which a pixel does not count, 0 rad/px or more; left out: 0.1,
+    with literal 0: equation 3 has no such limit. More drops pixels whose noise the division raises.
     active_pixels: "correlation" (learnt, maximum R²), "amplitude" (the conventional threshold) or "all".
     least_information: share of the information that active pixels must keep, 0 to 1. weighted: whether pixels count by
     the square of their amplitude in the mean, or equally as in the paper. matcher: the tracker that finds the target's
@@ -66,6 +68,7 @@ class PhaseSettings:
 
     literal: bool = False
     form: str = "gain"
+    min_slope_rad_px: float | None = None
     active_pixels: str = "correlation"
     least_information: float = 0.5
     weighted: bool = True
@@ -77,6 +80,8 @@ class PhaseSettings:
     def __post_init__(self) -> None:
         option("form", self.form, ("gain", "gradient"))
         option("active_pixels", self.active_pixels, ("correlation", "amplitude", "all"))
+        if self.min_slope_rad_px is not None and not 0.0 <= self.min_slope_rad_px < math.pi:
+            raise refuse("min_slope_rad_px", "from 0 to below π rad/px", self.min_slope_rad_px)
         if self.matcher in ("phase", "hybrid"):
             raise refuse("matcher", "a tracker that works without phase, such as template", self.matcher)
         option("matcher", self.matched_by, TRACKERS)
@@ -93,6 +98,13 @@ class PhaseSettings:
     def matched_by(self) -> str:
         """Name of the tracker that finds the whole-pixel place."""
         return self.matcher or ("features" if self.literal else "template")
+
+    @property
+    def slope_floor_rad_px(self) -> float:
+        """The slope below which a pixel does not count in the form "gradient"."""
+        if self.min_slope_rad_px is not None:
+            return self.min_slope_rad_px
+        return 0.0 if self.literal else SMALLEST_SLOPE
 
     @property
     def needs_motion(self) -> bool:
@@ -365,7 +377,7 @@ class PhaseTracker(Tracker):
             slope = phase_slopes(now)[k].ravel()[axis.index]
             inner = np.ascontiguousarray(now[1:-1, 1:-1])
             change = phase_change((inner.real.copy(), inner.imag.copy()), axis.reference, axis.index)
-            out.append(gradient_form(change, slope, 0.0 if self.settings.literal else SMALLEST_SLOPE))
+            out.append(gradient_form(change, slope, self.settings.slope_floor_rad_px))
         return np.array(out)
 
     def _open_matcher(self) -> Tracker:

@@ -123,11 +123,15 @@ def _surroundings(image: NDArray[np.generic], region: Region, window: Region) ->
     offset = float(np.mean(wide[np.isfinite(wide)])) if np.isfinite(wide).any() else 0.0
     raw = values(cut, offset)
     if raw is None:
-        raise DataError(
-            f"camera.roi must lie where at least 98 % of the pixels have a value; received {region}. "
-            "Choose another place."
-        )
+        raise without_values(region)
     return raw, x0, y0, offset
+
+
+def without_values(region: Region) -> DataError:
+    """The error for a region with too many pixels that are no numbers."""
+    return DataError(
+        f"camera.roi must lie where at least 98 % of the pixels have a value; received {region}. Choose another place."
+    )
 
 
 def _grid(raw: Floats32, taps: Floats32, window: Region, origin: tuple[int, int]) -> Floats32:

@@ -7,6 +7,7 @@ Frame and template are filtered alike by a low-pass that keeps noise and aliasin
 pulling the peak to whole or half pixels. The whole-pixel peak is found on the ZNCC of every position in the search
 window. Around it the template's quintic spline is moved over the frame's window: the numerator of ZNCC is then itself
 a quintic spline of the shift, the template's energy a known function of it, and Newton's method climbs the surface.
+With `literal` the tracker is that of `midspan.vision.printed_template` instead.
 """
 
 import math
@@ -20,6 +21,7 @@ from midspan.checks import refuse
 from midspan.records import Floats, Frame, PixelTranslation, Prediction, Region, Status
 from midspan.vision.alternatives import MIN_LIKENESS, Alternatives, find_alternatives, identified
 from midspan.vision.matching import Fix, Matching, locate, make_template
+from midspan.vision.printed_template import match_printed, printed_template
 from midspan.vision.region import check_size
 from midspan.vision.search import Span, best_position, coarse_positions, coarse_span, fine_patch
 from midspan.vision.target import FULL_QUALITY, LONGEST_DISTANCE_PX, Motion, lost
@@ -35,6 +37,8 @@ CLEARLY_BETTER = 0.02  # difference of correlation
 class TemplateSettings:
     """Settings of the template tracker.
 
+    literal: exactly the published steps, see `midspan.vision.printed_template`; smoothing_px and min_correlation are
+    then not used, and search_px counts from the target's place in the first frame.
     smoothing_px: Gaussian smoothing of frame and template on top of the low-pass at the Nyquist frequency, 0 to 3 px;
     more suits aliased texture, less keeps fine texture.
     search_px: how far from its last place the target is looked for without a prediction, 3 px or more.
@@ -42,6 +46,7 @@ class TemplateSettings:
     bias_floor_px: standard deviation added for what the interpolation gets wrong, 0 px or more.
     """
 
+    literal: bool = False
     smoothing_px: float = 0.0
     search_px: float = 48.0
     min_correlation: float = 0.6
@@ -76,6 +81,8 @@ class TemplateTracker(Tracker):
         self.template = make_template(
             reference.pixels, region, Matching(settings.smoothing_px, settings.min_correlation)
         )
+        offset = self.template.offset
+        self._printed = printed_template(reference.pixels, region, offset) if settings.literal else None
         self._state = TemplateState(correlation=self.template.expected_correlation)
 
     @property
@@ -86,16 +93,25 @@ class TemplateTracker(Tracker):
     def push(self, frame: Frame, prediction: Prediction | None = None) -> PixelTranslation:
         """Measure the translation (px) of the target in `frame`; LOST with NaN where it cannot be found."""
         check_size(frame, self._reference)
+        if self._printed is not None:
+            own = self.settings
+            return self._seen(frame, match_printed(frame.pixels, self._printed, own.search_px, own.bias_floor_px))
         fix = self._find(frame, prediction)
         if fix is None:
-            self._state = self._state.missed()
-            return lost(frame.time_ns)
+            return self._seen(frame, None)
         found = np.array([fix.x_px, fix.y_px])
         place = self.identified(frame, found, prediction, self._state)
         if place is not found:
             fix = None if place is None else self._around(frame.pixels, place)
         if fix is None:
             self._state = self._state.missed(confused=True)
+            return lost(frame.time_ns)
+        return self._seen(frame, fix)
+
+    def _seen(self, frame: Frame, fix: Fix | None) -> PixelTranslation:
+        """What the frame gives, with the state after it."""
+        if fix is None:
+            self._state = self._state.missed()
             return lost(frame.time_ns)
         correlation = 0.9 * self._state.correlation + 0.1 * fix.quality
         self._state = self._state.seen(frame.time_ns, (fix.x_px, fix.y_px), correlation=correlation)

@@ -8,7 +8,7 @@ from midspan.vision.spline import Floats32
 
 
 @njit(cache=True)
-def window_energies(patch: Floats32, rows: int, columns: int) -> Floats:
+def window_energies(patch: Floats32 | Floats, rows: int, columns: int) -> Floats:
     """Sum of squares about the mean of every window of `rows` by `columns` px, from integral images."""
     height, width = patch.shape
     total = np.zeros((height + 1, width + 1))
@@ -66,6 +66,20 @@ def zncc_map(patch: Floats32, template: Floats32) -> Floats:
             product = energy[y, x] * norm
             out[y, x] = out[y, x] / np.sqrt(product) if energy[y, x] > dust and product > 0.0 else 0.0
     return out
+
+
+def zncc_matrix(patch: Floats, template: Floats) -> Floats:
+    """The same in double precision by the Fourier transform, for many positions: equation 2 of the two-stage paper."""
+    from scipy.fft import irfft2, next_fast_len, rfft2
+
+    rows, columns = template.shape
+    size = [next_fast_len(length, real=True) for length in patch.shape]
+    product = irfft2(rfft2(patch, size) * np.conj(rfft2(template, size)), size)
+    energy = window_energies(patch, rows, columns)
+    product = product[: energy.shape[0], : energy.shape[1]]
+    seen = energy > 1e-12 * (np.max(energy) + 1e-30)
+    norm = np.sqrt(np.where(seen, energy, 1.0) * np.sum(template**2))
+    return np.where(seen, product / norm, 0.0)
 
 
 @njit(cache=True, fastmath=True)

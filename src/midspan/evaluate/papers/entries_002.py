@@ -27,7 +27,7 @@ def _unwrapping(where: str, paper: str) -> Entry:
 
 
 def _fusion(where: str, paper: str) -> Entry:
-    claims = (FUSED, Claim("the delay is 0.5 s", "delay s", 0.501))
+    claims = (FUSED, Claim("the delay is 0.5 s", "delay (s)", 0.501))
     return Entry(where, "RMSE before and after fusion", paper, ("aided", "FIR"), ("smoother",), claims, errors=True)
 
 

@@ -149,10 +149,10 @@ def run_all(film: Film, ways: Mapping[str, Way]) -> dict[str, Run]:
     """The film's recording, run in each way."""
     with tempfile.TemporaryDirectory() as place:
         folder = write_recording(film, Path(place) / "recording")
-        return {name: run(film, folder, way) for name, way in ways.items()}
+        return {name: run_film(film, folder, way) for name, way in ways.items()}
 
 
-def run(film: Film, folder: Path, way: Way) -> Run:
+def run_film(film: Film, folder: Path, way: Way) -> Run:
     """Calibrate and estimate the film's recording in `folder`."""
     asked = way.opened(folder)
     calibration, tracking = calibrate_and_track(asked)

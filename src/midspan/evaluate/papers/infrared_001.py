@@ -11,24 +11,33 @@ from typing import Any
 
 import numpy as np
 
+from midspan.calibration.fit import Pair
+from midspan.calibration.printed import PrintedSteps, calibrate_printed
+from midspan.calibration.scale import calibrate_scale
 from midspan.calibration.sensors.camera_scale import CameraScale
+from midspan.engine.sensors import ACROSS_STD_PX
 from midspan.engine.switching import Switch
 from midspan.engine.thermal_target import ThermalTarget
 from midspan.errors import UsageError
 from midspan.evaluate.papers.claims import Curve, Effort, Measured
 from midspan.evaluate.papers.films import Loop, with_predictions
+from midspan.fusion.adaptive import PrintedFilter
+from midspan.fusion.blocks import VELOCITY_WITHIN
 from midspan.fusion.runners import run_method
 from midspan.fusion.streams import KalmanSettings, MethodSettings
 from midspan.records import (
+    NANOSECONDS,
     Acceleration,
     Displacement,
     Floats,
     Frame,
     PixelTrack,
     PixelTranslation,
+    Prediction,
     Region,
     Source,
     TimeSeries,
+    part,
 )
 from midspan.simulate.day.camera import Wall, wall_in_relief
 from midspan.simulate.day.sky import Light
@@ -50,6 +59,7 @@ from midspan.thermal.temperature_range import (
 from midspan.vision.reference.policy import KeyFrameSettings
 from midspan.vision.reference.tracker import KeyFrameTracker
 from midspan.vision.reference.updating import UpdatingSettings, UpdatingTracker
+from midspan.vision.target import lost
 from midspan.vision.tracker import Tracker, open_tracker, tracker_settings
 
 # Scale factors of the paper, mm/px: camera, infrared, infrared on the bridge.
@@ -61,8 +71,9 @@ FEATURES = tracker_settings("features", literal=True)
 IN_GREY = tracker_settings("features", literal=True, detector="sift")
 INFRARED_SIZE, INFRARED_ROI = (90, 112), Region(20, 14, 72, 60)
 WALL_SIZE, WALL_ROI, WALL_HZ = (96, 96), Region(20, 20, 56, 56), 10.0
-BIAS_M_S2, NOISE_M_S2 = 0.02, 5e-4
+BIAS_M_S2, NOISE_M_S2, FELT_HZ = 0.02, 5e-4, 100.0
 STARTED = 5  # frames before the first prediction
+SETTLED_S = 5.0  # the learnt noise R remembers 20 frames: 2 s, and the start is one of them
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,26 +90,113 @@ class Standing(WarmBody):
 
 @dataclass(frozen=True, slots=True)
 class Filmed:
-    """Frames with their stamps, the true translation (n,) in px, the scale factor in mm/px, and the acceleration."""
+    """Frames with their stamps, the true translation (n,) in px, the scale factor in mm/px, the acceleration, and the
+    true displacement (k,) in m at its samples.
+    """
 
     frames: list[Frame]
     px: Floats
     scale_mm: float
     acceleration: TimeSeries
+    truth_m: Floats
 
-    def followed(self, tracker: Tracker, frames: Sequence[Frame] | None = None) -> list[PixelTranslation]:
-        """The track with the filter's prediction for every frame after the first five; frames: other pictures."""
-        frames = self.frames if frames is None else frames
+    @property
+    def at_s(self) -> Floats:
+        """Times (n,) of the frames, s."""
+        return np.array([frame.time_ns for frame in self.frames]) / NANOSECONDS
+
+    def fused_mm(self, track: PixelTrack, *, literal: bool) -> float:
+        """Error in mm of a track that is fused with the acceleration: by the printed filter, or smoothed."""
+        series = (self.at_s, self.scale_mm * track.y_px, (1e-3 * self.scale_mm) ** 2 * track.variance_y_px2)
+        density = np.full(len(self.acceleration.value), NOISE_M_S2**2 / FELT_HZ)
+        acceleration = Acceleration(self.acceleration.time_ns, self.acceleration.value, density)
+        return _fused(acceleration, series, self.truth_m, literal=literal)
+
+    def as_printed(self, tracker: Tracker, frames: Sequence[Frame]) -> list[PixelTranslation]:
+        """The track with the predictions of the adaptive filter as printed, which takes what was found."""
+        scale_m, series = 1e-3 * self.scale_mm, self.acceleration
+        step_s = float(np.median(np.diff(series.time_ns))) / NANOSECONDS
+        moved_m_s = scale_m * np.diff(self.px) * len(frames) * NANOSECONDS / (frames[-1].time_ns - frames[0].time_ns)
+        speed_m_s = float(np.sqrt(np.mean(moved_m_s**2)))
+        kalman = KalmanSettings(bias=BIAS_M_S2, velocity_std=VELOCITY_WITHIN * speed_m_s)
+        settings = MethodSettings(kalman, literal=True)
+        filtered = PrintedFilter(settings, int(series.time_ns[0]), step_s=step_s, speed_m_s=speed_m_s)
+        density = np.full(len(series.time_ns), NOISE_M_S2**2 * step_s)
+        samples = Acceleration(series.time_ns, series.value, density)
+        found: list[PixelTranslation] = []
+        pushed = 0
+        for frame in frames:
+            due = int(np.searchsorted(series.time_ns, frame.time_ns, side="right"))
+            filtered.push(part(samples, slice(pushed, due)))
+            pushed = due
+            value_m, variance_m2 = filtered.predict(frame.time_ns)
+            std_px = float(np.sqrt(variance_m2)) / scale_m
+            expected = Prediction(0.0, value_m / scale_m, ACROSS_STD_PX, std_px) if np.isfinite(std_px) else None
+            one = tracker.push(frame, expected)
+            found.append(one)
+            if np.isfinite(one.y_px):
+                row = np.array([one.y_px * scale_m]), np.array([one.variance_y_px2 * scale_m**2])
+                filtered.wait(Displacement(np.array([frame.time_ns]), *row, np.array([Source.CAMERA], dtype=np.uint8)))
+        return found
+
+    def followed(self, tracker: Tracker) -> list[PixelTranslation]:
+        """The track with our filter's prediction for every frame after the first five."""
+        frames = self.frames
         begun = [tracker.push(frame) for frame in frames[:STARTED]]
         loop = Loop(CameraScale(1e-3 * self.scale_mm, "y", 0), self.acceleration)
         return begun + with_predictions(frames[STARTED:], tracker, PixelTrack.stack(begun), loop)
 
+    def pair(self, track: PixelTrack) -> Pair:
+        """A track with the acceleration, to be calibrated."""
+        samples = np.column_stack((self.acceleration.time_ns / NANOSECONDS, self.acceleration.value))
+        samples[:, 1] -= np.mean(samples[:, 1])
+        rows = np.column_stack((self.at_s, track.y_px, track.variance_y_px2))
+        inner = (self.at_s > 0.2) & (self.at_s < samples[-1, 0] - 0.2)
+        return Pair(np.column_stack((samples, np.ones(len(samples)))), rows[inner])
+
     def error_mm(self, track: PixelTrack) -> float:
-        """Standard deviation of a track's error where it is known, mm."""
-        return self.scale_mm * float(np.nanstd(track.y_px - self.px))
+        """Standard deviation of a track's error where it is known, mm; NaN where it is nowhere."""
+        seen = np.isfinite(track.y_px)
+        return self.scale_mm * float(np.std((track.y_px - self.px)[seen])) if seen.any() else float("nan")
 
 
 # Infrared: cases 1 to 5 and the bridge.
+
+
+def scale_factors(effort: Effort) -> Measured:
+    """Figure 10: both scale factors by the printed calibration and by ours, from case 1."""
+    length_s = 15.0 if effort.quick else 30.0
+    motion = from_rest(_sine(1.0), length_s)
+    warm = infrared(
+        motion, fans(effort.seed, *cups(motion, INFRARED_MM, 33.5, 16.5)), 10 * effort.seed + 1,
+        length_s=length_s, rate_hz=15.0, scale=INFRARED_MM,
+    )  # fmt: skip
+    at_s = np.arange(int(length_s * WALL_HZ)) / WALL_HZ
+    px = motion.displacement(at_s) / (1e-3 * CAMERA_MM)
+    frames = lit(relief(np.random.default_rng([6, effort.seed])), px, [lamp(0.0, 0.8)] * len(at_s), effort.seed)
+    seen = filmed(frames, px, CAMERA_MM, motion, length_s, effort.seed)
+    few = slice(None, 200)
+    known = replace(warm, frames=warm.frames[few], px=warm.px[few])
+    grey = in_grey(warm.frames, learnt(known).best)
+    ours = ThermalTarget(warm.frames[0], INFRARED_ROI, lambda frame: open_tracker("template", frame, INFRARED_ROI))
+    plain = open_tracker("registration", seen.frames[0], WALL_ROI)
+    values: dict[str, float] = {}
+    for name, one, printed, own in (
+        ("vision", seen, _pushed(open_tracker("features", seen.frames[0], WALL_ROI, FEATURES), seen.frames), plain),
+        ("infrared", warm, in_range(grey), ours),
+    ):
+        scale_mm = 1e3 * calibrate_printed(one.pair(printed), 0.1, PrintedSteps(BAND_HZ))[0].value_m_per_px
+        found_mm = 1e3 * calibrate_scale(one.pair(_pushed(own, one.frames)), 0.1).scale.value_m_per_px
+        values |= {f"{name}, printed": scale_mm, f"{name}, ours": found_mm, f"{name}, true": one.scale_mm}
+        values |= {
+            f"{name}, off by %": 100 * abs(scale_mm / one.scale_mm - 1),
+            f"{name}, ours, off by %": 100 * abs(found_mm / one.scale_mm - 1),
+        }
+    return Measured(values)
+
+
+def _pushed(tracker: Tracker, frames: Sequence[Frame]) -> PixelTrack:
+    return PixelTrack.stack([tracker.push(frame) for frame in frames])
 
 
 def infrared(motion: Motion, view: ThermalView, seed: int, *, length_s: float, rate_hz: float, scale: float) -> Filmed:
@@ -108,12 +206,19 @@ def infrared(motion: Motion, view: ThermalView, seed: int, *, length_s: float, r
     moved -= moved[0]
     pictures = view.film(np.stack([0.0 * moved, moved], axis=1), at_s, rng=np.random.default_rng([1, seed]))
     frames = [Frame(round(1e9 * s), p, k) for k, (s, p) in enumerate(zip(at_s, pictures, strict=True))]
-    return Filmed(frames, moved, scale, felt(motion, length_s, seed))
+    return filmed(frames, moved, scale, motion, length_s, seed)
+
+
+def filmed(frames: list[Frame], px: Floats, scale_mm: float, motion: Motion, length_s: float, seed: int) -> Filmed:
+    """Frames of a motion with its acceleration and its true displacement from the first frame on."""
+    sensed = felt(motion, length_s, seed)
+    truth_m = motion.displacement(sensed.time_ns / NANOSECONDS) - motion.displacement(np.zeros(1))
+    return Filmed(frames, px, scale_mm, sensed, truth_m)
 
 
 def felt(motion: Motion, length_s: float, seed: int) -> TimeSeries:
     """The motion by the accelerometer."""
-    model = AccelerometerModel(100.0, NOISE_M_S2, BIAS_M_S2)
+    model = AccelerometerModel(FELT_HZ, NOISE_M_S2, BIAS_M_S2)
     return model.measure(motion, (0.0, length_s), rng=np.random.default_rng([11, seed]))
 
 
@@ -147,29 +252,45 @@ def learnt(one: Filmed) -> RangeSurface:
     return optimise_range(one.frames, INFRARED_ROI, in_range, expected, DIVISIONS)
 
 
-def by_range(one: Filmed, surface: RangeSurface, known: Filmed) -> dict[str, float]:
-    """Errors in mm and frames lost in % by each range, which the calibration `known` gave, and by ours in °C."""
-    ranges = {
+def by_range(
+    one: Filmed, surface: RangeSurface, known: Filmed, finger_s: tuple[float, float] = (np.inf, np.inf)
+) -> tuple[dict[str, float], dict[str, Floats]]:
+    """Errors in mm, frames lost in % and matches by each range, which the calibration `known` gave, and ours in °C;
+    and the matches (n,) of each.
+
+    finger_s: from when to when something warm is in front of the target; matches are counted apart there.
+    """
+    limits = {
         "FOV": field_range(known.frames),
         "ROI": region_range(known.frames, INFRARED_ROI),
         "optimised": surface.best,
     }
+    warm = (one.at_s >= finger_s[0]) & (one.at_s < finger_s[1])
     found: dict[str, float] = {}
-    for name, limits in ranges.items():
-        track = _tracked(one, limits)
-        found[name] = one.error_mm(track) if track is not None else float("nan")
-        found[f"{name} lost %"] = 100 * float(np.mean(~np.isfinite(track.y_px))) if track is not None else 100.0
+    counts: dict[str, Floats] = {}
+    for name, own in limits.items():
+        rows = _tracked(one, own)
+        track = PixelTrack.stack(rows)
+        matches = counts[name] = np.array([_matches(row) for row in rows])
+        found[name], found[f"{name} lost (%)"] = one.error_mm(track), 100 * float(np.mean(~np.isfinite(track.y_px)))
+        found[f"{name} (matches)"] = float(np.mean(matches[~warm]))
+        found[f"{name} with the finger (matches)"] = float(np.mean(matches[warm])) if warm.any() else float("nan")
+        if name == "optimised":
+            found["optimised, fused"] = one.fused_mm(track, literal=True)
     tracker = ThermalTarget(one.frames[0], INFRARED_ROI, lambda frame: open_tracker("template", frame, INFRARED_ROI))
     ours = PixelTrack.stack(one.followed(tracker))
-    return found | {"°C": one.error_mm(ours), "°C lost %": 100 * float(np.mean(~np.isfinite(ours.y_px)))}
+    lost = 100 * float(np.mean(~np.isfinite(ours.y_px)))
+    found |= {"°C": one.error_mm(ours), "°C lost (%)": lost, "°C, smoothed": one.fused_mm(ours, literal=False)}
+    return found, counts
 
 
-def _tracked(one: Filmed, limits: Limits) -> PixelTrack | None:
+def _tracked(one: Filmed, limits: Limits) -> list[PixelTranslation]:
+    """The track in grey levels, all lost where the range shows the target too few."""
     try:
         grey = in_grey(one.frames, limits)
-        return PixelTrack.stack(one.followed(open_tracker("features", grey[0], INFRARED_ROI, IN_GREY), grey))
+        return one.as_printed(open_tracker("features", grey[0], INFRARED_ROI, IN_GREY), grey)
     except UsageError:
-        return None
+        return [lost(frame.time_ns) for frame in one.frames]
 
 
 def ranges(effort: Effort) -> Measured:
@@ -200,13 +321,26 @@ def ranges(effort: Effort) -> Measured:
     few = slice(None, 200)
     known = replace(case_1, frames=case_1.frames[few], px=case_1.px[few])
     surface = learnt(known)
-    found = {name: by_range(one, surface, known) for name, one in films.items()}
+    # The finger is 12 px wide and goes by at 24 px/s: from its way into the region to its way out.
+    front = (length_s - 6.5 + 0.5, length_s - 6.5 + 3.5)
+    both = {name: by_range(one, surface, known, *([front] if name == "case 2" else [])) for name, one in films.items()}
+    found = {name: values for name, (values, _) in both.items()}
     quiet = ("case 3", "case 4", "case 5")
-    values: dict[str, Any] = {f"{key}, case 2": value for key, value in found["case 2"].items()}
-    values |= {f"{key}, cases 3 to 5": [found[name][key] for name in quiet] for key in found["case 2"]}
+    values: dict[str, Any] = {_of(key, "case 2"): value for key, value in found["case 2"].items()}
+    values |= {_of(key, "cases 3 to 5"): [found[name][key] for name in quiet] for key in found["case 2"]}
     values |= {f"{key}, mean": float(np.mean([found[name][key] for name in quiet])) for key in found["case 2"]}
+    for name in ("ROI", "optimised"):
+        left = found["case 2"][f"{name} with the finger (matches)"] / found["case 2"][f"{name} (matches)"]
+        values[f"{name}, left with the finger (%)"] = 100 * left
     values |= _corners(surface)
-    return Measured(values)
+    counts = {name: (films["case 2"].at_s, one) for name, one in both["case 2"][1].items()}
+    return Measured(values, (Curve("Fig. 12 (b)", "time (s)", "matches", counts),))
+
+
+def _of(key: str, case: str) -> str:
+    """The name of a number of one case; its unit in brackets comes last."""
+    name, bracket, unit = key.partition(" (")
+    return f"{name}, {case}{bracket}{unit}"
 
 
 def from_rest(motion: Motion, length_s: float) -> Motion:
@@ -224,8 +358,8 @@ def _corners(surface: RangeSurface) -> dict[str, float]:
     best = (surface.best.low_c, surface.best.high_c)
     corner = any(np.allclose(best, other) for other in (region, field))
     return {
-        "best low °C": best[0],
-        "best high °C": best[1],
+        "best low (°C)": best[0],
+        "best high (°C)": best[1],
         "is a corner": float(corner),
         "ranges": float(surface.error_px.size),
     }
@@ -260,7 +394,7 @@ def bridge(effort: Effort) -> Measured:
     few = slice(None, int(10 * rate_hz), 3)
     known = replace(case[0], frames=case[0].frames[few], px=case[0].px[few])
     surface = learnt(known)
-    return Measured(by_range(case[1], surface, known) | _corners(surface))
+    return Measured(by_range(case[1], surface, known)[0] | _corners(surface))
 
 
 # Vision: cases 6 and 7.
@@ -288,29 +422,33 @@ def lamp(angle_rad: float, strength: float) -> Light:
 
 def moving_light(effort: Effort) -> Measured:
     """Case 6: for 210 s under a flashlight that moves from 30 s on."""
-    length_s = 90.0 if effort.quick else 210.0
+    length_s = 150.0 if effort.quick else 210.0
     at_s = np.arange(int(length_s * WALL_HZ)) / WALL_HZ
     pushes = tuple(Pulse(h, t, 8.0) for h, t in ((3e-3, 50.0), (-2e-3, 110.0), (3e-3, 170.0)))
     motion = from_rest(Sum((Sines(np.array([2e-3]), np.array([1.0])), *pushes)), length_s)
     moved = motion.displacement(at_s) / (1e-3 * CAMERA_MM)
     moved -= moved[0]
     later = np.clip(at_s - 30.0, 0.0, None)
-    angles = 1.05 * np.sin(2 * np.pi * later / 120.0)
+    # To the side until 80 s, where it swings from then on: a fixed reference never sees its light again.
+    angles = np.where(later < 50.0, 1.2 * later / 50.0, 1.05 + 0.15 * np.cos(2 * np.pi * (later - 50.0) / 60.0))
     wall = relief(np.random.default_rng([6, effort.seed]))
     lights = [lamp(float(a), 0.9 - 0.5 * abs(np.sin(a))) for a in angles]
-    one = Filmed(lit(wall, moved, lights, effort.seed), moved, CAMERA_MM, felt(motion, length_s, effort.seed))
+    one = filmed(lit(wall, moved, lights, effort.seed), moved, CAMERA_MM, motion, length_s, effort.seed)
     updating = UpdatingTracker(one.frames[0], WALL_ROI, UpdatingSettings("features", FEATURES, literal=True))
     trackers: dict[str, Tracker] = {
         "fixed": open_tracker("features", one.frames[0], WALL_ROI, FEATURES),
         "updating": updating,
         "key frames": KeyFrameTracker(one.frames[0], WALL_ROI, KeyFrameSettings(tracker="template")),
     }
-    tracks = {name: one.followed(tracker) for name, tracker in trackers.items()}
+    tracks = {
+        name: one.followed(tracker) if name == "key frames" else one.as_printed(tracker, one.frames)
+        for name, tracker in trackers.items()
+    }
     values = {name: one.error_mm(PixelTrack.stack(rows)) for name, rows in tracks.items()}
     lost = {name: 100 * float(np.mean([not np.isfinite(row.y_px) for row in rows])) for name, rows in tracks.items()}
     matches = {name: np.array([_matches(row) for row in tracks[name]]) for name in ("fixed", "updating")}
-    values |= {f"{name} lost %": share for name, share in lost.items()}
-    values["updates"] = updating.state.updates
+    values |= {f"{name} lost (%)": share for name, share in lost.items()}
+    values["updating (updates)"] = updating.state.updates
     curve = Curve("Fig. 16 (b)", "time (s)", "matches", {name: (at_s, one) for name, one in matches.items()})
     return Measured(values, (curve,))
 
@@ -331,18 +469,18 @@ def day_and_night(effort: Effort) -> Measured:
     strength = np.interp(at_s, [38.0, 56.0, 60.0, 94.0, 100.0], [0.8, 0.02, 0.0, 0.0, 0.8])
     lights = [lamp(float(a), float(s)) for a, s in zip(np.interp(at_s, [0, 60], [-0.3, 0.3]), strength, strict=True)]
     wall = relief(np.random.default_rng([8, effort.seed]))
-    sensed = felt(motion, LENGTH_S, effort.seed)
-    px = true / (1e-3 * CAMERA_MM)
-    seen = Filmed(lit(wall, px, lights, effort.seed), px, CAMERA_MM, sensed)
-    warm = Filmed(_cooling(true, at_s, effort.seed), true / (1e-3 * INFRARED_MM), INFRARED_MM, sensed)
+    px, warmer_px = (true / (1e-3 * scale) for scale in (CAMERA_MM, INFRARED_MM))
+    seen = filmed(lit(wall, px, lights, effort.seed), px, CAMERA_MM, motion, LENGTH_S, effort.seed)
+    warm = filmed(_cooling(true, at_s, effort.seed), warmer_px, INFRARED_MM, motion, LENGTH_S, effort.seed)
+    sensed = seen.acceleration
     calibration = slice(None, 100, 2)
     known = replace(warm, frames=warm.frames[calibration], px=warm.px[calibration])
     levels = learnt(known).best
     grey = in_grey(warm.frames, levels)
     rule = UpdatingSettings("features", FEATURES, literal=True)
     printed = {
-        "camera": seen.followed(UpdatingTracker(seen.frames[0], WALL_ROI, rule)),
-        "infrared": warm.followed(
+        "camera": seen.as_printed(UpdatingTracker(seen.frames[0], WALL_ROI, rule), seen.frames),
+        "infrared": warm.as_printed(
             UpdatingTracker(grey[0], INFRARED_ROI, replace(rule, tracker_settings=IN_GREY)), grey
         ),
     }
@@ -350,25 +488,24 @@ def day_and_night(effort: Effort) -> Measured:
     rows = [printed[name][k] for k, name in enumerate(chosen)]
     scale = np.array([{"camera": CAMERA_MM, "infrared": INFRARED_MM}[name] for name in chosen])
     value_mm = scale * np.array([row.y_px for row in rows])
-    acceleration = Acceleration(sensed.time_ns, sensed.value, np.full(len(sensed.value), NOISE_M_S2**2 / 100.0))
-    truth = motion.displacement(sensed.time_ns / 1e9) - motion.displacement(np.zeros(1))
+    acceleration = Acceleration(sensed.time_ns, sensed.value, np.full(len(sensed.value), NOISE_M_S2**2 / FELT_HZ))
     changes = np.flatnonzero(np.array(chosen[1:]) != np.array(chosen[:-1])) + 1
     seen_s = np.concatenate(([0.0], at_s[np.isfinite(value_mm)], [at_s[-1]]))
     gaps = np.diff(seen_s)
     variance = (scale * 1e-3) ** 2 * np.array([row.variance_y_px2 for row in rows])
-    fused = _fused(acceleration, (at_s, value_mm, variance), truth, literal=True)
+    fused = _fused(acceleration, (at_s, value_mm, variance), seen.truth_m, literal=True)
     alone = seen.error_mm(PixelTrack.stack(printed["camera"]))
     values: dict[str, Any] = {
-        "vision lost %": 100 * float(np.mean([not np.isfinite(row.y_px) for row in printed["camera"]])),
+        "vision lost (%)": 100 * float(np.mean([not np.isfinite(row.y_px) for row in printed["camera"]])),
         "vision alone": alone,
         "switched": float(np.nanstd(value_mm - 1e3 * true)),
         "switched and fused": fused,
         "switches": len(changes),
-        "to infrared s": float(at_s[changes[0]]) if len(changes) else float("nan"),
-        "to vision s": float(at_s[changes[-1]]) if len(changes) else float("nan"),
-        "longest gap s": float(gaps.max()),
-        "gap from s": float(seen_s[np.argmax(gaps)]),
-        "ours": _ours(acceleration, (seen, warm), at_s, truth),
+        "to infrared (s)": float(at_s[changes[0]]) if len(changes) else float("nan"),
+        "to vision (s)": float(at_s[changes[-1]]) if len(changes) else float("nan"),
+        "longest gap (s)": float(gaps.max()),
+        "gap from (s)": float(seen_s[np.argmax(gaps)]),
+        "ours": _ours(acceleration, (seen, warm), at_s, seen.truth_m),
     }
     counts = {name: (at_s, np.array([_matches(row) for row in rows])) for name, rows in printed.items()}
     return Measured(values, (Curve("Fig. 18 (d)", "time (s)", "matches", counts),))
@@ -403,7 +540,7 @@ def _chosen(at_s: Floats, rows: dict[str, list[PixelTranslation]]) -> list[str]:
 def _fused(
     acceleration: Acceleration, series: tuple[Floats, Floats, Floats], truth_m: Floats, *, literal: bool
 ) -> float:
-    """Error in mm of a series (time in s, mm, m²) after fusion, its first seconds left out."""
+    """Error in mm of a series (time in s, mm, m²) after fusion, the filter's first seconds left out."""
     at_s, value_mm, variance = series
     good = np.isfinite(value_mm) & np.isfinite(variance)
     source = np.full(int(good.sum()), Source.CAMERA, dtype=np.uint8)
@@ -413,7 +550,7 @@ def _fused(
     settings = MethodSettings(KalmanSettings(bias=BIAS_M_S2), literal=literal)
     rows = run_method(method, acceleration, displacement, settings).estimate
     error = 1e3 * (rows.displacement_m - truth_m[-len(rows.time_ns) :])
-    return float(np.std(error[1000:]))
+    return float(np.std(error[round(SETTLED_S * FELT_HZ) :]))
 
 
 def _ours(acceleration: Acceleration, films: tuple[Filmed, Filmed], at_s: Floats, truth_m: Floats) -> float:

@@ -5,12 +5,13 @@ Mech. Syst. Signal Process. 182 (2023) 109582, doi 10.1016/j.ymssp.2022.109582, 
 unwrapping, "aided" equations 12 to 15, "FIR" equations 17 to 21 with the paper's 101 coefficients.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from midspan.evaluate.papers.claims import Effort, Measured
+from midspan.evaluate.papers.claims import Curve, Effort, Measured
 from midspan.fusion.fir import FirSettings, fir
 from midspan.fusion.runners import run_method
 from midspan.radar.channels import Phasors
@@ -29,6 +30,8 @@ BIAS_M_S2, NOISE_M_S2 = 0.02, 5e-5
 # As printed: order 101, which is a delay of 0.5 s.
 FIR: dict[str, Any] = {"literal": True, "half_window": 50, "cut_off_hz": 1.0}
 INNER = slice(500, -300)
+# Which motion of a test is drawn as which figure.
+DRAWN = {("wall", 1): "Fig. 10 (b)", ("building", 1): "Fig. 15 (a)", ("bridge", 0): "Fig. 23"}
 BEFORE_S = 10.0  # stamps are counted from so long before the first frame
 
 
@@ -131,8 +134,8 @@ def known(case: Case, one: Seen) -> Known:
     return Known(tuple(grid.conversion_factor for grid in grids), chosen, target)
 
 
-def both(case: Case, found: Known, one: Seen) -> dict[str, float]:
-    """Errors in mm of the printed chain's steps and of ours over one motion."""
+def steps(case: Case, found: Known, one: Seen) -> tuple[dict[str, Floats], list[Floats]]:
+    """Displacements (n,) in m by the printed chain's steps and by ours over one motion; and those by other targets."""
     change = _changes(case, one)
     value = [factor * c for factor, c in zip(found.factors, change, strict=True)]
     plain = found.factors[0] * unwrap_plain(_phase(case, one, case.range_m)) / case.phase_per_m
@@ -145,9 +148,22 @@ def both(case: Case, found: Known, one: Seen) -> dict[str, float]:
         "radar": series.value_m,
         "smoother": _smoother(one, series),
     }
-    errors = {name: _mm(x, one.true_m) for name, x in values.items()}
-    others = [_mm(x, one.true_m) for x in value[1:]] or [np.nan]
-    return errors | {"worst other": max(others), "best other": min(others)}
+    return values, value[1:]
+
+
+def errors_mm(one: Seen, found: dict[str, Floats], others: Sequence[Floats]) -> dict[str, float]:
+    """Errors in mm of displacements."""
+    errors = {name: _mm(x, one.true_m) for name, x in found.items()}
+    by_others = [_mm(x, one.true_m) for x in others] or [np.nan]
+    return errors | {"worst other": max(by_others), "best other": min(by_others)}
+
+
+def _drawn(figure: str, one: Seen, found: dict[str, Floats]) -> Curve:
+    """Six seconds of displacements like the paper's figures."""
+    near = (one.at_s > 10.0) & (one.at_s < 16.0)
+    lines = {"reference": one.true_m, **{name: found[name] for name in ("existing", "aided", "smoother")}}
+    level = {name: 1e3 * (x - np.mean((x - one.true_m)[near])) for name, x in lines.items()}
+    return Curve(figure, "time (s)", "displacement (mm)", {n: (one.at_s[near], x[near]) for n, x in level.items()})
 
 
 def _changes(case: Case, one: Seen) -> list[Floats]:
@@ -208,7 +224,13 @@ def tested(name: str, effort: Effort) -> Measured:
     case = cases(effort.seed)[name]
     first = 1000 * effort.seed
     learnt = known(case, seen(case, case.motions[2], first + 90))
-    found = [both(case, learnt, seen(case, motion, first + k)) for k, motion in enumerate(case.motions)]
+    found, curves = [], []
+    for k, motion in enumerate(case.motions):
+        one = seen(case, motion, first + k)
+        series, others = steps(case, learnt, one)
+        found.append(errors_mm(one, series, others))
+        if (name, k) in DRAWN:
+            curves.append(_drawn(DRAWN[name, k], one, series))
     values: dict[str, Any] = {key: [one[key] for one in found] for key in found[0]}
     fast = [1, 2, 3] if name != "bridge" else []
     values |= {f"{key}, fast": [found[k][key] for k in fast] for key in ("existing", "aided")}
@@ -220,8 +242,8 @@ def tested(name: str, effort: Effort) -> Measured:
     values["ours, off by"] = abs(learnt.target.conversion_factor - case.factor)
     values["target chosen"] = float(learnt.chosen == 0)
     values["our target, off by bins"] = abs(learnt.target.range_m - case.range_m) / case.chirp.bin_m
-    values["delay s"] = FIR["half_window"] / RATE_HZ
-    return Measured(values)
+    values["delay (s)"] = FIR["half_window"] / RATE_HZ
+    return Measured(values, tuple(curves))
 
 
 def chirp(effort: Effort) -> Measured:
