@@ -178,7 +178,7 @@ def _factor(entry: Entry, values: Mapping[str, Floats]) -> float:
     if not (entry.errors and entry.printed and entry.ours):
         return float("nan")
     printed, ours = (
-        min(float(np.mean(values[name])) for name in part if not _own_unit(name))
+        min((float(np.mean(values[name])) for name in part if not _own_unit(name)), default=float("nan"))
         for part in (entry.printed, entry.ours)
     )
     return printed / ours
@@ -190,13 +190,17 @@ def _own_unit(name: str) -> str:
     return found.group(1) if found else ""
 
 
+def _without_unit(name: str) -> str:
+    return name.removesuffix(f" ({_own_unit(name)})")
+
+
 def _shown(names: Sequence[str], values: Mapping[str, Floats], entry: Entry) -> str:
     """ "existing 0.13 / 0.12; proposed 0.03 / 0.02 mm"; what all names of the entry end with is left out."""
-    tail = _common_tail((*entry.printed, *entry.ours))
+    tail = _common_tail([_without_unit(name) for name in (*entry.printed, *entry.ours)])
     units = [_own_unit(name) or entry.unit for name in names]
     parts = []
     for k, name in enumerate(names):
-        label = name.removesuffix(f" ({units[k]})").removesuffix(tail)
+        label = _without_unit(name).removesuffix(tail)
         numbers = " / ".join(f"{value:.3g}" for value in values[name])
         # A unit stands behind the last number that it belongs to.
         parts.append(f"{label} {numbers} {'' if units[k : k + 2] == 2 * [units[k]] else units[k]}".rstrip())

@@ -3,6 +3,7 @@
 Figures 1 to 8, 11 and 15 show flow charts and set-ups, and have no numbers.
 """
 
+from dataclasses import replace
 from functools import partial
 
 from midspan.evaluate.papers import phase_000 as measured
@@ -18,17 +19,28 @@ FUSED = ("registration and smoother, fused",)
 HELD = (
     "Equation 7 holds the acceleration over a sample, which is late by half of one: that alone is the error named "
     "“half a sample late”, the same for both trackers, and nearly all of the fused one. The scale factor of the "
-    "printed calibration comes on top, the same for both, too. With the guarded filter, whose input rule is exact, "
-    "and our calibration the two trackers differ."
+    "printed calibration comes on top; where R of equation 10 takes that up, the filter runs away, and its errors are "
+    "centimetres. With the guarded filter, whose input rule is exact, and our calibration the two trackers differ."
 )
-CALIBRATED = (
-    "By the calibrated factor the error of the scale factor, the same for all of them, covers what they differ by; the "
-    "row by the true factor has the trackers alone."
+LEARNT = (
+    "What the printed scale factor is off by, times the region's shift, is in the residual displacement that beta and "
+    "the active pixels are learnt from; and by the calibrated factor it is in all errors alike. With our calibration, "
+    "in the row after the next, the same trackers differ as published."
+)
+SMALLER = (
+    "The gain is there and smaller: by the calibrated factor both have the error of the scale factor, and beta and the "
+    "active pixels are learnt with it. Matching errs by little more than a hundredth of a pixel on this texture."
 )
 CHANCE = (
     "R² of the two sets differs in the third digit: the double integral of the acceleration limits it, not the pixels. "
     "So the threshold with the largest R² keeps few pixels or many by chance."
 )
+
+BETTER = Claim("hybrid is below 0.8 of features", "hybrid, mean", 0.8, "features, mean")
+FAR_BETTER = Claim(
+    "existing features are worse than 1.5 times hybrid", "existing features, mean", 1.5, "hybrid, mean", above=True
+)
+TABLE_7 = "0.160 / 0.163 / 0.189 to 0.059 / 0.048 / 0.032"
 
 
 def _factor(where: str, paper: str) -> Entry:
@@ -90,26 +102,37 @@ def _alone(
 ) -> tuple[Entry, ...]:
     """A table of the camera alone by the calibrated scale factor, and by the true one."""
     what = "RMSE of the camera alone"
-    of_true = tuple(
-        Claim(one.text, _true(one.left), one.factor, _true(one.right), above=one.above) for one in claims if one.right
-    )
     return (
         Entry(where, f"{what}, calibrated as printed", paper, names, OURS, claims, errors=True, because=because),
         Entry(
             f"{where}, true factor",
-            f"{what}, by the true scale factor",
+            f"{what}, the same tracks by the true scale factor",
             paper,
             tuple(f"{name}, true factor" for name in names),
             tuple(f"{name}, true factor" for name in OURS),
-            of_true,
+            tuple(_renamed(one, ", mean", ", true factor, mean") for one in claims),
             errors=True,
             because=because,
         ),
     )
 
 
-def _true(name: str) -> str:
-    return name.replace(", mean", ", true factor, mean")
+def _guarded(where: str, paper: str, names: tuple[str, ...], claims: tuple[Claim, ...], because: str = "") -> Entry:
+    """The same with our calibration, which the trackers learn from, too."""
+    return Entry(
+        f"{where}, guarded",
+        "RMSE of the camera alone, printed trackers with our calibration",
+        paper,
+        tuple(f"{name} guarded" for name in names),
+        OURS,
+        tuple(_renamed(one, ", mean", " guarded, mean") for one in claims),
+        errors=True,
+        because=because,
+    )
+
+
+def _renamed(one: Claim, old: str, new: str) -> Claim:
+    return replace(one, left=one.left.replace(old, new), right=one.right.replace(old, new))
 
 
 def _pixels(where: str, paper: str) -> tuple[Entry, ...]:
@@ -123,7 +146,8 @@ def _pixels(where: str, paper: str) -> tuple[Entry, ...]:
             "amplitude pixels, mean",
         ),
     )
-    return _alone(where, paper, ("all pixels", "amplitude pixels", "hybrid"), claims, CHANCE)
+    names = ("all pixels", "amplitude pixels", "hybrid")
+    return *_alone(where, paper, names, claims, CHANCE), _guarded(where, paper, names, claims, CHANCE)
 
 
 def _flow(where: str, paper: str, *more: Claim) -> Entry:
@@ -150,13 +174,8 @@ INDOOR = Experiment(
             ),
             unit="",
         ),
-        *_alone(
-            "Fig. 10",
-            "53 % lower at most",
-            ("features", "hybrid"),
-            (Claim("hybrid is below 0.8 of features", "hybrid, mean", 0.8, "features, mean"),),
-            CALIBRATED,
-        ),
+        *_alone("Fig. 10", "53 % lower at most", ("features", "hybrid"), (BETTER,), LEARNT),
+        _guarded("Fig. 10", "53 % lower at most", ("features", "hybrid"), (BETTER,)),
         Entry(
             "Sec. 4.1, wrapping",
             "frames in which the existing flow and the hybrid are more than a pixel off",
@@ -234,21 +253,8 @@ BRIDGE = Experiment(
         ),
         _flow("Table 5", "0.268 / 0.229 / 0.130 against 0.059 / 0.048 / 0.032"),
         *_pixels("Table 6", "0.069 / 0.062 / 0.051, 0.062 / 0.054 / 0.035, 0.059 / 0.048 / 0.032"),
-        *_alone(
-            "Table 7",
-            "0.160 / 0.163 / 0.189 to 0.059 / 0.048 / 0.032",
-            ("existing features", "hybrid"),
-            (
-                Claim(
-                    "existing features are worse than 1.5 times hybrid",
-                    "existing features, mean",
-                    1.5,
-                    "hybrid, mean",
-                    above=True,
-                ),
-            ),
-            CALIBRATED,
-        ),
+        *_alone("Table 7", TABLE_7, ("existing features", "hybrid"), (FAR_BETTER,), SMALLER),
+        _guarded("Table 7", TABLE_7, ("existing features", "hybrid"), (FAR_BETTER,), SMALLER),
         *_fused("Fig. 16", "63 % lower; 0.043"),
     ),
     CHOSEN,

@@ -20,9 +20,11 @@ from midspan.calibration.sensors.camera_scale import CameraScale
 from midspan.engine.sensors import ACROSS_STD_PX, MIN_STD_PX
 from midspan.engine.tracking import CameraTracking
 from midspan.fusion.streams import KalmanFilter, KalmanSettings
+from midspan.progress import silent
 from midspan.recording.calibrate import calibrate_and_track
 from midspan.recording.estimate import estimate
 from midspan.recording.streams.recording import Recording, open_recording
+from midspan.recording.tracking.opening import open_tracking
 from midspan.records import (
     Acceleration,
     Floats,
@@ -46,12 +48,16 @@ HALF_SAMPLE_S = 0.5 / ACCELEROMETER.rate_hz
 
 @dataclass(frozen=True, slots=True)
 class Way:
-    """How a recording is run: the options --tracker, --method and --literal, and camera.tracker_settings."""
+    """How a recording is run: the options --tracker, --method and --literal, and camera.tracker_settings.
+
+    like: the way before this one whose calibration is taken (--calibration); left out, it is calibrated anew.
+    """
 
     tracker: str
     method: str
     literal: bool = False
     settings: Mapping[str, Any] = field(default_factory=dict)
+    like: str = ""
 
     def opened(self, folder: Path) -> Recording:
         """The recording in `folder` with these options."""
@@ -106,12 +112,18 @@ class Run:
 
     track: Track
     recording: Recording
-    camera: CameraCalibration
+    calibration: Calibration
     tracker: Any
     fused_mm: dict[str, float]
     apart_mm: dict[str, float]
     late_mm: dict[str, float]
     frame_ms: float
+
+    @property
+    def camera(self) -> CameraCalibration:
+        """The camera's part of the calibration."""
+        assert self.calibration.camera is not None
+        return self.calibration.camera
 
     @property
     def scale_m_per_px(self) -> float:
@@ -147,34 +159,40 @@ def half_sample_mm(film: Film) -> dict[str, float]:
 
 def run_all(film: Film, ways: Mapping[str, Way]) -> dict[str, Run]:
     """The film's recording, run in each way."""
+    runs: dict[str, Run] = {}
     with tempfile.TemporaryDirectory() as place:
         folder = write_recording(film, Path(place) / "recording")
-        return {name: run_film(film, folder, way) for name, way in ways.items()}
+        for name, way in ways.items():
+            runs[name] = run_film(film, folder, way, runs[way.like].calibration if way.like else None)
+    return runs
 
 
-def run_film(film: Film, folder: Path, way: Way) -> Run:
-    """Calibrate and estimate the film's recording in `folder`."""
+def run_film(film: Film, folder: Path, way: Way, calibration: Calibration | None = None) -> Run:
+    """Calibrate, unless the calibration is given, and estimate the film's recording in `folder`."""
     asked = way.opened(folder)
-    calibration, tracking = calibrate_and_track(asked)
-    camera = calibration.camera
-    assert tracking is not None
-    assert camera is not None
+    if calibration is None:
+        calibration, tracking = calibrate_and_track(asked)
+        assert tracking is not None
+    else:
+        tracking = open_tracking(asked.cameras[0], calibration.camera, silent)
     left, begun_s = len(tracking.time_ns) - tracking.done, time.process_time()
     rows = estimate(asked, calibration, method=way.method, tracking=tracking).estimate
     frame_ms = 1e3 * (time.process_time() - begun_s) / left
     apart, late = {}, {}
-    if way.literal:
-        known = _with_scale(calibration, camera, film.scale_m_per_px)
+    if way.literal and not way.like:
+        known = _with_scale(calibration, film.scale_m_per_px)
         by_true = estimate(asked, known, method=way.method, tracking=tracking).estimate
         apart = _fused_mm(film, by_true.time_ns, by_true.displacement_m)
         late = _fused_mm(film, by_true.time_ns, by_true.displacement_m, late_s=HALF_SAMPLE_S)
     fused = _fused_mm(film, rows.time_ns, rows.displacement_m)
     track, tracker = track_of(film, tracking), tracking.targets[0].tracker
-    return Run(track, asked, camera, tracker, fused, apart, late, frame_ms)
+    return Run(track, asked, calibration, tracker, fused, apart, late, frame_ms)
 
 
-def _with_scale(calibration: Calibration, camera: CameraCalibration, scale_m_per_px: float) -> Calibration:
+def _with_scale(calibration: Calibration, scale_m_per_px: float) -> Calibration:
     """The calibration with another scale factor."""
+    camera = calibration.camera
+    assert camera is not None
     scale = replace(camera.scale, value_m_per_px=scale_m_per_px)
     targets = tuple(replace(target, scale=scale) for target in camera.targets)
     return replace(calibration, camera=replace(camera, scale=scale, targets=targets))
