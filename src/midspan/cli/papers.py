@@ -55,6 +55,10 @@ def _report_file(report: str | None) -> Path | None:
     path = Path(report)
     if path.suffix not in (".html", ".md"):
         raise click.UsageError(f"--report must end in .html or .md; received {report!r}. Give one of these endings.")
+    if not path.parent.is_dir():
+        raise click.UsageError(
+            f"--report {report}: the folder {path.parent} does not exist. Make it or choose another."
+        )
     return path
 
 

@@ -71,6 +71,7 @@ def _axes(curve: Curve) -> "Figure":
 
 
 def _markdown(outcomes: Sequence[Outcome], path: Path, command: str) -> str:
+    (path.parent / "images").mkdir(exist_ok=True)
     lines = ["# The papers' tables and figures, repeated", "", f"{_made(command)}", ""]
     for paper in _repeated(outcomes):
         own = [one for one in outcomes if one.experiment.paper == paper.key]
