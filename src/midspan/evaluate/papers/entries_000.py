@@ -32,10 +32,14 @@ SMALLER = (
     "active pixels are learnt with it. Matching errs by little more than a hundredth of a pixel on this texture."
 )
 CHANCE = (
-    "R² of the two sets differs in the third digit: the double integral of the acceleration limits it, not the pixels. "
-    "So the threshold with the largest R² keeps few pixels or many by chance."
+    "What the printed calibration leaves of scale factor and clock offset limits R², not the pixels: the sets differ in "
+    "its third digit, and the threshold with the largest keeps few pixels or many by chance. With both as they truly "
+    "are, R² outdoors is 0.9996 and the selected pixels err least."
 )
-
+LITTLE = (
+    "The comparison's band ends at a tenth of the frame rate used, 1 Hz; people who jump at 2.1 Hz leave little motion "
+    "there to choose pixels by."
+)
 BETTER = Claim("hybrid is below 0.8 of features", "hybrid, mean", 0.8, "features, mean")
 FAR_BETTER = Claim(
     "existing features are worse than 1.5 times hybrid", "existing features, mean", 1.5, "hybrid, mean", above=True
@@ -147,7 +151,7 @@ def _pixels(where: str, paper: str) -> tuple[Entry, ...]:
         ),
     )
     names = ("all pixels", "amplitude pixels", "hybrid")
-    return *_alone(where, paper, names, claims, CHANCE), _guarded(where, paper, names, claims, CHANCE)
+    return *_alone(where, paper, names, claims, CHANCE), _guarded(where, paper, names, claims, LITTLE)
 
 
 def _flow(where: str, paper: str, *more: Claim) -> Entry:
