@@ -32,8 +32,8 @@ SMALLER = (
     "active pixels are learnt with it. Matching errs by little more than a hundredth of a pixel on this texture."
 )
 CHANCE = (
-    "What the printed calibration leaves of scale factor and clock offset limits R², not the pixels: the sets differ in "
-    "its third digit, and the threshold with the largest keeps few pixels or many by chance. With both as they truly "
+    "What the printed calibration leaves of scale factor and clock offset limits R², not the pixels: the sets differ "
+    "in its third digit, and the threshold with the largest keeps few pixels or many by chance. With both as they truly "
     "are, R² outdoors is 0.9996 and the selected pixels err least."
 )
 LITTLE = (
