@@ -33,8 +33,8 @@ SMALLER = (
 )
 CHANCE = (
     "What the printed calibration leaves of scale factor and clock offset limits R², not the pixels: the sets differ "
-    "in its third digit, and the threshold with the largest keeps few pixels or many by chance. With both as they truly "
-    "are, R² outdoors is 0.9996 and the selected pixels err least."
+    "in its third digit, and the threshold with the largest keeps few pixels or many by chance. With both as they "
+    "truly are, R² outdoors is 0.9996 and the selected pixels err least."
 )
 LITTLE = (
     "The comparison's band ends at a tenth of the frame rate used, 1 Hz; people who jump at 2.1 Hz leave little motion "
