@@ -86,7 +86,7 @@ def scene(name: str, effort: Effort) -> Measured:
     values |= fused_values(one, runs)
     if name == "shaking-table":
         values |= _matches(one, proposed.track)
-    return Measured(with_means(values), (_histories(one, (existing, known), proposed),))
+    return Measured(with_means(values), (_histories(one, (existing, known), proposed, ours),))
 
 
 def _matches(one: Film, proposed: Track) -> dict[str, float]:
@@ -115,12 +115,16 @@ def _matches(one: Film, proposed: Track) -> dict[str, float]:
     }
 
 
-def _histories(one: Film, existing: tuple[Track, float], proposed: Run) -> Curve:
+def _histories(one: Film, existing: tuple[Track, float], proposed: Run, ours: Run) -> Curve:
     """Errors of the camera alone in the first excitation, by the scale factors of each technique."""
     name, (start, stop) = next((n, span) for n, span in one.spans.items() if n in one.scene.excitations)
     at_s = one.stamps_s + one.time_offset_s
     inside = (at_s >= start) & (at_s < min(stop, start + 8.0))
-    scales = {"existing": existing, "proposed": (proposed.track, proposed.scale_m_per_px)}
+    scales = {
+        "existing": existing,
+        "proposed": (proposed.track, proposed.scale_m_per_px),
+        "ours (registration)": (ours.track, ours.scale_m_per_px),
+    }
     lines: dict[str, tuple[Floats, Floats]] = {
         label: (at_s[inside] - start, 1e3 * (scale * track.px - one.seen_m())[inside])
         for label, (track, scale) in scales.items()
