@@ -1,6 +1,9 @@
 """The papers' claims, repeated: which hold, which do not, and what the command prints of them."""
 
 import json
+import os
+import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,52 +12,66 @@ from click.testing import CliRunner
 from midspan.cli.group import commands
 from midspan.evaluate.papers import entries_000, entries_001, entries_002, entries_003, entries_004, two_stage_003
 from midspan.evaluate.papers.claims import Claim, Effort, Entry, Experiment, Measured, Verdict, judged
-from midspan.evaluate.papers.table import repeat
+from midspan.evaluate.papers.table import MODULES, experiments, repeat
 from midspan.report.papers import write_papers
 
-# Claims that do not hold, each with its reason in `Entry.because`; every other one does.
+# Claims that do not hold, each with its reason in `Entry.because`.
 FAILING = {
-    ("000", "Table 1"), ("000", "Table 2"), ("000", "Fig. 16"),
+    ("000", "Fig. 10"), ("000", "Fig. 10, true factor"), ("000", "Table 1"), ("000", "Table 1, true factor"),
+    ("000", "Table 7"), ("000", "Table 7, true factor"), ("000", "Fig. 16"), ("000", "Fig. 16, true factor"),
     ("003", "Table 3"), ("003", "Fig. 16 (b)"), ("003", "Fig. 20, 21"), ("003", "Fig. 22"),
     ("003", "Fig. 23"), ("003", "Fig. 24"), ("002", "Table 1"),
 }  # fmt: skip
+# Claims so near to their limit that three seeds do not settle them, and ratios of processor times.
+EITHER = {
+    ("000", "Fig. 9"), ("000", "Table 2"), ("000", "Table 2, true factor"), ("000", "Table 4"),
+    ("000", "Table 4, true factor"), ("000", "Table 4, guarded"), ("000", "Table 6"),
+    ("000", "Table 6, true factor"), ("000", "Table 6, guarded"), ("004", "Sec. 4.2, 4.3, time"),
+}  # fmt: skip
+UNTRIED = {("000", "Fig. 12")}
+# On the mean of three seeds; of the other two papers what is short.
+THREE = (*entries_000.EXPERIMENTS, *entries_003.EXPERIMENTS, *entries_004.EXPERIMENTS)
+SHORT = (entries_001.SCALE, entries_001.LIGHT, entries_002.WALL, entries_002.BRIDGE)
 
 
-def verdicts(experiments, seeds):
-    outcomes = repeat(experiments, quick=True, seeds=seeds, progress=lambda done, total, what: None)
-    return {(row.paper, row.entry.where): row.verdict for one in outcomes for row in one.rows}
+def unheard(done, total, what):
+    """Nobody is told of progress."""
 
 
 def expected(experiments):
-    keys = [(one.paper, entry.where) for one in experiments for entry in one.entries]
-    return {key: Verdict.FAILS if key in FAILING else Verdict.HOLDS for key in keys}
-
-
-def test_the_claims_of_the_two_stage_paper_on_the_mean_of_three_seeds():
-    assert verdicts(entries_003.EXPERIMENTS, 3) == expected(entries_003.EXPERIMENTS)
-
-
-def test_the_claims_of_the_radar_paper():
-    some = (entries_002.WALL, entries_002.BRIDGE)
-    assert verdicts(some, 1) == expected(some)
-
-
-# Here as many as a minute allows; `python -m benchmarks papers` repeats all of them with three seeds.
-@pytest.mark.slow
-def test_the_claims_of_the_paper_on_phase():
-    films = (entries_000.INDOOR, entries_000.BRIDGE)
-    assert verdicts(films, 1) == expected(films)
+    keys = {(one.paper, entry.where) for one in experiments for entry in one.entries} - EITHER
+    other = dict.fromkeys(FAILING, Verdict.FAILS.value) | dict.fromkeys(UNTRIED, Verdict.UNTRIED.value)
+    return {key: other.get(key, Verdict.HOLDS.value) for key in keys}
 
 
 @pytest.mark.slow
-def test_the_claims_of_the_paper_on_feature_matching():
-    films = (entries_004.STOREY,)
-    assert verdicts(films, 1) == expected(films)
-
-
-def test_the_claims_of_the_paper_on_infrared_that_need_no_long_film():
-    few = (entries_001.SCALE, entries_001.LIGHT)
-    assert verdicts(few, 1) == expected(few)
+def test_the_command_over_all_papers_and_its_claims_on_the_mean_of_three_seeds(tmp_path):
+    """One test, so that the command runs once: its numbers are those of the first seed."""
+    page = tmp_path / "papers.md"
+    ran = CliRunner().invoke(commands, ["papers", "--quick", "--json", "--report", str(page)])
+    assert ran.exit_code == 0, ran.output
+    told = json.loads(ran.stdout)["rows"]
+    entries = [(one.paper, entry.where) for one in experiments(MODULES) for entry in one.entries]
+    assert [(row["paper"], row["where"]) for row in told] == entries
+    assert all(row["why"] for row in told)
+    assert page.read_text(encoding="utf-8").count("does not hold") == sum(
+        row["verdict"] == Verdict.FAILS.value for row in told
+    )
+    assert all((tmp_path / "images" / name).exists() for name in ("paper_003_fig16a.png", "paper_003_fig27c.png"))
+    first = {(row["paper"], row["where"]): row for row in told}
+    found = {key: first[key]["verdict"] for key in expected(SHORT)}
+    factors = {key: row["factor"] for key, row in first.items() if row["factor"] is not None}
+    for one in repeat(THREE, quick=True, seeds=(1, 2), progress=unheard, processes=os.cpu_count() or 1):
+        for row in one.rows:
+            key = row.paper, row.entry.where
+            # The second and the third seed count as often as each.
+            seeds = [Measured(first[key]["values"]), *2 * [Measured(row.values)]]
+            [mean] = judged(replace(one.experiment, entries=(row.entry,)), seeds)
+            found[key], factors[key] = mean.verdict.value, mean.factor
+    wanted = expected((*THREE, *SHORT))
+    assert {key: found[key] for key in wanted} == wanted
+    # Our default never errs more than the best method as printed.
+    assert not {key: factor for key, factor in factors.items() if factor < 1.0}
 
 
 def test_a_claim_is_an_inequality_that_must_hold_in_every_case():
@@ -79,6 +96,26 @@ def test_rows_are_judged_on_the_mean_of_the_seeds_and_give_the_factor():
     assert left.why == "no film of it"
 
 
+def test_a_row_says_where_our_default_errs_more_and_gives_numbers_their_own_units():
+    entry = Entry("T", "w", "p", ("a", "a off by (%)"), ("b",), (Claim("c", "a", 9.0),), errors=True)
+    better, worse = (
+        judged(Experiment("003", "x", unheard, (entry,)), [Measured({"a": 1.0, "a off by (%)": 0.1, "b": ours})])[0]
+        for ours in (0.5, 2.0)
+    )
+    assert (better.compared, better.worse) == ("2 times less", False)
+    assert (worse.compared, worse.worse) == ("WORSE: 2 times more", True)
+    assert worse.printed == "a 1 mm; a off by 0.1 %"
+
+
+def test_experiments_in_two_processes_are_those_in_one():
+    some = (entries_003.ALIASES, entries_003.BEAM)
+    alone, apart = (
+        repeat(some, quick=True, seeds=(0, 1), progress=unheard, processes=processes) for processes in (1, 2)
+    )
+    shown = [[(row.entry.where, row.printed, row.ours) for one in run for row in one.rows] for run in (alone, apart)]
+    assert shown[0] == shown[1]
+
+
 def test_the_alias_formula_is_what_a_spectrum_of_samples_shows():
     for rate_hz in (3.0, 5.0, 6.0, 10.0):
         for tone_hz in two_stage_003.TONES_HZ:
@@ -91,19 +128,6 @@ def test_measuring_again_with_the_same_seed_gives_the_same_numbers():
     assert first == second
 
 
-def test_the_command_prints_every_row_and_writes_its_tables_and_figures(tmp_path):
-    text = tmp_path / "papers.md"
-    (tmp_path / "images").mkdir()
-    ran = CliRunner().invoke(commands, ["papers", "--only", "003", "--quick", "--report", str(text), "--json"])
-    assert ran.exit_code == 0, ran.output
-    found = json.loads(ran.stdout)
-    entries = [entry for one in entries_003.EXPERIMENTS for entry in one.entries]
-    assert [row["where"] for row in found["rows"]] == [entry.where for entry in entries]
-    assert all(row["why"] for row in found["rows"])
-    assert text.read_text(encoding="utf-8").count("does not hold") == sum(key[0] == "003" for key in FAILING)
-    assert all((tmp_path / "images" / name).exists() for name in ("paper_003_fig16a.png", "paper_003_fig27c.png"))
-
-
 def test_it_speaks_to_people_and_is_silent_when_asked(monkeypatch):
     monkeypatch.setattr(entries_003, "EXPERIMENTS", (entries_003.ALIASES,))
     told, silent = (CliRunner().invoke(commands, ["papers", "--only", "003", *more]) for more in ((), ("--quiet",)))
@@ -114,7 +138,7 @@ def test_it_speaks_to_people_and_is_silent_when_asked(monkeypatch):
 
 def test_the_page_needs_no_network_and_holds_every_row(tmp_path):
     some = (entries_003.ALIASES, entries_003.BEAM)
-    outcomes = repeat(some, quick=True, seeds=1, progress=lambda done, total, what: None)
+    outcomes = repeat(some, quick=True, seeds=(0,), progress=unheard)
     html = write_papers(outcomes, tmp_path / "papers.html", "midspan papers").read_text(encoding="utf-8")
     assert "Content-Security-Policy" in html
     assert "http://" not in html.replace("http://www.w3.org", "")
@@ -122,7 +146,14 @@ def test_the_page_needs_no_network_and_holds_every_row(tmp_path):
     assert html.count("<figure") == 2
 
 
-def test_a_report_of_another_kind_is_refused_before_anything_runs(tmp_path):
-    ran = CliRunner().invoke(commands, ["papers", "--report", str(tmp_path / "x.pdf")])
+@pytest.mark.parametrize(("name", "told"), [("x.pdf", ".html or .md"), ("none/x.md", "does not exist")])
+def test_a_report_that_cannot_be_written_is_refused_before_anything_runs(tmp_path, name, told):
+    ran = CliRunner().invoke(commands, ["papers", "--report", str(tmp_path / name)])
     assert ran.exit_code == 2
-    assert ".html or .md" in ran.output
+    assert told in ran.output
+
+
+def test_a_page_of_markdown_makes_the_folder_of_its_figures(tmp_path):
+    outcomes = repeat((entries_003.BEAM,), quick=True, seeds=(0,), progress=unheard)
+    text = write_papers(outcomes, tmp_path / "papers.md", "midspan papers").read_text(encoding="utf-8")
+    assert all((tmp_path / name).exists() for name in re.findall(r"\]\((images/[^)]+)\)", text))

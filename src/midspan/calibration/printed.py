@@ -41,12 +41,13 @@ class PrintedSteps:
     band_hz: lower and upper end; None: `printed_band`. spline: the cross-correlation is interpolated (two-stage paper,
     step 3); without, the offset is a whole number of frame intervals. sampled_first: the displacement is brought to the
     camera's rate before it is filtered (two-stage paper, step 2), so that both series are aliased alike; otherwise
-    after (AMKF paper).
+    after (AMKF paper). positive: the scale factor is known to be above 0, as the papers know its sign.
     """
 
     band_hz: tuple[float, float] | None = None
     spline: bool = True
     sampled_first: bool = True
+    positive: bool = False
 
 
 def printed_band(rate_hz: float) -> tuple[float, float]:
@@ -61,6 +62,8 @@ def printed_offset(pair: Pair, max_offset_s: float, steps: PrintedSteps) -> floa
     a narrow band the correlation half a period away is nearly as large, and a spline through few frames a period may
     show it larger.
     """
+    if steps.positive:
+        return _offsets(pair, max_offset_s, steps)[0]
     return min(_offsets(pair, max_offset_s, steps), key=lambda offset_s: _fitted(pair, offset_s, steps).left)
 
 

@@ -1,5 +1,6 @@
 """`midspan papers [--only KEY]`."""
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -32,7 +33,7 @@ def command(only: str | None, quick: bool, seeds: int | None, report: str | None
     path = _report_file(report)
     wanted = experiments([only] if only else MODULES)
     count = seeds or (QUICK_SEEDS if quick else SEEDS)
-    outcomes = repeat(wanted, quick=quick, seeds=count, progress=console.progress)
+    outcomes = repeat(wanted, quick=quick, seeds=range(count), progress=console.progress, processes=os.cpu_count() or 1)
     console.done()
     for paper in PAPERS:
         _show(console, paper.key, [row for one in outcomes if one.experiment.paper == paper.key for row in one.rows])
@@ -54,6 +55,10 @@ def _report_file(report: str | None) -> Path | None:
     path = Path(report)
     if path.suffix not in (".html", ".md"):
         raise click.UsageError(f"--report must end in .html or .md; received {report!r}. Give one of these endings.")
+    if not path.parent.is_dir():
+        raise click.UsageError(
+            f"--report {report}: the folder {path.parent} does not exist. Make it or choose another."
+        )
     return path
 
 
@@ -66,8 +71,8 @@ def _how(only: str | None, quick: bool, seeds: int) -> str:
 def _show(console: Console, key: str, rows: "list[Row]") -> None:
     for row in rows:
         console.say(f"{key} {row.entry.where}: {row.entry.what}")
-        better = f" ({row.factor:.3g} times less)" if row.factor == row.factor else ""
-        lines = [("paper", row.entry.paper), ("as printed", row.printed), ("our default", f"{row.ours}{better}")]
+        ours = f"{row.ours} ({row.compared})" if row.compared else row.ours
+        lines = [("paper", row.entry.paper), ("as printed", row.printed), ("our default", ours)]
         console.table([(name, text) for name, text in lines if text])
         console.table([("claim", f"{row.verdict.value}: {row.why}")])
 
@@ -75,7 +80,12 @@ def _show(console: Console, key: str, rows: "list[Row]") -> None:
 def _counted(rows: "list[Row]") -> str:
     from midspan.evaluate.papers.claims import Verdict
 
-    return ", ".join(f"{sum(row.verdict is verdict for row in rows)} {verdict.value}" for verdict in Verdict)
+    verdicts = ", ".join(f"{sum(row.verdict is verdict for row in rows)} {verdict.value}" for verdict in Verdict)
+    compared = [row for row in rows if row.compared]
+    return (
+        f"{verdicts}; our default errs more than a method as printed in {sum(row.worse for row in compared)} of "
+        f"{len(compared)} rows"
+    )
 
 
 def _free(outcomes: "list[Outcome]") -> dict[str, str]:

@@ -71,6 +71,7 @@ def _axes(curve: Curve) -> "Figure":
 
 
 def _markdown(outcomes: Sequence[Outcome], path: Path, command: str) -> str:
+    (path.parent / "images").mkdir(exist_ok=True)
     lines = ["# The papers' tables and figures, repeated", "", f"{_made(command)}", ""]
     for paper in _repeated(outcomes):
         own = [one for one in outcomes if one.experiment.paper == paper.key]
@@ -90,7 +91,7 @@ def _markdown(outcomes: Sequence[Outcome], path: Path, command: str) -> str:
 
 
 def _cells(row: Row) -> tuple[str, ...]:
-    factor = f"{row.factor:.3g}" if row.factor == row.factor else ""
+    factor = row.compared.removesuffix(" times less")
     where = f"{row.entry.where}: {row.entry.what}"
     return where, row.entry.paper, row.printed, row.ours, factor, f"{row.verdict.value}: {row.why}"
 

@@ -1,18 +1,19 @@
 """The two-stage paper's calibration, section 3: scale factor and clock offset at 30 and 3 frames/s; figures 18, 19, 23.
 
-Steps as printed: double integral, band-pass, cross-correlation with or without a spline, least squares. "proposed"
-samples the displacement as the camera does before it is filtered, "existing" after.
+The steps are those of `calibration.printed`. "proposed" samples the displacement as the camera does before it is
+filtered, "existing" after; with or without a spline of the cross-correlation.
 """
 
 from typing import Any
 
 import numpy as np
 
+from midspan.calibration.fit import Pair
+from midspan.calibration.printed import PrintedSteps, calibrate_printed
 from midspan.evaluate.papers.claims import Effort, Measured
 from midspan.evaluate.papers.two_stage_003 import (
     CAMERA_HZ,
     FIRS,
-    RATE_HZ,
     STOREY,
     STOREY_S,
     TONES_HZ,
@@ -22,57 +23,19 @@ from midspan.evaluate.papers.two_stage_003 import (
     recorded,
     storey_motion,
 )
-from midspan.records import Floats
 
-LOW_HZ = 0.5
-# The filter's beginning and end, s: a Butterworth filter of 0.5 Hz has settled.
-EDGE_S = 4.0
-MAX_LAG_S = 1.0
-
-
-def _passed(values: Floats, rate_hz: float, high_hz: float) -> Floats:
-    """Values (n,) from 0.5 Hz to `high_hz`, or without an upper end where that is half the rate."""
-    from scipy.signal import butter, sosfiltfilt
-
-    kind, edges = ("highpass", LOW_HZ) if high_hz > 0.49 * rate_hz else ("bandpass", [LOW_HZ, high_hz])
-    return np.asarray(sosfiltfilt(butter(4, edges, kind, fs=rate_hz, output="sos"), values - np.mean(values)))
+LOW_HZ, HIGH_HZ = 0.5, 3.0
+MAX_OFFSET_S = 1.0
 
 
 def aligned(record: Record, slow_hz: float, *, sampled_first: bool, spline: bool, late_s: float) -> tuple[float, float]:
     """Scale factor over the true one, and the clock offset's error in s; the camera's stamps are `late_s` late."""
-    high_hz = min(3.0, 0.5 * slow_hz)
-    at_s = record.displacement.time_ns / 1e9
-    track = _passed(record.displacement.value_m, slow_hz, high_hz)
-    felt_s = record.acceleration.time_ns / 1e9
-    speed = np.cumsum(record.acceleration.value_m_s2 - np.mean(record.acceleration.value_m_s2)) / RATE_HZ
-    # A sum over the samples holds half a step more, a sum of sums a whole one.
-    moved, moved_s = np.cumsum(speed - np.mean(speed)) / RATE_HZ, felt_s + 1 / RATE_HZ
-    moved -= np.polynomial.Polynomial.fit(moved_s, moved, 2)(moved_s)
-
-    def seen(time_s: Floats) -> Floats:
-        if sampled_first:
-            return _passed(np.interp(time_s, moved_s, moved), slow_hz, high_hz)
-        return np.asarray(np.interp(time_s, moved_s, _passed(moved, RATE_HZ, high_hz)))
-
-    offset_s = _lag_s(seen(at_s + late_s), track, slow_hz, spline=spline)
-    inner = slice(round(EDGE_S * slow_hz), -round(EDGE_S * slow_hz))
-    known, found = seen(at_s + late_s + offset_s)[inner], track[inner]
-    return float(found @ known / (found @ found)), offset_s + late_s
-
-
-def _lag_s(known: Floats, track: Floats, rate_hz: float, *, spline: bool) -> float:
-    """By how much later `known` must be taken for its correlation with `track` to be largest, s."""
-    from scipy.interpolate import CubicSpline
-
-    most = max(int(MAX_LAG_S * rate_hz), 3)
-    lags = np.arange(-most, most + 1)
-    middle = slice(most, len(track) - most)
-    whole = np.array([float(np.roll(known, -lag)[middle] @ track[middle]) for lag in lags])
-    best = int(np.argmax(whole))
-    if not spline:
-        return float(lags[best] / rate_hz)
-    fine = np.linspace(lags[max(best - 1, 0)], lags[min(best + 1, len(lags) - 1)], 2001)
-    return float(fine[np.argmax(CubicSpline(lags, whole)(fine))] / rate_hz)
+    felt, seen = record.acceleration, record.displacement
+    samples = np.column_stack((felt.time_ns / 1e9, felt.value_m_s2, np.ones(len(felt.time_ns))))
+    rows = np.column_stack((seen.time_ns / 1e9 + late_s, seen.value_m, np.ones(len(seen.time_ns))))
+    steps = PrintedSteps((LOW_HZ, min(HIGH_HZ, 0.5 * slow_hz)), spline, sampled_first, positive=True)
+    scale, offset = calibrate_printed(Pair(samples, rows), MAX_OFFSET_S, steps)
+    return scale.value_m_per_px, offset.value_s + late_s
 
 
 def scales(effort: Effort) -> Measured:

@@ -72,8 +72,9 @@ class Entry:
     """A table or figure of a paper: what it prints, the measured names to show for it, and its claims.
 
     where: "Fig. 14"; paper: the paper's own figure; printed, ours: names of measured numbers of the method as printed
-    and of our default. errors: both are errors, so that the factor between their least can be given. because: why the
-    claim does not hold here, or, without claims, why it cannot be tried.
+    and of our default; a name that ends in "(…)" has a unit of its own. errors: both are errors, those with a unit of
+    their own excepted, so that the factor between their least can be given. because: why the claim does not hold here,
+    or, without claims, why it cannot be tried.
     """
 
     where: str
@@ -102,7 +103,7 @@ class Experiment:
 class Row:
     """An entry with what was measured, mean over the seeds: texts to show, the verdict and the numbers themselves.
 
-    factor: least error as printed over ours; NaN where there are not both.
+    factor: least error as printed over ours, below 1 where ours is worse; NaN where there are not both.
     """
 
     paper: str
@@ -113,6 +114,18 @@ class Row:
     why: str
     values: Mapping[str, Floats]
     factor: float = float("nan")
+
+    @property
+    def worse(self) -> bool:
+        """Whether our default errs more than the best method as printed."""
+        return self.factor < 1.0
+
+    @property
+    def compared(self) -> str:
+        """Our error over the least one as printed, in words; empty where there are not both."""
+        if np.isnan(self.factor):
+            return ""
+        return f"WORSE: {1.0 / self.factor:.3g} times more" if self.worse else f"{self.factor:.3g} times less"
 
     def to_dict(self) -> dict[str, object]:
         """For scripts."""
@@ -126,6 +139,7 @@ class Row:
             "verdict": self.verdict.value,
             "why": self.why,
             "factor": self.factor,
+            "worse": self.worse,
             "values": {name: value.tolist() for name, value in self.values.items()},
             "claims": {claim.text: claim.holds(self.values) for claim in self.entry.claims},
         }
@@ -163,15 +177,34 @@ def _row(paper: str, entry: Entry, values: dict[str, Floats]) -> Row:
 def _factor(entry: Entry, values: Mapping[str, Floats]) -> float:
     if not (entry.errors and entry.printed and entry.ours):
         return float("nan")
-    printed, ours = (min(float(np.mean(values[name])) for name in part) for part in (entry.printed, entry.ours))
+    printed, ours = (
+        min((float(np.mean(values[name])) for name in part if not _own_unit(name)), default=float("nan"))
+        for part in (entry.printed, entry.ours)
+    )
     return printed / ours
 
 
+def _own_unit(name: str) -> str:
+    """The unit in a name like "share (%)"; empty where there is none."""
+    found = re.search(r" \(([^()]+)\)$", name)
+    return found.group(1) if found else ""
+
+
+def _without_unit(name: str) -> str:
+    return name.removesuffix(f" ({_own_unit(name)})")
+
+
 def _shown(names: Sequence[str], values: Mapping[str, Floats], entry: Entry) -> str:
-    """ "existing 0.13 / 0.12, proposed 0.03 / 0.02 mm"; what all names of the entry end with is left out."""
-    tail = _common_tail((*entry.printed, *entry.ours))
-    parts = [f"{name.removesuffix(tail)} {' / '.join(f'{value:.3g}' for value in values[name])}" for name in names]
-    return f"{', '.join(parts)} {entry.unit}".rstrip() if parts else ""
+    """ "existing 0.13 / 0.12; proposed 0.03 / 0.02 mm"; what all names of the entry end with is left out."""
+    tail = _common_tail([_without_unit(name) for name in (*entry.printed, *entry.ours)])
+    units = [_own_unit(name) or entry.unit for name in names]
+    parts = []
+    for k, name in enumerate(names):
+        label = _without_unit(name).removesuffix(tail)
+        numbers = " / ".join(f"{value:.3g}" for value in values[name])
+        # A unit stands behind the last number that it belongs to.
+        parts.append(f"{label} {numbers} {'' if units[k : k + 2] == 2 * [units[k]] else units[k]}".rstrip())
+    return "; ".join(parts)
 
 
 def _common_tail(names: Sequence[str]) -> str:

@@ -1,84 +1,220 @@
-"""The papers on camera and accelerometer on their simulated scenes: a tracker alone, and fused.
+"""The papers on camera and accelerometer on their simulated scenes, run as a user runs them.
 
-Camera alone: a tracker learns from the calibration's frames where it can, and then it gets the filter's prediction with
-every frame, as in the papers. The track is judged by the true scale factor; what a fitted or a known one is off by
-stands apart. Fused: calibration and estimation of the recording as a user runs them. Errors are standard deviations
+A scene is written as a recording, calibrated and estimated; as printed is what `midspan estimate --literal` does. One
+run gives the error after fusion and that of its camera alone, each by the scale factor that was calibrated and by the
+true one: what the calibration gets wrong and what the tracker gets wrong stand apart. Errors are standard deviations
 over one excitation each.
 """
 
+import tempfile
+import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from midspan.calibration.sensors.camera import CameraCalibration
 from midspan.calibration.sensors.camera_scale import CameraScale
 from midspan.engine.sensors import ACROSS_STD_PX, MIN_STD_PX
+from midspan.engine.tracking import CameraTracking
 from midspan.fusion.streams import KalmanFilter, KalmanSettings
+from midspan.progress import silent
 from midspan.recording.calibrate import calibrate_and_track
 from midspan.recording.estimate import estimate
-from midspan.recording.streams.recording import open_recording
+from midspan.recording.streams.recording import Recording, open_recording
+from midspan.recording.tracking.opening import open_tracking
 from midspan.records import (
     Acceleration,
     Floats,
     Frame,
+    Nanoseconds,
     PixelTrack,
     PixelTranslation,
     Prediction,
     TimeSeries,
     part,
 )
-from midspan.simulate.scenarios.papers import ACCELEROMETER, CALIBRATION, FRAME_RATE, Film
-from midspan.sources.camera.formats import open_frames
-from midspan.sources.camera.frames import FrameRequest
-from midspan.vision.tracker import Tracker, open_tracker
+from midspan.settings.stored.calibration import Calibration
+from midspan.simulate.scenarios.papers import ACCELEROMETER, CALIBRATION, Film, write_recording
+from midspan.vision.tracker import Tracker, open_tracker, tracker_settings
 
-# Of the papers' calibration, Hz: from 0.3 Hz to a tenth of the camera's 29.97 frames a second.
-BAND_HZ = (0.3, 3.0)
+# What the printed calibration is given: its band reaches from 0.3 Hz to a tenth of the camera's 29.97 frames a second,
+# of which every third is used (AMKF paper, sections 3.1.1 and 4.1).
+PRINTED: dict[str, Any] = {"band_hz": (0.3, 2.997)}
+HALF_SAMPLE_S = 0.5 / ACCELEROMETER.rate_hz
 
 
 @dataclass(frozen=True, slots=True)
-class CameraAlone:
-    """A track: error of each excitation in mm by the true scale factor (NaN where the target was never seen).
+class Way:
+    """How a recording is run: the options --tracker, --method and --literal, and camera.tracker_settings.
 
-    found_mm_per_px: the scale factor that the papers' calibration gives for it; lost: frames; good (n,): matches or
-    share of the phases that agree, NaN where it was lost.
+    like: the way before this one whose calibration is taken (--calibration); left out, it is calibrated anew.
     """
 
-    rmse_mm: dict[str, float]
-    found_mm_per_px: float
-    lost: int
+    tracker: str
+    method: str
+    literal: bool = False
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    like: str = ""
+
+    def opened(self, folder: Path) -> Recording:
+        """The recording in `folder` with these options."""
+        camera = {"tracker": self.tracker, "tracker_settings": dict(self.settings)}
+        fusion = {"method": self.method, "literal": self.literal}
+        if not self.literal:
+            return open_recording(folder, camera=camera, fusion=fusion)
+        found = open_recording(folder, camera=camera, fusion=fusion, calibration=PRINTED)
+        return Recording(found.file, found.settings.calibrated_as_printed())
+
+
+@dataclass(frozen=True, slots=True)
+class Track:
+    """A target's track in a film: px (n,) along the motion, NaN where it was lost, and good (n,), its matches or the
+    share of the phases that agree.
+    """
+
+    film: Film
     px: Floats
     good: Floats
 
     @property
-    def mean_mm(self) -> float:
-        """Mean over the excitations, mm."""
-        return float(np.mean(list(self.rmse_mm.values())))
+    def lost(self) -> int:
+        """Frames in which the target was not found."""
+        return int(np.count_nonzero(~np.isfinite(self.px)))
+
+    @property
+    def wrong(self) -> int:
+        """Frames in which it was not found, or a pixel or more off."""
+        off = self.px - self.film.seen_m() / self.film.scale_m_per_px
+        return int(np.count_nonzero(~(np.abs(off - np.nanmedian(off)) < 1.0)))
+
+    def errors_mm(self, scale_m_per_px: float | None = None) -> dict[str, float]:
+        """Error of each excitation by a scale factor, the true one when left out; NaN where nothing was found.
+
+        It is taken against the displacement averaged over each exposure: more a camera alone cannot tell.
+        """
+        scale = self.film.scale_m_per_px if scale_m_per_px is None else scale_m_per_px
+        error = 1e3 * (scale * self.px - self.film.seen_m())
+        return by_excitation(self.film, self.film.stamps_s + self.film.time_offset_s, error)
 
 
 @dataclass(frozen=True, slots=True)
-class Fused:
-    """Error of each excitation in mm, and the root mean square over all of them with the error of the zero in it.
+class Run:
+    """What a way gives for a film: its camera alone, and fused.
 
-    later_mm: the error against the truth half a sample earlier: a filter that holds the acceleration is late by that.
+    fused_mm: error of each excitation; apart_mm: that by the true scale factor, of the same track; late_mm: the latter
+    against the truth half a sample earlier, since a filter that holds the acceleration is late by that; of a way that
+    is not as printed the first only. tracker: with what it has learnt; frame_ms: processor time of a frame, tracked
+    and fused.
     """
 
-    rmse_mm: dict[str, float]
-    whole_mm: float
-    later_mm: dict[str, float]
-    scale_mm_per_px: float
+    track: Track
+    recording: Recording
+    calibration: Calibration
+    tracker: Any
+    fused_mm: dict[str, float]
+    apart_mm: dict[str, float]
+    late_mm: dict[str, float]
+    frame_ms: float
 
     @property
-    def mean_mm(self) -> float:
-        """Mean over the excitations, mm."""
-        return float(np.mean(list(self.rmse_mm.values())))
+    def camera(self) -> CameraCalibration:
+        """The camera's part of the calibration."""
+        assert self.calibration.camera is not None
+        return self.calibration.camera
+
+    @property
+    def scale_m_per_px(self) -> float:
+        """The scale factor that was calibrated."""
+        return self.camera.scale.value_m_per_px
+
+    @property
+    def scale_off(self) -> float:
+        """By what share it is off."""
+        return abs(self.scale_m_per_px / self.track.film.scale_m_per_px - 1.0)
 
 
-def recorded_frames(folder: Path) -> list[Frame]:
-    """The frames of a recording of `write_recording` as they come out of its video, with their stamps."""
-    return list(open_frames(folder / "camera.mkv", FrameRequest(times=folder / "camera_times.csv")).frames())
+def mean_mm(errors: Mapping[str, float]) -> float:
+    """Mean of the excitations' errors, mm."""
+    return float(np.mean(list(errors.values())))
+
+
+def with_means(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Numbers by name, and "…, mean" of each that is a list over the excitations."""
+    return dict(values) | {f"{key}, mean": float(np.mean(one)) for key, one in values.items() if isinstance(one, list)}
+
+
+def calibration_frames(film: Film) -> int:
+    """How many frames belong to the calibration."""
+    return int(np.searchsorted(film.stamps_s + film.time_offset_s, film.spans[CALIBRATION][1]))
+
+
+def half_sample_mm(film: Film) -> dict[str, float]:
+    """What a filter that is half a sample late, and has no other error, errs in each excitation."""
+    time_s = np.arange(film.stamps_s[0], film.stamps_s[-1], 2.0 * HALF_SAMPLE_S)
+    return by_excitation(film, time_s, 1e3 * (film.truth_m(time_s) - film.truth_m(time_s - HALF_SAMPLE_S)))
+
+
+def run_all(film: Film, ways: Mapping[str, Way]) -> dict[str, Run]:
+    """The film's recording, run in each way."""
+    runs: dict[str, Run] = {}
+    with tempfile.TemporaryDirectory() as place:
+        folder = write_recording(film, Path(place) / "recording")
+        for name, way in ways.items():
+            runs[name] = run_film(film, folder, way, runs[way.like].calibration if way.like else None)
+    return runs
+
+
+def run_film(film: Film, folder: Path, way: Way, calibration: Calibration | None = None) -> Run:
+    """Calibrate, unless the calibration is given, and estimate the film's recording in `folder`."""
+    asked = way.opened(folder)
+    if calibration is None:
+        calibration, tracking = calibrate_and_track(asked)
+        assert tracking is not None
+    else:
+        tracking = open_tracking(asked.cameras[0], calibration.camera, silent)
+    left, begun_s = len(tracking.time_ns) - tracking.done, time.process_time()
+    rows = estimate(asked, calibration, method=way.method, tracking=tracking).estimate
+    frame_ms = 1e3 * (time.process_time() - begun_s) / left
+    apart, late = {}, {}
+    if way.literal and not way.like:
+        known = _with_scale(calibration, film.scale_m_per_px)
+        by_true = estimate(asked, known, method=way.method, tracking=tracking).estimate
+        apart = _fused_mm(film, by_true.time_ns, by_true.displacement_m)
+        late = _fused_mm(film, by_true.time_ns, by_true.displacement_m, late_s=HALF_SAMPLE_S)
+    fused = _fused_mm(film, rows.time_ns, rows.displacement_m)
+    track, tracker = track_of(film, tracking), tracking.targets[0].tracker
+    return Run(track, asked, calibration, tracker, fused, apart, late, frame_ms)
+
+
+def _with_scale(calibration: Calibration, scale_m_per_px: float) -> Calibration:
+    """The calibration with another scale factor."""
+    camera = calibration.camera
+    assert camera is not None
+    scale = replace(camera.scale, value_m_per_px=scale_m_per_px)
+    targets = tuple(replace(target, scale=scale) for target in camera.targets)
+    return replace(calibration, camera=replace(camera, scale=scale, targets=targets))
+
+
+def track_of(film: Film, tracking: CameraTracking) -> Track:
+    """The first target's track in each frame of the film, as far as a recording's camera was tracked."""
+    target = tracking.targets[0]
+    places = np.searchsorted(np.rint(1e9 * film.stamps_s), target.track.time_ns)
+    px, good = np.full((2, len(film.stamps_s)), np.nan)
+    px[places], good[places] = target.track.along(film.scene.direction)[0], target.strengths
+    return Track(film, px, np.where(np.isfinite(px), good, np.nan))
+
+
+def followed(film: Film, tracker: str, **settings: Any) -> Track:
+    """The film's track by a tracker that gets no prediction."""
+    frames = frames_of(film)
+    own = open_tracker(tracker, frames[0], film.region, tracker_settings(tracker, **settings))
+    found = [own.push(frame) for frame in frames]
+    px = PixelTrack.stack(found).along(film.scene.direction)[0]
+    good = np.array([one.strength for one in found])
+    return Track(film, px, np.where(np.isfinite(px), good, np.nan))
 
 
 def frames_of(film: Film) -> list[Frame]:
@@ -88,75 +224,20 @@ def frames_of(film: Film) -> list[Frame]:
     ]
 
 
-def camera_alone(
-    film: Film, frames: Sequence[Frame], *, tracker: str, settings: Any = None, by_acceleration: bool = False
-) -> CameraAlone:
-    """Track the frames of a film (n,) with the tracker of that name; `settings`: its record, its defaults without one.
-
-    by_acceleration: a tracker that learns gets the accelerometer's motion in the papers' band. The error is taken
-    against the displacement averaged over each exposure: more a camera alone cannot tell.
-    """
-    count = calibration_frames(film)
-    follower = open_tracker(tracker, frames[0], film.region, settings)
-    if follower.frames_to_learn:
-        teach: Any = follower.learn
-        shaken = {"translation_px": shaken_m(film)[:count] / film.scale_m_per_px, "direction": film.scene.direction}
-        teach(frames[:count], **(shaken if by_acceleration else {}))
-    begun = [follower.push(frame) for frame in frames[:count]]
-    track = begun + _with_predictions(film, frames[count:], follower, PixelTrack.stack(begun))
-    px = PixelTrack.stack(track).along(film.scene.direction)[0]
-    found = 1e3 * printed_scale(film, px[:count])
-    good = np.array([one.strength if np.isfinite(one.x_px) else np.nan for one in track])
-    return CameraAlone(
-        errors_mm(film, px, film.scale_m_per_px), found, int(np.count_nonzero(~np.isfinite(px))), px, good
-    )
+def _fused_mm(film: Film, time_ns: Nanoseconds, value_m: Floats, late_s: float = 0.0) -> dict[str, float]:
+    """Error of each excitation against the displacement of the moment, or of `late_s` before."""
+    time_s = time_ns / 1e9
+    return by_excitation(film, time_s, 1e3 * (value_m - film.truth_m(time_s - late_s)))
 
 
-def calibration_frames(film: Film) -> int:
-    """How many frames belong to the calibration."""
-    return int(np.searchsorted(film.stamps_s + film.time_offset_s, film.spans[CALIBRATION][1]))
-
-
-def errors_mm(film: Film, px: Floats, scale_m_per_px: float) -> dict[str, float]:
-    """Error in mm of each excitation of a track (n,) in px by a scale factor."""
-    error = 1e3 * (scale_m_per_px * px - film.seen_m())
-    return by_excitation(film, film.stamps_s + film.time_offset_s, error)
-
-
-def shaken_m(film: Film) -> Floats:
-    """Displacement (n,) in m at the frames that the accelerometer gives in the papers' band: integrated twice."""
-    series = film.acceleration
-    rate_hz = 1e9 / float(np.median(np.diff(series.time_ns)))
-    speed = np.cumsum(series.value - np.mean(series.value)) / rate_hz
-    moved = np.cumsum(speed - np.mean(speed)) / rate_hz
-    # A sum over the samples holds half a step more, a sum of sums a whole one.
-    at_frames = np.interp(film.stamps_s + film.time_offset_s, series.time_ns / 1e9 + 1 / rate_hz, moved)
-    return _in_band(at_frames, float(FRAME_RATE))
-
-
-def printed_scale(film: Film, px: Floats) -> float:
-    """Scale factor in m/px as the papers calibrate: least squares of displacement on a track (k,) in a band."""
-    seen = np.isfinite(px)
-    places = np.arange(len(px))
-    whole = _in_band(np.interp(places, places[seen], px[seen]), float(FRAME_RATE))
-    known, track = shaken_m(film)[: len(px)][seen], whole[seen]
-    return float(track @ known / (track @ track))
-
-
-def _in_band(values: Floats, rate_hz: float) -> Floats:
-    """Values (n,) within BAND_HZ; the papers do not say by which filter, here Butterworth's, forwards and backwards."""
-    from scipy.signal import butter, sosfiltfilt
-
-    sections = butter(4, BAND_HZ, btype="bandpass", fs=rate_hz, output="sos")
-    return np.asarray(sosfiltfilt(sections, values - np.mean(values)), dtype=np.float64)
-
-
-def _with_predictions(
-    film: Film, frames: Sequence[Frame], tracker: Tracker, begun: PixelTrack
-) -> list[PixelTranslation]:
-    """The track in frames that are looked for where the filter expects the target; `begun`: the track before."""
-    scale = CameraScale(film.scale_m_per_px, film.scene.direction, round(1e9 * film.time_offset_s))
-    return with_predictions(frames, tracker, begun, Loop(scale, film.acceleration))
+def by_excitation(film: Film, time_s: Floats, error_mm: Floats) -> dict[str, float]:
+    """Standard deviation in mm of an error (n,) at true times (n,) in each excitation; what is NaN does not count."""
+    found = {}
+    for name, (start, stop) in film.spans.items():
+        inside = (time_s >= start) & (time_s < stop) & np.isfinite(error_mm)
+        if name != CALIBRATION:
+            found[name] = float(np.std(error_mm[inside])) if inside.any() else float("nan")
+    return found
 
 
 @dataclass(frozen=True, slots=True)
@@ -199,51 +280,3 @@ def _expected(predicted: tuple[float, float], scale: CameraScale, across_px: flo
     if scale.direction == "x":
         return Prediction(value, across_px, std, ACROSS_STD_PX)
     return Prediction(across_px, value, ACROSS_STD_PX, std)
-
-
-def by_excitation(film: Film, time_s: Floats, error_mm: Floats) -> dict[str, float]:
-    """Standard deviation in mm of an error (n,) at true times (n,) in each excitation; what is NaN does not count."""
-    found = {}
-    for name, (start, stop) in film.spans.items():
-        inside = (time_s >= start) & (time_s < stop) & np.isfinite(error_mm)
-        if name != CALIBRATION:
-            found[name] = float(np.std(error_mm[inside])) if inside.any() else float("nan")
-    return found
-
-
-@dataclass(frozen=True, slots=True)
-class Way:
-    """How a recording is estimated: sections of recording.toml, as keywords."""
-
-    camera: dict[str, Any]
-    fusion: dict[str, Any]
-
-
-def fused(film: Film, folder: Path, ways: Mapping[str, Way]) -> dict[str, Fused]:
-    """Calibrate and estimate the film's recording in `folder` in each way; ways that agree on the camera share a track.
-
-    The error is taken against the displacement of the moment.
-    """
-    out: dict[str, Fused] = {}
-    known: dict[str, Any] = {}
-    for name, way in ways.items():
-        asked = open_recording(folder, camera=way.camera, fusion=way.fusion)
-        key = repr(way.camera)
-        if key not in known:
-            known[key] = calibrate_and_track(asked)
-        calibration, tracking = known[key]
-        result = estimate(asked, calibration, method=way.fusion["method"], tracking=tracking)
-        rows = result.estimate
-        out[name] = _judged(
-            film, rows.time_ns / 1e9, rows.displacement_m, 1e3 * calibration.camera.scale.value_m_per_px
-        )
-    return out
-
-
-def _judged(film: Film, time_s: Floats, value_m: Floats, scale_mm_per_px: float) -> Fused:
-    error_mm = 1e3 * (value_m - film.truth_m(time_s))
-    half_s = 0.5 / ACCELEROMETER.rate_hz
-    held_mm = 1e3 * (value_m - film.truth_m(time_s - half_s))
-    after = time_s >= film.spans[CALIBRATION][1]
-    whole = float(np.sqrt(np.mean(error_mm[after] ** 2)))
-    return Fused(by_excitation(film, time_s, error_mm), whole, by_excitation(film, time_s, held_mm), scale_mm_per_px)

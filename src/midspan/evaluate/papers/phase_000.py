@@ -2,167 +2,146 @@
 
 Z. Ma, J. Choi, P. Liu, H. Sohn, Structural displacement estimation by fusing vision camera and accelerometer using
 hybrid computer vision algorithm and adaptive multi-rate Kalman filter, Autom. Constr. 140 (2022) 104338, doi
-10.1016/j.autcon.2022.104338, sections 4 and 5. "features" is the earlier paper's matching, "hybrid" the proposed one.
+10.1016/j.autcon.2022.104338, sections 4 and 5. "features" is the earlier paper's matching [24], "existing features"
+that of Yu and Zhang [18], "flow" the existing phase-based optical flow [26], "hybrid" the proposed algorithm.
 """
 
-from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from midspan.calibration.camera.felt import felt_motion
 from midspan.evaluate.papers.claims import Curve, Effort, Measured
 from midspan.evaluate.papers.films import (
-    CameraAlone,
+    Run,
+    Track,
     Way,
     calibration_frames,
-    camera_alone,
-    errors_mm,
+    followed,
     frames_of,
-    printed_scale,
+    run_all,
+    with_means,
 )
-from midspan.evaluate.papers.kalman_004 import fused_all, shot
-from midspan.records import Floats, Frame, PixelTrack, Region
-from midspan.simulate.scenarios.papers import Film
-from midspan.vision.active_pixels import by_amplitude, slope_and_r_squared
-from midspan.vision.phase_flow import gradient_form, phase_change, phase_slopes
-from midspan.vision.steerable import quadrature
-from midspan.vision.tracker import open_tracker, tracker_settings
+from midspan.evaluate.papers.kalman_004 import existing_technique, fused_values, printed_film
+from midspan.recording.streams.window import calibration_window
+from midspan.records import Floats, Frame, Region
+from midspan.signals.band_pass import band_passed
+from midspan.simulate.scenarios.papers import FRAME_RATE, Film
+from midspan.vision.active_pixels import slope_and_r_squared
+from midspan.vision.phase_flow import phase_change
+from midspan.vision.phase_model import region_patch
+from midspan.vision.steerable import MARGIN_PX, quadrature
 
 QUICK = {"indoor": ("sine", "sweep"), "outdoor": ("sine", "sweep"), "footbridge-phase": ("jumping", "crossing")}
-# As printed: settings of the trackers.
-FEATURES: dict[str, Any] = {"literal": True}
-HYBRID: dict[str, Any] = {"least_information": 0.0, "weighted": False}
-PIXELS: dict[str, dict[str, Any]] = {
-    "all": {"least_information": 1.0, "weighted": False},
-    "amplitude": {"active_pixels": "amplitude", "weighted": False},
-    "selected": HYBRID,
-}
-PRINTED = {"method": "adaptive-kalman", "literal": True}
+# The largest displacement that the technique of [18] must know beforehand, as in the earlier paper, mm.
+LARGEST_MM = {"indoor": 45.0, "outdoor": 45.0, "footbridge-phase": 4.5}
+# The existing flow: equation 3 with the pixels of large amplitude (table 3).
+FLOW: dict[str, Any] = {"form": "gradient", "active_pixels": "amplitude"}
 WAYS = {
-    "features, fused": Way({"tracker": "features", "tracker_settings": FEATURES}, PRINTED),
-    "hybrid, fused": Way({"tracker": "hybrid", "tracker_settings": HYBRID}, PRINTED),
-    "features, guarded": Way({"tracker": "features", "tracker_settings": FEATURES}, {"method": "adaptive-kalman"}),
-    "hybrid, guarded": Way({"tracker": "hybrid", "tracker_settings": HYBRID}, {"method": "adaptive-kalman"}),
-    "registration and smoother": Way({"tracker": "registration"}, {"method": "smoother"}),
+    "features": Way("features", "adaptive-kalman", literal=True),
+    "hybrid": Way("hybrid", "adaptive-kalman", literal=True),
+    "features guarded": Way("features", "adaptive-kalman", settings={"literal": True}),
+    "hybrid guarded": Way("hybrid", "adaptive-kalman", settings={"literal": True}),
+    "registration": Way("registration", "smoother"),
 }
-MARGIN_PX = 4  # of a filter of nine taps
+# What the hybrid is compared with outdoors and on the bridge.
+PIXELS = {
+    f"{kind} pixels{guarded}": Way(
+        "hybrid",
+        "adaptive-kalman",
+        literal=not guarded,
+        settings={"literal": True, "active_pixels": kind},
+        like=f"hybrid{guarded}",
+    )
+    for guarded in ("", " guarded")
+    for kind in ("amplitude", "all")
+}
+STEEP = {"flow, steep slopes": Way("phase", "kalman", settings=FLOW)}
 
 
-def scene(name: str) -> Callable[[Effort], Measured]:
-    """What measures one of the paper's three tests."""
-
-    def measure(effort: Effort) -> Measured:
-        return _measured(shot(name, effort, QUICK[name]))
-
-    return measure
-
-
-def _measured(one: Film) -> Measured:
-    frames = frames_of(one)
-    tracks = {f"{name} pixels": _alone(one, frames, "hybrid", values) for name, values in PIXELS.items()}
-    tracks["features"] = _alone(one, frames, "features", FEATURES)
-    tracks["our hybrid"] = _alone(one, frames, "hybrid", {})
-    tracks["registration"] = _alone(one, frames, "registration", {})
-    hybrid = tracks["selected pixels"]
-    phase = _phase_alone(one, frames)
-    values: dict[str, Any] = {name: list(track.rmse_mm.values()) for name, track in tracks.items()}
-    values["hybrid"] = values["selected pixels"]
-    for name, floor in (("flow", 0.0), ("flow, mended", 0.1)):
-        values[name] = list(errors_mm(one, flow(one, frames, hybrid.px, floor), one.scale_m_per_px).values())
-    values |= {"lost by phase alone": phase, "lost by hybrid": hybrid.lost}
-    values |= step_one(one, frames, tracks["features"].px)
-    values |= fused_all(one, WAYS)
-    values |= {f"{key}, mean": float(np.mean(values[key])) for key in tuple(values) if isinstance(values[key], list)}
-    values["true scale"] = one.scene.scale_mm_per_px
-    values["calibrated scale"] = abs(1e3 * printed_scale(one, tracks["features"].px[: calibration_frames(one)]))
-    return Measured(values, (_errors(one, tracks),))
+def scene(name: str, effort: Effort) -> Measured:
+    """One of the paper's three tests."""
+    one = printed_film(name, effort, QUICK[name])
+    runs = run_all(one, WAYS if name == "indoor" else WAYS | PIXELS | STEEP)
+    limit_px = LARGEST_MM[name] / one.scene.scale_mm_per_px
+    alone = {
+        "flow": followed(one, "phase", literal=True, **FLOW),
+        "existing features": existing_technique(one, limit_px),
+    }
+    values = _camera_alone(runs, alone) | fused_values(one, runs) | _learnt(one, runs)
+    return Measured(with_means(values), (_errors(one, runs),))
 
 
-def _alone(one: Film, frames: Sequence[Frame], name: str, values: dict[str, Any]) -> CameraAlone:
-    return camera_alone(one, frames, tracker=name, settings=tracker_settings(name, **values))
+def _camera_alone(runs: dict[str, Run], existing: dict[str, Track]) -> dict[str, Any]:
+    """Errors of the camera alone by the calibrated factor and by the true one.
 
-
-def _phase_alone(one: Film, frames: Sequence[Frame]) -> int:
-    """Frames that the conventional phase tracker loses: it gets no prediction."""
-    tracker = open_tracker("phase", frames[0], one.region, tracker_settings("phase"))
-    track = PixelTrack.stack([tracker.push(frame) for frame in frames])
-    return int(np.count_nonzero(~np.isfinite(track.along(one.scene.direction)[0])))
-
-
-def step_one(one: Film, frames: Sequence[Frame], px: Floats) -> dict[str, float]:
-    """R² of mean phase on motion in the calibration's frames, and the phase scale factor in mm/rad: figure 9.
-
-    With step 1 the region follows the matched track (n,) px by whole pixels and the motion is what is left; without it
-    stays where it was.
+    Existing techniques, which give no factor, by the hybrid's as printed; "guarded": by that of our calibration.
     """
-    count = calibration_frames(one)
-    motion = one.seen_m()[:count] / one.scale_m_per_px
-    seen = np.isfinite(px[:count])
-    places = np.where(seen, np.round(np.where(seen, px[:count], 0.0)), 0.0).astype(int)
-    found: dict[str, float] = {}
-    for name, place in (("with step 1", places), ("without step 1", np.zeros_like(places))):
-        phase = _mean_phases(one, frames[:count], place)
-        slope, r_squared = slope_and_r_squared(phase, motion - place)
-        found[f"R², {name}"] = float(r_squared)
-        found[f"mm/rad, {name}"] = 1e3 * one.scale_m_per_px / float(slope)
-    return found
-
-
-def _mean_phases(one: Film, frames: Sequence[Frame], places: NDArray[np.int64]) -> Floats:
-    """Mean phase (n,) of the region at its places over the pixels of large amplitude, rad."""
-    axis = one.scene.direction
-    first = quadrature(_patch(one, frames[0], 0, MARGIN_PX), axis)
-    index = np.flatnonzero(by_amplitude(np.abs(first)).ravel())
-    phases = []
-    for frame, place in zip(frames, places, strict=True):
-        now = quadrature(_patch(one, frame, int(place), MARGIN_PX), axis)
-        change = phase_change((now.real.copy(), now.imag.copy()), first.ravel()[index], index)
-        phases.append(float(np.mean(change)))
-    return np.array(phases)
-
-
-def flow(one: Film, frames: Sequence[Frame], px: Floats, least_slope: float) -> Floats:
-    """Translation (n,) in px by the conventional form, equation 3: the mean of phase over slope of the active pixels.
-
-    The region follows the track (n,) px by whole pixels, so that no phase wraps. least_slope: pixels whose phase is
-    flatter, rad/px, are left out; equation 3 has no such limit.
-    """
-    axis, k = one.scene.direction, "xy".index(one.scene.direction)
-    first = quadrature(_patch(one, frames[0], 0, MARGIN_PX), axis)
-    active = np.flatnonzero(by_amplitude(np.abs(first)).ravel())
-    found = []
-    for frame, where in zip(frames, px, strict=True):
-        place = round(float(where)) if np.isfinite(where) else 0
-        now = quadrature(_patch(one, frame, place, MARGIN_PX + 1), axis)
-        slope = phase_slopes(now)[k].ravel()[active]
-        inner = now[1:-1, 1:-1]
-        change = phase_change((inner.real.copy(), inner.imag.copy()), first.ravel()[active], active)
-        steep = np.abs(slope) > least_slope
-        moved = gradient_form(change, slope) if least_slope > 0 else float(np.mean(-change[steep] / slope[steep]))
-        found.append(place + moved)
-    return np.array(found)
-
-
-def _patch(one: Film, frame: Frame, place: int, margin: int) -> NDArray[np.float32]:
-    """The region's pixels, moved by whole pixels along the motion, with a margin."""
-    region: Region = one.region
-    x, y = (place, 0) if one.scene.direction == "x" else (0, place)
-    top, left = region.y + y - margin, region.x + x - margin
-    cut = frame.pixels[top : top + region.height + 2 * margin, left : left + region.width + 2 * margin]
-    values = np.ascontiguousarray(cut, dtype=np.float32)
-    values -= values.mean()
+    tracks = {name: (run.track, run.scale_m_per_px) for name, run in runs.items()}
+    for name, track in existing.items():
+        tracks[name] = track, runs["hybrid"].scale_m_per_px
+        tracks[f"{name} guarded"] = track, runs["hybrid guarded"].scale_m_per_px
+    values: dict[str, Any] = {}
+    for name, (track, scale) in tracks.items():
+        values[name] = list(track.errors_mm(scale).values())
+        values[f"{name}, true factor"] = list(track.errors_mm().values())
+        values[f"{name}, frames"] = track.wrong
     return values
 
 
-def _errors(one: Film, tracks: dict[str, CameraAlone]) -> Curve:
-    """Errors of the camera alone in the first excitation."""
+def _learnt(one: Film, runs: dict[str, Run]) -> dict[str, Any]:
+    """Both scale factors, active pixels and R² of mean phase on displacement by the printed calibration: figures 9, 12
+    and 14.
+    """
+    axis, hybrid = "xy".index(one.scene.direction), runs["hybrid"]
+    assert hybrid.camera.phase_scale_m_per_rad is not None
+    models = {"selected pixels": hybrid.tracker}
+    models |= {name: runs[name].tracker for name in ("amplitude pixels", "all pixels") if name in runs}
+    found: dict[str, Any] = {f"R², {name}": tracker.model.r_squared[axis] for name, tracker in models.items()}
+    for name, tracker in models.items():
+        active = (tracker.active_pixels.x, tracker.active_pixels.y)[axis]
+        found[f"{name} (%)"] = 100.0 * float(np.mean(active))
+    found["R², without step 1"] = without_step_one(one, hybrid)
+    found["beta (mm/rad)"] = 1e3 * hybrid.camera.phase_scale_m_per_rad
+    return found
+
+
+def without_step_one(one: Film, run: Run) -> float:
+    """R² of the same pixels' mean phase on displacement where the region stays as it was in the first frame."""
+    frames = frames_of(one)[: calibration_frames(one)]
+    stamps = np.array([frame.time_ns for frame in frames])
+    window, band_hz = calibration_window(run.recording), run.recording.settings.calibration.band_hz
+    felt = felt_motion(run.recording.prepared, window, run.camera, stamps, band_hz)
+    axis, chosen = one.scene.direction, run.tracker.active_pixels
+    active = np.flatnonzero((chosen.x, chosen.y)["xy".index(axis)])
+    first = _responses(frames[0], chosen.region, axis).ravel()[active]
+    seen = np.flatnonzero(np.isfinite(felt.translation_px))
+    phase = []
+    for k in seen:
+        now = _responses(frames[k], chosen.region, axis)
+        phase.append(float(np.mean(phase_change((now.real.copy(), now.imag.copy()), first, active))))
+
+    def passed(values: Floats) -> Floats:
+        return band_passed(values - values.mean(), float(FRAME_RATE), felt.band_hz)
+
+    return float(slope_and_r_squared(passed(np.array(phase)), passed(felt.translation_px[seen]))[1])
+
+
+def _responses(frame: Frame, region: Region, axis: str) -> NDArray[np.complex64]:
+    """Local phase and amplitude of a region's pixels."""
+    cut = np.asarray(frame.pixels[region_patch(region, 0, 0, MARGIN_PX)], dtype=np.float32)
+    return quadrature(np.ascontiguousarray(cut - cut.mean()), axis)
+
+
+def _errors(one: Film, runs: dict[str, Run]) -> Curve:
+    """Errors of the camera alone in the first excitation, by the true scale factor."""
     start, stop = next(span for name, span in one.spans.items() if name in one.scene.excitations)
     at_s = one.stamps_s + one.time_offset_s
     inside = (at_s >= start) & (at_s < min(stop, start + 8.0))
-    shown = {"features": "features", "selected pixels": "hybrid", "registration": "registration (ours)"}
+    shown = {"features": "features", "hybrid": "hybrid", "registration": "ours (registration)"}
     lines = {
-        label: (at_s[inside] - start, 1e3 * (one.scale_m_per_px * tracks[name].px - one.seen_m())[inside])
+        label: (at_s[inside] - start, 1e3 * (one.scale_m_per_px * runs[name].track.px - one.seen_m())[inside])
         for name, label in shown.items()
     }
     return Curve(f"{one.scene.title}, camera alone", "time (s)", "error (mm)", lines)

@@ -1,10 +1,12 @@
 """The papers' experiments in one table, and how they are run."""
 
 from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from dataclasses import dataclass
 from importlib import import_module
+from multiprocessing import get_context
 
-from midspan.evaluate.papers.claims import Curve, Effort, Experiment, Row, judged
+from midspan.evaluate.papers.claims import Curve, Effort, Experiment, Measured, Row, judged
 
 # Key of a paper → module with its EXPERIMENTS.
 MODULES = {
@@ -15,6 +17,8 @@ MODULES = {
     "004": "midspan.evaluate.papers.entries_004",
 }
 QUICK_SEEDS, SEEDS = 1, 3
+# How often progress is told, s; an interrupt ends the work then.
+LOOK_S = 0.5
 
 Progress = Callable[[int, int, str], None]  # measurements done, in all, the experiment's name
 
@@ -33,15 +37,39 @@ def experiments(papers: Iterable[str]) -> list[Experiment]:
     return [one for key in papers for one in import_module(MODULES[key]).EXPERIMENTS]
 
 
-def repeat(wanted: Sequence[Experiment], *, quick: bool, seeds: int, progress: Progress) -> list[Outcome]:
-    """Run the experiments over `seeds` seeds; rows are judged on their mean."""
-    outcomes, done, total = [], 0, seeds * len(wanted)
+def repeat(
+    wanted: Sequence[Experiment], *, quick: bool, seeds: Sequence[int], progress: Progress, processes: int = 1
+) -> list[Outcome]:
+    """Run the experiments with each seed; rows are judged on the mean. processes: how many run at the same time."""
+    found = iter(_measured([(one, Effort(seed, quick)) for one in wanted for seed in seeds], progress, processes))
+    outcomes = []
     for one in wanted:
-        found = []
-        for seed in range(seeds):
-            progress(done, total, f"{one.paper} {one.name}")
-            found.append(one.measure(Effort(seed, quick)))
-            done += 1
-        outcomes.append(Outcome(one, tuple(judged(one, found)), found[0].curves))
-    progress(total, total, "done")
+        own = [next(found) for _ in seeds]
+        outcomes.append(Outcome(one, tuple(judged(one, own)), own[0].curves))
     return outcomes
+
+
+def _measured(jobs: Sequence[tuple[Experiment, Effort]], progress: Progress, processes: int) -> list[Measured]:
+    """What each experiment gives, in their order."""
+    if processes < 2 or len(jobs) < 2:
+        found = []
+        for done, (one, effort) in enumerate(jobs):
+            progress(done, len(jobs), f"{one.paper} {one.name}")
+            found.append(one.measure(effort))
+        progress(len(jobs), len(jobs), "done")
+        return found
+    # A process that is forked would inherit threads of the libraries that are loaded.
+    with ProcessPoolExecutor(min(processes, len(jobs)), get_context("spawn")) as pool:
+        futures = [pool.submit(one.measure, effort) for one, effort in jobs]
+        try:
+            waiting = set(futures)
+            while waiting:
+                progress(len(jobs) - len(waiting), len(jobs), "repeating the experiments")
+                ended, waiting = wait(waiting, timeout=LOOK_S, return_when=FIRST_COMPLETED)
+                for future in ended:
+                    future.result()
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+        progress(len(jobs), len(jobs), "done")
+        return [future.result() for future in futures]
