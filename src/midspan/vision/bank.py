@@ -14,7 +14,7 @@ from midspan.vision.fine_spline import FINE_TAPS, PER_PX, fine_weights, read, re
 from midspan.vision.kernels import PHASES, Halves, Integers, block_part, build, phase_shift, rounded
 from midspan.vision.matching import CONTEXT_PX
 from midspan.vision.spline import Floats32
-from midspan.vision.texture import gaussian_taps, lowpass_taps, noise_gains, noise_std, values
+from midspan.vision.texture import gaussian_taps, lowpass_taps, noise_gains, noise_stds, values
 from midspan.vision.zncc import smooth as filtered
 
 # Blocks along each axis, and the least size in px for which there are fewer of them.
@@ -22,6 +22,7 @@ COARSE, FINE = (5, 20), (8, 10)
 LEAST_SHARE = 0.3  # of a block's gradients must be texture, not noise
 TEMPLATE_WEIGHT = 4.0  # as measured on four textures: the least scatter
 SMOOTHINGS_PX = (0.3, 0.4, 0.5, 0.6, 0.7, 0.85, 1.0, 1.2, 1.4, 1.7, 2.0)
+FALL_PX = 8
 TYPICAL_PX = 128  # of the window are looked at to choose the low-pass
 BANK_BYTES = 24 << 20  # of kernels in one bank: all 64 phases of a region of 256 px, 16 of one of 512 px
 
@@ -73,19 +74,26 @@ def block_box(down: Integers, across: Integers, block: int) -> tuple[int, int, i
 
 
 @njit(cache=True)
+def phase_slot(phase: int, count: int) -> int:
+    """The slot of a phase among so many; phases share slots where there are fewer of these.
+
+    Neighbouring phases, and those along either axis, have slots of their own where there are 8 of them.
+    """
+    x, y = divmod(phase, PHASES)
+    return (PHASES * x + (3 * x + y) % PHASES) % count
+
+
+@njit(cache=True)
 def slots(store: Store, phase: Integers, wanted: Mask) -> Integers:
     """The slot (blocks,) that holds each block's kernels for its `phase` (blocks,), -1 for those not `wanted`.
 
-    Each phase has one slot, which it shares with others where there are fewer slots than phases; kernels that are not
-    there are made, in place of those of another phase.
+    Kernels that are not there are made, in place of those of another phase (see `phase_slot`).
     """
     out = np.full(len(phase), -1, dtype=np.int64)
     for b in range(len(phase)):
         if not wanted[b]:
             continue
-        # Neighbouring phases, and those along either axis, have slots of their own where there are 8 of them.
-        x, y = divmod(phase[b], PHASES)
-        slot = (PHASES * x + (3 * x + y) % PHASES) % len(store.kernels)
+        slot = phase_slot(phase[b], len(store.kernels))
         if store.phase_in[b, slot] != phase[b]:
             box = block_box(store.down, store.across, b)
             first, size = block_part(box, store.weight.shape[1])
@@ -97,48 +105,82 @@ def slots(store: Store, phase: Integers, wanted: Mask) -> Integers:
     return out
 
 
-@cache
-def _noise_slopes(smoothing_px: float) -> tuple[float, float]:
-    """What noise of variance 1 gives: square of its low-passed slopes, both axes, and their product with the plain."""
-    impulse = np.zeros((41, 41))
-    impulse[20, 20] = 1.0
-    grid = refined(impulse)
-    plain, smooth = _slopes(grid), _slopes(_lowpassed(grid, smoothing_px))
-    return float(np.sum(smooth**2)), float(np.sum(smooth * plain))
-
-
 def best_smoothing_px(plane: Plane, window: Region) -> float:
     """The low-pass (px) that gives the least variance with this signal and noise, by the instrument's formula.
 
     Variance = mean Z'² over (mean Z' T')², with slopes Z' of the low-passed template, T' of the template; what noise
-    adds to Z' counts `TEMPLATE_WEIGHT` times more, because a template's noise also shifts with the frame's phase.
+    adds to Z' counts `TEMPLATE_WEIGHT` times more, because a template's noise also shifts with the frame's phase. The
+    means are sums over frequencies: each low-pass is a factor there.
     """
     height, width = (min(size, TYPICAL_PX) for size in (window.height, window.width))
     place = plane.origin[0] + (window.height - height) // 2, plane.origin[1] + (window.width - width) // 2
-    square, plain = plane.noise_std**2, _slopes(_cropped(plane.grid, place, (height, width)))
-    variance = []
+    fall = np.outer(_fall(height), _fall(width))
+    power = _slope_power(_slopes(cropped(plane.grid, place, (height, width))) * fall) / np.mean(fall**2)
+    square, noise, variance = plane.noise_std**2, _noise_power(height, width), []
     for sigma in SMOOTHINGS_PX:
-        smooth = _slopes(_cropped(_lowpassed(plane.grid, sigma), place, (height, width)))
-        own, shared = _noise_slopes(sigma)
-        clean = max(float(np.mean(np.sum(smooth**2, axis=0))) - square * own, 1e-30)
-        along = max(float(np.mean(np.sum(smooth * plain, axis=0))) - square * shared, 1e-30)
+        response = _lowpass_response(sigma, height, width)
+        own, shared = float(np.vdot(noise, response**2)), float(np.vdot(noise, response))
+        clean = max(float(np.vdot(power, response**2)) - square * own, 1e-30)
+        along = max(float(np.vdot(power, response)) - square * shared, 1e-30)
         variance.append((clean + TEMPLATE_WEIGHT * square * own) / along**2)
     return SMOOTHINGS_PX[int(np.argmin(variance))]
 
 
+def _fall(size: int) -> Floats:
+    """Weights (size,) that fall off to both ends, whose jump would count as fine detail."""
+    end = np.hanning(2 * FALL_PX + 1)[1 : FALL_PX + 1]
+    out = np.ones(size)
+    out[:FALL_PX], out[-FALL_PX:] = end, end[::-1]
+    return out
+
+
+def _slope_power(slopes: Floats) -> Floats:
+    """Power (rows, columns // 2 + 1) of each frequency of two slopes (2, rows, columns); it adds up to the mean square
+    of both.
+    """
+    power = np.sum(np.abs(np.fft.rfft2(slopes)) ** 2, axis=0) / slopes[0].size ** 2
+    power[:, 1 : (slopes.shape[2] + 1) // 2] *= 2.0
+    return np.asarray(power)
+
+
+@cache
+def _noise_power(height: int, width: int) -> Floats:
+    """What `_slope_power` of slopes of white noise of variance 1 is, in a window of this size."""
+    side = 41
+    impulse = np.zeros((side, side))
+    impulse[side // 2, side // 2] = 1.0
+    around = np.zeros((2, max(height, side), max(width, side)))
+    around[:, :side, :side] = _slopes(refined(impulse))
+    power = _slope_power(around) * around[0].size
+    rows = np.rint(np.fft.fftfreq(height) * len(power)).astype(int)
+    columns = np.rint(np.fft.rfftfreq(width) * around.shape[2]).astype(int)
+    return np.asarray(power[np.ix_(rows, columns)] * around[0].size / (height * width))
+
+
+@cache
+def _lowpass_response(smoothing_px: float, height: int, width: int) -> Floats:
+    """What `lowpass_taps` make (height, width // 2 + 1) of each frequency of a picture of this size."""
+
+    def along(frequency: Floats) -> Floats:
+        flat = 1.0 - np.sin(np.pi * frequency) ** 4
+        fine = gaussian_taps(PER_PX * smoothing_px)
+        place = np.arange(len(fine)) - len(fine) // 2
+        return np.asarray(flat * (np.cos(2.0 * np.pi * np.outer(frequency, place) / PER_PX) @ fine))
+
+    return np.outer(along(np.asarray(np.fft.fftfreq(height))), along(np.asarray(np.fft.rfftfreq(width))))
+
+
 def make_bank(plane: Plane, window: Region, smoothing_px: float, division: tuple[int, int]) -> Store:
     """The bank of a template in `division` blocks; its kernels are made when they are first needed."""
-    both = plane.grid, _lowpassed(plane.grid, smoothing_px)
-    grids = tuple(_cropped(grid, plane.origin, (window.height, window.width)) for grid in both)
-    down, across = _edges(window.height, division), _edges(window.width, division)
+    both = plane.grid, lowpassed(plane.grid, smoothing_px)
+    grids = tuple(cropped(grid, plane.origin, (window.height, window.width)) for grid in both)
+    down, across = division_edges(window.height, division), division_edges(window.width, division)
     x, y = np.meshgrid(0.5 * (across[1:] + across[:-1] - window.width), 0.5 * (down[1:] + down[:-1] - window.height))
     count, size = x.size, window.height * window.width
-    held = int(np.clip(BANK_BYTES // (6 * size), 4, PHASES**2))
+    held = held_phases(window)
     boxes = [block_box(down, across, b) for b in range(count)]
     covariance = np.array([_covariance((grids[0], grids[1]), plane.weight, box) for box in boxes])
-    noise = plane.noise_std**2 * noise_gains(smoothing_px)[1] * 2.0
-    share = np.clip(1.0 - noise / np.maximum(_gradient_squares(grids[1], boxes), 1e-30), 0.0, 1.0)
-    information = _information(covariance, share)
+    information = _information(covariance, texture_share(plane, grids[1], smoothing_px, (down, across)))
     spread = np.where(np.isfinite(covariance[:, 2, 2]), covariance[:, 2, 2], np.inf)
     return Store(
         grids=(grids[0], grids[1]),
@@ -157,6 +199,23 @@ def make_bank(plane: Plane, window: Region, smoothing_px: float, division: tuple
     )
 
 
+def held_phases(window: Region) -> int:
+    """Of how many phases a bank of the window holds the kernels."""
+    return int(np.clip(BANK_BYTES // (6 * window.height * window.width), 4, PHASES**2))
+
+
+def texture_share(plane: Plane, smooth: Floats32, smoothing_px: float, edges: tuple[Integers, Integers]) -> Floats:
+    """Share (blocks,) of the low-passed gradients of each block that is texture, not noise; 0 where it is too little.
+
+    `smooth`: fine coefficients (2 h + 7, 2 w + 7) of the low-passed window; `edges` of the blocks down and across.
+    """
+    down, across = edges
+    boxes = [block_box(down, across, b) for b in range((len(down) - 1) * (len(across) - 1))]
+    noise = plane.noise_std**2 * noise_gains(smoothing_px)[1] * 2.0
+    share = np.clip(1.0 - noise / np.maximum(_gradient_squares(smooth, boxes), 1e-30), 0.0, 1.0)
+    return np.where(share > LEAST_SHARE, share, 0.0)
+
+
 def _covariance(grids: tuple[Floats32, Floats32], weight: Floats32, box: tuple[int, int, int, int]) -> Floats:
     """Noise covariance (3, 3) of the kernels of a block for that noise, infinite where it holds no texture."""
     made = np.empty(3 * block_part(box, weight.shape[1])[1], dtype=np.float32)
@@ -167,7 +226,8 @@ def _covariance(grids: tuple[Floats32, Floats32], weight: Floats32, box: tuple[i
     return np.asarray((kernels / weight[box[0] : box[1], box[2] : box[3]].ravel()) @ kernels.T)
 
 
-def _edges(size: int, division: tuple[int, int]) -> Integers:
+def division_edges(size: int, division: tuple[int, int]) -> Integers:
+    """Edges (n + 1,) of the blocks along an axis of `size` px; `division`: most of them, and their least size, px."""
     count = min(division[0], max(size // division[1], 2))
     return np.array([k * size // count for k in range(count + 1)], dtype=np.int64)
 
@@ -181,14 +241,14 @@ def first_plane(image: NDArray[np.generic], window: Region, offset: float) -> Pl
     return Plane(refined(raw.astype(np.float64)), (window.y - y0, window.x - x0), weight, _block_noise(raw))
 
 
-def _cropped(grid: Floats32, origin: tuple[int, int], size: tuple[int, int]) -> Floats32:
+def cropped(grid: Floats32, origin: tuple[int, int], size: tuple[int, int]) -> Floats32:
     """The coefficients of the pixels from `origin` (row, column) on, `size` (rows, columns) of them."""
     top, left = (PER_PX * k for k in origin)
     down, across = (PER_PX * k + FINE_TAPS - PER_PX for k in size)
     return np.ascontiguousarray(grid[top : top + down, left : left + across])
 
 
-def _lowpassed(grid: Floats32, smoothing_px: float) -> Floats32:
+def lowpassed(grid: Floats32, smoothing_px: float) -> Floats32:
     """Coefficients of the image after `lowpass_taps`."""
     flat = np.zeros(PER_PX * 4 + 1)
     flat[::PER_PX] = lowpass_taps(0.0)
@@ -199,12 +259,9 @@ def _lowpassed(grid: Floats32, smoothing_px: float) -> Floats32:
 def _block_noise(raw: Floats32) -> float:
     """Noise of the image: the lower fifth of that of its parts, because fine texture counts as noise."""
     side = 16
-    parts = [
-        noise_std(raw[y : y + side, x : x + side].astype(np.float64))
-        for y in range(0, raw.shape[0] - side + 1, side)
-        for x in range(0, raw.shape[1] - side + 1, side)
-    ]
-    return float(np.quantile(parts, 0.2))
+    down, across = (size // side for size in raw.shape)
+    parts = raw[: down * side, : across * side].reshape(down, side, across, side).swapaxes(1, 2)
+    return float(np.quantile(noise_stds(parts.reshape(-1, side, side).astype(np.float64)), 0.2))
 
 
 def _slopes(grid: Floats32) -> Floats:
@@ -223,6 +280,6 @@ def _information(covariance: Floats, share: Floats) -> Floats:
     """Inverse covariance (blocks, 2, 2) of x and y for noise of variance 1; 0 for blocks without texture."""
     out = np.zeros((len(covariance), 2, 2))
     for b, c in enumerate(covariance):
-        if np.isfinite(c).all() and share[b] > LEAST_SHARE:
+        if np.isfinite(c).all() and share[b] > 0.0:
             out[b] = np.linalg.inv(c[:2, :2]) * share[b]
     return out

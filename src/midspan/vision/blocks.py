@@ -62,7 +62,7 @@ def _normal(found: Floats, information: Floats, levers: Floats, weight: Floats) 
 
 
 @njit(cache=True)
-def _inverse(matrix: Floats) -> Floats:
+def inverse_of(matrix: Floats) -> Floats:
     """The inverse of a symmetric positive matrix, which needs no pivots."""
     n = len(matrix)
     out = matrix.copy()
@@ -81,7 +81,7 @@ def _inverse(matrix: Floats) -> Floats:
 
 
 @njit(cache=True)
-def _times(matrix: Floats, vector: Floats) -> Floats:
+def product(matrix: Floats, vector: Floats) -> Floats:
     """Their product; so small ones are not worth a call of BLAS."""
     out = np.zeros(len(vector))
     for i in range(len(vector)):
@@ -177,14 +177,14 @@ def fuse(
         scale = np.sqrt(factors[0] * (weight * distance).sum() / max(2.0 * total - 4.0, 1.0))
         for k in range(4):
             matrix[k, k] = matrix[k, k] * (1.0 + 1e-9) + 1e-12
-        inverse = _inverse(matrix)
-        pose = _times(inverse, right)
+        inverse = inverse_of(matrix)
+        pose = product(inverse, right)
         for k in range(2, 4):
             own = factors[1] * scale**2 * inverse[k, k]
             matrix[k, k] += max(scale, 1e-9) ** 2 / (max(pose[k] ** 2 - own, 1e-3 * own) + 1e-300)
-        inverse = _inverse(matrix)
+        inverse = inverse_of(matrix)
         covariance = inverse * (factors[1] * scale**2)
-        pose = _times(inverse, right)
+        pose = product(inverse, right)
         if step > 0 and np.abs(pose[:2] - before[:2]).max() < 1e-5:
             break
     return pose, covariance, weight, scale

@@ -204,8 +204,7 @@ class CodecWatch:
 
     def _due(self, index: int) -> bool:
         """Whether the frame of this number is to be compared with earlier ones."""
-        often = len(self._first[0].state) < FIRST_CHECKS
-        return index > 0 and index % (FIRST_FRAMES if often else CHECK_FRAMES) == 0
+        return index > 0 and index % self._every == 0
 
     def _chance(self, checks: int) -> float:
         """The share that chance makes of raw frames in as many checks."""
@@ -249,6 +248,7 @@ class CodecWatch:
             for medians in (self._medians, self._first)
         )
         soon = len(self._first[0].state)
+        self._every = FIRST_FRAMES if soon < FIRST_CHECKS else CHECK_FRAMES
         self._soon_too = soon < LEAST_CHECKS or first.inherited > self._chance(soon)
 
     def _sample(self, pixels: NDArray[np.generic], x_px: float, y_px: float) -> Square | None:

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,12 +36,12 @@ class Matching:
     min_correlation: float
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Template:
     """The reference window and all that is computed from it once.
 
     window: the part of the region that is matched. taps: (2 m + 1,) of the low-pass. pixels: (h, w) filtered and with
-    zero mean. grid: (h + 6, w + 6) spline coefficients. norm: (p, p) polynomial of ln √(energy) by the shift.
+    zero mean. grid: (h + 6, w + 6) spline coefficients.
     basis: (3, h, w) template and gradients. moments, information, noise: see `midspan.vision.peak.variances`.
     offset: subtracted from all frames. factor: of decimation.
     """
@@ -49,7 +50,6 @@ class Template:
     taps: Floats32
     pixels: Floats32
     grid: Floats32
-    norm: Floats
     basis: Floats32
     moments: Floats
     information: Floats
@@ -58,6 +58,11 @@ class Template:
     factor: int
     expected_correlation: float
     threshold: float
+
+    @cached_property
+    def norm(self) -> Floats:
+        """Polynomial (p, p) of ln √(energy) by the shift; most templates that seed another tracker never need it."""
+        return _log_norm(self.grid)
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +95,6 @@ def make_template(image: NDArray[np.generic], region: Region, matching: Matching
         taps=taps,
         pixels=pixels,
         grid=grid,
-        norm=_log_norm(grid),
         basis=basis,
         moments=_moments(basis),
         information=np.stack([fisher, _outer(np.stack([smooth(np.pad(g, margin), taps) for g in gradient]))]),

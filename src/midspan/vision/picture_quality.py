@@ -20,6 +20,8 @@ from midspan.vision.picture_difference import detail, frozen_texture, share_at_e
 from midspan.vision.region import clamp, shift
 
 ROWS_LOOKED_AT = 32  # for the detail of each frame
+# For its saturated share, every so many rows: light that drives pixels to full scale covers more than one of them.
+ENDS_ROWS = 64
 FROZEN_MEAN_FRAMES = 96  # the usual share of texture that stood still is a mean over about so many
 FROZEN_FRAMES = 9  # the steps of so many frames are taken for the target's speed
 MOST_FROZEN = 0.9
@@ -101,7 +103,8 @@ class PictureWatch:
         self._every = max(region.height // ROWS_LOOKED_AT, 1)
         cut = _cut(reference.pixels, region)
         self._zero = detail(cut, self._every)
-        self._ends = share_at_ends(cut)
+        self._step = max(region.height // ENDS_ROWS, 1)
+        self._ends = share_at_ends(cut[:: self._step])
         self._codec = CodecWatch(reference, region)
         self.restore(PictureState(self._codec.state))
 
@@ -133,7 +136,7 @@ class PictureWatch:
             self._follow_frozen(frame.pixels, found, place, cut)
         self._codec.push(frame.pixels, found, place)
         sharp = self._sharpness(cut)
-        share = max(share_at_ends(cut), self._ends)
+        share = max(share_at_ends(cut[:: self._step]), self._ends)
         saturated = share / max(1.0 - share, 0.02) if share > SATURATED_SHARE else 0.0
         self.counts.add(found, sharp, saturated)
         added = self.compression.std_px**2 + SATURATED_STD_PX**2 * saturated

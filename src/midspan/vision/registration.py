@@ -1,7 +1,8 @@
-"""Registration tracker: maximum-likelihood kernels in blocks, fused robustly into translation, roll and zoom.
+"""Registration tracker: maximum-likelihood kernels in blocks, fused into translation, roll and zoom.
 
-Each block of the window is multiplied by kernels made for the template at the nearest eighth of a pixel; that gives
-its translation in one step (see `midspan.vision.kernels`). The blocks are fused so that what covers, shades, turns or
+The window is multiplied by kernels made for the template at the nearest eighth of a pixel. Where nothing disturbs it
+that gives one pose of all (see `midspan.vision.undisturbed`); else each block has kernels of its own, which give its
+translation in one step (see `midspan.vision.kernels`), and the blocks are fused so that what covers, shades, turns or
 enlarges a part of the target does not move the result (see `midspan.vision.blocks`). Nothing of the frame is
 interpolated. The template is the reference frame at first; frames that show the target at other sub-pixel places make
 a better one (see `midspan.vision.learning`) with the same zero. Where the expected place does not lead to the target,
@@ -20,7 +21,7 @@ from midspan.errors import DataError
 from midspan.records import Floats, Frame, PixelTranslation, Prediction, Region, Status
 from midspan.vision.bank import COARSE, FINE, Plane, Store, best_smoothing_px, first_plane, make_bank
 from midspan.vision.climb import ALIKE, UNDISTURBED_SHARE, Pose, climb
-from midspan.vision.learning import PAD_PX, KeptSamples, learn_plane, sample
+from midspan.vision.learning import KeptSamples, learn_plane, sample
 from midspan.vision.matching import Fix, locate
 from midspan.vision.region import check_size
 from midspan.vision.search import Span, fine_patch
@@ -28,6 +29,7 @@ from midspan.vision.target import FULL_QUALITY, Motion, lost
 from midspan.vision.template import NEXT_PX, TemplateSettings, TemplateState, TemplateTracker
 from midspan.vision.texture import values
 from midspan.vision.tracker import Tracker
+from midspan.vision.undisturbed import Known, UndisturbedWindow
 
 _CERTAIN = np.zeros((4, 4))
 SEED_CORRELATION = 0.4  # with four tenths of the target covered the correlation falls to about a half
@@ -38,6 +40,7 @@ MOST_LEARNT_FRAMES = 240
 DISTURBED = 1.35  # times the usual noise: 30 degrees of freedom exceed it about once in 500 frames
 SHARE_PLAY = 0.1
 SUSPICIOUS = 4.0  # times the usual noise
+WHOLE_SIDE_PX = 100  # 5 × 5 blocks of 20 px: in smaller windows the levels of the blocks hold more of what they tell
 ALL_SHARE = 0.95  # of the target's information: no block is left out
 MAJORITY = 0.5  # of the target's information: less agrees by chance, or with what moves differently in the region
 SEED_PX = 1.5  # farther than this from where the template was found, blocks have locked on something else
@@ -80,12 +83,12 @@ class RegistrationSettings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Learnt:
-    """What was learnt: the template; where the zero lies for kernels in few and in many blocks (4,): x, y (px), roll
-    (rad), zoom, to be taken off; and the covariance (4, 4) of the zero, which rests on the reference frame alone.
+    """What was learnt: the template; where the zero lies in it (4,): x, y (px), roll (rad), zoom, to be taken off; and
+    the covariance (4, 4) of the zero, which rests on the reference frame alone.
     """
 
     plane: Plane
-    zeros: tuple[Floats, Floats]
+    zero: Floats
     covariance: Floats
 
 
@@ -107,6 +110,7 @@ class RegistrationTracker(Tracker):
     """Follows a target through frames; see `midspan.vision.tracker.Tracker` for its interface."""
 
     _state: RegistrationState
+    _banks: tuple[Store, Store] | None
 
     def __init__(self, reference: Frame, region: Region, settings: RegistrationSettings) -> None:
         super().__init__(reference, region)
@@ -118,12 +122,16 @@ class RegistrationTracker(Tracker):
         self._window, self._offset = template.window, template.offset
         self._first = first_plane(reference.pixels, template.window, template.offset)
         self._state = RegistrationState(samples=self._begun())
-        self._plane = self._first
-        self._banks = self._made(self._first)
+        self._take(self._first, np.zeros(4))
 
     @property
     def banks(self) -> tuple[Store, Store]:
-        """The kernels in use: in few large blocks and in many small ones."""
+        """The kernels in use where blocks are asked one by one: few large ones, the most exact, and many small ones,
+        the most robust.
+        """
+        if self._banks is None:
+            few, many = (make_bank(self._plane, self._window, self._smoothing_px, share) for share in (COARSE, FINE))
+            self._banks = few._replace(zero=self._zero), many._replace(zero=self._zero)
         return self._banks
 
     @property
@@ -132,12 +140,17 @@ class RegistrationTracker(Tracker):
         shown = self._state.usual_noise
         return max(shown, LEAST_NOISE * self._first.noise_std) if shown > 0.0 else 0.0
 
+    @property
+    def _unsure(self) -> Floats:
+        """Covariance (4, 4) of the zero."""
+        return _CERTAIN if self._state.learnt is None else self._state.learnt.covariance
+
     def restore(self, state: RegistrationState) -> None:
         """Continue from a `state` taken earlier."""
         self._state, learnt = state, state.learnt
         plane = self._first if learnt is None else learnt.plane
         if plane is not self._plane:
-            self._plane, self._banks = plane, _zeroed(*self._made(plane), learnt)
+            self._take(plane, np.zeros(4) if learnt is None else learnt.zero)
 
     def push(self, frame: Frame, prediction: Prediction | None = None) -> PixelTranslation:
         """Measure the translation (px) of the target in `frame`; LOST with NaN where it cannot be found."""
@@ -184,8 +197,7 @@ class RegistrationTracker(Tracker):
                 f"Learning needs at least 5 frames that show the target undisturbed; received {samples.frames}."
             )
         learnt = other._learnt(samples)
-        self._state = replace(self._state, samples=None, learnt=learnt)
-        self._plane, self._banks = other._plane, other._banks
+        self.restore(replace(self._state, samples=None, learnt=learnt))
         return learnt
 
     def _begun(self) -> KeptSamples | None:
@@ -195,12 +207,18 @@ class RegistrationTracker(Tracker):
         first = sample(self.reference.pixels, self._window, np.zeros(2), self._offset, None)
         return None if first is None else KeptSamples().plus(first)
 
-    def _made(self, plane: Plane) -> tuple[Store, Store]:
-        """Kernels in few large blocks, the most exact, and in many small ones, the most robust."""
+    def _take(self, plane: Plane, zero: Floats) -> None:
+        """Compare frames with this template from now on, poses counted from its `zero` (4,)."""
         given = self.settings.smoothing_px
-        smoothing_px = best_smoothing_px(plane, self._window) if given is None else given
-        few, many = (make_bank(plane, self._window, smoothing_px, division) for division in (COARSE, FINE))
-        return few, many
+        self._plane = plane
+        self._smoothing_px = best_smoothing_px(plane, self._window) if given is None else given
+        self._undisturbed = UndisturbedWindow(plane, self._window, self._smoothing_px)
+        self._count_from(zero)
+
+    def _count_from(self, zero: Floats) -> None:
+        """Count poses from this one (4,) of the template in use."""
+        self._zero, self._banks = zero, None
+        self._undisturbed.count_from(zero)
 
     def _with(self, samples: KeptSamples, frame: Frame, pose: Pose) -> KeptSamples:
         """The samples with one more where it shows the target undisturbed, neither turned nor enlarged."""
@@ -227,29 +245,32 @@ class RegistrationTracker(Tracker):
         self._state = replace(self._state, samples=None if varied else samples, learnt=self._learnt(samples))
 
     def _learnt(self, samples: KeptSamples) -> Learnt:
-        """Take the template of the samples, with zeros that leave their mean place where the first template put it."""
+        """Take the template of the samples, its zero such that their mean place is where the first template put it."""
         plane = learn_plane(samples)
         if len(samples.items) < FEWEST_PLACES:
             # So few means are fitted without a rest, which says nothing of their noise.
             least = self._first.noise_std / math.sqrt(samples.frames)
             plane = replace(plane, noise_std=max(plane.noise_std, least))
-        few, many = self._made(plane)
+        self._take(plane, np.zeros(4))
         covariance = np.zeros((4, 4))
         # The reference is one frame; the template's own noise is that of a frame over the root of their number.
-        covariance[:2, :2] = np.linalg.inv(few.information.sum(axis=0)) * plane.noise_std**2 * samples.frames
-        learnt = Learnt(plane, (_moved(few, samples), _moved(many, samples)), covariance)
-        # They hold the kernels that the samples needed, which the next frames need too.
-        self._plane, self._banks = plane, _zeroed(few, many, learnt)
+        covariance[:2, :2] = self._undisturbed.covariance * plane.noise_std**2 * samples.frames
+        learnt = Learnt(plane, self._undisturbed.moved(samples), covariance)
+        self._count_from(learnt.zero)
         return learnt
 
     def _look(self, image: NDArray[np.generic], offset: float, begin: Floats) -> Pose | None:
-        """The pose since the reference frame, from blocks or, where these disagree, from the window as a whole if that
-        is the better known.
+        """The pose since the reference frame: of the whole window where nothing disturbs it, else from blocks or, where
+        these disagree, from the window's correlation if that is the better known.
 
         Motion blur moves the two sides of a thing in opposite directions: single blocks contradict each other then,
         and the most consistent of them err, but the window as a whole does not.
         """
         noise = self._usual
+        if min(self._window.width, self._window.height) >= WHOLE_SIDE_PX:
+            known = Known(noise, math.sqrt(2.0) * self._first.noise_std, self._unsure)
+            if (whole := self._undisturbed.fit(image, offset, begin, known)) is not None:
+                return whole
         pose = self._of_blocks(image, offset, begin, noise)
         # Blocks may also disagree in all frames, so that this is their usual noise.
         usual = min(noise or math.inf, math.sqrt(2.0) * self._first.noise_std)
@@ -281,7 +302,7 @@ class RegistrationTracker(Tracker):
 
     def _of_blocks(self, image: NDArray[np.generic], offset: float, begin: Floats, usual: float) -> Pose | None:
         """The pose since the reference frame, from large blocks or, where they disagree, from small ones."""
-        unsure = _CERTAIN if self._state.learnt is None else self._state.learnt.covariance
+        unsure = self._unsure
         few = self._climb(0, image, offset, begin, usual)
         if few is not None and few.share > UNDISTURBED_SHARE and few.noise < DISTURBED * usual:
             return few.wider(few.averaged(usual), unsure)
@@ -356,28 +377,8 @@ class RegistrationTracker(Tracker):
 
     def _climb(self, which: int, image: NDArray[np.generic], offset: float, begin: Floats, usual: float) -> Pose | None:
         """The pose that the kernels of bank `which` lead to from `begin` (4,)."""
-        pose = climb(image, offset, self._banks[which], begin, usual)
+        pose = climb(image, offset, self.banks[which], begin, usual)
         return pose if pose.found and pose.share >= self.settings.min_share else None
-
-
-def _zeroed(few: Store, many: Store, learnt: Learnt | None) -> tuple[Store, Store]:
-    """Kernels whose poses count from the zeros of what was learnt."""
-    if learnt is None:
-        return few, many
-    return few._replace(zero=learnt.zeros[0]), many._replace(zero=learnt.zeros[1])
-
-
-def _moved(bank: Store, samples: KeptSamples) -> Floats:
-    """How much farther (4,) the samples lie by the kernels of `bank` than they were put."""
-    total, count = np.zeros(4), 0
-    bank = bank._replace(origin=np.full(2, PAD_PX, dtype=np.int64))
-    for item in samples.items:
-        begin = np.array([*item.shift, 0.0, 0.0])
-        found = climb(item.pixels, 0.0, bank, begin, 0.0)
-        if found.found:
-            total[:2] += item.count * (found.value[:2] - item.shift)
-            count += item.count
-    return total / max(count, 1)
 
 
 def _after(state: RegistrationState, time_ns: int, pose: Pose, noise_std: float) -> RegistrationState:

@@ -77,12 +77,17 @@ def noise_std(image: Floats) -> float:
 
     Fine texture counts as noise, so that this is an upper bound (after Immerkær, 1996, doi 10.1006/cviu.1996.0060).
     """
-    if min(image.shape) < 3:
-        return 0.0
-    v = image[:-2] - 2.0 * image[1:-1] + image[2:]
-    mask = v[:, :-2] - 2.0 * v[:, 1:-1] + v[:, 2:]
+    return float(noise_stds(image[None])[0])
+
+
+def noise_stds(images: Floats) -> Floats:
+    """`noise_std` of each of some images (n, rows, columns)."""
+    if min(images.shape[1:]) < 3:
+        return np.zeros(len(images))
+    v = images[:, :-2] - 2.0 * images[:, 1:-1] + images[:, 2:]
+    mask = v[:, :, :-2] - 2.0 * v[:, :, 1:-1] + v[:, :, 2:]
     # The mask's weights have the square sum 36.
-    return float(np.median(np.abs(mask)) / (6.0 * MEDIAN_DEVIATION))
+    return np.asarray(np.median(np.abs(mask).reshape(len(images), -1), axis=1) / (6.0 * MEDIAN_DEVIATION))
 
 
 @cache
