@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from fusion_oracles import input_over, van_loan
 
-from midspan.fusion.backward import backward_block
-from midspan.fusion.filtering import RECORD, TAKEN, THETA
+from midspan.fusion.backward import pass_back
+from midspan.fusion.filtering import FOUND_COLUMNS, RECORD, TAKEN, THETA
 from midspan.fusion.forward import MEASUREMENT_COLUMNS, SET_DATUM
 from midspan.fusion.hypothesis import DATUM, GOOD
 from midspan.fusion.model import (
@@ -86,9 +86,9 @@ def compiled(time, acceleration, met, value, cut=None):
 
 def smoothed(time, nodes, outcome, parameters):
     """Rows (n, 3) of displacement, variance and velocity by the pass back."""
-    rows = np.empty((len(time), 1, 3))
-    adjoint, counted = np.zeros((STATES, 1 + PARAMETERS + 2 * STATES)), np.array([-1])
-    backward_block(time, BEGIN_S, TABLES, counted, (nodes, outcome), adjoint, parameters, rows)
+    adjoint, counted = np.zeros((1 + PARAMETERS + 2 * STATES, STATES)), np.array([-1])
+    left, rows = (nodes.copy(), outcome.copy(), np.ones(STATES, dtype=int)), np.zeros((len(time), 1, FOUND_COLUMNS))
+    pass_back(time, BEGIN_S, TABLES, counted, left, adjoint, parameters, rows)
     return rows[:, 0]
 
 

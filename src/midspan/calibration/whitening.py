@@ -254,6 +254,7 @@ def _whiten_slow(pieces, rows, density, slow, covariances, values, longer, out):
     covariances (2, 4, 4): as the states of `_whiten`.
     """
     walks, gain, n = np.array([0.0, 0.0, density * BIAS_WALK_RATIO, 0.0]), np.zeros(4), len(rows)
+    uncertain = np.array([3])
     x, reached, g = np.zeros((4, values.shape[1])), rows[0, 0], 0
     end = max(pieces[-1, 0], rows[-1, 0])
     for j in range(n + 1):
@@ -266,7 +267,7 @@ def _whiten_slow(pieces, rows, density, slow, covariances, values, longer, out):
         while reached < until:
             g, ahead = next_step(pieces, g, reached, until)
             for p in covariances:
-                predict_covariance(p, 1, ahead - reached, walks)
+                predict_covariance(p, 1, ahead - reached, walks, uncertain, 1)
                 add_noise(p, 0, ahead - reached, density * pieces[g, 1])
             reached = ahead
         if j == n:

@@ -70,11 +70,13 @@ from midspan.fusion.weighing import DECADES, OUTLIER_MEMORY, SHORTEST_S, met_wit
 # What the noise's factor rests on after a sudden rise or fall, in measurements. It has fallen where over them the
 # mean square of the innovations is less than this share of their variance: by chance once in 100 000 measurements.
 ANEW, FALLEN = 12.0, 0.25
+# Logarithm of the density of the logarithm of a step's size, which is alike in all decades.
+EVEN = -np.log(2.0 * DECADES * np.log(10.0))
 # Iterations of the variance's fixed point: the third changes it by less than a thousandth.
 ITERATIONS = 3
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def adapt(marks, c, error, known, own, memory):  # type: ignore[no-untyped-def]
     """Follow the variance of a channel's noise after an accepted innovation; known, own: parts of its variance."""
     # Noise that is taken as declared does not fall.
@@ -117,7 +119,7 @@ def learn_parameters(theta, spread, e, error, variances, times, learning):  # ty
             spread[q, r] += gain[q] * gain[r] * total - gain[q] * mu[r] - mu[q] * gain[r]
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def ask_for_step(hyp, row, share, tables, options):  # type: ignore[no-untyped-def]
     """Let a step of the sensor's zero be asked for from this measurement on, where the last such instant is far enough
     away; share: what the update takes over of the innovation.
@@ -132,7 +134,7 @@ def ask_for_step(hyp, row, share, tables, options):  # type: ignore[no-untyped-d
         return
     newest = (int(own[INSTANTS, NUMBER]) - 1) % INSTANTS
     own[INSTANTS, TAKEN_OVER] += share
-    if options[SHIFT_RATE] > 0.0 and own[INSTANTS, TAKEN_OVER] >= APART_BY and own[newest, SINCE] != row[AT]:
+    if own[INSTANTS, TAKEN_OVER] >= APART_BY and own[newest, SINCE] != row[AT]:
         last = max(marks[c, ACCEPTED_AT], memory[BEGAN_AT])
         lapse = max(row[AT] - last, SHORTEST_S)
         moved = moved_probability(lapse, tables[1][c], options[SHIFT_RATE])
@@ -140,19 +142,27 @@ def ask_for_step(hyp, row, share, tables, options):  # type: ignore[no-untyped-d
         begin_instant(tests, c, tables[1], axes, (row[AT], row[AT] - lapse), priors, k, n)
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def find_step(hyp, row, tables, least):  # type: ignore[no-untyped-def]
     """Whether innovations tell by odds (logarithm) of `least` that the sensor's zero has stepped; then it is taken out
     of the states, what it may be off by included, and the hypothesis remembers it.
     """
-    x, p, marks, memory, theta, _, tests = hyp
+    _, p, _, _, theta, _, tests = hyp
     channels, axes, c = tables[1], len(tables[5]), int(row[CHANNEL])
     own, a = tests[group_of(channels[c], axes)], int(channels[c, AXIS])
-    best, odds = step_of(own, theta, tables[5][a], -np.log(2.0 * DECADES * np.log(10.0)), len(p))
-    if best < 0 or odds < least:
-        return False
-    since = own[best, SINCE]
-    memory[STEP_BY], memory[STEP_VARIANCE] = take_step(x, p, own[best], theta)
+    best = step_of(own, theta, tables[5][a], EVEN, least, len(p))
+    if best >= 0:
+        take_found_step(hyp, row, own[best], tables)
+    return best >= 0
+
+
+@njit(cache=True)
+def take_found_step(hyp, row, test, tables):  # type: ignore[no-untyped-def]
+    """Take a step that began at the instant `test` out of a hypothesis, which remembers it."""
+    x, p, marks, memory, theta, _, tests = hyp
+    channels, axes, c = tables[1], len(tables[5]), int(row[CHANNEL])
+    since = test[SINCE]
+    memory[STEP_BY], memory[STEP_VARIANCE] = take_step(x, p, test, theta)
     memory[STEP_AGO], memory[CODE] = row[AT] - since, STEPPED_BEFORE
     memory[SHIFT_AT], memory[SHIFT_OF], memory[SHIFT_BY] = since, channels[c, SENSOR_OF], memory[STEP_BY]
     for o in range(len(channels)):
@@ -160,10 +170,9 @@ def find_step(hyp, row, tables, least):  # type: ignore[no-untyped-def]
             marks[o, SHIFTED] = 1.0
     # The states have changed: all other sums were of those before.
     tests[:] = 0.0
-    return True
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def accept(hyp, row, seen, tables, options, scratch):  # type: ignore[no-untyped-def]
     """Update one hypothesis with a measurement; seen: what `look` returned, P h and sensitivities in `scratch`.
 
@@ -173,7 +182,8 @@ def accept(hyp, row, seen, tables, options, scratch):  # type: ignore[no-untyped
     gain, e = scratch
     c = int(row[CHANNEL])
     error, known, wider, own = seen
-    ask_for_step(hyp, row, known / (known + own), tables, options)
+    if options[SHIFT_RATE] > 0.0:
+        ask_for_step(hyp, row, known / (known + own), tables, options)
     g = tables[1][c, UNITS_PER_M]
     memory[ERROR], memory[TOTAL] = error, wider + own
     total = np.inf
@@ -189,7 +199,8 @@ def accept(hyp, row, seen, tables, options, scratch):  # type: ignore[no-untyped
             memory[LAST_AT] = row[AT]
             move_to_updated(e, tables[2][c], row[AT] >= tables[4][:, FROM_S], error * known / total)
         update(x, p, gain, e, total)
-    meet_innovation(tests, c, tables[1], len(tables[5]), gain, e, total)
+    if options[SHIFT_RATE] > 0.0:
+        meet_innovation(tests, c, tables[1], len(tables[5]), gain, e, total)
     marks[c, DISTURBED] = 0.0
     marks[c, SHARE] -= marks[c, SHARE] / OUTLIER_MEMORY
     marks[c, ACCEPTED_AT], marks[c, ACCEPTED_VARIANCE] = row[AT], own / (g * g) + marks[c, REFERENCE_NOW]

@@ -74,13 +74,16 @@ def measured_rows(record: Measured, units_per_m: Floats, origin_ns: int) -> Floa
 
 def in_order(rows: Floats) -> Floats:
     """Measurements in time order; of one instant by channel."""
-    return rows if len(rows) < 2 else rows[np.lexsort((rows[:, CHANNEL], rows[:, AT]))]
+    ordered = (rows[1:, AT] > rows[:-1, AT]).all()
+    return rows if ordered else rows[np.lexsort((rows[:, CHANNEL], rows[:, AT]))]
 
 
 def newest(rows: Floats, most: int) -> Floats:
     """At most so many measurements, the newest of those in time order; of the marks before them the last of each kind
     stays, as they hold from their instant on.
     """
+    if len(rows) <= most:
+        return rows
     measured = np.flatnonzero(rows[:, CHANNEL] >= 0.0)
     first = int(measured[-most]) if len(measured) > most else 0
     kept = np.arange(len(rows)) >= first

@@ -1,6 +1,7 @@
 """What the hypotheses decided, once it is final, and its events in the words of the field."""
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,7 +43,9 @@ EVENT_KINDS = {
 
 @dataclass(frozen=True, slots=True)
 class Undecided:
-    """Measurements (m, 5) of which the hypotheses do not say the same yet, and what each took them for."""
+    """Measurements (m, 5) of which the hypotheses do not say the same yet, and what each of as many hypotheses as there
+    were took them for.
+    """
 
     rows: Floats
     survivors: NDArray[np.int16]
@@ -54,10 +57,11 @@ class Undecided:
             return self
         if not len(self.rows):
             return Undecided(rows, survivors, errors)
+        most = max(self.survivors.shape[1], survivors.shape[1])
         return Undecided(
             np.concatenate((self.rows, rows)),
-            np.concatenate((self.survivors, survivors)),
-            np.concatenate((self.errors, errors)),
+            np.concatenate((widened(self.survivors, most), widened(survivors, most))),
+            np.concatenate((widened(self.errors, most), widened(errors, most))),
         )
 
     def paths(self, count: int) -> NDArray[np.int64]:
@@ -80,6 +84,13 @@ class Undecided:
             return Decided(self.rows, codes, errors), ALL_DECIDED
         rest = Undecided(self.rows[final:], self.survivors[final:], self.errors[final:])
         return Decided(self.rows[:final], codes[:final], errors[:final]), rest
+
+
+def widened(array: NDArray[Any], most: int) -> NDArray[Any]:
+    """An array (m, hypotheses, ...) with 0 for more hypotheses."""
+    missing = [(0, 0)] * array.ndim
+    missing[1] = (0, most - array.shape[1])
+    return np.pad(array, missing) if missing[1][1] else array
 
 
 @dataclass(frozen=True, slots=True)

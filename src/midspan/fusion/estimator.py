@@ -5,9 +5,10 @@ wrong (see `hypotheses`). Rows are held back until the first few measurements ha
 judged by those after it.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from midspan.fusion.blocks import (
     beginning,
@@ -20,7 +21,7 @@ from midspan.fusion.blocks import (
     sample_rows,
     with_start,
 )
-from midspan.fusion.decisions import ALL_DECIDED, Decided, Telling, Undecided, events_of, runs_left
+from midspan.fusion.decisions import ALL_DECIDED, MAX_UNDECIDED, Decided, Telling, Undecided, events_of, runs_left
 from midspan.fusion.filtering import (
     FOUND_VARIANCE,
     FOUND_VELOCITY,
@@ -104,30 +105,47 @@ class EstimatorState:
 
 
 @dataclass(frozen=True, slots=True)
+class Logged:
+    """The filter with its best hypothesis alone, after so many decided measurements, and what that took those (m,) for
+    that were not decided yet.
+    """
+
+    filter: Filter
+    decided: int
+    codes: NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
 class Log:
     """Samples, measurements and final decisions as they were met, from the filter's beginning on.
 
     first_s: time of the first measurement, from which on rows are given; origin_ns: what times in s count from.
+    filters: the filter of `settings` after so many samples, multiples of BLOCK.
     """
 
+    settings: EstimatorSettings
     begin: Beginning
     first_s: float
     origin_ns: int
-    samples: list[Samples]
-    decided: list[Decided]
+    samples: list[Samples] = field(default_factory=list)
+    decided: list[Decided] = field(default_factory=list)
+    filters: dict[int, Logged] = field(default_factory=dict)
 
 
 class Estimator:
     """The estimator as a stream: any cutting of the input into pushes gives the same rows.
 
-    Measurements wait for the samples that cover their time. log: keep all that a second pass needs.
+    Measurements wait for the samples that cover their time. log: keep all that a second pass needs. rows: whether rows
+    are given out, which only a second pass does not need.
     """
 
-    def __init__(self, settings: EstimatorSettings, *, log: bool = False) -> None:
+    def __init__(self, settings: EstimatorSettings, *, log: bool = False, rows: bool = True) -> None:
         self.settings = settings
         self.log: Log | None = None
         self.tables, self.options = tables_of(settings), options_of(settings)
-        self._keep = log
+        # Samples and decisions logged, and whether what is decided is the past of all hypotheses.
+        self._keep, self._logged, self._decided, self._one_past = log, 0, 0, True
+        self._given = rows
         self._origin_ns: int | None = None
         self._held: Samples | None = None
         self._waiting = np.empty((0, MEASUREMENT_COLUMNS))
@@ -277,7 +295,7 @@ class Estimator:
             for measured in early:
                 self._wait(measured)
         if self._filter is not None:
-            return [self._run(self._filter, samples)]
+            return self._run(self._filter, samples)
         bias_m_s2 = np.array(self.settings.bias_m_s2[: self.settings.axes])
         self._integrated = integrated(self._integrated, sample_rows(samples, self._origin), bias_m_s2)
         return self._begin(samples if self._held is None else joined([self._held, samples]))
@@ -305,7 +323,7 @@ class Estimator:
         self._held = None
         rest = part(held, slice(last + 1, None))
         begun = self._start(with_start(part(held, slice(last + 1)), first_s, self._origin), first_s)
-        return [begun, *([self._run(self._filter, rest)] if self._filter and len(rest.time_ns) else [])]
+        return [begun, *(self._run(self._filter, rest) if self._filter and len(rest.time_ns) else [])]
 
     def _start(self, samples: Samples, first_s: float) -> Rows:
         """Judge the first measurements, and take the rows from a second run with what was decided."""
@@ -321,13 +339,14 @@ class Estimator:
         self._first_s, self._integrated = first_s, None
         self.tables = tables_of(self.settings, self._origin)
         self._filter = Filter.begun(begin, self.settings)
-        self.log = Log(begin, first_s, self._origin, [], []) if self._keep else None
+        self.log, self._logged = Log(self.settings, begin, first_s, self._origin) if self._keep else None, 0
         open_block = Block.open(block, rows)
         left = run(self._filter, open_block, self.tables, self.options)
         met = Undecided(rows, left.survivors, left.errors)
         best, _ = met.decided(self._filter.count, all_of_them=True)
+        begun = Filter.begun(begin, self.settings, 1)
         again = [
-            run(Filter.begun(begin, self.settings).resumed(1), open_block.taken_as(codes), self.tables, self.options)
+            run(begun.saved(), open_block.taken_as(codes), self.tables, self.options)
             for codes in met.paths(self._filter.count)
         ]
         weights = np.exp(self._filter.hyps[3][: self._filter.count, WEIGHT])
@@ -336,7 +355,14 @@ class Estimator:
         judged.met[:, MET_CODE] = best.codes
         return self._rows(samples, rows, left, judged)
 
-    def _run(self, state: Filter, samples: Samples) -> Rows:
+    def _run(self, state: Filter, samples: Samples) -> list[Rows]:
+        """The rows of samples; where they are logged, run up to where the log keeps the filter, and then on."""
+        left = BLOCK - self._logged % BLOCK
+        if self.log is None or left >= len(samples.time_ns):
+            return [self._run_on(state, samples)]
+        return [self._run_on(state, part(samples, slice(left))), *self._run(state, part(samples, slice(left, None)))]
+
+    def _run_on(self, state: Filter, samples: Samples) -> Rows:
         block = sample_rows(samples, self._origin)
         rows = self._due(block[-1, 0])
         left = run(state, Block.open(block, rows), self.tables, self.options)
@@ -356,10 +382,11 @@ class Estimator:
         decided, self._undecided = self._undecided.decided(self._filter.count)
         events = self._settle(decided)
         if self.log is not None:
-            self.log.samples.append(samples)
-        given = given_rows(samples, self._first_s, self._origin)
-        unseen = self.settings.unseen_std_m[: self.settings.axes]
-        estimates = tuple(estimate_of(samples, shown.found[:, a], given, std) for a, std in enumerate(unseen))
+            self._keep_log(self.log, samples, self._filter)
+        unseen, estimates = self.settings.unseen_std_m[: self.settings.axes], tuple[Estimate, ...]()
+        if self._given:
+            given = given_rows(samples, self._first_s, self._origin)
+            estimates = tuple(estimate_of(samples, shown.found[:, a], given, std) for a, std in enumerate(unseen))
         innovations = innovations_of(rows, shown.met, self.settings.channels, self._origin)
         p, channels, datum = self._filter.hyps[1][0], self.tables[1], self.tables[3]
         own = 0.0 if self.settings.zero_ns is None else 1.0
@@ -368,10 +395,20 @@ class Estimator:
         )
         return Rows(estimates, innovations, tuple(events), zero)
 
+    def _keep_log(self, log: Log, samples: Samples, state: Filter) -> None:
+        log.samples.append(samples)
+        self._logged += len(samples.time_ns)
+        # What was decided because more would have been undecided need not be the best hypothesis's past.
+        self._one_past = self._one_past and len(self._undecided.rows) < MAX_UNDECIDED
+        if self._logged % BLOCK == 0 and self._one_past:
+            best, _ = self._undecided.decided(state.count, all_of_them=True)
+            log.filters[self._logged] = Logged(state.resumed(1), self._decided, best.codes)
+
     def _settle(self, decided: Decided) -> list[Event]:
         """Log what is final, and return its events with those that waited."""
         if self.log is not None:
             self.log.decided.append(decided)
+            self._decided += len(decided.codes)
         self._told, events = events_of(self._told, decided, self.settings.channels, self._origin)
         waited, self._events = self._events, []
         return [*waited, *events]

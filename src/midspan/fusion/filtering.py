@@ -8,6 +8,7 @@ import numpy as np
 from numba import njit
 
 from midspan.fusion.acceptance import accept, find_step
+from midspan.fusion.borrowing import borrowed
 from midspan.fusion.forward import (
     AT,
     AXIS,
@@ -28,6 +29,7 @@ from midspan.fusion.forward import (
     add_noise,
     begin_interval,
     copy_datum,
+    find_uncertain,
     predict,
 )
 from midspan.fusion.hypotheses import split
@@ -42,10 +44,9 @@ from midspan.fusion.hypothesis import (
     DOUBTED,
     ERROR,
     GOOD,
-    KINDS,
     MET_AT,
-    MOST,
     PARENT,
+    SHIFT_RATE,
     STEP_AGO,
     STEP_BY,
     STEP_VARIANCE,
@@ -79,7 +80,7 @@ OPEN = -1
 PARENT_STEP = 32
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def leave_status(axis, time, marks, channels, found, k):  # type: ignore[no-untyped-def]
     """Write source and status of an axis's row: of the channels that are not too old, the most informative one."""
     source, status, best = 0.0, LOST_STATUS, np.inf
@@ -96,7 +97,7 @@ def leave_status(axis, time, marks, channels, found, k):  # type: ignore[no-unty
     found[k, axis, FOUND_SOURCE], found[k, axis, FOUND_STATUS] = source, status
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def zero_variance(p, channels, a, datum, misfit):  # type: ignore[no-untyped-def]
     """Variance (m²) that all rows of an axis have in common: of the datum as the first channel's values count it."""
     d = datum + a
@@ -109,7 +110,7 @@ def zero_variance(p, channels, a, datum, misfit):  # type: ignore[no-untyped-def
     return misfit[a] * p[d, d] if datum >= 0 else 0.0
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def row_of(x, p, theta, spread, a, datum, misfit):  # type: ignore[no-untyped-def]
     """Displacement of axis `a` relative to its datum, its variance, and the velocity state, in one hypothesis.
 
@@ -147,21 +148,40 @@ def mixed_row(hyps, count, a, datum, misfit):  # type: ignore[no-untyped-def]
     return first + mean / whole, square / whole - (mean / whole) ** 2, velocity / whole
 
 
-@njit(cache=True)
-def leave_node(x, p, motion, datum, node):  # type: ignore[no-untyped-def]
-    """Write what the pass back needs of a sample, for each axis: displacement relative to the datum (1 + k), true
+@njit(cache=True, inline="always")
+def leave_row(hyps, best, a, motion, clock, channels, datum, misfit, found, k):  # type: ignore[no-untyped-def]
+    """Write what is found of axis `a` at sample `k`, where the clock is."""
+    x, p, marks, _, theta, spread, _ = best
+    if clock[COUNT] > 1.0:
+        value, variance, velocity = mixed_row(hyps, int(clock[COUNT]), a, datum, misfit)
+    else:
+        value, variance, velocity = row_of(x, p, theta, spread, a, datum, misfit)
+    found[k, a, FOUND_X] = value
+    found[k, a, FOUND_VARIANCE] = max(variance, zero_variance(p, channels, a, datum, misfit))
+    found[k, a, FOUND_VELOCITY] = velocity - motion[a, LEAD] * motion[a, SLOPE]
+    leave_status(a, clock[TIME], marks, channels, found, k)
+
+
+@njit(cache=True, inline="always")
+def leave_node(x, p, motion, datum, nodes, k):  # type: ignore[no-untyped-def]
+    """Write what the pass back needs of sample `k`, for each axis: displacement relative to the datum (1 + k), true
     velocity (1 + k), and the covariances (n) of both with all states.
     """
     n, columns = x.shape
     for a in range(len(motion)):
-        i, d, out = 3 * a, datum + a, node[a]
+        i, d = 3 * a, datum + a
         for c in range(columns):
-            out[c] = x[i, c] - (x[d, c] if datum >= 0 else 0.0)
-            out[columns + c] = x[i + 1, c]
-        out[columns] -= motion[a, LEAD] * motion[a, SLOPE]
+            nodes[k, a, c], nodes[k, a, columns + c] = x[i, c], x[i + 1, c]
+        nodes[k, a, columns] -= motion[a, LEAD] * motion[a, SLOPE]
         for q in range(n):
-            out[2 * columns + q] = p[q, i] - (p[q, d] if datum >= 0 else 0.0)
-            out[2 * columns + n + q] = p[q, i + 1]
+            nodes[k, a, 2 * columns + q] = p[i, q]
+        for q in range(n):
+            nodes[k, a, 2 * columns + n + q] = p[i + 1, q]
+        if datum >= 0:
+            for c in range(columns):
+                nodes[k, a, c] -= x[d, c]
+            for q in range(n):
+                nodes[k, a, 2 * columns + q] -= p[d, q]
 
 
 @njit(cache=True)
@@ -172,8 +192,6 @@ def order_frame(rows, j, best, motion, now, tables, scratch):  # type: ignore[no
     end = j + 1
     while end < len(rows) and rows[end, AT] == rows[j, AT] and rows[end, CHANNEL] >= 0.0:
         end += 1
-    if end == j + 1:
-        return end
     off = np.empty(end - j)
     for i in range(j, end):
         scene = (motion, now[int(tables[1][int(rows[i, CHANNEL]), AXIS])], 0.0)
@@ -184,98 +202,133 @@ def order_frame(rows, j, best, motion, now, tables, scratch):  # type: ignore[no
 
 
 @njit(cache=True)
+def meet_others(hyps, clock, row, channel):  # type: ignore[no-untyped-def]
+    """Bring all hypotheses but the best to a channel's measurement."""
+    for b in range(1, int(clock[COUNT])):
+        meet_zero(one_of(hyps, b), row, channel)
+        follow_clock(one_of(hyps, b), row, channel)
+
+
+@njit(cache=True, inline="always")
+def take_good(hyp, row, seen, tables, options, scratch):  # type: ignore[no-untyped-def]
+    """Take a measurement of a sound channel as a good one; seen: of `look`. Returns as `accept`."""
+    _, _, marks, memory, _, _, _ = hyp
+    marks[int(row[CHANNEL]), MET_AT] = row[AT]
+    memory[PARENT], memory[CODE] = 0.0, GOOD
+    return accept(hyp, row, seen, tables, options, scratch)
+
+
+@njit(cache=True, inline="always")
 def judge(hyps, best, clock, row, scene, tables, options, scratch, chances):  # type: ignore[no-untyped-def]
     """Let all hypotheses meet a measurement; the number of them in `clock` follows."""
     _, _, marks, memory, _, _, _ = best
     count, c = int(clock[COUNT]), int(row[CHANNEL])
     if row[AT] - marks[c, MET_AT] > tables[1][c, COASTING_S]:
         hyps[2][:count, c, DOUBTED] = 1.0
-    for b in range(count):
-        meet_zero(one_of(hyps, b), row, tables[1][c])
-        follow_clock(one_of(hyps, b), row, tables[1][c])
+    meet_zero(best, row, tables[1][c])
+    follow_clock(best, row, tables[1][c])
     usual = memory[DENSITY] == 0.0 and marks[c, DISTURBED] == 0.0 and marks[c, STEPPED] + marks[c, DOUBTED] == 0.0
     if count == 1 and clock[JUDGED] <= 0.0 and usual:
         seen = look(best, row, scene, tables, scratch)
         if seen[0] * seen[0] <= GATE * GATE * (seen[2] + seen[3]) and seen[2] <= VAGUE * seen[3]:
-            accept(best, row, seen, tables, options, scratch)
-            marks[c, MET_AT] = row[AT]
-            memory[PARENT], memory[CODE] = 0.0, GOOD
-            find_step(best, row, tables, SURE)
+            take_good(best, row, seen, tables, options, scratch)
+            if options[SHIFT_RATE] > 0.0:
+                find_step(best, row, tables, SURE)
             return
+    meet_others(hyps, clock, row, tables[1][c])
     doubted = clock[JUDGED] > 0.0
     clock[COUNT] = split(hyps, count, row, scene, tables, options, scratch, doubted, chances)
-    pass_first(hyps, clock)
+    if doubted:
+        pass_first(hyps[6], clock)
 
 
 @njit(cache=True)
-def pass_first(hyps, clock):  # type: ignore[no-untyped-def]
+def pass_first(tests, clock):  # type: ignore[no-untyped-def]
     """Count one of the first measurements: no step is asked for among them, as little is known of the start."""
-    if clock[JUDGED] > 0.0:
-        hyps[6][: int(clock[COUNT])] = 0.0
+    tests[: int(clock[COUNT])] = 0.0
     clock[JUDGED] -= 1.0
 
 
-@njit(cache=True)
-def keep_survivors(hyps, count, survivors, errors, met):  # type: ignore[no-untyped-def]
-    """Write what each hypothesis took the last measurement for, of which hypothesis it came, and its innovation with
-    the variance of that, or of a step that it told size (m), variance (m²) and how long ago (s) it was.
+@njit(cache=True, inline="always")
+def keep_survivors(hyps, count, j, survivors, errors, met):  # type: ignore[no-untyped-def]
+    """Write what each hypothesis took the measurement `j`, the last one, for, of which hypothesis it came, and its
+    innovation with the variance of that, or of a step that it told size (m), variance (m²) and how long ago (s) it was.
     """
     memory = hyps[3]
     for b in range(count):
-        survivors[b] = int(memory[b, PARENT]) * PARENT_STEP + int(memory[b, CODE])
+        survivors[b, j] = int(memory[b, PARENT]) * PARENT_STEP + int(memory[b, CODE])
         if memory[b, CODE] == STEPPED_BEFORE:
-            errors[b, 0], errors[b, 1], errors[b, 2] = memory[b, STEP_BY], memory[b, STEP_VARIANCE], memory[b, STEP_AGO]
+            errors[b, j, 0], errors[b, j, 1] = memory[b, STEP_BY], memory[b, STEP_VARIANCE]
+            errors[b, j, 2] = memory[b, STEP_AGO]
         else:
-            errors[b, 0], errors[b, 1] = memory[b, ERROR], memory[b, TOTAL]
-    met[MET_ERROR], met[MET_TOTAL], met[MET_CODE] = memory[0, ERROR], memory[0, TOTAL], memory[0, CODE]
+            errors[b, j, 0], errors[b, j, 1], errors[b, j, 2] = memory[b, ERROR], memory[b, TOTAL], 0.0
+    met[j, MET_ERROR], met[j, MET_TOTAL], met[j, MET_CODE] = memory[0, ERROR], memory[0, TOTAL], memory[0, CODE]
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def take_decided(code, best, row, scene, tables, options, scratch, out):  # type: ignore[no-untyped-def]
     """Take a measurement as was decided, and leave its record for the pass back."""
     gain, e = scratch
-    c = int(row[CHANNEL])
+    c, scaled = int(row[CHANNEL]), 1.0
     out[OF_CHANNEL] = c
     out[REFERENCE_SCALED] = meet_zero(best, row, tables[1][c])
     followed = follow_clock(best, row, tables[1][c])
-    out[TAKEN], scaled = become(code, best, row, scene, tables, options, scratch)
+    if code == GOOD and best[2][c, STEPPED] == 0.0:
+        best[2][c, DOUBTED] = 0.0
+        out[TAKEN] = take_good(best, row, look(best, row, scene, tables, scratch), tables, options, scratch)
+    else:
+        out[TAKEN], scaled = become(code, best, row, scene, tables, options, scratch)
     out[SHIFT_SCALED] = followed * scaled
-    out[RECORD : RECORD + len(e)] = e
-    out[RECORD + len(e) : RECORD + len(e) + len(gain)] = gain
+    for q in range(len(e)):
+        out[RECORD + q] = e[q]
+    for j in range(len(gain)):
+        out[RECORD + len(e) + j] = gain[j]
 
 
-@njit(cache=True)
-def move(x, p, memory, motion, samples, k, way, tables):  # type: ignore[no-untyped-def]
-    """Move one hypothesis within the interval that ends at sample `k`; way: as of `predict`."""
-    predict(x, p, motion, samples, k, way, tables[0], tables[4][:, GAIN_OF])
+@njit(cache=True, inline="always")
+def move(x, p, memory, motion, samples, k, way, walks, gain_of, uncertain, count):  # type: ignore[no-untyped-def]
+    """Move one hypothesis within the interval that ends at sample `k`; way and what follows: as of `predict`."""
+    predict(x, p, motion, samples, k, way, walks, gain_of, uncertain, count)
     if memory[DENSITY] > 0.0:
         add_noise(p, 3 * int(memory[ALONG]), (way[1] - way[0]) * way[2], memory[DENSITY])
 
 
+@njit(cache=True, inline="always")
+def note_uncertain(p, moving, walks, uncertain, once):  # type: ignore[no-untyped-def]
+    """As `find_uncertain`, and mark them as having been so `once` (n,) in the block."""
+    count = find_uncertain(p, moving, walks, uncertain)
+    for q in range(count):
+        once[uncertain[q]] = 1
+    return count
+
+
 @njit(cache=True)
-def move_others(hyps, count, motion, samples, k, way, tables):  # type: ignore[no-untyped-def]
+def move_others(hyps, motion, clock, samples, k, way, tables, uncertain):  # type: ignore[no-untyped-def]
     """Move all hypotheses but the best."""
-    for b in range(1, count):
+    walks, gain_of = tables[0], tables[4][:, GAIN_OF]
+    for b in range(1, int(clock[COUNT])):
         x, p, _, memory, _, _, _ = one_of(hyps, b)
-        move(x, p, memory, motion, samples, k, way, tables)
+        count = find_uncertain(p, 3 * len(motion), walks, uncertain)
+        move(x, p, memory, motion, samples, k, way, walks, gain_of, uncertain, count)
 
 
 @njit(cache=True)
 def pass_mark(hyps, axes, clock, mark, j, out):  # type: ignore[no-untyped-def]
     """The rows count from here, or clocks are in doubt; each hypothesis goes on as it is."""
-    _, met, survivors, _, _, record = out
+    _, met, survivors, errors, _, record, _ = out
     for b in range(int(clock[COUNT])):
         if mark == SET_DATUM:
             copy_datum(hyps[0][b], hyps[1][b], axes)
             hyps[6][b] = 0.0
         else:
             hyps[2][b, :, DOUBTED] = 1.0
-        survivors[j, b] = b * PARENT_STEP + DATUM
+        survivors[b, j] = b * PARENT_STEP + DATUM
+        errors[b, j] = 0.0
     met[j, MET_CODE] = DATUM
     record[j, OF_CHANNEL] = mark
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def meet_row(j, ordered, place, block, state, hyps, best, tables, options, scratch, out):  # type: ignore[no-untyped-def]
     """Take the measurement `j` of a block, judged or as decided; returns up to where rows are in their order.
 
@@ -283,7 +336,7 @@ def meet_row(j, ordered, place, block, state, hyps, best, tables, options, scrat
     """
     motion, clock = state
     samples, rows, decided = block
-    _, met, survivors, errors, _, record = out
+    _, met, survivors, errors, _, record, _ = out
     k, theta = place
     record[j, INTERVAL], record[j, THETA] = k, theta
     if rows[j, CHANNEL] < 0.0:
@@ -292,56 +345,62 @@ def meet_row(j, ordered, place, block, state, hyps, best, tables, options, scrat
     now, own = scratch[2], (scratch[0], scratch[1])
     for a in range(len(motion)):
         now[a] = motion[a, INPUT] + theta * (samples[k, 1 + a] - motion[a, INPUT])
-    if decided[j] == OPEN and j >= ordered:
+    if decided[j] == OPEN and j >= ordered and j + 1 < len(rows) and rows[j + 1, AT] == rows[j, AT]:
         ordered = order_frame(rows, j, best, motion, now, tables, own)
     a = int(tables[1][int(rows[j, CHANNEL]), AXIS])
     scene = (motion, now[a], samples[k, 1 + len(motion) + a])
     if decided[j] == OPEN:
         judge(hyps, best, clock, rows[j], scene, tables, options, own, scratch[3])
-        keep_survivors(hyps, int(clock[COUNT]), survivors[j], errors[j], met[j])
+        keep_survivors(hyps, int(clock[COUNT]), j, survivors, errors, met)
     else:
         take_decided(decided[j], best, rows[j], scene, tables, options, own, record[j])
-        pass_first(hyps, clock)
+        if clock[JUDGED] > 0.0:
+            pass_first(hyps[6], clock)
     return ordered
 
 
 @njit(cache=True)
-def run_block(samples, rows, decided, state, hyps, tables, options, out):  # type: ignore[no-untyped-def]
+def run_block(samples, rows, decided, state, hyps, tables, options, scratch, numbers, out):  # type: ignore[no-untyped-def]
     """Run over one block; `state` = (motion (axes, 3), clock (4,)) and `hyps` are changed in place and carry on.
 
     samples (s, 1 + 2 axes): time in s, acceleration of each axis, to which what leaning takes is added in place, its
-    noise density, all after the state's time. rows
-    (m, 5): usable measurements, all within the samples, in time order; those of one instant are put in the order they
-    are taken in. decided (m,): OPEN, or the code that was decided. hyps: see `model.hypotheses_at`. tables = (walks
-    (n,), channels (c, 13), kinds (c, k), first state of the datums or -1, parameters (k, 4), misfit (axes,), lean
-    (axes,)). out = (found (s, axes,
-    5), met (m, 3), survivors (m, MOST), errors (m, MOST, 3), nodes (s or 0, axes, 2 (1 + k) + 2 n), record (m, 8 + k +
-    n)).
+    noise density, all after the state's time. rows (m, 5): usable measurements, all within the samples, in time order;
+    those of one instant are put in the order they are taken in. decided (m,): OPEN, or the code that was decided. hyps:
+    see `model.hypotheses_at`. tables = (walks (n,), channels (c, 13), kinds (c, k), first state of the datums or -1,
+    parameters (k, 4), misfit (axes,), lean (axes,)). To work with: scratch = (gain (n,), sensitivities (1 + k),
+    accelerations (axes,), chances (MOST, KINDS)), numbers = (uncertain states of the best hypothesis (n,), of another).
+    out = (found (s, axes, 5), met (m, 3), of each hypothesis that judges survivors (MOST, m) and errors (MOST, m, 3),
+    nodes (s or 0, axes, 2 (1 + k) + 2 n), record (m, 8 + k + n), 1 for states that are uncertain in some part of the
+    block (n,)). Returns how many hypotheses there were at most.
     """
+    samples, rows, decided, options = borrowed((samples, rows, decided, options))
+    state, hyps, tables, out = borrowed((state, hyps, tables, out))
+    scratch, (uncertain, others) = borrowed((scratch, numbers))
     motion, clock = state
-    channels, datum, found, nodes = tables[1], tables[3], out[0], out[4]
-    gain_of, misfit, lean = tables[4][:, GAIN_OF], tables[5], tables[6]
+    walks, channels, _, datum, learning, misfit, lean = tables
+    gain_of, found, nodes, once = learning[:, GAIN_OF], out[0], out[4], out[6]
     best = one_of(hyps, 0)
-    x, p, marks, memory, theta, spread, _ = best
-    scratch = (np.zeros(len(x)), np.zeros(x.shape[1]), np.zeros(len(motion)), np.zeros((MOST, KINDS)))
+    x, p, _, memory, _, _, _ = best
+    once[: 3 * len(motion)] = 1
+    count = note_uncertain(p, 3 * len(motion), walks, uncertain, once)
     # Not the literal 0: Numba would compile all that takes them a second time, for that constant.
     j = ordered = np.int64(0)
+    widest = int(clock[COUNT])
     for k in range(len(samples)):
         begun, end = clock[TIME], samples[k, 0]
-        gap = end - begun > GAP_STEPS * clock[STEP]
+        gap, reached = end - begun > GAP_STEPS * clock[STEP], begun
         for a in range(len(motion)):
             # An error of the displacement makes lean times it of the acceleration, far below its noise.
             samples[k, 1 + a] += lean[a] * (x[3 * a, 0] + (end - begun) * x[3 * a + 1, 0])
         dt = begin_interval(hyps[0], clock, motion, samples, k, gain_of)
-        reached = begun
         while True:
             due = j < len(rows) and rows[j, AT] <= end
             until = rows[j, AT] if due else end
             if until > reached:
                 way = ((reached - begun) / dt, (until - begun) / dt, dt)
-                move(x, p, memory, motion, samples, k, way, tables)
+                move(x, p, memory, motion, samples, k, way, walks, gain_of, uncertain, count)
                 if clock[COUNT] > 1.0:
-                    move_others(hyps, int(clock[COUNT]), motion, samples, k, way, tables)
+                    move_others(hyps, motion, clock, samples, k, way, tables, others)
                 reached = until
             if not due:
                 break
@@ -349,22 +408,18 @@ def run_block(samples, rows, decided, state, hyps, tables, options, out):  # typ
             ordered = meet_row(
                 j, ordered, place, (samples, rows, decided), state, hyps, best, tables, options, scratch, out
             )
+            count = note_uncertain(p, 3 * len(motion), walks, uncertain, once)
+            widest = max(widest, int(clock[COUNT]))
             j += 1
         clock[TIME] = end
         if gap:
             hyps[2][: int(clock[COUNT]), :, DOUBTED] = 1.0
         for a in range(len(motion)):
             motion[a, INPUT] = samples[k, 1 + a]
-            if clock[COUNT] > 1.0:
-                value, variance, velocity = mixed_row(hyps, int(clock[COUNT]), a, datum, misfit)
-            else:
-                value, variance, velocity = row_of(x, p, theta, spread, a, datum, misfit)
-            found[k, a, FOUND_X] = value
-            found[k, a, FOUND_VARIANCE] = max(variance, zero_variance(p, channels, a, datum, misfit))
-            found[k, a, FOUND_VELOCITY] = velocity - motion[a, LEAD] * motion[a, SLOPE]
-            leave_status(a, end, marks, channels, found, k)
+            leave_row(hyps, best, a, motion, clock, channels, datum, misfit, found, k)
         if len(nodes) > 0:
-            leave_node(x, p, motion, datum, nodes[k])
+            leave_node(x, p, motion, datum, nodes, k)
+    return widest
 
 
 @njit(cache=True)

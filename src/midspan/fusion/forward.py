@@ -19,7 +19,7 @@ estimation: B. Friedland, Treatment of bias in recursive filtering, IEEE Trans. 
 
 from numba import njit
 
-from midspan.fusion.state_space import GAP_STEPS, input_response
+from midspan.fusion.state_space import GAP_STEPS, response_to
 
 # Columns of `motion` (axes, 3): acceleration at the last sample, its slope, the velocity state's lead.
 INPUT, SLOPE, LEAD = range(3)
@@ -63,26 +63,63 @@ FROM_S, WALK, CLEAR, GAIN_OF = range(4)
 PARAMETER_COLUMNS = 4
 
 
-@njit(cache=True)
-def predict_covariance(p, axes, dt, walks):  # type: ignore[no-untyped-def]
-    """Phi P Phi' over `dt` seconds, and the walks (n,) of all states; the acceleration's noise is `add_noise`."""
-    n, moving = len(p), 3 * axes
-    half = 0.5 * dt * dt
-    for i in range(0, moving, 3):
-        for j in range(n):
-            p[i, j] += dt * p[i + 1, j] - half * p[i + 2, j]
-            p[i + 1, j] -= dt * p[i + 2, j]
-    for i in range(0, moving, 3):
-        for j in range(moving):
-            p[j, i] += dt * p[j, i + 1] - half * p[j, i + 2]
-            p[j, i + 1] -= dt * p[j, i + 2]
-        for j in range(moving, n):
-            p[j, i], p[j, i + 1] = p[i, j], p[i + 1, j]
-    for j in range(n):
-        p[j, j] += walks[j] * dt
+@njit(cache=True, inline="always")
+def find_uncertain(p, moving, walks, uncertain):  # type: ignore[no-untyped-def]
+    """Write to `uncertain` which of the states after the motion's `moving` have a variance or walk; returns how many.
+
+    All others are known for certain: their covariances are 0 and stay so until a measurement changes them.
+    """
+    count = 0
+    for j in range(moving, len(p)):
+        if p[j, j] != 0.0 or walks[j] != 0.0:
+            uncertain[count] = j
+            count += 1
+    return count
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
+def predict_across(p, i, k, dt, half):  # type: ignore[no-untyped-def]
+    """Phi P Phi' of the covariances between the motions of two axes, whose first states are `i` and `k`."""
+    for j in range(k, k + 3):
+        p[i, j] += dt * p[i + 1, j] - half * p[i + 2, j]
+        p[i + 1, j] -= dt * p[i + 2, j]
+    for j in range(i, i + 3):
+        p[j, k] += dt * p[j, k + 1] - half * p[j, k + 2]
+        p[j, k + 1] -= dt * p[j, k + 2]
+        for c in range(k, k + 3):
+            p[c, j] = p[j, c]
+
+
+@njit(cache=True, inline="always")
+def predict_covariance(p, axes, dt, walks, uncertain, count):  # type: ignore[no-untyped-def]
+    """Phi P Phi' over `dt` seconds, and the walks (n,) of all states; the acceleration's noise is `add_noise`.
+
+    uncertain, count: as of `find_uncertain`; nothing is to be done for the other constants.
+    """
+    moving, half = 3 * axes, 0.5 * dt * dt
+    for i in range(0, moving, 3):
+        p01, p02, p11, p12, p22 = p[i, i + 1], p[i, i + 2], p[i + 1, i + 1], p[i + 1, i + 2], p[i + 2, i + 2]
+        m01 = p01 + (dt * p11 - half * p12)
+        m02 = p02 + (dt * p12 - half * p22)
+        m12 = p12 - dt * p22
+        p[i, i] += (dt * p01 - half * p02) + (dt * m01 - half * m02)
+        p[i, i + 1] = p[i + 1, i] = m01 - dt * m02
+        p[i, i + 2] = p[i + 2, i] = m02
+        p[i + 1, i + 1] = (p11 - dt * p12) - dt * m12
+        p[i + 1, i + 2] = p[i + 2, i + 1] = m12
+        p[i + 2, i + 2] = p22 + walks[i + 2] * dt
+        for k in range(i + 3, moving, 3):
+            predict_across(p, i, k, dt, half)
+        for q in range(count):
+            j = uncertain[q]
+            v, b = p[i + 1, j], p[i + 2, j]
+            p[i, j] = p[j, i] = p[i, j] + (dt * v - half * b)
+            p[i + 1, j] = p[j, i + 1] = v - dt * b
+    for q in range(count):
+        p[uncertain[q], uncertain[q]] += walks[uncertain[q]] * dt
+
+
+@njit(cache=True, inline="always")
 def add_noise(p, i, dt, density):  # type: ignore[no-untyped-def]
     """Noise of the acceleration over `dt` seconds, along the axis whose displacement is state `i`."""
     half = 0.5 * density * dt * dt
@@ -92,7 +129,7 @@ def add_noise(p, i, dt, density):  # type: ignore[no-untyped-def]
     p[i + 1, i + 1] += density * dt
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def predict_mean(x, i, dt, before, after, gain_of):  # type: ignore[no-untyped-def]
     """Move the motion whose first state is `i` by `dt`; the input's response moves the estimate, and the sensitivity to
     the gain of the axis's accelerometer.
@@ -110,25 +147,26 @@ def predict_mean(x, i, dt, before, after, gain_of):  # type: ignore[no-untyped-d
             x[i + 1, 1 + q] -= faster
 
 
-@njit(cache=True)
-def predict(x, p, motion, samples, k, way, walks, gain_of):  # type: ignore[no-untyped-def]
+@njit(cache=True, inline="always")
+def predict(x, p, motion, samples, k, way, walks, gain_of, uncertain, count):  # type: ignore[no-untyped-def]
     """Move mean and covariance from one fraction of the interval that ends at sample `k` to another.
 
-    way = (fraction reached, fraction wanted, length of the interval in s); samples (s, 1 + 2 axes): time,
-    accelerations, noise densities; walks (n,); gain_of (k,): the axis whose accelerometer's gain error a parameter is.
+    motion: as `begin_interval` left it; way = (fraction reached, fraction wanted, length of the interval in s); samples
+    (s, 1 + 2 axes): time, accelerations, noise densities; walks (n,); gain_of (k,): the axis whose accelerometer's gain
+    error a parameter is; uncertain, count: as of `find_uncertain`.
     """
     was, theta, dt = way
     axes, step = len(motion), (theta - was) * dt
     for a in range(axes):
-        a0, a1, lead = motion[a, INPUT], samples[k, 1 + a], motion[a, LEAD]
-        before, after = input_response(was, dt, a0, a1, lead), input_response(theta, dt, a0, a1, lead)
+        a0, slope, lead = motion[a, INPUT], motion[a, SLOPE], motion[a, LEAD]
+        before, after = response_to(was * dt, a0, slope, lead), response_to(theta * dt, a0, slope, lead)
         predict_mean(x, 3 * a, step, before, after, gain_of)
-    predict_covariance(p, axes, step, walks)
+    predict_covariance(p, axes, step, walks, uncertain, count)
     for a in range(axes):
         add_noise(p, 3 * a, step, samples[k, 1 + axes + a])
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def begin_interval(xs, clock, motion, samples, k, gain_of):  # type: ignore[no-untyped-def]
     """Bring the velocity states of all axes to the interval that ends at sample `k`; see `state_space`.
 
@@ -150,7 +188,7 @@ def begin_interval(xs, clock, motion, samples, k, gain_of):  # type: ignore[no-u
     return dt
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def innovate(x, motion, channels, kinds, c, acceleration, value, e):  # type: ignore[no-untyped-def]
     """Innovation of a `value` of channel `c` and its sensitivities, to `e` (1 + k).
 
@@ -168,7 +206,7 @@ def innovate(x, motion, channels, kinds, c, acceleration, value, e):  # type: ig
             e[1 + q] -= g * (x[i + 1, 0] - motion[a, LEAD] * motion[a, SLOPE])
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def linearise(moved, theta, kinds, units_per_m, e):  # type: ignore[no-untyped-def]
     """Take the innovation `e` (1 + k) at the parameters as estimated (k,): a scale error times displacement is no sum.
 
@@ -185,7 +223,7 @@ def linearise(moved, theta, kinds, units_per_m, e):  # type: ignore[no-untyped-d
             e[0] -= g * theta[q] * more
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def move_to_updated(e, kinds, estimated, moved):  # type: ignore[no-untyped-def]
     """Take the sensitivities `e` (1 + k) to a gain and to estimated scale errors at the displacement after the update.
 
@@ -198,28 +236,31 @@ def move_to_updated(e, kinds, estimated, moved):  # type: ignore[no-untyped-def]
             e[1 + q] += kinds[q] * moved
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def project(p, channels, c, ph):  # type: ignore[no-untyped-def]
     """h' P h of channel `c`; P h goes to `ph` (n,)."""
     i, z, g, blur = 3 * int(channels[c, AXIS]), int(channels[c, ZERO]), channels[c, UNITS_PER_M], channels[c, BLUR]
     for j in range(len(p)):
-        ph[j] = g * (p[j, i] - blur * p[j, i + 2] + p[j, z] + p[j, z + 1] + p[j, z + 2])
+        ph[j] = g * (p[i, j] - blur * p[i + 2, j] + p[z, j] + p[z + 1, j] + p[z + 2, j])
     return g * (ph[i] - blur * ph[i + 2] + ph[z] + ph[z + 1] + ph[z + 2])
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def update(x, p, gain, e, total):  # type: ignore[no-untyped-def]
     """Take a measurement: X += K e', P − K S K'; `gain` (n,) holds P h before, K after."""
     n = len(p)
     for i in range(n):
-        gain[i] /= total
-        for c in range(len(e)):
-            x[i, c] += gain[i] * e[c]
+        # Of a state that is known for certain nothing is learnt.
+        if gain[i] != 0.0:
+            gain[i] /= total
+            for c in range(len(e)):
+                x[i, c] += gain[i] * e[c]
     for i in range(n):
-        scaled = gain[i] * total
-        for j in range(i, n):
-            p[i, j] -= scaled * gain[j]
-            p[j, i] = p[i, j]
+        if gain[i] != 0.0:
+            scaled = gain[i] * total
+            for j in range(i, n):
+                p[i, j] -= scaled * gain[j]
+                p[j, i] = p[i, j]
 
 
 @njit(cache=True)

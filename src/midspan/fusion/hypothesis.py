@@ -81,7 +81,7 @@ MARK_COLUMNS = 14
 ) = range(11)
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def one_of(hyps, b):  # type: ignore[no-untyped-def]
     """Hypothesis `b`: its states X (n, 1 + k), P (n, n), marks (c, ...), memory, parameters (k,), their covariance, and
     the sums of steps that may have been (groups, ...), see `steps`.

@@ -22,6 +22,7 @@ from midspan.fusion.forward import (
     VARIANCE,
     ZERO,
     ZERO_VARIANCE,
+    find_uncertain,
     innovate,
     linearise,
     move_reference,
@@ -38,7 +39,7 @@ from midspan.fusion.steps import scale_changed
 UNKNOWN_ZERO = 1e6
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def meet_zero(hyp, row, channel):  # type: ignore[no-untyped-def]
     """Before a channel's measurement: its zero begins with the first, and follows the reference, or its slow error goes
     on; returns the factor by which that state was scaled. An unknown zero is wide for the hypotheses' weights alone:
@@ -67,7 +68,7 @@ def meet_zero(hyp, row, channel):  # type: ignore[no-untyped-def]
     return factor
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def follow_clock(hyp, row, channel):  # type: ignore[no-untyped-def]
     """Where a sensor's clock has stepped, let the difference between its time's displacement and this one's go on to
     change as the motion does (first-order Gauss-Markov), in the place of a shift; returns the factor on that state.
@@ -83,7 +84,7 @@ def follow_clock(hyp, row, channel):  # type: ignore[no-untyped-def]
     return factor
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def look(hyp, row, scene, tables, scratch):  # type: ignore[no-untyped-def]
     """Innovation of a measurement in one hypothesis, variance of its prediction, and of its own noise.
 
@@ -112,7 +113,7 @@ def predict_value(time_s, c, motion, clock, hyps, tables):  # type: ignore[no-un
     walks, channels, kinds = tables[:3]
     axes, n, columns = len(motion), xs.shape[1], xs.shape[2]
     x, p, ph, e = np.empty((n, columns)), np.empty((n, n)), np.empty(n), np.empty(columns)
-    still = np.zeros((axes, 3))
+    still, uncertain = np.zeros((axes, 3)), np.empty(n, dtype=np.int64)
     dt = max(time_s - clock[TIME], 0.0)
     a = int(channels[c, AXIS])
     whole = mean = square = 0.0
@@ -125,7 +126,8 @@ def predict_value(time_s, c, motion, clock, hyps, tables):  # type: ignore[no-un
                 held = motion[i, INPUT] if q == 0 else 0.0
                 x[3 * i, q] += dt * x[3 * i + 1, q] + 0.5 * dt * dt * (held - x[3 * i + 2, q])
                 x[3 * i + 1, q] += dt * (held - x[3 * i + 2, q])
-        predict_covariance(p, axes, dt, walks)
+        count = find_uncertain(p, 3 * axes, walks, uncertain)
+        predict_covariance(p, axes, dt, walks, uncertain, count)
         innovate(x, still, channels, kinds, c, motion[a, INPUT], 0.0, e)
         value = -e[0]
         for q in range(columns - 1):

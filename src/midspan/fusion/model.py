@@ -24,6 +24,7 @@ from midspan.fusion.hypothesis import (
     ACCEPTED_AT,
     BEGAN_AT,
     FACTOR,
+    KINDS,
     LAST_AT,
     MARK_COLUMNS,
     MEMORY_COLUMNS,
@@ -221,9 +222,11 @@ class Beginning:
     judged: int
 
 
-def hypotheses_at(begin: Beginning, settings: EstimatorSettings) -> tuple[Hyps, Floats, Floats]:
-    """Arrays of all hypotheses of which the first one is in use, motion (axes, 3) and clock (4,), at the beginning."""
-    n, c, k, count = settings.size, len(settings.channels), len(settings.parameters), 2 * MOST + 1
+def hypotheses_at(
+    begin: Beginning, settings: EstimatorSettings, count: int = 2 * MOST + 1
+) -> tuple[Hyps, Floats, Floats]:
+    """At the beginning: arrays of so many hypotheses, the first one in use, motion (axes, 3) and clock (4,)."""
+    n, c, k = settings.size, len(settings.channels), len(settings.parameters)
     xs, ps = np.zeros((count, n, 1 + k)), np.zeros((count, n, n))
     marks, memory = np.zeros((count, c, MARK_COLUMNS)), np.zeros((count, MEMORY_COLUMNS))
     for a in range(settings.axes):
@@ -253,7 +256,9 @@ def hypotheses_at(begin: Beginning, settings: EstimatorSettings) -> tuple[Hyps, 
 
 @dataclass(frozen=True, slots=True)
 class Left:
-    """What a run over s samples and m measurements left, see `filtering.run_block`."""
+    """What a run over s samples and m measurements left, see `filtering.run_block`; uncertain (n,): above 0 for states
+    that were so in any part of it.
+    """
 
     found: Floats
     met: Floats
@@ -261,6 +266,7 @@ class Left:
     errors: Floats
     nodes: Floats
     record: Floats
+    uncertain: NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -272,9 +278,9 @@ class Filter:
     clock: Floats
 
     @classmethod
-    def begun(cls, begin: Beginning, settings: EstimatorSettings) -> "Filter":
-        """The filter before its first sample."""
-        return cls(*hypotheses_at(begin, settings))
+    def begun(cls, begin: Beginning, settings: EstimatorSettings, most: int = 2 * MOST + 1) -> "Filter":
+        """The filter before its first sample with room for so many hypotheses, see `resumed`."""
+        return cls(*hypotheses_at(begin, settings, most))
 
     @property
     def count(self) -> int:
@@ -316,20 +322,25 @@ class Block:
         return replace(self, decided=codes)
 
 
-def run(state: Filter, block: Block, tables: Tables, options: Floats, *, back: bool = False) -> Left:
-    """Run over a block; back: also leave what the pass back needs."""
+def run(
+    state: Filter, block: Block, tables: Tables, options: Floats, *, back: bool = False, nodes: Floats | None = None
+) -> Left:
+    """Run over a block; back: also leave what the pass back needs, in `nodes` (s or more, ...) of an earlier block that
+    is done with.
+    """
     axes, s, m = len(state.motion), len(block.samples), len(block.rows)
-    n, columns = state.hyps[0].shape[1:]
-    left = Left(
-        np.empty((s, axes, FOUND_COLUMNS)),
-        np.zeros((m, MET_COLUMNS)),
-        np.zeros((m, MOST), dtype=np.int16),
-        np.zeros((m, MOST, 3)),
-        np.empty((s if back else 0, axes, 2 * columns + 2 * n)),
-        np.zeros((m, RECORD + columns + n)),
-    )
-    out = (left.found, left.met, left.survivors, left.errors, left.nodes, left.record)
-    run_block(
-        block.samples.copy(), block.rows, block.decided, (state.motion, state.clock), state.hyps, tables, options, out
-    )
-    return left
+    room, n, columns = state.hyps[0].shape
+    most, kept = min(room, MOST), s if back else 0
+    if nodes is None or len(nodes) < kept:
+        nodes = np.empty((kept, axes, 2 * columns + 2 * n))
+    found, met, nodes = np.empty((s, axes, FOUND_COLUMNS)), np.zeros((m, MET_COLUMNS)), nodes[:kept]
+    survivors, errors = np.empty((most, m), dtype=np.int16), np.empty((most, m, 3))
+    record, uncertain = np.zeros((m, RECORD + columns + n)), np.zeros(n, dtype=np.int64)
+    scratch = np.zeros(n), np.zeros(columns), np.zeros(axes), np.zeros((most, KINDS))
+    numbers = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)
+    samples, moving = block.samples.copy() if tables[6].any() else block.samples, (state.motion, state.clock)
+    out = (found, met, survivors, errors, nodes, record, uncertain)
+    widest = run_block(samples, block.rows, block.decided, moving, state.hyps, tables, options, scratch, numbers, out)
+    # Memory that no hypothesis has written to is never touched.
+    of_each = np.ascontiguousarray(survivors[:widest].T), np.ascontiguousarray(errors[:widest].transpose(1, 0, 2))
+    return Left(found, met, *of_each, nodes, record, uncertain)

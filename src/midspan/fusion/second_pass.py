@@ -2,19 +2,21 @@
 
 Both run the filter again with the decisions of the best hypothesis, and then back in time. Memory stays bounded: the
 smoother keeps the filter at every block's start only and runs each block once more on its way back (G. J. Bierman,
-Fixed interval smoothing with discrete measurements, Int. J. Control 18 (1973) 65-75).
+Fixed interval smoothing with discrete measurements, Int. J. Control 18 (1973) 65-75). As far as nothing was decided
+otherwise later, it takes those that the estimator logged: the best hypothesis's past is what it decided.
 """
 
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from midspan.fusion.backward import backward_block
+from midspan.fusion.backward import pass_back
 from midspan.fusion.blocks import estimate_of, given_rows, sample_rows
 from midspan.fusion.decisions import NOTHING_DECIDED, ONE_CAUSE_S, Decided
 from midspan.fusion.estimator import BLOCK, Estimator, EstimatorState, Log, Rows
-from midspan.fusion.filtering import FOUND_VARIANCE, FOUND_VELOCITY, FOUND_X, zero_variance
+from midspan.fusion.filtering import FOUND_VARIANCE, zero_variance
 from midspan.fusion.forward import AT, AXIS, CHANNEL, SENSOR, TIME, UNITS_PER_M, ZERO, ZERO_VARIANCE
 from midspan.fusion.hypothesis import (
     BEGUN,
@@ -30,12 +32,10 @@ from midspan.fusion.hypothesis import (
 )
 from midspan.fusion.model import Beginning, Block, EstimatorSettings, Filter, Left, options_of, run, tables_of
 from midspan.fusion.weighing import SHORTEST_S, led_away
-from midspan.records import Estimate, Event, Floats, Measured, Samples, joined, part
+from midspan.records import Estimate, Event, Floats, Measured, Samples, cut, joined, part, seconds
 
 # Of the lag, the part by which the window moves on at once.
 HOPS = 4
-# Columns of smoothed rows as `backward_block` writes them.
-SMOOTHED_X, SMOOTHED_VARIANCE, SMOOTHED_VELOCITY = range(3)
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,15 +53,15 @@ class SecondPass:
     def __init__(self, settings: EstimatorSettings, origin_ns: int) -> None:
         self.settings, self.tables, self.options = settings, tables_of(settings, origin_ns), options_of(settings)
 
-    def forward(self, span: Span, *, back: bool) -> tuple[Filter, Left]:
-        """The filter after a span, and what the run left."""
+    def forward(self, span: Span, *, back: bool, nodes: Floats | None = None) -> tuple[Filter, Left]:
+        """The filter after a span, and what the run left; nodes: as of `run`."""
         state = span.before.resumed(1)
-        return state, run(state, span.block, self.tables, self.options, back=back)
+        return state, run(state, span.block, self.tables, self.options, back=back, nodes=nodes)
 
     def nothing_later(self) -> Floats:
-        """The adjoint (n, 1 + k + 2 n) at the end of the record."""
+        """The adjoint (1 + k + 2 n, n) at the end of the record."""
         n = self.settings.size
-        return np.zeros((n, 1 + len(self.settings.parameters) + 2 * n))
+        return np.zeros((1 + len(self.settings.parameters) + 2 * n, n))
 
     def counted(self, before: Filter, decided: Decided) -> NDArray[np.int64]:
         """The zero (axes,) that each axis counts from on the way back, or -1: its first channel's, if that is unknown.
@@ -81,19 +81,14 @@ class SecondPass:
 
     def backward(self, span: Span, left: Left, adjoint: Floats, last: Filter, counted: NDArray[np.int64]) -> Floats:
         """What was found (s, axes, 5), smoothed by what came later; the adjoint moves to the span's beginning."""
-        smoothed = np.empty((len(span.block.samples), self.settings.axes, 3))
         parameters = (last.hyps[4][0], last.hyps[5][0])
         start_s = float(span.before.clock[TIME])
-        times = span.block.samples[:, 0].copy()
-        made = (left.nodes, left.record)
-        backward_block(times, start_s, self.tables, counted, made, adjoint, parameters, smoothed)
-        found = left.found
-        found[:, :, FOUND_X] = smoothed[:, :, SMOOTHED_X]
+        made = (left.nodes, left.record, left.uncertain)
+        pass_back(span.block.samples[:, 0].copy(), start_s, self.tables, counted, made, adjoint, parameters, left.found)
         for a in range(self.settings.axes):
             least = zero_variance(last.hyps[1][0], self.tables[1], a, self.tables[3], self.tables[5])
-            found[:, a, FOUND_VARIANCE] = np.maximum(smoothed[:, a, SMOOTHED_VARIANCE], least)
-        found[:, :, FOUND_VELOCITY] = smoothed[:, :, SMOOTHED_VELOCITY]
-        return found
+            np.maximum(left.found[:, a, FOUND_VARIANCE], least, out=left.found[:, a, FOUND_VARIANCE])
+        return left.found
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,50 +170,94 @@ def joined_decisions(parts: list[Decided]) -> Decided:
 
 def smooth(log: Log, settings: EstimatorSettings) -> tuple[Estimate, ...]:
     """The rows of each axis, smoothed by the whole record; log: of an estimator that has finished."""
-    work, decided = SecondPass(settings, log.origin_ns), joined_decisions(log.decided)
-    decided = steps_in_place(decided, work.tables[1])
-    samples = joined(log.samples)
-    errors, codes = unforeseen(decided, work.tables[1])
-    decided = replace(decided, codes=codes)
-    given = given_rows(samples, log.first_s, log.origin_ns)
-    estimates = tuple(_empty(samples, given) for _ in range(settings.axes))
-    spans, done, state = [], 0, Filter.begun(log.begin, settings).saved()
-    for first in range(0, len(samples.time_ns), BLOCK):
-        block = part(samples, slice(first, first + BLOCK))
-        rows = sample_rows(block, log.origin_ns)
-        due = int(np.searchsorted(decided.rows[:, AT], rows[-1, 0], side="right"))
-        spans.append((block, slice(done, due), state))
-        after, _ = work.forward(_span(spans[-1], decided, errors, log), back=False)
-        state, done = after.saved(), due
-    adjoint, place = work.nothing_later(), int(np.count_nonzero(given))
-    counted = work.counted(Filter.begun(log.begin, settings), decided)
-    for one in reversed(spans):
-        span = _span(one, decided, errors, log)
-        _, left = work.forward(span, back=True)
-        found = work.backward(span, left, adjoint, state, counted)
-        own = given_rows(span.samples, log.first_s, log.origin_ns)
-        place -= int(np.count_nonzero(own))
-        for a, estimate in enumerate(estimates):
-            _fill(estimate, place, estimate_of(span.samples, found[:, a], own, settings.unseen_std_m[a]))
+    # Steps of zeros are put in place before, and none is asked for.
+    work = SecondPass(replace(settings, rates=replace(settings.rates, shift=0.0)), log.origin_ns)
+    met = joined_decisions(log.decided)
+    errors, codes = unforeseen(steps_in_place(met, work.tables[1]), work.tables[1])
+    decided = replace(met, codes=codes)
+    known = logged_filters(log, met, first_change(met, decided, errors)) if settings == log.settings else {}
+    spans = spans_of(work, log, decided, errors, known)
+    given = [given_rows(block, log.first_s, log.origin_ns) for block, _, _ in spans]
+    edges = np.cumsum([0, *map(np.count_nonzero, given)])
+    estimates = tuple(_empty(int(edges[-1])) for _ in range(settings.axes))
+    adjoint, counted, last, nodes = work.nothing_later(), work.counted(spans[0][2], decided), None, None
+    for i in range(len(spans) - 1, -1, -1):
+        span = _span(spans[i], decided, errors, log)
+        after, left = work.forward(span, back=True, nodes=nodes)
+        last, nodes = last or after, left.nodes if nodes is None or len(nodes) < len(left.nodes) else nodes
+        found = work.backward(span, left, adjoint, last, counted)
+        for a, whole in enumerate(estimates):
+            _fill(whole, int(edges[i]), estimate_of(span.samples, found[:, a], given[i], settings.unseen_std_m[a]))
     return estimates
 
 
-def _span(one: tuple[Samples, slice, Filter], decided: Decided, errors: Unforeseen, log: Log) -> Span:
+# Samples, the measurements within them, and the filter before the first sample.
+Part = tuple[Samples, slice, Filter]
+
+
+def logged_filters(log: Log, met: Decided, other_s: float) -> dict[int, Filter]:
+    """The logged filters, by samples before, that are as a run by what was decided would find them: before anything is
+    other in the second pass, and of the hypothesis that was right.
+    """
+    return {
+        count: one.filter
+        for count, one in log.filters.items()
+        if one.filter.clock[TIME] < other_s
+        and np.array_equal(one.codes, met.codes[one.decided : one.decided + len(one.codes)])
+    }
+
+
+def spans_of(
+    work: SecondPass, log: Log, decided: Decided, errors: Unforeseen, known: Mapping[int, Filter]
+) -> list[Part]:
+    """A log in parts of BLOCK samples, each with the filter before it, known or by running over the part before."""
+    parts, due, done = list[Part](), 0, 0
+    for block in in_blocks(log.samples):
+        before = known.get(done)
+        if before is None and parts:
+            before = work.forward(_span(parts[-1], decided, errors, log), back=False)[0].saved()
+        first, done = due, done + len(block.time_ns)
+        end_s = float(seconds(block.time_ns[-1:], log.origin_ns)[0])
+        due = int(np.searchsorted(decided.rows[:, AT], end_s, side="right"))
+        parts.append((block, slice(first, due), before or Filter.begun(log.begin, work.settings, 1)))
+    return parts
+
+
+def in_blocks(pieces: Iterable[Samples]) -> Iterator[Samples]:
+    """Samples in pieces of BLOCK; the last one may be shorter."""
+    held, count = list[Samples](), 0
+    for piece in pieces:
+        for one in (part(piece, slice(BLOCK - count)), *cut(part(piece, slice(BLOCK - count, None)), BLOCK)):
+            held.append(one)
+            count += len(one.time_ns)
+            if count == BLOCK:
+                yield joined(held)
+                held, count = [], 0
+    if count:
+        yield joined(held)
+
+
+def first_change(met: Decided, decided: Decided, errors: Unforeseen) -> float:
+    """From when on (s) the second pass is other than the first: another code or noise; infinite where it never is."""
+    other = met.rows[met.codes != decided.codes, AT]
+    return float(min([*other[:1], *errors.from_s], default=np.inf))
+
+
+def _span(one: Part, decided: Decided, errors: Unforeseen, log: Log) -> Span:
     samples, own, before = one
     rows, codes = decided.rows[own].copy(), decided.codes[own]
     return Span(samples, Block(errors.added_to(sample_rows(samples, log.origin_ns)), rows, codes), before)
 
 
-def _empty(samples: Samples, given: np.ndarray) -> Estimate:
+def _empty(n: int) -> Estimate:
     """Rows to be filled: a day of them must not exist twice."""
-    n = int(np.count_nonzero(given))
     codes = np.empty(n, dtype=np.uint8), np.empty(n, dtype=np.uint8)
-    return Estimate(samples.time_ns[given], np.empty(n), np.empty(n), np.empty(n), *codes)
+    return Estimate(np.empty(n, dtype=np.int64), np.empty(n), np.empty(n), np.empty(n), *codes)
 
 
 def _fill(whole: Estimate, place: int, rows: Estimate) -> None:
     own = slice(place, place + len(rows.time_ns))
-    for name in ("displacement_m", "variance_m2", "velocity_m_s", "source", "status"):
+    for name in Estimate.__slots__:
         getattr(whole, name)[own] = getattr(rows, name)
 
 
@@ -244,7 +283,7 @@ class Lag:
 
     def __init__(self, settings: EstimatorSettings, lag_samples: int) -> None:
         self.settings = settings
-        self.estimator = Estimator(settings, log=True)
+        self.estimator = Estimator(settings, log=True, rows=False)
         self.lag_samples, self._hop = lag_samples, max(1, lag_samples // HOPS)
         self._samples: Samples | None = None
         self._decided = NOTHING_DECIDED
@@ -259,7 +298,7 @@ class Lag:
         found, first = [], 0
         while first < len(record.time_ns):
             last = min(len(record.time_ns), first + self._hop - self._pushed % self._hop)
-            found += [_without_rows(one) for one in self.estimator.push(part(record, slice(first, last)))]
+            found += self.estimator.push(part(record, slice(first, last)))
             self._pushed += last - first
             first = last
             if self._pushed % self._hop == 0:
@@ -268,8 +307,7 @@ class Lag:
 
     def finish(self) -> list[Rows]:
         """The rows that are held still, and what the estimator says at the end."""
-        ended = [_without_rows(one) for one in self.estimator.finish()]
-        return [*ended, *self._move_on(0)]
+        return [*self.estimator.finish(), *self._move_on(0)]
 
     def predict(self, channel: int, time_ns: int) -> tuple[float, float]:
         """As `Estimator.predict`."""
@@ -294,7 +332,7 @@ class Lag:
         self.estimator.restore(state.estimator)
         known = state.estimator
         begin, origin_ns = state.begin, known.origin_ns or 0
-        self.estimator.log = None if begin is None else Log(begin, known.first_s, origin_ns, [], [])
+        self.estimator.log = None if begin is None else Log(self.settings, begin, known.first_s, origin_ns)
         self._samples, self._decided, self._before = state.samples, state.decided, state.before
         self._pushed, self._given = state.pushed, state.held
 
@@ -304,13 +342,14 @@ class Lag:
         if log is None:
             return False
         if self._before is None:
-            self._before = Filter.begun(log.begin, self.estimator.settings).saved()
+            self._before = Filter.begun(log.begin, self.estimator.settings, 1)
         if log.samples:
             own = [] if self._samples is None else [self._samples]
             self._samples = joined([*own, *log.samples])
             self._decided = joined_decisions([self._decided, *log.decided])
         log.samples.clear()
         log.decided.clear()
+        log.filters.clear()
         return self._samples is not None
 
     def _move_on(self, lag: int) -> list[Rows]:
@@ -364,7 +403,3 @@ class Lag:
         kept = self._decided.rows[:, AT] > rows[anchor - 1, 0]
         own = self._decided
         self._decided = Decided(own.rows[kept], own.codes[kept], own.errors[kept])
-
-
-def _without_rows(rows: Rows) -> Rows:
-    return replace(rows, estimates=())

@@ -61,7 +61,12 @@ def input_response(theta: float, dt: float, a0: float, a1: float, lead: float) -
     Acceleration runs linearly from a0 to a1; what the velocity state is ahead of the true velocity (`lead` times the
     slope, see `begin_interval`) is taken off again.
     """
-    t, slope = theta * dt, (a1 - a0) / dt
+    return response_to(theta * dt, a0, (a1 - a0) / dt, lead)
+
+
+@njit(cache=True, inline="always")
+def response_to(t: float, a0: float, slope: float, lead: float) -> Response:
+    """The same after `t` seconds of the interval."""
     return t * (t * (0.5 * a0 + slope * t / 6.0) - lead * slope), t * (a0 + 0.5 * slope * t)
 
 

@@ -31,6 +31,7 @@ CAUSES = 2
 # of each cause the sum of its information, of signature times innovation (1 + k), and what it has changed of the
 # states that the filter does not know (n).
 SINCE, P_STEP, P_VELOCITY, SUMS = range(4)
+LOG_2PI = np.log(2.0 * np.pi)
 # The last row of a group: time (s) up to which all are carried, shares taken over since the last instant, its number.
 CARRIED, TAKEN_OVER, NUMBER = range(3)
 
@@ -41,11 +42,16 @@ def group_of(channel, axes):  # type: ignore[no-untyped-def]
     return int(channel[SENSOR]) * axes + int(channel[AXIS])
 
 
+@njit(cache=True, inline="always")
+def changed_at(cause, k, n):  # type: ignore[no-untyped-def]
+    """The first column of what a cause of one size has changed of the states (n,); k: number of parameters."""
+    return SUMS + cause * (2 + k + n) + 2 + k
+
+
 @njit(cache=True)
 def changed_by(test, cause, k, n):  # type: ignore[no-untyped-def]
-    """What a cause of one size has changed of the states (n,), as a view; k: number of parameters."""
-    begin = SUMS + cause * (2 + k + n) + 2 + k
-    return test[begin : begin + n]
+    """The same as a view of an instant."""
+    return test[changed_at(cause, k, n) : changed_at(cause, k, n) + n]
 
 
 @njit(cache=True)
@@ -53,15 +59,17 @@ def carry(tests, at, axes, k, n):  # type: ignore[no-untyped-def]
     """Move what all causes have changed to an instant."""
     for g in range(len(tests)):
         i, dt = 3 * (g % axes), at - tests[g, INSTANTS, CARRIED]
+        half = 0.5 * dt * dt
         tests[g, INSTANTS, CARRIED] = at
         if dt == 0.0:
             continue
         for t in range(INSTANTS):
             if tests[g, t, P_STEP] != 0.0:
                 for cause in range(CAUSES):
-                    w = changed_by(tests[g, t], cause, k, n)
-                    w[i] += dt * w[i + 1] - 0.5 * dt * dt * w[i + 2]
-                    w[i + 1] -= dt * w[i + 2]
+                    w = changed_at(cause, k, n) + i
+                    v, b = tests[g, t, w + 1], tests[g, t, w + 2]
+                    tests[g, t, w] += dt * v - half * b
+                    tests[g, t, w + 1] = v - dt * b
 
 
 @njit(cache=True)
@@ -97,20 +105,27 @@ def meet_innovation(tests, c, channels, axes, gain, e, total):  # type: ignore[n
     """Add an innovation `e` (1 + k) of channel `c` and variance `total` to the sums; gain (n,): K of its update."""
     n, k, g = len(gain), len(e) - 1, channels[c, UNITS_PER_M]
     i, z, blur = 3 * int(channels[c, AXIS]), int(channels[c, ZERO]), channels[c, BLUR]
+    moving, others = 3 * axes, False
+    for j in range(moving, n):
+        others = others or gain[j] != 0.0
     for group in range(int(channels[c, AXIS]), len(tests), axes):
         for t in range(INSTANTS):
-            test = tests[group, t]
-            if test[P_STEP] == 0.0:
+            if tests[group, t, P_STEP] == 0.0:
                 continue
             for cause in range(CAUSES):
-                first = SUMS + cause * (2 + k + n)
-                w = first + 2 + k
-                f = g * (test[w + i] - blur * test[w + i + 2] + test[w + z] + test[w + z + 1] + test[w + z + 2])
-                test[first] += f * f / total
+                w = changed_at(cause, k, n)
+                first = w - 2 - k
+                f = tests[group, t, w + i] - blur * tests[group, t, w + i + 2]
+                f = g * (f + tests[group, t, w + z] + tests[group, t, w + z + 1] + tests[group, t, w + z + 2])
+                share = f / total
+                tests[group, t, first] += f * share
                 for q in range(1 + k):
-                    test[first + 1 + q] += f * e[q] / total
-                for j in range(n):
-                    test[w + j] -= gain[j] * f
+                    tests[group, t, first + 1 + q] += share * e[q]
+                for j in range(moving):
+                    tests[group, t, w + j] -= gain[j] * f
+                if others:
+                    for j in range(moving, n):
+                        tests[group, t, w + j] -= gain[j] * f
 
 
 @njit(cache=True)
@@ -125,26 +140,38 @@ def ratio(test, cause, theta, n):  # type: ignore[no-untyped-def]
     return matched / known, 1.0 / known, matched * matched / known
 
 
-@njit(cache=True)
-def step_of(own, theta, misfit, even, n):  # type: ignore[no-untyped-def]
-    """The likeliest instant of a step among a group's (INSTANTS + 1, ...) and its odds (logarithm) against no step or
-    against a wrong acceleration, whichever is likelier; even: logarithm of the density of the size's logarithm.
+@njit(cache=True, inline="always")
+def odds_of(own, t, cause, p, theta, misfit, even, least, n):  # type: ignore[no-untyped-def]
+    """Logarithm of the odds of a cause of any size, each decade of which is as likely, at instant `t` of a group; `p`:
+    the column of its probability. -inf where they are below `least` or one deviation.
+    """
+    first = SUMS + cause * (2 + len(theta) + n)
+    known, matched = own[t, first], own[t, first + 1]
+    for q in range(len(theta)):
+        matched += own[t, first + 2 + q] * theta[q]
+    chi = matched * matched / known if known > 0.0 else 0.0
+    most = own[t, p] + even + 0.5 * (chi / misfit + LOG_2PI)
+    # The variance over the square of the size is 1 / chi.
+    return most - 0.5 * np.log(chi) if chi > 1.0 and most > least else -np.inf
+
+
+@njit(cache=True, inline="always")
+def step_of(own, theta, misfit, even, least, n):  # type: ignore[no-untyped-def]
+    """The likeliest instant of a step among a group's (INSTANTS + 1, ...), or -1 where the odds (logarithm) of each,
+    against no step or against a wrong acceleration, whichever is likelier, are below `least`; even: logarithm of the
+    density of the size's logarithm.
     """
     best, odds, other = -1, -np.inf, 0.0
     for t in range(INSTANTS):
-        if own[t, P_STEP] == 0.0:
-            continue
-        size, variance, chi = ratio(own[t], STEP, theta, n)
-        if chi > 1.0:
-            # The mean of the likelihood over all sizes, each decade of which is as likely.
-            one = own[t, P_STEP] + even + 0.5 * (chi / misfit + np.log(2.0 * np.pi * variance / (size * size)))
+        if own[t, P_STEP] != 0.0:
+            one = odds_of(own, t, STEP, P_STEP, theta, misfit, even, least, n)
             if one > odds:
                 best, odds = t, one
-        size, variance, chi = ratio(own[t], VELOCITY, theta, n)
-        if chi > 1.0:
-            one = own[t, P_VELOCITY] + even + 0.5 * (chi / misfit + np.log(2.0 * np.pi * variance / (size * size)))
-            other = max(other, one)
-    return best, odds - other
+    if best >= 0:
+        for t in range(INSTANTS):
+            if own[t, P_STEP] != 0.0:
+                other = max(other, odds_of(own, t, VELOCITY, P_VELOCITY, theta, misfit, even, -np.inf, n))
+    return best if odds - other >= least else -1
 
 
 @njit(cache=True)

@@ -197,10 +197,10 @@ def smooth(acceleration: Acceleration, displacement: Displacement, settings: Kal
     """
     settings = settings or KalmanSettings()
     require_record(acceleration, displacement)
-    estimator = Estimator(settings.estimator(sources_of(displacement)), log=True)
-    found = whole(estimator, acceleration, with_prior(displacement, acceleration, settings))
+    estimator = Estimator(settings.estimator(sources_of(displacement)), log=True, rows=False)
+    _, innovation, events = gathered(whole(estimator, acceleration, displacement, settings))
     assert estimator.log is not None
-    return replace(found, estimate=smooth_log(estimator.log, estimator.settings)[0])
+    return Smoothed(smooth_log(estimator.log, estimator.settings)[0], innovation or no_innovation(), tuple(events))
 
 
 def filtered(
@@ -217,20 +217,23 @@ def filtered(
     step_s = float(np.median(np.diff(acceleration.time_ns))) / NANOSECONDS if lag_s else np.inf
     lag_samples = round(lag_s / step_s)
     estimator = Lag(known, lag_samples) if lag_samples else Estimator(known)
-    return whole(estimator, acceleration, with_prior(displacement, acceleration, settings))
+    estimate, innovation, events = gathered(whole(estimator, acceleration, displacement, settings))
+    assert estimate is not None
+    return Smoothed(estimate, innovation or no_innovation(), tuple(events))
 
 
-def whole(estimator: Estimator | Lag, acceleration: Acceleration, displacement: Displacement) -> Smoothed:
+def whole(
+    estimator: Estimator | Lag, acceleration: Acceleration, displacement: Displacement, settings: KalmanSettings
+) -> list[Rows]:
     """All that an estimator with one channel for each of `sources_of` gives for a whole record."""
-    sources, found, done = sources_of(displacement), [], 0
+    displacement = with_prior(displacement, acceleration, settings)
+    sources, found, done = sources_of(displacement), list[Rows](), 0
     for block in blocks(acceleration):
         due = int(np.searchsorted(displacement.time_ns, block.time_ns[-1], side="right"))
         estimator.push(measured(part(displacement, slice(done, due)), sources))
         found += estimator.push(samples(block))
         done = due
-    estimate, innovation, events = gathered([*found, *estimator.finish()])
-    assert estimate is not None
-    return Smoothed(estimate, no_innovation() if innovation is None else innovation, tuple(events))
+    return [*found, *estimator.finish()]
 
 
 def with_prior(displacement: Displacement, acceleration: Acceleration, settings: KalmanSettings) -> Displacement:
