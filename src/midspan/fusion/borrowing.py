@@ -1,8 +1,8 @@
 """Arrays that compiled code borrows from its caller.
 
 Numba counts the references to an array: atomically, for each view of it and each function that it goes through. Over
-small matrices that took about 60 % of the estimator's time (`perf`). References to borrowed arrays are not counted: whoever
-calls the loop holds them until it returns, so nothing that the loop makes itself may be borrowed.
+small matrices that took about 60 % of the estimator's time (`perf`). References to borrowed arrays are not counted:
+whoever calls the loop holds them until it returns, so nothing that the loop makes itself may be borrowed.
 """
 
 from typing import Any
