@@ -14,17 +14,15 @@ import numpy as np
 from midspan.calibration.fit import Pair
 from midspan.calibration.printed import PrintedSteps, calibrate_printed
 from midspan.calibration.scale import calibrate_scale
-from midspan.calibration.sensors.camera_scale import CameraScale
-from midspan.engine.sensors import ACROSS_STD_PX
+from midspan.engine.sensors import ACROSS_STD_PX, MIN_STD_PX
 from midspan.engine.switching import Switch
 from midspan.engine.thermal_target import ThermalTarget
 from midspan.errors import UsageError
 from midspan.evaluate.papers.claims import Curve, Effort, Measured
-from midspan.evaluate.papers.films import Loop, with_predictions
 from midspan.fusion.adaptive import PrintedFilter
 from midspan.fusion.blocks import VELOCITY_WITHIN
 from midspan.fusion.runners import run_method
-from midspan.fusion.streams import KalmanSettings, MethodSettings
+from midspan.fusion.streams import KalmanFilter, KalmanSettings, MethodSettings
 from midspan.records import (
     NANOSECONDS,
     Acceleration,
@@ -72,7 +70,6 @@ IN_GREY = tracker_settings("features", literal=True, detector="sift")
 INFRARED_SIZE, INFRARED_ROI = (90, 112), Region(20, 14, 72, 60)
 WALL_SIZE, WALL_ROI, WALL_HZ = (96, 96), Region(20, 20, 56, 56), 10.0
 BIAS_M_S2, NOISE_M_S2, FELT_HZ = 0.02, 5e-4, 100.0
-STARTED = 5  # frames before the first prediction
 SETTLED_S = 5.0  # the learnt noise R remembers 20 frames: 2 s, and the start is one of them
 
 
@@ -112,39 +109,42 @@ class Filmed:
         acceleration = Acceleration(self.acceleration.time_ns, self.acceleration.value, density)
         return _fused(acceleration, series, self.truth_m, literal=literal)
 
-    def as_printed(self, tracker: Tracker, frames: Sequence[Frame]) -> list[PixelTranslation]:
-        """The track with the predictions of the adaptive filter as printed, which takes what was found."""
-        scale_m, series = 1e-3 * self.scale_mm, self.acceleration
-        step_s = float(np.median(np.diff(series.time_ns))) / NANOSECONDS
-        moved_m_s = scale_m * np.diff(self.px) * len(frames) * NANOSECONDS / (frames[-1].time_ns - frames[0].time_ns)
-        speed_m_s = float(np.sqrt(np.mean(moved_m_s**2)))
-        kalman = KalmanSettings(bias=BIAS_M_S2, velocity_std=VELOCITY_WITHIN * speed_m_s)
-        settings = MethodSettings(kalman, literal=True)
-        filtered = PrintedFilter(settings, int(series.time_ns[0]), step_s=step_s, speed_m_s=speed_m_s)
-        density = np.full(len(series.time_ns), NOISE_M_S2**2 * step_s)
-        samples = Acceleration(series.time_ns, series.value, density)
+    def followed(
+        self, tracker: Tracker, frames: Sequence[Frame] | None = None, *, printed: bool
+    ) -> list[PixelTranslation]:
+        """The track with a filter's predictions, which takes what was found: the adaptive one as printed, or ours.
+
+        frames: other pictures of the same instants.
+        """
+        frames, series = self.frames if frames is None else frames, self.acceleration
+        filtered = self._printed() if printed else KalmanFilter(KalmanSettings(bias=float(np.mean(series.value))))
+        take = filtered.wait if isinstance(filtered, PrintedFilter) else filtered.push
+        scale_m, min_std_px = 1e-3 * self.scale_mm, 0.0 if printed else MIN_STD_PX
+        samples = Acceleration(series.time_ns, series.value, np.full(len(series.time_ns), NOISE_M_S2**2 / FELT_HZ))
         found: list[PixelTranslation] = []
-        pushed = 0
+        pushed, across_px = 0, 0.0
         for frame in frames:
             due = int(np.searchsorted(series.time_ns, frame.time_ns, side="right"))
             filtered.push(part(samples, slice(pushed, due)))
             pushed = due
             value_m, variance_m2 = filtered.predict(frame.time_ns)
-            std_px = float(np.sqrt(variance_m2)) / scale_m
-            expected = Prediction(0.0, value_m / scale_m, ACROSS_STD_PX, std_px) if np.isfinite(std_px) else None
+            std_px = max(float(np.sqrt(variance_m2)) / scale_m, min_std_px)
+            known = np.isfinite(value_m) and np.isfinite(std_px)
+            expected = Prediction(across_px, value_m / scale_m, ACROSS_STD_PX, std_px) if known else None
             one = tracker.push(frame, expected)
             found.append(one)
             if np.isfinite(one.y_px):
+                across_px = one.x_px
                 row = np.array([one.y_px * scale_m]), np.array([one.variance_y_px2 * scale_m**2])
-                filtered.wait(Displacement(np.array([frame.time_ns]), *row, np.array([Source.CAMERA], dtype=np.uint8)))
+                take(Displacement(np.array([frame.time_ns]), *row, np.array([Source.CAMERA], dtype=np.uint8)))
         return found
 
-    def followed(self, tracker: Tracker) -> list[PixelTranslation]:
-        """The track with our filter's prediction for every frame after the first five."""
-        frames = self.frames
-        begun = [tracker.push(frame) for frame in frames[:STARTED]]
-        loop = Loop(CameraScale(1e-3 * self.scale_mm, "y", 0), self.acceleration)
-        return begun + with_predictions(frames[STARTED:], tracker, PixelTrack.stack(begun), loop)
+    def _printed(self) -> PrintedFilter:
+        """The adaptive filter as printed at the film's beginning."""
+        speed_m_s = float(np.sqrt(np.mean(np.diff(self.truth_m) ** 2))) * FELT_HZ
+        kalman = KalmanSettings(bias=BIAS_M_S2, velocity_std=VELOCITY_WITHIN * speed_m_s)
+        begins_ns = int(self.acceleration.time_ns[0])
+        return PrintedFilter(MethodSettings(kalman, literal=True), begins_ns, step_s=1 / FELT_HZ, speed_m_s=speed_m_s)
 
     def pair(self, track: PixelTrack) -> Pair:
         """A track with the acceleration, to be calibrated."""
@@ -278,7 +278,7 @@ def by_range(
         if name == "optimised":
             found["optimised, fused"] = one.fused_mm(track, literal=True)
     tracker = ThermalTarget(one.frames[0], INFRARED_ROI, lambda frame: open_tracker("template", frame, INFRARED_ROI))
-    ours = PixelTrack.stack(one.followed(tracker))
+    ours = PixelTrack.stack(one.followed(tracker, printed=False))
     lost = 100 * float(np.mean(~np.isfinite(ours.y_px)))
     found |= {"°C": one.error_mm(ours), "°C lost (%)": lost, "°C, smoothed": one.fused_mm(ours, literal=False)}
     return found, counts
@@ -288,7 +288,7 @@ def _tracked(one: Filmed, limits: Limits) -> list[PixelTranslation]:
     """The track in grey levels, all lost where the range shows the target too few."""
     try:
         grey = in_grey(one.frames, limits)
-        return one.as_printed(open_tracker("features", grey[0], INFRARED_ROI, IN_GREY), grey)
+        return one.followed(open_tracker("features", grey[0], INFRARED_ROI, IN_GREY), grey, printed=True)
     except UsageError:
         return [lost(frame.time_ns) for frame in one.frames]
 
@@ -440,10 +440,7 @@ def moving_light(effort: Effort) -> Measured:
         "updating": updating,
         "key frames": KeyFrameTracker(one.frames[0], WALL_ROI, KeyFrameSettings(tracker="template")),
     }
-    tracks = {
-        name: one.followed(tracker) if name == "key frames" else one.as_printed(tracker, one.frames)
-        for name, tracker in trackers.items()
-    }
+    tracks = {name: one.followed(tracker, printed=name != "key frames") for name, tracker in trackers.items()}
     values = {name: one.error_mm(PixelTrack.stack(rows)) for name, rows in tracks.items()}
     lost = {name: 100 * float(np.mean([not np.isfinite(row.y_px) for row in rows])) for name, rows in tracks.items()}
     matches = {name: np.array([_matches(row) for row in tracks[name]]) for name in ("fixed", "updating")}
@@ -479,9 +476,9 @@ def day_and_night(effort: Effort) -> Measured:
     grey = in_grey(warm.frames, levels)
     rule = UpdatingSettings("features", FEATURES, literal=True)
     printed = {
-        "camera": seen.as_printed(UpdatingTracker(seen.frames[0], WALL_ROI, rule), seen.frames),
-        "infrared": warm.as_printed(
-            UpdatingTracker(grey[0], INFRARED_ROI, replace(rule, tracker_settings=IN_GREY)), grey
+        "camera": seen.followed(UpdatingTracker(seen.frames[0], WALL_ROI, rule), printed=True),
+        "infrared": warm.followed(
+            UpdatingTracker(grey[0], INFRARED_ROI, replace(rule, tracker_settings=IN_GREY)), grey, printed=True
         ),
     }
     chosen = _chosen(at_s, printed)
@@ -564,7 +561,7 @@ def _ours(acceleration: Acceleration, films: tuple[Filmed, Filmed], at_s: Floats
     )
     parts = []
     for tracker, one in ((camera, seen), (thermal, warm)):
-        rows = one.followed(tracker)
+        rows = one.followed(tracker, printed=False)
         variance = np.array([row.variance_y_px2 + row.reference_variance_y_px2 for row in rows])
         parts.append((at_s, one.scale_mm * np.array([row.y_px for row in rows]), (1e-3 * one.scale_mm) ** 2 * variance))
     # The second camera's frames come a little later: two measurements of one instant have no order.
