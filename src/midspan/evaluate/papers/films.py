@@ -8,7 +8,7 @@ over one excitation each.
 
 import tempfile
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -16,29 +16,21 @@ from typing import Any
 import numpy as np
 
 from midspan.calibration.sensors.camera import CameraCalibration
-from midspan.calibration.sensors.camera_scale import CameraScale
-from midspan.engine.sensors import ACROSS_STD_PX, MIN_STD_PX
 from midspan.engine.tracking import CameraTracking
-from midspan.fusion.streams import KalmanFilter, KalmanSettings
 from midspan.progress import silent
 from midspan.recording.calibrate import calibrate_and_track
 from midspan.recording.estimate import estimate
 from midspan.recording.streams.recording import Recording, open_recording
 from midspan.recording.tracking.opening import open_tracking
 from midspan.records import (
-    Acceleration,
     Floats,
     Frame,
     Nanoseconds,
     PixelTrack,
-    PixelTranslation,
-    Prediction,
-    TimeSeries,
-    part,
 )
 from midspan.settings.stored.calibration import Calibration
 from midspan.simulate.scenarios.papers import ACCELEROMETER, CALIBRATION, Film, write_recording
-from midspan.vision.tracker import Tracker, open_tracker, tracker_settings
+from midspan.vision.tracker import open_tracker, tracker_settings
 
 # What the printed calibration is given: its band reaches from 0.3 Hz to a tenth of the camera's 29.97 frames a second,
 # of which every third is used (AMKF paper, sections 3.1.1 and 4.1).
@@ -238,45 +230,3 @@ def by_excitation(film: Film, time_s: Floats, error_mm: Floats) -> dict[str, flo
         if name != CALIBRATION:
             found[name] = float(np.std(error_mm[inside])) if inside.any() else float("nan")
     return found
-
-
-@dataclass(frozen=True, slots=True)
-class Loop:
-    """What the filter that predicts knows: the camera's scale factor and clock, and the acceleration in m/s²."""
-
-    scale: CameraScale
-    acceleration: TimeSeries
-
-
-def with_predictions(
-    frames: Sequence[Frame], tracker: Tracker, begun: PixelTrack, loop: Loop
-) -> list[PixelTranslation]:
-    """The track in frames that are looked for where the filter expects the target; `begun`: the track before."""
-    scale, series = loop.scale, loop.acceleration
-    density = ACCELEROMETER.noise_std_m_s2**2 / ACCELEROMETER.rate_hz
-    acceleration = Acceleration(series.time_ns, series.value, np.full(len(series.time_ns), density))
-    kalman = KalmanFilter(KalmanSettings(bias=float(np.mean(series.value))))
-    kalman.push(scale.displacement(begun))
-    found: list[PixelTranslation] = []
-    pushed, across_px = 0, 0.0
-    for frame in frames:
-        at_ns = frame.time_ns + scale.time_offset_ns
-        due = int(np.searchsorted(series.time_ns, at_ns))
-        kalman.push(part(acceleration, slice(pushed, due)))
-        pushed = due
-        found.append(tracker.push(frame, _expected(kalman.predict(at_ns), scale, across_px)))
-        kalman.push(scale.displacement(PixelTrack.stack(found[-1:])))
-        across = found[-1].y_px if scale.direction == "x" else found[-1].x_px
-        across_px = across if np.isfinite(across) else across_px
-    return found
-
-
-def _expected(predicted: tuple[float, float], scale: CameraScale, across_px: float) -> Prediction | None:
-    """Where a displacement (m, with its variance) is in the picture; across its axis where it was last."""
-    std = max(float(np.sqrt(predicted[1])) / abs(scale.scale_m_per_px), MIN_STD_PX)
-    if not np.isfinite(std):
-        return None
-    value = predicted[0] / scale.scale_m_per_px
-    if scale.direction == "x":
-        return Prediction(value, across_px, std, ACROSS_STD_PX)
-    return Prediction(across_px, value, ACROSS_STD_PX, std)
