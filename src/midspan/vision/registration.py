@@ -21,7 +21,7 @@ from midspan.errors import DataError
 from midspan.records import Floats, Frame, PixelTranslation, Prediction, Region, Status
 from midspan.vision.bank import COARSE, FINE, Plane, Store, best_smoothing_px, first_plane, make_bank
 from midspan.vision.climb import ALIKE, UNDISTURBED_SHARE, Pose, climb
-from midspan.vision.learning import KeptSamples, learn_plane, sample
+from midspan.vision.learning import PAD_PX, KeptSamples, learn_plane, sample
 from midspan.vision.matching import Fix, locate
 from midspan.vision.region import check_size
 from midspan.vision.search import Span, fine_patch
@@ -252,12 +252,16 @@ class RegistrationTracker(Tracker):
             least = self._first.noise_std / math.sqrt(samples.frames)
             plane = replace(plane, noise_std=max(plane.noise_std, least))
         self._take(plane, np.zeros(4))
-        covariance = np.zeros((4, 4))
+        covariance, zero = np.zeros((4, 4)), self._undisturbed.moved(samples)
         # The reference is one frame; the template's own noise is that of a frame over the root of their number.
-        covariance[:2, :2] = self._undisturbed.covariance * plane.noise_std**2 * samples.frames
-        learnt = Learnt(plane, self._undisturbed.moved(samples), covariance)
-        self._count_from(learnt.zero)
-        return learnt
+        if zero is None:
+            own = np.linalg.inv(self.banks[0].information.sum(axis=0))
+            zero = _moved(self.banks[0], samples)
+        else:
+            own = self._undisturbed.covariance
+        covariance[:2, :2] = own * plane.noise_std**2 * samples.frames
+        self._count_from(zero)
+        return Learnt(plane, zero, covariance)
 
     def _look(self, image: NDArray[np.generic], offset: float, begin: Floats) -> Pose | None:
         """The pose since the reference frame: of the whole window where nothing disturbs it, else from blocks or, where
@@ -379,6 +383,18 @@ class RegistrationTracker(Tracker):
         """The pose that the kernels of bank `which` lead to from `begin` (4,)."""
         pose = climb(image, offset, self.banks[which], begin, usual)
         return pose if pose.found and pose.share >= self.settings.min_share else None
+
+
+def _moved(bank: Store, samples: KeptSamples) -> Floats:
+    """How much farther (4,) the samples lie by the kernels of `bank` than they were put."""
+    total, count = np.zeros(4), 0
+    bank = bank._replace(origin=np.full(2, PAD_PX, dtype=np.int64))
+    for item in samples.items:
+        found = climb(item.pixels, 0.0, bank, np.array([*item.shift, 0.0, 0.0]), 0.0)
+        if found.found:
+            total[:2] += item.count * (found.value[:2] - item.shift)
+            count += item.count
+    return total / max(count, 1)
 
 
 def _after(state: RegistrationState, time_ns: int, pose: Pose, noise_std: float) -> RegistrationState:

@@ -9,6 +9,7 @@ What disturbs a part of the target shows in the rest of its blocks: a frame in w
 more of it than noise makes is no such frame, and the blocks are asked one by one (see `midspan.vision.climb`).
 """
 
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -54,6 +55,9 @@ MAX_TURN_PX = 0.03  # by roll and zoom at the window's corners: blocks that lie 
 FAR_PX = 0.25  # a longer step is only roughly known
 MAX_TURNS = 6
 MIN_BLOCKS = 4
+# What roll, zoom, gain and ramps may cost the translation's deviation. They cost 1 to 13 % where texture fills the
+# window, and the double where it is one row or column of blocks (a cable before the sky), which also draws it aside.
+MAX_COST = 1.2
 FITTED, UNLIKE = -1, -2
 
 
@@ -98,8 +102,22 @@ class UndisturbedWindow:
     @property
     def covariance(self) -> Floats:
         """Covariance (2, 2) of x and y for noise of variance 1, px²."""
-        slot = self._with_phase(PHASES * (PHASES // 2) + PHASES // 2)
-        return np.asarray(np.linalg.inv(self.tables.normal[slot, :WANTED])[:2, :2])
+        return np.asarray(np.linalg.inv(self.tables.normal[self._middle(), :WANTED])[:2, :2])
+
+    @cached_property
+    def told_apart(self) -> bool:
+        """Whether the texture tells translation from roll, zoom, gain and ramps, see `MAX_COST`."""
+        rows = self.tables.rows[self._middle()].reshape(-1, SUMS, NUMBERS)
+        response, weights = rows[:, :, :UNKNOWNS], rows[:, :, INVERSE : INVERSE + SUMS]
+        information = np.einsum("bku,bkm,bmv->uv", response, weights, response)
+        if np.linalg.matrix_rank(information) < UNKNOWNS:
+            return False
+        joint, alone = (np.diag(np.linalg.inv(one)) for one in (information, information[:2, :2]))
+        return bool(np.all(joint[:2] < MAX_COST**2 * alone))
+
+    def _middle(self) -> int:
+        """The slot of the phase in which nothing has moved."""
+        return self._with_phase(PHASES * (PHASES // 2) + PHASES // 2)
 
     def fit(
         self,
@@ -115,7 +133,7 @@ class UndisturbedWindow:
         origin: row and column of the window in an image that is cut out of a frame. None where the frame is disturbed,
         turned or enlarged, or leaves no whole window.
         """
-        if self._half_px * (abs(begin[2]) + abs(begin[3])) > MAX_TURN_PX:
+        if self._half_px * (abs(begin[2]) + abs(begin[3])) > MAX_TURN_PX or not self.told_apart:
             return None
         tables = self.tables if origin is None else self.tables._replace(origin=np.array(origin, dtype=np.int64))
         needed, value, covariance, noise = fit_window(image, offset, tables, begin, known, (0, True))
@@ -130,15 +148,15 @@ class UndisturbedWindow:
         """Count poses from this one (4,) of the template."""
         self.tables = self.tables._replace(zero=zero)
 
-    def moved(self, samples: KeptSamples) -> Floats:
-        """How much farther (4,) the samples lie in the template than they were put, in the mean."""
+    def moved(self, samples: KeptSamples) -> Floats | None:
+        """How much farther (4,) the samples lie in the template than they were put, in the mean; None: in none."""
         total, count, known = np.zeros(4), 0, Known(0.0, np.inf, np.zeros((4, 4)))
         for item in samples.items:
             found = self.fit(item.pixels, 0.0, np.array([*item.shift, 0.0, 0.0]), known, origin=(PAD_PX, PAD_PX))
             if found is not None:
                 total[:2] += item.count * (found.value[:2] - item.shift)
                 count += item.count
-        return total / max(count, 1)
+        return total / count if count else None
 
     def _with_phase(self, phase: int) -> int:
         """The slot that holds the tables of a phase, made where they are not there."""
