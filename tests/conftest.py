@@ -21,6 +21,20 @@ settings.register_profile("any machine", deadline=None, derandomize=True, suppre
 settings.load_profile("any machine")
 
 
+def pytest_configure(config: pytest.Config) -> None:
+    """Compiled loops of the estimator that are older than its sources are thrown away.
+
+    Numba keeps them by the file that a function stands in, and does not see that a function which is inlined there has
+    changed in another file.
+    """
+    room = Path(__file__).parents[1] / "src" / "midspan" / "fusion"
+    kept = list((room / "__pycache__").glob("*.nb?"))
+    newest = max(file.stat().st_mtime for file in room.glob("*.py"))
+    if not hasattr(config, "workerinput") and any(file.stat().st_mtime < newest for file in kept):
+        for file in kept:
+            file.unlink(missing_ok=True)
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """What compiles the estimator runs first.
 

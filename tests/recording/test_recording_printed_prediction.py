@@ -91,6 +91,6 @@ def test_its_state_goes_on_where_it_was_read(folder, monkeypatch):
     assert isinstance(one, Estimator)
     again = PredictedAsPrinted(one.settings, one._printed_start, log=True)
     again.restore(one.state)
-    later_ns = one._printed.origin_ns + round(1e9 * (CASE.duration_s + 0.01))
+    later_ns = one._printed.origin_ns + round(1e9 * CASE.duration_s)
     assert np.isfinite(one.predict(0, later_ns)).all()
     assert again.predict(0, later_ns) == one.predict(0, later_ns)

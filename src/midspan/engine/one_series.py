@@ -3,7 +3,7 @@
 The series is what the sensors measured along an axis, each in its turn, on the zero that the engine's estimator found.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from itertools import pairwise
 
@@ -28,11 +28,16 @@ RUN_AWAY = 10.0
 
 
 def one_series(
-    series: Mapping[str, SensorSeries], path: Estimate, restarts_ns: Mapping[str, Nanoseconds]
+    series: Mapping[str, SensorSeries],
+    path: Estimate,
+    restarts_ns: Mapping[str, Nanoseconds],
+    *,
+    gated: bool = True,
 ) -> Displacement:
-    """What the sensors measured, each in its turn, in time order and without outliers; path: smoothed displacement.
+    """What the sensors measured, each in its turn, in time order; path: smoothed displacement.
 
-    The zero of each sensor is moved onto the path's; restarts_ns (k,): instants from which on a radar's is a new one.
+    gated: without outliers. The zero of each sensor is moved onto the path's; a single sensor that is not gated keeps
+    its own, as the papers' filters have it. restarts_ns (k,): instants from which on a radar's is a new one.
     """
     blocks = []
     for number, (name, one) in enumerate(series.items()):
@@ -42,27 +47,11 @@ def one_series(
         seen = np.isfinite(block.value_m) & np.isfinite(block.variance_m2)
         apart = block.value_m - expected
         edges = [0, *np.searchsorted(block.time_ns, restarts_ns.get(name, ())), len(apart)]
-        for span in (slice(first, last) for first, last in pairwise(edges)):
-            apart[span] -= np.median(apart[span][seen[span]]) if seen[span].any() else 0.0
-        far = seen & (apart**2 > OUTLIER_STD**2 * (block.variance_m2 + variance))
+        if gated or len(series) > 1 or len(edges) > 2:
+            for span in (slice(first, last) for first, last in pairwise(edges)):
+                apart[span] -= np.median(apart[span][seen[span]]) if seen[span].any() else 0.0
+        far = gated & seen & (apart**2 > OUTLIER_STD**2 * (block.variance_m2 + variance))
         blocks.append(replace(block, value_m=np.where(far, np.nan, expected + apart)))
-    return _in_turn(blocks, series)
-
-
-def unguarded(series: Mapping[str, SensorSeries]) -> Displacement:
-    """What the sensors measured, each in its turn, in time order, as it is: for a filter as printed, which has no gate.
-
-    Each counts from its own zero.
-    """
-    blocks = [
-        replace(one.displacement, source=np.full(len(one.displacement.time_ns), number, dtype=np.uint8))
-        for number, one in enumerate(series.values())
-    ]
-    return _in_turn(blocks, series)
-
-
-def _in_turn(blocks: Sequence[Displacement], series: Mapping[str, SensorSeries]) -> Displacement:
-    """Blocks whose source is their sensor's number, as one series with the sensors' own sources."""
     both = joined(blocks)
     found = in_turn(part(both, np.argsort(both.time_ns, kind="stable")))
     sources = np.array([one.source for one in series.values()], dtype=np.uint8)

@@ -41,6 +41,8 @@ ROW_X, ROW_VARIANCE, ROW_VELOCITY, ROW_ACCEPTED, ROW_SOURCE = range(5)
 MEMORY = 0.95
 # Frames in which the band does not take G off: while the start is settling, it is many times the noise's.
 SETTLING_FRAMES = 10.0
+# So many frames may wait for the samples that cover them; older ones are dropped.
+MAX_WAITING = 65536
 
 
 @njit(cache=True, inline="always")
@@ -149,6 +151,9 @@ def printed_block(samples, frames, s, learning, rows, met):  # type: ignore[no-u
         t1 = samples[k, 0]
         dt = t1 - s[TIME]
         q = samples[k, 2] / dt if dt > 0.0 else 0.0
+        # Frames before the last sample, and those to be ignored, are no frames of this interval.
+        while j < len(frames) and (frames[j, 0] < s[TIME] or not frames[j, 2] < np.inf):
+            j += 1
         if j < len(frames) and frames[j, 0] <= t1:
             j = _frames_as_printed(s, frames, j, met, (t1, s[INPUT], q), learning)
         else:
@@ -196,7 +201,7 @@ class PrintedFilter:
     def wait(self, met: Displacement) -> None:
         """Take frames that are later than the last sample, all of them finite."""
         frames = (seconds(met.time_ns, self.origin_ns), met.value_m, met.variance_m2, met.source.astype(np.float64))
-        self._waiting = np.concatenate((self._waiting, np.column_stack(frames)))
+        self._waiting = np.concatenate((self._waiting, np.column_stack(frames)))[-MAX_WAITING:]
 
     def push(self, acceleration: Acceleration) -> tuple[Floats, Floats]:
         """Rows (n, 5) of the samples, and of the frames that they cover what they met (m, 4), see the column names."""

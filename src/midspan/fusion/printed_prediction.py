@@ -37,7 +37,8 @@ class PredictedState:
 class PredictedAsPrinted(Estimator):
     """The estimator as it is, except that along the main axis the printed filter predicts the measurements.
 
-    It takes the first target that is seen in a frame, as the papers have one, on the zero of the first frame.
+    It takes the first target that is seen at an instant, as the papers have one; all count from one zero, that of the
+    first frame.
     """
 
     def __init__(self, settings: EstimatorSettings, start: StartOfPrinted, *, log: bool = False) -> None:
@@ -60,6 +61,9 @@ class PredictedAsPrinted(Estimator):
         known = self.settings.channels[channel]
         if known.axis or self._printed is None:
             return super().predict(channel, time_ns)
+        if np.isnan(super().predict(channel, time_ns)[0]):
+            # No samples come: holding the last one would lead away.
+            return np.nan, np.inf
         value_m, variance_m2 = self._printed.predict(time_ns)
         return known.units_per_m * value_m, known.units_per_m**2 * variance_m2
 

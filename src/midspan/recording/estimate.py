@@ -15,7 +15,6 @@ from midspan.engine.one_series import (
     literal_warnings,
     one_series,
     run_on_series,
-    unguarded,
     with_levels_since,
     with_uncertain,
 )
@@ -339,7 +338,7 @@ def on_series(asked: Asked, first: FirstPass, ran: Mapping[str, OneClock], check
         named = {name: on_clock(one, ran[name]) for name, one in series.items()}
         # The filter as printed takes every measurement; what it wins by a gate would not be its own.
         printed = method.literal and asked.row.rows is not None
-        measured = unguarded(named) if printed else one_series(named, found.rows[axis], first.outcome.restarts_ns)
+        measured = one_series(named, found.rows[axis], first.outcome.restarts_ns, gated=not printed)
         own, rate_hz = replace(method, kalman=side.kalman), side.prepared.rate_hz
         done = run_on_series(side.acceleration, measured, asked.method, own, found.rows[axis], rate_hz=rate_hz)
         scale_std = float(np.hypot(max(checked.scale_std[axis][name] for name in named), gain))

@@ -148,7 +148,7 @@ class ThermalCleaner:
         middle = np.round(moved.mean(axis=0))
         whole = np.stack([pixels for pixels, _, _ in self._kept])
         # What stands there in most frames; what only passes by is weighed down as noise.
-        place = _around(self._region, middle, np.median(is_foreign(whole, self.limits), axis=0) > 0.5)
+        place = _around(self._region, middle, np.mean(is_foreign(whole, self.limits), axis=0) > 0.5)
         stack = whole[:, place[0], place[1]].astype(np.float64)
         found = estimate_pattern(folded(stack, self.limits, 1.0).astype(np.float64), moved - middle)
         values = np.zeros(self._shape)
@@ -166,7 +166,7 @@ def _part(pixels: NDArray[np.generic], region: Region) -> NDArray[np.generic]:
 
 def _around(region: Region, moved_px: Floats, foreign: NDArray[np.bool_]) -> tuple[slice, slice]:
     """Rows and columns of a moved region with up to AROUND_PX about it, inside a picture, as far as nothing foreign
-    (rows, columns) lies there: a warm body that stands still next to the target would count as a pattern that is many
+    (rows, columns) lies there: a static warm body next to the target would count as a pattern that is many
     times the target's contrast, and lead the translations astray with it.
     """
     right, down = (int(px) for px in moved_px)

@@ -125,6 +125,8 @@ class Row:
         """Our error over the least one as printed, in words; empty where there are not both."""
         if np.isnan(self.factor):
             return ""
+        if self.factor == 0.0:
+            return "WORSE: lost"
         return f"WORSE: {1.0 / self.factor:.3g} times more" if self.worse else f"{self.factor:.3g} times less"
 
     def to_dict(self) -> dict[str, object]:
@@ -175,13 +177,15 @@ def _row(paper: str, entry: Entry, values: dict[str, Floats]) -> Row:
 
 
 def _factor(entry: Entry, values: Mapping[str, Floats]) -> float:
+    """Least error as printed over ours; 0 where ours is no number in any case, though a printed one is."""
     if not (entry.errors and entry.printed and entry.ours):
         return float("nan")
     printed, ours = (
-        min((float(np.mean(values[name])) for name in part if not _own_unit(name)), default=float("nan"))
-        for part in (entry.printed, entry.ours)
+        [float(np.mean(values[name])) for name in part if not _own_unit(name)] for part in (entry.printed, entry.ours)
     )
-    return printed / ours
+    if np.isfinite(printed).any() and not np.isfinite(ours).any():
+        return 0.0
+    return float(np.nanmin(printed) / np.nanmin(ours)) if np.isfinite(printed).any() else float("nan")
 
 
 def _own_unit(name: str) -> str:

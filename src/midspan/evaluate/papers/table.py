@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from dataclasses import dataclass
 from importlib import import_module
-from multiprocessing import get_context
+from multiprocessing import active_children, get_context
 
 from midspan.evaluate.papers.claims import Curve, Effort, Experiment, Measured, Row, judged
 
@@ -69,6 +69,8 @@ def _measured(jobs: Sequence[tuple[Experiment, Effort]], progress: Progress, pro
                 for future in ended:
                     future.result()
         except BaseException:
+            for process in active_children():
+                process.terminate()
             pool.shutdown(wait=False, cancel_futures=True)
             raise
         progress(len(jobs), len(jobs), "done")

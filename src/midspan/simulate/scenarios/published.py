@@ -76,7 +76,7 @@ def _eye(scale_mm_per_px: float, every: int) -> CameraSetup:
     """A camera at 29.97 Hz of which every N-th frame is used."""
     return CameraSetup(
         rate_hz=FULL_RATE_HZ,
-        time_offset_s=10 / FULL_RATE_HZ,
+        time_offset_s=every / FULL_RATE_HZ,
         scale_mm_per_px=-scale_mm_per_px,
         direction="x",
         size_px=(128, 128),
