@@ -72,9 +72,17 @@ def test_a_slow_camera_is_calibrated_where_both_series_are_aliased_alike():
 
 def test_without_the_spline_the_offset_is_a_whole_frame():
     slow = pair(5.0, tones=((8e-3, 0.1), (3e-3, 0.8)), late_s=0.13)
-    steps = PrintedSteps(spline=False)
+    steps = PrintedSteps(spline=False, sign=-1)
+    # In a single tone half a period and the other sign fit as well: the sign is known, as in the papers.
     assert printed_offset(slow, 0.5, steps) == pytest.approx(0.2)
-    assert printed_offset(slow, 0.5, PrintedSteps()) == pytest.approx(0.13, abs=0.01)
+    assert printed_offset(slow, 0.5, PrintedSteps(sign=-1)) == pytest.approx(0.13, abs=0.01)
+
+
+def test_the_spline_works_where_the_offset_is_less_than_two_frames():
+    # At 3 frames/s ±0.5 s are three lags; the spline rests on more.
+    slow = pair(2.997, tones=((8e-3, 0.1), (3e-3, 0.6)), late_s=0.12)
+    assert printed_offset(slow, 0.5, PrintedSteps(sign=-1)) == pytest.approx(0.12, abs=0.02)
+    assert printed_offset(slow, 0.5, PrintedSteps(spline=False, sign=-1)) in (0.0, pytest.approx(1 / 2.997, abs=1e-6))
 
 
 def test_too_short_a_window_is_refused():

@@ -14,7 +14,6 @@ both ends in which it has not settled are left out. Lost frames are interpolated
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from midspan.calibration.fit import Pair
 from midspan.errors import UntrustedError
@@ -32,6 +31,9 @@ SETTLING_PERIODS = 1.0
 PAD_PERIODS = 2.0
 # Frames that a scale factor is fitted to, and lags that a cubic spline is laid through, at least.
 MIN_ROWS, MIN_LAGS = 20, 4
+# Lags on either side that it is laid through at least, beyond `max_offset_s` where that is less: with three to each
+# side what is assumed at its ends has fallen to a tenth in the middle.
+SPLINE_LAGS = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,13 +43,13 @@ class PrintedSteps:
     band_hz: lower and upper end; None: `printed_band`. spline: the cross-correlation is interpolated (two-stage paper,
     step 3); without, the offset is a whole number of frame intervals. sampled_first: the displacement is brought to the
     camera's rate before it is filtered (two-stage paper, step 2), so that both series are aliased alike; otherwise
-    after (AMKF paper). positive: the scale factor is known to be above 0, as the papers know its sign.
+    after (AMKF paper). sign: of the scale factor, 1 or -1, which the papers know; 0: it is not known.
     """
 
     band_hz: tuple[float, float] | None = None
     spline: bool = True
     sampled_first: bool = True
-    positive: bool = False
+    sign: int = 0
 
 
 def printed_band(rate_hz: float) -> tuple[float, float]:
@@ -58,36 +60,34 @@ def printed_band(rate_hz: float) -> tuple[float, float]:
 def printed_offset(pair: Pair, max_offset_s: float, steps: PrintedSteps) -> float:
     """The clock offset (s) of largest cross-correlation within ±`max_offset_s`.
 
-    The papers know the sign of the scale factor; here it may be either, and the one whose fit leaves less is taken: in
-    a narrow band the correlation half a period away is nearly as large, and a spline through few frames a period may
-    show it larger.
+    Where the sign is not known, the one whose fit leaves less is taken: in a narrow band the correlation half a period
+    away is nearly as large, and a spline through few frames a period may show it larger.
     """
-    if steps.positive:
-        return _offsets(pair, max_offset_s, steps)[0]
-    return min(_offsets(pair, max_offset_s, steps), key=lambda offset_s: _fitted(pair, offset_s, steps).left)
+    signs = (steps.sign,) if steps.sign else (1, -1)
+    offsets = [_offset(pair, max_offset_s, steps, sign) for sign in signs]
+    if len(offsets) == 1:
+        return offsets[0]
+    return min(offsets, key=lambda offset_s: _fitted(pair, offset_s, steps).left)
 
 
-def _offsets(pair: Pair, max_offset_s: float, steps: PrintedSteps) -> tuple[float, float]:
-    """The offsets (s) where the cross-correlation is largest and where it is least."""
+def _offset(pair: Pair, max_offset_s: float, steps: PrintedSteps, sign: int) -> float:
+    """The offset (s) where the cross-correlation times the sign is largest."""
     time_s, translation, rate_hz, band_hz = _translation(pair, steps)
     displacement = _displacement(pair, time_s, band_hz, steps)
-    whole = np.correlate(displacement, translation, mode="full")
-    middle = len(translation) - 1
-    most = min(int(max_offset_s * rate_hz), middle)
-    lags, near = np.arange(-most, most + 1), whole[middle - most : middle + most + 1]
-    return _peak(lags, near, steps) / rate_hz, _peak(lags, -near, steps) / rate_hz
-
-
-def _peak(lags: NDArray[np.int64], near: Floats, steps: PrintedSteps) -> float:
-    """The lag, in frames, of the largest value; with the spline, of its maximum."""
-    best = float(lags[np.argmax(near)])
+    whole = sign * np.correlate(displacement, translation, mode="full")
+    middle, most = len(translation) - 1, max_offset_s * rate_hz
+    # The spline rests on lags beyond those that are looked at, too: of a slow camera there are few.
+    reach = min(max(int(most), SPLINE_LAGS if steps.spline else 0), middle)
+    lags, near = np.arange(-reach, reach + 1), whole[middle - reach : middle + reach + 1]
+    inside = np.abs(lags) <= most
+    best = float(lags[inside][np.argmax(near[inside])])
     if not steps.spline or len(lags) < MIN_LAGS:
-        return best
+        return best / rate_hz
     from scipy.interpolate import CubicSpline
 
     curve = CubicSpline(lags, near)
-    turns = curve.derivative().roots(extrapolate=False)
-    return float(max((*turns.tolist(), best), key=lambda lag: float(curve(lag))))
+    turns = [lag for lag in curve.derivative().roots(extrapolate=False) if abs(lag) <= most]
+    return float(max((*turns, best), key=lambda lag: float(curve(lag)))) / rate_hz
 
 
 @dataclass(frozen=True, slots=True)

@@ -50,6 +50,10 @@ PARTS = {
         "a difference of the two sensors that is no white noise",
         "Look for cross motion, tilt, and a mounting that is not stiff.",
     ),
+    "printed": (
+        "what the printed steps (calibration.literal) are apart from the likelihood",
+        "Leave literal out, or track with less noise: mismatches draw the printed fit to zero.",
+    ),
     "gain": (
         "the accelerometer's sensitivity (accelerometer.scale_std)",
         "Calibrate the accelerometer, or compare it with a displacement sensor.",

@@ -59,6 +59,13 @@ def _report_file(report: str | None) -> Path | None:
         raise click.UsageError(
             f"--report {report}: the folder {path.parent} does not exist. Make it or choose another."
         )
+    pictures = path.parent / "images"
+    if path.is_dir() or not os.access(path.parent, os.W_OK):
+        raise click.UsageError(f"--report {report}: cannot be written there. Choose another file or folder.")
+    if path.suffix == ".md" and pictures.exists() and not pictures.is_dir():
+        raise click.UsageError(
+            f"--report {report}: the figures need a folder {pictures}, which is a file. Move it away."
+        )
     return path
 
 

@@ -95,7 +95,7 @@ def _given(view: View, seen: Sequence[SeenTarget], fit: CameraFit) -> CameraFit:
             continue
         scale = view.scale
         if view.printed is not None:
-            scale, own = printed_along(view, seen[k])
+            scale, own = printed_along(view, seen[k], target.scale)
             scale = view.scale or wider_by(scale, target.scale)
             offset = replace(own, variance=own.variance + (own.value_s - offset.value_s) ** 2) if k == best else offset
         known[k] = replace(target, scale=scale)
@@ -113,7 +113,8 @@ def _given(view: View, seen: Sequence[SeenTarget], fit: CameraFit) -> CameraFit:
         literal=view.printed is not None,
     )
     told = (Notice("literal", PRINTED),) if view.printed is not None else ()
-    return replace(fit, calibration=camera, warnings=(*fit.warnings, *told))
+    parts = dict(fit.parts) if view.printed is None else {**fit.parts, "printed": abs(share - 1.0)}
+    return replace(fit, calibration=camera, warnings=(*fit.warnings, *told), parts=parts)
 
 
 def wider_by(printed: ScaleFactor, likely: ScaleFactor | None) -> ScaleFactor:

@@ -19,6 +19,9 @@ from midspan.vision.picture_quality import PictureWatch
 from midspan.vision.region_choice import Agreement
 from midspan.vision.tracker import Tracker
 
+# A printed scale factor that is off by more than this share is no calibration; the papers differ by up to a tenth.
+MAX_APART = 0.5
+
 
 @dataclass(frozen=True, slots=True)
 class View:
@@ -96,10 +99,27 @@ def camera_pair(view: View, track: PixelTrack, blur_s: float) -> Pair:
     return Pair(samples, rows, ratio, blur_s, outside, level_m_s2=level, cross=cross)
 
 
-def printed_along(view: View, seen: SeenTarget) -> tuple[ScaleFactor, TimeOffset]:
-    """Scale factor and clock offset of a target as printed, the scale factor as known where it is."""
-    pair = camera_pair(replace(view, band_hz=None), seen.rows, seen.blur_s)
-    scale, offset = calibrate_printed(pair, view.max_offset_s, view.printed or PrintedSteps())
+def printed_along(view: View, seen: SeenTarget, likely: ScaleFactor | None) -> tuple[ScaleFactor, TimeOffset]:
+    """Scale factor and clock offset of a target as printed, the scale factor as known where it is.
+
+    likely: by the likelihood; it gives the sign, which the papers know. Raises UntrustedError where the printed one
+    is farther from it than half of it.
+    """
+    pair, steps = camera_pair(replace(view, band_hz=None), seen.rows, seen.blur_s), view.printed or PrintedSteps()
+    known = view.scale or likely
+    if known is not None:
+        steps = replace(steps, sign=int(np.sign(known.value_m_per_px)))
+    scale, offset = calibrate_printed(pair, view.max_offset_s, steps)
+    if view.scale is None and likely is not None:
+        share = scale.value_m_per_px / likely.value_m_per_px
+        if not abs(share - 1.0) <= MAX_APART:
+            raise UntrustedError(
+                f"calibration.literal: the printed steps give {1e3 * scale.value_m_per_px:.4g} mm/px, the likelihood "
+                f"{1e3 * likely.value_m_per_px:.4g}; they must agree within {100 * MAX_APART:g} %. The printed clock "
+                "offset of a camera that is slow for the motion is found only where it is a whole number of frame "
+                "intervals. Leave literal out, raise the frame rate, or choose calibration.band_hz where the structure "
+                "moves."
+            )
     return view.scale or scale, offset
 
 

@@ -33,7 +33,7 @@ def aligned(record: Record, slow_hz: float, *, sampled_first: bool, spline: bool
     felt, seen = record.acceleration, record.displacement
     samples = np.column_stack((felt.time_ns / 1e9, felt.value_m_s2, np.ones(len(felt.time_ns))))
     rows = np.column_stack((seen.time_ns / 1e9 + late_s, seen.value_m, np.ones(len(seen.time_ns))))
-    steps = PrintedSteps((LOW_HZ, min(HIGH_HZ, 0.5 * slow_hz)), spline, sampled_first, positive=True)
+    steps = PrintedSteps((LOW_HZ, min(HIGH_HZ, 0.5 * slow_hz)), spline, sampled_first, sign=1)
     scale, offset = calibrate_printed(Pair(samples, rows), MAX_OFFSET_S, steps)
     return scale.value_m_per_px, offset.value_s + late_s
 

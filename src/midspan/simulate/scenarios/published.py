@@ -145,7 +145,7 @@ def _radar(line: str, setup: RadarSetup, motion: Drawn = _TEST) -> Scenario:
         motion=motion,
         accelerometer=FORCE_BALANCE,
         radar=setup,
-        window_s=(0.0, 11.0) if motion is _TEST else (0.0, 14.0),
+        window_s=(0.0, 14.0),
         free=_RADAR_FREE,
     )
 
