@@ -9,6 +9,7 @@ from midspan.records import Frame, Prediction, Region, Status
 from midspan.simulate.scene.camera import Camera, cramer_rao_std_px
 from midspan.simulate.scene.texture import textured_scene
 from midspan.vision.registration import RegistrationSettings, RegistrationTracker
+from midspan.vision.undisturbed import Known
 
 SIDE, SIZE = 200, 128
 REGION = Region(36, 36, SIZE, SIZE)
@@ -335,3 +336,19 @@ def test_a_cable_before_a_plain_sky_is_as_exact_as_its_texture_allows(upright):
     assert np.all(np.std(error, axis=0) < 1.3 * stated)
     # The reference's noise, as large as a frame's, is the mean of all: 3.5 of it for two axes.
     assert np.all(np.abs(np.mean(error, axis=0)) < 3.5 * stated)
+
+
+@pytest.mark.parametrize(("roll", "zoom"), [(2e-4, 0.0), (0.0, 2e-4), (-1.5e-4, 1e-4)])
+@pytest.mark.parametrize("light", [(1.0, 0.0, 0.0), (1.06, 3.0, 0.02)])
+def test_the_whole_window_tells_roll_and_zoom_from_light(scenes, roll, zoom, light):
+    # Without noise every part of the linear model is there to the second order: what the picture was turned by, and
+    # nothing of gain, level and a ramp of gain across the window.
+    clean = scenes["natural"].render(0, 0).astype(np.float64)
+    window = RegistrationTracker(picture(0, clean.astype(np.float32)), REGION, RegistrationSettings())._undisturbed
+    gain, level, ramp = light
+    seen = turned(clean, roll, zoom) * (gain + ramp * COLUMNS / SIZE) + level
+    found = window.fit(seen, float(np.mean(clean)), np.zeros(4), Known(0.0, np.inf, np.zeros((4, 4))))
+    assert found is not None
+    # 1e-4 px, and at the window's corners 90 px away 5e-4 px, far below any camera's noise.
+    assert np.abs(found.value[:2]).max() < (1e-5 if light == (1.0, 0.0, 0.0) else 1e-3)
+    assert found.value[2:] == pytest.approx((roll, zoom), abs=1e-6 if light == (1.0, 0.0, 0.0) else 1e-5)
