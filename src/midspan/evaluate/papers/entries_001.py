@@ -154,7 +154,7 @@ BRIDGE = Experiment(
                 Claim("it is neither corner", "is a corner", 0.5),
             ),
             errors=True,
-            because=WITHOUT,
+            because=f"{WITHOUT} Which of the other two ranges errs less is chance.",
         ),
     ),
     f"{SIZES}; a jump of four people as 2.5 mm near 2.1 Hz, an exhaust of 25 °C that passes in a second",
