@@ -296,8 +296,8 @@ def test_the_kind_of_camera_file_does_not_matter(kind, footbridge_copy, result):
             (folder / f"bild_{number}.png").write_bytes(cv2.imencode(".png", picture)[1].tobytes())
         set_keys(footbridge_copy, "camera", file="bilder groß")
     found = midspan.estimate(midspan.open_recording(footbridge_copy))
-    # Matching does not depend on the brightness' unit; only rounding differs. In a frame in which a large block's steps
-    # go to and fro between two phases rounding decides whether small blocks are asked, a tenth of its noise apart.
+    # Matching does not depend on the brightness' unit; only rounding differs. Where nearly too few of the four large
+    # blocks count, it decides in a frame whether the small ones are asked: a tenth of a frame's noise apart.
     apart = np.abs(found.displacement_mm - result.displacement_mm)
     assert np.quantile(apart, 0.95) < 1e-2 * FRAME_STD_MM
     assert np.max(apart) < 0.1 * FRAME_STD_MM

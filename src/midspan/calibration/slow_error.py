@@ -76,7 +76,7 @@ def find_slow_error(pair: Pair, fit: Fit, time_s: float | None = None, whole: Fl
     moments = [float(np.sum(weight * one.std**2)) for weight, one in zip(weights, tried, strict=True)]
     white_moment = sum(float(np.sum(weight * one.noise)) for weight, one in zip(weights, tried, strict=True))
     if not white_moment > 0.0:
-        # Measurements without any noise have no slow error that could be told from it.
+        # Measurements without any noise have no slow error that could be distinguished from it.
         return SlowError(white, fit)
     rate = sum(moment / lasting for moment, lasting in zip(moments, times, strict=True)) / sum(moments)
     slow = replace(pair, slow=(sum(moments) / white_moment, float(rate)))

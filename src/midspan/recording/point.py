@@ -176,9 +176,11 @@ def measuring_point(
     one_at_a_time = recording.settings.fusion.switching == "matches" and len(eyes) > 1
     switch = Switch((eyes[0].sensor, eyes[1].sensor), _place(recording, eyes)) if one_at_a_time else None
     lag = None if lag_s is None else max(1, round(lag_s * rate_hz))
-    estimator = Estimator(settings, log=log) if lag is None else Lag(settings, lag)
+    estimator: Estimator | Lag
     if printed is not None:
         estimator = PredictedAsPrinted(settings, start_of_printed(printed, main), log=log)
+    else:
+        estimator = Estimator(settings, log=log) if lag is None else Lag(settings, lag)
     return Point(merge, guard, sensors, estimator, unmeasured, switch)
 
 

@@ -2,7 +2,7 @@
 
 Ma, Liu, Choi and Sohn (two-stage FIR), section 3, equation 2: the template is cut from the first frame, the matrix of
 its ZNCC with the subsets of a frame is made, "the ZNCC matrix is spline interpolated". Frames are taken as they are,
-each by itself: no smoothing, prediction, region that follows, new template or least correlation.
+each frame alone: no smoothing, prediction, region that follows, new template or least correlation.
 
 The paper leaves open where the matrix ends, which spline, and how finely it is interpolated. Here the matrix reaches so
 many pixels to each side of the template's place in the first frame, the spline is bicubic, and its maximum next to the

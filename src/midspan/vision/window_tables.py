@@ -23,7 +23,7 @@ LARGEST = 127.0
 SUMS = 3  # a block: with the slopes along x and y, and with the template
 # What the sums are linear in: x, y, roll, zoom; gain, its ramps across and down, the level's ramps across and down.
 UNKNOWNS, WANTED, GAIN = 9, 4, 4
-# Beside a sum's response to each unknown and its weight in each: what it has of the second order of a shift (dx²/2,
+# After a sum's response to each unknown and its weight in each: what it has of the second order of a shift (dx²/2,
 # dx dy, dy²/2), and its row of the block's inverse covariance.
 WEIGHT, SECOND, INVERSE, NUMBERS = UNKNOWNS, 2 * UNKNOWNS, 2 * UNKNOWNS + 3, 2 * UNKNOWNS + 6
 RESPONSES = UNKNOWNS + 3 + SUMS

@@ -112,9 +112,9 @@ def _given(view: View, seen: Sequence[SeenTarget], fit: CameraFit) -> CameraFit:
         phase_scale_m_per_rad=None if phase is None else share * phase,
         literal=view.printed is not None,
     )
-    told = (Notice("literal", PRINTED),) if view.printed is not None else ()
+    notices = (Notice("literal", PRINTED),) if view.printed is not None else ()
     parts = dict(fit.parts) if view.printed is None else {**fit.parts, "printed": abs(share - 1.0)}
-    return replace(fit, calibration=camera, warnings=(*fit.warnings, *told), parts=parts)
+    return replace(fit, calibration=camera, warnings=(*fit.warnings, *notices), parts=parts)
 
 
 def wider_by(printed: ScaleFactor, likely: ScaleFactor | None) -> ScaleFactor:

@@ -17,7 +17,7 @@ MODULES = {
     "004": "midspan.evaluate.papers.entries_004",
 }
 QUICK_SEEDS, SEEDS = 1, 3
-# How often progress is told, s; an interrupt ends the work then.
+# Interval at which progress is reported, s.
 LOOK_S = 0.5
 
 Progress = Callable[[int, int, str], None]  # measurements done, in all, the experiment's name
