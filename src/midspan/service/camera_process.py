@@ -59,6 +59,8 @@ class CameraProcess:
         self.address, self._taken = address, taken
         self._context = multiprocessing.get_context("spawn")
         self._region: Region | None = None
+        # How the newest frame was dated: the next process need not find out again.
+        self._stamps: StampKind | None = None
         self._ending, self._taking, self._pauses = threading.Event(), threading.Event(), Pauses()
         self._process: Any = None
         self._pipe: Connection | None = None
@@ -111,7 +113,7 @@ class CameraProcess:
     def _run_once(self) -> None:
         """One life of the process."""
         self._pipe, child = self._context.Pipe()
-        self._process = self._context.Process(target=serve, args=(self.address, child), daemon=True)
+        self._process = self._context.Process(target=serve, args=(self.address, child, self._stamps), daemon=True)
         self._process.start()
         child.close()
         self._send()
@@ -121,6 +123,7 @@ class CameraProcess:
             while not self._ending.is_set():
                 if self._pipe.poll(0.5):
                     item = self._pipe.recv()
+                    self._stamps = item.kind if isinstance(item, Delivered) else self._stamps
                     self._taken(item)
                     self._pauses.worked()
                     heard_s = time.monotonic()
@@ -138,16 +141,20 @@ class CameraProcess:
             self._pipe.close()
 
 
-def serve(address: str, pipe: Connection) -> None:
-    """The camera's process: read, cut, stamp and send, and open again what failed, until the end is asked for."""
+def serve(address: str, pipe: Connection, stamps: StampKind | None = None) -> None:
+    """The camera's process: read, cut, stamp and send, and open again what failed, until the end is asked for.
+
+    stamps: how the frames of an earlier process were dated.
+    """
     sender = _Sender(pipe)
     pauses = Pauses()
     while not sender.ended:
         try:
-            for stamped in _frames(address):
+            for stamped in _frames(address, stamps):
                 if sender.ended:
                     return
                 sender.give(stamped)
+                stamps = stamped.kind
                 pauses.worked()
         except SourceFault as fault:
             sender.say(Failed(fault.code, str(fault)))
@@ -158,10 +165,10 @@ def serve(address: str, pipe: Connection) -> None:
         sender.wait(pauses.next_s())
 
 
-def _frames(address: str) -> Iterator[Stamped]:
+def _frames(address: str, stamps: StampKind | None) -> Iterator[Stamped]:
     """The frames of an address, at the pace that they are taken at."""
     if not address.startswith("replay:"):
-        yield from frames(address)
+        yield from frames(address, earlier=stamps)
         return
     from midspan.service.replayed import film
 

@@ -160,7 +160,10 @@ class Intake:
         stream.skipped = item.skipped
         if stream.stamps not in ("", item.kind.value):
             # What a calibration took for the clock's offset changes by some hundredths of a second.
-            text = f"{name}: frames are dated by {item.kind.value} now, by {stream.stamps} before."
+            text = (
+                f"{name}: frames are dated by {item.kind.value} now (± {1e3 * item.kind.std_s:g} ms), "
+                f"by {stream.stamps} before."
+            )
             self._tell(one, "stamps", text)
         stream.stamps = item.kind.value
         if one.sizes.setdefault(name, item.shape) != item.shape:

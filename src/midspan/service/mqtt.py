@@ -2,6 +2,8 @@
 
 import json
 import re
+import secrets
+import time
 from collections.abc import Callable, Mapping
 from itertools import pairwise
 from typing import Any
@@ -24,6 +26,11 @@ MAX_QUEUED = 10_000
 # Messages that the broker may have on their way to us: all that MQTT allows. They are acknowledged once a second, and
 # with a broker's own limit (Mosquitto's is 20) no more than that would come in a second.
 MAX_UNACKNOWLEDGED = 65_535
+# A longer message is not sent to us, bytes: a block of a second at 1 kHz has 4 kB, as JSON 20 kB.
+MAX_MESSAGE = 1_000_000
+# The pause before the next attempt where another service with our name ended the connection, s: doubled each time, so
+# that the two do not end each other once a second.
+NAME_TAKEN_S, MAX_NAME_TAKEN_S = 30, 960
 
 
 class Broker:
@@ -45,7 +52,7 @@ class Broker:
         from paho.mqtt.packettypes import PacketTypes
         from paho.mqtt.properties import Properties
 
-        self.connected, self.reason = False, "starting"
+        self.connected, self._reason = False, "starting"
         self._settings, self._topics, self._taken = settings, dict(topics), taken
         self.root = f"{settings.prefix}/v1/{site}"
         client = mqtt.Client(
@@ -62,7 +69,18 @@ class Broker:
         self._session = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
         self._session.SessionExpiryInterval = SESSION_S
         self._session.ReceiveMaximum = MAX_UNACKNOWLEDGED
+        self._session.MaximumPacketSize = MAX_MESSAGE
+        # Which process holds the site's name is a retained message: brokers do not say who ended a connection.
+        self._own, self._holder = secrets.token_hex(8).encode(), f"{self.root}/service"
+        self._connections, self._connected_s, self._pause_s = 0, 0.0, NAME_TAKEN_S
         self._client = client
+
+    @property
+    def reason(self) -> str:
+        """Why the broker is not there, or not for us alone; empty where it is."""
+        if self._reason == "name_taken" and self.connected and time.monotonic() - self._connected_s > self._pause_s:
+            return ""
+        return self._reason
 
     def start(self) -> None:
         """Connect, now or as soon as the broker is there."""
@@ -90,26 +108,39 @@ class Broker:
     def _met(self, client: Any, _data: Any, _flags: Any, code: Any, _properties: Any) -> None:
         if code.is_failure:
             # "Not authorized", "Bad user name or password", "Bad authentication method".
-            self.reason = "unauthorized" if re.search("auth|password", str(code).lower()) else "refused"
+            self._reason = "unauthorized" if re.search("auth|password", str(code).lower()) else "refused"
             client.reconnect_delay_set(AGAIN_S, REFUSED_S)
             return
         client.reconnect_delay_set(AGAIN_S, AGAIN_S)
-        self.connected, self.reason = True, ""
-        if self._topics:
-            client.subscribe([(topic, qos) for topic, qos in self._topics.items()])
+        self.connected, self._reason, self._connected_s = True, "", time.monotonic()
+        self._connections += 1
+        client.subscribe([(self._holder, 1), *self._topics.items()])
+        client.publish(self._holder, self._own, qos=1, retain=True)
         self.publish("available", "online", qos=1, retain=True)
 
     def _not_met(self, _client: Any, _data: Any) -> None:
-        self.reason = "broker_gone"
+        self._reason = "broker_gone"
 
     def _left(self, _client: Any, _data: Any, _flags: Any, _code: Any, _properties: Any) -> None:
         # A connection that was refused is left too, and why stays.
-        if self.connected or self.reason == "starting":
-            self.connected, self.reason = False, "broker_gone"
+        if (self.connected and self.reason != "name_taken") or self._reason == "starting":
+            self._reason = "broker_gone"
+        self.connected = False
 
     def _came(self, client: Any, _data: Any, message: Any) -> None:
         number, qos = message.mid, message.qos
+        if message.topic == self._holder:
+            client.ack(number, qos)
+            # At the first connection it is a process that ended, most likely our own before a restart.
+            if message.retain and message.payload != self._own and self._connections > 1:
+                self._name_is_taken()
+            return
         self._taken(message.topic, bytes(message.payload), lambda: client.ack(number, qos) if qos else None)
+
+    def _name_is_taken(self) -> None:
+        """Another service had the site's name since our last connection: it is given more time with each one."""
+        self._client.reconnect_delay_set(self._pause_s, self._pause_s)
+        self._reason, self._pause_s = "name_taken", min(2 * self._pause_s, MAX_NAME_TAKEN_S)
 
 
 def even_parts(rows: Chunk) -> list[Chunk]:

@@ -23,6 +23,10 @@ REASONS: dict[str, tuple[str, str]] = {
         "the MQTT broker cannot be reached",
         "check the broker; it is connected again automatically",
     ),
+    "name_taken": (
+        "another service with this site's name is connected to the MQTT broker",
+        "give each site a name of its own, or stop the other service",
+    ),
     "store_unavailable": ("the store cannot be written", "check disk or database; what comes meanwhile is held back"),
     "store_full": ("the store's disk is full", "make room; what comes meanwhile is held back"),
     "rows_dropped": ("the store was away for too long, and rows were lost", "see the events for when"),

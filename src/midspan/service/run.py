@@ -204,7 +204,6 @@ class Service:
         except Exception as error:
             # Whatever it is, the other points go on, and this one is tried again.
             live.refused(str(error) if isinstance(error, MidspanError) else f"{type(error).__name__}: {error}")
-            self._say(f"{live.name}: {error}")
         finally:
             one.busy = False
 
@@ -215,7 +214,6 @@ class Service:
         accept = live.plan.settings.accept == "auto"
         number = await asyncio.to_thread(self._add_calibration, one, body, accept)
         live.calibrated(number) if accept else live.offered(number)
-        self._say(f"{live.name}: calibration {number} {'is in force' if accept else 'waits to be accepted'}.")
 
     async def _open(self, one: Running, job: Job) -> None:
         live = one.live

@@ -52,7 +52,11 @@ def server(app: Any) -> Any:
     """A web server for a socket of `listening` that leaves signals alone."""
     import uvicorn
 
-    config = uvicorn.Config(app, log_level="warning", access_log=False, lifespan="off")
+    from midspan.service.connection import MAX_WAITING, Connection
+
+    config = uvicorn.Config(
+        app, http=Connection, backlog=MAX_WAITING, log_level="warning", access_log=False, lifespan="off"
+    )
 
     class Server(uvicorn.Server):
         """One whose end is the service's."""

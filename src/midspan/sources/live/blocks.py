@@ -16,8 +16,9 @@ from midspan.sources.live.fault import SourceFault
 HEAD = struct.Struct("<BBHIqqI")
 VERSION = 1
 ACCELERATION, DISPLACEMENT, RESULT = 1, 2, 3
-# A block lasts seconds; a million values are more than an hour of any sensor.
-MAX_VALUES = 1_000_000
+# A block lasts seconds: 250 000 values in binary are minutes of any sensor. A longer payload is refused before it is
+# parsed, which would hold up the loop.
+MAX_BYTES = 1_000_000
 # From 2000 to 2200, ns: stamps outside are a clock that was never set.
 FIRST_NS, LAST_NS = 946_684_800 * NANOSECONDS, 7_258_118_400 * NANOSECONDS
 MAX_STEP_NS = 3600 * NANOSECONDS
@@ -56,6 +57,8 @@ def parse(payload: bytes, kind: int, dated: Dated | None = None) -> Block:
 
     dated: the first stamp (ns) of JSON without t0, from sequence, interval (s) and count of values; None: it needs t0.
     """
+    if len(payload) > MAX_BYTES:
+        raise _refuse(f"{len(payload)} bytes; at most {MAX_BYTES} are taken")
     block = _of_json(payload, kind, dated) if payload[:1] in (b"{", b" ", b"\n") else _of_bytes(payload)
     if block.kind != kind:
         raise _refuse(f"kind {block.kind} where {kind} is expected")
@@ -73,7 +76,7 @@ def _of_bytes(payload: bytes) -> Block:
     if version != VERSION:
         raise _refuse(f"version {version}; this program reads version {VERSION}")
     columns = 2 if kind == RESULT else 1
-    if count > MAX_VALUES or len(payload) != HEAD.size + 4 * count * columns:
+    if len(payload) != HEAD.size + 4 * count * columns:
         raise _refuse(f"{len(payload)} bytes, but {count} values need {HEAD.size + 4 * count * columns}")
     # A signalling NaN is one like any other.
     with np.errstate(invalid="ignore"):
@@ -94,7 +97,7 @@ def _of_json(payload: bytes, kind: int, dated: Dated | None) -> Block:
         raise _refuse("a sequence that is no whole number from 0 to 2^32 - 1")
     if not isinstance(step_s, int | float) or isinstance(step_s, bool) or not math.isfinite(step_s):
         raise _refuse("a dt_s that is no number")
-    if not isinstance(values, list) or len(values) > MAX_VALUES or not all(_is_number(one) for one in values):
+    if not isinstance(values, list) or not all(_is_number(one) for one in values):
         raise _refuse("values that are no list of numbers (null: missing)")
     numbers = np.array([np.nan if one is None else float(one) for one in values])
     step_ns = round(min(max(step_s, -1e9), 1e9) * NANOSECONDS)

@@ -11,29 +11,29 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from midspan.records import NANOSECONDS, Frame
-from midspan.sources.live.arrivals import ENVELOPE, ArrivalEnvelope
+from midspan.records import Frame
+from midspan.sources.live.arrivals import ArrivalEnvelope
 from midspan.sources.live.fault import SourceFault
+from midspan.sources.live.sender_reports import SenderReports
 
 # A camera that answers does so within this; a stream that brings nothing for so long is stopped.
 OPEN_S, READ_S = 3.0, 3.0
-# A network camera says what its clock shows within this time (sender reports come every five seconds); frames before
-# are left out: dated by their arrival they would be tens of milliseconds off.
-REPORT_S = 10.0
+# A network camera's reports agree within this time (the first comes within 4 s, the others every 2 to 7 s, RFC 3550);
+# frames before are left out: dated by their arrival they would be tens of milliseconds off.
+REPORT_S = 20.0
 MICROSECONDS = 1_000
 
 
 class StampKind(Enum):
     """How a frame's instant was found, the best first; std_s: its standard deviation."""
 
-    SENDER = "sender"  # the camera's own clock with each packet (RTCP sender reports)
-    STREAM = "stream"  # the camera's clock at the stream's start, and the stream's own time since
+    SENDER = "sender"  # the camera's own clock with each packet (RTCP sender reports that agree)
     ARRIVAL = "arrival"  # when it came, less what it was delayed by
 
     @property
     def std_s(self) -> float:
         """The instant's standard deviation, s, as measured on a stream with its clock drawn into the pictures."""
-        return {"sender": 0.0005, "stream": 0.002, "arrival": 0.03}[self.value]
+        return {"sender": 0.0005, "arrival": 0.03}[self.value]
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,10 +44,12 @@ class Stamped:
     kind: StampKind
 
 
-def frames(address: str) -> Iterator[Stamped]:
+def frames(address: str, *, earlier: StampKind | None = None) -> Iterator[Stamped]:
     """The frames of `rtsp://…` or `usb:0`, luma only, until the stream ends or fails: a live stream has no end.
 
-    Raises SourceFault with one of the codes refused, not_found, no_answer, stopped, ended, damaged.
+    earlier: how the frames of an earlier connection were dated; None: there was none, and the first ones are left out
+    until the sender's reports agree. Raises SourceFault with one of the codes refused, not_found, no_answer, stopped,
+    ended, damaged.
     """
     import av
 
@@ -57,7 +59,9 @@ def frames(address: str) -> Iterator[Stamped]:
         if stream is None:
             raise SourceFault("no_video", "the stream holds no video")
         stream.thread_type = "SLICE"
-        yield from _decoded(container, stream, 0.0 if address.startswith("usb:") else REPORT_S)
+        has_no_reports = address.startswith("usb:") or earlier is StampKind.ARRIVAL
+        reports = SenderReports(trusted=earlier is StampKind.SENDER)
+        yield from _decoded(container, stream, reports, 0.0 if has_no_reports else REPORT_S)
     except av.error.ExitError:
         raise SourceFault("stopped", f"nothing came for {READ_S:g} s") from None
     except av.error.FFmpegError as error:
@@ -91,45 +95,32 @@ def _opened(address: str) -> Any:
         raise SourceFault("damaged", f"what answers is no video ({error.strerror or type(error).__name__})") from None
 
 
-def _decoded(container: Any, stream: Any, report_s: float) -> Iterator[Stamped]:
-    """Frames with their instants: the sender's where a packet brings it within `report_s` of the stream's beginning,
-    else the stream's, else by arrival.
+def _decoded(container: Any, stream: Any, reports: SenderReports, report_s: float) -> Iterator[Stamped]:
+    """Frames with their instants: by the sender's clock once its reports agree, else by arrival.
+
+    Those of the stream's first `report_s` without the sender's clock are left out.
     """
-    envelope, reports, count, first_s = ArrivalEnvelope(), 0, 0, None
+    envelope, count, first_s = ArrivalEnvelope(), 0, None
     base = float(stream.time_base)
-    sent_ns: dict[int, int] = {}
-    known: tuple[int, int] | None = None
     newest_ns = -(2**62)
     for packet in container.demux(stream):
         arrived_ns = time.time_ns()
-        found = _sent_ns(packet)
-        if found is not None and packet.pts is not None:
-            reports += 1
-            # The first one of a stream may be a frame off.
-            if reports > 1:
-                sent_ns[packet.pts] = found
-                known = (packet.pts, found)
+        sent_ns = _sent_ns(packet)
+        if sent_ns is not None and packet.pts is not None:
+            reports.take(packet.pts * base, sent_ns)
         for picture in packet.decode():
             if picture.pts is None:
                 continue
             stream_s = picture.pts * base
-            by_arrival_ns = envelope.instant_ns(stream_s, arrived_ns)
-            if known is not None:
-                own = sent_ns.pop(picture.pts, None)
-                stamp = known[1] + round((picture.pts - known[0]) * base * NANOSECONDS) if own is None else own
-                kind = StampKind.SENDER
-            elif (start_us := getattr(container, "start_time_realtime", None)) and start_us > 0:
-                stamp, kind = start_us * MICROSECONDS + round(stream_s * NANOSECONDS), StampKind.STREAM
-            else:
-                stamp, kind = by_arrival_ns, StampKind.ARRIVAL
-            if len(sent_ns) > ENVELOPE:
-                sent_ns.clear()
             first_s = stream_s if first_s is None else first_s
-            if kind is not StampKind.SENDER and stream_s - first_s < report_s:
+            by_arrival_ns, by_sender_ns = envelope.instant_ns(stream_s, arrived_ns), reports.instant_ns(stream_s)
+            if by_sender_ns is None and stream_s - first_s < report_s:
                 continue
-            if stamp > newest_ns:
-                newest_ns = stamp
-                yield Stamped(Frame(stamp, luma(picture), count), kind)
+            kind = StampKind.ARRIVAL if by_sender_ns is None else StampKind.SENDER
+            stamp_ns = by_arrival_ns if by_sender_ns is None else by_sender_ns
+            if stamp_ns > newest_ns:
+                newest_ns = stamp_ns
+                yield Stamped(Frame(stamp_ns, luma(picture), count), kind)
                 count += 1
 
 

@@ -11,12 +11,12 @@ from collections.abc import Iterator
 
 from midspan.records import NANOSECONDS
 from midspan.sources.live.arrivals import ArrivalEnvelope
-from midspan.sources.live.blocks import MAX_VALUES, SEQUENCES, Block, parse
+from midspan.sources.live.blocks import MAX_BYTES, SEQUENCES, Block, parse
 from midspan.sources.live.fault import SourceFault
 
 DEFAULT_BAUD = 115_200
-# A line that is longer is none of ours: digits of MAX_VALUES values would be days of any line.
-LONGEST_LINE = 1 << 20
+# More values than that are not lost on a line, which needs minutes for them: the sender was started again.
+MAX_LOST_VALUES = 1_000_000
 # Nothing for so long ends the reading, s.
 SILENT_S = 10.0
 
@@ -40,8 +40,7 @@ class Dating:
     def t0_ns(self, sequence: int, dt_s: float, count: int, arrived_ns: int) -> int:
         """The stamp of a block's first value; arrived_ns: when its last byte came."""
         lost = 0 if self._next is None else (sequence - self._next) % SEQUENCES
-        if lost > SEQUENCES // 2 or lost * count > MAX_VALUES:
-            # The sender was started again.
+        if lost > SEQUENCES // 2 or lost * count > MAX_LOST_VALUES:
             self._envelope, self._stream_s, lost = ArrivalEnvelope(), 0.0, 0
         self._stream_s += (lost + 1) * count * dt_s
         self._next = (sequence + 1) % SEQUENCES
@@ -80,15 +79,15 @@ def blocks(address: str, kind: int) -> Iterator[Block | SourceFault]:
     with line:
         while True:
             try:
-                received = line.read_until(b"\n", LONGEST_LINE)
+                received = line.read_until(b"\n", MAX_BYTES)
             except (serial.SerialException, OSError) as error:
                 raise SourceFault("stopped", f"{device} cannot be read ({error})") from None
             arrived_ns = time.time_ns()
             if not received.endswith(b"\n"):
-                if len(received) < LONGEST_LINE:
+                if len(received) < MAX_BYTES:
                     code = "stopped" if heard else "no_answer"
                     raise SourceFault(code, f"{device}: no line came for {SILENT_S:g} s")
-                yield SourceFault("payload", f"a line of more than {LONGEST_LINE} bytes")
+                yield SourceFault("payload", f"a line of more than {MAX_BYTES} bytes")
                 continue
             if not heard:
                 # The first line may have begun before the port was opened.

@@ -1,0 +1,44 @@
+"""Instants of a network camera's frames by its own clock, which its RTCP sender reports give.
+
+A report pairs one instant of the sender's clock with one of the stream's time; every packet after it carries its
+instant by the newest report. One report alone may be tens of milliseconds off, whatever the server: it is used once a
+second one agrees with it.
+"""
+
+from midspan.records import NANOSECONDS
+
+# Instants of packets under the same report differ by the rounding of two clocks to microseconds, ns.
+ROUNDING_NS = 2_000
+# Two reports that are five to eight seconds apart differ by the drift of the sender's clocks, 0.8 ms at 100 ppm, ns.
+MAX_DIFFERENCE_NS = 2_000_000
+
+
+class SenderReports:
+    """The sender's clock against the stream's time; trusted: whether an earlier connection's reports agreed."""
+
+    def __init__(self, *, trusted: bool = False) -> None:
+        self.trusted = trusted
+        self._candidate_ns: int | None = None
+        self._report_ns: int | None = None
+
+    def take(self, stream_s: float, sent_ns: int) -> None:
+        """A packet of the stream's time `stream_s` carries the sender's instant `sent_ns` (UTC)."""
+        offset_ns = sent_ns - round(stream_s * NANOSECONDS)
+        # The first packet after a stream's first report may carry the instant of another frame.
+        is_second_packet = _agree(offset_ns, self._candidate_ns, ROUNDING_NS)
+        self._candidate_ns = offset_ns
+        if not is_second_packet or _agree(offset_ns, self._report_ns, ROUNDING_NS):
+            return
+        self.trusted = self.trusted or _agree(offset_ns, self._report_ns, MAX_DIFFERENCE_NS)
+        self._report_ns = offset_ns
+
+    def instant_ns(self, stream_s: float) -> int | None:
+        """The instant (ns UTC) of the stream's time `stream_s`; None before two reports agree."""
+        if not self.trusted or self._report_ns is None:
+            return None
+        return self._report_ns + round(stream_s * NANOSECONDS)
+
+
+def _agree(first_ns: int, second_ns: int | None, most_ns: int) -> bool:
+    """Whether two offsets are known and agree within `most_ns`."""
+    return second_ns is not None and abs(first_ns - second_ns) <= most_ns
