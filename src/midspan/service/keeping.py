@@ -1,5 +1,6 @@
 """Writes batches to the store, one after another; while it is away they wait, up to a bound."""
 
+import threading
 from collections import deque
 from collections.abc import Sequence
 
@@ -12,7 +13,8 @@ MAX_WAITING = 18_000
 
 
 class Keeper:
-    """`put` never waits; `write` writes what waits, and is called by one thread at a time.
+    """`put` never waits; `write` writes what waits. Whoever uses the store waits for the thread that does so already: a
+    connection of SQLite that is closed in the middle of a statement of another thread ends the process.
 
     points: that it writes, locked as long as the store is open. reason: why the store is away, empty while it takes
     everything; dropped: batches that were lost.
@@ -22,6 +24,7 @@ class Keeper:
         self._where, self._points = where, points
         self._store: Store | None = None
         self._waiting: deque[Batch] = deque()
+        self._in_use = threading.RLock()
         self.reason, self.text, self.dropped = "", "", 0
 
     @property
@@ -46,33 +49,41 @@ class Keeper:
 
     def write(self) -> None:
         """Write all that waits, oldest first; where the store is away it is tried again the next time."""
-        try:
-            store = self.store()
-            while self._waiting:
-                batch = self._waiting[0]
-                store.write(batch)
-                self._waiting.popleft()
-            self.reason = self.text = ""
-        except StoreFault as fault:
-            self.reason, self.text = fault.code, str(fault)
-            self._close()
-        except MidspanError as error:
-            self.reason, self.text = "store_unavailable", str(error)
-            self._close()
+        with self._in_use:
+            try:
+                self._write()
+            except StoreFault as fault:
+                self.reason, self.text = fault.code, str(fault)
+                self._close()
+            except MidspanError as error:
+                self.reason, self.text = "store_unavailable", str(error)
+                self._close()
 
     def forget_before(self, time_ns: int) -> None:
         """Remove the days before a time, where the store can be used."""
-        try:
-            self.store().forget_before(time_ns)
-        except MidspanError as error:
-            self.text = str(error)
+        with self._in_use:
+            try:
+                self.store().forget_before(time_ns)
+            except MidspanError as error:
+                self.text = str(error)
 
     def close(self) -> None:
         """Write what waits and let the store go."""
-        try:
-            self.write()
-        finally:
-            self._close()
+        with self._in_use:
+            try:
+                self.write()
+            finally:
+                self._close()
+
+    def _write(self) -> None:
+        store = self.store()
+        while self._waiting:
+            batch = self._waiting[0]
+            store.write(batch)
+            # Of too many `put` may have dropped it meanwhile.
+            if self._waiting and self._waiting[0] is batch:
+                self._waiting.popleft()
+        self.reason = self.text = ""
 
     def _close(self) -> None:
         if self._store is not None:
