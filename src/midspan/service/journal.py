@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from midspan.engine.point import ACCELEROMETER, Output
+from midspan.engine.point import Output
 from midspan.engine.sensors import Seen
 from midspan.fusion.estimator import Rows
 from midspan.records import (
@@ -185,7 +185,7 @@ class Journal:
 
     def _tell(self, events: Sequence[Event]) -> None:
         self._events += events
-        self.health = self.health.after_events(events, ACCELEROMETER) if events else self.health
+        self.health = self.health.after_events(events)
 
     def _take(self, rows: Rows) -> None:
         """Keep rows as they are given out: from the zero in force, and none of a point that is lost for long."""

@@ -126,6 +126,11 @@ class LivePoint:
         return RowHealth() if self._feeding is None else self._feeding.opened.journal.health
 
     @property
+    def disordered(self) -> int:
+        """How many readings of the accelerometer were left out since their stamps were wrong."""
+        return 0 if self.opened is None else self.opened.point.merge.health[0].disordered
+
+    @property
     def catches_up(self) -> bool:
         """Whether records still wait for the point."""
         return self._feeding is not None and len(self._feeding.waiting) > 0

@@ -12,15 +12,13 @@ from midspan.records import Estimate, Event, Status
 USUAL_ROWS = 60_000
 # While rows are less certain than usual by this factor after a clock stepped, the clock is why.
 WIDENED = 3.0
-# The accelerometer's records that are left out since their stamps are wrong.
-WRONG_STAMPS = ("backwards", "ahead", "stamp")
 
 
 @dataclass(frozen=True, slots=True)
 class RowHealth:
     """newest_ns: stamp of the newest row, None before the first; std_m: its standard deviation; usual_m: the usual one
     of rows that rest on measurements, NaN before the first; count: of these, up to USUAL_ROWS; stepped: a clock
-    stepped, and the rows are less certain since; wrong_stamps: the accelerometer's newest records are left out.
+    stepped, and the rows are less certain since.
     """
 
     newest_ns: int | None = None
@@ -28,17 +26,10 @@ class RowHealth:
     usual_m: float = math.nan
     count: int = 0
     stepped: bool = False
-    wrong_stamps: bool = False
 
-    def after_events(self, events: Sequence[Event], accelerometer: str) -> "RowHealth":
+    def after_events(self, events: Sequence[Event]) -> "RowHealth":
         """After events of the engine."""
-        now = self
-        for event in events:
-            if event.kind == "clock":
-                now = replace(now, stepped=True)
-            elif event.kind in WRONG_STAMPS and event.text.startswith(f"{accelerometer}:"):
-                now = replace(now, wrong_stamps=True)
-        return now
+        return replace(self, stepped=True) if any(event.kind == "clock" for event in events) else self
 
     def after_rows(self, rows: Estimate) -> "RowHealth":
         """After rows (n,) of the main axis."""
@@ -47,7 +38,7 @@ class RowHealth:
         std_m = np.sqrt(rows.variance_m2)
         good = std_m[(rows.status == Status.TRACKING) & (std_m > 0.0) & np.isfinite(std_m)]
         newest_m = float(std_m[-1])
-        now = replace(self, newest_ns=int(rows.time_ns[-1]), std_m=newest_m, wrong_stamps=False)
+        now = replace(self, newest_ns=int(rows.time_ns[-1]), std_m=newest_m)
         if self.stepped and newest_m > WIDENED * self.usual_m:
             return now
         if not len(good):

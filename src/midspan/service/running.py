@@ -139,9 +139,10 @@ class Running:
     results: int = 0
     published_ns: int = 0
     busy: bool = False
-    # Stamp of the newest row, and when that was given out.
+    # Stamp of the newest row, when that was given out, and how many stamps of the acceleration were wrong until then.
     _row_ns: int | None = None
     _row_s: float | None = None
+    _disordered: int = 0
 
     @property
     def name(self) -> str:
@@ -157,7 +158,7 @@ class Running:
         """Note when the newest row was given out."""
         newest_ns = self.live.row_health.newest_ns
         if newest_ns != self._row_ns:
-            self._row_ns, self._row_s = newest_ns, now_s
+            self._row_ns, self._row_s, self._disordered = newest_ns, now_s, self.live.disordered
 
     def no_rows(self, now_s: float) -> str:
         """Why the point gives no rows now that can be relied on, empty where it does."""
@@ -166,7 +167,7 @@ class Running:
         fresh_s = FRESH_S + (fusion.lag_s if fusion.method == "lag" else 0.0)
         if reason or self._row_s is None or now_s - self._row_s <= fresh_s:
             return reason
-        return "clock" if self.live.row_health.wrong_stamps else "no_rows"
+        return "clock" if self.live.disordered > self._disordered else "no_rows"
 
     def _no_rows(self) -> str:
         status = self.live.status
