@@ -168,5 +168,5 @@ def test_what_waits_while_a_point_is_opened_is_bounded(tmp_path):
     at_s = pushed(point, at_s + 1, at_s + 30)
     for arrival in records(at_s + 1, at_s + 1 + 610):
         point.push(arrival)
-    held = [one for one in point._held if one.stream == "accelerometer"]
+    held = [one for one in point._waiting if one.stream == "accelerometer"]
     assert 599 <= len(held) <= 602

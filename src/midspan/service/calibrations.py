@@ -44,9 +44,9 @@ def added(live: LivePoint, store: Store, body: str, *, accept: bool) -> int:
     return store.add_calibration(live.name, time.time_ns(), body, settings, accept=accept)
 
 
-def loaded(live: LivePoint, store: Store) -> Calibration:
-    """The calibration that a point runs with."""
-    found = store.calibration(live.name, live.number)
+def loaded(live: LivePoint, store: Store, number: int | None = None) -> Calibration:
+    """A point's calibration of this number; left out: the one in force."""
+    found = store.calibration(live.name, live.number if number is None else number)
     assert found is not None
     return calibration_from_dict(json.loads(found.body))
 

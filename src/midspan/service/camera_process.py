@@ -18,6 +18,7 @@ import numpy as np
 
 from midspan.errors import MidspanError
 from midspan.records import Frame, Region
+from midspan.service.cutting import part_of, whole_frame
 from midspan.service.pauses import Pauses
 from midspan.sources.live.camera import Stamped, StampKind, frames
 from midspan.sources.live.fault import SourceFault
@@ -189,21 +190,16 @@ class _Sender:
 
     def give(self, stamped: Stamped) -> None:
         """Queue a frame; where too many wait the oldest is skipped."""
-        pixels, region = stamped.frame.pixels, self._region
-        rows, columns = pixels.shape
-        x, y = 0, 0
-        if region is not None:
-            x, y = max(region.x, 0), max(region.y, 0)
-            pixels = pixels[y : max(region.y + region.height, 0), x : max(region.x + region.width, 0)]
+        rows, columns = stamped.frame.pixels.shape
+        part, place = part_of(stamped.frame.pixels, self._region)
         with self._some:
             frames = [one for one in self._waiting if isinstance(one, Delivered)]
             if len(frames) >= MAX_WAITING:
                 self._waiting.remove(frames[0])
                 self._skipped += 1
             made = Delivered(
-                stamped.frame.time_ns, stamped.kind, (rows, columns), (x, y), np.ascontiguousarray(pixels),
-                self._count, self._skipped,
-            )  # fmt: skip
+                stamped.frame.time_ns, stamped.kind, (rows, columns), place, part, self._count, self._skipped
+            )
             self._count += 1
             self._waiting.append(made)
             self._some.notify()
@@ -244,13 +240,5 @@ class _Sender:
 
 
 def pasted(item: Delivered) -> Frame:
-    """The frame of a camera's part, of the whole frame's size, so that all places stay those of the picture.
-
-    Around the part is its mean level: what is not seen any more must not look like a lit, sharp or unchanged picture.
-    """
-    if item.part.shape == item.shape:
-        return Frame(item.time_ns, item.part, item.number)
-    (x, y), (rows, columns) = item.place, item.part.shape
-    whole = np.full(item.shape, item.part.mean() if item.part.size else 0, dtype=item.part.dtype)
-    whole[y : y + rows, x : x + columns] = item.part
-    return Frame(item.time_ns, whole, item.number)
+    """The frame of a camera's part, of the whole frame's size."""
+    return Frame(item.time_ns, whole_frame(item.part, item.place, item.shape), item.number)

@@ -15,8 +15,9 @@ from typing import Any
 import numpy as np
 
 from midspan.errors import MidspanError
-from midspan.records import NANOSECONDS, Arrival, Frame, RangeFrame, Readings, Region
+from midspan.records import NANOSECONDS, Arrival, Frame, RangeFrame, Readings
 from midspan.service.camera_process import CameraProcess, Delivered, Failed, pasted
+from midspan.service.cutting import around, wider
 from midspan.service.mqtt import SESSION_S
 from midspan.service.opening import Opened
 from midspan.service.reading_thread import ReadingThread
@@ -34,8 +35,6 @@ from midspan.thermal.radiometry import ICE_K
 # Stamps that far ahead of this machine's clock are refused, s: twice the clock offset that a calibration looks for.
 # What is kept is in the order of stamps: a record of the future would shut out those that come until then.
 AHEAD_S = 1.0
-# Of a camera's frame more than its region leaves the camera's process: by this many of its own widths on each side.
-MARGIN = 0.5
 # Recordings that are replayed begin so long after the site does, s: the processes of cameras take a while to start.
 REPLAY_AFTER_S = 5.0
 PICTURES = ("camera", "infrared")
@@ -89,11 +88,12 @@ class Intake:
         for thread in self._threads:
             thread.stop()
 
-    def cut(self, one: Running, found: Opened) -> None:
+    def cut(self, one: Running, *found: Opened) -> None:
         """Let only the regions and what is around them leave the cameras' processes."""
         for name, camera in one.cameras.items():
-            if name in found.regions:
-                camera.cut(wider(found.regions[name]))
+            regions = [opened.regions[name] for opened in found if name in opened.regions]
+            if regions:
+                camera.cut(wider(around(regions)))
 
     def payload(self, topic: str, payload: bytes) -> None:
         """A message of one of `topics`."""
@@ -263,10 +263,3 @@ def _is_empty(arrival: Arrival) -> bool:
     """Whether a record has no value at all."""
     record = arrival.record
     return isinstance(record, Readings) and not np.isfinite(record.value).any()
-
-
-def wider(region: Region) -> Region:
-    """A region with what is around it."""
-    x, y = round(MARGIN * region.width), round(MARGIN * region.height)
-    left, top = max(region.x - x, 0), max(region.y - y, 0)
-    return Region(left, top, region.x + region.width + x - left, region.y + region.height + y - top)

@@ -1,6 +1,11 @@
-"""What is kept of a point: its raw records, what its sensors found in them, its rows and events, as chunks."""
+"""What is kept of a point: its raw records, what its sensors found in them, its rows and events, as chunks.
 
+Rows count from the zero in force, and a point that is lost gives none after a while: a gap is a gap.
+"""
+
+import math
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -10,6 +15,7 @@ from midspan.engine.point import Output
 from midspan.engine.sensors import Seen
 from midspan.fusion.estimator import Rows
 from midspan.records import (
+    NANOSECONDS,
     Arrival,
     Estimate,
     Event,
@@ -18,7 +24,12 @@ from midspan.records import (
     PixelTranslation,
     RangeFrame,
     Readings,
+    Status,
+    joined,
+    part,
 )
+from midspan.service.row_health import RowHealth
+from midspan.service.zero import Zero
 from midspan.store.chunk import Chunk
 from midspan.store.store import Batch
 
@@ -26,6 +37,12 @@ ROWS, SHOWN = "rows", "displacement_m"
 # Deviations and velocities of rows are kept in steps of 0.12 nm (and nm/s), far below any noise: with all bits a
 # store of rows would be half as large again.
 STEP = 2.0**-33
+# A point that is lost gives rows for so long, and none whose deviation is beyond so many times the motion that its
+# calibration saw.
+LOST_ROWS_S, LOST_MOTIONS = 30.0, 10.0
+# So long are the newest rows remembered, with which the next opening of the point is compared.
+RECENT_S = 30.0
+NEW_DATUM = "new_datum"
 TRANSLATION = (
     "x_px",
     "y_px",
@@ -49,26 +66,103 @@ def target_stream(sensor: str, target: int) -> str:
     return f"{sensor}:{target}"
 
 
+@dataclass(frozen=True, slots=True)
+class KeptRows:
+    """Rows of each axis, and the variance of each axis's zero in them."""
+
+    estimates: tuple[Estimate, ...]
+    zero_m2: tuple[float, ...]
+
+    def since(self, after_ns: int) -> "KeptRows":
+        """Those after an instant."""
+        return KeptRows(tuple(part(one, one.time_ns > after_ns) for one in self.estimates), self.zero_m2)
+
+    def counted_from(self, zero: Zero) -> "KeptRows":
+        """The same with those of the main axis counted from an earlier zero."""
+        main = zero.shift(self.estimates[0], self.zero_m2[0])
+        return KeptRows((main, *self.estimates[1:]), (zero.variance_m2, *self.zero_m2[1:]))
+
+
 class Journal:
     """Collects what came and what was given since it was last emptied.
 
     early_ns: what is taken from the common clock's stamps to get each sensor's own; axes: names of the image axes that
     rows are made for, the main one first (none: one axis without a name); calibration: its number in the store.
+    motion_m: standard deviation of the displacement that the calibration saw; 0 where that is not known.
     """
 
     def __init__(
-        self, point: str, early_ns: Mapping[str, int], *, axes: Sequence[str] = (), calibration: int = 0
+        self,
+        point: str,
+        early_ns: Mapping[str, int],
+        *,
+        axes: Sequence[str] = (),
+        calibration: int = 0,
+        motion_m: float = 0.0,
     ) -> None:
         self.point, self.calibration = point, calibration
         self._early_ns, self._axes = dict(early_ns), ("", *axes[1:])
+        self._max_std_m = LOST_MOTIONS * motion_m if motion_m > 0.0 else math.inf
         self._raw: list[Arrival] = []
         self._found: dict[str, list[tuple[PixelTranslation, ...]]] = {}
-        self._rows: list[Rows] = []
+        self._rows: list[KeptRows] = []
         # How many of them `fresh` has given.
         self._given = 0
         self._events: list[Event] = []
         # Variance of the zero along each axis, as last given.
         self._zero_m2: tuple[float, ...] = (0.0, 0.0)
+        # The zero in force where it is another one than the estimator's.
+        self._zero: Zero | None = None
+        # Why the first row that comes counts from a new zero; nothing where it does not.
+        self._new_datum = ""
+        # The first of the newest rows that are lost.
+        self._lost_ns: int | None = None
+        self._recent: list[Estimate] = []
+        # Rows up to here are another journal's.
+        self._after_ns: int | None = None
+        self.health = RowHealth()
+
+    @property
+    def memory(self) -> dict[str, Any]:
+        """What a restart needs, as plain values."""
+        zero = None if self._zero is None else [self._zero.offset_m, self._zero.variance_m2]
+        usual = [self.health.usual_m, self.health.count] if self.health.count else None
+        return {"zero": zero, "lost_ns": self._lost_ns, "usual": usual}
+
+    def remember(self, memory: Mapping[str, Any]) -> None:
+        """Go on from where `memory` was read."""
+        zero, usual = memory.get("zero"), memory.get("usual")
+        self._zero = None if zero is None else Zero(float(zero[0]), float(zero[1]))
+        self._lost_ns = memory.get("lost_ns")
+        if usual is not None:
+            self.health = RowHealth(usual_m=float(usual[0]), count=int(usual[1]))
+
+    @property
+    def zero(self) -> Zero:
+        """The zero in force: what is added to the estimator's rows, and its variance."""
+        return self._zero or Zero(0.0, self._zero_m2[0])
+
+    @property
+    def recent(self) -> Estimate | None:
+        """The newest rows along the main axis; None before the first."""
+        return joined(self._recent) if self._recent else None
+
+    def continue_after(self, last_ns: int, zero: Zero | None) -> None:
+        """Keep only what is later than another journal's newest row, and count rows from that one's zero."""
+        self._after_ns = last_ns
+        later = [rows.since(last_ns) for rows in self._rows]
+        self._rows = [
+            rows if zero is None else rows.counted_from(zero) for rows in later if len(rows.estimates[0].time_ns)
+        ]
+        self._recent = [rows.estimates[0] for rows in self._rows]
+        self._events = [event for event in self._events if event.time_ns > last_ns]
+        self._zero = zero
+
+    def announce_new_datum(self, why: str) -> None:
+        """Let an event mark the first row that is still to be kept: it counts from a zero of its own."""
+        self._new_datum = why
+        if self._rows:
+            self._mark(self._rows[0].estimates[0])
 
     def arrived(self, record: object) -> None:
         """Keep a raw record, before the engine has judged it; frames are kept as what is found in them."""
@@ -79,15 +173,46 @@ class Journal:
         """Keep what a push gave."""
         for output in outputs:
             if isinstance(output, Rows):
-                self._rows.append(output)
-                self._events += output.events
+                self._take(output)
+                self._tell(output.events)
             elif isinstance(output, Event):
-                self._events.append(output)
+                self._tell([output])
             elif isinstance(output, Seen):
-                self._events += output.events
+                self._tell(output.events)
                 found = tuple(one for one in output.found if isinstance(one, PixelTranslation))
                 if found:
                     self._found.setdefault(output.sensor, []).append(found)
+
+    def _tell(self, events: Sequence[Event]) -> None:
+        self._events += events
+        self.health = self.health.after_events(events)
+
+    def _take(self, rows: Rows) -> None:
+        """Keep rows as they are given out: from the zero in force, and none of a point that is lost for long."""
+        self._zero_m2 = rows.zero_variance_m2 or self._zero_m2
+        if not rows.estimates or not len(rows.estimates[0].time_ns):
+            return
+        kept = KeptRows(rows.estimates, self._zero_m2)
+        kept = kept if self._after_ns is None else kept.since(self._after_ns)
+        kept = kept if self._zero is None else kept.counted_from(self._zero)
+        shown, self._lost_ns = with_reason(kept.estimates[0], self._lost_ns, self._max_std_m)
+        kept = kept if shown.all() else replace(kept, estimates=tuple(part(one, shown) for one in kept.estimates))
+        main = kept.estimates[0]
+        if not len(main.time_ns):
+            return
+        if self._new_datum:
+            self._mark(main)
+        self._rows.append(kept)
+        self.health = self.health.after_rows(main)
+        self._recent.append(main)
+        old_ns = int(main.time_ns[-1]) - round(RECENT_S * NANOSECONDS)
+        while self._recent[0].time_ns[-1] < old_ns:
+            self._recent.pop(0)
+
+    def _mark(self, rows: Estimate) -> None:
+        text = f"The displacement counts from a new zero from here on: {self._new_datum}"
+        self._tell([Event(int(rows.time_ns[0]), NEW_DATUM, text)])
+        self._new_datum = ""
 
     def batch(self) -> Batch:
         """Everything since the last time, to be written at once."""
@@ -121,23 +246,15 @@ class Journal:
 
     def _row_chunks(self) -> list[Chunk]:
         found = [self._rows_along(number, axis, self._rows) for number, axis in enumerate(self._axes)]
-        self._zero_m2 = next(
-            (one.zero_variance_m2 for one in reversed(self._rows) if one.zero_variance_m2), self._zero_m2
-        )
         return [one for one in found if one is not None]
 
-    def _rows_along(self, number: int, axis: str, given: Sequence[Rows]) -> Chunk | None:
+    def _rows_along(self, number: int, axis: str, given: Sequence[KeptRows]) -> Chunk | None:
         """Rows along one axis as a chunk."""
-        zero_m2, own = self._zero_m2, []
-        for rows in given:
-            zero_m2 = rows.zero_variance_m2 or zero_m2
-            if rows.estimates and len(rows.estimates[number].time_ns):
-                own.append((rows.estimates[number], zero_m2[number]))
-        if not own:
+        if not given:
             return None
-        columns = [row_columns(estimate, zero_m2) for estimate, zero_m2 in own]
+        columns = [row_columns(rows.estimates[number], rows.zero_m2[number]) for rows in given]
         together = {name: np.concatenate([one[name] for one in columns]) for name in columns[0]}
-        time_ns = np.concatenate([estimate.time_ns for estimate, _ in own])
+        time_ns = np.concatenate([rows.estimates[number].time_ns for rows in given])
         return Chunk(self.point, rows_stream(axis), time_ns, together, self.calibration, SHOWN)
 
     def _chunk(self, stream: str, time_ns: Nanoseconds, columns: dict[str, NDArray[Any]]) -> Chunk:
@@ -148,6 +265,22 @@ class Journal:
         calibration = self.calibration if "phasors" in columns else 0
         own = {name: value[new] for name, value in columns.items()}
         return Chunk(self.point, stream, time_ns[new], own, calibration)
+
+
+def with_reason(rows: Estimate, lost_ns: int | None, max_std_m: float) -> tuple[NDArray[np.bool_], int | None]:
+    """Which rows (n,) are given out: none that is lost for longer than LOST_ROWS_S, or lost and less certain than
+    `max_std_m`; and the stamp of the first of the newest rows that are lost, None where they are not.
+
+    lost_ns: the same before these rows.
+    """
+    lost = rows.status == Status.LOST
+    if not lost.any():
+        return np.ones(len(lost), dtype=np.bool_), lost_ns if not len(lost) else None
+    begins = lost & ~np.concatenate(([lost_ns is not None], lost[:-1]))
+    since_ns = np.maximum.accumulate(np.where(begins, rows.time_ns, lost_ns if lost_ns is not None else 0))
+    lasting = rows.time_ns - since_ns > round(LOST_ROWS_S * NANOSECONDS)
+    shown = ~(lost & (lasting | (rows.variance_m2 > max_std_m**2)))
+    return shown, int(since_ns[-1]) if lost[-1] else None
 
 
 def row_columns(estimate: Estimate, zero_m2: float) -> dict[str, NDArray[Any]]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from midspan.engine.checkpoint import from_bytes, to_bytes
 from midspan.engine.point import ACCELEROMETER, Point, PointState
-from midspan.engine.sensors import CameraSensor, RadarSensor
+from midspan.engine.sensors import CameraSensor, PlainSensor, RadarSensor
 from midspan.errors import DataError
 from midspan.fusion.methods import METHODS, Pass
 from midspan.recording.estimate import Asked
@@ -31,6 +31,7 @@ from midspan.records import (
     Status,
     Tracked,
 )
+from midspan.service.cutting import around
 from midspan.service.journal import TRANSLATION, Journal, target_stream
 from midspan.settings.stored.calibration import Calibration
 from midspan.store.chunk import Chunk
@@ -58,6 +59,16 @@ class Opened:
     regions: dict[str, Region]
     bins: dict[str, Floats]
 
+    @property
+    def has_own_zero(self) -> bool:
+        """Whether its sensors have a zero of their own, which every opening counts from: displacement sensors alone."""
+        return all(isinstance(sensor, PlainSensor) for sensor in self.point.sensors.values())
+
+    @property
+    def scale_std(self) -> float:
+        """Relative standard deviation of the least certain scale in use."""
+        return max((std for _, std in self.point.scale_errors().values()), default=0.0)
+
 
 def opened(folder: Path, name: str, calibration: Calibration, number: int, *, push: bool = True) -> Opened:
     """The live point of a captured recording.
@@ -73,7 +84,8 @@ def opened(folder: Path, name: str, calibration: Calibration, number: int, *, pu
     eyes = open_eyes(sides, None, _silent)
     lag_s = recording.settings.fusion.lag_s if METHODS[method].rows is Pass.LAGGED else None
     point = measuring_point(sides, eyes, lag_s=lag_s, given=True, log=False, wait_s=(LATENESS_S, SILENT_S))
-    journal = Journal(name, clock_offsets_ns(sides[0], eyes), calibration=number)
+    motion_m = point.estimator.settings.motion[0][0]
+    journal = Journal(name, clock_offsets_ns(sides[0], eyes), calibration=number, motion_m=motion_m)
     regions = {eye.sensor: around([target.region for target in eye.tracking.targets]) for eye in eyes}
     bins = {name: one.chain.bins for name, one in point.sensors.items() if isinstance(one, RadarSensor)}
     found = Opened(point, journal, {}, {}, regions, bins)
@@ -95,6 +107,7 @@ def checkpoint(found: Opened, folder: Path) -> bytes:
         "calibration": found.journal.calibration,
         "counts": found.counts,
         "newest_ns": found.newest_ns,
+        "rows": found.journal.memory,
     }
     return json.dumps(head).encode() + SEPARATOR + to_bytes(found.point.state)
 
@@ -117,6 +130,7 @@ def resumed(found: Opened, kept: bytes, store: Store) -> None:
     found.point.restore(from_bytes(kept.partition(SEPARATOR)[2], PointState))
     found.counts.update(head["counts"])
     found.newest_ns.update(head["newest_ns"])
+    found.journal.remember(head.get("rows", {}))
     for arrival in kept_since(found, store):
         found.counts[arrival.stream] = arrival.sequence
         found.newest_ns[arrival.stream] = _newest(arrival)
@@ -177,13 +191,6 @@ def translation(chunk: Chunk, row: int) -> PixelTranslation:
     """A row of a kept track as it came from the tracker."""
     own: Mapping[str, Any] = {name: chunk.columns[name][row].item() for name in TRANSLATION}
     return PixelTranslation(time_ns=int(chunk.time_ns[row]), **{**own, "status": Status(own["status"])})
-
-
-def around(regions: list[Region]) -> Region:
-    """The smallest region that holds all of these."""
-    x, y = min(one.x for one in regions), min(one.y for one in regions)
-    right, low = max(one.x + one.width for one in regions), max(one.y + one.height for one in regions)
-    return Region(x, y, right - x, low - y)
 
 
 def _newest(arrival: Arrival) -> int:

@@ -4,24 +4,26 @@ No thread, clock or network is in here: records and ticks are pushed in, work th
 whose result is handed back.
 """
 
-from collections import deque
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
-from typing import Any
 
 from midspan.engine.support import PointStatus
 from midspan.radar.info import RadarInfo
-from midspan.records import NANOSECONDS, Arrival, Event, Frame, RangeFrame, Readings, Tick
+from midspan.records import NANOSECONDS, Arrival, Event, Readings, Region
 from midspan.service.capture import Capture
 from midspan.service.captures import forget
+from midspan.service.cutting import wider
+from midspan.service.feeding import Absence, Feeding
 from midspan.service.journal import Journal
 from midspan.service.opening import Opened, checkpoint
+from midspan.service.row_health import RowHealth
+from midspan.service.waiting import Waiting, stamp_of
+from midspan.service.zero import carried
 from midspan.settings.recording import RecordingSettings
 from midspan.settings.site import PointPlan
-from midspan.sources.radar.radar_source import at_bins
 from midspan.store.chunk import Chunk
 from midspan.store.store import Batch
 
@@ -29,9 +31,9 @@ from midspan.store.store import Batch
 OPENING_S, OPENING_FRAMES = 5.0, 50
 # A checkpoint is made so often, s of the records' time.
 CHECKPOINT_S = 10.0
-# Time that readings wait for at most while a point is being opened (the first opening compiles, and the points of a
-# site open one after another), and frames that do.
-HELD_S, HELD_FRAMES = 600.0, 200
+# For so long after a point was opened anew, while both openings run, rows of both that rest on measurements are waited
+# for, s.
+CARRY_S = 30.0
 # A scale that is off by more than this share and this number of standard deviations asks for a new calibration.
 SCALE_OFF, SCALE_SURE = 0.02, 4.0
 # After a refused calibration the next one waits so long, s.
@@ -61,7 +63,7 @@ class LivePoint:
     """A point of the site.
 
     settings: of its captured recordings; folder: where these go; radars: what is known of each radar, by the sensor's
-    name; number: of the calibration in force, 0 before there is one.
+    name; number: of the calibration in force, 0 before there is one. follows: rows of an earlier opening are kept.
     """
 
     plan: PointPlan
@@ -72,10 +74,17 @@ class LivePoint:
     phase: Phase = Phase.CAPTURING
     reason: str = ""
     job: Job | None = None
-    opened: Opened | None = None
+    follows: bool = False
     _capture: Capture | None = None
     _journal: Journal | None = None
-    _held: deque[Arrival] = field(default_factory=deque)
+    # What gives the rows, and what was opened anew and runs next to it until the zero is carried over.
+    _feeding: Feeding | None = None
+    _next: Feeding | None = None
+    _next_ns: int = 0
+    # What came since the capture that a point is being opened from.
+    _waiting: Waiting | None = None
+    _absence: Absence = field(default_factory=Absence)
+    _last: list[Batch] = field(default_factory=list)
     _events: list[Event] = field(default_factory=list)
     _newest_ns: int = 0
     _kept_ns: int = 0
@@ -84,6 +93,9 @@ class LivePoint:
     _doubted: int = 0
     # What is captured for while the point runs: "calibrate", "open" or nothing.
     _wanted: str = ""
+    # The folder that the point in use was opened from.
+    _opened_in: Path | None = None
+    _opening_in: Path | None = None
 
     def __post_init__(self) -> None:
         self._journal = Journal(self.plan.name, {})
@@ -103,6 +115,26 @@ class LivePoint:
         """The newest stamp of the acceleration."""
         return self._newest_ns
 
+    @property
+    def opened(self) -> Opened | None:
+        """What gives the rows."""
+        return None if self._feeding is None else self._feeding.opened
+
+    @property
+    def row_health(self) -> RowHealth:
+        """How the rows stand."""
+        return RowHealth() if self._feeding is None else self._feeding.opened.journal.health
+
+    @property
+    def disordered(self) -> int:
+        """How many readings of the accelerometer were left out since their stamps were wrong."""
+        return 0 if self.opened is None else self.opened.point.merge.health[0].disordered
+
+    @property
+    def catches_up(self) -> bool:
+        """Whether records still wait for the point."""
+        return self._feeding is not None and len(self._feeding.waiting) > 0
+
     def push(self, arrival: Arrival) -> None:
         """Take a record of one of the point's sensors, its stamps in UTC."""
         record = arrival.record
@@ -111,25 +143,35 @@ class LivePoint:
             return
         if arrival.stream == "accelerometer" and isinstance(record, Readings):
             self._newest_ns = max(self._newest_ns, int(record.time_ns[-1]))
-        if self.opened is None or self.phase is Phase.OPENING:
+            self._absence = self._absence.heard()
+        waiting = self._waiting
+        if self._feeding is None:
             self._journal.arrived(arrival)
-        if self.phase is Phase.CAPTURING:
-            self._captured(arrival)
-        elif self.phase is Phase.OPENING:
-            self._hold(arrival)
-        elif self.phase is Phase.RUNNING:
-            self._run(arrival)
+            if self.phase is Phase.CAPTURING:
+                self._captured(arrival)
+        else:
+            for one in (self._feeding, self._next):
+                if one is not None:
+                    one.push(arrival, hold=self._absence.waits)
+            self._change_over()
             if self._wanted and self.job is None:
                 self._captured(arrival)
+        if waiting is not None and waiting is self._waiting:
+            waiting.append(arrival)
 
-    def tick(self, now_ns: int) -> None:
-        """The shell's time."""
-        if self.phase is Phase.RUNNING and self.opened is not None:
-            self.opened.journal.given(self.opened.point.push(Tick(now_ns)))
+    def tick(self, now_ns: int, *, away: bool = False) -> None:
+        """The shell's time; away: whether the broker that brings the acceleration is known to be away."""
+        self._absence = self._absence.after(now_ns, away=away)
+        if self._feeding is None or self._absence.waits:
+            return
+        self._feeding.tick(now_ns)
+        if self._next is not None:
+            self._next.tick(now_ns)
+            self._change_over()
 
     def calibrate(self) -> str:
         """Begin a new calibration, or say why not; the rows go on with the one in force until another is accepted."""
-        if self.busy or (self._wanted and self.opened is not None):
+        if self.busy or self._next is not None or (self._wanted and self.opened is not None):
             return f"{self.name}: is being calibrated or opened already; the command is left out."
         self._wanted = "calibrate"
         if self.opened is None:
@@ -137,11 +179,22 @@ class LivePoint:
         return f"{self.name}: records {self.plan.settings.calibration_s:g} s for a new calibration."
 
     def close(self) -> None:
-        """Let go of what is being captured."""
+        """End what is being captured, without a result."""
         if self._capture is not None:
             with suppress(OSError):
                 self._capture.discard()
             self._capture = None
+
+    def end(self) -> None:
+        """End what is captured, and drop what waits."""
+        self.close()
+        fed = [one.waiting for one in (self._feeding, self._next) if one is not None]
+        for waiting in [*fed, *([] if self._waiting is None else [self._waiting])]:
+            waiting.close()
+
+    def drop(self) -> None:
+        """Let the point be opened anew: what it was resumed from cannot be used."""
+        self._feeding = None
 
     @property
     def busy(self) -> bool:
@@ -162,17 +215,33 @@ class LivePoint:
             self.phase = Phase.OFFERED
         self._tell("calibration_offered", f"{self.name}: calibration {number} waits to be accepted.")
 
+    def narrow(self, regions: Mapping[str, Region]) -> None:
+        """While the point is opened, only these parts of its cameras' frames wait."""
+        if self._waiting is not None:
+            self._waiting.regions = regions
+
     def is_opened(self, found: Opened) -> None:
-        """The point is open: what waited meanwhile is pushed."""
-        self.opened, self.job, self.phase, self.reason, self._wanted = found, None, Phase.RUNNING, "", ""
-        for arrival in self._held:
-            if _stamp(arrival) > found.newest_ns.get(arrival.stream, -(2**62)):
-                self._run(arrival)
-        self._held.clear()
+        """The point is open: what waited meanwhile is pushed. One that runs goes on until the zero is carried over."""
+        folder = self._opened_in if self.job is None else self.job.folder
+        self.job, self.phase, self.reason, self._wanted = None, Phase.RUNNING, "", ""
+        fed = Feeding(found, Waiting(self.folder) if self._waiting is None else self._waiting)
+        fed.waiting.regions = {name: wider(region) for name, region in found.regions.items()}
+        self._waiting = None
+        if self._feeding is None:
+            self._feeding, self._opened_in = fed, folder
+            if self.follows and not found.has_own_zero:
+                found.journal.announce_new_datum("the state that held the one before could not be used.")
+        else:
+            self._next, self._next_ns, self._opening_in = fed, self._newest_ns, folder
+        fed.catch_up()
+        self._change_over()
 
     def refused(self, why: str) -> None:
         """A calibration or an opening failed: it is tried again after a while."""
         self.job, self.reason = None, "calibration_refused"
+        if self._waiting is not None:
+            self._waiting.close()
+            self._waiting = None
         if self.opened is None:
             self.phase = Phase.CAPTURING
             self._again_ns = self._newest_ns + round(AGAIN_S * NANOSECONDS)
@@ -181,9 +250,36 @@ class LivePoint:
         self._tell("calibration_refused", f"{self.name}: {why}")
 
     def resumed(self, found: Opened, folder: Path) -> None:
-        """The point is open again, from its checkpoint and the folder that it was opened from then."""
-        self._opened_in = folder
+        """The point is open again, from its checkpoint and the folder that it was opened from then; it is opened anew
+        where another calibration came into force since.
+        """
+        self._opened_in, self.follows = folder, False
         self.is_opened(found)
+        if found.journal.calibration != self.number:
+            self._wanted = "open"
+
+    def _change_over(self) -> None:
+        """Let the rows come from the point that was opened anew, as soon as the zero can be carried over."""
+        if self._next is None or self._feeding is None or len(self._next.waiting) or len(self._feeding.waiting):
+            return
+        older, newer = self._feeding.opened, self._next.opened
+        rows, fresh, zero = older.journal.recent, newer.journal.recent, None
+        if rows is not None and fresh is not None and not newer.has_own_zero:
+            zero = carried(rows, fresh, older.journal.zero, older.scale_std)
+        late = self._newest_ns - self._next_ns > CARRY_S * NANOSECONDS
+        if zero is None and not (newer.has_own_zero or late or older.point.status is PointStatus.LOST):
+            return
+        last_ns = older.journal.health.newest_ns
+        newer.journal.continue_after(-(2**62) if last_ns is None else last_ns, zero)
+        if zero is not None:
+            moved, number = f"{1e3 * zero.offset_m:+.3g} ± {1e3 * zero.variance_m2**0.5:.2g}", newer.journal.calibration
+            self._tell("zero", f"{self.name}: calibration {number} gives the rows; the zero is kept by {moved} mm.")
+        elif not newer.has_own_zero:
+            newer.journal.announce_new_datum("too few rows with measurements were common with the opening before.")
+        self._last.append(older.journal.batch())
+        self._feeding, self._next, self._opened_in = self._next, None, self._opening_in
+        # The store must not go back to the opening before.
+        self._kept_ns = 0
 
     def unseen(self, sensor: str) -> str:
         """Why nothing is measured with one of its sensors though records come: dark, frozen, lost, else nothing."""
@@ -196,7 +292,7 @@ class LivePoint:
     def batch(self, *, last: bool = False) -> Batch:
         """What is to be kept since the last time; with a checkpoint where one is due, or at the end."""
         assert self._journal is not None
-        batches = [self._journal.batch()]
+        batches, self._last = [self._journal.batch(), *self._last], []
         kept: dict[str, tuple[int, bytes]] = {}
         if self.opened is not None:
             batches.append(self.opened.journal.batch())
@@ -219,7 +315,8 @@ class LivePoint:
             for sensor, (error, std) in found.point.scale_errors().items()
             if abs(error) > max(SCALE_OFF, SCALE_SURE * std)
         ]
-        if off and self._doubted != self.number and not self.busy:
+        in_force = found.journal.calibration == self.number
+        if off and in_force and self._doubted != self.number and not self.busy:
             self._doubted = self.number
             for line in off:
                 self._tell("scale", line)
@@ -230,22 +327,20 @@ class LivePoint:
         """The folder that the point was opened from last."""
         return self._opened_in or self.folder
 
-    _opened_in: Path | None = None
-
     def _captured(self, arrival: Arrival) -> None:
         """Capture until there is enough, then ask for the job."""
         if self._newest_ns < self._again_ns:
             return
         if self._capture is None:
-            stamp_s = max(_stamp(arrival), 0) // NANOSECONDS
+            stamp_s = max(stamp_of(arrival), 0) // NANOSECONDS
             self._capture = Capture(
                 self.folder / f"{'opening' if self._opens else 'calibration'}-{stamp_s}", self.settings, self.radars
             )
         self._capture.push(arrival)
         length_s, frames = self._capture.length_s, self._capture.frames
         if self._opens and length_s >= OPENING_S and (frames is None or frames >= OPENING_FRAMES):
-            self._opened_in = self._capture.close()
-            self.job, self.phase = Job("open", self._opened_in), Phase.OPENING
+            self.job, self._waiting = Job("open", self._capture.close()), Waiting(self.folder)
+            self.phase = Phase.OPENING if self.opened is None else Phase.RUNNING
         elif not self._opens and length_s >= self.plan.settings.calibration_s:
             self.job = Job("calibrate", self._capture.close())
             if self.opened is None:
@@ -258,39 +353,5 @@ class LivePoint:
         """Whether what is captured is for opening the point, not for calibrating it."""
         return self._wanted == "open" or (self.number > 0 and self._wanted != "calibrate")
 
-    def _hold(self, arrival: Arrival) -> None:
-        """Let a record wait; of frames the oldest is dropped, readings are kept for HELD_S."""
-        self._held.append(arrival)
-        if isinstance(arrival.record, Frame):
-            frames = [one for one in self._held if isinstance(one.record, Frame)]
-            if len(frames) > HELD_FRAMES:
-                self._held.remove(frames[0])
-        while self._held and _stamp(arrival) - _stamp(self._held[0]) > HELD_S * NANOSECONDS:
-            self._held.popleft()
-
-    def _run(self, arrival: Arrival) -> None:
-        found = self.opened
-        assert found is not None
-        sequence = found.counts.get(arrival.stream, -1) + 1
-        found.counts[arrival.stream] = sequence
-        if not isinstance(arrival.record, Event):
-            found.newest_ns[arrival.stream] = max(_stamp(arrival), found.newest_ns.get(arrival.stream, -(2**62)))
-        numbered = Arrival(arrival.stream, sequence, at_targets(arrival, found))
-        found.journal.arrived(numbered)
-        found.journal.given(found.point.push(numbered))
-
     def _tell(self, kind: str, text: str) -> None:
         self._events.append(Event(self._newest_ns, kind, text))
-
-
-def at_targets(arrival: Arrival, found: Opened) -> Any:
-    """A record as the point takes it: of a radar's profile only the bins of its targets."""
-    record = arrival.record
-    if not isinstance(record, RangeFrame):
-        return record
-    return replace(record, phasors=at_bins(record.phasors[None], found.bins[arrival.stream])[0])
-
-
-def _stamp(arrival: Arrival) -> int:
-    record = arrival.record
-    return int(record.time_ns[-1]) if isinstance(record, Readings) else int(record.time_ns)

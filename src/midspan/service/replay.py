@@ -81,7 +81,8 @@ def replay(
         radars = {view.sensor: view.radar.info for view in recording.views if view.kind == "radar"}
         body, settings = json.dumps(calibration.to_dict()), settings_json(recording.settings, radars)
         number = store.add_calibration(name, first_ns, body, settings, accept=False)
-        journal = Journal(name, clock_offsets_ns(sides[0], eyes), axes=axes, calibration=number)
+        motion_m = point.estimator.settings.motion[0][0]
+        journal = Journal(name, clock_offsets_ns(sides[0], eyes), axes=axes, calibration=number, motion_m=motion_m)
         player = Player(point, journal, store, speed, wait)
         try:
             for _, record in records_of(point, sides, eyes, block_s=BLOCK_S):

@@ -16,8 +16,9 @@ import numpy as np
 from midspan.errors import MidspanError
 from midspan.records import NANOSECONDS, Event
 from midspan.service.calibrations import accepted, added, loaded, number_in_force, of_a_thread
+from midspan.service.cutting import needed
 from midspan.service.figures import figures
-from midspan.service.intake import Intake
+from midspan.service.intake import MQTT, Intake
 from midspan.service.jobs import calibrated_folder, compiled
 from midspan.service.journal import ROWS
 from midspan.service.keeping import Keeper
@@ -28,6 +29,7 @@ from midspan.service.point import Job
 from midspan.service.reasons import sentence
 from midspan.service.running import Running, running
 from midspan.service.web import application, listening, server
+from midspan.settings.kinds import ACCELEROMETER
 from midspan.settings.site import Site
 from midspan.settings.site_folders import captures_of
 from midspan.store.archive import archive
@@ -147,7 +149,7 @@ class Service:
             await asyncio.to_thread(self._broker.stop)
         self._collect(last=True)
         for one in self._points:
-            one.live.close()
+            one.live.end()
         await asyncio.to_thread(self._keeper.close)
 
     async def _every(self, step_s: float, work: Callable[[], None]) -> None:
@@ -161,22 +163,24 @@ class Service:
         """A point goes on from its checkpoint, else opens with its calibration, else calibrates."""
         store = self._keeper.store()
         one.live.number = number_in_force(one.live, store, self.site.file.parent)
+        one.live.follows = store.newest_ns(one.name, ROWS) is not None
         kept = store.checkpoint(one.name)
         if kept is None or not one.live.number:
             return
         try:
             self._resume(one, store, kept[1])
         except (MidspanError, ValueError, KeyError, OSError) as error:
-            one.live.opened = None
+            one.live.drop()
             self._say(f"{one.name}: its checkpoint cannot be used ({error}); it opens anew.")
 
     def _resume(self, one: Running, store: Store, kept: bytes) -> None:
         head = head_of(kept)
         folder = one.live.folder / Path(head["folder"]).name
-        if head["calibration"] != one.live.number or not (folder / "recording.toml").is_file():
+        number = head["calibration"]
+        if not (folder / "recording.toml").is_file():
             return
-        calibration = loaded(one.live, store)
-        found = opened(folder, one.name, calibration, one.live.number, push=False)
+        # Where another calibration came into force since, the rows go on until the point is opened with it.
+        found = opened(folder, one.name, loaded(one.live, store, number), number, push=False)
         resumed(found, kept, store)
         one.live.resumed(found, folder)
         one.published_ns = store.newest_ns(one.name, ROWS) or 0
@@ -199,6 +203,8 @@ class Service:
         """Do a point's job, and hand it the result."""
         live = one.live
         try:
+            if job.kind == "open":
+                live.narrow(needed(loaded(live, self._keeper.store())))
             async with self._one_at_a_time[job.kind]:
                 await (self._calibrate(one, job) if job.kind == "calibrate" else self._open(one, job))
         except Exception as error:
@@ -223,7 +229,7 @@ class Service:
             await compiled(job.folder, calibration)
             self._compiled.add(kernels)
         found = await asyncio.to_thread(opened, job.folder, live.name, calibration, live.number)
-        self._intake.cut(one, found)
+        self._intake.cut(one, *(other for other in (live.opened, found) if other is not None))
         live.is_opened(found)
         self._say(f"{live.name}: runs.")
 
@@ -306,8 +312,10 @@ class Service:
 
     def _tick(self) -> None:
         now_ns = time.time_ns()
+        away = self._broker is not None and bool(self._broker.reason)
         for one in self._points:
-            one.live.tick(now_ns)
+            one.live.tick(now_ns, away=away and one.live.plan.sources[ACCELEROMETER].startswith(MQTT))
+            one.looked_at(now_ns / NANOSECONDS)
             self._publish_rows(one)
 
     async def _writing(self) -> None:
@@ -403,13 +411,15 @@ class Service:
             reason = self._broker.reason
             others.append({"point": "", "source": "mqtt", "reason": reason, "text": sentence(reason)})
         down = [one for one in (*sources, *others) if one["reason"]]
-        return {"ready": not down, "sources": [*sources, *others]}
+        points = [one.ready(now_s) for one in self._points]
+        down += [one for one in points if one["reason"]]
+        return {"ready": not down, "points": points, "sources": [*sources, *others]}
 
     def _standing_of(self, one: Running, now_s: float) -> dict[str, Any]:
         """As the topic `state` shows it; without the broker its sources are away, not silent."""
         found = one.standing(now_s)
         for source in found["sources"]:
-            by_broker = one.live.plan.sources[source["source"]].startswith("mqtt:")
+            by_broker = one.live.plan.sources[source["source"]].startswith(MQTT)
             if by_broker and self._broker is not None and self._broker.reason and source["reason"]:
                 source["reason"], source["text"] = self._broker.reason, sentence(self._broker.reason)
         return found
@@ -420,7 +430,9 @@ class Service:
     def _log(self) -> None:
         """One line a minute."""
         now = self.standing()
-        words = [f"{one.name} {one.live.status.name.lower()}" for one in self._points]
+        words = [
+            f"{one['point']} {one['status']}" + f" ({one['reason']})" * bool(one["reason"]) for one in now["points"]
+        ]
         down = [f"{s['point']}/{s['source']}: {s['reason']}".lstrip("/") for s in now["sources"] if s["reason"]]
         self._say("; ".join([", ".join(words), *down]))
         if self._note is not None:
@@ -429,4 +441,4 @@ class Service:
     def record(self) -> dict[str, Any]:
         """How all stands, for programs."""
         now_s = time.time()
-        return {"time_s": now_s, "points": [self._standing_of(one, now_s) for one in self._points], **self.standing()}
+        return {**self.standing(), "time_s": now_s, "points": [self._standing_of(one, now_s) for one in self._points]}

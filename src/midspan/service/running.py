@@ -1,5 +1,6 @@
 """How the points of a running site and their sources stand."""
 
+import math
 from collections import deque
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -138,6 +139,10 @@ class Running:
     results: int = 0
     published_ns: int = 0
     busy: bool = False
+    # Stamp of the newest row, when that was given out, and how many stamps of the acceleration were wrong until then.
+    _row_ns: int | None = None
+    _row_s: float | None = None
+    _disordered: int = 0
 
     @property
     def name(self) -> str:
@@ -147,9 +152,30 @@ class Running:
     @property
     def reason(self) -> str:
         """Why the point gives no row that a measurement supports, empty where it does."""
-        if self.live.reason or self.live.opened is None:
+        return self.live.reason or self._no_rows()
+
+    def looked_at(self, now_s: float) -> None:
+        """Note when the newest row was given out."""
+        newest_ns = self.live.row_health.newest_ns
+        if newest_ns != self._row_ns:
+            self._row_ns, self._row_s, self._disordered = newest_ns, now_s, self.live.disordered
+
+    def no_rows(self, now_s: float) -> str:
+        """Why the point gives no rows now that can be relied on, empty where it does."""
+        reason = self._no_rows() or ("clock" if self.live.row_health.stepped else "")
+        fusion = self.live.plan.recording.fusion
+        fresh_s = FRESH_S + (fusion.lag_s if fusion.method == "lag" else 0.0)
+        if reason or self._row_s is None or now_s - self._row_s <= fresh_s:
+            return reason
+        return "clock" if self.live.disordered > self._disordered else "no_rows"
+
+    def _no_rows(self) -> str:
+        status = self.live.status
+        if self.live.opened is None:
             return self.live.reason or ("opening" if self.live.number else "calibrating")
-        return "lost" if self.live.status is PointStatus.LOST else ""
+        if self.live.catches_up or status is PointStatus.WARMING:
+            return "opening"
+        return "lost" if status is PointStatus.LOST else ""
 
     def kind(self, sensor: str) -> str:
         """The kind of one of the point's sensors."""
@@ -162,8 +188,24 @@ class Running:
             "status": self.live.status.name.lower(),
             "reason": self.reason,
             "calibration": self.live.number,
+            **self._rows(now_s),
             "sources": [stream.standing(now_s, self.live.unseen(name)) for name, stream in self.streams.items()],
         }
+
+    def ready(self, now_s: float) -> dict[str, Any]:
+        """As /readyz shows it: whether there are rows."""
+        reason = self.no_rows(now_s)
+        text = sentence(reason) if reason else ""
+        own = {"point": self.name, "status": self.live.status.name.lower(), "reason": reason, "text": text}
+        return {**own, **self._rows(now_s)}
+
+    def _rows(self, now_s: float) -> dict[str, Any]:
+        """The age of the newest row, and its deviation relative to the usual one."""
+        health = self.live.row_health
+        age_s = None if self._row_s is None or self._row_ns is None else round(now_s - self._row_s, 3)
+        deviations = {"sigma_mm": health.std_m, "usual_sigma_mm": health.usual_m}
+        known = {name: None if math.isnan(value) else round(1e3 * value, 6) for name, value in deviations.items()}
+        return {"rows_age_s": age_s, **known}
 
 
 def running(plan: PointPlan, captures: Path, site: Path) -> Running:

@@ -11,7 +11,7 @@ from midspan._version import __version__
 from midspan.checks import nearest
 from midspan.errors import DataError, UsageError
 from midspan.records import NANOSECONDS, seconds
-from midspan.service.journal import rows_stream
+from midspan.service.journal import NEW_DATUM, rows_stream
 from midspan.sinks.table import ResultTable
 from midspan.store.chunk import Chunk, join
 from midspan.store.store import Store
@@ -72,7 +72,8 @@ def stored_rows(
 def stored_table(store: Store, point: str, first_ns: int | None, last_ns: int | None) -> ResultTable:
     """The rows of a point in the columns of a result, with the calibrations and events that belong to them.
 
-    Raises DataError where there are none.
+    Where the zero is another one from some row on there is a column `datum`, which counts the zeros. Raises DataError
+    where there are no rows.
     """
     rows = stored_rows(store, point, rows_stream(), first_ns, last_ns)
     if rows is None or not len(rows.time_ns):
@@ -87,6 +88,10 @@ def stored_table(store: Store, point: str, first_ns: int | None, last_ns: int | 
         second = stored_rows(store, point, rows_stream(axis), int(rows.time_ns[0]), int(rows.time_ns[-1]))
         if second is not None and np.array_equal(second.time_ns, rows.time_ns):
             columns |= {**_columns(second, f"_{axis}"), f"status_{axis}": second.columns["status"]}
+    datums = np.array(store.event_times(point, NEW_DATUM, int(rows.time_ns[-1])), dtype=np.int64)
+    number = np.searchsorted(datums, rows.time_ns, side="right")
+    if number[-1] > number[0]:
+        columns["datum"] = number
     span = (int(rows.time_ns[0]), int(rows.time_ns[-1]))
     return ResultTable(columns=columns, time_ns=rows.time_ns, metadata=_metadata(store, point, rows, span))
 

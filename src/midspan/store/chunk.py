@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from midspan.errors import DataError
-from midspan.records import NANOSECONDS, Nanoseconds
+from midspan.records import NANOSECONDS, Floats, Nanoseconds, Status
 
 Columns = dict[str, NDArray[Any]]
 
@@ -33,12 +33,19 @@ class Chunk:
 
     @property
     def limits(self) -> tuple[float | None, float | None]:
-        """Least and largest finite value of the column that is drawn; None without one."""
+        """Least and largest finite value of the column that is drawn, rows that are lost left out; None without one."""
         if not self.shown:
             return None, None
-        values = np.asarray(self.columns[self.shown], dtype=np.float64)
-        finite = values[np.isfinite(values)]
+        finite = self.drawn(self.shown)[1]
         return (float(finite.min()), float(finite.max())) if len(finite) else (None, None)
+
+    def drawn(self, name: str) -> tuple[Nanoseconds, Floats]:
+        """Stamps and finite values of a column, rows that are lost left out: they would rule every history."""
+        values = np.asarray(self.columns[name], dtype=np.float64)
+        good = np.isfinite(values)
+        if "status" in self.columns:
+            good &= self.columns["status"] != Status.LOST
+        return self.time_ns[good], values[good]
 
     def rows(self, which: slice | NDArray[np.bool_]) -> "Chunk":
         """Some of its rows."""

@@ -307,9 +307,9 @@ class Store:
         if not chunks:
             return np.empty(0, np.int64), np.empty(0), np.empty(0)
         shown = next(iter(chunks[0].columns))
-        values = np.concatenate([np.asarray(one.columns[shown], dtype=np.float64) for one in chunks])
-        good = np.isfinite(values)
-        return np.concatenate([one.time_ns for one in chunks])[good], values[good], values[good]
+        drawn = [one.drawn(shown) for one in chunks]
+        values = np.concatenate([value for _, value in drawn])
+        return np.concatenate([time_ns for time_ns, _ in drawn]), values, values
 
     def events(self, point: str, first_ns: int, last_ns: int) -> list[Event]:
         """A point's events, in the order of time."""
@@ -317,6 +317,11 @@ class Store:
         return [
             Event(int(t), str(k), str(w), int(a)) for t, k, w, a in self._site.execute(sql, (point, first_ns, last_ns))
         ]
+
+    def event_times(self, point: str, kind: str, last_ns: int) -> list[int]:
+        """The instants (ns) of a point's events of one kind up to `last_ns`, in the order of time."""
+        sql = "SELECT time_ns FROM event WHERE point = ? AND kind = ? AND time_ns <= ? ORDER BY time_ns"
+        return [int(row[0]) for row in self._site.execute(sql, (point, kind, last_ns))]
 
     def calibrations(self, point: str) -> list[StoredCalibration]:
         """A point's calibrations in the order of their numbers."""
