@@ -188,6 +188,11 @@ NOTICES: dict[str, tuple[Severity, str, str]] = {
         "the sentence gives both, and which one the times follow",
         "give camera.rate_hz (--rate-hz), or a file of times, where the sentence is wrong",
     ),
+    "stamps-corrected": (
+        _NOTE,
+        "rows that were delivered twice were dropped, or equal time stamps were spread within their rounding",
+        "nothing; let the logger write finer stamps where it can",
+    ),
     "tilt": (
         _NOTE,
         "gravity reaches the accelerometer because the structure leans as it moves; it is taken out",

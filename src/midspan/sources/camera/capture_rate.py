@@ -1,4 +1,4 @@
-"""The rate at which frames were taken, where a container declares another than that of playing: slow motion, time lapse.
+"""The rate at which frames were taken, where a container declares another than it plays at: slow motion, time lapse.
 
 Android and what follows it: the tag `com.android.capture.fps`, frames a second. Sony: `captureFps="119.88p"` next to
 `formatFps` in the XML of a box `meta` of an MP4. Apple's slow motion keeps the stamps of taking, and needs neither.
