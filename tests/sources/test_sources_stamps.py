@@ -1,12 +1,10 @@
 """Time stamps that a logger rounded, rows that came twice, thousandths behind a colon."""
 
-import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from midspan.cli.main import run
 from midspan.errors import DataError
 from midspan.records import TimeSeries
 from midspan.sources.accelerometer.select import SeriesRequest, read_series
@@ -120,33 +118,3 @@ def test_thousandths_behind_a_colon_are_read(tmp_path: Path, day: str, width: in
     series = read_series(tmp_path / "a.csv", SeriesRequest("acceleration", unit="g"))
     np.testing.assert_array_equal(np.diff(series.time_ns), 20_000_000)
     assert (series.time_ns[0] // 1_000_000_000) % 86400 == 10 * 3600 + 21 * 60 + 33
-
-
-def test_inspect_and_a_result_say_what_was_done_to_the_stamps(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    # 3 mm at 1.3 Hz; the displacement at 10 Hz with 0.2 mm of noise, a batch of it delivered twice.
-    time_s = np.arange(6000) / 199.7
-    turn = 2.0 * np.pi * 1.3
-    acceleration = -0.003 * turn**2 * np.sin(turn * time_s) + RNG.normal(0.0, 0.01, 6000)
-    slow_s = np.arange(300) / 10.0
-    rows = [*range(200), *range(150, 200), *range(200, 300)]
-    slow = 0.003 * np.sin(turn * slow_s) + RNG.normal(0.0, 2e-4, 300)
-    series_of(tmp_path / "a.csv", np.round(time_s, 2), acceleration, decimals=2)
-    series_of(tmp_path / "d.csv", slow_s[rows], slow[rows])
-    (tmp_path / "recording.toml").write_text(
-        '[accelerometer]\nfile = "a.csv"\nvalue = "a0"\nunit = "m/s^2"\n'
-        '[displacement]\nfile = "d.csv"\nvalue = "a0"\nunit = "m"\n'
-    )
-    assert run(["inspect", str(tmp_path), "--json"]) == 0
-    tree = json.loads(capsys.readouterr().out)
-    assert any("rounded to 10 ms" in note for note in tree["accelerometer"]["notes"])
-    assert any("50 rows written twice" in note for note in tree["displacement"]["notes"])
-    assert run(["estimate", str(tmp_path), "-o", str(tmp_path / "r.csv"), "--json"]) == 0
-    notices = json.loads(capsys.readouterr().out)["notices"]
-    texts = [one["text"] for one in notices if one["code"] == "stamps-corrected"]
-    assert len(texts) == 2, notices
-    table = np.genfromtxt(tmp_path / "r.csv", delimiter=",", names=True)
-    error_mm = table["displacement_mm"] - 3.0 * np.sin(turn * table["time_s"])
-    # The sensor's own noise is 0.2 mm; rounded stamps alone (2.9 ms rms) would cost 0.05 mm of 3 mm at 1.3 Hz.
-    assert np.std(error_mm) < 0.05
