@@ -13,7 +13,7 @@ RATE_HZ, MOTION_HZ = 199.7, 1.3
 
 
 def recording(folder: Path, *, decimals: int, rows: list[int]) -> Path:
-    """3 mm at 1.3 Hz by an accelerometer whose stamps have `decimals`, and by a sensor with 0.2 mm of noise at 10 Hz."""
+    """3 mm at 1.3 Hz by an accelerometer whose stamps have `decimals`, and by a sensor of 0.2 mm at 10 Hz."""
     rng = np.random.default_rng(5)
     turn = 2.0 * np.pi * MOTION_HZ
     fast_s, slow_s = np.arange(6000) / RATE_HZ, np.arange(300) / 10.0
