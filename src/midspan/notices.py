@@ -182,6 +182,17 @@ NOTICES: dict[str, tuple[Severity, str, str]] = {
         "a displacement sensor has a slow error, or one would not show; the sentence says what the band holds",
         "declare displacement.noise_time_s",
     ),
+    "slow-motion": (
+        _WARNING,
+        "a film's container declares another rate of taking than the one it is played at (slow motion, time lapse); "
+        "the sentence gives both, and which one the times follow",
+        "give camera.rate_hz (--rate-hz), or a file of times, where the sentence is wrong",
+    ),
+    "stamps-corrected": (
+        _NOTE,
+        "rows that were delivered twice were dropped, or equal time stamps were spread within their rounding",
+        "nothing; let the logger write finer stamps where it can",
+    ),
     "tilt": (
         _NOTE,
         "gravity reaches the accelerometer because the structure leans as it moves; it is taken out",

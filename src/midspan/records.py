@@ -13,6 +13,8 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from midspan.notices import Notice
+
 Floats = NDArray[np.float64]
 Nanoseconds = NDArray[np.int64]
 
@@ -106,7 +108,7 @@ class TimeSeries:
     """A channel as it was read: `time_ns` (n,) and `value` (n,) in SI (m/s² or m), NaN where the file had no number.
 
     `notes` says in plain sentences what the reader found and assumed (delimiter, unit, epoch …), `damage` which data of
-    the file are damaged or cut off and therefore left out.
+    the file are damaged or cut off and therefore left out, `notices` which of the notes a result should report, too.
     """
 
     time_ns: Nanoseconds
@@ -115,6 +117,7 @@ class TimeSeries:
     unit: str = ""
     notes: tuple[str, ...] = ()
     damage: tuple[str, ...] = ()
+    notices: tuple[Notice, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

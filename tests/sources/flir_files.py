@@ -34,13 +34,15 @@ def camera_record(order, stamp_ms, median):
     return bytes(record)
 
 
-def block(counts, *, stamp_ms=1_700_000_000_583, header="<", inner="<", packed=None, calibrated=True):
-    """One FFF block of counts (rows, columns); `packed` replaces the plain pixels."""
+def block(counts, *, stamp_ms=1_700_000_000_583, header="<", inner="<", packed=None, calibrated=True, median=None):
+    """One FFF block of counts (rows, columns); `packed` replaces the plain pixels, `median` the one in the record."""
     rows, columns = counts.shape
     head = bytearray(32)
     struct.pack_into(inner + "3H", head, 0, 2, columns, rows)
     raw = bytes(head) + (counts.astype(inner + "u2").tobytes() if packed is None else packed)
-    records = [(0x01, raw)] + ([(0x20, camera_record(inner, stamp_ms, np.median(counts)))] if calibrated else [])
+    records = [(0x01, raw)] + (
+        [(0x20, camera_record(inner, stamp_ms, np.median(counts) if median is None else median))] if calibrated else []
+    )
     start = 64 + 32 * (len(records) + 1)
     directory, body = b"", b""
     for kind, data in records:

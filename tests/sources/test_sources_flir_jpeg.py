@@ -42,6 +42,25 @@ def test_a_radiometric_jpeg_gives_the_temperatures_that_were_written(tmp_path: P
     assert source.times_ns().tolist() == [1_700_000_000_583_000_000]
 
 
+@pytest.mark.parametrize("swapped", [False, True])
+@pytest.mark.parametrize("noise_k", [0.0, 0.1, 3.0])
+def test_the_bytes_of_a_png_are_ordered_by_the_picture_whatever_median_the_record_states(
+    tmp_path: Path, swapped: bool, noise_k: float
+) -> None:
+    # A scene of 0 to 40 °C, smooth but for the sensor's noise; the median of the bytes in the wrong order is what the
+    # camera's record states, as of another moment.
+    across, down = np.meshgrid(np.linspace(0.0, 3.0, 64), np.linspace(0.0, 2.0, 48))
+    celsius = 20.0 + 20.0 * np.sin(across) * np.cos(down)
+    counts = black_body(celsius + noise_k * np.random.default_rng(1).standard_normal(celsius.shape))
+    ok, data = cv2.imencode(".png", counts.byteswap() if swapped else counts)
+    assert ok
+    wrong = int(np.median(counts.byteswap()))
+    (tmp_path / "IR_1.jpg").write_bytes(flir_jpeg(block(counts, packed=data.tobytes(), median=wrong)))
+    (frame,) = open_thermal(tmp_path / "IR_1.jpg").frames()
+    # Six standard deviations of the noise, and half a count.
+    np.testing.assert_allclose(frame.pixels, celsius, atol=6.0 * noise_k + 2.0 * HALF_COUNT_K)
+
+
 @pytest.mark.parametrize("pattern", ["", "IR_*.jpg"])
 def test_a_folder_or_glob_of_them_is_a_sequence_with_the_cameras_stamps(tmp_path: Path, pattern: str) -> None:
     stamps = [1_700_000_000_000 + 200 * k for k in range(12)]

@@ -308,6 +308,7 @@ class CameraTracking:
         if self.skipped:
             found.append(Notice("frames-skipped", f"camera: {self._skipped_for}."))
         found += [Notice("file-damaged", f"camera: {line}.") for line in self.source.info.damage]
+        found += [one.worded(f"camera: {one}.") for one in self.source.info.notices]
         for target in self.targets:
             own = target.warnings(axes or self.settings.direction)
             if self.settings.lens is not None:

@@ -197,6 +197,7 @@ def compare(
     wanted = read_reference(reference, unit, axis)
     found = metrics.compare(stored.series, wanted, band=stored.band, align=align, max_lag_s=max_lag_s)
     assumed = [line for line in (*stored.series.notes, *wanted.notes) if line.endswith("assumed.")]
-    assumed += [f"{line}." for line in (*stored.series.damage, *wanted.damage)]
+    lines = (*stored.series.damage, *wanted.damage, *stored.series.notices, *wanted.notices)
+    assumed += [f"{line}." for line in lines]
     apart = [line for path in (result, reference) if not isinstance(path, Result) and (line := mismatch(path))]
     return replace(found, notes=(*apart, *assumed, *found.notes))

@@ -174,6 +174,7 @@ def prepare_acceleration(series: TimeSeries, where: str) -> PreparedAcceleration
     value = np.where(held, with_crests(series.value, held), straight)
     density = _bridging_density(value, missing, usual)
     warnings = [Notice("file-damaged", f"{where}: {line}.") for line in series.damage]
+    warnings += [one.worded(f"{where}: {one}.") for one in series.notices]
     warnings += [
         Notice("samples-bridged", f"{where}: {line}; they were bridged and marked.")
         for line in unusable_samples(series)

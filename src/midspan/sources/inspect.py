@@ -221,7 +221,7 @@ def frames_tree(
         "dark_frames": int(dark),
         "saturated_frames": int(bright),
         **({"coldest_c": low_c, "warmest_c": high_c} if thermal and np.isfinite(high_c - low_c) else {}),
-        "notes": [*info.notes, *info.damage],
+        "notes": [*info.notes, *info.damage, *info.notices],
     }
     return branch, times
 

@@ -4,6 +4,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from midspan.notices import Notice
 from midspan.records import Floats, Frame, Nanoseconds, PixelTrack, Region
 
 
@@ -12,7 +13,8 @@ class FrameInfo:
     """What is known of a source of frames: `frame_count` counts all frames of the file (None: not known).
 
     `bit_depth` is that of the luma, `lossless` None where the codec can be either, `radiometric` whether pixels are
-    temperatures. `damage`: what of the file was lost, mended or is doubtful, which a result should tell.
+    temperatures. `damage`: what of the file was lost, mended or is doubtful, which a result should report; `notices`:
+    what else it should report, each under a code of its own.
     """
 
     width: int
@@ -24,6 +26,7 @@ class FrameInfo:
     notes: tuple[str, ...] = ()
     radiometric: bool = False
     damage: tuple[str, ...] = ()
+    notices: tuple[Notice, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)

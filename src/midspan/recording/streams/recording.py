@@ -293,8 +293,10 @@ class Recording:
         """What is wrong with the acceleration and with the file of each [displacement], as they were read."""
         told = list(self.prepared.warnings)
         for view in self.views:
-            damage = view.displacement.damage if view.kind == "displacement" else ()
-            told += [Notice("file-damaged", f"{view.sensor} ({view.own.settings.file}): {line}.") for line in damage]
+            if view.kind == "displacement":
+                where = f"{view.sensor} ({view.own.settings.file})"
+                told += [Notice("file-damaged", f"{where}: {line}.") for line in view.displacement.damage]
+                told += [one.worded(f"{where}: {one}.") for one in view.displacement.notices]
         return tuple(told)
 
     @cached_property

@@ -47,10 +47,11 @@ TIME_UNITS = {
 _EPOCH_MAGNITUDES = ((1e17, 1, "ns"), (1e14, 1_000, "µs"), (1e11, 1_000_000, "ms"))
 
 _DATE = r"\d{4}-?\d{2}-?\d{2}|\d{1,4}[./]\d{1,2}[./]\d{2,4}"
-_CLOCK = r"\d{1,2}:\d{2}(?::\d{2}(?:[.,]\d+)?)?(?:\s?(?:Z|[+-]\d{2}:?\d{2}))?"
+_CLOCK = r"\d{1,2}:\d{2}(?::\d{2}(?:[.,]\d+|:\d{1,3})?)?(?:\s?(?:Z|[+-]\d{2}:?\d{2}))?"
 _DATE_PATTERN = re.compile(rf"^(?:{_DATE})$")
 _CLOCK_PATTERN = re.compile(rf"^{_CLOCK}$")
 _STAMP_PATTERN = re.compile(rf"^(?:{_DATE})(?:T|\s+)(?:{_CLOCK}|\d{{6}}(?:[.,]\d+)?Z?)$")
+_THOUSANDTHS = r"^(.*\d{1,2}:\d{2}:\d{2}):(\d{1,3})$"
 _ZONE_PATTERN = re.compile(r"(?:Z|[+-]\d{2}:?\d{2})$")
 
 
@@ -107,8 +108,8 @@ def texts_to_ns(texts: "Sequence[str | None] | pd.Series[Any]") -> tuple[Nanosec
     """Time stamps (n,) of written times and notes; None if the column holds no written times.
 
     Understood are ISO 8601 with or without a zone (without: UTC), dates with dots (day first) or slashes (the year
-    first, or the day, or the month where the numbers tell), and a bare time of day (since midnight). What cannot be
-    read becomes `NOT_A_TIME`.
+    first, or the day, or the month where the numbers tell), and a bare time of day (since midnight); thousandths of a
+    second can follow a point, a comma or a colon. What cannot be read becomes `NOT_A_TIME`.
     """
     import pandas as pd
 
@@ -120,6 +121,7 @@ def texts_to_ns(texts: "Sequence[str | None] | pd.Series[Any]") -> tuple[Nanosec
     series = series.str.strip()
     if series.str.contains(",", regex=False).any():
         series = series.str.replace(",", ".", regex=False)
+    series = _thousandths_behind_points(series)
     first = str(start.iloc[0])
     if is_clock(first):
         elapsed = pd.to_timedelta(series, errors="coerce")
@@ -129,6 +131,14 @@ def texts_to_ns(texts: "Sequence[str | None] | pd.Series[Any]") -> tuple[Nanosec
     notes += order
     moments = pd.to_datetime(_iso_order(series), format="ISO8601", utc=True, errors="coerce")
     return _stamps(moments.dt.as_unit("ns")), notes
+
+
+def _thousandths_behind_points(series: "pd.Series[Any]") -> "pd.Series[Any]":
+    """Times such as 12:30:00:025, whose last part counts thousandths of a second, as 12:30:00.025; others unchanged."""
+    parts = series.str.extract(_THOUSANDTHS)
+    if parts[1].isna().all():
+        return series
+    return series.where(parts[1].isna(), parts[0] + "." + parts[1].str.zfill(3))
 
 
 def _stamps(series: "pd.Series[Any]") -> Nanoseconds:

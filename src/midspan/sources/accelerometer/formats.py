@@ -1,6 +1,7 @@
 """The logger formats: one table from suffix to reader."""
 
 import importlib
+import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -12,15 +13,30 @@ from midspan.sources.declared_size import require_memory
 
 @dataclass(frozen=True, slots=True)
 class Format:
-    """A format: its name, the suffixes that choose it, what it is read with, and the module with its `read`."""
+    """A format: its name, the suffixes that choose it, what it is read with, and the module and function that read it.
+
+    head: what its files begin with, where they often have other names (None: the suffix alone chooses).
+    """
 
     name: str
     suffixes: tuple[str, ...]
     reader: str
     module: str
+    function: str = "read"
+    head: re.Pattern[bytes] | None = None
 
 
 _PACKAGE = "midspan.sources.accelerometer"
+
+_OBSPY = "ObsPy (extra seismic)"
+_SEED_SUFFIXES = (".mseed", ".msd", ".miniseed", ".ms", ".seed", ".fullseed")
+# Sequence number, then the kind of the record: of data (D, R, Q, M), or a control header of a volume. Version 3: MS.
+_SEED_HEAD = re.compile(rb"([0-9 \0]{6}[DRQMVAST][ *]|MS\x03)")
+# Borehole and surface of KiK-net are numbered.
+_KNET_SUFFIXES = (".knet", *(f".{axis}{number}" for axis in ("ew", "ns", "ud") for number in ("", "1", "2")))
+# Word 76 of 158 in a SAC header is its version, 6 or 7.
+_SAC_HEAD = re.compile(rb"(?s:.{304})([\x06\x07]\0\0\0|\0\0\0[\x06\x07])")
+_HEAD_BYTES = 512
 
 _FORMATS = (
     Format("text columns", (".csv", ".txt", ".dat", ".asc", ".tsv"), "pandas", "text"),
@@ -31,9 +47,12 @@ _FORMATS = (
     Format("Excel workbook", (".xlsx", ".xlsm"), "openpyxl", "xlsx"),
     Format("TDMS", (".tdms",), "npTDMS", "tdms"),
     Format("LabVIEW measurement", (".lvm",), "lvm_read", "lvm"),
-    Format("miniSEED", (".mseed", ".msd", ".miniseed"), "pymseed", "miniseed"),
+    Format("miniSEED or full SEED", _SEED_SUFFIXES, "pymseed", "miniseed", head=_SEED_HEAD),
     Format("Universal file, dataset 58", (".uff", ".unv", ".58"), "pyuff", "uff"),
-    Format("CSMIP and COSMOS V2", (".v2", ".v2c"), "midspan", "strong_motion"),
+    Format("CSMIP and COSMOS V1 and V2", (".v2", ".v2c", ".v1", ".v1c"), "midspan", "strong_motion"),
+    Format("K-NET and KiK-net", _KNET_SUFFIXES, _OBSPY, "seismic", "read_knet", re.compile(rb"Origin Time\s+\d{4}/")),
+    Format("SAC", (".sac",), _OBSPY, "seismic", "read_sac", _SAC_HEAD),
+    Format("GSE", (".gse", ".gse2"), _OBSPY, "seismic", "read_gse", re.compile(rb"(BEGIN GSE2|WID2 |WID1|XW01)")),
 )
 
 FORMATS = tuple((row.name, row.suffixes, row.reader) for row in _FORMATS)
@@ -43,11 +62,12 @@ _BY_SUFFIX = {suffix: row for row in _FORMATS for suffix in row.suffixes}
 
 
 def list_channels(path: Path) -> ChannelSet:
-    """All channels of a logger file with what its reader found; the suffix chooses the reader.
+    """All channels of a logger file with what its reader found.
 
+    The suffix chooses the reader; without a known one, as of miniSEED in archives, what the file begins with.
     Raises UsageError for an unknown suffix and DataError for a missing, unreadable or empty file.
     """
-    row = _BY_SUFFIX.get(path.suffix.lower())
+    row = _BY_SUFFIX.get(path.suffix.lower()) or _by_head(path)
     if row is None:
         raise UsageError(
             f"{path}: the suffix must be one of {', '.join(_BY_SUFFIX)}; received {path.suffix!r}. "
@@ -65,10 +85,21 @@ def list_channels(path: Path) -> ChannelSet:
     return found
 
 
+def _by_head(path: Path) -> Format | None:
+    """The format that a file begins as; None where it begins as none, or cannot be read."""
+    try:
+        require_file(path)
+        with path.open("rb") as file:
+            head = file.read(_HEAD_BYTES)
+    except (DataError, OSError):
+        return None
+    return next((row for row in _FORMATS if row.head is not None and row.head.match(head)), None)
+
+
 def _read(path: Path, row: Format) -> ChannelSet:
     with reading(path, row.name):
         module = importlib.import_module(f"{_PACKAGE}.{row.module}")
-        found = module.read(path)
+        found = getattr(module, row.function)(path)
     assert isinstance(found, ChannelSet)
     return replace(found, channels=tuple(_guarded(path, row, channel) for channel in found.channels))
 

@@ -1,5 +1,6 @@
-"""LabVIEW measurement files (lvm), read with lvm_read."""
+"""LabVIEW measurement files (lvm), read with lvm_read; those without LabVIEW's header are columns of text."""
 
+from dataclasses import replace
 from datetime import datetime
 from itertools import islice
 from pathlib import Path
@@ -8,10 +9,12 @@ from typing import Any
 import numpy as np
 
 from midspan.records import Floats
+from midspan.sources.accelerometer import text
 from midspan.sources.accelerometer.channel import Channel, ChannelSet
 from midspan.sources.accelerometer.last_line import cut_last_line
 from midspan.sources.declared_size import require_memory
 
+_FIRST_WORDS, _HEAD_BYTES = b"LabVIEW Measurement", 64
 # Lines that hold the file's own header.
 _HEAD_LINES = 40
 # What lvm_read needs for a byte of text: a number of Python (32 bytes) for each field of four characters or more.
@@ -21,8 +24,13 @@ _BYTES_OF_A_BYTE = 8
 def read(path: Path) -> ChannelSet:
     """The channels of all segments one behind the other; `X_Value` is the time in s where the file has it.
 
-    Where the time starts again in a later segment it is moved by the difference of the segments' date and time.
+    Where the time starts again in a later segment it is moved by the difference of the segments' date and time. A file
+    without a header, as LabVIEW writes with "no headers" and other programs under this suffix, is read as text columns.
     """
+    with path.open("rb") as file:
+        if not file.read(_HEAD_BYTES).lstrip(b"\xef\xbb\xbf \t\r\n").startswith(_FIRST_WORDS):
+            found = text.read(path)
+            return replace(found, notes=("no header of LabVIEW: read as text columns", *found.notes))
     require_memory(path, _BYTES_OF_A_BYTE * path.stat().st_size, "its table")
     content, damage = _content(path)
     segments = [content[k] for k in range(content["Segments"])]
@@ -47,15 +55,21 @@ def _content(path: Path) -> tuple[dict[Any, Any], tuple[str, ...]]:
     import lvm_read
 
     with path.open(encoding="utf-8", errors="ignore") as file:
-        head = dict(line.strip("\r\n").split("\t", 1) for line in islice(file, _HEAD_LINES) if "\t" in line)
-    comma = head.get("Separator", "").strip() == "Comma"
+        lines = list(islice(file, _HEAD_LINES))
+    head = dict(line.strip("\r\n").split("\t", 1) for line in lines if "\t" in line)
+    # Without the field Separator the header's own lines show it: Writer_Version is the first of them.
+    shown = any(line.startswith("Writer_Version,") for line in lines)
+    comma = head.get("Separator", "Comma" if shown else "").strip() == "Comma"
     decimal = head.get("Decimal_Separator", ".").strip() or "."
     cut = cut_last_line(path, encoding="utf-8", delimiter="," if comma else "\t", decimal=decimal)
-    if cut is None:
+    if cut is None and not shown:
         # The reader would otherwise leave a pickle beside the user's file, and trust one that it finds.
         content = lvm_read.read(str(path), read_from_pickle=False, dump_file=False)
     else:
-        content = lvm_read.read_str(path.read_bytes()[: cut[0]].decode("utf-8", errors="ignore"))
+        end = None if cut is None else cut[0]
+        content = lvm_read.read_str(
+            path.read_bytes()[:end].decode("utf-8", errors="ignore"), separator="," if shown else None
+        )
     last = content[content["Segments"] - 1]
     declared = np.nanmax(np.asarray(last.get("Samples") or [0.0], dtype=np.float64))
     rows = len(last["data"])

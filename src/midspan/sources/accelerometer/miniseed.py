@@ -1,5 +1,6 @@
-"""miniSEED (version 2 and 3), read with pymseed."""
+"""miniSEED (version 2 and 3), read with pymseed; also the data records of a full SEED volume."""
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,10 @@ from midspan.sources.declared_size import require_memory
 
 # libmseed's status of a stream that ends within a record (MS_ENDOFFILE).
 _END_OF_FILE = 1
+# That of bytes that are no record of data (MS_NOTSEED).
+_NOT_SEED = -2
+# Sequence number, and the kind of a control header: volume, abbreviation, station, time span.
+_CONTROL_HEADER = re.compile(rb"[0-9]{6}[VAST][ *]")
 # The channels of a result that midspan wrote, with their names and units in the other formats.
 _OWN_STATION = "MIDSP"
 _OWN_CHANNELS = {
@@ -42,9 +47,9 @@ def read(path: Path) -> ChannelSet:
     """
     from pymseed import MS3TraceList
 
-    records, damage = _sound_records(path)
+    records, said, damage = _records(path)
     channels: list[Channel] = []
-    notes: list[str] = []
+    notes = list(said)
     traces = MS3TraceList.from_buffer(records, unpack_data=True) if records else ()
     for trace in traces:
         segments = [s for s in trace if s.numsamples]
@@ -63,6 +68,30 @@ def read(path: Path) -> ChannelSet:
             notes.append(f"{name}: {len(segments) - 1} gaps")
         channels.append(Channel(name, values, unit, _rate(segments[0]), None, time_ns))
     return ChannelSet(tuple(channels), tuple(notes), damage)
+
+
+def _records(path: Path) -> tuple[bytes, tuple[str, ...], tuple[str, ...]]:
+    """The bytes of all records of data, notes, and sentences on what is damaged.
+
+    Records of another kind are passed over: control headers of a SEED volume, noise records. In a file that does not
+    begin as a volume it is not known what they are, and they count as damage.
+    """
+    from pymseed import MiniSEEDError
+
+    try:
+        records, damage, _ = _sound_records(path, False)
+        return records, (), damage
+    except MiniSEEDError as error:
+        if error.status_code != _NOT_SEED:
+            raise
+        records, damage, other_bytes = _sound_records(path, True)
+        if not records and not damage:
+            raise
+    text = f"{other_bytes} bytes are no records of data"
+    with path.open("rb") as file:
+        if _CONTROL_HEADER.match(file.read(8)):
+            return records, (f"{text} (control headers of a SEED volume) and are left out",), damage
+    return records, (), (*damage, f"{text} and are left out")
 
 
 def _name(sourceid: str) -> str:
@@ -89,14 +118,17 @@ class _Lost:
         )
 
 
-def _sound_records(path: Path) -> tuple[bytes, tuple[str, ...]]:
-    """The bytes of all records that decode as they state, and a sentence for each channel that lost some."""
+def _sound_records(path: Path, skip: bool) -> tuple[bytes, tuple[str, ...], int]:
+    """The bytes of all records that decode as they state, a sentence for each channel that lost some, and how many
+    bytes are no records of data; skip: such bytes are passed over, else they are an error.
+    """
     from pymseed import MiniSEEDError, MS3Record, get_error_messages
 
     sound: list[bytes] = []
     count, channels = 0, dict[str, _Lost]()
     cut: tuple[str, ...] = ()
-    reader = iter(MS3Record.from_file(str(path), unpack_data=False))
+    other_bytes = path.stat().st_size
+    reader = iter(MS3Record.from_file(str(path), unpack_data=False, skip_not_data=skip))
     while True:
         try:
             record = next(reader, None)
@@ -109,6 +141,7 @@ def _sound_records(path: Path) -> tuple[bytes, tuple[str, ...]]:
             break
         lost = channels.setdefault(record.sourceid, _Lost())
         lost.of += 1
+        other_bytes -= int(record.reclen)
         try:
             possible = record.samplecnt <= _MAX_SAMPLES_PER_BYTE * record.reclen
             decoded = possible and record.unpack_data() == record.samplecnt and not get_error_messages()
@@ -122,7 +155,11 @@ def _sound_records(path: Path) -> tuple[bytes, tuple[str, ...]]:
         lost.records, lost.samples = lost.records + 1, lost.samples + int(record.samplecnt)
     # Samples as they are decoded (4 bytes), as numbers, and their time stamps (8 bytes each).
     require_memory(path, 20 * count, "its samples")
-    return b"".join(sound), (*(lost.sentence(name) for name, lost in channels.items() if lost.records), *cut)
+    return (
+        b"".join(sound),
+        (*(lost.sentence(name) for name, lost in channels.items() if lost.records), *cut),
+        other_bytes,
+    )
 
 
 def _rate(segment: Any) -> float:

@@ -8,11 +8,13 @@ import numpy as np
 
 from midspan.checks import nearest, option
 from midspan.errors import DataError, UsageError
+from midspan.notices import Notice
 from midspan.records import Floats, Nanoseconds, TimeSeries
-from midspan.sources.accelerometer.channel import Channel, ChannelSet
+from midspan.sources.accelerometer.channel import Channel, ChannelSet, Stored, Values
 from midspan.sources.accelerometer.clock import NOT_A_TIME, numbers_to_ns
 from midspan.sources.accelerometer.dialect import SPLIT, named_unit
 from midspan.sources.accelerometer.formats import list_channels
+from midspan.sources.accelerometer.stamps import repeated_rows, spread_equal_stamps
 from midspan.sources.accelerometer.units import SI_UNITS, measures, si_factor
 
 _TIME_NAMES: tuple[str, ...] = (
@@ -87,9 +89,14 @@ def read_series(path: Path, request: SeriesRequest) -> TimeSeries:
     time_ns = _times(path, channel, clock, request, notes)
     unit, factor = _unit(path, channel, request, notes)
     value = _si(channel, factor, notes)
-    time_ns, value = _without_repeated_rows(time_ns, value, notes)
-    _check(path, channel.name, time_ns, value)
-    return TimeSeries(time_ns, value, channel.name, unit, tuple(notes), found.damage)
+    _check_values(path, channel.name, time_ns, value)
+    repeated = repeated_rows(time_ns, _columns(found, channel))
+    spread = spread_equal_stamps(time_ns[~repeated])
+    _check_order(path, spread.time_ns)
+    dropped = f"{int(repeated.sum())} rows written twice, or delivered twice, were dropped"
+    notices = [Notice("stamps-corrected", text) for text in (dropped if repeated.any() else "", spread.text) if text]
+    value = value[~repeated]
+    return TimeSeries(spread.time_ns, value, channel.name, unit, (*notes, *notices), found.damage, tuple(notices))
 
 
 def find_channel(path: Path, found: ChannelSet, wanted: str, key: str) -> Channel:
@@ -280,18 +287,17 @@ def _si(channel: Channel, factor: float, notes: list[str]) -> Floats:
     return value
 
 
-def _without_repeated_rows(time_ns: Nanoseconds, value: Floats, notes: list[str]) -> tuple[Nanoseconds, Floats]:
-    """A row that says the same as the one before it, time and value, was written twice and is dropped."""
-    same_value = (value[1:] == value[:-1]) | (np.isnan(value[1:]) & np.isnan(value[:-1]))
-    twice = (time_ns[1:] == time_ns[:-1]) & same_value & (time_ns[1:] != NOT_A_TIME)
-    if not twice.any():
-        return time_ns, value
-    keep = np.concatenate([[True], ~twice])
-    notes.append(f"{int(twice.sum())} rows written twice dropped")
-    return time_ns[keep], value[keep]
+def _columns(found: ChannelSet, channel: Channel) -> list[Values]:
+    """What tells whether two rows of a channel are one: the columns of its file that are in memory, without clocks.
+
+    All channels of a file so lose the same rows. A column that rises throughout counts the rows.
+    """
+    alike = [c for c in found.channels if c.size == channel.size and not isinstance(c.stored, Stored)]
+    columns = [c.values for c in alike if c is not channel and not _is_clock(c) and not _rising(c)]
+    return [channel.values, *columns]
 
 
-def _check(path: Path, name: str, time_ns: Nanoseconds, value: Floats) -> None:
+def _check_values(path: Path, name: str, time_ns: Nanoseconds, value: Floats) -> None:
     missing = np.flatnonzero(time_ns == NOT_A_TIME)
     if missing.size:
         raise DataError(
@@ -303,6 +309,9 @@ def _check(path: Path, name: str, time_ns: Nanoseconds, value: Floats) -> None:
             f"{path}: {name!r} must have two numbers or more; received {np.count_nonzero(~np.isnan(value))} in "
             f"{value.size} rows. Choose another channel as value."
         )
+
+
+def _check_order(path: Path, time_ns: Nanoseconds) -> None:
     wrong = np.flatnonzero(time_ns[1:] <= time_ns[:-1])
     if wrong.size:
         row = int(wrong[0]) + 1

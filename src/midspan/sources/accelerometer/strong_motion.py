@@ -1,4 +1,4 @@
-"""Strong-motion volume 2 files (V2) of CSMIP/CGS and of the COSMOS format 1.20.
+"""Strong-motion files of volume 1 (V1: uncorrected) and 2 (V2: corrected) of CSMIP/CGS and of the COSMOS format 1.20.
 
 A channel is a text header, headers of whole and real numbers, then a block of values under a line that tells their
 count, unit and Fortran format; CSMIP has acceleration, velocity and displacement in turn, COSMOS one a section.
@@ -16,12 +16,14 @@ from midspan.records import Floats
 from midspan.sources.accelerometer.channel import Channel, ChannelSet, distinct
 
 _CSMIP_BLOCK = re.compile(
-    r"^\s*(?P<count>\d+)\s+points of (?P<kind>accel|veloc|displ)\w* data equally spaced at\s+(?P<step>[\d.]+)\s*sec"
+    r"^\s*(?P<count>\d+)\s+points of (?:raw |uncor\w* )?(?P<kind>accel|veloc|displ)\w* data equally spaced at\s+"
+    r"(?P<step>[\d.]+)\s*sec"
     r"(?:,?\s*\(?in\s+(?P<unit>[^\s(),]+?)\)?\.?)?[\s,.]*(?:\((?P<format>[^)]*)\))?\s*$",
     re.IGNORECASE,
 )
 _COSMOS_BLOCK = re.compile(
-    r"^\s*(?P<count>\d+)\s+(?P<kind>accel|veloc|displ)\w*\s+pts,.*?units\s*=\s*(?P<unit>[^,(]+?)\s*(?:\(\s*\d+\s*\))?\s*,"
+    r"^\s*(?P<count>\d+)\s+(?:raw |uncor\w* )?(?P<kind>accel|veloc|displ)\w*\.?\s+pts,.*?units\s*=\s*"
+    r"(?P<unit>[^,(]+?)\s*(?:\(\s*\d+\s*\))?\s*,"
     r"\s*Format\s*=\s*\((?P<format>[^)]*)\)",
     re.IGNORECASE,
 )
@@ -68,8 +70,9 @@ def read(path: Path) -> ChannelSet:
         channels.append(Channel(name, values * scale, unit, 1.0 / block.step_s, 0))
     if not channels:
         raise DataError(
-            f"{path} has no block of volume-2 values (a line such as '7500 points of accel data equally spaced at "
-            ".010 sec'). Give a CSMIP or COSMOS V2 file."
+            f"{path} has no block of values (a line such as '7500 points of accel data equally spaced at .010 sec' or "
+            "'7500 acceleration pts, approx 75 secs, units=cm/s^2, Format=(8F10.5)'). Give a CSMIP or COSMOS V1 or V2 "
+            "file."
         )
     notes += sorted({f"header: start time {m['text']}, not used" for line in lines[:60] if (m := _START.search(line))})
     notes += [f"channel {number}: direction {direction}" for number, direction in _directions(lines).items()]
@@ -127,9 +130,11 @@ def _numbers(lines: list[str], first: int, count: int, width: int) -> Floats:
     return np.array(fields)
 
 
-def _plain_unit(unit: str) -> tuple[float, str]:
-    """Factor and unit: older files count in tenths of g, written g/10."""
+def _plain_unit(unit: str) -> tuple[float, str | None]:
+    """Factor and unit: older files count in tenths of g, written g/10; counts of a converter have no unit."""
     text = unit.strip().rstrip(".")
+    if text.lower() in ("count", "counts"):
+        return 1.0, None
     if re.fullmatch(r"g\s*/\s*10|g\*10\*\*-1", text, re.IGNORECASE):
         return 0.1, "g"
     return 1.0, text

@@ -3,7 +3,6 @@
 import errno
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from datetime import UTC, datetime
 from fractions import Fraction
 from pathlib import Path
@@ -13,9 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from midspan.errors import DataError
+from midspan.notices import Notice
 from midspan.records import Frame, Nanoseconds
 from midspan.signals.health import clock
-from midspan.sources.camera.cut_off import cut_off
+from midspan.sources.camera.capture_rate import declared_rate, times_of_taking
+from midspan.sources.camera.completeness import missing_frames, without_cut_frame
 from midspan.sources.camera.frames import FrameRequest
 from midspan.sources.camera.luma_plane import depth_of, luma_of
 from midspan.sources.camera.packets import Packets, scan
@@ -55,9 +56,6 @@ _HEAD_BYTES = 1024
 _RATE_TOLERANCE = 0.01
 # Damaged frames that a message names by their numbers.
 _MAX_NAMED = 5
-# A video that holds this share, and at least this long, less than its header declares broke off while it was copied.
-MAX_LOST = 0.03
-MIN_MISSING_S = 1.0
 
 
 class VideoFrames(FrameSource):
@@ -70,6 +68,7 @@ class VideoFrames(FrameSource):
         self._times: Nanoseconds | None = None
         self._notes: list[str] = []
         self._damage: list[str] = []
+        self._notices: list[Notice] = []
         self._lost: set[int] = set()
         self._kind: tuple[tuple[int, ...], np.dtype[Any]] | None = None
         _require_memory(path)
@@ -79,6 +78,7 @@ class VideoFrames(FrameSource):
             self._depth = depth_of(stream.codec_context.pix_fmt)
             self._codec = f"{stream.codec_context.name} {stream.codec_context.pix_fmt}"
             self._declared = int(stream.frames) or None
+            self._taken_hz = declared_rate(path, {**stream.metadata, **container.metadata})
             if stream.codec_context.name in ("vp8", "vp9") and not self._size[0]:
                 raise DataError(f"{path} has no picture size. Check that the file is whole.")
 
@@ -89,7 +89,16 @@ class VideoFrames(FrameSource):
         lossless = True if name in _LOSSLESS else False if name in _LOSSY else None
         count = self._packets.count if self._packets is not None else self._declared
         damage = (*self._damage, *_told_lost(self._lost, self._packets))
-        return FrameInfo(*self._size, self._depth, count, self._codec, lossless, tuple(self._notes), damage=damage)
+        return FrameInfo(
+            *self._size,
+            self._depth,
+            count,
+            self._codec,
+            lossless,
+            tuple(self._notes),
+            damage=damage,
+            notices=tuple(self._notices),
+        )
 
     def times_ns(self) -> Nanoseconds:
         """Time stamps from `times`, else the container, else the rate."""
@@ -100,44 +109,18 @@ class VideoFrames(FrameSource):
     def _scanned(self) -> Packets:
         if self._packets is None:
             with _opened(self._path) as container:
-                self._packets = scan(self._path, container)
-                declared_s = container.duration * 1e-6 if container.duration else 0.0
-            self._refuse_truncated(self._packets, declared_s)
-            self._packets = self._without_cut_frame(self._packets, declared_s)
+                packets = scan(self._path, container)
+            lost, hidden = missing_frames(self._path, packets, self._declared)
+            if lost:
+                self._damage.append(f"the file ends early: {lost} of {self._declared} frames are not in it")
+            if hidden:
+                self._notes.append(
+                    f"{hidden} of {self._declared} frames are left out by an edit list (trimmed) or were dropped by "
+                    "the recorder; the times of the others are right"
+                )
+            self._packets, cut = without_cut_frame(self._path, packets)
+            self._damage += [cut] if cut else []
         return self._packets
-
-    def _without_cut_frame(self, packets: Packets, declared_s: float) -> Packets:
-        """The packets without one that the end of the file cuts; what is cut is reported."""
-        end = cut_off(self._path)
-        if end is None:
-            return packets
-        missing = 0
-        if packets.ticks is not None and packets.rates:
-            held_s = float(packets.ticks[-1] - min(packets.ticks[0], 0)) * float(packets.time_base)
-            missing = round((declared_s - held_s) * float(packets.rates[0])) - 1
-        about = f", about {missing} frames" if missing > 0 else ""
-        self._damage.append(f"{end.text}{about}")
-        if not end.in_frame or packets.count < 2:
-            return packets
-        ticks = None if packets.ticks is None else packets.ticks[:-1]
-        return replace(packets, count=packets.count - 1, ticks=ticks)
-
-    def _refuse_truncated(self, packets: Packets, declared_s: float) -> None:
-        """DataError when the file holds clearly less than its header declares: a copy that broke off."""
-        lost = self._declared - packets.count if self._declared else 0
-        held_s = declared_s
-        if packets.ticks is not None:
-            held_s = float(_container_times(packets.ticks, packets)[0][-1]) * 1e-9
-        missing_s = declared_s - held_s
-        if lost > MAX_LOST * max(self._declared or 1, 1) or missing_s > max(MAX_LOST * declared_s, MIN_MISSING_S):
-            what = f"{lost} of {self._declared} frames" if lost > 0 else f"{missing_s:.1f} of {declared_s:.1f} s"
-            found = f"{what} that its header declares are not in it"
-            remedy = "Copy it again; to use what is there, rewrite it first (ffmpeg -i IN -c copy OUT)."
-            if packets.count == 1:
-                found, remedy = f"its header declares {declared_s:.1f} s, and one frame is in it", "Copy it again."
-            raise DataError(f"{self._path}: the video is truncated: {found}. {remedy}")
-        if lost > 0:
-            self._damage.append(f"the file ends early: {lost} of {self._declared} frames are not in it")
 
     def _all_times(self) -> Nanoseconds:
         packets = self._scanned()
@@ -154,6 +137,8 @@ class VideoFrames(FrameSource):
                 f"the stream's clock starts at {time_ns[0] * 1e-9:.3f} s; its first frame counts as zero"
             )
             time_ns = time_ns - time_ns[0]
+        time_ns, notice = times_of_taking(time_ns, self._taken_hz, self._request.rate_hz)
+        self._notices += [notice] if notice else []
         self._tell_rate(time_ns)
         return time_ns + np.int64(round(self._request.start_s * 1e9))
 

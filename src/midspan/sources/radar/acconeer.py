@@ -19,15 +19,18 @@ from midspan.trees import json_tree
 
 CARRIER_HZ = 60.5e9
 FRAMES_AT_A_TIME = 512
-# Numbers of the first entry that is stored, and of its settings.
-_ENTRY = "sessions/session_0/group_0/entry_0"
+# Where the first session lies in files of the maker's program, and of its version 5.
+_SESSIONS = ("sessions/session_0", "session")
+_ENTRY = "group_0/entry_0"
 
 
 class AcconeerRecording(RadarSource):
     """Sweeps of a recording, each a frame; subsweeps with the transmitter on lie side by side as bins.
 
-    Sweeps of one frame are as far apart as the sweep rate says; frames follow each other by it too in continuous mode,
-    else by the frame rate, else by the ticks of the recorder. A loopback subsweep can take out the device's own phase.
+    Sweeps of one frame are as far apart as the sweep rate says, which is the sensor's largest where it was left to it
+    (the maker's default); where that is not known, or frames overlap by it, the sweeps of a frame are averaged. Frames
+    follow each other by the sweep rate in continuous mode, else by the frame rate, else by the ticks of the recorder. A
+    loopback subsweep can take out the device's own phase.
     """
 
     file_kind = "a recording of an Acconeer A121"
@@ -39,6 +42,7 @@ class AcconeerRecording(RadarSource):
         self._range_m = np.concatenate([part[1] for part in self._parts if part[2]] or [np.empty(0)])
         if not len(self._range_m):
             raise DataError(f"{path} holds no subsweep with the transmitter on. Record one that measures a range.")
+        self._sweep_hz = self._settings.get("sweep_rate") or metadata.get("max_sweep_rate")
         self._times_s = self._stamps(tick_s)
 
     @property
@@ -46,13 +50,17 @@ class AcconeerRecording(RadarSource):
         """Sweep rate, ranges and what was noticed."""
         count, sweeps = self._data.shape[:2]
         notes = [f"{count} frames of {sweeps} sweeps, {len(self._range_m)} ranges"]
+        if sweeps > 1 and not self._settings.get("sweep_rate"):
+            is_split = len(self._times_s) > count
+            how = f"follow each other at the sensor's largest, {self._sweep_hz:.5g} Hz" if is_split else "are averaged"
+            notes.append(f"no sweep rate was set; the sweeps of a frame {how}")
         if self.has_loopback:
             notes.append("a loopback subsweep is there to take out the device's own phase")
         return RadarInfo(
             kind="Acconeer A121",
             carrier_hz=CARRIER_HZ,
             frame_rate_hz=1.0 / float(np.median(np.diff(self._times_s))) if len(self._times_s) > 1 else np.nan,
-            frame_count=count * sweeps,
+            frame_count=len(self._times_s),
             channels=1,
             range_m=self._range_m,
             notes=tuple(notes),
@@ -64,18 +72,19 @@ class AcconeerRecording(RadarSource):
         return any(not part[2] for part in self._parts)
 
     def times_ns(self) -> Nanoseconds:
-        """One stamp a sweep, from 0 on, `start_s` added."""
+        """One stamp a sweep, or a frame whose sweeps are averaged, from 0 on, `start_s` added."""
         return stamps(self._path, self._times_s, self._request.start_s)
 
     def _profiles(self, start: int, stop: int | None) -> Iterator[RangeFrames]:
         """All ranges; the phase of the loopback, where there is one, is taken out."""
         times = self.times_ns()
-        sweeps = self._data.shape[1]
+        sweeps = len(times) // len(self._data)
         begin, end, _ = slice(start, stop).indices(len(times))
         for first in range(begin // sweeps, -(-end // sweeps), FRAMES_AT_A_TIME):
             last = min(first + FRAMES_AT_A_TIME, -(-end // sweeps))
             raw = self._data[first:last]
-            z = (raw["real"].astype(np.float32) + 1j * raw["imag"].astype(np.float32)).reshape(-1, self._data.shape[2])
+            z = raw["real"].astype(np.float32) + 1j * raw["imag"].astype(np.float32)
+            z = (z if sweeps > 1 else z.mean(axis=1)).reshape(-1, self._data.shape[2])
             low, high = max(begin - first * sweeps, 0), min(end - first * sweeps, len(z))
             block = self._ranges(z[low:high])
             stamps = times[first * sweeps + low : first * sweeps + high]
@@ -96,10 +105,9 @@ class AcconeerRecording(RadarSource):
 
     def _stamps(self, tick_s: float) -> Floats:
         count, sweeps = self._data.shape[:2]
-        sweep_rate, frame_rate = self._settings.get("sweep_rate"), self._settings.get("frame_rate")
-        step = 1.0 / sweep_rate if sweep_rate else 0.0
-        if self._settings.get("continuous_sweep_mode") and sweep_rate:
-            return np.arange(count * sweeps) * step
+        frame_rate = self._settings.get("frame_rate")
+        if self._settings.get("continuous_sweep_mode") and self._sweep_hz:
+            return np.asarray(np.arange(count * sweeps) / self._sweep_hz, dtype=np.float64)
         if frame_rate:
             begin = np.arange(count) / frame_rate
         else:
@@ -110,9 +118,13 @@ class AcconeerRecording(RadarSource):
                     f"{self._path}: its ticks do not increase from frame to frame, and no rate is given. Record with a "
                     "frame rate."
                 )
-        if sweeps > 1 and not step:
-            raise DataError(f"{self._path} has {sweeps} sweeps a frame but no sweep rate. Record with a sweep rate.")
-        return np.asarray(np.add.outer(begin, np.arange(sweeps) * step).ravel())
+        frames_s = np.asarray(begin, dtype=np.float64)
+        if sweeps == 1 or not self._sweep_hz:
+            return frames_s
+        sweeps_s = np.asarray(np.add.outer(frames_s, np.arange(sweeps) / self._sweep_hz).ravel())
+        # Frames that follow each other at once, by ticks of a ms: only their means have an order.
+        is_ordered = self._settings.get("sweep_rate") or np.all(np.diff(sweeps_s) > 0.0)
+        return sweeps_s if is_ordered else frames_s
 
 
 def _opened(path: Path) -> tuple[Any, dict[str, Any], dict[str, Any], NDArray[np.int64], float]:
@@ -122,16 +134,18 @@ def _opened(path: Path) -> tuple[Any, dict[str, Any], dict[str, Any], NDArray[np
         raise DataError(f"{path}: not found. Correct radar.file; it counts from the settings file's folder.")
     with reading(path, AcconeerRecording.file_kind):
         file = open_hdf5(path)
-        data = dataset(path, file, f"{_ENTRY}/result/frame")
+        session = _session(file)
+        entry = f"{session}/{_ENTRY}"
+        data = dataset(path, file, f"{entry}/result/frame")
         require_memory(
             path, 4 * data.nbytes * FRAMES_AT_A_TIME // max(len(data), FRAMES_AT_A_TIME), "a block of frames"
         )
-        groups = json_tree(values(path, file, "sessions/session_0/session_config"))["groups"]
-        metadata = json_tree(values(path, file, f"{_ENTRY}/metadata"))
+        groups = json_tree(values(path, file, f"{session}/session_config"))["groups"]
+        metadata = json_tree(values(path, file, f"{entry}/metadata"))
         server = json_tree(values(path, file, "server_info"))
-        sensor = str(int(values(path, file, f"{_ENTRY}/sensor_id")))
+        sensor = str(int(values(path, file, f"{entry}/sensor_id")))
         settings = next(iter(groups[0].values())) if sensor not in groups[0] else groups[0][sensor]
-        ticks = np.asarray(values(path, file, f"{_ENTRY}/result/tick"), dtype=np.int64)
+        ticks = np.asarray(values(path, file, f"{entry}/result/tick"), dtype=np.int64)
         return data, settings, metadata, ticks, 1.0 / float(server.get("ticks_per_second") or 1000)
 
 
@@ -139,7 +153,12 @@ def is_acconeer(path: Path) -> bool:
     """Whether an HDF5 file is laid out as Acconeer's recordings are."""
 
     with reading(path, "HDF5"), open_hdf5(path) as file:
-        return f"{_ENTRY}/result/frame" in file
+        return bool(_session(file))
+
+
+def _session(file: Any) -> str:
+    """Where the first session with frames lies in an open file; empty where there is none."""
+    return next((name for name in _SESSIONS if f"{name}/{_ENTRY}/result/frame" in file), "")
 
 
 def _parts(settings: dict[str, Any], metadata: dict[str, Any], step_m: float) -> list[tuple[slice, Floats, bool]]:

@@ -12,7 +12,7 @@ _HDF5 = (".h5", ".hdf5")
 
 FORMATS = (
     ("raw ADC of a TI mmWave radar with DCA1000", (".bin",), "midspan"),
-    ("slow-time I/Q, or a recording of an Acconeer A121", _HDF5, "h5py"),
+    ("slow-time I/Q, or a recording of an Acconeer A121 or A111 (IQ)", _HDF5, "h5py"),
     ("slow-time I/Q", (".npy",), "numpy"),
 )
 """Rows of (name, suffixes, what it is read with)."""
@@ -42,6 +42,10 @@ def _opened(path: Path, request: RadarRequest) -> RadarSource:
 
         if path.is_file() and is_acconeer(path):
             return AcconeerRecording(path, request)
+        from midspan.sources.radar.acconeer_a111 import A111Recording, is_a111
+
+        if path.is_file() and is_a111(path):
+            return A111Recording(path, request)
     if suffix in (*_HDF5, ".npy"):
         from midspan.sources.radar.slow_time import SlowTimeFile
 

@@ -54,7 +54,7 @@ class Block:
 @dataclass(frozen=True, slots=True)
 class CameraInfo:
     """What the camera wrote with a frame: calibration, what lies between, model, time (ns since 1970, 0 where it is
-    not set), nominal rate in Hz (0: not set), and the median count of the frame.
+    not set) and nominal rate in Hz (0: not set).
     """
 
     planck: Planck
@@ -62,7 +62,6 @@ class CameraInfo:
     model: str
     time_ns: int
     rate_hz: float
-    median_count: int
 
 
 def blocks(data: Bytes, offset: int = 0) -> Iterator[Block]:
@@ -150,7 +149,7 @@ def camera_info(data: Bytes, block: Block) -> CameraInfo:
     emissivity, distance, reflected, air_k, window_k, window = read("6f", 0x20)
     (humidity,), (r1, b, f) = read("f", 0x3C), read("3f", 0x58)
     alpha_1, alpha_2, beta_1, beta_2, x = read("5f", 0x70)
-    (offset,), (r2,), (median,) = read("i", 0x308), read("f", 0x30C), read("i", 0x338)
+    (offset,), (r2,) = read("i", 0x308), read("f", 0x30C)
     stamp_s, stamp_ms = (int(v) for v in read("2I", 0x384))
     rate = float(read("H", 0x464)[0]) if record.length >= 0x466 else 0.0
     air = Air((alpha_1, alpha_2), (beta_1, beta_2), x)
@@ -177,7 +176,6 @@ def camera_info(data: Bytes, block: Block) -> CameraInfo:
         model=model,
         time_ns=stamp_s * 1_000_000_000 + stamp_ms % 1000 * 1_000_000,
         rate_hz=rate,
-        median_count=int(median),
     )
 
 
@@ -190,8 +188,8 @@ def frame_size(data: Bytes, block: Block) -> tuple[int, int]:
     return int(width), int(height)
 
 
-def counts(data: Bytes, block: Block, median_count: int) -> NDArray[np.uint16]:
-    """Raw counts (rows, columns) of a block. `median_count`, as the camera states it, tells the byte order of a PNG.
+def counts(data: Bytes, block: Block) -> NDArray[np.uint16]:
+    """Raw counts (rows, columns) of a block.
 
     Raises DataError for an image that is cut off or packed in an unknown way, UsageError without a JPEG-LS decoder.
     """
@@ -201,7 +199,7 @@ def counts(data: Bytes, block: Block, median_count: int) -> NDArray[np.uint16]:
     begin = record.offset + _RAW_HEADER_BYTES
     packed = bytes(data[begin : record.offset + record.length])
     if packed[:4] == PNG:
-        image = _from_png(packed, median_count)
+        image = _from_png(packed)
     elif packed[:3] == JPEG_LS:
         from midspan.sources.thermal.jpeg_ls import decode
 
@@ -216,8 +214,12 @@ def counts(data: Bytes, block: Block, median_count: int) -> NDArray[np.uint16]:
     return image
 
 
-def _from_png(packed: bytes, median_count: int) -> NDArray[np.uint16]:
-    """Counts in a PNG: some cameras write the two bytes of a count in the wrong order for this format."""
+def _from_png(packed: bytes) -> NDArray[np.uint16]:
+    """Counts in a PNG: some cameras write the two bytes of a count in the wrong order for this format.
+
+    In the right order neighbours differ by what the scene changes and the sensor's noise; in the wrong one their low
+    bytes, which are noise, count 256 times. The median in the camera's record can be that of another moment.
+    """
     import cv2
 
     found = cv2.imdecode(np.frombuffer(packed, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
@@ -225,5 +227,10 @@ def _from_png(packed: bytes, median_count: int) -> NDArray[np.uint16]:
         raise DataError("holds a PNG that cannot be read as 16-bit counts")
     image = np.asarray(found, dtype=np.uint16)
     swapped = image.byteswap()
-    near = [abs(float(np.median(values)) - median_count) for values in (image, swapped)]
-    return swapped if near[1] < near[0] else image
+    return swapped if _roughness(swapped) < _roughness(image) else image
+
+
+def _roughness(image: NDArray[np.uint16]) -> int:
+    """The sum of what neighbouring pixels of an image (rows, columns) differ by, along both axes."""
+    values = image.astype(np.int64)
+    return sum(int(np.abs(np.diff(values, axis=axis)).sum()) for axis in (0, 1))

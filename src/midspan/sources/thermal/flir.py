@@ -84,7 +84,7 @@ class FlirFrames(FrameSource):
         name = f"{place.file}: frame {number}"
         try:
             info = camera_info(data, place.block)
-            raw = counts(data, place.block, info.median_count)
+            raw = counts(data, place.block)
         except DataError as error:
             note = f"frame {number} {error}; it is passed over"
             if note not in self._damage:
