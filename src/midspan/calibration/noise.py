@@ -146,8 +146,8 @@ def calibrate_noise(
     # A wrong gain is no slow error.
     free = replace(pair, ratio=None) if gain_std > 0.0 else pair
     slow = find_slow_error(free, best_corner(free, fit.offset_s), noise_time_s, whole)
-    if slow.pair.slow[0] > 0.0:
-        pair = replace(pair, slow=slow.pair.slow)
+    if slow.pair.slow[0] > 0.0 or slow.pair.rows is not free.rows:
+        pair = replace(pair, rows=slow.pair.rows, slow=slow.pair.slow)
         fit = best_corner(pair, fit.offset_s)
     floored_fit = _within_floor(pair, fit)
     learnt = _with_scale(pair, floored_fit, offset, search, max_offset_s, length_s, floored=floored_fit is not fit)

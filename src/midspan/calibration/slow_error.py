@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from midspan.calibration.fit import Fit, Pair, aligned, best_corner, best_corner_here
+from midspan.calibration.noise_levels import with_noise_levels, with_outliers
 from midspan.calibration.whitening import NO_SLOW_ERROR
 from midspan.records import Floats
 
@@ -60,9 +61,13 @@ def find_slow_error(pair: Pair, fit: Fit, time_s: float | None = None, whole: Fl
 
     Without one the noise stays white unless the slow error gains more likelihood than a parameter without effect would
     (as in `fit.with_input_noise`) not in one place only, and no quiet part speaks against it: the sensor's own error is
-    there as well, what an accelerometer errs by with the motion is not.
+    there as well, what an accelerometer errs by with the motion is not. White noise may change its level (see
+    `noise_levels`): the rows of the pair that is returned have it in their relative variances.
     """
     white = replace(pair, slow=NO_SLOW_ERROR)
+    levelled, fit = with_noise_levels(white, fit, whole)
+    if levelled is not white:
+        pair, white = replace(levelled, slow=pair.slow), levelled
     if time_s == 0.0:
         return SlowError(white, fit)
     rows = pair.rows[pair.used(fit.offset_s), 0]
@@ -87,7 +92,7 @@ def find_slow_error(pair: Pair, fit: Fit, time_s: float | None = None, whole: Fl
         gained = found.likelihood - none.likelihood
         if (
             gained < least
-            or _happened_once(replace(white, rows=pair.rows if whole is None else whole), none, found)
+            or _happened_once(white if whole is None else with_outliers(white, whole), none, found)
             or _lost(white, none, found) > NOT_EXCLUDED
             or _drifts_farther(slow, found)
         ):

@@ -22,6 +22,9 @@ _NAMES = ("frames", "images", "celsius")
 _AXES = (3, 4)
 _LOCAL_HEADER_BYTES = 30
 _READ_BYTES = 1 << 20  # at once, while a checksum is formed
+# A frame of which a larger share is no number is passed over, as one of temperatures: see `thermal.repaired`.
+MAX_MISSING = 0.2
+_MAX_NAMED = 3
 
 
 def holds_stack(path: Path) -> bool:
@@ -37,11 +40,14 @@ def holds_stack(path: Path) -> bool:
 
 
 class StackFrames(FrameSource):
-    """Frames of an array (frames, rows, columns), or (frames, rows, columns, colours); an npz may hold `time_s` too."""
+    """Frames of an array (frames, rows, columns), or (frames, rows, columns, colours); an npz may hold `time_s` too.
+
+    Frames without numbers are passed over; `info.damage` says which.
+    """
 
     def __init__(self, path: Path, request: FrameRequest) -> None:
-        self._path = path
-        self._request = request
+        self._path, self._request = path, request
+        self._passed: set[int] = set()
         self._array, self._times_s, note = _load(path)
         self._notes = [note] if note else []
         shape = self._array.shape
@@ -65,7 +71,8 @@ class StackFrames(FrameSource):
         rows, columns = first.shape
         depth = 8 * first.dtype.itemsize
         codec = f"array {self._array.dtype}"
-        return FrameInfo(columns, rows, depth, self._array.shape[0], codec, True, tuple(self._notes))
+        count, notes = self._array.shape[0], tuple(self._notes)
+        return FrameInfo(columns, rows, depth, count, codec, True, notes, damage=self._damage())
 
     def times_ns(self) -> Nanoseconds:
         """Time stamps from `times`, else the member `time_s`, else the rate."""
@@ -89,7 +96,20 @@ class StackFrames(FrameSource):
         times, stack = self.times_ns(), np.asarray(self._array)
         for index in range(*slice(start, stop).indices(times.size)):
             image = stack[index * self._request.every]
+            if image.dtype.kind == "f" and np.mean(~np.isfinite(image)) > MAX_MISSING:
+                self._passed.add(index)
+                continue
             yield Frame(int(times[index]), luma(image, reversed_colours=False), index)
+
+    def _damage(self) -> tuple[str, ...]:
+        if not self._passed:
+            return ()
+        numbers = sorted(self._passed)
+        named = ", ".join(str(k) for k in numbers[:_MAX_NAMED]) + (" …" if len(numbers) > _MAX_NAMED else "")
+        return (
+            f"{len(numbers)} frames ({named}) have more than {100 * MAX_MISSING:g} % of their values missing (NaN) and "
+            "were passed over",
+        )
 
 
 def _load(path: Path) -> tuple[NDArray[np.generic], NDArray[np.float64] | None, str]:

@@ -1,0 +1,95 @@
+"""Noise of the measurements that is not alike all along the record: the instants at which its level changes.
+
+Innovations of a segment with its own variance s against one variance of the whole (m of n innovations): the logarithm
+of the likelihood gains n/2 ln s − Σ m/2 ln sᵢ. The likeliest instant splits the record, and each part again, as long as
+that gains more than a change of unknown place and size would by chance (half the logarithm of n for each and for the
+segment: N. R. Zhang, D. O. Siegmund, A modified Bayes information criterion, Biometrics 63 (2007) 22-32, doi
+10.1111/j.1541-0420.2006.00662.x). Taken for one level, a change looks like an error that is correlated over seconds.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from midspan.calibration.fit import Fit, Pair, best_corner
+from midspan.calibration.time_offset import cleaned
+from midspan.records import Floats
+
+# A level is told by this many innovations at least: its variance is then known to a quarter.
+MIN_SEGMENT = 30
+# Unknowns of a change, half a ln n each: its instant, and the variance on both sides for one.
+UNKNOWNS = 3.0
+# An innovation's variance is more than the noise's alone: a level is found in rounds. Of one that is 25 times another
+# the first round leaves a factor of 2.5, the fourth less than 1.1.
+ROUNDS = 4
+
+
+def with_noise_levels(pair: Pair, fit: Fit, whole: Floats | None = None) -> tuple[Pair, Fit]:
+    """The pair with the levels of its noise in the relative variances of its rows, of mean 1, and its fit; both as they
+    are where one level explains the innovations.
+
+    whole (m, 3): the rows with those that were left out as outliers, which are judged again by the levels.
+    """
+    inner = fit.whitened.index[_edges(fit.residual**2)[1:-1]]
+    if not len(inner):
+        return pair, fit
+    edges = np.r_[0, inner, len(pair.rows)]
+    pair, fit = _levelled(pair, fit, edges)
+    if whole is not None:
+        pair = with_outliers(pair, whole)
+        pair = cleaned(pair, best_corner(pair, fit.offset_s, fit.corner))
+        pair, fit = _levelled(pair, best_corner(pair, fit.offset_s, fit.corner), edges)
+    return pair, fit
+
+
+def _levelled(pair: Pair, fit: Fit, edges: NDArray[np.int64]) -> tuple[Pair, Fit]:
+    """The pair and its fit with the level of each segment of rows, the numbers of whose first ones are `edges`."""
+    for _ in range(ROUNDS):
+        segment = np.searchsorted(edges, fit.whitened.index, side="right") - 1
+        count = np.bincount(segment, minlength=len(edges) - 1)
+        level = np.bincount(segment, fit.residual**2, minlength=len(edges) - 1) / np.maximum(count, 1)
+        rows = pair.rows.copy()
+        rows[:, 2] *= np.repeat(level, np.diff(edges))
+        rows[:, 2] /= np.mean(rows[fit.whitened.index, 2])
+        pair = replace(pair, rows=rows)
+        fit = best_corner(pair, fit.offset_s, fit.corner)
+    return pair, fit
+
+
+def with_outliers(pair: Pair, whole: Floats) -> Pair:
+    """The pair with those rows of `whole` (m, 3) that were left out, each at the relative variance of the one before."""
+    rows, used = pair.rows.copy(), np.flatnonzero(np.isfinite(pair.rows[:, 2]))
+    before = used[np.maximum(np.searchsorted(used, np.arange(len(rows)), side="right") - 1, 0)]
+    left = np.isinf(rows[:, 2]) & np.isfinite(whole[:, 2])
+    rows[left, 2] = rows[before[left], 2]
+    return replace(pair, rows=rows)
+
+
+def _edges(square: Floats) -> list[int]:
+    """Edges of the segments of one level, by the squares of innovations (k,) of relative variance 1."""
+    edges, open_ones = [0, len(square)], [(0, len(square))]
+    least = 0.5 * UNKNOWNS * float(np.log(max(len(square), 1)))
+    while open_ones:
+        first, last = open_ones.pop()
+        cut = _cut(square[first:last], least)
+        if cut:
+            edges.append(first + cut)
+            open_ones += [(first, first + cut), (first + cut, last)]
+    return sorted(edges)
+
+
+def _cut(square: Floats, least: float) -> int:
+    """Where squares (k,) split into two levels that gain more than `least`; 0: nowhere."""
+    count = len(square)
+    if count < 2 * MIN_SEGMENT:
+        return 0
+    first = np.arange(MIN_SEGMENT, count - MIN_SEGMENT + 1)
+    total = np.cumsum(square)
+    before, after = total[first - 1] / first, (total[-1] - total[first - 1]) / (count - first)
+    if not (np.all(before > 0.0) and np.all(after > 0.0)):
+        # Without any noise there are no levels.
+        return 0
+    gains = 0.5 * (count * np.log(total[-1] / count) - first * np.log(before) - (count - first) * np.log(after))
+    best = int(np.argmax(gains))
+    return int(first[best]) if gains[best] > least else 0
