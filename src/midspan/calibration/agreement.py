@@ -44,9 +44,18 @@ MAX_SKEW = 0.01
 def clearly_better(fit: Fit, other: Fit) -> bool:
     """Whether a fit is so much more likely than another that no noise can have decided between them."""
     share = other.noise / fit.noise * np.exp(_entropy(other.whitened.variance) - _entropy(fit.whitened.variance)) - 1.0
+    lead = fit.likelihood - other.likelihood
+    return bool(lead >= _least_by_chance(len(fit.whitened.variance)) and share >= AMBIGUOUS_SHARE)
+
+
+def least_lead(count: int) -> float:
+    """By how much (logarithm) the likelier of two fits to so many measurements must lead for no noise to decide."""
+    return max(_least_by_chance(count), 0.5 * count * float(np.log1p(AMBIGUOUS_SHARE)))
+
+
+def _least_by_chance(count: int) -> float:
     # Alternatives of a single tone differ by what the noise looks like at shifted instants, which grows with sqrt(n).
-    least = max(AMBIGUOUS_BELOW, AMBIGUOUS_DRAWS * np.sqrt(len(fit.whitened.variance)))
-    return bool(fit.likelihood - other.likelihood >= least and share >= AMBIGUOUS_SHARE)
+    return max(AMBIGUOUS_BELOW, AMBIGUOUS_DRAWS * float(np.sqrt(count)))
 
 
 def _entropy(variance: Floats) -> float:

@@ -11,8 +11,9 @@ from midspan.calibration.direction import Direction, turned
 from midspan.calibration.fit import Fit, Pair, aligned, best_corner, with_input_noise
 from midspan.calibration.frequency_response import FrequencyResponse, Kind, kinds_of, response_of, with_response
 from midspan.calibration.jumping_clock import jumps_text, without_jumps
-from midspan.calibration.time_offset import OffsetSearch, far_offset, search_offset
+from midspan.calibration.time_offset import OffsetSearch, search_offset
 from midspan.calibration.whitening import SETTLING
+from midspan.calibration.whole_overlap import Rival, likeliest_beyond
 from midspan.checks import instance
 from midspan.errors import NoAgreementError, UntrustedError
 from midspan.notices import Notice
@@ -78,6 +79,12 @@ SLOW_ALIAS_HZ = 0.05
 # Frames that the zero rests on, and how many times noisier than usual they are noisier for certain: of frames alike the
 # median of this many exceeds that once in a million.
 START_FRAMES, START_NOISE = 16, 2.5
+# What decides between two offsets that fit alike where nothing is said of the clocks.
+OPEN_CLOCKS = (
+    "where nothing is said of the clocks, as they do when the motion is nearly a single tone. State "
+    "calibration.max_offset_s where the clocks are known to be no farther apart (with two files: in the recording.toml "
+    "that `midspan init` writes)"
+)
 # Causes of every disagreement that show in no figure.
 NOT_SHOWN = (
     "Frames that are lost or doubled while only a rate is given look the same: give each frame a time stamp. So do "
@@ -107,13 +114,16 @@ class ScaleCalibration:
     direction: Direction | None = None
 
 
-def calibrate_scale(pair: Pair, max_offset_s: float, *, exposure_declared: bool = False) -> ScaleCalibration:
+def calibrate_scale(
+    pair: Pair, max_offset_s: float, *, exposure_declared: bool = False, clocks_open: bool = False
+) -> ScaleCalibration:
     """Estimate scale factor (signed), time offset and noise levels by maximum likelihood.
 
     pair: translation in px with the tracker's variances, and the acceleration, of about one minute.
     max_offset_s: largest clock offset searched for, s; exposure_declared: whether the pair's exposure is the camera's
-    own. Raises UntrustedError with the reason when there is too little
-    motion, when two offsets fit alike, or when the sensors do not agree.
+    own; clocks_open: whether the clocks may be farther apart than `max_offset_s`, so that an offset beyond it that fits
+    alike is refused too. Raises UntrustedError with the reason when there is too little motion, when two offsets fit
+    alike, or when the sensors do not agree; NoAgreementError with the offset where they agree better beyond the range.
     """
     instance("pair", pair, Pair, "a Pair of acceleration and translation")
     usable = int(np.count_nonzero(np.isfinite(pair.rows[:, 2])))
@@ -141,10 +151,17 @@ def calibrate_scale(pair: Pair, max_offset_s: float, *, exposure_declared: bool 
     except UntrustedError:
         pair, jumps = without_jumps(pair, max_offset_s, refuse)
         if not jumps:
-            _refuse_farther(pair, max_offset_s, refuse)
+            rival = likeliest_beyond(_of_any_offset(pair, search), search.fit, max_offset_s)
+            _refuse_better(pair, rival, max_offset_s, refuse, accepted=False)
             raise
         search, response = with_frequency(search_offset(pair, max_offset_s), pair, max_offset_s, kinds)
         refuse(search)
+    # Nothing is better than what leaves no more than noise; it may be alike.
+    looks = clocks_open or not _leaves_noise(search.pair, search.fit)
+    rival = likeliest_beyond(_of_any_offset(pair, search), search.fit, max_offset_s) if looks else None
+    _refuse_better(pair, rival, max_offset_s, refuse, accepted=True)
+    if clocks_open and rival is not None and _may_be_right(pair, rival, float(np.sqrt(typical))):
+        raise UntrustedError(_alike_text(search.fit, rival.fit, OPEN_CLOCKS))
     search = axis.widened(search)
     fit = search.fit
     relative = fit.relative_std
@@ -252,21 +269,53 @@ def _slow_samples(pair: Pair) -> str:
     )
 
 
-def _refuse_farther(pair: Pair, max_offset_s: float, refuse: Callable[[OffsetSearch], None]) -> None:
-    """NoAgreementError where image and acceleration agree as they should at an offset beyond the largest."""
-    offset_s = far_offset(pair, max_offset_s)
-    if offset_s is None:
+def _of_any_offset(pair: Pair, search: OffsetSearch) -> Pair:
+    """The pair as it was searched, outliers marked, with the ratio unknown where it is so."""
+    return replace(search.pair, ratio=pair.ratio, logger=(0.0, 0.0))
+
+
+def _refuse_better(
+    pair: Pair, rival: Rival | None, max_offset_s: float, refuse: Callable[[OffsetSearch], None], *, accepted: bool
+) -> None:
+    """NoAgreementError where image and acceleration agree as they should at an offset beyond the largest, and better.
+
+    accepted: whether the best fit within would be; then UntrustedError where they agree better beyond, but not well.
+    """
+    if rival is None or not rival.better:
         return
+    offset_s = rival.fit.offset_s
     try:
         refuse(search_offset(replace(pair, rows=pair.rows + np.array([offset_s, 0.0, 0.0])), max_offset_s))
-    except UntrustedError:
-        return
+    except UntrustedError as error:
+        if not accepted:
+            return
+        raise UntrustedError(
+            f"What fits best within ±{max_offset_s:g} s is not what image and accelerometer agree in best: that lies "
+            f"at a clock offset of {offset_s:+.3g} s, and is not to be trusted either. {error}"
+        ) from None
     raise NoAgreementError(
         f"No agreement between image and accelerometer within ±{max_offset_s:g} s: their clocks seem to differ by "
         f"{offset_s:+.3g} s, where they agree. Add it to camera.start_s or to the frames' times, or raise "
-        "calibration.max_offset_s.",
+        "calibration.max_offset_s, which excludes it.",
         offset_s,
     )
+
+
+def _leaves_noise(pair: Pair, fit: Fit) -> bool:
+    """Whether a fit leaves white innovations, with no more noise of the accelerometer than that shows itself."""
+    most = (OWN_NOISE * white_noise(pair.samples[:, 1])) ** 2 / pair.sample_rate_hz
+    return pair.input_noise(fit.input_density).density <= most and misfit(pair, fit).factor <= 1.0
+
+
+def _may_be_right(pair: Pair, rival: Rival, usual: float) -> bool:
+    """Whether a rival that fits alike would be accepted itself, or is even the likelier one."""
+    if not rival.alike or rival.lead > 0.0:
+        return rival.alike
+    try:
+        _refuse_disagreement(pair, rival.fit, usual)
+    except UntrustedError:
+        return False
+    return True
 
 
 def _refuse_disagreement(pair: Pair, fit: Fit, usual: float) -> None:
@@ -375,14 +424,18 @@ def is_ambiguous(search: OffsetSearch) -> bool:
 
 
 def _refuse_ambiguity(search: OffsetSearch, max_offset_s: float) -> None:
-    other, fit = search.runner_up, search.fit
-    if other is not None and is_ambiguous(search):
-        raise UntrustedError(
-            f"The clock offset is ambiguous: {fit.offset_s:+.4f} s (scale factor {1e3 / fit.ratio:.4g} mm/px) and "
-            f"{other.offset_s:+.4f} s ({1e3 / other.ratio:.4g} mm/px) fit almost alike within ±{max_offset_s:g} s, as "
-            "they do when the motion is nearly a single tone, or when a tone's alias meets a slower tone. Set a "
-            "smaller calibration.max_offset_s that excludes one of them, or calibrate on a time with changing motion."
-        )
+    if search.runner_up is not None and is_ambiguous(search):
+        within = f"within ±{max_offset_s:g} s, as they do when the motion is nearly a single tone, or when a tone's "
+        smaller = "alias meets a slower tone. Set a smaller calibration.max_offset_s that excludes one of them"
+        raise UntrustedError(_alike_text(search.fit, search.runner_up, f"{within}{smaller}"))
+
+
+def _alike_text(fit: Fit, other: Fit, where: str) -> str:
+    return (
+        f"The clock offset is ambiguous: {fit.offset_s:+.4f} s (scale factor {1e3 / fit.ratio:.4g} mm/px) and "
+        f"{other.offset_s:+.4f} s ({1e3 / other.ratio:.4g} mm/px) fit almost alike {where}, or calibrate on a time "
+        "with changing motion."
+    )
 
 
 def _warnings(search: OffsetSearch, usable: int) -> list[Notice]:

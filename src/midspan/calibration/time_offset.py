@@ -43,8 +43,6 @@ EXPLAINED_BY_NOISE = 0.3
 BEYOND, MAX_BEYOND = 3.0, 0.02
 # How much farther than the longest offset is looked, in s and as a share of it, and in so much of the record at most.
 FARTHER_S, FARTHER_SHARE, FARTHER_WINDOW_S = 5.0, 0.5, 120.0
-# Where nothing agrees, a clock offset is looked for up to this share of the record, on as many measurements at least.
-FAR_SHARE, MIN_FAR_ROWS = 0.35, 20
 # A clock that drifts has another offset in a part of the record than in the whole: by so much, s.
 DRIFTED_S = 0.1
 
@@ -62,6 +60,16 @@ class OffsetSearch:
     offsets_s: Floats
     likelihood: Floats
     pair: Pair
+
+    def on_clock(self, late_s: float) -> "OffsetSearch":
+        """The same where the other sensor's stamps are earlier by `late_s`, so that all offsets are larger."""
+        offset = TimeOffset(self.offset.value_s + late_s, self.offset.variance)
+        fit, other = (
+            None if one is None else replace(one, offset_s=one.offset_s + late_s) for one in (self.fit, self.runner_up)
+        )
+        assert fit is not None
+        pair = replace(self.pair, rows=self.pair.rows - np.array([late_s, 0.0, 0.0]))
+        return OffsetSearch(fit, offset, other, self.offsets_s + late_s, self.likelihood, pair)
 
 
 def search_offset(pair: Pair, max_offset_s: float, edge_s: float = 0.0) -> OffsetSearch:
@@ -111,25 +119,33 @@ def scan(pair: Pair, offsets: Floats) -> tuple[Floats, Floats]:
 
     Minus infinity where too little of both signals overlaps.
     """
-    low, high = corner_range(pair)
-    corners = np.geomspace(max(3.0 * low, 0.3), high / 1.5, COARSE_CORNERS)
+    corners = coarse_corners(pair)
     index = np.intersect1d(pair.used(float(offsets[0])), pair.used(float(offsets[-1])))
     middle = pair.used(float(np.mean(offsets)))
     rows = pair.rows[index if len(index) > OVERLAP * len(middle) else middle]
     parts = np.array_split(offsets, min(len(offsets), -(-len(offsets) * len(rows) // AT_ONCE)))
-    table = np.concatenate([_likelihoods(pair, rows, part, corners) for part in parts], axis=1)
+    table = np.concatenate([likelihoods(pair, rows, part, corners)[0] for part in parts], axis=1)
     overlap = np.array([len(pair.used(float(offset))) for offset in offsets])
     curve = np.where(overlap >= OVERLAP * len(middle), table.max(axis=0), -np.inf)
     return curve, corners[np.argmax(table, axis=0)]
 
 
-def _likelihoods(pair: Pair, rows: Floats, offsets: Floats, corners: Floats) -> Floats:
-    """Likelihood (corners, offsets), all offsets in one run of the filter for each corner frequency (rad/s)."""
+def coarse_corners(pair: Pair) -> Floats:
+    """The few corner frequencies (rad/s) that are tried at every offset."""
+    low, high = corner_range(pair)
+    return np.asarray(np.geomspace(max(3.0 * low, 0.3), high / 1.5, COARSE_CORNERS))
+
+
+def likelihoods(pair: Pair, rows: Floats, offsets: Floats, corners: Floats) -> tuple[Floats, Floats]:
+    """Likelihood (corners, offsets) with and without the acceleration.
+
+    All offsets in one run of the filter for each corner frequency (rad/s).
+    """
     count, time_s = len(offsets), rows[:, :1] + offsets
     responses = [response.at(time_s, pair.exposure_s, pair.logger) for response in pair.responses]
     values = levelled(rows[:, 0], np.column_stack((rows[:, 1], *responses)), drifts=pair.bias_drifts)[0]
     at = np.column_stack((rows[:, 0] + float(np.mean(offsets)), rows[:, 2]))
-    table = np.empty((len(corners), count))
+    table, without = np.empty((len(corners), count)), np.empty((len(corners), count))
     for k, corner in enumerate(corners):
         w = whiten_columns(at, values, pair.pieces, corner**4 / pair.rate_hz)
         standard = w.columns / np.sqrt(w.variance)[:, None]
@@ -141,10 +157,11 @@ def _likelihoods(pair: Pair, rows: Floats, offsets: Floats, corners: Floats) -> 
         ratio = cross / np.maximum(power, 1e-300) if pair.ratio is None else pair.ratio
         left = np.maximum(total - 2.0 * ratio * cross + ratio * ratio * power, 1e-300)
         n = len(w.variance)
-        table[k] = -0.5 * n * np.log(left / n) - w.entropy + PRIOR_POWER * np.log(corner)
+        alike = PRIOR_POWER * np.log(corner) - w.entropy
+        table[k], without[k] = (alike - 0.5 * n * np.log(np.maximum(one, 1e-300) / n) for one in (left, total))
         if pair.ratio is None and pair.reference is not None:
             table[k] += w.input_share * np.log(np.maximum(np.abs(ratio) / pair.reference, MIN_RATIO))
-    return table
+    return table, without
 
 
 def _sums(first: Floats, second: Floats) -> Floats:
@@ -238,15 +255,3 @@ def farther(pair: Pair, near: Fit, within_s: float, until_s: float) -> Fit | Non
     beside = [best_corner(pair, near.offset_s + aside) for aside in (-DRIFTED_S, 0.0, DRIFTED_S)]
     own = max((refine(pair, fit, 0.5 * DRIFTED_S) for fit in beside), key=_likelihood)
     return best if abs(best.offset_s) > within_s and clearly_better(best, own) else None
-
-
-def far_offset(pair: Pair, max_offset_s: float) -> float | None:
-    """A clock offset beyond the largest, up to FAR_SHARE of the record, that fits far better than any within."""
-    first, last = float(pair.samples[0, 0]), float(pair.samples[-1, 0])
-    until = FAR_SHARE * (last - first)
-    inner = (pair.rows[:, 0] > first + until) & (pair.rows[:, 0] < last - until) & np.isfinite(pair.rows[:, 2])
-    if np.count_nonzero(inner) < MIN_FAR_ROWS or until < 2.0 * max_offset_s:
-        return None
-    pair = replace(pair, rows=pair.rows[inner], reference=None)
-    found = farther(pair, search_offset(pair, max_offset_s).fit, max_offset_s, until)
-    return None if found is None else found.offset_s

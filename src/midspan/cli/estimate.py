@@ -1,6 +1,5 @@
 """`midspan estimate RECORDING`, or `midspan estimate ACCEL VIDEO`."""
 
-from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -9,7 +8,7 @@ import click
 
 from midspan.cli.console import Console, common_options
 from midspan.cli.every_method import ALL, compare_methods
-from midspan.notices import Notice, notice_trees
+from midspan.notices import notice_trees
 
 if TYPE_CHECKING:
     from midspan.recording.result import Result
@@ -103,10 +102,9 @@ def _of_recording(recording: str, console: Console, options: dict[str, Any]) -> 
 
 
 def _of_two_files(accel: Path, video: Path, console: Console, options: dict[str, Any]) -> None:
-    """Estimate an accelerometer's file and a video; once more where their clocks are found to be apart."""
+    """Estimate an accelerometer's file and a video."""
     from midspan.recording.streams.recording import Recording
-    from midspan.settings.recording import RecordingSettings
-    from midspan.settings.two_files import draft, on_one_clock
+    from midspan.settings.two_files import draft, settings_of
 
     for given in ("point", "begin", "end"):
         if options[given]:
@@ -122,19 +120,14 @@ def _of_two_files(accel: Path, video: Path, console: Console, options: dict[str,
         if channel in tree["accelerometer"]:
             console.say(f"{accel.name}: {channel} {tree['accelerometer'][channel]}")
 
-    def work(file: Path, settings: RecordingSettings, warnings: tuple[Notice, ...]) -> None:
-        settings = settings.calibrated_as_printed() if options["literal"] else settings
-        _of_opened(Recording(file, settings), console, options, warnings)
-
-    on_one_clock(found, work, again=options["calibration_file"] is None)
+    file, settings = settings_of(found)
+    settings = settings.calibrated_as_printed() if options["literal"] else settings
+    _of_opened(Recording(file, settings), console, options)
 
 
-def _of_opened(
-    opened: "Recording", console: Console, options: dict[str, Any], warnings: tuple[Notice, ...] = ()
-) -> None:
-    """Estimate what is open, and write and show what was asked for; warnings: besides the result's own."""
+def _of_opened(opened: "Recording", console: Console, options: dict[str, Any]) -> None:
+    """Estimate what is open, and write and show what was asked for."""
     if options["every"]:
-        console.warn(warnings)
         compare_methods(opened, console, options)
         return
     from midspan.cli.targets import check_result, report_path
@@ -149,7 +142,6 @@ def _of_opened(
     references = (opened.reference, opened.reference_across) if compared else (None, None)
     calibration = load_calibration(options["calibration_file"]) if options["calibration_file"] else None
     result = estimate(opened, calibration, progress=console.progress)
-    result = replace(result, warnings=(*warnings, *result.warnings))
     console.done()
     written = [str(output)]
     if report is not None:

@@ -9,7 +9,7 @@ from midspan.calibration.camera.best_range import FRAMES, best_range
 from midspan.calibration.camera.calibrate import CameraFit, fit_camera
 from midspan.calibration.camera.view import SeenTarget, View, judged_by
 from midspan.engine.tracking import COMPRESSED, CameraTracking
-from midspan.errors import UntrustedError
+from midspan.errors import NoAgreementError, UntrustedError
 from midspan.notices import Notice
 from midspan.progress import Progress
 from midspan.recording.streams.recording import Recording
@@ -69,6 +69,22 @@ def together(seen: tuple[SeenBy, ...]) -> CameraTracking | None:
 
 
 def _calibrated(recording: Recording, progress: Progress) -> SeenBy:
+    """What one camera gave; once more where its clock is found farther off than was searched and nothing forbids it."""
+    try:
+        return _calibrated_near(recording, progress)
+    except NoAgreementError as error:
+        if error.clock_offset_s is None or not recording.clocks_open:
+            raise
+        offset_s = error.clock_offset_s
+    text = (
+        f"{recording.sensor}: it begins {offset_s:+.3g} s later than its times say, by the motion itself; a clock "
+        f"offset beyond ±{recording.max_offset_s:g} s was looked for as calibration.max_offset_s is left out."
+    )
+    found = _calibrated_near(recording.later(offset_s), progress)
+    return replace(found, warnings=(Notice("clock-corrected", text), *found.warnings))
+
+
+def _calibrated_near(recording: Recording, progress: Progress) -> SeenBy:
     view, moved = where_it_sees(recording)
     with in_words_of(view.sensor):
         tracking = open_tracking(view, None, progress, judge=lambda track: judged_by(view_of(view), track))
@@ -139,10 +155,12 @@ def view_of(recording: Recording) -> View:
     wanted = recording.settings.calibration
     window = calibration_window(recording)
     camera = recording.settings.first_camera
-    camera = recording.settings.first_camera
     scale, printed = None if camera is None else camera.known_scale, wanted.printed(camera)
     reach_s, band_hz, blur_s = recording.max_offset_s, wanted.band_hz, recording.exposure_s
-    return View(recording.axis, recording.prepared, window, reach_s, band_hz, blur_s, scale, printed)
+    late_ns, clocks_open = recording.late_ns, recording.clocks_open
+    return View(
+        recording.axis, recording.prepared, window, reach_s, band_hz, blur_s, scale, printed, late_ns, clocks_open
+    )
 
 
 def seen_targets(view: Recording, tracking: CameraTracking) -> list[SeenTarget]:
@@ -155,7 +173,7 @@ def calibrate_camera(recording: Recording, tracking: CameraTracking) -> tuple[Ca
 
     Raises UntrustedError where no target can be calibrated along the main axis.
     """
-    tracking.until(window_ends(recording)[1])
+    tracking.until(window_ends(recording)[1] - recording.late_ns)
     across = recording.across
     views = [view_of(one) for one in (recording, across) if one is not None and one.fused]
     parts = fit_camera(
@@ -185,7 +203,7 @@ def divisions_of(view: Recording) -> int:
 def _frames_compared(view: Recording, tracking: CameraTracking) -> list[Frame]:
     """The frames of the calibration that temperature ranges are compared on."""
     first = tracking.settings.first
-    last = int(np.searchsorted(view.frames.times_ns(), window_ends(view)[1], side="right"))
+    last = int(np.searchsorted(view.frames.times_ns() + view.late_ns, window_ends(view)[1], side="right"))
     return list(islice(view.frames.frames(first, min(last, first + FRAMES)), FRAMES))
 
 

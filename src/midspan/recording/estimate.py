@@ -56,12 +56,11 @@ from midspan.recording.tracked import (
     side_of,
 )
 from midspan.records import Channel, Estimate, Event, Innovation, Nanoseconds, joined, part
-from midspan.settings.recording import RecordingSettings
 from midspan.settings.sensor_words import renamed
 from midspan.settings.sensors import DisplacementSettings
 from midspan.settings.stored.calibration import Calibration
 from midspan.settings.stored.calibration_file import load_calibration
-from midspan.settings.two_files import Draft, draft, is_sensor_file, on_one_clock
+from midspan.settings.two_files import draft, is_sensor_file, settings_of
 from midspan.signals.stamps import inside, shown
 
 
@@ -92,7 +91,7 @@ def estimate(
         calibration = load_calibration(path_of("calibration", calibration))
     if video is not None:
         files = draft(path_of("recording", recording), path_of("video", video), value, unit)
-        return _of_two_files(files, calibration, method, progress)
+        return estimate(Recording(*settings_of(files)), calibration, method=method, progress=progress)
     if value or unit:
         raise UsageError(
             "value, unit: go with two files, estimate(ACCEL, VIDEO); a recording names them in its settings."
@@ -113,16 +112,6 @@ def estimate(
             if view.kind in ROWS:
                 ROWS[view.kind].known(view, calibration)
         return _estimate(Asked(recording, calibration, method, given), tracking, progress)
-
-
-def _of_two_files(files: Draft, calibration: Calibration | None, method: str | None, progress: Progress) -> Result:
-    """The result of two files, whose clocks the motion brings together where they are apart."""
-
-    def work(file: Path, settings: RecordingSettings, warnings: tuple[Notice, ...]) -> Result:
-        found = estimate(Recording(file, settings), calibration, method=method, progress=progress)
-        return replace(found, warnings=(*warnings, *found.warnings))
-
-    return on_one_clock(files, work, again=calibration is None)
 
 
 @dataclass(frozen=True, slots=True)

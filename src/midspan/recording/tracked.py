@@ -107,7 +107,7 @@ def open_eyes(sides: Sequence[Side], tracking: CameraTracking | None, progress: 
         )
         if not known:
             continue
-        view, _ = where_it_sees(view)
+        view, _ = where_it_sees(view.later(known[0].offset.value_s))
         with in_words_of(view.sensor):
             own = opened.get(view.sensor) or open_tracking(view, known[0], progress)
         eyes.append(Eye(view, own, known))

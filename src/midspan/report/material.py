@@ -5,8 +5,9 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from midspan.calibration.camera.view import camera_pair
-from midspan.calibration.scale import ScaleCalibration, calibrate_scale
+from midspan.calibration.camera.view import camera_pair, scale_of
+from midspan.calibration.scale import ScaleCalibration
+from midspan.calibration.sensors.camera import CameraCalibration
 from midspan.engine.camera_result import CameraResult
 from midspan.engine.sensor_series import SensorSeries
 from midspan.errors import DataError, MidspanError
@@ -14,7 +15,7 @@ from midspan.evaluate.interpolation import step_of
 from midspan.evaluate.metrics import Band, Comparison, compare
 from midspan.recording.cameras import view_of
 from midspan.recording.result import Result
-from midspan.records import Floats, Nanoseconds, TimeSeries, seconds
+from midspan.records import NANOSECONDS, Floats, Nanoseconds, TimeSeries, seconds
 from midspan.settings.camera import CameraSettings
 from midspan.signals.stamps import EPOCH_FROM_NS, inside
 
@@ -134,9 +135,10 @@ def shown_here(result: Result, sensor: str) -> ScaleCalibration | None:
         return None
     try:
         views = recording.along(result.calibration.sensor_axis).views
-        view = view_of(next(one for one in views if one.sensor == sensor))
-        pair = camera_pair(view, seen.track, view.exposure_s or 0.0)
-        return calibrate_scale(pair, view.max_offset_s, exposure_declared=view.exposure_s is not None)
+        own, known = next(one for one in views if one.sensor == sensor), result.calibration.of(sensor)
+        view = view_of(own.later(known.offset.value_s) if isinstance(known, CameraCalibration) else own)
+        found = scale_of(view, camera_pair(view, seen.track, view.exposure_s or 0.0))
+        return replace(found, search=found.search.on_clock(view.late_ns / NANOSECONDS))
     except MidspanError:
         return None
 

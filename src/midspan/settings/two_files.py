@@ -1,12 +1,10 @@
 """The settings of a recording of two files, an accelerometer's and a video, as they are found in these."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
-from midspan.errors import NoAgreementError, UsageError
-from midspan.notices import Notice
+from midspan.errors import UsageError
 from midspan.settings.load import validate
 from midspan.settings.recording import RecordingSettings
 from midspan.trees import toml_value
@@ -15,8 +13,6 @@ if TYPE_CHECKING:
     from midspan.records import TimeSeries
     from midspan.sources.accelerometer.channel import Channel
     from midspan.sources.accelerometer.select import SeriesRequest
-
-Made = TypeVar("Made")
 
 # Stamps from here on (s) are dates, not seconds after a start: 2001.
 DATED_FROM_S = 1e9
@@ -198,28 +194,16 @@ def _begin(found: Draft, section: str, video: Path, first_s: tuple[float, float]
         found.put(section, "start_s", accelerometer_s - camera_s, "as the accelerometer begins, whose times are dates")
 
 
-def on_one_clock(
-    found: Draft, work: Callable[[Path, RecordingSettings, tuple[Notice, ...]], Made], *, again: bool = True
-) -> Made:
-    """What `work` makes of the two files; once more where it finds their clocks apart, with both on one.
+def settings_of(found: Draft) -> tuple[Path, RecordingSettings]:
+    """The name that stands for a recording.toml, and the settings of the two files.
 
-    work: takes the name that stands for a recording.toml, the settings, and what is to be warned of. again: False where
-    a calibration is given, whose clock offset holds. Raises UsageError where the files do not tell all that is needed.
+    Raises UsageError where the files do not tell all that is needed.
     """
-    accel, section, tree = Path(found.sections["accelerometer"]["file"]), found.camera, found.sections
-    video = Path(tree[section]["file"])
+    accel, video = (Path(found.sections[section]["file"]) for section in ("accelerometer", found.camera))
     where = f"{accel.name} and {video.name}"
     if found.needed:
         raise UsageError(
             f"{where}: {', '.join(found.needed)} is in neither file. Run `midspan init {accel} {video}`, and write it "
             "into the recording.toml."
         )
-    file = accel.parent / where
-    try:
-        return work(file, validate(tree, where), ())
-    except NoAgreementError as error:
-        if error.clock_offset_s is None or not again:
-            raise
-        tree[section]["start_s"] = tree[section].get("start_s", 0.0) + error.clock_offset_s
-        moved = f"{video.name} begins {error.clock_offset_s:+.3g} s later than its times say: by the motion itself."
-    return work(file, validate(tree, where), (Notice("clock-corrected", moved),))
+    return accel.parent / where, validate(found.sections, where)

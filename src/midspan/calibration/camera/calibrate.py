@@ -9,7 +9,7 @@ from midspan.calibration.agreement import misfit
 from midspan.calibration.bias import bias_of
 from midspan.calibration.camera.one_displacement import camera_blocks, filter_settings, moves_by_itself
 from midspan.calibration.camera.tilt import tilt_error_m, tilt_text
-from midspan.calibration.camera.view import SeenTarget, View, camera_pair, printed_along
+from midspan.calibration.camera.view import SeenTarget, View, camera_pair, printed_along, scale_of
 from midspan.calibration.common_offset import Fitted, common_offset, one_offset, pooled_variance, shared_part
 from midspan.calibration.fit import Pair
 from midspan.calibration.measured import measured_rows
@@ -18,7 +18,6 @@ from midspan.calibration.scale import (
     MIN_FRAMES,
     REFUSED_ABOVE,
     ScaleCalibration,
-    calibrate_scale,
     contradiction,
     start_noise,
     strange_noise,
@@ -27,7 +26,7 @@ from midspan.calibration.sensors.camera import CameraCalibration, TargetCalibrat
 from midspan.calibration.sensors.fit import SensorFit
 from midspan.errors import NoAgreementError, UntrustedError
 from midspan.notices import Notice
-from midspan.records import InputNoise, ScaleFactor, TimeOffset
+from midspan.records import NANOSECONDS, InputNoise, ScaleFactor, TimeOffset
 from midspan.signals.stamps import inside
 from midspan.vision.fair_variance import TEMPLATE_NOISE
 from midspan.vision.lens import ideal_gain
@@ -71,7 +70,7 @@ def fit_camera(
     if len(fits) == 2 and not fits[1].used:
         refused = f"Along {second} the target is only tracked: {' '.join(fits[1].reasons)}"
         fits = fits[:1]
-    offset = common_offset(fits)
+    offset = main.offset(common_offset(fits))
     axes = list(zip(views, fits, strict=False))
     cameras = used_along_both([_judged(view, targets, fit, offset) for view, fit in axes])
     if len(cameras) < len(axes):
@@ -167,7 +166,7 @@ def _fitted(view: View, targets: Sequence[SeenTarget], told: Callable[[], Sequen
     for target in targets:
         try:
             pair = camera_pair(view, target.rows, target.blur_s)
-            own = calibrate_scale(pair, view.max_offset_s, exposure_declared=view.exposure_s is not None)
+            own = scale_of(view, pair)
             _refuse_pattern(target.tracker.scale_share_std, own.scale)
             _refuse_compression(target.with_picture_error(own.scale, view.axis), own.scale)
             found.append(own)
@@ -176,7 +175,7 @@ def _fitted(view: View, targets: Sequence[SeenTarget], told: Callable[[], Sequen
             found.append(None)
             reasons.append(str(error))
             if isinstance(error, NoAgreementError) and error.clock_offset_s is not None:
-                apart_s.append(error.clock_offset_s)
+                apart_s.append(error.clock_offset_s + view.late_ns / NANOSECONDS)
     if any(found):
         return Fitted(tuple(found), tuple(reasons))
     alone = len(targets) == 1
@@ -250,7 +249,7 @@ def _fit_of(seen: Sequence[SeenTarget], camera: CameraCalibration, fit: Fitted) 
     )
     bias = bias_of(search.pair, search.fit, float(np.sqrt(search.offset.variance)))
     # The integrated acceleration that the pair keeps besides its fields is no part of the result.
-    plain = replace(found, search=replace(search, pair=replace(search.pair)))
+    plain = replace(found, search=search.on_clock(camera.offset.value_s - search.offset.value_s))
     coloured = misfit(search.pair, search.fit)
     if start_m > 0.0:
         warnings.append(
@@ -429,8 +428,9 @@ def _tracked_only(view: View, seen: Sequence[SeenTarget], main: CameraCalibratio
         value = -abs(target.scale.value_m_per_px)
         first, last = view.window_ns
         translation, variance = track.along(axis)
-        window = inside(track.time_ns, first, last)
-        rows = measured_rows(track.time_ns[window], value * translation[window], value**2 * variance[window], first)
+        time_ns = track.time_ns + view.late_ns
+        window = inside(time_ns, first, last)
+        rows = measured_rows(time_ns[window], value * translation[window], value**2 * variance[window], first)
         usable = np.count_nonzero(np.isfinite(rows[:, 2]))
         if usable < MIN_FRAMES:
             raise UntrustedError(

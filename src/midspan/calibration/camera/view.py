@@ -8,7 +8,7 @@ import numpy as np
 from midspan.calibration.fit import Pair
 from midspan.calibration.measured import measured_rows
 from midspan.calibration.printed import PrintedSteps, calibrate_printed
-from midspan.calibration.scale import calibrate_scale
+from midspan.calibration.scale import ScaleCalibration, calibrate_scale
 from midspan.errors import NoAgreementError, UntrustedError, UsageError
 from midspan.records import NANOSECONDS, Floats, PixelTrack, Region, ScaleFactor, TimeOffset
 from midspan.signals.acceleration import PreparedAcceleration
@@ -29,7 +29,9 @@ class View:
 
     window: the samples of the calibration window; max_offset_s: largest clock offset looked for; band_hz: where the
     acceleration decides the scale factor (None: everywhere); exposure_s: None where undeclared. scale: where it is
-    known beforehand; printed: how scale and offset are calibrated as printed, None: by likelihood.
+    known beforehand; printed: how scale and offset are calibrated as printed, None: by likelihood; late_ns: about what
+    is to be added to the frames' stamps (ns), besides which the offset is looked for; clocks_open: whether nothing is
+    said of how far the clocks may be apart.
     """
 
     axis: str
@@ -40,12 +42,18 @@ class View:
     exposure_s: float | None = None
     scale: ScaleFactor | None = None
     printed: PrintedSteps | None = None
+    late_ns: int = 0
+    clocks_open: bool = False
 
     @property
     def window_ns(self) -> tuple[int, int]:
         """First and last stamp (ns) of the window."""
         time_ns = self.prepared.time_ns
         return int(time_ns[self.window.start]), int(time_ns[self.window.stop - 1])
+
+    def offset(self, near: TimeOffset) -> TimeOffset:
+        """The clock offset of a camera where `near` was found of its `camera_pair`."""
+        return TimeOffset(near.value_s + self.late_ns / NANOSECONDS, near.variance) if self.late_ns else near
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,7 +88,7 @@ class SeenTarget:
 
 
 def camera_pair(view: View, track: PixelTrack, blur_s: float) -> Pair:
-    """A target's translation along the axis, and the acceleration, in the calibration window."""
+    """A target's translation along the axis, its stamps later by `late_ns`, and the acceleration, in the window."""
     first, last = view.window_ns
     if not len(track.time_ns):
         raise UntrustedError(
@@ -88,15 +96,22 @@ def camera_pair(view: View, track: PixelTrack, blur_s: float) -> Pair:
         )
     # Frames close to the window's ends could fall outside it at the largest clock offset and would change the sum.
     margin = round(view.max_offset_s * NANOSECONDS)
-    last = min(last, int(track.time_ns[-1]) + margin + NANOSECONDS)
+    time_ns = track.time_ns + view.late_ns
+    last = min(last, int(time_ns[-1]) + margin + NANOSECONDS)
     window = inside(view.prepared.time_ns, first, last)
     value, variance = track.along(view.axis)
-    inner = inside(track.time_ns, first + margin, last - margin)
-    rows = measured_rows(track.time_ns[inner], value[inner], variance[inner], first)
+    inner = inside(time_ns, first + margin, last - margin)
+    rows = measured_rows(time_ns[inner], value[inner], variance[inner], first)
     samples, outside = in_band(view.prepared.rows(first, window), view.band_hz)
     level, cross = view.prepared.level(window), view.prepared.cross_rows(window)
     ratio = None if view.scale is None else 1.0 / view.scale.value_m_per_px
     return Pair(samples, rows, ratio, blur_s, outside, level_m_s2=level, cross=cross)
+
+
+def scale_of(view: View, pair: Pair) -> ScaleCalibration:
+    """Scale factor, clock offset beyond the view's and noise of a target; UntrustedError where it is refused."""
+    declared = view.exposure_s is not None
+    return calibrate_scale(pair, view.max_offset_s, exposure_declared=declared, clocks_open=view.clocks_open)
 
 
 def printed_along(view: View, seen: SeenTarget, likely: ScaleFactor | None) -> tuple[ScaleFactor, TimeOffset]:
@@ -120,7 +135,7 @@ def printed_along(view: View, seen: SeenTarget, likely: ScaleFactor | None) -> t
                 "intervals. Leave literal out, raise the frame rate, or choose calibration.band_hz where the structure "
                 "moves."
             )
-    return view.scale or scale, offset
+    return view.scale or scale, view.offset(offset)
 
 
 def in_band(samples: Floats, band_hz: tuple[float, float] | None) -> tuple[Floats, Floats | None]:
@@ -152,7 +167,7 @@ def judged_by(view: View, track: PixelTrack) -> Agreement:
     """What the accelerometer says of a place that was followed for a while."""
     try:
         pair = camera_pair(view, track, view.exposure_s or 0.0)
-        found = calibrate_scale(pair, view.max_offset_s, exposure_declared=view.exposure_s is not None)
+        found = scale_of(replace(view, clocks_open=False), pair)
     except UntrustedError as error:
         text = str(error)
         return Agreement(np.inf, isinstance(error, NoAgreementError), text.split(" (")[0].split(":")[0].rstrip("."))

@@ -60,6 +60,8 @@ class Recording:
         self._axis: Direction | None = None
         # A camera that is dark before this instant is used from it on.
         self.sees_from_ns: int | None = None
+        # About so much is to be added to the stamps of a view's frames for them to be on the accelerometer's clock, s.
+        self.late_s = 0.0
 
     def __repr__(self) -> str:
         shown = ", ".join(f"{name} {file}" for name, file in self.streams)
@@ -173,8 +175,27 @@ class Recording:
         span = (first_ns / NANOSECONDS, last_ns / NANOSECONDS)
         window = self.settings.calibration.model_copy(update={"window_s": span})
         view = Recording(self.file, self.settings.model_copy(update={"calibration": window}))
-        view._beside, view._own, view.sees_from_ns = self, self.own, from_ns
+        view._beside, view._own, view.sees_from_ns, view.late_s = self, self.own, from_ns, self.late_s
         return view
+
+    def later(self, offset_s: float) -> "Recording":
+        """The same view where its frames' clock offset is about `offset_s`, beyond what is searched; else itself."""
+        if abs(offset_s - self.late_s) <= self.max_offset_s:
+            return self
+        view = Recording(self.file, self.settings)
+        view._beside, view._own, view.sees_from_ns, view.late_s = self, self.own, self.sees_from_ns, offset_s
+        vars(view)["frames"] = self.frames
+        return view
+
+    @property
+    def late_ns(self) -> int:
+        """About so much is to be added to the stamps of a view's frames for them to be on the accelerometer's clock."""
+        return round(self.late_s * NANOSECONDS)
+
+    @property
+    def clocks_open(self) -> bool:
+        """Whether nothing is said of how far the clocks may be apart."""
+        return "max_offset_s" not in self.settings.calibration.model_fields_set
 
     @property
     def cameras(self) -> "tuple[Recording, ...]":
@@ -198,7 +219,7 @@ class Recording:
         camera = self.settings.camera.model_copy(update={"direction": axis})
         changed = {"accelerometer": sensor, "cameras": (camera,), "reference": None}
         view = Recording(self.file, self.settings.model_copy(update=changed))
-        view._whole, view._own = self, self.own
+        view._whole, view._own, view.late_s = self, self.own, self.late_s
         return view
 
     @property
@@ -276,7 +297,7 @@ class Recording:
         As set; where it is not set no more than a fifth of the shortest stream, of which both ends are left out by it.
         """
         wanted = self.settings.calibration
-        if "max_offset_s" in wanted.model_fields_set:
+        if not self.clocks_open:
             return wanted.max_offset_s
         streams = [self.prepared.time_ns, *self.frame_times]
         shortest = min((int(times[-1] - times[0]) for times in streams if len(times)), default=0)
@@ -284,8 +305,8 @@ class Recording:
 
     @property
     def frame_times(self) -> tuple[Nanoseconds, ...]:
-        """Stamps (n,) of the frames of each camera and radar, ns on its own clock."""
-        cameras = [view.frames.times_ns() for view in self.cameras]
+        """Stamps (n,) of the frames of each camera and radar, ns on its own clock, where that is not far off."""
+        cameras = [view.frames.times_ns() + view.late_ns for view in self.cameras]
         return (*cameras, *(view.radar.times_ns() for view in self.views if view.kind == "radar"))
 
     @property

@@ -32,7 +32,7 @@ def where_it_sees(recording: Recording) -> tuple[Recording, list[str]]:
         return recording, []
     times = recording.frames.times_ns()
     first, last = window_ends(recording)
-    inside = np.flatnonzero((times >= first) & (times <= last))
+    inside = np.flatnonzero((times + recording.late_ns >= first) & (times + recording.late_ns <= last))
     if not len(inside):
         return recording, []
     brightness = _brightness(recording, _spread(inside, LOOKED_AT))
@@ -46,8 +46,9 @@ def where_it_sees(recording: Recording) -> tuple[Recording, list[str]]:
     lit = runs(brightness > FULL_SHARE * np.percentile(brightness[brightness > 0.0], 90))
     start, end = max(lit, key=lambda run: run[1] - run[0])
     seen_from = next((run[0] for run in lit if run[1] - run[0] >= min(MIN_LIT, end - start)), start)
-    begun = int(times[looked[start]])
-    ended = min(int(times[looked[min(end, len(looked)) - 1]]), begun + round(DEFAULT_WINDOW_S * NANOSECONDS))
+    begun = int(times[looked[start]]) + recording.late_ns
+    last = int(times[looked[min(end, len(looked)) - 1]]) + recording.late_ns
+    ended = min(last, begun + round(DEFAULT_WINDOW_S * NANOSECONDS))
     text = (
         f"camera: it is dark in calibration.window_s; it was calibrated where it sees, from {shown(begun)} to "
         f"{shown(ended)}."

@@ -54,7 +54,7 @@ def open_tracking(
         targets=calibrated_targets(given_targets(camera), known) if again is None else again[0],
         first=used.start,
         last=used.stop,
-        trial_from_ns=window_ends(view)[0],
+        trial_from_ns=window_ends(view)[0] - view.late_ns,
         levels=levels_of(view, known) if again is None else again[1],
     )
     if known is not None:
@@ -89,7 +89,7 @@ def settings_of(view: Recording, camera: CameraSettings) -> TrackingSettings:
 
 def _frames_used(view: Recording, times: Nanoseconds) -> slice:
     """The frames used of those with these stamps (n,); DataError where they hardly overlap with the acceleration."""
-    acceleration_ns = view.prepared.time_ns
+    acceleration_ns, times = view.prepared.time_ns, times + view.late_ns
     try:
         require_overlap(acceleration_ns, times, view.sensor)
     except DataError as error:
