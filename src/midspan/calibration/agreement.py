@@ -102,7 +102,7 @@ def _coloured_band(pair: Pair, fit: Fit) -> Misfit:
     residual = fit.residual
     n = len(residual)
     power = np.abs(np.fft.rfft(residual - np.mean(residual)))[1:] ** 2 / max(n, 1)
-    if len(power) < 2 * MIN_ORDINATES:
+    if len(power) < 2 * MIN_ORDINATES or not np.any(power):
         return Misfit()
     wide = BAND_CORNERS * fit.corner / (2.0 * np.pi) * n / pair.rate_hz
     width = int(np.clip(round(wide), MIN_ORDINATES, len(power) // 2))

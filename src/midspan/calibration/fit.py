@@ -40,6 +40,11 @@ PIECE_S = 0.1
 ODDS, ODDS_TRIED, ODDS_TOLERANCE = (-4.6, 9.2), 6, 0.3
 # Corner frequencies tried before the best one's neighbours are searched, and how well its logarithm is found.
 CORNERS, CORNER_TOLERANCE = 9, 0.02
+# The ratio of a translation that never changes, which has none: its inverse is finite.
+NEXT_TO_NO_RATIO = 1e-12
+# Step of the logarithm of a corner frequency by which the likelihood's curvature is found, and the largest standard
+# deviation of that logarithm: a factor of sixteen in the accelerometer's noise.
+CORNER_STEP, MAX_CORNER_STD = 0.2, 0.7
 # A known corner is searched within this factor (logarithm).
 NEAR_CORNER = 0.6
 # Rounds of offset and noise ratio in turn, Gauss-Newton steps in each, and halvings of a step that overshoots, at most;
@@ -202,17 +207,21 @@ class Aligned:
         ratio = pair.ratio if pair.ratio is not None else cross / max(power, 1e-300)
         left = max(total - 2.0 * ratio * cross + ratio * ratio * power, 1e-300)
         noise = left / max(n - FITTED, 1)
+        ratio_variance = noise / max(power, 1e-300)
         favour = shrinking(w, ratio, pair.reference) if pair.ratio is None and pair.reference is not None else 0.0
         if pair.ratio is None:
-            # Accelerometer noise in the response shrinks the regression; its expected share is known and taken back.
-            ratio *= 1.0 + min(noise * w.input_share / max(ratio * ratio * power, 1e-300), 0.1)
+            share = min(w.input_share / n, 1.0)
+            ratio = unattenuated(total, cross, power, share)
+            # The cross products are the ratio times the true response's power; products of both noises scatter as well.
+            small = max(abs(cross), 1e-300)
+            ratio_variance = noise * abs(ratio) / small + share * (1.0 - share) * n * (noise / small) ** 2
         # The corner of the noise that does not go with the motion.
         alike = PRIOR_POWER * float(np.log(corner) + 0.25 * np.log1p(-pair.motion_share)) - w.entropy
         return Fit(
             offset_s=self.offset_s,
             corner=corner,
             ratio=ratio,
-            ratio_variance=noise / max(power, 1e-300),
+            ratio_variance=ratio_variance,
             noise=noise,
             input_density=corner**4 / pair.rate_hz * noise / max(ratio * ratio, 1e-300),
             likelihood=-0.5 * n * np.log(left / n) + alike - favour,
@@ -240,6 +249,27 @@ def evaluate(pair: Pair, offset_s: float, corner: float) -> Fit:
     The corner w of the optimum filter stands for the ratio of the noise levels: w⁴ = S_a · rate / R.
     """
     return aligned(pair, offset_s).fit(corner)
+
+
+def unattenuated(total: float, cross: float, power: float, share: float) -> float:
+    """The ratio without what the accelerometer's noise in the response shrinks its regression by.
+
+    total, cross, power: sums of products of translation and translation, translation and response, response and
+    response, whitened; share: of the innovations' variance, what the accelerometer's noise makes. With x the true
+    response, p = s x + r and D = x + w, where s² var(w) = share · var(p − s D), the moments give
+
+        (1 − share) power s² − (1 − 2 share) cross s − share total = 0:
+
+    the regression of p on D where the share is 0, that of D on p where it is 1 (W. A. Fuller, Measurement error models,
+    1987, section 1.3, doi 10.1002/9780470316665). What an uncertain share makes is not in the ratio's variance.
+    """
+    if cross == 0.0:
+        return NEXT_TO_NO_RATIO
+    half = 0.5 * (1.0 - 2.0 * share) * abs(cross)
+    root = float(np.sqrt(half * half + share * (1.0 - share) * power * total))
+    # Two forms of one root: neither is a difference of nearly equal numbers.
+    size = (half + root) / ((1.0 - share) * power) if half > 0.0 else share * total / (root - half)
+    return float(np.copysign(max(size, NEXT_TO_NO_RATIO), cross))
 
 
 def shrinking(w: Whitened, ratio: float, reference: float) -> float:
@@ -285,6 +315,33 @@ def likeliest_corner(pair: Pair, likelihood: Callable[[float], float], corner: f
     first = np.clip(np.log(corner), low, high)
     bounds = max(low, first - NEAR_CORNER), min(high, first + NEAR_CORNER)
     return float(np.exp(minimum(cost, *bounds, CORNER_TOLERANCE)))
+
+
+def corner_std(pair: Pair, fit: Fit) -> float:
+    """Standard deviation of the logarithm of a fit's corner frequency by the curvature of the likelihood; no more than
+    MAX_CORNER_STD where that is flat.
+    """
+    return _corner_std(*(evaluate(pair, fit.offset_s, fit.corner * float(np.exp(k * CORNER_STEP))) for k in (-1, 0, 1)))
+
+
+def _corner_std(below: Fit, here: Fit, above: Fit) -> float:
+    curved = (2.0 * here.likelihood - below.likelihood - above.likelihood) / CORNER_STEP**2
+    return min(1.0 / float(np.sqrt(max(curved, 1e-300))), MAX_CORNER_STD)
+
+
+def with_corner_doubt(pair: Pair, fit: Fit, *, disputed: bool) -> Fit:
+    """The fit whose ratio is as uncertain as the ratio of the noise levels makes it, by which it is no regression.
+
+    disputed: what counts as noise of the accelerometer may be none; all that it makes of the ratio is uncertain.
+    """
+    if pair.ratio is not None:
+        return fit
+    trio = [evaluate(pair, fit.offset_s, fit.corner * float(np.exp(k * CORNER_STEP))) for k in (-1, 0, 1)]
+    doubt = _corner_std(*trio) * (trio[2].ratio - trio[0].ratio) / (2.0 * CORNER_STEP)
+    if disputed:
+        w = fit.whitened
+        doubt = np.hypot(doubt, fit.ratio - w.product(w.translation, w.response) / w.product(w.response, w.response))
+    return replace(fit, ratio_variance=fit.ratio_variance + float(doubt) ** 2)
 
 
 def with_input_noise(pair: Pair, fit: Fit) -> tuple[Pair, Fit]:
@@ -356,13 +413,16 @@ def gauss_newton(pair: Pair, fit: Fit) -> tuple[float, float]:
     """Step (s) towards the most likely offset and its information (1/s²), the ratio going along where it is unknown."""
     w, s = fit.whitened, fit.ratio
     velocity, response = w.columns[:, 2], w.response
+    power = max(w.product(response, response), 1e-300)
+    if pair.ratio is None:
+        # The likelihood is that of the regression.
+        s = w.product(w.translation, response) / power
     left = w.translation - s * response
     pulled = 0.0
     if pair.ratio is None:
-        power = max(w.product(response, response), 1e-300)
         if pair.reference is not None:
             change = (w.product(left, velocity) - s * w.product(response, velocity)) / power
-            pulled = w.input_share * change / s
+            pulled = w.input_share * change / s if s != 0.0 else 0.0
         velocity = velocity - w.product(velocity, response) / power * response
     information = max(s * s * w.product(velocity, velocity) / fit.noise, 1e-300)
     return (s * w.product(left, velocity) / fit.noise + pulled) / information, information

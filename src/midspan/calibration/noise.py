@@ -15,12 +15,14 @@ from midspan.calibration.fit import (
     corner_range,
     evaluate,
     refine,
+    with_corner_doubt,
     with_input_noise,
 )
 from midspan.calibration.floor import noise_floor
 from midspan.calibration.low_pass import LowPass, find_low_pass
 from midspan.calibration.minimum import minimum
 from midspan.calibration.outliers import without_lonely_outliers
+from midspan.calibration.own_noise import exceeds_own_noise
 from midspan.calibration.scale import MIN_GAIN as LEAST_AGREEMENT
 from midspan.calibration.slow_error import find_slow_error
 from midspan.calibration.time_offset import BEYOND, OffsetSearch, cleaned, curvature, search_offset
@@ -210,6 +212,7 @@ def _without_gain(learnt: NoiseCalibration, known_std: float, spread: float) -> 
     unknown = replace(learnt.findings.pair, ratio=None)
     pair, fit = with_input_noise(unknown, best_corner(unknown, learnt.offset.value_s))
     fit = _within_floor(pair, fit)
+    fit = with_corner_doubt(pair, fit, disputed=exceeds_own_noise(pair, fit))
     std = float(np.hypot(fit.relative_std, spread))
     if not (fit.relative_std < known_std and abs(fit.ratio - 1.0) < MAX_GAIN_ERROR):
         return learnt

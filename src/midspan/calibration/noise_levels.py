@@ -58,7 +58,7 @@ def _levelled(pair: Pair, fit: Fit, edges: NDArray[np.int64]) -> tuple[Pair, Fit
 
 
 def with_outliers(pair: Pair, whole: Floats) -> Pair:
-    """The pair with those rows of `whole` (m, 3) that were left out, each at the relative variance of the one before."""
+    """The pair with the rows of `whole` (m, 3) that were left out, each at the relative variance of the one before."""
     rows, used = pair.rows.copy(), np.flatnonzero(np.isfinite(pair.rows[:, 2]))
     before = used[np.maximum(np.searchsorted(used, np.arange(len(rows)), side="right") - 1, 0)]
     left = np.isinf(rows[:, 2]) & np.isfinite(whole[:, 2])

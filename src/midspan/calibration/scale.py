@@ -11,6 +11,7 @@ from midspan.calibration.direction import Direction, turned
 from midspan.calibration.fit import Fit, Pair, aligned, best_corner, with_input_noise
 from midspan.calibration.frequency_response import FrequencyResponse, Kind, kinds_of, response_of, with_response
 from midspan.calibration.jumping_clock import jumps_text, without_jumps
+from midspan.calibration.own_noise import contradiction, exceeds_own_noise
 from midspan.calibration.time_offset import OffsetSearch, search_offset
 from midspan.calibration.whitening import SETTLING
 from midspan.calibration.whole_overlap import Rival, likeliest_beyond
@@ -71,9 +72,6 @@ UNEXPLAINED_SHARE = 0.2
 # times the noise that the signal itself shows (a noisy accelerometer with a slow motion is no disagreement).
 IMPLIED_SHARE = 0.3
 IMPLIED_NOISE = 4.0
-# Noise of the accelerometer this many times its own is no noise where what is left is not white; the corner frequency
-# is lowered by this factor until it is less.
-OWN_NOISE, LOWER = 3.0, 0.95
 # An alias below this is reported as the likely reason of a refusal: bias and drift of a minute look the same.
 SLOW_ALIAS_HZ = 0.05
 # Frames that the zero rests on, and how many times noisier than usual they are noisier for certain: of frames alike the
@@ -302,9 +300,8 @@ def _refuse_better(
 
 
 def _leaves_noise(pair: Pair, fit: Fit) -> bool:
-    """Whether a fit leaves white innovations, with no more noise of the accelerometer than that shows itself."""
-    most = (OWN_NOISE * white_noise(pair.samples[:, 1])) ** 2 / pair.sample_rate_hz
-    return pair.input_noise(fit.input_density).density <= most and misfit(pair, fit).factor <= 1.0
+    """Whether a fit leaves white innovations, with no more noise of the accelerometer than its readings have."""
+    return not exceeds_own_noise(pair, fit) and misfit(pair, fit).factor <= 1.0
 
 
 def _may_be_right(pair: Pair, rival: Rival, usual: float) -> bool:
@@ -349,21 +346,6 @@ def noise_needed(pair: Pair, fit: Fit) -> str:
     )
 
 
-def contradiction(pair: Pair, fit: Fit) -> float:
-    """What the translation differs by from an accelerometer of hardly more noise than that shows itself (rms).
-
-    0 where the accelerometer's noise as estimated is not far beyond its own, or innovations are white. Otherwise one of
-    both sensors is wrong, and nothing tells which: what shakes between them shows in a camera as slower than it is.
-    """
-    most = (OWN_NOISE * white_noise(pair.samples[:, 1])) ** 2 / pair.sample_rate_hz
-    here, own = aligned(pair, fit.offset_s), fit
-    if pair.input_noise(fit.input_density).density <= most or misfit(pair, fit).factor <= 1.0:
-        return 0.0
-    while pair.input_noise(own.input_density).density > most:
-        own = here.fit(LOWER * own.corner)
-    return float(np.sqrt(own.noise))
-
-
 def start_noise(pair: Pair, fit: Fit) -> float:
     """Noise of the first frames, in the translation's unit, where it is clearly more than a frame's usual; else 0.
 
@@ -389,21 +371,6 @@ def uncertain_scale(sensor: str, relative_std: float, parts: Mapping[str, float]
         f"largest part, ± {100 * parts[largest]:.1f} %, comes from {cause}. {remedy}"
     )
     return [Notice("scale-uncertain", text)]
-
-
-def strange_noise(pair: Pair, fit: Fit) -> list[Notice]:
-    """A sentence where the accelerometer errs by far more than its own noise."""
-    implied = float(np.sqrt(pair.input_noise(fit.input_density).density * pair.sample_rate_hz))
-    own = white_noise(pair.samples[:, 1])
-    if not implied > OWN_NOISE * own > 0.0:
-        return []
-    text = (
-        f"accelerometer: it errs as if it had noise of {1e3 * implied:.2g} mm/s² per sample, where its own is "
-        f"{1e3 * own:.2g} mm/s². Likely causes: its bias drifts (1/f noise); cross motion that an inclined axis picks "
-        "up; a mounting or bracket that vibrates, which a slower sensor shows as slow motion; clipped crests. The "
-        "displacement rests more on the other sensor, and the error band takes it for noise."
-    )
-    return [Notice("accelerometer-noisy", text)]
 
 
 def alias_in_words(pair: Pair) -> str:

@@ -10,9 +10,10 @@ from dataclasses import replace
 import numpy as np
 
 from midspan.calibration.agreement import straightened, unexplained
-from midspan.calibration.fit import Fit, Pair
+from midspan.calibration.fit import Fit, Pair, with_corner_doubt
 from midspan.calibration.noise import Findings, NoiseCalibration, applied, edge_s, nearest, without_outliers
 from midspan.calibration.outliers import without_lonely_outliers
+from midspan.calibration.own_noise import exceeds_own_noise
 from midspan.calibration.scale import MIN_GAIN as LEAST_AGREEMENT
 from midspan.calibration.scale import REFUSED_ABOVE, alias_in_words, is_ambiguous, noise_needed
 from midspan.calibration.slow_error import SlowError, find_slow_error
@@ -51,8 +52,9 @@ def calibrate_sensor_scale(
         _refuse(search.pair, search.fit)
         _refuse_ambiguity(search, max_offset_s)
         _refuse_unexplained(search, max_offset_s)
-        return _scaled(find_slow_error(search.pair, search.fit, noise_time_s), search.offset, search)
+        return _scaled(_with_slow_error(search.pair, search.fit, noise_time_s), search.offset, search)
     pair, still = without_outliers(pair)
+    still = with_corner_doubt(pair, still, disputed=exceeds_own_noise(pair, still))
     offset, found = TimeOffset(0.0, np.inf), still
     if max_offset_s > 0.0:
         search = search_offset(pair, max_offset_s, edge_s(max_offset_s, length_s))
@@ -66,12 +68,24 @@ def calibrate_sensor_scale(
         if not late:
             raise
         raise _clocks_differ(offset) from None
-    learnt = _scaled(find_slow_error(pair, still, noise_time_s), offset, search)
+    learnt = _scaled(_with_slow_error(pair, still, noise_time_s), offset, search)
     # An offset that was left as it is takes from the scale, or adds to it, what it then would be.
     bias = abs(still.ratio / found.ratio - 1.0) if late else 0.0
-    if np.hypot(bias, learnt.factor_std / learnt.factor) > REFUSED_ABOVE:
-        raise _clocks_differ(offset)
+    relative = learnt.factor_std / abs(learnt.factor)
+    if np.hypot(bias, relative) > REFUSED_ABOVE:
+        if late:
+            raise _clocks_differ(offset)
+        raise UntrustedError(f"displacement.estimate_scale: {_too_vague(pair, learnt.factor, relative)}")
     return replace(learnt, factor_std=float(np.hypot(learnt.factor_std, bias * learnt.factor)))
+
+
+def _with_slow_error(pair: Pair, fit: Fit, time_s: float | None) -> SlowError:
+    """The slow error of the readings, and the fit with what it adds to the doubt about the scale."""
+    slow = find_slow_error(pair, fit, time_s)
+    if slow.fit is fit:
+        return slow
+    disputed = exceeds_own_noise(slow.pair, slow.fit)
+    return replace(slow, fit=with_corner_doubt(slow.pair, slow.fit, disputed=disputed))
 
 
 def _clocks_differ(offset: TimeOffset) -> UntrustedError:
@@ -123,17 +137,8 @@ def _refuse(pair: Pair, fit: Fit) -> None:
 
 def _objection(pair: Pair, fit: Fit) -> str:
     """Why the scale of a fit is not to be trusted; empty where it is."""
-    gain, relative = fit.gain, fit.relative_std
-    rows = pair.rows[np.isfinite(pair.rows[:, 2])]
-    seen, shaken = float(np.std(rows[:, 1])), float(np.std(pair.samples[:, 1]))
-    figures = f"({1e3 * seen:.3g} mm rms as read, acceleration {1e3 * shaken:.3g} mm/s² rms)"
-    if gain < LEAST_AGREEMENT or relative > REFUSED_ABOVE:
-        return (
-            f"the motion does not tell the sensor's scale {figures}: it would be "
-            f"{1.0 / fit.ratio:.4g} ± {100 * relative:.2g} %, and at most ± {100 * REFUSED_ABOVE:g} % is given out. "
-            f"{alias_in_words(pair)}Record livelier motion, check that both sensors measure the same axis and event, "
-            "or leave estimate_scale out and set displacement.unit."
-        )
+    if fit.gain < LEAST_AGREEMENT or fit.relative_std > REFUSED_ABOVE:
+        return _too_vague(pair, 1.0 / fit.ratio, fit.relative_std)
     if needed := noise_needed(pair, fit):
         return (
             f"no agreement between the displacement and the accelerometer: {needed}. Check that both measure the same "
@@ -141,6 +146,24 @@ def _objection(pair: Pair, fit: Fit) -> str:
             "displacement.estimate_offset = true."
         )
     return ""
+
+
+def _too_vague(pair: Pair, factor: float, relative: float) -> str:
+    """What to tell where the scale would be known to more than REFUSED_ABOVE."""
+    rows = pair.rows[np.isfinite(pair.rows[:, 2])]
+    seen, shaken = float(np.std(rows[:, 1])), float(np.std(pair.samples[:, 1]))
+    figures = f"({1e3 * seen:.3g} mm rms as read, acceleration {1e3 * shaken:.3g} mm/s² rms)"
+    if seen == 0.0:
+        return (
+            f"its readings, without outliers, never change {figures}, which tells no scale. Record livelier motion, or "
+            "use a sensor of finer steps than the motion."
+        )
+    return (
+        f"the motion does not tell the sensor's scale {figures}: it would be "
+        f"{factor:.4g} ± {100 * relative:.2g} %, and at most ± {100 * REFUSED_ABOVE:g} % is given out. "
+        f"{alias_in_words(pair)}Record livelier motion, check that both sensors measure the same axis and event, "
+        "or leave estimate_scale out and set displacement.unit."
+    )
 
 
 def _refuse_unexplained(search: OffsetSearch, max_offset_s: float) -> None:

@@ -100,6 +100,15 @@ def find_slow_error(pair: Pair, fit: Fit, time_s: float | None = None, whole: Fl
     return SlowError(slow, found)
 
 
+def likeliest_slow_error(pair: Pair, fit: Fit) -> tuple[float, float]:
+    """The largest likelihood (logarithm) with a slow error of the translation, and that one's standard deviation."""
+    rows = pair.rows[pair.used(fit.offset_s), 0]
+    shortest = MIN_INTERVALS / pair.rate_hz
+    times = np.geomspace(shortest, max(MAX_SHARE * float(rows[-1] - rows[0]), 2.0 * shortest), TIMES_TRIED)
+    tried = [_along(replace(pair, slow=NO_SLOW_ERROR), fit, float(lasting)) for lasting in times]
+    return max((float(np.max(one.likelihood)), float(one.std[np.argmax(one.likelihood)])) for one in tried)
+
+
 def _unseen(pair: Pair, fit: Fit, rows: Floats, drift_shows: float) -> tuple[float, float, float]:
     """As of `SlowError`; rows (k,): times (s) of the measurements; drift_shows: deviations at which a drift does."""
     middle, lapses = 0.5 * (rows[0] + rows[-1]), np.diff(rows)

@@ -20,9 +20,11 @@ from midspan.calibration.fit import (
     evaluate,
     gauss_newton,
     refine,
+    with_corner_doubt,
     with_input_noise,
 )
 from midspan.calibration.outliers import MARKING_ROUNDS, mark_outliers, without_lonely_outliers
+from midspan.calibration.own_noise import exceeds_own_noise
 from midspan.calibration.whitening import levelled, whiten_columns
 from midspan.records import Floats, TimeOffset
 
@@ -100,6 +102,7 @@ def search_offset(pair: Pair, max_offset_s: float, edge_s: float = 0.0) -> Offse
         best = max(fits, key=_likelihood)
     runner_up = max(_apart(fits, best, step), key=_likelihood, default=None)
     variance, drag = curvature(pair, best)
+    best = with_corner_doubt(pair, best, disputed=exceeds_own_noise(pair, best))
     best = replace(best, ratio_variance=best.ratio_variance + drag * drag * variance)
     return OffsetSearch(best, TimeOffset(best.offset_s, variance), runner_up, offsets, curve, pair)
 
@@ -207,7 +210,8 @@ def _may_shrink(pair: Pair, others: list[Fit], best: Fit) -> bool:
     if any(fit.likelihood + share * np.log(abs(fit.ratio / best.ratio)) > best.likelihood for fit in others):
         return True
     variance, drag = curvature(pair, best)
-    return bool(share * abs(drag / best.ratio) * np.sqrt(variance) > MAX_PULLED)
+    pulled = share * abs(drag / best.ratio)
+    return bool(pulled > 0.0 and pulled * np.sqrt(variance) > MAX_PULLED)
 
 
 def cleaned(pair: Pair, fit: Fit, bound_s: float = 0.0, *, steps: bool = False) -> Pair:

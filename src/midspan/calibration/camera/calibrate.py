@@ -14,13 +14,12 @@ from midspan.calibration.common_offset import Fitted, common_offset, one_offset,
 from midspan.calibration.fit import Pair
 from midspan.calibration.measured import measured_rows
 from midspan.calibration.noise import learn_motion
+from midspan.calibration.own_noise import contradiction, strange_noise
 from midspan.calibration.scale import (
     MIN_FRAMES,
     REFUSED_ABOVE,
     ScaleCalibration,
-    contradiction,
     start_noise,
-    strange_noise,
 )
 from midspan.calibration.sensors.camera import CameraCalibration, TargetCalibration
 from midspan.calibration.sensors.fit import SensorFit
@@ -262,7 +261,7 @@ def _fit_of(seen: Sequence[SeenTarget], camera: CameraCalibration, fit: Fitted) 
     if apart_m > 0.0:
         warnings.append(Notice("motion-not-shared", _contradiction_text(apart_m)))
     else:
-        warnings += coloured.text("camera") or strange_noise(search.pair, search.fit)
+        warnings += coloured.text("camera") or strange_noise(search.pair, search.fit, "camera")
     parts = _parts(seen[_best(camera.targets)], found, camera.direction)
     parts["misfit"] = float(np.sqrt(coloured.factor - 1.0)) * camera.relative_std
     camera = camera.without_gain(1.0, parts["misfit"])

@@ -8,7 +8,7 @@ from midspan.calibration.agreement import Misfit, misfit
 from midspan.calibration.bias import bias_of
 from midspan.calibration.displacement.learn import Given, learn
 from midspan.calibration.noise import DRIFT_HZ, NoiseCalibration
-from midspan.calibration.scale import strange_noise
+from midspan.calibration.own_noise import strange_noise
 from midspan.calibration.scale_check import MAX_NOISE
 from midspan.calibration.sensors.displacement import DisplacementCalibration
 from midspan.calibration.sensors.fit import SensorFit
@@ -52,7 +52,7 @@ def fit_displacement(given: Given) -> DisplacementFit:
     found = Misfit() if known else misfit(learnt.findings.pair, learnt.findings.fit)
     spread = float(np.sqrt(found.factor))
     part = replace(part, scale_std=spread * part.scale_std)
-    strange = strange_noise(learnt.findings.pair, learnt.findings.fit)
+    strange = strange_noise(learnt.findings.pair, learnt.findings.fit, "displacement")
     warnings = (*warnings, *(found.text("displacement") or strange))
     return DisplacementFit(
         part,

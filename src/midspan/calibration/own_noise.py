@@ -1,0 +1,154 @@
+"""Whether what two sensors differ by is more than the accelerometer's own noise: then one of them errs by itself.
+
+Where the camera errs (a mast that nods, a lens that breathes, air that shimmers) the likelihood has no other place for
+it than the accelerometer's noise, or the camera's. The accelerometer's own readings say how much noise they can have.
+"""
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from midspan.calibration.agreement import MIN_ORDINATES, misfit, straightened
+from midspan.calibration.fit import Fit, Pair, aligned, corner_std
+from midspan.calibration.floor import most_noise
+from midspan.calibration.slow_error import likeliest_slow_error
+from midspan.notices import Notice
+from midspan.records import Floats
+
+# The corner frequency is lowered by this factor until the accelerometer's noise is no more than its own.
+LOWER = 0.95
+# Noise as estimated is more than the accelerometer's own where it is so by this many standard deviations: one in a
+# thousand.
+CERTAIN = 3.1
+# A narrow band of the innovations is no chance where its power beyond the usual has this probability in a white record.
+NARROW_BY_CHANCE = 1e-4
+# Gain in the logarithm of the likelihood from which a slow error counts as found: a factor of 20 000 in likelihood.
+MIN_GAIN = 10.0
+# Ordinates of such bands that are fitted as what one sensor alone shows: those of this many times the usual power, and
+# so many at most.
+STRONG, MAX_ORDINATES = 3.0, 24
+# What may err by itself in a sensor other than the accelerometer, in words.
+OF_THE_SENSOR = {
+    "camera": "a mast or bracket that nods, a lens that breathes (autofocus), hot air, or a target that turns",
+    "displacement": "slow errors, or a mounting that moves",
+}
+
+
+def own_density(pair: Pair) -> float:
+    """The largest density of white noise that the acceleration's readings can have, (m/s²)²/Hz."""
+    return most_noise(pair.samples[:, 1]) / pair.sample_rate_hz
+
+
+def exceeds_own_noise(pair: Pair, fit: Fit) -> bool:
+    """Whether the accelerometer's noise as estimated is certainly more than its readings have."""
+    estimated, most = pair.input_noise(fit.input_density).density, own_density(pair)
+    if not 0.0 < most < estimated:
+        return False
+    # The density is as the fourth power of the corner frequency.
+    return bool(np.log(estimated / most) > 4.0 * CERTAIN * corner_std(pair, fit))
+
+
+def contradiction(pair: Pair, fit: Fit) -> float:
+    """What the translation differs by from the accelerometer beyond the noise of both (rms); 0 where that is chance.
+
+    One of both sensors is wrong then, and nothing tells which: what shakes between them shows in a camera as slower
+    than it is.
+    """
+    return float(max(_beyond_own_noise(pair, fit), narrow_motion(pair, fit), slow_motion(pair, fit)))
+
+
+def _beyond_own_noise(pair: Pair, fit: Fit) -> float:
+    """What the translation differs by from an accelerometer of no more noise than its readings have (rms).
+
+    0 where the accelerometer's noise as estimated may be its own, or innovations are white.
+    """
+    if not exceeds_own_noise(pair, fit) or misfit(pair, fit).factor <= 1.0:
+        return 0.0
+    here, own, most = aligned(pair, fit.offset_s), fit, own_density(pair)
+    while pair.input_noise(own.input_density).density > most:
+        own = here.fit(LOWER * own.corner)
+    return float(np.sqrt(own.noise))
+
+
+def narrow_motion(pair: Pair, fit: Fit) -> float:
+    """What narrow bands of the translation hold that the accelerometer does not feel, rms; 0 where that is chance.
+
+    A mast that sways is a line in the innovations, long before it counts as noise. Its size is fitted.
+    """
+    lines = _lines(pair, fit)
+    if not len(lines):
+        return 0.0
+    straight = straightened(pair, fit)
+    if straight is not None and not len(lines := _lines(pair, straight[0])):
+        # A clock that drifts evenly.
+        return 0.0
+    columns = [partial(wave, hertz=hertz) for hertz in lines for wave in (_cosine, _sine)]
+    here = aligned(pair, fit.offset_s, *columns)
+    w, moved = here.whitened(fit.corner), here.values[:, -len(columns) :]
+    waves = w.columns[:, -len(columns) :] / np.sqrt(w.variance)[:, None]
+    left = (w.translation - fit.ratio * w.response) / np.sqrt(w.variance)
+    inverse = np.linalg.pinv(waves.T @ waves, hermitian=True)
+    size = inverse @ (waves.T @ left)
+    noise = float(np.sum((left - waves @ size) ** 2)) / max(len(left) - len(size), 1)
+    by_chance = noise * float(np.mean(np.einsum("mi,ij,mj->m", moved, inverse, moved)))
+    # What is far more than the translation moves there is the drift of an accelerometer, integrated twice.
+    shown = moved @ np.linalg.lstsq(moved, here.values[:, 0], rcond=None)[0]
+    return float(np.sqrt(max(min(np.mean((moved @ size) ** 2), np.mean(shown**2)) - by_chance, 0.0)))
+
+
+def slow_motion(pair: Pair, fit: Fit) -> float:
+    """Standard deviation of an error of the translation that is correlated over seconds (haze), where it is far more
+    likely than the noise that the accelerometer would need instead; 0 where not.
+    """
+    if not exceeds_own_noise(pair, fit):
+        return 0.0
+    likelihood, std = likeliest_slow_error(replace(pair, ratio=fit.ratio), fit)
+    moved = float(np.std(pair.rows[np.isfinite(pair.rows[:, 2]), 1]))
+    return min(std, moved) if likelihood - fit.likelihood > MIN_GAIN else 0.0
+
+
+def _lines(pair: Pair, fit: Fit) -> Floats:
+    """Frequencies (k,), Hz, of narrow bands of the innovations with more power than chance gives."""
+    from scipy.special import gammainccinv
+
+    residual = fit.residual
+    n = len(residual)
+    power = np.abs(np.fft.rfft(residual - np.mean(residual)))[1:] ** 2
+    if len(power) < 4 * MIN_ORDINATES or not np.any(power):
+        return np.empty(0)
+    starts = np.arange(0, len(power) - MIN_ORDINATES + 1, MIN_ORDINATES // 2)
+    means = np.array([np.mean(power[k : k + MIN_ORDINATES]) for k in starts])
+    # Of the powers, which are exponentially distributed, the median is no line's.
+    usual = float(np.median(power)) / np.log(2.0)
+    most = usual * gammainccinv(MIN_ORDINATES, NARROW_BY_CHANCE / len(starts)) / MIN_ORDINATES
+    index = np.unique(starts[means > most][:, None] + np.arange(MIN_ORDINATES))
+    # Those that hold next to nothing would be fitted for their noise.
+    strong = sorted(index[power[index] > STRONG * usual], key=lambda k: -power[k])[:MAX_ORDINATES]
+    return np.asarray((np.array(strong) + 1) * pair.rate_hz / n)
+
+
+def _cosine(time_s: Floats, hertz: float) -> Floats:
+    return np.asarray(np.cos(2.0 * np.pi * hertz * time_s))
+
+
+def _sine(time_s: Floats, hertz: float) -> Floats:
+    return np.asarray(np.sin(2.0 * np.pi * hertz * time_s))
+
+
+def strange_noise(pair: Pair, fit: Fit, sensor: str) -> list[Notice]:
+    """A sentence where what differs is far more than the accelerometer's own noise."""
+    if not exceeds_own_noise(pair, fit):
+        return []
+    implied, own = (
+        float(np.sqrt(density * pair.sample_rate_hz))
+        for density in (pair.input_noise(fit.input_density).density, own_density(pair))
+    )
+    text = (
+        f"accelerometer: it and the {sensor} differ as if it had noise of {1e3 * implied:.2g} mm/s² per sample, where "
+        f"fast parts of its readings have {1e3 * own:.2g} mm/s² at most; the band takes it for its noise. Nothing "
+        "tells which of the two errs. On the accelerometer's part it may be a bias that drifts (1/f noise), cross "
+        "motion that an inclined axis picks up, a mounting that vibrates, clipped crests, or a low-pass in the logger, "
+        f"which hides its fast noise; on the {sensor}'s part {OF_THE_SENSOR[sensor]}."
+    )
+    return [Notice("accelerometer-noisy", text)]
