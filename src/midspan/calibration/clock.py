@@ -165,20 +165,25 @@ def clock_course(acceleration: Acceleration, displacement: Displacement, *, wind
     return drift(compared(acceleration, displacement)[0], window_s, int(acceleration.time_ns[0]))
 
 
-def drift(one: Compared, window_s: float, first_ns: int = 0) -> ClockCourse:
-    """How a clock runs, by Gauss-Newton steps of the line; first_ns: the instant that times are counted from."""
+def drift(
+    one: Compared, window_s: float, first_ns: int = 0, line: tuple[float, float, float] = (0.0, 0.0, 0.0)
+) -> ClockCourse:
+    """How a clock runs, by Gauss-Newton steps of the line; first_ns: the instant that times are counted from; line: the
+    one to start from, its lateness (s) at the third value (s) and its change (s/s).
+    """
     time_s = one.rows[:, 0]
     count = max(2, round((time_s[-1] - time_s[0]) / window_s))
     bounds = np.linspace(time_s[0], time_s[-1], count + 1)
     edges, kept = np.unique(np.searchsorted(time_s, bounds[:-1]), return_index=True)
-    at_s, middle, line = 0.5 * (bounds[:-1] + bounds[1:])[kept], 0.5 * float(time_s[0] + time_s[-1]), np.zeros(2)
+    at_s, middle = 0.5 * (bounds[:-1] + bounds[1:])[kept], 0.5 * float(time_s[0] + time_s[-1])
+    late = np.array([line[0] + line[1] * (middle - line[2]), line[1]])
     columns = np.stack((np.ones_like(at_s), at_s - middle))
     for _ in range(PASSES):
-        found = knots(one, line[0] + line[1] * (time_s - middle), edges)
+        found = knots(one, late[0] + late[1] * (time_s - middle), edges)
         known = np.maximum(found.information, NO_INFORMATION)
         covariance = np.asarray(np.linalg.pinv((columns * known) @ columns.T, hermitian=True), dtype=float)
-        lateness = line @ columns + found.late_s
-        line = line + covariance @ (columns @ (known * found.late_s))
+        lateness = late @ columns + found.late_s
+        late = late + covariance @ (columns @ (known * found.late_s))
     std = np.where(known > NO_INFORMATION, 1.0 / np.sqrt(known), np.inf)
     at_ns, middle_ns = nanoseconds(at_s) + first_ns, round(NANOSECONDS * middle) + first_ns
-    return ClockCourse(at_ns, lateness, std, middle_ns, float(line[0]), float(line[1]), covariance)
+    return ClockCourse(at_ns, lateness, std, middle_ns, float(late[0]), float(late[1]), covariance)

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from midspan.calibration.one_clock import OneClock
+from midspan.calibration.sensors.displacement import DisplacementCalibration
 from midspan.calibration.unfelt import refuse_unfelt_rows
 from midspan.checks import option, path_of
 from midspan.engine.camera_result import CameraResult, camera_result, camera_series
@@ -57,7 +58,6 @@ from midspan.recording.tracked import (
 )
 from midspan.records import Channel, Estimate, Event, Innovation, Nanoseconds, joined, part
 from midspan.settings.sensor_words import renamed
-from midspan.settings.sensors import DisplacementSettings
 from midspan.settings.stored.calibration import Calibration
 from midspan.settings.stored.calibration_file import load_calibration
 from midspan.settings.two_files import draft, is_sensor_file, settings_of
@@ -200,7 +200,7 @@ def _estimate(asked: Asked, tracking: CameraTracking | None, progress: Progress)
     main = first.sides[0]
     ran: dict[str, OneClock] = {}
     if looks or asked.given:
-        ran = clocks(first.at_instants(0), main.acceleration, main.kalman, clocks_shared(asked.recording))
+        ran = clocks(first.at_instants(0), main.acceleration, main.kalman, clocks_shared(main))
     checked = check(asked, first, ran)
     found = by_method(asked, first, ran, checked)
     progress(1, 1, "fusing")
@@ -461,10 +461,16 @@ def _series(first: FirstPass, axis: int) -> dict[str, SensorSeries]:
     return found
 
 
-def clocks_shared(recording: Recording) -> set[str]:
-    """Names of the displacement sensors whose clock is said to be the accelerometer's."""
-    listed = [(one.name, one.settings) for one in recording.sensors]
-    return {name for name, own in listed if isinstance(own, DisplacementSettings) and not own.estimate_offset}
+def clocks_shared(main: Side) -> set[str]:
+    """Names of the displacement sensors whose clock is the accelerometer's, as is said or as the calibration says."""
+    found = set()
+    for view, known in known_sensors(main):
+        section = view.settings.displacement
+        if isinstance(known, DisplacementCalibration) and section is not None:
+            one = known.offset.value_s == 0.0 and known.clock_rate == 0.0
+            if section.estimate_offset is False or (section.estimate_offset is None and one):
+                found.add(view.sensor)
+    return found
 
 
 def innovation_along(outcome: Outcome, channels: Sequence[Channel], axis: int) -> Innovation:

@@ -143,12 +143,13 @@ def records_of(
     value = np.column_stack([side.recording.acceleration.value for side in sides if side.recording.fused])
     readings = {ACCELEROMETER: Readings(main.acceleration.time_ns, value)}
     feeds: dict[str, Iterator[Tracked | Frame | RangeFrame]] = {eye.sensor: frames_of(eye) for eye in eyes}
-    for view, _ in known_sensors(sides[0]):
+    for view, known in known_sensors(sides[0]):
         sensor = point.sensors[view.sensor]
         if isinstance(sensor, RadarSensor):
             feeds[view.sensor] = radar_frames(view, sensor)
         else:
-            readings[view.sensor] = Readings(view.displacement.time_ns, view.displacement.value[:, None])
+            series = view.displacement
+            readings[view.sensor] = Readings(known.even(series.time_ns), series.value[:, None])
     offsets_ns = {ACCELEROMETER: 0, **clock_offsets_ns(sides[0], eyes)}
     blocks = blocks_of(readings, offsets_ns, block_s)
     ahead = next(blocks, None)

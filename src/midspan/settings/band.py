@@ -3,6 +3,7 @@
 import math
 
 from midspan.calibration.sensors.camera import CameraCalibration
+from midspan.calibration.sensors.displacement import DisplacementCalibration
 from midspan.settings.camera import CameraSettings
 from midspan.settings.recording import RecordingSettings
 from midspan.settings.stored.calibration import Calibration
@@ -26,9 +27,12 @@ def not_in_band(settings: RecordingSettings, calibration: Calibration) -> tuple[
     found = (SENSITIVITY,) if sensitivity_left_out(settings, calibration) else ()
     cameras = [(one.name, one.settings) for one in settings.sensors if isinstance(one.settings, CameraSettings)]
     tilting = ", ".join(name for name, camera in cameras if camera.tilt_std_mdeg == 0.0)
-    # The clock offset of all sensors but those of a displacement is estimated.
+    # The clock offset of all sensors but those of a displacement is estimated; of these where the motion shows one.
     known = [one for one in settings.displacements if not one.estimate_offset]
-    delay = (DELAY,) if len(known) < len(settings.sensors) else ()
+    shown = any(
+        isinstance(one, DisplacementCalibration) and one.offset.value_s != 0.0 for _, _, one in calibration.sensors
+    )
+    delay = (DELAY,) if shown or len(known) < len(settings.sensors) else ()
     return (*found, *delay, f"{tilting}: {TILT}") if tilting else (*found, *delay)
 
 

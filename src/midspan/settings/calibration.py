@@ -303,6 +303,8 @@ class StoredDisplacement(StoredSensor):
     apart_std_mm: Std = 0.0
     scale: Factor = 1.0
     scale_std: Std = 0.0
+    clock_rate: Number = 0.0
+    clock_reference_s: Number = 0.0
 
 
 class StoredNotice(Stored):

@@ -97,8 +97,11 @@ class DisplacementSettings(ChannelSettings):
     """Any other displacement: GNSS, total station, LVDT, level."""
 
     name: SensorName | None = Field(None, description="what it is called where there are several of a kind")
-    estimate_offset: bool = Field(
-        False, strict=True, description="learn and apply the clock offset to the accelerometer; false: one clock"
+    estimate_offset: bool | None = Field(
+        None,
+        strict=True,
+        description="true: learn and apply the clock offset to the accelerometer, or refuse; false: one clock; left "
+        "out: one clock unless the motion shows an offset, which is then applied",
     )
     estimate_scale: bool = Field(
         False, strict=True, description="learn and apply the scale, with its sign; false: the unit is taken as it is"

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from midspan.calibration.agreement import clearly_better, unexplained
+from midspan.calibration.clock_rate import ClockRate, find_clock_rate
 from midspan.calibration.direction import Turned, turned
 from midspan.calibration.fit import Fit, Pair
 from midspan.calibration.measured import MIN_MEASUREMENTS, measured_rows
@@ -47,16 +48,16 @@ class Given:
     """A displacement sensor compared with the accelerometer, and what is to be estimated of it.
 
     series: its values as read; wanted_s: the largest clock offset looked for; learns_offset, learns_scale: whether
-    these are applied; noise_std_m: of its values as read, None where it is not given; gives_zero: whether its zero is
-    that of the displacement; gain_std: how well the accelerometer's gain is known before, relative; 0: it is not
-    estimated; noise_time_s: correlation time of its slow error, None where it is not given;
-    exposure_s: time over which it averages, None where that is not given.
+    these are applied; learns_offset None: the offset is where the motion shows one; noise_std_m: of its values as read,
+    None where it is not given; gives_zero: whether its zero is that of the displacement; gain_std: how well the
+    accelerometer's gain is known before, relative; 0: it is not estimated; noise_time_s: correlation time of its slow
+    error, None where it is not given; exposure_s: time over which it averages, None where that is not given.
     """
 
     prepared: PreparedAcceleration
     series: TimeSeries
     wanted_s: float
-    learns_offset: bool = False
+    learns_offset: bool | None = False
     learns_scale: bool = False
     noise_std_m: float | None = None
     gives_zero: bool = True
@@ -115,13 +116,25 @@ class _Beside:
         return Pair(samples, rows, 1.0, self.given.exposure_s or 0.0, level_m_s2=level, cross=cross)
 
 
-def learn(given: Given, series: TimeSeries) -> NoiseCalibration:
-    """Noise, clock offset and scale of the sensor, by those of its values that are in `series`, or a refusal."""
+def _beside(given: Given, series: TimeSeries) -> _Beside:
+    """What is compared of the sensor and the accelerometer."""
     prepared = given.prepared
     used = inside(series.time_ns, int(prepared.time_ns[0]), int(prepared.time_ns[-1]))
     first = int(series.time_ns[used.start])
     last = min(int(series.time_ns[used.stop - 1]), first + round(NOISE_WINDOW_S * NANOSECONDS))
-    beside = _Beside(given, series, first, last)
+    return _Beside(given, series, first, last)
+
+
+def clock_rate(given: Given) -> ClockRate | None:
+    """The rate of the sensor's clock where the motion shows that it is not the accelerometer's."""
+    beside = _beside(given, given.series)
+    return find_clock_rate(replace(beside.pair(0.0), cross=None), beside.max_offset_s, beside.first_ns)
+
+
+def learn(given: Given, series: TimeSeries) -> NoiseCalibration:
+    """Noise, clock offset and scale of the sensor, by those of its values that are in `series`, or a refusal."""
+    beside = _beside(given, series)
+    prepared, first = given.prepared, beside.first_ns
     max_offset = beside.max_offset_s
     axis = turned(beside.pair(beside.reach_s), 0.0 if beside.one_clock else max_offset)
     pair = axis.pair

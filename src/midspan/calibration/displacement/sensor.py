@@ -6,14 +6,15 @@ import numpy as np
 
 from midspan.calibration.agreement import Misfit, misfit
 from midspan.calibration.bias import bias_of
-from midspan.calibration.displacement.learn import Given, learn
+from midspan.calibration.clock_rate import ClockRate
+from midspan.calibration.displacement.learn import Given, clock_rate, learn
 from midspan.calibration.noise import DRIFT_HZ, NoiseCalibration
 from midspan.calibration.own_noise import strange_noise
 from midspan.calibration.scale_check import MAX_NOISE
 from midspan.calibration.sensors.displacement import DisplacementCalibration
 from midspan.calibration.sensors.fit import SensorFit
 from midspan.calibration.slow_error import DRIFT_S
-from midspan.errors import UntrustedError
+from midspan.errors import MidspanError, UntrustedError
 from midspan.notices import Notice
 from midspan.records import NANOSECONDS, Event, TimeSeries, seconds
 from midspan.signals.acceleration import PreparedAcceleration
@@ -40,7 +41,10 @@ def fit_displacement(given: Given) -> DisplacementFit:
     ends = range_limits(given.series.value)
     held = (given.series.value <= ends[0]) | (given.series.value >= ends[1])
     given = replace(given, series=without(given.series, held))
-    learnt = _learnt(given)
+    rate = None if given.learns_offset is False else clock_rate(given)
+    if rate is not None:
+        given = replace(given, series=replace(given.series, time_ns=rate.even(given.series.time_ns)))
+    given, learnt = _on_its_clock(given, rate)
     assert learnt.findings is not None
     part = displacement_part(given, learnt)
     low, high = sorted(learnt.factor * end for end in ends)
@@ -52,6 +56,8 @@ def fit_displacement(given: Given) -> DisplacementFit:
     found = Misfit() if known else misfit(learnt.findings.pair, learnt.findings.fit)
     spread = float(np.sqrt(found.factor))
     part = replace(part, scale_std=spread * part.scale_std)
+    if rate is not None:
+        part = replace(part, clock_rate=rate.late, clock_reference_s=rate.reference_ns / NANOSECONDS)
     strange = strange_noise(learnt.findings.pair, learnt.findings.fit, "displacement")
     warnings = (*warnings, *(found.text("displacement") or strange))
     return DisplacementFit(
@@ -65,6 +71,74 @@ def fit_displacement(given: Given) -> DisplacementFit:
         found,
         direction=learnt.direction,
     )
+
+
+def _on_its_clock(given: Given, rate: ClockRate | None) -> tuple[Given, NoiseCalibration]:
+    """What is estimated of the sensor on one clock with the accelerometer or on its own, and which of the two it was.
+
+    rate: of its clock, where that was taken out of the stamps of `given`. Where it is not said whether the clocks are
+    one, they are unless the motion shows an offset that nothing speaks against.
+    """
+    if given.learns_offset is not None:
+        try:
+            return given, _with_rate(_learnt(given), rate)
+        except UntrustedError:
+            _refuse_clock_rate(given)
+            raise
+    shared, own = replace(given, learns_offset=False), replace(given, learns_offset=True)
+    found, refused = None, None
+    if rate is None:
+        try:
+            found = _learnt(shared)
+        except UntrustedError as error:
+            refused = error
+        if found is not None and (found.late_m == 0.0 or found.low_pass is not None):
+            return shared, found
+    try:
+        apart = _learnt(own)
+    except MidspanError:
+        apart = None
+    if apart is not None and (rate is not None or (apart.offset.value_s != 0.0 and apart.low_pass is None)):
+        return own, _with_offset_notice(apart) if rate is None else _with_rate(apart, rate)
+    if refused is not None:
+        raise refused
+    return (shared, found) if found is not None else (shared, _with_rate(_learnt(shared), rate))
+
+
+def _with_rate(learnt: NoiseCalibration, rate: ClockRate | None) -> NoiseCalibration:
+    """The calibration with the rate of the clock that was corrected."""
+    if rate is None:
+        return learnt
+    offset = replace(learnt.offset, variance=learnt.offset.variance + rate.offset_variance)
+    text = (
+        f"displacement: its clock gains {rate.ppm:+.1f} ± {1e6 * rate.std:.1f} ppm on the accelerometer's, "
+        f"{1e3 * abs(rate.late) * rate.length_s:.3g} ms in {rate.length_s:.4g} s; this was corrected."
+    )
+    return replace(learnt, offset=offset, warnings=(*learnt.warnings, Notice("clock-corrected", text)))
+
+
+def _with_offset_notice(learnt: NoiseCalibration) -> NoiseCalibration:
+    """The calibration with a sentence on an offset that was not asked for."""
+    if learnt.offset.value_s == 0.0:
+        return learnt
+    text = (
+        f"displacement: its clock differs from the accelerometer's by {1e3 * learnt.offset.value_s:+.4g} ± "
+        f"{1e3 * np.sqrt(learnt.offset.variance):.2g} ms; this was corrected. displacement.estimate_offset = false "
+        "says that both have one clock."
+    )
+    return replace(learnt, warnings=(*learnt.warnings, Notice("clock-corrected", text)))
+
+
+def _refuse_clock_rate(given: Given) -> None:
+    """UntrustedError where the clocks are said to be one, and run at two rates."""
+    rate = clock_rate(given) if given.learns_offset is False else None
+    if rate is not None:
+        raise UntrustedError(
+            f"displacement: its clock gains {rate.ppm:+.0f} ± {1e6 * rate.std:.1g} ppm on the accelerometer's, "
+            f"{1e3 * abs(rate.late) * rate.length_s:.3g} ms in {rate.length_s:.4g} s, and displacement.estimate_offset "
+            "= false says that both have one clock. Leave estimate_offset out to have the clock corrected, or correct "
+            "the time column."
+        )
 
 
 def _learnt(given: Given) -> NoiseCalibration:
@@ -264,7 +338,7 @@ def _slow_warnings(given: Given, learnt: NoiseCalibration) -> list[Notice]:
 def read_with(series: TimeSeries, learnt: DisplacementCalibration) -> TimeSeries:
     """The channel in metres on the accelerometer's clock."""
     offset_ns = round(NANOSECONDS * learnt.offset.value_s)
-    return replace(series, time_ns=series.time_ns + offset_ns, value=learnt.scale * series.value)
+    return replace(series, time_ns=learnt.even(series.time_ns) + offset_ns, value=learnt.scale * series.value)
 
 
 def without(series: TimeSeries, mask: Mask) -> TimeSeries:

@@ -3,7 +3,8 @@
 import math
 from dataclasses import dataclass, replace
 
-from midspan.records import Source, TimeOffset
+from midspan.calibration.clock_rate import ClockRate
+from midspan.records import NANOSECONDS, Nanoseconds, Source, TimeOffset
 
 
 @dataclass(frozen=True, slots=True)
@@ -15,7 +16,8 @@ class DisplacementCalibration:
     are rounded to; None where that is not known. low_m, high_m: the ends of its range, scaled, where it was held there:
     such values are left out. slow_std_m, slow_time_s: standard deviation and correlation time of its slow error
     (first-order Gauss-Markov). exposure_s: time over which it averages. apart_std_m: motion that only one of the
-    two sensors may have seen (rms), which the error band holds whole.
+    two sensors may have seen (rms), which the error band holds whole. clock_rate: what is added to its stamps for each
+    second since `clock_reference_s` on its own clock, before the offset, in a record that holds that instant.
     """
 
     noise_std_m: float
@@ -30,6 +32,17 @@ class DisplacementCalibration:
     slow_time_s: float = math.inf
     exposure_s: float = 0.0
     apart_std_m: float = 0.0
+    clock_rate: float = 0.0
+    clock_reference_s: float = 0.0
+
+    def even(self, time_ns: Nanoseconds) -> Nanoseconds:
+        """The stamps (n,) as of a clock that runs at the accelerometer's rate; of another record, which does not hold
+        the instant that the rate counts from, they stay.
+        """
+        reference_ns = round(NANOSECONDS * self.clock_reference_s)
+        if self.clock_rate == 0.0 or not len(time_ns) or not time_ns[0] <= reference_ns <= time_ns[-1]:
+            return time_ns
+        return ClockRate(self.clock_rate, 0.0, reference_ns).even(time_ns)
 
     @property
     def kind(self) -> str:

@@ -92,7 +92,9 @@ def displacement_tree(sensor: DisplacementCalibration) -> dict[str, Any]:
     slow = {"slow_std_mm": MM * sensor.slow_std_m, "slow_time_s": sensor.slow_time_s} if sensor.slow_std_m > 0.0 else {}
     exposure = {"exposure_s": sensor.exposure_s} if sensor.exposure_s > 0.0 else {}
     apart = {"apart_std_mm": MM * sensor.apart_std_m} if sensor.apart_std_m > 0.0 else {}
-    own = {"noise_std_mm": MM * sensor.noise_std_m} | exposure | apart
+    clock = {"clock_rate": sensor.clock_rate, "clock_reference_s": sensor.clock_reference_s}
+    rate = clock if sensor.clock_rate != 0.0 else {}
+    own = {"noise_std_mm": MM * sensor.noise_std_m} | exposure | apart | rate
     return _sensor_tree(sensor) | own | slow | resolution | scale
 
 
