@@ -13,6 +13,7 @@ from midspan.cli.main import run
 from midspan.engine.support import PointStatus
 from midspan.records import NANOSECONDS, Estimate, Event, Status
 from midspan.service.journal import Journal
+from midspan.service.opening import opened, resumed
 from midspan.service.row_health import RowHealth
 from midspan.service.running import running
 from midspan.service.stored_rows import stored_table
@@ -102,6 +103,8 @@ def test_no_row_is_lost_where_a_broker_was_away(tmp_path, away_s):
         for tick in range(20):
             now_ns = BEGIN_NS + (second + 1) * NANOSECONDS + tick * NANOSECONDS // 20
             point.tick(now_ns, away=away)
+        if away and second > at_s + 5:
+            assert point.held_up == "broker_gone"
         assert point.status is PointStatus.TRACKING
     batch = point.batch()
     rows = [one for one in batch.chunks if one.stream == "rows"]
@@ -166,3 +169,23 @@ def test_what_a_restart_needs_of_the_rows_is_kept():
     journal.remember({"zero": [1e-3, 1e-8], "lost_ns": 5, "usual": [2e-4, 700]})
     assert journal.memory == {"zero": [1e-3, 1e-8], "lost_ns": 5, "usual": [2e-4, 700]}
     assert journal.zero.offset_m == 1e-3
+
+
+def test_a_point_goes_on_with_the_calibration_before_until_it_is_opened_with_the_new_one(tmp_path):
+    point, at_s = with_broker(tmp_path)
+    kept, store = point.batch(last=True), open_store(tmp_path / "store")
+    store.write(kept)
+    state = kept.checkpoints["p"][1]
+    folder, calibration = point.settled_in, midspan.calibrate(next((tmp_path / "captures").glob("calibration-*")))
+    # The service was stopped before the point was opened with the second one.
+    again = live_point(tmp_path)
+    again.number = 2
+    found = opened(folder, "p", calibration, 1, push=False)
+    resumed(found, state, store)
+    store.close()
+    again.resumed(found, folder)
+    pushed(again, at_s, at_s + 30)
+    assert again.job.kind == "open"
+    rows = [one for one in again.batch().chunks if one.stream == "rows"]
+    assert {one.calibration for one in rows} == {1}
+    assert rows[-1].time_ns[-1] > BEGIN_NS + at_s * NANOSECONDS

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from midspan.errors import MidspanError
 from midspan.records import NANOSECONDS, Arrival, Event, RangeFrame, Readings, Tick
 from midspan.service.opening import Opened
 from midspan.service.waiting import Waiting, stamp_of
@@ -29,6 +30,7 @@ class Feeding:
     # Whether the engine knows how late it is before it gets what waited.
     _released: bool = True
     _ticked: bool = False
+    _refused: bool = False
 
     def __post_init__(self) -> None:
         self._from_ns = dict(self.opened.newest_ns)
@@ -60,7 +62,17 @@ class Feeding:
         for _ in range(min(len(self.waiting), AT_ONCE)):
             arrival = self.waiting.popleft()
             if stamp_of(arrival) > self._from_ns.get(arrival.stream, -(2**62)):
-                self._run(arrival)
+                self._run_late(arrival)
+        self._refused = self._refused and len(self.waiting) > 0
+
+    def _run_late(self, arrival: Arrival) -> None:
+        """One that cannot be used leaves the others alone; the first of those that wait together is an event."""
+        try:
+            self._run(arrival)
+        except MidspanError as error:
+            if not self._refused:
+                self._refused = True
+                self.opened.journal.given([Event(stamp_of(arrival), "damaged", f"{arrival.stream}: {error}")])
 
     def _run(self, arrival: Arrival) -> None:
         found = self.opened
@@ -103,6 +115,11 @@ class Absence:
     def waits(self) -> bool:
         """Whether the accelerometer is waited for."""
         return self.since_ns is not None or self.until_ns is not None
+
+    @property
+    def reason(self) -> str:
+        """Why it is waited for, as a code; empty where it is not."""
+        return "broker_gone" if self.since_ns is not None else "silent" if self.waits else ""
 
 
 def at_targets(arrival: Arrival, found: Opened) -> Any:

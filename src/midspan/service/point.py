@@ -24,7 +24,7 @@ from midspan.service.waiting import Waiting, stamp_of
 from midspan.service.zero import carried
 from midspan.settings.recording import RecordingSettings
 from midspan.settings.site import PointPlan
-from midspan.store.chunk import Chunk
+from midspan.store.chunk import Chunk, join
 from midspan.store.store import Batch
 
 # Time and frames (of the slowest camera) that a point is opened from: what a template is made from.
@@ -84,7 +84,9 @@ class LivePoint:
     # What came since the capture that a point is being opened from.
     _waiting: Waiting | None = None
     _absence: Absence = field(default_factory=Absence)
+    # What the opening before left to be kept and published.
     _last: list[Batch] = field(default_factory=list)
+    _unpublished: Chunk | None = None
     _events: list[Event] = field(default_factory=list)
     _newest_ns: int = 0
     _kept_ns: int = 0
@@ -131,9 +133,10 @@ class LivePoint:
         return 0 if self.opened is None else self.opened.point.merge.health[0].disordered
 
     @property
-    def catches_up(self) -> bool:
-        """Whether records still wait for the point."""
-        return self._feeding is not None and len(self._feeding.waiting) > 0
+    def held_up(self) -> str:
+        """Why records wait, as a code; empty where they do not."""
+        waits = self._feeding is not None and len(self._feeding.waiting) > 0
+        return self._absence.reason or "opening" if waits else ""
 
     def push(self, arrival: Arrival) -> None:
         """Take a record of one of the point's sensors, its stamps in UTC."""
@@ -276,6 +279,7 @@ class LivePoint:
             self._tell("zero", f"{self.name}: calibration {number} gives the rows; the zero is kept by {moved} mm.")
         elif not newer.has_own_zero:
             newer.journal.announce_new_datum("too few rows with measurements were common with the opening before.")
+        self._unpublished = older.journal.fresh()
         self._last.append(older.journal.batch())
         self._feeding, self._next, self._opened_in = self._next, None, self._opening_in
         # The store must not go back to the opening before.
@@ -287,7 +291,10 @@ class LivePoint:
 
     def fresh(self) -> Chunk | None:
         """The rows since the last time, to be published; `batch` keeps them."""
-        return None if self.opened is None else self.opened.journal.fresh()
+        before, self._unpublished = self._unpublished, None
+        now = None if self.opened is None else self.opened.journal.fresh()
+        both = [one for one in (before, now) if one is not None]
+        return join(both) if both else None
 
     def batch(self, *, last: bool = False) -> Batch:
         """What is to be kept since the last time; with a checkpoint where one is due, or at the end."""

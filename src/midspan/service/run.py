@@ -181,6 +181,8 @@ class Service:
             return
         # Where another calibration came into force since, the rows go on until the point is opened with it.
         found = opened(folder, one.name, loaded(one.live, store, number), number, push=False)
+        if number != one.live.number and {ACCELEROMETER, *found.point.sensors} != set(one.live.plan.sources):
+            return
         resumed(found, kept, store)
         one.live.resumed(found, folder)
         one.published_ns = store.newest_ns(one.name, ROWS) or 0

@@ -173,9 +173,9 @@ class Running:
         status = self.live.status
         if self.live.opened is None:
             return self.live.reason or ("opening" if self.live.number else "calibrating")
-        if self.live.catches_up or status is PointStatus.WARMING:
+        if status is PointStatus.WARMING:
             return "opening"
-        return "lost" if status is PointStatus.LOST else ""
+        return self.live.held_up or ("lost" if status is PointStatus.LOST else "")
 
     def kind(self, sensor: str) -> str:
         """The kind of one of the point's sensors."""
