@@ -32,6 +32,7 @@ from midspan.service.web import application, listening, server
 from midspan.settings.kinds import ACCELEROMETER
 from midspan.settings.site import Site
 from midspan.settings.site_folders import captures_of
+from midspan.settings.stored.calibration import Calibration
 from midspan.store.archive import archive
 from midspan.store.store import Batch, Store
 
@@ -206,7 +207,7 @@ class Service:
         live = one.live
         try:
             if job.kind == "open":
-                live.narrow(needed(loaded(live, self._keeper.store())))
+                live.narrow(needed(await asyncio.to_thread(self._calibration, one)))
             async with self._one_at_a_time[job.kind]:
                 await (self._calibrate(one, job) if job.kind == "calibrate" else self._open(one, job))
         except Exception as error:
@@ -225,7 +226,7 @@ class Service:
 
     async def _open(self, one: Running, job: Job) -> None:
         live = one.live
-        calibration = loaded(live, self._keeper.store())
+        calibration = await asyncio.to_thread(self._calibration, one)
         kernels = (live.plan.settings.method, *sorted(one.kind(name) for name in live.plan.sources))
         if kernels not in self._compiled:
             await compiled(job.folder, calibration)
@@ -234,6 +235,10 @@ class Service:
         self._intake.cut(one, *(other for other in (live.opened, found) if other is not None))
         live.is_opened(found)
         self._say(f"{live.name}: runs.")
+
+    def _calibration(self, one: Running) -> Calibration:
+        with of_a_thread(self.site.store) as store:
+            return loaded(one.live, store)
 
     def _add_calibration(self, one: Running, body: str, accept: bool) -> int:
         with of_a_thread(self.site.store) as store:
