@@ -1,4 +1,4 @@
-"""Files of seismic networks: K-NET, SAC, GSE2 by ObsPy; miniSEED under archive names and in SEED volumes; COSMOS V1."""
+"""Files of seismic networks: K-NET, SAC, GSE2; miniSEED under archive names and in SEED volumes; COSMOS V1."""
 
 import importlib
 import json
@@ -75,6 +75,39 @@ def test_sac_and_gse2_give_their_numbers_and_times(tmp_path: Path, kind: str, na
     assert np.abs(np.diff(series.time_ns) - 10_000_000).max() <= 2
     with pytest.raises(UsageError, match="unit"):
         accelerations(tmp_path / name)
+
+
+@pytest.mark.parametrize("sub_format", ["CM6", "INT"])
+def test_gse2_gives_every_sample_and_a_damaged_block_is_a_gap(tmp_path: Path, sub_format: str) -> None:
+    obspy = pytest.importorskip("obspy")
+    # Values of all sizes up to 2^14: one to four characters a sample.
+    rng = np.random.default_rng(17)
+    values = [np.rint(2.0 ** rng.uniform(0, 14, 500) * rng.choice([-1, 1], 500)).astype(np.int32) for _ in range(3)]
+    starts = [obspy.UTCDateTime(ns=START_NS + k * 10**10) for k in range(3)]
+    path = tmp_path / "a.gse2"
+    if sub_format == "CM6":
+        header = {"sampling_rate": RATE_HZ, "station": "S", "channel": "HNZ"}
+        traces = [obspy.Trace(part, {**header, "starttime": t}) for part, t in zip(values, starts, strict=True)]
+        obspy.Stream(traces).write(str(path), format="GSE2")
+    else:
+        text = ""
+        for part, start in zip(values, starts, strict=True):
+            stamp = start.strftime("%Y/%m/%d %H:%M:%S.500")
+            text += f"WID2 {stamp} S     HNZ      INT      500  100.000000   1.00e+00   1.000\nDAT2\n"
+            text += " ".join(map(str, part)) + f"\nCHK2 {abs(int(part.sum()))}\n"
+        path.write_text(text)
+    found = list_channels(path)
+    np.testing.assert_array_equal(found.channels[0].values, np.concatenate(values))
+    assert found.channels[0].time_ns is not None
+    np.testing.assert_array_equal(found.channels[0].time_ns[::500], START_NS + np.arange(3) * 10**10)
+    # A changed character changes all samples that follow in CM6: the checksum tells.
+    data = bytearray(path.read_bytes())
+    place = data.index(b"DAT2", data.index(b"DAT2") + 4) + 60
+    data[place] = ord("1") if data[place : place + 1] != b"1" else ord("2")
+    path.write_bytes(data)
+    found = list_channels(path)
+    np.testing.assert_array_equal(found.channels[0].values, np.concatenate((values[0], values[2])))
+    assert len(found.damage) == 1
 
 
 def test_a_missing_library_is_named_with_its_extra(
@@ -160,4 +193,4 @@ def test_the_list_of_formats_names_the_extra(capsys: pytest.CaptureFixture[str])
     assert run(["formats"]) == 0
     out = capsys.readouterr().out
     assert "K-NET and KiK-net (by ObsPy (extra seismic))" in out
-    assert {"K-NET and KiK-net", "SAC", "GSE"} <= {name for name, _, _ in FORMATS}
+    assert {"K-NET and KiK-net", "SAC", "GSE2"} <= {name for name, _, _ in FORMATS}
