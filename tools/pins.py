@@ -12,7 +12,7 @@ from pathlib import Path
 from packaging.requirements import Requirement
 
 # The extras that users install; all others are tools of the developers.
-EXTRAS = ("", "csq", "live")
+EXTRAS = ("", "csq", "live", "seismic")
 ROOT = Path(__file__).resolve().parents[1]
 
 

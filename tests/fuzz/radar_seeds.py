@@ -106,6 +106,14 @@ def _slow_hdf5(form):
     return write
 
 
+def _a111(path):
+    with h5py.File(path, "w") as file:
+        file["mode"], file["data"] = "IQ", phasors()
+        file["session_info"] = json.dumps({"range_start_m": 0.3, "step_length_m": 0.03})
+        file["sensor_config_dump"] = json.dumps({"update_rate": 100.0})
+        file["sample_times"] = 1.7e9 + np.arange(len(phasors())) / 100.0
+
+
 def _acconeer(path):
     frames = np.zeros((60, 5, 3), dtype=[("real", "<i2"), ("imag", "<i2")])
     z = phasors(count=300)[:, 0].reshape(60, 5, 3) * 1000
@@ -138,5 +146,6 @@ RADARS = (
     Seed("slow-npy", "radar npy", "slow.npy",
          radar(lambda path: np.save(path, phasors()), "slow.npy", "rate_hz = 100.0\ncarrier_hz = 60.5e9\n"),
          commands=RECORDING),
+    Seed("a111", "radar Acconeer", "a111.h5", radar(_a111, "a111.h5"), commands=RECORDING),
     Seed("acconeer", "radar Acconeer", "acco.h5", radar(_acconeer, "acco.h5"), commands=RECORDING),
 )  # fmt: skip

@@ -116,6 +116,43 @@ def _lvm(path):
     path.write_text(head.format(n=TABLE_ROWS) + rows)
 
 
+def _bare_lvm(path):
+    path.write_text("".join(f"{t:.7f}\t{v:.6f}\n" for t, v in zip(TIME_S, ACCEL, strict=True)))
+
+
+def _knet(path):
+    head = (
+        "Origin Time       2024/05/01 12:00:00\nLat.              38.1\nLong.             142.8\nDepth. (km)       24\n"
+        "Mag.              5.0\nStation Code      MYG004\nStation Lat.      38.7\nStation Long.     141.0\n"
+        "Station Height(m) 40\nRecord Time       2024/05/01 12:00:38\nSampling Freq(Hz) 128Hz\nDuration Time(s)  5\n"
+        "Dir.              N-S\nScale Factor      3920(gal)/6182761\nMax. Acc. (gal)   2.6\n"
+        "Last Correction   2024/05/01 12:00:00\nMemo.             \n"
+    )
+    counts = np.rint(ACCEL * 1e5).astype(int)
+    rows = ("".join(f"{v:9d}" for v in counts[k : k + 8]) for k in range(0, TABLE_ROWS, 8))
+    path.write_text(head + "\n".join(rows) + "\n")
+
+
+def _obspy(kind, dtype):
+    def write(path):
+        import obspy
+
+        header = {
+            "sampling_rate": TABLE_HZ,
+            "station": "STA",
+            "channel": "HNZ",
+            "starttime": obspy.UTCDateTime(2024, 5, 1),
+        }
+        obspy.Trace(np.rint(ACCEL * 1e5).astype(dtype), header).write(str(path), format=kind)
+
+    return write
+
+
+def _volume(path):
+    _miniseed(2, STEIM2, "i")(path)
+    path.write_bytes(b"000001V 0100090 2.4".ljust(512) + path.read_bytes())
+
+
 def _miniseed(version, encoding, kind):
     values = (
         np.rint(ACCEL * 1e5).astype(np.int32) if kind == "i" else ACCEL.astype(np.float32 if kind == "f" else float)
@@ -204,6 +241,11 @@ TABLES = (
     Seed("mseed3", "miniSEED 3", "a.mseed", table(_miniseed(3, STEIM2, "i"), "a.mseed")),
     Seed("mseed3-float", "miniSEED 3", "a.mseed",
          table(_miniseed(3, pymseed.DataEncoding.FLOAT64, "d"), "a.mseed")),
+    Seed("seed-volume", "full SEED", "a.seed", table(_volume, "a.seed")),
+    Seed("lvm-bare", "LVM", "a.lvm", table(_bare_lvm, "a.lvm"), text=True),
+    Seed("knet", "K-NET", "a.knet", table(_knet, "a.knet"), text=True),
+    Seed("sac", "SAC", "a.sac", table(_obspy("SAC", np.float32), "a.sac")),
+    Seed("gse2", "GSE2", "a.gse2", table(_obspy("GSE2", np.int32), "a.gse2"), text=True),
     Seed("uff", "UFF 58", "a.uff", table(_uff(0), "a.uff", 'value = "4:+Z"\n'), text=True),
     Seed("uff-binary", "UFF 58", "a.uff", table(_uff(1), "a.uff", 'value = "4:+Z"\n')),
     Seed("v2", "V2", "a.v2", table(_csmip, "a.v2", 'unit = "cm/s^2"\nvalue = "channel_1_acceleration"\n'), text=True),

@@ -1,5 +1,6 @@
 """Radiometric JPEG of FLIR cameras are temperatures; damaged FLIR files are one sentence."""
 
+import struct
 from pathlib import Path
 
 import cv2
@@ -95,6 +96,32 @@ def test_a_flir_jpeg_without_counts_is_a_picture_and_that_is_reported(tmp_path: 
     (tmp_path / "DC_1.jpg").write_bytes(flir_jpeg(records[:64] + b"\x0e" + records[65:]))
     assert not is_thermal(tmp_path / "DC_1.jpg")
     assert "8-bit grey levels, not temperatures" in " ".join(open_thermal(tmp_path / "DC_1.jpg", AT_5).info.notes)
+
+
+def dji_jpeg(path: Path, maker: bytes = b"DJI", count_bytes: int = 2 * 160 * 120) -> Path:
+    """A picture to look at with a maker's name and segments APP3 of counts, of 60 000 bytes at most each."""
+    ok, shown = cv2.imencode(".jpg", np.full((24, 32), 90, np.uint8))
+    assert ok
+    picture, counts = shown.tobytes(), bytes(count_bytes)
+    exif = b"Exif\0\0MM\0*" + maker + b"\0H20T\0"
+    parts = [counts[k : k + 60000] for k in range(0, len(counts), 60000)]
+    segments = [(0xE1, exif), *((0xE3, part) for part in parts)]
+    written = b"".join(bytes((0xFF, kind)) + struct.pack(">H", len(part) + 2) + part for kind, part in segments)
+    path.write_bytes(picture[:2] + written + picture[2:])
+    return path
+
+
+@pytest.mark.parametrize("pattern", ["", "*.jpg", "a.jpg"])
+def test_a_thermal_jpeg_of_dji_is_named_in_its_refusal(tmp_path: Path, pattern: str) -> None:
+    dji_jpeg(tmp_path / "a.jpg")
+    with pytest.raises(DataError, match=r"a\.jpg: a thermal JPEG of DJI\. Its 16-bit counts are there"):
+        open_thermal(tmp_path / pattern, AT_5)
+
+
+@pytest.mark.parametrize("keys", [{"maker": b"Other"}, {"count_bytes": 500}])
+def test_other_pictures_of_light_are_still_grey_levels(tmp_path: Path, keys: dict[str, object]) -> None:
+    notes = open_thermal(dji_jpeg(tmp_path / "a.jpg", **keys), AT_5).info.notes
+    assert "8-bit grey levels, not temperatures" in " ".join(notes)
 
 
 def test_a_part_that_is_missing_is_named(tmp_path: Path) -> None:

@@ -361,3 +361,23 @@ def test_the_contract_example_reads_as_it_stands() -> None:
     truth = read_series(folder / "truth.csv", SeriesRequest("displacement", "time_s", "displacement_mm", "mm"))
     np.testing.assert_array_equal(np.diff(series.time_ns), 10_000_000)
     assert series.time_ns.size == truth.time_ns.size
+
+
+@pytest.mark.parametrize(("decimal", "head"), [(".", ""), (",", ""), (".", "Time\tacc\n")])
+def test_lvm_without_labviews_header_is_read_as_text_columns(tmp_path: Path, decimal: str, head: str) -> None:
+    path = tmp_path / "log.lvm"
+    rows = "".join(f"{k / 200:.6f}\t{0.5 * np.sin(k / 9):.6f}\n" for k in range(300)).replace(".", decimal)
+    path.write_text(head + rows)
+    series = read_series(path, request(unit="g"))
+    np.testing.assert_array_equal(np.diff(series.time_ns), 5_000_000)
+    np.testing.assert_allclose(series.value, np.round(0.5 * np.sin(np.arange(300) / 9), 6) * G, rtol=1e-12)
+    assert "no header of LabVIEW: read as text columns" in series.notes
+
+
+def test_an_lvm_header_without_its_separator_shows_it(tmp_path: Path) -> None:
+    path = tmp_path / "log.lvm"
+    text = LVM.format(sign=".", columns="One", rows="".join(f"{0.25 * k}\t{1.5 * k}\t-1.0\n" for k in range(3)))
+    kept = [line for line in text.splitlines(keepends=True) if not line.startswith("Separator")]
+    for separator in ("\t", ","):
+        path.write_text("".join(kept).replace("\t", separator))
+        np.testing.assert_allclose(read_series(path, request(value="acc")).value, np.array([0, 1.5, 3.0]) * G)

@@ -1,7 +1,7 @@
-"""K-NET and KiK-net, SAC and GSE, read with ObsPy, which is an extra of this package.
+"""K-NET and KiK-net, and SAC, read with ObsPy, which is an extra of this package.
 
 K-NET's counts become m/s² by the scale factor of their header, and their start is in UTC without the 15 s of delay that
-the header's time has (NIED, K-NET ASCII format). SAC and GSE hold numbers whose unit the file does not say surely.
+the header's time has (NIED, K-NET ASCII format). SAC holds numbers whose unit the file does not say surely.
 """
 
 import importlib
@@ -17,8 +17,7 @@ from midspan.sources.accelerometer.channel import Channel, ChannelSet
 from midspan.sources.declared_size import require_memory
 
 INSTALL = "pip install 'midspan[seismic]'"
-# A number of text (K-NET: nine characters), of Steim-like compression (GSE: two) and of four bytes become eight bytes
-# of value and eight of time.
+# A number of four bytes (SAC) becomes eight bytes of value, and what they are worked out of; one of K-NET has nine.
 _BYTES_OF_A_BYTE = 8
 
 
@@ -30,13 +29,6 @@ def read_knet(path: Path) -> ChannelSet:
 def read_sac(path: Path) -> ChannelSet:
     """The channel of a SAC file, without a unit."""
     return _read(path, "SAC")
-
-
-def read_gse(path: Path) -> ChannelSet:
-    """The channels of a GSE file, version 2 or 1, in counts, without a unit; its calibration is reported."""
-    with path.open("rb") as file:
-        head = file.read(4)
-    return _read(path, "GSE1" if head in (b"WID1", b"XW01") else "GSE2")
 
 
 def _read(path: Path, kind: str) -> ChannelSet:
@@ -66,10 +58,6 @@ def _channel(name: str, traces: list[Any], kind: str, notes: list[str]) -> Chann
     if kind == "KNET":
         values, unit = values * float(stats.calib), "m/s^2"
         notes.append(f"{name}: counts times the scale factor of the header; the zero is the recorder's")
-    elif float(stats.calib) != 1.0:
-        notes.append(f"{name}: its header has a calibration of {float(stats.calib):g} a count, which is not applied")
-    if len(traces) > 1:
-        notes.append(f"{name}: {len(traces) - 1} gaps")
     return Channel(name, values, unit, float(stats.sampling_rate), None, np.concatenate([_times(t) for t in traces]))
 
 

@@ -14,6 +14,7 @@ from midspan.sources.declared_size import require_memory
 from midspan.sources.hdf5_members import open_hdf5
 from midspan.sources.radar.acconeer import CARRIER_HZ, FRAMES_AT_A_TIME
 from midspan.sources.radar.radar_source import RadarRequest, RadarSource, at_bins, stamps
+from midspan.sources.radar.slow_time import MAX_PHASOR
 from midspan.sources.radar.stored import dataset, values
 from midspan.trees import json_tree
 
@@ -81,8 +82,11 @@ class A111Recording(RadarSource):
         begin, end, _ = slice(start, stop).indices(len(times))
         for first in range(begin, end, FRAMES_AT_A_TIME):
             last = min(first + FRAMES_AT_A_TIME, end)
-            raw = np.asarray(self._data[first:last], dtype=np.complex64)
+            # What does not fit is a frame that is missing.
+            with np.errstate(invalid="ignore", over="ignore"):
+                raw = np.asarray(self._data[first:last], dtype=np.complex64)
             z = raw if raw.ndim == 2 else raw[:, 0]
+            z = np.where(np.abs(z) < MAX_PHASOR, z, np.complex64(np.nan))
             yield RangeFrames(times[first:last], z[:, None, :], np.asarray(np.isfinite(z).all(axis=1)).reshape(-1, 1))
 
     def _slow_time(self, bins: Floats, start: int, stop: int | None) -> Iterator[RangeFrames]:

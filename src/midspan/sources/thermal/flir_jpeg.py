@@ -57,6 +57,14 @@ def embedded_block(file: Path) -> bytes:
 
 def _parts(data: BinaryIO) -> Iterator[tuple[int, int, int]]:
     """The FLIR segments before the picture: number of the part, of the last one, and bytes; the file is at them."""
+    for marker, count in segments(data):
+        name = data.read(_HEAD_BYTES) if marker == _APP1 and count >= _HEAD_BYTES else b""
+        if name.startswith(_NAME) and len(name) == _HEAD_BYTES:
+            yield name[6], name[7], count - _HEAD_BYTES
+
+
+def segments(data: BinaryIO) -> Iterator[tuple[int, int]]:
+    """The segments of a JPEG before its picture: marker and bytes of content; the file is at the content."""
     if data.read(2) != _START:
         return
     place = 2
@@ -64,8 +72,6 @@ def _parts(data: BinaryIO) -> Iterator[tuple[int, int, int]]:
         mark, marker, count = struct.unpack(">BBH", head)
         if mark != 0xFF or marker == _SCAN or count < 2:
             return
-        name = data.read(_HEAD_BYTES) if marker == _APP1 and count >= 2 + _HEAD_BYTES else b""
-        if name.startswith(_NAME) and len(name) == _HEAD_BYTES:
-            yield name[6], name[7], count - 2 - _HEAD_BYTES
+        yield marker, count - 2
         place += 2 + count
         data.seek(place)

@@ -9,6 +9,7 @@ from midspan.sources.camera.formats import open_frames, require_readable
 from midspan.sources.camera.frames import FrameRequest
 from midspan.sources.camera.guarded import GuardedFrames
 from midspan.sources.camera.timing import check_request
+from midspan.sources.thermal.dji_jpeg import refuse_dji
 from midspan.sources.thermal.flir import SUFFIXES, FlirFrames, natural_order
 from midspan.sources.thermal.flir_jpeg import SUFFIXES as JPEG_SUFFIXES
 from midspan.sources.thermal.flir_jpeg import is_flir_jpeg, is_jpeg
@@ -42,6 +43,8 @@ def open_thermal(path: Path, request: ThermalRequest | None = None) -> FrameSour
             left_out = sum(is_jpeg(file) for file in _files(path)) - len(files) if is_jpeg(files[0]) else 0
             frames = FlirFrames(files, request, left_out)
             return RepairedFrames(GuardedFrames(frames, path, "FLIR frames"), str(path))
+        for file in _files(path):
+            refuse_dji(file)
         pictures = ThermalPictures(open_frames(path, request.frames), request, str(path))
         return RepairedFrames(pictures, str(path)) if pictures.info.radiometric else pictures
 
