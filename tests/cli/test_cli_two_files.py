@@ -68,6 +68,8 @@ def test_two_files_become_a_result_with_the_right_sign_and_scale(desk, tmp_path,
         assert f"begins +{apart_s + 1.0:.0f}" in capsys.readouterr().err
         assert "begins +8" in json.loads(output.with_suffix(".json").read_text())["warnings"][0]
     camera = json.loads(output.with_suffix(".json").read_text())["calibration"]["camera"]
+    # The logger's time is the video's plus the offset; the motion tells it to a fraction of a ms.
+    assert camera["time_offset_s"] == pytest.approx(apart_s + 1.0, abs=2e-3)
     error = camera["scale_mm_per_px"] - LIVELY.mm_per_px
     assert abs(error) < 4.0 * camera["scale_std_mm_per_px"]
     rows = np.genfromtxt(output, delimiter=",", names=True, dtype=None, encoding="utf-8")

@@ -116,6 +116,21 @@ def _coloured_band(pair: Pair, fit: Fit) -> Misfit:
     return Misfit(factor, float((starts[k] + 0.5 * width) * pair.rate_hz / n))
 
 
+def offset_variance_factor(fit: Fit) -> float:
+    """By how much coloured innovations make the clock offset's variance larger than white ones do; 1 or more.
+
+    The offset is the sum of the innovations times the whitened velocity: its variance is their spectra's product.
+    """
+    w = fit.whitened
+    residual, speed = fit.residual, w.columns[:, 2] / np.sqrt(w.variance)
+    power, weight = (np.abs(np.fft.rfft(one - np.mean(one)))[1:] ** 2 for one in (residual, speed))
+    if len(power) < MIN_ORDINATES:
+        return 1.0
+    smooth = np.convolve(np.pad(power, MIN_ORDINATES // 2, "reflect"), np.ones(MIN_ORDINATES) / MIN_ORDINATES, "same")
+    smooth = smooth[MIN_ORDINATES // 2 : MIN_ORDINATES // 2 + len(power)]
+    return max(1.0, float(weight @ smooth / max(float(np.sum(weight) * np.mean(power)), 1e-300)))
+
+
 def colour(fit: Fit) -> tuple[float, float]:
     """Sum of squared autocorrelations of the innovations times their number, and the sum itself."""
     residual = fit.residual

@@ -19,18 +19,30 @@ from midspan.records import Floats
 SEGMENT_S = 1.0
 # So many measurements are needed to look for another offset.
 MIN_ROWS = 20
+# So much of a long record is compared at all offsets, s.
+PART_S = 120.0
+# An offset is that of the clocks, whatever is left, where the acceleration explains more than this share of the
+# innovations' power there and at no other offset more than this share of the evidence is found. A tone's alternatives
+# have nearly all of it, those of another event hardly any anywhere.
+MIN_EXPLAINED, MAX_SHARE = 0.5, 0.5
 
 
 @dataclass(frozen=True, slots=True)
 class Rival:
-    """The likeliest fit beyond a range of offsets; lead: its evidence minus that of the best one within the range.
+    """The likeliest fit beyond a range of offsets, its evidence, and that of the best one within the range.
 
     certain: the lead (either way) that no noise makes.
     """
 
     fit: Fit
-    lead: float
+    evidence: float
+    within: float
     certain: float
+
+    @property
+    def lead(self) -> float:
+        """By how much it is the likelier one (logarithm)."""
+        return self.evidence - self.within
 
     @property
     def better(self) -> bool:
@@ -61,7 +73,31 @@ def likeliest_beyond(pair: Pair, near: Fit, within_s: float) -> Rival | None:
     best = max(apart, key=lambda fit: _evidence(pair, fit))
     near, best = (_with_own_noise(pair, fit, step) for fit in (near, best))
     count = len(pair.used(near.offset_s))
-    return Rival(best, _evidence(pair, best) - _evidence(pair, near), least_lead(count))
+    return Rival(best, _evidence(pair, best), _evidence(pair, near), least_lead(count))
+
+
+def stands_alone(pair: Pair, fit: Fit) -> bool:
+    """Whether the acceleration explains most of the measurements at a fit's offset, and at no other half as well.
+
+    What is left then is an error of a sensor in proportion to the motion, for no offset of another motion does that.
+    """
+    pair = first_part(pair)
+    rival = likeliest_beyond(pair, fit, 0.0)
+    if rival is None:
+        return False
+    explained = 1.0 - float(np.exp(-2.0 * rival.within / len(pair.used(fit.offset_s))))
+    return explained > MIN_EXPLAINED and rival.evidence < MAX_SHARE * rival.within
+
+
+def first_part(pair: Pair) -> Pair:
+    """The pair's first measurements, with the acceleration for as long before and after: a long scan takes long."""
+    first, last = float(pair.rows[0, 0]), float(pair.rows[0, 0]) + PART_S
+    if pair.rows[-1, 0] <= last:
+        return pair
+    rows = pair.rows[pair.rows[:, 0] <= last]
+    near = (pair.samples[:, 0] >= first - PART_S) & (pair.samples[:, 0] <= last + PART_S)
+    outside = None if pair.outside is None else pair.outside[near]
+    return replace(pair, rows=rows, samples=pair.samples[near], outside=outside, cross=None)
 
 
 def _with_own_noise(pair: Pair, fit: Fit, step_s: float) -> Fit:

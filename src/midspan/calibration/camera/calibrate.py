@@ -17,6 +17,7 @@ from midspan.calibration.noise import learn_motion
 from midspan.calibration.own_noise import contradiction, strange_noise
 from midspan.calibration.scale import (
     MIN_FRAMES,
+    PARTS,
     REFUSED_ABOVE,
     ScaleCalibration,
     start_noise,
@@ -77,9 +78,30 @@ def fit_camera(
     parts = [
         _given(view, targets, _fit_of(targets, camera, fit)) for camera, (view, fit) in zip(cameras, axes, strict=False)
     ]
+    if _is_estimated(main):
+        _refuse_vague(parts[0])
     if second and len(parts) == 1:
         return _with_tracked(main, targets, parts[0], refused)
     return tuple(parts)
+
+
+def _is_estimated(view: View) -> bool:
+    """Whether the scale factor along an axis is estimated by likelihood, not known beforehand or as printed."""
+    return view.scale is None and view.printed is None
+
+
+def _refuse_vague(fit: CameraFit) -> None:
+    """UntrustedError where a scale factor is too vague to be given out, whatever makes it so."""
+    total, scale = fit.calibration.relative_std, fit.calibration.scale
+    if total <= REFUSED_ABOVE:
+        return
+    largest = max(fit.parts, key=lambda part: fit.parts[part])
+    cause, remedy = PARTS[largest]
+    raise UntrustedError(
+        f"The scale factor is too uncertain: it would be {1e3 * scale.value_m_per_px:.4g} mm/px ± {100 * total:.2g} %, "
+        f"and at most ± {100 * REFUSED_ABOVE:g} % is given out. The largest part, ± {100 * fit.parts[largest]:.2g} %, "
+        f"comes from {cause}. {remedy}"
+    )
 
 
 def _given(view: View, seen: Sequence[SeenTarget], fit: CameraFit) -> CameraFit:

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from midspan.calibration.agreement import clearly_better, unexplained
+from midspan.calibration.agreement import clearly_better, offset_variance_factor, unexplained
 from midspan.calibration.clock_rate import ClockRate, find_clock_rate
 from midspan.calibration.direction import Turned, turned
 from midspan.calibration.fit import Fit, Pair
@@ -14,6 +14,7 @@ from midspan.calibration.scale import MIN_GAIN, is_ambiguous
 from midspan.calibration.sensor_scale import calibrate_sensor_scale, unexplained_text
 from midspan.calibration.time_offset import BEYOND, FARTHER_WINDOW_S, OffsetSearch, farther, farther_s
 from midspan.calibration.unfelt import refuse_unfelt
+from midspan.calibration.whole_overlap import first_part, likeliest_beyond, stands_alone
 from midspan.errors import DataError, UntrustedError
 from midspan.notices import Notice
 from midspan.records import NANOSECONDS, TimeOffset, TimeSeries
@@ -170,7 +171,7 @@ def learn(given: Given, series: TimeSeries) -> NoiseCalibration:
     learnt = replace(_widened(learnt, axis), warnings=(*learnt.warnings, *notes))
     if beside.one_clock:
         return _on_one_clock(learnt, found)
-    _refuse_doubtful_offset(beside, learnt, found)
+    learnt = _accepted_offset(beside, learnt, found)
     return replace(learnt, warnings=(*learnt.warnings, *_offset_warnings(beside, learnt)))
 
 
@@ -259,20 +260,30 @@ def _refuse_jumps(prepared: PreparedAcceleration, origin_ns: int, found: Finding
     refuse_unfelt(prepared, time_ns, moved_m, np.full(len(rows), noise_m**2))
 
 
-def _refuse_doubtful_offset(beside: _Beside, learnt: NoiseCalibration, found: Findings) -> None:
-    """UntrustedError where the clock offset that was asked for is not to be accepted."""
+def _accepted_offset(beside: _Beside, learnt: NoiseCalibration, found: Findings) -> NoiseCalibration:
+    """UntrustedError where the clock offset that was asked for is not to be accepted; else with its variance as it is
+    where what is left is no noise.
+    """
     search, limit = found.search, beside.max_offset_s
-    if search is None or not search.offset.variance < CERTAIN_S**2:
-        return
+    if search is None:
+        return learnt
+    if not search.offset.variance < CERTAIN_S**2:
+        _refuse_anywhere_else(beside, search)
+        return learnt
     fit, std = search.fit, float(np.sqrt(search.offset.variance))
+    factor = 1.0
     if fit.likelihood - fit.without < MIN_GAIN:
+        _refuse_anywhere_else(beside, search)
         if learnt.offset.value_s != 0.0:
             raise UntrustedError(unexplained_text(fit.offset_s, limit))
-        return
+        return learnt
     # What a sensor leaves that averages is explained.
     averages = found.pair.exposure_s > 0.0
     if unexplained(*((found.pair, found.fit) if averages else (search.pair, fit))):
-        raise UntrustedError(unexplained_text(fit.offset_s, limit))
+        _refuse_anywhere_else(beside, search)
+        if not stands_alone(search.pair, fit):
+            raise UntrustedError(unexplained_text(fit.offset_s, limit))
+        factor = offset_variance_factor(fit)
     gain = fit.likelihood - fit.without
     if search.runner_up is not None and _ambiguous(search) and (learnt.offset.value_s != 0.0 or gain > TELLING_GAIN):
         raise UntrustedError(
@@ -283,6 +294,15 @@ def _refuse_doubtful_offset(beside: _Beside, learnt: NoiseCalibration, found: Fi
         )
     if abs(fit.offset_s) > limit + BEYOND * std:
         raise UntrustedError(_beyond(beside, fit.offset_s))
+    return replace(learnt, offset=replace(learnt.offset, variance=factor * learnt.offset.variance))
+
+
+def _refuse_anywhere_else(beside: _Beside, search: OffsetSearch) -> None:
+    """UntrustedError where the clocks agree at an offset that is farther off than was searched, and only there."""
+    pair = first_part(search.pair)
+    rival = likeliest_beyond(pair, search.fit, beside.reach_s)
+    if rival is not None and rival.better and stands_alone(pair, rival.fit):
+        raise UntrustedError(_beyond(beside, rival.fit.offset_s))
 
 
 def _ambiguous(search: OffsetSearch) -> bool:
