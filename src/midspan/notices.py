@@ -27,6 +27,11 @@ NOTICES: dict[str, tuple[Severity, str, str]] = {
         "noise: drift, cross motion, a mounting or bracket that vibrates, clipped crests",
         "check mounting, axes and region; raise the frame rate",
     ),
+    "accelerometer-resonates": (
+        _WARNING,
+        "the accelerometer feels fast motion too strongly, as on a bracket or railing that resonates",
+        "mount it stiffly on the structure itself",
+    ),
     "calibration-foreign": (
         _SERIOUS,
         "the calibration that was given does not fit this recording: other lens, distance, sign or clocks",

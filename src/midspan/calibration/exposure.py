@@ -11,6 +11,7 @@ import numpy as np
 
 from midspan.calibration.agreement import misfit
 from midspan.calibration.fit import Fit, Pair, best_corner
+from midspan.calibration.frequency_response import exposure_shows
 from midspan.calibration.minimum import global_minimum
 
 # The exposure is found to this share of the longest one; number of exposures that are tried first.
@@ -34,7 +35,8 @@ def find_exposure(pair: Pair, fit: Fit) -> Exposed:
     """The pair with the most likely exposure of its measurements, none where the motion does not show it, and its fit.
 
     An exposure is taken where it gains more likelihood, with any gain, than a parameter without effect would (as in
-    `fit.with_input_noise`) and explains more than it leaves. It is no longer than the interval of the measurements.
+    `fit.with_input_noise`), explains the readings better than any delay, and explains more than it leaves. It is no
+    longer than the interval of the measurements.
     Where none is taken those that the motion does not exclude make the gain uncertain.
     """
     longest_s, free = 1.0 / pair.rate_hz, replace(pair, ratio=None)
@@ -51,7 +53,7 @@ def find_exposure(pair: Pair, fit: Fit) -> Exposed:
     explained = none.noise > misfit(replace(free, exposure_s=share * longest_s), best).factor * best.noise
     if abs(best.ratio - 1.0) > MAX_GAIN_ERROR:
         return Exposed(pair, fit)
-    if not (gained and explained):
+    if not (gained and explained and exposure_shows(pair, fit)):
         # What the motion does not exclude, the gain may be off by: over all exposures, each by its likelihood.
         tried = [fitted(float(one)) for one in np.linspace(0.0, 1.0, TRIED)]
         weights = np.exp([one.likelihood - best.likelihood for one in tried])

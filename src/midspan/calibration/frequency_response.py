@@ -3,14 +3,17 @@
 A calibration has one ratio s of the translation p and the acceleration integrated twice, D. Three things make it a
 smooth function of frequency:
 
-    exposure T        p = s · mean of D over T         falls with the frequency's square
+    exposure T        p = s · mean of D over T         falls with the frequency's square, later as a sinc
+    resonance 1/c     p = s (D + c D'')                falls with the frequency's square
     lean gκ           u = D + gκ ∬u                    rises, most at low frequencies
     logger q, r       u = D + q D''' − r D''           delay and ratio rise with the frequency's square
 
 The exposure is the camera's; only its mean over the frame's interval is without doubt. A tower leans by κ radians for
 each metre that it moves, so that gravity takes gκ u from the acceleration of its horizontal axis. A logger's low-pass
 delays fast motion more than slow motion, whose delay is a clock offset, and may weaken it. Where leaning and a droop r
-explain equally well why the ratio rises, both are in σ.
+explain equally well why the ratio rises, both are in σ. A bracket or railing below the accelerometer that resonates
+far above the motion, at 1/(2π √c) Hz, makes it feel fast motion too strongly: whether that or an exposure is why the
+ratio falls is decided by likelihood, one shape at a time.
 
 Each is one more column of the regression of the whitened translation (see `whitening`): likelihood, step towards the
 most likely value and covariance come from one run of the filter. ∬u is that of the translation over the ratio.
@@ -41,6 +44,12 @@ VERTICAL_M_S2 = 9.0
 # Gain in the logarithm of the likelihood from which a kind counts as found: chance alone reaches it in one of two
 # thousand. One that gains less is in the deviations.
 MIN_GAIN = 6.0
+# Parts of the record by which the scatter of a coefficient is judged: each several periods of the slowest motion.
+PARTS = 12
+# The resonance (Hz) that does what an exposure (s) does, but for the frequency's fourth power: (f π T)²/6 = f²/f_r².
+RESONANCE_OF_EXPOSURE = np.sqrt(6.0) / np.pi
+# No resonance lies below this, Hz: the motion itself would be beyond it.
+MIN_RESONANCE_HZ = 2.0
 # Where the ratio together with a kind is known to no better than this (relative), the kind is not found: motion of
 # nearly one frequency fits any of them.
 MAX_OPEN = 0.01
@@ -59,13 +68,19 @@ class Kind(IntEnum):
     LEAN = 1
     LAG = 2
     DROOP = 3
+    RESONANCE = 4
+
+
+# One of each at most: one number with two signs; two that differ in the fourth power of the frequency only.
+ALIKE = ({Kind.DROOP, Kind.RESONANCE}, {Kind.EXPOSURE, Kind.RESONANCE})
 
 
 @dataclass(frozen=True, slots=True)
 class Regression:
     """The translation regressed on some of the columns, at its most likely corner frequency (rad/s).
 
-    free: the columns' numbers; coefficients (k,) and covariance (k, k) in their order.
+    free: the columns' numbers; coefficients (k,) and covariance (k, k) in their order. scatter: variance of the last
+    coefficient by how far parts of the record differ in it, over that in the covariance; 1 at least.
     """
 
     free: tuple[int, ...]
@@ -73,6 +88,7 @@ class Regression:
     likelihood: float
     coefficients: Floats
     covariance: Floats
+    scatter: float = 1.0
 
     @property
     def relative_std(self) -> float:
@@ -90,8 +106,9 @@ class FrequencyResponse:
     """What was found, and what it and the rest leave open in addition to the noise.
 
     known: the kinds found; exposure_s: the camera's own; slope: radians a metre; lag_s3, droop_s2: q and r above;
-    relative_std, offset_variance: what all kinds add to the deviation of the ratio (relative) and to the variance of
-    the clock offset (s²).
+    resonance_s2: c above; other_m: what an exposure makes of the motion, by the probability that it is a resonance
+    instead, rms; relative_std, offset_variance: what all kinds add to the deviation of the ratio (relative) and to the
+    variance of the clock offset (s²).
     """
 
     known: tuple[Kind, ...] = ()
@@ -99,6 +116,8 @@ class FrequencyResponse:
     slope: float = 0.0
     lag_s3: float = 0.0
     droop_s2: float = 0.0
+    resonance_s2: float = 0.0
+    other_m: float = 0.0
     relative_std: float = 0.0
     offset_variance: float = 0.0
 
@@ -110,8 +129,9 @@ class FrequencyResponse:
                 Notice(
                     "exposure",
                     "camera: fast motion comes out smaller than slow motion, as with an exposure of "
-                    f"{1e3 * self.exposure_s:.2g} ms, which was not declared. It is taken for that; declare "
-                    "exposure_s.",
+                    f"{1e3 * self.exposure_s:.2g} ms, which was not declared, or with an accelerometer whose mounting "
+                    f"resonates near {RESONANCE_OF_EXPOSURE / self.exposure_s:.2g} Hz. It is taken for an exposure, "
+                    "and the error band holds the other as far as the motion does not exclude it; declare exposure_s.",
                 )
             )
         if Kind.LEAN in self.known:
@@ -129,6 +149,16 @@ class FrequencyResponse:
                     "logger-low-pass",
                     f"accelerometer: it weakens motion of {motion_hz:.2g} Hz by {100.0 * self.droop_s2 * square:.2g} "
                     "%, as behind a logger's low-pass. The scale factor is without it; the error band is wider.",
+                )
+            )
+        if Kind.RESONANCE in self.known:
+            found.append(
+                Notice(
+                    "accelerometer-resonates",
+                    f"accelerometer: it feels motion of {motion_hz:.2g} Hz by {100.0 * self.resonance_s2 * square:.2g} "
+                    "% too strongly and slower motion less so, as on a bracket or railing that resonates near "
+                    f"{1.0 / (2.0 * np.pi * np.sqrt(self.resonance_s2)):.2g} Hz. The scale factor is without it; the "
+                    "error band is wider.",
                 )
             )
         if Kind.LAG in self.known:
@@ -150,7 +180,7 @@ def kinds_of(pair: Pair, *, exposure_declared: bool) -> tuple[Kind, ...]:
         return ()
     exposure = () if exposure_declared else (Kind.EXPOSURE,)
     lean = () if abs(pair.level_m_s2) > VERTICAL_M_S2 else (Kind.LEAN,)
-    return (*exposure, *lean, Kind.LAG, Kind.DROOP)
+    return (*exposure, *lean, Kind.LAG, Kind.DROOP, Kind.RESONANCE)
 
 
 def with_response(
@@ -166,9 +196,19 @@ def with_response(
     found, doubt = list(known), 0.0
     while len(found) < len(kinds):
         here, before = _aligned(pair, fit), _columns(found)
-        least = _regressed(here, before).likelihood + MIN_GAIN
-        tried = {kind: _regressed(here, (*before, FIRST + kind)) for kind in kinds if kind not in found}
-        clear = {k: one for k, one in tried.items() if one.likelihood > least and one.relative_std < most_open}
+        without = _regressed(here, before).likelihood
+        left = [
+            kind
+            for kind in kinds
+            if kind not in found and not any(kind in alike and alike & {*found} for alike in ALIKE)
+        ]
+        tried = {kind: _regressed(here, (*before, FIRST + kind)) for kind in left}
+        clear = {
+            k: one
+            for k, one in tried.items()
+            # Errors that are no white noise gain by chance in proportion to their own scatter.
+            if one.likelihood - without > MIN_GAIN * one.scatter and one.relative_std < most_open
+        }
         able = [k for k, one in clear.items() if _possible(pair, k, one.of(FIRST + k)[0])]
         if not able:
             break
@@ -184,6 +224,14 @@ def with_response(
     return pair, found, doubt
 
 
+def exposure_shows(pair: Pair, fit: Fit) -> bool:
+    """Whether an exposure explains the translation better than any ratio and any delay do, by MIN_GAIN."""
+    free = replace(pair, ratio=None, exposure_s=0.0)
+    here, plain = _aligned(free, fit), _columns(())
+    found = _regressed(here, (*plain, FIRST + Kind.EXPOSURE))
+    return found.likelihood - _regressed(here, plain).likelihood > MIN_GAIN * found.scatter
+
+
 def _doubt(best: Regression, others: Sequence[Regression]) -> float:
     """How far the ratio lies from that of other explanations (rms), each with its probability relative to the best."""
     odds = [np.exp(min(other.likelihood - best.likelihood, 0.0)) for other in others]
@@ -197,14 +245,19 @@ def _possible(pair: Pair, kind: Kind, change: float = 0.0) -> bool:
         return 0.0 < pair.exposure_s**2 + 24.0 * change <= 1.0 / pair.rate_hz**2
     if kind is Kind.DROOP:
         return pair.logger[0] - change < 0.0
+    if kind is Kind.RESONANCE:
+        return 0.0 < pair.logger[0] + change < (2.0 * np.pi * MIN_RESONANCE_HZ) ** -2
     return kind is Kind.LAG or 0.0 < pair.lean + change < GRAVITY_M_S2 * MAX_SLOPE
 
 
-def response_of(pair: Pair, fit: Fit, kinds: Sequence[Kind], known: Sequence[Kind]) -> FrequencyResponse:
+def response_of(
+    pair: Pair, fit: Fit, kinds: Sequence[Kind], known: Sequence[Kind], declared_s: float = 0.0
+) -> FrequencyResponse:
     """What was found, and what uncertainty it and those of `kinds` that were not found add.
 
     Each that was not found adds its own, with the found ones; two at once whose effects cancel are not covered.
-    A lag that does not show moves the clock offset alone, together with the motion.
+    A lag that does not show moves the clock offset alone, together with the motion. declared_s: exposure that is no
+    part of what was found.
     """
     here = _aligned(pair, fit)
     w = here.whitened(fit.corner)
@@ -228,10 +281,27 @@ def response_of(pair: Pair, fit: Fit, kinds: Sequence[Kind], known: Sequence[Kin
         exposure_s=pair.exposure_s if Kind.EXPOSURE in known else 0.0,
         slope=pair.lean / GRAVITY_M_S2,
         lag_s3=pair.logger[1],
-        droop_s2=-pair.logger[0],
+        droop_s2=-pair.logger[0] if Kind.DROOP in known else 0.0,
+        resonance_s2=pair.logger[0] if Kind.RESONANCE in known else 0.0,
+        other_m=_other_m(pair, fit, known, declared_s),
         relative_std=float(np.sqrt(relative)),
         offset_variance=float(offset),
     )
+
+
+def _other_m(pair: Pair, fit: Fit, known: Sequence[Kind], declared_s: float) -> float:
+    """What the exposure found in addition to a declared one makes of the displacement, by the probability that it is a
+    resonance instead, m rms; both are as likely beforehand.
+    """
+    if Kind.EXPOSURE not in known or declared_s >= pair.exposure_s:
+        return 0.0
+    square = (pair.exposure_s**2 - declared_s**2) / 24.0
+    bare = replace(pair, exposure_s=declared_s)
+    resonant = replace(bare, logger=(pair.logger[0] + square, pair.logger[1]))
+    exposed, other = (best_corner(one, fit.offset_s, fit.corner).likelihood for one in (pair, resonant))
+    odds = np.exp(np.clip(other - exposed, -50.0, 50.0))
+    time_s = pair.rows[pair.used(fit.offset_s), 0] + fit.offset_s
+    return float(square * np.std(pair.responses[0].derivative(time_s, 2)) * np.sqrt(odds / (1.0 + odds)))
 
 
 def _columns(known: Sequence[Kind]) -> tuple[int, ...]:
@@ -265,6 +335,7 @@ def _aligned(pair: Pair, fit: Fit) -> Aligned:
         integrated(samples).at,
         lambda time_s: inside.derivative(time_s, 3),
         lambda time_s: -inside.derivative(time_s, 2),
+        lambda time_s: inside.derivative(time_s, 2),
     )
     return aligned(pair, fit.offset_s, *more)
 
@@ -285,8 +356,9 @@ def _changed(pair: Pair, kind: Kind, change: float, moved_m: Floats) -> Pair:
         return replace(pair, exposure_s=min(float(np.sqrt(square)), 1.0 / pair.rate_hz))
     if kind is Kind.LAG:
         return replace(pair, logger=(pair.logger[0], pair.logger[1] + change))
-    if kind is Kind.DROOP:
-        return replace(pair, logger=(pair.logger[0] - change, pair.logger[1]))
+    if kind in (Kind.DROOP, Kind.RESONANCE):
+        more = change if kind is Kind.RESONANCE else -change
+        return replace(pair, logger=(pair.logger[0] + more, pair.logger[1]))
     samples = pair.samples.copy()
     samples[:, 1] += change * moved_m
     return replace(pair, samples=samples, lean=pair.lean + change)
@@ -294,7 +366,8 @@ def _changed(pair: Pair, kind: Kind, change: float, moved_m: Floats) -> Pair:
 
 def _regressed(here: Aligned, free: tuple[int, ...]) -> Regression:
     """The most likely regression on some of the columns."""
-    return _at(here, free, likeliest_corner(here.pair, lambda one: _at(here, free, one).likelihood))
+    found = _at(here, free, likeliest_corner(here.pair, lambda one: _at(here, free, one).likelihood))
+    return replace(found, scatter=_scatter(here.whitened(found.corner), found))
 
 
 def _at(here: Aligned, free: tuple[int, ...], corner: float) -> Regression:
@@ -304,6 +377,20 @@ def _at(here: Aligned, free: tuple[int, ...], corner: float) -> Regression:
     n = len(w.variance)
     likelihood = -0.5 * n * np.log(left / n) + PRIOR_POWER * float(np.log(corner)) - w.entropy
     return Regression(free, corner, float(likelihood), coefficients, covariance)
+
+
+def _scatter(w: Whitened, found: Regression) -> float:
+    """Variance of the last coefficient by parts of the record over that of white innovations; 1 at least.
+
+    The score of a coefficient sums up to 0; how its sums over parts scatter holds for errors that are correlated and go
+    with the motion as well (K.-Y. Liang, S. L. Zeger, Biometrika 73 (1986) 13-22, doi 10.1093/biomet/73.1.13).
+    """
+    columns = w.columns[:, list(found.free)] / np.sqrt(w.variance)[:, None]
+    left = w.translation / np.sqrt(w.variance) - columns @ found.coefficients
+    last = columns @ _inverse(columns.T @ columns)[:, -1]
+    sums = np.array([np.sum(part) for part in np.array_split(last * left, PARTS)])
+    white = float(np.mean(left**2)) * float(np.sum(last**2))
+    return max(float(np.sum(sums**2)) / white, 1.0) if white > 0.0 else 1.0
 
 
 def _solved(w: Whitened, free: tuple[int, ...], last_std: float | None = None) -> tuple[Floats, Floats, float]:

@@ -9,15 +9,13 @@ from functools import partial
 
 import numpy as np
 
-from midspan.calibration.agreement import MIN_ORDINATES, misfit, straightened
+from midspan.calibration.agreement import MIN_ORDINATES, straightened
 from midspan.calibration.fit import Fit, Pair, aligned, corner_std
 from midspan.calibration.floor import most_noise
 from midspan.calibration.slow_error import likeliest_slow_error
 from midspan.notices import Notice
 from midspan.records import Floats
 
-# The corner frequency is lowered by this factor until the accelerometer's noise is no more than its own.
-LOWER = 0.95
 # Noise as estimated is more than the accelerometer's own where it is so by this many standard deviations: one in a
 # thousand.
 CERTAIN = 3.1
@@ -26,8 +24,8 @@ NARROW_BY_CHANCE = 1e-4
 # Gain in the logarithm of the likelihood from which a slow error counts as found: a factor of 20 000 in likelihood.
 MIN_GAIN = 10.0
 # Ordinates of such bands that are fitted as what one sensor alone shows: those of this many times the usual power, and
-# so many at most.
-STRONG, MAX_ORDINATES = 3.0, 24
+# so many at most, and no less than this share of the strongest, which leaks as much into its neighbours.
+STRONG, MAX_ORDINATES, LEAKED = 3.0, 24, 0.02
 # What may err by itself in a sensor other than the accelerometer, in words.
 OF_THE_SENSOR = {
     "camera": "a mast or bracket that nods, a lens that breathes (autofocus), hot air, or a target that turns",
@@ -55,20 +53,7 @@ def contradiction(pair: Pair, fit: Fit) -> float:
     One of both sensors is wrong then, and nothing tells which: what shakes between them shows in a camera as slower
     than it is.
     """
-    return float(max(_beyond_own_noise(pair, fit), narrow_motion(pair, fit), slow_motion(pair, fit)))
-
-
-def _beyond_own_noise(pair: Pair, fit: Fit) -> float:
-    """What the translation differs by from an accelerometer of no more noise than its readings have (rms).
-
-    0 where the accelerometer's noise as estimated may be its own, or innovations are white.
-    """
-    if not exceeds_own_noise(pair, fit) or misfit(pair, fit).factor <= 1.0:
-        return 0.0
-    here, own, most = aligned(pair, fit.offset_s), fit, own_density(pair)
-    while pair.input_noise(own.input_density).density > most:
-        own = here.fit(LOWER * own.corner)
-    return float(np.sqrt(own.noise))
+    return max(narrow_motion(pair, fit), slow_motion(pair, fit))
 
 
 def narrow_motion(pair: Pair, fit: Fit) -> float:
@@ -123,8 +108,9 @@ def _lines(pair: Pair, fit: Fit) -> Floats:
     usual = float(np.median(power)) / np.log(2.0)
     most = usual * gammainccinv(MIN_ORDINATES, NARROW_BY_CHANCE / len(starts)) / MIN_ORDINATES
     index = np.unique(starts[means > most][:, None] + np.arange(MIN_ORDINATES))
-    # Those that hold next to nothing would be fitted for their noise.
-    strong = sorted(index[power[index] > STRONG * usual], key=lambda k: -power[k])[:MAX_ORDINATES]
+    # Those that hold next to nothing, or what leaks from a line, would be fitted for their noise.
+    enough = max(STRONG * usual, LEAKED * float(np.max(power)))
+    strong = sorted(index[power[index] > enough], key=lambda k: -power[k])[:MAX_ORDINATES]
     return np.asarray((np.array(strong) + 1) * pair.rate_hz / n)
 
 

@@ -196,9 +196,10 @@ def with_frequency(
         known = shown
         search = search_offset(replace(found, rows=pair.rows, reference=None), max_offset_s)
     if known and contradiction(search.pair, search.fit) > 0.0:
-        # What they differ by is something else, which a function of frequency only happens to resemble.
-        search, known, doubt = plain, [], 0.0
-    response = response_of(search.pair, search.fit, kinds, known)
+        # What they differ by is something else, which a function of frequency may only happen to resemble.
+        doubt = float(np.hypot(doubt, search.fit.ratio / plain.fit.ratio - 1.0))
+        search, known = plain, []
+    response = response_of(search.pair, search.fit, kinds, known, pair.exposure_s)
     # The read-out's rows are no part of the exposure.
     own_s = float(np.sqrt(max(response.exposure_s**2 - pair.exposure_s**2, 0.0)))
     offset = TimeOffset(search.offset.value_s, search.offset.variance + response.offset_variance)
