@@ -30,8 +30,8 @@ AROUND_S = 5.0
 SIGNIFICANT, MIN_LATE_S = 4.0, 5e-4
 # … when it makes the record more likely by this (logarithm), as an offset does (`noise.MIN_GAIN`), …
 MIN_GAIN = 10.0
-# … and when of the course's variance it leaves no more than this beyond chance: a clock that was set once leaves a
-# quarter, one that was set twice alike a ninth.
+# … and when of the course's variance it leaves less than one step and no more than this beyond chance: a clock that
+# was set once leaves a quarter, one that was set twice alike a ninth.
 MAX_LEFT, CHANCE = 0.05, 3.0
 
 
@@ -163,9 +163,18 @@ def _tells(course: ClockCourse, length_s: float) -> bool:
         return False
     known = np.isfinite(course.std_s)
     weight, late = 1.0 / course.std_s[known] ** 2, course.lateness_s[known]
-    total = float(weight @ (late - weight @ late / weight.sum()) ** 2)
+    total = _about_mean(weight, late)
     left = float(weight @ (late - course.at(course.time_ns[known])) ** 2)
+    steps = [_about_mean(weight[:k], late[:k]) + _about_mean(weight[k:], late[k:]) for k in range(1, len(late))]
+    # A clock that was set once is no other rate.
+    if left > min(steps, default=np.inf):
+        return False
     return bool(left < MAX_LEFT * total + len(late) + CHANCE * np.sqrt(2.0 * len(late)))
+
+
+def _about_mean(weight: Floats, late: Floats) -> float:
+    """Sum of the weighted squares of lateness (n,) about its mean."""
+    return float(weight @ (late - weight @ late / weight.sum()) ** 2)
 
 
 def _likelier(pair: Pair, course: ClockCourse, max_offset_s: float) -> bool:

@@ -14,7 +14,7 @@ from midspan.calibration.scale_check import MAX_NOISE
 from midspan.calibration.sensors.displacement import DisplacementCalibration
 from midspan.calibration.sensors.fit import SensorFit
 from midspan.calibration.slow_error import DRIFT_S
-from midspan.errors import MidspanError, UntrustedError
+from midspan.errors import DataError, MidspanError, UntrustedError
 from midspan.notices import Notice
 from midspan.records import NANOSECONDS, Event, TimeSeries, seconds
 from midspan.signals.acceleration import PreparedAcceleration
@@ -41,7 +41,7 @@ def fit_displacement(given: Given) -> DisplacementFit:
     ends = range_limits(given.series.value)
     held = (given.series.value <= ends[0]) | (given.series.value >= ends[1])
     given = replace(given, series=without(given.series, held))
-    rate = None if given.learns_offset is False else clock_rate(given)
+    rate = None if given.learns_offset is False else _clock_rate(given)
     if rate is not None:
         given = replace(given, series=replace(given.series, time_ns=rate.even(given.series.time_ns)))
     given, learnt = _on_its_clock(given, rate)
@@ -71,6 +71,17 @@ def fit_displacement(given: Given) -> DisplacementFit:
         found,
         direction=learnt.direction,
     )
+
+
+def _clock_rate(given: Given) -> ClockRate | None:
+    """The rate of the sensor's clock where its values show that it is not the accelerometer's."""
+    step_m = 0.0 if given.learns_scale else None
+    series = without(given.series, frozen_values(given.prepared, given.series, resolution_m=step_m))
+    try:
+        return clock_rate(replace(given, series=series))
+    except DataError:
+        # Too few values, or one and the same: it is refused where they are calibrated on.
+        return None
 
 
 def _on_its_clock(given: Given, rate: ClockRate | None) -> tuple[Given, NoiseCalibration]:
@@ -131,7 +142,7 @@ def _with_offset_notice(learnt: NoiseCalibration) -> NoiseCalibration:
 
 def _refuse_clock_rate(given: Given) -> None:
     """UntrustedError where the clocks are said to be one, and run at two rates."""
-    rate = clock_rate(given) if given.learns_offset is False else None
+    rate = _clock_rate(given) if given.learns_offset is False else None
     if rate is not None:
         raise UntrustedError(
             f"displacement: its clock gains {rate.ppm:+.0f} ± {1e6 * rate.std:.1g} ppm on the accelerometer's, "
