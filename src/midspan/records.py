@@ -290,7 +290,8 @@ class PhaseMeasurement:
     frame (cycles that may have been lost), common to frames that follow each other and not part of `variance_rad2`.
     Where the target is not used the phase is NaN, its variance infinite and the status COASTING while the cycle can
     still be predicted, else LOST. strength: amplitude over the calibrated one, 0 where nothing was received. events:
-    what happened in this frame.
+    what happened in this frame. earlier: with the first phase, those of the frames before it by which the target's
+    speed was found: the first of them is the first frame used.
     """
 
     time_ns: int
@@ -300,6 +301,7 @@ class PhaseMeasurement:
     status: Status
     strength: float
     events: tuple[Event, ...] = ()
+    earlier: tuple["PhaseMeasurement", ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

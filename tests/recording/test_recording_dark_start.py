@@ -60,9 +60,9 @@ def eye(sensor, first_s, sees_from_s=None):
 def test_the_zero_of_a_camera_that_begins_dark_is_the_first_frame_that_either_sees():
     main = SimpleNamespace(recording=SimpleNamespace(views=()))
     infrared = eye("infrared", 2)
-    assert zero_instant(main, (eye("camera", 34, sees_from_s=34), infrared)) == 3 * NANOSECONDS
-    assert zero_instant(main, (eye("camera", 5), infrared)) == 6 * NANOSECONDS
-    assert zero_instant(main, (eye("camera", 0, sees_from_s=0), infrared)) == NANOSECONDS
+    assert zero_instant(main, (eye("camera", 34, sees_from_s=34), infrared), {}) == 3 * NANOSECONDS
+    assert zero_instant(main, (eye("camera", 5), infrared), {}) == 6 * NANOSECONDS
+    assert zero_instant(main, (eye("camera", 0, sees_from_s=0), infrared), {}) == NANOSECONDS
 
 
 def test_a_result_that_begins_late_is_told():

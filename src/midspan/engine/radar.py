@@ -24,7 +24,7 @@ from midspan.engine.radar_target import FollowedState, FollowedTarget
 from midspan.radar.blockage import CLEAR_FRAMES, MAX_SHARE, MIN_SHARE, mean_power, power_gain
 from midspan.radar.channels import Phasors
 from midspan.radar.lobe import between, fraction_between, looked_at, noise_between
-from midspan.radar.range_gap import MEMORY_FRAMES, MIN_FRAMES, FirstFrames, RangeGap, cycles_lost
+from midspan.radar.range_gap import MAX_FIRST_FRAMES, MEMORY_FRAMES, MIN_FRAMES, FirstFrames, RangeGap, cycles_lost
 from midspan.radar.unwrap import BLIND_RAD, TURN, UNSURE_CYCLES
 from midspan.records import NANOSECONDS, Event, Floats, PhaseMeasurement, RangeFrame, Status
 
@@ -296,6 +296,7 @@ class _Follower:
         if first is None or not first.count or time_ns - state.last_ns > 1.5 * self.item.period_s * NANOSECONDS:
             first = FirstFrames(math.nan if self.cycles_per_bin else self.item.moved_m * self.cycles_per_m)
             state.first_rad, state.speed_rad_s, state.last_ns = seen.phase_rad, 0.0, time_ns
+            state.begun = ()
             # The calibrated zero has the noise of a usual frame, not of one that is hardly seen.
             state.zero_rad2 = min(seen.variance_rad2, TURN**2) if seen.variance_rad2 > BLIND_RAD**2 else 0.0
             state.alone_rad, state.alone_ns, state.alone_rad_s = alone_rad, time_ns, 0.0
@@ -308,14 +309,29 @@ class _Follower:
         state.first = first.met(place - phase / TURN)
         speed = state.first.cycles_per_frame
         if speed is None:
+            mine = (time_ns, phase, seen.variance_rad2 + self.white_rad2, seen.strength)
+            # Where the range is not measured there may be thousands.
+            state.begun = (*state.begun, mine)[-MAX_FIRST_FRAMES:]
             return PhaseMeasurement(time_ns, math.nan, math.inf, 0.0, Status.LOST, seen.strength)
         turns = TURN * (state.first.count - 1)
         raised, state.lost_rad2 = turns * speed[0], turns**2 * speed[1] + state.zero_rad2
+        earlier, state.begun = self._earlier(speed[0], state.first.count), ()
         state.first = None
         phase, state.phase_rad = phase + raised, state.phase_rad + raised
         state.speed_rad_s += TURN * speed[0] / self.item.period_s
         state.gap = RangeGap().met(place - phase / TURN, phase)
-        return self._measured(time_ns, phase, seen, [])
+        return replace(self._measured(time_ns, phase, seen, []), earlier=earlier)
+
+    def _earlier(self, cycles_per_frame: int, count: int) -> tuple[PhaseMeasurement, ...]:
+        """The first frames but the last one of `count`, their phases raised by the speed that was found."""
+        state, first = self.state, count - 1 - len(self.state.begun)
+        common = state.lost_rad2 + state.doubt_rad2 + self.own_rad2
+        return tuple(
+            PhaseMeasurement(
+                time_ns, phase + TURN * cycles_per_frame * (first + k), white, common, Status.TRACKING, strength
+            )
+            for k, (time_ns, phase, white, strength) in enumerate(state.begun)
+        )
 
     def _used(
         self,

@@ -47,6 +47,7 @@ class FollowedState:
 
     first_rad: wrapped phase that counts as zero; zero_rad2: variance of its noise where that frame was hardly
     seen, and of cycles lost among the first frames; first: these, by which the speed is found, None afterwards;
+    begun: stamp, phase in rad, variance and strength of each of them;
     phase_rad, speed_rad_s: the target's own prediction at last_ns, the last used frame, less what the acceleration
     alone tells there, while nothing else predicts (alone_rad at alone_ns and its speed alone_rad_s; NaN: nothing);
     own_rad2,
@@ -68,6 +69,7 @@ class FollowedState:
     first_rad: float = 0.0
     zero_rad2: float = 0.0
     first: FirstFrames | None = field(default_factory=FirstFrames)
+    begun: tuple[tuple[int, float, float, float], ...] = ()
     phase_rad: float = 0.0
     speed_rad_s: float = 0.0
     last_ns: int = 0

@@ -206,14 +206,23 @@ class RadarSensor:
         self.chain.restore(state)
 
     def push(self, record: RangeFrame, expect: Expect) -> Seen:
-        """The phase of each target in a frame, unwrapped about the one that is expected."""
-        found = self.chain.push(record, [expect(channel, record.time_ns) for channel in self.channels])
+        """The phase of each target in a frame, unwrapped about the one that is expected.
+
+        With the first one come those of the frames before it, unless the estimator has gone past them.
+        """
+        predicted = [expect(channel, record.time_ns) for channel in self.channels]
+        found = self.chain.push(record, predicted)
+        rows = [
+            (channel, one)
+            for channel, (_, variance), last in zip(self.channels, predicted, found, strict=True)
+            for one in (*(last.earlier if math.isinf(variance) else ()), last)
+        ]
         measured = Measured(
-            np.array([one.time_ns for one in found], dtype=np.int64),
-            np.array(self.channels, dtype=np.int64),
-            np.array([one.phase_rad for one in found]),
-            np.array([one.variance_rad2 for one in found]),
-            np.array([one.reference_variance_rad2 for one in found]),
+            np.array([one.time_ns for _, one in rows], dtype=np.int64),
+            np.array([channel for channel, _ in rows], dtype=np.int64),
+            np.array([one.phase_rad for _, one in rows]),
+            np.array([one.variance_rad2 for _, one in rows]),
+            np.array([one.reference_variance_rad2 for _, one in rows]),
         )
         return Seen(self.name, measured, found, tuple(event for one in found for event in one.events))
 

@@ -140,6 +140,8 @@ def beginning(samples: Floats, rows: Floats, settings: EstimatorSettings) -> Beg
             if len(along) == 1 and len(met_m) >= FEW:
                 within[a] = SCATTER_WITHIN * (np.ptp(met_m) + np.max(std_m[number == c]))
     speed *= VELOCITY_WITHIN
+    # The first measurement may come some time after the zero, from which on the state is followed.
+    within += speed * max(float(rows[0, AT] - samples[0, 0]), 0.0)
     if settings.displacement_std_m is not None:
         within[:] = settings.displacement_std_m
     if settings.velocity_std_m_s is not None:
@@ -163,10 +165,10 @@ def given_rows(samples: Samples, first_s: float, origin_ns: int) -> NDArray[np.b
     return given
 
 
-def estimate_of(samples: Samples, found: Floats, given: NDArray[np.bool_], unseen_std_m: float) -> Estimate:
+def estimate_of(samples: Samples, found: Floats, given: NDArray[np.bool_], unseen_m2: float) -> Estimate:
     """The rows of one axis from what the loop found (s, 5); bridged samples are coasting at best.
 
-    unseen_std_m: see `EstimatorSettings`.
+    unseen_m2: see `EstimatorSettings.unseen_variance_m2`.
     """
     if not given.all():
         samples, found = part(samples, given), found[given]
@@ -176,7 +178,7 @@ def estimate_of(samples: Samples, found: Floats, given: NDArray[np.bool_], unsee
     return Estimate(
         samples.time_ns,
         found[:, FOUND_X].copy(),
-        found[:, FOUND_VARIANCE] + 2.0 * unseen_std_m**2,
+        found[:, FOUND_VARIANCE] + unseen_m2,
         found[:, FOUND_VELOCITY].copy(),
         found[:, FOUND_SOURCE].astype(np.uint8),
         status.astype(np.uint8),

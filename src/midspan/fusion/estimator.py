@@ -62,6 +62,8 @@ from midspan.records import (
 
 # So many measurements, or so long (s) after the first one, are waited for before rows are given out.
 FIRST_MEASUREMENTS, FIRST_S = 8, 2.0
+# A zero longer before the first measurement than this (s) is not followed from there: the rows count from the latter.
+MAX_BEFORE_S = 10.0
 # A first measurement before the first sample counts when it is no more than this (s) before it.
 BEFORE_SAMPLES_S = 2.0
 # So many measurements may wait for the samples that cover them; older ones are dropped.
@@ -305,11 +307,12 @@ class Estimator:
         time_s = seconds(held.time_ns, self._origin)
         self._waiting = self._waiting[self._waiting[:, AT] >= time_s[0] - BEFORE_SAMPLES_S]
         rows = self._waiting[self._waiting[:, AT] <= time_s[-1]]
+        first_s = float(rows[0, AT]) if len(rows) else float(time_s[-1])
+        start_s = self._start_s(first_s)
+        held = part(held, slice(max(int(np.searchsorted(time_s, start_s, side="right")) - 1, 0), None))
         if not len(rows):
-            self._held = part(held, slice(-1, None))
+            self._held = held
             return []
-        first_s = float(rows[0, AT])
-        held = part(held, slice(max(int(np.searchsorted(time_s, first_s, side="right")) - 1, 0), None))
         time_s = seconds(held.time_ns, self._origin)
         enough = rows[FIRST_MEASUREMENTS - 1, AT] if len(rows) >= FIRST_MEASUREMENTS else np.inf
         # What the acceleration was before its first sample, the samples of some time tell.
@@ -322,8 +325,15 @@ class Estimator:
             last = len(time_s) - 1
         self._held = None
         rest = part(held, slice(last + 1, None))
-        begun = self._start(with_start(part(held, slice(last + 1)), first_s, self._origin), first_s)
+        begun = self._start(with_start(part(held, slice(last + 1)), start_s, self._origin), first_s)
         return [begun, *(self._run(self._filter, rest) if self._filter and len(rest.time_ns) else [])]
+
+    def _start_s(self, first_s: float) -> float:
+        """When the filter starts, s: at the first measurement, or at the zero where that lies shortly before it."""
+        if self.settings.zero_ns is None:
+            return first_s
+        zero_s = (self.settings.zero_ns - self._origin) / NANOSECONDS
+        return zero_s if first_s - MAX_BEFORE_S <= zero_s < first_s else first_s
 
     def _start(self, samples: Samples, first_s: float) -> Rows:
         """Judge the first measurements, and take the rows from a second run with what was decided."""
@@ -383,15 +393,18 @@ class Estimator:
         events = self._settle(decided)
         if self.log is not None:
             self._keep_log(self.log, samples, self._filter)
-        unseen, estimates = self.settings.unseen_std_m[: self.settings.axes], tuple[Estimate, ...]()
+        settings, estimates = self.settings, tuple[Estimate, ...]()
         if self._given:
             given = given_rows(samples, self._first_s, self._origin)
-            estimates = tuple(estimate_of(samples, shown.found[:, a], given, std) for a, std in enumerate(unseen))
+            estimates = tuple(
+                estimate_of(samples, shown.found[:, a], given, settings.unseen_variance_m2(a))
+                for a in range(settings.axes)
+            )
         innovations = innovations_of(rows, shown.met, self.settings.channels, self._origin)
         p, channels, datum = self._filter.hyps[1][0], self.tables[1], self.tables[3]
-        own = 0.0 if self.settings.zero_ns is None else 1.0
         zero = tuple(
-            zero_variance(p, channels, a, datum, self.tables[5]) + own * std**2 for a, std in enumerate(unseen)
+            zero_variance(p, channels, a, datum, self.tables[5]) + settings.unseen_common_m2(a)
+            for a in range(settings.axes)
         )
         return Rows(estimates, innovations, tuple(events), zero)
 

@@ -111,8 +111,9 @@ class EstimatorSettings:
     angular frequency (1/s): what a sensor measures whose clock has stepped; 0: clocks do not step. zero_ns: instant
     that rows count from; None: from the sensors' own zero. misfit (one an axis): factor on the variance of the states
     in rows, as innovations that are not white show. unseen_std_m (one an axis): standard deviation of an error that
-    nothing measured tells, as of a camera's tilt: in each row, and as large and independent of it in the zero. lean
-    (one an axis): acceleration that leaning takes per metre of displacement, 1/s².
+    nothing measured tells, as of a camera's tilt: in each row, and as large and independent of it in the zero.
+    unseen_zero_std_m (one an axis): the same of the zero alone, which all rows have in common. lean (one an axis):
+    acceleration that leaning takes per metre of displacement, 1/s².
     """
 
     channels: tuple[Channel, ...]
@@ -129,8 +130,18 @@ class EstimatorSettings:
     motion: tuple[tuple[float, float], ...] = ((0.0, 0.0), (0.0, 0.0))
     zero_ns: int | None = None
     unseen_std_m: tuple[float, ...] = (0.0, 0.0)
+    unseen_zero_std_m: tuple[float, ...] = (0.0, 0.0)
     misfit: tuple[float, ...] = (1.0, 1.0)
     lean: tuple[float, ...] = (0.0, 0.0)
+
+    def unseen_variance_m2(self, axis: int) -> float:
+        """What nothing measured tells of a row, m²: of its own and of its zero."""
+        return 2.0 * self.unseen_std_m[axis] ** 2 + self.unseen_zero_std_m[axis] ** 2
+
+    def unseen_common_m2(self, axis: int) -> float:
+        """The part of it that all rows have in common, m²: a sensor's own zero has none of the first kind."""
+        own = 0.0 if self.zero_ns is None else self.unseen_std_m[axis] ** 2
+        return own + self.unseen_zero_std_m[axis] ** 2
 
     @property
     def first_zero(self) -> int:

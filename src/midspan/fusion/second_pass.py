@@ -187,7 +187,8 @@ def smooth(log: Log, settings: EstimatorSettings) -> tuple[Estimate, ...]:
         last, nodes = last or after, left.nodes if nodes is None or len(nodes) < len(left.nodes) else nodes
         found = work.backward(span, left, adjoint, last, counted)
         for a, whole in enumerate(estimates):
-            _fill(whole, int(edges[i]), estimate_of(span.samples, found[:, a], given[i], settings.unseen_std_m[a]))
+            unseen_m2 = settings.unseen_variance_m2(a)
+            _fill(whole, int(edges[i]), estimate_of(span.samples, found[:, a], given[i], unseen_m2))
     return estimates
 
 
@@ -385,8 +386,8 @@ class Lag:
         self._let_go(anchor, rows, middle.saved())
         self._given = due - anchor
         shown = given_rows(own, log.first_s, log.origin_ns)
-        unseen = self.settings.unseen_std_m[: self.settings.axes]
-        return [Rows(tuple(estimate_of(own, smoothed[:, a], shown, std) for a, std in enumerate(unseen)), (), ())]
+        unseen = [self.settings.unseen_variance_m2(a) for a in range(self.settings.axes)]
+        return [Rows(tuple(estimate_of(own, smoothed[:, a], shown, m2) for a, m2 in enumerate(unseen)), (), ())]
 
     def _span(self, decided: Decided, rows: Floats, which: slice, before: Filter) -> Span:
         assert self._samples is not None

@@ -1,9 +1,11 @@
 """Motion that a target makes on its own, as a tree in the wind or ground that settles, frequency by frequency.
 
 What two targets show differently is motion of one of them; three tell which. Of two the accelerometer tells it, where
-it hears better than they differ. An only target is compared with the accelerometer itself, above 0.1 Hz.
+its noise is less than they differ. An only target is compared with the accelerometer itself, above 0.1 Hz; and there no
+target of several moves by what the accelerometer would have shown as a difference from it, and does not.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations, pairwise
 
@@ -81,8 +83,9 @@ def own_motions(shown: Shown, samples: Floats) -> OwnMotions:
     targets, bands = len(shown.value_m), len(EDGES_HZ) - 1
     frequency = np.sqrt(np.maximum(EDGES_HZ[:-1], 0.02) * np.array(EDGES_HZ[1:]))
     power, undecided = np.zeros((targets, bands)), np.zeros(bands, dtype=np.bool_)
+    integrals = Integrals.of(samples)
     if targets == 1:
-        power[0], frequency = _alone(shown, samples, frequency)
+        power[0], _, frequency = _alone(shown, 0, integrals, frequency)
     else:
         apart = np.zeros((targets, targets, bands))
         for i, j in combinations(range(targets), 2):
@@ -90,9 +93,11 @@ def own_motions(shown: Shown, samples: Floats) -> OwnMotions:
             apart[j, i] = apart[i, j]
             frequency = np.where(apart[i, j] >= apart.max(axis=(0, 1)), at, frequency)
         if targets == 2:
-            power, undecided = _of_two(shown, samples, apart[0, 1])
+            power, undecided = _of_two(shown, integrals, apart[0, 1])
         else:
             power = _of_several(apart)
+        power = _witnessed(power, [_alone(shown, k, integrals, frequency)[:2] for k in range(targets)])
+        undecided &= (power > MIN_M**2).all(axis=0)
     power = np.where(power > MIN_M**2, power, 0.0)
     return OwnMotions(power, frequency, _left_out(shown, power), undecided)
 
@@ -104,6 +109,16 @@ def _of_several(apart: Floats) -> Floats:
     # No target moves by more than it differs from any other.
     most = np.where(np.eye(count, dtype=np.bool_)[..., None], np.inf, apart).min(axis=1)
     return np.asarray(np.clip((each - total) / (count - 2), 0.0, most))
+
+
+def _witnessed(power: Floats, alone: Sequence[tuple[Floats, Floats]]) -> Floats:
+    """Powers (targets, bands), each no more than the accelerometer leaves of its target, where that could tell it.
+
+    The sum over three differences of pairs holds by how much two of them happened to move together in a short record.
+    alone: of each target, as `_alone` gives them.
+    """
+    left, limit = (np.array([one[k] for one in alone]) for k in (0, 1))
+    return np.where(power > limit, np.minimum(power, left), power)
 
 
 def _left_out(shown: Shown, power: Floats) -> NDArray[np.bool_]:
@@ -131,57 +146,65 @@ def _apart(shown: Shown, i: int, j: int, frequency: Floats) -> tuple[Floats, Flo
     relative = shown.relative_std[[i, j]] ** 2 + MIN_RELATIVE**2
     noise = (typical[i] + typical[j]) / len(found)
     lasting = shown.lasting_m[i] ** 2 + shown.lasting_m[j] ** 2
-    return _excess(found, noise + relative.sum() * moved, (len(difference), period, lasting), frequency)
+    power, _, at = _excess(found, noise + relative.sum() * moved, (len(difference), period, lasting), frequency)
+    return power, at
 
 
 def _excess(
     found: Floats, expected: Floats, known: tuple[int, float, float], frequency: Floats
-) -> tuple[Floats, Floats]:
-    """Variance (bands,) beyond what is expected, zero where that is chance, and where it lies, Hz.
+) -> tuple[Floats, Floats, Floats]:
+    """Variance (bands,) beyond what is expected, zero where that is chance; up to which it may be; where it lies, Hz.
 
     found, expected (bins,): of a spectrum; known: frames, their period (s), and a variance that may lie anywhere.
     """
     count, period, lasting = known
     hz = np.fft.rfftfreq(count, period)[1:]
-    power, at = np.zeros(len(frequency)), frequency.copy()
+    power, limits, at = np.zeros(len(frequency)), np.full(len(frequency), np.inf), frequency.copy()
     for k, (low, high) in enumerate(pairwise(EDGES_HZ)):
         own = (hz >= low) & (hz < min(high, 0.45 / period))
         if not own.any():
             continue
-        limit = expected[own].sum() * (EXCESS + SIGNIFICANCE * np.sqrt(1.5 / np.count_nonzero(own)))
-        total = float(found[own].sum())
-        if total > limit + 2.0 * lasting:
+        chance = EXCESS + SIGNIFICANCE * np.sqrt(1.5 / np.count_nonzero(own))
+        limits[k], total = expected[own].sum() * chance + 2.0 * lasting, float(found[own].sum())
+        if total > limits[k]:
             power[k] = total - expected[own].sum()
             at[k] = float(np.average(hz[own], weights=found[own]))
-    return power, at
+    return power, limits, at
 
 
-def _alone(shown: Shown, samples: Floats, frequency: Floats) -> tuple[Floats, Floats]:
-    """Variance (bands,) of what the accelerometer does not explain of an only target, and where it lies, Hz."""
-    integrals, period = Integrals.of(samples), _period(shown)
-    rest = _second(shown, 0, integrals)
+def _alone(shown: Shown, target: int, integrals: Integrals, frequency: Floats) -> tuple[Floats, Floats, Floats]:
+    """Variance (bands,) of what the accelerometer does not explain of a target, up to which chance makes one (infinite
+    where the accelerometer cannot tell), and where it lies, Hz.
+    """
+    period, silent = _period(shown), np.full(len(frequency), np.inf)
+    rest = _second(shown, target, integrals)
     known = np.isfinite(rest)
     if np.count_nonzero(known) < MIN_FRAMES:
-        return np.zeros(len(frequency)), frequency
+        return np.zeros(len(frequency)), silent, frequency
     hz = np.asarray(np.fft.rfftfreq(len(rest), period)[1:], dtype=np.float64)
-    turned = _transfer(hz, shown)
-    found, moved = _power(rest, period) / turned, _power(shown.value_m[0], period)
-    step_hz = 1.0 / (len(rest) * period)
+    found, expected = _power(rest, period) / _transfer(hz, shown), _unexplained(shown, target, integrals, hz)
+    lasting = float(shown.lasting_m[target] ** 2)
+    power, limits, at = _excess(found, expected, (len(rest), period, lasting), frequency)
+    heard = np.array(EDGES_HZ[:-1]) >= MIN_HZ
+    return np.where(heard, power, 0.0), np.where(heard, limits, np.inf), at
+
+
+def _unexplained(shown: Shown, target: int, integrals: Integrals, hz: Floats) -> Floats:
+    """Power (bins,) at frequencies by which a target that does not move by itself differs from the accelerometer."""
+    period, step_hz = _period(shown), float(hz[0])
     inertial = 2.0 * step_hz * integrals.noise_density / (2.0 * np.pi * hz) ** 4 * (1.0 + (CORNER_HZ / hz) ** 2)
     late = (2.0 * np.pi * hz * MIN_CLOCK_S) ** 2
+    moved = _power(shown.value_m[target], period)
     moved = np.interp(hz, np.fft.rfftfreq(len(shown.frame_s), period)[1:], moved)
-    expected = _typical(shown.variance_m2)[0] / len(hz) + inertial
-    expected = expected + (shown.relative_std[0] ** 2 + MIN_RELATIVE**2 + late) * moved
-    power, at = _excess(found, expected, (len(rest), period, float(shown.lasting_m[0] ** 2)), frequency)
-    return np.where(np.array(EDGES_HZ[:-1]) >= MIN_HZ, power, 0.0), at
+    expected = _typical(shown.variance_m2)[target] / len(hz) + inertial
+    return np.asarray(expected + (shown.relative_std[target] ** 2 + MIN_RELATIVE**2 + late) * moved)
 
 
-def _of_two(shown: Shown, samples: Floats, apart: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+def _of_two(shown: Shown, integrals: Integrals, apart: Floats) -> tuple[Floats, NDArray[np.bool_]]:
     """Powers (2, bands) of the differences (bands,) of two targets by the accelerometer; where it cannot tell."""
     power, undecided = np.stack((apart, apart)), apart > MIN_M**2
     if not undecided.any():
         return power, undecided
-    integrals = Integrals.of(samples)
     first, second = _second(shown, 0, integrals), _second(shown, 1, integrals)
     if np.count_nonzero(np.isfinite(first + second)) < MIN_FRAMES:
         return power, undecided
@@ -191,6 +214,7 @@ def _of_two(shown: Shown, samples: Floats, apart: Floats) -> tuple[Floats, NDArr
     hz = np.asarray(np.fft.rfftfreq(len(first), period)[1:], dtype=np.float64)
     turned = np.sqrt(_transfer(hz, shown))
     difference, rest = difference / turned, rest / turned
+    expected = _unexplained(shown, 1, integrals, hz)
     for k in np.flatnonzero(undecided):
         own = (hz >= EDGES_HZ[k]) & (hz < EDGES_HZ[k + 1])
         total = max(float(np.sum(np.abs(difference[own]) ** 2)), 1e-30)
@@ -199,7 +223,10 @@ def _of_two(shown: Shown, samples: Floats, apart: Floats) -> tuple[Floats, NDArr
         left = float(np.sum(np.abs(rest[own] + share * difference[own]) ** 2))
         # What is left is the accelerometer's noise, which falls steeply with the frequency.
         spread = left * float(np.average(hz[own] ** -4.0, weights=np.abs(difference[own]) ** 2))
-        std = float(np.sqrt(0.75 * spread / total / float(np.sum(hz[own] ** -4.0))))
+        spread /= float(np.sum(hz[own] ** -4.0))
+        # It may happen to be less than what factor, clock and accelerometer make.
+        spread = max(spread, float(np.average(expected[own], weights=np.abs(difference[own]) ** 2)))
+        std = float(np.sqrt(0.75 * spread / total))
         if std < DECIDED_STD:
             # A small share is as good as none.
             share = 0.0 if share < 2.0 * std else 1.0 if share > 1.0 - 2.0 * std else share

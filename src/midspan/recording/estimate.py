@@ -32,6 +32,7 @@ from midspan.engine.second_look import (
     with_scales,
 )
 from midspan.engine.sensor_series import SensorSeries, series_at_instants, taken
+from midspan.engine.sensors import Sensor
 from midspan.engine.tracking import CameraTracking
 from midspan.errors import DataError, UntrustedError, UsageError
 from midspan.fusion.estimator import Estimator
@@ -157,6 +158,7 @@ class FirstPass:
     sides: tuple[Side, ...]
     eyes: tuple[Eye, ...]
     estimator: Estimator | Lag
+    sensors: Mapping[str, Sensor]
     outcome: Outcome
     cameras: tuple[CameraResult, ...]
     series: tuple[dict[str, SensorSeries], ...]
@@ -226,7 +228,7 @@ def first_pass(asked: Asked, tracking: CameraTracking | None, progress: Progress
     cameras = tuple(
         camera_result(eye.tracking, eye.sensor, eye.calibrations, events.get(eye.sensor, ())) for eye in eyes
     )
-    first = FirstPass(sides, eyes, point.estimator, outcome, cameras, ())
+    first = FirstPass(sides, eyes, point.estimator, point.sensors, outcome, cameras, ())
     return replace(first, series=tuple(_series(first, axis) for axis in range(len(sides))))
 
 
@@ -293,7 +295,7 @@ def smoothed(first: FirstPass, ran: Mapping[str, OneClock], checked: Checked, *,
         settings = replace(settings, misfit=(1.0, 1.0), unseen_std_m=(0.0, 0.0))
     apart = {name: clock for name, clock in ran.items() if ran_apart(clock)}
     if apart:
-        settings = replace(settings, zero_ns=zero_instant(first.sides[0], first.eyes, ran))
+        settings = replace(settings, zero_ns=zero_instant(first.sides[0], first.eyes, first.sensors, ran))
     if apart or settings != estimator.settings:
         blocks = {name: outcome.measured_by(name) for name in outcome.measured}
         blocks |= {name: on_its_clock(blocks[name], settings.channels, clock) for name, clock in apart.items()}

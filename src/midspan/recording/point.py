@@ -1,6 +1,6 @@
 """From a calibrated recording to its measuring point: channels, what is uncertain of each sensor, and the stages."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from math import hypot, sqrt
 
@@ -15,7 +15,7 @@ from midspan.engine.guard import Guard, GuardSettings
 from midspan.engine.merge import Merge
 from midspan.engine.order import FIRST_NS
 from midspan.engine.point import ACCELEROMETER, Point
-from midspan.engine.sensors import MIN_STD_PX, Sensor
+from midspan.engine.sensors import MIN_STD_PX, RadarSensor, Sensor
 from midspan.engine.switching import Switch
 from midspan.engine.twilight import Place
 from midspan.fusion.blocks import VELOCITY_WITHIN
@@ -28,7 +28,7 @@ from midspan.recording.calibrate import usual_in_window
 from midspan.recording.kinds import ROWS
 from midspan.recording.streams.recording import Recording
 from midspan.recording.tracked import Eye, Side, known_sensors, offsets_of
-from midspan.records import NANOSECONDS, ClockOffset, Source
+from midspan.records import NANOSECONDS, ClockOffset, RangeFrame, Source, Status
 from midspan.settings.band import tilt_std_m
 from midspan.signals.acceleration import GRAVITY_M_S2
 from midspan.signals.stamps import frames_used
@@ -82,21 +82,43 @@ def radar_frames_used(recording: Recording) -> slice:
     return frames_used(recording.radar.times_ns(), recording.prepared.time_ns, margin_ns)
 
 
-def zero_instant(main: Side, eyes: Sequence[Eye], ran: Mapping[str, OneClock] | None = None) -> int | None:
-    """The instant (ns) that the displacement counts from: a camera's first frame, at its target's row; None: the
-    sensor's own zero.
+def radar_frames(recording: Recording, radar: RadarSensor) -> Iterator[RangeFrame]:
+    """A radar's frames in the bins of its stage."""
+    used = radar_frames_used(recording)
+    for block in recording.radar.slow_time(radar.chain.bins, used.start, used.stop):
+        yield from block
 
-    ran: how the sensors' clocks ran, by name, where that is known. Of two cameras the first one's; where that one was
-    dark when it began, the first frame of either. A radar's phase counts from its first frame, whose noise is in its
-    zero.
+
+def radar_zero_ns(view: Recording, radar: RadarSensor) -> int | None:
+    """The instant (ns on the radar's clock) of the first frame used, from which the phase counts; None: of none."""
+    before = radar.chain.state
+    found = (one for frame in radar_frames(view, radar) for one in radar.chain.push(frame))
+    first = next((one for one in found if one.status == Status.TRACKING), None)
+    radar.chain.restore(before)
+    return None if first is None else (*first.earlier, first)[0].time_ns
+
+
+def zero_instant(
+    main: Side, eyes: Sequence[Eye], sensors: Mapping[str, Sensor], ran: Mapping[str, OneClock] | None = None
+) -> int | None:
+    """The instant (ns) that the displacement counts from: a camera's first frame, at its target's row, or a radar's;
+    None: the sensor's own zero.
+
+    sensors: the stages by name. ran: how the sensors' clocks ran, by name, where that is known. Of two cameras the
+    first one's; where that one was dark when it began, the first frame of either.
     """
-    if not eyes:
-        return None
     offsets_ns = clock_offsets_ns(main, eyes)
-    firsts = [eye.zero_ns + offsets_ns[eye.sensor] for eye in eyes]
-    if ran is not None:
-        firsts = [ran[eye.sensor].first_ns(first) for eye, first in zip(eyes, firsts, strict=True)]
-    return min(firsts) if eyes[0].begins_dark else firsts[0]
+    firsts = [(eye.sensor, eye.zero_ns) for eye in eyes]
+    if not eyes:
+        # The first sensor's zero is that of the displacement.
+        view, radar = next((view, sensors[view.sensor]) for view, _ in known_sensors(main))
+        found = radar_zero_ns(view, radar) if isinstance(radar, RadarSensor) else None
+        firsts = [] if found is None else [(view.sensor, found)]
+    stamps = [
+        stamp if ran is None else ran[name].first_ns(stamp)
+        for name, stamp in ((name, stamp + offsets_ns[name]) for name, stamp in firsts)
+    ]
+    return min(stamps) if eyes and eyes[0].begins_dark else next(iter(stamps), None)
 
 
 def unseen_std_m(main: Side, eyes: Sequence[Eye], axis: int) -> float:
@@ -111,7 +133,18 @@ def unseen_std_m(main: Side, eyes: Sequence[Eye], axis: int) -> float:
     return max((*seen, *(lost if axis == 0 else ())), default=0.0)
 
 
-def estimator_settings(table: Table, sides: Sequence[Side], eyes: Sequence[Eye]) -> EstimatorSettings:
+def unseen_zero_std_m(main: Side, eyes: Sequence[Eye], axis: int) -> float:
+    """What else is in the bin of a radar's best target makes of its phase at the zero, m: it does not average out while
+    the structure is where it was.
+    """
+    known = [one for _, one in known_sensors(main)][:1]
+    counts = not eyes and axis == 0 and bool(known) and known[0].kind == Source.RADAR.word
+    return known[0].used[0].bent_m if counts else 0.0
+
+
+def estimator_settings(
+    table: Table, sides: Sequence[Side], eyes: Sequence[Eye], sensors: Mapping[str, Sensor]
+) -> EstimatorSettings:
     """What the estimator is given of a recording's axes and sensors."""
     return EstimatorSettings(
         channels=tuple(table.channels),
@@ -121,10 +154,11 @@ def estimator_settings(table: Table, sides: Sequence[Side], eyes: Sequence[Eye])
         bias_std_m_s2=tuple(bias_std(side) for side in sides),
         bias_walk=max(bias_walk(side) for side in sides),
         motion=tuple(figures(side, 1.0).motion if side.recording.fused else (0.0, 0.0) for side in sides),
-        zero_ns=zero_instant(sides[0], eyes),
+        zero_ns=zero_instant(sides[0], eyes, sensors),
         misfit=tuple(side.calibration.misfit for side in sides),
         lean=tuple(GRAVITY_M_S2 * side.calibration.slope for side in sides),
         unseen_std_m=tuple(unseen_std_m(sides[0], eyes, axis) for axis in range(len(sides))),
+        unseen_zero_std_m=tuple(unseen_zero_std_m(sides[0], eyes, axis) for axis in range(len(sides))),
     )
 
 
@@ -164,7 +198,7 @@ def measuring_point(
     stds = [side.calibration.gain_std(recording.accelerometer.scale_std, given=given) for side in sides]
     table.gain(stds, estimated=section.estimate_scale)
     offsets_ns = clock_offsets_ns(main, eyes)
-    settings = estimator_settings(table, sides, eyes)
+    settings = estimator_settings(table, sides, eyes, sensors)
     settings = settings if noise_memory is None else replace(settings, noise_memory=noise_memory)
     merge = Merge([ACCELEROMETER, *sensors], *wait_s)
     for name in sensors:

@@ -12,8 +12,7 @@ from midspan.engine.sensors import RadarSensor, Seen
 from midspan.errors import DataError
 from midspan.fusion.blocks import REJECTED
 from midspan.fusion.estimator import Rows
-from midspan.recording.point import clock_offsets_ns, radar_frames_used
-from midspan.recording.streams.recording import Recording
+from midspan.recording.point import clock_offsets_ns, radar_frames
 from midspan.recording.tracked import Eye, Side, known_sensors
 from midspan.records import (
     NANOSECONDS,
@@ -32,6 +31,7 @@ from midspan.records import (
     Readings,
     Tracked,
     joined,
+    part,
 )
 from midspan.settings.sensor_words import in_words_of, worded
 
@@ -81,8 +81,14 @@ class Outcome:
         return tuple(event for rows in self.rows for event in rows.events)
 
     def measured_by(self, sensor: str) -> Measured:
-        """All that a sensor measured as one block."""
-        return joined(self.measured[sensor])
+        """All that a sensor measured as one block in time order: of an instant and channel the last row that came."""
+        found = joined(self.measured[sensor])
+        if (np.diff(found.time_ns) >= 0).all():
+            return found
+        order = np.lexsort((found.channel, found.time_ns))
+        number, time_ns = found.channel[order], found.time_ns[order]
+        last = np.append((np.diff(number) != 0) | (np.diff(time_ns) != 0), True)
+        return part(found, order[last])
 
     @property
     def measured_ns(self) -> Nanoseconds:
@@ -197,13 +203,6 @@ def frames_of(eye: Eye) -> Iterator[Tracked | Frame]:
         yield Tracked(stamp, stamp, tuple(target.translation(k) for target in tracking.targets))
     while (frame := tracking.take()) is not None:
         yield frame
-
-
-def radar_frames(recording: Recording, radar: RadarSensor) -> Iterator[RangeFrame]:
-    """A radar's frames in the bins of its stage."""
-    used = radar_frames_used(recording)
-    for block in recording.radar.slow_time(radar.chain.bins, used.start, used.stop):
-        yield from block
 
 
 def in_time(
