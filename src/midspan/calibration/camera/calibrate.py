@@ -7,8 +7,7 @@ import numpy as np
 
 from midspan.calibration.agreement import misfit
 from midspan.calibration.bias import bias_of
-from midspan.calibration.camera.one_displacement import camera_blocks, filter_settings, moves_by_itself
-from midspan.calibration.camera.tilt import tilt_error_m, tilt_text
+from midspan.calibration.camera.disagreement import Agreed, agreed, m_per_px
 from midspan.calibration.camera.view import SeenTarget, View, camera_pair, printed_along, scale_of
 from midspan.calibration.common_offset import Fitted, common_offset, one_offset, pooled_variance, shared_part
 from midspan.calibration.fit import Pair
@@ -37,10 +36,6 @@ CameraFit = SensorFit[CameraCalibration, ScaleCalibration]
 PRINTED = (
     "calibration.literal: scale factor and clock offset are as printed (band-pass, double integration, "
     "cross-correlation, least squares). Their standard deviations hold the distance from those of the likelihood."
-)
-MOVED_TEXT = (
-    "One of them moves by itself, as in a slow drift, and neither the accelerometer nor a majority tells which. Leave "
-    "out of camera.target the one that may not stand still, or add a third."
 )
 
 
@@ -72,12 +67,14 @@ def fit_camera(
         fits = fits[:1]
     offset = main.offset(common_offset(fits))
     axes = list(zip(views, fits, strict=False))
-    cameras = used_along_both([_judged(view, targets, fit, offset) for view, fit in axes])
+    judged = [_judged(view, targets, fit, offset) for view, fit in axes]
+    cameras = used_along_both([one.camera for one in judged])
     if len(cameras) < len(axes):
         refused = f"Along {second} the target is only tracked: no target is of use along both axes."
     parts = [
         _given(view, targets, _fit_of(targets, camera, fit)) for camera, (view, fit) in zip(cameras, axes, strict=False)
     ]
+    parts = [replace(part, warnings=(*one.warnings, *part.warnings)) for part, one in zip(parts, judged, strict=False)]
     if _is_estimated(main):
         _refuse_vague(parts[0])
     if second and len(parts) == 1:
@@ -231,7 +228,7 @@ def _refuse_compression(scale: ScaleFactor, learnt: ScaleFactor) -> None:
     )
 
 
-def _judged(view: View, targets: Sequence[SeenTarget], fit: Fitted, offset: TimeOffset) -> CameraCalibration:
+def _judged(view: View, targets: Sequence[SeenTarget], fit: Fitted, offset: TimeOffset) -> Agreed:
     """All targets along one axis as one calibration; those that do not agree with the others are not used."""
     known = _without_useless(
         [
@@ -242,7 +239,7 @@ def _judged(view: View, targets: Sequence[SeenTarget], fit: Fitted, offset: Time
     found = fit.found[_best(known)]
     assert found is not None
     camera = replace(_camera(targets, view.axis, known, offset), exposure_s=found.response.exposure_s)
-    return _without_movers(view, targets, camera, found.input_noise)
+    return agreed(view, targets, camera, fit)
 
 
 def _fit_of(seen: Sequence[SeenTarget], camera: CameraCalibration, fit: Fitted) -> CameraFit:
@@ -330,11 +327,6 @@ def _target(target: SeenTarget, found: ScaleCalibration | None, reason: str, axi
     )
 
 
-def m_per_px(target: TargetCalibration) -> float:
-    """Size of a target's scale factor, in proportion to its distance; NaN where it was refused."""
-    return np.nan if target.scale is None else abs(target.scale.value_m_per_px)
-
-
 def noise_m(target: TargetCalibration) -> float:
     """Noise of one frame's displacement, m; infinite for a target that is not used."""
     return m_per_px(target) * target.noise_std_px if target.used and target.scale is not None else np.inf
@@ -384,39 +376,6 @@ def _camera(
         targets=tuple(targets),
         lens=lens,
     )
-
-
-def _without_movers(
-    view: View, targets: Sequence[SeenTarget], camera: CameraCalibration, noise: InputNoise
-) -> CameraCalibration:
-    """The calibration without the targets that move on their own, the worst first; UntrustedError if undecided."""
-    while len(camera.used) > 1:
-        used = [k for k, target in enumerate(camera.targets) if target.used]
-        acceleration = view.prepared.with_noise(noise.density, noise.motion_s)
-        blocks = camera_blocks([targets[k] for k in used], camera, acceleration)
-        kalman = filter_settings(view.prepared, noise.density)
-        found = moves_by_itself(blocks, camera.mappings(), acceleration, kalman, view.window_ns)
-        if found is None:
-            break
-        worst, beside = camera.targets[used[found.target]], camera.targets[used[found.beside]]
-        size = f"{1e3 * found.apart_m:.2g} mm rms, more than its noise and scale factor explain."
-        scales = [m_per_px(camera.targets[k]) for k in used]
-        # A tilt errs least at the nearest target: where the accelerometer decides, it speaks for that one.
-        possible = found.undecided or m_per_px(beside) < m_per_px(worst)
-        tilt_m = tilt_error_m(scales, found.beside, found.target, found.apart_m) if possible else 0.0
-        cause = tilt_text((beside.name, m_per_px(beside)), (worst.name, m_per_px(worst)), tilt_m) if tilt_m else ""
-        if found.undecided:
-            raise UntrustedError(
-                f"Targets {beside.name} and {worst.name} contradict each other along {camera.direction}: the second "
-                f"differs from the first by {size} {cause or MOVED_TEXT}"
-            )
-        reason = f"it moves by itself: it differs from the others by {size}"
-        if tilt_m:
-            reason = f"it differs from {beside.name} by {size} {cause} The error band holds the tilt."
-        known = list(camera.targets)
-        known[used[found.target]] = replace(worst, used=False, reason=reason)
-        camera = replace(camera, targets=tuple(known), apart_std_m=float(np.hypot(camera.apart_std_m, tilt_m)))
-    return camera
 
 
 def relative_scale_std(scales: Sequence[ScaleCalibration], targets: Sequence[TargetCalibration]) -> float:

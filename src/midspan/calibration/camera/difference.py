@@ -1,0 +1,168 @@
+"""By how much two targets of a camera differ beyond white noise, at any frame rate.
+
+All targets are fixed, so their displacements differ by a constant and by noise that is white from frame to frame,
+whatever its size. The spectrum of their difference tells that noise and what exceeds it: squares of white noise have
+one mean in all bands (M. S. Bartlett, Properties of sufficiency and statistical tests, Proc. R. Soc. A 160 (1937)
+268-282, doi 10.1098/rspa.1937.0109). Neither the acceleration nor any estimated noise takes part, both of which a tilt
+of the camera would be taken for.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from midspan.records import Floats
+
+# Bands are octaves up to this many cosines, and as wide as that above: a slow tilt fills few of them, a bracket's
+# resonance some tenths of a Hz. Cosines do not take a course that ends elsewhere than it began for a jump.
+MAX_ORDINATES = 32
+# Of so many pairs with white differences one is taken for coloured. The gain is in units of the likelihood's logarithm.
+COLOURED_BY_CHANCE = 1e-4
+# Values farther from the middle than this many robust standard deviations belong to an outlier where they came there by
+# a jump of this many, and where such outliers are no more than this share of the frames: what covers a target comes and
+# goes, while a camera turns steadily.
+FAR_STD, JUMP_STD, MAX_OUTLIERS = 8.0, 4.0, 0.08
+# Fewer frames tell nothing.
+MIN_FRAMES = 20
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Difference:
+    """What two targets differ by: noise_m: standard deviation of its white part from frame to frame; excess_m: rms of
+    what exceeds it, 0 where it may be white; course_m (n,): that excess as a function of time, as far as its spectrum
+    tells it from noise by `gains` (n,) of its cosines.
+    """
+
+    noise_m: float
+    excess_m: float
+    course_m: Floats
+    gains: Floats
+
+    def shaped(self, value: Floats) -> Floats:
+        """What the course would hold of a series (n,)."""
+        return _shaped(value, self.gains)
+
+
+def difference(value: Floats, variance: Floats, motion: Floats, scale_std: float) -> Difference:
+    """Compare two targets by the difference of their displacements.
+
+    value (n,): difference, m, NaN where either is not seen; variance (n,): its relative size from frame to frame;
+    motion (n,): the displacement itself, m; scale_std: relative standard deviation of the ratio of both scale factors,
+    infinite where nothing is known of it.
+    """
+    usable = np.isfinite(value) & np.isfinite(variance) & (variance > 0.0)
+    nothing = Difference(np.nan, 0.0, np.zeros(len(value)), np.zeros(len(value)))
+    if np.count_nonzero(usable) < MIN_FRAMES:
+        return nothing
+    left = np.where(usable, value, np.nan)
+    left = left - np.nanmedian(left)
+    own = _step_std(left)
+    usable &= ~_outliers(left, own)
+    left = _without_motion(left, motion, usable, scale_std)
+    bands = _bands(len(value))
+    if len(bands) < 3:
+        return nothing
+    # A frame that is missing has no noise of its own: what is filled in there is the course alone.
+    filled = np.interp(np.arange(len(value)), np.flatnonzero(usable), left[usable])
+    for _ in range(2):
+        power = _cosines(filled) ** 2
+        noise, coloured = _floor(power, bands)
+        gains = _gains(power, bands, noise) if coloured else nothing.gains
+        course = _shaped(filled, gains)
+        filled = np.where(usable, left, course)
+    std = float(np.sqrt(noise * len(usable) / np.count_nonzero(usable)))
+    if not coloured:
+        return replace(nothing, noise_m=std)
+    excess = max(float(np.mean(left[usable] ** 2)) - std**2, 0.0)
+    return Difference(std, float(np.sqrt(excess)), course, gains)
+
+
+def _cosines(value: Floats) -> Floats:
+    """Amplitudes of a series' cosines (n,), with the series' power in all."""
+    from scipy.fft import dct
+
+    return np.asarray(dct(value, norm="ortho"))
+
+
+def _shaped(value: Floats, gains: Floats) -> Floats:
+    """A series (n,) with its cosines times gains."""
+    from scipy.fft import idct
+
+    return np.asarray(idct(_cosines(value) * gains, norm="ortho"))
+
+
+def _step_std(value: Floats) -> float:
+    """Robust standard deviation of white noise by the steps from each usable value to the next."""
+    steps = np.diff(value[np.isfinite(value)])
+    return float(np.median(np.abs(steps)) / (0.6745 * np.sqrt(2.0))) + 1e-15
+
+
+def _outliers(value: Floats, std: float) -> NDArray[np.bool_]:
+    """Frames of runs far from the middle that begin or end with a jump, where these are few."""
+    place = np.flatnonzero(np.isfinite(value))
+    far = np.zeros(len(value) + 2, dtype=bool)
+    far[1:-1][place] = np.abs(value[place]) > FAR_STD * std
+    edges = np.flatnonzero(np.diff(far.astype(np.int8)))
+    found = np.zeros(len(value), dtype=bool)
+    for begin, end in zip(edges[::2], edges[1::2], strict=True):
+        outside = [k for k in (begin - 1, end) if 0 <= k < len(value) and np.isfinite(value[k])]
+        inner = {begin - 1: begin, end: end - 1}
+        if any(abs(value[inner[k]] - value[k]) > JUMP_STD * np.sqrt(2.0) * std for k in outside):
+            found[begin:end] = True
+    return found if np.count_nonzero(found) <= MAX_OUTLIERS * len(place) else np.zeros(len(value), dtype=bool)
+
+
+def _without_motion(value: Floats, motion: Floats, usable: NDArray[np.bool_], scale_std: float) -> Floats:
+    """The difference without its mean and the share of the motion that the scale factors' ratio may be off by.
+
+    All of the difference counts as the noise of that share: a path that follows a tilt must not draw it along.
+    """
+    moved = motion - np.mean(motion[usable])
+    left = value - np.mean(value[usable])
+    power = float(np.sum(moved[usable] ** 2))
+    if np.isfinite(scale_std):
+        power += (float(np.std(left[usable])) / max(scale_std, 1e-9)) ** 2
+    share = float(np.sum(moved[usable] * left[usable])) / max(power, 1e-300)
+    out = left - share * moved
+    return np.asarray(out - np.mean(out[usable]))
+
+
+def _bands(count: int) -> list[slice]:
+    """The bands of the cosines of so many frames, without the mean: octaves, then even ones."""
+    begin, width, out = 1, 2, list[slice]()
+    while begin + width <= count:
+        out.append(slice(begin, begin + width))
+        begin, width = begin + width, min(2 * width, MAX_ORDINATES)
+    return out
+
+
+def _floor(power: Floats, bands: list[slice]) -> tuple[float, bool]:
+    """Level of the white part, as the mean of the most bands that may have one mean, and whether some exceed it."""
+    means = np.array([float(np.mean(power[band])) for band in bands])
+    counts = np.array([band.stop - band.start for band in bands], dtype=np.float64)
+    order = np.argsort(means)
+    means, counts = means[order], counts[order]
+    for last in range(len(means), 1, -1):
+        if not _differ(means[:last], counts[:last]):
+            return float(np.average(means[:last], weights=counts[:last])), last < len(means)
+    return float(means[0]), True
+
+
+def _differ(means: Floats, counts: Floats) -> bool:
+    """Whether band means of squared normal values cannot have one mean: Bartlett's test, with his correction."""
+    from scipy.special import gammainccinv
+
+    free, total = len(means) - 1, float(np.sum(counts))
+    apart = np.log(np.average(means, weights=counts)) - np.log(np.maximum(means, 1e-300))
+    gain = 0.5 * float(np.sum(counts * apart))
+    correction = 1.0 + (float(np.sum(1.0 / counts)) - 1.0 / total) / (3.0 * free)
+    return bool(gain / correction > gammainccinv(0.5 * free, COLOURED_BY_CHANCE))
+
+
+def _gains(power: Floats, bands: list[slice], noise: float) -> Floats:
+    """The share of signal in each band of a spectrum with white noise of this level."""
+    share = np.zeros(len(power))
+    for band in bands:
+        share[band] = max(1.0 - noise / max(float(np.mean(power[band])), 1e-300), 0.0)
+    return share

@@ -1,0 +1,328 @@
+"""Targets that differ by more than white noise: one of them moves by itself, or the camera tilts.
+
+What two targets differ by beyond noise (`difference`) is in one of them, or in both as a tilt makes it, in proportion
+to their distances. Each of these puts another share of it into the translation of the better target: none of it, all,
+or D / (D - D'). The accelerometer tells that share, as far as it feels what is so fast (`share_in`). What it leaves
+open is held by the error band, or refused where it is too much of the motion.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from enum import Enum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from midspan.calibration.camera.difference import Difference, difference
+from midspan.calibration.camera.one_displacement import camera_blocks, filter_settings, target_block
+from midspan.calibration.camera.share import Course, Share, share_in
+from midspan.calibration.camera.tilt import SAME_DISTANCE, moved_text, tilt_text
+from midspan.calibration.camera.view import SeenTarget, View
+from midspan.calibration.common_offset import Fitted
+from midspan.calibration.scale import REFUSED_ABOVE
+from midspan.calibration.sensors.camera import CameraCalibration, TargetCalibration
+from midspan.calibration.sensors.camera_scale import CameraScale
+from midspan.errors import UntrustedError
+from midspan.fusion.path import at
+from midspan.fusion.streams import smooth
+from midspan.notices import Notice
+from midspan.records import NANOSECONDS, Acceleration, Displacement, part
+
+# A target that differs from another by this many times the white noise of one frame is left out where it is the cause.
+DISAGREES = 2.5
+# Less than this is of no weight: no tracker is right to the last digit.
+MIN_APART_M = 1e-5
+
+
+class Cause(Enum):
+    """Why two targets differ: the other one moves by itself, this one does, or the camera tilts."""
+
+    OTHER = "other"
+    THIS = "this"
+    TILT = "tilt"
+
+
+@dataclass(frozen=True, slots=True)
+class Agreed:
+    """The calibration of targets that agree, or whose disagreement the band holds, and what is worth telling."""
+
+    camera: CameraCalibration
+    warnings: tuple[Notice, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Member:
+    """A target that is compared: its place among all, scale (m/px, signed), that one's relative standard deviation,
+    and its displacement.
+    """
+
+    place: int
+    name: str
+    scale_m_per_px: float
+    relative_std: float
+    block: Displacement
+
+    @property
+    def noise_m2(self) -> float:
+        """Usual variance of a frame; infinite for a target that was never seen."""
+        known = self.block.variance_m2[np.isfinite(self.block.variance_m2)]
+        return float(np.median(known)) if len(known) else np.inf
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """A pair's causes that the accelerometer leaves open; size_m: rms of the difference beyond noise; error_m: the most
+    that this may make of the displacement of the one that is kept.
+    """
+
+    kept: Member
+    other: Member
+    open: frozenset[Cause]
+    size_m: float
+    error_m: float
+
+
+def m_per_px(target: TargetCalibration) -> float:
+    """Size of a target's scale factor, in proportion to its distance; NaN where it was refused."""
+    return np.nan if target.scale is None else abs(target.scale.value_m_per_px)
+
+
+def agreed(view: View, targets: Sequence[SeenTarget], camera: CameraCalibration, fit: Fitted) -> Agreed:
+    """The calibration along one axis without the targets that move on their own, with what the others differ by.
+
+    Raises UntrustedError where the accelerometer does not tell which target is right and too much depends on it.
+    """
+    if len(targets) < 2:
+        return Agreed(camera)
+    held: dict[frozenset[int], Verdict] = {}
+    while len(camera.used) > 1:
+        compared = _Compared(view, targets, camera, fit)
+        verdict = compared.worst(held)
+        if verdict is None:
+            break
+        if verdict.open in (frozenset({Cause.OTHER}), frozenset({Cause.THIS})):
+            mover, beside = (
+                (verdict.other, verdict.kept) if Cause.OTHER in verdict.open else (verdict.kept, verdict.other)
+            )
+            reason = (
+                f"it moves by itself: it differs from {beside.name} by {1e3 * verdict.size_m:.2g} mm rms, more than "
+                "its noise and scale factor explain."
+            )
+            camera = _left_out(camera, mover.place, reason)
+        else:
+            held[frozenset((verdict.kept.place, verdict.other.place))] = compared.accepted(verdict)
+    last = _Compared(view, targets, camera, fit)
+    judged = [last.accepted(one) for one in last.refused()]
+    small = last.slight(held)
+    error_m = max((one.error_m for one in (*held.values(), *judged, *small)), default=0.0)
+    told = [_notice(one) for one in (*held.values(), *judged)]
+    return Agreed(replace(camera, apart_std_m=float(np.hypot(camera.apart_std_m, error_m))), tuple(told))
+
+
+class _Compared:
+    """The targets along one axis as displacements, compared in the calibration window."""
+
+    def __init__(self, view: View, targets: Sequence[SeenTarget], camera: CameraCalibration, fit: Fitted) -> None:
+        self._view, self._targets, self._camera, self._fit = view, targets, camera, fit
+        used = [k for k, target in enumerate(camera.targets) if target.used]
+        best = fit.found[min(used, key=lambda k: m_per_px(camera.targets[k]) * camera.targets[k].noise_std_px)]
+        assert best is not None
+        noise = best.input_noise
+        acceleration = view.prepared.with_noise(noise.density, noise.motion_s)
+        blocks = camera_blocks([targets[k] for k in used], camera, acceleration)
+        self._acceleration = _around(acceleration, blocks)
+        self.members = [
+            Member(k, targets[k].name, mapping.scale_m_per_px, mapping.relative_std, block)
+            for k, mapping, block in zip(used, camera.mappings(), blocks, strict=True)
+        ]
+        self._sharpest = min(self.members, key=lambda member: member.noise_m2)
+        kalman = filter_settings(view.prepared, noise.density)
+        self._path = smooth(self._acceleration, self._sharpest.block, kalman).estimate
+        self._window = _window(blocks[0], view.window_ns)
+        self._motion = at(self._path, blocks[0].time_ns)[0][self._window]
+        self._found: dict[tuple[int, int], Difference] = {}
+
+    def worst(self, held: dict[frozenset[int], Verdict]) -> Verdict | None:
+        """What is to be decided first: the target that agrees with the fewest, compared with the best of the rest."""
+        members = self.members
+        count = len(members)
+        apart = np.zeros((count, count))
+        for i in range(count):
+            for k in range(i):
+                found = self._between(members[i], members[k])
+                limit = max(DISAGREES * found.noise_m, MIN_APART_M) if found.excess_m > 0.0 else np.inf
+                if frozenset((members[i].place, members[k].place)) not in held and found.excess_m > limit:
+                    apart[i, k] = apart[k, i] = found.excess_m / limit
+        moved = apart > 0.0
+        if not moved.any():
+            return None
+        agreeing = np.sum(~moved, axis=0)
+        leading = agreeing[moved.any(axis=0)].max()
+        best = min(
+            (k for k in range(count) if moved[k].any() and agreeing[k] == leading), key=lambda k: members[k].noise_m2
+        )
+        others = np.flatnonzero(moved[best])
+        fewest = others[agreeing[others] == agreeing[others].min()]
+        worst = int(fewest[np.argmax(apart[best, fewest])])
+        return self._verdict(members[best], members[worst], _group(members, moved, best, worst))
+
+    def refused(self) -> list[Verdict]:
+        """Targets without a scale factor, compared with the best one, where that one may be wrong as well."""
+        verdicts = []
+        for k, target in enumerate(self._camera.targets):
+            if target.used or self._fit.found[k] is not None:
+                continue
+            member = self._without_scale(k)
+            if member is None:
+                continue
+            found = self._between(self._sharpest, member)
+            if found.excess_m > max(DISAGREES * found.noise_m, MIN_APART_M):
+                verdict = self._verdict(self._sharpest, member, [])
+                if verdict.open != frozenset({Cause.OTHER}):
+                    verdicts.append(verdict)
+        return verdicts
+
+    def slight(self, held: dict[frozenset[int], Verdict]) -> list[Verdict]:
+        """The best target's differences that are too small to leave any target out."""
+        small = []
+        for member in self.members:
+            pair = frozenset((member.place, self._sharpest.place))
+            if member is self._sharpest or pair in held:
+                continue
+            if self._between(self._sharpest, member).excess_m > 0.0:
+                verdict = self._verdict(self._sharpest, member, [])
+                # What the other one errs by is in their mean by its weight.
+                weight = self._sharpest.noise_m2 / (self._sharpest.noise_m2 + member.noise_m2)
+                small.append(replace(verdict, error_m=max(verdict.error_m, weight * verdict.size_m)))
+        return small
+
+    def accepted(self, verdict: Verdict) -> Verdict:
+        """A verdict that the band can hold; UntrustedError where it is too much of the motion."""
+        if verdict.error_m <= REFUSED_ABOVE * float(np.std(self._motion)):
+            return verdict
+        kept, other = verdict.kept, verdict.other
+        text = _cause_text(verdict)
+        raise UntrustedError(
+            f"Targets {kept.name} and {other.name} contradict each other along {self._view.axis}: the second differs "
+            f"from the first by {1e3 * verdict.size_m:.2g} mm rms, more than its noise and scale factor explain, and "
+            f"the displacement may be wrong by {1e3 * verdict.error_m:.2g} mm rms, where at most "
+            f"{100 * REFUSED_ABOVE:g} % of the motion's {1e3 * float(np.std(self._motion)):.2g} mm rms is given out. "
+            f"{text}"
+        )
+
+    def _between(self, one: Member, other: Member) -> Difference:
+        """What two targets differ by in the window, the first minus the second."""
+        if (one.place, other.place) not in self._found:
+            w = self._window
+            # Rows of a rolling shutter are exposed one after the other.
+            expected = [at(self._path, member.block.time_ns[w])[0] for member in (one, other)]
+            value = (one.block.value_m[w] - expected[0]) - (other.block.value_m[w] - expected[1])
+            variance = one.block.variance_m2[w] + other.block.variance_m2[w]
+            scale_std = float(np.hypot(one.relative_std, other.relative_std))
+            self._found[one.place, other.place] = difference(value, variance, expected[0], scale_std)
+        return self._found[one.place, other.place]
+
+    def _without_scale(self, place: int) -> Member | None:
+        """A target without a scale factor of its own, with the one by which it is most like the others."""
+        target = self._targets[place]
+        pixels, variance = target.rows.along(self._view.axis)
+        time_ns = target.rows.time_ns + round(NANOSECONDS * self._camera.offset.value_s)
+        moved = at(self._path, time_ns)[0]
+        inside = np.zeros(len(pixels), dtype=bool)
+        inside[self._window] = True
+        inside &= np.isfinite(pixels) & np.isfinite(variance)
+        if not inside.any():
+            return None
+        moved, pixels = moved[inside] - np.mean(moved[inside]), pixels[inside] - np.mean(pixels[inside])
+        ratio = float(np.sum(moved * pixels)) / max(float(np.sum(moved**2)), 1e-300)
+        if ratio == 0.0:
+            return None
+        mapping = CameraScale(1.0 / ratio, self._view.axis, round(NANOSECONDS * self._camera.offset.value_s))
+        block = target_block(target, mapping, self._camera.exposure_s, self._acceleration)
+        return Member(place, target.name, 1.0 / ratio, np.inf, block)
+
+    def _verdict(self, kept: Member, other: Member, agreeing: Sequence[Member]) -> Verdict:
+        """Which causes of a difference the accelerometer leaves open; agreeing: with the one that is kept."""
+        found = self._between(kept, other)
+        shares = _shares(kept, other)
+        if agreeing:
+            # Several that move alike are fixed; at several distances they exclude a tilt as well.
+            del shares[Cause.THIS]
+            if not all(_alike(one, kept) for one in agreeing):
+                shares.pop(Cause.TILT, None)
+        measured = self._share(kept, other, found)
+        left = frozenset(cause for cause, share in shares.items() if measured.allows(share))
+        # Where no single cause explains it there are several.
+        left = left or frozenset(shares)
+        most = max(abs(shares[cause]) for cause in left)
+        return Verdict(kept, other, left, found.excess_m, most * found.excess_m)
+
+    def _share(self, kept: Member, other: Member, found: Difference) -> Share:
+        """The share of a difference that is in the target that is kept."""
+        own = self._fit.found[kept.place]
+        assert own is not None
+        offset_s = own.search.fit.offset_s
+        time_s = (kept.block.time_ns[self._window] - self._view.window_ns[0]) / NANOSECONDS - offset_s
+        noise_px = found.noise_m / abs(kept.scale_m_per_px)
+        part_of_noise = kept.noise_m2 / (kept.noise_m2 + other.noise_m2)
+        course = Course(time_s, found.course_m / kept.scale_m_per_px, found.shaped, noise_px, part_of_noise)
+        return share_in(own.search.pair, own.search.fit, course)
+
+
+def _shares(kept: Member, other: Member) -> dict[Cause, float]:
+    """The share of the difference that each cause puts into the displacement of the target that is kept."""
+    shares = {Cause.OTHER: 0.0, Cause.THIS: 1.0}
+    if not _alike(kept, other):
+        shares[Cause.TILT] = kept.scale_m_per_px / (kept.scale_m_per_px - other.scale_m_per_px)
+    return shares
+
+
+def _alike(one: Member, other: Member) -> bool:
+    """Whether two targets are at one distance."""
+    a, b = one.scale_m_per_px, other.scale_m_per_px
+    return abs(a - b) <= SAME_DISTANCE * max(abs(a), abs(b))
+
+
+def _group(members: Sequence[Member], moved: NDArray[np.bool_], best: int, worst: int) -> list[Member]:
+    """Those that agree with the best one, without it, where they are a majority against the worst one."""
+    if np.sum(~moved[best]) <= np.sum(~moved[worst]):
+        return []
+    return [member for k, member in enumerate(members) if k != best and not moved[best, k]]
+
+
+def _left_out(camera: CameraCalibration, place: int, reason: str) -> CameraCalibration:
+    known = list(camera.targets)
+    known[place] = replace(known[place], used=False, reason=reason)
+    return replace(camera, targets=tuple(known))
+
+
+def _cause_text(verdict: Verdict) -> str:
+    """What may be the cause, and what would decide."""
+    kept, other = verdict.kept, verdict.other
+    if Cause.TILT not in verdict.open:
+        return moved_text()
+    share = abs(_shares(kept, other)[Cause.TILT])
+    named = [(member.name, abs(member.scale_m_per_px)) for member in (kept, other)]
+    return tilt_text(named[0], named[1], share * verdict.size_m, decided=verdict.open == frozenset({Cause.TILT}))
+
+
+def _notice(verdict: Verdict) -> Notice:
+    return Notice(
+        "motion-not-shared",
+        f"Targets {verdict.kept.name} and {verdict.other.name} differ by {1e3 * verdict.size_m:.2g} mm rms, more than "
+        f"their noise and scale factors explain; the error band holds {1e3 * verdict.error_m:.2g} mm for it. "
+        f"{_cause_text(verdict)}",
+    )
+
+
+def _window(block: Displacement, window_ns: tuple[int, int]) -> slice:
+    """The frames in the window; all of them where it holds too few."""
+    first, last = (int(i) for i in np.searchsorted(block.time_ns, window_ns))
+    return slice(first, last) if last - first >= 20 else slice(0, len(block.time_ns))
+
+
+def _around(acceleration: Acceleration, blocks: Sequence[Displacement]) -> Acceleration:
+    """The acceleration of the frames' time and a second on either side: frames of a minute need no day of it."""
+    first = min(int(block.time_ns[0]) for block in blocks) - NANOSECONDS
+    last = max(int(block.time_ns[-1]) for block in blocks) + NANOSECONDS
+    return part(acceleration, slice(*(int(i) for i in np.searchsorted(acceleration.time_ns, (first, last)))))
