@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from midspan.errors import DataError
 from midspan.records import Floats
 from midspan.sources.accelerometer import text
 from midspan.sources.accelerometer.channel import Channel, ChannelSet
@@ -29,7 +30,13 @@ def read(path: Path) -> ChannelSet:
     """
     with path.open("rb") as file:
         if not file.read(_HEAD_BYTES).lstrip(b"\xef\xbb\xbf \t\r\n").startswith(_FIRST_WORDS):
-            found = text.read(path)
+            try:
+                found = text.read(path)
+            except DataError:
+                raise DataError(
+                    f"{path} cannot be read as LabVIEW measurement: it has neither its header nor columns of numbers. "
+                    "Check that the file is whole."
+                ) from None
             return replace(found, notes=("no header of LabVIEW: read as text columns", *found.notes))
     require_memory(path, _BYTES_OF_A_BYTE * path.stat().st_size, "its table")
     content, damage = _content(path)

@@ -70,9 +70,9 @@ def read(path: Path) -> ChannelSet:
         channels.append(Channel(name, values * scale, unit, 1.0 / block.step_s, 0))
     if not channels:
         raise DataError(
-            f"{path} has no block of values (a line such as '7500 points of accel data equally spaced at .010 sec' or "
-            "'7500 acceleration pts, approx 75 secs, units=cm/s^2, Format=(8F10.5)'). Give a CSMIP or COSMOS V1 or V2 "
-            "file."
+            f"{path} has no block of volume-2 values, nor of volume 1 (a line such as '7500 points of accel data "
+            "equally spaced at .010 sec' or '7500 acceleration pts, approx 75 secs, units=cm/s^2, Format=(8F10.5)'). "
+            "Give a CSMIP or COSMOS V1 or V2 file."
         )
     notes += sorted({f"header: start time {m['text']}, not used" for line in lines[:60] if (m := _START.search(line))})
     notes += [f"channel {number}: direction {direction}" for number, direction in _directions(lines).items()]
