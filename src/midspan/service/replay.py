@@ -79,7 +79,7 @@ def replay(
         axes = recording.settings.axes[: len(sides)] if len(sides) > 1 else ()
         first_ns, last_ns = (int(recording.acceleration.time_ns[k]) for k in (0, -1))
         radars = {view.sensor: view.radar.info for view in recording.views if view.kind == "radar"}
-        body, settings = json.dumps(calibration.to_dict()), settings_json(recording.settings, radars)
+        body, settings = json.dumps(calibration.with_even_clocks().to_dict()), settings_json(recording.settings, radars)
         number = store.add_calibration(name, first_ns, body, settings, accept=False)
         motion_m = point.estimator.settings.motion[0][0]
         journal = Journal(name, clock_offsets_ns(sides[0], eyes), axes=axes, calibration=number, motion_m=motion_m)

@@ -7,6 +7,7 @@ import numpy as np
 from midspan.calibration.agreement import Misfit, misfit
 from midspan.calibration.bias import bias_of
 from midspan.calibration.clock_rate import ClockRate
+from midspan.calibration.displacement.clock_words import two_rates, with_offset, with_rate
 from midspan.calibration.displacement.learn import Given, clock_rate, learn
 from midspan.calibration.noise import DRIFT_HZ, NoiseCalibration
 from midspan.calibration.own_noise import strange_noise
@@ -92,9 +93,10 @@ def _on_its_clock(given: Given, rate: ClockRate | None) -> tuple[Given, NoiseCal
     """
     if given.learns_offset is not None:
         try:
-            return given, _with_rate(_learnt(given), rate)
-        except UntrustedError:
-            _refuse_clock_rate(given)
+            return given, with_rate(_learnt(given), rate)
+        except UntrustedError as error:
+            if not given.learns_offset and (other := _clock_rate(given)) is not None:
+                raise two_rates(other) from error
             raise
     shared, own = replace(given, learns_offset=False), replace(given, learns_offset=True)
     found, refused = None, None
@@ -110,46 +112,10 @@ def _on_its_clock(given: Given, rate: ClockRate | None) -> tuple[Given, NoiseCal
     except MidspanError:
         apart = None
     if apart is not None and (rate is not None or (apart.offset.value_s != 0.0 and apart.low_pass is None)):
-        return own, _with_offset_notice(apart) if rate is None else _with_rate(apart, rate)
+        return own, with_offset(apart) if rate is None else with_rate(apart, rate)
     if refused is not None:
         raise refused
-    return (shared, found) if found is not None else (shared, _with_rate(_learnt(shared), rate))
-
-
-def _with_rate(learnt: NoiseCalibration, rate: ClockRate | None) -> NoiseCalibration:
-    """The calibration with the rate of the clock that was corrected."""
-    if rate is None:
-        return learnt
-    offset = replace(learnt.offset, variance=learnt.offset.variance + rate.offset_variance)
-    text = (
-        f"displacement: its clock gains {rate.ppm:+.1f} ± {1e6 * rate.std:.1f} ppm on the accelerometer's, "
-        f"{1e3 * abs(rate.late) * rate.length_s:.3g} ms in {rate.length_s:.4g} s; this was corrected."
-    )
-    return replace(learnt, offset=offset, warnings=(*learnt.warnings, Notice("clock-corrected", text)))
-
-
-def _with_offset_notice(learnt: NoiseCalibration) -> NoiseCalibration:
-    """The calibration with a sentence on an offset that was not asked for."""
-    if learnt.offset.value_s == 0.0:
-        return learnt
-    text = (
-        f"displacement: its clock differs from the accelerometer's by {1e3 * learnt.offset.value_s:+.4g} ± "
-        f"{1e3 * np.sqrt(learnt.offset.variance):.2g} ms; this was corrected. displacement.estimate_offset = false "
-        "says that both have one clock."
-    )
-    return replace(learnt, warnings=(*learnt.warnings, Notice("clock-corrected", text)))
-
-
-def _refuse_clock_rate(given: Given) -> None:
-    """UntrustedError where the clocks are said to be one, and run at two rates."""
-    rate = _clock_rate(given) if given.learns_offset is False else None
-    if rate is not None:
-        raise UntrustedError(
-            f"displacement: its clock gains {rate.ppm:+.0f} ± {1e6 * rate.std:.1g} ppm on the accelerometer's, "
-            f"{1e3 * abs(rate.late) * rate.length_s:.3g} ms in {rate.length_s:.4g} s, and displacement.estimate_offset "
-            "= false says that both have one clock. Leave estimate_offset out to have the clock corrected, or correct "
-            "the time column."
-        )
+    return (shared, found) if found is not None else (shared, with_rate(_learnt(shared), rate))
 
 
 def _learnt(given: Given) -> NoiseCalibration:

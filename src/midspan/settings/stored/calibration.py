@@ -134,6 +134,15 @@ class Calibration:
         names = iter(sensor_names({kind: [one.name for one in listed[kind]] for kind in KINDS}))
         return tuple((next(names), kind, one) for kind in KINDS for one in listed[kind])
 
+    def with_even_clocks(self) -> "Calibration":
+        """The same for readings that have the rates of their clocks taken out of the stamps."""
+
+        def even(sensor: SensorCalibration) -> SensorCalibration:
+            return replace(sensor, clock_rate=0.0) if isinstance(sensor, DisplacementCalibration) else sensor
+
+        first = None if self.displacement is None else replace(self.displacement, clock_rate=0.0)
+        return replace(self, displacement=first, others=tuple(map(even, self.others)))
+
     def of(self, name: str) -> SensorCalibration | None:
         """The values of the sensor of this name (its kind where it has none); None where there is no such sensor."""
         return next((one for known, _, one in self.sensors if known == name), None)

@@ -1,0 +1,44 @@
+"""What is said of a displacement sensor's clock: its rate and offset where they were corrected, and a refusal."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from midspan.calibration.clock_rate import ClockRate
+from midspan.calibration.noise import NoiseCalibration
+from midspan.errors import UntrustedError
+from midspan.notices import Notice
+
+
+def with_rate(learnt: NoiseCalibration, rate: ClockRate | None) -> NoiseCalibration:
+    """The calibration with the rate of the clock that was corrected."""
+    if rate is None:
+        return learnt
+    offset = replace(learnt.offset, variance=learnt.offset.variance + rate.offset_variance)
+    text = (
+        f"displacement: its clock gains {rate.ppm:+.1f} ± {1e6 * rate.std:.1f} ppm on the accelerometer's, "
+        f"{1e3 * abs(rate.late) * rate.length_s:.4g} ms in {rate.length_s:.4g} s; this was corrected."
+    )
+    return replace(learnt, offset=offset, warnings=(*learnt.warnings, Notice("clock-corrected", text)))
+
+
+def with_offset(learnt: NoiseCalibration) -> NoiseCalibration:
+    """The calibration with a sentence on an offset that was not asked for."""
+    if learnt.offset.value_s == 0.0:
+        return learnt
+    text = (
+        f"displacement: its clock differs from the accelerometer's by {1e3 * learnt.offset.value_s:+.4g} ± "
+        f"{1e3 * np.sqrt(learnt.offset.variance):.2g} ms; this was corrected. displacement.estimate_offset = false "
+        "says that both have one clock."
+    )
+    return replace(learnt, warnings=(*learnt.warnings, Notice("clock-corrected", text)))
+
+
+def two_rates(rate: ClockRate) -> UntrustedError:
+    """The refusal of clocks that are said to be one, and run at two rates."""
+    return UntrustedError(
+        f"displacement: its clock gains {rate.ppm:+.0f} ± {1e6 * rate.std:.1g} ppm on the accelerometer's, "
+        f"{1e3 * abs(rate.late) * rate.length_s:.4g} ms in {rate.length_s:.4g} s, and displacement.estimate_offset "
+        "= false says that both have one clock. Leave estimate_offset out to have the clock corrected, or correct "
+        "the time column."
+    )
