@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from midspan.calibration.unfelt import NOISE_LEFT, UNKNOWNS, refuse_unfelt
+from midspan.calibration.unfelt import NOISE_LEFT, refuse_unfelt
 from midspan.errors import UntrustedError
 from midspan.records import nanoseconds
 from midspan.signals.acceleration import PreparedAcceleration
@@ -52,6 +52,15 @@ def test_what_the_accelerometer_errs_by_is_in_what_it_shows() -> None:
         judge(quiet, drift + 0.1 * np.sin(2.0 * np.pi * 0.3 * TIME_S) * (TIME_S > 40.0))
 
 
+def test_what_runs_away_steadily_between_its_jumps_is_refused() -> None:
+    # Every 1.5 s another speed, a whole number of cycles (1.9 mm) in 20 frames of a second: smooth within 5 s windows.
+    speed = np.repeat(np.random.default_rng(2).integers(-2, 3, 4) * 0.039, len(TIME_S) // 4)
+    away = np.cumsum(speed) * 0.01
+    smooth = np.convolve(np.pad(away, 200, "edge"), np.hanning(401) / np.sum(np.hanning(401)), "valid")
+    with pytest.raises(UntrustedError, match="radar under interference"):
+        judge(MOVED + smooth, ACCELERATION)
+
+
 def test_a_gain_and_a_delay_make_no_jump() -> None:
     judge(MOVED, 0.7 * ACCELERATION)
     judge(MOVED, np.roll(ACCELERATION, 10))
@@ -71,10 +80,11 @@ def test_what_is_uncertain_by_as_much_is_no_contradiction() -> None:
     judge(MOVED + 0.1 * np.exp(-((TIME_S - 32.0) ** 2)), ACCELERATION, std_m=wide)
 
 
-def test_what_is_left_of_white_noise_integrated_twice() -> None:
+@pytest.mark.parametrize("unknowns", NOISE_LEFT)
+def test_what_is_left_of_white_noise_integrated_twice(unknowns) -> None:
     # The response to an impulse at u is t - u from there on; each leaves its own, and so does their sum on average.
     at = (np.arange(400) + 0.5) / 400.0
     response = np.clip(at[:, None] - at[None, :], 0.0, None)
-    basis = np.linalg.qr(np.vander(at, UNKNOWNS))[0]
+    basis = np.linalg.qr(np.vander(at, unknowns))[0]
     left = response - basis @ (basis.T @ response)
-    assert np.mean(np.sum(left**2, axis=1)) / 400.0 == pytest.approx(1.0 / NOISE_LEFT, rel=1e-3)
+    assert np.mean(np.sum(left**2, axis=1)) / 400.0 == pytest.approx(1.0 / NOISE_LEFT[unknowns], rel=1e-3)

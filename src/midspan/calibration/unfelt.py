@@ -15,11 +15,15 @@ from midspan.signals.acceleration import PreparedAcceleration
 from midspan.signals.integrate import path
 from midspan.signals.stamps import shown
 
-# Both are compared over windows of this length, s, or of twice as many values as there are unknowns where these take
-# longer, about a cubic: a start, its velocity, a bias and its drift are open.
-WINDOW_S, UNKNOWNS = 5.0, 4
-# Of white noise of density S, integrated twice over T, S T³ over this is left about its cubic (mean square).
-NOISE_LEFT = 6930.0
+# Both are compared over windows of these lengths, s, or of twice as many values as there are unknowns where these take
+# longer. Over the short ones a start, its velocity, a bias and its drift are open (a cubic). What runs away by a cycle
+# a frame is a straight line there, whose speed changes from window to window: over 20 s and over the whole record the
+# bias is held (a parabola). An accelerometer that drifts shows that much more.
+LOOKS = ((5.0, 4), (20.0, 3), (np.inf, 3))
+# Of white noise of density S, integrated twice over T, S T³ over this is left about so many unknowns (mean square).
+NOISE_LEFT = {3: 2520.0, 4: 6930.0}
+# Over the whole record so many values are enough.
+MAX_COMPARED = 20_000
 # A clean record is refused with this probability: the power of a narrow band in a window is exponentially distributed,
 # so that of n windows one exceeds the mean ln(n / p) times with a probability p.
 CHANCE = 1e-6
@@ -31,12 +35,23 @@ def refuse_unfelt(prepared: PreparedAcceleration, time_ns: Nanoseconds, moved_m:
     time_ns (n,): on the accelerometer's clock, within the acceleration; variance_m2 (n,): of the displacement.
     """
     step_s = float(np.median(np.diff(time_ns))) / NANOSECONDS if len(time_ns) > 1 else np.inf
-    count = max(int(WINDOW_S / step_s), 2 * UNKNOWNS)
-    starts = np.arange(0, len(time_ns) - count + 1, count // 2)
-    if not len(starts):
-        return
-    windows = [slice(int(a), int(a) + count) for a in starts]
-    felt, differs, missed = np.array([_powers(prepared, time_ns[one], moved_m[one]) for one in windows]).T
+    for length_s, unknowns in LOOKS:
+        if not np.isfinite(length_s):
+            some = slice(None, None, 1 + len(time_ns) // MAX_COMPARED)
+            time_ns, moved_m, variance_m2 = time_ns[some], moved_m[some], variance_m2[some]
+        count = max(int(length_s / step_s), 2 * unknowns) if np.isfinite(length_s) else len(time_ns)
+        starts = np.arange(0, len(time_ns) - count + 1, max(count // 2, 1))
+        if len(starts) and count >= 2 * unknowns:
+            windows = [slice(int(a), int(a) + count) for a in starts]
+            _refuse_windows(prepared, (time_ns, moved_m, variance_m2), windows, unknowns)
+
+
+def _refuse_windows(
+    prepared: PreparedAcceleration, moved: tuple[Nanoseconds, Floats, Floats], windows: list[slice], unknowns: int
+) -> None:
+    """UntrustedError where a displacement differs by far more in one of these windows; moved: as of `refuse_unfelt`."""
+    time_ns, moved_m, variance_m2 = moved
+    felt, differs, missed = np.array([_powers(prepared, time_ns[one], moved_m[one], unknowns) for one in windows]).T
     uncertain = np.array([np.mean(variance_m2[one]) for one in windows])
     allowed = felt + np.log(len(windows) / CHANCE) * (np.mean(felt) + missed + uncertain)
     k = int(np.argmax(differs / allowed))
@@ -46,9 +61,10 @@ def refuse_unfelt(prepared: PreparedAcceleration, time_ns: Nanoseconds, moved_m:
             f"From {shown(first)} to {shown(last)} the displacement moves by {1e3 * np.sqrt(differs[k]):.3g} mm rms "
             "that the accelerometer did not feel and would have shown: it shows "
             f"{1e3 * np.sqrt(felt[k]):.2g} mm there and {1e3 * np.sqrt(np.mean(felt)):.2g} mm on the whole. A sensor "
-            "jumps, as a GNSS receiver does between fixed and float solutions, or its clock or stamps do: leave such "
-            "values out of the file. Or the accelerometer drifts, as it does while it warms up, or does not measure "
-            "slow motion (a piezoelectric one, a logger with a high-pass): use one that measures down to 0 Hz."
+            "jumps, as a GNSS receiver does between fixed and float solutions, or a radar under interference, or its "
+            "clock or stamps do: leave such values out of the file. Or the accelerometer drifts, as it does while it "
+            "warms up, or does not measure slow motion (a piezoelectric one, a logger with a high-pass): use one that "
+            "measures down to 0 Hz."
         )
 
 
@@ -63,18 +79,22 @@ def refuse_unfelt_rows(prepared: PreparedAcceleration, rows: Estimate, innovatio
     refuse_unfelt(prepared, met.time_ns, met.displacement_m, met.variance_m2)
 
 
-def _powers(prepared: PreparedAcceleration, time_ns: Nanoseconds, moved_m: Floats) -> tuple[float, float, float]:
-    """Mean squares, m², about their cubics: of the acceleration integrated twice, of what a displacement (n,) differs
-    from it by, and of what acceleration that is missing leaves open.
+def _powers(
+    prepared: PreparedAcceleration, time_ns: Nanoseconds, moved_m: Floats, unknowns: int
+) -> tuple[float, float, float]:
+    """Mean squares, m², about polynomials of so many unknowns: of the acceleration integrated twice, of what a
+    displacement (n,) differs from it by, and of what acceleration that is missing leaves open.
     """
     first, last = np.searchsorted(prepared.time_ns, (time_ns[0], time_ns[-1]))
     near = slice(max(int(first) - 1, 0), int(last) + 1)
     origin = int(time_ns[0])
     time_s, sampled_s = seconds(time_ns, origin), seconds(prepared.time_ns[near], origin)
-    felt_m = path(time_s, sampled_s, prepared.value_m_s2[near])
+    value_m_s2 = prepared.value_m_s2[near]
+    # A constant only bends the parabola, and would leave rounding of a long record.
+    felt_m = path(time_s, sampled_s, value_m_s2 - np.mean(value_m_s2))
     length_s = float(time_s[-1])
-    basis = np.linalg.qr(np.vander(time_s / length_s, UNKNOWNS))[0]
+    basis = np.linalg.qr(np.vander(time_s / length_s, unknowns))[0]
     both = np.column_stack((felt_m, moved_m - felt_m))
     left = np.mean((both - basis @ (basis.T @ both)) ** 2, axis=0)
-    missed = float(np.mean(prepared.bridging_density[near])) * length_s**3 / NOISE_LEFT
+    missed = float(np.mean(prepared.bridging_density[near])) * length_s**3 / NOISE_LEFT[unknowns]
     return float(left[0]), float(left[1]), missed

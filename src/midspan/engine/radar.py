@@ -253,7 +253,7 @@ class _Follower:
         if state.unseen_ns < 0:
             state.unseen_ns = time_ns
         if not state.told and time_ns - state.unseen_ns >= MIN_TOLD_S * NANOSECONDS:
-            text = "no whole frame arrives" if kind == "lost frames" else "is not seen"
+            text = "no frame arrives that is whole and free of interference" if kind == "lost frames" else "is not seen"
             state.told, events = True, (Event(state.unseen_ns, kind, f"{self.name}: {text} from here on."),)
         sure = state.first is None and base[1] < UNSURE_RAD2
         common = state.lost_rad2 + state.doubt_rad2

@@ -12,11 +12,17 @@ REPORTED = ("new datum", "contradiction")
 
 
 def radar_warnings(log: RadarLog, of_source: Sequence[Notice]) -> list[Notice]:
-    """What the source reported, a sentence on frames that never arrived, and on each target that was seldom seen."""
+    """What the source reported, a sentence on frames that were not usable, and on each target that was seldom seen."""
     found = [*of_source]
     if log.lost:
         share = 100.0 * log.lost / log.frames
-        found.append(Notice("radar-data", f"radar: {log.lost} frames ({share:.2g} %) never arrived."))
+        found.append(
+            Notice(
+                "radar-data",
+                f"radar: {log.lost} frames ({share:.2g} %) never arrived or hold interference: more power in all range "
+                "bins than usual.",
+            )
+        )
     for item, used in zip(log.targets, log.used, strict=True):
         if used < MIN_SEEN * log.frames:
             share = 100.0 * used / log.frames

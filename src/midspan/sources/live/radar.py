@@ -3,8 +3,11 @@
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
+
 from midspan.errors import DataError, UsageError
 from midspan.radar.info import RadarInfo
+from midspan.radar.interference import Interference, floor_of, probed_bins
 from midspan.radar.layout import Layout
 from midspan.radar.range_profile import averaged, range_profile, whole_channels
 from midspan.records import RangeFrame
@@ -53,13 +56,16 @@ def live_info(layout: Layout) -> RadarInfo:
 def profiles(address: str, layout: Layout) -> Iterator[RangeFrame]:
     """Range profiles as they come, until the card is silent. Raises SourceFault: not_found, no_answer, stopped."""
     host, port = host_and_port(address)
-    heard = False
+    heard, interference, probed = False, Interference(), probed_bins(layout.profile.bins).astype(np.int64)
     try:
         with LiveCapture(layout, UdpSettings(address=host, port=port, timeout_s=SILENT_S)) as capture:
             for frame in capture.frames():
                 heard = True
                 cube = averaged(range_profile(frame.samples[None], layout.profile), layout.profile)
-                yield RangeFrame(frame.time_ns, cube[0], whole_channels(frame.valid[None], layout.profile)[0])
+                valid = whole_channels(frame.valid[None], layout.profile)
+                if len(probed) and interference.found(floor_of(cube[..., probed], valid))[0]:
+                    valid = np.zeros_like(valid)
+                yield RangeFrame(frame.time_ns, cube[0], valid[0])
     except UsageError as error:
         raise SourceFault("not_found", str(error)) from None
     except DataError as error:

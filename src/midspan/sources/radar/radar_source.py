@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from midspan.checks import TIME_S
 from midspan.errors import DataError
 from midspan.radar.info import RadarInfo
+from midspan.radar.interference import Interference, floor_of, probed_bins
 from midspan.records import Floats, Nanoseconds, RangeFrames, nanoseconds
 from midspan.sources.boundary import reading
 
@@ -53,12 +54,19 @@ class RadarSource(ABC):
         """Time stamps (frames,) in ns of the radar's clock, of the middle of each frame's chirps."""
 
     def profiles(self, start: int = 0, stop: int | None = None) -> Iterator[RangeFrames]:
-        """Whole range profiles of the frames start … stop-1, for calibration and inspection."""
-        return self.guarded(self._profiles(start, stop))
+        """Whole range profiles of the frames start … stop-1, for calibration and inspection.
+
+        Frames with interference are not valid, here and in `slow_time`.
+        """
+        probed = probed_bins(self.info.bins).astype(np.int64)
+        return without_interference(self.guarded(self._profiles(start, stop)), probed, keep=True)
 
     def slow_time(self, bins: Floats, start: int = 0, stop: int | None = None) -> Iterator[RangeFrames]:
         """The phasors at the bins (k,), whole or between two, of the frames start … stop-1: what a replay runs on."""
-        return self.guarded(self._slow_time(bins, start, stop))
+        probed = probed_bins(self.info.bins)
+        wanted = np.concatenate((np.asarray(bins, dtype=np.float64), probed))
+        places = len(wanted) - len(probed) + np.arange(len(probed))
+        return without_interference(self.guarded(self._slow_time(wanted, start, stop)), places, keep=False)
 
     def guarded(self, items: Iterator[Item]) -> Iterator[Item]:
         """The items as they are read; what a library raises on damage becomes a DataError."""
@@ -70,6 +78,23 @@ class RadarSource(ABC):
 
     @abstractmethod
     def _slow_time(self, bins: Floats, start: int, stop: int | None) -> Iterator[RangeFrames]: ...
+
+
+def without_interference(
+    blocks: Iterator[RangeFrames], probed: NDArray[np.int64], *, keep: bool
+) -> Iterator[RangeFrames]:
+    """The blocks with frames not valid that hold interference.
+
+    probed (k,): places of the bins that tell; none: nothing does. keep: whether these bins stay in the blocks.
+    """
+    interference = Interference()
+    for block in blocks:
+        valid = block.valid
+        if len(probed):
+            found = interference.found(floor_of(block.phasors[..., probed], valid))
+            valid = valid & ~found[:, None] if found.any() else valid
+        phasors = block.phasors if keep or not len(probed) else block.phasors[..., : -len(probed)]
+        yield RangeFrames(block.time_ns, phasors, valid)
 
 
 def stamps(path: Path, times_s: Floats, start_s: float) -> Nanoseconds:
