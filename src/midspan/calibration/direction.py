@@ -19,7 +19,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from midspan.calibration.fit import Fit, Pair, aligned, best_corner, with_input_noise
-from midspan.calibration.time_offset import OffsetSearch, cleaned, search_offset
+from midspan.calibration.outliers import cleaned
+from midspan.calibration.time_offset import OffsetSearch, search_offset
 from midspan.calibration.whitening import Whitened, integrated
 from midspan.records import Floats, TimeOffset
 from midspan.signals.acceleration import PreparedAcceleration, along

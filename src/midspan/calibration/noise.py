@@ -21,11 +21,11 @@ from midspan.calibration.fit import (
 from midspan.calibration.floor import noise_floor
 from midspan.calibration.low_pass import LowPass, find_low_pass
 from midspan.calibration.minimum import minimum
-from midspan.calibration.outliers import without_lonely_outliers
+from midspan.calibration.outliers import cleaned, without_lonely_outliers
 from midspan.calibration.own_noise import exceeds_own_noise
 from midspan.calibration.scale import MIN_GAIN as LEAST_AGREEMENT
 from midspan.calibration.slow_error import find_slow_error
-from midspan.calibration.time_offset import BEYOND, OffsetSearch, cleaned, curvature, search_offset
+from midspan.calibration.time_offset import BEYOND, OffsetSearch, curvature, search_offset
 from midspan.checks import instance
 from midspan.notices import Notice
 from midspan.records import InputNoise, TimeOffset

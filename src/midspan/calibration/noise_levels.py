@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from midspan.calibration.fit import Fit, Pair, best_corner
-from midspan.calibration.time_offset import cleaned
+from midspan.calibration.outliers import cleaned
 from midspan.records import Floats
 
 # A level is told by this many innovations at least: its variance is then known to a quarter.

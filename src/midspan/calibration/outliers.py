@@ -6,7 +6,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from midspan.calibration.fit import Fit, Pair, aligned
+from midspan.calibration.fit import Fit, Pair, aligned, best_corner, refine
 from midspan.calibration.whitening import SETTLING, whiten_columns
 from midspan.records import Floats
 from midspan.signals.medians import SIGMA_OF_MEDIAN
@@ -20,6 +20,22 @@ LONELY_LIMIT = 2.0
 SHAKEN = 4.0
 # Rounds of marking outliers, at most.
 MARKING_ROUNDS = 12
+
+
+def cleaned(pair: Pair, fit: Fit, bound_s: float = 0.0, *, steps: bool = False) -> Pair:
+    """The pair without outliers; each round takes out the largest, which had hidden the smaller ones.
+
+    bound_s: how far the offset may move from the fit's meanwhile; steps: as of `mark_outliers`. The same object
+    where there are none.
+    """
+    for _ in range(MARKING_ROUNDS):
+        marked = mark_outliers(pair, fit, steps=steps)
+        if marked is pair:
+            break
+        pair = marked
+        fit = best_corner(pair, fit.offset_s, fit.corner)
+        fit = refine(pair, fit, bound_s) if bound_s > 0.0 else fit
+    return pair
 
 
 def mark_outliers(pair: Pair, fit: Fit, *, steps: bool = False) -> Pair:

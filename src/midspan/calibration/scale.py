@@ -149,17 +149,11 @@ def calibrate_scale(
     except UntrustedError:
         pair, jumps = without_jumps(pair, max_offset_s, refuse)
         if not jumps:
-            rival = likeliest_beyond(_of_any_offset(pair, search), search.fit, max_offset_s)
-            _refuse_better(pair, rival, max_offset_s, refuse, accepted=False)
+            _refuse_better(pair, _rival(pair, search, max_offset_s), max_offset_s, refuse, accepted=False)
             raise
         search, response = with_frequency(search_offset(pair, max_offset_s), pair, max_offset_s, kinds)
         refuse(search)
-    # Nothing is better than what leaves no more than noise; it may be alike.
-    looks = clocks_open or not _leaves_noise(search.pair, search.fit)
-    rival = likeliest_beyond(_of_any_offset(pair, search), search.fit, max_offset_s) if looks else None
-    _refuse_better(pair, rival, max_offset_s, refuse, accepted=True)
-    if clocks_open and rival is not None and _may_be_right(pair, rival, float(np.sqrt(typical))):
-        raise UntrustedError(_alike_text(search.fit, rival.fit, OPEN_CLOCKS))
+    _refuse_rivals(pair, search, refuse, (max_offset_s, clocks_open), float(np.sqrt(typical)))
     search = axis.widened(search)
     fit = search.fit
     relative = fit.relative_std
@@ -268,9 +262,25 @@ def _slow_samples(pair: Pair) -> str:
     )
 
 
-def _of_any_offset(pair: Pair, search: OffsetSearch) -> Pair:
-    """The pair as it was searched, outliers marked, with the ratio unknown where it is so."""
-    return replace(search.pair, ratio=pair.ratio, logger=(0.0, 0.0))
+def _rival(pair: Pair, search: OffsetSearch, max_offset_s: float) -> Rival | None:
+    """The likeliest offset beyond those searched, for the pair without outliers and with any ratio, as it was given."""
+    return likeliest_beyond(replace(search.pair, ratio=pair.ratio, logger=(0.0, 0.0)), search.fit, max_offset_s)
+
+
+def _refuse_rivals(
+    pair: Pair, search: OffsetSearch, refuse: Callable[[OffsetSearch], None], clocks: tuple[float, bool], usual: float
+) -> None:
+    """UntrustedError where another offset is the right one, or may be; clocks: how far, s, and whether more.
+
+    Nothing is better than what leaves no more than noise; it may be alike.
+    """
+    max_offset_s, clocks_open = clocks
+    if not clocks_open and _leaves_noise(search.pair, search.fit):
+        return
+    rival = _rival(pair, search, max_offset_s)
+    _refuse_better(pair, rival, max_offset_s, refuse, accepted=True)
+    if clocks_open:
+        _refuse_alike(pair, search.fit, rival, usual)
 
 
 def _refuse_better(
@@ -305,15 +315,16 @@ def _leaves_noise(pair: Pair, fit: Fit) -> bool:
     return not exceeds_own_noise(pair, fit) and misfit(pair, fit).factor <= 1.0
 
 
-def _may_be_right(pair: Pair, rival: Rival, usual: float) -> bool:
-    """Whether a rival that fits alike would be accepted itself, or is even the likelier one."""
-    if not rival.alike or rival.lead > 0.0:
-        return rival.alike
-    try:
-        _refuse_disagreement(pair, rival.fit, usual)
-    except UntrustedError:
-        return False
-    return True
+def _refuse_alike(pair: Pair, fit: Fit, rival: Rival | None, usual: float) -> None:
+    """UntrustedError where a rival that fits alike would be accepted itself, or is even the likelier one."""
+    if rival is None or not rival.alike:
+        return
+    if rival.lead <= 0.0:
+        try:
+            _refuse_disagreement(pair, rival.fit, usual)
+        except UntrustedError:
+            return
+    raise UntrustedError(_alike_text(fit, rival.fit, OPEN_CLOCKS))
 
 
 def _refuse_disagreement(pair: Pair, fit: Fit, usual: float) -> None:

@@ -23,7 +23,7 @@ from midspan.calibration.fit import (
     with_corner_doubt,
     with_input_noise,
 )
-from midspan.calibration.outliers import MARKING_ROUNDS, mark_outliers, without_lonely_outliers
+from midspan.calibration.outliers import cleaned, without_lonely_outliers
 from midspan.calibration.own_noise import exceeds_own_noise
 from midspan.calibration.whitening import levelled, whiten_columns
 from midspan.records import Floats, TimeOffset
@@ -212,22 +212,6 @@ def _may_shrink(pair: Pair, others: list[Fit], best: Fit) -> bool:
     variance, drag = curvature(pair, best)
     pulled = share * abs(drag / best.ratio)
     return bool(pulled > 0.0 and pulled * np.sqrt(variance) > MAX_PULLED)
-
-
-def cleaned(pair: Pair, fit: Fit, bound_s: float = 0.0, *, steps: bool = False) -> Pair:
-    """The pair without outliers; each round takes out the largest, which had hidden the smaller ones.
-
-    bound_s: how far the offset may move from the fit's meanwhile; steps: as of `mark_outliers`. The same object
-    where there are none.
-    """
-    for _ in range(MARKING_ROUNDS):
-        marked = mark_outliers(pair, fit, steps=steps)
-        if marked is pair:
-            break
-        pair = marked
-        fit = best_corner(pair, fit.offset_s, fit.corner)
-        fit = refine(pair, fit, bound_s) if bound_s > 0.0 else fit
-    return pair
 
 
 def curvature(pair: Pair, fit: Fit) -> tuple[float, float]:

@@ -61,7 +61,9 @@ def likeliest_beyond(pair: Pair, near: Fit, within_s: float) -> Rival | None:
     pair: with the outliers of the best fit within, `near`, marked, and the ratio None where it is unknown. None where
     nothing farther explains anything.
     """
-    pair = replace(pair, reference=None, motion_share=0.0, bias_drifts=False)
+    # A smaller ratio leaves less of the accelerometer's noise, whichever is true: see `fit.shrinking`.
+    reference = abs(near.ratio) if pair.ratio is None else None
+    pair = replace(pair, reference=reference, motion_share=0.0, bias_drifts=False)
     offsets = _offsets(pair, within_s)
     step = 1.0 / min(pair.sample_rate_hz, MAX_RATE_HZ)
     scanned = [row for part in offsets for row in zip(part.tolist(), *_scan(pair, part), strict=True)]

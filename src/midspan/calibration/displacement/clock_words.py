@@ -23,14 +23,23 @@ def with_rate(learnt: NoiseCalibration, rate: ClockRate | None) -> NoiseCalibrat
 
 
 def with_offset(learnt: NoiseCalibration) -> NoiseCalibration:
-    """The calibration with a sentence on an offset that was not asked for."""
-    if learnt.offset.value_s == 0.0:
-        return learnt
+    """The calibration with a sentence on an offset that was not asked for.
+
+    late_m: what it makes of the displacement where it may be a logger's delay.
+    """
     text = (
         f"displacement: its clock differs from the accelerometer's by {1e3 * learnt.offset.value_s:+.4g} ± "
-        f"{1e3 * np.sqrt(learnt.offset.variance):.2g} ms; this was corrected. displacement.estimate_offset = false "
-        "says that both have one clock."
+        f"{1e3 * np.sqrt(learnt.offset.variance):.2g} ms; this was corrected. "
     )
+    if learnt.late_m > 0.0:
+        text += (
+            "A low-pass in the accelerometer's logger delays alike, and then the result is late by as much: the error "
+            f"band holds what that makes, {1e3 * learnt.late_m:.2g} mm rms. displacement.estimate_offset = true says "
+            "that it is the clock; "
+        )
+    else:
+        text += "displacement.estimate_offset = true asks for that; "
+    text += "false says that both have one clock."
     return replace(learnt, warnings=(*learnt.warnings, Notice("clock-corrected", text)))
 
 

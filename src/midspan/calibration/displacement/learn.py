@@ -44,6 +44,10 @@ TELLING_GAIN = 100.0
 WRONG_SCALE = 0.5
 
 
+class LoggerDelayError(UntrustedError):
+    """The accelerometer's logger delays what it records, which no clock explains."""
+
+
 @dataclass(frozen=True, slots=True)
 class Given:
     """A displacement sensor compared with the accelerometer, and what is to be estimated of it.
@@ -346,14 +350,24 @@ def _not_told(learnt: NoiseCalibration) -> bool:
 
 def _on_one_clock(learnt: NoiseCalibration, found: Findings) -> NoiseCalibration:
     """One clock is taken for granted; an offset that shows all the same is reported and put into the error band."""
-    off, value = learnt.offset.value_s, found.pair.samples[:, 1]
-    noise = learnt.factor**2 * min(found.fit.noise, found.likeliest.noise)
-    rate = (len(value) - 1) / float(found.pair.samples[-1, 0] - found.pair.samples[0, 0])
+    off, late = learnt.offset.value_s, late_m(learnt, found)
+    if late > MAX_LATE * np.sqrt(_noise(learnt, found)):
+        refusal = UntrustedError if learnt.low_pass is None else LoggerDelayError
+        raise refusal(_late_text(learnt, off, 1e3 * late))
+    return replace(learnt, offset=TimeOffset(0.0, off * off), late_m=late)
+
+
+def _noise(learnt: NoiseCalibration, found: Findings) -> float:
+    """Variance of the sensor's noise, m²."""
+    return learnt.factor**2 * min(found.fit.noise, found.likeliest.noise)
+
+
+def late_m(learnt: NoiseCalibration, found: Findings) -> float:
+    """What the clock offset that was found makes of the displacement, rms."""
+    value, samples = found.pair.samples[:, 1], found.pair.samples
+    rate = (len(value) - 1) / float(samples[-1, 0] - samples[0, 0])
     shaken = float(np.std(value)) / (2.0 * np.pi * max(dominant_frequency(value, rate), 0.2))
-    speed = max(shaken, _speed(found.pair, learnt.factor, noise))
-    if abs(off) * speed > MAX_LATE * np.sqrt(noise):
-        raise UntrustedError(_late_text(learnt, off, 1e3 * abs(off) * speed))
-    return replace(learnt, offset=TimeOffset(0.0, off * off), late_m=abs(off) * speed)
+    return abs(learnt.offset.value_s) * max(shaken, _speed(found.pair, learnt.factor, _noise(learnt, found)))
 
 
 def _late_text(learnt: NoiseCalibration, off: float, moved_mm: float) -> str:

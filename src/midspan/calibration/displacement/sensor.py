@@ -8,7 +8,7 @@ from midspan.calibration.agreement import Misfit, misfit
 from midspan.calibration.bias import bias_of
 from midspan.calibration.clock_rate import ClockRate
 from midspan.calibration.displacement.clock_words import two_rates, with_offset, with_rate
-from midspan.calibration.displacement.learn import Given, clock_rate, learn
+from midspan.calibration.displacement.learn import Given, LoggerDelayError, clock_rate, late_m, learn
 from midspan.calibration.noise import DRIFT_HZ, NoiseCalibration
 from midspan.calibration.own_noise import strange_noise
 from midspan.calibration.scale_check import MAX_NOISE
@@ -89,7 +89,8 @@ def _on_its_clock(given: Given, rate: ClockRate | None) -> tuple[Given, NoiseCal
     """What is estimated of the sensor on one clock with the accelerometer or on its own, and which of the two it was.
 
     rate: of its clock, where that was taken out of the stamps of `given`. Where it is not said whether the clocks are
-    one, they are unless the motion shows an offset that nothing speaks against.
+    one, they are unless the motion shows an offset that nothing speaks against. With an acceleration that is late the
+    band holds the offset as well: a logger's low-pass delays it alike.
     """
     if given.learns_offset is not None:
         try:
@@ -103,6 +104,8 @@ def _on_its_clock(given: Given, rate: ClockRate | None) -> tuple[Given, NoiseCal
     if rate is None:
         try:
             found = _learnt(shared)
+        except LoggerDelayError:
+            raise
         except UntrustedError as error:
             refused = error
         if found is not None and (found.late_m == 0.0 or found.low_pass is not None):
@@ -112,7 +115,11 @@ def _on_its_clock(given: Given, rate: ClockRate | None) -> tuple[Given, NoiseCal
     except MidspanError:
         apart = None
     if apart is not None and (rate is not None or (apart.offset.value_s != 0.0 and apart.low_pass is None)):
-        return own, with_offset(apart) if rate is None else with_rate(apart, rate)
+        if rate is not None:
+            return own, with_rate(apart, rate)
+        assert apart.findings is not None
+        delays = apart.offset.value_s > 0.0
+        return own, with_offset(replace(apart, late_m=late_m(apart, apart.findings)) if delays else apart)
     if refused is not None:
         raise refused
     return (shared, found) if found is not None else (shared, with_rate(_learnt(shared), rate))
