@@ -44,4 +44,5 @@ def _bands(value: Floats, ordinates: int = ORDINATES) -> Floats:
     n = len(value)
     power = np.abs(np.fft.rfft(np.hanning(n) * (value - np.mean(value))))[2:-1:2] ** 2
     count = len(power) // ordinates
-    return np.asarray(power[: count * ordinates].reshape(count, ordinates).mean(axis=1) / np.sum(np.hanning(n) ** 2))
+    means = power[: count * ordinates].reshape(count, ordinates).mean(axis=1)
+    return np.asarray(means / np.sum(np.hanning(n) ** 2))

@@ -213,11 +213,15 @@ def with_response(
         if not able:
             break
         best = max(able, key=lambda kind: (kind is Kind.LAG, tried[kind].likelihood))
-        more = [*found, best]
-        other, other_fit = _settled(pair, fit, more)
-        if not all(_possible(other, kind) for kind in more):
+        # An exposure and a resonance are one column as long as neither is in the pair; the exposure is the usual one.
+        alike = [kind for kind in able if kind is best or {kind, best} in ALIKE]
+        settled = [([*found, kind], *_settled(pair, fit, [*found, kind])) for kind in alike]
+        possible = [one for one in settled if all(_possible(one[1], kind) for kind in one[0])]
+        if not possible:
             break
-        pair, fit, found = other, other_fit, more
+        found, pair, fit = max(
+            possible, key=lambda one: one[2].likelihood - (MIN_GAIN if Kind.RESONANCE in one[0] else 0.0)
+        )
         doubt = float(
             np.hypot(doubt, _doubt(tried[best], [tried[kind] for kind in able if Kind.LAG not in (kind, best)]))
         )

@@ -10,6 +10,7 @@ from midspan.calibration.fit import Fit, Pair, aligned, best_corner, refine
 from midspan.calibration.whitening import SETTLING, whiten_columns
 from midspan.records import Floats
 from midspan.signals.medians import SIGMA_OF_MEDIAN
+from midspan.signals.stuck import resolution
 
 # An innovation this many robust standard deviations out is left out of the fit; the rest is fitted again.
 OUTLIER_LIMIT = 5.0
@@ -124,5 +125,7 @@ def _lonely(rows: Floats) -> NDArray[np.int64]:
     # One more outlier among the six neighbours does no harm.
     low, high = around[:, 1], around[:, -2]
     excess = np.maximum(value - high, low - value)
-    lonely: NDArray[np.int64] = index[excess > LONELY_LIMIT * np.maximum(high - low, np.median(high - low))]
+    # Readings in steps coarser than the motion have neighbours that are equal, and leave them by one step.
+    usual = max(float(np.median(high - low)), resolution(value))
+    lonely: NDArray[np.int64] = index[excess > LONELY_LIMIT * np.maximum(high - low, usual)]
     return lonely
