@@ -114,8 +114,11 @@ def agreed(view: View, targets: Sequence[SeenTarget], camera: CameraCalibration,
     last = _Compared(view, targets, camera, fit)
     judged = [last.accepted(one) for one in last.refused()]
     small = last.slight(held)
-    error_m = max((one.error_m for one in (*held.values(), *judged, *small)), default=0.0)
+    shared_m = last.shared()
+    error_m = max((shared_m, *(one.error_m for one in (*held.values(), *judged, *small))))
     told = [_notice(one) for one in (*held.values(), *judged)]
+    if shared_m > 0.0:
+        told.append(Notice("motion-not-shared", f"{_shared_text(shared_m)} The error band holds it."))
     return Agreed(replace(camera, apart_std_m=float(np.hypot(camera.apart_std_m, error_m))), tuple(told))
 
 
@@ -195,6 +198,33 @@ class _Compared:
                 weight = self._sharpest.noise_m2 / (self._sharpest.noise_m2 + member.noise_m2)
                 small.append(replace(verdict, error_m=max(verdict.error_m, weight * verdict.size_m)))
         return small
+
+    def shared(self) -> float:
+        """Rms (m) of what moves all targets alike from frame to frame, and is no motion of the structure; 0 for none.
+
+        What each differs from the accelerometer by as if it were noise would be in the targets' difference if it were.
+        """
+        least = np.inf
+        for k, one in enumerate(self.members):
+            for other in self.members[:k]:
+                between = self._between(one, other).noise_m
+                alone = [self._noise_m(member) for member in (one, other)]
+                common = float(np.sqrt(max(0.5 * (alone[0] ** 2 + alone[1] ** 2 - between**2), 0.0)))
+                least = min(least, common if common > DISAGREES * between else 0.0)
+        if not np.isfinite(least):
+            return 0.0
+        moved_m = float(np.std(self._motion))
+        if least > REFUSED_ABOVE * moved_m:
+            raise UntrustedError(
+                f"{_shared_text(least)} At most {100 * REFUSED_ABOVE:g} % of the motion's "
+                f"{1e3 * moved_m:.2g} mm rms is given out. Mount the camera more stiffly, and add a "
+                "camera.target at another distance, which shows a tilt; check the frames' times."
+            )
+        return least
+
+    def _noise_m(self, member: Member) -> float:
+        """Noise of a frame of a target in use as the calibration has estimated it."""
+        return abs(member.scale_m_per_px) * self._camera.targets[member.place].noise_std_px
 
     def accepted(self, verdict: Verdict) -> Verdict:
         """A verdict that the band can hold; UntrustedError where it is too much of the motion."""
@@ -304,6 +334,13 @@ def _cause_text(verdict: Verdict) -> str:
     share = abs(_shares(kept, other)[Cause.TILT])
     named = [(member.name, abs(member.scale_m_per_px)) for member in (kept, other)]
     return tilt_text(named[0], named[1], share * verdict.size_m, decided=verdict.open == frozenset({Cause.TILT}))
+
+
+def _shared_text(shared_m: float) -> str:
+    return (
+        f"All targets move alike in the picture by {1e3 * shared_m:.2g} mm rms where the accelerometer feels nothing: "
+        "the camera tilts, its bracket vibrates, or its frames' times are wrong."
+    )
 
 
 def _notice(verdict: Verdict) -> Notice:
