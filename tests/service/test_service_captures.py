@@ -3,6 +3,7 @@
 import pytest
 
 from midspan.errors import UsageError
+from midspan.service.capture import capture_settings
 from midspan.service.captures import forget
 from midspan.settings.site import load_site
 from midspan.settings.site_folders import captures_of, require_folders
@@ -32,6 +33,14 @@ def test_captured_recordings_stand_beside_the_rows_or_where_the_settings_say(sto
     file = tmp_path / "SITE.toml"
     file.write_text(f'name = "bridge"\n[store]\n{store}\n{POINT}')
     assert captures_of(load_site(file)) == tmp_path / folder
+
+
+def test_a_clock_is_not_looked_for_beyond_the_range_though_none_is_stated(tmp_path):
+    file = tmp_path / "SITE.toml"
+    file.write_text(f'name = "bridge"\n[store]\npath = "rows"\n{POINT}')
+    (plan,) = load_site(file).points
+    written = capture_settings(plan.recording, {"displacement": 1.0}).model_dump(mode="json", exclude_unset=True)
+    assert written["calibration"]["max_offset_s"] == 0.5
 
 
 def test_a_folder_that_cannot_be_made_is_refused_with_the_key(tmp_path):

@@ -202,7 +202,12 @@ def capture_settings(settings: RecordingSettings, factors: dict[str, float]) -> 
     """
     assert settings.accelerometer is not None
     own = {"unit": "m/s^2", "sensitivity": 0.0, "time": "time_ns", "value": "value"}
-    changed: dict[str, Any] = {"accelerometer": settings.accelerometer.model_copy(update=own)}
+    # Stamps are UTC: a clock that is farther off than the range has to be set, and is no offset to live with.
+    range_s = {"max_offset_s": settings.calibration.max_offset_s}
+    changed: dict[str, Any] = {
+        "accelerometer": settings.accelerometer.model_copy(update=own),
+        "calibration": settings.calibration.model_copy(update=range_s),
+    }
     films: dict[str, list[Any]] = {kind: [] for kind in ("cameras", "infrareds", "radars")}
     plain = []
     for sensor in settings.sensors:
