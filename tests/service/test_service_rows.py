@@ -133,6 +133,10 @@ def test_readiness_says_whether_a_point_gives_rows(tmp_path):
     assert (now["reason"], now["status"], now["rows_age_s"]) == ("", "tracking", 0.5)
     assert 0.0 < now["sigma_mm"] < 2.0 * now["usual_sigma_mm"] < 0.4
     assert one.ready(second + 6.0)["reason"] == "no_rows"
+    # All sources were recordings that are over.
+    ended = replace(one, streams={name: replace(stream, reason="ended") for name, stream in one.streams.items()})
+    for told in (ended.ready(second + 6.0), ended.standing(second + 6.0)):
+        assert (told["reason"], told["status"]) == ("ended", "lost")
     # Stamps of the accelerometer that went back bring no rows.
     pushed(one.live, second - 60, second - 40)
     assert one.ready(second + 6.0)["reason"] == "clock"

@@ -149,11 +149,6 @@ class Running:
         """The point's name."""
         return self.live.name
 
-    @property
-    def reason(self) -> str:
-        """Why the point gives no row that a measurement supports, empty where it does."""
-        return self.live.reason or self._no_rows()
-
     def looked_at(self, now_s: float) -> None:
         """Note when the newest row was given out."""
         newest_ns = self.live.row_health.newest_ns
@@ -167,7 +162,14 @@ class Running:
         fresh_s = FRESH_S + (fusion.lag_s if fusion.method == "lag" else 0.0)
         if reason or self._row_s is None or now_s - self._row_s <= fresh_s:
             return reason
+        if all(stream.reason == "ended" for stream in self.streams.values()):
+            return "ended"
         return "clock" if self.live.disordered > self._disordered else "no_rows"
+
+    def status(self, now_s: float) -> str:
+        """How the point stands: as its newest row says, and lost once there are none."""
+        has_none = self.live.opened is not None and self.no_rows(now_s) in ("no_rows", "ended")
+        return "lost" if has_none else self.live.status.name.lower()
 
     def _no_rows(self) -> str:
         status = self.live.status
@@ -185,8 +187,8 @@ class Running:
         """As the topic `state` shows it."""
         return {
             "point": self.name,
-            "status": self.live.status.name.lower(),
-            "reason": self.reason,
+            "status": self.status(now_s),
+            "reason": self.live.reason or self.no_rows(now_s),
             "calibration": self.live.number,
             **self._rows(now_s),
             "sources": [stream.standing(now_s, self.live.unseen(name)) for name, stream in self.streams.items()],
@@ -196,7 +198,7 @@ class Running:
         """As /readyz shows it: whether there are rows."""
         reason = self.no_rows(now_s)
         text = sentence(reason) if reason else ""
-        own = {"point": self.name, "status": self.live.status.name.lower(), "reason": reason, "text": text}
+        own = {"point": self.name, "status": self.status(now_s), "reason": reason, "text": text}
         return {**own, **self._rows(now_s)}
 
     def _rows(self, now_s: float) -> dict[str, Any]:
