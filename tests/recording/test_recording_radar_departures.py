@@ -47,7 +47,10 @@ def test_a_parked_car_that_drives_off_is_left_out_and_the_wall_goes_on(tmp_path)
     assert all("6.1" in event.text for event in told)
     # Both targets before, the wall alone after: 8 to 16 µm a frame, smoothed; no step of the hand-over.
     assert np.abs(error).max() < 0.03
-    assert np.mean(np.abs(error) < 1.96 * result.displacement_std_mm) > 0.9
+    # The zero is one draw that all rows share: it stands for itself, and the rows are judged about it.
+    own = np.sqrt(np.maximum(result.displacement_std_mm**2 - (1e3 * result.zero_std_m) ** 2, 0.0))
+    assert abs(np.mean(error)) < 3.0 * 1e3 * result.zero_std_m
+    assert np.mean(np.abs(error - np.mean(error)) < 1.96 * own) > 0.9
     assert np.all(result.estimate.status == Status.TRACKING)
 
 
