@@ -10,8 +10,11 @@ from recording_edits import set_keys, write_displacement
 EXPOSURE_S, NOISE_MM = 0.09, 0.1
 
 
-def write(folder, seed, exposure_s, length_s=60.0, rate_hz=10.0):
-    """A recording of three modes averaged exactly over an exposure; returns its truth as a function of s, mm."""
+def write(folder, seed, exposure_s, length_s=60.0, rate_hz=10.0, skew=0.0):
+    """A recording of three modes averaged exactly over an exposure; returns its truth as a function of s, mm.
+
+    skew: by how much the sensor's clock loses on the accelerometer's, s/s.
+    """
     rng = np.random.default_rng(seed)
     size, hertz = np.array([3.0, 2.0, 0.8]), np.array([0.5, 1.3, 2.9]) + rng.normal(0, 0.05, 3)
     phase = rng.uniform(0, 6.28, 3)
@@ -21,7 +24,7 @@ def write(folder, seed, exposure_s, length_s=60.0, rate_hz=10.0):
 
     time, met = np.arange(0.0, length_s, 0.01), np.arange(0.503, length_s - 0.5, 1.0 / rate_hz)
     accel = 1e-3 * moved(time, -((2 * np.pi * hertz) ** 2)) + rng.normal(0.0, 2e-3, len(time))
-    height = moved(met, np.sinc(hertz * exposure_s)) + rng.normal(0.0, NOISE_MM, len(met))
+    height = moved(met * (1.0 + skew), np.sinc(hertz * exposure_s)) + rng.normal(0.0, NOISE_MM, len(met))
     write_displacement(folder, (time, accel), (met, height))
     return moved
 
@@ -128,3 +131,13 @@ def test_an_accelerometer_that_resonates_on_its_mount_looks_the_same_and_is_in_t
     error = result.displacement_mm - moved(result.time_s)
     assert any("resonates on its mount" in line for line in result.warnings)
     assert np.mean(np.abs(error) < 1.96 * result.displacement_std_mm) > 0.85
+
+
+def test_a_clock_at_another_rate_is_no_exposure(tmp_path):
+    # Late by up to 50 ms, 25 ms to each side of the offset, which blurs the motion as an average over 45 ms does.
+    write(tmp_path, 0, 0.0, length_s=500.0, skew=100e-6)
+    set_keys(tmp_path, "displacement", estimate_offset=True)
+    found = midspan.calibrate(tmp_path)
+    assert found.displacement.exposure_s == 0.0
+    # It was 0.974 ± 0.004.
+    assert found.accelerometer_scale == pytest.approx(1.0, abs=3.0 * found.accelerometer_scale_std)

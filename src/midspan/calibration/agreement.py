@@ -177,8 +177,13 @@ def straightened(pair: Pair, fit: Fit) -> tuple[Fit, float] | None:
     rate = drift(Compared(samples, metres + np.array([fit.offset_s, 0.0, 0.0])), WINDOW_S).skew
     if not abs(rate) < MAX_SKEW:
         return None
-    moved = pair.rows.copy()
-    moved[:, 0] += rate * (moved[:, 0] - rows[:, 0].mean())
-    pair = replace(pair, rows=moved)
+    pair = at_rate(pair, fit.offset_s, rate)
     other = refine(pair, best_corner(pair, fit.offset_s), 0.02)
     return (other, rate) if clearly_better(other, fit) else None
+
+
+def at_rate(pair: Pair, offset_s: float, rate: float) -> Pair:
+    """The pair with stamps that run faster by `rate` (s/s) about the middle of the rows compared at an offset (s)."""
+    moved = pair.rows.copy()
+    moved[:, 0] += rate * (moved[:, 0] - pair.rows[pair.used(offset_s), 0].mean())
+    return replace(pair, rows=moved)

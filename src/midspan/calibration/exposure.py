@@ -9,7 +9,7 @@ from functools import cache
 
 import numpy as np
 
-from midspan.calibration.agreement import misfit
+from midspan.calibration.agreement import at_rate, misfit, straightened
 from midspan.calibration.fit import Fit, Pair, best_corner
 from midspan.calibration.frequency_response import exposure_shows
 from midspan.calibration.minimum import global_minimum
@@ -53,7 +53,7 @@ def find_exposure(pair: Pair, fit: Fit) -> Exposed:
     explained = none.noise > misfit(replace(free, exposure_s=share * longest_s), best).factor * best.noise
     if abs(best.ratio - 1.0) > MAX_GAIN_ERROR:
         return Exposed(pair, fit)
-    if not (gained and explained and exposure_shows(pair, fit)):
+    if not (gained and explained and _shows(free, fit)):
         # What the motion does not exclude, the gain may be off by: over all exposures, each by its likelihood.
         tried = [fitted(float(one)) for one in np.linspace(0.0, 1.0, TRIED)]
         weights = np.exp([one.likelihood - best.likelihood for one in tried])
@@ -67,3 +67,11 @@ def find_exposure(pair: Pair, fit: Fit) -> Exposed:
         spread, step = std * abs(above.ratio - below.ratio) / (2.0 * step), std
     found = replace(pair, exposure_s=share * longest_s)
     return Exposed(found, best_corner(found, fit.offset_s, fit.corner), spread)
+
+
+def _shows(pair: Pair, fit: Fit) -> bool:
+    """Whether an exposure shows that is no clock running at another rate, which blurs the motion as well."""
+    straight = straightened(pair, fit)
+    if straight is None:
+        return exposure_shows(pair, fit)
+    return exposure_shows(at_rate(pair, fit.offset_s, straight[1]), straight[0])
