@@ -1,6 +1,7 @@
 """Radiometric sequences in any form: one table from suffix to reader."""
 
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 from midspan.errors import DataError
@@ -45,7 +46,9 @@ def open_thermal(path: Path, request: ThermalRequest | None = None) -> FrameSour
             return RepairedFrames(GuardedFrames(frames, path, "FLIR frames"), str(path))
         for file in _files(path):
             refuse_dji(file)
-        pictures = ThermalPictures(open_frames(path, request.frames), request, str(path))
+        # Missing values are filled, and frames of too many passed over, once all is in °C.
+        frames = replace(request.frames, with_missing=True)
+        pictures = ThermalPictures(open_frames(path, frames), request, str(path))
         return RepairedFrames(pictures, str(path)) if pictures.info.radiometric else pictures
 
 
