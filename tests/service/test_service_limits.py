@@ -58,6 +58,19 @@ def test_half_requests_are_ended_and_whole_ones_answered(monkeypatch):
     asyncio.run(served(check))
 
 
+def test_a_request_whose_body_does_not_come_is_ended(monkeypatch):
+    monkeypatch.setattr(connection, "REQUEST_S", 1.0)
+
+    async def check(port):
+        reader, writer = await asyncio.open_connection("127.0.0.1", port)
+        writer.write(b"POST /healthz HTTP/1.1\r\nHost: x\r\nContent-Length: 1000\r\n\r\nhalf")
+        # It may be answered before, but is not held.
+        assert b"200 OK" not in await asyncio.wait_for(reader.read(), 30.0)
+        writer.close()
+
+    asyncio.run(served(check))
+
+
 def test_a_connection_that_asks_again_is_given_the_time_anew(monkeypatch):
     monkeypatch.setattr(connection, "REQUEST_S", 2.0)
 

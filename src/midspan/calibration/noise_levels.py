@@ -49,6 +49,8 @@ def _levelled(pair: Pair, fit: Fit, edges: NDArray[np.int64]) -> tuple[Pair, Fit
         segment = np.searchsorted(edges, fit.whitened.index, side="right") - 1
         count = np.bincount(segment, minlength=len(edges) - 1)
         level = np.bincount(segment, fit.residual**2, minlength=len(edges) - 1) / np.maximum(count, 1)
+        # Of a segment of which nothing is left no level shows.
+        level = np.where(level > 0.0, level, 1.0)
         rows = pair.rows.copy()
         rows[:, 2] *= np.repeat(level, np.diff(edges))
         rows[:, 2] /= np.mean(rows[fit.whitened.index, 2])

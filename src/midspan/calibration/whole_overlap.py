@@ -84,6 +84,8 @@ def stands_alone(pair: Pair, fit: Fit) -> bool:
     What is left then is an error of a sensor in proportion to the motion, for no offset of another motion does that.
     """
     pair = first_part(pair)
+    if not len(pair.used(fit.offset_s)):
+        return False
     rival = likeliest_beyond(pair, fit, 0.0)
     if rival is None:
         return False
@@ -116,6 +118,8 @@ def _evidence(pair: Pair, fit: Fit) -> float:
 def _offsets(pair: Pair, within_s: float) -> list[Floats]:
     """Offsets beyond ±`within_s`, in parts, at which at least OVERLAP of the measurements are in the acceleration."""
     time_s = pair.rows[np.isfinite(pair.rows[:, 2]), 0]
+    if len(time_s) < MIN_ROWS:
+        return []
     first, last = float(pair.responses[0].edges_s[0]), float(pair.samples[-1, 0])
     rate = min(pair.sample_rate_hz, MAX_RATE_HZ)
     grid = np.arange(first - time_s[-1], last - time_s[0], 1.0 / rate)

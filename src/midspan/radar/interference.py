@@ -14,9 +14,9 @@ from midspan.records import Floats
 # a Hann window leaves half as many bins independent: their median is six times its usual value once in 250 000 frames.
 PROBED_BINS = 16
 MIN_RISE = 6.0
-# Frames that the usual floor is taken from; with fewer before it, from the first ones. Bursts that fill half of them
-# would be taken for usual, and a gain that changes for good costs half as many.
-MEMORY_FRAMES = 512
+# Frames that the usual floor is taken from, at most and at least: before there are so many nothing is said. Bursts that
+# fill half of them would be taken for usual, and a gain that changes for good costs half as many.
+MEMORY_FRAMES, MIN_FRAMES = 512, 16
 
 
 def probed_bins(bins: int) -> Floats:
@@ -34,9 +34,7 @@ def floor_of(phasors: NDArray[np.complex64], valid: NDArray[np.bool_]) -> Floats
 
 
 class Interference:
-    """Finds the frames with interference, block by block; the order of frames counts, not how they are cut, except of
-    the first ones.
-    """
+    """Finds the frames with interference, block by block, however the frames are cut into blocks."""
 
     def __init__(self) -> None:
         self._before = np.empty(0)
@@ -44,14 +42,18 @@ class Interference:
     def found(self, floor: Floats) -> NDArray[np.bool_]:
         """Which of the next frames (n,) hold interference, by their floors; NaN: not known."""
         out, known = np.zeros(len(floor), dtype=np.bool_), np.flatnonzero(np.isfinite(floor))
-        if not len(known):
-            return out
-        floors = floor[known]
-        if len(self._before) < MEMORY_FRAMES:
-            first = np.concatenate((self._before, floors))[:MEMORY_FRAMES]
-            self._before = np.full(MEMORY_FRAMES, np.median(first))
-        whole = np.concatenate((self._before, floors))
-        windows = np.lib.stride_tricks.sliding_window_view(whole[:-1], MEMORY_FRAMES)
-        out[known] = floors > MIN_RISE * np.median(windows, axis=1)
+        begun = min(max(MEMORY_FRAMES - len(self._before), 0), len(known))
+        whole = np.concatenate((self._before, floor[known]))
+        usual = [_median(whole[: len(self._before) + k]) for k in range(begun)]
+        if begun < len(known):
+            windows = np.lib.stride_tricks.sliding_window_view(whole[:-1], MEMORY_FRAMES)
+            usual += list(np.median(windows[begun - len(known) :], axis=1))
+        out[known] = whole[len(self._before) :] > MIN_RISE * np.array(usual, dtype=np.float64)
         self._before = whole[-MEMORY_FRAMES:]
         return out
+
+
+def _median(floors: Floats) -> float:
+    """The usual floor by the ones before; infinite where they are too few, or there was none."""
+    usual = float(np.median(floors)) if len(floors) >= MIN_FRAMES else 0.0
+    return usual if usual > 0.0 else float("inf")

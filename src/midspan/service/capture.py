@@ -221,8 +221,12 @@ def capture_settings(settings: RecordingSettings, factors: dict[str, float]) -> 
         elif sensor.kind == "displacement":
             noise: float | None = getattr(sensor.settings, "noise_std", None)
             scaled = None if noise is None else noise * factors[sensor.name]
+            # A clock that gains on the accelerometer's is refused: live nothing takes its rate out.
+            is_sought = bool(getattr(sensor.settings, "estimate_offset", False))
             plain.append(sensor.settings.model_copy(
-                update={"unit": "m", "time": "time_ns", "value": "value", "noise_std": scaled}
+                update={
+                    "unit": "m", "time": "time_ns", "value": "value", "noise_std": scaled, "estimate_offset": is_sought
+                }
             ))  # fmt: skip
     changed |= {kind: tuple(listed) for kind, listed in films.items()} | {"displacements": tuple(plain)}
     return settings.model_copy(update=changed)

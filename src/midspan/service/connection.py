@@ -2,6 +2,7 @@
 
 import asyncio
 
+import h11
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 # A request is whole within this time, s.
@@ -40,5 +41,7 @@ class Connection(H11Protocol):
         self._deadline = self.loop.call_later(REQUEST_S, self._end_unless_answering)
 
     def _end_unless_answering(self) -> None:
-        if self.cycle is None or self.cycle.response_complete:
+        if self.cycle is None or self.cycle.response_complete or self.conn.their_state is h11.SEND_BODY:
             self.transport.abort()
+        else:
+            self._await_request()

@@ -9,9 +9,9 @@ from midspan.service.opening import Opened
 from midspan.service.waiting import Waiting, stamp_of
 from midspan.sources.radar.radar_source import at_bins
 
-# So many of the records that wait are given to the point at once: a tenth of a second of work, after which the service
-# answers again.
-AT_ONCE = 32
+# So many of the records that wait are given to the point at once, at least: a tenth of a second of work, after which
+# the service answers again. And twice as many as came since the last time, so that the queue becomes shorter.
+AT_ONCE, TIMES_AS_MANY = 32, 2
 # A sender is waited for when its broker is back: as long again as that was away, since senders double their pauses, but
 # so long at least and at most, s: a second for the session, and what paho waits between two attempts at most.
 MIN_RETURN_S, MAX_RETURN_S = 5.0, 120.0
@@ -31,6 +31,7 @@ class Feeding:
     _released: bool = True
     _ticked: bool = False
     _refused: bool = False
+    _came: int = 0
 
     def __post_init__(self) -> None:
         self._from_ns = dict(self.opened.newest_ns)
@@ -41,6 +42,7 @@ class Feeding:
             self.opened.journal.arrived(arrival)
         if hold or len(self.waiting):
             self._released = self._released and not hold
+            self._came += 1
             self.waiting.append(arrival)
         else:
             self._run(arrival)
@@ -59,8 +61,13 @@ class Feeding:
 
     def catch_up(self) -> None:
         """Give a part of what waits to the point."""
-        for _ in range(min(len(self.waiting), AT_ONCE)):
-            arrival = self.waiting.popleft()
+        count, self._came = max(AT_ONCE, TIMES_AS_MANY * self._came), 0
+        for _ in range(min(len(self.waiting), count)):
+            try:
+                arrival = self.waiting.popleft()
+            except OSError as error:
+                self._refuse(Event(self._newest_ns, "damaged", f"A frame that waited cannot be read: {error}."))
+                continue
             if stamp_of(arrival) > self._from_ns.get(arrival.stream, -(2**62)):
                 self._run_late(arrival)
         self._refused = self._refused and len(self.waiting) > 0
@@ -70,9 +77,16 @@ class Feeding:
         try:
             self._run(arrival)
         except MidspanError as error:
-            if not self._refused:
-                self._refused = True
-                self.opened.journal.given([Event(stamp_of(arrival), "damaged", f"{arrival.stream}: {error}")])
+            self._refuse(Event(stamp_of(arrival), "damaged", f"{arrival.stream}: {error}"))
+
+    def _refuse(self, event: Event) -> None:
+        if not self._refused:
+            self._refused = True
+            self.opened.journal.given([event])
+
+    @property
+    def _newest_ns(self) -> int:
+        return max(self.opened.newest_ns.values(), default=0)
 
     def _run(self, arrival: Arrival) -> None:
         found = self.opened

@@ -127,13 +127,13 @@ class Journal:
         """What a restart needs, as plain values."""
         zero = None if self._zero is None else [self._zero.offset_m, self._zero.variance_m2]
         usual = [self.health.usual_m, self.health.count] if self.health.count else None
-        return {"zero": zero, "lost_ns": self._lost_ns, "usual": usual}
+        return {"zero": zero, "lost_ns": self._lost_ns, "usual": usual, "new_datum": self._new_datum}
 
     def remember(self, memory: Mapping[str, Any]) -> None:
         """Go on from where `memory` was read."""
         zero, usual = memory.get("zero"), memory.get("usual")
         self._zero = None if zero is None else Zero(float(zero[0]), float(zero[1]))
-        self._lost_ns = memory.get("lost_ns")
+        self._lost_ns, self._new_datum = memory.get("lost_ns"), memory.get("new_datum", "")
         if usual is not None:
             self.health = RowHealth(usual_m=float(usual[0]), count=int(usual[1]))
 

@@ -124,7 +124,7 @@ class Broker:
     def _left(self, _client: Any, _data: Any, _flags: Any, _code: Any, _properties: Any) -> None:
         # A connection that was refused is left too, and why stays.
         if (self.connected and self.reason != "name_taken") or self._reason == "starting":
-            self._reason = "broker_gone"
+            self._reason, self._pause_s = "broker_gone", NAME_TAKEN_S
         self.connected = False
 
     def _came(self, client: Any, _data: Any, message: Any) -> None:

@@ -149,9 +149,11 @@ class Service:
         if self._broker is not None:
             await asyncio.to_thread(self._broker.stop)
         self._collect(last=True)
-        for one in self._points:
-            one.live.end()
-        await asyncio.to_thread(self._keeper.close)
+        try:
+            for one in self._points:
+                one.live.end()
+        finally:
+            await asyncio.to_thread(self._keeper.close)
 
     async def _every(self, step_s: float, work: Callable[[], None]) -> None:
         while True:
@@ -319,7 +321,7 @@ class Service:
 
     def _tick(self) -> None:
         now_ns = time.time_ns()
-        away = self._broker is not None and bool(self._broker.reason)
+        away = self._broker is not None and not self._broker.connected
         for one in self._points:
             one.live.tick(now_ns, away=away and one.live.plan.sources[ACCELEROMETER].startswith(MQTT))
             one.looked_at(now_ns / NANOSECONDS)

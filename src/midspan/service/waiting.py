@@ -1,8 +1,11 @@
 """Records that wait for a point: readings in memory, the needed part of each frame in a file without a name."""
 
+import errno
+import os
 import tempfile
 from collections import deque
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -82,7 +85,8 @@ class Waiting:
         self._free.clear()
         self._end = 0
         if self._file is not None:
-            self._file.close()
+            with suppress(OSError):
+                self._file.close()
             self._file = None
 
     def _read(self, one: FrameInFile) -> Arrival:
@@ -99,9 +103,15 @@ class Waiting:
         if self._file is None:
             self._folder.mkdir(parents=True, exist_ok=True)
             # It has no name: nothing of it is left, however the process ends.
-            self._file = tempfile.TemporaryFile(dir=self._folder)  # noqa: SIM115
+            # Without a buffer a full disk shows where it is written to.
+            self._file = tempfile.TemporaryFile(dir=self._folder, buffering=0)  # noqa: SIM115
         self._file.seek(offset)
-        self._file.write(part.data)
+        try:
+            if self._file.write(part.tobytes()) < part.nbytes:
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        except OSError:
+            self._free.setdefault(part.nbytes, []).append(offset)
+            raise
         rows, columns = frame.pixels.shape
         bare = replace(frame, pixels=np.empty((0, 0), dtype=part.dtype))
         shape = (int(part.shape[0]), int(part.shape[1]))
@@ -114,6 +124,9 @@ class Waiting:
         while not self._free.get(size) and self._end + size > MAX_BYTES:
             oldest = next((k for k, one in enumerate(self._records) if isinstance(one, FrameInFile)), None)
             if oldest is None:
+                # What is free is of other sizes.
+                self._free.clear()
+                self._end = 0
                 break
             self._drop(oldest)
         if self._free.get(size):

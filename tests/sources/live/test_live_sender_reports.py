@@ -45,24 +45,18 @@ def test_stamps_are_the_senders_once_two_reports_agree(offsets_ms, used_from):
 
 
 def test_the_first_packet_may_carry_another_frames_instant():
-    reports = SenderReports(trusted=True)
-    (first, *others) = packets([0.0], 10)
-    reports.take(first[0], first[1] + 48_677_778)
-    assert reports.instant_ns(first[0]) is None
-    for stream_s, sent_ns in others:
-        reports.take(stream_s, sent_ns)
-    assert abs(reports.instant_ns(0.0) - BEGIN_NS) < 2_000
-
-
-def test_after_an_outage_the_first_report_of_a_known_sender_is_enough():
-    reports = SenderReports(trusted=True)
-    for stream_s, sent_ns in packets([5.0], 2):
-        reports.take(stream_s, sent_ns)
-    assert abs(reports.instant_ns(0.0) - BEGIN_NS - 5_000_000) < 2_000
+    reports = SenderReports()
+    for k, (stream_s, sent_ns) in enumerate(packets([0.0, 0.0071])):
+        reports.take(stream_s, sent_ns + (48_677_778 if k == 0 else 0))
+    assert abs(reports.instant_ns(0.0) - BEGIN_NS) < 10_000
 
 
 def test_a_clock_that_is_set_while_it_runs_is_followed():
     reports = SenderReports()
     for stream_s, sent_ns in packets([0.0, 0.0071, 300.0]):
         reports.take(stream_s, sent_ns)
-    assert abs(reports.instant_ns(0.0) - BEGIN_NS - 300_000_000) < 2_000
+    # One report may be wrong.
+    assert abs(reports.instant_ns(0.0) - BEGIN_NS) < 10_000
+    for stream_s, sent_ns in packets([300.0071]):
+        reports.take(stream_s, sent_ns)
+    assert abs(reports.instant_ns(0.0) - BEGIN_NS - 300_007_100) < 2_000

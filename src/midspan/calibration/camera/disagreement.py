@@ -109,6 +109,7 @@ def agreed(view: View, targets: Sequence[SeenTarget], camera: CameraCalibration,
                 "its noise and scale factor explain."
             )
             camera = _left_out(camera, mover.place, reason)
+            held = {places: one for places, one in held.items() if mover.place not in places}
         else:
             held[frozenset((verdict.kept.place, verdict.other.place))] = compared.accepted(verdict)
     last = _Compared(view, targets, camera, fit)

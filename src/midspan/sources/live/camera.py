@@ -47,8 +47,8 @@ class Stamped:
 def frames(address: str, *, earlier: StampKind | None = None) -> Iterator[Stamped]:
     """The frames of `rtsp://…` or `usb:0`, luma only, until the stream ends or fails: a live stream has no end.
 
-    earlier: how the frames of an earlier connection were dated; None: there was none, and the first ones are left out
-    until the sender's reports agree. Raises SourceFault with one of the codes refused, not_found, no_answer, stopped,
+    earlier: how the frames of an earlier connection were dated: after those dated by arrival no reports are waited for.
+    Raises SourceFault with one of the codes refused, not_found, no_answer, stopped,
     ended, damaged.
     """
     import av
@@ -60,8 +60,7 @@ def frames(address: str, *, earlier: StampKind | None = None) -> Iterator[Stampe
             raise SourceFault("no_video", "the stream holds no video")
         stream.thread_type = "SLICE"
         has_no_reports = address.startswith("usb:") or earlier is StampKind.ARRIVAL
-        reports = SenderReports(trusted=earlier is StampKind.SENDER)
-        yield from _decoded(container, stream, reports, 0.0 if has_no_reports else REPORT_S)
+        yield from _decoded(container, stream, 0.0 if has_no_reports else REPORT_S)
     except av.error.ExitError:
         raise SourceFault("stopped", f"nothing came for {READ_S:g} s") from None
     except av.error.FFmpegError as error:
@@ -95,12 +94,12 @@ def _opened(address: str) -> Any:
         raise SourceFault("damaged", f"what answers is no video ({error.strerror or type(error).__name__})") from None
 
 
-def _decoded(container: Any, stream: Any, reports: SenderReports, report_s: float) -> Iterator[Stamped]:
+def _decoded(container: Any, stream: Any, report_s: float) -> Iterator[Stamped]:
     """Frames with their instants: by the sender's clock once its reports agree, else by arrival.
 
     Those of the stream's first `report_s` without the sender's clock are left out.
     """
-    envelope, count, first_s = ArrivalEnvelope(), 0, None
+    envelope, reports, count, first_s = ArrivalEnvelope(), SenderReports(), 0, None
     base = float(stream.time_base)
     newest_ns = -(2**62)
     for packet in container.demux(stream):

@@ -14,29 +14,29 @@ MAX_DIFFERENCE_NS = 2_000_000
 
 
 class SenderReports:
-    """The sender's clock against the stream's time; trusted: whether an earlier connection's reports agreed."""
+    """The sender's clock against the stream's time."""
 
-    def __init__(self, *, trusted: bool = False) -> None:
-        self.trusted = trusted
-        self._candidate_ns: int | None = None
+    def __init__(self) -> None:
+        # Offsets (ns) of the sender's clock from the stream's: of the newest packet, of the newest report, and in use.
+        self._packet_ns: int | None = None
         self._report_ns: int | None = None
+        self._offset_ns: int | None = None
 
     def take(self, stream_s: float, sent_ns: int) -> None:
         """A packet of the stream's time `stream_s` carries the sender's instant `sent_ns` (UTC)."""
         offset_ns = sent_ns - round(stream_s * NANOSECONDS)
         # The first packet after a stream's first report may carry the instant of another frame.
-        is_second_packet = _agree(offset_ns, self._candidate_ns, ROUNDING_NS)
-        self._candidate_ns = offset_ns
+        is_second_packet = _agree(offset_ns, self._packet_ns, ROUNDING_NS)
+        self._packet_ns = offset_ns
         if not is_second_packet or _agree(offset_ns, self._report_ns, ROUNDING_NS):
             return
-        self.trusted = self.trusted or _agree(offset_ns, self._report_ns, MAX_DIFFERENCE_NS)
+        if _agree(offset_ns, self._report_ns, MAX_DIFFERENCE_NS):
+            self._offset_ns = offset_ns
         self._report_ns = offset_ns
 
     def instant_ns(self, stream_s: float) -> int | None:
         """The instant (ns UTC) of the stream's time `stream_s`; None before two reports agree."""
-        if not self.trusted or self._report_ns is None:
-            return None
-        return self._report_ns + round(stream_s * NANOSECONDS)
+        return None if self._offset_ns is None else self._offset_ns + round(stream_s * NANOSECONDS)
 
 
 def _agree(first_ns: int, second_ns: int | None, most_ns: int) -> bool:
