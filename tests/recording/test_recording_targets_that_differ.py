@@ -121,7 +121,7 @@ def test_a_tilt_that_shakes_all_targets_at_one_distance_alike_is_refused(tmp_pat
 def test_targets_that_agree_widen_nothing(rate_hz, distance_m, tmp_path):
     found = midspan.calibrate(Site(rate_hz, distance_m, seed=1).write(tmp_path))
     assert all(target.used for target in found.camera.targets)
-    # Of ten thousand records with white noise one has a difference that counts.
+    # Of a thousand records with white noise one has a difference that counts.
     assert found.camera.apart_std_m == 0.0
 
 

@@ -17,12 +17,14 @@ from midspan.records import Floats
 # Bands are octaves up to this many cosines, and as wide as that above: a slow tilt fills few of them, a bracket's
 # resonance some tenths of a Hz. Cosines do not take a course that ends elsewhere than it began for a jump.
 MAX_ORDINATES = 32
-# Of so many pairs with white differences one is taken for coloured. The gain is in units of the likelihood's logarithm.
-COLOURED_BY_CHANCE = 1e-4
+# One of a thousand pairs with white differences is taken for coloured.
+COLOURED_BY_CHANCE = 1e-3
 # Values farther from the middle than this many robust standard deviations belong to an outlier where they came there by
 # a jump of this many, and where such outliers are no more than this share of the frames: what covers a target comes and
 # goes, while a camera turns steadily.
 FAR_STD, JUMP_STD, MAX_OUTLIERS = 8.0, 4.0, 0.08
+# Rounds in which the motion's share in a difference is found together with what else is in each band.
+ROUNDS = 4
 # Fewer frames tell nothing.
 MIN_FRAMES = 20
 
@@ -38,6 +40,12 @@ class Difference:
     excess_m: float
     course_m: Floats
     gains: Floats
+
+    @property
+    def held_m(self) -> float:
+        """Standard deviation that holds the excess in a row and in the zero, which is the first frame's."""
+        since = float(np.mean((self.course_m - self.course_m[0]) ** 2))
+        return max(self.excess_m, float(np.sqrt(0.5 * since)))
 
     def shaped(self, value: Floats) -> Floats:
         """What the course would hold of a series (n,)."""
@@ -59,20 +67,20 @@ def difference(value: Floats, variance: Floats, motion: Floats, scale_std: float
     left = left - np.nanmedian(left)
     own = _step_std(left)
     usable &= ~_outliers(left, own)
-    left = _without_motion(left, motion, usable, scale_std)
     bands = _bands(len(value))
     if len(bands) < 3:
         return nothing
+    left = _without_motion(left, motion - np.mean(motion), usable, (bands, scale_std))
     # A frame that is missing has no noise of its own: what is filled in there is the course alone.
-    filled = np.interp(np.arange(len(value)), np.flatnonzero(usable), left[usable])
+    filled = _filled(left, usable)
     for _ in range(2):
         power = _cosines(filled) ** 2
-        noise, coloured = _floor(power, bands)
-        gains = _gains(power, bands, noise) if coloured else nothing.gains
+        noise, exceeding = _floor(power, bands)
+        gains = _gains(power, exceeding, noise)
         course = _shaped(filled, gains)
         filled = np.where(usable, left, course)
     std = float(np.sqrt(noise * len(usable) / np.count_nonzero(usable)))
-    if not coloured:
+    if not exceeding:
         return replace(nothing, noise_m=std)
     excess = max(float(np.mean(left[usable] ** 2)) - std**2, 0.0)
     return Difference(std, float(np.sqrt(excess)), course, gains)
@@ -113,18 +121,29 @@ def _outliers(value: Floats, std: float) -> NDArray[np.bool_]:
     return found if np.count_nonzero(found) <= MAX_OUTLIERS * len(place) else np.zeros(len(value), dtype=bool)
 
 
-def _without_motion(value: Floats, motion: Floats, usable: NDArray[np.bool_], scale_std: float) -> Floats:
+def _filled(value: Floats, usable: NDArray[np.bool_]) -> Floats:
+    """A series (n,) with straight lines across what is not usable."""
+    return np.interp(np.arange(len(value)), np.flatnonzero(usable), value[usable])
+
+
+def _without_motion(
+    value: Floats, motion: Floats, usable: NDArray[np.bool_], known: tuple[list[slice], float]
+) -> Floats:
     """The difference without its mean and the share of the motion that the scale factors' ratio may be off by.
 
-    All of the difference counts as the noise of that share: a path that follows a tilt must not draw it along.
+    known: the bands, and that ratio's relative standard deviation. Each band counts by what is left in it: a path that
+    follows a slow tilt must not draw the share along, which fast motion tells.
     """
-    moved = motion - np.mean(motion[usable])
+    bands, scale_std = known
     left = value - np.mean(value[usable])
-    power = float(np.sum(moved[usable] ** 2))
-    if np.isfinite(scale_std):
-        power += (float(np.std(left[usable])) / max(scale_std, 1e-9)) ** 2
-    share = float(np.sum(moved[usable] * left[usable])) / max(power, 1e-300)
-    out = left - share * moved
+    whole, moved = _cosines(_filled(left, usable)), _cosines(motion)
+    share = 0.0
+    for _ in range(ROUNDS):
+        power = np.full(len(whole), np.inf)
+        for band in bands:
+            power[band] = max(float(np.mean((whole[band] - share * moved[band]) ** 2)), 1e-300)
+        share = float(np.sum(moved * whole / power)) / (float(np.sum(moved**2 / power)) + scale_std**-2.0 + 1e-300)
+    out = left - share * motion
     return np.asarray(out - np.mean(out[usable]))
 
 
@@ -137,16 +156,15 @@ def _bands(count: int) -> list[slice]:
     return out
 
 
-def _floor(power: Floats, bands: list[slice]) -> tuple[float, bool]:
-    """Level of the white part, as the mean of the most bands that may have one mean, and whether some exceed it."""
+def _floor(power: Floats, bands: list[slice]) -> tuple[float, list[slice]]:
+    """Level of the white part, as the mean of the most bands that may have one mean, and the bands that exceed it."""
     means = np.array([float(np.mean(power[band])) for band in bands])
     counts = np.array([band.stop - band.start for band in bands], dtype=np.float64)
     order = np.argsort(means)
     means, counts = means[order], counts[order]
-    for last in range(len(means), 1, -1):
-        if not _differ(means[:last], counts[:last]):
-            return float(np.average(means[:last], weights=counts[:last])), last < len(means)
-    return float(means[0]), True
+    alike = next((k for k in range(len(means), 1, -1) if not _differ(means[:k], counts[:k])), 1)
+    level = float(np.average(means[:alike], weights=counts[:alike]))
+    return level, [bands[k] for k in order[alike:]]
 
 
 def _differ(means: Floats, counts: Floats) -> bool:
@@ -161,7 +179,7 @@ def _differ(means: Floats, counts: Floats) -> bool:
 
 
 def _gains(power: Floats, bands: list[slice], noise: float) -> Floats:
-    """The share of signal in each band of a spectrum with white noise of this level."""
+    """The share of signal in each of these bands, 0 in the others, of a spectrum with white noise of this level."""
     share = np.zeros(len(power))
     for band in bands:
         share[band] = max(1.0 - noise / max(float(np.mean(power[band])), 1e-300), 0.0)

@@ -32,6 +32,8 @@ from midspan.records import NANOSECONDS, Acceleration, Displacement, part
 DISAGREES = 2.5
 # Less than this is of no weight: no tracker is right to the last digit.
 MIN_APART_M = 1e-5
+# A target this many times as far as another one hardly moves in the picture: it may as well be fixed to the camera.
+MAX_RATIO = 30.0
 
 
 class Cause(Enum):
@@ -72,7 +74,7 @@ class Member:
 @dataclass(frozen=True, slots=True)
 class Verdict:
     """A pair's causes that the accelerometer leaves open; size_m: rms of the difference beyond noise; error_m: the most
-    that this may make of the displacement of the one that is kept.
+    that this may make of the displacement of the one that is kept, in a row and in the zero.
     """
 
     kept: Member
@@ -179,8 +181,7 @@ class _Compared:
             member = self._without_scale(k)
             if member is None:
                 continue
-            found = self._between(self._sharpest, member)
-            if found.excess_m > max(DISAGREES * found.noise_m, MIN_APART_M):
+            if self._between(self._sharpest, member).excess_m > 0.0:
                 verdict = self._verdict(self._sharpest, member, [])
                 if verdict.open != frozenset({Cause.OTHER}):
                     verdicts.append(verdict)
@@ -266,7 +267,8 @@ class _Compared:
             return None
         moved, pixels = moved[inside] - np.mean(moved[inside]), pixels[inside] - np.mean(pixels[inside])
         ratio = float(np.sum(moved * pixels)) / max(float(np.sum(moved**2)), 1e-300)
-        if ratio == 0.0:
+        # What does not move with the structure tells nothing of the camera.
+        if not MAX_RATIO * self._sharpest.scale_m_per_px * ratio > 1.0:
             return None
         mapping = CameraScale(1.0 / ratio, self._view.axis, round(NANOSECONDS * self._camera.offset.value_s))
         block = target_block(target, mapping, self._camera.exposure_s, self._acceleration)
@@ -286,7 +288,7 @@ class _Compared:
         # Where no single cause explains it there are several.
         left = left or frozenset(shares)
         most = max(abs(shares[cause]) for cause in left)
-        return Verdict(kept, other, left, found.excess_m, most * found.excess_m)
+        return Verdict(kept, other, left, found.excess_m, most * found.held_m)
 
     def _share(self, kept: Member, other: Member, found: Difference) -> Share:
         """The share of a difference that is in the target that is kept."""
