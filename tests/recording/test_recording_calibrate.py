@@ -176,8 +176,12 @@ def test_a_single_tone_is_calibrated_where_only_one_offset_is_possible(simulated
     assert camera.offset.value_s == pytest.approx(0.137, abs=2.5e-3)
 
 
-def test_an_offset_beyond_the_search_is_refused_and_names_the_key(simulated):
-    folder = simulated("offset 0.6", camera={"time_offset_s": 0.6})
+def test_an_offset_beyond_the_stated_search_is_refused_and_names_the_key(simulated, tmp_path):
+    folder = tmp_path / "offset"
+    shutil.copytree(simulated("offset 0.6", camera={"time_offset_s": 0.6}), folder)
+    # Where no range is stated it is found.
+    assert midspan.calibrate(midspan.open_recording(folder)).camera.offset.value_s == pytest.approx(0.6, abs=1e-3)
+    set_keys(folder, "calibration", max_offset_s=0.5)
     with pytest.raises(UntrustedError, match="max_offset_s"):
         midspan.calibrate(midspan.open_recording(folder))
 

@@ -210,6 +210,10 @@ def with_response(
             if one.likelihood - without > MIN_GAIN * one.scatter and one.relative_std < most_open
         }
         able = [k for k, one in clear.items() if _possible(pair, k, one.of(FIRST + k)[0])]
+        most = max(one.likelihood for one in tried.values())
+        if Kind.RESONANCE in able and tried[Kind.RESONANCE].likelihood < most - MIN_GAIN:
+            # What explains far more is of an impossible size: a drift, say, which a resonance only resembles.
+            able.remove(Kind.RESONANCE)
         if not able:
             break
         best = max(able, key=lambda kind: (kind is Kind.LAG, tried[kind].likelihood))
