@@ -151,6 +151,8 @@ def calibrate_noise(
     if slow.pair.slow[0] > 0.0 or slow.pair.rows is not free.rows:
         pair = replace(pair, rows=slow.pair.rows, slow=slow.pair.slow)
         fit = best_corner(pair, fit.offset_s)
+    if search is not None and slow.pair.rows is not free.rows:
+        search = _again(search, pair)
     floored_fit = _within_floor(pair, fit)
     learnt = _with_scale(pair, floored_fit, offset, search, max_offset_s, length_s, floored=floored_fit is not fit)
     learnt = replace(
@@ -160,6 +162,13 @@ def calibrate_noise(
         unseen_m=slow.unseen,
     )
     return _without_gain(learnt, gain_std, sought.spread)
+
+
+def _again(search: OffsetSearch, pair: Pair) -> OffsetSearch:
+    """The offsets that were found, by other rows: likelihoods of the same rows alone compare."""
+    fit, other = search.fit, search.runner_up
+    runner_up = None if other is None else best_corner(pair, other.offset_s, other.corner)
+    return replace(search, pair=pair, fit=best_corner(pair, fit.offset_s, fit.corner), runner_up=runner_up)
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,8 +16,9 @@ from midspan.calibration.fit import Fit, Pair, best_corner
 from midspan.calibration.outliers import cleaned
 from midspan.records import Floats
 
-# A level is told by this many innovations at least: its variance is then known to a quarter.
-MIN_SEGMENT = 30
+# A level is told by this many innovations at least: its variance is then known to a quarter. And it holds for this
+# share of them: what is briefer, as a sensor that is stuck for some seconds, is no level of the noise.
+MIN_SEGMENT, MIN_SHARE = 30, 0.1
 # Unknowns of a change, half a ln n each: its instant, and the variance on both sides for one.
 UNKNOWNS = 3.0
 # An innovation's variance is more than the noise's alone: a level is found in rounds. Of one that is 25 times another
@@ -72,21 +73,22 @@ def _edges(square: Floats) -> list[int]:
     """Edges of the segments of one level, by the squares of innovations (k,) of relative variance 1."""
     edges, open_ones = [0, len(square)], [(0, len(square))]
     least = 0.5 * UNKNOWNS * float(np.log(max(len(square), 1)))
+    brief = max(MIN_SEGMENT, round(MIN_SHARE * len(square)))
     while open_ones:
         first, last = open_ones.pop()
-        cut = _cut(square[first:last], least)
+        cut = _cut(square[first:last], brief, least)
         if cut:
             edges.append(first + cut)
             open_ones += [(first, first + cut), (first + cut, last)]
     return sorted(edges)
 
 
-def _cut(square: Floats, least: float) -> int:
-    """Where squares (k,) split into two levels that gain more than `least`; 0: nowhere."""
+def _cut(square: Floats, brief: int, least: float) -> int:
+    """Where squares (k,) split into two levels of at least `brief` that gain more than `least`; 0: nowhere."""
     count = len(square)
-    if count < 2 * MIN_SEGMENT:
+    if count < 2 * brief:
         return 0
-    first = np.arange(MIN_SEGMENT, count - MIN_SEGMENT + 1)
+    first = np.arange(brief, count - brief + 1)
     total = np.cumsum(square)
     before, after = total[first - 1] / first, (total[-1] - total[first - 1]) / (count - first)
     if not (np.all(before > 0.0) and np.all(after > 0.0)):

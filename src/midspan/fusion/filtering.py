@@ -44,7 +44,9 @@ from midspan.fusion.hypothesis import (
     DOUBTED,
     ERROR,
     GOOD,
+    LASTING,
     MET_AT,
+    ONCE,
     PARENT,
     SHIFT_RATE,
     STEP_AGO,
@@ -224,7 +226,7 @@ def judge(hyps, best, clock, row, scene, tables, options, scratch, chances):  # 
     _, _, marks, memory, _, _, _ = best
     count, c = int(clock[COUNT]), int(row[CHANNEL])
     if row[AT] - marks[c, MET_AT] > tables[1][c, COASTING_S]:
-        hyps[2][:count, c, DOUBTED] = 1.0
+        hyps[2][:count, c, DOUBTED] = LASTING
     meet_zero(best, row, tables[1][c])
     follow_clock(best, row, tables[1][c])
     usual = memory[DENSITY] == 0.0 and marks[c, DISTURBED] == 0.0 and marks[c, STEPPED] + marks[c, DOUBTED] == 0.0
@@ -321,7 +323,7 @@ def pass_mark(hyps, axes, clock, mark, j, out):  # type: ignore[no-untyped-def]
             copy_datum(hyps[0][b], hyps[1][b], axes)
             hyps[6][b] = 0.0
         else:
-            hyps[2][b, :, DOUBTED] = 1.0
+            hyps[2][b, :, DOUBTED] = ONCE
         survivors[b, j] = b * PARENT_STEP + DATUM
         errors[b, j] = 0.0
     met[j, MET_CODE] = DATUM
@@ -413,7 +415,7 @@ def run_block(samples, rows, decided, state, hyps, tables, options, scratch, num
             j += 1
         clock[TIME] = end
         if gap:
-            hyps[2][: int(clock[COUNT]), :, DOUBTED] = 1.0
+            hyps[2][: int(clock[COUNT]), :, DOUBTED] = ONCE
         for a in range(len(motion)):
             motion[a, INPUT] = samples[k, 1 + a]
             leave_row(hyps, best, a, motion, clock, channels, datum, misfit, found, k)

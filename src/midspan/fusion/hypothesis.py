@@ -65,6 +65,8 @@ MEMORY_COLUMNS = 18
     RECENT,
 ) = range(14)
 MARK_COLUMNS = 14
+# In DOUBTED, besides 0: in doubt at the next measurement; from a gap of measurements on, see `outcomes.settle_doubt`.
+ONCE, LASTING = 1.0, float("inf")
 # Options, see `Rates`; MEMORY: as of `EstimatorSettings.noise_memory`.
 (
     P_OUTLIER,

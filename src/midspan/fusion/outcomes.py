@@ -4,7 +4,7 @@ import numpy as np
 from numba import njit
 
 from midspan.fusion.acceptance import ANEW, accept, find_step
-from midspan.fusion.forward import APART, AT, AXIS, CHANNEL, UNITS_PER_M, VALUE, ZERO, add_noise, scale_state
+from midspan.fusion.forward import APART, AT, AXIS, CHANNEL, FORGETS, UNITS_PER_M, VALUE, ZERO, add_noise, scale_state
 from midspan.fusion.forward import SENSOR as SENSOR_OF
 from midspan.fusion.hypothesis import (
     ACCEPTED_AT,
@@ -22,9 +22,11 @@ from midspan.fusion.hypothesis import (
     GOOD,
     KEPT,
     KINDS,
+    LASTING,
     LOST,
     MET_AT,
     NOISE,
+    ONCE,
     OUTLIER,
     OUTLIER_AT,
     OUTLIER_OF,
@@ -94,6 +96,19 @@ def let_go(p, i, missed, spread):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
+def settle_doubt(mark, kind, seen):  # type: ignore[no-untyped-def]
+    """After a gap of measurements the clock is in doubt until predictions are as sharp as measurements, or get no
+    sharper from one to the next; DOUBTED holds how wide (variance, of the noise's) the last one was. After stamps that
+    went back the next measurement tells.
+    """
+    if mark[DOUBTED] > ONCE and kind == OUTLIER:
+        return
+    ratio = seen[2] / seen[3]
+    settled = ratio <= ONCE or ratio >= mark[DOUBTED] or kind != GOOD
+    mark[DOUBTED] = 0.0 if settled else ratio
+
+
+@njit(cache=True)
 def forget_steps(tests, kind, channel, axes):  # type: ignore[no-untyped-def]
     """No step before a change of a sensor's zero is asked for any more."""
     if kind in (SHIFT, RETURN, CLOCK):
@@ -125,8 +140,9 @@ def become(code, hyp, row, scene, tables, options, scratch):  # type: ignore[no-
     since_then, code = code >= SINCE_THEN, code % SPREAD
     memory[CODE] = code
     memory[AGE] = memory[AGE] + 1.0 if code == GOOD else 0.0
-    mark[MET_AT], mark[DOUBTED] = row[AT], 0.0
+    mark[MET_AT], doubted = row[AT], mark[DOUBTED]
     seen = look(hyp, row, scene, tables, scratch)
+    settle_doubt(mark, kind, seen)
     # Whether the samples' noise since then explains it: then it was the prediction that was wrong.
     spread = spread and seen[0] ** 2 <= GATE * GATE * (seen[2] + seen[3])
     if spread and kind == OUTLIER:
@@ -147,6 +163,10 @@ def become(code, hyp, row, scene, tables, options, scratch):  # type: ignore[no-
         go_back(hyp, row, scene, tables, options, scratch)
     elif kind == CLOCK:
         p[s, s], mark[STEPPED] = p[s, s] + channel[APART], 1.0
+        if ONCE < doubted < LASTING:
+            # It stepped while nothing was measured: what came since led the motion's state as far away.
+            p[3 * a, 3 * a] += channel[APART]
+            p[3 * a + 1, 3 * a + 1] += channel[APART] * channel[FORGETS] ** 2
     elif kind == WRONG:
         memory[DENSITY], memory[ALONG] = led_away(size, lapse), a
         if not spread:

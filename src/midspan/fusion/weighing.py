@@ -15,11 +15,13 @@ from midspan.fusion.hypothesis import (
     DOUBTED,
     GOOD,
     KEPT,
+    LASTING,
     LOST,
     LOST_RATE,
     MET_AT,
     NOISE,
     NOISE_RATE,
+    ONCE,
     OUTLIER,
     OUTLIER_AT,
     OUTLIER_OF,
@@ -186,7 +188,10 @@ def weigh(hyp, row, scene, tables, options, scratch, asked, chances):  # type: i
     lapse = max(row[AT] - max(mark[ACCEPTED_AT], memory[BEGAN_AT]), SHORTEST_S)
     if mark[SHIFTED] > 0.0:
         weigh_return(hyp, row, (error, wider, own), channel, options, scratch, chances)
-    if not asked[0] and (not inside or mark[DOUBTED] > 0.0):
+    # After a gap no step is asked for where the prediction may be off by more than what one makes.
+    told = mark[DOUBTED] == LASTING and total < channel[APART] * channel[UNITS_PER_M] ** 2
+    told = told or mark[DOUBTED] == ONCE
+    if not asked[0] and (not inside or told):
         weigh_step(hyp, row, (error, total, lapse), tables[1], options, chances)
     # Of the first measurements it is asked only which are outliers: what is met once an hour is not met just then.
     if inside or asked[0] or (mark[DISTURBED] == 0.0 and error * error > WILD * total):
@@ -199,7 +204,11 @@ def weigh(hyp, row, scene, tables, options, scratch, asked, chances):  # type: i
         chances[SHIFT] = prior + np.log(met_within(options[SHIFT_RATE], lapse)) + size
     rough = led_away(error / channel[UNITS_PER_M], lapse) < ROUGH * scene[2]
     chances[WRONG] = prior + np.log(met_within(options[ROUGH_RATE if rough else WRONG_RATE], lapse)) + size
-    chances[NOISE] = prior + np.log(met_within(options[NOISE_RATE], lapse)) + size
+    noisier = met_within(options[NOISE_RATE], lapse)
+    if mark[DOUBTED] > ONCE and wider <= VAGUE * own:
+        # A clock that is a little off is noise: the motion of some milliseconds. So is a tenth of those that step.
+        noisier = max(noisier, P_STEPPED * P_STEPPED)
+    chances[NOISE] = prior + np.log(noisier) + size
     led = np.log(met_within(options[LOST_RATE], lapse))
     if mark[DISTURBED] > 0.0:
         # With each outlier it becomes more likely that the state was wrong before the first of them.
