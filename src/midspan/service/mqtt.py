@@ -13,7 +13,7 @@ import numpy as np
 from midspan.records import Event
 from midspan.service.journal import ROWS
 from midspan.settings.site import MqttSettings
-from midspan.sources.live.blocks import RESULT, Block, pack
+from midspan.sources.live.blocks import MAX_BYTES, RESULT, Block, pack
 from midspan.store.chunk import Chunk
 
 KEEP_ALIVE_S = 15
@@ -26,8 +26,6 @@ MAX_QUEUED = 10_000
 # Messages that the broker may have on their way to us: all that MQTT allows. They are acknowledged once a second, and
 # with a broker's own limit (Mosquitto's is 20) no more than that would come in a second.
 MAX_UNACKNOWLEDGED = 65_535
-# A longer message is not sent to us, bytes: a block of a second at 1 kHz has 4 kB, as JSON 20 kB.
-MAX_MESSAGE = 1_000_000
 # The pause before the next attempt where another service with our name ended the connection, s: doubled each time, so
 # that the two do not end each other once a second.
 NAME_TAKEN_S, MAX_NAME_TAKEN_S = 30, 960
@@ -69,7 +67,7 @@ class Broker:
         self._session = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
         self._session.SessionExpiryInterval = SESSION_S
         self._session.ReceiveMaximum = MAX_UNACKNOWLEDGED
-        self._session.MaximumPacketSize = MAX_MESSAGE
+        self._session.MaximumPacketSize = MAX_BYTES
         # Which process holds the site's name is a retained message: brokers do not say who ended a connection.
         self._own, self._holder = secrets.token_hex(8).encode(), f"{self.root}/service"
         self._connections, self._connected_s, self._pause_s = 0, 0.0, NAME_TAKEN_S

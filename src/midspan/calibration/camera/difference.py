@@ -55,7 +55,7 @@ class Difference:
 def difference(value: Floats, variance: Floats, motion: Floats, scale_std: float) -> Difference:
     """Compare two targets by the difference of their displacements.
 
-    value (n,): difference, m, NaN where either is not seen; variance (n,): its relative size from frame to frame;
+    value (n,): difference, m, NaN where either is not seen; variance (n,): finite and above 0 where both are seen;
     motion (n,): the displacement itself, m; scale_std: relative standard deviation of the ratio of both scale factors,
     infinite where nothing is known of it.
     """

@@ -49,5 +49,5 @@ def two_rates(rate: ClockRate) -> UntrustedError:
         f"displacement: its clock gains {rate.ppm:+.0f} ± {1e6 * rate.std:.1g} ppm on the accelerometer's, "
         f"{1e3 * abs(rate.late) * rate.length_s:.4g} ms in {rate.length_s:.4g} s, and displacement.estimate_offset "
         "= false says that both have one clock. Leave estimate_offset out to have the clock corrected, or correct "
-        "the time column."
+        "the time column; live, set both clocks by NTP."
     )

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from midspan.checks import nearest, option
 from midspan.errors import DataError, UsageError
@@ -92,7 +93,7 @@ def read_series(path: Path, request: SeriesRequest) -> TimeSeries:
     _check_values(path, channel.name, time_ns, value)
     repeated = repeated_rows(time_ns, _columns(found, channel))
     spread = spread_equal_stamps(time_ns[~repeated])
-    _check_order(path, spread.time_ns)
+    _check_order(path, spread.time_ns, np.flatnonzero(~repeated) + 1)
     dropped = f"{int(repeated.sum())} rows written twice, or delivered twice, were dropped"
     notices = [Notice("stamps-corrected", text) for text in (dropped if repeated.any() else "", spread.text) if text]
     value = value[~repeated]
@@ -311,12 +312,13 @@ def _check_values(path: Path, name: str, time_ns: Nanoseconds, value: Floats) ->
         )
 
 
-def _check_order(path: Path, time_ns: Nanoseconds) -> None:
+def _check_order(path: Path, time_ns: Nanoseconds, numbers: NDArray[np.int64]) -> None:
+    """DataError where stamps (n,) do not increase; numbers (n,): of their rows in the file, from 1."""
     wrong = np.flatnonzero(time_ns[1:] <= time_ns[:-1])
     if wrong.size:
         row = int(wrong[0]) + 1
         raise DataError(
-            f"{path}: time must increase from row to row; row {row + 1} of the data has {_stamp(time_ns[row])} after "
+            f"{path}: time must increase from row to row; row {numbers[row]} of the data has {_stamp(time_ns[row])} after "
             f"{_stamp(time_ns[row - 1])} ({wrong.size} such rows). Sort or correct the rows, or give rate_hz instead."
         )
 
