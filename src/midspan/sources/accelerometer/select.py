@@ -318,8 +318,9 @@ def _check_order(path: Path, time_ns: Nanoseconds, numbers: NDArray[np.int64]) -
     if wrong.size:
         row = int(wrong[0]) + 1
         raise DataError(
-            f"{path}: time must increase from row to row; row {numbers[row]} of the data has {_stamp(time_ns[row])} after "
-            f"{_stamp(time_ns[row - 1])} ({wrong.size} such rows). Sort or correct the rows, or give rate_hz instead."
+            f"{path}: time must increase from row to row; row {numbers[row]} of the data has {_stamp(time_ns[row])} "
+            f"after {_stamp(time_ns[row - 1])} ({wrong.size} such rows). Sort or correct the rows, or give rate_hz "
+            "instead."
         )
 
 
