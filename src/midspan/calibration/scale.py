@@ -27,6 +27,8 @@ MIN_FRAMES = 20
 ANEW = 2
 # Image motion above this many standard deviations of a frame's noise is motion.
 CLEARLY_MOVING = 8.0
+# Where more than this share of the frames would be outliers, a clock that jumps is looked for: after one all are.
+MANY_LEFT_OUT = 0.2
 # The largest relative standard deviation of a scale factor that is still given out, and the one that brings a warning.
 REFUSED_ABOVE = 0.05
 WARNED_ABOVE = 0.01
@@ -144,15 +146,16 @@ def calibrate_scale(
         _refuse_ambiguity(search, max_offset_s)
 
     search, response = with_frequency(search_offset(pair, max_offset_s), pair, max_offset_s, kinds)
-    try:
-        refuse(search)
-    except UntrustedError:
-        pair, jumps = without_jumps(pair, max_offset_s, refuse)
-        if not jumps:
+    refusal = _refusal(search, refuse)
+    if refusal is not None or _left_out(search.pair) > MANY_LEFT_OUT:
+        moved, jumps = without_jumps(pair, max_offset_s, refuse)
+        if jumps:
+            pair = moved
+            search, response = with_frequency(search_offset(pair, max_offset_s), pair, max_offset_s, kinds)
+            refuse(search)
+        elif refusal is not None:
             _refuse_better(pair, _rival(pair, search, max_offset_s), max_offset_s, refuse, accepted=False)
-            raise
-        search, response = with_frequency(search_offset(pair, max_offset_s), pair, max_offset_s, kinds)
-        refuse(search)
+            raise refusal
     _refuse_rivals(pair, search, refuse, (max_offset_s, clocks_open), float(np.sqrt(typical)))
     search = axis.widened(search)
     fit = search.fit
@@ -172,6 +175,20 @@ def calibrate_scale(
         response=response,
         direction=axis.direction,
     )
+
+
+def _refusal(search: OffsetSearch, refuse: Callable[[OffsetSearch], None]) -> UntrustedError | None:
+    """Why a search is refused; None where it is not."""
+    try:
+        refuse(search)
+    except UntrustedError as error:
+        return error
+    return None
+
+
+def _left_out(pair: Pair) -> float:
+    """Share of the measurements that are left out as outliers."""
+    return float(np.mean(np.isinf(pair.rows[:, 2])))
 
 
 def with_frequency(
