@@ -67,6 +67,12 @@ NOTICES: dict[str, tuple[Severity, str, str]] = {
         "a part of a file is damaged, cut off or out of order, and is not used",
         "copy or export the file again; a logger that was stopped while it wrote loses its last line",
     ),
+    "film-turned": (
+        _NOTE,
+        "a film's display matrix turns its pictures, as a phone held upright writes it; the sentence says whether they "
+        "were turned",
+        "give direction and roi as a player shows the film",
+    ),
     "frames-blurred": (
         _WARNING,
         "many frames are blurred, or the first one is; their variances are raised",

@@ -7,6 +7,7 @@ import av
 import numpy as np
 import pytest
 
+import film_matrix
 import midspan
 from lively_recordings import Lively, write
 from midspan.cli.main import run
@@ -120,3 +121,45 @@ def test_options_of_two_files_go_with_two_files(desk, capsys):
     assert "--unit: goes with two files" in capsys.readouterr().err
     assert run(["estimate", str(desk / "logger.csv"), str(desk / "phone.mkv"), "--point", "p"]) == 2
     assert "--point" in capsys.readouterr().err
+
+
+@pytest.fixture(scope="module")
+def portrait(desk):
+    """The film of the desk as a phone held upright stores it: on its side, with or without the matrix that says so."""
+    with av.open(str(desk / "phone.mkv")) as container:
+        pictures = np.stack([frame.to_ndarray(format="gray") for frame in container.decode(video=0)])
+    stored = film_matrix.stored_for(pictures, film_matrix.RIGHT)
+    film_matrix.write(desk / "portrait.mp4", stored, matrix=film_matrix.RIGHT)
+    film_matrix.write(desk / "sideways.mp4", stored)
+    return desk
+
+
+def camera_of(desk, film, tmp_path, *more):
+    """What two files tell of the camera."""
+    output = tmp_path / f"{film}.csv"
+    files = [str(desk / "logger.csv"), str(desk / film), "--value", "Beschl Z"]
+    assert run(["estimate", *files, *more, "-o", str(output)]) == 0
+    return json.loads(output.with_suffix(".json").read_text())["calibration"]["camera"]
+
+
+def test_a_portrait_film_gives_what_the_upright_one_gives(portrait, tmp_path, capsys):
+    upright, turned = (camera_of(portrait, film, tmp_path) for film in ("phone.mkv", "portrait.mp4"))
+    assert "[film-turned]" in capsys.readouterr().err
+    # The same pixels at the same times, which mkv rounds to 1 ms and mp4 does not: far less than the deviation.
+    assert abs(turned["scale_mm_per_px"] - upright["scale_mm_per_px"]) < 0.1 * upright["scale_std_mm_per_px"]
+
+
+def test_a_direction_is_given_with_two_files(portrait, tmp_path, capsys):
+    sideways = camera_of(portrait, "sideways.mp4", tmp_path, "--direction", "x")
+    # Down in the upright picture is to the right in the stored one, which has to be turned right to be shown.
+    assert sideways["direction"] == "x"
+    assert abs(sideways["scale_mm_per_px"] - LIVELY.mm_per_px) < 4.0 * sideways["scale_std_mm_per_px"]
+    files = [str(portrait / "logger.csv"), str(portrait / "sideways.mp4"), "--value", "Beschl Z"]
+    assert run(["init", *files, "--direction", "x", "-o", str(tmp_path / "new")]) == 0
+    assert load_settings(tmp_path / "new").cameras[0].direction == "x"
+    capsys.readouterr()
+    assert run(["estimate", *files]) == 4
+    assert "Check camera.direction first (with two files: --direction): no camera" in capsys.readouterr().err
+    assert run(["estimate", *files, "--direction", "z"]) == 2
+    assert run(["estimate", str(tmp_path / "new"), "--direction", "x"]) == 2
+    assert "--direction: goes with two files" in capsys.readouterr().err

@@ -12,6 +12,7 @@ from midspan.calibration.fit import Fit, Pair, aligned, best_corner, with_input_
 from midspan.calibration.frequency_response import FrequencyResponse, Kind, kinds_of, response_of, with_response
 from midspan.calibration.jumping_clock import jumps_text, without_jumps
 from midspan.calibration.own_noise import contradiction, exceeds_own_noise
+from midspan.calibration.scale_range import of_no_camera
 from midspan.calibration.time_offset import OffsetSearch, search_offset
 from midspan.calibration.whitening import SETTLING
 from midspan.calibration.whole_overlap import Rival, likeliest_beyond
@@ -247,12 +248,13 @@ def _refuse_no_motion(pair: Pair, fit: Fit, noise: float) -> None:
         "given out"
     )
     alias, shakes = alias_in_words(pair), shaken > CLEARLY_MOVING * white_noise(pair.samples[:, 1])
+    first = of_no_camera(1.0 / fit.ratio) if shakes else ""
     if seen > CLEARLY_MOVING * noise and shakes and not alias:
         raise NoAgreementError(
             f"No agreement between image and accelerometer {figures}: both move, but not alike enough for a scale "
-            f"factor: {would_be}. Check camera.direction, camera.roi, accelerometer.value, and that both files are of "
-            "the same event; where the clocks may differ by more, raise calibration.max_offset_s or set "
-            f"camera.start_s. {_slow_samples(pair)}{NOT_SHOWN}"
+            f"factor: {would_be}. {first}Check camera.direction, camera.roi, "
+            "accelerometer.value, and that both files are of the same event; where the clocks may differ by more, "
+            f"raise calibration.max_offset_s or set camera.start_s. {_slow_samples(pair)}{NOT_SHOWN}"
         )
     livelier = (
         "Choose a calibration.window_s with traffic or shaking, or pass a calibration made at a livelier time with -c. "
@@ -266,7 +268,7 @@ def _refuse_no_motion(pair: Pair, fit: Fit, noise: float) -> None:
         if shakes and not alias
         else f"{alias}{livelier}If the structure did move, {static}"
     )
-    raise UntrustedError(f"Too little motion to calibrate the scale factor {figures}: {would_be}. {cause}")
+    raise UntrustedError(f"Too little motion to calibrate the scale factor {figures}: {would_be}. {first}{cause}")
 
 
 def _slow_samples(pair: Pair) -> str:

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 @click.argument("video", type=click.Path(), required=False)
 @click.option("--value", help="With two files: the accelerometer's channel along the measured motion.")
 @click.option("--unit", help="With two files: the unit of its values, where its file does not say.")
+@click.option("--direction", type=click.Choice(["x", "y"]), help="With two files: the image axis of the motion, as the "
+              "film is shown; left out: y.")  # fmt: skip
 @click.option(
     "-c", "--calibration", "calibration_file", type=click.Path(), help="Calibration to use; left out: calibrate."
 )
@@ -53,7 +55,7 @@ def command(recording: str, video: str | None, quiet: bool, as_json: bool, **opt
     if video is not None:
         _of_two_files(Path(recording), Path(video), console, options)
         return
-    files = [name for key, name in (("value", "--value"), ("unit", "--unit")) if options[key]]
+    files = [f"--{key}" for key in ("value", "unit", "direction") if options[key]]
     if files:
         raise click.UsageError(f"{files[0]}: goes with two files, ACCEL VIDEO; a recording names it in its settings.")
     from midspan.service.replay import is_store
@@ -109,7 +111,7 @@ def _of_two_files(accel: Path, video: Path, console: Console, options: dict[str,
     for given in ("point", "begin", "end"):
         if options[given]:
             raise click.UsageError("--point, --from and --to: are for a store, not for two files.")
-    found = draft(accel, video, options["value"], options["unit"])
+    found = draft(accel, video, options["value"], options["unit"], options["direction"])
     tree = found.sections
     chosen = {"tracker": options["tracker"]} if options["tracker"] else {}
     tree[found.camera] |= chosen

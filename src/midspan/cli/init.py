@@ -14,6 +14,8 @@ from midspan.cli.console import Console, common_options
 @click.option("-o", "--output", type=click.Path(), help="Folder of the recording.toml; left out: that of ACCEL.")
 @click.option("--value", help="Channel of ACCEL along the measured motion; left out: the only one, or the upright one.")
 @click.option("--unit", help="Unit of its values, where the file does not say.")
+@click.option("--direction", type=click.Choice(["x", "y"]), help="Image axis of the motion, as the film is shown; left "
+              "out: y.")  # fmt: skip
 @common_options
 def command(accel: str, video: str, quiet: bool, as_json: bool, **options: str | None) -> None:
     """Write a commented recording.toml for an accelerometer's file and a video: channels, units and rates as found."""
@@ -27,7 +29,7 @@ def command(accel: str, video: str, quiet: bool, as_json: bool, **options: str |
     target = folder / RECORDING_FILE
     if target.exists():
         raise UsageError(f"{target}: exists already and is not overwritten. Remove it, or give another folder (-o).")
-    found = draft(Path(accel), Path(video), options["value"], options["unit"], choose=True)
+    found = draft(Path(accel), Path(video), options["value"], options["unit"], options["direction"], choose=True)
     folder.mkdir(parents=True, exist_ok=True)
     for section, own in found.sections.items():
         if "file" in own:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from midspan.engine.rolling_shutter import row_of, rows_share
 from midspan.engine.target_opening import Opening
 from midspan.records import NANOSECONDS, Frame, PixelTranslation, Prediction, Region, Status
 from midspan.vision.fair_variance import FairVariance, UsualVariances
@@ -31,12 +32,13 @@ class ChainSettings:
 
     opening: what each target is tracked with. readout_s: rolling shutter, s from the first row (which the stamps belong
     to) to the last: translations are dated by the row of the target's middle. lossless: whether the frames come from a
-    file which leaves nothing out.
+    file which leaves nothing out. quarter_turns: by which the sensor's rows were turned with the picture.
     """
 
     opening: Opening
     readout_s: float = 0.0
     lossless: bool = False
+    quarter_turns: int = 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -123,13 +125,14 @@ class TargetChain:
 
         Both are box averages; their widths add as squares.
         """
-        rows = self._settings.readout_s * self.region.height / max(self.tracker.reference.pixels.shape[0], 1)
-        return math.hypot(exposure_s or 0.0, rows)
+        shape, turns = self.tracker.reference.pixels.shape, self._settings.quarter_turns
+        share = rows_share(self.region.width, self.region.height, shape, turns)
+        return math.hypot(exposure_s or 0.0, self._settings.readout_s * share)
 
     @property
     def first_late_ns(self) -> int:
         """How long after the reference frame's stamp the row of the target's middle was read out, ns."""
-        return self._row_ns(0.0, int(self.tracker.reference.pixels.shape[0]))
+        return self._row_ns(0.0, 0.0, self.tracker.reference.pixels.shape)
 
     def _frozen(self, frame: Frame) -> bool:
         """Whether the region's picture is bit for bit the one before: a frozen camera, or a codec that skipped it.
@@ -148,11 +151,14 @@ class TargetChain:
         """How long after a frame's stamp the row of the target's middle was read out, ns."""
         if self._settings.readout_s == 0.0:
             return 0
-        return self._row_ns(found.y_px if math.isfinite(found.y_px) else 0.0, int(frame.pixels.shape[0]))
+        seen = math.isfinite(found.x_px) and math.isfinite(found.y_px)
+        return self._row_ns(*((found.x_px, found.y_px) if seen else (0.0, 0.0)), frame.pixels.shape)
 
-    def _row_ns(self, down_px: float, rows: int) -> int:
-        """How long after the first of a frame's rows that of the target's middle is read out, ns."""
-        row = self.region.y + 0.5 * (self.region.height - 1) + down_px
+    def _row_ns(self, right_px: float, down_px: float, shape: tuple[int, ...]) -> int:
+        """How long after the first of the sensor's rows that of the target's middle is read out, ns."""
+        x_px = self.region.x + 0.5 * (self.region.width - 1) + right_px
+        y_px = self.region.y + 0.5 * (self.region.height - 1) + down_px
+        row, rows = row_of(x_px, y_px, (shape[0], shape[1]), self._settings.quarter_turns)
         return round(self._settings.readout_s * NANOSECONDS * row / max(rows - 1, 1))
 
 

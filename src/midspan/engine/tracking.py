@@ -232,7 +232,8 @@ class CameraTracking:
             if settings.thermal and settings.levels is not None:
                 refuse_empty_range(self.reference, target.region, settings.levels)
         self.chosen = tuple(targets)
-        chain = ChainSettings(settings.opening, settings.readout_s, source.info.lossless is True)
+        info = source.info
+        chain = ChainSettings(settings.opening, settings.readout_s, info.lossless is True, info.quarter_turns)
         self.chain = CameraChain(self.reference, targets, chain)
         self.targets = tuple(TargetTracking(target) for target in self.chain.targets)
         self._teach(felt)

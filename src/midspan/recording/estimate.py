@@ -75,6 +75,7 @@ def estimate(
     video: str | Path | None = None,
     value: str | None = None,
     unit: str | None = None,
+    direction: str | None = None,
     progress: Progress = silent,
 ) -> Result:
     """Estimate the displacement of a recording (or its path), or of two files: `estimate(ACCEL, VIDEO)`.
@@ -83,19 +84,20 @@ def estimate(
     `midspan methods`, over the recording's own. tracking: what `calibrate_and_track` left, to go on with. given:
     whether the calibration is that of another record; left out: where there is no tracking. video: with an
     accelerometer's file as `recording`; the second argument is taken for it. value, unit: with two files, the channel
-    along the motion and its unit. Returns one row for each accelerometer sample in the streams' common span.
-    Raises UntrustedError when calibration is refused, DataError for unusable streams.
+    along the motion and its unit; direction: the image axis of the motion, "x" or "y" (left out: y). Returns one row
+    for each accelerometer sample in the streams' common span. Raises UntrustedError when calibration is refused,
+    DataError for unusable streams.
     """
     if video is None and is_sensor_file(recording) and isinstance(calibration, str | Path):
         video, calibration = calibration, None
     if calibration is not None and not isinstance(calibration, Calibration):
         calibration = load_calibration(path_of("calibration", calibration))
     if video is not None:
-        files = draft(path_of("recording", recording), path_of("video", video), value, unit)
+        files = draft(path_of("recording", recording), path_of("video", video), value, unit, direction)
         return estimate(Recording(*settings_of(files)), calibration, method=method, progress=progress)
-    if value or unit:
+    if value or unit or direction:
         raise UsageError(
-            "value, unit: go with two files, estimate(ACCEL, VIDEO); a recording names them in its settings."
+            "value, unit, direction: go with two files, estimate(ACCEL, VIDEO); a recording names them in its settings."
         )
     recording = opened(recording)
     # The method is checked first: tracking may take long.

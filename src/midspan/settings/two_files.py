@@ -21,6 +21,8 @@ GRAVITY_M_S2 = 9.80665
 UPRIGHT = 0.1
 # A video is dated by when it was begun or ended; one that is dated farther away than this, s, is of another clock.
 BY_HAND_S = 60.0
+# The image axis of the motion where none is given: most structures that are filmed move up and down.
+DIRECTION = "y"
 
 
 @dataclass(slots=True)
@@ -69,11 +71,13 @@ def is_sensor_file(given: object) -> bool:
     return isinstance(given, str | Path) and Path(given).is_file() and Path(given).suffix != ".toml"
 
 
-def draft(accel: Path, video: Path, value: str | None, unit: str | None, *, choose: bool = False) -> Draft:
+def draft(
+    accel: Path, video: Path, value: str | None, unit: str | None, direction: str | None = None, *, choose: bool = False
+) -> Draft:
     """The settings of a recording of an accelerometer's file and a video (or infrared sequence).
 
-    value, unit: where the file leaves a choice. choose: take one of several channels, for a person to look at; else
-    UsageError names them. Raises what reading the files does.
+    value, unit: where the file leaves a choice. direction: the image axis of the motion; left out: y. choose: take one
+    of several channels, for a person to look at; else UsageError names them. Raises what reading the files does.
     """
     from midspan.sources.accelerometer.formats import list_channels
     from midspan.sources.accelerometer.select import SeriesRequest, candidates, find_channel, read_series
@@ -93,7 +97,7 @@ def draft(accel: Path, video: Path, value: str | None, unit: str | None, *, choo
     _channel(found, channel, others, unit, channels.names)
     request = SeriesRequest("acceleration", value=channel.name, unit=unit)
     acceleration = _read(found, accel, request, choose, read_series)
-    _camera(found, video, acceleration)
+    _camera(found, video, acceleration, direction or DIRECTION)
     return found
 
 
@@ -154,7 +158,7 @@ def _read(found: Draft, path: Path, request: "SeriesRequest", choose: bool, read
         return None
 
 
-def _camera(found: Draft, video: Path, acceleration: "TimeSeries | None") -> None:
+def _camera(found: Draft, video: Path, acceleration: "TimeSeries | None", direction: str) -> None:
     """The keys of the camera."""
     from midspan.sources.camera.formats import open_frames
     from midspan.sources.camera.frames import FrameRequest, timed_or_counted
@@ -171,7 +175,7 @@ def _camera(found: Draft, video: Path, acceleration: "TimeSeries | None") -> Non
     source, timed = timed_or_counted(opened)
     info = source.info
     found.put(section, "file", str(video.absolute()), f"{info.width} × {info.height} px, {info.codec}")
-    found.put(section, "direction", "y", 'image axis of the motion: "x" (right +), "y" (down +) or "xy"')
+    found.put(section, "direction", direction, 'image axis of the motion: "x" (right +), "y" (down +) or "xy"')
     if not timed:
         found.need(section, "rate_hz", "frames a second: the file has no times of its own")
     elif acceleration is not None:

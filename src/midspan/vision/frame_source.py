@@ -14,7 +14,8 @@ class FrameInfo:
 
     `bit_depth` is that of the luma, `lossless` None where the codec can be either, `radiometric` whether pixels are
     temperatures. `damage`: what of the file was lost, mended or is doubtful, which a result should report; `notices`:
-    what else it should report, each under a code of its own.
+    what else it should report, each under a code of its own. `quarter_turns`: by which the pictures were turned
+    counterclockwise from how the sensor was read out.
     """
 
     width: int
@@ -27,6 +28,7 @@ class FrameInfo:
     radiometric: bool = False
     damage: tuple[str, ...] = ()
     notices: tuple[Notice, ...] = ()
+    quarter_turns: int = 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

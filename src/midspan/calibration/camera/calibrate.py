@@ -21,6 +21,7 @@ from midspan.calibration.scale import (
     ScaleCalibration,
     start_noise,
 )
+from midspan.calibration.scale_range import of_no_camera
 from midspan.calibration.sensors.camera import CameraCalibration, TargetCalibration
 from midspan.calibration.sensors.fit import SensorFit
 from midspan.errors import NoAgreementError, UntrustedError
@@ -96,7 +97,8 @@ def _refuse_vague(fit: CameraFit) -> None:
     cause, remedy = PARTS[largest]
     raise UntrustedError(
         f"The scale factor is too uncertain: it would be {1e3 * scale.value_m_per_px:.4g} mm/px ± {100 * total:.2g} %, "
-        f"and at most ± {100 * REFUSED_ABOVE:g} % is given out. The largest part, ± {100 * fit.parts[largest]:.2g} %, "
+        f"and at most ± {100 * REFUSED_ABOVE:g} % is given out. "
+        f"{of_no_camera(scale.value_m_per_px)}The largest part, ± {100 * fit.parts[largest]:.2g} %, "
         f"comes from {cause}. {remedy}"
     )
 

@@ -17,6 +17,7 @@ from midspan.records import Frame, Nanoseconds
 from midspan.signals.health import clock
 from midspan.sources.camera.capture_rate import declared_rate, times_of_taking
 from midspan.sources.camera.completeness import missing_frames, without_cut_frame
+from midspan.sources.camera.display_matrix import turn_of, turned
 from midspan.sources.camera.frames import FrameRequest
 from midspan.sources.camera.luma_plane import depth_of, luma_of
 from midspan.sources.camera.packets import Packets, scan
@@ -81,6 +82,10 @@ class VideoFrames(FrameSource):
             self._taken_hz = declared_rate(path, {**stream.metadata, **container.metadata})
             if stream.codec_context.name in ("vp8", "vp9") and not self._size[0]:
                 raise DataError(f"{path} has no picture size. Check that the file is whole.")
+            first = next(_pictures(container, stream), None)
+            self._turns, notice = turn_of(first) if first is not None else (0, None)
+            self._notices += [notice] if notice else []
+            self._size = self._size[::-1] if self._turns % 2 else self._size
 
     @property
     def info(self) -> FrameInfo:
@@ -98,6 +103,7 @@ class VideoFrames(FrameSource):
             tuple(self._notes),
             damage=damage,
             notices=tuple(self._notices),
+            quarter_turns=self._turns,
         )
 
     def times_ns(self) -> Nanoseconds:
@@ -167,7 +173,8 @@ class VideoFrames(FrameSource):
                 if number >= first and number % every == 0:
                     index = number // every
                     missing.discard(index)
-                    yield Frame(int(times[index]), self._checked(luma_of(picture), number), index)
+                    pixels = turned(luma_of(picture), self._turns)
+                    yield Frame(int(times[index]), self._checked(pixels, number), index)
         self._lost |= {index * every for index in missing}
         if len(missing) == len(wanted) > 1:
             raise DataError(
