@@ -160,10 +160,9 @@ def calibrate_scale(
     _refuse_rivals(pair, search, refuse, (max_offset_s, clocks_open), float(np.sqrt(typical)))
     search = axis.widened(search)
     fit = search.fit
-    relative = fit.relative_std
     value = 1.0 / fit.ratio
     return ScaleCalibration(
-        scale=ScaleFactor(value, (relative * value) ** 2),
+        scale=ScaleFactor(value, (fit.relative_std * value) ** 2),
         search=search,
         noise=NoiseLevel(float(np.sqrt(fit.noise))),
         variance_factor=fit.noise / typical,

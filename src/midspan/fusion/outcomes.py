@@ -109,6 +109,17 @@ def settle_doubt(mark, kind, seen):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
+def step_clock(p, mark, channel, doubted):  # type: ignore[no-untyped-def]
+    """A sensor's clock stepped: it measures another instant's displacement from here on."""
+    s, x = int(channel[ZERO]) + 1, 3 * int(channel[AXIS])
+    p[s, s], mark[STEPPED] = p[s, s] + channel[APART], 1.0
+    if ONCE < doubted < LASTING:
+        # It stepped while nothing was measured: what came since led the motion's state as far away.
+        p[x, x] += channel[APART]
+        p[x + 1, x + 1] += channel[APART] * channel[FORGETS] ** 2
+
+
+@njit(cache=True)
 def forget_steps(tests, kind, channel, axes):  # type: ignore[no-untyped-def]
     """No step before a change of a sensor's zero is asked for any more."""
     if kind in (SHIFT, RETURN, CLOCK):
@@ -145,8 +156,7 @@ def become(code, hyp, row, scene, tables, options, scratch):  # type: ignore[no-
     settle_doubt(mark, kind, seen)
     # Whether the samples' noise since then explains it: then it was the prediction that was wrong.
     spread = spread and seen[0] ** 2 <= GATE * GATE * (seen[2] + seen[3])
-    if spread and kind == OUTLIER:
-        kind = GOOD
+    kind = GOOD if spread and kind == OUTLIER else kind
     if kind == OUTLIER:
         reject(mark, memory, row, channel[SENSOR_OF])
         memory[ERROR], memory[TOTAL] = seen[0], seen[2] + seen[3]
@@ -162,11 +172,7 @@ def become(code, hyp, row, scene, tables, options, scratch):  # type: ignore[no-
         scaled = 0.0
         go_back(hyp, row, scene, tables, options, scratch)
     elif kind == CLOCK:
-        p[s, s], mark[STEPPED] = p[s, s] + channel[APART], 1.0
-        if ONCE < doubted < LASTING:
-            # It stepped while nothing was measured: what came since led the motion's state as far away.
-            p[3 * a, 3 * a] += channel[APART]
-            p[3 * a + 1, 3 * a + 1] += channel[APART] * channel[FORGETS] ** 2
+        step_clock(p, mark, channel, doubted)
     elif kind == WRONG:
         memory[DENSITY], memory[ALONG] = led_away(size, lapse), a
         if not spread:

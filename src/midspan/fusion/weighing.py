@@ -151,6 +151,16 @@ def weigh_step(hyp, row, seen, channels, options, chances):  # type: ignore[no-u
 
 
 @njit(cache=True)
+def noise_within(mark, is_sharp, options, lapse):  # type: ignore[no-untyped-def]
+    """How likely a sensor's noise rose within a lapse (s); is_sharp: whether the prediction tells."""
+    noisier = met_within(options[NOISE_RATE], lapse)
+    if mark[DOUBTED] > ONCE and is_sharp:
+        # A clock that is a little off is noise: the motion of some milliseconds. So is a tenth of those that step.
+        noisier = max(noisier, P_STEPPED * P_STEPPED)
+    return noisier
+
+
+@njit(cache=True)
 def weigh(hyp, row, scene, tables, options, scratch, asked, chances):  # type: ignore[no-untyped-def]
     """Logarithms of the weights (8,) of what a hypothesis may become by a measurement; -inf: not looked at.
 
@@ -204,11 +214,7 @@ def weigh(hyp, row, scene, tables, options, scratch, asked, chances):  # type: i
         chances[SHIFT] = prior + np.log(met_within(options[SHIFT_RATE], lapse)) + size
     rough = led_away(error / channel[UNITS_PER_M], lapse) < ROUGH * scene[2]
     chances[WRONG] = prior + np.log(met_within(options[ROUGH_RATE if rough else WRONG_RATE], lapse)) + size
-    noisier = met_within(options[NOISE_RATE], lapse)
-    if mark[DOUBTED] > ONCE and wider <= VAGUE * own:
-        # A clock that is a little off is noise: the motion of some milliseconds. So is a tenth of those that step.
-        noisier = max(noisier, P_STEPPED * P_STEPPED)
-    chances[NOISE] = prior + np.log(noisier) + size
+    chances[NOISE] = prior + np.log(noise_within(mark, wider <= VAGUE * own, options, lapse)) + size
     led = np.log(met_within(options[LOST_RATE], lapse))
     if mark[DISTURBED] > 0.0:
         # With each outlier it becomes more likely that the state was wrong before the first of them.

@@ -47,8 +47,8 @@ def open_thermal(path: Path, request: ThermalRequest | None = None) -> FrameSour
         for file in _files(path):
             refuse_dji(file)
         # Missing values are filled, and frames of too many passed over, once all is in °C.
-        frames = replace(request.frames, with_missing=True)
-        pictures = ThermalPictures(open_frames(path, frames), request, str(path))
+        raw = open_frames(path, replace(request.frames, with_missing=True))
+        pictures = ThermalPictures(raw, request, str(path))
         return RepairedFrames(pictures, str(path)) if pictures.info.radiometric else pictures
 
 
