@@ -169,6 +169,11 @@ def other_clock(desk: Desk) -> None:
     desk.key("camera", times="times.csv", rate_hz=None)
 
 
+def half_a_second(desk: Desk) -> None:
+    other_clock(desk)
+    desk.key("calibration", max_offset_s=0.5)
+
+
 def too_short(desk: Desk) -> None:
     desk.frames, desk.frame_s = desk.frames[:12], desk.frame_s[:12]
 
@@ -223,7 +228,13 @@ MISTAKES: dict[str, tuple[Callable[[Desk], None], int, str]] = {
     ),
     "times backwards": (sign_of_times, 3, "increas|back"),
     "logger and film an hour apart": (apart, 3, "overlap"),
-    "logger and film four seconds apart": (other_clock, 4, "clocks seem to differ by"),
+    # The scenario's own clocks are 0.14 s apart.
+    "logger and film four seconds apart": (
+        other_clock,
+        0,
+        r"begins -3.86 s later than its times say.*\[clock-corrected\]",
+    ),
+    "logger and film four seconds apart, half a second stated": (half_a_second, 4, "clocks seem to differ by"),
     "files of different days": (other_day, 4, "both files are of the same event"),
     "acceleration thinned to 4 Hz": (thinned, 4, "4 samples a second.*thinned out"),
     "acceleration held between samples": (thinned_and_held, 0, r"every 10th sample only.*\[rate-too-low\]"),
