@@ -109,6 +109,17 @@ def settle_doubt(mark, kind, seen):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
+def step_clock(p, mark, channel, doubted):  # type: ignore[no-untyped-def]
+    """Let the clock of a channel's sensor have stepped; doubted: as it was in doubt."""
+    s, i, apart = int(channel[ZERO]) + 1, 3 * int(channel[AXIS]), channel[APART]
+    p[s, s], mark[STEPPED] = p[s, s] + apart, 1.0
+    if ONCE < doubted < LASTING:
+        # It stepped while nothing was measured: what came since led the motion's state as far away.
+        p[i, i] += apart
+        p[i + 1, i + 1] += apart * channel[FORGETS] ** 2
+
+
+@njit(cache=True)
 def forget_steps(tests, kind, channel, axes):  # type: ignore[no-untyped-def]
     """No step before a change of a sensor's zero is asked for any more."""
     if kind in (SHIFT, RETURN, CLOCK):
@@ -153,8 +164,7 @@ def become(code, hyp, row, scene, tables, options, scratch):  # type: ignore[no-
         if code >= ENDED:
             memory[DENSITY] = 0.0
         return 0.0, scaled
-    error, total = seen[0], seen[2] + seen[3]
-    size = error / channel[UNITS_PER_M]
+    error, total, size = seen[0], seen[2] + seen[3], seen[0] / channel[UNITS_PER_M]
     forget_steps(tests, kind, channel, len(tables[5]))
     if kind == SHIFT:
         shift_zero(hyp, row, channel, (error, total), since_then)
@@ -162,11 +172,7 @@ def become(code, hyp, row, scene, tables, options, scratch):  # type: ignore[no-
         scaled = 0.0
         go_back(hyp, row, scene, tables, options, scratch)
     elif kind == CLOCK:
-        p[s, s], mark[STEPPED] = p[s, s] + channel[APART], 1.0
-        if ONCE < doubted < LASTING:
-            # It stepped while nothing was measured: what came since led the motion's state as far away.
-            p[3 * a, 3 * a] += channel[APART]
-            p[3 * a + 1, 3 * a + 1] += channel[APART] * channel[FORGETS] ** 2
+        step_clock(p, mark, channel, doubted)
     elif kind == WRONG:
         memory[DENSITY], memory[ALONG] = led_away(size, lapse), a
         if not spread:

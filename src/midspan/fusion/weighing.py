@@ -151,6 +151,28 @@ def weigh_step(hyp, row, seen, channels, options, chances):  # type: ignore[no-u
 
 
 @njit(cache=True)
+def clock_told(mark, channel, total):  # type: ignore[no-untyped-def]
+    """Whether a measurement may tell a clock's step though it lies where it is expected, as the clock is in doubt.
+
+    total: the innovation's variance. After a gap the prediction may be off by more than what a step makes.
+    """
+    told = mark[DOUBTED] == LASTING and total < channel[APART] * channel[UNITS_PER_M] ** 2
+    return told or mark[DOUBTED] == ONCE
+
+
+@njit(cache=True)
+def noise_rate(mark, variances, rate):  # type: ignore[no-untyped-def]
+    """How likely it is that a channel's noise has risen; rate: without doubts about the clock; variances: of the
+    prediction, of the noise. A clock that is a little off is noise, the motion of some milliseconds.
+    """
+    wider, own = variances
+    if mark[DOUBTED] > ONCE and wider <= VAGUE * own:
+        # So is a tenth of those that step.
+        return max(rate, P_STEPPED * P_STEPPED)
+    return rate
+
+
+@njit(cache=True)
 def weigh(hyp, row, scene, tables, options, scratch, asked, chances):  # type: ignore[no-untyped-def]
     """Logarithms of the weights (8,) of what a hypothesis may become by a measurement; -inf: not looked at.
 
@@ -188,9 +210,7 @@ def weigh(hyp, row, scene, tables, options, scratch, asked, chances):  # type: i
     lapse = max(row[AT] - max(mark[ACCEPTED_AT], memory[BEGAN_AT]), SHORTEST_S)
     if mark[SHIFTED] > 0.0:
         weigh_return(hyp, row, (error, wider, own), channel, options, scratch, chances)
-    # After a gap no step is asked for where the prediction may be off by more than what one makes.
-    told = mark[DOUBTED] == LASTING and total < channel[APART] * channel[UNITS_PER_M] ** 2
-    told = told or mark[DOUBTED] == ONCE
+    told = clock_told(mark, channel, total)
     if not asked[0] and (not inside or told):
         weigh_step(hyp, row, (error, total, lapse), tables[1], options, chances)
     # Of the first measurements it is asked only which are outliers: what is met once an hour is not met just then.
@@ -204,10 +224,7 @@ def weigh(hyp, row, scene, tables, options, scratch, asked, chances):  # type: i
         chances[SHIFT] = prior + np.log(met_within(options[SHIFT_RATE], lapse)) + size
     rough = led_away(error / channel[UNITS_PER_M], lapse) < ROUGH * scene[2]
     chances[WRONG] = prior + np.log(met_within(options[ROUGH_RATE if rough else WRONG_RATE], lapse)) + size
-    noisier = met_within(options[NOISE_RATE], lapse)
-    if mark[DOUBTED] > ONCE and wider <= VAGUE * own:
-        # A clock that is a little off is noise: the motion of some milliseconds. So is a tenth of those that step.
-        noisier = max(noisier, P_STEPPED * P_STEPPED)
+    noisier = noise_rate(mark, (wider, own), met_within(options[NOISE_RATE], lapse))
     chances[NOISE] = prior + np.log(noisier) + size
     led = np.log(met_within(options[LOST_RATE], lapse))
     if mark[DISTURBED] > 0.0:

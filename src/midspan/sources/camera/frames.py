@@ -19,12 +19,14 @@ class FrameRequest:
     """How to read frames: `times` a file with column time_s, one row a frame; `rate_hz` and `start_s` (s) without one.
 
     Stamps of the container come before `rate_hz`; `start_s` is added to them. Every n-th frame is used (`every`).
+    with_missing: give out frames without numbers too, for a reader that fills or passes over them itself.
     """
 
     times: Path | None = None
     rate_hz: float | None = None
     start_s: float = 0.0
     every: int = 1
+    with_missing: bool = False
 
 
 def timed_or_counted(opened: Callable[[float | None], FrameSource]) -> tuple[FrameSource, bool]:

@@ -96,7 +96,7 @@ class StackFrames(FrameSource):
         times, stack = self.times_ns(), np.asarray(self._array)
         for index in range(*slice(start, stop).indices(times.size)):
             image = stack[index * self._request.every]
-            if image.dtype.kind == "f" and np.mean(~np.isfinite(image)) > MAX_MISSING:
+            if not self._request.with_missing and _is_missing(image):
                 self._passed.add(index)
                 continue
             yield Frame(int(times[index]), luma(image, reversed_colours=False), index)
@@ -110,6 +110,11 @@ class StackFrames(FrameSource):
             f"{len(numbers)} frames ({named}) have more than {100 * MAX_MISSING:g} % of their values missing (NaN) and "
             "were passed over",
         )
+
+
+def _is_missing(image: NDArray[np.generic]) -> bool:
+    """Whether too much of an image is no number."""
+    return image.dtype.kind == "f" and bool(np.mean(~np.isfinite(image)) > MAX_MISSING)
 
 
 def _load(path: Path) -> tuple[NDArray[np.generic], NDArray[np.float64] | None, str]:

@@ -1,6 +1,7 @@
 """Radiometric sequences in any form: one table from suffix to reader."""
 
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 from midspan.errors import DataError
@@ -42,7 +43,9 @@ def open_thermal(path: Path, request: ThermalRequest | None = None) -> FrameSour
             left_out = sum(is_jpeg(file) for file in _files(path)) - len(files) if is_jpeg(files[0]) else 0
             frames = FlirFrames(files, request, left_out)
             return RepairedFrames(GuardedFrames(frames, path, "FLIR frames"), str(path))
-        pictures = ThermalPictures(open_frames(path, request.frames), request, str(path))
+        # Missing values are filled, and frames of too many passed over, once all is in °C.
+        wanted = replace(request.frames, with_missing=True)
+        pictures = ThermalPictures(open_frames(path, wanted), request, str(path))
         return RepairedFrames(pictures, str(path)) if pictures.info.radiometric else pictures
 
 
