@@ -60,7 +60,8 @@ class Findings:
     """What a calibration rests on, for those who decide whether to believe it.
 
     pair, fit: measurements without outliers and their fit, offset included; search: of the clock offset, None where
-    none was made; free: the best fit with any scale; likeliest: the best one with the scale as it is.
+    none was made; free: the best fit with any scale; likeliest: the best one with the scale as it is. levelled: pair
+    and fit with the levels of the noise and the outliers by these, where it has several.
     """
 
     pair: Pair
@@ -68,6 +69,12 @@ class Findings:
     search: OffsetSearch | None
     free: Fit
     likeliest: Fit
+    levelled: tuple[Pair, Fit] | None = None
+
+    @property
+    def noise(self) -> tuple[Pair, Fit]:
+        """Pair and fit that the noise levels are those of."""
+        return self.levelled or (self.pair, self.fit)
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,13 +155,13 @@ def calibrate_noise(
     # A wrong gain is no slow error.
     free = replace(pair, ratio=None) if gain_std > 0.0 else pair
     slow = find_slow_error(free, best_corner(free, fit.offset_s), noise_time_s, whole)
-    if slow.pair.slow[0] > 0.0 or slow.pair.rows is not free.rows:
-        pair = replace(pair, rows=slow.pair.rows, slow=slow.pair.slow)
+    if slow.pair.slow[0] > 0.0:
+        pair = replace(pair, slow=slow.pair.slow)
         fit = best_corner(pair, fit.offset_s)
-    if search is not None and slow.pair.rows is not free.rows:
-        search = _again(search, pair)
     floored_fit = _within_floor(pair, fit)
     learnt = _with_scale(pair, floored_fit, offset, search, max_offset_s, length_s, floored=floored_fit is not fit)
+    if slow.pair.rows is not free.rows:
+        learnt = _levelled(learnt, replace(pair, rows=slow.pair.rows))
     learnt = replace(
         learnt,
         scale_std=float(np.hypot(learnt.scale_std, sought.spread)),
@@ -164,11 +171,17 @@ def calibrate_noise(
     return _without_gain(learnt, gain_std, sought.spread)
 
 
-def _again(search: OffsetSearch, pair: Pair) -> OffsetSearch:
-    """The offsets that were found, by other rows: likelihoods of the same rows alone compare."""
-    fit, other = search.fit, search.runner_up
-    runner_up = None if other is None else best_corner(pair, other.offset_s, other.corner)
-    return replace(search, pair=pair, fit=best_corner(pair, fit.offset_s, fit.corner), runner_up=runner_up)
+def _levelled(learnt: NoiseCalibration, pair: Pair) -> NoiseCalibration:
+    """The calibration with the noise of a pair whose rows have its levels; what is judged stays judged as it was."""
+    assert learnt.findings is not None
+    fit = _within_floor(pair, best_corner(pair, learnt.findings.fit.offset_s))
+    return replace(
+        learnt,
+        variance_factor=fit.noise,
+        input_noise=pair.input_noise(fit.input_density),
+        slow_std_m=float(np.sqrt(pair.slow[0] * fit.noise)),
+        findings=replace(learnt.findings, levelled=(pair, fit)),
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -218,7 +231,7 @@ def _without_gain(learnt: NoiseCalibration, known_std: float, spread: float) -> 
     assert learnt.findings is not None
     if known_std == 0.0:
         return learnt
-    unknown = replace(learnt.findings.pair, ratio=None)
+    unknown = replace(learnt.findings.noise[0], ratio=None)
     pair, fit = with_input_noise(unknown, best_corner(unknown, learnt.offset.value_s))
     fit = _within_floor(pair, fit)
     fit = with_corner_doubt(pair, fit, disputed=exceeds_own_noise(pair, fit))
@@ -234,8 +247,16 @@ def _without_gain(learnt: NoiseCalibration, known_std: float, spread: float) -> 
         slow_std_m=float(np.sqrt(pair.slow[0] * fit.noise)),
         gain=1.0 / (1.0 + weight * (fit.ratio - 1.0)),
         gain_std=std * float(np.sqrt(weight)),
-        findings=replace(learnt.findings, pair=pair, fit=fit),
+        findings=_with_gain(learnt.findings, pair, fit),
     )
+
+
+def _with_gain(findings: Findings, pair: Pair, fit: Fit) -> Findings:
+    """The findings with a pair and its fit that tell the gain."""
+    if findings.levelled is None:
+        return replace(findings, pair=pair, fit=fit)
+    judged = best_corner(replace(findings.pair, ratio=fit.ratio), findings.fit.offset_s)
+    return replace(findings, fit=judged, levelled=(pair, fit))
 
 
 def _within_floor(pair: Pair, fit: Fit) -> Fit:

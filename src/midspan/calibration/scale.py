@@ -267,7 +267,9 @@ def _refuse_no_motion(pair: Pair, fit: Fit, noise: float) -> None:
         if shakes and not alias
         else f"{alias}{livelier}If the structure did move, {static}"
     )
-    raise UntrustedError(f"Too little motion to calibrate the scale factor {figures}: {would_be}. {first}{cause}")
+    raise UntrustedError(
+        f"Too little motion to calibrate the scale factor {figures}: {would_be}. {first}{_slow_samples(pair)}{cause}"
+    )
 
 
 def _slow_samples(pair: Pair) -> str:

@@ -51,15 +51,15 @@ def fit_displacement(given: Given) -> DisplacementFit:
     low, high = sorted(learnt.factor * end for end in ends)
     part = replace(part, low_m=low, high_m=high)
     warnings = (*_range_warnings(part, held), *displacement_warnings(given, learnt, part))
-    bias = bias_of(learnt.findings.pair, learnt.findings.fit)
+    bias = bias_of(*learnt.findings.noise)
     # A scale that seems wrong is a misfit which the band holds already.
     known = _scale_error(learnt) > 0.0
-    found = Misfit() if known else misfit(learnt.findings.pair, learnt.findings.fit)
+    found = Misfit() if known else misfit(*learnt.findings.noise)
     spread = float(np.sqrt(found.factor))
     part = replace(part, scale_std=spread * part.scale_std)
     if rate is not None:
         part = replace(part, clock_rate=rate.late, clock_reference_s=rate.reference_ns / NANOSECONDS)
-    strange = strange_noise(learnt.findings.pair, learnt.findings.fit, "displacement")
+    strange = strange_noise(*learnt.findings.noise, "displacement")
     warnings = (*warnings, *(found.text("displacement") or strange))
     return DisplacementFit(
         part,

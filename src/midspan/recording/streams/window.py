@@ -89,5 +89,6 @@ def require_overlap(acceleration_ns: Nanoseconds, other_ns: Nanoseconds, section
         f"accelerometer and {section} do not overlap in time: the accelerometer runs from "
         f"{shown(int(acceleration_ns[0]))} to {shown(int(acceleration_ns[-1]))}, {section} from "
         f"{shown(int(other_ns[0]))} to {shown(int(other_ns[-1]))}; at least {least_s:.3g} s must "
-        f"be shared. Bring the clocks together with {section}.start_s or accelerometer.start_s."
+        f"be shared. Bring the clocks together with {section}.start_s or accelerometer.start_s, or correct the clock "
+        "offset (time_offset_s) of the calibration that is given."
     )
