@@ -38,7 +38,9 @@ class Frames:
     ],
 )
 def test_frames_before_a_night_in_the_window_are_used(lit, used_from_s, monkeypatch):
-    recording = SimpleNamespace(kind="camera", beside=(SimpleNamespace(kind="infrared"),), frames=Frames(lit))
+    recording = SimpleNamespace(
+        kind="camera", beside=(SimpleNamespace(kind="infrared"),), frames=Frames(lit), late_ns=0
+    )
     recording.seeing = lambda *stamps: stamps
     monkeypatch.setattr("midspan.recording.tracking.daylight.window_ends", lambda _: (0, 60 * NANOSECONDS))
     (begun, ended, used_from), (text,) = where_it_sees(recording)
