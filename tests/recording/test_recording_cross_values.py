@@ -49,7 +49,7 @@ def scored(case, result, *, zero):
 @pytest.mark.parametrize("angle_deg", [10.0, 20.0])
 @pytest.mark.parametrize("sensor", ["displacement", "camera", "infrared", "radar"])
 def test_cross_motion_of_an_inclined_accelerometer_is_taken_out(tmp_path, sensor, angle_deg):
-    """The error about its mean is that of an aligned accelerometer, to the 40 % by which two draws of its noise differ."""
+    """The error about its mean is an aligned accelerometer's, to the 40 % by which two draws of its noise differ."""
     case = inclined(tmp_path / "aligned", sensor, 0.0, ACROSS)
     aligned, _ = scored(case, midspan.estimate(tmp_path / "aligned"), zero=sensor != "displacement")
     inclined(tmp_path / "inclined", sensor, angle_deg, ACROSS)
