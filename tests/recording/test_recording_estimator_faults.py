@@ -105,13 +105,11 @@ def test_frames_without_numbers_are_a_gap_that_is_said(tmp_path):
     assert "no frames for 2" in event.text
 
 
-@pytest.mark.parametrize(("late_s", "kinds"), [(0.0, set()), (0.015, {"noise", "clock"})])
-def test_a_sensor_that_was_away_and_comes_back_late_is_held_by_the_band(late_s, kinds, tmp_path):
-    """15 ms late is 0.1 mm of this motion, five times the noise: taken for sound, half the rows were outside."""
-    case = Lively(
-        seed=1, duration_s=90.0, rate_hz=15.0, noise_m=0.02e-3, first_s=0.003,
-        tones=((0.6e-3, 0.4), (0.5e-3, 1.7), (0.2e-3, 2.9)),
-    )  # fmt: skip
+@pytest.mark.parametrize("late_s", [0.0, 0.02])
+def test_a_sensor_that_was_away_and_comes_back_late_is_noisier_not_blind(late_s, tmp_path):
+    """A small offset is noise, which is said; as a clock that stepped the sensor bounded the slow motion alone."""
+    tones = ((0.4e-3, 1.1), (0.5e-3, 2.3), (0.3e-3, 4.1))
+    case = Lively(seed=1, duration_s=90.0, rate_hz=15.0, noise_m=0.02e-3, first_s=0.003, tones=tones)
     folder = write(tmp_path / "recording", case, "displacement")
     calibration = midspan.calibrate(folder)
     _, _, met_s, reading = read(folder)
@@ -120,12 +118,12 @@ def test_a_sensor_that_was_away_and_comes_back_late_is_held_by_the_band(late_s, 
     met_s = met_s + np.where(back, late_s, 0.0)
     rewrite(folder, met_s[kept], reading[kept])
     result = midspan.estimate(folder, calibration, method="kalman")
-    off = np.abs(result.displacement_mm - 1e3 * case.motion(result.time_s)) / result.displacement_std_mm
-    settled = result.time_s > 47.0
-    assert np.mean(off[settled] < 1.96) > 0.85
-    # The sound sensor is not called wrong, the late one is.
-    found = {event.kind for event in result.events} & {"noise", "clock"}
-    assert bool(found) == bool(kinds)
-    if not kinds:
-        before = result.displacement_std_mm[(result.time_s > 15.0) & (result.time_s < 29.0)]
-        assert np.median(result.displacement_std_mm[settled]) < 1.2 * np.median(before)
+    error = result.displacement_mm - 1e3 * case.motion(result.time_s)
+    settled, found = result.time_s > 47.0, {event.kind for event in result.events}
+    # 43 s of errors that hang together over 0.2 s: 200 of them, of which 95 ± 2 % lie inside.
+    assert np.mean(np.abs(error[settled]) < 1.96 * result.displacement_std_mm[settled]) > 0.89
+    assert ("noise" in found) == (late_s > 0.0)
+    assert "clock" not in found
+    # The sensor errs by what the structure moves in 20 ms, and its rows by no more than one of its values does.
+    speed_m_s = np.sqrt(sum((2.0 * np.pi * hertz * size_m) ** 2 for size_m, hertz in tones) / 2.0)
+    assert np.median(result.displacement_std_mm[settled]) < 1e3 * np.hypot(0.02e-3, late_s * speed_m_s)
