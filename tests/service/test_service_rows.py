@@ -170,8 +170,9 @@ def test_rows_that_a_clock_has_made_uncertain_are_told_until_they_are_as_usual()
 
 def test_what_a_restart_needs_of_the_rows_is_kept():
     journal = Journal("p", {})
-    journal.remember({"zero": [1e-3, 1e-8], "lost_ns": 5, "usual": [2e-4, 700]})
-    assert journal.memory == {"zero": [1e-3, 1e-8], "lost_ns": 5, "usual": [2e-4, 700]}
+    memory = {"zero": [1e-3, 1e-8], "lost_ns": 5, "usual": [2e-4, 700], "new_datum": "The kept state is unusable."}
+    journal.remember(memory)
+    assert journal.memory == memory
     assert journal.zero.offset_m == 1e-3
 
 
