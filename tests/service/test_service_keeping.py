@@ -46,7 +46,7 @@ def small_disk(tmp_path):
 
 
 def test_the_end_waits_for_the_thread_that_writes(tmp_path):
-    # Without the wait SQLite's connection is closed in the middle of a statement, which ends the process: one in three.
+    # Without the wait SQLite's connection is closed in the middle of a statement, which ends the process.
     for number in range(12):
         where = str(tmp_path / str(number))
         keeper = Keeper(where)
