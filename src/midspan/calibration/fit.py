@@ -213,7 +213,8 @@ class Aligned:
             share = min(w.input_share / n, 1.0)
             ratio = unattenuated(total, cross, power, share)
             # The cross products are the ratio times the true response's power; products of both noises scatter as well.
-            small = max(abs(cross), 1e-300)
+            # Without any common motion the deviation is beyond all bounds, and still a number.
+            small = max(abs(cross), 1e-100 * noise, 1e-300)
             ratio_variance = noise * abs(ratio) / small + share * (1.0 - share) * n * (noise / small) ** 2
         # The corner of the noise that does not go with the motion.
         alike = PRIOR_POWER * float(np.log(corner) + 0.25 * np.log1p(-pair.motion_share)) - w.entropy

@@ -154,7 +154,7 @@ def weigh_step(hyp, row, seen, channels, options, chances):  # type: ignore[no-u
 def noise_within(mark, is_sharp, options, lapse):  # type: ignore[no-untyped-def]
     """How likely a sensor's noise rose within a lapse (s); is_sharp: whether the prediction tells."""
     noisier = met_within(options[NOISE_RATE], lapse)
-    if mark[DOUBTED] > ONCE and is_sharp:
+    if options[NOISE_RATE] > 0.0 and mark[DOUBTED] > ONCE and is_sharp:
         # A clock that is a little off is noise: the motion of some milliseconds. So is a tenth of those that step.
         noisier = max(noisier, P_STEPPED * P_STEPPED)
     return noisier
