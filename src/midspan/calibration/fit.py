@@ -28,6 +28,8 @@ from midspan.calibration.whitening import (
 from midspan.records import Floats, InputNoise
 from midspan.signals.lively import mean_square
 
+# Fewer usable measurements than these tell no scale.
+MIN_FRAMES = 20
 # Ratio, time offset and the ratio of the noise levels are fitted together with the noise itself.
 FITTED = 3
 # Ratios below this share of the reference are no explanation of the motion.

@@ -11,7 +11,7 @@ import numpy as np
 
 from midspan.calibration.clock import Compared
 from midspan.calibration.clock_jumps import ClockJump, clock_jumps, lateness
-from midspan.calibration.fit import Pair
+from midspan.calibration.fit import MIN_FRAMES, Pair
 from midspan.calibration.time_offset import OffsetSearch, search_offset
 from midspan.errors import UntrustedError
 from midspan.notices import Notice
@@ -38,6 +38,8 @@ def without_jumps(
 
 
 def _trusted(pair: Pair, max_offset_s: float, refuse: Callable[[OffsetSearch], None]) -> OffsetSearch | None:
+    if np.count_nonzero(np.isfinite(pair.rows[:, 2])) < MIN_FRAMES:
+        return None
     search = search_offset(pair, max_offset_s)
     try:
         refuse(search)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from midspan.calibration.fit import Fit, Pair, aligned, best_corner, refine
+from midspan.calibration.fit import MIN_FRAMES, Fit, Pair, aligned, best_corner, refine
 from midspan.calibration.whitening import SETTLING, whiten_columns
 from midspan.records import Floats
 from midspan.signals.medians import SIGMA_OF_MEDIAN
@@ -51,7 +51,9 @@ def mark_outliers(pair: Pair, fit: Fit, *, steps: bool = False) -> Pair:
     bad = _far_outside(np.minimum(forwards, backwards))
     if steps and not bad.any():
         bad = _far_outside(np.where(np.isfinite(forwards), forwards, 0.0))
-    if not bad.any():
+    # Of too few that are left none can be said to be the wrong one.
+    left = np.count_nonzero(np.isfinite(pair.rows[:, 2])) - np.count_nonzero(bad)
+    if not bad.any() or left < MIN_FRAMES:
         return pair
     rows = pair.rows.copy()
     rows[index[bad], 2] = np.inf

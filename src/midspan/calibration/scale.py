@@ -8,7 +8,7 @@ import numpy as np
 from midspan.calibration.agreement import clearly_better, misfit
 from midspan.calibration.clock_jumps import ClockJump
 from midspan.calibration.direction import Direction, turned
-from midspan.calibration.fit import Fit, Pair, aligned, best_corner, with_input_noise
+from midspan.calibration.fit import MIN_FRAMES, Fit, Pair, aligned, best_corner, with_input_noise
 from midspan.calibration.frequency_response import FrequencyResponse, Kind, kinds_of, response_of, with_response
 from midspan.calibration.jumping_clock import jumps_text, without_jumps
 from midspan.calibration.own_noise import contradiction, exceeds_own_noise
@@ -23,7 +23,6 @@ from midspan.records import InputNoise, NoiseLevel, ScaleFactor, TimeOffset
 from midspan.signals.health import dominant_frequency
 from midspan.signals.medians import SIGMA_OF_MEDIAN, white_noise
 
-MIN_FRAMES = 20
 # How often the clock offset is searched anew with what depends on frequency taken out: it then shows more.
 ANEW = 2
 # Image motion above this many standard deviations of a frame's noise is motion.

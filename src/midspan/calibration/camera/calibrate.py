@@ -10,12 +10,11 @@ from midspan.calibration.bias import bias_of
 from midspan.calibration.camera.disagreement import Agreed, agreed, m_per_px
 from midspan.calibration.camera.view import SeenTarget, View, camera_pair, printed_along, scale_of
 from midspan.calibration.common_offset import Fitted, common_offset, one_offset, pooled_variance, shared_part
-from midspan.calibration.fit import Pair
+from midspan.calibration.fit import MIN_FRAMES, Pair
 from midspan.calibration.measured import measured_rows
 from midspan.calibration.noise import learn_motion
 from midspan.calibration.own_noise import contradiction, strange_noise
 from midspan.calibration.scale import (
-    MIN_FRAMES,
     PARTS,
     REFUSED_ABOVE,
     ScaleCalibration,
