@@ -17,6 +17,7 @@ import traceback
 import warnings
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass
+from itertools import pairwise
 from pathlib import Path
 from random import Random
 
@@ -30,10 +31,10 @@ MAX_WALL_S = 200.0
 # Memory that a case may use over what the whole file needs, and address space that is granted to it, bytes: a reader
 # that asks for more than it is granted is refused by the system.
 MAX_BYTES, GRANTED_BYTES = 2 * 1024**3, 3 * 1024**3
-# Files that are read again and again at the end of a reader's cases, and how often in each of three rounds.
-REPEATED_FILES, REPEATS = 2, 4
-# Growth of one such reading in both of the last two rounds, bytes: a leak grows in every round, what an allocator
-# settles does so once. A frame of the smallest videos has 3 kB, and a reading keeps all of them or none.
+# Files that are read again and again at the end of a reader's cases, how often in each round, and the rounds.
+REPEATED_FILES, REPEATS, ROUNDS = 2, 4, 6
+# Growth of one such reading from each round to the next, bytes: a leak grows in every round, what an allocator
+# settles does so in some. A frame of the smallest videos has 3 kB, and a reading keeps all of them or none.
 MAX_GROWTH_BYTES = 16 * 1024
 # What is said where the system gave no more memory: such a case has asked for more than GRANTED_BYTES.
 NO_MEMORY = re.compile(
@@ -164,13 +165,13 @@ def _grown(seed: Seed, whole: bytes, run: str, output: int) -> Outcome:
     """Read the same damaged files again and again: memory must settle."""
     files = [case(seed, whole, number, run)[1] for number in range(REPEATED_FILES)]
     sizes = []
-    for _ in range(3):
+    for _ in range(ROUNDS):
         for data in REPEATS * files:
             Path(seed.file).write_bytes(data)
             _commands(seed, output)
         gc.collect()
         sizes.append(1024 * _kilobytes("VmRSS"))
-    growth = min(sizes[1] - sizes[0], sizes[2] - sizes[1]) / (REPEATS * len(files))
+    growth = min(after - before for before, after in pairwise(sizes)) / (REPEATS * len(files))
     fault = "growth" if growth > MAX_GROWTH_BYTES else ""
     return Outcome(seed.name, seed.reader, GROWTH, "repeated", 0, fault, f"{growth:.0f} bytes a reading")
 

@@ -264,7 +264,7 @@ def test_a_camera_that_the_given_calibration_does_not_have_is_left_out_and_told(
 
 def test_where_no_range_can_be_chosen_for_features_the_calibration_tells_why(alone):
     folder, _ = alone
-    # Frames at 6 Hz show nothing above 2.7 Hz. The motion nearly repeats itself after 10 s: the clocks' range is stated.
+    # Frames at 6 Hz show nothing above 2.7 Hz. The motion nearly repeats itself after 10 s: so the range is stated.
     band = {"band_hz": (2.8, 8.0), "max_offset_s": 0.5}
     found = midspan.calibrate(midspan.open_recording(folder, infrared={"tracker": "features"}, calibration=band))
     told = [line for line in found.warnings if "no temperature range" in line]
