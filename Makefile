@@ -3,6 +3,7 @@ PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.ready
+CORE   := core/Cargo.toml $(shell find core/src -name '*.rs')
 
 .PHONY: demo test check docs bench live faults fuzz lock audit clean setup
 
@@ -13,6 +14,7 @@ test: check
 
 check: $(STAMP)
 	sh tools/servers.sh
+	sh tools/core.sh check
 	$(BIN)/ruff format --check src tests benchmarks examples
 	$(BIN)/ruff check src tests benchmarks examples
 	$(BIN)/mypy
@@ -42,7 +44,7 @@ fuzz: $(STAMP)
 
 setup: $(STAMP)
 
-$(STAMP): pyproject.toml constraints.txt constraints-dev.txt tools/setup.sh
+$(STAMP): pyproject.toml constraints.txt constraints-dev.txt tools/setup.sh tools/cargo.sh $(CORE)
 	PYTHON="$(PYTHON)" VENV="$(VENV)" sh tools/setup.sh
 	@touch $(STAMP)
 

@@ -1,6 +1,6 @@
 #!/bin/sh
 # Makes the virtual environment $VENV with midspan and its tools at the pinned versions.
-# Needs python3 (3.11 or newer); fetches Debian's venv package itself where it is missing.
+# Needs python3 (3.11 or newer); fetches Debian's venv package and Rust itself where they are missing.
 set -eu
 python=${PYTHON:-python3}
 venv=${VENV:-.venv}
@@ -23,6 +23,8 @@ if ! "$python" -c 'import ensurepip, venv' >/dev/null 2>&1; then
     as_root apt-get update
     as_root env DEBIAN_FRONTEND=noninteractive apt-get install -y --no-install-recommends python3-venv
 fi
+
+. tools/cargo.sh
 
 [ -x "$venv/bin/python" ] || "$python" -m venv "$venv"
 # Also the build of midspan itself takes its tools at the pinned versions.

@@ -19,7 +19,7 @@ from midspan.signals.fir import (
     response,
 )
 from midspan.signals.integrate import RULES, integrating
-from midspan.signals.resample import REACH_STEPS, filtered_at, spline_kernel, spline_rows
+from midspan.signals.resample import REACH_STEPS, filtered_at, local_spline, spline_kernel
 
 PAIR = Transition(0.5, 1.0)
 
@@ -124,9 +124,7 @@ def test_a_sum_of_filters_does_not_depend_on_where_the_series_is_cut(cuts):
 
 
 def splined(at, knots, value, longest=0.25):
-    rows, good = np.empty((2, len(at))), np.empty(len(at), dtype=bool)
-    spline_rows(at, knots, np.column_stack((value, -2.0 * value)), (longest, REACH_STEPS * 0.1), rows, good)
-    return rows, good
+    return local_spline(at, knots, np.column_stack((value, -2.0 * value)), longest, REACH_STEPS * 0.1)
 
 
 def test_the_local_spline_follows_the_spline_through_all_knots():

@@ -18,7 +18,7 @@ from midspan.fusion.streams import KalmanSettings, Smoothed, smooth
 from midspan.records import NANOSECONDS, Acceleration, Displacement, Estimate, Event, Floats, Nanoseconds, part, seconds
 from midspan.signals.fir import FilterBank
 from midspan.signals.health import Mask, runs
-from midspan.signals.resample import REACH_STEPS, filtered_at, spline_rows
+from midspan.signals.resample import REACH_STEPS, filtered_at, local_spline
 
 # A step of the acceleration outside these shares of the usual one ends a stretch.
 SHORTEST_STEP, LONGEST_STEP = 0.5, 1.5
@@ -221,9 +221,9 @@ def even_clock(time_s: Floats) -> Floats:
 
 def _resampled(at_s: Floats, time_s: Floats, value: Floats) -> Floats:
     """A series at other instants by a cubic spline; at its ends by straight lines."""
-    rows, sound = np.empty((2, len(at_s))), np.empty(len(at_s), dtype=np.bool_)
     step_s = float(np.median(np.diff(time_s)))
-    spline_rows(at_s, time_s, np.column_stack((value, value)), (3.0 * step_s, REACH_STEPS * step_s), rows, sound)
+    columns = np.column_stack((value, value))
+    rows, sound = local_spline(at_s, time_s, columns, 3.0 * step_s, REACH_STEPS * step_s)
     return np.where(sound, rows[0], np.interp(at_s, time_s, value))
 
 
@@ -256,9 +256,8 @@ def _on_grid(method: Method, even_s: Floats, value: Floats, origin_ns: int) -> t
         for time_s in (knots[:, 0], even_s)
     )
     columns = np.column_stack((knots[:, 1] - removed, expected - removed))
-    rows, sound = np.empty((2, len(even_s))), np.empty(len(even_s), dtype=np.bool_)
     limits = (LONGEST_STEPS * rates.frame_s, branches.reach_steps * rates.frame_s)
-    spline_rows(even_s, np.ascontiguousarray(knots[:, 0]), columns, limits, rows, sound)
+    rows, sound = local_spline(even_s, knots[:, 0], columns, *limits)
     return rows[0], rows[1] - there, sound
 
 

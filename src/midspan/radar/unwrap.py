@@ -1,8 +1,8 @@
 """Unwrapping of the radar's phase: from one frame to the next, and with the accelerometer's help."""
 
 import numpy as np
-from numba import njit
 
+from midspan import _core
 from midspan.checks import finite, increasing, same_length
 from midspan.records import Floats
 
@@ -31,20 +31,6 @@ def unwrap_plain(phase_rad: Floats) -> Floats:
     return out
 
 
-@njit(cache=True)
-def _aided(phase, step_m, unit, out):  # type: ignore[no-untyped-def]
-    """Equations 12 to 15 of Ma et al.: each phase takes the cycle nearest to the one predicted from two before it."""
-    for k in range(min(2, len(phase))):
-        turns = np.round((out[k - 1] - phase[k]) / (2.0 * np.pi)) if k else 0.0
-        out[k] = phase[k] + 2.0 * np.pi * turns
-    for k in range(2, len(phase)):
-        predicted = 2.0 * out[k - 1] - out[k - 2] + unit * step_m[k - 1]
-        if not np.isfinite(phase[k]):
-            out[k] = predicted
-            continue
-        out[k] = phase[k] + 2.0 * np.pi * np.round((predicted - phase[k]) / (2.0 * np.pi))
-
-
 def unwrap_aided(phase_rad: Floats, acceleration_m_s2: Floats, *, period_s: float, phase_per_m: float) -> Floats:
     """Unwrapped phase (n,) in rad, predicted from the last two phases and the acceleration.
 
@@ -58,9 +44,7 @@ def unwrap_aided(phase_rad: Floats, acceleration_m_s2: Floats, *, period_s: floa
     phase = np.asarray(phase_rad, dtype=np.float64)
     acceleration = finite("acceleration_m_s2", acceleration_m_s2)
     same_length(phase_rad=phase, acceleration_m_s2=acceleration)
-    out = np.empty_like(phase)
-    _aided(phase, acceleration * period_s**2, phase_per_m, out)
-    return out
+    return _core.unwrap_aided(np.ascontiguousarray(phase), acceleration * period_s**2, phase_per_m)
 
 
 def inertial_steps(frame_s: Floats, samples: Floats) -> Floats:

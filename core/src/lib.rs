@@ -1,0 +1,20 @@
+//! The numeric core of midspan: what is called for each sample, pixel, frame or value of a likelihood.
+//!
+//! It knows no file, clock, thread or network and holds no text for people: it returns numbers and codes, and Python
+//! words them. Each file opens with what it computes and from which equation. `py` converts arrays and errors and
+//! computes nothing.
+
+pub mod radar;
+pub mod signals;
+
+mod py;
+
+use pyo3::prelude::*;
+
+/// The extension module `midspan._core`.
+#[pymodule]
+fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add("__version__", env!("CARGO_PKG_VERSION"))?;
+    py::signals::register(module)?;
+    py::radar::register(module)
+}

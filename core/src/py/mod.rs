@@ -1,0 +1,27 @@
+//! What Python sees: arrays become slices and results become arrays; nothing is computed here.
+
+pub mod radar;
+pub mod signals;
+
+use numpy::{PyReadonlyArray1, PyReadonlyArray2};
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+
+/// An argument's elements; a ValueError with its name where the array is not contiguous.
+pub fn elements<'a, T: numpy::Element>(name: &str, array: &'a PyReadonlyArray1<'_, T>) -> PyResult<&'a [T]> {
+    array.as_slice().map_err(|_| PyValueError::new_err(format!("{name}: not contiguous")))
+}
+
+/// The rows of an argument of two columns; a ValueError with its name where it has others.
+pub fn pairs(name: &str, array: &PyReadonlyArray2<'_, f64>) -> PyResult<Vec<[f64; 2]>> {
+    let rows = array.as_array();
+    if rows.ncols() != 2 {
+        return Err(PyValueError::new_err(format!("{name}: {} columns where 2 are needed", rows.ncols())));
+    }
+    Ok(rows.rows().into_iter().map(|row| [row[0], row[1]]).collect())
+}
+
+/// ValueError where two arguments that must be as long as each other are not.
+pub fn same_length(names: &str, one: usize, other: usize) -> PyResult<()> {
+    if one == other { Ok(()) } else { Err(PyValueError::new_err(format!("{names}: {one} and {other} elements"))) }
+}

@@ -1,0 +1,54 @@
+//! `signals` for Python.
+
+use super::{elements, pairs, same_length};
+use crate::signals::resample::{self, Taps};
+use numpy::{IntoPyArray, PyArray1, PyReadonlyArray1, PyReadonlyArray2};
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+
+/// Both channels (n,) of the spline, 0 where nothing is bridged, and whether it is (n,).
+type Bridged<'py> = (Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<bool>>);
+
+/// See [`resample::spline`].
+#[pyfunction]
+fn local_spline<'py>(
+    py: Python<'py>,
+    at_s: PyReadonlyArray1<'py, f64>,
+    knot_s: PyReadonlyArray1<'py, f64>,
+    value: PyReadonlyArray2<'py, f64>,
+    longest_s: f64,
+    reach_s: f64,
+) -> PyResult<Bridged<'py>> {
+    let (at, knot) = (elements("at_s", &at_s)?, elements("knot_s", &knot_s)?);
+    let pairs = pairs("value", &value)?;
+    same_length("knot_s, value", knot.len(), pairs.len())?;
+    let values = py.detach(|| resample::spline(at, knot, &pairs, longest_s, reach_s));
+    let [one, other] = [0, 1].map(|c| values.iter().map(|pair| pair.map_or(0.0, |pair| pair[c])).collect::<Vec<f64>>());
+    let bridged: Vec<bool> = values.iter().map(Option::is_some).collect();
+    Ok((one.into_pyarray(py), other.into_pyarray(py), bridged.into_pyarray(py)))
+}
+
+/// See [`resample::filtered_at`].
+#[pyfunction]
+fn filtered_at<'py>(
+    py: Python<'py>,
+    series: PyReadonlyArray1<'py, f64>,
+    index: PyReadonlyArray1<'py, i64>,
+    fraction: PyReadonlyArray1<'py, f64>,
+    wanted: PyReadonlyArray1<'py, f64>,
+    bend: PyReadonlyArray1<'py, f64>,
+) -> PyResult<Bound<'py, PyArray1<f64>>> {
+    let (series, index) = (elements("series", &series)?, elements("index", &index)?);
+    let fraction = elements("fraction", &fraction)?;
+    let taps = Taps { wanted: elements("wanted", &wanted)?, bend: elements("bend", &bend)? };
+    same_length("index, fraction", index.len(), fraction.len())?;
+    same_length("wanted, bend", taps.wanted.len(), taps.bend.len())?;
+    py.detach(|| resample::filtered_at(series, index, fraction, &taps))
+        .map(|values| values.into_pyarray(py))
+        .ok_or_else(|| PyValueError::new_err("index: too near an end of the series"))
+}
+
+pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add_function(wrap_pyfunction!(local_spline, module)?)?;
+    module.add_function(wrap_pyfunction!(filtered_at, module)?)
+}

@@ -1,0 +1,3 @@
+//! A radar target's phase: unwrapping.
+
+pub mod unwrap;

@@ -1,0 +1,3 @@
+//! Series of samples: arrays in, arrays out; no sensor is known here.
+
+pub mod resample;

@@ -1,0 +1,30 @@
+#!/bin/sh
+# `check`: format, lints and tests of the numeric core. `build`: compiles it and puts it into src/midspan, for a checkout
+# that is used by PYTHONPATH; an installation builds it by itself.
+set -eu
+
+fail() { echo "core: $1" >&2; exit 1; }
+
+as_root() {
+    if [ "$(id -u)" = 0 ]; then "$@"
+    elif command -v sudo >/dev/null 2>&1; then sudo "$@"
+    else fail "'$*' needs root; run it yourself, then call make again."
+    fi
+}
+
+. "$(dirname "$0")/cargo.sh"
+cd "$(dirname "$0")/../core"
+case "${1:-}" in
+    check)
+        if cargo fmt --version >/dev/null 2>&1; then cargo fmt --check; else echo "core: no rustfmt here; formats are not checked." >&2; fi
+        if cargo clippy --version >/dev/null 2>&1; then cargo clippy --quiet --all-targets --no-default-features -- -D warnings
+        else echo "core: no clippy here; lints are not checked." >&2; fi
+        cargo test --quiet --no-default-features
+        ;;
+    build)
+        cargo build --quiet --release
+        cp target/release/lib_core.so ../src/midspan/_core.abi3.so.new
+        mv ../src/midspan/_core.abi3.so.new ../src/midspan/_core.abi3.so
+        ;;
+    *) fail "'check' or 'build' is needed; received '${1:-}'." ;;
+esac
