@@ -23,7 +23,7 @@ case "${1:-}" in
         ;;
     build)
         cargo build --quiet --release
-        cp target/release/lib_core.so ../src/midspan/_core.abi3.so.new
+        cp "${CARGO_TARGET_DIR:-target}/release/lib_core.so" ../src/midspan/_core.abi3.so.new
         mv ../src/midspan/_core.abi3.so.new ../src/midspan/_core.abi3.so
         ;;
     *) fail "'check' or 'build' is needed; received '${1:-}'." ;;
