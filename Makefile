@@ -2,17 +2,19 @@
 PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
+# What running midspan needs, and besides it what its checks need.
 STAMP  := $(VENV)/.ready
+DEV    := $(VENV)/.ready-for-tests
 CORE   := core/Cargo.toml $(shell find core/src -name '*.rs')
 
-.PHONY: demo test check docs bench live faults fuzz lock audit clean setup
+.PHONY: demo test check docs bench live faults fuzz wheel lock audit clean setup
 
 demo: $(STAMP)
 	$(BIN)/midspan demo -o demo
 
 test: check
 
-check: $(STAMP)
+check: $(DEV)
 	sh tools/servers.sh
 	sh tools/core.sh check
 	$(BIN)/ruff format --check src tests benchmarks examples
@@ -22,34 +24,42 @@ check: $(STAMP)
 	$(BIN)/python -m pytest -n 2 --dist worksteal
 
 # The documentation as a site in site/; a link that leads nowhere fails.
-docs: $(STAMP)
+docs: $(DEV)
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
 
-bench: $(STAMP)
+bench: $(DEV)
 	$(BIN)/python -m benchmarks
 
 # Three points through an RTSP camera, an MQTT broker and the store, on loopback.
-live: $(STAMP)
+live: $(DEV)
 	sh tools/servers.sh
 	$(BIN)/python -m benchmarks.live.show
 
 # What can go wrong with cameras, sensors, broker and store, one after another: reason, recovery, band.
-faults: $(STAMP)
+faults: $(DEV)
 	sh tools/servers.sh
 	$(BIN)/python -m benchmarks.live.faults
 
 # 10 000 damaged files, settings and results: about 49 readers with 210 inputs each.
-fuzz: $(STAMP)
+fuzz: $(DEV)
 	PYTHONPATH=tests:tests/sources $(BIN)/python -m fuzz --inputs 210
 
-setup: $(STAMP)
+setup: $(DEV)
 
 $(STAMP): pyproject.toml constraints.txt constraints-dev.txt tools/setup.sh tools/cargo.sh $(CORE)
 	PYTHON="$(PYTHON)" VENV="$(VENV)" sh tools/setup.sh
 	@touch $(STAMP)
 
+$(DEV): $(STAMP)
+	PYTHON="$(PYTHON)" VENV="$(VENV)" sh tools/setup.sh dev
+	@touch $(DEV)
+
+# The wheel for every Python from 3.11 on and the source distribution, in dist/; the wheel is tried without a compiler.
+wheel: $(DEV)
+	BIN="$(BIN)" sh tools/wheel.sh
+
 # Renew the pinned versions, what users get apart from the developers' tools: names and versions only, no addresses.
-lock: $(STAMP)
+lock: $(DEV)
 	$(BIN)/python -m pip install --upgrade --upgrade-strategy eager -e '.[dev]'
 	$(BIN)/python tools/pins.py
 
@@ -58,4 +68,4 @@ audit:
 	PYTHON="$(PYTHON)" sh tools/audit.sh
 
 clean:
-	rm -rf $(VENV) .audit-venv demo site .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -rf $(VENV) .audit-venv demo site dist core/target .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -1,5 +1,6 @@
 #!/bin/sh
-# Makes the virtual environment $VENV with midspan and its tools at the pinned versions.
+# Makes the virtual environment $VENV with midspan at the pinned versions; with the argument `dev`, also the tools of its
+# checks.
 # Needs python3 (3.11 or newer); fetches Debian's venv package and Rust itself where they are missing.
 set -eu
 python=${PYTHON:-python3}
@@ -28,5 +29,6 @@ fi
 
 [ -x "$venv/bin/python" ] || "$python" -m venv "$venv"
 # Also the build of midspan itself takes its tools at the pinned versions.
-PIP_CONSTRAINT="$(pwd)/constraints.txt $(pwd)/constraints-dev.txt" "$venv/bin/python" -m pip install --quiet --disable-pip-version-check \
-    --constraint constraints.txt --constraint constraints-dev.txt -e '.[dev]'
+what="${1:+[$1]}"
+PIP_CONSTRAINT="$(pwd)/constraints.txt $(pwd)/constraints-dev.txt" "$venv/bin/python" -m pip install --quiet \
+    --disable-pip-version-check --constraint constraints.txt --constraint constraints-dev.txt -e ".$what"
