@@ -46,7 +46,7 @@ fuzz: $(DEV)
 
 setup: $(DEV)
 
-$(STAMP): pyproject.toml constraints.txt constraints-dev.txt tools/setup.sh tools/cargo.sh $(CORE)
+$(STAMP): pyproject.toml constraints.txt constraints-dev.txt tools/setup.sh tools/needs.sh $(CORE)
 	PYTHON="$(PYTHON)" VENV="$(VENV)" sh tools/setup.sh
 	@touch $(STAMP)
 

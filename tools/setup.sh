@@ -1,19 +1,10 @@
 #!/bin/sh
 # Makes the virtual environment $VENV with midspan at the pinned versions; with the argument `dev`, also the tools of its
-# checks.
-# Needs python3 (3.11 or newer); fetches Debian's venv package and Rust itself where they are missing.
+# checks. Needs python3 (3.11 or newer); installs Debian's venv package and Rust where they are missing.
 set -eu
 python=${PYTHON:-python3}
 venv=${VENV:-.venv}
-
-fail() { echo "setup: $1" >&2; exit 1; }
-
-as_root() {
-    if [ "$(id -u)" = 0 ]; then "$@"
-    elif command -v sudo >/dev/null 2>&1; then sudo "$@"
-    else fail "'$*' needs root; run it yourself, then call make again."
-    fi
-}
+. tools/needs.sh
 
 command -v "$python" >/dev/null 2>&1 || fail "'$python' was not found; install Python 3.11 or newer."
 "$python" -c 'import sys; sys.exit(sys.version_info < (3, 11))' ||
@@ -21,11 +12,10 @@ command -v "$python" >/dev/null 2>&1 || fail "'$python' was not found; install P
 
 if ! "$python" -c 'import ensurepip, venv' >/dev/null 2>&1; then
     command -v apt-get >/dev/null 2>&1 || fail "Python's venv module is missing; install it (python3-venv)."
-    as_root apt-get update
-    as_root env DEBIAN_FRONTEND=noninteractive apt-get install -y --no-install-recommends python3-venv
+    as_root apt-get update -qq
+    install_debian python3-venv
 fi
-
-. tools/cargo.sh
+need_cargo
 
 [ -x "$venv/bin/python" ] || "$python" -m venv "$venv"
 # Also the build of midspan itself takes its tools at the pinned versions.

@@ -2,7 +2,8 @@
 # Builds the wheel and the source distribution into dist/, and runs the demo with the wheel in an empty environment whose
 # PATH has no compiler.
 set -eu
-. tools/cargo.sh
+. tools/needs.sh
+need_cargo
 rm -rf dist
 "$BIN/maturin" build --quiet --profile wheel --out dist
 "$BIN/maturin" sdist --quiet --out dist

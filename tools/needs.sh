@@ -1,0 +1,30 @@
+# What the other scripts here need of the system; sourced by them.
+
+fail() { echo "$(basename "$0" .sh): $1" >&2; exit 1; }
+
+as_root() {
+    if [ "$(id -u)" = 0 ]; then "$@"
+    elif command -v sudo >/dev/null 2>&1; then sudo "$@"
+    else fail "'$*' needs root; run it yourself, then call make again."
+    fi
+}
+
+install_debian() { as_root env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends "$@" >/dev/null; }
+
+recent_rust() {
+    cargo --version >/dev/null 2>&1 &&
+        rustc --version 2>/dev/null | awk '{ split($2, v, "."); exit !(v[1] > 1 || v[2] >= 85) }'
+}
+
+# Puts a cargo on the PATH that builds the numeric core: one that is there, else Debian's.
+need_cargo() {
+    PATH="$PATH:$HOME/.cargo/bin"
+    recent_rust && return
+    command -v apt-get >/dev/null 2>&1 ||
+        fail "Rust 1.85 or newer is needed to build midspan from its sources; install it, or install a wheel of midspan."
+    as_root apt-get update -qq
+    # Debian 12 has a recent compiler under other names, Debian 13 under the usual ones.
+    install_debian gcc libc6-dev cargo-web rustc-web || install_debian gcc libc6-dev cargo rustc ||
+        fail "Rust could not be installed; install Rust 1.85 or newer."
+    recent_rust || fail "Rust 1.85 or newer is needed; found: $(rustc --version 2>&1)."
+}
