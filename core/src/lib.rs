@@ -4,6 +4,7 @@
 //! words them. Each file opens with what it computes and from which equation. `py` converts arrays and errors and
 //! computes nothing.
 
+pub mod likelihood;
 pub mod radar;
 pub mod signals;
 
@@ -15,6 +16,7 @@ use pyo3::prelude::*;
 #[pymodule]
 fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
+    py::likelihood::register(module)?;
     py::signals::register(module)?;
     py::radar::register(module)
 }

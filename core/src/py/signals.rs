@@ -1,6 +1,7 @@
 //! `signals` for Python.
 
 use super::{elements, pairs, same_length};
+use crate::signals::equal_runs;
 use crate::signals::resample::{self, Taps};
 use numpy::{IntoPyArray, PyArray1, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::exceptions::PyValueError;
@@ -48,7 +49,28 @@ fn filtered_at<'py>(
         .ok_or_else(|| PyValueError::new_err("index: too near an end of the series"))
 }
 
+/// Lengths (n,), lengths from which on runs are frozen (n,), shares (n,).
+type Runs<'py> = (Bound<'py, PyArray1<i64>>, Bound<'py, PyArray1<i64>>, Bound<'py, PyArray1<f64>>);
+
+/// See [`equal_runs::follow`].
+#[pyfunction]
+fn follow_equal_runs<'py>(
+    py: Python<'py>,
+    value: PyReadonlyArray1<'py, f64>,
+    before: (f64, i64, f64),
+    forget: f64,
+    gentle: f64,
+) -> PyResult<Runs<'py>> {
+    let value = elements("value", &value)?;
+    let runs = py.detach(|| equal_runs::follow(value, before, forget, gentle));
+    let length: Vec<i64> = runs.iter().map(|run| run.length).collect();
+    let frozen: Vec<i64> = runs.iter().map(|run| run.frozen).collect();
+    let share: Vec<f64> = runs.iter().map(|run| run.share).collect();
+    Ok((length.into_pyarray(py), frozen.into_pyarray(py), share.into_pyarray(py)))
+}
+
 pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add_function(wrap_pyfunction!(follow_equal_runs, module)?)?;
     module.add_function(wrap_pyfunction!(local_spline, module)?)?;
     module.add_function(wrap_pyfunction!(filtered_at, module)?)
 }

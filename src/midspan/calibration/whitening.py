@@ -17,41 +17,21 @@ exactly.
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from midspan.fusion.forward import add_noise, predict_covariance
-from midspan.fusion.state_space import (
-    P00,
-    P01,
-    P02,
-    P22,
-    TIME,
-    V,
-    X,
-    advance_covariance,
-    advance_mean,
-    begin_interval,
-    initial_state,
-    input_response,
-    update_covariance,
-)
+from midspan import _core
 from midspan.records import Floats
 
-# Before the first measurements everything is unknown: variances far above any noise, in units of the noise variance.
-DIFFUSE = (1e9, 1e9, 1e9)
 # The first innovations only settle the unknown start and say nothing about the noise.
 SETTLING = 3
-# The bias walk that belongs to an acceleration noise, (rad/s)²: bias errors below 0.01 Hz are left to the displacement.
-BIAS_WALK_RATIO = 0.003
+# The bias walk that belongs to an acceleration noise, (rad/s)².
+BIAS_WALK_RATIO = _core.BIAS_WALK_RATIO
 # Measurements without a slow error: its variance, and a rate (1/s) that has no effect then.
 NO_SLOW_ERROR = (0.0, 1.0)
 # The mean over an exposure by ten points of Gauss and Legendre, in exposures from its middle: right to 1e-6 up to two
 # periods of a motion. Below this exposure its derivative is that at none.
 NODES, WEIGHTS = (part / 2.0 for part in np.polynomial.legendre.leggauss(10))
 MIN_EXPOSURE_S = 1e-3
-# Longest step of the covariance, s: within it the walk of the bias reaches the displacement by 1 % of the noise's part.
-MAX_STEP_S = 5.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,38 +75,8 @@ class Response:
 
     def derivative(self, time_s: Floats, order: int) -> Floats:
         """The derivative of an order up to 3; beyond the edges that of the cubic there."""
-        found = np.empty(np.shape(time_s))
-        _evaluate(self.edges_s, self.cubics, np.ascontiguousarray(time_s).reshape(-1), order, found.reshape(-1))
-        return found
-
-
-@njit(cache=True)
-def _integrate(time_s, value, state, out):  # type: ignore[no-untyped-def]
-    """Coefficients (n - 1, 4) of the displacement in each interval, of the third power first."""
-    for k in range(len(time_s) - 1):
-        dt = time_s[k + 1] - time_s[k]
-        slope = (value[k + 1] - value[k]) / dt
-        lead = begin_interval(state, dt, value[k], value[k + 1])
-        out[k, 0], out[k, 1], out[k, 2], out[k, 3] = slope / 6.0, 0.5 * value[k], state[V] - lead * slope, state[X]
-        advance_mean(state, dt, (0.0, 0.0), input_response(1.0, dt, value[k], value[k + 1], lead))
-
-
-@njit(cache=True)
-def _evaluate(edges_s, cubics, time_s, order, out):  # type: ignore[no-untyped-def]
-    """The derivative of an order up to 3 of cubics (n, 4) between edges (n + 1,) at instants (m,), to `out` (m,)."""
-    k = 0
-    for j in range(len(time_s)):
-        if not (edges_s[k] <= time_s[j] and (k + 2 == len(edges_s) or time_s[j] < edges_s[k + 1])):
-            k = min(max(np.searchsorted(edges_s, time_s[j], side="right") - 1, 0), len(cubics) - 1)
-        s, c = time_s[j] - edges_s[k], cubics[k]
-        if order == 0:
-            out[j] = c[3] + c[2] * s + c[1] * (s * s) + c[0] * (s * s * s)
-        elif order == 1:
-            out[j] = c[2] + c[1] * s * 2.0 + c[0] * (s * s) * 3.0
-        elif order == 2:
-            out[j] = c[1] * 2.0 + c[0] * s * 6.0
-        else:
-            out[j] = c[0] * 6.0
+        time_s = np.ascontiguousarray(time_s, dtype=np.float64)
+        return _core.derivative(self.edges_s, self.cubics, time_s.reshape(-1), order).reshape(time_s.shape)
 
 
 def integrated(samples: Floats) -> Response:
@@ -136,10 +86,8 @@ def integrated(samples: Floats) -> Response:
     """
     first = 2.0 * samples[0, 0] - samples[1, 0]
     time_s, value = np.r_[first, samples[:, 0]], np.r_[samples[0, 1], samples[:, 1]]
-    out = np.empty((len(time_s) - 1, 4))
-    _integrate(time_s, value, initial_state(first, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), out)
     last = np.r_[np.flatnonzero(np.diff(samples[:, 2])), len(samples) - 1]
-    return Response(time_s, out, samples[last][:, [0, 2]].copy())
+    return Response(time_s, _core.integrate(time_s, value), samples[last][:, [0, 2]].copy())
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,113 +133,6 @@ class Whitened:
         return 0.5 * float(np.sum(np.log(self.variance)))
 
 
-@njit(cache=True)
-def next_step(pieces, g, reached, until):  # type: ignore[no-untyped-def]
-    """The piece that holds after an instant (s), `g` or a later one, and how far a step goes there on the way on."""
-    while g < len(pieces) - 1 and pieces[g, 0] <= reached:
-        g += 1
-    ahead = min(until, reached + MAX_STEP_S)
-    return g, min(ahead, pieces[g, 0]) if g < len(pieces) - 1 else ahead
-
-
-@njit(cache=True)
-def _whiten(pieces, rows, density, states, values, longer, out):  # type: ignore[no-untyped-def]
-    """Innovations take the place of `values` (m, c); out (m, 2): their variances and what accelerometer noise makes.
-
-    rows (m, 2): time and relative variance; states: covariance and that of the accelerometer noise alone; longer (m, c)
-    or (0, 0): what is added to a column's step up to a row, s. Returns the bias (c,) at the end of the pieces.
-    """
-    state, noise = states
-    walk, reached = density * BIAS_WALK_RATIO, rows[0, 0]
-    x, v, b = np.zeros(values.shape[1]), np.zeros(values.shape[1]), np.zeros(values.shape[1])
-    g, end = 0, pieces[-1, 0]
-    for j in range(len(rows) + 1):
-        until = rows[j, 0] if j < len(rows) else max(end, reached)
-        for c in range(len(x)):
-            step = until - reached
-            if j < len(longer):
-                step += longer[j, c]
-            x[c] += step * (v[c] - 0.5 * step * b[c])
-            v[c] -= step * b[c]
-        while reached < until:
-            g, ahead = next_step(pieces, g, reached, until)
-            advance_covariance(state, ahead - reached, density * pieces[g, 1], walk)
-            advance_covariance(noise, ahead - reached, density * pieces[g, 1], walk)
-            reached = ahead
-        if j == len(rows):
-            break
-        total = state[P00] + rows[j, 1]
-        gain = (state[P00] / total, state[P01] / total, state[P02] / total)
-        out[j, 0], out[j, 1] = total, noise[P00]
-        for c in range(len(x)):
-            e = values[j, c] - x[c]
-            values[j, c] = e
-            x[c] += gain[0] * e
-            v[c] += gain[1] * e
-            b[c] += gain[2] * e
-        update_covariance(state, gain, rows[j, 1])
-        update_covariance(noise, gain, 0.0)
-    return b
-
-
-@njit(cache=True)
-def _take(p, gain, variance):  # type: ignore[no-untyped-def]
-    """(I − K h') P (I − K h')' + K R K' in place, h = (1, 0, 0, 1)."""
-    for j in range(4):
-        met = p[0, j] + p[3, j]
-        for i in range(4):
-            p[i, j] -= gain[i] * met
-    for i in range(4):
-        met = p[i, 0] + p[i, 3]
-        for j in range(4):
-            p[i, j] += gain[j] * (gain[i] * variance - met)
-
-
-@njit(cache=True)
-def _whiten_slow(pieces, rows, density, slow, covariances, values, longer, out):  # type: ignore[no-untyped-def]
-    """As `_whiten` with a fourth state, the slow error of the measurements; slow = (its variance, its rate in 1/s).
-
-    covariances (2, 4, 4): as the states of `_whiten`.
-    """
-    walks, gain, n = np.array([0.0, 0.0, density * BIAS_WALK_RATIO, 0.0]), np.zeros(4), len(rows)
-    uncertain = np.array([3])
-    x, reached, g = np.zeros((4, values.shape[1])), rows[0, 0], 0
-    end = max(pieces[-1, 0], rows[-1, 0])
-    for j in range(n + 1):
-        until = rows[j, 0] if j < n else end
-        lapse = until - reached
-        for c in range(x.shape[1]):
-            step = lapse + (longer[j, c] if j < len(longer) else 0.0)
-            x[0, c] += step * (x[1, c] - 0.5 * step * x[2, c])
-            x[1, c] -= step * x[2, c]
-        while reached < until:
-            g, ahead = next_step(pieces, g, reached, until)
-            for p in covariances:
-                predict_covariance(p, 1, ahead - reached, walks, uncertain, 1)
-                add_noise(p, 0, ahead - reached, density * pieces[g, 1])
-            reached = ahead
-        if j == n:
-            break
-        kept = np.exp(-slow[1] * lapse)
-        x[3] *= kept
-        for p in covariances:
-            p[3] *= kept
-            p[:, 3] *= kept
-        covariances[0, 3, 3] += (1.0 - kept * kept) * slow[0]
-        for i in range(4):
-            gain[i] = covariances[0, i, 0] + covariances[0, i, 3]
-        total = gain[0] + gain[3] + rows[j, 1]
-        gain /= total
-        out[j, 0], out[j, 1] = total, covariances[1, 0, 0]
-        for c in range(x.shape[1]):
-            values[j, c] -= x[0, c] + x[3, c]
-            for i in range(4):
-                x[i, c] += gain[i] * values[j, c]
-        _take(covariances[0], gain, rows[j, 1])
-        _take(covariances[1], gain, 0.0)
-    return x[2]
-
-
 def levelled(time_s: Floats, values: Floats, *, drifts: bool) -> tuple[Floats, Floats]:
     """Columns (m, c) of values without what is open of them, and of that (2, c) the second derivative at the last row
     and the third one.
@@ -326,19 +167,11 @@ def whiten_columns(
     (m, c): where the lateness of a column's stamps changes, so does the time that its states move on; slow: variance of
     the measurements' slow error in units of the noise variance, and its rate, 1/s.
     """
-    out, found = np.empty((len(rows), 2)), values.copy()
-    longer = np.empty((0, 0)) if late_s is None else np.diff(late_s, axis=0, prepend=late_s[:1])
-    if slow[0] > 0.0:
-        covariances = np.zeros((2, 4, 4))
-        covariances[0] = np.diag([*DIFFUSE, slow[0]])
-        bias = _whiten_slow(pieces, rows, density, slow, covariances, found, longer, out)
-        bias_variance = float(covariances[0, 2, 2])
-    else:
-        states = tuple(initial_state(rows[0, 0], (0.0, 0.0, 0.0), DIFFUSE) for _ in range(2))
-        states[1][P00:TIME] = 0.0
-        bias, bias_variance = _whiten(pieces, rows, density, states, found, longer, out), float(states[0][P22])
+    longer = None if late_s is None else np.diff(late_s, axis=0, prepend=late_s[:1])
+    coloured = slow if slow[0] > 0.0 else None
+    found, variance, input_part, bias, bias_variance = _core.whiten(pieces, rows, values, density, coloured, longer)
     index = np.arange(SETTLING, len(rows))
-    return Whitened(found[SETTLING:], out[SETTLING:, 0], out[SETTLING:, 1], index, bias, bias_variance)
+    return Whitened(found[SETTLING:], variance[SETTLING:], input_part[SETTLING:], index, bias, bias_variance)
 
 
 def usable(rows: Floats, offset_s: float, span_s: tuple[float, float]) -> NDArray[np.int64]:

@@ -6,9 +6,9 @@ obstruction.
 """
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from midspan import _core
 from midspan.records import Floats
 
 # Amplitude, as a share of the calibrated one, below or above which a frame is blocked; a wider band keeps more frames
@@ -38,22 +38,6 @@ def mean_power(before: float, share: float, noise_share: float, gain: float) -> 
     return before + gain * (min(share, MAX_SHARE) ** 2 - noise_share - before)
 
 
-_mean_power = njit(cache=True)(mean_power)
-
-
-@njit(cache=True)
-def _judge(share, noise_share, gain, out):  # type: ignore[no-untyped-def]
-    run, power = CLEAR_FRAMES, 1.0  # calibrated means seen
-    for k in range(len(share)):
-        if np.isnan(share[k]):
-            # A frame that never arrived says nothing of what stands before the target.
-            out[k] = True
-            continue
-        power = _mean_power(power, share[k], noise_share, gain)
-        run = min(run + 1, CLEAR_FRAMES) if power >= MIN_SHARE**2 and share[k] <= MAX_SHARE else 0
-        out[k] = run < CLEAR_FRAMES
-
-
 def blocked(amplitude: Floats, usual: float, noise: float = 0.0) -> NDArray[np.bool_]:
     """Whether each frame (n,) is blocked, by a target's amplitude (n,) and its calibrated one, which is above 0.
 
@@ -61,7 +45,5 @@ def blocked(amplitude: Floats, usual: float, noise: float = 0.0) -> NDArray[np.b
     At once when it leaves the band, no longer after some good frames. A frame that was not received (NaN) is not seen
     either, but hides nothing of those after it.
     """
-    out = np.empty(len(amplitude), dtype=np.bool_)
-    noise_share = noise / usual**2
-    _judge(np.asarray(amplitude, dtype=np.float64) / usual, noise_share, power_gain(noise_share), out)
-    return out
+    share, noise_share = np.asarray(amplitude, dtype=np.float64) / usual, noise / usual**2
+    return _core.blocked(share, noise_share, power_gain(noise_share), (MIN_SHARE, MAX_SHARE), CLEAR_FRAMES)

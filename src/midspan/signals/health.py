@@ -3,19 +3,17 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from midspan import _core
 from midspan.records import NANOSECONDS, Floats, Nanoseconds
 
 Mask = NDArray[np.bool_]
 
 # A step in time is a gap when it is longer than this many usual steps.
 GAP_STEPS = 1.5
-# Equal values count as frozen where chance makes such a run less often than this: once in four months at 100 Hz. A run
-# of n neighbours that are equal has the chance pⁿ, p: the share of equal neighbours over the last EQUAL_MEMORY_S, which
-# holds some periods of a motion; at first a share that takes a second at 200 Hz.
-CHANCE = 1e-9
+# Equal values count as frozen where chance hardly makes such a run (see the core's `equal_runs`), by the share of equal
+# neighbours over this time, s, which holds some periods of a motion; at first a share that takes a second at 200 Hz.
 EQUAL_MEMORY_S = 5.0
 EQUAL_AT_FIRST = 0.9
 # A run that ends with a step of at most this many of the smallest ones was rest or chance; what follows a freeze jumps.
@@ -86,35 +84,9 @@ def equal_runs(
 
     resolution: the smallest step of values. Any cutting of the samples gives the same.
     """
-    n = len(value)
-    found = EqualRuns(np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64), np.empty(n))
     forget = 1.0 / max(EQUAL_MEMORY_S * rate_hz, 1.0)
-    _follow_runs(value, before, (forget, REST_STEPS * resolution), (found.length, found.frozen, found.share))
-    return found
-
-
-@njit(cache=True)
-def _follow_runs(value, before, rule, out):  # type: ignore[no-untyped-def]
-    last, length, share = before
-    forget, gentle = rule
-    lengths, limits, shares = out
-    limit = _by_chance(share, forget)
-    for k in range(len(value)):
-        if value[k] == last:
-            length += 1
-        else:
-            if length > 1 and (length < limit or abs(value[k] - last) <= gentle):
-                share = 1.0 - (1.0 - share) * (1.0 - forget) ** (length - 1)
-            length = 0 if np.isnan(value[k]) else 1
-            share *= 1.0 - forget
-            limit = _by_chance(share, forget)
-        last = value[k]
-        lengths[k], limits[k], shares[k] = length, limit, share
-
-
-@njit(cache=True)
-def _by_chance(share, least):  # type: ignore[no-untyped-def]
-    return 1 + int(np.ceil(np.log(CHANCE) / np.log(min(max(share, least), 1.0 - 1e-6))))
+    contiguous = np.ascontiguousarray(value, dtype=np.float64)
+    return EqualRuns(*_core.follow_equal_runs(contiguous, before, forget, REST_STEPS * resolution))
 
 
 def smallest_step(value: Floats) -> float:

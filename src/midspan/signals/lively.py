@@ -5,7 +5,6 @@ noise of an accelerometer is taken as q(t) = q0 + kappa <a²>(t).
 """
 
 import numpy as np
-from numba import njit
 
 from midspan.records import Floats
 
@@ -18,13 +17,8 @@ def mean_square(value: Floats, mean: float, before: float, rate_hz: float) -> Fl
 
     before: the mean square at the sample before the first one. Any cutting of the samples gives the same.
     """
-    out = np.empty(len(value))
-    _follow(value, mean, before, 1.0 - np.exp(-1.0 / (MEMORY_S * rate_hz)), out)
-    return out
+    from scipy.signal import lfilter
 
-
-@njit(cache=True)
-def _follow(value, mean, power, share, out):  # type: ignore[no-untyped-def]
-    for k in range(len(value)):
-        power += share * ((value[k] - mean) ** 2 - power)
-        out[k] = power
+    kept = float(np.exp(-1.0 / (MEMORY_S * rate_hz)))
+    power, _ = lfilter([1.0 - kept], [1.0, -kept], (value - mean) ** 2, zi=[kept * before])
+    return np.asarray(power)

@@ -1,0 +1,5 @@
+//! The likelihood of a measured displacement given the acceleration: innovations of both through one filter.
+
+pub mod covariance;
+pub mod response;
+pub mod whitening;

@@ -1,0 +1,213 @@
+//! Innovations of any number of columns of measurements through one filter.
+//!
+//! A filter with the states x, v, b and no input whitens what is left of a translation when the acceleration's response
+//! is taken out; gains and covariance depend on no column, so one run whitens all of them. It steps from measurement to
+//! measurement: nothing is resampled. Kailath, "An innovations approach to least-squares estimation", IEEE TAC 13 (1968).
+
+use super::covariance::{Covariance, Motion, WithSlowError};
+
+/// Before the first measurements everything is unknown: a variance far above any noise, in units of the noise variance.
+pub const DIFFUSE: f64 = 1e9;
+/// The bias walk that belongs to an acceleration noise, (rad/s)²: bias errors below 0.01 Hz are left to the displacement.
+pub const BIAS_WALK_RATIO: f64 = 0.003;
+/// Longest step of the covariance, s: within it the walk of the bias reaches the displacement by 1 % of the noise's part.
+pub const MAX_STEP_S: f64 = 5.0;
+
+/// The noises of a run.
+pub struct Noise<'a> {
+    /// Times (s) until which the acceleration's relative noise density is constant, and that density.
+    pub pieces: &'a [[f64; 2]],
+    /// Density of the acceleration's noise times s² in units of the noise variance, where the relative density is 1.
+    pub density: f64,
+    /// Variance of the measurements' slow error in units of the noise variance, and its rate, 1/s; None: there is none.
+    pub slow: Option<[f64; 2]>,
+}
+
+/// What a run leaves.
+pub struct Innovations {
+    /// Innovations (m, c), row by row.
+    pub values: Vec<f64>,
+    /// Their variances (m,), in units of the noise variance.
+    pub variance: Vec<f64>,
+    /// What of each (m,) the acceleration's noise makes.
+    pub input_part: Vec<f64>,
+    /// The bias (c,) at the end of the pieces.
+    pub bias: Vec<f64>,
+    /// Its variance.
+    pub bias_variance: f64,
+}
+
+/// Whiten columns (m, c) of values, row by row, at `rows` (m,) of time (s) and relative variance.
+///
+/// `longer` (m, c) or empty: what is added to a column's step up to a row, s.
+pub fn whiten(noise: &Noise, rows: &[[f64; 2]], values: Vec<f64>, longer: &[f64]) -> Innovations {
+    let motion = Motion::of([DIFFUSE; 3]);
+    match noise.slow {
+        Some([variance, _]) => {
+            run(noise, rows, values, longer, (WithSlowError::of(motion, variance), WithSlowError::default()))
+        }
+        None => run(noise, rows, values, longer, (motion, Motion::default())),
+    }
+}
+
+/// `state`: the covariance, and the part of it that the acceleration's noise alone makes.
+fn run<C: Covariance>(
+    noise: &Noise,
+    rows: &[[f64; 2]],
+    mut values: Vec<f64>,
+    longer: &[f64],
+    state: (C, C),
+) -> Innovations {
+    let (mut state, mut of_input) = state;
+    let count = if rows.is_empty() { 0 } else { values.len() / rows.len() };
+    let mut columns = Columns::at_rest(count);
+    let (mut variance, mut input_part) = (Vec::with_capacity(rows.len()), Vec::with_capacity(rows.len()));
+    let mut reached = rows.first().map_or(0.0, |row| row[0]);
+    let mut steps = Steps { pieces: noise.pieces, piece: 0, reached };
+    let mut advance = |until: f64, state: &mut C, of_input: &mut C| {
+        while let Some((dt, density)) = steps.next(until) {
+            let (density, walk) = (noise.density * density, noise.density * BIAS_WALK_RATIO);
+            state.predict(dt, density, walk);
+            of_input.predict(dt, density, walk);
+        }
+    };
+    for (j, &[time_s, relative]) in rows.iter().enumerate() {
+        let (lapse, row) = (time_s - reached, j * count..(j + 1) * count);
+        reached = time_s;
+        advance(time_s, &mut state, &mut of_input);
+        columns.predict(lapse, longer.get(row.clone()).filter(|longer| !longer.is_empty()));
+        let left = noise.slow.map(|[slow_variance, rate]| {
+            let left = (-rate * lapse).exp();
+            state.decay(left, (1.0 - left * left) * slow_variance);
+            of_input.decay(left, 0.0);
+            left
+        });
+        let measured = state.gain(relative);
+        variance.push(measured.total);
+        input_part.push(of_input.displacement());
+        match left {
+            None => columns.update(&measured.gain, &mut values[row]),
+            Some(left) => columns.update_with_slow_error(&measured.gain, left, &mut values[row]),
+        }
+        state.update(&measured.gain, relative);
+        of_input.update(&measured.gain, 0.0);
+    }
+    let end = noise.pieces.last().map_or(reached, |piece| piece[0].max(reached));
+    advance(end, &mut state, &mut of_input);
+    // A bias is constant where nothing is measured.
+    Innovations { values, variance, input_part, bias: columns.b, bias_variance: state.bias() }
+}
+
+/// The states of all columns, each state in a row of its own, so that the processor takes several columns at once.
+struct Columns {
+    x: Vec<f64>,
+    v: Vec<f64>,
+    b: Vec<f64>,
+    slow: Vec<f64>,
+}
+
+impl Columns {
+    fn at_rest(count: usize) -> Self {
+        let [x, v, b, slow] = [0; 4].map(|_| vec![0.0; count]);
+        Self { x, v, b, slow }
+    }
+
+    /// Over `lapse` seconds, and in each column over `longer` (c,) more where it is given.
+    fn predict(&mut self, lapse: f64, longer: Option<&[f64]>) {
+        let states = self.x.iter_mut().zip(&mut self.v).zip(&self.b);
+        match longer {
+            None => states.for_each(|((x, v), &b)| predict(x, v, b, lapse)),
+            Some(longer) => states.zip(longer).for_each(|(((x, v), &b), more)| predict(x, v, b, lapse + more)),
+        }
+    }
+
+    /// A row of values becomes its innovations.
+    fn update(&mut self, gain: &[f64; 4], row: &mut [f64]) {
+        for (((value, x), v), b) in row.iter_mut().zip(&mut self.x).zip(&mut self.v).zip(&mut self.b) {
+            *value -= *x;
+            *x += gain[0] * *value;
+            *v += gain[1] * *value;
+            *b += gain[2] * *value;
+        }
+    }
+
+    /// The same with a slow error of which `left` is left.
+    fn update_with_slow_error(&mut self, gain: &[f64; 4], left: f64, row: &mut [f64]) {
+        for (value, slow) in row.iter_mut().zip(&mut self.slow) {
+            *slow *= left;
+            *value -= *slow;
+        }
+        self.update(gain, row);
+        for (value, slow) in row.iter().zip(&mut self.slow) {
+            *slow += gain[3] * value;
+        }
+    }
+}
+
+fn predict(x: &mut f64, v: &mut f64, b: f64, dt: f64) {
+    *x += dt * (*v - 0.5 * dt * b);
+    *v -= dt * b;
+}
+
+/// The steps of the covariance: none longer than [`MAX_STEP_S`], none across an end of a piece.
+struct Steps<'a> {
+    pieces: &'a [[f64; 2]],
+    piece: usize,
+    reached: f64,
+}
+
+impl Steps<'_> {
+    /// The next step on the way to an instant, s, and the relative density over it; None where it is reached.
+    fn next(&mut self, until: f64) -> Option<(f64, f64)> {
+        if self.reached >= until || self.pieces.is_empty() {
+            self.reached = self.reached.max(until);
+            return None;
+        }
+        let last = self.pieces.len() - 1;
+        while self.piece < last && self.pieces[self.piece][0] <= self.reached {
+            self.piece += 1;
+        }
+        let mut ahead = until.min(self.reached + MAX_STEP_S);
+        if self.piece < last {
+            ahead = ahead.min(self.pieces[self.piece][0]);
+        }
+        let dt = ahead - self.reached;
+        self.reached = ahead;
+        Some((dt, self.pieces[self.piece][1]))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        /// The innovations are linear in the values, and a measurement's own noise is in each variance.
+        #[test]
+        fn a_column_that_is_a_sum_of_two_has_the_sum_of_their_innovations(
+            steps in prop::collection::vec(0.05..0.5f64, 5..40), density in 1e-3..10.0f64, slow in any::<bool>()
+        ) {
+            let mut time = 0.0;
+            let rows: Vec<[f64; 2]> = steps.iter().map(|step| { time += step; [time, 1.0] }).collect();
+            let values: Vec<f64> = rows
+                .iter()
+                .flat_map(|[t, _]| { let (a, b) = ((2.0 * t).sin(), (0.7 * t).cos()); [a, b, a + b] })
+                .collect();
+            let pieces = [[0.5 * time, 1.0], [time, 3.0]];
+            let noise = Noise { pieces: &pieces, density, slow: slow.then_some([2.0, 0.3]) };
+            let found = whiten(&noise, &rows, values, &[]);
+            for row in found.values.chunks_exact(3) {
+                // The first innovations are as large as the values; rounding is that of sums of order one.
+                prop_assert!((row[0] + row[1] - row[2]).abs() < 1e-8);
+            }
+            prop_assert!(found.variance.iter().all(|&one| one >= 1.0));
+        }
+    }
+
+    #[test]
+    fn without_rows_there_is_nothing() {
+        let found = whiten(&Noise { pieces: &[], density: 1.0, slow: None }, &[], Vec::new(), &[]);
+        assert!(found.values.is_empty() && found.variance.is_empty() && found.bias.is_empty());
+    }
+}
