@@ -161,8 +161,8 @@ def calibrate_noise(
         fit = best_corner(pair, fit.offset_s)
     floored_fit = _within_floor(pair, fit)
     learnt = _with_scale(pair, floored_fit, offset, search, max_offset_s, length_s, floored=floored_fit is not fit)
-    if slow.pair.rows is not free.rows:
-        learnt = _levelled(learnt, replace(pair, rows=slow.pair.rows))
+    if slow.pair.rows is not free.rows or slow.pair.level is not None:
+        learnt = _levelled(learnt, replace(pair, rows=slow.pair.rows, level=slow.pair.level))
     learnt = replace(
         learnt,
         scale_std=float(np.hypot(learnt.scale_std, sought.spread)),
