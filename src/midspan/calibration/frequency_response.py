@@ -110,9 +110,10 @@ class FrequencyResponse:
 
     known: the kinds found; exposure_s: the camera's own; slope: radians a metre; lag_s3, droop_s2: q and r above;
     resonance_s2: c above; open_s: an exposure that explains the ratio no better than other causes, and is not taken
-    out; other_m: what an exposure makes of the motion, by the probability that it is a resonance instead, rms, and all
-    that the open one does; relative_std, offset_variance: what all kinds add to the deviation of the ratio (relative)
-    and to the variance of the clock offset (s²).
+    out; open_resonance_hz: the same as a resonance, where the exposure is declared; other_m: what an exposure makes of
+    the motion, by the probability that it is a resonance instead, rms, and all that the open one does; relative_std,
+    offset_variance: what all kinds add to the deviation of the ratio (relative) and to the variance of the clock offset
+    (s²).
     """
 
     known: tuple[Kind, ...] = ()
@@ -122,6 +123,7 @@ class FrequencyResponse:
     droop_s2: float = 0.0
     resonance_s2: float = 0.0
     open_s: float = 0.0
+    open_resonance_hz: float = 0.0
     other_m: float = 0.0
     relative_std: float = 0.0
     offset_variance: float = 0.0
@@ -145,8 +147,17 @@ class FrequencyResponse:
                     "exposure",
                     "camera: fast motion comes out smaller than slow motion, as with an exposure of "
                     f"{1e3 * self.open_s:.2g} ms, which was not declared. So it does where the accelerometer errs with "
-                    "its motion or its mounting resonates, and the motion does not tell which: nothing is corrected, "
-                    "and the error band holds it; declare exposure_s.",
+                    "its motion or its mounting resonates, and the motion does not tell which: the scale factor lies "
+                    "between the two, and the error band holds both; declare exposure_s.",
+                )
+            )
+        if self.open_resonance_hz > 0.0:
+            found.append(
+                Notice(
+                    "accelerometer-resonates",
+                    "accelerometer: it feels fast motion too strongly, as on a bracket that resonates near "
+                    f"{self.open_resonance_hz:.2g} Hz, or the camera follows it too slowly, and the motion does not "
+                    "tell which: the scale factor lies between the two, and the error band holds both.",
                 )
             )
         if Kind.LEAN in self.known:
@@ -204,14 +215,14 @@ class Explained:
 
     doubt: how far (relative, rms) the ratio would be another if it were what explains nearly as much; open_s2: T²/24 of
     an exposure, or what a resonance does alike, that explains the ratio no better than a sensor of first order; it is
-    not taken out. open_doubt: how far it would move the ratio, relative.
+    not taken out. open_change: by how much it would move the ratio, relative.
     """
 
     pair: Pair
     known: list[Kind]
     doubt: float = 0.0
     open_s2: float = 0.0
-    open_doubt: float = 0.0
+    open_change: float = 0.0
 
 
 def with_response(
@@ -250,8 +261,8 @@ def with_response(
         )
         if _falls(pair, other) > 0.0 and not _leads(pair, other, refitted):
             kinds = [kind for kind in kinds if kind not in FALLING or kind in found]
-            open_doubt = abs(fit.ratio / refitted.ratio - 1.0)
-            explained = replace(explained, open_s2=_falls(pair, other), open_doubt=open_doubt)
+            change = refitted.ratio / fit.ratio - 1.0
+            explained = replace(explained, open_s2=_falls(pair, other), open_change=change)
             continue
         pair, fit = other, refitted
         apart = _doubt(tried[best], [tried[kind] for kind in able if Kind.LAG not in (kind, best)])
@@ -327,8 +338,9 @@ def response_of(
 
     Each that was not found adds its own, with the found ones; two at once whose effects cancel are not covered.
     A lag that does not show moves the clock offset alone, together with the motion. declared_s: exposure that is no
-    part of what was found; open_s2: as of `Explained`, where the exposure is not declared.
+    part of what was found; open_s2: as of `Explained`.
     """
+    undeclared_s2 = open_s2 if Kind.EXPOSURE in kinds else 0.0
     here = _aligned(pair, fit)
     w = here.whitened(fit.corner)
     stds = {
@@ -353,8 +365,9 @@ def response_of(
         lag_s3=pair.logger[1],
         droop_s2=-pair.logger[0] if Kind.DROOP in known else 0.0,
         resonance_s2=pair.logger[0] if Kind.RESONANCE in known else 0.0,
-        open_s=float(np.sqrt(24.0 * open_s2)),
-        other_m=float(np.hypot(_other_m(pair, fit, known, declared_s), _exposed_m(pair, fit, open_s2))),
+        open_s=float(np.sqrt(24.0 * undeclared_s2)),
+        open_resonance_hz=0.0 if open_s2 == undeclared_s2 else float(1.0 / (2.0 * np.pi * np.sqrt(open_s2))),
+        other_m=float(np.hypot(_other_m(pair, fit, known, declared_s), _exposed_m(pair, fit, undeclared_s2))),
         relative_std=float(np.sqrt(relative)),
         offset_variance=float(offset),
     )

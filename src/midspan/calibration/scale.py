@@ -195,12 +195,12 @@ def with_frequency(
     plain: OffsetSearch, pair: Pair, max_offset_s: float, kinds: Sequence[Kind]
 ) -> tuple[OffsetSearch, FrequencyResponse]:
     """The search with what depends on frequency taken out, as far as it shows; plain: the search without."""
-    search, known, doubt, open_s2, open_doubt = plain, list[Kind](), 0.0, 0.0, 0.0
+    search, known, doubt, open_s2, open_change = plain, list[Kind](), 0.0, 0.0, 0.0
     for _ in range(ANEW):
         if search.fit.gain < MIN_GAIN:
             return search, FrequencyResponse()
         one = with_response(search.pair, search.fit, kinds, known)
-        open_s2, open_doubt = one.open_s2, one.open_doubt
+        open_s2, open_change = one.open_s2, one.open_change
         if one.known == known:
             break
         doubt = float(np.hypot(doubt, one.doubt))
@@ -211,9 +211,10 @@ def with_frequency(
         # What they differ by is something else, which a function of frequency may only happen to resemble.
         doubt = float(np.hypot(doubt, search.fit.ratio / plain.fit.ratio - 1.0))
         search, known = plain, []
-    # With an exposure that is declared what falls is the accelerometer's, whose noise holds it.
-    open_s2 = open_s2 if Kind.EXPOSURE in kinds else 0.0
-    doubt = float(np.hypot(doubt, open_doubt))
+    if open_change != 0.0:
+        # Both explanations are as likely: the ratio lies between them.
+        search = _at_ratio(search, search.fit.ratio * (1.0 + 0.5 * open_change))
+    doubt = float(np.hypot(doubt, 0.5 * open_change))
     response = response_of(search.pair, search.fit, kinds, known, declared_s=pair.exposure_s, open_s2=open_s2)
     # The read-out's rows are no part of the exposure.
     own_s = float(np.sqrt(max(response.exposure_s**2 - pair.exposure_s**2, 0.0)))
@@ -225,7 +226,12 @@ def with_frequency(
 
 def _with_logger(search: OffsetSearch) -> OffsetSearch:
     """The search with noise levels of an acceleration whose low-pass stays in it: nothing takes it out."""
-    pair = replace(search.pair, logger=(0.0, 0.0), ratio=search.fit.ratio)
+    return _at_ratio(replace(search, pair=replace(search.pair, logger=(0.0, 0.0))), search.fit.ratio)
+
+
+def _at_ratio(search: OffsetSearch, ratio: float) -> OffsetSearch:
+    """The search with the noise levels that belong to a ratio, as well known as before."""
+    pair = replace(search.pair, ratio=ratio)
     pair, fit = with_input_noise(pair, best_corner(pair, search.fit.offset_s))
     return replace(search, pair=pair, fit=replace(fit, ratio_variance=search.fit.ratio_variance))
 
