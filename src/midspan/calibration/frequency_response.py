@@ -141,25 +141,7 @@ class FrequencyResponse:
                     "and the error band holds the other as far as the motion does not exclude it; declare exposure_s.",
                 )
             )
-        if self.open_s > 0.0:
-            found.append(
-                Notice(
-                    "exposure",
-                    "camera: fast motion comes out smaller than slow motion, as with an exposure of "
-                    f"{1e3 * self.open_s:.2g} ms, which was not declared. So it does where the accelerometer errs with "
-                    "its motion or its mounting resonates, and the motion does not tell which: the scale factor lies "
-                    "between the two, and the error band holds both; declare exposure_s.",
-                )
-            )
-        if self.open_resonance_hz > 0.0:
-            found.append(
-                Notice(
-                    "accelerometer-resonates",
-                    "accelerometer: it feels fast motion too strongly, as on a bracket that resonates near "
-                    f"{self.open_resonance_hz:.2g} Hz, or the camera follows it too slowly, and the motion does not "
-                    "tell which: the scale factor lies between the two, and the error band holds both.",
-                )
-            )
+        found += self._open_texts()
         if Kind.LEAN in self.known:
             found.append(
                 Notice(
@@ -195,6 +177,30 @@ class FrequencyResponse:
                     f"accelerometer: its delay changes with frequency, by {1e3 * late_s:+.2g} ms from 0 to "
                     f"{motion_hz:.2g} Hz, as behind a logger's low-pass. The clock offset is that of slow motion; the "
                     "error band is wider.",
+                )
+            )
+        return found
+
+    def _open_texts(self) -> list[Notice]:
+        """A sentence on what explains the ratio no better than other causes do."""
+        found = list[Notice]()
+        if self.open_s > 0.0:
+            found.append(
+                Notice(
+                    "exposure",
+                    "camera: fast motion comes out smaller than slow motion, as with an exposure of "
+                    f"{1e3 * self.open_s:.2g} ms, which was not declared. So it does where the accelerometer errs with "
+                    "its motion or its mounting resonates, and the motion does not tell which: the scale factor lies "
+                    "between the two, and the error band holds both; declare exposure_s.",
+                )
+            )
+        if self.open_resonance_hz > 0.0:
+            found.append(
+                Notice(
+                    "accelerometer-resonates",
+                    "accelerometer: it feels fast motion too strongly, as on a bracket that resonates near "
+                    f"{self.open_resonance_hz:.2g} Hz, or the camera follows it too slowly, and the motion does not "
+                    "tell which: the scale factor lies between the two, and the error band holds both.",
                 )
             )
         return found
