@@ -227,25 +227,7 @@ def displacement_warnings(given: Given, learnt: NoiseCalibration, part: Displace
                 "and that both sensors measure the same axis; accelerometer.estimate_scale = false leaves it as it is.",
             )
         )
-    if given.exposure_s is None and learnt.exposure_s > 0.0:
-        found.append(
-            Notice(
-                "exposure",
-                f"displacement: fast motion comes out smaller than slow motion, as of a sensor that averages over "
-                f"{learnt.exposure_s:.3g} s, or of an accelerometer that resonates on its mount. The first is "
-                "corrected, and the error band holds both; displacement.exposure_s declares it.",
-            )
-        )
-    elif given.exposure_s is None and learnt.open_exposure_s > 0.0:
-        found.append(
-            Notice(
-                "exposure",
-                f"displacement: fast motion comes out smaller than slow motion, as of a sensor that averages over "
-                f"{learnt.open_exposure_s:.3g} s, of one that follows slowly, or of an accelerometer that errs with "
-                "its motion. The motion does not tell which: nothing is corrected, and the error band holds what the "
-                "first would make; displacement.exposure_s declares it, 0 that it does not average.",
-            )
-        )
+    found += _exposure_warnings(given, learnt)
     if learnt.drifts:
         found.append(
             Notice(
@@ -272,6 +254,31 @@ def displacement_warnings(given: Given, learnt: NoiseCalibration, part: Displace
             f"{text} The error band holds the difference; displacement.estimate_scale = true takes it out.",
         ),
     ]
+
+
+def _exposure_warnings(given: Given, learnt: NoiseCalibration) -> list[Notice]:
+    """A sentence on an exposure that was not declared."""
+    found = list[Notice]()
+    if given.exposure_s is None and learnt.exposure_s > 0.0:
+        found.append(
+            Notice(
+                "exposure",
+                f"displacement: fast motion comes out smaller than slow motion, as of a sensor that averages over "
+                f"{learnt.exposure_s:.3g} s, or of an accelerometer that resonates on its mount. The first is "
+                "corrected, and the error band holds both; displacement.exposure_s declares it.",
+            )
+        )
+    elif given.exposure_s is None and learnt.open_exposure_s > 0.0:
+        found.append(
+            Notice(
+                "exposure",
+                f"displacement: fast motion comes out smaller than slow motion, as of a sensor that averages over "
+                f"{learnt.open_exposure_s:.3g} s, of one that follows slowly, or of an accelerometer that errs with "
+                "its motion. The motion does not tell which: nothing is corrected, and the error band holds what the "
+                "first would make; displacement.exposure_s declares it, 0 that it does not average.",
+            )
+        )
+    return found
 
 
 def _lateness_warnings(given: Given, learnt: NoiseCalibration, part: DisplacementCalibration) -> list[Notice]:
