@@ -10,10 +10,10 @@ from recording_edits import set_keys, write_displacement
 EXPOSURE_S, NOISE_MM = 0.09, 0.1
 
 
-def write(folder, seed, exposure_s, length_s=60.0, rate_hz=10.0, skew=0.0):
+def write(folder, seed, exposure_s, length_s=60.0, rate_hz=10.0, skew=0.0, early_s=0.0):
     """A recording of three modes averaged exactly over an exposure; returns its truth as a function of s, mm.
 
-    skew: by how much the sensor's clock loses on the accelerometer's, s/s.
+    skew: by how much the sensor's clock loses on the accelerometer's, s/s; early_s: by how much its stamps are early.
     """
     rng = np.random.default_rng(seed)
     size, hertz = np.array([3.0, 2.0, 0.8]), np.array([0.5, 1.3, 2.9]) + rng.normal(0, 0.05, 3)
@@ -25,8 +25,18 @@ def write(folder, seed, exposure_s, length_s=60.0, rate_hz=10.0, skew=0.0):
     time, met = np.arange(0.0, length_s, 0.01), np.arange(0.503, length_s - 0.5, 1.0 / rate_hz)
     accel = 1e-3 * moved(time, -((2 * np.pi * hertz) ** 2)) + rng.normal(0.0, 2e-3, len(time))
     height = moved(met * (1.0 + skew), np.sinc(hertz * exposure_s)) + rng.normal(0.0, NOISE_MM, len(met))
-    write_displacement(folder, (time, accel), (met, height))
+    write_displacement(folder, (time, accel), (met - early_s, height))
     return moved
+
+
+def too_strong(folder, times):
+    """The accelerometer of a recording reads so many times too much of the fastest mode."""
+    rows = np.loadtxt(folder / "a.csv", delimiter=",", skiprows=1)
+    time = rows[:, 0]
+    fast = np.fft.rfft(rows[:, 1])
+    fast[np.fft.rfftfreq(len(time), 0.01) > 2.2] *= times
+    rows[:, 1] = np.fft.irfft(fast, len(time))
+    np.savetxt(folder / "a.csv", rows, "%.9f", ",", header="time_s,value", comments="")
 
 
 @pytest.mark.parametrize("declared", [False, True])
@@ -121,15 +131,26 @@ def test_zero_declares_that_it_does_not_average(tmp_path):
 def test_an_accelerometer_that_resonates_on_its_mount_looks_the_same_and_is_in_the_band(tmp_path):
     """Of the fastest mode it reads 10 % too much."""
     moved = write(tmp_path, 0, 0.0)
-    rows = np.loadtxt(tmp_path / "a.csv", delimiter=",", skiprows=1)
-    time = rows[:, 0]
-    fast = np.fft.rfft(rows[:, 1])
-    fast[np.fft.rfftfreq(len(time), 0.01) > 2.2] *= 1.1
-    rows[:, 1] = np.fft.irfft(fast, len(time))
-    np.savetxt(tmp_path / "a.csv", rows, "%.9f", ",", header="time_s,value", comments="")
+    too_strong(tmp_path, 1.1)
     result = midspan.estimate(tmp_path)
     error = result.displacement_mm - moved(result.time_s)
     assert any("resonates on its mount" in line for line in result.warnings)
+    assert np.mean(np.abs(error) < 1.96 * result.displacement_std_mm) > 0.85
+
+
+@pytest.mark.parametrize(("exposure_s", "times"), [(0.0, 1.1), (EXPOSURE_S, 1.0)])
+def test_an_exposure_that_a_slow_sensor_explains_as_well_is_in_the_band_alone(exposure_s, times, tmp_path):
+    """With a clock of its own nothing tells whether the sensor averages, follows slowly, or the accelerometer errs."""
+    moved = write(tmp_path, 0, exposure_s, early_s=0.012)
+    too_strong(tmp_path, times)
+    set_keys(tmp_path, "displacement", estimate_offset=True)
+    result = midspan.estimate(tmp_path)
+    found = result.calibration
+    assert found.displacement.exposure_s == 0.0
+    assert any("does not tell which" in line for line in result.warnings)
+    # An average over 90 ms, or a tenth too much, leaves 2 to 3 % of the gain open.
+    assert found.accelerometer_scale == pytest.approx(1.0, abs=3.0 * found.accelerometer_scale_std)
+    error = result.displacement_mm - moved(result.time_s)
     assert np.mean(np.abs(error) < 1.96 * result.displacement_std_mm) > 0.85
 
 

@@ -10,8 +10,9 @@ from functools import cache
 import numpy as np
 
 from midspan.calibration.agreement import at_rate, misfit, straightened
+from midspan.calibration.first_order import lead_over_first_order
 from midspan.calibration.fit import Fit, Pair, best_corner
-from midspan.calibration.frequency_response import exposure_shows
+from midspan.calibration.frequency_response import MIN_GAIN, exposure_shows
 from midspan.calibration.minimum import global_minimum
 
 # The exposure is found to this share of the longest one; number of exposures that are tried first.
@@ -24,20 +25,25 @@ STEP, ROUNDS = 0.05, 3
 
 @dataclass(frozen=True, slots=True)
 class Exposed:
-    """The pair with the exposure found, and its fit; spread: what the exposure's error makes of a gain, relative."""
+    """The pair with the exposure found, and its fit; spread: what the exposure's error makes of a gain, relative.
+
+    open_s: an exposure that explains the readings no better than other causes do: it is not in the pair.
+    """
 
     pair: Pair
     fit: Fit
     spread: float = 0.0
+    open_s: float = 0.0
 
 
-def find_exposure(pair: Pair, fit: Fit) -> Exposed:
+def find_exposure(pair: Pair, fit: Fit, *, offset_cost: float) -> Exposed:
     """The pair with the most likely exposure of its measurements, none where the motion does not show it, and its fit.
 
     An exposure is taken where it gains more likelihood, with any gain, than a parameter without effect would (as in
-    `fit.with_input_noise`), explains the readings better than any delay, and explains more than it leaves. It is no
-    longer than the interval of the measurements.
-    Where none is taken those that the motion does not exclude make the gain uncertain.
+    `fit.with_input_noise`), explains the readings better than any delay and any first-order response, and explains
+    more than it leaves. It is no longer than the interval of the measurements.
+    Where none is taken those that the motion does not exclude make the gain uncertain. offset_cost: as of
+    `first_order.lead_over_first_order`.
     """
     longest_s, free = 1.0 / pair.rate_hz, replace(pair, ratio=None)
 
@@ -53,12 +59,14 @@ def find_exposure(pair: Pair, fit: Fit) -> Exposed:
     explained = none.noise > misfit(replace(free, exposure_s=share * longest_s), best).factor * best.noise
     if abs(best.ratio - 1.0) > MAX_GAIN_ERROR:
         return Exposed(pair, fit)
-    if not (gained and explained and _shows(free, fit)):
+    shows = gained and explained and _shows(free, fit)
+    if not (shows and _leads(free, best, share * longest_s, offset_cost)):
         # What the motion does not exclude, the gain may be off by: over all exposures, each by its likelihood.
         tried = [fitted(float(one)) for one in np.linspace(0.0, 1.0, TRIED)]
         weights = np.exp([one.likelihood - best.likelihood for one in tried])
         away = np.array([one.ratio - none.ratio for one in tried])
-        return Exposed(pair, fit, float(np.sqrt(np.average(away**2, weights=weights))))
+        spread = float(np.sqrt(np.average(away**2, weights=weights)))
+        return Exposed(pair, fit, spread, share * longest_s if shows else 0.0)
     step, spread = STEP * share, 0.0
     for _ in range(ROUNDS):
         below, above = fitted(share - step), fitted(share + step)
@@ -67,6 +75,13 @@ def find_exposure(pair: Pair, fit: Fit) -> Exposed:
         spread, step = std * abs(above.ratio - below.ratio) / (2.0 * step), std
     found = replace(pair, exposure_s=share * longest_s)
     return Exposed(found, best_corner(found, fit.offset_s, fit.corner), spread)
+
+
+def _leads(free: Pair, best: Fit, exposure_s: float, offset_cost: float) -> bool:
+    """Whether an exposure is clearly more likely than a first-order response."""
+    with_it, without = replace(free, exposure_s=exposure_s), replace(free, exposure_s=0.0)
+    lead = lead_over_first_order(with_it, without, best, exposure_s**2 / 24.0, offset_cost=offset_cost)
+    return lead > MIN_GAIN
 
 
 def _shows(pair: Pair, fit: Fit) -> bool:

@@ -74,6 +74,7 @@ class Pair:
     once the samples are along the sensor's axis (see `direction`).
     logger, lean: see `frequency_response`; what leaning takes from the acceleration is in the samples again.
     bias_drifts: whether the accelerometer's bias drifts at one rate, which is taken out: it is no noise.
+    level: relative level (n,) of the accelerometer's noise at the samples, of mean 1, where that changes; None: one.
     """
 
     samples: Floats
@@ -89,6 +90,7 @@ class Pair:
     lean: float = 0.0
     cross: tuple[Floats, Floats] | None = None
     bias_drifts: bool = False
+    level: Floats | None = None
 
     @property
     def rate_hz(self) -> float:
@@ -114,7 +116,7 @@ class Pair:
     @cached_property
     def pieces(self) -> Floats:
         """Times (g,) until which the relative density of the acceleration's noise is constant, and that density."""
-        time_s, density = self.samples[:, 0], self.samples[:, 2]
+        time_s, density = self.samples[:, 0], self.samples[:, 2] * (1.0 if self.level is None else self.level)
         ends = np.r_[np.diff(density) != 0.0, True]
         if self.motion_share > 0.0:
             # What bridging adds stays.
@@ -126,7 +128,11 @@ class Pair:
     def input_noise(self, mean_density: float) -> InputNoise:
         """The acceleration's noise whose mean density over the record is `mean_density`, (m/s²)²/Hz."""
         share = self.motion_share
-        return InputNoise((1.0 - share) * mean_density, share * mean_density / float(np.mean(self.lively)))
+        # Levels add to what goes with the motion, see `pieces`; on average it is a constant.
+        constant = 1.0 - share
+        if self.level is not None:
+            constant = float(np.mean(self.level - share * np.minimum(self.level, 1.0)))
+        return InputNoise(constant * mean_density, share * mean_density / float(np.mean(self.lively)))
 
     def used(self, offset_s: float) -> NDArray[np.int64]:
         """Which rows are compared at an offset."""

@@ -19,12 +19,13 @@ Each is one more column of the regression of the whitened translation (see `whit
 most likely value and covariance come from one run of the filter. ∬u is that of the translation over the ratio.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 
 import numpy as np
 
+from midspan.calibration.first_order import lead_over_first_order
 from midspan.calibration.fit import PRIOR_POWER, Aligned, Fit, Pair, aligned, best_corner, likeliest_corner
 from midspan.calibration.whitening import Whitened, integrated
 from midspan.notices import Notice
@@ -71,6 +72,8 @@ class Kind(IntEnum):
     RESONANCE = 4
 
 
+# They make the ratio fall with the frequency's square, as a sensor of first order does.
+FALLING = (Kind.EXPOSURE, Kind.RESONANCE)
 # One of each at most: one number with two signs; two that differ in the fourth power of the frequency only.
 ALIKE = ({Kind.DROOP, Kind.RESONANCE}, {Kind.EXPOSURE, Kind.RESONANCE})
 
@@ -106,9 +109,11 @@ class FrequencyResponse:
     """What was found, and what it and the rest leave open in addition to the noise.
 
     known: the kinds found; exposure_s: the camera's own; slope: radians a metre; lag_s3, droop_s2: q and r above;
-    resonance_s2: c above; other_m: what an exposure makes of the motion, by the probability that it is a resonance
-    instead, rms; relative_std, offset_variance: what all kinds add to the deviation of the ratio (relative) and to the
-    variance of the clock offset (s²).
+    resonance_s2: c above; open_s: an exposure that explains the ratio no better than other causes, and is not taken
+    out; open_resonance_hz: the same as a resonance, where the exposure is declared; other_m: what an exposure makes of
+    the motion, by the probability that it is a resonance instead, rms, and all that the open one does; relative_std,
+    offset_variance: what all kinds add to the deviation of the ratio (relative) and to the variance of the clock offset
+    (s²).
     """
 
     known: tuple[Kind, ...] = ()
@@ -117,6 +122,8 @@ class FrequencyResponse:
     lag_s3: float = 0.0
     droop_s2: float = 0.0
     resonance_s2: float = 0.0
+    open_s: float = 0.0
+    open_resonance_hz: float = 0.0
     other_m: float = 0.0
     relative_std: float = 0.0
     offset_variance: float = 0.0
@@ -134,6 +141,7 @@ class FrequencyResponse:
                     "and the error band holds the other as far as the motion does not exclude it; declare exposure_s.",
                 )
             )
+        found += self._open_texts()
         if Kind.LEAN in self.known:
             found.append(
                 Notice(
@@ -173,6 +181,30 @@ class FrequencyResponse:
             )
         return found
 
+    def _open_texts(self) -> list[Notice]:
+        """A sentence on what explains the ratio no better than other causes do."""
+        found = list[Notice]()
+        if self.open_s > 0.0:
+            found.append(
+                Notice(
+                    "exposure",
+                    "camera: fast motion comes out smaller than slow motion, as with an exposure of "
+                    f"{1e3 * self.open_s:.2g} ms, which was not declared. So it does where the accelerometer errs with "
+                    "its motion or its mounting resonates, and the motion does not tell which: the scale factor lies "
+                    "between the two, and the error band holds both; declare exposure_s.",
+                )
+            )
+        if self.open_resonance_hz > 0.0:
+            found.append(
+                Notice(
+                    "accelerometer-resonates",
+                    "accelerometer: it feels fast motion too strongly, as on a bracket that resonates near "
+                    f"{self.open_resonance_hz:.2g} Hz, or the camera follows it too slowly, and the motion does not "
+                    "tell which: the scale factor lies between the two, and the error band holds both.",
+                )
+            )
+        return found
+
 
 def kinds_of(pair: Pair, *, exposure_declared: bool) -> tuple[Kind, ...]:
     """The kinds that may be there: none where a band decides the ratio."""
@@ -183,18 +215,35 @@ def kinds_of(pair: Pair, *, exposure_declared: bool) -> tuple[Kind, ...]:
     return (*exposure, *lean, Kind.LAG, Kind.DROOP, Kind.RESONANCE)
 
 
+@dataclass(frozen=True, slots=True)
+class Explained:
+    """A pair without what of the kinds shows in it, and which of them do.
+
+    doubt: how far (relative, rms) the ratio would be another if it were what explains nearly as much; open_s2: T²/24 of
+    an exposure, or what a resonance does alike, that explains the ratio no better than a sensor of first order; it is
+    not taken out. open_change: by how much it would move the ratio, relative.
+    """
+
+    pair: Pair
+    known: list[Kind]
+    doubt: float = 0.0
+    open_s2: float = 0.0
+    open_change: float = 0.0
+
+
 def with_response(
     pair: Pair, fit: Fit, kinds: Sequence[Kind], known: Sequence[Kind] = (), most_open: float = MAX_OPEN
-) -> tuple[Pair, list[Kind], float]:
-    """The pair without what of `kinds` shows in it, which of them do, and how far (relative, rms) the ratio would be
-    another if it were what explains nearly as much; known: those that it is without already; most_open: how well the
+) -> Explained:
+    """The pair without what of `kinds` shows in it; known: those that it is without already; most_open: how well the
     ratio is known together with a kind that is found, relative.
 
-    One is taken where it gains MIN_GAIN; the lag first, then the one that gains most.
+    One is taken where it gains MIN_GAIN; the lag first, then the one that gains most. An exposure and a resonance must
+    also be likelier than a first-order response by as much.
     """
     pair, fit = _settled(pair, fit, known)
-    found, doubt = list(known), 0.0
-    while len(found) < len(kinds):
+    explained = Explained(pair, list(known))
+    while len(explained.known) < len(kinds):
+        found = explained.known
         here, before = _aligned(pair, fit), _columns(found)
         without = _regressed(here, before).likelihood
         left = [
@@ -203,17 +252,7 @@ def with_response(
             if kind not in found and not any(kind in alike and alike & {*found} for alike in ALIKE)
         ]
         tried = {kind: _regressed(here, (*before, FIRST + kind)) for kind in left}
-        clear = {
-            k: one
-            for k, one in tried.items()
-            # Errors that are no white noise gain by chance in proportion to their own scatter.
-            if one.likelihood - without > MIN_GAIN * one.scatter and one.relative_std < most_open
-        }
-        able = [k for k, one in clear.items() if _possible(pair, k, one.of(FIRST + k)[0])]
-        most = max(one.likelihood for one in tried.values())
-        if Kind.RESONANCE in able and tried[Kind.RESONANCE].likelihood < most - MIN_GAIN:
-            # What explains far more is of an impossible size: a drift, say, which a resonance only resembles.
-            able.remove(Kind.RESONANCE)
+        able = _able(pair, tried, without, most_open)
         if not able:
             break
         best = max(able, key=lambda kind: (kind is Kind.LAG, tried[kind].likelihood))
@@ -223,13 +262,47 @@ def with_response(
         possible = [one for one in settled if all(_possible(one[1], kind) for kind in one[0])]
         if not possible:
             break
-        found, pair, fit = max(
+        taken, other, refitted = max(
             possible, key=lambda one: one[2].likelihood - (MIN_GAIN if Kind.RESONANCE in one[0] else 0.0)
         )
-        doubt = float(
-            np.hypot(doubt, _doubt(tried[best], [tried[kind] for kind in able if Kind.LAG not in (kind, best)]))
-        )
-    return pair, found, doubt
+        if _falls(pair, other) > 0.0 and not _leads(pair, other, refitted):
+            kinds = [kind for kind in kinds if kind not in FALLING or kind in found]
+            change = refitted.ratio / fit.ratio - 1.0
+            explained = replace(explained, open_s2=_falls(pair, other), open_change=change)
+            continue
+        pair, fit = other, refitted
+        apart = _doubt(tried[best], [tried[kind] for kind in able if Kind.LAG not in (kind, best)])
+        explained = replace(explained, pair=pair, known=taken, doubt=float(np.hypot(explained.doubt, apart)))
+    return explained
+
+
+def _able(pair: Pair, tried: Mapping[Kind, Regression], without: float, most_open: float) -> list[Kind]:
+    """Which of the kinds tried explain the translation clearly better than a likelihood without, and may be."""
+    able = [
+        kind
+        for kind, one in tried.items()
+        # Errors that are no white noise gain by chance in proportion to their own scatter.
+        if one.likelihood - without > MIN_GAIN * one.scatter
+        and one.relative_std < most_open
+        and _possible(pair, kind, one.of(FIRST + kind)[0])
+    ]
+    most = max((one.likelihood for one in tried.values()), default=-np.inf)
+    if Kind.RESONANCE in able and tried[Kind.RESONANCE].likelihood < most - MIN_GAIN:
+        # What explains far more is of an impossible size: a drift, say, which a resonance only resembles.
+        able.remove(Kind.RESONANCE)
+    return able
+
+
+def _falls(pair: Pair, other: Pair) -> float:
+    """By how much (s², as T²/24) another pair has more of an exposure or a resonance."""
+    return (other.exposure_s**2 - pair.exposure_s**2) / 24.0 + max(other.logger[0], 0.0) - max(pair.logger[0], 0.0)
+
+
+def _leads(pair: Pair, other: Pair, fit: Fit) -> bool:
+    """Whether the exposure or resonance of another pair is clearly likelier than a first-order response."""
+    square = _falls(pair, other)
+    bare = replace(other, exposure_s=pair.exposure_s, logger=(min(other.logger[0], pair.logger[0]), other.logger[1]))
+    return lead_over_first_order(other, bare, fit, square) > MIN_GAIN
 
 
 def exposure_shows(pair: Pair, fit: Fit) -> bool:
@@ -259,14 +332,21 @@ def _possible(pair: Pair, kind: Kind, change: float = 0.0) -> bool:
 
 
 def response_of(
-    pair: Pair, fit: Fit, kinds: Sequence[Kind], known: Sequence[Kind], declared_s: float = 0.0
+    pair: Pair,
+    fit: Fit,
+    kinds: Sequence[Kind],
+    known: Sequence[Kind],
+    *,
+    declared_s: float = 0.0,
+    open_s2: float = 0.0,
 ) -> FrequencyResponse:
     """What was found, and what uncertainty it and those of `kinds` that were not found add.
 
     Each that was not found adds its own, with the found ones; two at once whose effects cancel are not covered.
     A lag that does not show moves the clock offset alone, together with the motion. declared_s: exposure that is no
-    part of what was found.
+    part of what was found; open_s2: as of `Explained`.
     """
+    undeclared_s2 = open_s2 if Kind.EXPOSURE in kinds else 0.0
     here = _aligned(pair, fit)
     w = here.whitened(fit.corner)
     stds = {
@@ -291,7 +371,9 @@ def response_of(
         lag_s3=pair.logger[1],
         droop_s2=-pair.logger[0] if Kind.DROOP in known else 0.0,
         resonance_s2=pair.logger[0] if Kind.RESONANCE in known else 0.0,
-        other_m=_other_m(pair, fit, known, declared_s),
+        open_s=float(np.sqrt(24.0 * undeclared_s2)),
+        open_resonance_hz=0.0 if open_s2 == undeclared_s2 else float(1.0 / (2.0 * np.pi * np.sqrt(open_s2))),
+        other_m=float(np.hypot(_other_m(pair, fit, known, declared_s), _exposed_m(pair, fit, undeclared_s2))),
         relative_std=float(np.sqrt(relative)),
         offset_variance=float(offset),
     )
@@ -308,8 +390,13 @@ def _other_m(pair: Pair, fit: Fit, known: Sequence[Kind], declared_s: float) -> 
     resonant = replace(bare, logger=(pair.logger[0] + square, pair.logger[1]))
     exposed, other = (best_corner(one, fit.offset_s, fit.corner).likelihood for one in (pair, resonant))
     odds = np.exp(np.clip(other - exposed, -50.0, 50.0))
+    return _exposed_m(pair, fit, square) * float(np.sqrt(odds / (1.0 + odds)))
+
+
+def _exposed_m(pair: Pair, fit: Fit, square_s2: float) -> float:
+    """What an exposure T makes of the displacement by its first term, m rms; square_s2: T²/24."""
     time_s = pair.rows[pair.used(fit.offset_s), 0] + fit.offset_s
-    return float(square * np.std(pair.responses[0].derivative(time_s, 2)) * np.sqrt(odds / (1.0 + odds)))
+    return square_s2 * float(np.std(pair.responses[0].derivative(time_s, 2)))
 
 
 def _columns(known: Sequence[Kind]) -> tuple[int, ...]:

@@ -45,9 +45,10 @@ def find_low_pass(pair: Pair, fit: Fit) -> LowPass | None:
     """
     free = replace(pair, ratio=None, reference=None)
     before = best_corner(free, fit.offset_s, fit.corner)
-    without, found, _ = with_response(free, before, (Kind.LAG, Kind.DROOP), most_open=np.inf)
+    explained = with_response(free, before, (Kind.LAG, Kind.DROOP), most_open=np.inf)
+    without = explained.pair
     droop, lag = without.logger
-    if not found or lag > 0.0:
+    if not explained.known or lag > 0.0:
         return None
     after = refine(without, best_corner(without, fit.offset_s), MAX_LATE / pair.rate_hz)
     if after.likelihood - before.likelihood < MIN_GAIN:

@@ -113,6 +113,7 @@ class NoiseCalibration:
     slow_time_s: float = np.inf
     unseen_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     exposure_s: float = 0.0
+    open_exposure_s: float = 0.0
     direction: Direction | None = None
     warnings: tuple[Notice, ...] = ()
     low_pass: LowPass | None = None
@@ -160,13 +161,14 @@ def calibrate_noise(
         fit = best_corner(pair, fit.offset_s)
     floored_fit = _within_floor(pair, fit)
     learnt = _with_scale(pair, floored_fit, offset, search, max_offset_s, length_s, floored=floored_fit is not fit)
-    if slow.pair.rows is not free.rows:
-        learnt = _levelled(learnt, replace(pair, rows=slow.pair.rows))
+    if slow.pair.rows is not free.rows or slow.pair.level is not None:
+        learnt = _levelled(learnt, replace(pair, rows=slow.pair.rows, level=slow.pair.level))
     learnt = replace(
         learnt,
         scale_std=float(np.hypot(learnt.scale_std, sought.spread)),
         low_pass=low_pass,
         unseen_m=slow.unseen,
+        open_exposure_s=sought.open_s,
     )
     return _without_gain(learnt, gain_std, sought.spread)
 
@@ -187,7 +189,7 @@ def _levelled(learnt: NoiseCalibration, pair: Pair) -> NoiseCalibration:
 @dataclass(frozen=True, slots=True)
 class _Sought:
     """Clock offset and exposure of a sensor: the pair and its fit with those that are applied; found: the fit at the
-    offset that was found; spread: as of `Exposed`.
+    offset that was found; spread, open_s: as of `Exposed`.
     """
 
     pair: Pair
@@ -196,6 +198,7 @@ class _Sought:
     search: OffsetSearch | None
     found: Fit
     spread: float
+    open_s: float
 
 
 def _sought(pair: Pair, max_offset_s: float, edge: float, *, one_clock: bool, declared: bool) -> _Sought:
@@ -203,25 +206,26 @@ def _sought(pair: Pair, max_offset_s: float, edge: float, *, one_clock: bool, de
     one with another clock to average.
     """
     pair, still = without_outliers(without_lonely_outliers(replace(pair, ratio=1.0)), steps=one_clock)
-    here = Exposed(pair, still) if declared else find_exposure(pair, still)
+    here = Exposed(pair, still) if declared else find_exposure(pair, still, offset_cost=MIN_GAIN)
     if max_offset_s <= 0.0:
-        return _Sought(here.pair, here.fit, TimeOffset(0.0, np.inf), None, here.fit, here.spread)
+        return _Sought(here.pair, here.fit, TimeOffset(0.0, np.inf), None, here.fit, here.spread, here.open_s)
     there = here
     for _ in range(EXPOSURES):
         search = search_offset(there.pair, max_offset_s, edge)
         found, variance = nearest(search) if one_clock else (search.fit, search.offset.variance)
         offset = applied(search, found, variance, max_offset_s)
         if offset.value_s == 0.0:
-            return _Sought(here.pair, here.fit, offset, search, found, here.spread)
+            return _Sought(here.pair, here.fit, offset, search, found, here.spread, here.open_s)
         if declared:
             there = Exposed(search.pair, found)
             break
         none = replace(search.pair, exposure_s=0.0)
-        before, there = there, find_exposure(none, best_corner(none, found.offset_s))
+        own = best_corner(none, found.offset_s)
+        before, there = there, find_exposure(none, own, offset_cost=MIN_GAIN)
         if there.pair.exposure_s == before.pair.exposure_s:
             break
-    own = here if one_clock else there
-    return _Sought(own.pair, own.fit, offset, search, found, own.spread)
+    used = here if one_clock else there
+    return _Sought(used.pair, used.fit, offset, search, found, used.spread, used.open_s)
 
 
 def _without_gain(learnt: NoiseCalibration, known_std: float, spread: float) -> NoiseCalibration:

@@ -5,6 +5,9 @@ of the likelihood gains n/2 ln s − Σ m/2 ln sᵢ. The likeliest instant split
 that gains more than a change of unknown place and size would by chance (half the logarithm of n for each and for the
 segment: N. R. Zhang, D. O. Siegmund, A modified Bayes information criterion, Biometrics 63 (2007) 22-32, doi
 10.1111/j.1541-0420.2006.00662.x). Taken for one level, a change looks like an error that is correlated over seconds.
+
+The noise whose level changes is the sensor's, or the accelerometer's where that is likelier: an accelerometer that errs
+with a cross motion or its attitude leaves innovations that are correlated, which a noisier sensor does not.
 """
 
 from dataclasses import replace
@@ -30,13 +33,17 @@ def with_noise_levels(pair: Pair, fit: Fit, whole: Floats | None = None) -> tupl
     """The pair with the levels of its noise in the relative variances of its rows, of mean 1, and its fit; both as they
     are where one level explains the innovations.
 
-    whole (m, 3): the rows with those that were left out as outliers, which are judged again by the levels.
+    Where levels of the accelerometer's noise explain them better, the pair has those instead. whole (m, 3): the rows
+    with those that were left out as outliers, which are judged again by the levels.
     """
     inner = fit.whitened.index[_edges(fit.residual**2)[1:-1]]
     if not len(inner):
         return pair, fit
     edges = np.r_[0, inner, len(pair.rows)]
+    felt = _levelled_acceleration(pair, fit, edges)
     pair, fit = _levelled(pair, fit, edges)
+    if felt[1].likelihood > fit.likelihood:
+        return felt
     if whole is not None:
         pair = with_outliers(pair, whole)
         pair = cleaned(pair, best_corner(pair, fit.offset_s, fit.corner))
@@ -47,17 +54,33 @@ def with_noise_levels(pair: Pair, fit: Fit, whole: Floats | None = None) -> tupl
 def _levelled(pair: Pair, fit: Fit, edges: NDArray[np.int64]) -> tuple[Pair, Fit]:
     """The pair and its fit with the level of each segment of rows, the numbers of whose first ones are `edges`."""
     for _ in range(ROUNDS):
-        segment = np.searchsorted(edges, fit.whitened.index, side="right") - 1
-        count = np.bincount(segment, minlength=len(edges) - 1)
-        level = np.bincount(segment, fit.residual**2, minlength=len(edges) - 1) / np.maximum(count, 1)
-        # Of a segment of which nothing is left no level shows.
-        level = np.where(level > 0.0, level, 1.0)
+        level = _level(fit, edges)
         rows = pair.rows.copy()
         rows[:, 2] *= np.repeat(level, np.diff(edges))
         rows[:, 2] /= np.mean(rows[fit.whitened.index, 2])
         pair = replace(pair, rows=rows)
         fit = best_corner(pair, fit.offset_s, fit.corner)
     return pair, fit
+
+
+def _levelled_acceleration(pair: Pair, fit: Fit, edges: NDArray[np.int64]) -> tuple[Pair, Fit]:
+    """The pair and its fit with a level of the accelerometer's noise during each segment of rows."""
+    begins_s = pair.rows[edges[1:-1], 0] + fit.offset_s
+    segment = np.searchsorted(begins_s, pair.samples[:, 0], side="right")
+    for _ in range(ROUNDS):
+        level = _level(fit, edges)[segment] * (1.0 if pair.level is None else pair.level)
+        pair = replace(pair, level=level / np.mean(level))
+        fit = best_corner(pair, fit.offset_s, fit.corner)
+    return pair, fit
+
+
+def _level(fit: Fit, edges: NDArray[np.int64]) -> Floats:
+    """Mean square (k,) of the innovations of each segment of rows, the numbers of whose first ones are `edges`."""
+    segment = np.searchsorted(edges, fit.whitened.index, side="right") - 1
+    count = np.bincount(segment, minlength=len(edges) - 1)
+    level = np.bincount(segment, fit.residual**2, minlength=len(edges) - 1) / np.maximum(count, 1)
+    # Of a segment of which nothing is left no level shows.
+    return np.where(level > 0.0, level, 1.0)
 
 
 def with_outliers(pair: Pair, whole: Floats) -> Pair:

@@ -194,22 +194,27 @@ def with_frequency(
     plain: OffsetSearch, pair: Pair, max_offset_s: float, kinds: Sequence[Kind]
 ) -> tuple[OffsetSearch, FrequencyResponse]:
     """The search with what depends on frequency taken out, as far as it shows; plain: the search without."""
-    search, known, doubt = plain, list[Kind](), 0.0
+    search, known, doubt, open_s2, open_change = plain, list[Kind](), 0.0, 0.0, 0.0
     for _ in range(ANEW):
         if search.fit.gain < MIN_GAIN:
             return search, FrequencyResponse()
-        found, shown, more = with_response(search.pair, search.fit, kinds, known)
-        if shown == known:
+        one = with_response(search.pair, search.fit, kinds, known)
+        open_s2, open_change = one.open_s2, one.open_change
+        if one.known == known:
             break
-        doubt = float(np.hypot(doubt, more))
+        doubt = float(np.hypot(doubt, one.doubt))
         # Outliers are judged anew: what depends on frequency looked like some.
-        known = shown
-        search = search_offset(replace(found, rows=pair.rows, reference=None), max_offset_s)
+        known = one.known
+        search = search_offset(replace(one.pair, rows=pair.rows, reference=None), max_offset_s)
     if known and contradiction(search.pair, search.fit) > 0.0:
         # What they differ by is something else, which a function of frequency may only happen to resemble.
         doubt = float(np.hypot(doubt, search.fit.ratio / plain.fit.ratio - 1.0))
         search, known = plain, []
-    response = response_of(search.pair, search.fit, kinds, known, pair.exposure_s)
+    if open_change != 0.0:
+        # Both explanations are as likely: the ratio lies between them.
+        search = _at_ratio(search, search.fit.ratio * (1.0 + 0.5 * open_change))
+    doubt = float(np.hypot(doubt, 0.5 * open_change))
+    response = response_of(search.pair, search.fit, kinds, known, declared_s=pair.exposure_s, open_s2=open_s2)
     # The read-out's rows are no part of the exposure.
     own_s = float(np.sqrt(max(response.exposure_s**2 - pair.exposure_s**2, 0.0)))
     offset = TimeOffset(search.offset.value_s, search.offset.variance + response.offset_variance)
@@ -220,7 +225,12 @@ def with_frequency(
 
 def _with_logger(search: OffsetSearch) -> OffsetSearch:
     """The search with noise levels of an acceleration whose low-pass stays in it: nothing takes it out."""
-    pair = replace(search.pair, logger=(0.0, 0.0), ratio=search.fit.ratio)
+    return _at_ratio(replace(search, pair=replace(search.pair, logger=(0.0, 0.0))), search.fit.ratio)
+
+
+def _at_ratio(search: OffsetSearch, ratio: float) -> OffsetSearch:
+    """The search with the noise levels that belong to a ratio, as well known as before."""
+    pair = replace(search.pair, ratio=ratio)
     pair, fit = with_input_noise(pair, best_corner(pair, search.fit.offset_s))
     return replace(search, pair=pair, fit=replace(fit, ratio_variance=search.fit.ratio_variance))
 

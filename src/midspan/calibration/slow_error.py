@@ -62,7 +62,7 @@ def find_slow_error(pair: Pair, fit: Fit, time_s: float | None = None, whole: Fl
     Without one the noise stays white unless the slow error gains more likelihood than a parameter without effect would
     (as in `fit.with_input_noise`) not in one place only, and no quiet part speaks against it: the sensor's own error is
     there as well, what an accelerometer errs by with the motion is not. White noise may change its level (see
-    `noise_levels`): the rows of the pair that is returned have it in their relative variances.
+    `noise_levels`): the rows of the pair that is returned have it in their relative variances, or its samples a level.
     """
     white = replace(pair, slow=NO_SLOW_ERROR)
     levelled, fit = with_noise_levels(white, fit, whole)
@@ -88,7 +88,8 @@ def find_slow_error(pair: Pair, fit: Fit, time_s: float | None = None, whole: Fl
     found = best_corner(slow, fit.offset_s)
     if time_s is None:
         none = aligned(white, fit.offset_s).fit(fit.corner)
-        least = 0.5 * np.log(max(len(rows), 1))
+        # An accelerometer whose noise changes its level may err slowly as well: both unknowns count then.
+        least = (0.5 if white.level is None else 1.0) * np.log(max(len(rows), 1))
         gained = found.likelihood - none.likelihood
         if (
             gained < least

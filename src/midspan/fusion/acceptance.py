@@ -147,10 +147,10 @@ def find_step(hyp, row, tables, least):  # type: ignore[no-untyped-def]
     """Whether innovations tell by odds (logarithm) of `least` that the sensor's zero has stepped; then it is taken out
     of the states, what it may be off by included, and the hypothesis remembers it.
     """
-    _, p, _, _, theta, _, tests = hyp
+    _, p, _, _, theta, spread, tests = hyp
     channels, axes, c = tables[1], len(tables[5]), int(row[CHANNEL])
     own, a = tests[group_of(channels[c], axes)], int(channels[c, AXIS])
-    best = step_of(own, theta, tables[5][a], EVEN, least, len(p))
+    best = step_of(own, (theta, spread), tables[5][a], EVEN, least, len(p))
     if best >= 0:
         take_found_step(hyp, row, own[best], tables)
     return best >= 0

@@ -308,7 +308,7 @@ class Estimator:
         self._waiting = self._waiting[self._waiting[:, AT] >= time_s[0] - BEFORE_SAMPLES_S]
         rows = self._waiting[self._waiting[:, AT] <= time_s[-1]]
         first_s = float(rows[0, AT]) if len(rows) else float(time_s[-1])
-        start_s = self._start_s(first_s)
+        start_s = self._start_s(first_s, float(time_s[0]))
         held = part(held, slice(max(int(np.searchsorted(time_s, start_s, side="right")) - 1, 0), None))
         if not len(rows):
             self._held = held
@@ -328,12 +328,14 @@ class Estimator:
         begun = self._start(with_start(part(held, slice(last + 1)), start_s, self._origin), first_s)
         return [begun, *(self._run(self._filter, rest) if self._filter and len(rest.time_ns) else [])]
 
-    def _start_s(self, first_s: float) -> float:
-        """When the filter starts, s: at the first measurement, or at the zero where that lies shortly before it."""
+    def _start_s(self, first_s: float, sampled_s: float) -> float:
+        """When the filter starts, s: at the first measurement, or at the zero where that lies shortly before it, but
+        not before the first sample: without acceleration the zero would be uncertain by decimetres.
+        """
         if self.settings.zero_ns is None:
             return first_s
         zero_s = (self.settings.zero_ns - self._origin) / NANOSECONDS
-        return zero_s if first_s - MAX_BEFORE_S <= zero_s < first_s else first_s
+        return max(zero_s, min(sampled_s, first_s)) if first_s - MAX_BEFORE_S <= zero_s < first_s else first_s
 
     def _start(self, samples: Samples, first_s: float) -> Rows:
         """Judge the first measurements, and take the rows from a second run with what was decided."""

@@ -12,7 +12,7 @@ follows the sensor then.
 import numpy as np
 from numba import njit
 
-from midspan.fusion.forward import AXIS, BLUR, COASTING_S, SENSOR, UNITS_PER_M, ZERO
+from midspan.fusion.forward import AXIS, BLUR, COASTING_S, SENSOR, UNITS_PER_M, ZERO, quadratic
 
 # Instants at which a step may have begun, of each sensor along each axis.
 INSTANTS = 16
@@ -141,36 +141,41 @@ def ratio(test, cause, theta, n):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, inline="always")
-def odds_of(own, t, cause, p, theta, misfit, even, least, n):  # type: ignore[no-untyped-def]
+def odds_of(own, t, cause, p, parameters, misfit, even, least, n):  # type: ignore[no-untyped-def]
     """Logarithm of the odds of a cause of any size, each decade of which is as likely, at instant `t` of a group; `p`:
-    the column of its probability. -inf where they are below `least` or one deviation.
+    the column of its probability; parameters = (as estimated (k,), their covariance). -inf where the odds are below
+    `least` or the size is below its deviation.
     """
+    theta, spread = parameters
     first = SUMS + cause * (2 + len(theta) + n)
     known, matched = own[t, first], own[t, first + 1]
     for q in range(len(theta)):
         matched += own[t, first + 2 + q] * theta[q]
     chi = matched * matched / known if known > 0.0 else 0.0
+    if chi > 1.0 and own[t, p] + even + 0.5 * (chi / misfit + LOG_2PI) > least:
+        # The innovations have the parameters' errors in common: they are no step.
+        chi = matched * matched / (known + quadratic(own[t, first + 2 : first + 2 + len(theta)], spread))
     most = own[t, p] + even + 0.5 * (chi / misfit + LOG_2PI)
     # The variance over the square of the size is 1 / chi.
     return most - 0.5 * np.log(chi) if chi > 1.0 and most > least else -np.inf
 
 
 @njit(cache=True, inline="always")
-def step_of(own, theta, misfit, even, least, n):  # type: ignore[no-untyped-def]
+def step_of(own, parameters, misfit, even, least, n):  # type: ignore[no-untyped-def]
     """The likeliest instant of a step among a group's (INSTANTS + 1, ...), or -1 where the odds (logarithm) of each,
-    against no step or against a wrong acceleration, whichever is likelier, are below `least`; even: logarithm of the
-    density of the size's logarithm.
+    against no step or against a wrong acceleration, whichever is likelier, are below `least`; parameters: as of
+    `odds_of`; even: logarithm of the density of the size's logarithm.
     """
     best, odds, other = -1, -np.inf, 0.0
     for t in range(INSTANTS):
         if own[t, P_STEP] != 0.0:
-            one = odds_of(own, t, STEP, P_STEP, theta, misfit, even, least, n)
+            one = odds_of(own, t, STEP, P_STEP, parameters, misfit, even, least, n)
             if one > odds:
                 best, odds = t, one
     if best >= 0:
         for t in range(INSTANTS):
             if own[t, P_STEP] != 0.0:
-                other = max(other, odds_of(own, t, VELOCITY, P_VELOCITY, theta, misfit, even, -np.inf, n))
+                other = max(other, odds_of(own, t, VELOCITY, P_VELOCITY, parameters, misfit, even, -np.inf, n))
     return best if odds - other >= least else -1
 
 

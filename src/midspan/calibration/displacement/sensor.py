@@ -169,8 +169,8 @@ def displacement_part(given: Given, learnt: NoiseCalibration) -> DisplacementCal
 
 def _lost_m(given: Given, learnt: NoiseCalibration) -> float:
     """Motion (m, rms) that only one of the two sensors may have seen: what clocks that are not one or the logger's
-    low-pass delay or take away, and what an exposure takes that was not declared: an accelerometer that resonates on
-    its mount looks the same.
+    low-pass delay or take away, and what an exposure takes that was not declared, whether it is taken out or not: an
+    accelerometer that resonates on its mount, or errs with its motion, looks the same.
 
     What a low-pass takes away altogether looks like noise of the sensor, of which no more is known than what is given.
     """
@@ -178,9 +178,10 @@ def _lost_m(given: Given, learnt: NoiseCalibration) -> float:
     if learnt.low_pass is not None:
         known_m = 0.0 if given.noise_std_m is None else given.noise_std_m * abs(learnt.factor)
         lost += [float(np.sqrt(max(learnt.variance_factor - known_m**2, 0.0))), learnt.low_pass.taken_m]
-    if given.exposure_s is None and learnt.exposure_s > 0.0:
+    exposure_s = learnt.exposure_s or learnt.open_exposure_s
+    if given.exposure_s is None and exposure_s > 0.0:
         shaken = given.prepared.with_noise(1.0)
-        taken = taken_by_averaging(shaken.time_ns, shaken.value_m_s2, given.series.time_ns, learnt.exposure_s)
+        taken = taken_by_averaging(shaken.time_ns, shaken.value_m_s2, given.series.time_ns, exposure_s)
         lost.append(float(np.std(taken)))
     return float(np.linalg.norm(lost))
 
@@ -226,15 +227,7 @@ def displacement_warnings(given: Given, learnt: NoiseCalibration, part: Displace
                 "and that both sensors measure the same axis; accelerometer.estimate_scale = false leaves it as it is.",
             )
         )
-    if given.exposure_s is None and learnt.exposure_s > 0.0:
-        found.append(
-            Notice(
-                "exposure",
-                f"displacement: fast motion comes out smaller than slow motion, as of a sensor that averages over "
-                f"{learnt.exposure_s:.3g} s, or of an accelerometer that resonates on its mount. The first is "
-                "corrected, and the error band holds both; displacement.exposure_s declares it.",
-            )
-        )
+    found += _exposure_warnings(given, learnt)
     if learnt.drifts:
         found.append(
             Notice(
@@ -261,6 +254,31 @@ def displacement_warnings(given: Given, learnt: NoiseCalibration, part: Displace
             f"{text} The error band holds the difference; displacement.estimate_scale = true takes it out.",
         ),
     ]
+
+
+def _exposure_warnings(given: Given, learnt: NoiseCalibration) -> list[Notice]:
+    """A sentence on an exposure that was not declared."""
+    found = list[Notice]()
+    if given.exposure_s is None and learnt.exposure_s > 0.0:
+        found.append(
+            Notice(
+                "exposure",
+                f"displacement: fast motion comes out smaller than slow motion, as of a sensor that averages over "
+                f"{learnt.exposure_s:.3g} s, or of an accelerometer that resonates on its mount. The first is "
+                "corrected, and the error band holds both; displacement.exposure_s declares it.",
+            )
+        )
+    elif given.exposure_s is None and learnt.open_exposure_s > 0.0:
+        found.append(
+            Notice(
+                "exposure",
+                f"displacement: fast motion comes out smaller than slow motion, as of a sensor that averages over "
+                f"{learnt.open_exposure_s:.3g} s, of one that follows slowly, or of an accelerometer that errs with "
+                "its motion. The motion does not tell which: nothing is corrected, and the error band holds what the "
+                "first would make; displacement.exposure_s declares it, 0 that it does not average.",
+            )
+        )
+    return found
 
 
 def _lateness_warnings(given: Given, learnt: NoiseCalibration, part: DisplacementCalibration) -> list[Notice]:
