@@ -87,7 +87,7 @@ class RadarChain:
         """The phase of each target in a frame of phasors (channels, k) at `bins`.
 
         predictions: expected phase in rad and its variance in rad² of each target's channel at the frame's instant;
-        None, or an infinite variance, where there is none.
+        None, or a variance that is not finite, where there is none: then only changes of the expected phase are used.
         """
         if frame.phasors.shape[1] != len(self.bins):
             raise refuse("phasors", f"(channels, {len(self.bins)} bins)", frame.phasors.shape)
@@ -148,7 +148,7 @@ class _Follower:
         """The measurement of a frame; valid (channels,): None where all were received."""
         state, alone_rad = self.state, math.nan
         if given is not None:
-            alone_rad = given[0] if math.isinf(given[1]) else math.nan
+            alone_rad = math.nan if given[1] < math.inf else given[0]
             # Rounding may leave a variance below 0 where a channel's zero is hardly known.
             given = (given[0], max(given[1], 0.0)) if given[1] < math.inf else None
         self._moved_alone(time_ns, alone_rad)
