@@ -49,6 +49,9 @@ MIN_JUDGED = 15.0
 # mean once in 30 000 frames (chi squared of 19). Something else with two thirds of a target's amplitude bends its phase
 # by this variance, rad²; with as much it would lead it away.
 MODULATED_FRAMES, NOISY, MAX_BENT_RAD2 = 10.0, 2.7, 0.2
+# A frame whose amplitude is so many times as far (square) from the mean as noise and the last frames make it holds
+# something else: noise alone is once in 500 million frames.
+SUDDEN = 36.0
 # Shorter times without a target are no events, s.
 MIN_TOLD_S = 0.1
 # A target's swing has more power at its frequency than the process by which it is modelled: it is taken for so many
@@ -239,12 +242,16 @@ class _Follower:
     def _modulated(self, strength: float) -> float:
         """Variance (rad²) by which something else that turns in the bin bends the phase: as it does the amplitude.
 
-        About the mean of the last frames, so that what changes slowly is none; 0 where noise explains it.
+        About the mean of the last frames, so that what changes slowly is none; 0 where noise explains it, infinite
+        where neither noise nor the frames before explain it: interference begins from one frame to the next.
         """
         state, own = self.state, 0.5 * self.noise_share
         away = 0.0 if math.isnan(state.strength) else strength - state.strength
+        is_sudden = away * away > SUDDEN * max(own, state.modulated)
         state.strength = strength if math.isnan(state.strength) else state.strength + away / MEMORY
         state.modulated += (away * away - state.modulated) / MODULATED_FRAMES
+        if is_sudden:
+            return math.inf
         return state.modulated - own if state.modulated > NOISY * own else 0.0
 
     def _unseen(self, time_ns: int, base: PhasePrediction, strength: float, kind: str) -> PhaseMeasurement:
