@@ -88,8 +88,16 @@ def write_several(folder: Path, case: Lively, sensor: str, named: dict[str, Live
 
     named: their names in the order of the file; more: further lines of each section.
     """
+    return write_kinds(folder, case, {name: (sensor, own) for name, own in named.items()}, more)
+
+
+def write_kinds(folder: Path, case: Lively, named: dict[str, tuple[str, Lively]], more: str = "") -> Path:
+    """A recording of an accelerometer, as `case` says, and sensors of several kinds, each as its own case says.
+
+    named: kind and case by name, in the order of the file; more: further lines of each section.
+    """
     sections = [_accelerometer(folder, case, np.random.default_rng(case.seed))]
-    for number, (name, own) in enumerate(named.items()):
+    for number, (name, (sensor, own)) in enumerate(named.items()):
         (folder / name).mkdir()
         lines = SENSORS[sensor](folder / name, own, np.random.default_rng((case.seed, number)))
         lines = lines.replace('file = "', f'file = "{name}/')

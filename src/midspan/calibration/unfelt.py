@@ -6,6 +6,8 @@ has lost something: a cable breaks, or an error happens to cancel the motion. On
 acceleration that the accelerometer would have shown.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from midspan.errors import UntrustedError
@@ -27,6 +29,9 @@ MAX_COMPARED = 20_000
 # A clean record is refused with this probability: the power of a narrow band in a window is exponentially distributed,
 # so that of n windows one exceeds the mean ln(n / p) times with a probability p.
 CHANCE = 1e-6
+# A step of the clock this near to frames without the target, ns, may be a lost cycle: several times as long as the
+# stretches over which steps are looked for.
+NEAR_NS = NANOSECONDS
 
 
 def refuse_unfelt(prepared: PreparedAcceleration, time_ns: Nanoseconds, moved_m: Floats, variance_m2: Floats) -> None:
@@ -68,15 +73,85 @@ def _refuse_windows(
         )
 
 
-def refuse_unfelt_rows(prepared: PreparedAcceleration, rows: Estimate, innovation: Innovation) -> None:
-    """UntrustedError where rows move by what the accelerometer did not feel.
-
-    Judged are those that follow an accepted measurement: there a band that was opened for the jump is closed again.
-    """
+def measured_rows(rows: Estimate, innovation: Innovation) -> Estimate:
+    """Rows that follow an accepted measurement: there a band that was opened for a jump is closed again."""
     met_ns = innovation.time_ns[innovation.verdict != REJECTED]
     place = np.unique(np.searchsorted(rows.time_ns, met_ns))
-    met = part(rows, place[place < len(rows.time_ns)])
-    refuse_unfelt(prepared, met.time_ns, met.displacement_m, met.variance_m2)
+    return part(rows, place[place < len(rows.time_ns)])
+
+
+def refuse_steps_unseen(steps_ns: Sequence[int], unseen_ns: Nanoseconds, sensor: str) -> None:
+    """UntrustedError where a radar's clock seems to step (k instants) while its target is not seen.
+
+    unseen_ns (n,): frames without a phase. A lost cycle and a clock that steps look the same there.
+    """
+    for step_ns in steps_ns:
+        if np.any(np.abs(unseen_ns - step_ns) < NEAR_NS):
+            raise UntrustedError(
+                f"{sensor}: at {shown(step_ns)} its clock seems to step, while its target is not seen in frames within "
+                f"{NEAR_NS / NANOSECONDS:g} s of that: a lost cycle, interference or something else in the bin looks "
+                "the same. Give a time stamp for each frame, leave frames with interference out of the file, or store "
+                "the bins of all ranges, 16 or more, which tell interference from the target."
+            )
+
+
+def refuse_lost_cycles(
+    prepared: PreparedAcceleration, rows: Estimate, unseen_ns: Nanoseconds, density: float, relative_std: float
+) -> None:
+    """UntrustedError where a radar's displacement goes on otherwise than the accelerometer measures.
+
+    A cycle is lost where the target was not seen, or something else was taken for it. There the displacement is
+    compared with the noise that the accelerometer has, and not with all that it shows.
+    rows: as judged, those that follow a measurement; unseen_ns (k,): frames without a phase; density: of the
+    accelerometer's noise, (m/s²)²/Hz; relative_std: of the conversion factor.
+    """
+    length_s, unknowns = LOOKS[0]
+    length_ns, last = round(length_s * NANOSECONDS), len(rows.time_ns) - 1
+    ends = [(int(t) - length_ns // 2, int(t) + length_ns // 2) for t in _apart(unseen_ns, length_ns // 2)]
+    places = [slice(*np.searchsorted(rows.time_ns, pair)) for pair in ends]
+    windows = [one for one in places if one.stop - one.start >= 2 * unknowns and one.stop <= last]
+    if not windows:
+        return
+    chance = np.log(len(windows) / CHANCE)
+    for one in windows:
+        time_ns, variance = rows.time_ns[one], rows.variance_m2[one]
+        felt, differs, missed = _powers(prepared, time_ns, rows.displacement_m[one], unknowns)
+        noise = density * ((int(time_ns[-1]) - int(time_ns[0])) / NANOSECONDS) ** 3 / NOISE_LEFT[unknowns]
+        # What the rows have in common is no motion.
+        uncertain = float(np.mean(variance) - np.min(variance))
+        if differs > chance * (noise + relative_std**2 * felt + missed + uncertain):
+            raise UntrustedError(
+                f"From {shown(int(time_ns[0]))} to {shown(int(time_ns[-1]))} the radar loses its target, and its "
+                f"displacement differs from the acceleration by {1e3 * np.sqrt(differs):.3g} mm rms; the "
+                f"accelerometer's noise makes {1e3 * np.sqrt(noise):.2g} mm there. A cycle was lost, or something "
+                "else in the bin was taken for the target (interference, something that moves): leave such frames out "
+                "of the file, or store the bins of all ranges, 16 or more, which tell interference from the target."
+            )
+
+
+def refuse_wide(prepared: PreparedAcceleration, rows: Estimate) -> None:
+    """UntrustedError where a radar's band is wider than all motion that the accelerometer shows."""
+    some = part(rows, slice(None, None, 1 + len(rows.time_ns) // MAX_COMPARED))
+    unknowns = LOOKS[-1][1]
+    if len(some.time_ns) < 2 * unknowns:
+        return
+    felt, _, missed = _powers(prepared, some.time_ns, some.displacement_m, unknowns)
+    usual = float(np.median(some.variance_m2))
+    if usual > np.log(1.0 / CHANCE) * (felt + missed):
+        raise UntrustedError(
+            f"The displacement is known to ± {1e3 * np.sqrt(usual):.3g} mm only (one standard deviation, median), and "
+            f"all that the accelerometer shows is {1e3 * np.sqrt(felt):.2g} mm rms: the radar lost its target too "
+            "often. Leave frames with interference out of the file, or aim the radar at a target that is seen."
+        )
+
+
+def _apart(time_ns: Nanoseconds, least_ns: int) -> list[int]:
+    """Instants (k,) in their order without those that follow the last one that is kept by less."""
+    kept: list[int] = []
+    for one in time_ns.tolist():
+        if not kept or one - kept[-1] >= least_ns:
+            kept.append(one)
+    return kept
 
 
 def _powers(

@@ -49,6 +49,9 @@ MIN_JUDGED = 15.0
 # mean once in 30 000 frames (chi squared of 19). Something else with two thirds of a target's amplitude bends its phase
 # by this variance, rad²; with as much it would lead it away.
 MODULATED_FRAMES, NOISY, MAX_BENT_RAD2 = 10.0, 2.7, 0.2
+# A frame whose amplitude is so many times as far (square) from the mean as noise and the last frames make it holds
+# something else: noise alone is once in 500 million frames.
+SUDDEN = 36.0
 # Shorter times without a target are no events, s.
 MIN_TOLD_S = 0.1
 # A target's swing has more power at its frequency than the process by which it is modelled: it is taken for so many
@@ -87,7 +90,7 @@ class RadarChain:
         """The phase of each target in a frame of phasors (channels, k) at `bins`.
 
         predictions: expected phase in rad and its variance in rad² of each target's channel at the frame's instant;
-        None, or an infinite variance, where there is none.
+        None, or a variance that is not finite, where there is none: then only changes of the expected phase are used.
         """
         if frame.phasors.shape[1] != len(self.bins):
             raise refuse("phasors", f"(channels, {len(self.bins)} bins)", frame.phasors.shape)
@@ -148,7 +151,7 @@ class _Follower:
         """The measurement of a frame; valid (channels,): None where all were received."""
         state, alone_rad = self.state, math.nan
         if given is not None:
-            alone_rad = given[0] if math.isinf(given[1]) else math.nan
+            alone_rad = math.nan if given[1] < math.inf else given[0]
             # Rounding may leave a variance below 0 where a channel's zero is hardly known.
             given = (given[0], max(given[1], 0.0)) if given[1] < math.inf else None
         self._moved_alone(time_ns, alone_rad)
@@ -239,12 +242,16 @@ class _Follower:
     def _modulated(self, strength: float) -> float:
         """Variance (rad²) by which something else that turns in the bin bends the phase: as it does the amplitude.
 
-        About the mean of the last frames, so that what changes slowly is none; 0 where noise explains it.
+        About the mean of the last frames, so that what changes slowly is none; 0 where noise explains it, infinite
+        where neither noise nor the frames before explain it: interference begins from one frame to the next.
         """
         state, own = self.state, 0.5 * self.noise_share
         away = 0.0 if math.isnan(state.strength) else strength - state.strength
+        is_sudden = away * away > SUDDEN * max(own, state.modulated)
         state.strength = strength if math.isnan(state.strength) else state.strength + away / MEMORY
         state.modulated += (away * away - state.modulated) / MODULATED_FRAMES
+        if is_sudden:
+            return math.inf
         return state.modulated - own if state.modulated > NOISY * own else 0.0
 
     def _unseen(self, time_ns: int, base: PhasePrediction, strength: float, kind: str) -> PhaseMeasurement:

@@ -4,14 +4,18 @@ Only here do thermal and vision meet. A frame in °C goes through the cleaner, t
 the cleaner learns from what the tracker found. With a temperature range the tracker gets 256 grey levels instead.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+
+from midspan.errors import MidspanError
 from midspan.records import Floats, Frame, PixelTranslation, Prediction, Region, Status
 from midspan.thermal.cleaning import PATTERN_FRAMES, Cleaned, CleaningState, ThermalCleaner
 from midspan.thermal.limits import MARGIN, Limits
-from midspan.thermal.pattern import FixedPattern
+from midspan.thermal.pattern import FixedPattern, shifted_scene
 from midspan.thermal.temperature_range import grey
 from midspan.vision.target import lost
 from midspan.vision.tracker import Tracker
@@ -19,6 +23,11 @@ from midspan.vision.tracker import Tracker
 # Temperatures of another kind on more than this share of the target are a thing in front (one in a hundred pixels is
 # its own tail); it pulls by its share of this many px: 0.17 to 0.3 px were seen with a tenth to a half covered.
 USUAL_SHARE, COVERED_PX = 0.01, 1.5
+
+# The pattern's pull on a tracker is tried on so many drawn patterns and frames, whose scene moves by this much or more
+# (standard deviation): below it the pull does not depend on the motion.
+PULL_DRAWS, PULL_FRAMES, PULL_PX, PULL_SEED = 4, 8, 0.1, 1
+TRIED_EVERY_NS = 100_000_000
 
 Opener = Callable[[Frame], Tracker]
 """Opens a tracker on a reference frame that has been made ready."""
@@ -47,6 +56,7 @@ class ThermalTarget(Tracker):
         self._pattern: FixedPattern | None = None
         self.tracker = self._opened()
         self._cleaner = ThermalCleaner(reference, region)
+        self._pull: tuple[FixedPattern, float] | None = None
 
     @property
     def region_now(self) -> Region:
@@ -145,7 +155,46 @@ class ThermalTarget(Tracker):
         found = self._cleaner.last_pattern
         if found is None:
             return 0.0
-        return found.share_std if self._pattern is not None else found.kept_share_std
+        if self._pattern is not None:
+            return found.share_std
+        if self._pull is None or self._pull[0] is not found:
+            self._pull = (found, self._pulled_share(found))
+        return self._pull[1]
+
+    def _pulled_share(self, found: FixedPattern) -> float:
+        """The share (root mean square) by which the tracker's translations are too small on the scene with patterns of
+        the strength found; the one of least squares where the tracker does not see it.
+        """
+        moved = _tried_motion(found.pictured.moved_px)
+        scenes = shifted_scene(found.pictured.scene, moved)
+        rng = np.random.default_rng(PULL_SEED)
+        shares = []
+        for _ in range(PULL_DRAWS):
+            pattern = found.pictured.spread_k * rng.normal(size=scenes[0].shape)
+            try:
+                tracks = self._tried([scene + pattern for scene in scenes])
+            except MidspanError:
+                return found.kept_share_std
+            seen = np.isfinite(tracks[:, 0])
+            if 2 * np.count_nonzero(seen) < len(seen):
+                return found.kept_share_std
+            true, own = (part[seen] - np.mean(part[seen], axis=0) for part in (moved, tracks))
+            shares.append(float(np.sum(true * (true - own)) / np.sum(true**2)))
+        share = math.sqrt(float(np.mean(np.square(shares))))
+        # A scene from which the pattern could not be taken holds it once itself: a / (1 - a) of it is a of the scene.
+        return share if found.known else share / max(1.0 - share, 0.5)
+
+    def _tried(self, scenes: Sequence[Floats]) -> Floats:
+        """Translations (n, 2), px, that a new tracker finds of a scene's pictures laid where the target is."""
+        level = float(np.median(np.asarray(self.reference.pixels, dtype=np.float64)))
+        shown = []
+        for k, scene in enumerate(scenes):
+            celsius = (level + _laid_out(scene, self.reference.pixels.shape, self.region)).astype(np.float32)
+            pixels = celsius if self.levels is None else grey(celsius, self.levels)
+            shown.append(Frame(self.reference.time_ns + k * TRIED_EVERY_NS, pixels, k))
+        tracker = self._opener(shown[0])
+        found = [tracker.push(frame) for frame in shown]
+        return np.array([(one.x_px, one.y_px) for one in found])
 
     @property
     def phase_gain_px_per_rad(self) -> tuple[float, float] | None:
@@ -169,3 +218,23 @@ class ThermalTarget(Tracker):
         if cleaned.frame is None or self.levels is None:
             return cleaned.frame
         return Frame(frame.time_ns, grey(frame.pixels, self.levels), frame.index)
+
+
+def _tried_motion(moved_px: Floats) -> Floats:
+    """PULL_FRAMES translations (n, 2), px, of those seen, from the first one on; enlarged where they are tiny."""
+    moved = moved_px[np.linspace(0, len(moved_px) - 1, PULL_FRAMES).round().astype(np.int64)]
+    moved = moved - moved[0]
+    size = float(np.sqrt(np.sum(np.var(moved, axis=0))))
+    if size == 0.0:
+        return PULL_PX * np.linspace(0.0, 2.0, PULL_FRAMES)[:, None] * np.ones(2)
+    return np.asarray(moved * max(PULL_PX / size, 1.0))
+
+
+def _laid_out(scene: Floats, shape: tuple[int, ...], region: Region) -> Floats:
+    """A picture of `shape` that holds the scene about the middle of the region, and 0 elsewhere."""
+    out = np.zeros(shape)
+    top = region.y + (region.height - scene.shape[0]) // 2
+    left = region.x + (region.width - scene.shape[1]) // 2
+    part = scene[max(-top, 0) : shape[0] - top, max(-left, 0) : shape[1] - left]
+    out[max(top, 0) : max(top, 0) + part.shape[0], max(left, 0) : max(left, 0) + part.shape[1]] = part
+    return out

@@ -33,6 +33,7 @@ from midspan.fusion.filtering import (
 )
 from midspan.fusion.forward import (
     AT,
+    AXIS,
     CHANNEL,
     MEASUREMENT_COLUMNS,
     SET_DATUM,
@@ -40,8 +41,9 @@ from midspan.fusion.forward import (
     TIME,
     UNITS_PER_M,
     WENT_BACK,
+    ZERO_VARIANCE,
 )
-from midspan.fusion.hypothesis import WEIGHT
+from midspan.fusion.hypothesis import BEGUN, WEIGHT
 from midspan.fusion.innovation import predict_value
 from midspan.fusion.model import Beginning, Block, EstimatorSettings, Filter, Left, options_of, run, tables_of
 from midspan.fusion.state_space import GAP_STEPS
@@ -60,7 +62,8 @@ from midspan.records import (
     seconds,
 )
 
-# So many measurements, or so long (s) after the first one, are waited for before rows are given out.
+# So many measurements, one of them of the sensor whose zero counts, or so long (s) after the first one, are waited for
+# before rows are given out.
 FIRST_MEASUREMENTS, FIRST_S = 8, 2.0
 # A zero longer before the first measurement than this (s) is not followed from there: the rows count from the latter.
 MAX_BEFORE_S = 10.0
@@ -89,7 +92,8 @@ class Rows:
 class EstimatorState:
     """All that an estimator remembers.
 
-    filter: None while rows are held back; integrated: only until then; overflown: measurements were dropped.
+    filter: None while rows are held back; integrated: until then, and until all zeros have begun; overflown:
+    measurements were dropped.
     """
 
     origin_ns: int | None
@@ -190,15 +194,16 @@ class Estimator:
     def predict(self, channel: int, time_ns: int) -> tuple[float, float]:
         """Expected measurement of a channel at a time after the last sample, in its unit, and the variance of that.
 
-        The last acceleration is held over a step or two; NaN where no samples come. Infinite variance: only the
-        acceleration tells, see `Integrated`.
+        The last acceleration is held over a step or two; NaN where no samples come. Until the filter and the channel's
+        zero have begun only the acceleration tells, see `Integrated`: the variance is infinite before the filter begins
+        and NaN afterwards, when measurements from before come too late.
         """
         time_s, state, alone = (time_ns - self._origin) / NANOSECONDS, self._filter, self._integrated
-        if state is None:
+        if state is None or not self._counting[channel]:
             if alone is None or not time_s - alone.time_s <= GAP_STEPS * alone.step_s:
                 return np.nan, np.inf
             known = self.settings.channels[channel]
-            return known.units_per_m * alone.at(time_s, known.axis), np.inf
+            return known.units_per_m * alone.at(time_s, known.axis), np.inf if state is None else np.nan
         if time_s - state.clock[TIME] > GAP_STEPS * state.clock[STEP]:
             return np.nan, np.inf
         value, variance = predict_value(time_s, channel, state.motion, state.clock, state.hyps, self.tables)
@@ -253,6 +258,15 @@ class Estimator:
     def _origin(self) -> int:
         return self._origin_ns or 0
 
+    @property
+    def _counting(self) -> NDArray[np.bool_]:
+        """For which channels (c,) the filter's displacement counts from their zero: an unknown zero has been met, or of
+        the known ones of the axis one.
+        """
+        known, axis = self.tables[1][:, ZERO_VARIANCE] < np.inf, self.tables[1][:, AXIS]
+        met = np.zeros(len(known), dtype=np.bool_) if self._filter is None else self._filter.hyps[2][0, :, BEGUN] > 0.0
+        return np.where(known, np.isin(axis, axis[known & met]), met)
+
     def _wait(self, record: Measured) -> None:
         if self._origin_ns is None:
             # Times are counted from the first sample, which is still to come.
@@ -296,11 +310,16 @@ class Estimator:
             early, self._early = self._early, []
             for measured in early:
                 self._wait(measured)
+        if self._filter is None or self._integrated is not None:
+            bias_m_s2 = np.array(self.settings.bias_m_s2[: self.settings.axes])
+            self._integrated = integrated(self._integrated, sample_rows(samples, self._origin), bias_m_s2)
         if self._filter is not None:
-            return self._run(self._filter, samples)
-        bias_m_s2 = np.array(self.settings.bias_m_s2[: self.settings.axes])
-        self._integrated = integrated(self._integrated, sample_rows(samples, self._origin), bias_m_s2)
-        return self._begin(samples if self._held is None else joined([self._held, samples]))
+            rows = self._run(self._filter, samples)
+        else:
+            rows = self._begin(samples if self._held is None else joined([self._held, samples]))
+        if self._filter is not None and self._counting.all():
+            self._integrated = None
+        return rows
 
     def _begin(self, held: Samples, *, ended: bool = False) -> list[Rows]:
         """Start once enough measurements are there; until then hold the samples from before the first one on."""
@@ -314,7 +333,8 @@ class Estimator:
             self._held = held
             return []
         time_s = seconds(held.time_ns, self._origin)
-        enough = rows[FIRST_MEASUREMENTS - 1, AT] if len(rows) >= FIRST_MEASUREMENTS else np.inf
+        is_enough = len(rows) >= FIRST_MEASUREMENTS and self._tells_zero(rows, first_s)
+        enough = rows[FIRST_MEASUREMENTS - 1, AT] if is_enough else np.inf
         # What the acceleration was before its first sample, the samples of some time tell.
         until_s = min(enough, first_s + FIRST_S) if first_s >= time_s[0] else time_s[0] + FIRST_S
         last = int(np.searchsorted(time_s, until_s))
@@ -337,6 +357,13 @@ class Estimator:
         zero_s = (self.settings.zero_ns - self._origin) / NANOSECONDS
         return max(zero_s, min(sampled_s, first_s)) if first_s - MAX_BEFORE_S <= zero_s < first_s else first_s
 
+    def _tells_zero(self, rows: Floats, first_s: float) -> bool:
+        """Whether one of the first measurements (m, 5) counts from the zero, or those that do are not waited for."""
+        if self.settings.zero_ns is None or self.settings.zero_ns > self._origin + (first_s + FIRST_S) * NANOSECONDS:
+            return True
+        counting = [channel.zero_std_m < np.inf for channel in self.settings.channels]
+        return bool(np.any(np.array(counting)[rows[:, CHANNEL].astype(np.int64)]))
+
     def _start(self, samples: Samples, first_s: float) -> Rows:
         """Judge the first measurements, and take the rows from a second run with what was decided."""
         block = sample_rows(samples, self._origin)
@@ -348,7 +375,7 @@ class Estimator:
             rows = np.concatenate((rows, datum)) if zero_s <= block[-1, 0] else rows
             self._waiting = in_order(np.concatenate((self._waiting, datum))) if zero_s > block[-1, 0] else self._waiting
             rows = in_order(rows)
-        self._first_s, self._integrated = first_s, None
+        self._first_s = first_s
         self.tables = tables_of(self.settings, self._origin)
         self._filter = Filter.begun(begin, self.settings)
         self.log, self._logged = Log(self.settings, begin, first_s, self._origin) if self._keep else None, 0

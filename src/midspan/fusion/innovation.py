@@ -108,8 +108,12 @@ def look(hyp, row, scene, tables, scratch):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def predict_value(time_s, c, motion, clock, hyps, tables):  # type: ignore[no-untyped-def]
-    """Expected measurement of channel `c` at a time after the last sample and its variance, over all hypotheses."""
-    xs, ps, _, memory, thetas, spreads, _ = hyps
+    """Expected measurement of channel `c` at a time after the last sample and its variance, over all hypotheses.
+
+    Before its first measurement a channel's zero is as uncertain as the table says. Hypotheses in which a zero of which
+    nothing is known has not begun say nothing; in the first it has.
+    """
+    xs, ps, marks, memory, thetas, spreads, _ = hyps
     walks, channels, kinds = tables[:3]
     axes, n, columns = len(motion), xs.shape[1], xs.shape[2]
     x, p, ph, e = np.empty((n, columns)), np.empty((n, n)), np.empty(n), np.empty(columns)
@@ -119,6 +123,9 @@ def predict_value(time_s, c, motion, clock, hyps, tables):  # type: ignore[no-un
     whole = mean = square = 0.0
     first = 0.0
     for b in range(int(clock[COUNT])):
+        zero_variance = channels[c, ZERO_VARIANCE] if marks[b, c, BEGUN] == 0.0 else 0.0
+        if not zero_variance < np.inf:
+            continue
         x[:], p[:] = xs[b], ps[b]
         for i in range(axes):
             x[3 * i + 1, 0] -= motion[i, LEAD] * motion[i, SLOPE]
@@ -133,6 +140,7 @@ def predict_value(time_s, c, motion, clock, hyps, tables):  # type: ignore[no-un
         for q in range(columns - 1):
             value -= e[1 + q] * thetas[b, q]
         variance = project(p, channels, c, ph) + quadratic(e[1:], spreads[b])
+        variance += channels[c, UNITS_PER_M] ** 2 * zero_variance
         if b == 0:
             first = value
         weight = np.exp(memory[b, WEIGHT])

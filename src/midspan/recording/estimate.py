@@ -8,7 +8,13 @@ import numpy as np
 
 from midspan.calibration.one_clock import OneClock
 from midspan.calibration.sensors.displacement import DisplacementCalibration
-from midspan.calibration.unfelt import refuse_unfelt_rows
+from midspan.calibration.unfelt import (
+    measured_rows,
+    refuse_lost_cycles,
+    refuse_steps_unseen,
+    refuse_unfelt,
+    refuse_wide,
+)
 from midspan.checks import option, path_of
 from midspan.engine.camera_result import CameraResult, camera_result, camera_series
 from midspan.engine.channels import clock_std_s, without_gain
@@ -44,7 +50,7 @@ from midspan.progress import Progress, silent
 from midspan.recording.calibrate import calibrate_and_track
 from midspan.recording.kinds import ROWS
 from midspan.recording.messages import refuse_rejections, require_same_cameras, uncalibrated
-from midspan.recording.point import measuring_point, zero_instant
+from midspan.recording.point import figures, measuring_point, zero_instant
 from midspan.recording.printed_radar import estimate_printed
 from midspan.recording.result import Result
 from midspan.recording.run import Outcome, run, used_when
@@ -57,7 +63,7 @@ from midspan.recording.tracked import (
     open_eyes,
     side_of,
 )
-from midspan.records import Channel, Estimate, Event, Innovation, Nanoseconds, joined, part
+from midspan.records import Channel, Estimate, Event, Innovation, Nanoseconds, Source, joined, part
 from midspan.settings.sensor_words import renamed
 from midspan.settings.stored.calibration import Calibration
 from midspan.settings.stored.calibration_file import load_calibration
@@ -379,7 +385,7 @@ def result_of(asked: Asked, first: FirstPass, found: Found, checked: Checked) ->
     recording, main = asked.recording, found.rows[0]
     refuse_rejections(recording, found.innovations[0])
     if not asked.by_settings.literal:
-        refuse_unfelt_rows(first.sides[0].prepared, judged(asked, first, found), found.innovations[0])
+        refuse_untrue(first, measured_rows(judged(asked, first, found), found.innovations[0]), found.events)
     sensors, radars = first.outcome.sensor_events, first.outcome.radars
     info = {view.sensor: view.radar.info for view, _ in known_sensors(first.sides[0]) if view.sensor in radars}
     fused = tuple(event for event in found.events if event.axis == 0)
@@ -428,6 +434,21 @@ def result_of(asked: Asked, first: FirstPass, found: Found, checked: Checked) ->
         zero_std_m=float(np.sqrt(found.zero_variance_m2[1])),
     )
     return replace(result, across=across)
+
+
+def refuse_untrue(first: FirstPass, rows: Estimate, events: Sequence[Event]) -> None:
+    """UntrustedError where the accelerometer contradicts the rows, or a radar has lost its target too often."""
+    main = first.sides[0]
+    refuse_unfelt(main.prepared, rows.time_ns, rows.displacement_m, rows.variance_m2)
+    settings, usual = first.estimator.settings, figures(main, main.prepared.rate_hz)
+    density = settings.misfit[0] * (usual.noise_density + usual.motion_noise_s * usual.variance)
+    steps_ns = [event.time_ns for event in events if event.kind == "clock"]
+    for view, known in known_sensors(main):
+        if view.kind == Source.RADAR.word:
+            unseen_ns = first.outcome.unseen_ns(view.sensor)
+            refuse_steps_unseen(steps_ns, unseen_ns, view.sensor)
+            refuse_lost_cycles(main.prepared, rows, unseen_ns, density, known.relative_std)
+            refuse_wide(main.prepared, rows)
 
 
 def judged(asked: Asked, first: FirstPass, found: Found) -> Estimate:

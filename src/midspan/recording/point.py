@@ -112,9 +112,7 @@ def zero_instant(
     if not eyes:
         # The first sensor's zero is that of the displacement.
         view, radar = next((view, sensors[view.sensor]) for view, _ in known_sensors(main))
-        # Of several sensors each has a zero of its own, which the first one's instant does not tie to the others'.
-        is_alone = len(list(known_sensors(main))) == 1
-        found = radar_zero_ns(view, radar) if is_alone and isinstance(radar, RadarSensor) else None
+        found = radar_zero_ns(view, radar) if isinstance(radar, RadarSensor) else None
         firsts = [] if found is None else [(view.sensor, found)]
     stamps = [
         stamp if ran is None else ran[name].first_ns(stamp)

@@ -90,6 +90,11 @@ class Outcome:
         last = np.append((np.diff(number) != 0) | (np.diff(time_ns) != 0), True)
         return part(found, order[last])
 
+    def unseen_ns(self, sensor: str) -> Nanoseconds:
+        """Stamps (k,) of a sensor's frames in which none of its targets was measured."""
+        found = self.measured_by(sensor)
+        return np.setdiff1d(found.time_ns, found.time_ns[np.isfinite(found.value)])
+
     @property
     def measured_ns(self) -> Nanoseconds:
         """Stamps (n,) of all measurements, sensor by sensor."""

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from midspan.checks import finite, refuse
 from midspan.records import Floats
 from midspan.signals.medians import MEDIAN_DEVIATION
-from midspan.thermal.pattern_share import Pictured, kept_share, share_left
+from midspan.thermal.pattern_share import Pictured, kept_share, pattern_spread, share_left
 
 MIN_TRAVEL_PX = 0.4  # standard deviation of the motion below which scene and pattern are one
 MIN_FRAMES = 8
@@ -32,13 +32,15 @@ class FixedPattern:
     """A fixed pattern (rows, columns) in K, mean 0.
 
     share_std: standard deviation of the share by which translations are too small with the pattern taken out of
-    reference and frames; kept_share_std: with the pattern left in. known: False where it could not be told from the
-    scene, and is 0 here.
+    reference and frames; kept_share_std: with the pattern left in, for a tracker of least squares. pictured: the scene,
+    its translations and both deviations that these rest on. known: False where it could not be told from the scene, and
+    is 0 here.
     """
 
     values_k: Floats
     share_std: float
     kept_share_std: float
+    pictured: Pictured
     known: bool = True
 
     def removed(self, celsius: NDArray[np.generic]) -> NDArray[np.float32]:
@@ -68,13 +70,20 @@ def estimate_pattern(frames: Floats, translation_px: Floats) -> FixedPattern:
     return _told_apart(stack, moved)
 
 
+def shifted_scene(scene: Floats, moved_px: Floats) -> list[Floats]:
+    """A picture (rows, columns) moved by each translation (n, 2), px, its edge repeated beyond it."""
+    grid = _spline(scene)
+    return [_shifted(grid, x, y) for x, y in moved_px]
+
+
 def _not_told_apart(stack: Floats, moved: Floats) -> FixedPattern:
-    """No pattern, and what it does at most: fine texture of the scene counts as pattern."""
+    """No pattern, and what it does at most to a tracker of least squares."""
     scene = np.mean(stack, axis=0)
     noise = _grain(stack[1:] - stack[:-1]) / math.sqrt(2.0)
-    spread = math.sqrt(max(_grain(scene) ** 2 - noise**2 / len(stack), 0.0))
-    kept = kept_share(Pictured(scene, moved, noise, spread))
-    return FixedPattern(np.zeros_like(scene), kept, kept, known=False)
+    finest = math.sqrt(max(_grain(scene) ** 2 - noise**2 / len(stack), 0.0))
+    pictured = Pictured(scene, moved, noise, pattern_spread(stack, moved, noise, finest))
+    kept = kept_share(pictured)
+    return FixedPattern(np.zeros_like(scene), kept, kept, pictured, known=False)
 
 
 def _grain(pictures: Floats) -> float:
@@ -104,7 +113,7 @@ def _told_apart(stack: Floats, moved: Floats) -> FixedPattern:
             share, share_std = share_left(stack, known)
             centre = np.mean(known.moved_px, axis=0)
             known = replace(known, moved_px=known.moved_px + share * (known.moved_px - centre))
-    return FixedPattern(pattern, share_std, max(kept_share(known), share_std))
+    return FixedPattern(pattern, share_std, max(kept_share(known), share_std), known)
 
 
 def _improved(stack: Floats, pattern: Floats, known: Pictured) -> tuple[Floats, Pictured]:

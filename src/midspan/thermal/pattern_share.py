@@ -19,6 +19,9 @@ GRADIENT = 0.5  # of white noise: power of the difference between the two neighb
 WIDTH_PX = 0.8  # standard deviation of the distance at which pixels, low-passed as trackers do, have noise in common
 TAPERED = 0.25  # of the sides: what is shifted in frequencies must not meet what lies beyond the other edge
 LEAST_DETERMINED = 1e-9  # of the frames' number squared: below it scene and pattern are the same
+FINEST = 0.25  # cycles/px from which the pattern's strength is read: a lens leaves little of the scene there
+SPREAD_STEPS = 20  # of the weights, which settle within ten
+MAIN_LOBE = 3.0  # frequencies that the taper makes one
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,6 +88,38 @@ def kept_share(known: Pictured) -> float:
     # The scene's mean holds the pattern as well.
     near = _near(away)
     return near * pattern / max(power, pattern, 1e-12)
+
+
+def pattern_spread(frames: Floats, moved_px: Floats, noise_k: float, largest_k: float) -> float:
+    """Standard deviation of a pixel's fixed pattern, K, with one deviation of its own added; `largest_k` at most.
+
+    frames (n, rows, columns) less their levels, whose scene has moved by moved_px (n, 2) about its mean. Per spatial
+    frequency what moves with the factor exp(-2πi f·d_k) is the scene and what stays the pattern, by least squares; the
+    pattern's power is what the noise leaves of its estimates (R. DerSimonian and N. Laird, Controlled Clinical Trials
+    7, 1986, 177, doi 10.1016/0197-2456(86)90046-2). Motion of a twentieth of a pixel tells it.
+    """
+    rows, columns = frames.shape[1:]
+    taper = np.outer(np.hanning(rows + 2)[1:-1], np.hanning(columns + 2)[1:-1])
+    down, right = np.fft.fftfreq(rows)[:, None], np.fft.fftfreq(columns)
+    fine = np.hypot(down, right) > FINEST
+    shown = np.fft.fft2(frames * taper)[:, fine]
+    turns = np.exp(
+        -2j
+        * np.pi
+        * (moved_px[:, 1, None] * (down + 0.0 * right)[fine] + moved_px[:, 0, None] * (right + 0.0 * down)[fine])
+    )
+    mean = np.mean(turns, axis=0)
+    power = np.maximum(np.sum(np.abs(turns - mean) ** 2, axis=0), LEAST_DETERMINED)
+    scene = np.sum(np.conj(turns - mean) * shown, axis=0) / power
+    square = np.abs(np.mean(shown, axis=0) - scene * mean) ** 2 / np.sum(taper**2)
+    variance = noise_k**2 * (1.0 / len(frames) + np.abs(mean) ** 2 / power)
+    spread2 = largest_k**2
+    weights = np.zeros_like(variance)
+    for _ in range(SPREAD_STEPS):
+        weights = 1.0 / np.maximum(variance + spread2, 1e-12) ** 2
+        spread2 = max(float(np.sum(weights * (square - variance)) / np.sum(weights)), 0.0)
+    scatter = np.sqrt(2.0 * MAIN_LOBE * np.sum((weights * (variance + spread2)) ** 2)) / np.sum(weights)
+    return float(np.sqrt(min(spread2 + scatter, largest_k**2)))
 
 
 def _near(away: Floats) -> float:

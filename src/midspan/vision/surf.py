@@ -121,25 +121,44 @@ def hessian(integral: Floats, size: int, step: int) -> tuple[Floats32, Floats32]
     area = 1.0 / (size * size)
     first = (half + step - 1) // step
     last = (columns - 1 - half) // step if columns > half else -1
+    count = last - first + 1
+    if count <= 0:
+        return determinant, trace
+    # Each line is worked on in contiguous parts, all columns at once, and every `step`-th of them is kept.
+    begin, width = first * step, step * (count - 1) + 1
     across, along, mixed = np.empty(columns + 1), np.empty(columns + 1), np.empty(columns + 1)
+    of_determinant, of_trace = np.empty(width), np.empty(width)
     for i in range(first, determinant.shape[0]):
         r = i * step
         if r + half >= rows:
             break
+        lobe_top, lobe_bottom = integral[r - lobe + 1], integral[r + lobe]
+        top, third_top = integral[r - half], integral[r - third]
+        bottom, third_bottom = integral[r + half + 1], integral[r + third + 1]
+        above, here, below, far_below = integral[r - lobe], integral[r], integral[r + 1], integral[r + lobe + 1]
         for c in range(columns + 1):
-            across[c] = integral[r + lobe, c] - integral[r - lobe + 1, c]
-            middle = integral[r + third + 1, c] - integral[r - third, c]
-            along[c] = integral[r + half + 1, c] - integral[r - half, c] - 3.0 * middle
-            below = integral[r + lobe + 1, c] - integral[r + 1, c]
-            mixed[c] = integral[r, c] - integral[r - lobe, c] - below
-        for j in range(first, last + 1):
-            c = j * step
-            xx = across[c + half + 1] - across[c - half] - 3.0 * (across[c + third + 1] - across[c - third])
-            yy = along[c + lobe] - along[c - lobe + 1]
-            xy = mixed[c + lobe + 1] - mixed[c + 1] - mixed[c] + mixed[c - lobe]
-            determinant[i, j] = (xx * yy - CROSS_WEIGHT * xy * xy) * area * area
-            trace[i, j] = (xx + yy) * area
+            across[c] = lobe_bottom[c] - lobe_top[c]
+            along[c] = bottom[c] - top[c] - 3.0 * (third_bottom[c] - third_top[c])
+            mixed[c] = here[c] - above[c] - (far_below[c] - below[c])
+        outer_right, outer_left = _part(across, begin + half + 1, width), _part(across, begin - half, width)
+        inner_right, inner_left = _part(across, begin + third + 1, width), _part(across, begin - third, width)
+        right, left = _part(along, begin + lobe, width), _part(along, begin - lobe + 1, width)
+        far_right, near_right = _part(mixed, begin + lobe + 1, width), _part(mixed, begin + 1, width)
+        near_left, far_left = _part(mixed, begin, width), _part(mixed, begin - lobe, width)
+        for j in range(width):
+            xx = outer_right[j] - outer_left[j] - 3.0 * (inner_right[j] - inner_left[j])
+            yy = right[j] - left[j]
+            xy = far_right[j] - near_right[j] - near_left[j] + far_left[j]
+            of_determinant[j] = (xx * yy - CROSS_WEIGHT * xy * xy) * area * area
+            of_trace[j] = (xx + yy) * area
+        determinant[i, first : first + count] = of_determinant[::step]
+        trace[i, first : first + count] = of_trace[::step]
     return determinant, trace
+
+
+@njit(cache=True)
+def _part(line: Floats, begin: int, width: int) -> Floats:
+    return line[begin : begin + width]
 
 
 @njit(cache=True)
@@ -189,9 +208,10 @@ def _peaks(stack: Floats32, trace: Floats32, sizes: NDArray[np.int64], step: int
     for k in range(1, stack.shape[0] - 1):
         rim = (sizes[k + 1] // 2 + step - 1) // step + 1
         for r in range(rim, stack.shape[1] - rim):
+            line = stack[k, r]
             for c in range(rim, stack.shape[2] - rim):
-                value = stack[k, r, c]
-                if value <= threshold or value < stack[k, r, c + 1] or value < stack[k, r, c - 1]:
+                value = line[c]
+                if value <= threshold or value < line[c + 1] or value < line[c - 1]:
                     continue  # most samples end here
                 if not _is_peak(stack, k, r, c):
                     continue
@@ -275,11 +295,11 @@ def orientation(integral: Floats, x: float, y: float, scale: float) -> float:
 
 
 @njit(cache=True)
-def _describe(integral: Floats, blob: Floats, upright: bool, window: Floats, out: Floats32) -> None:
-    """Sums of dx, dy, |dx|, |dy| over 4 by 4 fields of 5 by 5 Haar responses, in the blob's frame, unit length."""
+def _describe(integral: Floats, blob: Floats, window: Floats, out: Floats32) -> None:
+    """Sums of dx, dy, |dx|, |dy| over 4 by 4 fields of 5 by 5 Haar responses, in the blob's frame."""
     scale = blob[2] * SCALE_OF_SIZE
     reach = max(round(scale), 1)
-    angle = 0.0 if upright else orientation(integral, blob[0], blob[1], scale)
+    angle = orientation(integral, blob[0], blob[1], scale)
     cos, sin = math.cos(angle), math.sin(angle)
     for i in range(20):
         v = i - 9.5
@@ -294,6 +314,40 @@ def _describe(integral: Floats, blob: Floats, upright: bool, window: Floats, out
             out[place + 1] += dv
             out[place + 2] += abs(du)
             out[place + 3] += abs(dv)
+
+
+@njit(cache=True)
+def _describe_upright(integral: Floats, blob: Floats, window: Floats, out: Floats32) -> None:
+    """The same sums without orientation: all wavelets lie on 20 rows and 20 columns, which are looked up once."""
+    rows, columns = integral.shape[0] - 1, integral.shape[1] - 1
+    scale = blob[2] * SCALE_OF_SIZE
+    reach = max(round(scale), 1)
+    left, centre, right = np.empty(20, np.int64), np.empty(20, np.int64), np.empty(20, np.int64)
+    for j in range(20):
+        c = round(blob[0] + scale * (j - 9.5))
+        left[j], right[j] = min(max(c - reach, 0), columns), min(max(c + reach, 0), columns)
+        centre[j] = min(max(c, 0), columns)
+    for i in range(20):
+        r = round(blob[1] + scale * (i - 9.5))
+        top, bottom = integral[min(max(r - reach, 0), rows)], integral[min(max(r + reach, 0), rows)]
+        middle = integral[min(max(r, 0), rows)]
+        for j in range(20):
+            at_left, at_centre, at_right = left[j], centre[j], right[j]
+            sides = bottom[at_right] + bottom[at_left] - top[at_right] - top[at_left]
+            dx = sides - 2.0 * (bottom[at_centre] - top[at_centre])
+            all_below = bottom[at_right] - bottom[at_left] + top[at_right] - top[at_left]
+            dy = all_below - 2.0 * (middle[at_right] - middle[at_left])
+            weight = window[i] * window[j]
+            du, dv = weight * dx, weight * dy
+            place = 4 * (4 * (i // 5) + j // 5)
+            out[place] += du
+            out[place + 1] += dv
+            out[place + 2] += abs(du)
+            out[place + 3] += abs(dv)
+
+
+@njit(cache=True)
+def _to_unit_length(out: Floats32) -> None:
     norm = 0.0
     for value in out:
         norm += float(value) * float(value)
@@ -307,7 +361,11 @@ def describe(integral: Floats, blobs: Floats, upright: bool) -> Floats32:
     out = np.zeros((blobs.shape[0], VALUES), dtype=np.float32)
     window = np.exp(-((np.arange(20) - 9.5) ** 2) / (2.0 * 3.3 * 3.3))
     for k in range(blobs.shape[0]):
-        _describe(integral, blobs[k], upright, window, out[k])
+        if upright:
+            _describe_upright(integral, blobs[k], window, out[k])
+        else:
+            _describe(integral, blobs[k], window, out[k])
+        _to_unit_length(out[k])
     return out
 
 
