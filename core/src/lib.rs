@@ -4,6 +4,7 @@
 //! words them. Each file opens with what it computes and from which equation. `py` converts arrays and errors and
 //! computes nothing.
 
+pub mod estimator;
 pub mod radar;
 pub mod signals;
 
@@ -16,5 +17,6 @@ use pyo3::prelude::*;
 fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
     py::signals::register(module)?;
-    py::radar::register(module)
+    py::radar::register(module)?;
+    py::estimator::register(module)
 }

@@ -1,5 +1,6 @@
 //! What Python sees: arrays become slices and results become arrays; nothing is computed here.
 
+pub mod estimator;
 pub mod radar;
 pub mod signals;
 
