@@ -18,5 +18,6 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
     py::signals::register(module)?;
     py::radar::register(module)?;
-    py::estimator::register(module)
+    py::estimator::register(module)?;
+    py::printed::register(module)
 }

@@ -88,6 +88,13 @@ impl Lag {
         }
     }
 
+    /// How many samples, decided and undecided measurements are held.
+    pub fn held(&mut self) -> (usize, usize, usize) {
+        self.collect();
+        let own = self.window.as_ref().map_or((0, 0), |one| (one.samples.len(), one.decided.len()));
+        (own.0, own.1, self.estimator.undecided().len())
+    }
+
     /// All that is remembered.
     pub fn memory(&mut self) -> LagMemory {
         self.collect();

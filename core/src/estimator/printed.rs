@@ -73,7 +73,7 @@ pub struct Printed {
     pub time_s: f64,
     /// The acceleration held, m/s².
     pub input: f64,
-    /// The noise variance R of a frame, m²; None before the first frame.
+    /// The noise variance R of a frame, m².
     pub noise: f64,
     /// Running mean of the innovation's square beyond the declared noise, m².
     pub beyond: f64,
@@ -85,6 +85,15 @@ pub struct Printed {
     pub source: u8,
     /// Variance of the acceleration of the last interval.
     pub input_noise: f64,
+}
+
+/// What R is of the first frames.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Start {
+    /// As given, m²; None: the first declared variance and `held_noise`.
+    pub noise: Option<f64>,
+    /// What the held acceleration adds, m².
+    pub held_noise: f64,
 }
 
 /// What is given of a sample.
@@ -122,6 +131,33 @@ struct Carried {
 }
 
 impl Printed {
+    /// At the first sample, from which times count; until the first frame nothing is known of the position that the printed
+    /// start puts to zero.
+    pub fn new(bias: f64, velocity_std: f64, displacement_std: f64) -> Self {
+        Self {
+            x: 0.0,
+            v: 0.0,
+            bias,
+            p: Covariance { v: velocity_std * velocity_std, ..Covariance::default() },
+            time_s: 0.0,
+            input: 0.0,
+            noise: 0.0,
+            beyond: displacement_std * displacement_std,
+            count: 0.0,
+            accepted_s: f64::NEG_INFINITY,
+            source: 0,
+            input_noise: 0.0,
+        }
+    }
+
+    /// Before the first frame: its noise.
+    pub fn begin(&mut self, frames: &[Frame], start: Start) {
+        let first = frames.iter().find(|one| one.at_s >= self.time_s);
+        if let (true, Some(first)) = (self.count == 0.0, first) {
+            self.noise = start.noise.unwrap_or(first.variance_m2 + start.held_noise);
+        }
+    }
+
     /// Equation 7: A(dt) x + B(dt) a.
     fn hold(&mut self, dt: f64, a: f64) {
         self.x += dt * self.v + 0.5 * dt * dt * a;

@@ -183,7 +183,8 @@ impl PyParameter {
     }
 }
 
-fn state_error(error: StateError) -> PyErr {
+/// Why bytes are no state, as Python's error.
+pub fn state_error(error: StateError) -> PyErr {
     PyValueError::new_err(match error {
         StateError::Damaged => "state: cut short or changed".to_owned(),
         StateError::OtherVersion(version) => format!("state: version {version}"),
@@ -519,6 +520,11 @@ impl PyLag {
 
     fn parameters(&self) -> Parameters {
         parameters(&self.own.estimator)
+    }
+
+    /// How many samples, decided and undecided measurements are held.
+    fn held(&mut self) -> (usize, usize, usize) {
+        self.own.held()
     }
 
     fn state<'py>(&mut self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {

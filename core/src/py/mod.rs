@@ -1,6 +1,7 @@
 //! What Python sees: arrays become slices and results become arrays; nothing is computed here.
 
 pub mod estimator;
+pub mod printed;
 pub mod radar;
 pub mod signals;
 

@@ -20,8 +20,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from midspan.fusion.forward import add_noise, predict_covariance
-from midspan.fusion.state_space import (
+from midspan.calibration.state_space import (
     P00,
     P01,
     P02,
@@ -29,11 +28,13 @@ from midspan.fusion.state_space import (
     TIME,
     V,
     X,
+    add_noise,
     advance_covariance,
     advance_mean,
     begin_interval,
     initial_state,
     input_response,
+    predict_covariance,
     update_covariance,
 )
 from midspan.records import Floats

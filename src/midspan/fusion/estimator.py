@@ -133,7 +133,7 @@ def pushed(
     return [rows_of(one, settings.channels, max_waiting) for one in found]
 
 
-def restore(core: _core.Estimator | _core.Lag, state: NDArray[np.uint8]) -> None:
+def restore(core: _core.Estimator | _core.Lag | _core.PrintedFilter, state: NDArray[np.uint8]) -> None:
     """Let the core go on from its own bytes; DataError where they are not of a stream with the same settings."""
     try:
         core.restore(state.tobytes())
