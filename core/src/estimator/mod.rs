@@ -22,6 +22,7 @@
 
 pub mod acceptance;
 pub mod cause;
+pub mod coast;
 pub mod decided;
 pub mod hypotheses;
 pub mod hypothesis;

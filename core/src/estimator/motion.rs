@@ -5,6 +5,8 @@
 //! filter errs by 31 % (delay of half a sample). A displacement at any instant inside an interval is met exactly: the
 //! input's response is a cubic in the time since the interval's start.
 
+use super::layout::motion_of;
+use super::matrix::Matrix;
 use super::settings::MAX_AXES;
 use serde::{Deserialize, Serialize};
 
@@ -37,6 +39,34 @@ impl AxisMotion {
     }
 }
 
+impl AxisMotion {
+    /// Begins an interval of length `dt` at whose end the acceleration is `now`; a: the axis, whose velocity state is brought
+    /// to it.
+    ///
+    /// The velocity state of the Numerov rule is the true velocity plus lead · a'. Where the length of the intervals changes,
+    /// so does the lead, and the state is moved by the difference.
+    #[inline(always)]
+    pub fn begin(&mut self, now: f64, dt: f64, lead: f64, x: &mut Matrix, a: usize, gain_of: &[Option<usize>]) {
+        let slope = (now - self.input) / dt;
+        if lead != self.lead {
+            self.correct(slope, lead, x, a, gain_of);
+        }
+        (self.lead, self.slope) = (lead, slope);
+    }
+
+    /// Moves a velocity state by the difference of two leads.
+    #[inline(always)]
+    pub fn correct(&self, slope: f64, lead: f64, x: &mut Matrix, a: usize, gain_of: &[Option<usize>]) {
+        let (moved, i) = ((lead - self.lead) * 0.5 * (self.slope + slope), motion_of(a) + 1);
+        x[(i, 0)] += moved;
+        for (q, &of) in gain_of.iter().enumerate() {
+            if of == Some(a) {
+                x[(i, 1 + q)] -= moved;
+            }
+        }
+    }
+}
+
 /// What an input adds to displacement and velocity.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Response {
@@ -60,6 +90,13 @@ impl Clock {
     pub fn lead(&self, end_s: f64) -> f64 {
         let dt = end_s - self.time_s;
         if dt <= GAP_STEPS * self.step_s { dt * dt / 12.0 } else { 0.0 }
+    }
+
+    /// Goes on to the end of an interval.
+    #[inline(always)]
+    pub fn advance(&mut self, end_s: f64) {
+        self.step_s = (end_s - self.time_s).min(GAP_STEPS * self.step_s);
+        self.time_s = end_s;
     }
 
     /// Whether the interval that ends at `end_s` is a gap.

@@ -22,11 +22,13 @@ pub fn adapt(mark: &mut Mark, error: f64, predicted: f64, own: f64, memory: f64)
         mark.rests_on = mark.rests_on.min(ANEW);
     }
     let rests = mark.rests_on.min(memory - 1.0);
+    // In units of the measurement's own variance.
+    let (predicted_share, square, inverse) = (predicted / own, error * error / own, 1.0 / (rests + 1.0));
     let mut ratio = 1.0;
     for _ in 0..ITERATIONS {
-        let share = ratio * own / (predicted + ratio * own);
-        let remaining = (error * share) * (error * share) / own + share * predicted / own;
-        ratio = (rests + remaining) / (rests + 1.0);
+        let share = ratio / (predicted_share + ratio);
+        let remaining = share * (square * share + predicted_share);
+        ratio = (rests + remaining) * inverse;
     }
     mark.factor *= ratio;
     mark.rests_on = rests + 1.0;

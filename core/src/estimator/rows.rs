@@ -4,7 +4,6 @@ use super::cause::{Cause, Decision};
 use super::hypothesis::{Contradiction, Hypothesis};
 use super::innovation::{Mixed, Mixture};
 use super::layout::motion_of;
-use super::matrix::quadratic;
 use super::model::{Model, instant};
 use super::motion::{AxisMotion, Clock};
 use super::samples::{BRIDGED, View};
@@ -181,15 +180,7 @@ pub fn row_of(hyp: &Hypothesis, axis: usize, model: &Model) -> Mixed {
     }
     variance = model.misfit[axis] * variance.max(0.0);
     if !hyp.parameters.is_empty() {
-        let relative = |q: usize| x[(i, 1 + q)] - datum.map_or(0.0, |d| x[(d, 1 + q)]);
-        for (q, &parameter) in hyp.parameters.iter().enumerate() {
-            let own = relative(q);
-            value += own * parameter;
-            velocity += x[(i + 1, 1 + q)] * parameter;
-            for r in 0..hyp.parameters.len() {
-                variance += own * hyp.spread[(q, r)] * relative(r);
-            }
-        }
+        hyp.add_parameters(axis, datum, (&mut value, &mut variance, &mut velocity));
     }
     Mixed { value, variance, velocity }
 }
@@ -248,7 +239,18 @@ pub fn mixed(found: &[Rows], weights: &[f64]) -> Rows {
     whole
 }
 
-/// Variance of one axis' sensitivities (k,) by the parameters' covariance.
-pub fn parameter_variance(sensitivity: &[f64], hyp: &Hypothesis) -> f64 {
-    quadratic(sensitivity, &hyp.spread)
+impl Hypothesis {
+    /// Adds the parameters' part to a row of an axis.
+    pub fn add_parameters(&self, axis: usize, datum: Option<usize>, (value, variance, velocity): (&mut f64, &mut f64, &mut f64)) {
+        let (i, x) = (motion_of(axis), &self.x);
+        let relative = |q: usize| x[(i, 1 + q)] - datum.map_or(0.0, |d| x[(d, 1 + q)]);
+        for (q, &parameter) in self.parameters.iter().enumerate() {
+            let own = relative(q);
+            *value += own * parameter;
+            *velocity += x[(i + 1, 1 + q)] * parameter;
+            for r in 0..self.parameters.len() {
+                *variance += own * self.spread[(q, r)] * relative(r);
+            }
+        }
+    }
 }

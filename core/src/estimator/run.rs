@@ -5,6 +5,7 @@
 
 use super::acceptance::{accept, find_step};
 use super::cause::{Cause, Decision, GATE, VAGUE, apply};
+use super::coast::Leave;
 use super::decided::{Survivor, Undecided};
 use super::hypotheses::Hypotheses;
 use super::hypothesis::{Doubt, Hypothesis};
@@ -108,8 +109,20 @@ impl Filter {
         if let Judge::Decided { back: Some(back), .. } = judge {
             back.note_uncertain(&work.uncertain);
         }
-        let (mut next, mut ordered) = (0, 0);
-        for (k, &end_s) in block.time_s.iter().enumerate() {
+        let (mut next, mut ordered, mut k) = (0, 0, 0);
+        while let Some(&end_s) = block.time_s.get(k) {
+            if self.hyps.count() == 1 {
+                let before_s = block.items.get(next).map_or(f64::INFINITY, |item| item.at_s);
+                let back = match judge {
+                    Judge::Decided { back, .. } => back.as_deref_mut(),
+                    Judge::Open { .. } => None,
+                };
+                let reached = self.coast(model, block, k, before_s, &work.uncertain, &mut Leave { rows: rows.as_deref_mut(), back });
+                if reached > k {
+                    k = reached;
+                    continue;
+                }
+            }
             let begun_s = self.clock.time_s;
             let (dt, gap) = (end_s - begun_s, self.clock.is_gap(end_s));
             let density = &block.samples.density[k * axes..(k + 1) * axes];
@@ -134,7 +147,7 @@ impl Filter {
             if dt > reached {
                 self.advance(model, reached, dt, density, work);
             }
-            self.clock.time_s = end_s;
+            self.clock.advance(end_s);
             if gap {
                 self.hyps.doubt_all();
             }
@@ -149,6 +162,7 @@ impl Filter {
             if let Judge::Decided { back: Some(back), .. } = judge {
                 back.leave_node(self.hyps.best(), &self.motion, &self.clock, model, (block.samples, k));
             }
+            k += 1;
         }
     }
 
@@ -164,28 +178,17 @@ impl Filter {
     }
 
     /// Brings the velocity states of all axes to the interval that ends at `end_s`.
-    ///
-    /// The velocity state of the Numerov rule is the true velocity plus lead · a'. Where the length of the intervals
-    /// changes, so does the lead, and the state is moved by the difference.
-    #[inline]
     fn begin_interval(&mut self, model: &Model, now: &[f64], end_s: f64) {
         let (dt, lead) = (end_s - self.clock.time_s, self.clock.lead(end_s));
         for (a, axis) in self.motion.iter_mut().enumerate() {
             let slope = (now[a] - axis.input) / dt;
             if lead != axis.lead {
-                let (moved, i) = ((lead - axis.lead) * 0.5 * (axis.slope + slope), motion_of(a) + 1);
                 for hyp in self.hyps.all_mut() {
-                    hyp.x[(i, 0)] += moved;
-                    for (q, &of) in model.gain_of.iter().enumerate() {
-                        if of == Some(a) {
-                            hyp.x[(i, 1 + q)] -= moved;
-                        }
-                    }
+                    axis.correct(slope, lead, &mut hyp.x, a, &model.gain_of);
                 }
             }
             (axis.lead, axis.slope) = (lead, slope);
         }
-        self.clock.step_s = dt.min(super::motion::GAP_STEPS * self.clock.step_s);
     }
 
     /// Moves all hypotheses within the interval.

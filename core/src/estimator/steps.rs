@@ -57,6 +57,8 @@ pub struct StepTest {
     /// states that the filter does not know (n).
     sums: Matrix,
     columns: usize,
+    /// Whether any lane has changed a state (n,): the others' rows are 0.
+    changed: Vec<bool>,
 }
 
 /// The parameters of a hypothesis and what is known of its group, by which steps are weighed.
@@ -82,13 +84,15 @@ impl StepTest {
             next: 0,
             sums: Matrix::zeros(1 + columns + n, LANES),
             columns,
+            changed: vec![false; n],
         }
     }
 
     /// Forgets all.
     pub fn clear(&mut self) {
-        if self.instants.iter().any(Option::is_some) {
+        if self.any() {
             self.sums.elements_mut().fill(0.0);
+            self.changed.fill(false);
         }
         self.instants = [None; INSTANTS];
         (self.carried_s, self.taken_over, self.next) = (0.0, 0.0, 0);
@@ -98,6 +102,7 @@ impl StepTest {
     pub fn copy_from(&mut self, other: &Self) {
         if self.any() || other.any() {
             self.sums.copy_from(&other.sums);
+            self.changed.clone_from(&other.changed);
         }
         self.instants = other.instants;
         (self.carried_s, self.taken_over, self.next) = (other.carried_s, other.taken_over, other.next);
@@ -107,6 +112,7 @@ impl StepTest {
     pub fn fits(&self, n: usize, columns: usize) -> bool {
         self.columns == columns
             && self.next < INSTANTS
+            && self.changed.len() == n
             && self.sums.width() == LANES
             && self.sums.elements().len() == (1 + columns + n) * LANES
     }
@@ -157,10 +163,12 @@ impl StepTest {
             self.sums[(quantity, INSTANTS + place)] = 0.0;
         }
         for shift in zeros {
+            self.changed[shift] = true;
             let row = self.state(shift);
             self.sums[(row, place)] = 1.0;
         }
         // It happened some time since the measurement before.
+        self.changed[motion_of(axis)..motion_of(axis) + 2].fill(true);
         let i = self.state(motion_of(axis));
         self.sums[(i, INSTANTS + place)] = 0.5 * (instant.since_s - last_s);
         self.sums[(i + 1, INSTANTS + place)] = 1.0;
@@ -172,7 +180,7 @@ impl StepTest {
             return;
         }
         let mut signature = [0.0; LANES];
-        for entry in &row.entries {
+        for entry in row.entries.iter().filter(|one| self.changed[one.state]) {
             let state = self.state(entry.state);
             for (out, &changed) in signature.iter_mut().zip(self.sums.row(state)) {
                 *out += entry.factor * changed;
@@ -190,6 +198,7 @@ impl StepTest {
         for (j, &own) in gain.iter().enumerate() {
             if own != 0.0 {
                 let state = self.state(j);
+                self.changed[j] = true;
                 for (changed, one) in self.sums.row_mut(state).iter_mut().zip(signature) {
                     *changed -= own * one;
                 }
@@ -210,7 +219,8 @@ impl StepTest {
     /// or the size is below its deviation.
     fn odds(&self, lane: usize, prior: f64, weighed: &Weighed, least: f64) -> Option<f64> {
         let (known, matched) = self.matched(lane, weighed.parameters);
-        if known <= 0.0 {
+        // Most are refused here, without a division.
+        if known <= 0.0 || matched * matched <= known {
             return None;
         }
         let most = |chi: f64| prior + weighed.even + 0.5 * (chi / weighed.misfit + LOG_2PI);
