@@ -13,8 +13,8 @@ use super::matrix::{Matrix, quadratic};
 use super::model::Model;
 use super::motion::{AxisMotion, Clock};
 use super::row::Entry;
-use super::rows::{AxisRows, leave_status, zero_variance};
-use super::samples::View;
+use super::rows::{AxisRows, Status, status_of, zero_variance};
+use super::samples::{BRIDGED, View};
 use super::waiting::{Item, Timed};
 
 /// A smoothed variance is no smaller than this share of the filtered one: beyond it rounding speaks.
@@ -106,25 +106,58 @@ impl WayBack {
         }
     }
 
-    /// Adds a sample.
+    /// Adds samples at these times (s), whose nodes and statuses are to be put; returns the number of the first.
+    pub fn add_samples(&mut self, time_s: &[f64]) -> usize {
+        let first = self.time_s.len();
+        self.time_s.extend_from_slice(time_s);
+        let count = self.time_s.len();
+        self.nodes.resize(count * self.axes * 2 * (self.columns + self.size), 0.0);
+        for one in &mut self.statuses {
+            one.source.resize(count, 0);
+            one.status.resize(count, 0);
+        }
+        first
+    }
+
+    /// Puts what the filter found of a sample along an axis; datum: the state that its rows count from.
     #[inline]
-    pub fn leave_node(&mut self, hyp: &Hypothesis, motion: &[AxisMotion], clock: &Clock, model: &Model, at: (View, usize)) {
-        self.time_s.push(clock.time_s);
-        for (a, axis) in motion.iter().enumerate() {
-            let (i, datum) = (motion_of(a), model.datum.as_ref().map(|datum| datum[a]));
-            let first = self.nodes.len();
-            let (x, p) = (&hyp.x, &hyp.p);
-            self.nodes.extend_from_slice(x.row(i));
-            self.nodes.extend_from_slice(x.row(i + 1));
-            self.nodes[first + self.columns] -= axis.ahead();
-            self.nodes.extend_from_slice(p.row(i));
-            self.nodes.extend_from_slice(p.row(i + 1));
-            if let Some(d) = datum {
-                let (places, covariances) = self.nodes[first..].split_at_mut(2 * self.columns);
-                subtract(places, x.row(d));
-                subtract(covariances, p.row(d));
+    pub fn put_node(&mut self, k: usize, a: usize, hyp: &Hypothesis, axis: &AxisMotion, datum: Option<usize>) {
+        let (i, columns, n) = (motion_of(a), self.columns, self.size);
+        let stride = 2 * (columns + n);
+        let first = (k * self.axes + a) * stride;
+        let (x, p) = (&hyp.x, &hyp.p);
+        let (places, rest) = self.nodes[first..first + stride].split_at_mut(columns);
+        let (speeds, rest) = rest.split_at_mut(columns);
+        let (pc, pv) = rest.split_at_mut(n);
+        places.copy_from_slice(x.row(i));
+        speeds.copy_from_slice(x.row(i + 1));
+        speeds[0] -= axis.ahead();
+        pc.copy_from_slice(p.row(i));
+        pv.copy_from_slice(p.row(i + 1));
+        if let Some(d) = datum {
+            subtract(places, x.row(d));
+            // The motion's rows hold its covariances with the datum; the datum's may be behind.
+            for j in 0..n {
+                pc[j] -= if j / MOTION_STATES == a { p[(j, d)] } else { p[(d, j)] };
             }
-            leave_status(hyp, a, clock, model, at, &mut self.statuses[a]);
+        }
+    }
+
+    /// Puts source and status of a sample's row along an axis.
+    #[inline]
+    pub fn put_status(&mut self, k: usize, a: usize, source: u8, status: u8) {
+        let one = &mut self.statuses[a];
+        (one.source[k], one.status[k]) = (source, status);
+    }
+
+    /// Adds a sample with all its nodes.
+    pub fn leave_node(&mut self, hyp: &Hypothesis, motion: &[AxisMotion], clock: &Clock, model: &Model, at: (View, usize)) {
+        let k = self.add_samples(&[clock.time_s]);
+        for (a, axis) in motion.iter().enumerate() {
+            self.put_node(k, a, hyp, axis, model.datum.as_ref().map(|datum| datum[a]));
+            let (source, status) = status_of(hyp, a, model, clock.time_s);
+            let bridged = at.0.kind[at.1] == BRIDGED;
+            self.put_status(k, a, source, if bridged { status.max(Status::Coasting) } else { status } as u8);
         }
     }
 

@@ -55,7 +55,7 @@ pub struct StepTest {
     next: usize,
     /// Of each lane the sum of its information, of signature times innovation (1 + k), and what it has changed of the
     /// states that the filter does not know (n).
-    sums: Matrix,
+    sums: Vec<[f64; LANES]>,
     columns: usize,
     /// Whether any lane has changed a state (n,): the others' rows are 0.
     changed: Vec<bool>,
@@ -82,7 +82,7 @@ impl StepTest {
             carried_s: 0.0,
             taken_over: 0.0,
             next: 0,
-            sums: Matrix::zeros(1 + columns + n, LANES),
+            sums: vec![[0.0; LANES]; 1 + columns + n],
             columns,
             changed: vec![false; n],
         }
@@ -91,7 +91,7 @@ impl StepTest {
     /// Forgets all.
     pub fn clear(&mut self) {
         if self.any() {
-            self.sums.elements_mut().fill(0.0);
+            self.sums.fill([0.0; LANES]);
             self.changed.fill(false);
         }
         self.instants = [None; INSTANTS];
@@ -101,7 +101,7 @@ impl StepTest {
     /// Becomes a copy.
     pub fn copy_from(&mut self, other: &Self) {
         if self.any() || other.any() {
-            self.sums.copy_from(&other.sums);
+            self.sums.clone_from(&other.sums);
             self.changed.clone_from(&other.changed);
         }
         self.instants = other.instants;
@@ -113,8 +113,7 @@ impl StepTest {
         self.columns == columns
             && self.next < INSTANTS
             && self.changed.len() == n
-            && self.sums.width() == LANES
-            && self.sums.elements().len() == (1 + columns + n) * LANES
+            && self.sums.len() == 1 + columns + n
     }
 
     fn any(&self) -> bool {
@@ -142,11 +141,9 @@ impl StepTest {
         if dt == 0.0 || !self.any() {
             return;
         }
-        let (half, first) = (0.5 * dt * dt, self.state(motion_of(axis)) * LANES);
-        let rows = &mut self.sums.elements_mut()[first..first + 3 * LANES];
-        let (places, rest) = rows.split_at_mut(LANES);
-        let (speeds, biases) = rest.split_at_mut(LANES);
-        for ((place, speed), &bias) in places.iter_mut().zip(speeds.iter_mut()).zip(biases.iter()) {
+        let (half, first) = (0.5 * dt * dt, self.state(motion_of(axis)));
+        let [places, speeds, biases] = &mut self.sums[first..first + 3] else { return };
+        for ((place, speed), &bias) in places.iter_mut().zip(speeds).zip(biases.iter()) {
             *place += dt * *speed - half * bias;
             *speed -= dt * bias;
         }
@@ -158,20 +155,20 @@ impl StepTest {
         self.next = (place + 1) % INSTANTS;
         self.taken_over = 0.0;
         self.instants[place] = Some(instant);
-        for quantity in 0..self.sums.height() {
-            self.sums[(quantity, place)] = 0.0;
-            self.sums[(quantity, INSTANTS + place)] = 0.0;
+        for quantity in &mut self.sums {
+            quantity[place] = 0.0;
+            quantity[INSTANTS + place] = 0.0;
         }
         for shift in zeros {
             self.changed[shift] = true;
             let row = self.state(shift);
-            self.sums[(row, place)] = 1.0;
+            self.sums[row][place] = 1.0;
         }
         // It happened some time since the measurement before.
         self.changed[motion_of(axis)..motion_of(axis) + 2].fill(true);
         let i = self.state(motion_of(axis));
-        self.sums[(i, INSTANTS + place)] = 0.5 * (instant.since_s - last_s);
-        self.sums[(i + 1, INSTANTS + place)] = 1.0;
+        self.sums[i][INSTANTS + place] = 0.5 * (instant.since_s - last_s);
+        self.sums[i + 1][INSTANTS + place] = 1.0;
     }
 
     /// Adds an innovation `e` (1 + k) and its variance to the sums; gain (n,): K of its update.
@@ -181,59 +178,51 @@ impl StepTest {
         }
         let mut signature = [0.0; LANES];
         for entry in row.entries.iter().filter(|one| self.changed[one.state]) {
-            let state = self.state(entry.state);
-            for (out, &changed) in signature.iter_mut().zip(self.sums.row(state)) {
-                *out += entry.factor * changed;
-            }
+            add_times(&mut signature, &self.sums[1 + self.columns + entry.state], entry.factor);
         }
-        let share = signature.map(|one| one / total);
-        for ((sum, one), other) in self.sums.row_mut(0).iter_mut().zip(signature).zip(share) {
+        let (inverse, mut share) = (1.0 / total, [0.0; LANES]);
+        add_times(&mut share, &signature, inverse);
+        let (information, sums) = self.sums.split_at_mut(1);
+        for ((sum, one), other) in information[0].iter_mut().zip(&signature).zip(&share) {
             *sum += one * other;
         }
-        for (q, &error) in e.iter().enumerate() {
-            for (sum, one) in self.sums.row_mut(1 + q).iter_mut().zip(share) {
-                *sum += one * error;
-            }
+        for (sum, &error) in sums.iter_mut().zip(e) {
+            add_times(sum, &share, error);
         }
-        for (j, &own) in gain.iter().enumerate() {
+        for ((sum, &own), changed) in sums[self.columns..].iter_mut().zip(gain).zip(&mut self.changed) {
             if own != 0.0 {
-                let state = self.state(j);
-                self.changed[j] = true;
-                for (changed, one) in self.sums.row_mut(state).iter_mut().zip(signature) {
-                    *changed -= own * one;
-                }
+                *changed = true;
+                add_times(sum, &signature, -own);
             }
         }
     }
 
     /// The information of a lane, and signature times innovation with the parameters.
     fn matched(&self, lane: usize, parameters: &[f64]) -> (f64, f64) {
-        let mut matched = self.sums[(1, lane)];
+        let mut matched = self.sums[1][lane];
         for (q, &value) in parameters.iter().enumerate() {
-            matched += self.sums[(2 + q, lane)] * value;
+            matched += self.sums[2 + q][lane] * value;
         }
-        (self.sums[(0, lane)], matched)
+        (self.sums[0][lane], matched)
     }
 
     /// Logarithm of the odds of a cause of any size, each decade of which is as likely; None where they are below `least`
     /// or the size is below its deviation.
     fn odds(&self, lane: usize, prior: f64, weighed: &Weighed, least: f64) -> Option<f64> {
         let (known, matched) = self.matched(lane, weighed.parameters);
-        // Most are refused here, without a division.
-        if known <= 0.0 || matched * matched <= known {
+        // Most are refused here, without a division: chi-square is not what the odds would need.
+        let needed = (2.0 * (least - prior - weighed.even) - LOG_2PI) * weighed.misfit;
+        if known <= 0.0 || matched * matched <= known * needed.max(1.0) {
             return None;
         }
         let most = |chi: f64| prior + weighed.even + 0.5 * (chi / weighed.misfit + LOG_2PI);
         let mut chi = matched * matched / known;
-        if !(chi > 1.0 && most(chi) > least) {
-            return None;
-        }
         if !weighed.parameters.is_empty() {
             // The innovations have the parameters' errors in common: they are no step.
             let mut shared = 0.0;
             for q in 0..weighed.parameters.len() {
                 for r in 0..weighed.parameters.len() {
-                    shared += self.sums[(2 + q, lane)] * weighed.spread[(q, r)] * self.sums[(2 + r, lane)];
+                    shared += self.sums[2 + q][lane] * weighed.spread[(q, r)] * self.sums[2 + r][lane];
                 }
             }
             chi = matched * matched / (known + shared);
@@ -266,18 +255,26 @@ impl StepTest {
         let (known, matched) = self.matched(place, parameters);
         let variance = 1.0 / known;
         for i in 0..p.width() {
-            let changed = self.sums[(self.state(i), place)];
+            let changed = self.sums[self.state(i)][place];
             if changed == 0.0 {
                 continue;
             }
             for (q, value) in x.row_mut(i).iter_mut().enumerate() {
-                *value += changed * self.sums[(1 + q, place)] * variance;
+                *value += changed * self.sums[1 + q][place] * variance;
             }
             for j in 0..p.width() {
-                p[(i, j)] += changed * self.sums[(self.state(j), place)] * variance;
+                p[(i, j)] += changed * self.sums[self.state(j)][place] * variance;
             }
         }
         Contradiction { size: matched / known, variance, ago_s: 0.0 }
+    }
+}
+
+/// Adds a row times a factor.
+#[inline(always)]
+fn add_times(to: &mut [f64; LANES], row: &[f64; LANES], factor: f64) {
+    for (sum, one) in to.iter_mut().zip(row) {
+        *sum += one * factor;
     }
 }
 
@@ -295,7 +292,7 @@ pub fn scale_changed(tests: &mut [StepTest], j: usize, factor: f64) {
     }
     for test in tests {
         let state = test.state(j);
-        for changed in test.sums.row_mut(state) {
+        for changed in &mut test.sums[state] {
             *changed *= factor;
         }
     }
