@@ -7,7 +7,7 @@ amplitude against the exact displacement -a/ω², so it counts a delay as well a
 
 import numpy as np
 
-from midspan.fusion.state_space import input_response
+from midspan.calibration.state_space import input_response
 
 RATE_HZ = 100.0
 dt = 1.0 / RATE_HZ

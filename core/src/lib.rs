@@ -4,6 +4,7 @@
 //! words them. Each file opens with what it computes and from which equation. `py` converts arrays and errors and
 //! computes nothing.
 
+pub mod estimator;
 pub mod likelihood;
 pub mod radar;
 pub mod signals;
@@ -18,5 +19,7 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
     py::likelihood::register(module)?;
     py::signals::register(module)?;
-    py::radar::register(module)
+    py::radar::register(module)?;
+    py::estimator::register(module)?;
+    py::printed::register(module)
 }

@@ -192,7 +192,7 @@ import os
 real = os.path.isdir
 os.path.isdir = lambda path: path not in ("/tmp", "/var/tmp", "/dev/shm") and real(path)
 import midspan
-from midspan.fusion.state_space import input_response
+from midspan.calibration.state_space import input_response
 print(os.environ.get("NUMBA_CACHE_DIR"), input_response(1.0, 2.0, 3.0, 3.0, 0.0)[1])
 """
 

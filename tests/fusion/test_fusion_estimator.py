@@ -15,7 +15,6 @@ from estimator_cases import (
 )
 
 from midspan.fusion.estimator import Estimator
-from midspan.fusion.forward import CHANNEL, SET_DATUM, WENT_BACK
 from midspan.fusion.model import EstimatorSettings, Parameter, ParameterKind
 from midspan.records import Event, Samples, Source, Status, joined, part, seconds
 
@@ -217,9 +216,10 @@ def test_an_overflow_drops_no_datum_and_no_mark_of_stamps_that_went_back(monkeyp
     stream.push(Event(int(measured.time_ns[50]), "backwards", ""))
     for k in range(30, 300):
         stream.push(part(measured, slice(k, k + 1)))
-    marks = stream.state.waiting[stream.state.waiting[:, CHANNEL] < 0.0]
-    assert marks[:, CHANNEL].tolist() == [WENT_BACK, SET_DATUM]
-    assert len(stream.state.waiting) == 102
+    _, channels = stream.core.waiting()
+    # Stamps that went back, then the datum.
+    assert [c for c in channels if c < 0] == [-2, -1]
+    assert len(channels) == 102
     rows = joined([one.estimates[0] for one in stream.push(part(samples, slice(300, None)))])
     # Rows count from the datum: the next one is as far from it as the velocity says, to half of 1 m/s² times (10 ms)².
     at = int(np.searchsorted(rows.time_ns, datum_ns))
@@ -242,8 +242,8 @@ def test_measurements_that_wait_for_samples_are_bounded_and_an_overflow_is_told_
         events += stream.push(part(samples, slice(300)))
     for k in range(done, 300):
         stream.push(part(measured, slice(k, k + 1)))
-        assert len(stream.state.waiting) <= 100
-        assert len(stream.state.early) <= 100
+        assert len(stream.core.waiting()[0]) <= 100
+        assert stream.core.early() <= 100
     stream.restore(stream.state)
     events += stream.push(part(samples, slice(300 if begun else 0, 2000)))
     rest = stream.push(part(samples, slice(2000, None)))

@@ -72,8 +72,8 @@ def states_at(theta, acceleration, dt=0.02, variance=1e30):
     stream.push(displacement_block(met, np.zeros(len(met)), variance))
     outputs = [*stream.push(acceleration_block(time, acceleration, 2e-3)), *stream.finish()]
     innovation = joined([item for item in outputs if isinstance(item, Innovation)])
-    hyps = stream.state.filter.hyps
-    return -innovation.value_m[-1], (hyps[0][0, :3, 0], hyps[1][0, :3, :3])
+    _, x, p = stream._estimator.core.filter()
+    return -innovation.value_m[-1], (x[:3, 0], p[:3, :3])
 
 
 @settings(deadline=None)

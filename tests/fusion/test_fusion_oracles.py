@@ -6,7 +6,7 @@ import pytest
 from fusion_oracles import acceleration_block, chain, condition, displacement_block, filtered, van_loan, walk_at_end
 
 from midspan.evaluate.bound import KnownNoise, closed_bound
-from midspan.fusion.state_space import P00, P01, P02, P11, P12, P22, advance_covariance, initial_state
+from midspan.calibration.state_space import P00, P01, P02, P11, P12, P22, advance_covariance, initial_state
 from midspan.fusion.streams import NO_ERRORS, KalmanSettings, smooth
 
 # No gate: the dense solution believes everything. Moderate prior spreads keep the dense solve well conditioned.

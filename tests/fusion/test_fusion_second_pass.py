@@ -4,16 +4,13 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from estimator_cases import camera, estimated, measured_of, oscillating, samples_of, scores, sensor_of
+from estimator_cases import estimated, measured_of, oscillating, samples_of, scores, sensor_of
 from test_fusion_estimator import settings_of, spoilt
 from test_fusion_estimator_faults import CASES
 
-from midspan.fusion.decisions import Decided
 from midspan.fusion.estimator import BLOCK, Estimator
-from midspan.fusion.forward import AT, MEASUREMENT_COLUMNS
-from midspan.fusion.hypothesis import GOOD, LOST, OUTLIER, SPREAD
-from midspan.fusion.model import EstimatorSettings, tables_of
-from midspan.fusion.second_pass import Lag, smooth, unforeseen
+from midspan.fusion.model import EstimatorSettings
+from midspan.fusion.second_pass import Lag, smooth
 from midspan.records import joined, part
 
 LENGTH_S = 120.0
@@ -132,16 +129,3 @@ def test_an_error_of_the_acceleration_is_in_the_band_from_its_beginning():
     assert np.mean(inside) > 0.9
     # Nothing is known of the motion within half a second; but the ends of it are.
     assert max(worst) < 20e-3
-
-
-def test_outliers_of_the_cause_that_a_wrong_state_explains_are_asked_again():
-    # Every third of a second; one outlier long before, then a state that is led away and contradicts sound measurements
-    # on both sides of one that it took.
-    codes = np.array([GOOD, OUTLIER, *[GOOD] * 9, OUTLIER, GOOD, OUTLIER, OUTLIER, GOOD, OUTLIER, LOST, GOOD])
-    rows = np.zeros((len(codes), MEASUREMENT_COLUMNS))
-    rows[:, AT] = np.arange(len(codes)) / 3.0
-    settings = EstimatorSettings((camera(),))
-    _, taken_as = unforeseen(Decided(rows, codes, np.ones((len(codes), 3))), tables_of(settings)[1])
-    again = np.flatnonzero(taken_as - codes == SPREAD)
-    assert again.tolist() == [11, 13, 14, 16, 17]
-    assert np.all(taken_as[np.setdiff1d(np.arange(len(codes)), again)] == np.delete(codes, again))

@@ -177,8 +177,7 @@ def test_what_is_held_does_not_grow():
         time, met = 20.0 * block + np.arange(2000) / 100.0, 20.0 * block + np.arange(200) / 10.0 + 0.003
         stream.push(displacement_block(met, rng.normal(0, 1e-4, 200) + 5e-3 * (rng.random(200) < 0.1), 1e-8))
         stream.push(acceleration_block(time, rng.normal(0, 2e-3, 2000), 4e-8))
-        state = stream.state
-        sizes.append(len(state.samples.time_ns) + len(state.decided.rows) + len(state.estimator.undecided.rows))
+        sizes.append(sum(stream._estimator.core.held()))
     # The lag and a quarter of it, and what is not decided yet.
     assert max(sizes[3:]) < 1000
 

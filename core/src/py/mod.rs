@@ -1,6 +1,8 @@
 //! What Python sees: arrays become slices and results become arrays; nothing is computed here.
 
+pub mod estimator;
 pub mod likelihood;
+pub mod printed;
 pub mod radar;
 pub mod signals;
 

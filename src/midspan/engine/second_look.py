@@ -15,7 +15,6 @@ from midspan.engine.order import BACKWARDS, KINDS
 from midspan.engine.sensor_series import SensorSeries, series_of
 from midspan.engine.support import Support
 from midspan.fusion.estimator import BLOCK, Estimator, Log, Rows
-from midspan.fusion.forward import AT, CHANNEL, WENT_BACK
 from midspan.fusion.model import EstimatorSettings, ParameterKind
 from midspan.fusion.streams import KalmanSettings
 from midspan.records import (
@@ -25,9 +24,7 @@ from midspan.records import (
     Estimate,
     Event,
     Measured,
-    Nanoseconds,
     joined,
-    nanoseconds,
     part,
 )
 
@@ -118,21 +115,15 @@ def with_scales(settings: EstimatorSettings, found: Mapping[tuple[str, int], flo
     return replace(settings, parameters=tuple(parameters))
 
 
-def went_back_ns(log: Log) -> Nanoseconds:
-    """Instants (k,) from which on the first pass had clocks in doubt, as stamps had gone back."""
-    found = [one.rows[one.rows[:, CHANNEL] == WENT_BACK, AT] for one in log.decided]
-    return nanoseconds(np.concatenate(found), log.origin_ns)
-
-
 def once_more(settings: EstimatorSettings, log: Log, measured: Sequence[Measured]) -> tuple[Log, list[Rows]]:
     """The estimator run again over the samples and measurements of a whole record, as the first pass logged it.
 
     Where stamps went back in the first pass they do so again: the samples are cut there.
     """
-    estimator, out, samples = Estimator(settings, log=True), list[Rows](), joined(log.samples)
+    estimator, out, samples = Estimator(settings, log=True), list[Rows](), log.samples
     rows = joined(measured)
     rows = part(rows, np.argsort(rows.time_ns, kind="stable"))
-    back_ns = went_back_ns(log)
+    back_ns = log.went_back_ns
     cuts = np.searchsorted(samples.time_ns, back_ns, side="right")
     edges = np.unique(np.concatenate((np.arange(0, len(samples.time_ns), BLOCK), cuts, [len(samples.time_ns)])))
     done = 0

@@ -108,3 +108,55 @@ def update_covariance(s: Floats, k: tuple[float, float, float], variance: float)
     s[P11] += k1 * k1 * total - 2.0 * k1 * p01
     s[P12] += k1 * k2 * total - k1 * p02 - k2 * p01
     s[P22] += k2 * k2 * total - 2.0 * k2 * p02
+
+
+@njit(cache=True, inline="always")
+def predict_across(p, i, k, dt, half):  # type: ignore[no-untyped-def]
+    """Phi P Phi' of the covariances between the motions of two axes, whose first states are `i` and `k`."""
+    for j in range(k, k + 3):
+        p[i, j] += dt * p[i + 1, j] - half * p[i + 2, j]
+        p[i + 1, j] -= dt * p[i + 2, j]
+    for j in range(i, i + 3):
+        p[j, k] += dt * p[j, k + 1] - half * p[j, k + 2]
+        p[j, k + 1] -= dt * p[j, k + 2]
+        for c in range(k, k + 3):
+            p[c, j] = p[j, c]
+
+
+@njit(cache=True, inline="always")
+def predict_covariance(p, axes, dt, walks, uncertain, count):  # type: ignore[no-untyped-def]
+    """Phi P Phi' over `dt` seconds, and the walks (n,) of all states; the acceleration's noise is `add_noise`.
+
+    uncertain (count,): the states after the motion's that have a variance or walk; nothing is to be done for the others.
+    """
+    moving, half = 3 * axes, 0.5 * dt * dt
+    for i in range(0, moving, 3):
+        p01, p02, p11, p12, p22 = p[i, i + 1], p[i, i + 2], p[i + 1, i + 1], p[i + 1, i + 2], p[i + 2, i + 2]
+        m01 = p01 + (dt * p11 - half * p12)
+        m02 = p02 + (dt * p12 - half * p22)
+        m12 = p12 - dt * p22
+        p[i, i] += (dt * p01 - half * p02) + (dt * m01 - half * m02)
+        p[i, i + 1] = p[i + 1, i] = m01 - dt * m02
+        p[i, i + 2] = p[i + 2, i] = m02
+        p[i + 1, i + 1] = (p11 - dt * p12) - dt * m12
+        p[i + 1, i + 2] = p[i + 2, i + 1] = m12
+        p[i + 2, i + 2] = p22 + walks[i + 2] * dt
+        for k in range(i + 3, moving, 3):
+            predict_across(p, i, k, dt, half)
+        for q in range(count):
+            j = uncertain[q]
+            v, b = p[i + 1, j], p[i + 2, j]
+            p[i, j] = p[j, i] = p[i, j] + (dt * v - half * b)
+            p[i + 1, j] = p[j, i + 1] = v - dt * b
+    for q in range(count):
+        p[uncertain[q], uncertain[q]] += walks[uncertain[q]] * dt
+
+
+@njit(cache=True, inline="always")
+def add_noise(p, i, dt, density):  # type: ignore[no-untyped-def]
+    """Noise of the acceleration over `dt` seconds, along the axis whose displacement is state `i`."""
+    half = 0.5 * density * dt * dt
+    p[i, i] += density * dt * dt * dt / 3.0
+    p[i, i + 1] += half
+    p[i + 1, i] += half
+    p[i + 1, i + 1] += density * dt

@@ -1,0 +1,514 @@
+//! The causes of what a measurement is: how often each is met, how likely it makes an innovation, and what it does to the
+//! filter, side by side.
+//!
+//! The priors are rates: how often each is met in the field. The likelihood of what is measured later, by any channel,
+//! decides between them ([`super::hypotheses`]).
+
+use super::acceptance::{accept, find_step};
+use super::hypothesis::{Burst, Contradiction, Doubt, Hypothesis, LastShift, Mark, Memory};
+use super::innovation::{Innovation, Scene, Work, look};
+use super::matrix::Matrix;
+use super::model::Model;
+use super::noise::ANEW;
+use super::predict::add_noise;
+use super::update::scale_state;
+use serde::{Deserialize, Serialize};
+
+/// Innovations beyond this number of standard deviations are asked what happened: one in 16 000 is by chance.
+pub const GATE: f64 = 4.0;
+/// A measurement this many times (in variance) as far off as predicted is an outlier until the next one says otherwise: 100
+/// deviations. The least weight of anything else would move the rows by that share of whatever size it has.
+pub const WILD: f64 = 1e4;
+/// A prediction whose variance is this many times the measurement's own cannot tell an outlier from a measurement inside
+/// the gate: later ones decide. At 25 an outlier at the gate moves the state by five times what a sound one leaves.
+pub const VAGUE: f64 = 25.0;
+/// The share of outliers is that of this number of measurements.
+pub const OUTLIER_MEMORY: f64 = 20.0;
+/// It is never more than this: a sensor that is mostly wrong cannot be distinguished from one that has shifted.
+const MAX_OUTLIERS: f64 = 0.3;
+/// Errors of unknown size lie within this number of decades above the noise.
+pub const DECADES: f64 = 4.0;
+/// What goes on as an error of the acceleration is so often one of the bias, which a state led away holds too.
+const BIAS_TOO: f64 = 0.05;
+/// Of the gaps and steps back in the stamps of a stream this share is one clock's step against the others.
+const P_STEPPED: f64 = 0.1;
+/// Errors of the acceleration up to this many times (in variance) its noise are met more often: 30 deviations. At 100
+/// lively records (`python -m benchmarks broad`) had measurements rejected that were right.
+const ROUGH: f64 = 1000.0;
+/// Shortest time (s) that a rate is taken over.
+pub const SHORTEST_S: f64 = 1e-3;
+const LOG_2PI: f64 = 1.837_877_066_409_345_3;
+
+/// What is known of a shift's size beforehand.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Prior {
+    /// Nothing: the innovation tells it.
+    AnySize,
+    /// Nothing, nor does the innovation tell it, but those after it.
+    ToldLater,
+    /// The zero is where it was before its last shift, or the sensor's clock is.
+    FormerZero,
+}
+
+/// What may have happened to a measurement.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Cause {
+    /// It is good: where it lies far off, one of the few that do so by chance.
+    Good,
+    /// It is wrong, by any amount; the next ones may be so too, and may keep its value.
+    Outlier,
+    /// The channel's zero has moved, and stays.
+    Shift(Prior),
+    /// The prediction is wrong: the acceleration errs by more than its noise, and may go on to do so.
+    Wrong,
+    /// The motion's state is wrong, its bias too: an earlier measurement led it away.
+    Lost,
+    /// The channel's noise has risen.
+    Noise,
+    /// The sensor's clock has stepped against the accelerometer's: it measures the motion of another time.
+    Clock,
+    /// It is good, and by the innovations up to it the sensor's zero has stepped at an earlier one.
+    StepBefore,
+}
+
+/// What a measurement was taken for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Decision {
+    /// The cause.
+    pub cause: Cause,
+    /// An error of the acceleration that went on has just ended.
+    pub burst_ended: bool,
+    /// The prediction was wrong, and the samples' noise holds it since the last good measurement (second pass).
+    pub explained: bool,
+}
+
+impl Decision {
+    /// A good measurement.
+    pub const GOOD: Self = Self::of(Cause::Good);
+    /// A good measurement that tells an earlier step.
+    pub const STEP_BEFORE: Self = Self::of(Cause::StepBefore);
+
+    /// One cause and nothing else.
+    pub const fn of(cause: Cause) -> Self {
+        Self { cause, burst_ended: false, explained: false }
+    }
+
+    /// Whether it is left out.
+    pub fn is_outlier(self) -> bool {
+        self.cause == Cause::Outlier
+    }
+}
+
+/// A measurement in one hypothesis, before it is decided what it is.
+pub struct Situation<'a> {
+    scene: &'a Scene<'a>,
+    mark: &'a Mark,
+    memory: &'a Memory,
+    marks: &'a [Mark],
+    seen: Innovation,
+    /// Mean of the shift's state, its variance, and its entry of P h.
+    shift: (f64, f64, f64),
+    /// Whether it is one of the first and may be an outlier even inside the gate.
+    first: bool,
+    /// Variance of the sharpest prediction that any hypothesis has of it.
+    sharpest: f64,
+    inside: bool,
+    /// Whether the outliers before it, or of the same frame, make another one likely.
+    runs: bool,
+    /// Time in which it may have happened, s: among outliers any since the last measurement that was none.
+    lapse: f64,
+}
+
+impl<'a> Situation<'a> {
+    /// Of a hypothesis that has just looked at the measurement.
+    pub fn new(
+        hyp: &'a Hypothesis,
+        scene: &'a Scene,
+        seen: Innovation,
+        ph: &[f64],
+        (first, sharpest): (bool, f64),
+    ) -> Self {
+        let (mark, memory, s) = (&hyp.marks[scene.row.channel], &hyp.memory, scene.channel.shift);
+        let same_frame = memory.outlier == Some((scene.at_s, scene.channel.sensor));
+        Self {
+            scene,
+            mark,
+            memory,
+            marks: &hyp.marks,
+            shift: (hyp.x[(s, 0)], hyp.p[(s, s)], ph[s]),
+            first,
+            sharpest,
+            inside: seen.within(GATE),
+            runs: mark.outliers > 0.0 || same_frame,
+            lapse: (scene.at_s - mark.accepted_s.max(memory.began_s)).max(SHORTEST_S),
+            seen,
+        }
+    }
+
+    fn p_outlier(&self) -> f64 {
+        let rates = &self.scene.model.rates;
+        if self.runs { rates.stays } else { rates.outlier.max(self.mark.share.min(MAX_OUTLIERS)) }
+    }
+
+    /// Whether it is asked what else than an outlier it may be: of the first measurements it is not, as what is met once an
+    /// hour is not met just then.
+    fn asked(&self) -> bool {
+        let wild = self.mark.outliers == 0.0 && self.seen.error * self.seen.error > WILD * self.seen.total();
+        !self.inside && !self.first && !wild
+    }
+
+    fn normal(&self) -> f64 {
+        log_normal(self.seen.error, self.seen.total())
+    }
+
+    fn any_size(&self) -> f64 {
+        log_any_size(self.seen.error, self.seen.total())
+    }
+
+    /// The density of a wrong measurement; a value near the first outlier's says nothing against the sensor where no
+    /// hypothesis can tell the motion.
+    fn wrong_or_kept(&self) -> f64 {
+        let wrong = log_wrong(self.seen.error, self.seen.total(), self.seen.own);
+        if self.mark.outliers > 0.0 {
+            let again = log_normal(self.scene.row.value - self.mark.kept, (2.0 * self.seen.own).max(self.sharpest));
+            return wrong.max(again);
+        }
+        wrong
+    }
+
+    /// The variance that a step of the clock adds, in the channel's unit.
+    fn apart(&self) -> f64 {
+        let g = self.scene.channel.row.units_per_m;
+        self.scene.channel.apart.variance_m2 * g * g
+    }
+
+    /// How likely it is that the sensor's clock has stepped: 0 where another channel of the same frame agrees.
+    fn clock_rate(&self) -> f64 {
+        let (scene, rates) = (self.scene, &self.scene.model.rates);
+        for (o, (mark, channel)) in self.marks.iter().zip(&scene.model.channels).enumerate() {
+            if o != scene.row.channel && channel.sensor == scene.channel.sensor {
+                if mark.stepped {
+                    return rates.stays;
+                }
+                if mark.accepted_s == scene.at_s {
+                    return 0.0;
+                }
+            }
+        }
+        if self.mark.doubt == Doubt::None { met_within(rates.clock, self.lapse) } else { P_STEPPED }
+    }
+
+    /// Whether a step of the clock is asked for inside the gate: after a gap not where the prediction may be off by more
+    /// than what one makes.
+    fn doubted(&self) -> bool {
+        match self.mark.doubt {
+            Doubt::None | Doubt::Since(_) => false,
+            Doubt::Once => true,
+            Doubt::Gap => self.seen.total() < self.apart(),
+        }
+    }
+}
+
+impl Cause {
+    /// What a measurement is asked for, in this order.
+    pub const CANDIDATES: [Self; 8] = [
+        Self::Good,
+        Self::Outlier,
+        Self::Shift(Prior::AnySize),
+        Self::Shift(Prior::FormerZero),
+        Self::Wrong,
+        Self::Lost,
+        Self::Noise,
+        Self::Clock,
+    ];
+
+    /// Logarithm of how often it is met times how likely it makes the innovation; -inf: it is not considered.
+    pub fn log_weight(self, at: &Situation) -> f64 {
+        let (seen, rates) = (&at.seen, &at.scene.model.rates);
+        if at.mark.stepped {
+            // What it measures of another instant neither is an outlier nor says that the motion's state is wrong.
+            return match self {
+                Self::Good => log_normal(seen.error, seen.total().max(seen.error * seen.error)),
+                Self::Shift(Prior::FormerZero) => weight_of_return(at),
+                _ => f64::NEG_INFINITY,
+            };
+        }
+        match self {
+            Self::Good => (1.0 - at.p_outlier()).ln() + at.normal(),
+            Self::Outlier if at.mark.outliers > 0.0 => 0.5f64.ln() + at.wrong_or_kept() + at.p_outlier().ln(),
+            Self::Outlier if at.runs || at.first || !at.inside || seen.wider > VAGUE * seen.own => {
+                at.wrong_or_kept() + at.p_outlier().ln()
+            }
+            Self::Shift(Prior::FormerZero) if at.mark.shifted && !at.inside => weight_of_return(at),
+            Self::Shift(Prior::AnySize) if at.asked() => weight_of_shift(at),
+            Self::Wrong if at.asked() => {
+                let led = led_away(seen.error / at.scene.channel.row.units_per_m, at.lapse);
+                let rate = if led < ROUGH * at.scene.density { rates.rough } else { rates.wrong };
+                met_within(rate, at.lapse).ln() + at.any_size()
+            }
+            Self::Lost => weight_of_lost(at),
+            Self::Noise if at.asked() => noise_within(at).ln() + at.any_size(),
+            Self::Clock if !at.first && (!at.inside || at.doubted()) => weight_of_clock(at),
+            _ => f64::NEG_INFINITY,
+        }
+    }
+}
+
+/// A shift is asked for its return outside the gate only; a clock that has stepped explains every measurement.
+fn weight_of_return(at: &Situation) -> f64 {
+    let (g, (mean, variance, ph)) = (at.scene.channel.row.units_per_m, at.shift);
+    // Without the shift's state: its mean comes back to the innovation, its variance goes.
+    let rest = at.seen.wider - 2.0 * g * ph + g * g * variance;
+    let returned = log_normal(at.seen.error + g * mean, rest.max(0.0) + at.seen.own);
+    let rates = &at.scene.model.rates;
+    let lapse = (at.scene.at_s - at.mark.met_s).max(SHORTEST_S);
+    met_within(if at.mark.stepped { rates.clock } else { rates.back }, lapse).ln() + returned
+}
+
+fn weight_of_shift(at: &Situation) -> f64 {
+    let (rates, g) = (&at.scene.model.rates, at.scene.channel.row.units_per_m);
+    let same_frame = |one: &LastShift| one.at_s == at.scene.at_s && one.sensor == at.scene.channel.sensor;
+    match at.memory.shift.filter(same_frame) {
+        // The sensor moved: all its targets shift, mostly by the same.
+        Some(shift) => {
+            let alike = log_normal(at.seen.error - g * shift.size_m, 2.0 * at.seen.own);
+            (0.5 * rates.stays).ln() + at.any_size().max(alike)
+        }
+        None => met_within(rates.shift, at.lapse).ln() + at.any_size(),
+    }
+}
+
+fn weight_of_lost(at: &Situation) -> f64 {
+    let rates = &at.scene.model.rates;
+    let goes_on = if at.memory.burst.is_some() { BIAS_TOO.ln() + at.normal() } else { f64::NEG_INFINITY };
+    if !at.asked() {
+        return goes_on;
+    }
+    let led = met_within(rates.lost, at.lapse).ln();
+    let anew = if at.mark.outliers > 0.0 {
+        // With each outlier it becomes more likely that the state was wrong before the first of them.
+        (led - at.mark.outliers * (0.5 * rates.stays).ln()).min(rates.outlier.ln()) + at.wrong_or_kept()
+    } else {
+        led + at.any_size()
+    };
+    goes_on.max(anew)
+}
+
+fn weight_of_clock(at: &Situation) -> f64 {
+    if at.mark.shifted || at.apart() == 0.0 {
+        return f64::NEG_INFINITY;
+    }
+    at.clock_rate().ln() + log_normal(at.seen.error, at.seen.total() + at.apart())
+}
+
+/// How likely a sensor's noise rose within a lapse.
+fn noise_within(at: &Situation) -> f64 {
+    let rates = &at.scene.model.rates;
+    let noisier = met_within(rates.noise, at.lapse);
+    if rates.noise > 0.0 && at.mark.doubt.lasts() && at.seen.wider <= VAGUE * at.seen.own {
+        // A clock that is a little off is noise: the motion of some milliseconds. So is a tenth of those that step.
+        return noisier.max(P_STEPPED * P_STEPPED);
+    }
+    noisier
+}
+
+/// What became of a measurement, for the way back.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Taken {
+    /// The innovation's variance that it was taken with, infinite where it began a zero; None: not at all.
+    pub total: Option<f64>,
+    /// The factor by which the shift's state was scaled.
+    pub shift_scaled: f64,
+}
+
+/// Turns a hypothesis into what a measurement makes of it.
+pub fn apply(decision: Decision, hyp: &mut Hypothesis, scene: &Scene, work: &mut Work) -> Taken {
+    let c = scene.row.channel;
+    let lapse = (scene.at_s - hyp.marks[c].met_s).max(SHORTEST_S);
+    hyp.memory.decision = decision;
+    hyp.memory.age = if decision == Decision::GOOD { hyp.memory.age + 1.0 } else { 0.0 };
+    hyp.marks[c].met_s = scene.at_s;
+    let doubt = hyp.marks[c].doubt;
+    let mut seen = look(hyp, scene, work);
+    if !(doubt.lasts() && decision.is_outlier()) {
+        let good = matches!(decision.cause, Cause::Good | Cause::StepBefore);
+        hyp.marks[c].doubt = doubt.after(seen.wider / seen.own, good);
+    }
+    // Whether the samples' noise since then explains it: then it was the prediction that was wrong.
+    let explained = decision.explained && seen.within(GATE);
+    let told = Contradiction { size: seen.error, variance: seen.total(), ago_s: 0.0 };
+    let mut shift_scaled = 1.0;
+    match decision.cause {
+        Cause::Outlier if !explained => {
+            reject(hyp, scene);
+            hyp.memory.met = told;
+            if decision.burst_ended {
+                hyp.memory.burst = None;
+            }
+            return Taken { total: None, shift_scaled };
+        }
+        Cause::Good | Cause::Outlier | Cause::StepBefore => {}
+        cause => {
+            if cause == Cause::Shift(Prior::FormerZero) {
+                shift_scaled = 0.0;
+            }
+            change(cause, hyp, scene, &Change { seen, doubt, lapse, explained }, work);
+            seen = look(hyp, scene, work);
+        }
+    }
+    if hyp.marks[c].stepped && !seen.within(GATE) {
+        // The two instants are farther apart than usual, as in a passage: rejected, or taken for an error of the motion's
+        // state, it would leave the acceleration alone or begin a velocity that nothing moves with.
+        let (s, off) = (scene.channel.shift, seen.error / scene.channel.row.units_per_m);
+        hyp.p[(s, s)] += off * off;
+        seen = look(hyp, scene, work);
+    }
+    let total = accept(hyp, scene, &seen, work);
+    hyp.memory.met = told;
+    if decision.cause == Cause::StepBefore {
+        find_step(hyp, scene, f64::NEG_INFINITY);
+    } else if decision.burst_ended {
+        hyp.memory.burst = None;
+    }
+    Taken { total: Some(total), shift_scaled }
+}
+
+/// Leaves out a measurement as an outlier.
+fn reject(hyp: &mut Hypothesis, scene: &Scene) {
+    let mark = &mut hyp.marks[scene.row.channel];
+    if mark.outliers == 0.0 {
+        // From value to value a fast sensor always keeps its own; stuck is one that keeps the first.
+        mark.kept = scene.row.value;
+    }
+    mark.outliers += 1.0;
+    mark.share += (1.0 - mark.share) / OUTLIER_MEMORY;
+    hyp.memory.outlier = Some((scene.at_s, scene.channel.sensor));
+}
+
+/// What a change of the filter starts from.
+struct Change {
+    seen: Innovation,
+    doubt: Doubt,
+    lapse: f64,
+    /// The samples' noise holds the error already.
+    explained: bool,
+}
+
+/// What a cause changes of the filter before the measurement is accepted.
+fn change(cause: Cause, hyp: &mut Hypothesis, scene: &Scene, at: &Change, work: &mut Work) {
+    let (channel, c, group) = (scene.channel, scene.row.channel, scene.channel.group);
+    let (row, s) = (&channel.row, channel.shift);
+    let (error, total, size) = (at.seen.error, at.seen.total(), at.seen.error / row.units_per_m);
+    match cause {
+        Cause::Good | Cause::Outlier | Cause::StepBefore => {}
+        Cause::Shift(Prior::FormerZero) => {
+            hyp.tests[group].clear();
+            restore_zero(hyp, scene, work);
+        }
+        Cause::Shift(prior) => {
+            hyp.tests[group].clear();
+            // Where only later measurements tell the size, nothing is known of it here: the prior takes a fiftieth of its
+            // deviation.
+            let unknown = if prior == Prior::ToldLater { VAGUE * total } else { error * error };
+            hyp.p[(s, s)] += unknown / (row.units_per_m * row.units_per_m);
+            hyp.marks[c].shifted = true;
+            hyp.memory.shift = Some(LastShift { at_s: scene.at_s, sensor: channel.sensor, size_m: size });
+        }
+        Cause::Wrong => {
+            let density = led_away(size, at.lapse);
+            hyp.memory.burst = Some(Burst { density, axis: row.axis });
+            if !at.explained {
+                add_noise(&mut hyp.p, row.axis, at.lapse, density);
+            }
+        }
+        Cause::Lost => {
+            let mark = &hyp.marks[c];
+            let lapse = (scene.at_s - mark.accepted_s.max(hyp.memory.began_s)).max(SHORTEST_S);
+            let size = size.abs().max(total.sqrt() / row.units_per_m.abs());
+            inflate_motion(&mut hyp.p, row.motion(), (size, lapse), at.explained);
+            hyp.memory.burst = None;
+        }
+        Cause::Noise => {
+            let mark = &mut hyp.marks[c];
+            mark.recent = 1.0;
+            mark.factor *= error * error / total;
+            mark.rests_on = mark.rests_on.min(ANEW);
+        }
+        Cause::Clock => {
+            hyp.tests[group].clear();
+            hyp.p[(s, s)] += channel.apart.variance_m2;
+            hyp.marks[c].stepped = true;
+            if matches!(at.doubt, Doubt::Since(_)) {
+                // It stepped while nothing was measured: what came since led the motion's state as far away.
+                let (i, apart) = (row.motion(), channel.apart);
+                hyp.p[(i, i)] += apart.variance_m2;
+                hyp.p[(i + 1, i + 1)] += apart.variance_m2 * apart.rate_s * apart.rate_s;
+            }
+        }
+    }
+}
+
+/// Lets a channel's zero be where it was before its shift, or its clock; as well as one measurement tells, where that comes
+/// later than returns do on the mean: what does not go back soon has moved for good, and a second shift has nearly undone
+/// the first.
+fn restore_zero(hyp: &mut Hypothesis, scene: &Scene, work: &mut Work) {
+    let (channel, c) = (scene.channel, scene.row.channel);
+    scale_state(&mut hyp.x, &mut hyp.p, channel.shift, 0.0);
+    if !hyp.marks[c].stepped {
+        let seen = look(hyp, scene, work);
+        let recent = hyp
+            .memory
+            .shift
+            .is_some_and(|one| one.sensor == channel.sensor && (scene.at_s - one.at_s) * scene.model.rates.back <= 1.0);
+        if !recent {
+            let g = channel.row.units_per_m;
+            hyp.p[(channel.shift, channel.shift)] += seen.total() / (g * g);
+        }
+    }
+    hyp.marks[c].shifted = false;
+    hyp.marks[c].stepped = false;
+}
+
+/// Lets an axis' motion from state `i` on be off by a size (m) that it was led away in a time (s).
+///
+/// explained: displacement and velocity have their noise already.
+fn inflate_motion(p: &mut Matrix, i: usize, (size, lapse): (f64, f64), explained: bool) {
+    let bias = size / (lapse * lapse);
+    p[(i + 2, i + 2)] += bias * bias;
+    if !explained {
+        p[(i, i)] += size * size;
+        p[(i + 1, i + 1)] += (size / lapse) * (size / lapse);
+    }
+}
+
+/// Logarithm of the normal density of an innovation.
+pub fn log_normal(e: f64, total: f64) -> f64 {
+    -0.5 * (LOG_2PI + total.ln() + e * e / total)
+}
+
+/// Logarithm of the density of an error of unknown size: alike in all decades from the predicted deviation on.
+pub fn log_any_size(e: f64, total: f64) -> f64 {
+    -(2.0 * DECADES * std::f64::consts::LN_10).ln() - 0.5 * (e * e).max(total).ln()
+}
+
+/// Logarithm of the density of a measurement that is wrong: its error is alike in all decades from its own deviation on,
+/// and those decades that the prediction cannot tell leave what is predicted.
+fn log_wrong(e: f64, total: f64, own: f64) -> f64 {
+    let hidden = (0.5 * (total / own).log10() / DECADES).min(1.0);
+    (hidden * log_normal(e, total).exp() + log_any_size(e, total).exp()).ln()
+}
+
+/// Probability that what is met so often a second (Poisson) is met in a lapse, s.
+pub fn met_within(rate: f64, lapse: f64) -> f64 {
+    -(-rate * lapse).exp_m1()
+}
+
+/// Density, (m/s²)²/Hz, of an error of the acceleration that leads a prediction `size` (m) away in `lapse` (s).
+pub fn led_away(size: f64, lapse: f64) -> f64 {
+    3.0 * size * size / (lapse * lapse * lapse)
+}
+
+/// Logarithm of the share of what goes on that ends just now, over that of what stays.
+pub fn log_ends(model: &Model) -> f64 {
+    (1.0 - model.rates.stays).ln() - model.rates.stays.ln()
+}

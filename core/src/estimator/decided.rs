@@ -1,0 +1,216 @@
+//! What the hypotheses decided: final where all of them have one past.
+
+use super::cause::Cause;
+use super::cause::Decision;
+use super::hypotheses::MAX_FIRST;
+use super::hypothesis::{Contradiction, Hypothesis};
+use super::waiting::Timed;
+use serde::{Deserialize, Serialize};
+
+/// The newest measurements, up to this number, may be undecided; what the older ones were the best hypothesis decides.
+pub const MAX_UNDECIDED: usize = 2048;
+
+/// A hypothesis after an item: which one before it that it came from, and what it took the item for.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Survivor {
+    parent: usize,
+    decision: Decision,
+    told: Contradiction,
+}
+
+impl Survivor {
+    /// Of a hypothesis that has just met an item.
+    pub fn of(hyp: &Hypothesis) -> Self {
+        let memory = &hyp.memory;
+        let told = if memory.decision.cause == Cause::StepBefore { memory.step } else { memory.met };
+        Self { parent: memory.parent, decision: memory.decision, told }
+    }
+
+    /// Of the hypothesis `b` that went on as it was.
+    pub fn unchanged(b: usize) -> Self {
+        Self { parent: b, decision: Decision::GOOD, told: Contradiction::default() }
+    }
+}
+
+/// An item, what it was taken for and what that told.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Decided {
+    /// The items, in time order.
+    pub items: Vec<Timed>,
+    /// What each was taken for.
+    pub decisions: Vec<Decision>,
+    /// What that told.
+    pub told: Vec<Contradiction>,
+}
+
+impl Decided {
+    /// How many there are.
+    pub fn len(&self) -> usize {
+        self.items.len()
+    }
+
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.items.is_empty()
+    }
+
+    /// Adds others behind.
+    pub fn extend(&mut self, other: &Self) {
+        self.items.extend_from_slice(&other.items);
+        self.decisions.extend_from_slice(&other.decisions);
+        self.told.extend_from_slice(&other.told);
+    }
+
+    /// Drops the first ones.
+    pub fn drop_first(&mut self, count: usize) {
+        self.items.drain(..count);
+        self.decisions.drain(..count);
+        self.told.drain(..count);
+    }
+
+    /// Whether all parts are as long as each other and all channels exist.
+    pub fn fits(&self, channels: usize) -> bool {
+        let n = self.len();
+        self.decisions.len() == n && self.told.len() == n && channels_exist(&self.items, channels)
+    }
+
+    fn push(&mut self, item: Timed, one: &Survivor) {
+        self.items.push(item);
+        self.decisions.push(one.decision);
+        self.told.push(one.told);
+    }
+}
+
+/// Whether the channels of all items exist.
+pub fn channels_exist(items: &[Timed], channels: usize) -> bool {
+    items.iter().filter_map(Timed::channel).all(|c| c < channels)
+}
+
+/// Items of which the hypotheses do not say the same yet, and what each of as many hypotheses as there were took them for.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Undecided {
+    items: Vec<Timed>,
+    /// Where the survivors of each item end.
+    ends: Vec<usize>,
+    survivors: Vec<Survivor>,
+}
+
+impl Undecided {
+    /// Adds an item and what each hypothesis took it for.
+    #[inline]
+    pub fn add(&mut self, item: Timed, survivors: impl Iterator<Item = Survivor>) {
+        self.items.push(item);
+        self.survivors.extend(survivors);
+        self.ends.push(self.survivors.len());
+    }
+
+    /// How many items there are.
+    pub fn len(&self) -> usize {
+        self.items.len()
+    }
+
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.items.is_empty()
+    }
+
+    /// The time of the first one, s.
+    pub fn first_s(&self) -> Option<f64> {
+        self.items.first().map(|one| one.at_s)
+    }
+
+    /// Whether it is consistent, given so many hypotheses and channels.
+    pub fn fits(&self, count: usize, channels: usize) -> bool {
+        let mut before = (0, usize::MAX);
+        let each = self.ends.iter().all(|&end| {
+            let sound = end > before.0
+                && end <= self.survivors.len()
+                && end - before.0 <= MAX_FIRST
+                && self.survivors[before.0..end].iter().all(|one| before.1 == usize::MAX || one.parent < before.1);
+            before = (end, end - before.0);
+            sound
+        });
+        each && self.ends.len() == self.items.len()
+            && self.ends.last().copied().unwrap_or(0) == self.survivors.len()
+            && (self.items.is_empty() || before.1 == count)
+            && channels_exist(&self.items, channels)
+    }
+
+    fn of(&self, j: usize) -> &[Survivor] {
+        let first = if j == 0 { 0 } else { self.ends[j - 1] };
+        &self.survivors[first..self.ends[j]]
+    }
+
+    /// What the best one says of all items.
+    pub fn best(&self) -> Decided {
+        let mut places = vec![0; self.len()];
+        let mut at = 0;
+        for j in (0..self.len()).rev() {
+            places[j] = at;
+            at = self.of(j)[at].parent;
+        }
+        let mut found = Decided::default();
+        for (j, &place) in places.iter().enumerate() {
+            found.push(self.items[j], &self.of(j)[place]);
+        }
+        found
+    }
+
+    /// What each of so many hypotheses took each item for.
+    pub fn paths(&self, count: usize) -> Vec<Vec<Decision>> {
+        let mut paths = vec![vec![Decision::GOOD; self.len()]; count];
+        for (b, path) in paths.iter_mut().enumerate() {
+            let mut at = b;
+            for j in (0..self.len()).rev() {
+                let one = &self.of(j)[at];
+                path[j] = one.decision;
+                at = one.parent;
+            }
+        }
+        paths
+    }
+
+    /// Takes away what is final, given so many hypotheses.
+    pub fn settle(&mut self, count: usize) -> Decided {
+        let most = self.len().saturating_sub(MAX_UNDECIDED);
+        let settled = self.one_past(count).max(most);
+        if settled == self.len() {
+            let all = self.best();
+            *self = Self::default();
+            return all;
+        }
+        if settled == 0 {
+            return Decided::default();
+        }
+        let mut found = self.best();
+        found.items.truncate(settled);
+        found.decisions.truncate(settled);
+        found.told.truncate(settled);
+        let end = self.ends[settled - 1];
+        self.items.drain(..settled);
+        self.survivors.drain(..end);
+        self.ends.drain(..settled);
+        for one in &mut self.ends {
+            *one -= end;
+        }
+        found
+    }
+
+    /// Up to which item all hypotheses have one past.
+    fn one_past(&self, count: usize) -> usize {
+        if count == 1 {
+            return self.len();
+        }
+        let mut at: Vec<usize> = (0..count).collect();
+        for j in (0..self.len()).rev() {
+            let survivors = self.of(j);
+            for place in &mut at {
+                *place = survivors[*place].parent;
+            }
+            if at.windows(2).all(|two| two[0] == two[1]) {
+                return j;
+            }
+        }
+        0
+    }
+}

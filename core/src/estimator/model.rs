@@ -1,0 +1,154 @@
+//! What stays as it is while the filter runs, made from the settings once: layout, rows, priors.
+
+use super::layout::{Layout, State};
+use super::row::Row;
+use super::settings::{Apart, NANOSECONDS, ParameterKind, Rates, Settings};
+
+/// A channel with its row and the places of its states.
+#[derive(Clone, Debug)]
+pub struct ChannelModel {
+    /// What each state moves its measurement by.
+    pub row: Row,
+    /// Place of its zero.
+    pub zero: usize,
+    /// Place of the shift of its zero.
+    pub shift: usize,
+    /// Place of its reference's error, or of its slow error.
+    pub reference: usize,
+    /// The slow error's variance (m²) and the rate (1/s) at which it forgets; None: it has a reference in that place.
+    pub slow: Option<Apart>,
+    /// Variance of its zero at its first measurement, m²; None: unknown.
+    pub zero_variance: Option<f64>,
+    /// Number of its sensor.
+    pub sensor: usize,
+    /// Number of its group: all targets of a sensor along an axis step together.
+    pub group: usize,
+    /// Code of the kind of sensor that marks its rows.
+    pub source: u8,
+    /// Ages from which on its rows are coasting and lost, s.
+    pub coasting_s: f64,
+    /// See `coasting_s`.
+    pub lost_s: f64,
+    /// What a step of its clock makes of its measurements.
+    pub apart: Apart,
+}
+
+/// How a parameter is estimated.
+#[derive(Clone, Copy, Debug)]
+pub struct ParameterModel {
+    /// Time from which on it is estimated, s; infinite: never.
+    pub from_s: f64,
+    /// Density of its walk, unit²/s.
+    pub walk: f64,
+    /// Least square of the sensitivity over the prediction's variance that tells it.
+    pub clear: f64,
+}
+
+/// What stays as it is while the filter runs.
+#[derive(Clone, Debug)]
+pub struct Model {
+    /// The states.
+    pub layout: Layout,
+    /// The channels.
+    pub channels: Vec<ChannelModel>,
+    /// The parameters.
+    pub parameters: Vec<ParameterModel>,
+    /// Of each parameter the axis whose accelerometer's gain error it is.
+    pub gain_of: Vec<Option<usize>>,
+    /// Places of the datums (axes,); None: rows count from the sensors' own zero.
+    pub datum: Option<Vec<usize>>,
+    /// How many groups of channels there are.
+    pub groups: usize,
+    /// How often each cause is met.
+    pub rates: Rates,
+    /// Measurements over which a channel's noise is followed.
+    pub noise_memory: f64,
+    /// Factor (axes,) on the variance of the states in rows.
+    pub misfit: Vec<f64>,
+    /// Variance (axes,) that nothing measured tells of a row, m².
+    pub unseen_m2: Vec<f64>,
+    /// Acceleration (axes,) that leaning takes per metre of displacement, 1/s².
+    pub lean: Vec<f64>,
+}
+
+impl Model {
+    /// The model of consistent settings; `origin_ns`: what times in s count from.
+    pub fn new(settings: &Settings, origin_ns: i64) -> Self {
+        let layout = Layout::new(settings);
+        let channels = (0..settings.channels.len()).map(|c| channel_model(c, settings, &layout)).collect();
+        let sensors = settings.channels.iter().map(|one| one.sensor + 1).max().unwrap_or(0);
+        let parameters = settings.parameters.iter().map(|one| ParameterModel {
+            from_s: one.estimated_from_ns.map_or(f64::INFINITY, |from| since(from, origin_ns)),
+            walk: one.walk,
+            clear: one.clear,
+        });
+        let gain_of = settings.parameters.iter().map(|one| match one.kind {
+            ParameterKind::GainError { axis } => Some(axis),
+            ParameterKind::ScaleError | ParameterKind::ClockOffset => None,
+        });
+        Self {
+            channels,
+            parameters: parameters.collect(),
+            gain_of: gain_of.collect(),
+            datum: (0..settings.axes).map(|a| layout.place(State::Datum(a))).collect(),
+            groups: sensors * settings.axes,
+            rates: settings.rates,
+            noise_memory: settings.noise_memory,
+            misfit: settings.misfit[..settings.axes].to_vec(),
+            unseen_m2: settings.unseen_m2[..settings.axes].to_vec(),
+            lean: settings.lean[..settings.axes].to_vec(),
+            layout,
+        }
+    }
+
+    /// How many axes there are.
+    pub fn axes(&self) -> usize {
+        self.layout.axes()
+    }
+
+    /// How many states there are.
+    pub fn size(&self) -> usize {
+        self.layout.size()
+    }
+
+    /// Columns of the state matrix: the estimate and one sensitivity a parameter.
+    pub fn columns(&self) -> usize {
+        1 + self.parameters.len()
+    }
+
+    /// Whether steps of zeros are looked for.
+    pub fn looks_for_steps(&self) -> bool {
+        self.rates.shift > 0.0
+    }
+}
+
+fn channel_model(c: usize, settings: &Settings, layout: &Layout) -> ChannelModel {
+    let channel = &settings.channels[c];
+    let place = |name: State| layout.place(name).unwrap_or(0);
+    let slow = channel.slow_std_m > 0.0;
+    ChannelModel {
+        row: Row::of_displacement(c, settings, layout),
+        zero: place(State::Zero(c)),
+        shift: place(State::Shift(c)),
+        reference: place(if slow { State::Slow(c) } else { State::Reference(c) }),
+        slow: slow
+            .then(|| Apart { variance_m2: channel.slow_std_m * channel.slow_std_m, rate_s: 1.0 / channel.slow_time_s }),
+        zero_variance: channel.zero_known().then_some(channel.zero_std_m * channel.zero_std_m),
+        sensor: channel.sensor,
+        group: channel.sensor * settings.axes + channel.axis,
+        source: channel.source,
+        coasting_s: channel.coasting_s,
+        lost_s: channel.lost_s,
+        apart: settings.apart(channel),
+    }
+}
+
+/// Seconds from an origin to an instant.
+pub fn since(time_ns: i64, origin_ns: i64) -> f64 {
+    time_ns.wrapping_sub(origin_ns) as f64 / NANOSECONDS
+}
+
+/// The instant so many seconds after an origin; the nearest nanosecond, halves to the even one.
+pub fn instant(time_s: f64, origin_ns: i64) -> i64 {
+    origin_ns.wrapping_add((time_s * NANOSECONDS).round_ties_even() as i64)
+}

@@ -1,0 +1,268 @@
+//! What is given out of each sample and axis, and of each measurement.
+
+use super::cause::{Cause, Decision};
+use super::hypothesis::{Contradiction, Hypothesis};
+use super::innovation::{Mixed, Mixture};
+use super::layout::motion_of;
+use super::model::{Model, instant};
+use super::motion::{AxisMotion, Clock};
+use super::samples::{BRIDGED, View};
+use super::waiting::Timed;
+
+/// What a row rests on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Status {
+    /// A measurement that is not too old.
+    Tracking,
+    /// The acceleration alone.
+    Coasting,
+    /// The acceleration alone, for longer.
+    Lost,
+}
+
+/// Rows of one axis.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct AxisRows {
+    /// Displacement relative to the datum, m.
+    pub displacement: Vec<f64>,
+    /// Its variance, m².
+    pub variance: Vec<f64>,
+    /// True velocity, m/s.
+    pub velocity: Vec<f64>,
+    /// Code of the kind of sensor that fixes it, 0 for the acceleration alone.
+    pub source: Vec<u8>,
+    /// Code of its status.
+    pub status: Vec<u8>,
+}
+
+/// Rows of all axes.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Rows {
+    /// Stamps, ns.
+    pub time_ns: Vec<i64>,
+    /// The rows of each axis.
+    pub axes: Vec<AxisRows>,
+}
+
+impl Rows {
+    /// None yet, with room for so many.
+    pub fn with_room(axes: usize, room: usize) -> Self {
+        let one = AxisRows {
+            displacement: Vec::with_capacity(room),
+            variance: Vec::with_capacity(room),
+            velocity: Vec::with_capacity(room),
+            source: Vec::with_capacity(room),
+            status: Vec::with_capacity(room),
+        };
+        Self { time_ns: Vec::with_capacity(room), axes: vec![one; axes] }
+    }
+
+    /// Adds others behind.
+    pub fn extend(&mut self, other: &Self) {
+        self.time_ns.extend_from_slice(&other.time_ns);
+        for (own, one) in self.axes.iter_mut().zip(&other.axes) {
+            own.displacement.extend_from_slice(&one.displacement);
+            own.variance.extend_from_slice(&one.variance);
+            own.velocity.extend_from_slice(&one.velocity);
+            own.source.extend_from_slice(&one.source);
+            own.status.extend_from_slice(&one.status);
+        }
+    }
+}
+
+/// What became of a measurement.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Verdict {
+    /// It was accepted.
+    Accepted,
+    /// It was left out as an outlier.
+    Rejected,
+    /// The motion was started anew from it.
+    Reacquired,
+}
+
+/// Innovations of one channel.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Innovations {
+    /// Stamps, ns.
+    pub time_ns: Vec<i64>,
+    /// Measured minus predicted displacement, m.
+    pub value: Vec<f64>,
+    /// Its predicted variance, m².
+    pub variance: Vec<f64>,
+    /// Codes of what became of it.
+    pub verdict: Vec<i8>,
+}
+
+impl Innovations {
+    /// Adds others behind.
+    pub fn extend(&mut self, other: &Self) {
+        self.time_ns.extend_from_slice(&other.time_ns);
+        self.value.extend_from_slice(&other.value);
+        self.variance.extend_from_slice(&other.variance);
+        self.verdict.extend_from_slice(&other.verdict);
+    }
+}
+
+/// How a measurement was met.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Met {
+    /// Its innovation, and the variance of that.
+    pub told: Contradiction,
+    /// What it was taken for.
+    pub decision: Decision,
+}
+
+/// Innovations of each channel from items and how they were met.
+pub fn innovations_of(items: &[Timed], met: &[Met], model: &Model, origin_ns: i64) -> Vec<Innovations> {
+    let mut found = vec![Innovations::default(); model.channels.len()];
+    for (item, one) in items.iter().zip(met) {
+        let Some(c) = item.channel() else { continue };
+        let (own, g) = (&mut found[c], model.channels[c].row.units_per_m);
+        own.time_ns.push(instant(item.at_s, origin_ns));
+        own.value.push(one.told.size / g);
+        own.variance.push(one.told.variance / (g * g));
+        own.verdict.push(match one.decision.cause {
+            Cause::Outlier => Verdict::Rejected,
+            Cause::Lost => Verdict::Reacquired,
+            Cause::Good | Cause::Shift(_) | Cause::Wrong | Cause::Noise | Cause::Clock | Cause::StepBefore => {
+                Verdict::Accepted
+            }
+        } as i8);
+    }
+    found
+}
+
+/// Source and status of an axis's row: of the channels that are not too old, the most informative one.
+#[inline]
+pub fn status_of(hyp: &Hypothesis, axis: usize, model: &Model, time_s: f64) -> (u8, Status) {
+    let (mut source, mut status, mut best) = (0, Status::Lost, f64::INFINITY);
+    for (mark, channel) in hyp.marks.iter().zip(&model.channels) {
+        if channel.row.axis != axis {
+            continue;
+        }
+        let age = time_s - mark.accepted_s;
+        if age <= channel.coasting_s {
+            status = Status::Tracking;
+            if mark.accepted_variance < best {
+                (best, source) = (mark.accepted_variance, channel.source);
+            }
+        } else if age <= channel.lost_s {
+            status = status.min(Status::Coasting);
+        }
+    }
+    (source, status)
+}
+
+/// Variance (m²) that all rows of an axis have in common: of the datum as the first channel's values count it.
+#[inline]
+pub fn zero_variance(hyp: &Hypothesis, axis: usize, model: &Model) -> f64 {
+    let (p, misfit) = (&hyp.p, model.misfit[axis]);
+    let zero = model.channels.iter().find(|one| one.row.axis == axis).map(|one| one.zero);
+    match (model.datum.as_ref().map(|datum| datum[axis]), zero) {
+        (None, None) => 0.0,
+        (None, Some(z)) => misfit * p[(z, z)],
+        (Some(d), None) => misfit * p[(d, d)],
+        (Some(d), Some(_)) if p[(d, d)] <= 0.0 => 0.0,
+        (Some(d), Some(z)) => misfit * (p[(d, d)] + 2.0 * p[(d, z)] + p[(z, z)]).max(0.0),
+    }
+}
+
+/// Displacement of an axis relative to its datum, its variance, and the velocity state, in one hypothesis.
+#[inline]
+pub fn row_of(hyp: &Hypothesis, axis: usize, model: &Model) -> Mixed {
+    let (i, x, p) = (motion_of(axis), &hyp.x, &hyp.p);
+    let (mut value, mut variance, mut velocity) = (x[(i, 0)], p[(i, i)], x[(i + 1, 0)]);
+    let datum = model.datum.as_ref().map(|datum| datum[axis]);
+    if let Some(d) = datum {
+        value -= x[(d, 0)];
+        variance += p[(d, d)] - 2.0 * p[(i, d)];
+    }
+    variance = model.misfit[axis] * variance.max(0.0);
+    if !hyp.parameters.is_empty() {
+        hyp.add_parameters(axis, datum, (&mut value, &mut variance, &mut velocity));
+    }
+    Mixed { value, variance, velocity }
+}
+
+/// Adds the rows of all axes at a sample, where the clock is.
+#[inline]
+pub fn leave_row(
+    hyps: &[Hypothesis],
+    motion: &[AxisMotion],
+    clock: &Clock,
+    model: &Model,
+    at: (View, usize),
+    rows: &mut Rows,
+) {
+    let (samples, k) = at;
+    let best = &hyps[0];
+    rows.time_ns.push(samples.time_ns[k]);
+    for (a, out) in rows.axes.iter_mut().enumerate() {
+        let mut row = row_of(best, a, model);
+        if hyps.len() > 1 {
+            let mut mixture = Mixture::default();
+            for hyp in hyps {
+                let one = row_of(hyp, a, model);
+                mixture.add(hyp.memory.weight.exp(), one.value, one.variance, one.velocity);
+            }
+            row = mixture.mixed();
+        }
+        out.displacement.push(row.value);
+        out.variance.push(row.variance.max(zero_variance(best, a, model)) + model.unseen_m2[a]);
+        out.velocity.push(row.velocity - motion[a].ahead());
+        leave_status(best, a, clock, model, at, out);
+    }
+}
+
+/// Adds source and status of an axis' row; bridged samples are coasting at best.
+#[inline]
+pub fn leave_status(hyp: &Hypothesis, a: usize, clock: &Clock, model: &Model, at: (View, usize), out: &mut AxisRows) {
+    let (source, status) = status_of(hyp, a, model, clock.time_s);
+    let bridged = at.0.kind[at.1] == BRIDGED;
+    out.source.push(source);
+    out.status.push(if bridged { status.max(Status::Coasting) } else { status } as u8);
+}
+
+/// What several hypotheses found as one: means and variances by their weights.
+pub fn mixed(found: &[Rows], weights: &[f64]) -> Rows {
+    let Some(first) = found.first() else { return Rows::default() };
+    let (mut whole, total) = (first.clone(), weights.iter().sum::<f64>());
+    for (a, out) in whole.axes.iter_mut().enumerate() {
+        for k in 0..out.displacement.len() {
+            let mean = |of: fn(&AxisRows) -> &Vec<f64>| -> f64 {
+                found.iter().zip(weights).map(|(one, weight)| weight / total * of(&one.axes[a])[k]).sum()
+            };
+            let value = mean(|one| &one.displacement);
+            let spread = found.iter().zip(weights).map(|(one, weight)| {
+                let off = one.axes[a].displacement[k] - value;
+                weight / total * (one.axes[a].variance[k] + off * off)
+            });
+            out.variance[k] = spread.sum();
+            out.velocity[k] = mean(|one| &one.velocity);
+            out.displacement[k] = value;
+        }
+    }
+    whole
+}
+
+impl Hypothesis {
+    /// Adds the parameters' part to a row of an axis.
+    pub fn add_parameters(
+        &self,
+        axis: usize,
+        datum: Option<usize>,
+        (value, variance, velocity): (&mut f64, &mut f64, &mut f64),
+    ) {
+        let (i, x) = (motion_of(axis), &self.x);
+        let relative = |q: usize| x[(i, 1 + q)] - datum.map_or(0.0, |d| x[(d, 1 + q)]);
+        for (q, &parameter) in self.parameters.iter().enumerate() {
+            let own = relative(q);
+            *value += own * parameter;
+            *velocity += x[(i + 1, 1 + q)] * parameter;
+            for r in 0..self.parameters.len() {
+                *variance += own * self.spread[(q, r)] * relative(r);
+            }
+        }
+    }
+}

@@ -1,0 +1,392 @@
+//! The one loop of the estimator over a block of samples and measurements.
+//!
+//! Measurements are either judged as they come, by hypotheses (see [`super::hypotheses`]), or taken as was decided before:
+//! then one hypothesis is enough, and what the pass back ([`super::smoother`]) needs can be left.
+
+use super::acceptance::{accept, find_step};
+use super::cause::{Cause, Decision, GATE, VAGUE, apply};
+use super::coast::Leave;
+use super::decided::{Survivor, Undecided};
+use super::hypotheses::Hypotheses;
+use super::hypothesis::{Doubt, Hypothesis};
+use super::innovation::{Innovation, Scene, Work, follow_clock, look, meet_zero};
+use super::layout::motion_of;
+use super::model::Model;
+use super::motion::{AxisMotion, Clock, Way};
+use super::predict::{add_noise, predict_covariance, predict_mean};
+use super::rows::{Met, Rows, leave_row};
+use super::samples::View;
+use super::settings::{MAX_AXES, Settings};
+use super::smoother::WayBack;
+use super::start::{Beginning, START_S};
+use super::steps::SURE;
+use super::update::set_datum;
+use super::waiting::{Item, Measurement, Timed};
+use serde::{Deserialize, Serialize};
+
+/// The hypotheses, the motion's input and the clock, that a run changes and carries on.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Filter {
+    /// The hypotheses.
+    pub hyps: Hypotheses,
+    /// The input along each axis.
+    pub motion: Vec<AxisMotion>,
+    /// The times.
+    pub clock: Clock,
+    /// How many of the next measurements are judged both ways.
+    pub judged: usize,
+}
+
+/// A block to run over.
+pub struct Block<'a> {
+    /// Its samples, all after the filter's time.
+    pub samples: View<'a>,
+    /// Their times, s.
+    pub time_s: &'a [f64],
+    /// The items within them, in time order; those of one instant are put in the order they are taken in.
+    pub items: &'a mut [Timed],
+    /// The stamp of the first row, ns.
+    pub first_ns: i64,
+}
+
+/// What a run does with measurements, and what it leaves of them.
+pub enum Judge<'a> {
+    /// Nothing is decided: the hypotheses judge.
+    Open {
+        /// What each hypothesis took each item for.
+        undecided: &'a mut Undecided,
+        /// How the best one met it.
+        met: &'a mut Vec<Met>,
+    },
+    /// All is decided.
+    Decided {
+        /// What each item is taken for.
+        decisions: &'a [Decision],
+        /// What the way back needs, where there is one.
+        back: Option<&'a mut WayBack>,
+    },
+}
+
+/// A measurement's place in its interval.
+#[derive(Clone, Copy)]
+struct Place<'a> {
+    /// Time from the interval's start, s.
+    since_s: f64,
+    /// The interval's length, s.
+    dt: f64,
+    /// The accelerations at its end.
+    end: &'a [f64],
+    /// The densities of their noise.
+    density: &'a [f64],
+}
+
+impl Filter {
+    /// Before its first sample.
+    pub fn begun(begin: &Beginning, settings: &Settings, model: &Model) -> Self {
+        Self {
+            hyps: Hypotheses::one(Hypothesis::begun(begin, settings, model)),
+            motion: begin.acceleration.iter().map(|&input| AxisMotion { input, ..AxisMotion::default() }).collect(),
+            clock: Clock { time_s: begin.time_s - START_S, step_s: f64::INFINITY },
+            judged: begin.judged,
+        }
+    }
+
+    /// A copy with the best hypothesis alone.
+    pub fn best_alone(&self) -> Self {
+        let hyps = Hypotheses::one(self.hyps.best().clone());
+        Self { hyps, motion: self.motion.clone(), clock: self.clock, judged: self.judged }
+    }
+
+    /// Whether it is of the model's shape.
+    pub fn fits(&self, model: &Model) -> bool {
+        self.hyps.fit(model) && self.motion.len() == model.axes()
+    }
+
+    /// Runs over a block; rows: where they are to go.
+    pub fn run(
+        &mut self,
+        model: &Model,
+        block: &mut Block,
+        judge: &mut Judge,
+        mut rows: Option<&mut Rows>,
+        work: &mut Work,
+    ) {
+        let axes = model.axes();
+        model.layout.find_uncertain(&self.hyps.best().p, &mut work.uncertain);
+        if let Judge::Decided { back: Some(back), .. } = judge {
+            back.note_uncertain(&work.uncertain);
+        }
+        let (mut next, mut ordered, mut k) = (0, 0, 0);
+        while let Some(&end_s) = block.time_s.get(k) {
+            if self.hyps.count() == 1 {
+                let before_s = block.items.get(next).map_or(f64::INFINITY, |item| item.at_s);
+                let back = match judge {
+                    Judge::Decided { back, .. } => back.as_deref_mut(),
+                    Judge::Open { .. } => None,
+                };
+                let reached = self.coast(
+                    model,
+                    block,
+                    k,
+                    before_s,
+                    &work.uncertain,
+                    &mut Leave { rows: rows.as_deref_mut(), back },
+                );
+                if reached > k {
+                    k = reached;
+                    continue;
+                }
+            }
+            let begun_s = self.clock.time_s;
+            let (dt, gap) = (end_s - begun_s, self.clock.is_gap(end_s));
+            let density = &block.samples.density[k * axes..(k + 1) * axes];
+            let mut now = [0.0; MAX_AXES];
+            self.leaned(model, &block.samples.value[k * axes..(k + 1) * axes], dt, &mut now);
+            self.begin_interval(model, &now, end_s);
+            let mut reached = 0.0;
+            while let Some(item) = block.items.get(next).filter(|item| item.at_s <= end_s) {
+                let since_s = item.at_s - begun_s;
+                if since_s > reached {
+                    self.advance(model, reached, since_s, density, work);
+                    reached = since_s;
+                }
+                let place = Place { since_s, dt, end: &now, density };
+                self.meet(model, block.items, next, &mut ordered, &place, judge, work);
+                model.layout.find_uncertain(&self.hyps.best().p, &mut work.uncertain);
+                if let Judge::Decided { back: Some(back), .. } = judge {
+                    back.note_uncertain(&work.uncertain);
+                }
+                next += 1;
+            }
+            if dt > reached {
+                self.advance(model, reached, dt, density, work);
+            }
+            self.clock.advance(end_s);
+            if gap {
+                self.hyps.doubt_all();
+            }
+            for (axis, &input) in self.motion.iter_mut().zip(&now) {
+                axis.input = input;
+            }
+            if let Some(rows) = rows.as_deref_mut() {
+                if block.samples.is_row(k, block.first_ns) {
+                    leave_row(self.hyps.all(), &self.motion, &self.clock, model, (block.samples, k), rows);
+                }
+            }
+            if let Judge::Decided { back: Some(back), .. } = judge {
+                back.leave_node(self.hyps.best(), &self.motion, &self.clock, model, (block.samples, k));
+            }
+            k += 1;
+        }
+    }
+
+    /// The accelerations of a sample, with what leaning takes added: an error of the displacement makes that times it of
+    /// the acceleration, far below its noise.
+    #[inline]
+    fn leaned(&self, model: &Model, value: &[f64], dt: f64, now: &mut [f64; MAX_AXES]) {
+        let x = &self.hyps.best().x;
+        for (a, (out, &one)) in now.iter_mut().zip(value).enumerate() {
+            let i = motion_of(a);
+            *out = one + model.lean[a] * (x[(i, 0)] + dt * x[(i + 1, 0)]);
+        }
+    }
+
+    /// Brings the velocity states of all axes to the interval that ends at `end_s`.
+    fn begin_interval(&mut self, model: &Model, now: &[f64], end_s: f64) {
+        let (dt, lead) = (end_s - self.clock.time_s, self.clock.lead(end_s));
+        for (a, axis) in self.motion.iter_mut().enumerate() {
+            let slope = (now[a] - axis.input) / dt;
+            if lead != axis.lead {
+                for hyp in self.hyps.all_mut() {
+                    axis.correct(slope, lead, &mut hyp.x, a, &model.gain_of);
+                }
+            }
+            (axis.lead, axis.slope) = (lead, slope);
+        }
+    }
+
+    /// Moves all hypotheses within the interval.
+    #[inline]
+    fn advance(&mut self, model: &Model, from_s: f64, until_s: f64, density: &[f64], work: &mut Work) {
+        let way = Way::new(&self.motion, from_s, until_s);
+        for (b, hyp) in self.hyps.all_mut().iter_mut().enumerate() {
+            let uncertain = if b == 0 {
+                &work.uncertain
+            } else {
+                model.layout.find_uncertain(&hyp.p, &mut work.others);
+                &work.others
+            };
+            predict_mean(&mut hyp.x, model.axes(), &way, &model.gain_of);
+            predict_covariance(&mut hyp.p, &model.layout, way.dt, uncertain);
+            for (a, &one) in density.iter().enumerate() {
+                add_noise(&mut hyp.p, a, way.dt, one);
+            }
+            if let Some(burst) = hyp.memory.burst {
+                add_noise(&mut hyp.p, burst.axis, way.dt, burst.density);
+            }
+        }
+    }
+
+    /// Takes the item at place `j`, judged or as decided.
+    #[allow(clippy::too_many_arguments)]
+    fn meet(
+        &mut self,
+        model: &Model,
+        items: &mut [Timed],
+        j: usize,
+        ordered: &mut usize,
+        place: &Place,
+        judge: &mut Judge,
+        work: &mut Work,
+    ) {
+        let Item::Measured(_) = items[j].item else { return self.pass_mark(model, items[j], judge) };
+        let open = matches!(judge, Judge::Open { .. });
+        if open && j >= *ordered && items.get(j + 1).is_some_and(|one| one.at_s == items[j].at_s) {
+            *ordered = self.order_frame(model, items, j, place, work);
+        }
+        let Timed { at_s, item: Item::Measured(row) } = items[j] else { return };
+        let Self { hyps, motion, judged, .. } = self;
+        let scene = scene_of(model, motion, &row, at_s, place);
+        match judge {
+            Judge::Open { undecided, met } => {
+                judge_open(hyps, judged, &scene, work);
+                let best = &hyps.best().memory;
+                met.push(Met { told: best.met, decision: best.decision });
+                undecided.add(items[j], hyps.all().iter().map(Survivor::of));
+            }
+            Judge::Decided { decisions, back } => {
+                let decision = decisions.get(j).copied().unwrap_or(Decision::GOOD);
+                take_decided(hyps.best_mut(), decision, &scene, back.as_deref_mut(), work);
+                if *judged > 0 {
+                    pass_first(hyps, judged);
+                }
+            }
+        }
+    }
+
+    /// The rows count from here, or clocks are in doubt; each hypothesis goes on as it is.
+    fn pass_mark(&mut self, model: &Model, mark: Timed, judge: &mut Judge) {
+        for hyp in self.hyps.all_mut() {
+            if mark.item == Item::Datum {
+                set_datum(&mut hyp.x, &mut hyp.p, &model.layout);
+                hyp.clear_tests();
+            }
+        }
+        if mark.item == Item::WentBack {
+            self.hyps.doubt_all();
+        }
+        match judge {
+            Judge::Open { undecided, met } => {
+                met.push(Met { told: Default::default(), decision: Decision::GOOD });
+                undecided.add(mark, (0..self.hyps.count()).map(Survivor::unchanged));
+            }
+            Judge::Decided { back, .. } => {
+                if let Some(back) = back {
+                    back.pass_mark(mark);
+                }
+            }
+        }
+    }
+
+    /// Puts the measurements of the same instant as `items[j]` in the order of how well they agree with the best
+    /// hypothesis, so that what is found does not depend on the order of targets. Returns where they end.
+    fn order_frame(&self, model: &Model, items: &mut [Timed], j: usize, place: &Place, work: &mut Work) -> usize {
+        let at_s = items[j].at_s;
+        let same = |one: &&Timed| one.at_s == at_s && one.channel().is_some();
+        let end = j + items[j..].iter().take_while(same).count();
+        let mut off: Vec<(f64, Timed)> = Vec::with_capacity(end - j);
+        for item in &items[j..end] {
+            let Item::Measured(row) = &item.item else { continue };
+            let seen = look(self.hyps.best(), &scene_of(model, &self.motion, row, at_s, place), work);
+            off.push((seen.error * seen.error / seen.total(), *item));
+        }
+        off.sort_by(|a, b| a.0.total_cmp(&b.0));
+        for (item, (_, ordered)) in items[j..end].iter_mut().zip(off) {
+            *item = ordered;
+        }
+        end
+    }
+}
+
+/// A measurement at its place.
+fn scene_of<'a>(
+    model: &'a Model,
+    motion: &'a [AxisMotion],
+    row: &'a Measurement,
+    at_s: f64,
+    place: &Place,
+) -> Scene<'a> {
+    let channel = &model.channels[row.channel];
+    let (a, theta) = (channel.row.axis, place.since_s / place.dt);
+    let input = motion[a].input;
+    let acceleration = input + theta * (place.end[a] - input);
+    Scene { model, row, channel, at_s, motion, acceleration, density: place.density[a] }
+}
+
+/// Lets all hypotheses meet a measurement.
+#[inline]
+fn judge_open(hyps: &mut Hypotheses, judged: &mut usize, scene: &Scene, work: &mut Work) {
+    let c = scene.row.channel;
+    if scene.at_s - hyps.best().marks[c].met_s > scene.channel.coasting_s {
+        hyps.doubt_channel(c, Doubt::Gap);
+    }
+    let count = hyps.count();
+    let best = hyps.best_mut();
+    meet_zero(best, scene);
+    follow_clock(best, scene);
+    let mark = &best.marks[c];
+    let usual = best.memory.burst.is_none() && mark.outliers == 0.0 && !mark.stepped && mark.doubt == Doubt::None;
+    if count == 1 && *judged == 0 && usual {
+        let seen = look(best, scene, work);
+        if seen.within(GATE) && seen.wider <= VAGUE * seen.own {
+            take_good(best, scene, &seen, work);
+            if scene.model.looks_for_steps() {
+                find_step(best, scene, SURE);
+            }
+            return;
+        }
+    }
+    hyps.meet_others(scene);
+    let first = *judged > 0;
+    hyps.split(scene, work, first);
+    if first {
+        pass_first(hyps, judged);
+    }
+}
+
+/// Counts one of the first measurements: no step is asked for among them, as little is known of the start.
+fn pass_first(hyps: &mut Hypotheses, judged: &mut usize) {
+    for hyp in hyps.all_mut() {
+        hyp.clear_tests();
+    }
+    *judged -= 1;
+}
+
+/// Takes a measurement of a sound channel as a good one.
+#[inline]
+fn take_good(hyp: &mut Hypothesis, scene: &Scene, seen: &Innovation, work: &mut Work) -> f64 {
+    hyp.marks[scene.row.channel].met_s = scene.at_s;
+    hyp.memory.parent = 0;
+    hyp.memory.decision = Decision::GOOD;
+    accept(hyp, scene, seen, work)
+}
+
+/// Takes a measurement as was decided, and leaves its record for the pass back.
+#[inline]
+fn take_decided(hyp: &mut Hypothesis, decision: Decision, scene: &Scene, back: Option<&mut WayBack>, work: &mut Work) {
+    let c = scene.row.channel;
+    let reference_scaled = meet_zero(hyp, scene);
+    let followed = follow_clock(hyp, scene);
+    let (total, scaled) =
+        if decision.cause == Cause::Good && !decision.burst_ended && !decision.explained && !hyp.marks[c].stepped {
+            hyp.marks[c].doubt = Doubt::None;
+            let seen = look(hyp, scene, work);
+            (Some(take_good(hyp, scene, &seen, work)), 1.0)
+        } else {
+            let taken = apply(decision, hyp, scene, work);
+            (taken.total, taken.shift_scaled)
+        };
+    if let Some(back) = back {
+        back.leave_record(scene.at_s, c, total, (followed * scaled, reference_scaled), work);
+    }
+}

@@ -1,0 +1,538 @@
+//! The pass back over what the filter left of a block: what was measured later corrects what was found before.
+//!
+//! It is the modified Bryson-Frazier smoother (G. J. Bierman, Fixed interval smoothing with discrete measurements, Int. J.
+//! Control 18 (1973) 65-75): it carries an adjoint L and its information M, needs no inverse, and what only adds variance
+//! to a state leaves it as it is. M is carried as a factor W, M = W W': what later measurements say of a combination of
+//! states that was widely uncertain is a small difference of what they say of each.
+
+use super::decided::Decided;
+use super::hypothesis::Hypothesis;
+use super::innovation::{Mixed, Work};
+use super::layout::{MOTION_STATES, motion_of};
+use super::matrix::{Matrix, quadratic};
+use super::model::Model;
+use super::motion::{AxisMotion, Clock};
+use super::row::Entry;
+use super::rows::{AxisRows, Status, status_of, zero_variance};
+use super::samples::{BRIDGED, View};
+use super::waiting::{Item, Timed};
+
+/// A smoothed variance is no smaller than this share of the filtered one: beyond it rounding speaks.
+const MIN_VARIANCE_SHARE: f64 = 1e-12;
+
+/// What an item did to the filter.
+#[derive(Clone, Copy, Debug)]
+struct Record {
+    /// Number of the sample that ends its interval.
+    sample: usize,
+    at_s: f64,
+    what: Recorded,
+}
+
+#[derive(Clone, Copy, Debug)]
+enum Recorded {
+    Measured {
+        channel: usize,
+        /// The innovation's variance it was taken with, infinite where it began a zero; None: not at all.
+        total: Option<f64>,
+        shift_scaled: f64,
+        reference_scaled: f64,
+    },
+    Datum,
+    Doubt,
+}
+
+/// What a run leaves of a block for the pass back.
+#[derive(Clone, Debug, Default)]
+pub struct WayBack {
+    axes: usize,
+    columns: usize,
+    size: usize,
+    /// The filter's time before the first sample, s.
+    start_s: f64,
+    /// Times of the samples, s.
+    time_s: Vec<f64>,
+    /// Of each sample and axis displacement relative to the datum (1 + k), true velocity (1 + k), and the covariances (n)
+    /// of both with all states.
+    nodes: Vec<f64>,
+    /// Source and status of each axis' rows.
+    statuses: Vec<AxisRows>,
+    records: Vec<Record>,
+    /// Of each record its sensitivities (1 + k) and gain (n).
+    details: Vec<f64>,
+    /// States (n,) that are uncertain in some part of the block.
+    uncertain: Vec<bool>,
+}
+
+impl WayBack {
+    /// Forgets what was left, to be used again from a filter's time on.
+    pub fn restart(&mut self, model: &Model, start_s: f64) {
+        (self.axes, self.columns, self.size, self.start_s) = (model.axes(), model.columns(), model.size(), start_s);
+        self.time_s.clear();
+        self.nodes.clear();
+        self.statuses.resize_with(self.axes, AxisRows::default);
+        for one in &mut self.statuses {
+            one.source.clear();
+            one.status.clear();
+        }
+        self.records.clear();
+        self.details.clear();
+        self.uncertain.clear();
+        self.uncertain.resize(self.size, false);
+        self.uncertain[..model.layout.moving()].fill(true);
+    }
+
+    /// How many samples there are.
+    pub fn len(&self) -> usize {
+        self.time_s.len()
+    }
+
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.time_s.is_empty()
+    }
+
+    /// Source and status of a sample's row along an axis.
+    pub fn status(&self, k: usize, axis: usize) -> (u8, u8) {
+        let one = &self.statuses[axis];
+        (one.source[k], one.status[k])
+    }
+
+    /// Marks states that are uncertain.
+    #[inline]
+    pub fn note_uncertain(&mut self, states: &[usize]) {
+        for &j in states {
+            self.uncertain[j] = true;
+        }
+    }
+
+    /// Adds samples at these times (s), whose nodes and statuses are to be put; returns the number of the first.
+    pub fn add_samples(&mut self, time_s: &[f64]) -> usize {
+        let first = self.time_s.len();
+        self.time_s.extend_from_slice(time_s);
+        let count = self.time_s.len();
+        self.nodes.resize(count * self.axes * 2 * (self.columns + self.size), 0.0);
+        for one in &mut self.statuses {
+            one.source.resize(count, 0);
+            one.status.resize(count, 0);
+        }
+        first
+    }
+
+    /// Puts what the filter found of a sample along an axis; datum: the state that its rows count from.
+    #[inline]
+    pub fn put_node(&mut self, k: usize, a: usize, hyp: &Hypothesis, axis: &AxisMotion, datum: Option<usize>) {
+        let (i, columns, n) = (motion_of(a), self.columns, self.size);
+        let stride = 2 * (columns + n);
+        let first = (k * self.axes + a) * stride;
+        let (x, p) = (&hyp.x, &hyp.p);
+        let (places, rest) = self.nodes[first..first + stride].split_at_mut(columns);
+        let (speeds, rest) = rest.split_at_mut(columns);
+        let (pc, pv) = rest.split_at_mut(n);
+        places.copy_from_slice(x.row(i));
+        speeds.copy_from_slice(x.row(i + 1));
+        speeds[0] -= axis.ahead();
+        pc.copy_from_slice(p.row(i));
+        pv.copy_from_slice(p.row(i + 1));
+        if let Some(d) = datum {
+            subtract(places, x.row(d));
+            // The motion's rows hold its covariances with the datum; the datum's may be behind.
+            for j in 0..n {
+                pc[j] -= if j / MOTION_STATES == a { p[(j, d)] } else { p[(d, j)] };
+            }
+        }
+    }
+
+    /// Puts source and status of a sample's row along an axis.
+    #[inline]
+    pub fn put_status(&mut self, k: usize, a: usize, source: u8, status: u8) {
+        let one = &mut self.statuses[a];
+        (one.source[k], one.status[k]) = (source, status);
+    }
+
+    /// Adds a sample with all its nodes.
+    pub fn leave_node(
+        &mut self,
+        hyp: &Hypothesis,
+        motion: &[AxisMotion],
+        clock: &Clock,
+        model: &Model,
+        at: (View, usize),
+    ) {
+        let k = self.add_samples(&[clock.time_s]);
+        for (a, axis) in motion.iter().enumerate() {
+            self.put_node(k, a, hyp, axis, model.datum.as_ref().map(|datum| datum[a]));
+            let (source, status) = status_of(hyp, a, model, clock.time_s);
+            let bridged = at.0.kind[at.1] == BRIDGED;
+            self.put_status(k, a, source, if bridged { status.max(Status::Coasting) } else { status } as u8);
+        }
+    }
+
+    /// Adds a measurement; scaled: factors on the states of its shift and its reference.
+    #[inline]
+    pub fn leave_record(&mut self, at_s: f64, channel: usize, total: Option<f64>, scaled: (f64, f64), work: &Work) {
+        let what = Recorded::Measured { channel, total, shift_scaled: scaled.0, reference_scaled: scaled.1 };
+        self.records.push(Record { sample: self.time_s.len(), at_s, what });
+        self.details.extend_from_slice(&work.e);
+        self.details.extend_from_slice(&work.gain);
+    }
+
+    /// Adds a mark.
+    pub fn pass_mark(&mut self, mark: Timed) {
+        let what = if mark.item == Item::Datum { Recorded::Datum } else { Recorded::Doubt };
+        self.records.push(Record { sample: self.time_s.len(), at_s: mark.at_s, what });
+        self.details.resize(self.details.len() + self.columns + self.size, 0.0);
+    }
+}
+
+fn subtract(from: &mut [f64], other: &[f64]) {
+    for (own, &one) in from.iter_mut().zip(other) {
+        *own -= one;
+    }
+}
+
+/// How the pass back counts the states, and by which parameters.
+///
+/// x becomes x + z of the channel that all of an axis count from, where its zero is unknown, and the zeros of the others of
+/// which nothing is known become what they differ from it by. Until a known zero begins, x and those zeros are only known
+/// relative to each other; so they are wide in one of the new states alone.
+#[derive(Clone, Debug)]
+pub struct Counting<'a> {
+    model: &'a Model,
+    last: &'a Hypothesis,
+    /// Of each axis the zero that all count from, and the unknown zeros that are counted from it.
+    common: Vec<Option<(usize, Vec<usize>)>>,
+    /// Each channel's row as the states are counted.
+    rows: Vec<Vec<Entry>>,
+    /// Variance (axes,) of the datum at the end, which no row is more certain than.
+    least: Vec<f64>,
+}
+
+impl<'a> Counting<'a> {
+    /// Before: the filter at the beginning of what was decided; last: at the end.
+    pub fn new(model: &'a Model, before: &Hypothesis, parts: &[&Decided], last: &'a Hypothesis) -> Self {
+        let common: Vec<_> = (0..model.axes()).map(|a| common_zero(model, a, before, parts)).collect();
+        let rows =
+            model.channels.iter().map(|channel| counted_row(&channel.row.entries, channel.row.axis, &common)).collect();
+        let least = (0..model.axes()).map(|a| zero_variance(last, a, model)).collect();
+        Self { model, last, common, rows, least }
+    }
+
+    /// A vector (n,) of covariances or gains as the states are counted.
+    #[inline]
+    fn count(&self, v: &mut [f64]) {
+        for (a, common) in self.common.iter().enumerate() {
+            if let Some((zero, others)) = common {
+                let own = v[*zero];
+                v[motion_of(a)] += own;
+                for &other in others {
+                    v[other] -= own;
+                }
+            }
+        }
+    }
+
+    fn counts(&self) -> bool {
+        self.common.iter().any(Option::is_some)
+    }
+}
+
+/// The unknown zero that an axis counts from on the way back, its first channel's, and the other unknown ones.
+fn common_zero(model: &Model, a: usize, before: &Hypothesis, parts: &[&Decided]) -> Option<(usize, Vec<usize>)> {
+    let own = |c: usize| model.channels[c].row.axis == a;
+    let begun = |c: &usize| own(*c) && before.marks[*c].begun;
+    let known = |c: &usize| model.channels[*c].zero_variance.is_some();
+    let all = || 0..model.channels.len();
+    let met = || {
+        let items = parts.iter().flat_map(|part| part.items.iter().zip(&part.decisions));
+        items.filter(|(_, decision)| !decision.is_outlier()).filter_map(|(item, _)| item.channel()).find(|&c| own(c))
+    };
+    let first = all().filter(begun).find(known).or_else(|| all().find(begun)).or_else(met)?;
+    if known(&first) {
+        return None;
+    }
+    let others = all().filter(|&c| c != first && own(c) && !known(&c)).map(|c| model.channels[c].zero).collect();
+    Some((model.channels[first].zero, others))
+}
+
+/// A row as the states are counted: x = x' − z, and the other unknown zeros are z' + z.
+fn counted_row(entries: &[Entry], axis: usize, common: &[Option<(usize, Vec<usize>)>]) -> Vec<Entry> {
+    let mut counted = entries.to_vec();
+    let Some(Some((zero, others))) = common.get(axis) else { return counted };
+    let place = motion_of(axis);
+    let mut factor = 0.0;
+    for entry in entries {
+        if entry.state == *zero || others.contains(&entry.state) {
+            factor += entry.factor;
+        } else if entry.state == place {
+            factor -= entry.factor;
+        }
+    }
+    counted.retain(|one| one.state != *zero);
+    if factor != 0.0 {
+        counted.push(Entry { state: *zero, factor });
+    }
+    counted
+}
+
+/// What later measurements say: L and W as rows, (1 + k + 2 n, n).
+#[derive(Clone, Debug)]
+pub struct Adjoint {
+    rows: Matrix,
+    columns: usize,
+    /// How many rows are used.
+    used: usize,
+    /// States that are uncertain as they are counted.
+    live: Vec<usize>,
+    unknown: Vec<bool>,
+    /// Each channel's row, of live states alone.
+    live_rows: Vec<Vec<Entry>>,
+    /// To work with.
+    moved: Vec<f64>,
+    gain: Vec<f64>,
+    pc: Vec<f64>,
+    pv: Vec<f64>,
+    sensitivity: Vec<f64>,
+}
+
+impl Adjoint {
+    /// Nothing comes later.
+    pub fn nothing(model: &Model) -> Self {
+        let (n, columns) = (model.size(), model.columns());
+        Self {
+            rows: Matrix::zeros(columns + 2 * n + 1, n),
+            columns,
+            used: columns,
+            live: Vec::new(),
+            unknown: Vec::new(),
+            live_rows: Vec::new(),
+            moved: Vec::new(),
+            gain: vec![0.0; n],
+            pc: vec![0.0; n],
+            pv: vec![0.0; n],
+            sensitivity: vec![0.0; columns],
+        }
+    }
+
+    /// Runs back over a block; found: takes the smoothed rows (samples · axes), where they are wanted.
+    pub fn pass(&mut self, way: &WayBack, counting: &Counting, mut found: Option<&mut Vec<Mixed>>) {
+        self.find_live(way, counting);
+        if self.used >= self.columns + 2 * self.live.len() {
+            self.narrow();
+        }
+        let axes = way.axes;
+        if let Some(found) = found.as_deref_mut() {
+            found.clear();
+            found.resize(way.len() * axes, Mixed { value: 0.0, variance: 0.0, velocity: 0.0 });
+        }
+        let mut next = way.records.len();
+        let mut at_s = way.time_s.last().copied().unwrap_or(way.start_s);
+        if let Some(found) = found {
+            for k in (0..way.len()).rev() {
+                for a in 0..axes {
+                    found[k * axes + a] = self.smoothed(way, k, a, counting);
+                }
+                while next > 0 && way.records[next - 1].sample == k {
+                    next -= 1;
+                    self.back_to(way.records[next].at_s, &mut at_s, axes);
+                    self.back_through(way, next, counting);
+                }
+                let before_s = if k > 0 { way.time_s[k - 1] } else { way.start_s };
+                self.back_to(before_s, &mut at_s, axes);
+            }
+            return;
+        }
+        for place in (0..next).rev() {
+            self.back_to(way.records[place].at_s, &mut at_s, axes);
+            self.back_through(way, place, counting);
+        }
+        self.back_to(way.start_s, &mut at_s, axes);
+    }
+
+    /// Finds the states that are uncertain as the pass back counts them.
+    ///
+    /// A state that is certain in all of the block is so before it too, until a measurement whose record scales it by 0: its
+    /// adjoint is of no weight.
+    fn find_live(&mut self, way: &WayBack, counting: &Counting) {
+        let counted =
+            |j: usize| counting.common.iter().flatten().any(|(zero, others)| *zero == j || others.contains(&j));
+        let same = self.unknown.len() == way.uncertain.len()
+            && self.unknown.iter().zip(&way.uncertain).enumerate().all(|(j, (&own, &one))| own == (one || counted(j)));
+        if same && self.live_rows.len() == counting.rows.len() {
+            return;
+        }
+        self.unknown.clear();
+        self.unknown.extend(way.uncertain.iter().enumerate().map(|(j, &one)| one || counted(j)));
+        let unknown = &self.unknown;
+        self.live.clear();
+        self.live.extend((0..unknown.len()).filter(|&j| unknown[j]));
+        let alive = |row: &Vec<Entry>| row.iter().copied().filter(|one| unknown[one.state]).collect();
+        self.live_rows = counting.rows.iter().map(alive).collect();
+    }
+
+    /// Φ' times each row, from one instant to an earlier one.
+    #[inline]
+    fn back_to(&mut self, to_s: f64, at_s: &mut f64, axes: usize) {
+        let dt = *at_s - to_s;
+        if dt <= 0.0 {
+            return;
+        }
+        *at_s = to_s;
+        let (half, n, used) = (0.5 * dt * dt, self.rows.width(), self.used);
+        for row in self.rows.elements_mut().chunks_exact_mut(n).take(used) {
+            for motion in row[..MOTION_STATES * axes].chunks_exact_mut(MOTION_STATES) {
+                let (x, v) = (motion[0], motion[1]);
+                motion[2] -= half * x + dt * v;
+                motion[1] = v + dt * x;
+            }
+        }
+    }
+
+    /// Carries the adjoint back through an item.
+    fn back_through(&mut self, way: &WayBack, place: usize, counting: &Counting) {
+        let (channel, total, shift_scaled, reference_scaled) = match way.records[place].what {
+            Recorded::Doubt => return,
+            Recorded::Datum => return self.back_through_datum(counting),
+            Recorded::Measured { channel, total, shift_scaled, reference_scaled } => {
+                (channel, total, shift_scaled, reference_scaled)
+            }
+        };
+        if let Some(total) = total {
+            let stride = way.columns + way.size;
+            let details = &way.details[place * stride..(place + 1) * stride];
+            let (e, gain) = details.split_at(way.columns);
+            let mut own = std::mem::take(&mut self.gain);
+            own.copy_from_slice(gain);
+            counting.count(&mut own);
+            self.back_through_measurement(channel, &own, e, total);
+            self.gain = own;
+        }
+        let model = &counting.model.channels[channel];
+        for (state, factor) in [(model.shift, shift_scaled), (model.reference, reference_scaled)] {
+            if factor != 1.0 {
+                for c in 0..self.used {
+                    self.rows[(c, state)] *= factor;
+                }
+            }
+        }
+    }
+
+    /// Before an accepted measurement: (I − K h')' [L, W] with − h e'/S in L and a new column h/√S in W.
+    ///
+    /// 1 − K h is taken first where a state is on both sides: behind a wide prior it is a small difference.
+    fn back_through_measurement(&mut self, channel: usize, gain: &[f64], e: &[f64], total: f64) {
+        let Self { rows, live, live_rows, moved, used, .. } = self;
+        let entries = &live_rows[channel];
+        moved.resize(entries.len(), 0.0);
+        for c in 0..*used {
+            let v = rows.row_mut(c);
+            let whole: f64 = live.iter().map(|&j| gain[j] * v[j]).sum();
+            for (out, entry) in moved.iter_mut().zip(entries) {
+                let s = entry.state;
+                // Summed without the state itself where it counts: never as a difference.
+                let rest = if gain[s] * v[s] == 0.0 {
+                    whole
+                } else {
+                    live.iter().filter(|&&j| j != s).map(|&j| gain[j] * v[j]).sum()
+                };
+                *out = (1.0 - gain[s] * entry.factor) * v[s] - entry.factor * rest;
+            }
+            for (&value, entry) in moved.iter().zip(entries) {
+                v[entry.state] = value;
+            }
+        }
+        rows.row_mut(*used).fill(0.0);
+        let root = total.sqrt();
+        for entry in entries {
+            for (c, &error) in e.iter().enumerate() {
+                rows[(c, entry.state)] -= entry.factor * error / total;
+            }
+            rows[(*used, entry.state)] = entry.factor / root;
+        }
+        *used += 1;
+        if self.used >= self.columns + 2 * self.live.len() {
+            self.narrow();
+        }
+    }
+
+    /// Before the datum was copied from the displacement.
+    fn back_through_datum(&mut self, counting: &Counting) {
+        let Some(datum) = &counting.model.datum else { return };
+        for (a, &d) in datum.iter().enumerate() {
+            for c in 0..self.used {
+                let own = self.rows[(c, d)];
+                self.rows[(c, motion_of(a))] += own;
+                if let Some((zero, _)) = &counting.common[a] {
+                    self.rows[(c, *zero)] -= own;
+                }
+                self.rows[(c, d)] = 0.0;
+            }
+        }
+    }
+
+    /// Rotates the columns of W to as many as there are live states; W W' stays. By Householder's reflections, to a lower
+    /// triangle.
+    fn narrow(&mut self) {
+        let Self { rows, live, columns, used, .. } = self;
+        let (first, end) = (*columns, *used);
+        for begin in first..(first + live.len()).min(end) {
+            let j = live[begin - first];
+            let mut square: f64 = (begin..end).map(|c| rows[(c, j)] * rows[(c, j)]).sum();
+            if square == 0.0 {
+                continue;
+            }
+            let pivot = if rows[(begin, j)] > 0.0 { -square.sqrt() } else { square.sqrt() };
+            rows[(begin, j)] -= pivot;
+            square = (begin..end).map(|c| rows[(c, j)] * rows[(c, j)]).sum();
+            for &i in &live[begin - first + 1..] {
+                let dot: f64 = (begin..end).map(|c| rows[(c, j)] * rows[(c, i)]).sum::<f64>() * 2.0 / square;
+                for c in begin..end {
+                    let own = rows[(c, j)];
+                    rows[(c, i)] -= dot * own;
+                }
+            }
+            rows[(begin, j)] = pivot;
+            for c in begin + 1..end {
+                rows[(c, j)] = 0.0;
+            }
+        }
+        *used = (first + live.len()).min(end);
+    }
+
+    /// Smoothed displacement, its variance and the velocity of one axis at a sample.
+    fn smoothed(&mut self, way: &WayBack, k: usize, a: usize, counting: &Counting) -> Mixed {
+        let (columns, n) = (way.columns, way.size);
+        let stride = 2 * (columns + n);
+        let node = &way.nodes[(k * way.axes + a) * stride..(k * way.axes + a + 1) * stride];
+        let (places, rest) = node.split_at(columns);
+        let (speeds, covariances) = rest.split_at(columns);
+        let (mut pc, mut pv) = covariances.split_at(n);
+        let datum = counting.model.datum.as_ref().map(|datum| datum[a]);
+        let filtered = pc[motion_of(a)] - datum.map_or(0.0, |d| pc[d]);
+        if counting.counts() {
+            for (out, own) in [(&mut self.pc, pc), (&mut self.pv, pv)] {
+                out.copy_from_slice(own);
+                counting.count(out);
+            }
+            (pc, pv) = (&self.pc, &self.pv);
+        }
+        let live = &self.live;
+        let on = |v: &[f64], row: &[f64]| -> f64 { live.iter().map(|&j| v[j] * row[j]).sum() };
+        let (mut value, mut velocity, mut known) = (0.0, 0.0, 0.0);
+        for c in 0..columns {
+            let row = self.rows.row(c);
+            let share = if c == 0 { 1.0 } else { counting.last.parameters[c - 1] };
+            let place = places[c] - on(pc, row);
+            self.sensitivity[c] = place;
+            value += place * share;
+            velocity += (speeds[c] - on(pv, row)) * share;
+        }
+        for c in columns..self.used {
+            let met = on(pc, self.rows.row(c));
+            known += met * met;
+        }
+        let uncertain = quadratic(&self.sensitivity[1..], &counting.last.spread);
+        let variance = counting.model.misfit[a] * (filtered - known).max(MIN_VARIANCE_SHARE * filtered) + uncertain;
+        Mixed { value, variance: variance.max(counting.least[a]) + counting.model.unseen_m2[a], velocity }
+    }
+}

@@ -1,0 +1,193 @@
+//! The state before the first sample, from the first samples and measurements.
+
+use super::model::{Model, instant};
+use super::samples::{INSERTED, Samples, View};
+use super::settings::Settings;
+use super::waiting::Timed;
+use serde::{Deserialize, Serialize};
+
+/// The state starts this long before the first sample, s; the same however the record is cut.
+pub const START_S: f64 = 0.01;
+/// The motion's first velocity lies within so many times what the sensors say of its size.
+const VELOCITY_WITHIN: f64 = 3.0;
+/// Acceleration is taken to belong to a motion of no less than this frequency, Hz.
+const SLOWEST_HZ: f64 = 0.2;
+/// Of the steps of a channel's first measurements this share is sound.
+const SOUND_SHARE: f64 = 0.25;
+/// The structure lies within so many times what the first measurements of the only channel scatter by.
+///
+/// A wider prior would make each measurement unlikely that begins it anew: of two, the farther off the first one is, the
+/// more likely would the first one be.
+const SCATTER_WITHIN: f64 = 3.0;
+/// It lies within so many metres where the measurements are fewer than [`FEW`].
+const FARTHEST_M: f64 = 1.0;
+const FEW: usize = 4;
+/// Shortest time between two measurements that a speed is taken from, s.
+const SHORTEST_S: f64 = 1e-3;
+/// The first samples that what the acceleration was before them is taken from.
+const FIRST_SAMPLES: usize = 100;
+
+/// The state before the first sample; arrays have one element an axis.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Beginning {
+    /// The first sample's time, s.
+    pub time_s: f64,
+    /// Its acceleration, m/s².
+    pub acceleration: Vec<f64>,
+    /// Displacement, m.
+    pub displacement_m: Vec<f64>,
+    /// Its standard deviation, m.
+    pub displacement_std_m: Vec<f64>,
+    /// Standard deviation of the velocity, m/s.
+    pub velocity_std_m_s: Vec<f64>,
+    /// How many of the first measurements are judged both ways.
+    pub judged: usize,
+}
+
+impl Beginning {
+    /// From the first samples, their times (s) and the first measurements, none of which may be missing.
+    pub fn new(samples: View, time_s: &[f64], items: &[Timed], settings: &Settings, model: &Model) -> Self {
+        let axes = settings.axes;
+        let (mut place, mut within, mut speed) = (vec![0.0; axes], vec![FARTHEST_M; axes], vec![0.0; axes]);
+        for a in 0..axes {
+            speed[a] = moving(deviation(&along(samples, a, samples.len())).sqrt(), settings.motion[a]);
+            let channels: Vec<usize> = (0..settings.channels.len())
+                .filter(|&c| settings.channels[c].axis == a && items.iter().any(|one| one.channel() == Some(c)))
+                .collect();
+            place[a] = first_place(items, a, model);
+            for &c in &channels {
+                let scatter = Scatter::of(items, c, model);
+                speed[a] = scatter.speed().map_or(speed[a], |one| one.max(speed[a]));
+                if channels.len() == 1 && scatter.value_m.len() >= FEW {
+                    within[a] = SCATTER_WITHIN * scatter.extent_m();
+                }
+            }
+            speed[a] *= VELOCITY_WITHIN;
+            // The first measurement may come some time after the zero, from which on the state is followed.
+            let first_s = items.first().map_or(time_s[0], |one| one.at_s);
+            within[a] += speed[a] * (first_s - time_s[0]).max(0.0);
+        }
+        Self {
+            time_s: time_s[0],
+            acceleration: samples.value[..axes].to_vec(),
+            displacement_m: place,
+            displacement_std_m: settings.displacement_std_m.map_or(within, |std_m| vec![std_m; axes]),
+            velocity_std_m_s: settings.velocity_std_m_s.as_ref().map_or(speed, |given| given[..axes].to_vec()),
+            judged: items.len(),
+        }
+    }
+
+    /// Whether it is of so many axes.
+    pub fn fits(&self, axes: usize) -> bool {
+        [&self.acceleration, &self.displacement_m, &self.displacement_std_m, &self.velocity_std_m_s]
+            .into_iter()
+            .all(|one| one.len() == axes)
+    }
+}
+
+/// The first measurements of a channel.
+struct Scatter {
+    time_s: Vec<f64>,
+    value_m: Vec<f64>,
+    max_std_m: f64,
+}
+
+impl Scatter {
+    fn of(items: &[Timed], c: usize, model: &Model) -> Self {
+        let g = model.channels[c].row.units_per_m;
+        let mut found = Self { time_s: Vec::new(), value_m: Vec::new(), max_std_m: 0.0 };
+        for item in items {
+            let Some(one) = item.item.measured().filter(|one| one.channel == c) else { continue };
+            found.time_s.push(item.at_s);
+            found.value_m.push(one.value / g);
+            found.max_std_m = found.max_std_m.max(one.variance.sqrt() / g.abs());
+        }
+        found
+    }
+
+    /// Speed of the sound steps, m/s.
+    fn speed(&self) -> Option<f64> {
+        let moved = self.value_m.windows(2).map(|two| (two[1] - two[0]).abs());
+        let lasting = self.time_s.windows(2).map(|two| (two[1] - two[0]).max(SHORTEST_S));
+        let mut steps: Vec<f64> = moved.zip(lasting).map(|(moved, lasting)| moved / lasting).collect();
+        quantile(&mut steps, SOUND_SHARE)
+    }
+
+    /// How far apart they lie, with their noise, m.
+    fn extent_m(&self) -> f64 {
+        let most = self.value_m.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        let least = self.value_m.iter().copied().fold(f64::INFINITY, f64::min);
+        most - least + self.max_std_m
+    }
+}
+
+/// The median of what is measured along an axis at the instant of its first measurement, m.
+fn first_place(items: &[Timed], a: usize, model: &Model) -> f64 {
+    let own = |one: &Timed| one.channel().is_some_and(|c| model.channels[c].row.axis == a);
+    let Some(first) = items.iter().find(|one| own(one)) else { return 0.0 };
+    let same = items.iter().filter(|one| own(one) && one.at_s == first.at_s);
+    let mut values: Vec<f64> = same
+        .filter_map(|one| one.item.measured())
+        .map(|one| one.value / model.channels[one.channel].row.units_per_m)
+        .collect();
+    quantile(&mut values, 0.5).unwrap_or(0.0)
+}
+
+/// Velocity (m/s) of a motion whose acceleration is `felt` (m/s²), by what is known of its standard deviation (m) and
+/// middle angular frequency (1/s): its mean square is no more than those of displacement and acceleration allow.
+fn moving(felt: f64, (moved, rate): (f64, f64)) -> f64 {
+    if moved > 0.0 {
+        (moved * (moved * rate * rate).max(felt)).sqrt()
+    } else {
+        felt / (std::f64::consts::TAU * SLOWEST_HZ)
+    }
+}
+
+/// Puts a sample before the first one where a measurement comes before it: the zero may belong to that.
+///
+/// What the acceleration was until the first sample is not known: its noise is what it varies by later.
+pub fn with_start(samples: View, first_s: f64, origin_ns: i64) -> Samples {
+    let (start_ns, mut first_ns) = (samples.time_ns[0], instant(first_s, origin_ns));
+    if first_ns >= start_ns {
+        return samples.owned();
+    }
+    if samples.len() > 1 {
+        // A whole interval at least: over nanoseconds the step to the first sample would be an endless slope.
+        let mut steps: Vec<f64> = samples.time_ns.windows(2).map(|two| (two[1] - two[0]) as f64).collect();
+        first_ns = first_ns.min(start_ns - quantile(&mut steps, 0.5).unwrap_or(0.0) as i64);
+    }
+    let mut whole = Samples::none(samples.axes);
+    let count = samples.len().min(FIRST_SAMPLES);
+    let mut unknown = Vec::new();
+    for a in 0..samples.axes {
+        let values = along(samples, a, count);
+        whole.value.push(values.iter().sum::<f64>() / values.len() as f64);
+        unknown.push(samples.density[a] + deviation(&values) / SLOWEST_HZ);
+    }
+    whole.time_ns.push(first_ns);
+    whole.density.extend_from_slice(&unknown);
+    whole.kind.push(INSERTED);
+    whole.extend(samples);
+    whole.density[samples.axes..2 * samples.axes].copy_from_slice(&unknown);
+    whole
+}
+
+/// The first accelerations along an axis.
+fn along(samples: View, a: usize, count: usize) -> Vec<f64> {
+    samples.value.iter().skip(a).step_by(samples.axes).take(count).copied().collect()
+}
+
+/// Mean square about the mean.
+fn deviation(values: &[f64]) -> f64 {
+    let mean = values.iter().sum::<f64>() / values.len() as f64;
+    values.iter().map(|one| (one - mean) * (one - mean)).sum::<f64>() / values.len() as f64
+}
+
+/// A quantile by straight lines between the values in their order; None of none.
+fn quantile(values: &mut [f64], share: f64) -> Option<f64> {
+    values.sort_by(f64::total_cmp);
+    let place = share * values.len().checked_sub(1)? as f64;
+    let (low, part) = (place.floor() as usize, place.fract());
+    let high = values.get(low + 1).copied().unwrap_or(values[low]);
+    Some(values[low] + part * (high - values[low]))
+}

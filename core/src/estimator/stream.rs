@@ -1,0 +1,579 @@
+//! The estimator as a stream: any cutting of the input into pushes gives the same rows.
+//!
+//! Measurements wait for the samples that cover their time. Rows are held back until the first few measurements have come:
+//! the first of them is then judged by those after it.
+
+use super::cause::Decision;
+use super::decided::{Decided, MAX_UNDECIDED, Undecided, channels_exist};
+use super::innovation::{Work, predict_value};
+use super::log::{Log, Logged};
+use super::model::{Model, instant, since};
+use super::motion::GAP_STEPS;
+use super::reports::{Report, Reports, What};
+use super::rows::{Innovations, Met, Rows, innovations_of, mixed, zero_variance};
+use super::run::{Block, Filter, Judge};
+use super::samples::{Samples, View};
+use super::settings::Settings;
+use super::start::{Beginning, with_start};
+use super::unmeasured::Integrated;
+use super::waiting::{Item, Measurement, Timed, count_until, keep_newest, put_in_order};
+use serde::{Deserialize, Serialize};
+use std::collections::VecDeque;
+
+/// So many measurements, one of them of the sensor whose zero counts, are waited for before rows are given out.
+const FIRST_MEASUREMENTS: usize = 8;
+/// Or so long after the first one, s.
+const FIRST_S: f64 = 2.0;
+/// A zero longer before the first measurement than this (s) is not followed from there: the rows count from the latter.
+const MAX_BEFORE_S: f64 = 10.0;
+/// A first measurement before the first sample counts when it is no more than this (s) before it.
+const BEFORE_SAMPLES_S: f64 = 2.0;
+
+/// What bounds the memory.
+#[derive(Clone, Copy, Debug)]
+pub struct Limits {
+    /// So many measurements may wait for the samples that cover them; older ones are dropped.
+    pub waiting: usize,
+    /// Samples that are run at once.
+    pub block: usize,
+}
+
+/// What a push gave.
+#[derive(Clone, Debug, Default)]
+pub struct Output {
+    /// Rows of all axes, where they are given out.
+    pub rows: Option<Rows>,
+    /// Innovations of each channel as the best hypothesis saw them; none at the end.
+    pub innovations: Vec<Innovations>,
+    /// Events.
+    pub reports: Vec<Report>,
+    /// Variance (axes,) of the datum at the last row, the part that all rows have in common, m².
+    pub zero_variance: Vec<f64>,
+}
+
+/// All that an estimator remembers besides its log.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Remembered {
+    origin_ns: Option<i64>,
+    /// Measurements before the first sample, from which times are counted.
+    early: VecDeque<(i64, Measurement)>,
+    /// Samples while rows are held back.
+    held: Option<Samples>,
+    waiting: Vec<Timed>,
+    /// Until the filter, and all zeros, have begun.
+    alone: Option<Integrated>,
+    filter: Option<Filter>,
+    first_s: f64,
+    undecided: Undecided,
+    reports: Reports,
+    /// Of each channel whether its last measurements came too late.
+    late: Vec<bool>,
+    overflown: bool,
+    /// Events that wait for the next rows.
+    pending: Vec<Report>,
+}
+
+/// The estimator of one measuring point.
+#[derive(Clone, Debug)]
+pub struct Estimator {
+    settings: Settings,
+    model: Model,
+    limits: Limits,
+    keep_log: bool,
+    give_rows: bool,
+    memory: Remembered,
+    log: Option<Log>,
+    /// Whether what is decided is the past of all hypotheses.
+    one_past: bool,
+    work: Work,
+    time_s: Vec<f64>,
+}
+
+impl Estimator {
+    /// Before anything is pushed; keep_log: keep all that a second pass needs; give_rows: rows are given out.
+    pub fn new(settings: Settings, limits: Limits, keep_log: bool, give_rows: bool) -> Self {
+        let (channels, model) = (settings.channels.len(), Model::new(&settings, 0));
+        let memory = Remembered {
+            origin_ns: None,
+            early: VecDeque::new(),
+            held: None,
+            waiting: Vec::new(),
+            alone: None,
+            filter: None,
+            first_s: f64::NAN,
+            undecided: Undecided::default(),
+            reports: Reports::new(channels),
+            late: vec![false; channels],
+            overflown: false,
+            pending: Vec::new(),
+        };
+        let work = Work::new(&model);
+        Self {
+            settings,
+            model,
+            limits,
+            keep_log,
+            give_rows,
+            memory,
+            log: None,
+            one_past: true,
+            work,
+            time_s: Vec::new(),
+        }
+    }
+
+    /// The settings.
+    pub fn settings(&self) -> &Settings {
+        &self.settings
+    }
+
+    /// What stays as it is.
+    pub fn model(&self) -> &Model {
+        &self.model
+    }
+
+    /// What a second pass needs.
+    pub fn log(&self) -> Option<&Log> {
+        self.log.as_ref()
+    }
+
+    /// The same to change.
+    pub fn log_mut(&mut self) -> Option<&mut Log> {
+        self.log.as_mut()
+    }
+
+    /// Puts a log in place, as a restored stream needs it.
+    pub fn set_log(&mut self, log: Option<Log>) {
+        self.log = log;
+    }
+
+    /// All that is remembered besides the log.
+    pub fn memory(&self) -> &Remembered {
+        &self.memory
+    }
+
+    /// The filter, once it has begun.
+    pub fn filter(&self) -> Option<&Filter> {
+        self.memory.filter.as_ref()
+    }
+
+    /// Samples that are run at once.
+    pub fn block(&self) -> usize {
+        self.limits.block
+    }
+
+    /// What times in s count from, ns.
+    pub fn origin_ns(&self) -> i64 {
+        self.memory.origin_ns.unwrap_or(0)
+    }
+
+    /// Time of the first measurement, s.
+    pub fn first_s(&self) -> f64 {
+        self.memory.first_s
+    }
+
+    /// The items of which the hypotheses do not say the same yet.
+    pub fn undecided(&self) -> &Undecided {
+        &self.memory.undecided
+    }
+
+    /// The measurements and marks that wait for samples.
+    pub fn waiting(&self) -> &[Timed] {
+        &self.memory.waiting
+    }
+
+    /// How many measurements wait for the first sample.
+    pub fn early(&self) -> usize {
+        self.memory.early.len()
+    }
+
+    /// Goes on from what an estimator with the same settings remembered; false: it does not fit.
+    pub fn restore(&mut self, memory: Remembered) -> bool {
+        if !memory.fits(&self.settings, &self.model) {
+            return false;
+        }
+        self.memory = memory;
+        self.model = Model::new(&self.settings, self.origin_ns());
+        true
+    }
+
+    /// Takes a measurement of an existing channel; its reference's variance in the channel's unit.
+    pub fn measure(&mut self, time_ns: &[i64], mut rows: impl Iterator<Item = Measurement>) {
+        let usable = |row: &Measurement| row.value.is_finite() && row.variance > 0.0 && row.variance < f64::INFINITY;
+        let before = self.memory.waiting.len();
+        let done_s = self.memory.filter.as_ref().map_or(f64::NEG_INFINITY, |filter| filter.clock.time_s);
+        let mut late: Vec<(usize, f64)> = Vec::new();
+        let mut in_time = Vec::new();
+        for &stamp_ns in time_ns {
+            let Some(mut row) = rows.next() else { break };
+            if !usable(&row) {
+                continue;
+            }
+            let g = self.model.channels[row.channel].row.units_per_m;
+            row.reference = if row.reference.is_finite() { row.reference / (g * g) } else { 0.0 };
+            let Some(origin_ns) = self.memory.origin_ns else {
+                self.wait_early(stamp_ns, row);
+                continue;
+            };
+            let at_s = since(stamp_ns, origin_ns);
+            if at_s <= done_s {
+                late.push((row.channel, at_s));
+            } else {
+                in_time.push(row.channel);
+                self.memory.waiting.push(Timed { at_s, item: Item::Measured(row) });
+            }
+        }
+        self.note_late(&late, &in_time);
+        if self.memory.waiting.len() > before {
+            self.order_waiting();
+        }
+    }
+
+    /// Reports channels whose measurements came too late, each once until one comes in time again.
+    fn note_late(&mut self, late: &[(usize, f64)], in_time: &[usize]) {
+        let mut channels: Vec<usize> = late.iter().map(|one| one.0).collect();
+        channels.sort_unstable();
+        channels.dedup();
+        for c in channels {
+            if !self.memory.late[c] {
+                let first_s = late.iter().find(|one| one.0 == c).map_or(0.0, |one| one.1);
+                self.memory.pending.push(Report::of(instant(first_s, self.origin_ns()), c, What::Late));
+            }
+            self.memory.late[c] = true;
+        }
+        for &c in in_time {
+            self.memory.late[c] = false;
+        }
+    }
+
+    fn wait_early(&mut self, stamp_ns: i64, row: Measurement) {
+        self.memory.early.push_back((stamp_ns, row));
+        if self.memory.early.len() > self.limits.waiting {
+            if let Some((oldest_ns, _)) = self.memory.early.pop_front() {
+                self.overflow(oldest_ns);
+            }
+        }
+    }
+
+    fn order_waiting(&mut self) {
+        put_in_order(&mut self.memory.waiting);
+        if let Some(oldest_s) = keep_newest(&mut self.memory.waiting, self.limits.waiting) {
+            self.overflow(instant(oldest_s, self.origin_ns()));
+        }
+    }
+
+    /// Reports that measurements from an instant on are dropped: once, until half of what may wait is gone.
+    fn overflow(&mut self, time_ns: i64) {
+        if !self.memory.overflown {
+            self.memory.pending.push(Report::of(time_ns, 0, What::Overflow));
+        }
+        self.memory.overflown = true;
+    }
+
+    /// Lets the clocks be in doubt from an instant on; before the filter has begun it knows of none.
+    pub fn doubt(&mut self, time_ns: i64) {
+        let at_s = since(time_ns, self.origin_ns());
+        if let Some(filter) = &self.memory.filter {
+            self.memory.waiting.push(Timed { at_s: at_s.max(filter.clock.time_s), item: Item::WentBack });
+            put_in_order(&mut self.memory.waiting);
+        }
+    }
+
+    /// Takes samples, which are later than all before; returns what is due.
+    pub fn push(&mut self, samples: View) -> Vec<Output> {
+        let mut found = Vec::new();
+        for first in (0..samples.len()).step_by(self.limits.block) {
+            let end = samples.len().min(first + self.limits.block);
+            self.push_block(samples.part(first, end), &mut found);
+        }
+        found
+    }
+
+    fn push_block(&mut self, samples: View, found: &mut Vec<Output>) {
+        if self.memory.origin_ns.is_none() {
+            self.memory.origin_ns = samples.time_ns.first().copied();
+            let origin_ns = self.origin_ns();
+            let early = std::mem::take(&mut self.memory.early);
+            let timed = |(stamp_ns, row)| Timed { at_s: since(stamp_ns, origin_ns), item: Item::Measured(row) };
+            self.memory.waiting.extend(early.into_iter().map(timed));
+            self.order_waiting();
+        }
+        if self.memory.filter.is_none() || self.memory.alone.is_some() {
+            let (alone, origin_ns) = (self.memory.alone.take(), self.origin_ns());
+            self.memory.alone = Integrated::after(alone, samples, origin_ns, &self.settings.bias_m_s2);
+        }
+        if self.memory.filter.is_some() {
+            self.run(samples, found);
+        } else {
+            self.hold(samples, found);
+        }
+        let channels = 0..self.settings.channels.len();
+        if self.memory.alone.is_some() && self.memory.filter.is_some() && channels.into_iter().all(|c| self.counts(c)) {
+            self.memory.alone = None;
+        }
+    }
+
+    /// Holds samples until rows are given out.
+    fn hold(&mut self, samples: View, found: &mut Vec<Output>) {
+        let held = match self.memory.held.take() {
+            Some(mut held) => {
+                held.extend(samples);
+                held
+            }
+            None => samples.owned(),
+        };
+        self.begin(held, false, found);
+    }
+
+    /// Starts once enough measurements are there; until then holds the samples from before the first one on.
+    fn begin(&mut self, mut held: Samples, ended: bool, found: &mut Vec<Output>) {
+        let (origin_ns, mut time_s) = (self.origin_ns(), Vec::new());
+        held.view().seconds(origin_ns, &mut time_s);
+        let (Some(&sampled_s), Some(&end_s)) = (time_s.first(), time_s.last()) else { return };
+        self.memory.waiting.retain(|one| one.at_s >= sampled_s - BEFORE_SAMPLES_S);
+        let count = count_until(&self.memory.waiting, end_s);
+        let first_s = if count > 0 { self.memory.waiting[0].at_s } else { end_s };
+        let start_s = self.start_s(first_s, sampled_s);
+        let dropped = time_s.partition_point(|&one| one <= start_s).saturating_sub(1);
+        held.drop_first(dropped);
+        time_s.drain(..dropped);
+        if count == 0 {
+            self.memory.held = Some(held);
+            return;
+        }
+        let is_enough = count >= FIRST_MEASUREMENTS && self.tells_zero(count, first_s);
+        let enough = is_enough.then(|| self.memory.waiting[FIRST_MEASUREMENTS - 1].at_s);
+        // What the acceleration was before its first sample, the samples of some time tell.
+        let until_s = if first_s >= time_s[0] {
+            enough.unwrap_or(f64::INFINITY).min(first_s + FIRST_S)
+        } else {
+            time_s[0] + FIRST_S
+        };
+        let mut last = time_s.partition_point(|&one| one < until_s);
+        if last >= time_s.len() {
+            if !ended {
+                self.memory.held = Some(held);
+                return;
+            }
+            last = time_s.len() - 1;
+        }
+        let whole = held.view();
+        let begun = with_start(whole.part(0, last + 1), start_s, origin_ns);
+        found.push(self.start(begun.view(), first_s));
+        if last + 1 < whole.len() {
+            self.run(whole.part(last + 1, whole.len()), found);
+        }
+    }
+
+    /// When the filter starts, s: at the first measurement, or at the zero where that lies shortly before it, but not before
+    /// the first sample: without acceleration the zero would be uncertain by decimetres.
+    fn start_s(&self, first_s: f64, sampled_s: f64) -> f64 {
+        let zero_s = self.settings.zero_ns.map(|zero_ns| since(zero_ns, self.origin_ns()));
+        match zero_s.filter(|&zero_s| first_s - MAX_BEFORE_S <= zero_s && zero_s < first_s) {
+            Some(zero_s) => zero_s.max(sampled_s.min(first_s)),
+            None => first_s,
+        }
+    }
+
+    /// Whether one of the first waiting measurements counts from the zero, or those that do are not waited for.
+    fn tells_zero(&self, count: usize, first_s: f64) -> bool {
+        let zero_s = self.settings.zero_ns.map(|zero_ns| since(zero_ns, self.origin_ns()));
+        zero_s.is_none_or(|zero_s| zero_s > first_s + FIRST_S)
+            || self.memory.waiting[..count].iter().any(|one| match &one.item {
+                Item::Measured(row) => self.settings.channels[row.channel].zero_known(),
+                _ => false,
+            })
+    }
+
+    /// Whether the filter's displacement counts from a channel's zero: an unknown zero has been met, or of the known ones of
+    /// the axis one.
+    fn counts(&self, c: usize) -> bool {
+        let Some(filter) = &self.memory.filter else { return false };
+        let marks = &filter.hyps.best().marks;
+        let is_known = |c: usize| self.model.channels[c].zero_variance.is_some();
+        let axis = self.model.channels[c].row.axis;
+        if !is_known(c) {
+            return marks[c].begun;
+        }
+        (0..marks.len()).any(|k| is_known(k) && self.model.channels[k].row.axis == axis && marks[k].begun)
+    }
+
+    /// Judges the first measurements, and takes the rows from a second run with what was decided.
+    fn start(&mut self, samples: View, first_s: f64) -> Output {
+        let origin_ns = self.origin_ns();
+        self.model = Model::new(&self.settings, origin_ns);
+        self.work = Work::new(&self.model);
+        let mut time_s = Vec::new();
+        samples.seconds(origin_ns, &mut time_s);
+        let (start_s, end_s) = (time_s[0], time_s[time_s.len() - 1]);
+        let mut items = self.due(end_s);
+        let begin = Beginning::new(samples, &time_s, &items, &self.settings, &self.model);
+        if let Some(zero_ns) = self.settings.zero_ns {
+            let datum = Timed { at_s: since(zero_ns, origin_ns).max(start_s), item: Item::Datum };
+            let at = if datum.at_s <= end_s { &mut items } else { &mut self.memory.waiting };
+            at.push(datum);
+            put_in_order(at);
+        }
+        self.memory.first_s = first_s;
+        self.one_past = true;
+        let begun = Filter::begun(&begin, &self.settings, &self.model);
+        self.log = self.keep_log.then(|| Log::new(begin, first_s, origin_ns, self.settings.axes));
+        let (mut filter, mut undecided, mut met) = (begun.clone(), Undecided::default(), Vec::new());
+        let first_ns = instant(first_s, origin_ns);
+        let mut block = Block { samples, time_s: &time_s, items: &mut items, first_ns };
+        let mut open = Judge::Open { undecided: &mut undecided, met: &mut met };
+        filter.run(&self.model, &mut block, &mut open, None, &mut self.work);
+        let best = undecided.best();
+        let met: Vec<Met> =
+            best.told.iter().zip(&best.decisions).map(|(&told, &decision)| Met { told, decision }).collect();
+        let runs: Vec<Rows> = undecided
+            .paths(filter.hyps.count())
+            .iter()
+            .map(|decisions| self.again(&begun, &mut block, decisions))
+            .collect();
+        let weights: Vec<f64> = filter.hyps.all().iter().map(|one| one.memory.weight.exp()).collect();
+        let rows = mixed(&runs, &weights);
+        self.memory.filter = Some(filter);
+        self.memory.undecided = undecided;
+        let innovations = innovations_of(&items, &met, &self.model, origin_ns);
+        self.output(samples, self.give_rows.then_some(rows), innovations)
+    }
+
+    /// The rows of the first samples with what one hypothesis decided.
+    fn again(&mut self, begun: &Filter, block: &mut Block, decisions: &[Decision]) -> Rows {
+        let mut rows = Rows::with_room(self.settings.axes, block.time_s.len());
+        let mut judge = Judge::Decided { decisions, back: None };
+        begun.clone().run(&self.model, block, &mut judge, Some(&mut rows), &mut self.work);
+        rows
+    }
+
+    /// The rows of samples; where they are logged, run up to where the log keeps the filter, and then on.
+    fn run(&mut self, samples: View, found: &mut Vec<Output>) {
+        let mut first = 0;
+        while first < samples.len() {
+            let logged = self.log.as_ref().map_or(0, |log| log.samples.len());
+            let end = samples.len().min(first + self.limits.block - logged % self.limits.block);
+            found.extend(self.run_on(samples.part(first, end)));
+            first = end;
+        }
+    }
+
+    fn run_on(&mut self, samples: View) -> Option<Output> {
+        let origin_ns = self.origin_ns();
+        let mut time_s = std::mem::take(&mut self.time_s);
+        samples.seconds(origin_ns, &mut time_s);
+        let mut items = self.due(time_s.last().copied()?);
+        let mut filter = self.memory.filter.take()?;
+        let mut rows = self.give_rows.then(|| Rows::with_room(self.settings.axes, samples.len()));
+        let mut met = Vec::with_capacity(items.len());
+        let first_ns = instant(self.memory.first_s, origin_ns);
+        let mut block = Block { samples, time_s: &time_s, items: &mut items, first_ns };
+        let mut open = Judge::Open { undecided: &mut self.memory.undecided, met: &mut met };
+        filter.run(&self.model, &mut block, &mut open, rows.as_mut(), &mut self.work);
+        self.memory.filter = Some(filter);
+        self.time_s = time_s;
+        let innovations = innovations_of(&items, &met, &self.model, origin_ns);
+        Some(self.output(samples, rows, innovations))
+    }
+
+    /// Waiting items up to an instant, which no longer wait.
+    fn due(&mut self, until_s: f64) -> Vec<Timed> {
+        let count = count_until(&self.memory.waiting, until_s);
+        let items = self.memory.waiting.drain(..count).collect();
+        self.memory.overflown = self.memory.overflown && self.memory.waiting.len() > self.limits.waiting / 2;
+        items
+    }
+
+    /// What a run gave; logs its samples, and what is decided now.
+    fn output(&mut self, samples: View, rows: Option<Rows>, innovations: Vec<Innovations>) -> Output {
+        let count = self.memory.filter.as_ref().map_or(0, |filter| filter.hyps.count());
+        let decided = self.memory.undecided.settle(count);
+        let reports = self.settle(decided);
+        self.keep_samples(samples);
+        let best = self.memory.filter.as_ref().map(|filter| filter.hyps.best());
+        let zero_variance = (0..self.settings.axes)
+            .map(|a| best.map_or(0.0, |hyp| zero_variance(hyp, a, &self.model)) + self.settings.unseen_common_m2[a])
+            .collect();
+        Output { rows, innovations, reports, zero_variance }
+    }
+
+    fn keep_samples(&mut self, samples: View) {
+        let (Some(log), Some(filter)) = (self.log.as_mut(), self.memory.filter.as_ref()) else { return };
+        log.samples.extend(samples);
+        // What was decided because more would have been undecided need not be the best hypothesis's past.
+        self.one_past = self.one_past && self.memory.undecided.len() < MAX_UNDECIDED;
+        let logged = log.samples.len();
+        if logged % self.limits.block == 0 && self.one_past {
+            let open = self.memory.undecided.best().decisions;
+            log.filters.insert(logged, Logged { filter: filter.best_alone(), decided: log.decided.len(), open });
+        }
+    }
+
+    /// Logs what is final, and returns its events after those that waited.
+    fn settle(&mut self, decided: Decided) -> Vec<Report> {
+        if let Some(log) = self.log.as_mut() {
+            log.decided.extend(&decided);
+        }
+        let origin_ns = self.origin_ns();
+        let mut reports = std::mem::take(&mut self.memory.pending);
+        reports.extend(self.memory.reports.after(&decided, &self.model, origin_ns));
+        reports
+    }
+
+    /// The rows that are held back still, and events that the record's end completes.
+    pub fn finish(&mut self) -> Vec<Output> {
+        let mut found = Vec::new();
+        if self.memory.filter.is_none() {
+            if let Some(held) = self.memory.held.take() {
+                self.begin(held, true, &mut found);
+            }
+        }
+        let reports = if self.memory.filter.is_none() {
+            self.memory.pending.clone()
+        } else {
+            let decided = std::mem::take(&mut self.memory.undecided).best();
+            let mut reports = self.settle(decided);
+            reports.extend(self.memory.reports.ended(self.origin_ns()));
+            reports
+        };
+        if !reports.is_empty() {
+            found.push(Output { reports, ..Output::default() });
+        }
+        found
+    }
+
+    /// Expected measurement of a channel at a time after the last sample, in its unit, and the variance of that.
+    ///
+    /// The last acceleration is held over a step or two; None where no samples come. Until the filter and the channel's zero
+    /// have begun only the acceleration tells: the variance is infinite before the filter begins and NaN afterwards, when
+    /// measurements from before come too late.
+    pub fn predict(&self, c: usize, time_ns: i64) -> Option<(f64, f64)> {
+        let time_s = since(time_ns, self.origin_ns());
+        let Some(filter) = self.memory.filter.as_ref().filter(|_| self.counts(c)) else {
+            let row = &self.model.channels[c].row;
+            let variance = if self.memory.filter.is_some() { f64::NAN } else { f64::INFINITY };
+            return Some((row.units_per_m * self.memory.alone.as_ref()?.at(time_s, row.axis)?, variance));
+        };
+        if time_s - filter.clock.time_s > GAP_STEPS * filter.clock.step_s {
+            return None;
+        }
+        Some(predict_value(time_s, c, &filter.motion, &filter.clock, &filter.hyps, &self.model))
+    }
+}
+
+impl Remembered {
+    /// Whether it is of an estimator with these settings.
+    fn fits(&self, settings: &Settings, model: &Model) -> bool {
+        let (channels, axes) = (settings.channels.len(), settings.axes);
+        let count = self.filter.as_ref().map_or(0, |filter| filter.hyps.count());
+        self.filter.as_ref().is_none_or(|one| one.fits(model))
+            && self.held.as_ref().is_none_or(|one| one.consistent(axes))
+            && self.alone.as_ref().is_none_or(|one| one.fits(axes))
+            && self.early.iter().all(|one| one.1.channel < channels)
+            && channels_exist(&self.waiting, channels)
+            && self.undecided.fits(count, channels)
+            && self.reports.fits(channels)
+            && self.late.len() == channels
+            && self.pending.iter().all(|one| one.channel < channels.max(1))
+    }
+}
