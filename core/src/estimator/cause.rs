@@ -32,9 +32,6 @@ pub const DECADES: f64 = 4.0;
 const BIAS_TOO: f64 = 0.05;
 /// Of the gaps and steps back in the stamps of a stream this share is one clock's step against the others.
 const P_STEPPED: f64 = 0.1;
-/// Errors of the acceleration up to this many times (in variance) its noise are met more often: 30 deviations. At 100
-/// lively records (`python -m benchmarks broad`) had measurements rejected that were right.
-const ROUGH: f64 = 1000.0;
 /// Shortest time (s) that a rate is taken over.
 pub const SHORTEST_S: f64 = 1e-3;
 const LOG_2PI: f64 = 1.837_877_066_409_345_3;
@@ -198,15 +195,18 @@ impl<'a> Situation<'a> {
         if self.mark.doubt == Doubt::None { met_within(rates.clock, self.lapse) } else { P_STEPPED }
     }
 
-    /// Whether a step of the clock is asked for inside the gate: after a gap not where the prediction may be off by more
-    /// than what one makes.
+    /// Whether a step of the clock is asked for inside the gate: not where the prediction may be off by more than what one
+    /// makes.
     fn doubted(&self) -> bool {
-        match self.mark.doubt {
-            Doubt::None | Doubt::Since(_) => false,
-            Doubt::Once => true,
-            Doubt::Gap => self.seen.total() < self.apart(),
-        }
+        matches!(self.mark.doubt, Doubt::Once | Doubt::Gap) && tells_step(self.scene, self.seen.total())
     }
+}
+
+/// Whether an innovation's variance is less than what a step of the clock makes; where clocks do not step there is nothing
+/// to tell.
+fn tells_step(scene: &Scene, total: f64) -> bool {
+    let (apart, g) = (scene.channel.apart.variance_m2, scene.channel.row.units_per_m);
+    apart == 0.0 || total < apart * g * g
 }
 
 impl Cause {
@@ -241,11 +241,7 @@ impl Cause {
             }
             Self::Shift(Prior::FormerZero) if at.mark.shifted && !at.inside => weight_of_return(at),
             Self::Shift(Prior::AnySize) if at.asked() => weight_of_shift(at),
-            Self::Wrong if at.asked() => {
-                let led = led_away(seen.error / at.scene.channel.row.units_per_m, at.lapse);
-                let rate = if led < ROUGH * at.scene.density { rates.rough } else { rates.wrong };
-                met_within(rate, at.lapse).ln() + at.any_size()
-            }
+            Self::Wrong if at.asked() => met_within(rates.wrong, at.lapse).ln() + at.any_size(),
             Self::Lost => weight_of_lost(at),
             Self::Noise if at.asked() => noise_within(at).ln() + at.any_size(),
             Self::Clock if !at.first && (!at.inside || at.doubted()) => weight_of_clock(at),
@@ -286,8 +282,8 @@ fn weight_of_lost(at: &Situation) -> f64 {
     }
     let led = met_within(rates.lost, at.lapse).ln();
     let anew = if at.mark.outliers > 0.0 {
-        // With each outlier it becomes more likely that the state was wrong before the first of them.
-        (led - at.mark.outliers * (0.5 * rates.stays).ln()).min(rates.outlier.ln()) + at.wrong_or_kept()
+        // The state was wrong before the first of them, so the others speak against it no more than against the sensor.
+        led.min(rates.outlier.ln()) + at.wrong_or_kept()
     } else {
         led + at.any_size()
     };
@@ -330,10 +326,8 @@ pub fn apply(decision: Decision, hyp: &mut Hypothesis, scene: &Scene, work: &mut
     hyp.marks[c].met_s = scene.at_s;
     let doubt = hyp.marks[c].doubt;
     let mut seen = look(hyp, scene, work);
-    if !(doubt.lasts() && decision.is_outlier()) {
-        let good = matches!(decision.cause, Cause::Good | Cause::StepBefore);
-        hyp.marks[c].doubt = doubt.after(seen.wider / seen.own, good);
-    }
+    let (rate_s, is_sharp) = (scene.channel.apart.rate_s, tells_step(scene, seen.total()));
+    hyp.marks[c].doubt = doubt.after(decision.cause, scene.at_s, rate_s, is_sharp);
     // Whether the samples' noise since then explains it: then it was the prediction that was wrong.
     let explained = decision.explained && seen.within(GATE);
     let told = Contradiction { size: seen.error, variance: seen.total(), ago_s: 0.0 };
@@ -438,7 +432,7 @@ fn change(cause: Cause, hyp: &mut Hypothesis, scene: &Scene, at: &Change, work: 
             hyp.tests[group].clear();
             hyp.p[(s, s)] += channel.apart.variance_m2;
             hyp.marks[c].stepped = true;
-            if matches!(at.doubt, Doubt::Since(_)) {
+            if matches!(at.doubt, Doubt::Until(_)) {
                 // It stepped while nothing was measured: what came since led the motion's state as far away.
                 let (i, apart) = (row.motion(), channel.apart);
                 hyp.p[(i, i)] += apart.variance_m2;

@@ -10,7 +10,7 @@ use super::motion::{AxisMotion, Clock};
 use super::predict::{
     MotionCovariance, mirror_others, predict_across, predict_axis_mean, predict_others, predict_walks,
 };
-use super::rows::{AxisRows, Rows, Status, status_of, zero_variance};
+use super::rows::{AxisRows, Rows, Status, clock_variance, status_of, zero_variance};
 use super::run::{Block, Filter};
 use super::samples::{BRIDGED, View};
 use super::smoother::WayBack;
@@ -107,7 +107,8 @@ impl Along<'_> {
         let burst = self.hyp.memory.burst.filter(|burst| burst.axis == a).map(|burst| burst.density);
         let mut covariance = MotionCovariance::of(&self.hyp.p, i);
         let known = Known::of(self.hyp, model, a);
-        let mut standing = Standing { source: 0, status: Status::Lost, until_s: f64::NEG_INFINITY };
+        let mut standing =
+            Standing { source: 0, status: Status::Lost, clock_variance: 0.0, until_s: f64::NEG_INFINITY };
         let accelerations = stretch.samples.value.iter().skip(a).step_by(axes);
         let densities = stretch.samples.density.iter().skip(a).step_by(axes);
         for (k, ((&end_s, &value), &density)) in stretch.time_s.iter().zip(accelerations).zip(densities).enumerate() {
@@ -137,7 +138,7 @@ impl Along<'_> {
                 standing.status
             };
             if let Some(out) = out.as_deref_mut().filter(|_| stretch.samples.is_row(k, stretch.first_ns)) {
-                self.leave_row(&known, &covariance, out);
+                self.leave_row(&known, &covariance, standing.clock_variance, out);
                 out.source.push(standing.source);
                 out.status.push(status as u8);
             }
@@ -153,7 +154,7 @@ impl Along<'_> {
 
     /// Adds a row.
     #[inline(always)]
-    fn leave_row(&self, known: &Known, covariance: &MotionCovariance, out: &mut AxisRows) {
+    fn leave_row(&self, known: &Known, covariance: &MotionCovariance, clock_variance: f64, out: &mut AxisRows) {
         let (i, hyp) = (motion_of(self.a), &*self.hyp);
         let (mut value, mut variance, mut velocity) = (hyp.x[(i, 0)], covariance.xx, hyp.x[(i + 1, 0)]);
         if let Some(d) = known.datum {
@@ -164,9 +165,11 @@ impl Along<'_> {
         if !hyp.parameters.is_empty() {
             hyp.add_parameters(self.a, known.datum, (&mut value, &mut variance, &mut velocity));
         }
+        velocity -= self.motion.ahead();
+        variance += clock_variance * velocity * velocity;
         out.displacement.push(value);
         out.variance.push(variance.max(known.least) + known.unseen);
-        out.velocity.push(velocity - self.motion.ahead());
+        out.velocity.push(velocity);
     }
 }
 
@@ -200,6 +203,8 @@ impl Known {
 struct Standing {
     source: u8,
     status: Status,
+    /// Of the clock, s².
+    clock_variance: f64,
     until_s: f64,
 }
 
@@ -217,6 +222,6 @@ impl Standing {
                 }
             }
         }
-        Self { source, status, until_s }
+        Self { source, status, clock_variance: clock_variance(hyp, a, model, time_s), until_s }
     }
 }

@@ -48,6 +48,12 @@ impl Hypotheses {
         Self { count: 1, slots: vec![hypothesis], ..Self::default() }
     }
 
+    /// Leaves a copy of one alone.
+    pub fn set_one(&mut self, hypothesis: &Hypothesis) {
+        put(&mut self.slots, 0, hypothesis);
+        self.count = 1;
+    }
+
     /// How many there are.
     pub fn count(&self) -> usize {
         self.count

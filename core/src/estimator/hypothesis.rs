@@ -1,6 +1,6 @@
 //! One hypothesis: a filter of its own, and what it remembers of each channel and of what happened.
 
-use super::cause::Decision;
+use super::cause::{Cause, Decision};
 use super::matrix::Matrix;
 use super::model::Model;
 use super::settings::Settings;
@@ -17,27 +17,30 @@ pub enum Doubt {
     Once,
     /// It is from a gap of measurements on, and none has come since.
     Gap,
-    /// The same after measurements that were predicted with so much variance (of the noise's) at the last one.
-    Since(f64),
+    /// It is up to an instant, s, after the gap.
+    Until(f64),
 }
 
 impl Doubt {
     /// Whether a gap of measurements has brought it.
     pub fn lasts(self) -> bool {
-        matches!(self, Self::Gap | Self::Since(_))
+        matches!(self, Self::Gap | Self::Until(_))
     }
 
-    /// What is left of it after a measurement that was predicted with `ratio` times its own variance.
+    /// What is left of it after a measurement at an instant (s) that was taken for what `cause` says.
     ///
-    /// After a gap a clock is in doubt until predictions are as sharp as measurements, or get no sharper from one to the
-    /// next. After stamps that went back the next measurement tells.
-    pub fn after(self, ratio: f64, accepted_as_good: bool) -> Self {
-        let sharper = match self {
-            Self::None | Self::Once => false,
-            Self::Gap => true,
-            Self::Since(before) => ratio < before,
+    /// After a gap the clock is in doubt until the motion, of angular frequency `rate_s`, has gone through one period: before
+    /// that a motion that is seen late looks like one that began otherwise, or as if the acceleration were wrong. After
+    /// stamps that went back the next measurement tells, where the prediction is sharp.
+    pub fn after(self, cause: Cause, at_s: f64, rate_s: f64, is_sharp: bool) -> Self {
+        let left = match self {
+            Self::Gap | Self::Until(_) if cause == Cause::Outlier => return self,
+            Self::Once if !is_sharp => Self::Once,
+            Self::Gap if rate_s > 0.0 => Self::Until(at_s + std::f64::consts::TAU / rate_s),
+            Self::Until(until_s) if at_s < until_s => self,
+            Self::None | Self::Once | Self::Gap | Self::Until(_) => Self::None,
         };
-        if sharper && ratio > 1.0 && accepted_as_good { Self::Since(ratio) } else { Self::None }
+        if matches!(cause, Cause::Shift(_) | Cause::Clock) { Self::None } else { left }
     }
 }
 

@@ -7,7 +7,7 @@
 
 use super::cause::Decision;
 use super::decided::Decided;
-use super::innovation::Work;
+use super::innovation::{Mixed, Work};
 use super::log::Log;
 use super::model::{Model, instant, since};
 use super::rows::Rows;
@@ -68,6 +68,7 @@ pub struct Lag {
     adjoint: Adjoint,
     work: Work,
     time_s: Vec<f64>,
+    found: Vec<Mixed>,
 }
 
 impl Lag {
@@ -85,6 +86,7 @@ impl Lag {
             adjoint,
             work,
             time_s: Vec::new(),
+            found: Vec::new(),
         }
     }
 
@@ -196,67 +198,55 @@ impl Lag {
     /// The rows of the window from those given out on up to before sample `due`.
     fn smoothed(&mut self, window: &mut Window, due: usize) -> Rows {
         let open = self.estimator.undecided().best();
-        let model = self.estimator.model().clone();
-        self.run_forward(window, &open, due, &model);
-        let axes = model.axes();
-        let last = self.pieces.back().map_or(&window.before, |piece| &piece.after).hyps.best().clone();
-        let counting = Counting::new(&model, window.before.hyps.best(), &[&window.decided, &open], &last);
-        self.adjoint = Adjoint::nothing(&model);
-        let first_ns = instant(self.estimator.first_s(), self.estimator.origin_ns());
-        let (view, mut end, mut found) = (window.samples.view(), window.samples.len(), Vec::new());
-        let mut parts = Vec::new();
+        self.run_forward(window, &open, due);
+        let (model, origin_ns) = (self.estimator.model(), self.estimator.origin_ns());
+        let last = self.pieces.back().map_or(&window.before, |piece| &piece.after).hyps.best();
+        let counting = Counting::new(model, window.before.hyps.best(), &[&window.decided, &open], last);
+        self.adjoint.restart();
+        let first_ns = instant(self.estimator.first_s(), origin_ns);
+        let (view, mut end) = (window.samples.view(), window.samples.len());
+        let (mut parts, mut found) = (Vec::new(), std::mem::take(&mut self.found));
         for piece in self.pieces.iter().rev() {
             let first = end - piece.way.len();
             if first >= due {
                 self.adjoint.pass(&piece.way, &counting, None);
             } else if end > window.given {
                 self.adjoint.pass(&piece.way, &counting, Some(&mut found));
-                let mut rows = Rows::with_room(axes, end - first);
-                for k in first.max(window.given)..end.min(due) {
-                    if view.is_row(k, first_ns) {
-                        rows.time_ns.push(view.time_ns[k]);
-                        for (a, out) in rows.axes.iter_mut().enumerate() {
-                            let (one, status) = (&found[(k - first) * axes + a], piece.way.status(k - first, a));
-                            out.displacement.push(one.value);
-                            out.variance.push(one.variance);
-                            out.velocity.push(one.velocity);
-                            out.source.push(status.0);
-                            out.status.push(status.1);
-                        }
-                    }
-                }
-                parts.push(rows);
+                let own = (first.max(window.given)..end.min(due)).filter(|&k| view.is_row(k, first_ns));
+                parts.push(piece.rows(own, first, view, &found));
             }
             end = first;
         }
-        let mut whole = Rows::with_room(axes, due - window.given);
-        for rows in parts.iter().rev() {
-            whole.extend(rows);
+        self.found = found;
+        match (parts.pop(), parts.is_empty()) {
+            (Some(rows), true) => rows,
+            (Some(mut rows), false) => {
+                parts.iter().rev().for_each(|more| rows.extend(more));
+                rows
+            }
+            (None, _) => Rows::with_room(model.axes(), 0),
         }
-        whole
     }
 
     /// Runs the filter over the pieces of the window that are new, or of which something is decided otherwise now.
     ///
-    /// Pieces end where the window will begin some time, and where it ends now or will: both are counted in hops.
-    fn run_forward(&mut self, window: &Window, open: &Decided, due: usize, model: &Model) {
+    /// Pieces end where the window will begin some time, which is counted in hops; the last one ends with the window.
+    fn run_forward(&mut self, window: &Window, open: &Decided, due: usize) {
+        let model = self.estimator.model();
         let origin_ns = self.estimator.origin_ns();
         let (view, count) = (window.samples.view(), window.samples.len());
-        let ends =
-            |place: usize| place == count || place.abs_diff(due) % self.hop == 0 || (count - place) % self.hop == 0;
+        let hop = self.hop;
         let (mut first, mut number, mut done) = (0, 0, 0);
         let total = window.decided.len() + open.len();
         while first < count {
-            let end = (first + 1..=count).find(|&place| ends(place)).unwrap_or(count);
+            let end = count.min(first + hop - (first + hop - due % hop) % hop);
             let end_s = since(view.time_ns[end - 1], origin_ns);
             let until = count_until(&window.decided.items, end_s);
             let until = if until == window.decided.len() { until + count_until(&open.items, end_s) } else { until };
             let range = done..until.min(total);
             done = range.end;
             if !self.pieces.get(number).is_some_and(|piece| piece.holds(end - first, window, open, range.clone())) {
-                for stale in self.pieces.drain(number..) {
-                    self.spare.push(stale);
-                }
+                self.spare.extend(self.pieces.drain(number..));
                 let before = match number {
                     0 => &window.before,
                     _ => &self.pieces[number - 1].after,
@@ -285,8 +275,8 @@ impl Lag {
                 break;
             }
             dropped += piece.way.len();
-            if let Some(piece) = self.pieces.pop_front() {
-                window.before.clone_from(&piece.after);
+            if let Some(mut piece) = self.pieces.pop_front() {
+                std::mem::swap(&mut window.before, &mut piece.after);
                 self.spare.push(piece);
             }
         }
@@ -344,7 +334,7 @@ impl Piece {
         range: std::ops::Range<usize>,
         model: &Model,
     ) {
-        self.after.clone_from(before);
+        self.after.copy_best(before);
         self.way.restart(model, before.clock.time_s);
         self.items.clear();
         self.decisions.clear();
@@ -353,6 +343,24 @@ impl Piece {
             self.items.push(item);
             self.decisions.push(decision);
         }
+    }
+
+    /// The smoothed rows of samples; first: the number of the first one of the piece.
+    fn rows(&self, samples: impl Iterator<Item = usize>, first: usize, view: View, found: &[Mixed]) -> Rows {
+        let axes = view.axes;
+        let mut rows = Rows::with_room(axes, self.way.len());
+        for k in samples {
+            rows.time_ns.push(view.time_ns[k]);
+            for (a, out) in rows.axes.iter_mut().enumerate() {
+                let (one, status) = (&found[(k - first) * axes + a], self.way.status(k - first, a));
+                out.displacement.push(one.value);
+                out.variance.push(one.variance);
+                out.velocity.push(one.velocity);
+                out.source.push(status.0);
+                out.status.push(status.1);
+            }
+        }
+        rows
     }
 
     fn run(&mut self, model: &Model, samples: View, time_s: &[f64], work: &mut Work) {

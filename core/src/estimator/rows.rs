@@ -1,10 +1,10 @@
 //! What is given out of each sample and axis, and of each measurement.
 
 use super::cause::{Cause, Decision};
-use super::hypothesis::{Contradiction, Hypothesis};
+use super::hypothesis::{Contradiction, Hypothesis, Mark};
 use super::innovation::{Mixed, Mixture};
 use super::layout::motion_of;
-use super::model::{Model, instant};
+use super::model::{ChannelModel, Model, instant};
 use super::motion::{AxisMotion, Clock};
 use super::samples::{BRIDGED, View};
 use super::waiting::Timed;
@@ -168,6 +168,23 @@ pub fn zero_variance(hyp: &Hypothesis, axis: usize, model: &Model) -> f64 {
     }
 }
 
+/// Standard deviation (s) of the clock of a sensor that is just back: one that starts anew is set to within some frames. What
+/// is farther off is a clock that has stepped.
+const BACK_STD_S: f64 = 0.02;
+
+/// Variance (s²) of the clock that an axis' row rests on, where all sensors that measure it are just back.
+#[inline]
+pub fn clock_variance(hyp: &Hypothesis, axis: usize, model: &Model, time_s: f64) -> f64 {
+    let mut measuring = hyp
+        .marks
+        .iter()
+        .zip(&model.channels)
+        .filter(|(mark, channel)| channel.row.axis == axis && time_s - mark.accepted_s <= channel.coasting_s);
+    let in_doubt = |(mark, channel): (&Mark, &ChannelModel)| mark.doubt.lasts() && channel.apart.variance_m2 != 0.0;
+    let Some(first) = measuring.next() else { return 0.0 };
+    if in_doubt(first) && measuring.all(in_doubt) { BACK_STD_S * BACK_STD_S } else { 0.0 }
+}
+
 /// Displacement of an axis relative to its datum, its variance, and the velocity state, in one hypothesis.
 #[inline]
 pub fn row_of(hyp: &Hypothesis, axis: usize, model: &Model) -> Mixed {
@@ -208,9 +225,11 @@ pub fn leave_row(
             }
             row = mixture.mixed();
         }
+        let velocity = row.velocity - motion[a].ahead();
+        let variance = row.variance + clock_variance(best, a, model, clock.time_s) * velocity * velocity;
         out.displacement.push(row.value);
-        out.variance.push(row.variance.max(zero_variance(best, a, model)) + model.unseen_m2[a]);
-        out.velocity.push(row.velocity - motion[a].ahead());
+        out.variance.push(variance.max(zero_variance(best, a, model)) + model.unseen_m2[a]);
+        out.velocity.push(velocity);
         leave_status(best, a, clock, model, at, out);
     }
 }

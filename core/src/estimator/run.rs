@@ -97,6 +97,13 @@ impl Filter {
         Self { hyps, motion: self.motion.clone(), clock: self.clock, judged: self.judged }
     }
 
+    /// Becomes a copy of the best hypothesis of another one of the same model, in the memory that it has.
+    pub fn copy_best(&mut self, other: &Self) {
+        self.hyps.set_one(other.hyps.best());
+        self.motion.clone_from(&other.motion);
+        (self.clock, self.judged) = (other.clock, other.judged);
+    }
+
     /// Whether it is of the model's shape.
     pub fn fits(&self, model: &Model) -> bool {
         self.hyps.fit(model) && self.motion.len() == model.axes()

@@ -90,8 +90,6 @@ pub struct Rates {
     pub back: f64,
     /// Errors of the acceleration of any size, 1/s.
     pub wrong: f64,
-    /// Errors of the acceleration up to 30 times its noise, 1/s.
-    pub rough: f64,
     /// Sudden rises of a sensor's noise, 1/s.
     pub noise: f64,
     /// Motions led away, 1/s.

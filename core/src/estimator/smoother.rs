@@ -204,6 +204,8 @@ pub struct Counting<'a> {
     common: Vec<Option<(usize, Vec<usize>)>>,
     /// Each channel's row as the states are counted.
     rows: Vec<Vec<Entry>>,
+    /// States (n,) that are counted from another one or others from it: uncertain in any case.
+    counted: Vec<bool>,
     /// Variance (axes,) of the datum at the end, which no row is more certain than.
     least: Vec<f64>,
 }
@@ -215,7 +217,14 @@ impl<'a> Counting<'a> {
         let rows =
             model.channels.iter().map(|channel| counted_row(&channel.row.entries, channel.row.axis, &common)).collect();
         let least = (0..model.axes()).map(|a| zero_variance(last, a, model)).collect();
-        Self { model, last, common, rows, least }
+        let mut counted = vec![false; model.size()];
+        for (zero, others) in common.iter().flatten() {
+            counted[*zero] = true;
+            for &other in others {
+                counted[other] = true;
+            }
+        }
+        Self { model, last, common, rows, counted, least }
     }
 
     /// A vector (n,) of covariances or gains as the states are counted.
@@ -314,6 +323,14 @@ impl Adjoint {
         }
     }
 
+    /// Nothing comes later, in the memory that it has.
+    pub fn restart(&mut self) {
+        self.rows.elements_mut().fill(0.0);
+        self.used = self.columns;
+        // The states may be counted otherwise now.
+        self.live_rows.clear();
+    }
+
     /// Runs back over a block; found: takes the smoothed rows (samples · axes), where they are wanted.
     pub fn pass(&mut self, way: &WayBack, counting: &Counting, mut found: Option<&mut Vec<Mixed>>) {
         self.find_live(way, counting);
@@ -354,15 +371,12 @@ impl Adjoint {
     /// A state that is certain in all of the block is so before it too, until a measurement whose record scales it by 0: its
     /// adjoint is of no weight.
     fn find_live(&mut self, way: &WayBack, counting: &Counting) {
-        let counted =
-            |j: usize| counting.common.iter().flatten().any(|(zero, others)| *zero == j || others.contains(&j));
-        let same = self.unknown.len() == way.uncertain.len()
-            && self.unknown.iter().zip(&way.uncertain).enumerate().all(|(j, (&own, &one))| own == (one || counted(j)));
-        if same && self.live_rows.len() == counting.rows.len() {
+        let now = way.uncertain.iter().zip(&counting.counted).map(|(&one, &counted)| one || counted);
+        if self.live_rows.len() == counting.rows.len() && now.clone().eq(self.unknown.iter().copied()) {
             return;
         }
         self.unknown.clear();
-        self.unknown.extend(way.uncertain.iter().enumerate().map(|(j, &one)| one || counted(j)));
+        self.unknown.extend(now);
         let unknown = &self.unknown;
         self.live.clear();
         self.live.extend((0..unknown.len()).filter(|&j| unknown[j]));

@@ -93,7 +93,6 @@ struct PyRates {
     shift: f64,
     back: f64,
     wrong: f64,
-    rough: f64,
     noise: f64,
     lost: f64,
     clock: f64,
@@ -128,7 +127,6 @@ impl PySettings {
                 shift: rates.shift,
                 back: rates.back,
                 wrong: rates.wrong,
-                rough: rates.rough,
                 noise: rates.noise,
                 lost: rates.lost,
                 clock: rates.clock,
@@ -320,6 +318,9 @@ fn matrix<'py>(py: Python<'py>, one: &Matrix) -> Bound<'py, PyArray2<f64>> {
     PyArray2::from_vec2(py, &rows).unwrap_or_else(|_| PyArray2::zeros(py, [0, 0], false))
 }
 
+/// Time (s), states (n, 1 + k) and covariance (n, n).
+type FilterArrays<'py> = (f64, Bound<'py, PyArray2<f64>>, Bound<'py, PyArray2<f64>>);
+
 /// Parameters (k,) and their variances (k,).
 type Parameters = (Vec<f64>, Vec<f64>);
 
@@ -419,7 +420,7 @@ impl Estimator {
     }
 
     /// Time (s), states (n, 1 + k) and covariance (n, n) of the best hypothesis; None before the filter has begun.
-    fn filter<'py>(&self, py: Python<'py>) -> Option<(f64, Bound<'py, PyArray2<f64>>, Bound<'py, PyArray2<f64>>)> {
+    fn filter<'py>(&self, py: Python<'py>) -> Option<FilterArrays<'py>> {
         let filter: &Filter = self.own.filter()?;
         let best = filter.hyps.best();
         Some((filter.clock.time_s, matrix(py, &best.x), matrix(py, &best.p)))
