@@ -10,6 +10,7 @@ from numba import njit
 from midspan.fusion.acceptance import accept, find_step
 from midspan.fusion.borrowing import borrowed
 from midspan.fusion.forward import (
+    APART,
     AT,
     AXIS,
     CHANNEL,
@@ -77,6 +78,9 @@ MET_COLUMNS = 3
 # sensitivities (1 + k) and gain (n).
 INTERVAL, THETA, TAKEN, OF_CHANNEL, SHIFT_SCALED, REFERENCE_SCALED, RECORD = range(7)
 TRACKING, COASTING, LOST_STATUS = float(Status.TRACKING), float(Status.COASTING), float(Status.LOST)
+# Standard deviation (s) of the clock of a sensor that is just back: one that starts anew is set to within some frames.
+# What is farther off is a clock that has stepped, see `hypotheses`.
+BACK_STD_S = 0.02
 # In `decided`: not decided, the hypotheses judge.
 OPEN = -1
 PARENT_STEP = 32
@@ -97,6 +101,18 @@ def leave_status(axis, time, marks, channels, found, k):  # type: ignore[no-unty
         elif age <= channels[c, LOST_S]:
             status = min(status, COASTING)
     found[k, axis, FOUND_SOURCE], found[k, axis, FOUND_STATUS] = source, status
+
+
+@njit(cache=True, inline="always")
+def clock_variance(axis, time, marks, channels):  # type: ignore[no-untyped-def]
+    """Variance (s²) of the clock that an axis's row rests on, where all sensors that measure it are just back."""
+    doubted = False
+    for c in range(len(channels)):
+        if int(channels[c, AXIS]) == axis and time - marks[c, ACCEPTED_AT] <= channels[c, COASTING_S]:
+            if marks[c, DOUBTED] <= ONCE or channels[c, APART] == 0.0:
+                return 0.0
+            doubted = True
+    return BACK_STD_S * BACK_STD_S if doubted else 0.0
 
 
 @njit(cache=True, inline="always")
@@ -159,8 +175,10 @@ def leave_row(hyps, best, a, motion, clock, channels, datum, misfit, found, k): 
     else:
         value, variance, velocity = row_of(x, p, theta, spread, a, datum, misfit)
     found[k, a, FOUND_X] = value
+    velocity -= motion[a, LEAD] * motion[a, SLOPE]
+    variance += clock_variance(a, clock[TIME], marks, channels) * velocity * velocity
     found[k, a, FOUND_VARIANCE] = max(variance, zero_variance(p, channels, a, datum, misfit))
-    found[k, a, FOUND_VELOCITY] = velocity - motion[a, LEAD] * motion[a, SLOPE]
+    found[k, a, FOUND_VELOCITY] = velocity
     leave_status(a, clock[TIME], marks, channels, found, k)
 
 

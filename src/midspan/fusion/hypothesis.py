@@ -65,7 +65,8 @@ MEMORY_COLUMNS = 18
     RECENT,
 ) = range(14)
 MARK_COLUMNS = 14
-# In DOUBTED, besides 0: in doubt at the next measurement; from a gap of measurements on, see `outcomes.settle_doubt`.
+# In DOUBTED, besides 0: in doubt at the next measurement; through a gap of measurements. After it ONCE and the instant
+# (s) until which the clock is in doubt, see `outcomes.settle_doubt`.
 ONCE, LASTING = 1.0, float("inf")
 # Options, see `Rates`; MEMORY: as of `EstimatorSettings.noise_memory`.
 (
@@ -74,13 +75,12 @@ ONCE, LASTING = 1.0, float("inf")
     SHIFT_RATE,
     RETURN_RATE,
     WRONG_RATE,
-    ROUGH_RATE,
     NOISE_RATE,
     LOST_RATE,
     CLOCK_RATE,
     ODDS,
     MEMORY,
-) = range(11)
+) = range(10)
 
 
 @njit(cache=True, inline="always")

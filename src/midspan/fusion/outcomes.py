@@ -49,7 +49,7 @@ from midspan.fusion.hypothesis import (
 )
 from midspan.fusion.innovation import look
 from midspan.fusion.steps import group_of
-from midspan.fusion.weighing import GATE, OUTLIER_MEMORY, SHORTEST_S, VAGUE, led_away
+from midspan.fusion.weighing import GATE, OUTLIER_MEMORY, SHORTEST_S, VAGUE, led_away, tells_step
 
 
 @njit(cache=True)
@@ -96,16 +96,18 @@ def let_go(p, i, missed, spread):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def settle_doubt(mark, kind, seen):  # type: ignore[no-untyped-def]
-    """After a gap of measurements the clock is in doubt until predictions are as sharp as measurements, or get no
-    sharper from one to the next; DOUBTED holds how wide (variance, of the noise's) the last one was. After stamps that
-    went back the next measurement tells.
+def settle_doubt(mark, kind, at, forgets, is_sharp):  # type: ignore[no-untyped-def]
+    """After a gap of measurements the clock is in doubt until the motion has gone through one period, of the angular
+    frequency `forgets`: before that a motion that is seen late looks like one that began otherwise, or as if the
+    acceleration were wrong. After stamps that went back the next measurement tells where the prediction is sharp.
     """
-    if mark[DOUBTED] > ONCE and kind == OUTLIER:
+    if kind == OUTLIER and mark[DOUBTED] > ONCE:
         return
-    ratio = seen[2] / seen[3]
-    settled = ratio <= ONCE or ratio >= mark[DOUBTED] or kind != GOOD
-    mark[DOUBTED] = 0.0 if settled else ratio
+    if mark[DOUBTED] == LASTING and forgets > 0.0:
+        mark[DOUBTED] = ONCE + at + 2.0 * np.pi / forgets
+    over = is_sharp if mark[DOUBTED] == ONCE else mark[DOUBTED] == LASTING or at >= mark[DOUBTED] - ONCE
+    if over or kind in (SHIFT, RETURN, CLOCK):
+        mark[DOUBTED] = 0.0
 
 
 @njit(cache=True)
@@ -153,7 +155,7 @@ def become(code, hyp, row, scene, tables, options, scratch):  # type: ignore[no-
     memory[AGE] = memory[AGE] + 1.0 if code == GOOD else 0.0
     mark[MET_AT], doubted = row[AT], mark[DOUBTED]
     seen = look(hyp, row, scene, tables, scratch)
-    settle_doubt(mark, kind, seen)
+    settle_doubt(mark, kind, row[AT], channel[FORGETS], tells_step(channel, seen[2] + seen[3]))
     # Whether the samples' noise since then explains it: then it was the prediction that was wrong.
     spread = spread and seen[0] ** 2 <= GATE * GATE * (seen[2] + seen[3])
     kind = GOOD if spread and kind == OUTLIER else kind

@@ -29,7 +29,6 @@ from midspan.fusion.hypothesis import (
     P_STAYS,
     RETURN,
     RETURN_RATE,
-    ROUGH_RATE,
     SHARE,
     SHIFT,
     SHIFT_AT,
@@ -62,9 +61,6 @@ DECADES = 4.0
 BIAS_TOO = 0.05
 # Of the gaps and steps back in the stamps of a stream this share is one clock's step against the others.
 P_STEPPED = 0.1
-# Errors of the acceleration up to this many times (in variance) its noise are met more often: 30 deviations. At 100
-# lively records (`python -m benchmarks broad`) had measurements rejected that were right.
-ROUGH = 1000.0
 # Shortest time (s) that a rate is taken over.
 SHORTEST_S = 1e-3
 
@@ -100,6 +96,14 @@ def met_within(rate, lapse):  # type: ignore[no-untyped-def]
 def led_away(size, lapse):  # type: ignore[no-untyped-def]
     """Density, (m/s²)²/Hz, of an error of the acceleration that leads a prediction `size` (m) away in `lapse` (s)."""
     return 3.0 * size * size / lapse**3
+
+
+@njit(cache=True)
+def tells_step(channel, total):  # type: ignore[no-untyped-def]
+    """Whether an innovation's variance `total` is less than what a step of the clock makes; where clocks do not step
+    there is nothing to tell.
+    """
+    return channel[APART] == 0.0 or total < channel[APART] * channel[UNITS_PER_M] ** 2
 
 
 @njit(cache=True)
@@ -198,9 +202,7 @@ def weigh(hyp, row, scene, tables, options, scratch, asked, chances):  # type: i
     lapse = max(row[AT] - max(mark[ACCEPTED_AT], memory[BEGAN_AT]), SHORTEST_S)
     if mark[SHIFTED] > 0.0:
         weigh_return(hyp, row, (error, wider, own), channel, options, scratch, chances)
-    # After a gap no step is asked for where the prediction may be off by more than what one makes.
-    told = mark[DOUBTED] == LASTING and total < channel[APART] * channel[UNITS_PER_M] ** 2
-    told = told or mark[DOUBTED] == ONCE
+    told = (mark[DOUBTED] == LASTING or mark[DOUBTED] == ONCE) and tells_step(channel, total)
     if not asked[0] and (not inside or told):
         weigh_step(hyp, row, (error, total, lapse), tables[1], options, chances)
     # Of the first measurements it is asked only which are outliers: what is met once an hour is not met just then.
@@ -212,12 +214,10 @@ def weigh(hyp, row, scene, tables, options, scratch, asked, chances):  # type: i
         chances[SHIFT] = prior + np.log(0.5 * options[P_STAYS]) + max(size, alike_size)
     else:
         chances[SHIFT] = prior + np.log(met_within(options[SHIFT_RATE], lapse)) + size
-    rough = led_away(error / channel[UNITS_PER_M], lapse) < ROUGH * scene[2]
-    chances[WRONG] = prior + np.log(met_within(options[ROUGH_RATE if rough else WRONG_RATE], lapse)) + size
+    chances[WRONG] = prior + np.log(met_within(options[WRONG_RATE], lapse)) + size
     chances[NOISE] = prior + np.log(noise_within(mark, wider <= VAGUE * own, options, lapse)) + size
     led = np.log(met_within(options[LOST_RATE], lapse))
     if mark[DISTURBED] > 0.0:
-        # With each outlier it becomes more likely that the state was wrong before the first of them.
-        led = min(led - mark[DISTURBED] * np.log(0.5 * options[P_STAYS]), np.log(options[P_OUTLIER]))
-        size = kept
+        # The state was wrong before the first of them, so the others speak against it no more than against the sensor.
+        led, size = min(led, np.log(options[P_OUTLIER])), kept
     chances[LOST] = max(chances[LOST], prior + led + size)
