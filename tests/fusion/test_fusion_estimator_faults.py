@@ -23,6 +23,12 @@ def frozen(rng, samples, sensor):
     sensor.value[stuck] = sensor.value[np.argmax(stuck)]
 
 
+def stuck_with_noise(rng, samples, sensor):
+    stuck = between(sensor, 60.0, 64.0)
+    noise = rng.normal(0.0, 0.3 * NOISE_D, np.count_nonzero(stuck))
+    sensor.value[stuck] = sensor.value[np.argmax(stuck)] + 8e-3 + noise
+
+
 def off_for_4_s(rng, samples, sensor):
     sensor.value += 8e-3 * between(sensor, 60.0, 64.0)
 
@@ -77,11 +83,12 @@ def told(factor):
 
 
 # Root mean square error that is allowed, mm; the causal bound without faults is 0.06 mm. A frozen value costs the time
-# until the next one differs, an error of the acceleration the 0.1 s until the next measurement: 1 m/s² makes 5 mm in
-# that time, and 30 mm in the next two tenths.
+# until the next one differs; one that is stuck with noise a quarter more than 4 s without it, 0.16 mm; an error of the
+# acceleration the 0.1 s until the next measurement: 1 m/s² makes 5 mm in that time, and 30 mm in the next two tenths.
 CASES = {
     "clean": (clean, 0.07),
     "frozen for 4 s": (frozen, 0.2),
+    "stuck 8 mm off for 4 s": (stuck_with_noise, 0.2),
     "8 mm off for 4 s": (off_for_4_s, 0.08),
     "8 mm off for good": (shifted(8e-3), 0.1),
     "1 mm off for good": (shifted(1e-3), 0.1),
@@ -95,10 +102,14 @@ CASES = {
 }
 
 
+# And on the mean of all seeds: outliers that are rejected at once cost less than twice the error without any.
+MEAN_MM = {"20 % outliers": 0.12}
+
+
 @pytest.mark.parametrize("name", CASES)
 def test_faults_cost_little_and_the_band_holds_them(name):
     spoil, limit_mm = CASES[name]
-    inside = []
+    inside, errors = [], []
     for seed in SEEDS:
         rng = np.random.default_rng(seed)
         truth = oscillating(rng, 120.0)
@@ -106,7 +117,8 @@ def test_faults_cost_little_and_the_band_holds_them(name):
         spoil(rng, samples, sensor)
         rms, _, share = scores(estimated(samples, [sensor]), truth)
         assert rms < limit_mm
-        inside.append(share)
+        errors.append(rms), inside.append(share)
+    assert np.mean(errors) < MEAN_MM.get(name, limit_mm)
     # Rows of one record hang together over a second: 660 independent ones in all, of which 95 ± 1 % lie inside.
     assert np.mean(inside) > 0.92
 

@@ -47,7 +47,7 @@ def mark_outliers(pair: Pair, fit: Fit, *, steps: bool = False) -> Pair:
     there is none left, what is far outside forwards alone is marked, as the first ones after a step of the zero; not
     where the clocks may differ, for that looks the same where a structure is struck.
     """
-    index, forwards, backwards = _both_ways(pair, fit)
+    index, forwards, backwards = both_ways(pair, fit)
     bad = _far_outside(np.minimum(forwards, backwards))
     if steps and not bad.any():
         bad = _far_outside(np.where(np.isfinite(forwards), forwards, 0.0))
@@ -68,7 +68,7 @@ def _far_outside(size: Floats) -> NDArray[np.bool_]:
     return np.asarray((size > OUTLIER_LIMIT * max(spread, 1e-12)) & (size == largest) & (spread > 0.0))
 
 
-def _both_ways(pair: Pair, fit: Fit) -> tuple[NDArray[np.int64], Floats, Floats]:
+def both_ways(pair: Pair, fit: Fit) -> tuple[NDArray[np.int64], Floats, Floats]:
     """Which rows (k,) are compared, and of each its innovation forwards and backwards in time (k,), in predicted
     standard deviations. The first ones of a direction settle its unknown start.
     """

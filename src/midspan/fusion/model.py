@@ -45,8 +45,7 @@ class Rates:
     outlier: least share of measurements that are wrong by any amount; more is learnt. stays: of those whose next one
     is wrong too, of errors of the acceleration that last from one measurement to the next, and of a sensor's targets
     that shift with one.
-    shift, wrong, lost, noise, clock: a second, see `hypotheses`; once an hour each. rough: a second, of errors of the
-    acceleration up to 30 times its noise. back: of a shifted zero, a second.
+    shift, wrong, lost, noise, clock: a second, see `hypotheses`; once an hour each. back: of a shifted zero, a second.
     odds: logarithm by which a hypothesis falls behind the best before it is dropped: at 12 it is 160 000 times less
     likely.
     """
@@ -56,7 +55,6 @@ class Rates:
     shift: float = 1.0 / 3600.0
     back: float = 0.1
     wrong: float = 1.0 / 3600.0
-    rough: float = 1.0 / 60.0
     noise: float = 1.0 / 3600.0
     lost: float = 1.0 / 3600.0
     clock: float = 1.0 / 3600.0

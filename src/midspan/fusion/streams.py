@@ -34,7 +34,7 @@ from midspan.signals.resample import SIDE
 
 Output = Estimate | Innovation | Event
 # Every measurement is as good as its variance says: none is rejected.
-NO_ERRORS = Rates(outlier=0.0, stays=0.0, shift=0.0, back=0.0, wrong=0.0, rough=0.0, noise=0.0, lost=0.0, clock=0.0)
+NO_ERRORS = Rates(outlier=0.0, stays=0.0, shift=0.0, back=0.0, wrong=0.0, noise=0.0, lost=0.0, clock=0.0)
 # Measurements that a channel's noise rests on where it is not to be followed: one more then is lost in rounding.
 AS_DECLARED = 1e30
 # A measurement this many times as uncertain as what is known without it adds a millionth.

@@ -8,6 +8,7 @@ from midspan.calibration.agreement import clearly_better, offset_variance_factor
 from midspan.calibration.clock_rate import ClockRate, find_clock_rate
 from midspan.calibration.direction import Turned, turned
 from midspan.calibration.fit import Fit, Pair
+from midspan.calibration.held_values import held_values
 from midspan.calibration.measured import MIN_MEASUREMENTS, measured_rows
 from midspan.calibration.noise import CERTAIN_S, Findings, NoiseCalibration, calibrate_noise, edge_s
 from midspan.calibration.scale import MIN_GAIN, is_ambiguous
@@ -17,11 +18,11 @@ from midspan.calibration.unfelt import refuse_unfelt
 from midspan.calibration.whole_overlap import first_part, likeliest_beyond, stands_alone
 from midspan.errors import DataError, UntrustedError
 from midspan.notices import Notice
-from midspan.records import NANOSECONDS, TimeOffset, TimeSeries
+from midspan.records import NANOSECONDS, Nanoseconds, TimeOffset, TimeSeries
 from midspan.signals.acceleration import PreparedAcceleration
 from midspan.signals.health import dominant_frequency
 from midspan.signals.medians import white_noise
-from midspan.signals.stamps import inside
+from midspan.signals.stamps import inside, shown
 
 # Noise levels of a displacement sensor are estimated from this much at most, in one piece, for speed.
 NOISE_WINDOW_S = 1800.0
@@ -170,6 +171,9 @@ def learn(given: Given, series: TimeSeries) -> NoiseCalibration:
         if found.search is not None and (not beside.one_clock or unexplained(found.pair, found.fit)):
             notes += _refuse_farther(beside, found.free, axis)
         _refuse_wrong_scale(learnt, found)
+    held = held_values(found.pair, found.fit, pair.rows)
+    if held.any():
+        return _without_held(given, series, first + np.rint(NANOSECONDS * pair.rows[held, 0]).astype(np.int64))
     along = prepared if axis.direction is None else prepared.along(axis.direction.components)
     _refuse_jumps(along, first, found)
     learnt = replace(_widened(learnt, axis), warnings=(*learnt.warnings, *notes))
@@ -177,6 +181,17 @@ def learn(given: Given, series: TimeSeries) -> NoiseCalibration:
         return _on_one_clock(learnt, found)
     learnt = _accepted_offset(beside, learnt, found)
     return replace(learnt, warnings=(*learnt.warnings, *_offset_warnings(beside, learnt)))
+
+
+def _without_held(given: Given, series: TimeSeries, held_ns: Nanoseconds) -> NoiseCalibration:
+    """The calibration without the values at some stamps (k,), at which the sensor was stuck, and a warning."""
+    learnt = learn(given, replace(series, value=np.where(np.isin(series.time_ns, held_ns), np.nan, series.value)))
+    text = (
+        f"displacement: {len(held_ns)} values from {shown(int(held_ns[0]))} to {shown(int(held_ns[-1]))} do not follow "
+        "the motion, as of a sensor that is stuck; they were left out of the calibration. Check the sensor and what "
+        "holds it."
+    )
+    return replace(learnt, warnings=(*learnt.warnings, Notice("outliers", text)))
 
 
 def _widened(learnt: NoiseCalibration, axis: Turned) -> NoiseCalibration:
