@@ -7,11 +7,13 @@ use super::hypothesis::Hypothesis;
 use super::layout::{MOTION_STATES, motion_of};
 use super::model::Model;
 use super::motion::{AxisMotion, Clock};
-use super::predict::{MotionCovariance, mirror_others, predict_across, predict_axis_mean, predict_others, predict_walks};
+use super::predict::{
+    MotionCovariance, mirror_others, predict_across, predict_axis_mean, predict_others, predict_walks,
+};
 use super::rows::{AxisRows, Rows, Status, status_of, zero_variance};
 use super::run::{Block, Filter};
 use super::samples::{BRIDGED, View};
-use super::smoother::WayBack;
+use super::way_back::WayBack;
 
 /// Where rows and nodes go.
 pub struct Leave<'a> {
@@ -32,7 +34,15 @@ struct Stretch<'a> {
 
 impl Filter {
     /// Goes on from sample `first` to before the first one from `before_s` on, or behind a gap; returns that one's number.
-    pub fn coast(&mut self, model: &Model, block: &Block, first: usize, before_s: f64, uncertain: &[usize], leave: &mut Leave) -> usize {
+    pub fn coast(
+        &mut self,
+        model: &Model,
+        block: &Block,
+        first: usize,
+        before_s: f64,
+        uncertain: &[usize],
+        leave: &mut Leave,
+    ) -> usize {
         let (axes, mut clock, mut end) = (model.axes(), self.clock, first);
         while let Some(&end_s) = block.time_s.get(end).filter(|&&end_s| end_s < before_s && !clock.is_gap(end_s)) {
             clock.advance(end_s);
@@ -121,7 +131,11 @@ impl Along<'_> {
             if end_s > standing.until_s {
                 standing = Standing::at(self.hyp, model, a, end_s);
             }
-            let status = if stretch.samples.kind[k] == BRIDGED { standing.status.max(Status::Coasting) } else { standing.status };
+            let status = if stretch.samples.kind[k] == BRIDGED {
+                standing.status.max(Status::Coasting)
+            } else {
+                standing.status
+            };
             if let Some(out) = out.as_deref_mut().filter(|_| stretch.samples.is_row(k, stretch.first_ns)) {
                 self.leave_row(&known, &covariance, out);
                 out.source.push(standing.source);

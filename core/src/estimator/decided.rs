@@ -1,9 +1,9 @@
 //! What the hypotheses decided: final where all of them have one past.
 
+use super::cause::Cause;
 use super::cause::Decision;
 use super::hypotheses::MAX_FIRST;
 use super::hypothesis::{Contradiction, Hypothesis};
-use super::cause::Cause;
 use super::waiting::Timed;
 use serde::{Deserialize, Serialize};
 

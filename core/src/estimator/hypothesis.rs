@@ -212,7 +212,8 @@ impl Hypothesis {
     /// Whether it is of the model's shape.
     pub fn fits(&self, model: &Model) -> bool {
         let (n, columns) = (model.size(), model.columns());
-        let shape = |one: &Matrix, rows: usize, width: usize| one.width() == width && one.elements().len() == rows * width;
+        let shape =
+            |one: &Matrix, rows: usize, width: usize| one.width() == width && one.elements().len() == rows * width;
         shape(&self.x, n, columns)
             && shape(&self.p, n, n)
             && shape(&self.spread, columns - 1, columns - 1)

@@ -175,7 +175,14 @@ fn innovate(x: &Matrix, channel: &ChannelModel, motion: &AxisMotion, acceleratio
 }
 
 /// Expected measurement of channel `c` at a time after the last sample and its variance, over all hypotheses.
-pub fn predict_value(time_s: f64, c: usize, motion: &[AxisMotion], clock: &Clock, all: &Hypotheses, model: &Model) -> (f64, f64) {
+pub fn predict_value(
+    time_s: f64,
+    c: usize,
+    motion: &[AxisMotion],
+    clock: &Clock,
+    all: &Hypotheses,
+    model: &Model,
+) -> (f64, f64) {
     let dt = (time_s - clock.time_s).max(0.0);
     let channel = &model.channels[c];
     let (mut work, still) = (Work::new(model), AxisMotion::default());

@@ -13,10 +13,11 @@ use super::model::{Model, instant, since};
 use super::rows::Rows;
 use super::run::{Block, Filter, Judge};
 use super::samples::{Samples, View};
-use super::smoother::{Adjoint, Counting, WayBack};
+use super::smoother::{Adjoint, Counting};
 use super::start::Beginning;
 use super::stream::{Estimator, Output, Remembered};
 use super::waiting::{Timed, count_until};
+use super::way_back::WayBack;
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
 
@@ -326,7 +327,14 @@ impl Piece {
     }
 
     /// Takes the items and the filter before its first sample.
-    fn start(&mut self, before: &Filter, window: &Window, open: &Decided, range: std::ops::Range<usize>, model: &Model) {
+    fn start(
+        &mut self,
+        before: &Filter,
+        window: &Window,
+        open: &Decided,
+        range: std::ops::Range<usize>,
+        model: &Model,
+    ) {
         self.after.copy_best(before);
         self.way.restart(model, before.clock.time_s);
         self.items.clear();

@@ -131,7 +131,8 @@ fn channel_model(c: usize, settings: &Settings, layout: &Layout) -> ChannelModel
         zero: place(State::Zero(c)),
         shift: place(State::Shift(c)),
         reference: place(if slow { State::Slow(c) } else { State::Reference(c) }),
-        slow: slow.then(|| Apart { variance_m2: channel.slow_std_m * channel.slow_std_m, rate_s: 1.0 / channel.slow_time_s }),
+        slow: slow
+            .then(|| Apart { variance_m2: channel.slow_std_m * channel.slow_std_m, rate_s: 1.0 / channel.slow_time_s }),
         zero_variance: channel.zero_known().then_some(channel.zero_std_m * channel.zero_std_m),
         sensor: channel.sensor,
         group: channel.sensor * settings.axes + channel.axis,

@@ -94,12 +94,7 @@ impl MotionCovariance {
     #[inline(always)]
     pub fn with_noise(self, dt: f64, density: f64) -> Self {
         let half = 0.5 * density * dt * dt;
-        Self {
-            xx: self.xx + density * dt * dt * dt / 3.0,
-            xv: self.xv + half,
-            vv: self.vv + density * dt,
-            ..self
-        }
+        Self { xx: self.xx + density * dt * dt * dt / 3.0, xv: self.xv + half, vv: self.vv + density * dt, ..self }
     }
 }
 

@@ -187,7 +187,14 @@ pub fn row_of(hyp: &Hypothesis, axis: usize, model: &Model) -> Mixed {
 
 /// Adds the rows of all axes at a sample, where the clock is.
 #[inline]
-pub fn leave_row(hyps: &[Hypothesis], motion: &[AxisMotion], clock: &Clock, model: &Model, at: (View, usize), rows: &mut Rows) {
+pub fn leave_row(
+    hyps: &[Hypothesis],
+    motion: &[AxisMotion],
+    clock: &Clock,
+    model: &Model,
+    at: (View, usize),
+    rows: &mut Rows,
+) {
     let (samples, k) = at;
     let best = &hyps[0];
     rows.time_ns.push(samples.time_ns[k]);
@@ -241,7 +248,12 @@ pub fn mixed(found: &[Rows], weights: &[f64]) -> Rows {
 
 impl Hypothesis {
     /// Adds the parameters' part to a row of an axis.
-    pub fn add_parameters(&self, axis: usize, datum: Option<usize>, (value, variance, velocity): (&mut f64, &mut f64, &mut f64)) {
+    pub fn add_parameters(
+        &self,
+        axis: usize,
+        datum: Option<usize>,
+        (value, variance, velocity): (&mut f64, &mut f64, &mut f64),
+    ) {
         let (i, x) = (motion_of(axis), &self.x);
         let relative = |q: usize| x[(i, 1 + q)] - datum.map_or(0.0, |d| x[(d, 1 + q)]);
         for (q, &parameter) in self.parameters.iter().enumerate() {

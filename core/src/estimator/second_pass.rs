@@ -14,9 +14,10 @@ use super::model::{Model, instant};
 use super::rows::{AxisRows, Rows};
 use super::run::{Block, Filter, Judge};
 use super::settings::Settings;
-use super::smoother::{Adjoint, Counting, WayBack};
+use super::smoother::{Adjoint, Counting};
 use super::unforeseen::{Error, add_errors, first_change, put_steps_in_place, unforeseen};
 use super::waiting::count_until;
+use super::way_back::WayBack;
 use std::ops::Range;
 
 /// A part of the log with the filter before its first sample.
@@ -52,8 +53,7 @@ pub fn smooth(log: &Log, settings: &Settings, logged: bool, block: usize) -> Row
     let other_s = if logged { first_change(&log.decided, &decided.decisions, &errors) } else { f64::NEG_INFINITY };
     let first_ns = instant(log.first_s, log.origin_ns);
     let work = Work::new(&model);
-    let mut pass =
-        SecondPass { model, log, decided, errors, first_ns, work, time_s: Vec::new(), density: Vec::new() };
+    let mut pass = SecondPass { model, log, decided, errors, first_ns, work, time_s: Vec::new(), density: Vec::new() };
     let begun = Filter::begun(&log.begin, &settings, &pass.model);
     let mut parts = pass.parts(begun, other_s, block);
     pass.back(&mut parts)

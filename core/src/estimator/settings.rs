@@ -167,7 +167,9 @@ impl Settings {
     pub fn consistent(&self) -> bool {
         let long = |values: &[f64]| values.len() >= self.axes;
         (1..=MAX_AXES).contains(&self.axes)
-            && [&self.bias_m_s2, &self.bias_std_m_s2, &self.unseen_m2, &self.unseen_common_m2].into_iter().all(|one| long(one))
+            && [&self.bias_m_s2, &self.bias_std_m_s2, &self.unseen_m2, &self.unseen_common_m2]
+                .into_iter()
+                .all(|one| long(one))
             && long(&self.misfit)
             && long(&self.lean)
             && self.motion.len() >= self.axes

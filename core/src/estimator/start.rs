@@ -136,7 +136,11 @@ fn first_place(items: &[Timed], a: usize, model: &Model) -> f64 {
 /// Velocity (m/s) of a motion whose acceleration is `felt` (m/s²), by what is known of its standard deviation (m) and
 /// middle angular frequency (1/s): its mean square is no more than those of displacement and acceleration allow.
 fn moving(felt: f64, (moved, rate): (f64, f64)) -> f64 {
-    if moved > 0.0 { (moved * (moved * rate * rate).max(felt)).sqrt() } else { felt / (std::f64::consts::TAU * SLOWEST_HZ) }
+    if moved > 0.0 {
+        (moved * (moved * rate * rate).max(felt)).sqrt()
+    } else {
+        felt / (std::f64::consts::TAU * SLOWEST_HZ)
+    }
 }
 
 /// Puts a sample before the first one where a measurement comes before it: the zero may belong to that.

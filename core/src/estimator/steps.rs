@@ -110,10 +110,7 @@ impl StepTest {
 
     /// Whether it is of so many states and columns.
     pub fn fits(&self, n: usize, columns: usize) -> bool {
-        self.columns == columns
-            && self.next < INSTANTS
-            && self.changed.len() == n
-            && self.sums.len() == 1 + columns + n
+        self.columns == columns && self.next < INSTANTS && self.changed.len() == n && self.sums.len() == 1 + columns + n
     }
 
     fn any(&self) -> bool {
@@ -317,4 +314,3 @@ pub fn moved_probability(lapse: f64, channel: &ChannelModel, rate: f64) -> f64 {
     let met = (-(-rate * lapse).exp_m1()).min(0.5);
     if lapse > channel.coasting_s { met.max(P_MOVED) } else { met }
 }
-

@@ -1,9 +1,10 @@
 //! What a second pass knows better than the filter did: what led predictions away, and where steps of zeros were.
 
-use super::cause::{Cause, Decision, Prior, SHORTEST_S, led_away};
+use super::cause::{Cause, Decision, Prior};
 use super::decided::Decided;
 use super::model::Model;
 use super::reports::ONE_CAUSE_S;
+use super::situation::{SHORTEST_S, led_away};
 
 /// An error of the acceleration.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -67,8 +68,11 @@ pub fn unforeseen(decided: &Decided, model: &Model) -> (Vec<Error>, Vec<Decision
 
 /// Which of a channel's measurements are the outliers that led to what the last of them was taken for.
 fn outliers_of_one_cause(own: &[usize], decided: &Decided) -> Vec<usize> {
-    let odd: Vec<usize> =
-        own.iter().copied().filter(|&j| !matches!(decided.decisions[j].cause, Cause::Good | Cause::StepBefore)).collect();
+    let odd: Vec<usize> = own
+        .iter()
+        .copied()
+        .filter(|&j| !matches!(decided.decisions[j].cause, Cause::Good | Cause::StepBefore))
+        .collect();
     let time_s = |j: usize| decided.items[j].at_s;
     let apart = odd.windows(2).rposition(|two| time_s(two[1]) - time_s(two[0]) >= ONE_CAUSE_S);
     let same = &odd[apart.map_or(0, |place| place + 1)..];
@@ -77,8 +81,7 @@ fn outliers_of_one_cause(own: &[usize], decided: &Decided) -> Vec<usize> {
 
 /// Puts the steps that later measurements told where they were, as shifts of all targets of a sensor.
 pub fn put_steps_in_place(decided: &mut Decided, model: &Model) {
-    let steps: Vec<usize> =
-        (0..decided.len()).filter(|&j| decided.decisions[j].cause == Cause::StepBefore).collect();
+    let steps: Vec<usize> = (0..decided.len()).filter(|&j| decided.decisions[j].cause == Cause::StepBefore).collect();
     for &j in &steps {
         decided.decisions[j] = Decision::GOOD;
     }
@@ -104,4 +107,34 @@ pub fn first_change(before: &Decided, decisions: &[Decision], errors: &[Error]) 
     let other = before.decisions.iter().zip(decisions).position(|(one, other)| one != other);
     let first_s = other.map_or(f64::INFINITY, |j| before.items[j].at_s);
     errors.iter().map(|one| one.from_s).fold(first_s, f64::min)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::hypothesis::Contradiction;
+    use super::super::tests::{channel, measured, rates, settings};
+    use super::*;
+
+    #[test]
+    fn outliers_of_the_cause_that_a_wrong_state_explains_are_asked_again() {
+        // Every third of a second; one outlier long before, then a state that is led away and contradicts sound measurements
+        // on both sides of one that it took.
+        let outliers = [1, 11, 13, 14, 16];
+        let cause = |j: usize| match j {
+            17 => Cause::Lost,
+            j if outliers.contains(&j) => Cause::Outlier,
+            _ => Cause::Good,
+        };
+        let decided = Decided {
+            items: (0..19).map(|j| measured(f64::from(j) / 3.0, 0, 0.0, 1.0)).collect(),
+            decisions: (0..19).map(|j| Decision::of(cause(j))).collect(),
+            told: vec![Contradiction { size: 1.0, variance: 1.0, ago_s: 0.0 }; 19],
+        };
+        let model = Model::new(&settings(vec![channel()], rates()), 0);
+        let (errors, decisions) = unforeseen(&decided, &model);
+        let again: Vec<usize> = (0..19).filter(|&j| decisions[j].explained).collect();
+        assert_eq!(again, [11, 13, 14, 16, 17]);
+        assert!(decisions.iter().zip(&decided.decisions).all(|(one, other)| one.cause == other.cause));
+        assert_eq!(errors.len(), 1);
+    }
 }

@@ -3,6 +3,7 @@
 pub mod estimator;
 pub mod printed;
 pub mod radar;
+pub mod settings;
 pub mod signals;
 
 use numpy::{PyReadonlyArray1, PyReadonlyArray2};

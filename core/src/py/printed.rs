@@ -100,7 +100,13 @@ impl PrintedFilter {
         let source: Vec<u8> = rows.iter().map(|one| one.source).collect();
         let used: Vec<bool> = met[..done].iter().map(Option::is_some).collect();
         Ok((
-            (column(|one| one.x), column(|one| one.variance), column(|one| one.v), column(|one| one.accepted_s), source.into_pyarray(py)),
+            (
+                column(|one| one.x),
+                column(|one| one.variance),
+                column(|one| one.v),
+                column(|one| one.accepted_s),
+                source.into_pyarray(py),
+            ),
             (of_met(|one| one.innovation), of_met(|one| one.total), of_met(|one| one.noise), used.into_pyarray(py)),
         ))
     }
